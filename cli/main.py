@@ -1,0 +1,58 @@
+"""The command `warpsar`: subcommands are imported when asked for, and a refusal becomes one message."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any, NoReturn
+
+import click
+
+from warpsar.errors import InputError, WarpsarError
+
+INTERRUPTED = 130  # 128 + SIGINT, as shells report it
+
+COMMANDS = {
+    "simulate": "warpsar.cli.simulate:command",
+}
+
+
+class LazyGroup(click.Group):
+    """A group whose subcommands are named in `COMMANDS` as "module:attribute"."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name not in COMMANDS:
+            return None
+        module, _, attribute = COMMANDS[cmd_name].partition(":")
+        command: click.Command = getattr(import_module(module), attribute)
+        return command
+
+    def invoke(self, ctx: click.Context) -> Any:
+        try:
+            return super().invoke(ctx)
+        except WarpsarError as error:
+            _refuse(ctx, str(error), error.exit_code)
+        except BrokenPipeError:  # click's to handle
+            raise
+        except OSError as error:  # a folder that cannot be written, a full disk
+            message = f"{error.filename}: {error.strerror}" if error.filename else str(error)
+            _refuse(ctx, message, InputError.exit_code)
+        except KeyboardInterrupt:
+            _refuse(ctx, "interrupted", INTERRUPTED)
+
+
+def _refuse(ctx: click.Context, message: str, exit_code: int) -> NoReturn:
+    click.echo(f"Error: {message}", err=True)
+    ctx.exit(exit_code)
+
+
+@click.group(name="warpsar", cls=LazyGroup)
+@click.version_option(package_name="warpsar", prog_name="warpsar", message="%(prog)s %(version)s")
+def main() -> None:
+    """SAR images of triangle meshes by ray tracing: a scene file in, calibrated images out.
+
+    Exit status: 0 done; 1 it ran, and the result is a failure; 2 bad input or usage; 3 the device asked
+    for is not there. Results go to stdout and to files, messages and progress to stderr.
+    """

@@ -1,0 +1,57 @@
+"""What tests share: devices, measured data, cases by an independent renderer; skipped, saying so, where not there."""
+
+import os
+from pathlib import Path
+
+import hypothesis
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+
+# A first launch compiles its kernels: no example's time says anything.
+hypothesis.settings.register_profile("warpsar", deadline=None)
+hypothesis.settings.load_profile("warpsar")
+
+
+def shared_folder(variable: str, default: str) -> Path:
+    return Path(os.environ.get(variable) or ROOT.parent / "shared" / default)
+
+
+MEASURED = shared_folder("WARPSAR_MEASURED", "data")
+CASES = shared_folder("WARPSAR_CASES", "cases")
+
+
+def pytest_configure() -> None:
+    import warp as wp
+
+    wp.config.log_level = wp.LOG_WARNING
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    if item.get_closest_marker("cuda"):
+        import warp as wp
+
+        if not wp.get_cuda_device_count():
+            pytest.skip("no CUDA device here")
+    if item.get_closest_marker("measured") and not MEASURED.is_dir():
+        pytest.skip(f"no measured data: WARPSAR_MEASURED, or {MEASURED}, is no folder")
+
+
+@pytest.fixture(params=["cpu", pytest.param("cuda", marks=pytest.mark.cuda)])
+def device(request: pytest.FixtureRequest) -> str:
+    """Each kind of device, by its Warp name."""
+    return str(request.param)
+
+
+@pytest.fixture(scope="session")
+def measured_data() -> Path:
+    """Folder of measured radar data; for tests marked `measured`."""
+    return MEASURED
+
+
+@pytest.fixture(scope="session")
+def independent_cases() -> Path:
+    """Folder of scenes and images made by an independent renderer, truth beside them."""
+    if not CASES.is_dir():
+        pytest.skip(f"no independent cases: WARPSAR_CASES, or {CASES}, is no folder")
+    return CASES

@@ -1,0 +1,116 @@
+"""The command line: a refusal is one message and its exit status, never a traceback."""
+
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import click
+import pytest
+from click.testing import CliRunner
+
+from warpsar.cli import main as cli
+from warpsar.errors import DeviceError, InputError, WarpsarError
+
+
+@pytest.mark.parametrize(
+    ("error", "exit_code", "message"),
+    [
+        (WarpsarError("no better than before"), 1, "no better than before"),
+        (InputError("scene.toml: bad"), 2, "scene.toml: bad"),
+        (PermissionError(13, "Permission denied", "out"), 2, "out: Permission denied"),
+        (OSError("out/north.exr: cannot be written"), 2, "out/north.exr: cannot be written"),
+        (DeviceError("--device cuda:7: not here"), 3, "--device cuda:7: not here"),
+        (KeyboardInterrupt(), 130, "interrupted"),
+    ],
+    ids=lambda value: type(value).__name__ if isinstance(value, BaseException) else None,
+)
+def test_a_refusal_is_one_message(
+    error: BaseException, exit_code: int, message: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    @click.command()
+    def failing() -> None:
+        raise error
+
+    monkeypatch.setitem(sys.modules, "failing", SimpleNamespace(command=failing))
+    monkeypatch.setitem(cli.COMMANDS, "fail", "failing:command")
+    with pytest.raises(SystemExit) as end:
+        cli.main(["fail"])
+    assert end.value.code == exit_code
+    assert capsys.readouterr() == ("", f"Error: {message}\n")
+
+
+def test_a_defect_keeps_its_traceback(monkeypatch: pytest.MonkeyPatch) -> None:
+    @click.command()
+    def failing() -> None:
+        raise ZeroDivisionError
+
+    monkeypatch.setitem(sys.modules, "failing", SimpleNamespace(command=failing))
+    monkeypatch.setitem(cli.COMMANDS, "fail", "failing:command")
+    with pytest.raises(ZeroDivisionError):
+        cli.main(["fail"])
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["simulat"],
+        ["simulate"],
+        ["simulate", "missing.toml", "-o", "out"],
+        ["simulate", "scene.toml"],
+        ["simulate", "scene.toml", "-o", "scene.toml"],
+        ["simulate", "scene.toml", "-o", "out", "--max-memory", "0"],
+        ["simulate", "scene.toml", "-o", "out", "--seed", "-1"],
+        ["simulate", "scene.toml", "-o", "out", "--seed", "one"],
+    ],
+    ids=" ".join,
+)
+def test_wrong_usage_is_exit_2(arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("scene.toml").touch()
+    result = CliRunner().invoke(cli.main, arguments)
+    assert result.exit_code == 2
+    assert "Error: " in result.output
+
+
+@pytest.mark.parametrize(
+    ("arguments", "options"),
+    [
+        (
+            [],
+            {
+                "device": None,
+                "seed": None,
+                "layers": False,
+                "variance": False,
+                "per_ray": False,
+                "max_memory_gib": None,
+            },
+        ),
+        (
+            ["--device", "cuda:1", "--seed", "7", "--layers", "--variance", "--per-ray", "--max-memory", "1.5"],
+            {
+                "device": "cuda:1",
+                "seed": 7,
+                "layers": True,
+                "variance": True,
+                "per_ray": True,
+                "max_memory_gib": 1.5,
+            },
+        ),
+    ],
+    ids=["defaults", "all"],
+)
+def test_simulate_hands_its_options_on(
+    arguments: list[str], options: dict[str, object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls = []
+
+    def run(*paths: Path, **options: object) -> None:
+        calls.append((paths, options))
+
+    monkeypatch.setattr("warpsar.simulation.run", run)
+    monkeypatch.chdir(tmp_path)
+    Path("scene.toml").touch()
+    result = CliRunner().invoke(cli.main, ["simulate", "scene.toml", "-o", "out", *arguments])
+    assert (result.exit_code, result.output) == (0, "")
+    assert calls == [((Path("scene.toml"), Path("out")), options)]

@@ -1,0 +1,80 @@
+"""Measured against modelled power: losses, what speckle alone leaves of them, and the metrics that are reported.
+
+I: measured beta0; mu: modelled beta0; L: looks. Single-channel intensity of L looks is gamma distributed about mu
+(physics.md, section 5).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+LOSSES = {"gamma": 0, "mse": 1, "log": 2}  # codes of kernels/loss.py
+
+
+def expected_deviance(looks: float) -> float:
+    """E[d] = 2 L (ln L - psi(L)), the deviance of one pixel of pure speckle."""
+    from scipy.special import digamma
+
+    return float(2.0 * looks * (np.log(looks) - digamma(looks)))
+
+
+def log_bias(looks: float) -> float:
+    """E[ln(I / mu)] = psi(L) - ln L."""
+    return -expected_deviance(looks) / (2.0 * looks)
+
+
+def deviance(measured: np.ndarray, modelled: np.ndarray, looks: float) -> np.ndarray:
+    """d = 2 L (I / mu - 1 - ln(I / mu)) per pixel, any shape."""
+    ratio = measured / modelled
+    return 2.0 * looks * (ratio - 1.0 - np.log(ratio))
+
+
+@dataclass(frozen=True)
+class Curvature:
+    """A loss as weighted least squares in ln mu: gradient -sum(weight * residual * d ln mu), Hessian near
+    sum(weight * d ln mu * d ln mu); both arrays per pixel."""
+
+    residual: np.ndarray
+    weight: np.ndarray
+
+
+def curvature(loss: str, measured: np.ndarray, modelled: np.ndarray, looks: float, weight: float) -> Curvature:
+    """Fisher scoring for the gamma likelihood, Gauss-Newton for the other two; `weight` as in `loss_weight`."""
+    if loss == "gamma":
+        return Curvature(measured / modelled - 1.0, np.full(measured.shape, weight * looks))
+    if loss == "mse":
+        return Curvature(measured / modelled - 1.0, weight * modelled**2)
+    return Curvature(np.log(measured / modelled) - log_bias(looks), np.full(measured.shape, weight))
+
+
+def loss_weight(loss: str, looks: float, mean_square: float) -> float:
+    """What a pixel's loss is multiplied by, so that each loss is about a log-likelihood.
+
+    gamma: 1. mse (constant variance, equation 38): 1 / mean(I^2), the images' common scale. log: 1 / psi'(L), the
+    variance of ln I.
+    """
+    from scipy.special import polygamma
+
+    if loss == "mse":
+        return 1.0 / mean_square
+    return 1.0 if loss == "gamma" else float(1.0 / polygamma(1, looks))
+
+
+def metrics(measured: np.ndarray, modelled: np.ndarray, looks: float) -> dict[str, float]:
+    """rmse (beta0), nrmse = rmse / rms(I), rmse_db and deviance / E[d] over pixels where both are positive, and
+    correlation, of flat arrays of the pixels compared (scene-format.md)."""
+    error = measured - modelled
+    positive = (measured > 0) & (modelled > 0)
+    i, mu = measured[positive], modelled[positive]
+    rmse = float(np.sqrt(np.mean(error**2)))
+    spread = measured.std() * modelled.std()
+    covariance = np.mean((measured - measured.mean()) * (modelled - modelled.mean()))
+    return {
+        "rmse": rmse,
+        "nrmse": rmse / float(np.sqrt(np.mean(measured**2))),
+        "rmse_db": float(np.sqrt(np.mean((10.0 * np.log10(i / mu)) ** 2))),
+        "deviance": float(np.mean(deviance(i, mu, looks)) / expected_deviance(looks)),
+        "correlation": float(covariance / spread) if spread > 0 else float("nan"),
+    }

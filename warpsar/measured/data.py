@@ -1,0 +1,178 @@
+"""What a reader hands over: `PhaseHistory` (to be focused) or `ImageChip` (to be resampled)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from warpsar.errors import InputError
+from warpsar.frame import SPEED_OF_LIGHT
+from warpsar.measured.earth import EarthFrame, axes_at
+
+Quantity = Literal["complex", "amplitude", "power"]
+
+
+@dataclass(frozen=True)
+class Facts:
+    """What a file says of how it was taken; None where it says nothing. Angles as in scene-format.md."""
+
+    azimuth_deg: float | None = None
+    incidence_deg: float | None = None
+    frequency_hz: float | None = None
+    polarization: str | None = None
+    slant_range_m: float | None = None
+    strip_map: bool = False
+
+
+@dataclass(frozen=True)
+class PhaseHistory:
+    """Monostatic samples exp(-j 4 pi f (|position - q| - reference_range) / c), shape (frequency, pulse), complex64.
+
+    Frequencies are `frequency_start_hz` + k `frequency_step_hz`, one pair per pulse, shape (pulse,); `position_m` is
+    (pulse, 3) [m], in the world, or earth-centred where `frame` says how the world lies on the earth;
+    `reference_range_m` (pulse,). `autofocus_range_m` [m] and `autofocus_phase` [rad], (pulse,), belong to the
+    reference range and the phase (see `with_autofocus`).
+    """
+
+    source: str
+    samples: np.ndarray
+    frequency_start_hz: np.ndarray
+    frequency_step_hz: np.ndarray
+    position_m: np.ndarray
+    reference_range_m: np.ndarray
+    polarization: str | None
+    autofocus_range_m: np.ndarray | None = None
+    autofocus_phase: np.ndarray | None = None
+    frame: EarthFrame | None = None
+
+    def __post_init__(self) -> None:
+        pulses = self.samples.shape[1] if self.samples.ndim == 2 else 0
+        if self.samples.ndim != 2 or pulses < 2 or self.samples.shape[0] < 2:
+            raise InputError(
+                f"{self.source}: samples (frequency, pulse) have shape {self.samples.shape}; "
+                "at least 2 frequencies and 2 pulses are needed"
+            )
+        for name in (
+            "frequency_start_hz",
+            "frequency_step_hz",
+            "position_m",
+            "reference_range_m",
+            "autofocus_range_m",
+            "autofocus_phase",
+        ):
+            value = getattr(self, name)
+            if value is None:
+                continue
+            if value.shape != ((pulses, 3) if name == "position_m" else (pulses,)):
+                raise InputError(f"{self.source}: {name} has shape {value.shape}, but there are {pulses} pulses")
+            if not np.isfinite(value).all():
+                raise InputError(f"{self.source}: {name} holds NaN or infinite values")
+        if not (self.frequency_start_hz > 0).all() or not (self.frequency_step_hz > 0).all():
+            raise InputError(f"{self.source}: frequencies must be positive and rising")
+        bad = int((~np.isfinite(self.samples)).sum())
+        if bad:
+            raise InputError(
+                f"{self.source}: {bad} of {self.samples.size} samples are NaN or infinite; one spreads over the "
+                "whole image, so none is allowed"
+            )
+        if not self.samples.any():
+            raise InputError(f"{self.source}: all {self.samples.size} samples are zero")
+
+    @property
+    def bandwidth_hz(self) -> float:
+        return float(self.samples.shape[0] * self.frequency_step_hz.mean())
+
+    @property
+    def centre_frequency_hz(self) -> float:
+        return float((self.frequency_start_hz + (self.samples.shape[0] - 1) / 2 * self.frequency_step_hz).mean())
+
+    def in_frame(self, world_m: np.ndarray) -> np.ndarray:
+        """World points (..., 3) [m] in the coordinates of `position_m`."""
+        return world_m if self.frame is None else self.frame.to_ecef(world_m)
+
+    def with_autofocus(self) -> PhaseHistory:
+        """The file's autofocus applied, less what only moves the picture.
+
+        The correction multiplies the samples by exp(j phase) and lengthens the reference range (of the four sign
+        conventions the one that leaves Gotcha's phases smooth from pulse to pulse). A constant range and a phase
+        linear over the pulses shift the image and do not sharpen it; they are left out, so that it stays where the
+        antenna positions put it.
+        """
+        if self.autofocus_range_m is None or self.autofocus_phase is None:
+            return self
+        extra = self.autofocus_range_m - self.autofocus_range_m.mean()
+        wavenumber = 4.0 * np.pi * self.centre_frequency_hz / SPEED_OF_LIGHT
+        phase = np.unwrap(self.autofocus_phase - wavenumber * extra)
+        index = np.arange(phase.size)
+        trend = np.polyval(np.polyfit(index, phase, 1), index)
+        turn = np.exp(1j * (self.autofocus_phase - trend)).astype(np.complex64)
+        return replace(
+            self,
+            samples=self.samples * turn,
+            reference_range_m=self.reference_range_m + extra,
+            autofocus_range_m=None,
+            autofocus_phase=None,
+        )
+
+    def facts(self, reference_point_m: np.ndarray) -> Facts:
+        """Direction to the middle of the aperture, seen from `reference_point_m` (3,) [m, world], and the rest."""
+        toward = self.position_m - self.in_frame(reference_point_m)
+        distance = np.linalg.norm(toward, axis=1)
+        azimuth, incidence = direction_deg((toward / distance[:, None]).mean(axis=0), self.frame, reference_point_m)
+        return Facts(azimuth, incidence, self.centre_frequency_hz, self.polarization, float(distance.mean()))
+
+
+@dataclass(frozen=True)
+class ImageChip:
+    """An image and where its pixels lie.
+
+    `samples` is anything with `shape`, `dtype` and indexing by two slices (an array, a memory map, a window reader);
+    rows along range or as the file has them. `locate` gives fractional (row, column) pixel centres, (..., 2), for
+    world points (..., 3) [m]; where it is None the image already is a slant-plane one, row 0 nearest to the radar, its
+    middle the reference point, `spacing_m` (range, azimuth) or, where the file is silent, the view's.
+    `gain` turns |samples|^2 into beta0 (only where `calibrated`), given at (row, column).
+    """
+
+    source: str
+    samples: Any
+    quantity: Quantity
+    facts: Callable[[np.ndarray], Facts]
+    spacing_m: tuple[float, float] | None = None
+    locate: Callable[[np.ndarray], np.ndarray] | None = None
+    calibrated: bool = False
+    gain: Callable[[np.ndarray], np.ndarray] | None = None
+
+    def __post_init__(self) -> None:
+        if len(self.samples.shape) != 2 or min(self.samples.shape) < 1:
+            raise InputError(
+                f"{self.source}: the image has shape {tuple(self.samples.shape)}; rows and columns are needed"
+            )
+
+
+@contextmanager
+def reading(path: Any, what: str) -> Iterator[None]:
+    """Whatever a library raises on a broken file becomes one InputError that names it."""
+    try:
+        yield
+    except (InputError, KeyboardInterrupt):
+        raise
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file") from None
+    except Exception as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(f"{path}: not a readable {what} ({reason[:200]})") from error
+
+
+def direction_deg(toward: np.ndarray, frame: EarthFrame | None, reference_point_m: np.ndarray) -> tuple[float, float]:
+    """Azimuth, clockwise from +Y, and incidence, from +Z [degrees], of a vector (3,) from a world point to the radar.
+
+    The vector is earth-centred where `frame` is given.
+    """
+    if frame is not None:
+        toward = axes_at(frame, reference_point_m) @ toward
+    azimuth = np.degrees(np.arctan2(toward[0], toward[1])) % 360.0
+    return float(azimuth), float(np.degrees(np.arccos(toward[2] / np.linalg.norm(toward))))

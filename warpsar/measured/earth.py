@@ -1,0 +1,102 @@
+"""The world on WGS 84: from metres about an origin to earth-centred coordinates."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+_A = 6378137.0  # [m], WGS 84 semi-major axis
+_E2 = 6.69437999014e-3  # first eccentricity squared
+
+
+class EarthFrame(Protocol):
+    """How world metres lie on the earth."""
+
+    def to_ecef(self, world_m: np.ndarray) -> np.ndarray:
+        """World points (..., 3) [m] to earth-centred, earth-fixed ones (..., 3) [m]."""
+
+
+@dataclass(frozen=True)
+class Origin:
+    """World metres east and north along the ellipsoid (azimuthal equidistant), Z above the origin's height.
+
+    The origin is geodetic, in degrees, and metres above the WGS 84 ellipsoid. A DEM in longitude and latitude, read as
+    a mesh, lies the same way about its middle, at height 0.
+    """
+
+    latitude_deg: float
+    longitude_deg: float
+    height_m: float = 0.0
+
+    def to_ecef(self, world_m: np.ndarray) -> np.ndarray:
+        """Euler's radius of the normal section stands for the geodesic: right to millimetres within 20 km."""
+        world = np.asarray(world_m, np.float64)
+        lat = np.deg2rad(self.latitude_deg)
+        prime = _A / np.sqrt(1.0 - _E2 * np.sin(lat) ** 2)
+        meridian = prime**3 * (1.0 - _E2) / _A**2
+        distance = np.hypot(world[..., 0], world[..., 1])
+        safe = np.where(distance > 0.0, distance, 1.0)
+        east, north = world[..., 0] / safe, world[..., 1] / safe
+        radius = 1.0 / (north**2 / meridian + east**2 / prime)
+        flat = radius * np.sin(distance / radius)
+        drop = 2.0 * radius * np.sin(distance / radius / 2.0) ** 2
+        ground = np.stack([east * flat, north * flat, -drop], axis=-1) @ self._axes + geodetic_to_ecef(
+            np.array([self.latitude_deg, self.longitude_deg, 0.0])
+        )
+        geodetic = ecef_to_geodetic(ground)
+        geodetic[..., 2] = world[..., 2] + self.height_m
+        return geodetic_to_ecef(geodetic)
+
+    @property
+    def _axes(self) -> np.ndarray:
+        """East, north and up at the origin as rows, (3, 3), earth-centred."""
+        lat, lon = np.deg2rad([self.latitude_deg, self.longitude_deg])
+        return np.array(
+            [
+                [-np.sin(lon), np.cos(lon), 0.0],
+                [-np.sin(lat) * np.cos(lon), -np.sin(lat) * np.sin(lon), np.cos(lat)],
+                [np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)],
+            ]
+        )
+
+
+def axes_at(frame: EarthFrame, point_m: np.ndarray) -> np.ndarray:
+    """Where +X, +Y, +Z of the world point at a world point: unit rows, (3, 3), earth-centred."""
+    step = 1.0  # [m]: the earth's curvature turns the axes by 1e-7 over it
+    ahead = frame.to_ecef(point_m + step * np.eye(3))
+    behind = frame.to_ecef(point_m - step * np.eye(3))
+    axes = ahead - behind
+    return axes / np.linalg.norm(axes, axis=1, keepdims=True)
+
+
+def geodetic_to_ecef(geodetic: np.ndarray) -> np.ndarray:
+    """(latitude [deg], longitude [deg], height [m]) to earth-centred metres, shape (..., 3)."""
+    lat, lon, h = np.deg2rad(geodetic[..., 0]), np.deg2rad(geodetic[..., 1]), geodetic[..., 2]
+    n = _A / np.sqrt(1.0 - _E2 * np.sin(lat) ** 2)
+    return np.stack(
+        [
+            (n + h) * np.cos(lat) * np.cos(lon),
+            (n + h) * np.cos(lat) * np.sin(lon),
+            (n * (1.0 - _E2) + h) * np.sin(lat),
+        ],
+        axis=-1,
+    )
+
+
+def ecef_to_geodetic(ecef_m: np.ndarray) -> np.ndarray:
+    """Earth-centred metres to (latitude [deg], longitude [deg], height [m]), shape (..., 3).
+
+    Bowring's fixed point on the reduced latitude: three turns leave less than 1e-9 degrees near the surface.
+    """
+    x, y, z = np.moveaxis(np.asarray(ecef_m, np.float64), -1, 0)
+    b = _A * np.sqrt(1.0 - _E2)
+    p = np.hypot(x, y)
+    reduced = np.arctan2(z * _A, p * b)
+    for _ in range(3):
+        lat = np.arctan2(z + _E2 / (1.0 - _E2) * b * np.sin(reduced) ** 3, p - _E2 * _A * np.cos(reduced) ** 3)
+        reduced = np.arctan2(b * np.sin(lat), _A * np.cos(lat))
+    # Distance from the ellipse along its normal, without dividing by a cosine or a sine that may vanish.
+    height = p * np.cos(lat) + z * np.sin(lat) - _A * np.sqrt(1.0 - _E2 * np.sin(lat) ** 2)
+    return np.stack([np.degrees(lat), np.degrees(np.arctan2(y, x)), height], axis=-1)

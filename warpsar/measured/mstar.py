@@ -1,0 +1,60 @@
+"""MSTAR chips: a Phoenix header in text, then big-endian float32 magnitude, then phase."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from warpsar.errors import InputError
+from warpsar.measured.data import Facts, ImageChip, reading
+
+MAGIC = b"[PhoenixHeaderVer"
+_END = b"[EndofPhoenixHeader]"
+
+
+def read(path: Path) -> ImageChip:
+    """The complex chip, turned so that the radar is on top; the target's own axes are the world's (front = north)."""
+    with reading(path, "MSTAR chip"):
+        content = path.read_bytes()
+    start = content[:4096].find(MAGIC)
+    end = content.find(_END)
+    if start < 0 or end < 0:
+        raise InputError(f"{path}: not a readable MSTAR chip (no Phoenix header)")
+    header = dict(re.findall(r"^(\w+)= *(.*?) *$", content[start:end].decode("latin-1"), re.MULTILINE))
+
+    def number(name: str, unit: str = "") -> float:
+        value = header.get(name, "").lower().removesuffix(unit).strip()
+        try:
+            return float(value)
+        except ValueError:
+            raise InputError(f"{path}: header field {name} = {header.get(name)!r}; a number is needed") from None
+
+    rows, cols = int(number("NumberOfRows")), int(number("NumberOfColumns"))
+    offset = int(number("PhoenixHeaderLength")) + int(number("native_header_length"))
+    size = rows * cols
+    if size < 1 or len(content) - offset < 8 * size:
+        raise InputError(
+            f"{path}: {len(content)} bytes; {rows} x {cols} pixels of magnitude and phase need {offset + 8 * size}"
+        )
+    values = np.frombuffer(content, ">f4", 2 * size, offset).reshape(2, rows, cols).astype(np.float32)
+    samples = (values[0] * np.exp(1j * values[1])).astype(np.complex64)
+    position = header.get("RadarPosition", "").lower()
+    if position not in ("top", "bottom"):
+        raise InputError(f"{path}: header field RadarPosition = {position!r}; top or bottom is known")
+    if position == "bottom":
+        samples = samples[::-1, ::-1]
+    facts = Facts(
+        azimuth_deg=number("TargetAz") % 360.0,
+        incidence_deg=90.0 - number("MeasuredDepression"),
+        frequency_hz=1e9 * number("CenterFrequency", "ghz"),
+        polarization=header.get("Polarization", "").upper() or None,
+    )
+    return ImageChip(
+        source=str(path),
+        samples=samples,
+        quantity="complex",
+        facts=lambda reference_point_m: facts,
+        spacing_m=(number("RangePixelSpacing"), number("CrossRangePixelSpacing")),
+    )

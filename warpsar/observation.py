@@ -1,0 +1,93 @@
+"""Which measured pixels are compared with the model, and at how many looks (effects.md, step 2)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warpsar.errors import InputError
+
+if TYPE_CHECKING:
+    from warpsar.scene import Scene, View
+
+BORDER = 2  # pixels at the image's edge that are left out
+FAR = 6  # pixels from any lit one: from here on nothing but additive effects can be seen
+
+
+@dataclass(frozen=True)
+class Observation:
+    """One measured image, and the pixels of it that are used; all (rows, cols).
+
+    `interior`: lit by the declared model with all eight neighbours, off the image's edge, unmasked, finite and
+    positive. `dark`: far from everything lit, the same otherwise; zeros stay in. `zeros` counts the interior's
+    pixels that measure exactly 0, which no gamma likelihood can hold.
+    """
+
+    view: View
+    polarization: str
+    measured: np.ndarray
+    interior: np.ndarray
+    dark: np.ndarray
+    looks: float
+    looks_estimated: bool
+    zeros: int
+    left_out: int
+
+    @property
+    def pixels(self) -> np.ndarray:
+        """Flat indices of the interior, shape (n,), int32."""
+        return np.flatnonzero(self.interior).astype(np.int32)
+
+    @property
+    def values(self) -> np.ndarray:
+        """Measured beta0 of the interior, shape (n,), float64."""
+        return self.measured[self.interior].astype(float)
+
+
+def observe(scene: Scene, view: View, polarization: str, lit: np.ndarray) -> Observation:
+    """The measured image of a view with its masks; `lit` (rows, cols) is where the declared model puts light.
+
+    Looks that are not declared are estimated from the image. Raises InputError where they cannot be, or where no
+    pixel is left.
+    """
+    from scipy.ndimage import distance_transform_edt, minimum_filter
+
+    measured = scene.measured(view, polarization)
+    usable = np.isfinite(measured)
+    mask = scene.mask(view)
+    if mask is not None:
+        usable &= mask
+    usable[:BORDER] = usable[-BORDER:] = False
+    usable[:, :BORDER] = usable[:, -BORDER:] = False
+    inner = minimum_filter(lit.astype(np.uint8), size=3, mode="constant") > 0
+    positive = np.where(np.isfinite(measured), measured, 0) > 0
+    interior = usable & inner & positive
+    if not interior.any():
+        raise InputError(
+            f"{scene.path}: views {view.name}: no pixel of {polarization} is lit by the model, unmasked and "
+            f"positive at once; the image and the mesh do not meet"
+        )
+    distance = distance_transform_edt(~lit) if lit.any() else np.full(lit.shape, np.inf)
+    looks, estimated = view.looks, view.looks is None
+    if looks is None:
+        from warpsar.measured.looks import equivalent_looks
+
+        looks = equivalent_looks(np.where(interior, measured, np.nan))
+        if looks is None:
+            raise InputError(
+                f"{scene.path}: views {view.name}: looks are not given, and no homogeneous ground was found to "
+                f"estimate them on; give `looks`"
+            )
+    return Observation(
+        view,
+        polarization,
+        measured,
+        interior,
+        usable & (distance > FAR),
+        float(looks),
+        estimated,
+        int((usable & inner & ~positive).sum()),
+        int(measured.size - interior.sum()),
+    )

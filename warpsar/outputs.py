@@ -1,0 +1,51 @@
+"""What every command's JSON carries, and writing it whole or not at all."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from warpsar.scene import Scene
+
+
+def plain(value: Any) -> Any:
+    """JSON's own types; NaN and infinity, which JSON has not, become null."""
+    if isinstance(value, dict):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(v) for v in value]
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def write_json(
+    path: Path, scene: Scene, device: Any, seed: int, started: float, content: dict[str, Any]
+) -> dict[str, Any]:
+    """Write `content` under the version, device, seed, wall time (since `started`, perf_counter) and input hash."""
+    from warpsar import __version__
+    from warpsar.images import replacing
+
+    whole = plain(
+        {
+            "version": __version__,
+            "device": f"{device.alias} ({device.name})",
+            "seed": seed,
+            "wall_time_s": round(time.perf_counter() - started, 3),
+            "input": {"scene": Path(scene.path).name, "sha256": scene.input_hash},
+            **content,
+        }
+    )
+    with replacing(path) as temporary:
+        temporary.write_text(json.dumps(whole, indent=1) + "\n", encoding="utf-8")
+    return whole

@@ -1,0 +1,62 @@
+"""A fixed sequence of kernel launches, replayed forward, and backward through Warp's tape."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+
+class Program:
+    """Launches recorded once and replayed as often as parameters change.
+
+    Each program owns the arrays it writes, so that programs of several views run side by side on the CPU, and a
+    CUDA graph can capture one. A `with wp.Tape()` block is global and would serialise them; the tape is therefore
+    filled by `record_launch`.
+    """
+
+    def __init__(self, device: Any) -> None:
+        import warp as wp
+
+        self.device = device
+        self._tape = wp.Tape()
+        self._commands: list[Any] = []
+        self._sums: list[Any] = []
+
+    def array(self, shape: Any, dtype: Any = float, *, grad: bool = True, sum_into: bool = False) -> Any:
+        """A device array of this program; with `sum_into` it is zeroed before every forward run."""
+        import warp as wp
+
+        array = wp.zeros(shape, dtype=dtype, device=self.device, requires_grad=grad)
+        if sum_into:
+            self._sums.append(array)
+        return array
+
+    def launch(self, kernel: Any, dim: Any, inputs: Sequence[Any], outputs: Sequence[Any]) -> None:
+        """Record a launch; nothing runs before `forward`."""
+        import warp as wp
+
+        inputs, outputs = list(inputs), list(outputs)
+        command = wp.launch(
+            kernel,
+            dim,
+            inputs=inputs,
+            outputs=outputs,
+            device=self.device,
+            record_tape=False,
+            record_cmd=True,
+        )
+        self._commands.append(command)
+        self._tape.record_launch(kernel, dim, 0, inputs, outputs, self.device)
+
+    def forward(self) -> None:
+        for array in self._sums:
+            array.zero_()
+        for command in self._commands:
+            command.launch()
+
+    def backward(self, seeds: dict[Any, Any]) -> None:
+        """Gradients of sum(seed * array) over `seeds` into every `.grad` (zeroed first)."""
+        self._tape.zero()
+        for array, seed in seeds.items():
+            array.grad.assign(seed)
+        self._tape.backward()

@@ -1,0 +1,193 @@
+"""Hits + Surface + effects -> Image, as a program that runs forward, and backward to every parameter."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpsar.program import Program
+
+if TYPE_CHECKING:
+    from warpsar.effects.base import Effect
+    from warpsar.frame import ViewGeometry
+    from warpsar.scene import Scene, View
+    from warpsar.surface import Surface
+    from warpsar.trace import Hits, Target
+
+POLARIZATIONS = {"HH": 0, "VV": 1, "HV": 2, "VH": 3}
+VARIANTS = {"standard": 0, "as_printed": 1}
+
+
+@dataclass
+class Stage:
+    """What every view of a scene shares on a device: mesh, materials, and the equations' variant."""
+
+    target: Target
+    surface: Surface
+    variant: int
+    local_basis: bool
+    face_material: Any
+    uv: Any
+    places: Any
+    spectrum: Any
+    eps_im: Any
+    aspect: Any
+
+    @classmethod
+    def of(cls, scene: Scene, device: Any) -> Stage:
+        import warp as wp
+
+        from warpsar.surface import Surface
+        from warpsar.trace import Target
+
+        surface = Surface.of(scene)
+        uv = np.zeros((0, 2), np.float32) if scene.mesh.uv is None else scene.mesh.uv
+        return cls(
+            target=Target.upload(scene.mesh, scene.reference_point_m, device),
+            surface=surface,
+            variant=VARIANTS[scene.radar.variant],
+            local_basis=scene.radar.polarization_basis == "local",
+            face_material=wp.array(scene.mesh.face_material, dtype=int, device=device),
+            uv=wp.array(uv, dtype=wp.vec2, device=device),
+            places=wp.array(surface.places, dtype=wp.vec4i, device=device),
+            spectrum=wp.array(surface.spectrum, dtype=int, device=device),
+            eps_im=wp.array(surface.eps_im, dtype=float, device=device),
+            aspect=wp.array(surface.aspect, dtype=float, device=device),
+        )
+
+
+@dataclass
+class DeclaredEffect:
+    """An effect with the values it has in one view: `values` in the order of `effect.parameters`."""
+
+    effect: Effect
+    values: np.ndarray
+    settings: Mapping[str, Any] = field(default_factory=dict)
+
+
+class ViewRender:
+    """One view's images as a function of the surface's nodes and the effects' parameters.
+
+    `images[pol]` is beta0, shape (rows * cols,), float32, on the device after `forward`; `nodes` and
+    `effect_values[name]` are this view's own copies of the parameters, with their gradients after
+    `program.backward`. Stages: coordinates -> sigma0 -> gains -> deposit -> paths -> image.
+    """
+
+    def __init__(
+        self,
+        stage: Stage,
+        view: View,
+        hits: Hits,
+        shape: tuple[int, int],
+        polarizations: tuple[str, ...],
+        effects: list[DeclaredEffect],
+    ) -> None:
+        import warp as wp
+
+        from warpsar.kernels import shade
+
+        self.stage, self.view, self.hits, self.shape = stage, view, hits, shape
+        self.geometry: ViewGeometry = hits.geometry
+        self.program = Program(stage.target.device)
+        self.settings = {e.effect.name: e.settings for e in effects}
+        self.nodes = self.program.array(stage.surface.nodes.size)
+        self.effect_values = {e.effect.name: self.program.array(max(1, e.values.size)) for e in effects}
+        self.set_parameters(stage.surface.nodes, {e.effect.name: e.values for e in effects})
+        self.images: dict[str, Any] = {}
+        self.sigma: dict[str, Any] = {}
+
+        self._effects = effects
+        at = self._at
+        n = hits.count
+        zeta = self.program.array(n, wp.vec4)
+        self.program.launch(
+            shade.gather_kernel,
+            n,
+            [
+                hits.face,
+                hits.barycentric,
+                stage.target.faces,
+                stage.face_material,
+                stage.uv,
+                stage.places,
+                self.nodes,
+            ],
+            [zeta],
+        )
+        for effect, p in at("surface"):
+            zeta = effect.coordinates(self, p, zeta)
+        self.zeta = zeta
+        for name in polarizations:
+            code = POLARIZATIONS[name]
+            sigma = self.scatter(zeta, code)
+            for effect, p in at("surface"):
+                sigma = effect.scattering(self, p, zeta, sigma, code)
+            self.sigma[name] = sigma
+            image = self.program.array(shape[0] * shape[1], sum_into=True)
+            self.collect(sigma, hits.weight, hits.point, hits.pixel, image)
+            for effect, p in at("path"):
+                image = effect.paths(self, p, image, code)
+            for effect, p in at("image"):
+                image = effect.image(self, p, image)
+            self.images[name] = image
+
+    def _at(self, stage: str) -> list[tuple[Effect, Any]]:
+        return [(e.effect, self.effect_values[e.effect.name]) for e in self._effects if e.effect.stage == stage]
+
+    def collect(self, sigma: Any, weight: Any, points: Any, bins: Any, image: Any) -> None:
+        """Record the gains on `sigma` and its deposit into `image`, an array that is zeroed before each run.
+
+        `bins` are row * cols + col of `hits.grid`, `weight` as in Hits; what a path effect finds goes the same way.
+        """
+        from warpsar.kernels import shade
+
+        for effect, p in self._at("gain"):
+            sigma = effect.gain(self, p, sigma, points)
+        movers = self._at("position")
+        for effect, p in movers:
+            effect.deposit(self, p, sigma, weight, bins, image)
+        if not movers:
+            self.program.launch(shade.deposit_kernel, sigma.shape[0], [bins, weight, sigma], [image])
+
+    def scatter(self, zeta: Any, polarization: int, spectrum: Any = None) -> Any:
+        """Record sigma0 of the hits for coordinates `zeta`; `spectrum` takes the place of the materials' own."""
+        from warpsar.kernels import shade
+
+        hits, stage = self.hits, self.stage
+        sigma = self.program.array(hits.count)
+        self.program.launch(
+            shade.scatter_kernel,
+            hits.count,
+            [
+                polarization,
+                stage.variant,
+                self.geometry.wavenumber,
+                int(stage.local_basis),
+                hits.face,
+                stage.face_material,
+                hits.cos_incidence,
+                hits.cos_twist,
+                hits.cos2_azimuth,
+                stage.spectrum if spectrum is None else spectrum,
+                stage.eps_im,
+                stage.aspect,
+                zeta,
+            ],
+            [sigma],
+        )
+        return sigma
+
+    def set_parameters(self, nodes: np.ndarray, effects: Mapping[str, np.ndarray] | None = None) -> None:
+        """Parameters of the next `forward`: nodes in learned coordinates, effects' values by name."""
+        self.nodes.assign(np.asarray(nodes, np.float32))
+        for name, values in (effects or {}).items():
+            if values.size:
+                self.effect_values[name].assign(np.asarray(values, np.float32))
+
+    def forward(self) -> dict[str, np.ndarray]:
+        """beta0 by polarization, shape (rows, cols), float32."""
+        self.program.forward()
+        return {name: image.numpy().reshape(self.shape).copy() for name, image in self.images.items()}
