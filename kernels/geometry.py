@@ -15,7 +15,7 @@ class RayGrid:
     u: wp.vec3
     v: wp.vec3
     slant_range: float  # R0 [m]; 0 for a plane wave
-    standoff: float  # plane wave: rays start at X . d = -standoff [m]
+    standoff: float  # rays start this far [m] before the plane, or the arc about the track, of the reference point
     reach: float  # largest distance along a ray [m]
     azimuth_start: float  # [m], left edge of column 0
     azimuth_step: float  # [m]
@@ -48,7 +48,12 @@ def ray_direction(grid: RayGrid, elevation: float) -> wp.vec3:
 @wp.func
 def ray_origin(grid: RayGrid, azimuth: float, elevation: float) -> wp.vec3:
     if grid.slant_range > 0.0:
-        return azimuth * grid.u - grid.slant_range * grid.d
+        # Not on the track, where a distance of 10 km and more would leave no millimetres in float32. 1 - cos, too,
+        # is written without its cancellation.
+        s = wp.sin(0.5 * elevation)
+        nearer = -2.0 * s * s * grid.slant_range - grid.standoff * wp.cos(elevation)
+        higher = (grid.slant_range - grid.standoff) * wp.sin(elevation)
+        return azimuth * grid.u + nearer * grid.d + higher * grid.v
     return azimuth * grid.u + elevation * grid.v - grid.standoff * grid.d
 
 

@@ -62,3 +62,64 @@ def variation_kernel(
     difference = nodes[first[i]] - nodes[second[i]]
     value = weight[i] * (wp.sqrt(difference * difference + rounding * rounding) - rounding)
     wp.atomic_add(loss_out, i % PARTIALS, wp.float64(value))
+
+
+@wp.func
+def beyond(x: float) -> float:
+    """Squared excess over 0."""
+    excess = wp.max(x, 0.0)
+    return excess * excess
+
+
+@wp.kernel
+def validity_kernel(
+    # In:
+    wavenumber: float,
+    strength: float,
+    weight: wp.array(dtype=float),
+    cos_incidence: wp.array(dtype=float),
+    zeta: wp.array(dtype=wp.vec4),
+    # Out:
+    loss_out: wp.array(dtype=wp.float64),
+):
+    """How far (ln, squared) a hit's surface lies outside the domain of the model it uses, times its lit area.
+
+    SPM (19): kh < 0.3, sqrt(2) h / l < 0.3. KA (9, 12 corrected): kh cos(theta) > sqrt(10) / 2, kl > 6,
+    l^2 > 2.76 h lambda. The two are mixed as tau mixes the models.
+    """
+    i = wp.tid()
+    z = zeta[i]
+    kh = wp.log(wavenumber) + z[1]
+    kl = wp.log(wavenumber) + z[2]
+    spm = beyond(kh - wp.log(0.3)) + beyond(0.5 * wp.log(2.0) + kh - kl - wp.log(0.3))
+    ka = (
+        beyond(wp.log(0.5 * wp.sqrt(10.0)) - kh - wp.log(wp.max(cos_incidence[i], 1.0e-3)))
+        + beyond(wp.log(6.0) - kl)
+        + beyond(wp.log(2.76 * 2.0 * wp.pi) + kh - 2.0 * kl)
+    )
+    tau = 1.0 / (1.0 + wp.exp(-wp.clamp(z[3], -40.0, 40.0)))
+    value = strength * weight[i] * ((1.0 - tau) * spm + tau * ka)
+    wp.atomic_add(loss_out, i % PARTIALS, wp.float64(value))
+
+
+@wp.kernel(enable_backward=False)
+def keep_kernel(
+    kept: wp.array(dtype=float),
+    gradient: wp.array(dtype=float),
+    # Out:
+    kept_gradient_out: wp.array(dtype=float),
+):
+    """The gradient of what may change; 0 elsewhere."""
+    i = wp.tid()
+    kept_gradient_out[i] = kept[i] * gradient[i]
+
+
+@wp.kernel(enable_backward=False)
+def clamp_kernel(
+    low: wp.array(dtype=float),
+    high: wp.array(dtype=float),
+    # In and out:
+    nodes: wp.array(dtype=float),
+):
+    i = wp.tid()
+    nodes[i] = wp.clamp(nodes[i], low[i], high[i])

@@ -37,6 +37,24 @@ def append(records: Records, key: wp.int64, weight: float, moment: wp.vec2):
         records.moment[slot] = moment
 
 
+@wp.func
+def share_before(offset: float, wide: float, narrow: float) -> float:
+    """Share of a cell's power at ranges below `offset` from its middle: boxes `wide` and `narrow` convolved.
+
+    That is how a parallelogram on a plane lies in range, so the cells of a plane add up to a flat image.
+    """
+    distance = wp.abs(offset)
+    beyond = float(0.0)
+    if distance <= 0.5 * (wide - narrow):
+        beyond = 0.5 - distance / wp.max(wide, 1.0e-30)
+    elif distance < 0.5 * (wide + narrow):
+        rest = 0.5 * (wide + narrow) - distance
+        beyond = 0.5 * rest * rest / wp.max(wide * narrow, 1.0e-30)
+    if offset < 0.0:
+        return beyond
+    return 1.0 - beyond
+
+
 @wp.kernel(enable_backward=False)
 def trace_kernel(
     # In:
@@ -86,9 +104,14 @@ def trace_kernel(
                 if grid.slant_range > 0.0:
                     across = (centre + grid.slant_range) * grid.elevation_step
                 weight = grid.azimuth_step * across / (cosine * grid.pixel_area)
-                half = float(0.0)
+                # where the ray's power falls in range: two boxes convolved, cut to [low, high]
+                middle = centre
+                wide = float(0.0)
+                narrow = float(0.0)
+                low = float(-1.0e30)
+                high = float(1.0e30)
                 if deposit == LINEAR:
-                    half = 0.5 * grid.range_spacing
+                    wide = grid.range_spacing
                 if deposit == FOOTPRINT:
                     # The cell's own extent in range on the facet's plane: the sample's jitter drops out of it.
                     per_u = -wp.dot(hit.normal, grid.u) / slope * grid.azimuth_step
@@ -97,25 +120,28 @@ def trace_kernel(
                     r1 = slant_range_of(grid, p1)
                     r2 = slant_range_of(grid, p2)
                     middle = centre - per_u * jitter_u - per_v * jitter_v
-                    half = 0.5 * wp.sqrt(per_u * per_u + per_v * per_v)
-                    low = wp.max(middle - half, wp.min(wp.min(r0, centre), wp.min(r1, r2)))
-                    high = wp.min(middle + half, wp.max(wp.max(r0, centre), wp.max(r1, r2)))
-                    half = 0.0
-                    if high > low:
-                        centre = 0.5 * (low + high)
-                        half = 0.5 * (high - low)
+                    wide = wp.max(wp.abs(per_u), wp.abs(per_v))
+                    narrow = wp.min(wp.abs(per_u), wp.abs(per_v))
+                    low = wp.min(wp.min(r0, centre), wp.min(r1, r2))
+                    high = wp.max(wp.max(r0, centre), wp.max(r1, r2))
+                half = 0.5 * (wide + narrow)
+                low = wp.max(low, middle - half)
+                high = wp.min(high, middle + half)
+                share_low = share_before(low - middle, wide, narrow)
+                total = share_before(high - middle, wide, narrow) - share_low
+                if wide < 1.0e-5 * grid.range_spacing or total < 1.0e-4:
+                    low = centre
+                    high = centre
                 # rows the interval covers, and the share of each
-                low_row = (centre - half - grid.range_start) / grid.range_spacing
-                high_row = (centre + half - grid.range_start) / grid.range_spacing
-                extent = high_row - low_row
-                first_row = wp.max(int(wp.floor(low_row)), 0)
-                last_row = wp.min(int(wp.floor(high_row)), grid.rows - 1)
-                if extent < 1.0e-5:
-                    last_row = wp.min(first_row, last_row)
+                first_row = wp.max(int(wp.floor((low - grid.range_start) / grid.range_spacing)), 0)
+                last_row = wp.min(int(wp.floor((high - grid.range_start) / grid.range_spacing)), grid.rows - 1)
                 for row in range(first_row, last_row + 1):
                     share = float(1.0)
-                    if extent >= 1.0e-5:
-                        share = (wp.min(high_row, float(row + 1)) - wp.max(low_row, float(row))) / extent
+                    if high > low:
+                        edge = grid.range_start + float(row) * grid.range_spacing
+                        upper = share_before(wp.min(high, edge + grid.range_spacing) - middle, wide, narrow)
+                        lower = share_before(wp.max(low, edge) - middle, wide, narrow)
+                        share = (upper - lower) / total
                     if share > 0.0:
                         key = (wp.int64(row * grid.cols + column) << wp.int64(face_bits)) + wp.int64(query.face)
                         if key != run_key or merge == 0:

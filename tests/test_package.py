@@ -90,6 +90,14 @@ def test_readme_holds_two_commands_of_one_line() -> None:
     assert second.split(" && ")[-1].split()[0] == ".venv/bin/pytest"
 
 
+def test_readme_python_makes_the_images_it_says() -> None:
+    (snippet,) = (ROOT / "README.md").read_text(encoding="utf-8").split("```python\n")[1:]
+    code = snippet.partition("```")[0]
+    code += "for name, image in images.items(): print(name, *image.shape, (image > 0).any())"
+    lines = run_python(code, cwd=ROOT).splitlines()
+    assert lines == [f"{name} 160 160 True" for name in ("north", "south", "west")]
+
+
 def test_example_mesh_is_what_its_script_writes(tmp_path: Path) -> None:
     (tmp_path / "example").mkdir()
     shutil.copy(ROOT / "data" / "make_example.py", tmp_path)

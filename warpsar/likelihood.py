@@ -62,6 +62,24 @@ def loss_weight(loss: str, looks: float, mean_square: float) -> float:
     return 1.0 if loss == "gamma" else float(1.0 / polygamma(1, looks))
 
 
+def best_gain(loss: str, measured: np.ndarray, modelled: np.ndarray, looks: float) -> float:
+    """The factor on `modelled` that minimises the loss, in closed form."""
+    if loss == "gamma":
+        return float(np.mean(measured / modelled))
+    if loss == "mse":
+        return float(np.sum(measured * modelled) / np.sum(modelled**2))
+    return float(np.exp(np.mean(np.log(measured / modelled)) - log_bias(looks)))
+
+
+def loss_terms(loss: str, measured: np.ndarray, modelled: np.ndarray, looks: float) -> np.ndarray:
+    """Loss of every pixel in float64: what kernels/loss.py adds up, without the weight."""
+    if loss == "mse":
+        return 0.5 * (measured - modelled) ** 2
+    if loss == "gamma":
+        return 0.5 * deviance(measured, modelled, looks)
+    return 0.5 * (np.log(measured / modelled) - log_bias(looks)) ** 2
+
+
 def metrics(measured: np.ndarray, modelled: np.ndarray, looks: float) -> dict[str, float]:
     """rmse (beta0), nrmse = rmse / rms(I), rmse_db and deviance / E[d] over pixels where both are positive, and
     correlation, of flat arrays of the pixels compared (scene-format.md)."""

@@ -286,6 +286,11 @@ def _read_ply(path: Path, warnings: list[str]) -> tuple[list[_Part], dict[str, A
         return [], {}
     (geometry,) = scene.geometry.values()
     elements = geometry.metadata["_ply_raw"]
+    for name, element in elements.items():
+        data = element.get("data")
+        rows = len(next(iter(data.values())) if isinstance(data, dict) else data) if data is not None else 0
+        if rows != element["length"]:  # trimesh takes the lines that there are
+            raise InputError(f"{path}: found {rows} of {element['length']} {name} entries: truncated")
     scalars: dict[str, NDArray[np.float64]] = {}
     if "texcoord" in elements.get("face", {}).get("properties", {}):
         scene = trimesh.load_scene(path, process=False, fix_texture=True)
@@ -348,9 +353,10 @@ def _read_dem(path: Path, warnings: list[str]) -> list[_Part]:
             heights = np.ma.filled(band.astype(np.float64), np.nan) * source.scales[0] + source.offsets[0]
             affine, crs = source.transform, source.crs
     rows, cols = heights.shape
-    x, y = affine * (np.arange(cols)[None, :] + 0.5, np.arange(rows)[:, None] + 0.5)
-    x, y = np.broadcast_to(x, heights.shape).ravel(), np.broadcast_to(y, heights.shape).ravel()
-    centre_x, centre_y = affine * (cols / 2, rows / 2)
+    row, col = (index.ravel() + 0.5 for index in np.indices(heights.shape))
+    x = affine.a * col + affine.b * row + affine.c
+    y = affine.d * col + affine.e * row + affine.f
+    centre_x, centre_y = float(x.mean()), float(y.mean())  # of an affine grid: its middle
     if crs is not None and crs.is_geographic:
         local = f"+proj=aeqd +lat_0={centre_y} +lon_0={centre_x} +datum=WGS84 +units=m"
         east, north = (np.asarray(values) for values in project(crs, local, x, y))

@@ -54,9 +54,16 @@ class Program:
         for command in self._commands:
             command.launch()
 
-    def backward(self, seeds: dict[Any, Any]) -> None:
-        """Gradients of sum(seed * array) over `seeds` into every `.grad` (zeroed first)."""
+    def zero_gradients(self) -> None:
         self._tape.zero()
+
+    def backward(self, seeds: dict[Any, Any], *, zero: bool = True) -> None:
+        """Gradients of sum(seed * array) over `seeds` into every `.grad`.
+
+        They are zeroed first; with `zero` false they add to what is there (programs that share an array).
+        """
+        if zero:
+            self.zero_gradients()
         for array, seed in seeds.items():
             array.grad.assign(seed)
         self._tape.backward()

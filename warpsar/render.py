@@ -84,7 +84,9 @@ class ViewRender:
         shape: tuple[int, int],
         polarizations: tuple[str, ...],
         effects: list[DeclaredEffect],
+        nodes: Any = None,
     ) -> None:
+        """`nodes` shares one device array of parameters between views (CUDA); by default each view has its own."""
         import warp as wp
 
         from warpsar.kernels import shade
@@ -93,7 +95,7 @@ class ViewRender:
         self.geometry: ViewGeometry = hits.geometry
         self.program = Program(stage.target.device)
         self.settings = {e.effect.name: e.settings for e in effects}
-        self.nodes = self.program.array(stage.surface.nodes.size)
+        self.nodes = self.program.array(stage.surface.nodes.size) if nodes is None else nodes
         self.effect_values = {e.effect.name: self.program.array(max(1, e.values.size)) for e in effects}
         self.set_parameters(stage.surface.nodes, {e.effect.name: e.values for e in effects})
         self.images: dict[str, Any] = {}

@@ -18,7 +18,7 @@ from warpsar.outputs import write_json
 from warpsar.trace import DEFAULT_MEMORY_GIB, BinGrid, Hits, ray_count, trace
 
 if TYPE_CHECKING:
-    from warpsar.render import Stage
+    from warpsar.render import DeclaredEffect, Stage
     from warpsar.scene import Scene, View
 
 
@@ -46,16 +46,26 @@ def view_seed(scene_seed: int, index: int) -> int:
     return (scene_seed * 7919 + index * 104729 + 1) % (2**31 - 1)
 
 
-def trace_view(scene: Scene, stage: Stage, view: View, *, seed: int, merge: bool = True, **options: Any) -> Hits:
-    """Hits of one view with the scene's sampling, binned as finely and widely as its effects ask."""
-    effects = [e.effect for e in declared(scene, view)]
-    fine = max((e.bins_per_pixel for e in effects), default=1)
-    grid = hit_grid(scene, fine, max((e.margin_m for e in effects), default=0.0))
+def trace_view(
+    scene: Scene,
+    stage: Stage,
+    view: View,
+    *,
+    seed: int,
+    effects: list[DeclaredEffect],
+    rays_per_m2: float | None = None,
+    merge: bool = True,
+    **options: Any,
+) -> Hits:
+    """Hits of one view, with the scene's sampling unless `rays_per_m2` is given, binned as its effects ask."""
+    binning = [e.effect for e in effects]
+    fine = max((e.bins_per_pixel for e in binning), default=1)
+    grid = hit_grid(scene, fine, max((e.margin_m for e in binning), default=0.0))
     return trace(
         stage.target,
         geometry_of(scene, view),
         grid,
-        scene.sampling.density_per_m2(scene.grid),
+        rays_per_m2 or scene.sampling.density_per_m2(scene.grid),
         seed=seed,
         deposit=scene.sampling.deposit,
         merge=merge,
@@ -110,6 +120,7 @@ def simulate(
                 stage,
                 view,
                 seed=with_seed,
+                effects=declared(scene, view),
                 merge=merge,
                 max_memory_gib=max_memory_gib,
                 progress=bar,

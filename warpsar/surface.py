@@ -30,21 +30,29 @@ def _sigmoid(x: Any) -> Any:
     return np.where(x <= -FRACTION_LIMIT, 0.0, np.where(x >= FRACTION_LIMIT, 1.0, tau))
 
 
+def _log_contrast(eps_r: Any) -> Any:
+    with np.errstate(divide="ignore"):
+        return np.log(np.asarray(eps_r, float) - 1.0)
+
+
 @dataclass(frozen=True)
 class Kind:
-    """A surface parameter: its key in scene.toml, and its learned coordinate and back."""
+    """A surface parameter: its key in scene.toml, its learned coordinate and back, and how far a fit may go (SI)."""
 
     key: str
+    symbol: str
     coordinate_name: str
     to_coordinate: Callable[[Any], Any]
     from_coordinate: Callable[[Any], Any]
+    low: float
+    high: float
 
 
 KINDS = (
-    Kind("eps_r", "ln(eps_r - 1)", lambda x: np.log(np.asarray(x) - 1.0), lambda z: 1.0 + np.exp(z)),
-    Kind("rms_height_m", "ln h", np.log, np.exp),
-    Kind("correlation_length_m", "ln l", np.log, np.exp),
-    Kind("specular_fraction", "logit tau", _logit, _sigmoid),
+    Kind("eps_r", "eps_r", "ln(eps_r - 1)", _log_contrast, lambda z: 1.0 + np.exp(z), 1.01, 300.0),
+    Kind("rms_height_m", "h", "ln h", np.log, np.exp, 1e-6, 10.0),
+    Kind("correlation_length_m", "l", "ln l", np.log, np.exp, 1e-5, 100.0),
+    Kind("specular_fraction", "tau", "logit tau", _logit, _sigmoid, 1e-6, 1.0 - 1e-6),
 )
 KEYS = tuple(kind.key for kind in KINDS)
 SPECTRA = {"gaussian": 0, "exponential": 1, "separable": 2}

@@ -280,9 +280,9 @@ def _ray_grid(
     rays = RayGrid()
     rays.d, rays.u, rays.v = (wp.vec3(*axis) for axis in (geometry.d, geometry.u, geometry.v))
     margin = 1e-3 * max(1.0, float(np.ptp(along)))
+    rays.standoff = float(margin - along.min())
     if geometry.slant_range_m is None:
         rays.slant_range = 0.0
-        rays.standoff = float(margin - along.min())
         rays.reach = float(np.ptp(along) + 3 * margin)
         low, high = across.min(), across.max()
     else:
@@ -293,8 +293,8 @@ def _ray_grid(
                 f"allowed is a track in front of the whole mesh"
             )
         rays.slant_range = r0
-        rays.standoff = 0.0
-        rays.reach = float(np.hypot(along + r0, across).max() + 3 * margin)
+        rays.standoff = min(rays.standoff, r0)
+        rays.reach = float(np.hypot(along + r0, across).max() - r0 + rays.standoff + 3 * margin)
         angle = np.arctan2(across, along + r0)
         low, high = angle.min(), angle.max()
         across_step /= r0

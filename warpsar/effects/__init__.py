@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +12,7 @@ import numpy as np
 from warpsar.errors import InputError
 
 if TYPE_CHECKING:
-    from warpsar.effects.base import Effect
+    from warpsar.effects.base import Effect, Parameter
     from warpsar.render import DeclaredEffect
     from warpsar.scene import Scene, View
 
@@ -50,14 +51,15 @@ def validate(name: str, table: Any, where: str) -> dict[str, Any]:
                 raise InputError(f"{at}: found {value!r}; allowed is one of {list(settings[key].allowed)}")
         else:
             raise InputError(f"{at}: unknown key; allowed are {', '.join([*parameters, *settings])}")
-    return {
-        **{p.name: table.get(p.name, {} if p.per_view else p.neutral) for p in effect.parameters},
-        **{s.name: table.get(s.name, s.default) for s in effect.settings},
-    }
+    # Parameters stay as stated: a fit moves those and no others. Settings get their defaults.
+    return {**table, **{s.name: table.get(s.name, s.default) for s in effect.settings}}
 
 
-def declared(scene: Scene, view: View) -> list[DeclaredEffect]:
-    """The scene's effects with their values in `view`, in the order in which they act; neutral ones are left out."""
+def declared(scene: Scene, view: View, *, neutral: bool = False) -> list[DeclaredEffect]:
+    """The scene's effects with their values in `view`, in the order in which they act.
+
+    Those at their neutral values are left out unless `neutral` asks for them (a fit may start there).
+    """
     from warpsar.render import DeclaredEffect
 
     found = []
@@ -65,9 +67,15 @@ def declared(scene: Scene, view: View) -> list[DeclaredEffect]:
         if name not in scene.effects:
             continue
         effect, table = get(name), scene.effects[name]
-        values = [table[p.name].get(view.name, p.neutral) if p.per_view else table[p.name] for p in effect.parameters]
-        if all(v == p.neutral for v, p in zip(values, effect.parameters, strict=True)):
+        values = [value_in(view, p, table) for p in effect.parameters]
+        if not neutral and all(v == p.neutral for v, p in zip(values, effect.parameters, strict=True)):
             continue
         settings = {s.name: table[s.name] for s in effect.settings}
         found.append(DeclaredEffect(effect, np.array(values, float), settings))
     return found
+
+
+def value_in(view: View, parameter: Parameter, table: Mapping[str, Any]) -> float:
+    """What `table` says of a parameter in one view; its neutral value where it says nothing."""
+    value = table.get(parameter.name, parameter.neutral)
+    return float(value.get(view.name, parameter.neutral) if isinstance(value, Mapping) else value)

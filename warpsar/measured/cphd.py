@@ -35,7 +35,9 @@ def read(path: Path, polarization: str | None, frame: EarthFrame | None) -> Phas
         sgn = int(tree.findtext("{*}Global/{*}SGN"))
         iarp = _vector(tree, "{*}SceneCoordinates/{*}IARP/{*}ECF")
     if signal.ndim != 2:
-        raise InputError(f"{path}: channel {channel} is compressed ({signal.shape[0]} bytes); only plain samples are known")
+        raise InputError(
+            f"{path}: channel {channel} is compressed ({signal.shape[0]} bytes); only plain samples are known"
+        )
     if signal.shape[0] < 1:
         raise InputError(f"{path}: channel {channel} has no pulses")
     with reading(path, "CPHD file"):
@@ -75,7 +77,8 @@ def _channel(path: Path, tree: Any, wanted: str | None) -> tuple[str, str]:
     if len(fitting) != 1:
         listed = ", ".join(f"{name} ({pol})" for name, pol in channels.items()) or "none"
         raise InputError(
-            f"{path}: {len(fitting)} channels" + (f" of polarization {wanted}" if wanted else "")
+            f"{path}: {len(fitting)} channels"
+            + (f" of polarization {wanted}" if wanted else "")
             + f"; the file has {listed}; choose one with --polarization"
         )
     ((name, pol),) = fitting.items()

@@ -37,8 +37,8 @@ class Origin:
         prime = _A / np.sqrt(1.0 - _E2 * np.sin(lat) ** 2)
         meridian = prime**3 * (1.0 - _E2) / _A**2
         distance = np.hypot(world[..., 0], world[..., 1])
-        safe = np.where(distance > 0.0, distance, 1.0)
-        east, north = world[..., 0] / safe, world[..., 1] / safe
+        heading = np.arctan2(world[..., 0], world[..., 1])
+        east, north = np.sin(heading), np.cos(heading)
         radius = 1.0 / (north**2 / meridian + east**2 / prime)
         flat = radius * np.sin(distance / radius)
         drop = 2.0 * radius * np.sin(distance / radius / 2.0) ** 2

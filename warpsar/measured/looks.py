@@ -17,7 +17,7 @@ def equivalent_looks(power: np.ndarray) -> float | None:
     Texture and targets only lower the ratio, so the most common value over 9 x 9 windows is homogeneous ground's.
     Small, skewed and correlated samples bias it (neighbours share speckle, which a window's variance does not see): the
     same measurement on made speckle, of a known number of looks and the correlation found around the mode, gives the
-    factor. None where fewer than 16 windows are whole and positive.
+    factor. None where fewer than 16 windows are whole and not zero.
     """
     found = _mode(power)
     if found is None:
@@ -62,12 +62,12 @@ def _mode(power: np.ndarray) -> tuple[float, np.ndarray] | None:
 
 
 def _window_moments(power: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and unbiased variance of every window; NaN where a pixel is not finite or not positive."""
+    """Mean and unbiased variance of every window; NaN where a pixel is not finite."""
     from numpy.lib.stride_tricks import sliding_window_view
 
     if min(power.shape) < WINDOW:
         return np.empty((0, 0)), np.empty((0, 0))
-    image = np.where(np.isfinite(power) & (power > 0), power, np.nan).astype(np.float64)
+    image = np.where(np.isfinite(power) & (power >= 0), power, np.nan).astype(np.float64)
     scale = np.nanmean(image) if np.isfinite(image).any() else 1.0
     windows = sliding_window_view(image / scale, (WINDOW, WINDOW))
     return windows.mean(axis=(2, 3)), windows.var(axis=(2, 3), ddof=1)

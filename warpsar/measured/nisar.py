@@ -40,7 +40,11 @@ def read(path: Path, polarization: str | None, frame: EarthFrame | None) -> Imag
         raise InputError(f'{path}: HDF5 needs h5py: pip install "warpsar[hdf5]"') from error
     with reading(path, "HDF5 file"), h5py.File(path) as file:
         base = next((f"science/{band}" for band in ("LSAR", "SSAR") if f"science/{band}/SLC" in file), None)
-        base = f"{base}/SLC" if base else next((f"science/{b}/RSLC" for b in ("LSAR", "SSAR") if f"science/{b}/RSLC" in file), None)
+        base = (
+            f"{base}/SLC"
+            if base
+            else next((f"science/{b}/RSLC" for b in ("LSAR", "SSAR") if f"science/{b}/RSLC" in file), None)
+        )
         if base is None:
             raise InputError(f"{path}: no science/LSAR/SLC (or RSLC, SSAR) in it; only such images are known")
         name, pol = _image(path, file, f"{base}/swaths", polarization)

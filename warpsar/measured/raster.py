@@ -1,8 +1,8 @@
-"""GeoTIFF, TIFF, EXR and NPY: pictures whose quantity only their maker knows."""
+"""GeoTIFF, TIFF, EXR and NPY: pictures whose quantity only their maker knows, unless their numbers are complex."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -10,4 +10,140 @@ import numpy as np
 
 from warpsar.errors import InputError
 from warpsar.measured.data import Facts, ImageChip, Quantity, reading
-from warpsar.measured.earth import EarthFrame, geodetic_to_ecef
+from warpsar.measured.earth import EarthFrame, Origin, ecef_to_geodetic, geodetic_to_ecef
+
+SUFFIXES = (".tif", ".tiff", ".exr", ".npy")
+_WGS84 = "EPSG:4326"
+
+
+class ProjectedFrame:
+    """World metres are a map projection's, about a point of the map; Z is the height above the ellipsoid."""
+
+    def __init__(self, crs: Any, centre: tuple[float, float]) -> None:
+        self.crs, self.centre, self.metres = crs, centre, crs.linear_units_factor[1]
+
+    def to_ecef(self, world_m: np.ndarray) -> np.ndarray:
+        from rasterio.warp import transform
+
+        world = np.asarray(world_m, np.float64)
+        x, y = (world[..., i].ravel() / self.metres + self.centre[i] for i in (0, 1))
+        lon, lat = transform(self.crs, _WGS84, x, y)
+        return geodetic_to_ecef(np.stack([lat, lon, world[..., 2].ravel()], axis=-1)).reshape(world.shape)
+
+
+def dem_frame(path: Path) -> EarthFrame | None:
+    """Where on the earth the mesh of a GeoTIFF DEM lies (see `warpsar.mesh`); None without a coordinate system."""
+    with _open(path) as source:
+        centre, crs = source.transform * (source.width / 2, source.height / 2), source.crs
+    if crs is None:
+        return None
+    return Origin(centre[1], centre[0]) if crs.is_geographic else ProjectedFrame(crs, centre)
+
+
+def read(
+    path: Path, quantity: Quantity | None, polarization: str | None, frame: EarthFrame | None, *, map_image: bool
+) -> ImageChip:
+    """A map-projected image (`map_image`, a GeoTIFF with a coordinate system), or a slant-plane one.
+
+    A slant-plane image has range along its rows, near range first, and the reference point in its middle; its spacing is
+    the view's, divided by the looks. Real numbers need `quantity`, "amplitude" or "power".
+    """
+    if map_image:
+        return _read_map(path, quantity, polarization, frame)
+    samples = _read_slant(path, polarization)
+    facts = Facts(polarization=polarization)
+    return ImageChip(str(path), samples, _said(path, samples.dtype, quantity), lambda reference_point_m: facts)
+
+
+def is_map(path: Path) -> bool:
+    """Whether a TIFF has a coordinate system; only rasterio can tell."""
+    try:
+        with _open(path) as source:
+            return source.crs is not None
+    except InputError:
+        return False
+
+
+def _read_slant(path: Path, polarization: str | None) -> np.ndarray:
+    from warpsar.images import read_channel
+
+    if path.suffix.lower() == ".npy":
+        with reading(path, "NumPy array"):
+            array = np.load(path, allow_pickle=False)
+        if array.dtype.kind == "c":
+            return array.astype(np.complex64)
+    return read_channel(path, polarization)
+
+
+def _read_map(path: Path, quantity: Quantity | None, polarization: str | None, frame: EarthFrame | None) -> ImageChip:
+    if frame is None:
+        raise InputError(
+            f"{path}: where the world lies on the earth is not said; use a mesh that is a GeoTIFF DEM, or --origin with "
+            "latitude, longitude and ellipsoidal height of the world's origin"
+        )
+    from rasterio.warp import transform
+
+    with _open(path) as source:
+        shape, crs, inverse = source.shape, source.crs, ~source.transform
+        names = [name or "" for name in source.descriptions]
+        dtype = np.dtype(source.dtypes[0] if not source.dtypes[0].startswith("complex") else np.complex64)
+    if len(names) > 1 and names.count(polarization or "") != 1:
+        raise InputError(
+            f"{path}: {len(names)} bands, described as {', '.join(map(repr, names))}; one must be described as the "
+            f"polarization asked for ({polarization})"
+        )
+    band = names.index(polarization or "") + 1 if len(names) > 1 else 1
+
+    def locate(points_m: np.ndarray) -> np.ndarray:
+        geodetic = ecef_to_geodetic(frame.to_ecef(points_m))
+        x, y = transform(_WGS84, crs, geodetic[..., 1].ravel(), geodetic[..., 0].ravel())
+        col, row = inverse * (np.asarray(x), np.asarray(y))
+        return np.stack([row, col], axis=-1).reshape(*points_m.shape[:-1], 2) - 0.5
+
+    # Pixel size on the ground, measured through the projection: degrees are not metres.
+    corner = locate(np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]))
+    per_metre = np.linalg.norm(corner[1:] - corner[0], axis=0)
+    facts = Facts(polarization=polarization)
+    return ImageChip(
+        str(path),
+        _Window(path, band, shape, dtype),
+        _said(path, dtype, quantity),
+        lambda reference_point_m: facts,
+        spacing_m=(float(1.0 / per_metre[0]), float(1.0 / per_metre[1])),
+        locate=locate,
+    )
+
+
+class _Window:
+    """One band of a raster, read from the file only where it is sliced; no-data becomes NaN."""
+
+    def __init__(self, path: Path, band: int, shape: tuple[int, int], dtype: np.dtype) -> None:
+        self.path, self.band, self.shape, self.dtype = path, band, shape, dtype
+
+    def __getitem__(self, window: tuple[slice, slice]) -> np.ndarray:
+        rows, cols = window
+        with _open(self.path) as source:
+            raw = source.read(self.band, window=((rows.start, rows.stop), (cols.start, cols.stop)), masked=True)
+        kind = np.complex64 if self.dtype.kind == "c" else np.float32
+        return np.ma.filled(raw.astype(kind), np.nan)
+
+
+def _open(path: Path) -> Any:
+    try:
+        import rasterio
+        from rasterio.errors import NotGeoreferencedWarning
+    except ImportError as error:
+        raise InputError(f'{path}: GeoTIFF needs rasterio: pip install "warpsar[geo]"') from error
+    with reading(path, "GeoTIFF"), warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        return rasterio.open(path)
+
+
+def _said(path: Path, dtype: np.dtype, quantity: Quantity | None) -> Quantity:
+    if dtype.kind == "c":
+        if quantity is not None:
+            raise InputError(f"{path}: holds complex numbers; --quantity {quantity} is for detected images")
+        return "complex"
+    if quantity not in ("amplitude", "power"):
+        raise InputError(f"{path}: the format does not say whether these are amplitudes or powers; use --quantity")
+    return quantity

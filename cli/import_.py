@@ -1,0 +1,110 @@
+"""`warpsar import`: a measured image onto a view's grid, and into the scene file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+_FORMATS = ("auto", "gotcha", "cphd", "sicd", "mstar", "nisar", "geotiff", "tiff", "exr", "npy")
+_WINDOWS = ("none", "hann", "taylor")
+
+
+@click.command(name="import")
+@click.argument(
+    "sources",
+    nargs=-1,
+    required=True,
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    metavar="SOURCE...",
+)
+@click.option(
+    "--scene",
+    required=True,
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    help="The scene.toml to edit.",
+)
+@click.option("--view", required=True, help="Name of the view; made from the file's own geometry if it is not there.")
+@click.option("--format", "file_format", type=click.Choice(_FORMATS), default="auto", show_default=True)
+@click.option(
+    "--quantity",
+    type=click.Choice(("amplitude", "power")),
+    help="What the numbers of a GeoTIFF, TIFF, EXR or NPY are; it is never guessed.",
+)
+@click.option(
+    "--polarization", type=click.Choice(("HH", "HV", "VH", "VV")), help="Where the file has several, or none."
+)
+@click.option("--window-range", type=click.Choice(_WINDOWS), default="none", show_default=True, help="Over the band.")
+@click.option(
+    "--window-azimuth", type=click.Choice(_WINDOWS), default="none", show_default=True, help="Over each sub-aperture."
+)
+@click.option(
+    "--subapertures", type=click.IntRange(min=1), default=1, show_default=True, help="Focused apart, averaged in power."
+)
+@click.option(
+    "--looks-range",
+    type=click.IntRange(min=1),
+    help="Samples per pixel averaged in power; default: as resolution asks.",
+)
+@click.option("--looks-azimuth", type=click.IntRange(min=1), help="The same along azimuth.")
+@click.option(
+    "--surface",
+    type=click.Choice(("reference", "mesh")),
+    default="reference",
+    show_default=True,
+    help="Pixels lie at the reference point's height, or on the mesh.",
+)
+@click.option(
+    "--origin",
+    nargs=3,
+    type=float,
+    metavar="LAT LON HEIGHT",
+    help="Where the world's origin lies on the earth (degrees, metres above the ellipsoid).",
+)
+@click.option(
+    "--device", metavar="cpu|cuda|cuda:N", help="Default: the first CUDA device if there is one, else the CPU."
+)
+def command(
+    sources: tuple[Path, ...],
+    scene: Path,
+    view: str,
+    file_format: str,
+    quantity: str | None,
+    polarization: str | None,
+    window_range: str,
+    window_azimuth: str,
+    subapertures: int,
+    looks_range: int | None,
+    looks_azimuth: int | None,
+    surface: str,
+    origin: tuple[float, float, float] | None,
+    device: str | None,
+) -> None:
+    """Bring the measurement SOURCE onto the grid of a view, and declare it in the scene file.
+
+    Phase history (AFRL .mat files, several may be given; CPHD) is focused by backprojection; complex and detected images
+    (SICD, MSTAR, NISAR-style HDF5, GeoTIFF, TIFF, EXR, NPY) are resampled. The image is written beside the scene file as
+    float32 linear power.
+    """
+    from warpsar.measured.importer import import_measured
+
+    done = import_measured(
+        sources,
+        scene,
+        view,
+        file_format=file_format,
+        quantity=quantity,  # type: ignore[arg-type]
+        polarization=polarization,
+        window_range=window_range,
+        window_azimuth=window_azimuth,
+        subapertures=subapertures,
+        samples=(looks_range, looks_azimuth),
+        surface=surface,  # type: ignore[arg-type]
+        origin=origin,
+        device=device,
+    )
+    for message in done.messages:
+        click.echo(f"note: {message}", err=True)
+    looks = "not estimated" if done.looks is None else f"{done.looks:.2f}"
+    samples = " x ".join(map(str, done.samples_per_pixel))
+    click.echo(f"{done.image_path}: {done.polarization}, {samples} samples per pixel, looks {looks}")

@@ -1,0 +1,152 @@
+"""Images survive the way out and in; broken ones are refused; quick looks say what their greys mean."""
+
+from pathlib import Path
+
+import numpy as np
+import OpenImageIO as oiio  # noqa: N813
+import pytest
+
+from warpsar.errors import InputError
+from warpsar.images import quick_look, read_channel, read_image, read_mask, replacing, write_exr, write_tiff
+
+
+@pytest.fixture
+def power() -> np.ndarray:
+    return np.random.default_rng(1).exponential(0.1, (7, 5)).astype(np.float32)
+
+
+def test_exr_channels_by_name(tmp_path: Path, power: np.ndarray) -> None:
+    # VV before HH: files hold them sorted, so that taking them by position would swap them.
+    write_exr(tmp_path / "a.exr", {"VV": power * 2, "HH": power})
+    np.testing.assert_array_equal(read_channel(tmp_path / "a.exr", "HH"), power)
+    np.testing.assert_array_equal(read_channel(tmp_path / "a.exr", "VV"), power * 2)
+    assert read_image(tmp_path / "a.exr").shape == (7, 5, 2)
+    with pytest.raises(InputError, match=r"HH, VV.*one named HV"):
+        read_channel(tmp_path / "a.exr", "HV")
+
+
+def test_tiff_and_npy(tmp_path: Path, power: np.ndarray) -> None:
+    write_tiff(tmp_path / "a.tif", power)
+    np.save(tmp_path / "a.npy", power.astype(np.float64))
+    np.testing.assert_array_equal(read_channel(tmp_path / "a.tif", "HH"), power)
+    np.testing.assert_array_equal(read_channel(tmp_path / "a.npy"), power)
+    assert read_image(tmp_path / "a.npy").shape == (7, 5, 1)
+
+
+def test_not_finite_values_survive(tmp_path: Path, power: np.ndarray) -> None:
+    power[0, 0], power[1, 1] = np.nan, np.inf
+    write_tiff(tmp_path / "a.tif", power)
+    np.testing.assert_array_equal(read_channel(tmp_path / "a.tif"), power)
+
+
+def _png(path: Path, pixels: np.ndarray) -> Path:
+    assert oiio.ImageBuf(pixels).write(str(path), oiio.UINT8)
+    return path
+
+
+def test_whole_numbers_are_no_image_but_a_mask(tmp_path: Path) -> None:
+    pixels = np.zeros((3, 4, 1), np.uint8)
+    pixels[1, 2] = 1
+    path = _png(tmp_path / "a.png", pixels)
+    with pytest.raises(InputError, match="floating point"):
+        read_image(path)
+    np.testing.assert_array_equal(np.argwhere(read_mask(path)), [[1, 2]])
+
+
+def test_an_opaque_mask_does_not_use_every_pixel(tmp_path: Path) -> None:
+    pixels = np.zeros((3, 4, 4), np.uint8)
+    pixels[..., 3] = 255
+    pixels[1, 2, 0] = 255
+    np.testing.assert_array_equal(np.argwhere(read_mask(_png(tmp_path / "a.png", pixels))), [[1, 2]])
+
+
+def test_a_float_mask_leaves_nan_out(tmp_path: Path) -> None:
+    write_tiff(tmp_path / "a.tif", np.array([[np.nan, 0.0, 0.5]]))
+    assert read_mask(tmp_path / "a.tif").tolist() == [[False, False, True]]
+
+
+@pytest.mark.parametrize("suffix", ["tif", "exr", "npy", "png"])
+@pytest.mark.parametrize("kept", [0.0, 0.02, 0.5, 0.95])
+def test_truncated_files_are_refused(tmp_path: Path, suffix: str, kept: float) -> None:
+    whole = tmp_path / f"a.{suffix}"
+    noise = np.random.default_rng(2).random((64, 48)).astype(np.float32)
+    if suffix == "npy":
+        np.save(whole, noise)
+    elif suffix == "png":
+        _png(whole, (noise[..., None] * 255).astype(np.uint8))
+    else:
+        write_tiff(whole, noise) if suffix == "tif" else write_exr(whole, {"HH": noise})
+    data = whole.read_bytes()
+    whole.write_bytes(data[: int(len(data) * kept)])
+    with pytest.raises(InputError) as error:
+        read_mask(whole) if suffix == "png" else read_image(whole)
+    assert str(whole) in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "data"),
+    [
+        ("a.tif", b"no image"),
+        ("a.exr", b"v/1\x01" + b"\0" * 40),
+        ("a.xyz", b"?"),
+        ("a.npy", b"\x93NUMPY\x01\x00\x10\x00{'descr': '<f4', "),
+    ],
+)
+def test_broken_files_are_refused(tmp_path: Path, name: str, data: bytes) -> None:
+    (tmp_path / name).write_bytes(data)
+    with pytest.raises(InputError):
+        read_image(tmp_path / name)
+
+
+def test_npy_of_the_wrong_kind_is_refused(tmp_path: Path) -> None:
+    for index, array in enumerate((np.zeros(3), np.zeros((2, 2), complex), np.array([{}]), np.zeros((2, 2), int))):
+        np.save(tmp_path / f"{index}.npy", array)
+        with pytest.raises(InputError):
+            read_image(tmp_path / f"{index}.npy")
+
+
+def test_a_missing_file_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no such image"):
+        read_channel(tmp_path / "a.tif")
+
+
+def test_quick_look_is_linear_in_decibel_and_says_so(tmp_path: Path) -> None:
+    decibel = np.linspace(-40, 10, 51).reshape(3, 17)
+    beta0 = 10 ** (decibel / 10)
+    beta0[0, 0] = 0.0
+    path = tmp_path / "a.png"
+    assert quick_look(path, beta0, floor_db=-30.0, ceiling_db=0.0) == (-30.0, 0.0)
+    picture = oiio.ImageBuf(str(path))
+    grey = np.asarray(picture.get_pixels(oiio.UINT8))[:, :, 0]
+    stated = picture.spec().get_string_attribute("ImageDescription")
+    assert stated == "beta0 in dB: black -30.00 dB, white 0.00 dB"
+    assert grey.shape == (3, 17)
+    expected = np.clip((decibel + 30) / 30, 0, 1) * 255
+    expected[0, 0] = 0
+    np.testing.assert_allclose(grey, expected, atol=0.51)  # rounded to whole greys
+
+
+@pytest.mark.parametrize("value", [0.0, 1.0, np.nan])
+def test_quick_look_of_a_constant_image(tmp_path: Path, value: float) -> None:
+    low, high = quick_look(tmp_path / "a.png", np.full((4, 4), value))
+    assert high > low
+    assert (tmp_path / "a.png").stat().st_size
+
+
+def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> None:
+    path = tmp_path / "a.txt"
+    path.write_text("old")
+
+    def interrupted() -> None:
+        with replacing(path) as temporary:
+            temporary.write_text("half of the n")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+    with replacing(path) as temporary:
+        temporary.write_text("new")
+    assert path.read_text() == "new"
+    assert list(tmp_path.iterdir()) == [path]

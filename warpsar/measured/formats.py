@@ -1,0 +1,83 @@
+"""Which reader a file needs: its first bytes say so, or, for pictures, its suffix."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from warpsar.errors import InputError
+from warpsar.measured import cphd, gotcha, mstar, nisar, raster, sicd
+from warpsar.measured.data import ImageChip, PhaseHistory, Quantity
+from warpsar.measured.earth import EarthFrame
+
+FORMATS = ("gotcha", "cphd", "sicd", "mstar", "nisar", "geotiff", "tiff", "exr", "npy")
+_MAGIC = {
+    b"MATLAB 5.0 MAT-file": "gotcha",
+    cphd.MAGIC: "cphd",
+    b"NITF": "sicd",
+    nisar.MAGIC: "nisar",
+}
+
+
+def detect(path: Path) -> str:
+    """The format's name, one of `FORMATS`; raises InputError for a file that is none of them."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(4096)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
+    for magic, name in _MAGIC.items():
+        if head.startswith(magic):
+            return name
+    if mstar.MAGIC in head:
+        return "mstar"
+    suffix = path.suffix.lower()
+    if suffix in raster.SUFFIXES:
+        if suffix in (".tif", ".tiff"):
+            return "geotiff" if raster.is_map(path) else "tiff"
+        return suffix[1:]
+    raise InputError(
+        f"{path}: neither its first bytes nor its suffix name a known format; "
+        f"choose one with --format: {', '.join(FORMATS)}"
+    )
+
+
+def read(
+    sources: Sequence[str | Path],
+    *,
+    file_format: str = "auto",
+    quantity: Quantity | None = None,
+    polarization: str | None = None,
+    frame: EarthFrame | None = None,
+) -> PhaseHistory | ImageChip:
+    """Read one measurement; only AFRL .mat files may be several.
+
+    `quantity` ("amplitude" or "power") is for pictures of real numbers only: elsewhere the format says it. `frame` says
+    where the world lies on the earth, for formats in earth coordinates. Raises InputError, one message that names the
+    file, for whatever cannot be read.
+    """
+    paths = [Path(source) for source in sources]
+    if not paths:
+        raise InputError("no source file given")
+    name = detect(paths[0]) if file_format == "auto" else file_format
+    if name not in FORMATS:
+        raise InputError(f"format {name!r}: not known; use one of auto, {', '.join(FORMATS)}")
+    if len(paths) > 1 and name != "gotcha":
+        raise InputError(f"{len(paths)} sources: only AFRL .mat files can be combined, and {paths[0]} is {name}")
+    if quantity is not None and name not in ("geotiff", "tiff", "exr", "npy"):
+        raise InputError(f"{paths[0]}: {name} says itself what its numbers are; leave --quantity out")
+    path = paths[0]
+    measured: PhaseHistory | ImageChip
+    if name == "gotcha":
+        measured = gotcha.read(paths)
+    elif name == "cphd":
+        measured = cphd.read(path, polarization, frame)
+    elif name == "sicd":
+        measured = sicd.read(path, frame)
+    elif name == "mstar":
+        measured = mstar.read(path)
+    elif name == "nisar":
+        measured = nisar.read(path, polarization, frame)
+    else:
+        measured = raster.read(path, quantity, polarization, frame, map_image=name == "geotiff")
+    return measured
