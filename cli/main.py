@@ -13,6 +13,7 @@ INTERRUPTED = 130  # 128 + SIGINT, as shells report it
 
 COMMANDS = {
     "simulate": "warpsar.cli.simulate:command",
+    "learn": "warpsar.cli.learn:command",
 }
 
 

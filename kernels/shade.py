@@ -57,6 +57,30 @@ def node_value(nodes: wp.array(dtype=float), place: wp.vec4i, corner: wp.vec3i, 
     return value
 
 
+@wp.func
+def coordinates_at(
+    f: int,
+    b: wp.vec3,
+    faces: wp.array2d(dtype=int),
+    face_material: wp.array(dtype=int),
+    uv: wp.array(dtype=wp.vec2),
+    places: wp.array2d(dtype=wp.vec4i),
+    nodes: wp.array(dtype=float),
+) -> wp.vec4:
+    """Learned coordinates on face `f` at barycentric weights `b`; `places` and `uv` as in `gather_kernel`."""
+    material = face_material[f]
+    corner = wp.vec3i(faces[f, 0], faces[f, 1], faces[f, 2])
+    at = wp.vec2(0.0, 0.0)
+    if uv.shape[0] > 0:
+        at = b[0] * uv[corner[0]] + b[1] * uv[corner[1]] + b[2] * uv[corner[2]]
+    return wp.vec4(
+        node_value(nodes, places[material, EPS], corner, b, at),
+        node_value(nodes, places[material, HEIGHT], corner, b, at),
+        node_value(nodes, places[material, LENGTH], corner, b, at),
+        node_value(nodes, places[material, FRACTION], corner, b, at),
+    )
+
+
 @wp.kernel
 def gather_kernel(
     # In:
@@ -72,20 +96,9 @@ def gather_kernel(
 ):
     """`places` [material, kind]; `uv` per vertex, of length 0 where the mesh has none."""
     i = wp.tid()
-    f = face[i]
-    material = face_material[f]
-    corner = wp.vec3i(faces[f, 0], faces[f, 1], faces[f, 2])
     b12 = barycentric[i]
     b = wp.vec3(1.0 - b12[0] - b12[1], b12[0], b12[1])
-    at = wp.vec2(0.0, 0.0)
-    if uv.shape[0] > 0:
-        at = b[0] * uv[corner[0]] + b[1] * uv[corner[1]] + b[2] * uv[corner[2]]
-    zeta_out[i] = wp.vec4(
-        node_value(nodes, places[material, EPS], corner, b, at),
-        node_value(nodes, places[material, HEIGHT], corner, b, at),
-        node_value(nodes, places[material, LENGTH], corner, b, at),
-        node_value(nodes, places[material, FRACTION], corner, b, at),
-    )
+    zeta_out[i] = coordinates_at(face[i], b, faces, face_material, uv, places, nodes)
 
 
 @wp.func

@@ -61,7 +61,9 @@ def echoes(
     return samples
 
 
-def write_mat(path: Path, samples: np.ndarray, frequency_hz: np.ndarray, positions: np.ndarray, **extra: object) -> Path:
+def write_mat(
+    path: Path, samples: np.ndarray, frequency_hz: np.ndarray, positions: np.ndarray, **extra: object
+) -> Path:
     from scipy.io import savemat
 
     x, y, z = positions.T[:, None, :]
@@ -126,7 +128,10 @@ def write_sicd(path: Path, image: np.ndarray, spacing_m: tuple[float, float], lo
     r, a = (rows // 2) * spacing_m[0], (cols // 2) * spacing_m[1]
     outward = [-s @ [0, 0, 1], -s[:2] / np.hypot(*s[:2])]
     ground = np.append(outward[1], 0.0) / np.sin(np.deg2rad(look.incidence_deg))
-    corners = [wgs84.cartesian_to_geodetic(to_ecef(i * r * ground + j * a * u))[:2] for i, j in ((-1, -1), (-1, 1), (1, 1), (1, -1))]
+    corners = [
+        wgs84.cartesian_to_geodetic(to_ecef(i * r * ground + j * a * u))[:2]
+        for i, j in ((-1, -1), (-1, 1), (1, 1), (1, -1))
+    ]
     root = lxml.etree.Element("{urn:SICD:1.4.0}SICD", nsmap={None: "urn:SICD:1.4.0"})
     sicd = sarkit_sicd.ElementWrapper(root)
     sicd["CollectionInfo"] = {
@@ -234,7 +239,10 @@ def write_cphd(
         "TOASwath": {"TOAMin": -toa, "TOAMax": toa},
     }
     area = {"X1Y1": [-100.0, -100.0], "X2Y2": [100.0, 100.0]}
-    corners = [wgs84.cartesian_to_geodetic(to_ecef(np.array([x, y, 0.0])))[:2] for x, y in ((-100, 100), (100, 100), (100, -100), (-100, -100))]
+    corners = [
+        wgs84.cartesian_to_geodetic(to_ecef(np.array([x, y, 0.0])))[:2]
+        for x, y in ((-100, 100), (100, 100), (100, -100), (-100, -100))
+    ]
     cphd["SceneCoordinates"] = {
         "EarthModel": "WGS_84",
         "IARP": {"ECF": iarp, "LLH": SITE},
@@ -242,7 +250,20 @@ def write_cphd(
         "ImageArea": area,
         "ImageAreaCornerPoints": np.array(corners),
     }
-    fields = ("TxTime", "TxPos", "TxVel", "RcvTime", "RcvPos", "RcvVel", "SRPPos", "aFDOP", "aFRR1", "aFRR2", "FX1", "FX2")
+    fields = (
+        "TxTime",
+        "TxPos",
+        "TxVel",
+        "RcvTime",
+        "RcvPos",
+        "RcvVel",
+        "SRPPos",
+        "aFDOP",
+        "aFRR1",
+        "aFRR2",
+        "FX1",
+        "FX2",
+    )
     fields += ("TOA1", "TOA2", "TDTropoSRP", "SC0", "SCSS", "SIGNAL")
     layout, offset = {}, 0
     for name in fields:
@@ -255,7 +276,13 @@ def write_cphd(
         "NumBytesPVP": 8 * offset,
         "NumCPHDChannels": 1,
         "Channel": [
-            {"Identifier": "1", "NumVectors": pulses, "NumSamples": count, "SignalArrayByteOffset": 0, "PVPArrayByteOffset": 0}
+            {
+                "Identifier": "1",
+                "NumVectors": pulses,
+                "NumSamples": count,
+                "SignalArrayByteOffset": 0,
+                "PVPArrayByteOffset": 0,
+            }
         ],
         "NumSupportArrays": 0,
     }

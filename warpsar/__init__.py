@@ -15,9 +15,10 @@ __version__ = "0.1.0"
 
 _LAZY = {
     "Scene": "warpsar.scene",
+    "learn": "warpsar.learning",
     "simulate": "warpsar.simulation",
 }
-__all__ = ["DeviceError", "InputError", "Scene", "WarpsarError", "simulate"]
+__all__ = ["DeviceError", "InputError", "Scene", "WarpsarError", "learn", "simulate"]
 
 
 def __getattr__(name: str) -> Any:

@@ -164,9 +164,7 @@ class FitProblem:
             FitView(self, view, hit, (observations or {}).get(view.name))
             for view, hit in zip(chosen, hits, strict=True)
         ]
-        self.variation = TotalVariation(
-            self.surface, scene.mesh, total_variation or {}, device, self.shared_nodes
-        )
+        self.variation = TotalVariation(self.surface, scene.mesh, total_variation or {}, device, self.shared_nodes)
         self.learned = self.surface.learned
         self.effect_coordinates = self._effect_coordinates()
         self._tables: dict[str, dict[str, Any]] = {name: dict(table) for name, table in scene.effects.items()}

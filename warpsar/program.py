@@ -45,6 +45,8 @@ class Program:
             record_tape=False,
             record_cmd=True,
         )
+        if command is None:  # nothing to do: a view without hits
+            return
         self._commands.append(command)
         self._tape.record_launch(kernel, dim, 0, inputs, outputs, self.device)
 

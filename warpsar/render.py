@@ -73,7 +73,8 @@ class ViewRender:
 
     `images[pol]` is beta0, shape (rows * cols,), float32, on the device after `forward`; `nodes` and
     `effect_values[name]` are this view's own copies of the parameters, with their gradients after
-    `program.backward`. Stages: coordinates -> sigma0 -> gains -> deposit -> paths -> image.
+    `program.backward`. Stages: coordinates -> sigma0 -> gains -> deposit -> paths -> image. `spacing_m` is that of
+    the pixels; `layers`: further arrays (rows * cols,) by name that effects leave, shares of the beta0.
     """
 
     def __init__(
@@ -87,10 +88,6 @@ class ViewRender:
         nodes: Any = None,
     ) -> None:
         """`nodes` shares one device array of parameters between views (CUDA); by default each view has its own."""
-        import warp as wp
-
-        from warpsar.kernels import shade
-
         self.stage, self.view, self.hits, self.shape = stage, view, hits, shape
         self.geometry: ViewGeometry = hits.geometry
         self.program = Program(stage.target.device)
@@ -100,27 +97,14 @@ class ViewRender:
         self.set_parameters(stage.surface.nodes, {e.effect.name: e.values for e in effects})
         self.images: dict[str, Any] = {}
         self.sigma: dict[str, Any] = {}
+        self.layers: dict[str, Any] = {}
+        self.kept: dict[str, Any] = {}  # what an effect worked out for one polarization and needs in the next
+        fine = hits.grid.bins_per_pixel
+        self.spacing_m = (hits.grid.spacing_m[0] * fine, hits.grid.spacing_m[1] * fine)
 
         self._effects = effects
         at = self._at
-        n = hits.count
-        zeta = self.program.array(n, wp.vec4)
-        self.program.launch(
-            shade.gather_kernel,
-            n,
-            [
-                hits.face,
-                hits.barycentric,
-                stage.target.faces,
-                stage.face_material,
-                stage.uv,
-                stage.places,
-                self.nodes,
-            ],
-            [zeta],
-        )
-        for effect, p in at("surface"):
-            zeta = effect.coordinates(self, p, zeta)
+        zeta = self.coordinates(hits.face, hits.barycentric, hits.point)
         self.zeta = zeta
         for name in polarizations:
             code = POLARIZATIONS[name]
@@ -139,6 +123,25 @@ class ViewRender:
     def _at(self, stage: str) -> list[tuple[Effect, Any]]:
         return [(e.effect, self.effect_values[e.effect.name]) for e in self._effects if e.effect.stage == stage]
 
+    def coordinates(self, face: Any, barycentric: Any, points: Any) -> Any:
+        """Record the learned coordinates (vec4) at places on the mesh, with the effects that act on them."""
+        import warp as wp
+
+        from warpsar.kernels import shade
+
+        stage = self.stage
+        n = face.shape[0]
+        zeta = self.program.array(n, wp.vec4)
+        self.program.launch(
+            shade.gather_kernel,
+            n,
+            [face, barycentric, stage.target.faces, stage.face_material, stage.uv, stage.places, self.nodes],
+            [zeta],
+        )
+        for effect, p in self._at("surface"):
+            zeta = effect.coordinates(self, p, zeta, points)
+        return zeta
+
     def collect(self, sigma: Any, weight: Any, points: Any, bins: Any, image: Any) -> None:
         """Record the gains on `sigma` and its deposit into `image`, an array that is zeroed before each run.
 
@@ -151,8 +154,22 @@ class ViewRender:
         movers = self._at("position")
         for effect, p in movers:
             effect.deposit(self, p, sigma, weight, bins, image)
-        if not movers:
+        if not movers and self.hits.grid.shape == self.shape:
             self.program.launch(shade.deposit_kernel, sigma.shape[0], [bins, weight, sigma], [image])
+        elif not movers:
+            self.deposit(sigma, weight, bins, self.program.array(2, grad=False), image)
+
+    def deposit(self, sigma: Any, weight: Any, bins: Any, shift: Any, image: Any) -> None:
+        """Record the deposit of bins finer or wider than the pixels, moved by `shift` (rows, columns) pixels."""
+        from warpsar.kernels import effects_registration as kernels
+
+        grid = self.hits.grid
+        self.program.launch(
+            kernels.move_kernel,
+            sigma.shape[0],
+            [*grid.shape, grid.bins_per_pixel, *self.shape, bins, weight, sigma, shift],
+            [image],
+        )
 
     def scatter(self, zeta: Any, polarization: int, spectrum: Any = None) -> Any:
         """Record sigma0 of the hits for coordinates `zeta`; `spectrum` takes the place of the materials' own."""

@@ -34,10 +34,15 @@ def resolve_device(name: str | None = None) -> wp.Device:
     return wp.get_device(wanted)
 
 
+def say(message: str) -> None:
+    """A message for people: stderr, so that stdout carries results only."""
+    print(message, file=sys.stderr)
+
+
 def say_device(device: Any) -> None:
     """One line on stderr: where the work is done."""
     where = f"{thread_count()} threads" if device.is_cpu else device.name
-    print(f"device: {device.alias} ({where})", file=sys.stderr)
+    say(f"device: {device.alias} ({where})")
 
 
 def thread_count() -> int:

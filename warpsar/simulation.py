@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -58,9 +57,8 @@ def trace_view(
     **options: Any,
 ) -> Hits:
     """Hits of one view, with the scene's sampling unless `rays_per_m2` is given, binned as its effects ask."""
-    binning = [e.effect for e in effects]
-    fine = max((e.bins_per_pixel for e in binning), default=1)
-    grid = hit_grid(scene, fine, max((e.margin_m for e in binning), default=0.0))
+    fine = max((e.effect.bins_per_pixel for e in effects), default=1)
+    grid = hit_grid(scene, fine, max((e.effect.margin_m(scene.grid, e.values) for e in effects), default=0.0))
     return trace(
         stage.target,
         geometry_of(scene, view),
@@ -81,7 +79,7 @@ def hit_grid(scene: Scene, bins_per_pixel: int = 1, margin_m: float = 0.0) -> Bi
         for n, step in zip(scene.grid.shape, scene.grid.spacing_m, strict=True)
     ]
     spacing = [step / bins_per_pixel for step in scene.grid.spacing_m]
-    return BinGrid((shape[0], shape[1]), (spacing[0], spacing[1]))
+    return BinGrid((shape[0], shape[1]), (spacing[0], spacing[1]), bins_per_pixel)
 
 
 def simulate(
@@ -171,7 +169,7 @@ def run(
     where = runtime.resolve_device(device)
     runtime.say_device(where)
     for warning in scene.warnings:
-        print(f"warning: {warning}", file=sys.stderr)
+        runtime.say(f"warning: {warning}")
     views = simulate(
         scene,
         device=where.alias,

@@ -26,11 +26,15 @@ _SEGMENT = 64  # cells of one thread on CUDA, where the columns alone are too fe
 
 @dataclass(frozen=True)
 class BinGrid:
-    """Bins of [range, azimuth] about the reference point: shape (rows, cols), `spacing_m` (range, azimuth) [m],
-    and the number of pixels the grid is wider than the image on each side, in its own bins."""
+    """Bins of [range, azimuth] about the reference point: shape (rows, cols), `spacing_m` (range, azimuth) [m].
+
+    `bins_per_pixel` of them, per axis, make a pixel of the image; the grid may be wider than the image, by whole
+    pixels and as much on each side.
+    """
 
     shape: tuple[int, int]
     spacing_m: tuple[float, float]
+    bins_per_pixel: int = 1
 
     @property
     def start_m(self) -> tuple[float, float]:
@@ -121,8 +125,8 @@ def trace(
     from warpsar.kernels import trace as kernels
 
     device = target.device
-    rays = _ray_grid(target, geometry, grid, rays_per_m2, cells_multiple, pixel_area_m2 or grid.pixel_area_m2)
-    first, last = _cells_on_the_mesh(target, geometry, rays)
+    rays = ray_grid(target, geometry, grid, rays_per_m2, cells_multiple, pixel_area_m2 or grid.pixel_area_m2)
+    first, last = cells_on_the_mesh(target, geometry, rays)
     face_bits = max(1, int(target.faces.shape[0] - 1).bit_length())
     key_bits = face_bits + max(1, (grid.shape[0] * grid.shape[1] - 1).bit_length())
     if key_bits > 63:
@@ -208,8 +212,8 @@ def ray_count(
     target: Target, geometry: ViewGeometry, grid: BinGrid, rays_per_m2: float, cells_multiple: int = 1
 ) -> int:
     """Rays that `trace` will send: what a progress bar counts to."""
-    rays = _ray_grid(target, geometry, grid, rays_per_m2, cells_multiple, grid.pixel_area_m2)
-    first, last = _cells_on_the_mesh(target, geometry, rays)
+    rays = ray_grid(target, geometry, grid, rays_per_m2, cells_multiple, grid.pixel_area_m2)
+    first, last = cells_on_the_mesh(target, geometry, rays)
     return (last - first) * rays.elevation_cells
 
 
@@ -222,8 +226,8 @@ def launch_layers(
     from warpsar.kernels import layers as kernels
 
     device = target.device
-    rays = _ray_grid(target, geometry, grid, rays_per_m2, 1, grid.pixel_area_m2)
-    first, last = _cells_on_the_mesh(target, geometry, rays)
+    rays = ray_grid(target, geometry, grid, rays_per_m2, 1, grid.pixel_area_m2)
+    first, last = cells_on_the_mesh(target, geometry, rays)
     visits = wp.zeros(grid.shape[0] * grid.shape[1], dtype=float, device=device)
     hidden = wp.zeros(grid.shape[0] * grid.shape[1], dtype=int, device=device)
     width = max(1, -(-(last - first) // rays.cells_per_column // 8)) * rays.cells_per_column
@@ -258,7 +262,7 @@ def _concatenate(parts: list[Any], dtype: Any, device: Any) -> Any:
     return whole
 
 
-def _ray_grid(
+def ray_grid(
     target: Target,
     geometry: ViewGeometry,
     grid: BinGrid,
@@ -312,7 +316,7 @@ def _ray_grid(
     return rays
 
 
-def _cells_on_the_mesh(target: Target, geometry: ViewGeometry, rays: Any) -> tuple[int, int]:
+def cells_on_the_mesh(target: Target, geometry: ViewGeometry, rays: Any) -> tuple[int, int]:
     """Azimuth cells, in whole columns of the image, that can meet the mesh."""
     azimuth = target.corners @ geometry.u
     width = rays.azimuth_step * rays.cells_per_column

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -12,12 +12,28 @@ import numpy as np
 from warpsar.errors import InputError
 
 if TYPE_CHECKING:
-    from warpsar.effects.base import Effect, Parameter
+    from warpsar.effects.base import Effect, Parameter, Setting
     from warpsar.render import DeclaredEffect
     from warpsar.scene import Scene, View
 
 # In the order in which effects of one stage act. A new effect is a file and its name here.
-NAMES: tuple[str, ...] = ()
+NAMES: tuple[str, ...] = (
+    "eps_gradient",
+    "exponential_spectrum",
+    "two_scale",
+    "vegetation",
+    "antenna_pattern",
+    "range_loss",
+    "view_gain",
+    "registration",
+    "multibounce",
+    "edge_diffraction",
+    "point_spread",
+    "azimuth_ambiguity",
+    "noise_floor",
+    "interference",
+    "saturation",
+)
 
 
 def get(name: str) -> Effect:
@@ -26,10 +42,13 @@ def get(name: str) -> Effect:
     return effect
 
 
-def validate(name: str, table: Any, where: str) -> dict[str, Any]:
-    """The table `[effects.<name>]` with defaults filled in; `where` names file and key in the refusal (InputError)."""
+def validate(name: str, table: Any, where: str, views: Collection[str] | None = None) -> dict[str, Any]:
+    """The table `[effects.<name>]` with default settings filled in; `where` names file and key in the refusal.
+
+    `views` are the names that tables of per-view values may use; None leaves that to `check`. Raises InputError.
+    """
     if name not in NAMES:
-        raise InputError(f"{where}: found {name!r}; allowed are {', '.join(NAMES) or 'no effects yet'}")
+        raise InputError(f"{where}: found {name!r}; allowed are {', '.join(NAMES)}")
     effect = get(name)
     if not isinstance(table, dict):
         raise InputError(f"{where}: found {table!r}; allowed is a table")
@@ -38,44 +57,89 @@ def validate(name: str, table: Any, where: str) -> dict[str, Any]:
     for key, value in table.items():
         at = f"{where}.{key}"
         if key in parameters:
-            p = parameters[key]
-            values = value.values() if p.per_view and isinstance(value, dict) else [value]
-            for one in values:
-                number = isinstance(one, int | float) and not isinstance(one, bool)
-                if not number or not (math.isnan(p.neutral) or math.isfinite(one) or one == p.neutral):
-                    raise InputError(f"{at}: found {one!r}; allowed is a number [{p.unit}]")
-                if not p.low <= one <= p.high:
-                    raise InputError(f"{at}: found {one!r}; allowed is {p.low:g} to {p.high:g} {p.unit}")
+            for place, one in _entries(at, value, parameters[key].per_view, views):
+                _check_number(place, one, parameters[key])
         elif key in settings:
-            if value not in settings[key].allowed:
-                raise InputError(f"{at}: found {value!r}; allowed is one of {list(settings[key].allowed)}")
+            setting = settings[key]
+            for place, one in _entries(at, value, setting.per_view, views):
+                if not setting.accepts(one):
+                    raise InputError(f"{place}: found {one!r}; allowed is {setting.allowed}")
         else:
             raise InputError(f"{at}: unknown key; allowed are {', '.join([*parameters, *settings])}")
     # Parameters stay as stated: a fit moves those and no others. Settings get their defaults.
     return {**table, **{s.name: table.get(s.name, s.default) for s in effect.settings}}
 
 
+def _entries(at: str, value: Any, per_view: bool, views: Collection[str] | None) -> list[tuple[str, Any]]:
+    """What stands at a key, with its place: one value, or one for each view named."""
+    if not per_view:
+        return [(at, value)]
+    if not isinstance(value, dict):
+        raise InputError(f"{at}: found {value!r}; allowed is a table of view names and values")
+    for view in value:
+        if views is not None and view not in views:
+            raise InputError(f"{at}: found {view!r}; allowed are the views {', '.join(views)}")
+    return [(f"{at}.{view}", one) for view, one in value.items()]
+
+
+def _check_number(at: str, value: Any, p: Parameter) -> None:
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not number or not (math.isfinite(value) or value == p.neutral):
+        raise InputError(f"{at}: found {value!r}; allowed is a number [{p.unit}]")
+    if not p.low <= value <= p.high:
+        raise InputError(f"{at}: found {value!r}; allowed is {p.low:g} to {p.high:g} {p.unit}")
+
+
+def check(scene: Scene) -> None:
+    """Refuse what the scene's effects ask of views that it does not have, or of another kind of scene (InputError)."""
+    views = [view.name for view in scene.views]
+    for name, table in scene.effects.items():
+        where = f"{scene.path or 'scene'}: effects.{name}"
+        validate(name, table, where, views)
+        problem = get(name).check(scene, table)
+        if problem is not None:
+            raise InputError(f"{where}{problem}")
+
+
 def declared(scene: Scene, view: View, *, neutral: bool = False) -> list[DeclaredEffect]:
     """The scene's effects with their values in `view`, in the order in which they act.
 
-    Those at their neutral values are left out unless `neutral` asks for them (a fit may start there).
+    Those at their neutral values are left out unless `neutral` asks for them (a fit may start there). Raises
+    InputError as `check` does.
     """
     from warpsar.render import DeclaredEffect
 
+    check(scene)
     found = []
     for name in NAMES:
         if name not in scene.effects:
             continue
         effect, table = get(name), scene.effects[name]
-        values = [value_in(view, p, table) for p in effect.parameters]
-        if not neutral and all(v == p.neutral for v, p in zip(values, effect.parameters, strict=True)):
+        values = [value_in(view, p, table, scene.views) for p in effect.parameters]
+        if not neutral and all(
+            v == p.neutral or math.isnan(p.neutral) for v, p in zip(values, effect.parameters, strict=True)
+        ):
             continue
-        settings = {s.name: table[s.name] for s in effect.settings}
+        settings = {s.name: setting_in(view, s, table) for s in effect.settings}
         found.append(DeclaredEffect(effect, np.array(values, float), settings))
     return found
 
 
-def value_in(view: View, parameter: Parameter, table: Mapping[str, Any]) -> float:
-    """What `table` says of a parameter in one view; its neutral value where it says nothing."""
-    value = table.get(parameter.name, parameter.neutral)
-    return float(value.get(view.name, parameter.neutral) if isinstance(value, Mapping) else value)
+def value_in(view: View, parameter: Parameter, table: Mapping[str, Any], views: Collection[View] = ()) -> float:
+    """What `table` says of a parameter in one view; its default where it says nothing.
+
+    Of a `zero_sum` parameter the mean over `views` is taken off.
+    """
+    value = table.get(parameter.name, parameter.default)
+    if not isinstance(value, Mapping):
+        return float(value)
+    mean = 0.0
+    if parameter.zero_sum and views:
+        mean = sum(value.get(v.name, parameter.default) for v in views) / len(views)
+    return float(value.get(view.name, parameter.default)) - mean
+
+
+def setting_in(view: View, setting: Setting, table: Mapping[str, Any]) -> Any:
+    """What `table` says of a setting in one view; the default of a per-view setting is that of a view."""
+    value = table.get(setting.name, setting.default)
+    return value.get(view.name) if setting.per_view else value

@@ -97,7 +97,8 @@ def _read_map(path: Path, quantity: Quantity | None, polarization: str | None, f
     def locate(points_m: np.ndarray) -> np.ndarray:
         geodetic = ecef_to_geodetic(frame.to_ecef(points_m))
         x, y = transform(_WGS84, crs, geodetic[..., 1].ravel(), geodetic[..., 0].ravel())
-        col, row = inverse * (np.asarray(x), np.asarray(y))
+        x, y = np.asarray(x), np.asarray(y)
+        col, row = (inverse.a * x + inverse.b * y + inverse.c, inverse.d * x + inverse.e * y + inverse.f)
         return np.stack([row, col], axis=-1).reshape(*points_m.shape[:-1], 2) - 0.5
 
     # Pixel size on the ground, measured through the projection: degrees are not metres.
@@ -122,7 +123,7 @@ class _Window:
 
     def __getitem__(self, window: tuple[slice, slice]) -> np.ndarray:
         rows, cols = window
-        with _open(self.path) as source:
+        with reading(self.path, "GeoTIFF"), _open(self.path) as source:
             raw = source.read(self.band, window=((rows.start, rows.stop), (cols.start, cols.stop)), masked=True)
         kind = np.complex64 if self.dtype.kind == "c" else np.float32
         return np.ma.filled(raw.astype(kind), np.nan)

@@ -1,0 +1,81 @@
+"""`warpsar learn`: measured images in, a scene with learned parameters out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+
+@click.command(name="learn")
+@click.argument("scene", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.option(
+    "-o",
+    "--out",
+    required=True,
+    type=click.Path(file_okay=False, path_type=Path),
+    help="Folder for scene.toml with what was learned, learn.json, history.csv and figures; made if missing.",
+)
+@click.option(
+    "--device", metavar="cpu|cuda|cuda:N", help="Default: the first CUDA device if there is one, else the CPU."
+)
+@click.option("--loss", default="gamma", show_default=True, help="gamma, mse or log.")
+@click.option("--optimiser", default="auto", show_default=True, help="auto, lm or adam.")
+@click.option("--starts", type=click.IntRange(min=1), default=3, show_default=True, help="Starts for lm.")
+@click.option(
+    "--iterations", type=click.IntRange(min=1), default=500, show_default=True, help="At most, over all starts."
+)
+@click.option(
+    "--max-time", type=click.FloatRange(min=0, min_open=True), metavar="SECONDS", help="Stop after this long."
+)
+@click.option(
+    "--rate", type=click.FloatRange(min=0, min_open=True), default=0.05, show_default=True, help="Adam's step."
+)
+@click.option(
+    "--tv", multiple=True, metavar="KEY=WEIGHT", help="Total variation of a field, such as eps_r=5; repeatable."
+)
+@click.option(
+    "--validity", type=click.FloatRange(min=0), default=0.0, show_default=True, help="Weight of the models' domains."
+)
+@click.option("--checkpoint-every", type=click.IntRange(min=1), default=10, show_default=True, help="Iterations.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the further starts.")
+@click.option("--resume", is_flag=True, help="Go on from the checkpoint in the output folder.")
+def command(
+    scene: Path,
+    out: Path,
+    device: str | None,
+    loss: str,
+    optimiser: str,
+    starts: int,
+    iterations: int,
+    max_time: float | None,
+    rate: float,
+    tv: tuple[str, ...],
+    validity: float,
+    checkpoint_every: int,
+    seed: int,
+    resume: bool,
+) -> None:
+    """Learn what the surfaces of SCENE are made of, from its measured `train` views."""
+    from warpsar import learning
+
+    weights = {}
+    for item in tv:
+        key, _, weight = item.partition("=")
+        try:
+            weights[key] = float(weight)
+        except ValueError:
+            raise click.BadParameter(f"found {item!r}; allowed is KEY=WEIGHT", param_hint="--tv") from None
+    options = learning.LearnOptions(
+        loss=loss,
+        optimiser=optimiser,
+        starts=starts,
+        iterations=iterations,
+        max_time_s=float("inf") if max_time is None else max_time,
+        rate=rate,
+        total_variation=weights,
+        validity=validity,
+        checkpoint_every=checkpoint_every,
+        seed=seed,
+    )
+    learning.run(scene, out, device=device, options=options, resume=resume)

@@ -1,0 +1,83 @@
+"""An antenna that looks less keenly away from its boresight."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from warpsar.effects.base import Context, Effect, Parameter, Step, Trial
+
+if TYPE_CHECKING:
+    from warpsar.render import ViewRender
+    from warpsar.scene import Scene
+
+
+def _pair(unit: str, low: float, high: float, start: float, fit_high: float) -> tuple[Parameter, Parameter]:
+    return (
+        Parameter(
+            f"beamwidth_{unit}", unit, math.inf, low, math.inf, start, scale="log", fit_low=low, fit_high=fit_high
+        ),
+        Parameter(f"boresight_{unit}", unit, math.nan, -high, high, 0.0, span=start / 4, fit_low=-high, fit_high=high),
+    )
+
+
+class AntennaPattern(Effect):
+    """Two-way power gain exp(-4 ln 2 (phi - phi0)^2 / B^2)^2 of a Gaussian beam of one-way 3 dB width B.
+
+    In a strip-map scene phi [deg] is the elevation angle about the direction to the reference point, larger for a
+    steeper depression. In a plane wave there is no angle: phi is the elevation coordinate X . v [m].
+    """
+
+    name = "antenna_pattern"
+    stage = "gain"
+    summary = "two-way elevation pattern of the antenna"
+    parameters = (*_pair("deg", 1e-3, 90.0, 20.0, 1e3), *_pair("m", 1e-3, 1e7, 100.0, 1e7))
+
+    def check(self, scene: Scene, table: Mapping[str, Any]) -> str | None:
+        for unit, other, kind in (("deg", "m", "plane-wave"), ("m", "deg", "strip-map")):
+            used = [key for key in (f"beamwidth_{unit}", f"boresight_{unit}") if key in table]
+            strips = [scene.slant_range_m(view) is not None for view in scene.views]
+            if used and not any(strip == (unit == "deg") for strip in strips):
+                allowed = f"beamwidth_{other} and boresight_{other}"
+                return f".{used[0]}: found in a {kind} scene; allowed there are {allowed}"
+        return None
+
+    def trials(self, context: Context) -> list[Trial]:
+        """ln gain = c1 x + c2 x^2 + ...: the linear term from a beam looking to either side, the square one from a
+        beam looking at the middle."""
+        ranges = [context.scene.slant_range_m(view) for view in context.scene.views]
+        strip = all(r is not None for r in ranges)
+        extent = context.extent_m
+        if strip:
+            extent = math.degrees(math.atan2(extent, min(r for r in ranges if r is not None)))
+        unit = "deg" if strip else "m"
+
+        def table(width: float, boresight: float) -> dict[str, float]:
+            return {f"beamwidth_{unit}": width, f"boresight_{unit}": boresight}
+
+        # At the edge the square term is 0.02, the linear one with the beam turned to the edge 0.04.
+        curvature = 0.02 / extent**2
+        width = math.sqrt(8.0 * math.log(2.0) / curvature)
+        linear = Step("linear", 2.0 * curvature * extent, table(width, extent), table(width, -extent))
+        square = Step("square", curvature, table(width, 0.0), one_sided=True)
+        starts = tuple(table(4.0 * extent, turned * extent) for turned in (0.0, 0.5, -0.5))
+        return [Trial((linear, square), starts)]
+
+    def gain(self, render: ViewRender, p: Any, sigma: Any, points: Any) -> Any:
+        import warp as wp
+
+        from warpsar.kernels import effects_antenna_pattern as kernels
+
+        geometry = render.geometry
+        result = render.program.array(sigma.shape[0])
+        render.program.launch(
+            kernels.antenna_kernel,
+            sigma.shape[0],
+            [p, geometry.slant_range_m or 0.0, wp.vec3(*geometry.d), wp.vec3(*geometry.v), points, sigma],
+            [result],
+        )
+        return result
+
+
+EFFECT = AntennaPattern()

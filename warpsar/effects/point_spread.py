@@ -1,0 +1,65 @@
+"""The finite resolution of the system."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from warpsar.effects.base import Context, Effect, Parameter, Step, Trial, one_of
+
+if TYPE_CHECKING:
+    from warpsar.render import ViewRender
+
+WINDOWS = {"sinc": 0, "taylor": 1, "gaussian": 2}  # kernels/effects_point_spread.py
+
+
+def _width(name: str) -> Parameter:
+    return Parameter(name, "m", 0.0, 0.0, 1e4, 1.0, scale="log", fit_low=1e-3, fit_high=1e4)
+
+
+class PointSpread(Effect):
+    """Convolves the power image with a separable kernel, sampled at pixel centres and normalised to one.
+
+    Full widths at half maximum; `window` is the aperture's weighting: "sinc" (none: sinc^2), "taylor" (-35 dB,
+    nbar 5) or a "gaussian" kernel. A width of 0 leaves its axis sharp.
+    """
+
+    name = "point_spread"
+    stage = "image"
+    summary = "finite resolution in range and azimuth"
+    parameters = (_width("range_fwhm_m"), _width("azimuth_fwhm_m"))
+    settings = (one_of("window", "gaussian", *WINDOWS),)
+
+    def trials(self, context: Context) -> list[Trial]:
+        """Sampled at pixel centres, a narrow kernel is a delta with all its derivatives: the step is a pixel's
+        width, where the neighbours get 6 %. All windows begin with the same second moment: one is enough."""
+        axes = ("range_fwhm_m", "azimuth_fwhm_m")
+        spacing = dict(zip(axes, context.scene.grid.spacing_m, strict=True))
+        steps = tuple(
+            Step(f"{name} squared", spacing[name] ** 2, {name: spacing[name], "window": "gaussian"}, one_sided=True)
+            for name in axes
+        )
+        starts = tuple({**{name: 1.5 * spacing[name] for name in axes}, "window": window} for window in WINDOWS)
+        return [Trial(steps, starts)]
+
+    def image(self, render: ViewRender, p: Any, image: Any) -> Any:
+        from warpsar.kernels import effects_point_spread as kernels
+
+        program, (rows, cols) = render.program, render.shape
+        window = WINDOWS[render.settings[self.name]["window"]]
+        for index, (count, stride, spacing) in enumerate(
+            ((rows, cols, render.spacing_m[0]), (cols, 1, render.spacing_m[1]))
+        ):
+            weight, total = program.array(count + 1), program.array(1, sum_into=True)
+            result = program.array(image.shape[0])
+            program.launch(kernels.sample_kernel, count + 1, [window, spacing, index, p], [weight, total])
+            program.launch(
+                kernels.blur_kernel,
+                image.shape[0],
+                [window, spacing, index, p, weight, total, image, count, stride],
+                [result],
+            )
+            image = result
+        return image
+
+
+EFFECT = PointSpread()

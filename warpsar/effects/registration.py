@@ -1,0 +1,61 @@
+"""Images that lie a little beside where the scene says they should."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpsar.effects.base import Context, Effect, Parameter, Step, Trial
+
+if TYPE_CHECKING:
+    from warpsar.render import ViewRender
+    from warpsar.scene import Grid
+
+_REACH_M = 1e4
+_ROOM_PX = 4  # pixels beyond the shift that is declared: as far as a fit may go from there without a dark edge
+
+
+def _metres(name: str) -> Parameter:
+    return Parameter(name, "m", 0.0, -_REACH_M, _REACH_M, 0.0, fit_low=-100.0, fit_high=100.0)
+
+
+class Registration(Effect):
+    """Moves the power before it is binned; it does not blur.
+
+    `range_m` and `azimuth_m` hold in every view; a shift of the world shows as d . shift in range and u . shift in
+    azimuth. They add. Power is kept, but for what leaves the image.
+    """
+
+    name = "registration"
+    stage = "position"
+    summary = "the scene lies shifted in the images"
+    parameters = tuple(_metres(name) for name in ("range_m", "azimuth_m", "east_m", "north_m", "up_m"))
+    bins_per_pixel = 4
+
+    def margin_m(self, grid: Grid, values: np.ndarray) -> float:
+        return float(np.abs(values[:2]).max() + np.linalg.norm(values[2:]) + _ROOM_PX * max(grid.spacing_m))
+
+    def trials(self, context: Context) -> list[Trial]:
+        size = 0.25 * min(context.scene.grid.spacing_m)
+
+        def trial(label: str, *names: str) -> Trial:
+            steps = tuple(Step(name, size, {name: size}, {name: -size}) for name in names)
+            return Trial(steps, ({name: 0.0 for name in names},), label)
+
+        return [trial("all views alike", "range_m", "azimuth_m"), trial("world", "east_m", "north_m", "up_m")]
+
+    def deposit(self, render: ViewRender, p: Any, sigma: Any, weight: Any, bins: Any, image: Any) -> None:
+        import warp as wp
+
+        from warpsar.kernels import effects_registration as kernels
+
+        shift = render.kept.get(self.name)
+        if shift is None:
+            shift = render.kept[self.name] = render.program.array(2)
+            d, u = (wp.vec3(*axis) for axis in (render.geometry.d, render.geometry.u))
+            render.program.launch(kernels.shift_kernel, 1, [p, d, u, *render.spacing_m], [shift])
+        render.deposit(sigma, weight, bins, shift, image)
+
+
+EFFECT = Registration()

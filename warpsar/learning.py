@@ -1,0 +1,412 @@
+"""Measured images -> surface parameters: `warpsar learn`."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import json
+import signal
+import sys
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpsar import checkpoint, runtime
+from warpsar.errors import InputError, WarpsarError
+from warpsar.fit import FitProblem
+from warpsar.gradcheck import GradientCheck, check_gradient
+from warpsar.identify import Identified, identify
+from warpsar.likelihood import LOSSES, metrics
+from warpsar.optimise import Adam, FitState, GraphAdam, begin, levenberg_marquardt
+from warpsar.outputs import write_json
+from warpsar.render import Stage
+from warpsar.results import learned_scene
+from warpsar.sampling import Density, choose_density
+from warpsar.surface import KEYS
+from warpsar.validity import outside_domains
+
+if TYPE_CHECKING:
+    from warpsar.scene import Scene
+
+RAY_NOISE = 0.01  # looks x relative sampling variance of a lit pixel (scene-format.md)
+
+
+@dataclass(frozen=True)
+class LearnOptions:
+    """How to fit; the defaults suit uniform materials and fields alike.
+
+    `optimiser` "auto" takes Levenberg-Marquardt for uniform materials and Adam for fields. `starts`: the scene's own
+    and others drawn about it. `total_variation`: weight per parameter key. `validity`: weight of the models' domains
+    as soft constraints, 0 for none. `rate`: Adam's step in log coordinates. `max_time_s` counts all sessions of a
+    resumed run.
+    """
+
+    loss: str = "gamma"
+    optimiser: str = "auto"
+    starts: int = 3
+    iterations: int = 500
+    max_time_s: float = float("inf")
+    rate: float = 0.05
+    total_variation: Mapping[str, float] = field(default_factory=dict)
+    validity: float = 0.0
+    checkpoint_every: int = 10
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.loss not in LOSSES:
+            raise InputError(f"--loss: found {self.loss!r}; allowed are {', '.join(LOSSES)}")
+        if self.optimiser not in ("auto", "lm", "adam"):
+            raise InputError(f"--optimiser: found {self.optimiser!r}; allowed are auto, lm, adam")
+        for key, weight in self.total_variation.items():
+            if key not in KEYS or not weight >= 0:
+                raise InputError(f"--tv: found {key}={weight}; allowed is one of {', '.join(KEYS)} and a number >= 0")
+
+
+@dataclass
+class Learned:
+    """What a fit found. `scene` holds the learned parameters; `history` a row per iteration; `identified` is None for
+    fields (see `fields`), which have too many parameters for one information matrix."""
+
+    scene: Scene
+    x: np.ndarray
+    loss: float
+    labels: list[str]
+    history: list[dict[str, Any]]
+    stopped: str
+    gradient_check: GradientCheck
+    density: Density
+    identified: Identified | None
+    domains: dict[str, dict[str, float]]
+    train: dict[str, float]
+    test: dict[str, float] | None
+    problem: FitProblem
+
+
+def learn(
+    scene: Scene,
+    *,
+    device: str | None = None,
+    options: LearnOptions | None = None,
+    folder: Path | str | None = None,
+    resume: bool = False,
+) -> Learned:
+    """Fit the materials' learnable parameters, and the declared effects', to the `train` views.
+
+    With `folder` the run keeps a checkpoint there, and `resume` goes on from it. Raises InputError for scenes that
+    cannot be learned from, and WarpsarError where the gradient check fails.
+    """
+    options = options or LearnOptions()
+    _refuse_dead_starts(scene)
+    where = runtime.resolve_device(device)
+    folder = None if folder is None else Path(folder)
+    problem, density = prepare(scene, where, options)
+    if not problem.x0.size:
+        raise InputError(f"{scene.path}: materials: nothing to learn: every `learn` is empty and no effect is declared")
+    check = check_gradient(problem, problem.x0)
+    runtime.say(
+        f"gradient check: adjoint against central differences agree to {check.worst:.1e} "
+        f"over {check.directions} directions"
+    )
+    if not check.passed:
+        raise WarpsarError(
+            f"{scene.path}: the gradient check failed: {check.worst:.2g} off, over the allowed 2e-2; more rays, or a "
+            f"start further inside the bounds, may help"
+        )
+    tests = _test_problem(scene, where, options, problem, density)
+    tag = _tag(scene, options)
+    stored = checkpoint.read(folder, tag) if folder is not None and resume else None
+    state, history, stopped = _iterate(problem, tests, options, folder, tag, stored)
+    x = state.best_x
+    train = pooled_metrics(problem, x)
+    final = learned_scene(problem, x, folder) if folder is not None else _in_memory(problem, x)
+    return Learned(
+        scene=final,
+        x=x,
+        loss=state.best_loss,
+        labels=problem.labels if x.size < 1000 else [],
+        history=history,
+        stopped=stopped,
+        gradient_check=check,
+        density=density,
+        identified=identify(problem, x) if problem.uniform else None,
+        domains=outside_domains(problem, x),
+        train=train,
+        test=None if tests is None else pooled_metrics(tests, x),
+        problem=problem,
+    )
+
+
+def prepare(scene: Scene, device: Any, options: LearnOptions) -> tuple[FitProblem, Density]:
+    """The fit problem of the train views, with as many rays as the looks of the images ask for."""
+    stage = Stage.of(scene, device)
+    views = [v for v in scene.views if v.role == "train" and v.images]
+    density = choose_density(scene, stage, views, [v.looks or 1.0 for v in views], RAY_NOISE)
+    if density.chosen:
+        runtime.say(
+            f"rays: {density.rays_per_pixel:g} per pixel; looks x relative sampling variance {density.noise:.2g} "
+            f"(wanted: under {RAY_NOISE})"
+        )
+    problem = FitProblem(
+        scene,
+        device,
+        loss=options.loss,
+        rays_per_m2=density.rays_per_m2,
+        seed=scene.sampling.seed,
+        total_variation=options.total_variation,
+        validity=options.validity,
+        stage=stage,
+    )
+    for seen in problem.observations:
+        if seen.looks_estimated:
+            runtime.say(f"looks of {seen.view.name} {seen.polarization}: not declared, estimated as {seen.looks:.1f}")
+        if seen.zeros:
+            runtime.say(f"{seen.view.name} {seen.polarization}: {seen.zeros} lit pixels measure 0 and are left out")
+    return problem, density
+
+
+def _test_problem(
+    scene: Scene, device: Any, options: LearnOptions, problem: FitProblem, density: Density
+) -> FitProblem | None:
+    """The test views, which no fit touches; None where there are none with images."""
+    if not any(v.role == "test" and v.images for v in scene.views):
+        return None
+    return FitProblem(
+        scene,
+        device,
+        loss=options.loss,
+        roles=("test",),
+        rays_per_m2=density.rays_per_m2,
+        seed=scene.sampling.seed,
+        stage=problem.stage,
+    )
+
+
+def pooled_metrics(problem: FitProblem, x: np.ndarray) -> dict[str, float]:
+    """Metrics of scene-format.md over all observations' interior pixels, each weighted by its pixels."""
+    modelled = problem.modelled(x)
+    found, counts = [], []
+    for seen, mu, gain in zip(problem.observations, modelled, problem.gains(modelled), strict=True):
+        found.append(metrics(seen.values, gain * mu, seen.looks))
+        counts.append(seen.values.size)
+    return {key: float(np.average([f[key] for f in found], weights=counts)) for key in found[0]}
+
+
+def _refuse_dead_starts(scene: Scene) -> None:
+    """eps_r = 1 and tau = 0 or 1: every derivative is exactly zero there, so no gradient can leave."""
+    for name, material in scene.materials.items():
+        if "eps_r" in material.learn:
+            value = material.eps_r
+            values = scene.field(name, "eps_r") if isinstance(value, str) else np.ravel(value)[:1]
+            if np.min(values) <= 1.0 + 1e-6:
+                raise InputError(
+                    f"{scene.path}: materials.{name}.eps_r: found a start at 1; sigma0 and all its derivatives are 0 "
+                    f"there (a dead point), so it cannot be learned from; allowed is more than 1, such as 1.5"
+                )
+        if "specular_fraction" in material.learn:
+            value = material.specular_fraction
+            values = scene.field(name, "specular_fraction") if isinstance(value, str) else np.ravel(value)
+            if np.min(values) <= 0.0 or np.max(values) >= 1.0:
+                raise InputError(
+                    f"{scene.path}: materials.{name}.specular_fraction: found a start at 0 or 1, where its logit is "
+                    f"infinite; to be learned it must start between them"
+                )
+
+
+def _tag(scene: Scene, options: LearnOptions) -> str:
+    """What a checkpoint belongs to: input and options, but for those that only say when to stop."""
+    chosen = {k: v for k, v in asdict(options).items() if k not in ("iterations", "max_time_s", "checkpoint_every")}
+    return hashlib.sha256((scene.input_hash + json.dumps(chosen, sort_keys=True)).encode()).hexdigest()
+
+
+def _steps(problem: FitProblem, options: LearnOptions, state: FitState | None) -> Iterator[FitState]:
+    """States of the whole run, one per iteration, from `state` on; ends when every start has arrived."""
+    kind = options.optimiser
+    if kind == "auto":
+        kind = "lm" if problem.uniform else "adam"
+    starts = options.starts if kind == "lm" else 1
+    state = state or begin(problem, 0, options.seed)
+    while True:
+        if kind == "lm":
+            while not state.arrived and state.since_start < 100:
+                state = levenberg_marquardt(problem, state)
+                yield state
+        else:
+            graph = problem.shared_nodes is not None and not problem.effect_coordinates
+            descent = (GraphAdam if graph and problem.scene.grid.calibrated else Adam)(problem, state, options.rate)
+            while not state.arrived:
+                state = descent.step(state)
+                yield state
+        if state.start + 1 >= starts:
+            return
+        state = begin(problem, state.start + 1, options.seed, state)
+
+
+def _iterate(
+    problem: FitProblem,
+    tests: FitProblem | None,
+    options: LearnOptions,
+    folder: Path | None,
+    tag: str,
+    stored: dict[str, np.ndarray] | None,
+) -> tuple[FitState, list[dict[str, Any]], str]:
+    """Run to the end, with checkpoints; returns the last state, the history and why it stopped."""
+    history: list[dict[str, Any]] = [] if stored is None else json.loads(str(stored.pop("history")))
+    spent = 0.0 if stored is None else float(stored.pop("spent_s"))
+    state = None if stored is None else FitState.from_arrays(stored)
+    started = time.perf_counter() - spent
+    stopped = "plateau"
+    interrupted: list[int] = []
+    previous = None
+    if folder is not None and hasattr(signal, "SIGTERM"):
+        try:
+            previous = signal.signal(signal.SIGTERM, lambda number, frame: interrupted.append(number))
+        except ValueError:  # not the main thread: whoever runs it keeps the signal
+            previous = None
+    bar = runtime.progress(options.iterations, "learn")
+    bar.update(state.iteration if state else 0)
+
+    def save(now: FitState) -> None:
+        if folder is not None:
+            extra = {
+                "history": np.array(json.dumps(history)),
+                "spent_s": np.array(time.perf_counter() - started),
+            }
+            checkpoint.write(folder, {**now.arrays(), **extra}, tag)
+
+    for now in _steps(problem, options, state):
+        state = now
+        row = {"iteration": state.iteration, "start": state.start, "loss": state.loss}
+        row |= {f"train_{k}": v for k, v in pooled_metrics(problem, state.x).items()}
+        if tests is not None:
+            row |= {f"test_{k}": v for k, v in pooled_metrics(tests, state.x).items()}
+        history.append(row)
+        bar.update(state.iteration - bar.n)
+        bar.set_postfix_str(f"loss {state.loss:.6g}", refresh=False)
+        if interrupted:
+            save(state)
+            bar.close()
+            raise WarpsarError(f"stopped by a signal at iteration {state.iteration}; go on with --resume")
+        if state.iteration >= options.iterations:
+            stopped = "iterations"
+            break
+        if time.perf_counter() - started > options.max_time_s:
+            stopped = "time"
+            break
+        if len(history) % options.checkpoint_every == 0:
+            save(state)
+    bar.close()
+    if previous is not None:
+        signal.signal(signal.SIGTERM, previous)
+    assert state is not None
+    save(state)
+    return state, history, stopped
+
+
+def _in_memory(problem: FitProblem, x: np.ndarray) -> Scene:
+    """The learned scene without files, for uniform materials; fields stay in the problem's surface."""
+    if problem.uniform:
+        return learned_scene(problem, x, Path("."))
+    return problem.scene
+
+
+def run(
+    scene_path: Path | str,
+    out: Path | str,
+    *,
+    device: str | None = None,
+    options: LearnOptions | None = None,
+    resume: bool = False,
+) -> dict[str, Any]:
+    """`warpsar learn`: scene.toml with what was learned, history.csv, learn.json and figures in `out`."""
+    from warpsar.figures import convergence
+    from warpsar.images import replacing
+    from warpsar.scene import Scene
+
+    started = time.perf_counter()
+    options = options or LearnOptions()
+    scene = Scene.load(scene_path)
+    out = Path(out)
+    out.mkdir(parents=True, exist_ok=True)
+    where = runtime.resolve_device(device)
+    runtime.say_device(where)
+    for warning in scene.warnings:
+        runtime.say(f"warning: {warning}")
+    found = learn(scene, device=where.alias, options=options, folder=out, resume=resume)
+    found.scene.save(out / "scene.toml")
+    with replacing(out / "history.csv") as temporary, temporary.open("w", newline="") as stream:
+        writer = csv.DictWriter(stream, list(found.history[0]))
+        writer.writeheader()
+        writer.writerows(found.history)
+    convergence(out / "convergence.png", found.history)
+    content = {
+        "options": asdict(options),
+        "rays_per_pixel": found.density.rays_per_pixel,
+        "rays_chosen": found.density.chosen,
+        "ray_noise": found.density.noise,
+        "gradient_check": {"worst": found.gradient_check.worst, "directions": found.gradient_check.directions},
+        "loss": found.loss,
+        "iterations": found.history[-1]["iteration"],
+        "stopped": found.stopped,
+        "train": found.train,
+        "test": found.test,
+        "materials": _material_summary(found),
+        "effects": found.scene.effects,
+        "outside_domain": found.domains,
+        "looks": {
+            f"{s.view.name} {s.polarization}": {"looks": s.looks, "estimated": s.looks_estimated}
+            for s in found.problem.observations
+        },
+        "pixels": {
+            f"{s.view.name} {s.polarization}": {"used": int(s.values.size), "left_out": s.left_out, "zeros": s.zeros}
+            for s in found.problem.observations
+        },
+    }
+    if not scene.grid.calibrated:
+        gains = found.problem.gains(found.problem.modelled(found.x))
+        names = [f"{s.view.name} {s.polarization}" for s in found.problem.observations]
+        content["gains"] = dict(zip(names, gains.tolist(), strict=True))
+    if found.identified is not None:
+        content["identifiability"] = found.identified.summary()
+        for sentence in found.identified.words:
+            runtime.say(sentence)
+    else:
+        from warpsar.fields import write_field_uncertainty
+
+        content["fields"] = write_field_uncertainty(found.problem, found.x, out)
+    content = write_json(out / "learn.json", scene, where, options.seed, started, content)
+    checkpoint.remove(out)
+    print(
+        f"train deviance {found.train['deviance']:.4f}"
+        + ("" if found.test is None else f", test deviance {found.test['deviance']:.4f}"),
+        file=sys.stdout,
+    )
+    return content
+
+
+def _material_summary(found: Learned) -> dict[str, dict[str, Any]]:
+    """Learned value of every parameter, and its 95 % interval where it is a single number."""
+    problem = found.problem
+    nodes = problem.nodes(found.x)
+    at = 0
+    summary: dict[str, dict[str, Any]] = {}
+    for block in problem.surface.blocks:
+        values = problem.surface.values(block.material, block.kind.key, nodes)
+        entry: dict[str, Any] = {"learned": block.learn, "layout": block.layout}
+        if block.size == 1:
+            entry["value"] = float(values.ravel()[0])
+        else:
+            entry |= {"median": float(np.median(values)), "low": float(values.min()), "high": float(values.max())}
+        if block.learn:
+            if found.identified is not None:
+                sd = float(found.identified.sd[at])
+                centre = float(nodes[block.start])
+                ends = block.kind.from_coordinate(np.array([centre - 1.96 * sd, centre + 1.96 * sd]))
+                entry["interval_95"] = [float(e) for e in ends]
+                entry["sd_log"] = sd
+            at += block.size
+        summary.setdefault(block.material, {})[block.kind.key] = entry
+    return summary

@@ -1,0 +1,72 @@
+"""What was learned, as a scene that simulates with it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpsar.images import replacing, write_exr
+
+if TYPE_CHECKING:
+    from warpsar.fit import FitProblem
+    from warpsar.scene import Scene
+
+
+def learned_scene(problem: FitProblem, x: np.ndarray, folder: Path) -> Scene:
+    """The problem's scene with x in place of what it started from; writes parameter maps (EXR) and, for vertex
+    layouts, the mesh with its scalars (PLY) into `folder`. Save it there with `Scene.save`."""
+    scene, surface = problem.scene, problem.surface
+    nodes = problem.nodes(x)
+    materials = dict(scene.materials)
+    scalars: dict[str, np.ndarray] = {}
+    for block in surface.blocks:
+        if not block.learn:
+            continue
+        key = block.kind.key
+        values = surface.values(block.material, key, nodes)
+        declared = getattr(materials[block.material], key)
+        new: Any
+        if block.layout == "texture":
+            path = folder / f"{block.material}_{key}.exr"
+            write_exr(path, {key: values.astype(np.float32)})
+            new = str(path.resolve())
+        elif block.layout == "vertex":
+            whole = scalars.setdefault(declared, np.array(scene.mesh.vertex_scalars[declared], float))
+            whole[block.first_vertex : block.first_vertex + block.size] = values
+            new = declared
+        else:
+            number = float(values[0])
+            new = (number, *declared[1:]) if isinstance(declared, tuple) else number
+            if isinstance(declared, tuple) and key == "correlation_length_m":
+                new = (number, number * declared[1] / declared[0])
+        materials[block.material] = materials[block.material].model_copy(update={key: new})
+    changed = replace(scene, materials=materials, effects=problem.effect_tables(x))
+    if scalars:
+        mesh = replace(scene.mesh, vertex_scalars={**scene.mesh.vertex_scalars, **scalars})
+        path = folder / "mesh.ply"
+        write_ply(path, mesh.vertices, mesh.faces, mesh.vertex_scalars)
+        changed = replace(changed, mesh=mesh, mesh_path=path.resolve())
+    return changed
+
+
+def write_ply(path: Path, vertices: np.ndarray, faces: np.ndarray, scalars: dict[str, np.ndarray]) -> None:
+    """Binary PLY with per-vertex scalars, which CloudCompare, MeshLab and Blender show; float64 coordinates [m]."""
+    from numpy.lib.recfunctions import unstructured_to_structured
+
+    names = ["x", "y", "z", *scalars]
+    columns = np.column_stack([vertices, *scalars.values()])
+    vertex = unstructured_to_structured(columns, np.dtype([(name, "<f8") for name in names]))
+    face = np.empty(len(faces), np.dtype([("n", "u1"), ("corners", "<i4", 3)]))
+    face["n"], face["corners"] = 3, faces
+    properties = "".join(f"property double {name}\n" for name in names)
+    header = (
+        f"ply\nformat binary_little_endian 1.0\nelement vertex {len(vertex)}\n{properties}"
+        f"element face {len(face)}\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    with replacing(path) as temporary, temporary.open("wb") as stream:
+        stream.write(header.encode("ascii"))
+        vertex.tofile(stream)
+        face.tofile(stream)
