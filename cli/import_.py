@@ -82,9 +82,9 @@ def command(
 ) -> None:
     """Bring the measurement SOURCE onto the grid of a view, and declare it in the scene file.
 
-    Phase history (AFRL .mat files, several may be given; CPHD) is focused by backprojection; complex and detected images
-    (SICD, MSTAR, NISAR-style HDF5, GeoTIFF, TIFF, EXR, NPY) are resampled. The image is written beside the scene file as
-    float32 linear power.
+    Phase history (AFRL .mat files, several may be given; CPHD) is focused by backprojection; complex and detected
+    images (SICD, MSTAR, NISAR-style HDF5, GeoTIFF, TIFF, EXR, NPY) are resampled. The image is written beside the
+    scene file as float32 linear power.
     """
     from warpsar.measured.importer import import_measured
 

@@ -1,4 +1,4 @@
-"""Measured files made for tests with other people's writers: SICD and CPHD by sarkit, AFRL .mat by scipy, Phoenix by hand.
+"""Measured files made for tests with other people's writers: SICD and CPHD by sarkit, AFRL .mat by scipy.
 
 Earth coordinates come from sarkit's own WGS 84, so that nothing of the project's geometry is checked against itself.
 """
@@ -14,7 +14,7 @@ SITE = np.array([40.0, -84.0, 230.0])  # latitude, longitude [deg], height [m]
 
 @dataclass(frozen=True)
 class Pass:
-    """A straight, level, broadside pass: directions as in scene-format.md, the middle of the aperture at `azimuth_deg`."""
+    """A straight, level, broadside pass: directions as in scene-format.md, its middle at `azimuth_deg`."""
 
     azimuth_deg: float = 60.0
     incidence_deg: float = 40.0

@@ -60,8 +60,8 @@ def shape(cells: np.ndarray, power: np.ndarray) -> tuple[float, float, float]:
     return -curve[1] / (2 * curve[0]), width, 10 * np.log10(power[valley:].max() / power[top])
 
 
-# Half-power width in cells and highest sidelobe of the continuous windows: sinc; cos^2 (Harris 1978, table 1); Taylor of
-# -35 dB, nbar 5, whose Fourier integral has its first sidelobe at -35.22 dB (the design value is for infinite nbar).
+# Half-power width in cells and highest sidelobe of the continuous windows: sinc; cos^2 (Harris 1978, table 1); Taylor
+# of -35 dB, nbar 5, whose Fourier integral has its first sidelobe at -35.22 dB (the design value is for infinite nbar).
 THEORY = {"none": (0.8859, -13.26), "hann": (1.4410, -31.47), "taylor": (1.1875, -35.22)}
 
 
@@ -171,13 +171,13 @@ def test_taper_is_symmetric_and_refuses_what_it_does_not_know() -> None:
         w = taper(window, x)
         np.testing.assert_allclose(w, w[::-1], atol=1e-9)
         assert w.argmax() == 50 or window == "none"
-    with pytest.raises(InputError, match="'hamming'.*none, hann, taylor"):
+    with pytest.raises(InputError, match=r"'hamming'.*none, hann, taylor"):
         taper("hamming", x)
 
 
 def test_more_subapertures_than_pulses_are_refused() -> None:
     data = history(np.zeros((1, 3)), np.ones(1))
-    with pytest.raises(InputError, match="subapertures = 71.*141 pulses.*1 to 70"):
+    with pytest.raises(InputError, match=r"subapertures = 71.*141 pulses.*1 to 70"):
         next(focus(data, np.zeros((1, 3)), reference_point_m=ORIGIN, subapertures=71, device="cpu"))
 
 

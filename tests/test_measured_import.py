@@ -101,7 +101,7 @@ def test_a_simulated_scene_comes_back_from_sicd(tmp_path: Path) -> None:
 def test_a_simulated_scene_comes_back_from_phase_history(kind: str, tmp_path: Path) -> None:
     """One scatterer per pixel, band and aperture of exactly one cell per pixel: each is the others' zero."""
     look = Pass(slant_range_m=700e3)
-    shape, spacing = (24, 30), (0.5, 0.6)
+    shape, spacing = (24, 30), (2.0, 2.4)
     path = scene_file(tmp_path, shape, spacing, views=view_text("v", look), mesh=STEP)
     image = simulated(path)
     scene = Scene.load(path)
@@ -122,16 +122,17 @@ def test_a_simulated_scene_comes_back_from_phase_history(kind: str, tmp_path: Pa
 
     done = import_measured([source], path, "v", samples=(1, 1), device="cpu")
     expected = np.abs(image) ** 2
-    # Band and aperture make a fan, not a rectangle: towards the scene's edge a scatterer is not quite at the others' zero.
-    assert np.sqrt(np.mean((done.power - expected) ** 2)) < 0.03 * expected.max()
-    assert np.corrcoef(done.power.ravel(), expected.ravel())[0, 1] > 0.995
+    # Band and aperture make a fan, not a rectangle, by the relative bandwidth of 0.8 %: 15 pixels from the middle a
+    # scatterer is 0.06 of a pixel off the others' zero.
+    assert np.sqrt(np.mean((done.power - expected) ** 2)) < 0.015 * expected.max()
+    assert np.corrcoef(done.power.ravel(), expected.ravel())[0, 1] > 0.999
 
 
 @pytest.mark.parametrize("surface", ["reference", "mesh"])
 def test_a_target_on_a_roof_is_in_focus_on_the_roof(surface: str, tmp_path: Path) -> None:
     """12 degrees of aperture over 3 m of height: at the wrong height the echo is smeared."""
     look = Pass(azimuth_deg=0.0, incidence_deg=45.0, slant_range_m=300.0)
-    path = scene_file(tmp_path, (40, 40), (0.25, 0.25), views=view_text("v", look), mesh=STEP)
+    path = scene_file(tmp_path, (140, 60), (0.05, 0.05), views=view_text("v", look), mesh=STEP)
     target = np.array([[0.0, 1.0, 3.0]])
     frequency = 9.3e9 + 4e6 * np.arange(150)
     # A curved track: along a straight one height and range are the same thing.
@@ -145,10 +146,11 @@ def test_a_target_on_a_roof_is_in_focus_on_the_roof(surface: str, tmp_path: Path
 
     geometry = geometry_of(scene, scene.views[0])
     at = target[0] @ geometry.d, target[0] @ geometry.u
-    pixel = tuple(int(np.floor(x / 0.25 + 20)) for x in at)
+    pixel = tuple(int(np.floor(x / 0.05 + n / 2)) for x, n in zip(at, (140, 60), strict=True))
     peak = float(done.power[pixel[0] - 1 : pixel[0] + 2, pixel[1] - 1 : pixel[1] + 2].max())
-    # A pixel's centre is up to half a pixel, under half a cell, from the target: down to 0.3 of its power.
-    assert (peak > 0.3) == (surface == "mesh")
+    # A pixel's centre is at most half a pixel from the target, a quarter of the azimuth cell: 0.8 of its power.
+    assert (peak > 0.75) == (surface == "mesh")
+    assert (peak < 0.3) == (surface == "reference")
 
 
 # ---- onto the grid ----
@@ -185,8 +187,8 @@ def test_complex_images_are_resampled_without_aliasing() -> None:
 
     generator = np.random.default_rng(0)
     count = 64
-    # Up to 0.8 of the band, about a carrier of 0.3 cycles per pixel, periodic: then the interpolation is exact but for its
-    # splines.
+    # Up to 0.8 of the band, about a carrier of 0.3 cycles per pixel, periodic: then the interpolation is exact but
+    # for its splines.
     k = np.arange(-25, 26)
     spectrum = generator.normal(size=(51, 51)) + 1j * generator.normal(size=(51, 51))
 
@@ -200,8 +202,8 @@ def test_complex_images_are_resampled_without_aliasing() -> None:
     at = 20.0 + np.linspace(0.0, 24.0, 101)
     expected = np.abs(field(at, at)) ** 2
     found = sample_power(chip, np.stack(np.meshgrid(at, at, indexing="ij"), axis=-1))
-    # Cubic splines at twice the sampling of a power spectrum that fills 0.8 of it.
-    assert np.sqrt(np.mean((found - expected) ** 2)) < 0.01 * expected.mean()
+    # Splines of fifth order, on a power spectrum that fills 0.53 of their band.
+    assert np.sqrt(np.mean((found - expected) ** 2)) < 0.005 * expected.mean()
     on_grid = sample_power(chip, np.stack(np.meshgrid(pixels, pixels, indexing="ij"), axis=-1).astype(float))
     np.testing.assert_allclose(on_grid, np.abs(field(pixels, pixels)) ** 2, rtol=1e-12)
 
@@ -369,7 +371,7 @@ def test_contradictions_beyond_tolerance_are_refused(
 
 def test_polarization_that_the_scene_does_not_have_is_refused(tmp_path: Path) -> None:
     path = scene_file(tmp_path, (40, 40), (0.5, 0.5))
-    with pytest.raises(InputError, match="polarization is VV; the scene file's radar.polarizations are HH"):
+    with pytest.raises(InputError, match=r"polarization is VV; the scene file's radar\.polarizations are HH"):
         import_measured([history(tmp_path, LOOK, "made_VV.mat")], path, "v")
     with pytest.raises(InputError, match="--polarization VV was asked for"):
         import_measured([history(tmp_path, LOOK)], path, "v", polarization="VV")

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from measured_files import C, SITE, Pass, echoes, to_ecef, write_cphd, write_mat, write_phoenix, write_sicd
+from measured_files import SITE, C, Pass, echoes, to_ecef, write_cphd, write_mat, write_phoenix, write_sicd
 
 from warpsar.errors import InputError
 from warpsar.measured import formats
@@ -184,7 +184,8 @@ def test_several_matlab_files_are_one_aperture(tmp_path: Path) -> None:
         for i, part in enumerate((slice(0, 10), slice(10, 24)))
     ]
     joined = formats.read(paths)
-    assert isinstance(joined, PhaseHistory) and isinstance(whole, PhaseHistory)
+    assert isinstance(joined, PhaseHistory)
+    assert isinstance(whole, PhaseHistory)
     np.testing.assert_array_equal(joined.samples, whole.samples)
     np.testing.assert_array_equal(joined.position_m, whole.position_m)
 
@@ -212,7 +213,8 @@ def test_world_points_fall_on_their_pixels(name: str, tmp_path: Path) -> None:
     """Range is the distance to the middle of the pass, azimuth the foot of the perpendicular on a straight track."""
     points = np.array([[0.0, 0.0, 0.0], [4.0, -3.0, 0.0], [-2.0, 5.0, 1.5]])
     measured = read(MADE[name](tmp_path))
-    assert isinstance(measured, ImageChip) and measured.locate is not None
+    assert isinstance(measured, ImageChip)
+    assert measured.locate is not None
     found = measured.locate(points)
     s, u = LOOK.axes
     along = points @ u
@@ -228,7 +230,8 @@ def test_world_points_fall_on_their_pixels(name: str, tmp_path: Path) -> None:
 
 def test_geotiff_pixels_are_found_on_the_map(tmp_path: Path) -> None:
     measured = read(geotiff(tmp_path))
-    assert isinstance(measured, ImageChip) and measured.locate is not None
+    assert isinstance(measured, ImageChip)
+    assert measured.locate is not None
     # The site is the corner of pixels (24, 29) and (25, 30), 2 m each, whose centres are whole numbers.
     np.testing.assert_allclose(measured.locate(np.zeros((1, 3))), [[24.5, 29.5]], atol=1e-4)
     # UTM north is turned by (longitude - central meridian) sin(latitude), here 3 degrees x sin(40), from true north.
@@ -299,9 +302,12 @@ def test_a_truncated_file_is_one_message(name: str, tmp_path: Path) -> None:
         try:
             read(path)
         except InputError as error:
-            assert str(path) in str(error)
-            assert "\n" not in str(error)
+            message = str(error)
             refused += 1
+        else:
+            continue
+        assert str(path) in message
+        assert "\n" not in message
     # A file may keep its last bytes for nothing that is read (HDF5, TIFF); all the rest must be missed.
     assert refused >= 24
 

@@ -7,21 +7,21 @@ coordinates of the declared effects' parameters. Both optimisers, the Fisher inf
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from warpsar import runtime
-from warpsar.effects import declared, get
+from warpsar.effects import declared, get, value_in
 from warpsar.errors import InputError
 from warpsar.likelihood import LOSSES, Curvature, best_gain, curvature, log_bias, loss_terms, loss_weight
 from warpsar.observation import Observation, observe
 from warpsar.regularise import TotalVariation
 from warpsar.render import Stage, ViewRender
-from warpsar.simulation import trace_view, view_seed
-from warpsar.surface import KINDS
+from warpsar.simulation import Rays
+from warpsar.surface import KINDS, Surface
 
 if TYPE_CHECKING:
     from warpsar.effects.base import Parameter
@@ -114,8 +114,8 @@ class FitProblem:
 
     `total_variation`: weight per parameter key, in log-likelihood per unit of log difference; `validity`: weight of
     the models' domains as soft constraints (corrected equations 9, 12, 19).
-    `rays_per_m2` and `seed` set the sampling; `observations` (by view name) reuses frozen masks, so that models are
-    compared on the same pixels. Raises InputError for views without measured images and for parameters that cannot
+    `views` names those of them that are used; `rays` and `observations` (by view name) are shared with other problems,
+    so that models are compared on the same rays and pixels. Raises InputError for views without measured images and for parameters that cannot
     be learned.
     """
 
@@ -126,19 +126,19 @@ class FitProblem:
         *,
         loss: str = "gamma",
         roles: Sequence[str] = ("train",),
-        rays_per_m2: float | None = None,
-        seed: int = 0,
+        views: Sequence[str] | None = None,
+        rays: Rays | None = None,
         total_variation: Mapping[str, float] | None = None,
         validity: float = 0.0,
-        stage: Stage | None = None,
-        observations: dict[str, list[Observation]] | None = None,
+        observations: Mapping[str, list[Observation]] | None = None,
     ) -> None:
         import warp as wp
 
         self.scene, self.device, self.loss, self.validity = scene, device, loss, validity
-        self.stage = stage or Stage.of(scene, device)
-        self.surface = self.stage.surface
-        chosen = [v for v in scene.views if v.role in roles and v.images]
+        rays = rays or Rays(Stage.of(scene, device), seed=scene.sampling.seed)
+        self.surface = Surface.of(scene)
+        self.stage = replace(rays.stage, surface=self.surface)
+        chosen = [v for v in scene.views if v.role in roles and v.images and (views is None or v.name in views)]
         if not chosen:
             raise InputError(f"{scene.path}: views: none with role {' or '.join(roles)} has measured images")
         self._mean_square = float(
@@ -148,21 +148,14 @@ class FitProblem:
         self.shared_nodes = (
             None if device.is_cpu else wp.zeros(self.surface.nodes.size, dtype=float, device=device, requires_grad=True)
         )
-        order = {view.name: index for index, view in enumerate(scene.views)}
-        hits = [
-            trace_view(
-                scene,
-                self.stage,
+        self.views = [
+            FitView(
+                self,
                 view,
-                seed=view_seed(seed, order[view.name]),
-                effects=declared(scene, view, neutral=True),
-                rays_per_m2=rays_per_m2,
+                rays.hits(scene, view, declared(scene, view, neutral=True)),
+                (observations or {}).get(view.name),
             )
             for view in chosen
-        ]
-        self.views = [
-            FitView(self, view, hit, (observations or {}).get(view.name))
-            for view, hit in zip(chosen, hits, strict=True)
         ]
         self.variation = TotalVariation(self.surface, scene.mesh, total_variation or {}, device, self.shared_nodes)
         self.learned = self.surface.learned
@@ -249,18 +242,20 @@ class FitProblem:
 
     # What x gives
 
-    def _set(self, view: FitView, nodes: np.ndarray, x: np.ndarray) -> None:
-        values = {e.effect.name: e.values.copy() for e in view.effects}
-        for c, coordinate in zip(self.effect_coordinates, x[self.learned.size :], strict=True):
-            if c.view in (None, view.view.name):
-                values[c.effect][c.index] = c.parameter.from_coordinate(coordinate)
+    def _set(self, view: FitView, nodes: np.ndarray, tables: Mapping[str, Mapping[str, Any]]) -> None:
+        values = {}
+        for e in view.effects:
+            table = tables[e.effect.name]
+            values[e.effect.name] = np.array(
+                [value_in(view.view, p, table, self.scene.views) for p in e.effect.parameters], float
+            )
         view.render.set_parameters(nodes, values)
 
     def _run(self, x: np.ndarray) -> None:
-        nodes = self.nodes(x)
+        nodes, tables = self.nodes(x), self.effect_tables(x)
 
         def one(view: FitView) -> None:
-            self._set(view, nodes, x)
+            self._set(view, nodes, tables)
             view.forward()
 
         for _ in runtime.ordered([partial(one, view) for view in self.views], self.device):
@@ -269,6 +264,12 @@ class FitProblem:
     def modelled(self, x: np.ndarray) -> list[np.ndarray]:
         """beta0 of every observation's interior pixels, before gains; the order of `observations`."""
         self._run(x)
+        return [mu for view in self.views for mu in view.modelled()]
+
+    def modelled_as_declared(self) -> list[np.ndarray]:
+        """`modelled` of the scene exactly as it stands, be its effects within a fit's bounds or not."""
+        for view in self.views:
+            view.forward()
         return [mu for view in self.views for mu in view.modelled()]
 
     @property
@@ -307,11 +308,11 @@ class FitProblem:
 
         Gains are at their best, so by the envelope theorem they add nothing to the gradient.
         """
-        nodes = self.nodes(x)
+        nodes, tables = self.nodes(x), self.effect_tables(x)
         shared = self.shared_nodes is not None
 
         def one(view: FitView) -> None:
-            self._set(view, nodes, x)
+            self._set(view, nodes, tables)
             view.forward()
             if not self.scene.grid.calibrated:
                 pairs = zip(view.observations, view.modelled(), strict=True)
@@ -336,12 +337,13 @@ class FitProblem:
         loss = self.loss_on_device()
         effects = []
         for c, coordinate in zip(self.effect_coordinates, x[self.learned.size :], strict=True):
-            slope = sum(
-                float(view.render.effect_values[c.effect].grad.numpy()[c.index])
-                for view in self.views
-                if c.view in (None, view.view.name)
-            )
-            effects.append(slope * c.parameter.slope(coordinate))
+            slopes = {
+                view.view.name: float(view.render.effect_values[c.effect].grad.numpy()[c.index]) for view in self.views
+            }
+            slope = sum(slopes.values()) if c.view is None else slopes[c.view]
+            if c.view is not None and c.parameter.zero_sum:
+                slope -= sum(slopes.values()) / len(self.scene.views)
+            effects.append(slope * float(c.parameter.slope(coordinate)))
         return loss, np.concatenate([surface[self.learned], np.array(effects)])
 
     def _backward_shared(self) -> None:

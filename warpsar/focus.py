@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from warpsar.measured.data import PhaseHistory
 
 WINDOWS = ("none", "hann", "taylor")
-TAYLOR_SIDELOBE_DB = 35.0
+TAYLOR_SIDELOBE_DB = 35
 TAYLOR_NBAR = 5  # the least that keeps the sidelobes of a -35 dB design falling: nbar >= 2 A^2 + 1/2
 OVERSAMPLING = 8  # with cubic interpolation: 6e-4 of the amplitude lost at the edge of the band
 _PROFILE_BYTES = 256 * 2**20
@@ -66,7 +66,7 @@ def focus(
     subapertures: int = 1,
     device: str | None = None,
 ) -> Iterator[np.ndarray]:
-    """One complex64 image per sub-aperture (equal numbers of pulses, in azimuth order), at `points_m` (..., 3) [m, world].
+    """One complex64 image per sub-aperture (equal numbers of pulses, in azimuth order), at world points (..., 3) [m].
 
     Windows taper the band (`window_range`) and each sub-aperture (`window_azimuth`): "none", "hann", "taylor". Points
     outside the swath that the frequency step leaves unambiguous, c / 4 df on each side, are NaN. Raises InputError for
@@ -84,7 +84,7 @@ def focus(
     cosine = _cross_range_cosine(history, reference_point_m)
     order = np.argsort(cosine, kind="stable")
     points = np.ascontiguousarray(history.in_frame(np.asarray(points_m, np.float64))).reshape(-1, 3)
-    points_d = wp.array(points, dtype=wp.vec3d, device=target)
+    points_d: Any = wp.array(points, dtype=wp.vec3d, device=target)
 
     with runtime.progress(pulses, "focusing", "pulse") as bar:
         for part in np.array_split(order, subapertures):
@@ -116,8 +116,11 @@ def _add_pulses(
 
     profiles, frequency, bins_per_metre = _range_profiles(history, chosen, weights, window_range)
     step = history.frequency_step_hz[chosen]
-    upload = partial(wp.array, dtype=wp.float64, device=device)
-    inputs = [
+
+    def upload(values: np.ndarray) -> Any:
+        return wp.array(values, dtype=wp.float64, device=device)
+
+    inputs: list[Any] = [
         wp.array(history.position_m[chosen], dtype=wp.vec3d, device=device),
         upload(history.reference_range_m[chosen]),
         upload(2.0 * frequency / SPEED_OF_LIGHT),

@@ -90,4 +90,4 @@ class GeometryImage:
     def gradient(self, seed: np.ndarray) -> np.ndarray:
         """d sum(seed * beta0) / d vertices [1/m], shape (n, 3), after `forward`; `seed` of shape (rows, cols)."""
         self.program.backward({self.image: np.ascontiguousarray(seed, np.float32).ravel()})
-        return np.asarray(self.vertices.grad.numpy())
+        return np.asarray(self.vertices.grad.numpy().copy())

@@ -26,6 +26,7 @@ from warpsar.outputs import write_json
 from warpsar.render import Stage
 from warpsar.results import learned_scene
 from warpsar.sampling import Density, choose_density
+from warpsar.simulation import Rays
 from warpsar.surface import KEYS
 from warpsar.validity import outside_domains
 
@@ -154,11 +155,9 @@ def prepare(scene: Scene, device: Any, options: LearnOptions) -> tuple[FitProble
         scene,
         device,
         loss=options.loss,
-        rays_per_m2=density.rays_per_m2,
-        seed=scene.sampling.seed,
+        rays=Rays(stage, density.rays_per_m2, scene.sampling.seed),
         total_variation=options.total_variation,
         validity=options.validity,
-        stage=stage,
     )
     for seen in problem.observations:
         if seen.looks_estimated:
@@ -179,9 +178,7 @@ def _test_problem(
         device,
         loss=options.loss,
         roles=("test",),
-        rays_per_m2=density.rays_per_m2,
-        seed=scene.sampling.seed,
-        stage=problem.stage,
+        rays=Rays(problem.stage, density.rays_per_m2, scene.sampling.seed),
     )
 
 

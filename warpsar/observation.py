@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,19 +21,30 @@ class Observation:
     """One measured image, and the pixels of it that are used; all (rows, cols).
 
     `interior`: lit by the declared model with all eight neighbours, off the image's edge, unmasked, finite and
-    positive. `dark`: far from everything lit, the same otherwise; zeros stay in. `zeros` counts the interior's
-    pixels that measure exactly 0, which no gamma likelihood can hold.
+    positive. `silent`: the same, but measuring exactly 0, which no gamma likelihood can hold. `dark`: far from
+    everything lit, off the edge, unmasked and finite; zeros stay in.
     """
 
     view: View
     polarization: str
     measured: np.ndarray
     interior: np.ndarray
+    silent: np.ndarray
     dark: np.ndarray
     looks: float
     looks_estimated: bool
-    zeros: int
-    left_out: int
+
+    @property
+    def zeros(self) -> int:
+        return int(self.silent.sum())
+
+    @property
+    def left_out(self) -> int:
+        return int(self.interior.size - self.interior.sum())
+
+    def with_dark(self) -> Observation:
+        """The same with the positive dark pixels among those that are used: what an additive effect is fitted on."""
+        return replace(self, interior=self.interior | (self.dark & (np.nan_to_num(self.measured) > 0)))
 
     @property
     def pixels(self) -> np.ndarray:
@@ -85,9 +96,8 @@ def observe(scene: Scene, view: View, polarization: str, lit: np.ndarray) -> Obs
         polarization,
         measured,
         interior,
+        usable & inner & ~positive,
         usable & (distance > FAR),
         float(looks),
         estimated,
-        int((usable & inner & ~positive).sum()),
-        int(measured.size - interior.sum()),
     )

@@ -57,8 +57,7 @@ def trace_view(
     **options: Any,
 ) -> Hits:
     """Hits of one view, with the scene's sampling unless `rays_per_m2` is given, binned as its effects ask."""
-    fine = max((e.effect.bins_per_pixel for e in effects), default=1)
-    grid = hit_grid(scene, fine, max((e.effect.margin_m(scene.grid, e.values) for e in effects), default=0.0))
+    grid = effects_grid(scene, effects)
     return trace(
         stage.target,
         geometry_of(scene, view),
@@ -80,6 +79,38 @@ def hit_grid(scene: Scene, bins_per_pixel: int = 1, margin_m: float = 0.0) -> Bi
     ]
     spacing = [step / bins_per_pixel for step in scene.grid.spacing_m]
     return BinGrid((shape[0], shape[1]), (spacing[0], spacing[1]), bins_per_pixel)
+
+
+def effects_grid(scene: Scene, effects: list[DeclaredEffect]) -> BinGrid:
+    """Bins as fine and as wide as the effects ask."""
+    fine = max((e.effect.bins_per_pixel for e in effects), default=1)
+    margin = max((e.effect.margin_m(scene.grid, e.values) for e in effects), default=0.0)
+    return hit_grid(scene, fine, margin)
+
+
+class Rays:
+    """One set of rays through a scene: hits of its views, traced when first asked for, and kept.
+
+    Models that differ in materials and effects alone share them, so that they are compared on the same rays.
+    """
+
+    def __init__(self, stage: Stage, rays_per_m2: float | None = None, seed: int = 0) -> None:
+        self.stage, self.rays_per_m2, self.seed = stage, rays_per_m2, seed
+        self._kept: dict[tuple[str, BinGrid], Hits] = {}
+
+    def hits(self, scene: Scene, view: View, effects: list[DeclaredEffect]) -> Hits:
+        key = (view.name, effects_grid(scene, effects))
+        if key not in self._kept:
+            index = [v.name for v in scene.views].index(view.name)
+            self._kept[key] = trace_view(
+                scene,
+                self.stage,
+                view,
+                seed=view_seed(self.seed, index),
+                effects=effects,
+                rays_per_m2=self.rays_per_m2,
+            )
+        return self._kept[key]
 
 
 def simulate(

@@ -204,7 +204,7 @@ def trace(
     parts = [part for part in runtime.ordered(tasks, device) if part is not None]
     total_rays = (last - first) * rays.elevation_cells
     dtypes = (int, int, wp.vec2, float, wp.vec3, float, float, float)
-    arrays = [_concatenate([part[k] for part in parts], dtype, device) for k, dtype in enumerate(dtypes)]
+    arrays = [concatenate([part[k] for part in parts], dtype, device) for k, dtype in enumerate(dtypes)]
     return Hits(grid, geometry, *arrays, rays_per_m2=rays_per_m2, seed=seed, rays=total_rays)
 
 
@@ -249,7 +249,7 @@ def launch_layers(
     return visits.numpy(), hidden.numpy() > 0
 
 
-def _concatenate(parts: list[Any], dtype: Any, device: Any) -> Any:
+def concatenate(parts: list[Any], dtype: Any, device: Any) -> Any:
     import warp as wp
 
     if len(parts) == 1:

@@ -41,12 +41,13 @@ def read(path: Path, polarization: str | None, frame: EarthFrame | None) -> Phas
     if signal.shape[0] < 1:
         raise InputError(f"{path}: channel {channel} has no pulses")
     with reading(path, "CPHD file"):
-        good = pvp["SIGNAL"] > 0 if "SIGNAL" in pvp.dtype.names else np.ones(pvp.size, bool)
+        named = pvp.dtype.names or ()
+        good = pvp["SIGNAL"] > 0 if "SIGNAL" in named else np.ones(pvp.size, bool)
         pvp, signal = pvp[good], signal[good]
         if not pvp.size:
             raise InputError(f"{path}: channel {channel} has no pulses that are marked as good (SIGNAL = 1)")
         start, step = pvp["SC0"].astype(np.float64), pvp["SCSS"].astype(np.float64)
-        samples = _complex(signal, pvp["AmpSF"] if "AmpSF" in pvp.dtype.names else None)
+        samples = _complex(signal, pvp["AmpSF"] if "AmpSF" in named else None)
         first, last = _shared_band(pvp, start, step, samples.shape[1])
         samples, start = samples[:, first:last], start + first * step
         if sgn > 0:

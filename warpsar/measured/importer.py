@@ -64,7 +64,7 @@ def import_measured(
     """Bring a measurement onto the slant-plane grid of a view and declare it in the scene file.
 
     The image, float32 linear power, is written beside the scene file as `<view>_<polarization>.exr`; the view gets
-    `images` and `looks` (equivalent number, estimated), and is made, with the file's own geometry, where it is not there.
+    `images` and `looks` (equivalent number, estimated), and is made, with the file's own geometry, where it is missing.
     Phase history is focused (`warpsar.focus`) with the windows and sub-apertures given; images are resampled. `samples`
     (range, azimuth) per pixel are averaged in power: by default as many as the resolution asks for. Pixels lie at the
     reference point's height, or on the mesh. `origin` (latitude, longitude [deg], height [m]) says where the world lies
@@ -222,16 +222,16 @@ def _new_view(source: str, facts: Facts, scene: Scene, view: View) -> View:
         )
     if not 0.0 < facts.incidence_deg < 90.0:
         raise InputError(
-            f"{source}: seen from the reference point the radar is at an incidence of {facts.incidence_deg:.3f} degrees; "
-            "must be between 0 and 90"
+            f"{source}: seen from the reference point the radar is at an incidence of {facts.incidence_deg:.3f} "
+            "degrees; must be between 0 and 90"
         )
     wrong: list[str] = []
     _compare("radar.frequency_hz", scene.radar.frequency_hz, facts.frequency_hz, FREQUENCY_TOLERANCE, wrong)
     _compare("radar.slant_range_m", scene.radar.slant_range_m, facts.slant_range_m, RANGE_TOLERANCE, wrong)
     if wrong:
         raise InputError(
-            f"{source}: contradicts the scene file: {'; '.join(wrong)}. A view of its own frequency or range is declared "
-            "in the scene file first"
+            f"{source}: contradicts the scene file: {'; '.join(wrong)}. A view of its own frequency or range "
+            "must be declared in the scene file first"
         )
     stated: dict[str, Any] = {
         "name": view.name,
@@ -274,7 +274,7 @@ def _samples_per_pixel(
     reference: np.ndarray,
     asked: tuple[int | None, int | None],
 ) -> tuple[int, int]:
-    """Samples per pixel (range, azimuth): as given, else one per resolution cell of phase history, or pixel of an image."""
+    """Samples per pixel (range, azimuth): as given, else one per resolution cell, or per pixel of an image."""
     if isinstance(measured, PhaseHistory):
         from warpsar.focus import cell_m
 

@@ -68,15 +68,15 @@ def _window_moments(power: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     if min(power.shape) < WINDOW:
         return np.empty((0, 0)), np.empty((0, 0))
     image = np.where(np.isfinite(power) & (power >= 0), power, np.nan).astype(np.float64)
-    scale = np.nanmean(image) if np.isfinite(image).any() else 1.0
-    windows = sliding_window_view(image / scale, (WINDOW, WINDOW))
+    scale = np.nanmean(image) if np.isfinite(image).any() else 0.0
+    windows = sliding_window_view(image / (scale or 1.0), (WINDOW, WINDOW))
     return windows.mean(axis=(2, 3)), windows.var(axis=(2, 3), ddof=1)
 
 
 def _densest(values: np.ndarray) -> tuple[float, float]:
-    """Mode of a Gaussian kernel density (Silverman's width from the quartiles), and that width."""
-    quartiles = np.percentile(values, [25, 75])
-    spread = min(values.std(), (quartiles[1] - quartiles[0]) / 1.349) or 1e-3
+    """Mode of a kernel density, and the kernel's width: Silverman's, from the upper half, which texture spares."""
+    median, upper = np.percentile(values, [50, 75])
+    spread = min(values.std(), (upper - median) / 0.6745) or 1e-3
     width = 0.9 * spread * values.size**-0.2
     grid = np.linspace(values.min() - width, values.max() + width, 2048)
     counts, edges = np.histogram(values, bins=grid)

@@ -62,8 +62,8 @@ def read(path: Path, polarization: str | None, frame: EarthFrame | None) -> Imag
     time_step, range_step = (float(axis[-1] - axis[0]) / (axis.size - 1) for axis in (times, ranges))
     if frame is None:
         raise InputError(
-            f"{path}: where the world lies on the earth is not said; use a mesh that is a GeoTIFF DEM, or --origin with "
-            "latitude, longitude and ellipsoidal height of the world's origin"
+            f"{path}: where the world lies on the earth is not said; use a mesh that is a GeoTIFF DEM, or --origin "
+            "with latitude, longitude and ellipsoidal height of the world's origin"
         )
     world = frame
 

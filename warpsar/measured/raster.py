@@ -34,7 +34,7 @@ class ProjectedFrame:
 def dem_frame(path: Path) -> EarthFrame | None:
     """Where on the earth the mesh of a GeoTIFF DEM lies (see `warpsar.mesh`); None without a coordinate system."""
     with _open(path) as source:
-        centre, crs = source.transform * (source.width / 2, source.height / 2), source.crs
+        centre, crs = source.xy(source.height / 2, source.width / 2, offset="ul"), source.crs
     if crs is None:
         return None
     return Origin(centre[1], centre[0]) if crs.is_geographic else ProjectedFrame(crs, centre)
@@ -45,8 +45,8 @@ def read(
 ) -> ImageChip:
     """A map-projected image (`map_image`, a GeoTIFF with a coordinate system), or a slant-plane one.
 
-    A slant-plane image has range along its rows, near range first, and the reference point in its middle; its spacing is
-    the view's, divided by the looks. Real numbers need `quantity`, "amplitude" or "power".
+    A slant-plane image has range along its rows, near range first, and the reference point in its middle; its
+    spacing is the view's, divided by the looks. Real numbers need `quantity`, "amplitude" or "power".
     """
     if map_image:
         return _read_map(path, quantity, polarization, frame)
@@ -78,8 +78,8 @@ def _read_slant(path: Path, polarization: str | None) -> np.ndarray:
 def _read_map(path: Path, quantity: Quantity | None, polarization: str | None, frame: EarthFrame | None) -> ImageChip:
     if frame is None:
         raise InputError(
-            f"{path}: where the world lies on the earth is not said; use a mesh that is a GeoTIFF DEM, or --origin with "
-            "latitude, longitude and ellipsoidal height of the world's origin"
+            f"{path}: where the world lies on the earth is not said; use a mesh that is a GeoTIFF DEM, or --origin "
+            "with latitude, longitude and ellipsoidal height of the world's origin"
         )
     from rasterio.warp import transform
 

@@ -7,30 +7,28 @@ import numpy as np
 from warpsar.errors import InputError
 from warpsar.measured.data import ImageChip
 
-_MARGIN = 16  # [pixels] around what is needed: the interpolation's reach
+_MARGIN = 32  # [pixels] around what is needed, for the Fourier transform to run out in
+_KEPT = 8  # [pixels] of it, next to what is needed, that stay as they are
+_FINER = 3
 _COINCIDENT = 1e-6  # [pixels]: grids that differ by less are the same grid
 
 
 def sample_power(chip: ImageChip, pixel: np.ndarray) -> np.ndarray:
     """Power of `chip` at fractional (row, column) pixel centres (..., 2), float64; NaN outside the image.
 
-    Squared magnitude has twice the bandwidth of a complex image: it is taken on a grid twice as fine, made by zero padding
-    the spectrum, and then interpolated by cubic splines. Detected images are squared, or taken as they are, and
-    interpolated linearly, which keeps them positive. A point on a pixel centre is that pixel, untouched.
+    Squared magnitude has twice the bandwidth of a complex image: it is taken on a grid three times as fine, made by
+    zero padding the spectrum, and then interpolated by splines. Detected images are squared, or taken as they are, and
+    interpolated linearly, which keeps them positive. A point on a pixel centre is that pixel, untouched; one in the
+    outer half of a border pixel is that border.
     """
-    rows, cols = chip.samples.shape
-    inside = (
-        np.isfinite(pixel).all(-1)
-        & (pixel >= -_COINCIDENT).all(-1)
-        & (pixel[..., 0] <= rows - 1 + _COINCIDENT)
-        & (pixel[..., 1] <= cols - 1 + _COINCIDENT)
-    )
+    last = np.array(chip.samples.shape) - 1
+    inside = (np.abs(pixel - last / 2.0) <= last / 2.0 + 0.5).all(-1)  # false for NaN
     power = np.full(pixel.shape[:-1], np.nan)
     if not inside.any():
         return power
-    wanted = pixel[inside]
+    wanted = np.clip(pixel[inside], 0, last)
     low = np.maximum(np.floor(wanted.min(axis=0)).astype(int) - _MARGIN, 0)
-    high = np.minimum(np.ceil(wanted.max(axis=0)).astype(int) + 1 + _MARGIN, (rows, cols))
+    high = np.minimum(np.ceil(wanted.max(axis=0)).astype(int) + _MARGIN, last) + 1
     samples = np.asarray(chip.samples[slice(low[0], high[0]), slice(low[1], high[1])])
     bad = ~np.isfinite(samples)
     if bad.all():
@@ -51,8 +49,9 @@ def _interpolated(samples: np.ndarray, bad: np.ndarray, at: np.ndarray, quantity
         values = _power(samples[nearest[:, 0], nearest[:, 1]], quantity)
         return np.where(bad[nearest[:, 0], nearest[:, 1]], np.nan, values)
     if quantity == "complex":
-        fine = _power(_twice(samples), quantity)
-        values = np.maximum(map_coordinates(fine, 2.0 * at.T, order=3, mode="mirror"), 0.0)
+        faded = samples * np.outer(*(_faded(n, at[:, axis]) for axis, n in enumerate(samples.shape)))
+        fine = _power(_finer(faded), quantity)
+        values = np.maximum(map_coordinates(fine, _FINER * at.T, order=5, mode="mirror"), 0.0)
     else:
         values = map_coordinates(_power(samples, quantity), at.T, order=1, mode="nearest")
     if bad.any():  # a pixel that is not known is no part of any sum
@@ -64,20 +63,31 @@ def _power(samples: np.ndarray, quantity: str) -> np.ndarray:
     return samples.astype(np.float64) if quantity == "power" else np.abs(samples).astype(np.float64) ** 2
 
 
-def _twice(samples: np.ndarray) -> np.ndarray:
-    """The image on a grid twice as fine, (2 rows, 2 cols), up to phase: each axis' spectrum is centred first."""
+def _faded(count: int, at: np.ndarray) -> np.ndarray:
+    """One where samples are wanted, then falling to zero: a Fourier transform takes a cut edge for a step."""
+    index = np.arange(count)
+    before, after = max(int(np.floor(at.min())), 0), count - 1 - min(int(np.ceil(at.max())), count - 1)
+    weight = np.ones(count)
+    for margin, distance in ((before, index), (after, index[::-1])):
+        ramp = np.clip((distance + 1) / max(margin - _KEPT, 1), 0.0, 1.0)
+        weight *= np.sin(np.pi / 2 * ramp) ** 2
+    return weight
+
+
+def _finer(samples: np.ndarray) -> np.ndarray:
+    """The image on a grid `_FINER` times as fine, up to phase: each axis' spectrum is centred first."""
     from scipy import fft
 
     for axis in (0, 1):
-        count = samples.shape[axis]
         moved = np.moveaxis(samples, axis, 0)
+        count = moved.shape[0]
         centroid = np.angle(np.vdot(moved[:-1], moved[1:])) if count > 1 else 0.0
-        index = np.arange(count).reshape(-1, *(1,) * (samples.ndim - 1))
+        index = np.arange(count)[:, None]
         spectrum = fft.fftshift(fft.fft(moved * np.exp(-1j * centroid * index), axis=0), axes=0)
-        padded = np.zeros((2 * count, *spectrum.shape[1:]), np.complex64)
-        first = count - count // 2
+        padded = np.zeros((_FINER * count, spectrum.shape[1]), np.complex64)
+        first = _FINER * count // 2 - count // 2  # zero frequency stays zero frequency
         padded[first : first + count] = spectrum
-        samples = np.moveaxis(2.0 * fft.ifft(fft.ifftshift(padded, axes=0), axis=0), 0, axis)
+        samples = np.moveaxis(_FINER * fft.ifft(fft.ifftshift(padded, axes=0), axis=0), 0, axis)
     return samples
 
 

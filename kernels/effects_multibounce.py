@@ -1,0 +1,347 @@
+"""Ways of a ray over several surfaces: traced and merged once, then power as a function of the surfaces met."""
+
+import warp as wp
+
+from warpsar.kernels.geometry import RayGrid, intersect, look_direction, ray_direction, ray_origin, slant_range_of
+from warpsar.kernels.scattering import HH, bistatic_geometric_optics, fresnel_h, fresnel_v
+from warpsar.kernels.shade import EPS, HEIGHT, LENGTH
+
+# The foot of a wall may lie just on the edge between two bins, and float32 would toss a coin for every ray: what is
+# this share of a bin beyond an edge, or less, stays before it.
+EDGE = wp.constant(1.0e-3)
+
+# Slope variance that even a smooth surface has: keeps the lobe of a mirror wide enough for a mesh's facets.
+LEAST_SLOPE_VARIANCE = wp.constant(1.0e-4)
+
+
+@wp.struct
+class PathRecords:
+    """One per ray and return to the radar: appended in any order, `count` may exceed the arrays' length (then: again)."""
+
+    bin: wp.array(dtype=int)
+    bounces: wp.array(dtype=int)
+    faces: wp.array(dtype=wp.vec4i)  # face + 1, in the order of the bounces; 0 after the last
+    second: wp.array(dtype=wp.vec4)  # barycentric weights of the faces' second vertices
+    third: wp.array(dtype=wp.vec4)
+    weight: wp.array(dtype=float)  # dA_perp / pixel area
+    point: wp.array(dtype=wp.vec3)  # where one bounce would have the same range, azimuth and mean elevation
+    count: wp.array(dtype=int)
+
+
+@wp.func
+def apparent_point(grid: RayGrid, entry: wp.vec3, exit: wp.vec3, between: float) -> wp.vec3:
+    """Half the whole path is the range, the middle of entry and exit the azimuth and the elevation."""
+    along = 0.5 * (slant_range_of(grid, entry) + slant_range_of(grid, exit) + between)
+    across = 0.5 * (wp.dot(entry, grid.v) + wp.dot(exit, grid.v))
+    azimuth = 0.5 * (wp.dot(entry, grid.u) + wp.dot(exit, grid.u))
+    if grid.slant_range > 0.0:
+        first = wp.atan2(wp.dot(entry, grid.v), grid.slant_range + wp.dot(entry, grid.d))
+        last = wp.atan2(wp.dot(exit, grid.v), grid.slant_range + wp.dot(exit, grid.d))
+        angle = 0.5 * (first + last)
+        half = wp.sin(0.5 * angle)
+        across = (grid.slant_range + along) * wp.sin(angle)
+        along = along * wp.cos(angle) - 2.0 * half * half * grid.slant_range
+    return along * grid.d + azimuth * grid.u + across * grid.v
+
+
+@wp.kernel(enable_backward=False)
+def path_kernel(
+    # In:
+    grid: RayGrid,
+    mesh: wp.uint64,
+    vertices: wp.array(dtype=wp.vec3),
+    faces: wp.array2d(dtype=int),
+    first_cell: int,
+    segment: int,
+    seed: int,
+    max_bounces: int,
+    azimuth_start: float,  # of the bins: the rays' grid may be wider
+    azimuth_spacing: float,
+    cols: int,
+    # Out:
+    records: PathRecords,
+):
+    """One thread walks `segment` cells of one azimuth cell's column; every surface but the last is a mirror.
+
+    The BVH is asked from just off the surface, so as not to find it again; the place met is then worked out from the
+    surface itself.
+    """
+    i, j = wp.tid()
+    cell = first_cell + i
+    centre_u = grid.azimuth_start + (float(cell) + 0.5) * grid.azimuth_step
+    clear = 1.0e-5 * grid.reach
+    last = wp.min((j + 1) * segment, grid.elevation_cells)
+    for k in range(j * segment, last):
+        random = wp.rand_init(seed, cell * grid.elevation_cells + k)
+        jitter_u = wp.randf(random) - 0.5
+        jitter_v = wp.randf(random) - 0.5
+        elevation = grid.elevation_start + (float(k) + 0.5 + jitter_v) * grid.elevation_step
+        origin = ray_origin(grid, centre_u + jitter_u * grid.azimuth_step, elevation)
+        direction = ray_direction(grid, elevation)
+        weight = grid.azimuth_step * grid.elevation_step / grid.pixel_area
+        met = wp.vec4i(0, 0, 0, 0)
+        second = wp.vec4(0.0, 0.0, 0.0, 0.0)
+        third = wp.vec4(0.0, 0.0, 0.0, 0.0)
+        entry = wp.vec3(0.0, 0.0, 0.0)
+        before = wp.vec3(0.0, 0.0, 0.0)
+        side = wp.vec3(0.0, 0.0, 0.0)
+        between = float(0.0)
+        for bounce in range(max_bounces):
+            query = wp.mesh_query_ray(mesh, origin + clear * side, direction, grid.reach)
+            if not query.result:
+                break
+            p0 = vertices[faces[query.face, 0]]
+            p1 = vertices[faces[query.face, 1]]
+            p2 = vertices[faces[query.face, 2]]
+            hit = intersect(origin, direction, p0, p1, p2)
+            slope = wp.dot(hit.normal, direction)
+            if wp.abs(slope) < 1.0e-6:
+                break
+            point = p0 + hit.b1 * (p1 - p0) + hit.b2 * (p2 - p0)
+            side = -wp.sign(slope) * hit.normal  # the one the ray is on
+            met[bounce] = query.face + 1
+            second[bounce] = hit.b1
+            third[bounce] = hit.b2
+            home = -look_direction(grid, point)
+            if bounce == 0:
+                entry = point
+                if grid.slant_range > 0.0:
+                    weight = weight * (slant_range_of(grid, point) + grid.slant_range)
+            else:
+                between += wp.length(point - before)
+                if wp.dot(side, home) > 0.0:
+                    # a bin first, for a way back is dear
+                    seen = apparent_point(grid, entry, point, between)
+                    row = int(wp.floor((slant_range_of(grid, seen) - grid.range_start) / grid.range_spacing - EDGE))
+                    col = int(wp.floor((wp.dot(seen, grid.u) - azimuth_start) / azimuth_spacing - EDGE))
+                    if row >= 0 and row < grid.rows and col >= 0 and col < cols:
+                        back = wp.mesh_query_ray(mesh, point + clear * side, home, grid.reach)
+                        if not back.result:
+                            slot = wp.atomic_add(records.count, 0, 1)
+                            if slot < records.bin.shape[0]:
+                                records.bin[slot] = row * cols + col
+                                records.bounces[slot] = bounce + 1
+                                records.faces[slot] = met
+                                records.second[slot] = second
+                                records.third[slot] = third
+                                records.weight[slot] = weight
+                                records.point[slot] = seen
+            before = point
+            direction = direction - 2.0 * slope * hit.normal
+            origin = point
+
+
+@wp.kernel(enable_backward=False)
+def sort_key_kernel(
+    # In:
+    what: int,  # 0: bounces and bin, 1: first two faces, 2: the other two
+    order: wp.array(dtype=int),
+    bin: wp.array(dtype=int),
+    bounces: wp.array(dtype=int),
+    faces: wp.array(dtype=wp.vec4i),
+    # Out:
+    key_out: wp.array(dtype=wp.int64),
+):
+    i = wp.tid()
+    at = order[i]
+    high = bounces[at]
+    low = bin[at]
+    if what == 1:
+        high = faces[at][0]
+        low = faces[at][1]
+    if what == 2:
+        high = faces[at][2]
+        low = faces[at][3]
+    key_out[i] = (wp.int64(high) << wp.int64(32)) + wp.int64(low)
+
+
+@wp.kernel(enable_backward=False)
+def mark_path_starts_kernel(
+    # In:
+    order: wp.array(dtype=int),
+    bin: wp.array(dtype=int),
+    faces: wp.array(dtype=wp.vec4i),
+    # Out:
+    start_out: wp.array(dtype=int),
+):
+    """1 where a new (bin, faces of the path) begins."""
+    i = wp.tid()
+    new = int(1)
+    if i > 0:
+        a = order[i - 1]
+        b = order[i]
+        if bin[a] == bin[b] and faces[a] == faces[b]:
+            new = 0
+    start_out[i] = new
+
+
+@wp.kernel(enable_backward=False)
+def reduce_paths_kernel(
+    # In:
+    records: PathRecords,
+    order: wp.array(dtype=int),
+    first: wp.array(dtype=int),
+    total: int,
+    # Out:
+    merged: PathRecords,
+):
+    """Weights summed, places averaged with them."""
+    i = wp.tid()
+    begin = first[i]
+    end = total
+    if i + 1 < first.shape[0]:
+        end = first[i + 1]
+    weight = float(0.0)
+    second = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    third = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    point = wp.vec3(0.0, 0.0, 0.0)
+    for k in range(begin, end):
+        at = order[k]
+        w = records.weight[at]
+        weight += w
+        second += w * records.second[at]
+        third += w * records.third[at]
+        point += w * records.point[at]
+    merged.bin[i] = records.bin[order[begin]]
+    merged.bounces[i] = records.bounces[order[begin]]
+    merged.faces[i] = records.faces[order[begin]]
+    merged.weight[i] = weight
+    merged.second[i] = second / weight
+    merged.third[i] = third / weight
+    merged.point[i] = point / weight
+
+
+@wp.func
+def place_on(vertices: wp.array(dtype=wp.vec3), faces: wp.array2d(dtype=int), face: int, b1: float, b2: float) -> wp.vec3:
+    p0 = vertices[faces[face, 0]]
+    return p0 + b1 * (vertices[faces[face, 1]] - p0) + b2 * (vertices[faces[face, 2]] - p0)
+
+
+@wp.func
+def normal_of(vertices: wp.array(dtype=wp.vec3), faces: wp.array2d(dtype=int), face: int) -> wp.vec3:
+    p0 = vertices[faces[face, 0]]
+    return wp.normalize(wp.cross(vertices[faces[face, 1]] - p0, vertices[faces[face, 2]] - p0))
+
+
+@wp.kernel(enable_backward=False)
+def path_geometry_kernel(
+    # In:
+    grid: RayGrid,
+    vertices: wp.array(dtype=wp.vec3),
+    faces: wp.array2d(dtype=int),
+    bounces: int,
+    met: wp.array(dtype=wp.vec4i),
+    second: wp.array(dtype=wp.vec4),
+    third: wp.array(dtype=wp.vec4),
+    power_weight: wp.array(dtype=float),
+    # Out:
+    weight_out: wp.array(dtype=float),  # dA_perp / cos(theta_n) / pixel area
+    cos_incidence_out: wp.array(dtype=wp.vec4),
+    cos_half_out: wp.array(dtype=float),
+    cos_tilt_out: wp.array(dtype=float),
+):
+    """Angles along the path, from where it begins and the faces it meets."""
+    i = wp.tid()
+    direction = look_direction(grid, place_on(vertices, faces, met[i][0] - 1, second[i][0], third[i][0]))
+    cosines = wp.vec4(1.0, 1.0, 1.0, 1.0)
+    for k in range(bounces):
+        normal = normal_of(vertices, faces, met[i][k] - 1)
+        slope = wp.dot(normal, direction)
+        cosines[k] = wp.min(wp.abs(slope), 1.0)
+        if k == bounces - 1:
+            home = -look_direction(grid, place_on(vertices, faces, met[i][k] - 1, second[i][k], third[i][k]))
+            half = wp.normalize(home - direction)
+            cos_half_out[i] = wp.clamp(-wp.dot(half, direction), 0.0, 1.0)
+            cos_tilt_out[i] = wp.min(wp.abs(wp.dot(half, normal)), 1.0)
+        direction = direction - 2.0 * slope * normal
+    cos_incidence_out[i] = cosines
+    weight_out[i] = power_weight[i] / wp.max(cosines[bounces - 1], 1.0e-6)
+
+
+@wp.kernel(enable_backward=False)
+def bounce_kernel(
+    # In:
+    k: int,
+    vertices: wp.array(dtype=wp.vec3),
+    faces: wp.array2d(dtype=int),
+    met: wp.array(dtype=wp.vec4i),
+    second: wp.array(dtype=wp.vec4),
+    third: wp.array(dtype=wp.vec4),
+    cos_incidence: wp.array(dtype=wp.vec4),
+    # Out:
+    face_out: wp.array(dtype=int),
+    barycentric_out: wp.array(dtype=wp.vec2),
+    point_out: wp.array(dtype=wp.vec3),
+    cos_incidence_out: wp.array(dtype=float),
+):
+    """Bounce k of every path, in the arrays that hits have."""
+    i = wp.tid()
+    face = met[i][k] - 1
+    face_out[i] = face
+    barycentric_out[i] = wp.vec2(second[i][k], third[i][k])
+    point_out[i] = place_on(vertices, faces, face, second[i][k], third[i][k])
+    cos_incidence_out[i] = cos_incidence[i][k]
+
+
+@wp.kernel
+def return_kernel(
+    # In:
+    p: wp.array(dtype=float),  # strength
+    polarization: int,
+    face: wp.array(dtype=int),
+    face_material: wp.array(dtype=int),
+    eps_im: wp.array(dtype=float),
+    cos_half: wp.array(dtype=float),
+    cos_tilt: wp.array(dtype=float),
+    zeta: wp.array(dtype=wp.vec4),
+    # Out:
+    power_out: wp.array(dtype=float),
+):
+    """The last surface returns the ray with its bistatic lobe."""
+    i = wp.tid()
+    h = wp.exp(zeta[i][HEIGHT] - zeta[i][LENGTH])
+    slope_variance = 2.0 * h * h + LEAST_SLOPE_VARIANCE
+    eps_re = 1.0 + wp.exp(zeta[i][EPS])
+    power_out[i] = p[0] * bistatic_geometric_optics(
+        polarization, cos_half[i], cos_tilt[i], eps_re, eps_im[face_material[face[i]]], slope_variance
+    )
+
+
+@wp.kernel
+def mirror_kernel(
+    # In:
+    polarization: int,
+    wavenumber: float,
+    face: wp.array(dtype=int),
+    face_material: wp.array(dtype=int),
+    eps_im: wp.array(dtype=float),
+    cos_incidence: wp.array(dtype=float),
+    zeta: wp.array(dtype=wp.vec4),
+    power: wp.array(dtype=float),
+    # Out:
+    power_out: wp.array(dtype=float),
+):
+    """A surface on the way: Fresnel's reflectivity and what roughness takes from the coherent wave."""
+    i = wp.tid()
+    c = cos_incidence[i]
+    eps_re = 1.0 + wp.exp(zeta[i][EPS])
+    loss = eps_im[face_material[face[i]]]
+    reflectivity = float(0.0)
+    if polarization == HH:
+        reflectivity = fresnel_h(c, eps_re, loss)
+    else:
+        reflectivity = fresnel_v(c, eps_re, loss)
+    phase = 2.0 * wavenumber * wp.exp(zeta[i][HEIGHT]) * c
+    power_out[i] = power[i] * reflectivity * wp.exp(-phase * phase)
+
+
+@wp.kernel
+def add_kernel(
+    # In:
+    image: wp.array(dtype=float),
+    more: wp.array(dtype=float),
+    # Out:
+    image_out: wp.array(dtype=float),
+):
+    i = wp.tid()
+    image_out[i] = image[i] + more[i]
