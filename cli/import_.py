@@ -6,8 +6,8 @@ from pathlib import Path
 
 import click
 
-_FORMATS = ("auto", "gotcha", "cphd", "sicd", "mstar", "nisar", "geotiff", "tiff", "exr", "npy")
-_WINDOWS = ("none", "hann", "taylor")
+from warpsar.focus import WINDOWS
+from warpsar.measured.formats import FORMATS
 
 
 @click.command(name="import")
@@ -25,7 +25,7 @@ _WINDOWS = ("none", "hann", "taylor")
     help="The scene.toml to edit.",
 )
 @click.option("--view", required=True, help="Name of the view; made from the file's own geometry if it is not there.")
-@click.option("--format", "file_format", type=click.Choice(_FORMATS), default="auto", show_default=True)
+@click.option("--format", "file_format", type=click.Choice(("auto", *FORMATS)), default="auto", show_default=True)
 @click.option(
     "--quantity",
     type=click.Choice(("amplitude", "power")),
@@ -34,9 +34,9 @@ _WINDOWS = ("none", "hann", "taylor")
 @click.option(
     "--polarization", type=click.Choice(("HH", "HV", "VH", "VV")), help="Where the file has several, or none."
 )
-@click.option("--window-range", type=click.Choice(_WINDOWS), default="none", show_default=True, help="Over the band.")
+@click.option("--window-range", type=click.Choice(WINDOWS), default="none", show_default=True, help="Over the band.")
 @click.option(
-    "--window-azimuth", type=click.Choice(_WINDOWS), default="none", show_default=True, help="Over each sub-aperture."
+    "--window-azimuth", type=click.Choice(WINDOWS), default="none", show_default=True, help="Over each sub-aperture."
 )
 @click.option(
     "--subapertures", type=click.IntRange(min=1), default=1, show_default=True, help="Focused apart, averaged in power."

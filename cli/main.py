@@ -13,7 +13,10 @@ INTERRUPTED = 130  # 128 + SIGINT, as shells report it
 
 COMMANDS = {
     "simulate": "warpsar.cli.simulate:command",
+    "import": "warpsar.cli.import_:command",
     "learn": "warpsar.cli.learn:command",
+    "uv": "warpsar.cli.uv:command",
+    "evaluate": "warpsar.cli.evaluate:command",
 }
 
 

@@ -72,6 +72,7 @@ def first_surface_kernel(
         if fraction[i] < 0.0:
             step = waypoints[i, k + 1] - waypoints[i, k]
             length = wp.length(step)
-            query = wp.mesh_query_ray(mesh, waypoints[i, k], step / length, length)
+            # A little further than the next waypoint: a surface through it must not fall between two chords.
+            query = wp.mesh_query_ray(mesh, waypoints[i, k], step / length, 1.01 * length)
             if query.result:
                 fraction[i] = float(k) + query.t / length

@@ -6,8 +6,8 @@ from warpsar.kernels.geometry import RayGrid, intersect, look_direction, ray_dir
 from warpsar.kernels.scattering import HH, bistatic_geometric_optics, fresnel_h, fresnel_v
 from warpsar.kernels.shade import EPS, HEIGHT, LENGTH
 
-# The foot of a wall may lie just on the edge between two bins, and float32 would toss a coin for every ray: what is
-# this share of a bin beyond an edge, or less, stays before it.
+# Every ray of a dihedral has the range of its foot. Where that is the edge between two bins, float32 would toss a coin
+# for each: what is this share of a bin beyond an edge, or less, stays on the near side.
 EDGE = wp.constant(1.0e-3)
 
 # Slope variance that even a smooth surface has: keeps the lobe of a mirror wide enough for a mesh's facets.
@@ -16,7 +16,7 @@ LEAST_SLOPE_VARIANCE = wp.constant(1.0e-4)
 
 @wp.struct
 class PathRecords:
-    """One per ray and return to the radar: appended in any order, `count` may exceed the arrays' length (then: again)."""
+    """One per ray and return to the radar, in any order; `count` may exceed the arrays' length (then: again)."""
 
     bin: wp.array(dtype=int)
     bounces: wp.array(dtype=int)
@@ -55,6 +55,7 @@ def path_kernel(
     segment: int,
     seed: int,
     max_bounces: int,
+    size: float,  # of the mesh: how far a ray may go from one surface to the next [m]
     azimuth_start: float,  # of the bins: the rays' grid may be wider
     azimuth_spacing: float,
     cols: int,
@@ -69,7 +70,7 @@ def path_kernel(
     i, j = wp.tid()
     cell = first_cell + i
     centre_u = grid.azimuth_start + (float(cell) + 0.5) * grid.azimuth_step
-    clear = 1.0e-5 * grid.reach
+    clear = 1.0e-5 * size
     last = wp.min((j + 1) * segment, grid.elevation_cells)
     for k in range(j * segment, last):
         random = wp.rand_init(seed, cell * grid.elevation_cells + k)
@@ -86,8 +87,9 @@ def path_kernel(
         before = wp.vec3(0.0, 0.0, 0.0)
         side = wp.vec3(0.0, 0.0, 0.0)
         between = float(0.0)
+        reach = grid.reach
         for bounce in range(max_bounces):
-            query = wp.mesh_query_ray(mesh, origin + clear * side, direction, grid.reach)
+            query = wp.mesh_query_ray(mesh, origin + clear * side, direction, reach)
             if not query.result:
                 break
             p0 = vertices[faces[query.face, 0]]
@@ -113,9 +115,9 @@ def path_kernel(
                     # a bin first, for a way back is dear
                     seen = apparent_point(grid, entry, point, between)
                     row = int(wp.floor((slant_range_of(grid, seen) - grid.range_start) / grid.range_spacing - EDGE))
-                    col = int(wp.floor((wp.dot(seen, grid.u) - azimuth_start) / azimuth_spacing - EDGE))
+                    col = int(wp.floor((wp.dot(seen, grid.u) - azimuth_start) / azimuth_spacing))
                     if row >= 0 and row < grid.rows and col >= 0 and col < cols:
-                        back = wp.mesh_query_ray(mesh, point + clear * side, home, grid.reach)
+                        back = wp.mesh_query_ray(mesh, point + clear * side, home, size)
                         if not back.result:
                             slot = wp.atomic_add(records.count, 0, 1)
                             if slot < records.bin.shape[0]:
@@ -129,6 +131,7 @@ def path_kernel(
             before = point
             direction = direction - 2.0 * slope * hit.normal
             origin = point
+            reach = size
 
 
 @wp.kernel(enable_backward=False)
@@ -212,7 +215,9 @@ def reduce_paths_kernel(
 
 
 @wp.func
-def place_on(vertices: wp.array(dtype=wp.vec3), faces: wp.array2d(dtype=int), face: int, b1: float, b2: float) -> wp.vec3:
+def place_on(
+    vertices: wp.array(dtype=wp.vec3), faces: wp.array2d(dtype=int), face: int, b1: float, b2: float
+) -> wp.vec3:
     p0 = vertices[faces[face, 0]]
     return p0 + b1 * (vertices[faces[face, 1]] - p0) + b2 * (vertices[faces[face, 2]] - p0)
 

@@ -75,6 +75,18 @@ def sample_kernel(
 
 
 @wp.kernel
+def normalise_kernel(
+    # In:
+    weight: wp.array(dtype=float),
+    total: wp.array(dtype=float),
+    # Out:
+    weight_out: wp.array(dtype=float),
+):
+    i = wp.tid()
+    weight_out[i] = weight[i] / total[0]
+
+
+@wp.kernel
 def blur_kernel(
     # In:
     window: int,
@@ -82,14 +94,16 @@ def blur_kernel(
     index: int,
     p: wp.array(dtype=float),
     weight: wp.array(dtype=float),
-    total: wp.array(dtype=float),
     image: wp.array(dtype=float),
     count: int,  # pixels along the axis
     stride: int,  # from one to the next
     # Out:
     image_out: wp.array(dtype=float),
 ):
-    """One axis. Outside the image there is nothing; what is spread there is lost."""
+    """One axis. Outside the image there is nothing; what is spread there is lost.
+
+    The sum must stay bare: reverse mode is wrong where a dynamic loop's result meets more than a sum.
+    """
     i = wp.tid()
     at = (i // stride) % count
     reach = count
@@ -99,4 +113,4 @@ def blur_kernel(
     value = float(0.0)
     for j in range(wp.max(0, at - reach), wp.min(count, at + reach + 1)):
         value += weight[wp.abs(j - at)] * image[i + (j - at) * stride]
-    image_out[i] = value / total[0]
+    image_out[i] = value

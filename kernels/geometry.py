@@ -106,7 +106,7 @@ def cos_twist_of(normal: wp.vec3, direction: wp.vec3, u: wp.vec3) -> float:
 
 @wp.func
 def cos2_azimuth_of(normal: wp.vec3, direction: wp.vec3) -> float:
-    """Squared cosine between the look direction on the facet and the facet's x axis, which is horizontal (east on the flat)."""
+    """Squared cosine between the look direction on the facet and the facet's x axis: horizontal, east on the flat."""
     x = wp.cross(wp.vec3(0.0, 0.0, 1.0), normal)
     if wp.length(x) < 1.0e-6:
         x = wp.vec3(1.0, 0.0, 0.0)

@@ -9,8 +9,9 @@ LOG = wp.constant(2)
 # Partial sums of a loss: float64, spread over as many cells so that CUDA atomics seldom meet.
 PARTIALS = wp.constant(256)
 
-# A modelled pixel darker than this is as dark as this: keeps ln(mu) finite where sigma0 underflows.
-DARKEST = wp.constant(1.0e-30)
+# A modelled pixel darker than this is as dark as this: keeps ln(mu), and 1 / mu^2 of the adjoint, finite in float32
+# where sigma0 underflows.
+DARKEST = wp.constant(1.0e-18)
 
 
 @wp.kernel

@@ -100,9 +100,7 @@ HALF_WIDTH, HALF_DEPTH, HEIGHT, BOX_INCIDENCE = 5.0, 4.0, 3.0, 40.0
 
 
 def box_scene(**options: Any) -> Scene:
-    mesh = mesh_of(
-        soil=ground(60), brick=box((-HALF_WIDTH, -HALF_DEPTH, 0), (HALF_WIDTH, HALF_DEPTH, HEIGHT))
-    )
+    mesh = mesh_of(soil=ground(60), brick=box((-HALF_WIDTH, -HALF_DEPTH, 0), (HALF_WIDTH, HALF_DEPTH, HEIGHT)))
     return scene_of(
         mesh,
         view(0, BOX_INCIDENCE),
@@ -206,9 +204,7 @@ def sphere(radius: float, subdivisions: int) -> tuple[np.ndarray, np.ndarray]:
 def test_sphere(polarization: str) -> None:
     """Its cross-section is the integral of sigma0 over the lit half; psi runs through all angles on it."""
     radius = 8.0
-    scene = scene_of(
-        mesh_of(soil=sphere(radius, 5)), view(25, 40), polarizations=(polarization,), rays_per_pixel=64
-    )
+    scene = scene_of(mesh_of(soil=sphere(radius, 5)), view(25, 40), polarizations=(polarization,), rays_per_pixel=64)
     theta = (np.arange(4000) + 0.5) / 4000 * np.pi / 2
     psi = (np.arange(360) + 0.5) / 360 * 2 * np.pi
     ring = sigma0(theta[:, None], polarization=polarization, cos_psi=np.abs(np.cos(psi))).mean(axis=1)
@@ -278,7 +274,9 @@ def test_strip_map_plate(slant_range_m: float, incidence_deg: float, device: str
     expected = (sigma0(theta) / np.sin(theta)).mean(axis=1)
     rows = image.beta0["HH"][8:-8, 8:-8]
     # A cell's footprint is that of a plane wave in its middle: wrong by its 0.06 m over R, and by its square.
-    np.testing.assert_allclose(rows, np.broadcast_to(expected[:, None], rows.shape), rtol=0.1 / slant_range_m + ROUNDING)
+    np.testing.assert_allclose(
+        rows, np.broadcast_to(expected[:, None], rows.shape), rtol=0.1 / slant_range_m + ROUNDING
+    )
 
 
 def test_a_far_track_is_a_plane_wave() -> None:
@@ -318,7 +316,7 @@ def test_frequency_and_slant_range_in_a_view() -> None:
 
 def tilted_block() -> dict[str, tuple[np.ndarray, np.ndarray]]:
     vertices, faces = box((-4, -3, 0), (5, 2, 6))
-    return {"soil": ground(22, cells=6), "brick": (vertices + (1.0, -1.5, 0.0), faces)}
+    return {"soil": ground(22, cells=6), "brick": (vertices + np.array([1.0, -1.5, 0.0]), faces)}
 
 
 @pytest.mark.parametrize("slant_range_m", [None, 120.0])
@@ -354,7 +352,9 @@ def test_moved_world_and_reference_point() -> None:
 def test_facets_scatter_from_both_sides() -> None:
     vertices, faces = ground(60)
     flipped = mesh_of(soil=(vertices, faces[:, ::-1].copy()))
-    up, down = (simulate(scene_of(mesh, view(0, 30))).beta0["HH"] for mesh in (mesh_of(soil=(vertices, faces)), flipped))
+    up, down = (
+        simulate(scene_of(mesh, view(0, 30))).beta0["HH"] for mesh in (mesh_of(soil=(vertices, faces)), flipped)
+    )
     np.testing.assert_allclose(down, up, rtol=ROUNDING)
 
 
@@ -382,7 +382,7 @@ def test_radar_at_the_top_and_shadows_below() -> None:
 
 def test_nothing_in_view() -> None:
     scene = scene_of(mesh_of(soil=join([ground(4)])), view(0, 30))
-    far = Mesh(scene.mesh.vertices + (500.0, 0, 0), scene.mesh.faces, scene.mesh.face_material, ("soil",))
+    far = Mesh(scene.mesh.vertices + np.array([500.0, 0, 0]), scene.mesh.faces, scene.mesh.face_material, ("soil",))
     image = simulate(scene_of(far, view(0, 30)), layers=True)
     assert not image.beta0["HH"].any()
     assert (image.hits, image.layers["shadow"].any()) == (0, False)

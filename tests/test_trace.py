@@ -22,9 +22,7 @@ DEPOSITS = ("nearest", "linear", "footprint")
 
 
 def town(**options: Any) -> Scene:
-    mesh = mesh_of(
-        soil=ground(26, cells=9), brick=box((-4, -3, 0), (5, 2, 6)), tower=box((-8, 4, 0), (-5.5, 6, 9))
-    )
+    mesh = mesh_of(soil=ground(26, cells=9), brick=box((-4, -3, 0), (5, 2, 6)), tower=box((-8, 4, 0), (-5.5, 6, 9)))
     materials = {"brick": BRICK, "tower": {**BRICK, "eps_r": 4.0}}
     return scene_of(mesh, view(25, 40), **{"materials": materials, **options})
 
@@ -137,7 +135,7 @@ def test_strata_hold_one_ray_each() -> None:
     """Every (azimuth, elevation) cell over the mesh has one sample, anywhere in it."""
     scene = scene_of(mesh_of(soil=ground(60)), view(0, 40), shape=(20, 20), rays_per_pixel=16)
     hits = traced(scene, deposit="nearest", merge=False)
-    d, u, v = axes(0, 40)
+    _, u, v = axes(0, 40)
     points = hits.point.numpy().astype(float)
     azimuth, elevation = points @ u / 0.125, points @ v / 0.125
     for place in (azimuth % 1, (elevation + 0.5) % 1):  # uniform in a cell
@@ -199,9 +197,9 @@ def test_finer_and_wider_bins_hold_the_same_power(slant_range_m: float | None) -
     """Effects ask for bins finer than pixels; their weights are over the image's pixel area."""
     scene = town(slant_range_m=slant_range_m)
     image = image_of(traced(scene))
-    fine = image_of(
-        traced(scene, grid=BinGrid((168, 168), (0.125, 0.125)), cells_multiple=1, pixel_area_m2=0.25)
-    )[4:-4, 4:-4]
+    fine = image_of(traced(scene, grid=BinGrid((168, 168), (0.125, 0.125)), cells_multiple=1, pixel_area_m2=0.25))[
+        4:-4, 4:-4
+    ]
     coarse = fine.reshape(40, 4, 40, 4).sum(axis=(1, 3))
     # other strata: what 64 rays leave in a pixel on an outline
     assert np.sqrt(((coarse - image) ** 2).mean()) < 0.05 * np.sqrt((image**2).mean())
@@ -276,7 +274,7 @@ def test_a_track_inside_the_mesh_is_refused() -> None:
 
 def test_a_mesh_far_outside_of_the_image_has_no_rays() -> None:
     scene = scene_of(mesh_of(soil=ground(4)), view(0, 40))
-    away = replace(scene, mesh=replace(scene.mesh, vertices=scene.mesh.vertices + (500.0, 0.0, 0.0)))
+    away = replace(scene, mesh=replace(scene.mesh, vertices=scene.mesh.vertices + np.array([500.0, 0.0, 0.0])))
     assert traced(away).count == 0
     target = Target.upload(away.mesh, (0, 0, 0), runtime.resolve_device("cpu"))
     assert ray_count(target, geometry_of(away, away.views[0]), hit_grid(away), 100.0) == 0

@@ -15,10 +15,11 @@ __version__ = "0.1.0"
 
 _LAZY = {
     "Scene": "warpsar.scene",
+    "evaluate": "warpsar.evaluation",
     "learn": "warpsar.learning",
     "simulate": "warpsar.simulation",
 }
-__all__ = ["DeviceError", "InputError", "Scene", "WarpsarError", "learn", "simulate"]
+__all__ = ["DeviceError", "InputError", "Scene", "WarpsarError", "evaluate", "learn", "simulate"]
 
 
 def __getattr__(name: str) -> Any:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import zipfile
+import hashlib
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +15,9 @@ NAME = "checkpoint.npz"
 
 def write(folder: Path, arrays: dict[str, np.ndarray], tag: str) -> None:
     """Replace the folder's checkpoint; `tag` names the run it belongs to (input hash and options)."""
+    whole = {**arrays, "tag": np.array(tag)}
     with replacing(folder / NAME) as temporary, temporary.open("wb") as stream:
-        np.savez(stream, tag=np.array(tag), **arrays)  # type: ignore[arg-type]
+        np.savez(stream, digest=np.array(_digest(whole)), **whole)  # type: ignore[arg-type]
 
 
 def read(folder: Path, tag: str) -> dict[str, np.ndarray] | None:
@@ -30,7 +31,9 @@ def read(folder: Path, tag: str) -> dict[str, np.ndarray] | None:
     try:
         with np.load(path, allow_pickle=False) as stored:
             arrays = {key: stored[key] for key in stored.files}
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        if str(arrays.pop("digest", "")) != _digest(arrays):  # zip alone does not miss a member that is gone
+            raise ValueError("damaged")
+    except Exception as error:  # whatever broken bytes make zip and NumPy stumble over
         raise InputError(f"{path}: not a checkpoint of warpsar ({error}); remove it to start afresh") from error
     if str(arrays.pop("tag", "")) != tag:
         raise InputError(
@@ -38,6 +41,14 @@ def read(folder: Path, tag: str) -> dict[str, np.ndarray] | None:
             f"images and options, or a fresh output folder"
         )
     return arrays
+
+
+def _digest(arrays: dict[str, np.ndarray]) -> str:
+    total = hashlib.sha256()
+    for key, array in sorted(arrays.items()):
+        total.update(repr((key, array.dtype.str, array.shape)).encode())
+        total.update(np.ascontiguousarray(array).tobytes())
+    return total.hexdigest()
 
 
 def remove(folder: Path) -> None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpsar.images import write_exr
+from warpsar.results import file_stem
 from warpsar.surface import KINDS
 
 if TYPE_CHECKING:
@@ -50,12 +51,24 @@ def node_weights(problem: FitProblem, block: Block, view_index: int) -> Any:
 
 
 def hit_slopes(problem: FitProblem, view_index: int, polarization: str) -> np.ndarray:
-    """d beta0 / d zeta of every hit at the last run, shape (hits, 4): one backward pass serves all hits, since each
-    hit's sigma0 depends on its own coordinates alone. Image effects are not in it."""
+    """d(sum of beta0) / d zeta of every hit at the last run, shape (hits, 4): one backward pass serves all hits, since
+    each hit's power depends on its own coordinates alone. Where an image effect spreads it is left out."""
     render = problem.views[view_index].render
-    sigma = render.sigma[polarization]
-    render.program.backward({sigma: render.hits.weight})
-    return render.zeta_gathered.grad.numpy().astype(float)
+    image = render.images[polarization]
+    render.zeta.retain_grad = True  # Warp spends an array's gradient on the launch that wrote it
+    render.program.backward({image: np.ones(image.shape[0], np.float32)})
+    return render.zeta.grad.numpy().astype(float)
+
+
+def hit_pixels(problem: FitProblem, view_index: int) -> np.ndarray:
+    """The image pixel (row * cols + col) of every hit, shape (hits,); -1 outside. Effects may ask for hits in finer
+    and wider bins than the image's."""
+    hits, (rows, cols) = problem.views[view_index].render.hits, problem.scene.grid.shape
+    fine = hits.grid.bins_per_pixel
+    row, col = (at // fine for at in np.divmod(hits.pixel.numpy(), hits.grid.shape[1]))
+    row -= (hits.grid.shape[0] // fine - rows) // 2
+    col -= (hits.grid.shape[1] // fine - cols) // 2
+    return np.where((row >= 0) & (row < rows) & (col >= 0) & (col < cols), row * cols + col, -1)
 
 
 def write_field_uncertainty(problem: FitProblem, x: np.ndarray, folder: Path) -> dict[str, Any]:
@@ -69,42 +82,42 @@ def write_field_uncertainty(problem: FitProblem, x: np.ndarray, folder: Path) ->
 
     problem.modelled(x)
     fields = [block for block in problem.surface.blocks if block.learn and block.size > 1]
+    groups: dict[tuple[str, tuple[int, ...]], list[Block]] = {}
+    for block in fields:
+        groups.setdefault((block.material, block.shape), []).append(block)
     summary: dict[str, Any] = {}
-    for material in dict.fromkeys(block.material for block in fields):
-        blocks = [b for b in fields if b.material == material]
-        if len({b.size for b in blocks}) != 1:
-            blocks_sets = [[b] for b in blocks]
-        else:
-            blocks_sets = [blocks]
-        for group in blocks_sets:
-            size, kinds = group[0].size, [KINDS.index(b.kind) for b in group]
-            information = np.zeros((size, len(group), len(group)))
-            seen_in = np.zeros(size, int)
-            for index, view in enumerate(problem.views):
-                hits = view.render.hits
-                at_hits = node_weights(problem, group[0], index)
-                lit = np.zeros(size, bool)
-                for seen in view.observations:
-                    slopes = hit_slopes(problem, index, seen.polarization)
-                    image = view.render.images[seen.polarization].numpy().astype(float)
-                    used = seen.interior.ravel()
-                    pixel = hits.pixel.numpy()
-                    collect = csr_array(
-                        (used[pixel].astype(float), (pixel, np.arange(hits.count))), shape=(used.size, hits.count)
-                    )
-                    scale = np.where(used, np.sqrt(seen.looks) / np.maximum(image, 1e-30), 0.0)
-                    columns = [
-                        (collect @ at_hits.multiply(slopes[:, k][:, None]).tocsr()).multiply(scale[:, None]).tocsc()
-                        for k in kinds
-                    ]
-                    for i, a in enumerate(columns):
-                        for j, b in enumerate(columns):
-                            information[:, i, j] += np.asarray(a.multiply(b).sum(axis=0)).ravel()
-                    lit |= np.asarray((collect @ at_hits).sum(axis=0)).ravel() > 0
-                seen_in += lit
-            sd = _sd(information)
-            for i, block in enumerate(group):
-                summary[f"{material}.{block.kind.key}"] = _write(folder, block, sd[:, i], seen_in)
+    for (material, _), group in groups.items():
+        size, kinds = group[0].size, [KINDS.index(b.kind) for b in group]
+        information = np.zeros((size, len(group), len(group)))
+        seen_in = np.zeros(size, int)
+        for index, view in enumerate(problem.views):
+            hits = view.render.hits
+            at_hits = node_weights(problem, group[0], index)
+            lit = np.zeros(size, bool)
+            for seen in view.observations:
+                slopes = hit_slopes(problem, index, seen.polarization)
+                image = view.render.images[seen.polarization].numpy().astype(float)
+                used = seen.interior.ravel()
+                pixel = hit_pixels(problem, index)
+                inside = (pixel >= 0) & used[pixel]
+                collect = csr_array(
+                    (inside.astype(float), (np.maximum(pixel, 0), np.arange(hits.count))),
+                    shape=(used.size, hits.count),
+                )
+                scale = np.where(used, np.sqrt(seen.looks) / np.maximum(image, 1e-30), 0.0)
+                columns = [
+                    (collect @ at_hits.multiply(slopes[:, k][:, None]).tocsr()).multiply(scale[:, None]).tocsc()
+                    for k in kinds
+                ]
+                for i, a in enumerate(columns):
+                    for j, b in enumerate(columns):
+                        information[:, i, j] += np.asarray(a.multiply(b).sum(axis=0)).ravel()
+                lit |= np.asarray((collect @ at_hits).sum(axis=0)).ravel() > 0
+            seen_in += lit
+        sd = _sd(information)
+        for i, block in enumerate(group):
+            stem = file_stem(problem.surface.materials, material, block.kind.key)
+            summary[f"{material}.{block.kind.key}"] = _write(folder, stem, block, sd[:, i], seen_in)
     return summary
 
 
@@ -118,8 +131,7 @@ def _sd(information: np.ndarray) -> np.ndarray:
     return np.where(blind, np.inf, np.sqrt(variance))
 
 
-def _write(folder: Path, block: Block, sd: np.ndarray, seen_in: np.ndarray) -> dict[str, Any]:
-    stem = f"{block.material}_{block.kind.key}"
+def _write(folder: Path, stem: str, block: Block, sd: np.ndarray, seen_in: np.ndarray) -> dict[str, Any]:
     if block.layout == "texture":
         maps = {"sd": sd.reshape(block.shape), "views": seen_in.reshape(block.shape)}
         name = f"{stem}_sd.exr"

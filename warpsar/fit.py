@@ -97,8 +97,10 @@ class FitView:
 
     def modelled(self) -> list[np.ndarray]:
         """beta0 of the interior pixels, before any gain, of each observation; after a forward run."""
+        from warpsar.kernels.loss import DARKEST
+
         return [
-            np.maximum(self.render.images[seen.polarization].numpy()[seen.pixels].astype(float), 1e-30)
+            np.maximum(self.render.images[seen.polarization].numpy()[seen.pixels].astype(float), DARKEST)
             for seen in self.observations
         ]
 
@@ -162,7 +164,7 @@ class FitProblem:
         self.effect_coordinates = self._effect_coordinates()
         self._tables: dict[str, dict[str, Any]] = {name: dict(table) for name, table in scene.effects.items()}
         self._ones = np.ones(self.variation.loss.size)
-        self.x0 = np.concatenate([self.surface.nodes[self.learned], self._effect_start()])
+        self.x0 = np.concatenate([self.surface.nodes[self.learned], self._effect_values(self.scene.effects)])
         if not np.isfinite(self.x0).all():
             bad = [self.labels[i] for i in np.flatnonzero(~np.isfinite(self.x0))[:5]]
             raise InputError(
@@ -185,12 +187,19 @@ class FitProblem:
                     found.append(EffectCoordinate(name, parameter, index))
         return found
 
-    def _effect_start(self) -> np.ndarray:
-        start = []
+    def _effect_values(self, tables: Mapping[str, Mapping[str, Any]]) -> np.ndarray:
+        """The effects' part of x that stands in `tables`."""
+        values = []
         for c in self.effect_coordinates:
-            value = self.scene.effects[c.effect][c.parameter.name]
-            start.append(c.parameter.to_coordinate(value[c.view] if c.view else value))
-        return np.array(start, float)
+            value = tables[c.effect][c.parameter.name]
+            values.append(c.parameter.to_coordinate(value[c.view] if c.view else value))
+        return np.array(values, float)
+
+    def follow(self, other: FitProblem, x: np.ndarray) -> np.ndarray:
+        """x of a fit to other views of the scene, as x of these; an effect's numbers of these views alone stay as
+        declared."""
+        self._tables = other.effect_tables(x)
+        return np.concatenate([x[: other.learned.size], self._effect_values(self._tables)])
 
     @property
     def labels(self) -> list[str]:
@@ -376,7 +385,7 @@ class FitProblem:
     def jacobian(self, x: np.ndarray, columns: Sequence[int] | None = None) -> list[np.ndarray]:
         """d ln(mu) / dx of every observation, shape (pixels, len(columns)), by central differences of the images.
 
-        Where gains are unknown their tangent is projected out (weights of the gamma likelihood).
+        Where gains are unknown their tangent is projected out, in the weights of the loss.
         """
         columns = range(x.size) if columns is None else columns
         low, high = self.bounds
@@ -390,5 +399,6 @@ class FitProblem:
                 part.append(np.log(a / b) / (up[column] - down[column]))
         found = [np.stack(part, axis=1) if part else np.zeros((0, 0)) for part in parts]
         if not self.scene.grid.calibrated:
-            found = [j - j.mean(axis=0) for j in found]
+            weights = [c.weight for c in self.curvatures(self.modelled(x))]
+            found = [j - np.average(j, axis=0, weights=w) for j, w in zip(found, weights, strict=True)]
         return found

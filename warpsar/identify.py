@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warpsar.likelihood import residual_sd
 from warpsar.surface import KINDS
 
 if TYPE_CHECKING:
@@ -22,7 +23,7 @@ UNDETERMINED_SD = 0.5
 BETTER = 3.0
 # Eigenvalues below this share of the largest, in a matrix scaled to a unit diagonal, are zero to float32 images.
 RANK_TOLERANCE = 1e-9
-LAGS = 3  # pixels, each way, over which neighbouring residuals are taken to be correlated
+LAGS = 6  # pixels, each way, over which neighbouring residuals are taken to be correlated
 
 
 @dataclass
@@ -30,8 +31,9 @@ class Identified:
     """Fisher information of x at a solution, and what follows.
 
     `information`, `covariance`: shape (p, p), in the coordinates of x. `covariance` is the sandwich
-    F^-1 S F^-1 with S from the residuals' own autocovariance (correlated speckle included), infinite in directions the data do
-    not see. `eigenvalues` ascending with `eigenvectors` in columns, of the information. `words`: sentences.
+    F^-1 S F^-1 with S from the residuals' own autocovariance (correlated speckle included); the variance of an
+    element with a part in a direction that the data do not see is infinite. `eigenvalues` ascending with
+    `eigenvectors` in columns, of the information. `words`: sentences.
     """
 
     labels: list[str]
@@ -58,10 +60,12 @@ class Identified:
 
 
 def residual_autocovariance(pairs: Sequence[tuple[Observation, np.ndarray]], lags: int = LAGS) -> np.ndarray:
-    """Autocovariance of the standardised residuals, shape (2 lags + 1, 2 lags + 1), Bartlett-tapered.
+    """Autocovariance of the standardised residuals, shape (2 lags + 1, 2 lags + 1).
 
-    `pairs`: observation and sqrt(weight) * residual of its interior pixels, variance 1 for white speckle and a true
-    model. Pooled over observations; lags that do not stand out of their sampling error by three are zero.
+    `pairs`: observation and residual of its interior pixels, divided by the speckle's own standard deviation.
+    Pooled over observations. The taper is flat to half the lags (Politis and Romano, 1995): one that falls from the
+    first lag on makes intervals too short by a quarter where speckle is correlated over two pixels. Lags that do not
+    stand out of their sampling error by three are zero, negative ones too: correlation only ever widens an interval.
     """
     size = 2 * lags + 1
     total, count = np.zeros((size, size)), np.zeros((size, size))
@@ -77,15 +81,15 @@ def residual_autocovariance(pairs: Sequence[tuple[Observation, np.ndarray]], lag
                 count[i, j] += both.sum()
     covariance = total / np.maximum(count, 1.0)
     variance = covariance[lags, lags]
-    noise = np.abs(covariance) < 3.0 * variance / np.sqrt(np.maximum(count, 1.0))
+    noise = covariance < 3.0 * variance / np.sqrt(np.maximum(count, 1.0))
     noise[lags, lags] = False
-    taper = 1.0 - np.abs(np.arange(-lags, lags + 1)) / (lags + 1.0)
+    taper = np.minimum(1.0, 2.0 - 2.0 * np.abs(np.arange(-lags, lags + 1)) / (lags + 1.0))
     return np.where(noise, 0.0, covariance) * np.outer(taper, taper)
 
 
 def score_products(scaled: np.ndarray, autocovariance: np.ndarray, seen: Observation) -> np.ndarray:
     """Variance of sum(scaled * standardised residual), shape (p, p), for residuals of the given autocovariance;
-    `scaled` = sqrt(weight) * jacobian, shape (pixels, p)."""
+    `scaled` shape (pixels, p): what a residual of one standard deviation adds to the score."""
     from scipy.ndimage import convolve
 
     if np.count_nonzero(autocovariance) == 1:
@@ -114,16 +118,16 @@ def identify(problem: FitProblem, x: np.ndarray) -> Identified:
     """Fisher information and intervals of a handful of parameters at the solution x."""
     modelled = problem.modelled(x)
     curvatures, jacobians = problem.curvatures(modelled), problem.jacobian(x)
-    roots = [np.sqrt(c.weight) for c in curvatures]
+    spreads = [residual_sd(problem.loss, seen.looks) for seen in problem.observations]
     autocovariance = residual_autocovariance(
-        [(s, r * c.residual) for s, r, c in zip(problem.observations, roots, curvatures, strict=True)]
+        [(s, c.residual / spread) for s, c, spread in zip(problem.observations, curvatures, spreads, strict=True)]
     )
     information = np.zeros((x.size, x.size))
     products = np.zeros_like(information)
-    for seen, j, root in zip(problem.observations, jacobians, roots, strict=True):
-        scaled = root[:, None] * j
-        information += scaled.T @ scaled
-        products += score_products(scaled, autocovariance, seen)
+    for seen, j, c, spread in zip(problem.observations, jacobians, curvatures, spreads, strict=True):
+        weighted = c.weight[:, None] * j
+        information += j.T @ weighted
+        products += score_products(spread * weighted, autocovariance, seen)
     return of_information(problem.labels, information, products)
 
 
@@ -135,18 +139,38 @@ def of_information(labels: list[str], information: np.ndarray, products: np.ndar
     seen = unit_values > RANK_TOLERANCE * unit_values.max()
     inverse = (unit_vectors[:, seen] / unit_values[seen]) @ unit_vectors[:, seen].T / np.outer(scale, scale)
     covariance = inverse @ products @ inverse
-    blind = np.abs(unit_vectors[:, ~seen]).max(axis=1, initial=0.0) > 1e-3
-    covariance[blind, blind] = np.inf
-    found = Identified(labels, information, covariance, values, vectors)
-    found.words = describe(labels, inverse @ products @ inverse, blind)
-    return found
+    unseen = unit_vectors[:, ~seen].T / scale
+    unseen /= np.linalg.norm(unseen, axis=1, keepdims=True)
+    reported = covariance.copy()
+    np.fill_diagonal(reported, [_sd(row, covariance, unseen) ** 2 for row in np.eye(len(labels))])
+    return Identified(labels, information, reported, values, vectors, describe(labels, covariance, unseen))
 
 
-def describe(labels: Sequence[str], covariance: np.ndarray, blind: np.ndarray) -> list[str]:
+def _sd(combination: np.ndarray, covariance: np.ndarray, unseen: np.ndarray) -> float:
+    """Standard deviation of a sum of elements of x; infinite where it has a part in an unseen direction."""
+    if np.linalg.norm(unseen @ combination) > 1e-3 * np.linalg.norm(combination):
+        return float("inf")
+    return float(np.sqrt(max(combination @ covariance @ combination, 0.0)))
+
+
+def _best_known(members: list[int], covariance: np.ndarray, unseen: np.ndarray) -> np.ndarray:
+    """The sum of `members` of x that is known best, as exponents of the parameters; the largest is 1."""
+    span = np.eye(len(covariance))[:, members]
+    if len(unseen):
+        _, singular, across = np.linalg.svd(unseen[:, members])
+        span = span @ across[np.count_nonzero(singular > 1e-3) :].T
+    if not span.shape[1]:
+        return np.zeros(len(covariance))
+    direction = span @ np.linalg.eigh(span.T @ covariance @ span)[1][:, 0]
+    return direction / direction[np.argmax(np.abs(direction))]
+
+
+def describe(labels: Sequence[str], covariance: np.ndarray, unseen: np.ndarray) -> list[str]:
     """One sentence per material: what is determined, alone or in combination, and to how much.
 
-    `covariance` holds on what is seen; `blind` marks parameters with a part in unseen directions.
+    `covariance` holds on what is seen; `unseen`, shape (n, p), are unit vectors along which the data say nothing.
     """
+    unit = np.eye(len(labels))
     groups: dict[str, list[int]] = {}
     for index, label in enumerate(labels):
         groups.setdefault(label.rsplit(".", 1)[0], []).append(index)
@@ -154,17 +178,22 @@ def describe(labels: Sequence[str], covariance: np.ndarray, blind: np.ndarray) -
     sentences = []
     for name, members in groups.items():
         short = {i: symbols.get(labels[i].rsplit(".", 1)[1], labels[i].rsplit(".", 1)[1]) for i in members}
-        sd = {i: np.inf if blind[i] else float(np.sqrt(covariance[i, i])) for i in members}
+        sd = {i: _sd(unit[i], covariance, unseen) for i in members}
         good = [i for i in members if sd[i] < UNDETERMINED_SD]
         bad = [i for i in members if i not in good]
         combinations = []
         for i, j in itertools.combinations(members, 2):
             for sign, mark in ((1.0, "*"), (-1.0, "/")):
-                a = np.zeros(len(labels))
-                a[i], a[j] = 1.0, sign
-                combined = float(np.sqrt(max(a @ covariance @ a, 0.0)))
+                combined = _sd(unit[i] + sign * unit[j], covariance, unseen)
                 if combined < UNDETERMINED_SD and BETTER * combined < min(sd[i], sd[j]) and (i in bad or j in bad):
                     combinations.append((combined, f"{_of(short[i])}{mark}{_of(short[j])}"))
+        if len(bad) > 1 and not combinations:
+            powers = _best_known(bad, covariance, unseen)
+            combined = _sd(powers, covariance, unseen)
+            shown = {i: f"{powers[i]:.2f}" for i in bad if abs(powers[i]) >= 0.005}
+            if len(shown) > 1 and combined < UNDETERMINED_SD:
+                factors = [_of(short[i]) + ("" if power == "1.00" else f"^{power}") for i, power in shown.items()]
+                combinations.append((combined, "*".join(factors)))
         known = [f"{_of(short[i])} to {_percent(sd[i])}" for i in good]
         combined_known = [f"{text} to {_percent(value)}" for value, text in sorted(combinations)]
         if not bad:

@@ -27,7 +27,7 @@ from warpsar.render import Stage
 from warpsar.results import learned_scene
 from warpsar.sampling import Density, choose_density
 from warpsar.simulation import Rays
-from warpsar.surface import KEYS
+from warpsar.surface import KEYS, Surface
 from warpsar.validity import outside_domains
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ class LearnOptions:
         if self.optimiser not in ("auto", "lm", "adam"):
             raise InputError(f"--optimiser: found {self.optimiser!r}; allowed are auto, lm, adam")
         for key, weight in self.total_variation.items():
-            if key not in KEYS or not weight >= 0:
+            if key not in KEYS or not 0 <= weight < float("inf"):
                 raise InputError(f"--tv: found {key}={weight}; allowed is one of {', '.join(KEYS)} and a number >= 0")
 
 
@@ -101,12 +101,13 @@ def learn(
     cannot be learned from, and WarpsarError where the gradient check fails.
     """
     options = options or LearnOptions()
-    _refuse_dead_starts(scene)
+    _refuse_starts(scene)
     where = runtime.resolve_device(device)
     folder = None if folder is None else Path(folder)
     problem, density = prepare(scene, where, options)
     if not problem.x0.size:
         raise InputError(f"{scene.path}: materials: nothing to learn: every `learn` is empty and no effect is declared")
+    _refuse_options(problem, options)
     check = check_gradient(problem, problem.x0)
     runtime.say(
         f"gradient check: adjoint against central differences agree to {check.worst:.1e} "
@@ -120,10 +121,12 @@ def learn(
     tests = _test_problem(scene, where, options, problem, density)
     tag = _tag(scene, options)
     stored = checkpoint.read(folder, tag) if folder is not None and resume else None
+    if resume and stored is None:
+        runtime.say("--resume: there is no checkpoint; the run starts afresh")
     state, history, stopped = _iterate(problem, tests, options, folder, tag, stored)
     x = state.best_x
     train = pooled_metrics(problem, x)
-    final = learned_scene(problem, x, folder) if folder is not None else _in_memory(problem, x)
+    final = learned_scene(problem, x, folder)
     return Learned(
         scene=final,
         x=x,
@@ -136,7 +139,7 @@ def learn(
         identified=identify(problem, x) if problem.uniform else None,
         domains=outside_domains(problem, x),
         train=train,
-        test=None if tests is None else pooled_metrics(tests, x),
+        test=None if tests is None else pooled_metrics(tests, tests.follow(problem, x)),
         problem=problem,
     )
 
@@ -192,31 +195,43 @@ def pooled_metrics(problem: FitProblem, x: np.ndarray) -> dict[str, float]:
     return {key: float(np.average([f[key] for f in found], weights=counts)) for key in found[0]}
 
 
-def _refuse_dead_starts(scene: Scene) -> None:
-    """eps_r = 1 and tau = 0 or 1: every derivative is exactly zero there, so no gradient can leave."""
-    for name, material in scene.materials.items():
-        if "eps_r" in material.learn:
-            value = material.eps_r
-            values = scene.field(name, "eps_r") if isinstance(value, str) else np.ravel(value)[:1]
-            if np.min(values) <= 1.0 + 1e-6:
-                raise InputError(
-                    f"{scene.path}: materials.{name}.eps_r: found a start at 1; sigma0 and all its derivatives are 0 "
-                    f"there (a dead point), so it cannot be learned from; allowed is more than 1, such as 1.5"
-                )
-        if "specular_fraction" in material.learn:
-            value = material.specular_fraction
-            values = scene.field(name, "specular_fraction") if isinstance(value, str) else np.ravel(value)
-            if np.min(values) <= 0.0 or np.max(values) >= 1.0:
-                raise InputError(
-                    f"{scene.path}: materials.{name}.specular_fraction: found a start at 0 or 1, where its logit is "
-                    f"infinite; to be learned it must start between them"
-                )
+def _refuse_starts(scene: Scene) -> None:
+    """Starts that a fit cannot leave or may not keep: outside the bounds, where eps_r = 1 and tau = 0 or 1 lie, whose
+    derivatives are exactly 0."""
+    surface = Surface.of(scene)
+    for block in surface.blocks:
+        kind = block.kind
+        values = kind.from_coordinate(surface.nodes[block.start : block.stop])
+        bad = values[~((values >= kind.low * (1 - 1e-6)) & (values <= kind.high * (1 + 1e-6)))]
+        if not block.learn or not bad.size:
+            continue
+        why = {
+            "eps_r": "; at 1, sigma0 and all its derivatives are 0 (a dead point), and near it they are too small",
+            "specular_fraction": "; at 0 and 1 its logit is infinite, and every derivative to it 0",
+        }.get(kind.key, "")
+        raise InputError(
+            f"{scene.path}: materials.{block.material}.{kind.key}: found a start at {bad[0]:g}; to be learned it must "
+            f"be from {kind.low:g} to {kind.high:g}{why}"
+        )
+
+
+def _refuse_options(problem: FitProblem, options: LearnOptions) -> None:
+    """Options that would do nothing, or nothing sensible, to what is learned here."""
+    if options.optimiser == "lm" and not problem.uniform:
+        raise InputError("--optimiser: found lm, and a field to learn; allowed for fields is adam")
+    fields = {block.kind.key for block in problem.surface.blocks if block.learn and block.size > 1}
+    for key, weight in options.total_variation.items():
+        if weight > 0 and key not in fields:
+            known = ", ".join(sorted(fields)) or "none: no field is learned"
+            raise InputError(f"--tv: found {key}, of which no field (texture or vertex) is learned; allowed: {known}")
 
 
 def _tag(scene: Scene, options: LearnOptions) -> str:
     """What a checkpoint belongs to: input and options, but for those that only say when to stop."""
     chosen = {k: v for k, v in asdict(options).items() if k not in ("iterations", "max_time_s", "checkpoint_every")}
-    return hashlib.sha256((scene.input_hash + json.dumps(chosen, sort_keys=True)).encode()).hexdigest()
+    # a scene made in memory has no text for the hash to hold
+    made = "" if scene.source else repr((scene.radar, scene.grid, scene.sampling, scene.materials, scene.effects))
+    return hashlib.sha256((scene.input_hash + made + json.dumps(chosen, sort_keys=True)).encode()).hexdigest()
 
 
 def _steps(problem: FitProblem, options: LearnOptions, state: FitState | None) -> Iterator[FitState]:
@@ -274,40 +289,38 @@ def _iterate(
             }
             checkpoint.write(folder, {**now.arrays(), **extra}, tag)
 
-    for now in _steps(problem, options, state):
-        state = now
-        row = {"iteration": state.iteration, "start": state.start, "loss": state.loss}
-        row |= {f"train_{k}": v for k, v in pooled_metrics(problem, state.x).items()}
-        if tests is not None:
-            row |= {f"test_{k}": v for k, v in pooled_metrics(tests, state.x).items()}
-        history.append(row)
-        bar.update(state.iteration - bar.n)
-        bar.set_postfix_str(f"loss {state.loss:.6g}", refresh=False)
-        if interrupted:
-            save(state)
-            bar.close()
-            raise WarpsarError(f"stopped by a signal at iteration {state.iteration}; go on with --resume")
-        if state.iteration >= options.iterations:
+    steps = _steps(problem, options, state)
+    try:
+        while state is None or state.iteration < options.iterations:
+            now = next(steps, None)
+            if now is None:
+                break
+            state = now
+            row = {"iteration": state.iteration, "start": state.start, "loss": state.loss}
+            row |= {f"train_{k}": v for k, v in pooled_metrics(problem, state.x).items()}
+            if tests is not None:
+                followed = tests.follow(problem, state.x)
+                row |= {f"test_{k}": v for k, v in pooled_metrics(tests, followed).items()}
+            history.append(row)
+            bar.update(state.iteration - bar.n)
+            bar.set_postfix_str(f"loss {state.loss:.6g}", refresh=False)
+            if interrupted:
+                save(state)
+                raise WarpsarError(f"stopped by a signal at iteration {state.iteration}; go on with --resume")
+            if time.perf_counter() - started > options.max_time_s:
+                stopped = "time"
+                break
+            if len(history) % options.checkpoint_every == 0:
+                save(state)
+        else:
             stopped = "iterations"
-            break
-        if time.perf_counter() - started > options.max_time_s:
-            stopped = "time"
-            break
-        if len(history) % options.checkpoint_every == 0:
-            save(state)
-    bar.close()
-    if previous is not None:
-        signal.signal(signal.SIGTERM, previous)
+    finally:
+        bar.close()
+        if previous is not None:
+            signal.signal(signal.SIGTERM, previous)
     assert state is not None
     save(state)
     return state, history, stopped
-
-
-def _in_memory(problem: FitProblem, x: np.ndarray) -> Scene:
-    """The learned scene without files, for uniform materials; fields stay in the problem's surface."""
-    if problem.uniform:
-        return learned_scene(problem, x, Path("."))
-    return problem.scene
 
 
 def run(
@@ -327,6 +340,10 @@ def run(
     options = options or LearnOptions()
     scene = Scene.load(scene_path)
     out = Path(out)
+    if (out / "scene.toml").resolve() == scene.path:
+        raise InputError(
+            f"--out: found {out}, where the scene file itself lies and would be replaced; allowed is another"
+        )
     out.mkdir(parents=True, exist_ok=True)
     where = runtime.resolve_device(device)
     runtime.say_device(where)

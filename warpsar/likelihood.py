@@ -49,6 +49,13 @@ def curvature(loss: str, measured: np.ndarray, modelled: np.ndarray, looks: floa
     return Curvature(np.log(measured / modelled) - log_bias(looks), np.full(measured.shape, weight))
 
 
+def residual_sd(loss: str, looks: float) -> float:
+    """Standard deviation that speckle alone gives the residual of `curvature`."""
+    from scipy.special import polygamma
+
+    return float(np.sqrt(polygamma(1, looks) if loss == "log" else 1.0 / looks))
+
+
 def loss_weight(loss: str, looks: float, mean_square: float) -> float:
     """What a pixel's loss is multiplied by, so that each loss is about a log-likelihood.
 

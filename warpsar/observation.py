@@ -78,7 +78,7 @@ def observe(scene: Scene, view: View, polarization: str, lit: np.ndarray) -> Obs
     if not interior.any():
         raise InputError(
             f"{scene.path}: views {view.name}: no pixel of {polarization} is lit by the model, unmasked and "
-            f"positive at once; the image and the mesh do not meet"
+            f"positive at once; the image and the mesh do not meet, or sigma0 is 0 at the declared parameters"
         )
     distance = distance_transform_edt(~lit) if lit.any() else np.full(lit.shape, np.inf)
     looks, estimated = view.looks, view.looks is None

@@ -19,6 +19,7 @@ FLAT = 2e-3  # predicted gain in log-likelihood at which Levenberg-Marquardt has
 BEND_STEP = 0.1  # of a step, over which the images' second derivative along it is measured
 MOST_BEND = 0.75  # the largest correction, relative to the step, that is trusted
 PLATEAU_WINDOW, PLATEAU_GAIN = 50, 1e-5  # Adam: relative gain of the best loss over so many iterations
+SETTLING = 30.0  # Adam's step shrinks after so many iterations: a constant one rattles in total variation's kinks
 SPREAD = 0.7  # standard deviation of the starts after the first, in log coordinates
 
 
@@ -68,12 +69,13 @@ def _better(state: FitState, x: np.ndarray, loss: float) -> FitState:
     return replace(state, x=x, loss=loss)
 
 
-def levenberg_marquardt(problem: FitProblem, state: FitState) -> FitState:
+def levenberg_marquardt(problem: FitProblem, state: FitState, moving: np.ndarray | None = None) -> FitState:
     """One step of Levenberg-Marquardt with geodesic acceleration (Transtrum and Sethna, arXiv:1201.5885).
 
     Gradient from the tape, curvature from central differences of the images (Fisher scoring for the gamma
     likelihood). The valleys are narrow and bent (eps_r against h against l), so a step is corrected by the images'
-    second derivative along it. Elements at a bound that the gradient pushes outward stay there.
+    second derivative along it. Elements at a bound that the gradient pushes outward stay there, and so do those that
+    `moving`, shape (p,), leaves out.
     """
     x = state.x
     _, gradient = problem.gradient(x)
@@ -84,9 +86,11 @@ def levenberg_marquardt(problem: FitProblem, state: FitState) -> FitState:
     hessian = sum(j.T @ w for j, w in zip(jacobians, weighted, strict=True))
     low, high = problem.bounds
     free = ~((x <= low) & (gradient > 0) | (x >= high) & (gradient < 0))
+    if moving is not None:
+        free &= moving
     scale = np.diag(hessian) + 1e-12 * max(float(np.trace(hessian)), 1e-300)
     flat = [np.log(mu) for mu in modelled]
-    damping, new_x, new_loss, predicted = state.damping, x, loss, np.inf
+    damping, growth, new_x, new_loss, predicted = state.damping, 4.0, x, loss, np.inf
     for _ in range(12):
         damped = (hessian + np.diag(damping * scale))[np.ix_(free, free)]
         step = np.zeros_like(x)
@@ -109,7 +113,8 @@ def levenberg_marquardt(problem: FitProblem, state: FitState) -> FitState:
             if value <= loss:
                 new_x, new_loss, damping = trial, value, max(damping / 10.0, 1e-12)
                 break
-        damping *= 4.0
+        damping *= growth
+        growth *= 2.0  # far from the minimum the damping may have to rise by many decades
     state = _better(state, new_x, new_loss)
     return replace(
         state,
@@ -120,6 +125,11 @@ def levenberg_marquardt(problem: FitProblem, state: FitState) -> FitState:
     )
 
 
+def eased(rate: float, iteration: int) -> float:
+    """Adam's step at an iteration: `rate` at first, then falling as 1 / sqrt(iteration)."""
+    return float(rate / np.sqrt(1.0 + iteration / SETTLING))
+
+
 class Adam:
     """warp.optim.Adam on the whole of x, with bounds; on CUDA the image, loss and gradient are one captured graph."""
 
@@ -127,7 +137,7 @@ class Adam:
         import warp as wp
         from warp.optim import Adam as WarpAdam
 
-        self.problem = problem
+        self.problem, self.rate = problem, rate
         self.x = wp.array(state.x.astype(np.float32), dtype=float, device=problem.device)
         self.gradient = wp.zeros_like(self.x)
         self.optimiser = WarpAdam([self.x], lr=rate)
@@ -142,6 +152,7 @@ class Adam:
         x = self.x.numpy().astype(float)
         loss, gradient = problem.gradient(x)
         self.gradient.assign(gradient.astype(np.float32))
+        self.optimiser.lr = eased(self.rate, state.since_start)
         self.optimiser.step([self.gradient])
         low, high = problem.bounds
         moved = np.clip(self.x.numpy(), low.astype(np.float32), high.astype(np.float32))
@@ -171,7 +182,7 @@ class GraphAdam:
         import warp as wp
         from warp.optim import Adam as WarpAdam
 
-        self.problem = problem
+        self.problem, self.rate = problem, rate
         device = problem.device
         self.nodes = problem.shared_nodes
         self.nodes.assign(problem.nodes(state.x).astype(np.float32))
@@ -217,6 +228,7 @@ class GraphAdam:
             if turn == self.STRIDE - 1:
                 loss = self.problem.loss_on_device()
                 x = self.nodes.numpy()[self.problem.learned].astype(float)
+            self.optimiser.lr = eased(self.rate, state.since_start + turn)
             self.optimiser.step([self.gradient])
             wp.launch(
                 kernels.clamp_kernel,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from copy import copy
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -205,6 +206,22 @@ class ViewRender:
         for name, values in (effects or {}).items():
             if values.size:
                 self.effect_values[name].assign(np.asarray(values, np.float32))
+
+    def image_with(self, effect: DeclaredEffect, image: np.ndarray) -> np.ndarray:
+        """What one effect of the image stage makes of a finished image, shape (rows, cols), float32.
+
+        No ray is shaded for it: a score test asks for hundreds of offsets and lines.
+        """
+        import warp as wp
+
+        alone = copy(self)
+        alone.program = Program(self.program.device)
+        alone.settings, alone.kept, alone.layers = {effect.effect.name: effect.settings}, {}, {}
+        p = wp.array(effect.values.astype(np.float32), dtype=float, device=self.program.device)
+        given = wp.array(image.astype(np.float32).ravel(), dtype=float, device=self.program.device)
+        result = effect.effect.image(alone, p, given)
+        alone.program.forward()
+        return result.numpy().reshape(self.shape).copy()
 
     def forward(self) -> dict[str, np.ndarray]:
         """beta0 by polarization, shape (rows, cols), float32."""

@@ -59,10 +59,15 @@ def ordered(tasks: Iterable[Callable[[], T]], device: Any) -> Iterator[T]:
     Each task must own every array it writes: two CPU launches that add into one array lose sums.
     """
     if device.is_cpu and thread_count() > 1:
-        with ThreadPoolExecutor(thread_count()) as pool:
-            yield from pool.map(lambda task: task(), tasks)
+        yield from in_threads(tasks)
     else:
         yield from (task() for task in tasks)
+
+
+def in_threads(tasks: Iterable[Callable[[], T]]) -> Iterator[T]:
+    """Results of independent NumPy tasks, in their order, on all cores whatever the device."""
+    with ThreadPoolExecutor(thread_count()) as pool:
+        yield from pool.map(lambda task: task(), tasks)
 
 
 def progress(total: int, what: str, unit: str = "it") -> Any:

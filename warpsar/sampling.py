@@ -21,8 +21,9 @@ FEWEST, MOST = 64.0, 4096.0  # rays per pixel
 
 @dataclass(frozen=True)
 class Density:
-    """`rays_per_m2` over the plane across the look direction, and the largest looks x relative sampling variance of a
-    lit pixel that two seeds show, averaged over each view's lit interior; nan where the scene stated the density."""
+    """`rays_per_m2` over the plane across the look direction. `noise` is what two seeds show: the largest over the
+    views of looks x mean relative sampling variance of a lit pixel, or the sum over all lit pixels of looks x
+    relative variance (`total`); nan where the scene stated the density."""
 
     rays_per_m2: float
     rays_per_pixel: float
@@ -30,8 +31,11 @@ class Density:
     chosen: bool
 
 
-def relative_variance(scene: Scene, stage: Stage, view: View, rays_per_m2: float, seeds: tuple[int, int]) -> float:
-    """Mean relative variance of beta0 over the lit interior of one view, from two independent sets of rays."""
+def relative_variance(
+    scene: Scene, stage: Stage, view: View, rays_per_m2: float, seeds: tuple[int, int]
+) -> tuple[float, int]:
+    """Mean relative variance of beta0 over the lit interior of one view, from two independent sets of rays, and the
+    number of pixels in it."""
     from scipy.ndimage import minimum_filter
 
     effects = declared(scene, view)
@@ -43,23 +47,27 @@ def relative_variance(scene: Scene, stage: Stage, view: View, rays_per_m2: float
     mean = (pair[0] + pair[1]) / 2.0
     interior = minimum_filter((mean > 0).astype(np.uint8), size=3, mode="constant") > 0
     if not interior.any():
-        return 0.0
-    return float(np.mean((pair[0] - pair[1])[interior] ** 2 / 2.0 / mean[interior] ** 2))
+        return 0.0, 0
+    return float(np.mean((pair[0] - pair[1])[interior] ** 2 / 2.0 / mean[interior] ** 2)), int(interior.sum())
 
 
-def choose_density(scene: Scene, stage: Stage, views: Sequence[View], looks: Sequence[float], limit: float) -> Density:
-    """The scene's stated density, or the smallest power of two of rays per pixel that keeps looks x relative variance
-    under `limit` in every view."""
+def choose_density(
+    scene: Scene, stage: Stage, views: Sequence[View], looks: Sequence[float], limit: float, *, total: bool = False
+) -> Density:
+    """The scene's stated density, or the smallest power of two of rays per pixel that keeps the noise under `limit`:
+    of the noisiest view's lit pixel, or of all pixels together (`total`)."""
     area = scene.grid.pixel_area_m2
     stated = scene.sampling.density_per_m2(scene.grid)
-    if scene.sampling.stated:
+    if scene.sampling.stated and not total:
         return Density(stated, stated * area, float("nan"), False)
-    per_pixel = FEWEST
+    per_pixel = max(FEWEST, stated * area) if scene.sampling.stated else FEWEST
     while True:
-        noise = max(
-            look * relative_variance(scene, stage, view, per_pixel / area, (view_seed(101, i), view_seed(202, i)))
+        found = [
+            (look, *relative_variance(scene, stage, view, per_pixel / area, (view_seed(101, i), view_seed(202, i))))
             for i, (view, look) in enumerate(zip(views, looks, strict=True))
-        )
+        ]
+        pixels = [look * variance * count for look, variance, count in found]
+        noise = sum(pixels) if total else max(look * variance for look, variance, _ in found)
         if noise < limit or per_pixel >= MOST:
-            return Density(per_pixel / area, per_pixel, noise, True)
+            return Density(per_pixel / area, per_pixel, noise, not scene.sampling.stated)
         per_pixel *= 2.0

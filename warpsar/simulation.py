@@ -17,7 +17,7 @@ from warpsar.outputs import write_json
 from warpsar.trace import DEFAULT_MEMORY_GIB, BinGrid, Hits, ray_count, trace
 
 if TYPE_CHECKING:
-    from warpsar.render import DeclaredEffect, Stage
+    from warpsar.render import DeclaredEffect, Stage, ViewRender
     from warpsar.scene import Scene, View
 
 
@@ -27,7 +27,8 @@ class SimulatedView:
 
     `beta0[pol]`: linear power, dimensionless, shape (rows, cols), float32, rows along slant range. `range_m` and
     `azimuth_m`: pixel centres about the reference point [m]. `sampling_variance[pol]`: variance of beta0 that the
-    jitter of the rays leaves (two seeds). `layers`: see `warpsar.layers.layers`.
+    jitter of the rays leaves (two seeds). `layers`: see `warpsar.layers.layers`,
+    and by name the shares of beta0 that effects tell apart (`beta0_2_bounces_HH`), before the image stage.
     """
 
     name: str
@@ -143,7 +144,7 @@ def simulate(
     found = []
     for index, view in enumerate(scene.views):
 
-        def images(with_seed: int, view: View = view) -> tuple[Hits, dict[str, np.ndarray]]:
+        def images(with_seed: int, view: View = view) -> tuple[Hits, dict[str, np.ndarray], dict[str, np.ndarray]]:
             hits = trace_view(
                 scene,
                 stage,
@@ -154,29 +155,39 @@ def simulate(
                 max_memory_gib=max_memory_gib,
                 progress=bar,
             )
-            return hits, render_view(scene, stage, view, hits)
+            render = view_render(scene, stage, view, hits)
+            beta0 = render.forward()
+            return hits, beta0, {name: a.numpy().reshape(render.shape) for name, a in render.layers.items()}
 
-        hits, beta0 = images(view_seed(seed, index))
+        hits, beta0, shares = images(view_seed(seed, index))
         one = SimulatedView(view.name, beta0, axes[0], axes[1], hits.rays, hits.count)
         if variance:
             # half the squared difference of two independent images is each one's variance
-            _, other = images(view_seed(seed + 1, index + len(scene.views)))
+            _, other, _ = images(view_seed(seed + 1, index + len(scene.views)))
             one.sampling_variance = {p: ((beta0[p] - other[p]) ** 2 / 2).astype(np.float32) for p in beta0}
         if layers:
             from warpsar.layers import layers as layers_of
 
-            one.layers = layers_of(stage.target, scene.mesh, hits, density)
+            if hits.grid != grid:  # binned for an effect
+                hits = trace_view(
+                    scene, stage, view, seed=view_seed(seed, index), effects=[], max_memory_gib=max_memory_gib
+                )
+            one.layers = layers_of(stage.target, scene.mesh, hits, density) | shares
         found.append(one)
     bar.close()
     return found
 
 
-def render_view(scene: Scene, stage: Stage, view: View, hits: Hits) -> dict[str, np.ndarray]:
-    """beta0 by polarization of one traced view, with the scene's declared effects."""
+def view_render(scene: Scene, stage: Stage, view: View, hits: Hits) -> ViewRender:
+    """One traced view with the scene's declared effects, ready to run."""
     from warpsar.render import ViewRender
 
-    render = ViewRender(stage, view, hits, scene.grid.shape, scene.radar.polarizations, declared(scene, view))
-    return render.forward()
+    return ViewRender(stage, view, hits, scene.grid.shape, scene.radar.polarizations, declared(scene, view))
+
+
+def render_view(scene: Scene, stage: Stage, view: View, hits: Hits) -> dict[str, np.ndarray]:
+    """beta0 by polarization of one traced view, with the scene's declared effects."""
+    return view_render(scene, stage, view, hits).forward()
 
 
 def run(

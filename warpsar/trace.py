@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -20,7 +20,8 @@ if TYPE_CHECKING:
     from warpsar.mesh import Mesh
 
 DEFAULT_MEMORY_GIB = 2.0
-_RECORD_BYTES = 64  # key, weight, moment, and the sort's second copy of key and order
+_RECORDS_PER_RAY = 2
+_RECORD_BYTES = 52  # key, weight, moment; the sort's keys, order, starts
 _SEGMENT = 64  # cells of one thread on CUDA, where the columns alone are too few threads
 
 
@@ -92,6 +93,7 @@ class Hits:
     rays_per_m2: float
     seed: int
     rays: int
+    kept: dict[Any, Any] = field(default_factory=dict)  # what effects traced besides, for models that share the hits
 
     @property
     def count(self) -> int:
@@ -137,7 +139,8 @@ def trace(
     codes = {"nearest": kernels.NEAREST, "linear": kernels.LINEAR, "footprint": kernels.FOOTPRINT}
     segment = rays.elevation_cells if device.is_cpu else _SEGMENT
     workers = runtime.thread_count() if device.is_cpu else 1
-    room = max_memory_gib * 2**30 / workers / (_RECORD_BYTES * max(rays.elevation_cells, 1))
+    most = min(max_memory_gib * 2**30 / workers / _RECORD_BYTES, 2**30)  # records, numbered in 31 bits
+    room = most / (_RECORDS_PER_RAY * max(rays.elevation_cells, 1))
     # whole columns of pixels, so that no two bands share one; at least 8 bands for the threads to share
     columns = -(-(last - first) // rays.cells_per_column)
     per_band = max(1, min(int(room) // rays.cells_per_column, -(-columns // 8) if device.is_cpu else columns))
@@ -146,8 +149,9 @@ def trace(
     def band(begin: int) -> tuple[Any, ...] | None:
         end = min(begin + width, last)
         dim = (end - begin, -(-rays.elevation_cells // segment))
-        # a run of rays shares its record, so far fewer than one record a ray; where not, the count says so
-        capacity = max(4096, (end - begin) * rays.elevation_cells // (4 if merge else 1))
+        # Rays in a run share a record, and one may leave a few; where that is not enough the count says so, and all
+        # is traced again.
+        capacity = max(4096, (end - begin) * rays.elevation_cells * _RECORDS_PER_RAY)
         while True:
             records = kernels.Records()
             records.key = wp.empty(capacity, dtype=wp.int64, device=device)

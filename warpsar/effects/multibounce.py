@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from warpsar import runtime
 from warpsar.effects.base import Context, Effect, Parameter, Step, Trial, one_of
@@ -74,7 +77,11 @@ class Multibounce(Effect):
             return image
         program, stage = render.program, render.stage
         if self.name not in render.kept:
-            found = trace_paths(render, render.settings[self.name]["max_bounces"])
+            bounces = render.settings[self.name]["max_bounces"]
+            key = (self.name, bounces)
+            if key not in render.hits.kept:
+                render.hits.kept[key] = trace_paths(render, bounces)
+            found = render.hits.kept[key]
             zetas = [
                 [render.coordinates(b.face, b.barycentric, b.point) for b in paths.bounces] if paths else []
                 for paths in found
@@ -90,7 +97,16 @@ class Multibounce(Effect):
             program.launch(
                 kernels.return_kernel,
                 n,
-                [p, polarization, last.face, stage.face_material, stage.eps_im, paths.cos_half, paths.cos_tilt, zeta[-1]],
+                [
+                    p,
+                    polarization,
+                    last.face,
+                    stage.face_material,
+                    stage.eps_im,
+                    paths.cos_half,
+                    paths.cos_tilt,
+                    zeta[-1],
+                ],
                 [power],
             )
             for bounce, z in zip(paths.bounces[:-1], zeta[:-1], strict=True):
@@ -132,6 +148,7 @@ def trace_paths(render: ViewRender, max_bounces: int) -> list[Paths | None]:
     area = render.spacing_m[0] * render.spacing_m[1]
     rays = ray_grid(target, hits.geometry, wide, hits.rays_per_m2, 1, area)
     first, last = cells_on_the_mesh(target, hits.geometry, rays)
+    size = float(np.linalg.norm(np.ptp(target.corners, axis=0)))
     segment = rays.elevation_cells if device.is_cpu else _SEGMENT
     workers = runtime.thread_count() if device.is_cpu else 1
     room = int(DEFAULT_MEMORY_GIB * 2**30 / workers / (_RECORD_BYTES * rays.elevation_cells * (max_bounces - 1)))
@@ -155,6 +172,7 @@ def trace_paths(render: ViewRender, max_bounces: int) -> list[Paths | None]:
                     segment,
                     hits.seed,
                     max_bounces,
+                    size,
                     grid.start_m[1],
                     grid.spacing_m[1],
                     grid.shape[1],
@@ -202,7 +220,6 @@ def _records(capacity: int, device: Any) -> Any:
 
 def _merge(records: Any, count: int, max_bounces: int, device: Any) -> list[Any]:
     """Records of one bin and the same faces become one path; a list of arrays (or None) for 2, 3, ... bounces."""
-    import numpy as np
     import warp as wp
 
     from warpsar.kernels import effects_multibounce as kernels
@@ -228,13 +245,13 @@ def _merge(records: Any, count: int, max_bounces: int, device: Any) -> list[Any]
     first = wp.empty(paths, dtype=int, device=device)
     wp.launch(merging.place_starts_kernel, count, inputs=[start, rank], outputs=[first], device=device)
     merged = _records(paths, device)
-    wp.launch(kernels.reduce_paths_kernel, paths, inputs=[records, order, first, count], outputs=[merged], device=device)
+    wp.launch(
+        kernels.reduce_paths_kernel, paths, inputs=[records, order, first, count], outputs=[merged], device=device
+    )
     # the sort has put them in the order of their bounces
     ends = np.searchsorted(merged.bounces.numpy(), np.arange(2, max_bounces + 2))
     arrays = (merged.bin, merged.faces, merged.second, merged.third, merged.weight, merged.point)
-    return [
-        [array[int(a) : int(b)] for array in arrays] if b > a else None for a, b in zip(ends[:-1], ends[1:], strict=True)
-    ]
+    return [[array[int(a) : int(b)] for array in arrays] if b > a else None for a, b in pairwise(ends)]
 
 
 def _paths(arrays: list[Any], bounces: int, rays: Any, target: Any) -> Paths:

@@ -49,13 +49,14 @@ class PointSpread(Effect):
         for index, (count, stride, spacing) in enumerate(
             ((rows, cols, render.spacing_m[0]), (cols, 1, render.spacing_m[1]))
         ):
-            weight, total = program.array(count + 1), program.array(1, sum_into=True)
+            weight, total, share = program.array(count + 1), program.array(1, sum_into=True), program.array(count + 1)
             result = program.array(image.shape[0])
             program.launch(kernels.sample_kernel, count + 1, [window, spacing, index, p], [weight, total])
+            program.launch(kernels.normalise_kernel, count + 1, [weight, total], [share])
             program.launch(
                 kernels.blur_kernel,
                 image.shape[0],
-                [window, spacing, index, p, weight, total, image, count, stride],
+                [window, spacing, index, p, share, image, count, stride],
                 [result],
             )
             image = result

@@ -41,7 +41,7 @@ class Registration(Effect):
 
         def trial(label: str, *names: str) -> Trial:
             steps = tuple(Step(name, size, {name: size}, {name: -size}) for name in names)
-            return Trial(steps, ({name: 0.0 for name in names},), label)
+            return Trial(steps, (dict.fromkeys(names, 0.0),), label)
 
         return [trial("all views alike", "range_m", "azimuth_m"), trial("world", "east_m", "north_m", "up_m")]
 

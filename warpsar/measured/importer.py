@@ -252,9 +252,10 @@ def _declare(path: Path, view: View, exists: bool, pol: str, image: str, looks: 
     document: Any = tomlkit.parse(path.read_text(encoding="utf-8-sig"))
     if not exists:
         if "views" not in document:
-            document.add(tomlkit.nl())
             document.append("views", tomlkit.aot())
-        document["views"].append(tomlkit.item(view.model_dump(mode="json", by_alias=True, exclude_unset=True)))
+        made = tomlkit.item(view.model_dump(mode="json", by_alias=True, exclude_unset=True))
+        made.trivia.indent = "\n"
+        document["views"].append(made)
     table = next(table for table in document["views"] if table["name"] == view.name)
     if "images" not in table:
         table["images"] = tomlkit.inline_table()

@@ -1,0 +1,145 @@
+"""How honest the intervals of `warpsar learn` are: one scene, many draws of the speckle, how often they hold the truth.
+
+    python benchmarks/coverage.py --repeats 100 --case hh_vv
+    python benchmarks/coverage.py --repeats 100 --case hh_incidences
+
+A cube on a plane, both within the domain of small perturbation. Images are drawn with other rays than the fit's, and
+four times as many. JSON on stdout.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import tempfile
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from warpsar.images import write_tiff
+from warpsar.learning import LearnOptions, learn
+from warpsar.mesh import Mesh
+from warpsar.scene import Grid, Material, Radar, Sampling, Scene, View
+from warpsar.simulation import simulate
+
+LOOKS = 16.0
+RAYS_PER_PIXEL = 64.0
+KEYS = ("eps_r", "rms_height_m", "correlation_length_m")
+TRUTH = {"ground": (6.0, 0.0008, 0.008), "cube": (10.0, 0.0010, 0.006)}
+START = {"ground": (4.5, 0.0010, 0.007), "cube": (14.0, 0.0008, 0.0075)}
+# Polarizations, then (azimuth, incidence) [deg] of the views.
+CASES = {
+    "hh_vv": (("HH", "VV"), ((20.0, 35.0), (140.0, 50.0))),
+    "hh_incidences": (("HH",), ((10.0, 25.0), (80.0, 35.0), (150.0, 45.0), (220.0, 55.0), (290.0, 65.0))),
+}
+
+
+def mesh() -> Mesh:
+    """A cube of 5 m on a plane of 24 m."""
+    import trimesh
+
+    cube = trimesh.creation.box(bounds=((-2.5, -2.5, 0.0), (2.5, 2.5, 5.0)))
+    plane = np.array([[-12.0, -12.0, 0.0], [12.0, -12.0, 0.0], [12.0, 12.0, 0.0], [-12.0, 12.0, 0.0]])
+    faces = np.concatenate([[[0, 1, 2], [0, 2, 3]], np.asarray(cube.faces) + 4])
+    material = np.repeat([0, 1], [2, len(cube.faces)])
+    vertices = np.concatenate([plane, np.asarray(cube.vertices)])
+    return Mesh(vertices, faces.astype(np.int32), material.astype(np.int32), ("ground", "cube"))
+
+
+def materials(values: dict[str, tuple[float, ...]]) -> dict[str, Material]:
+    return {name: Material(**dict(zip(KEYS, numbers, strict=True))) for name, numbers in values.items()}
+
+
+def scene_of(case: str) -> Scene:
+    polarizations, angles = CASES[case]
+    return Scene(
+        mesh=mesh(),
+        radar=Radar(frequency_hz=9.6e9, polarizations=polarizations),
+        grid=Grid(shape=(48, 48), spacing_m=(0.5, 0.5)),
+        materials=materials(TRUTH),
+        views=[View(name=f"v{i}", azimuth_deg=a, incidence_deg=b, looks=LOOKS) for i, (a, b) in enumerate(angles)],
+        sampling=Sampling(rays_per_pixel=RAYS_PER_PIXEL),
+    )
+
+
+def white(random: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
+    """Gamma speckle of mean 1, independent from pixel to pixel."""
+    return random.gamma(LOOKS, 1.0 / LOOKS, shape)
+
+
+def coverage(
+    case: str,
+    repeats: int,
+    *,
+    device: str | None = None,
+    loss: str = "gamma",
+    seed: int = 0,
+    speckle: Callable[[np.random.Generator, tuple[int, ...]], np.ndarray] = white,
+) -> dict[str, Any]:
+    """Share of 95 % intervals that hold the truth, pooled over the parameters that each fit calls identifiable."""
+    truth = scene_of(case)
+    density = Sampling(rays_per_pixel=4.0 * RAYS_PER_PIXEL, seed=1)
+    clean = [one.beta0 for one in simulate(replace(truth, sampling=density), device=device)]
+    start = replace(truth, materials=materials(START))
+    true = np.array([f(v) for v3 in TRUTH.values() for f, v in zip((lambda e: np.log(e - 1), np.log, np.log), v3)])
+    held, errors, deviations, iterations = [], [], [], []
+    with tempfile.TemporaryDirectory() as folder:
+        for repeat in range(repeats):
+            random = np.random.default_rng([seed, repeat])
+            views = []
+            for view, images in zip(start.views, clean, strict=True):
+                paths = {p: Path(folder) / f"{view.name}_{p}.tif" for p in images}
+                for polarization, image in images.items():
+                    write_tiff(paths[polarization], image * speckle(random, image.shape))
+                views.append(view.model_copy(update={"images": paths}))
+            found = learn(replace(start, views=views), device=device, options=LearnOptions(starts=1, loss=loss))
+            assert found.identified is not None
+            sd, error = found.identified.sd, found.x - true
+            usable = np.array(found.identified.summary()["identifiable"])
+            held.append(np.where(usable, np.abs(error) <= 1.96 * sd, np.nan))
+            errors.append(error)
+            deviations.append(sd)
+            iterations.append(len(found.history))
+    table = np.array(held, float)
+    return {
+        "case": case,
+        "loss": loss,
+        "repeats": repeats,
+        "looks": LOOKS,
+        "intervals": int(np.isfinite(table).sum()),
+        "held_percent": round(100.0 * float(np.nanmean(table)), 2),
+        "parameters": {
+            label: {
+                "identifiable_in": int(np.isfinite(column).sum()),
+                "held_percent": round(100.0 * float(np.nanmean(column)), 1) if np.isfinite(column).any() else None,
+                "sd_of_errors": round(float(np.std(e)), 4),
+                "median_sd_said": round(float(np.median(s)), 4),
+                "median_relative_error": round(float(np.median(np.abs(np.expm1(e)))), 4),
+            }
+            for label, column, e, s in zip(
+                found.labels, table.T, np.array(errors).T, np.array(deviations).T, strict=True
+            )
+        },
+        "median_iterations": float(np.median(iterations)),
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--repeats", type=int, default=100)
+    parser.add_argument("--case", choices=list(CASES), default="hh_vv")
+    parser.add_argument("--loss", default="gamma")
+    parser.add_argument("--device")
+    arguments = parser.parse_args()
+    json.dump(
+        coverage(arguments.case, arguments.repeats, device=arguments.device, loss=arguments.loss), sys.stdout, indent=1
+    )
+    print()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,61 @@
+"""Scenes that the benchmarks make themselves: a town of any number of faces."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from warpsar.mesh import Mesh
+from warpsar.scene import Grid, Material, Radar, Sampling, Scene, View
+
+SIZE_M = (173.6, 178.8)
+MATERIAL = {"eps_r": 5.0, "rms_height_m": 0.0004, "correlation_length_m": 0.005}
+FREQUENCY_HZ = 15.2e9
+INCIDENCE_DEG = 45.0
+HIGHEST_M = 30.0
+
+
+def town_mesh(faces: int, *, scalars: bool = False, seed: int = 0) -> Mesh:
+    """Rolling ground with 40 flat-roofed blocks as one heightfield of about `faces` triangles, centred.
+
+    A block's wall is one row of triangles from the last ground node to the first roof node, so walls lean by one
+    cell. With `scalars` every vertex has its own eps_r, rms height and correlation length.
+    """
+    n = max(2, round(np.sqrt(faces / 2)) + 1)
+    rng = np.random.default_rng(seed)
+    x, y = (np.linspace(-0.5, 0.5, n) * side for side in SIZE_M)
+    z = (0.5 * np.sin(x / 17.0))[:, None] + (0.4 * np.cos(y / 23.0))[None, :]
+    for _ in range(40):
+        (cx, cy), (half_x, half_y) = rng.uniform(-75.0, 75.0, 2), rng.uniform(4.0, 15.0, 2)
+        i, j = (slice(*np.searchsorted(axis, (c - h, c + h))) for axis, c, h in ((x, cx, half_x), (y, cy, half_y)))
+        z[i, j] = np.maximum(z[i, j], rng.uniform(3.0, HIGHEST_M))
+    vertices = np.empty((n * n, 3))
+    vertices[:, 0], vertices[:, 1], vertices[:, 2] = np.repeat(x, n), np.tile(y, n), z.ravel()
+    corner = (np.arange(n - 1)[:, None] * n + np.arange(n - 1)[None, :]).ravel().astype(np.int32)
+    triangles = np.concatenate(
+        [np.stack([corner, corner + n, corner + n + 1], 1), np.stack([corner, corner + n + 1, corner + 1], 1)]
+    )
+    fields = {}
+    if scalars:
+        for key, value in MATERIAL.items():
+            fields[key] = value * rng.uniform(0.8, 1.25, n * n)
+    return Mesh(vertices, triangles, np.zeros(len(triangles), np.int32), ("town",), vertex_scalars=fields)
+
+
+def town_scene(
+    faces: int, shape: tuple[int, int], rays_per_pixel: float, *, layout: str = "uniform", polarization: str = "HH"
+) -> Scene:
+    """The town seen from the west at 45 degrees; the pixels cover it, whatever their number."""
+    across = SIZE_M[1]
+    along = SIZE_M[0] * np.sin(np.deg2rad(INCIDENCE_DEG)) + 2 * HIGHEST_M * np.cos(np.deg2rad(INCIDENCE_DEG))
+    mesh = town_mesh(faces, scalars=layout == "vertex")
+    material = {**MATERIAL, "specular_fraction": 0.3}
+    if layout == "vertex":
+        material |= {"layout": "vertex", **{key: key for key in MATERIAL}}
+    return Scene(
+        mesh=mesh,
+        radar=Radar(frequency_hz=FREQUENCY_HZ, polarizations=(polarization,)),
+        grid=Grid(shape=shape, spacing_m=(along / shape[0], across / shape[1])),
+        materials={"town": Material(**material)},
+        views=[View(name="west", azimuth_deg=270.0, incidence_deg=INCIDENCE_DEG)],
+        sampling=Sampling(rays_per_pixel=rays_per_pixel),
+    )

@@ -1,0 +1,74 @@
+"""sigma0 averaged over the tilts of a large-scale roughness."""
+
+import warp as wp
+
+from warpsar.kernels.geometry import cos2_azimuth_of, cos_twist_of
+from warpsar.kernels.shade import sigma0_of
+
+# Added to the slope variance: 1e-4 of tilt, at which its square root still has a slope.
+LEAST_VARIANCE = wp.constant(1.0e-8)
+
+
+@wp.kernel
+def tilt_kernel(
+    # In:
+    p: wp.array(dtype=float),  # slope variance per axis
+    tilts: wp.array(dtype=wp.vec3),  # two slopes in standard deviations, and the weight
+    polarization: int,
+    variant: int,
+    wavenumber: float,
+    local_basis: int,
+    slant_range: float,
+    d: wp.vec3,
+    u: wp.vec3,
+    v: wp.vec3,
+    vertices: wp.array(dtype=wp.vec3),
+    faces: wp.array2d(dtype=int),
+    face: wp.array(dtype=int),
+    point: wp.array(dtype=wp.vec3),
+    face_material: wp.array(dtype=int),
+    spectrum: wp.array(dtype=int),
+    eps_im: wp.array(dtype=float),
+    aspect: wp.array(dtype=float),
+    zeta: wp.array(dtype=wp.vec4),
+    plain: wp.array(dtype=float),  # sigma0 without the tilts
+    sigma: wp.array(dtype=float),
+    # Out:
+    sigma_out: wp.array(dtype=float),
+):
+    """What tilting adds to sigma0: Gauss-Hermite quadrature over both slopes."""
+    i = wp.tid()
+    f = face[i]
+    material = face_material[f]
+    direction = d
+    if slant_range > 0.0:
+        direction = wp.normalize((slant_range + wp.dot(point[i], d)) * d + wp.dot(point[i], v) * v)
+    p0 = vertices[faces[f, 0]]
+    e1 = wp.normalize(vertices[faces[f, 1]] - p0)
+    normal = wp.normalize(wp.cross(e1, vertices[faces[f, 2]] - p0))
+    if wp.dot(normal, direction) > 0.0:
+        normal = -normal
+    e2 = wp.cross(normal, e1)
+    deviation = wp.sqrt(wp.max(p[0], 0.0) + LEAST_VARIANCE)
+    mean = float(0.0)
+    for q in range(tilts.shape[0]):
+        tilted = wp.normalize(normal + deviation * (tilts[q][0] * e1 + tilts[q][1] * e2))
+        cosine = -wp.dot(tilted, direction)
+        # a tilt past grazing is hidden
+        if cosine > 0.0:
+            twist = float(1.0)
+            if local_basis == 0:
+                twist = cos_twist_of(tilted, direction, u)
+            mean += tilts[q][2] * sigma0_of(
+                polarization,
+                spectrum[material],
+                variant,
+                wavenumber,
+                wp.min(cosine, 1.0),
+                twist,
+                cos2_azimuth_of(tilted, direction),
+                eps_im[material],
+                aspect[material],
+                zeta[i],
+            )
+    sigma_out[i] = sigma[i] + (mean - plain[i])

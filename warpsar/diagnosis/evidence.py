@@ -1,0 +1,55 @@
+"""What is left of the measured images once the declared model is fitted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warpsar.identify import residual_autocovariance, score_products
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from warpsar.fit import FitProblem
+    from warpsar.observation import Observation
+
+# A residual beyond this many standard deviations is what is looked for; it does not say how speckle is correlated.
+LARGEST = 8.0
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Residuals of all observations' pixels, one after the other: arrays of shape (n,).
+
+    `standardised` is sqrt(L) (I - mu) / mu, of unit variance for white speckle and a true model; `root_looks` is
+    sqrt(L) of the pixel. `autocovariance` is that of the standardised residual, from itself.
+    """
+
+    observations: Sequence[Observation]
+    modelled: Sequence[np.ndarray]
+    standardised: np.ndarray
+    root_looks: np.ndarray
+    autocovariance: np.ndarray
+
+    @classmethod
+    def of(cls, problem: FitProblem, x: np.ndarray) -> Evidence:
+        seen = problem.observations
+        modelled = problem.modelled(x)
+        modelled = [gain * mu for gain, mu in zip(problem.gains(modelled), modelled, strict=True)]
+        parts = [np.sqrt(s.looks) * (s.values / mu - 1.0) for s, mu in zip(seen, modelled, strict=True)]
+        autocovariance = residual_autocovariance(
+            [(s, np.clip(e, -LARGEST, LARGEST)) for s, e in zip(seen, parts, strict=True)]
+        )
+        roots = np.concatenate([np.full(e.size, np.sqrt(s.looks)) for s, e in zip(seen, parts, strict=True)])
+        return cls(seen, modelled, np.concatenate(parts), roots, autocovariance)
+
+    def split(self, pixels: np.ndarray) -> list[np.ndarray]:
+        """An array over all pixels, (n, ...), as one per observation."""
+        return np.split(pixels, np.cumsum([mu.size for mu in self.modelled])[:-1])
+
+    def products(self, scaled: np.ndarray) -> np.ndarray:
+        """Variance of sum(scaled * standardised), shape (k, k), for `scaled` of shape (n, k)."""
+        parts = zip(self.split(scaled), self.observations, strict=True)
+        return sum(score_products(part, self.autocovariance, seen) for part, seen in parts)

@@ -1,0 +1,305 @@
+"""The procedure of effects.md: fit, look at what is left, add the effect that explains it, and again until nothing is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpsar import runtime
+from warpsar.diagnosis.bootstrap import Bootstrap, bootstrap
+from warpsar.diagnosis.evidence import Evidence
+from warpsar.diagnosis.refit import Bench, Fitted, LeftOut, fit_model, fit_with, leave_one_view_out
+from warpsar.diagnosis.scan import Scan, Spot
+from warpsar.diagnosis.score import NOT_TESTABLE, Group, Projection, group
+from warpsar.diagnosis.templates import Template, TemplateMaker
+from warpsar.effects import NAMES, get
+from warpsar.errors import InputError
+from warpsar.render import Stage
+from warpsar.sampling import Density, choose_density
+from warpsar.simulation import Rays
+
+if TYPE_CHECKING:
+    from warpsar.observation import Observation
+    from warpsar.scene import Scene
+
+MU_NOISE = 10.0  # looks x pixels x relative sampling variance of mu: the gain in 2 ln L that denoising mu could bring
+CLASS_COSINE = 0.9  # templates closer than this are one class: the data hardly tell them apart
+DARK_PIXELS = 50  # fewer dark pixels than this say nothing
+REFIT_STARTS = 4  # of the tables an effect's best trials offer, how many are tried
+SILENT_SHARE = 0.01  # of the dark pixels that may measure exactly 0 under a floor
+
+
+@dataclass(frozen=True)
+class DiagnoseOptions:
+    """How to decide. `family_error`: chance of naming anything, or calling the rest unexplained, where nothing is
+    missing. `draws`: bootstrap size. `refits`: how many of the best scores are refitted. `starts`: further starts of
+    every fit. `most_effects`: how many may be added."""
+
+    family_error: float = 0.01
+    draws: int = 1000
+    refits: int = 4
+    starts: int = 2
+    most_effects: int = 4
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.family_error < 1.0:
+            raise InputError(f"--family-error: found {self.family_error}; allowed is between 0 and 1")
+        if self.draws * self.family_error < 4:
+            raise InputError(
+                f"--draws: found {self.draws}; a family error rate of {self.family_error} needs "
+                f"{int(np.ceil(4 / self.family_error))} draws or more"
+            )
+
+
+@dataclass
+class Candidate:
+    """What one effect scored at one step. `eta`: share of its template that the surface cannot imitate; `minus_log_p`:
+    of its largest score, calibrated by the bootstrap; `p_value`: of the family."""
+
+    effect: str
+    testability: str  # "testable", "not_testable" or "absent": the scene has no place for it
+    eta: float = float("nan")
+    statistic: float = float("nan")
+    minus_log_p: float = 0.0
+    p_value: float = 1.0
+    resembles: list[str] = field(default_factory=list)
+    refit_gain: float | None = None  # 2 ln L over the model without it
+    refit_size: int | None = None
+    left_out: LeftOut | None = None
+    note: str = ""
+
+
+@dataclass
+class Step:
+    """One turn: what was tested, what was added (None: nothing)."""
+
+    candidates: list[Candidate]
+    added: str | None
+    spot: Spot
+    scan_minus_log_p: float
+    p_scan: float
+    threshold: float
+    base: Fitted
+    fitted: Fitted | None = None
+
+
+@dataclass
+class Diagnosis:
+    """`steps` in their order, the last of which added nothing unless the limit was reached; `declared` is the model
+    of the scene file, fitted, and `final` the one with every added effect."""
+
+    scene: Scene
+    declared: Fitted
+    final: Fitted
+    steps: list[Step]
+    unexplained: bool
+    density: Density
+    bench: Bench
+    evidence: Evidence
+
+    @property
+    def verdict(self) -> list[str]:
+        return [step.added for step in self.steps if step.added is not None]
+
+
+def diagnose_scene(scene: Scene, device: Any, options: DiagnoseOptions) -> Diagnosis:
+    """Run the procedure on the training views of a scene with uniform materials.
+
+    Raises InputError for scenes without measured training views, or with learned fields.
+    """
+    stage = Stage.of(scene, device)
+    if any(block.learn and block.size > 1 for block in stage.surface.blocks):
+        raise InputError(
+            f"{scene.path}: materials: found a learned field (layout vertex or texture); diagnose tests scenes of "
+            f"uniform materials, because a field can imitate most effects"
+        )
+    views = [view for view in scene.views if view.role == "train" and view.images]
+    if not views:
+        raise InputError(f"{scene.path}: views: none with role train has measured images")
+    density = choose_density(scene, stage, views, [view.looks or 1.0 for view in views], MU_NOISE, total=True)
+    runtime.say(
+        f"rays: {density.rays_per_pixel:g} per pixel; looks x pixels x relative sampling variance "
+        f"{density.noise:.2g} (wanted: under {MU_NOISE:g})"
+    )
+    rays = Rays(stage, density.rays_per_m2, 2 * scene.sampling.seed)
+    other_rays = Rays(stage, density.rays_per_m2, 2 * scene.sampling.seed + 1)
+    bench = Bench(device, rays, _frozen(Bench(device, rays, {}), Bench(device, other_rays, {}), scene))
+
+    bar = runtime.progress(2 * options.draws, "diagnose", "")
+    runtime.say("fit of the declared model")
+    base = declared = fit_model(bench, scene, options.starts, options.seed)
+    steps: list[Step] = []
+    while True:
+        step, evidence = _step(bench, other_rays, base, options, len(steps), bar)
+        steps.append(step)
+        if step.fitted is None or len(steps) > options.most_effects:
+            break
+        base = step.fitted
+    bar.close()
+    unexplained = steps[-1].added is None and steps[-1].scan_minus_log_p > steps[-1].threshold
+    return Diagnosis(scene, declared, base, steps, unexplained, density, bench, evidence)
+
+
+def _frozen(one: Bench, other: Bench, scene: Scene) -> dict[str, list[Observation]]:
+    """Masks from the declared model, the same for all that follows. A pixel counts as lit if both sets of rays light
+    it and its neighbours: where one of them misses, its share of light is sampling noise."""
+    pairs = zip(one.problem(scene, dark=False).views, other.problem(scene, dark=False).views, strict=True)
+    return {
+        a.view.name: [
+            replace(mine, interior=mine.interior & theirs.interior, dark=mine.dark & theirs.dark)
+            for mine, theirs in zip(a.observations, b.observations, strict=True)
+        ]
+        for a, b in pairs
+    }
+
+
+def _step(
+    bench: Bench, other_rays: Rays, base: Fitted, options: DiagnoseOptions, number: int, bar: Any
+) -> tuple[Step, Evidence]:
+    """Score every effect that is not declared, refit the best, and add the one that holds on views left out."""
+    evidence = Evidence.of(base.problem, base.x)
+    observations = {view.view.name: view.observations for view in base.problem.views}
+    maker = TemplateMaker(base.scene, bench.device, other_rays, observations, evidence.modelled)
+    projection = Projection(maker.tangent(), evidence.root_looks)
+
+    candidates: dict[str, Candidate] = {}
+    groups: dict[str, list[Group]] = {}
+    for name in NAMES:
+        if name in base.scene.effects:
+            continue
+        found = group(maker.templates(name), projection, evidence)
+        candidates[name] = _candidate(name, found)
+        if candidates[name].testability == "testable":
+            groups[name] = found
+    scan = Scan(evidence.observations, evidence.autocovariance)
+    boot = bootstrap(evidence, projection, groups, scan, options.draws, options.seed + number, bar.update)
+    threshold = boot.threshold(options.family_error)
+    spot = scan.strongest(evidence.split(evidence.standardised))
+    best = _score(candidates, groups, projection(evidence.standardised), boot)
+    passing = _passing(candidates, threshold, _dark(base))
+    scanned = float(boot.tails["scan"](abs(spot.z)))
+    step = Step(list(candidates.values()), None, spot, scanned, boot.p_family(scanned), threshold, base)
+    _say(step, number, passing)
+    if number >= options.most_effects:
+        return step, evidence
+
+    refitted: list[tuple[float, Candidate, Fitted]] = []
+    for candidate in passing[: options.refits]:
+        chosen = [table for template in best[candidate.effect] for table in template.trial.starts][:REFIT_STARTS]
+        fitted = fit_with(bench, base, candidate.effect, chosen, options.starts, options.seed)
+        candidate.refit_gain = 2.0 * (fitted.log_likelihood - base.log_likelihood)
+        candidate.refit_size = fitted.size - base.size
+        penalty = (fitted.size - base.size) * np.log(_effective_pixels(evidence))
+        refitted.append((candidate.refit_gain - penalty, candidate, fitted))
+        runtime.say(
+            f"  refit {candidate.effect}: 2 ln L {candidate.refit_gain:+.1f} for {candidate.refit_size} parameters"
+        )
+    inflation = float(evidence.autocovariance.sum() / evidence.autocovariance.max())
+    for gain, candidate, fitted in sorted(refitted, key=lambda item: -item[0]):
+        if gain <= 0:
+            break
+        candidate.left_out = leave_one_view_out(bench, base, fitted, inflation)
+        runtime.say(
+            f"  {candidate.effect}: views left out gain {candidate.left_out.gain:.1f} +- {candidate.left_out.error:.1f}"
+        )
+        if candidate.left_out.passed:
+            step.added, step.fitted = candidate.effect, fitted
+            runtime.say(f"added: {candidate.effect} {fitted.scene.effects[candidate.effect]}")
+            break
+    return step, evidence
+
+
+def _candidate(name: str, found: list[Group]) -> Candidate:
+    if not found:
+        return Candidate(name, "absent", note="this scene has no place for it")
+    eta = max(float(one.eta.max()) for one in found)
+    return Candidate(name, "testable" if eta >= NOT_TESTABLE else "not_testable", eta=eta)
+
+
+def _score(
+    candidates: dict[str, Candidate], groups: dict[str, list[Group]], residual: np.ndarray, boot: Bootstrap
+) -> dict[str, list[Template]]:
+    """Fill in what each testable candidate scored and whom it resembles; returns its templates, best first."""
+    ranked: dict[str, list[Template]] = {}
+    bases = {}
+    for name, members in groups.items():
+        candidate = candidates[name]
+        scored = []
+        for one in members:
+            statistics, minus_log_p = one.statistics(residual[:, None])
+            scored += [(float(minus_log_p[t, 0]), float(statistics[t, 0]), one, t) for t in range(len(one.templates))]
+        scored.sort(key=lambda item: -item[0])
+        ranked[name] = [one.templates[t] for _, _, one, t in scored]
+        largest, candidate.statistic, one, t = scored[0]
+        candidate.minus_log_p = float(boot.tails[name](largest))
+        candidate.p_value = boot.p_family(candidate.minus_log_p)
+        candidate.note = one.templates[t].trial.label
+        k = len(one.one_sided)
+        columns = one.columns[:, t * k : (t + 1) * k]
+        bases[name] = np.linalg.qr(columns if isinstance(columns, np.ndarray) else columns.toarray())[0]
+    for name, mine in bases.items():
+        candidates[name].resembles = [
+            other
+            for other, theirs in bases.items()
+            if other != name and np.linalg.svd(mine.T @ theirs, compute_uv=False)[0] > CLASS_COSINE
+        ]
+    return ranked
+
+
+@dataclass(frozen=True)
+class Dark:
+    """Pixels far from everything lit: how many, and how many of them measure power."""
+
+    pixels: int
+    positive: int
+
+    @property
+    def asks(self) -> bool:
+        """They measure power that no multiple of a model's darkness explains."""
+        return self.pixels >= DARK_PIXELS and self.positive > 0.5 * self.pixels
+
+    @property
+    def refuses_a_floor(self) -> bool:
+        return self.pixels >= DARK_PIXELS and self.positive < (1.0 - SILENT_SHARE) * self.pixels
+
+
+def _dark(base: Fitted) -> Dark:
+    if any(get(name).additive for name in base.scene.effects):
+        return Dark(0, 0)
+    seen = base.problem.observations
+    positive = sum(int((one.dark & (np.nan_to_num(one.measured) > 0)).sum()) for one in seen)
+    return Dark(sum(int(one.dark.sum()) for one in seen), positive)
+
+
+def _passing(candidates: dict[str, Candidate], threshold: float, dark: Dark) -> list[Candidate]:
+    """Candidates worth a refit, best first. Power in the dark calls for an additive effect, whatever the lit pixels
+    say; a floor is out of the question where many dark pixels measure exactly 0."""
+    order = sorted(candidates.values(), key=lambda c: -c.minus_log_p)
+    found = [c for c in order if c.testability == "testable" and c.minus_log_p > threshold]
+    if dark.refuses_a_floor:
+        for candidate in found:
+            if candidate.effect == "noise_floor":
+                candidate.note = f"{dark.pixels - dark.positive} of {dark.pixels} dark pixels measure exactly 0"
+        found = [c for c in found if c.effect != "noise_floor"]
+    if dark.asks:
+        additive = [c for c in order if c.testability == "testable" and get(c.effect).additive]
+        for candidate in additive:
+            candidate.note = f"{dark.positive} of {dark.pixels} dark pixels measure power"
+        found = additive + [c for c in found if c not in additive]
+    return found
+
+
+def _effective_pixels(evidence: Evidence) -> float:
+    """Independent looks in the data: pixels over the correlation area, times looks."""
+    area = max(float(evidence.autocovariance.sum() / evidence.autocovariance.max()), 1.0)
+    return float(np.sum(evidence.root_looks**2) / area)
+
+
+def _say(step: Step, number: int, passing: list[Candidate]) -> None:
+    names = ", ".join(f"{c.effect} ({c.minus_log_p:.0f})" for c in passing[:6]) or "none"
+    runtime.say(
+        f"step {number + 1}: -ln p over {step.threshold:.1f}: {names}; scan {step.scan_minus_log_p:.1f} (z {step.spot.z:+.1f})"
+    )

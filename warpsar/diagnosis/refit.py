@@ -1,0 +1,155 @@
+"""Full fits of a model, with an effect more or without, and what views that were left out say of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpsar.diagnosis.templates import with_effect
+from warpsar.effects import get
+from warpsar.fit import FitProblem
+from warpsar.likelihood import loss_terms
+from warpsar.optimise import FitState, begin, levenberg_marquardt
+from warpsar.results import learned_scene
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from warpsar.observation import Observation
+    from warpsar.scene import Scene
+    from warpsar.simulation import Rays
+
+MOST_ITERATIONS = 40  # of one start
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Rays and frozen pixels that all models are compared on. `observations` by view name."""
+
+    device: Any
+    rays: Rays
+    observations: Mapping[str, list[Observation]]
+
+    def problem(self, scene: Scene, views: Sequence[str] | None = None, *, dark: bool | None = None) -> FitProblem:
+        """The scene's fit problem; its dark pixels are used where it has an additive effect, or as `dark` says."""
+        if dark is None:
+            dark = any(get(name).additive for name in scene.effects)
+        seen = self.observations
+        if dark:
+            seen = {name: [one.with_dark() for one in found] for name, found in seen.items()}
+        return FitProblem(scene, self.device, views=views, rays=self.rays, observations=seen)
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A model at its best: `scene` holds what was learned; `log_likelihood` over the lit interior alone, up to a
+    constant that all models share; `size`, the number of fitted parameters."""
+
+    scene: Scene
+    problem: FitProblem
+    x: np.ndarray
+    log_likelihood: float
+    iterations: int
+
+    @property
+    def size(self) -> int:
+        return int(self.x.size)
+
+
+def descend(
+    problem: FitProblem, starts: Iterable[np.ndarray], moving: np.ndarray | None = None
+) -> tuple[np.ndarray, float, int]:
+    """The best end of Levenberg-Marquardt from several starts, its loss, and the iterations of all."""
+    best, best_loss, iterations = problem.x0, np.inf, 0
+    low, high = problem.bounds
+    for start in starts:
+        inside = np.clip(start, low, high)
+        state = FitState(inside, np.inf, inside, np.inf)
+        while not state.arrived and state.since_start < MOST_ITERATIONS:
+            state = levenberg_marquardt(problem, state, moving)
+        iterations += state.iteration
+        if state.best_loss < best_loss:
+            best, best_loss = state.best_x, state.best_loss
+    return best, best_loss, iterations
+
+
+def fit_model(bench: Bench, scene: Scene, further_starts: int, seed: int) -> Fitted:
+    """The scene's model from its own start and others drawn about it."""
+    problem = bench.problem(scene)
+    starts = [begin(problem, k, seed).x for k in range(further_starts + 1)]
+    return _fitted(bench, problem, *descend(problem, starts))
+
+
+def fit_with(
+    bench: Bench, base: Fitted, name: str, tables: Sequence[Mapping[str, Any]], further_starts: int, seed: int
+) -> Fitted:
+    """`base` and one effect more, everything refitted: from each of the effect's own starts, and with the surface
+    drawn anew about the first of them. The best by likelihood."""
+    found: list[Fitted] = []
+    for index, table in enumerate(tables):
+        problem = bench.problem(with_effect(base.scene, name, table))
+        starts = [problem.x0]
+        if index == 0:
+            starts += [begin(problem, k, seed).x for k in range(1, further_starts + 1)]
+            for start in starts[1:]:  # the effect's own parameters begin where it says
+                start[problem.learned.size :] = problem.x0[problem.learned.size :]
+        found.append(_fitted(bench, problem, *descend(problem, starts)))
+    return max(found, key=lambda fitted: fitted.log_likelihood)
+
+
+def _fitted(bench: Bench, problem: FitProblem, x: np.ndarray, loss: float, iterations: int) -> Fitted:
+    scene = learned_scene(problem, x)
+    bare = problem if not any(get(n).additive for n in scene.effects) else bench.problem(scene, dark=False)
+    value = bare.value(bare.modelled(x))
+    return Fitted(scene, problem, x, -value, iterations)
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """Log-likelihood of views that were left out, with an effect less without it: sum and standard error."""
+
+    gain: float
+    error: float
+    views: int
+
+    @property
+    def passed(self) -> bool:
+        """More than two standard errors above zero; with a single view nothing can be left out."""
+        return self.views < 2 or self.gain > 2.0 * self.error
+
+
+def leave_one_view_out(bench: Bench, base: Fitted, fitted: Fitted, inflation: float) -> LeftOut:
+    """Each training view in turn is predicted by both models, fitted to the others; pixels are compared in pairs.
+
+    Parameters of the one view (its gain, its interference) cannot come from the others: they are fitted on it, with
+    all else held. `inflation` is the variance of a sum of correlated residuals over that of white ones.
+    """
+    names = [view.view.name for view in fitted.problem.views]
+    if len(names) < 2:
+        return LeftOut(0.0, 0.0, len(names))
+    differences = []
+    for name in names:
+        others = [other for other in names if other != name]
+        terms = [_predicted(bench, model, others, name) for model in (base, fitted)]
+        differences.append(terms[0] - terms[1])
+    every = np.concatenate(differences)
+    error = float(np.sqrt(every.size * every.var() * max(inflation, 1.0)))
+    return LeftOut(float(every.sum()), error, len(names))
+
+
+def _predicted(bench: Bench, model: Fitted, others: Sequence[str], name: str) -> np.ndarray:
+    """Loss of every interior pixel of view `name` under the model fitted to `others`, shape (n,)."""
+    problem = bench.problem(model.scene, others)
+    x, _, _ = descend(problem, [problem.x0])
+    known = dict(zip(problem.labels, x, strict=True))
+    held = bench.problem(model.scene, [name], dark=False)
+    theirs = np.array([known.get(label, held.x0[i]) for i, label in enumerate(held.labels)])
+    own = np.array([c.view == name for c in held.effect_coordinates], bool)
+    moving = np.concatenate([np.zeros(held.learned.size, bool), own])
+    if moving.any():
+        theirs, _, _ = descend(held, [theirs], moving)
+    modelled = held.modelled(theirs)
+    parts = zip(held.observations, modelled, held.gains(modelled), strict=True)
+    return np.concatenate([loss_terms("gamma", s.values, gain * mu, s.looks) for s, mu, gain in parts])

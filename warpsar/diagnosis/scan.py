@@ -1,0 +1,85 @@
+"""Is something left that no effect explains, and where: the largest mean of the residual over small windows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from warpsar.observation import Observation
+
+WINDOWS = (3, 5, 9)  # pixels on a side
+FULL = 0.5  # share of a window that must be compared pixels
+
+
+@dataclass(frozen=True)
+class Spot:
+    """The strongest window: `z` is its mean over its standard deviation under speckle."""
+
+    z: float
+    observation: int
+    row: int
+    col: int
+    window: int
+
+
+class Scan:
+    """Window sums over the pixels of every observation; built once, run on many residuals."""
+
+    def __init__(self, observations: Sequence[Observation], autocovariance: np.ndarray) -> None:
+        self.masks = [seen.interior for seen in observations]
+        self.boxes, self.scales = [], []
+        inflation = max(float(autocovariance.sum()), 1e-3)
+        for mask in self.masks:
+            rows, cols = np.nonzero(mask)
+            box = (slice(rows.min(), rows.max() + 1), slice(cols.min(), cols.max() + 1))
+            counts = _sums(mask[box][None].astype(float))
+            self.boxes.append(box)
+            self.scales.append(
+                [
+                    np.where(n >= FULL * w * w, 1.0 / np.sqrt(np.maximum(n, 1.0) * inflation), 0.0)
+                    for w, n in zip(WINDOWS, counts, strict=True)
+                ]
+            )
+
+    def _windows(self, index: int, residuals: np.ndarray) -> list[np.ndarray]:
+        """z of every window size, shape (draws, rows, cols) of the mask's box; `residuals` (pixels, draws)."""
+        mask, box = self.masks[index], self.boxes[index]
+        grid = np.zeros((residuals.shape[1], *mask[box].shape))
+        grid[:, mask[box]] = residuals.T
+        return [total * scale for total, scale in zip(_sums(grid), self.scales[index], strict=True)]
+
+    def largest(self, parts: Sequence[np.ndarray]) -> np.ndarray:
+        """Largest |z| over all windows of each draw, shape (draws,); `parts`: (pixels, draws) per observation."""
+        found = [np.abs(z).max(axis=(1, 2)) for i, part in enumerate(parts) for z in self._windows(i, part)]
+        return np.max(found, axis=0)
+
+    def strongest(self, parts: Sequence[np.ndarray]) -> Spot:
+        """The strongest window of one residual, an array (pixels,) per observation."""
+        best = Spot(0.0, 0, 0, 0, WINDOWS[0])
+        for index, part in enumerate(parts):
+            for window, z in zip(WINDOWS, self._windows(index, part[:, None]), strict=True):
+                row, col = np.unravel_index(int(np.argmax(np.abs(z[0]))), z[0].shape)
+                if abs(z[0, row, col]) > abs(best.z):
+                    box = self.boxes[index]
+                    place = (int(row + box[0].start), int(col + box[1].start))
+                    best = Spot(float(z[0, row, col]), index, *place, window)
+        return best
+
+
+def _sums(grids: np.ndarray) -> list[np.ndarray]:
+    """Sums over centred windows of every pixel of (draws, rows, cols), zeros outside, one array per window size."""
+    reach = max(WINDOWS) // 2
+    total = np.pad(grids, ((0, 0), (reach + 1, reach), (reach + 1, reach))).cumsum(axis=1).cumsum(axis=2)
+    rows, cols = grids.shape[1:]
+    found = []
+    for window in WINDOWS:
+        low, high = reach - window // 2, reach + window // 2 + 1
+        top, bottom = slice(low, low + rows), slice(high, high + rows)
+        left, right = slice(low, low + cols), slice(high, high + cols)
+        found.append(total[:, bottom, right] - total[:, top, right] - total[:, bottom, left] + total[:, top, left])
+    return found

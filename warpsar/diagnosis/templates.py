@@ -1,0 +1,103 @@
+"""What each effect would leave in the residual: derivatives at neutral, on rays of their own.
+
+The residual holds the sampling noise of the rays that mu was made with. A template from the same rays holds it too,
+and the two agree where nothing is missing; so templates come from an independent set (cross-fitting).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpsar.effects import get, validate
+from warpsar.effects.base import Context
+from warpsar.fit import FitProblem
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from warpsar.effects.base import Step, Trial
+    from warpsar.observation import Observation
+    from warpsar.scene import Scene
+    from warpsar.simulation import Rays
+
+
+@dataclass(frozen=True)
+class Template:
+    """One trial of one effect: `columns`, shape (n, k), d ln(mu) / d(score coordinate) over all pixels; `one_sided`
+    per column."""
+
+    effect: str
+    trial: Trial
+    columns: np.ndarray
+    one_sided: tuple[bool, ...]
+
+
+def with_effect(scene: Scene, name: str, table: Mapping[str, Any]) -> Scene:
+    """The scene with one more effect declared, or one declared otherwise."""
+    return replace(scene, effects={**scene.effects, name: validate(name, dict(table), f"effects.{name}")})
+
+
+class TemplateMaker:
+    """Templates about one scene, whose materials and effects are the fitted ones, on one independent set of rays."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        device: Any,
+        rays: Rays,
+        observations: Mapping[str, list[Observation]],
+        modelled: Sequence[np.ndarray],
+    ) -> None:
+        """`modelled` is mu of every observation, as the residual divides by it."""
+        self.scene, self.modelled = scene, modelled
+        self.context = Context(scene, float(np.median(np.concatenate(modelled))))
+        self._problem = partial(FitProblem, device=device, rays=rays, observations=observations)
+        self.neutral = self._problem(scene)
+        self.mu = self.neutral.modelled_as_declared()
+
+    def tangent(self) -> np.ndarray:
+        """d ln(mu) / dx of everything that is fitted, shape (n, p), with one column per unknown gain."""
+        problem = self.neutral
+        jacobian = np.concatenate(problem.jacobian(problem.x0))
+        if problem.scene.grid.calibrated:
+            return jacobian
+        sizes = [mu.size for mu in self.mu]
+        gains = np.zeros((sum(sizes), len(sizes)))
+        ends = np.cumsum(sizes)
+        for k, (size, end) in enumerate(zip(sizes, ends, strict=True)):
+            gains[end - size : end, k] = 1.0
+        return np.hstack([jacobian, gains])
+
+    def trials(self, name: str) -> list[Trial]:
+        return get(name).trials(self.context)
+
+    def templates(self, name: str, done: Callable[[], Any] | None = None) -> list[Template]:
+        """Every trial of an effect that has a place in this scene."""
+        found = []
+        for trial in self.trials(name):
+            columns = np.stack([self._difference(name, step) for step in trial.steps], axis=1)
+            found.append(Template(name, trial, columns, tuple(step.one_sided for step in trial.steps)))
+        if done is not None:
+            done()
+        return found
+
+    def _difference(self, name: str, step: Step) -> np.ndarray:
+        plus = self._images(name, step.plus, step.views)
+        minus = self.mu if step.minus is None else self._images(name, step.minus, step.views)
+        size = step.size * (1.0 if step.minus is None else 2.0)
+        return np.concatenate([(p - m) / (size * mu) for p, m, mu in zip(plus, minus, self.modelled, strict=True)])
+
+    def _images(self, name: str, table: Mapping[str, Any], views: Sequence[str] | None) -> list[np.ndarray]:
+        """The model's pixels with the effect; only `views` are rendered, the others stay as they are."""
+        problem = self._problem(with_effect(self.scene, name, table), views=views)
+        changed = iter(problem.modelled_as_declared())
+        touched = {view.view.name for view in problem.views}
+        return [
+            next(changed) if seen.view.name in touched else mu
+            for seen, mu in zip(self.neutral.observations, self.mu, strict=True)
+        ]

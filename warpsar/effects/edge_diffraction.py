@@ -1,0 +1,150 @@
+"""Lines of light along the edges of roofs and walls."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpsar.effects.base import Context, Effect, Parameter, Step, Trial
+
+if TYPE_CHECKING:
+    from warpsar.render import ViewRender
+    from warpsar.trace import Target
+
+_SHARP_DEG = 30.0  # faces that turn by less are a curved surface in facets
+_PIECES_PER_BIN = 2
+
+
+@dataclass(frozen=True)
+class Edges:
+    """Sharp edges of a mesh: `start` and `end` [m], and `outward`, the unit vector that halves the outer angle of
+    the two faces; shape (n, 3), float64."""
+
+    start: np.ndarray
+    end: np.ndarray
+    outward: np.ndarray
+
+
+class EdgeDiffraction(Effect):
+    """Every visible piece dl of a sharp edge returns strength (lambda / 2 pi) sin^2(b) dl of radar cross-section,
+    b between edge and ray.
+
+    A straight edge of length L has L^2 / pi sinc^2(k L cos b) about the normal to it, which averages to
+    L lambda / (2 pi) over a radian: what edges return that are not straight to a wavelength, and the unit of
+    `strength`. It does not depend on the polarization; HV and VH get nothing. Edges lie between two faces that turn by
+    30 degrees or more; the mesh's open boundaries are no edges of matter. A piece is visible if the way to the
+    radar is free from just outside its wedge, which hides the feet of walls and inner corners.
+    """
+
+    name = "edge_diffraction"
+    stage = "path"
+    summary = "lines along sharp edges"
+    parameters = (Parameter("strength", "1", 0.0, 0.0, 1e6, 1.0, scale="log", fit_low=1e-6, fit_high=1e4),)
+
+    def trials(self, context: Context) -> list[Trial]:
+        size = 0.1
+        return [Trial((Step("strength", size, {"strength": size}, one_sided=True),), ({"strength": size},))]
+
+    def paths(self, render: ViewRender, p: Any, image: Any, polarization: int) -> Any:
+        from warpsar.kernels import effects_edge_diffraction as kernels
+        from warpsar.kernels import effects_multibounce as adding
+        from warpsar.render import POLARIZATIONS
+
+        name = next(key for key, code in POLARIZATIONS.items() if code == polarization)
+        if name not in ("HH", "VV"):
+            return image
+        program = render.program
+        if self.name not in render.hits.kept:
+            render.hits.kept[self.name] = visible_pieces(render)
+        bins, weight, points = render.hits.kept[self.name]
+        share = render.layers[f"beta0_edges_{name}"] = program.array(image.shape[0], sum_into=True)
+        if bins.shape[0] == 0:
+            return image
+        sigma = program.array(bins.shape[0])
+        program.launch(kernels.strength_kernel, bins.shape[0], [p], [sigma])
+        render.collect(sigma, weight, points, bins, share)
+        result = program.array(image.shape[0])
+        program.launch(adding.add_kernel, image.shape[0], [image, share], [result])
+        return result
+
+
+def sharp_edges(target: Target) -> Edges:
+    """Edges at which exactly two faces meet under an angle. Vertices at one place count as one."""
+    _, index = np.unique(np.round(target.corners, 6), axis=0, return_inverse=True)
+    faces = index.reshape(-1)[target.faces.numpy()]
+    sides = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    opposite = np.concatenate([faces[:, 2], faces[:, 0], faces[:, 1]])
+    place = np.zeros((index.max() + 1, 3))
+    place[index.reshape(-1)] = target.corners
+    key, which, count = np.unique(np.sort(sides, axis=1), axis=0, return_inverse=True, return_counts=True)
+    order = np.argsort(which.reshape(-1), kind="stable")
+    first = np.cumsum(count) - count
+    two = count == 2
+    start, end = place[key[two, 0]], place[key[two, 1]]
+    direction = (end - start) / np.linalg.norm(end - start, axis=1, keepdims=True)
+    into = []
+    for k in (0, 1):
+        arm = place[opposite[order[first[two] + k]]] - start
+        arm -= (arm * direction).sum(axis=1, keepdims=True) * direction
+        into.append(arm / np.linalg.norm(arm, axis=1, keepdims=True))
+    # faces that go on straight have opposite arms
+    sharp = (into[0] * into[1]).sum(axis=1) > -np.cos(np.deg2rad(_SHARP_DEG))
+    outward = -(into[0] + into[1])[sharp]
+    length = np.linalg.norm(outward, axis=1, keepdims=True)
+    keep = length[:, 0] > 1e-9  # the two sides of one sheet have no outside
+    return Edges(start[sharp][keep], end[sharp][keep], outward[keep] / length[keep])
+
+
+def visible_pieces(render: ViewRender) -> tuple[Any, Any, Any]:
+    """Bins of the hits' grid, weights and places of the pieces of sharp edges that the radar sees, on the device."""
+    import warp as wp
+
+    from warpsar.kernels import effects_edge_diffraction as kernels
+    from warpsar.trace import ray_grid
+
+    hits, target = render.hits, render.stage.target
+    device = target.device
+    edges = sharp_edges(target)
+    span = np.linalg.norm(edges.end - edges.start, axis=1)
+    pieces = np.maximum(1, np.ceil(span / min(hits.grid.spacing_m) * _PIECES_PER_BIN)).astype(int)
+    edge = np.repeat(np.arange(span.size), pieces)
+    number = np.arange(edge.size) - np.repeat(np.cumsum(pieces) - pieces, pieces)
+    t = ((number + 0.5) / pieces[edge])[:, None]
+    place = edges.start[edge] * (1 - t) + edges.end[edge] * t
+    along = ((edges.end - edges.start) / span[:, None])[edge]
+    n = edge.size
+
+    def upload(array: np.ndarray, dtype: Any) -> Any:
+        return wp.array(np.ascontiguousarray(array, np.float32), dtype=dtype, device=device)
+
+    points = upload(place, wp.vec3)
+    bins, weight = wp.empty(n, dtype=int, device=device), wp.empty(n, dtype=float, device=device)
+    area = render.spacing_m[0] * render.spacing_m[1]
+    wp.launch(
+        kernels.edge_kernel,
+        n,
+        inputs=[
+            ray_grid(target, hits.geometry, hits.grid, hits.rays_per_m2, 1, area),
+            hits.grid.spacing_m[1],
+            target.bvh.id,
+            float(np.linalg.norm(np.ptp(target.corners, axis=0))),
+            2.0 * np.pi / hits.geometry.wavenumber,
+            points,
+            upload(along, wp.vec3),
+            upload(edges.outward[edge], wp.vec3),
+            upload((span / pieces)[edge], float),
+        ],
+        outputs=[bins, weight],
+        device=device,
+    )
+    seen = np.flatnonzero(bins.numpy() >= 0)
+    return (
+        wp.array(bins.numpy()[seen], dtype=int, device=device),
+        upload(weight.numpy()[seen], float),
+        upload(place[seen], wp.vec3),
+    )
+
+
+EFFECT = EdgeDiffraction()

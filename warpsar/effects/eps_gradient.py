@@ -1,0 +1,44 @@
+"""Ground that grows wetter in one direction."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from warpsar.effects.base import Context, Effect, Parameter, Step, Trial
+
+if TYPE_CHECKING:
+    from warpsar.render import ViewRender
+
+
+def _slope(name: str) -> Parameter:
+    return Parameter(name, "1/m", 0.0, -10.0, 10.0, 0.0, span=0.05)
+
+
+class EpsGradient(Effect):
+    """ln(eps_r - 1) of every surface grows by `per_m_east` and `per_m_north` per metre; zero at the reference point.
+
+    It is fixed to the world, which is what tells it from an antenna's pattern, fixed to the radar.
+    """
+
+    name = "eps_gradient"
+    stage = "surface"
+    summary = "permittivity changing across the scene"
+    parameters = (_slope("per_m_east"), _slope("per_m_north"))
+
+    def trials(self, context: Context) -> list[Trial]:
+        size = 0.05 / context.extent_m
+        names = [p.name for p in self.parameters]
+        steps = tuple(Step(name, size, {name: size}, {name: -size}) for name in names)
+        return [Trial(steps, (dict.fromkeys(names, 0.0),))]
+
+    def coordinates(self, render: ViewRender, p: Any, zeta: Any, points: Any) -> Any:
+        import warp as wp
+
+        from warpsar.kernels import effects_eps_gradient as kernels
+
+        result = render.program.array(zeta.shape[0], wp.vec4)
+        render.program.launch(kernels.slope_kernel, zeta.shape[0], [p, points, zeta], [result])
+        return result
+
+
+EFFECT = EpsGradient()

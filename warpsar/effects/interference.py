@@ -1,0 +1,96 @@
+"""Somebody else's transmitter."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpsar.effects.base import Context, Effect, Parameter, Setting, Step, Trial
+
+if TYPE_CHECKING:
+    from warpsar.render import ViewRender
+    from warpsar.scene import Scene
+
+_HEIGHTS_PX = (1, 4, 16)  # of the bands that are tried, at steps of half their height
+
+
+def _bands(value: Any) -> bool:
+    """[[first, end], ...] with whole numbers 0 <= first < end."""
+
+    def band(one: Any) -> bool:
+        return (
+            isinstance(one, list | tuple)
+            and len(one) == 2
+            and all(isinstance(n, int) and not isinstance(n, bool) for n in one)
+            and 0 <= one[0] < one[1]
+        )
+
+    return isinstance(value, list | tuple) and all(map(band, value))
+
+
+class Interference(Effect):
+    """`level` [beta0] is added to the range lines `rows` of a view, over all of azimuth.
+
+    Both are tables of view names; rows are lists of [first, end), counted from 0, end not included.
+    """
+
+    name = "interference"
+    stage = "image"
+    additive = True
+    summary = "lines of added power in a view"
+    parameters = (
+        Parameter("level", "beta0", 0.0, 0.0, 1e9, 1e-3, per_view=True, scale="log", fit_low=1e-12, fit_high=1e6),
+    )
+    settings = (Setting("rows", {}, _bands, "a list of [first, end] rows, first < end", per_view=True),)
+
+    def check(self, scene: Scene, table: Mapping[str, Any]) -> str | None:
+        rows = table.get("rows", {})
+        for name in table.get("level", {}):
+            if not rows.get(name):
+                return f".rows.{name}: missing; allowed is a list of [first, end] rows"
+        for name, bands in rows.items():
+            for first, end in bands:
+                if end > scene.grid.shape[0]:
+                    return (
+                        f".rows.{name}: found [{first}, {end}]; allowed are rows of the image, to {scene.grid.shape[0]}"
+                    )
+        return None
+
+    def trials(self, context: Context) -> list[Trial]:
+        """A view and a band of rows at a time; what remains beside it is found in the next turn of the loop."""
+        scene, size = context.scene, 0.1 * context.level
+        found = []
+        for view in scene.views:
+            if view.role != "train":
+                continue
+            for height in _HEIGHTS_PX:
+                for first in range(0, scene.grid.shape[0] - height + 1, max(1, height // 2)):
+                    band = [first, first + height]
+                    at = {"level": {view.name: size}, "rows": {view.name: [band]}}
+                    step = Step("level", size, at, one_sided=True, views=(view.name,))
+                    found.append(Trial((step,), (at,), f"{view.name}, rows {band[0]} to {band[1] - 1}"))
+        return found
+
+    def image(self, render: ViewRender, p: Any, image: Any) -> Any:
+        import warp as wp
+
+        from warpsar.kernels import effects_interference as kernels
+
+        rows, cols = render.shape
+        line = np.zeros(rows, np.float32)
+        for first, end in render.settings[self.name]["rows"] or ():
+            line[first:end] = 1.0
+        device = render.program.device
+        result = render.program.array(image.shape[0])
+        render.program.launch(
+            kernels.lines_kernel,
+            image.shape[0],
+            [p, wp.array(line, dtype=float, device=device), cols, image],
+            [result],
+        )
+        return result
+
+
+EFFECT = Interference()

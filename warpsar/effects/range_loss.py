@@ -1,0 +1,62 @@
+"""Spreading loss that the processor has not taken out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from warpsar.effects.base import Context, Effect, Parameter, Step, Trial
+
+if TYPE_CHECKING:
+    from warpsar.render import ViewRender
+    from warpsar.scene import Scene
+
+
+class RangeLoss(Effect):
+    """Power times (R / R0)^-`exponent` in a strip-map scene: 3 for a focused image, 4 for one that was not
+    compensated at all.
+
+    A plane wave comes from infinitely far: there it is exp(-`per_m` X . d). Over a small scene
+    exponent = per_m R0.
+    """
+
+    name = "range_loss"
+    stage = "gain"
+    summary = "power falling with slant range"
+    parameters = (
+        Parameter("exponent", "1", 0.0, -20.0, 20.0, 3.0, span=5.0),
+        Parameter("per_m", "1/m", 0.0, -10.0, 10.0, 0.01, span=0.02),
+    )
+
+    def check(self, scene: Scene, table: Mapping[str, Any]) -> str | None:
+        strips = [scene.slant_range_m(view) is not None for view in scene.views]
+        if "exponent" in table and not any(strips):
+            return ".exponent: found in a plane-wave scene, where R0 is infinite; allowed there is per_m"
+        if "per_m" in table and all(strips):
+            return ".per_m: found in a strip-map scene; allowed there is exponent"
+        return None
+
+    def trials(self, context: Context) -> list[Trial]:
+        ranges = [context.scene.slant_range_m(view) for view in context.scene.views]
+        key, size = "per_m", 0.02 / context.extent_m
+        if all(r is not None for r in ranges):
+            key, size = "exponent", size * min(r for r in ranges if r is not None)
+        return [Trial((Step(key, size, {key: size}, {key: -size}),), ({key: 0.0},))]
+
+    def gain(self, render: ViewRender, p: Any, sigma: Any, points: Any) -> Any:
+        import warp as wp
+
+        from warpsar.kernels import effects_range_loss as kernels
+
+        geometry = render.geometry
+        result = render.program.array(sigma.shape[0])
+        render.program.launch(
+            kernels.loss_kernel,
+            sigma.shape[0],
+            [p, geometry.slant_range_m or 0.0, wp.vec3(*geometry.d), wp.vec3(*geometry.v), points, sigma],
+            [result],
+        )
+        return result
+
+
+EFFECT = RangeLoss()

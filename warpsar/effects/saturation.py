@@ -1,0 +1,92 @@
+"""A receiver driven beyond its linear range."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpsar.effects.base import Context, Effect, Parameter, Setting, Step, Trial
+
+if TYPE_CHECKING:
+    from warpsar.render import ViewRender
+
+_TURNS = 4  # of eight bits each: a number's 32
+
+
+def _pivot(value: Any) -> bool:
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    return value == "median" or (number and value > 0.0 and math.isfinite(value))
+
+
+class Saturation(Effect):
+    """I' = p (I / p)^`exponent` about the pivot p, below which an exponent under 1 lifts and above which it dims.
+
+    `pivot` is a beta0, or "median": that of the image's pixels which rays meet, of every image by itself, taken
+    anew whenever the parameters change, with its derivative.
+    """
+
+    name = "saturation"
+    stage = "image"
+    summary = "power compressed about its median"
+    parameters = (Parameter("exponent", "1", 1.0, 0.01, 10.0, 0.9, fit_low=0.1, fit_high=4.0),)
+    settings = (Setting("pivot", "median", _pivot, 'a positive beta0 or "median"'),)
+
+    def trials(self, context: Context) -> list[Trial]:
+        size = 0.01
+        step = Step("exponent - 1", size, {"exponent": 1.0 + size}, {"exponent": 1.0 - size})
+        return [Trial((step,), ({"exponent": 0.9}, {"exponent": 1.1}))]
+
+    def image(self, render: ViewRender, p: Any, image: Any) -> Any:
+        import warp as wp
+
+        from warpsar.kernels import effects_saturation as kernels
+
+        chosen = render.settings[self.name]["pivot"]
+        if chosen == "median":
+            pivot = self._median(render, image)
+        else:
+            pivot = wp.array([chosen], dtype=float, device=render.program.device)
+        result = render.program.array(image.shape[0])
+        render.program.launch(kernels.compress_kernel, image.shape[0], [p, pivot, image], [result])
+        return result
+
+    def _median(self, render: ViewRender, image: Any) -> Any:
+        """Record the median of the pixels that rays meet: a radix selection of the two numbers in the middle."""
+        import warp as wp
+
+        from warpsar.kernels import effects_saturation as kernels
+
+        program, n = render.program, image.shape[0]
+        mask = lit_pixels(render)
+        lit: Any = wp.array(mask.astype(np.int32), dtype=int, device=program.device)
+        count = int(mask.sum())
+        middle = []
+        for rank in (max(0, (count - 1) // 2), count // 2):
+            prefix, passed = (program.array(_TURNS + 1, int, grad=False) for _ in range(2))
+            histogram = program.array((_TURNS, int(kernels.DIGITS)), int, grad=False, sum_into=True)
+            for turn in range(_TURNS):
+                program.launch(kernels.count_digit_kernel, n, [turn, lit, image, prefix], [histogram])
+                program.launch(kernels.pick_digit_kernel, 1, [turn, rank, histogram], [prefix, passed])
+            middle.append(prefix)
+        equal = program.array(2, int, grad=False, sum_into=True)
+        median = program.array(1, sum_into=True)
+        program.launch(kernels.count_equal_kernel, n, [lit, image, *middle], [equal])
+        program.launch(kernels.median_kernel, n, [lit, image, *middle, equal], [median])
+        return median
+
+
+def lit_pixels(render: ViewRender) -> np.ndarray:
+    """Which pixels of the image the hits fall into, shape (rows * cols,), bool; without any shift."""
+    grid, (rows, cols) = render.hits.grid, render.shape
+    fine = np.zeros(grid.shape[0] * grid.shape[1], bool)
+    fine[render.hits.pixel.numpy()] = True
+    margin = [(have - want * grid.bins_per_pixel) // 2 for have, want in zip(grid.shape, render.shape, strict=True)]
+    inner = fine.reshape(grid.shape)[
+        margin[0] : margin[0] + rows * grid.bins_per_pixel, margin[1] : margin[1] + cols * grid.bins_per_pixel
+    ]
+    return inner.reshape(rows, grid.bins_per_pixel, cols, grid.bins_per_pixel).any(axis=(1, 3)).ravel()
+
+
+EFFECT = Saturation()

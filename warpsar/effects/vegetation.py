@@ -1,0 +1,54 @@
+"""Plants between the radar and the ground."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+from warpsar.effects.base import Context, Effect, Parameter, Step, Trial
+
+if TYPE_CHECKING:
+    from warpsar.render import ViewRender
+
+_ALBEDOS = (0.01, 0.03, 0.1, 0.3, 1.0)
+
+
+class Vegetation(Effect):
+    """The water-cloud model: sigma = albedo cos(theta) (1 - T) + T sigma of the surface, T = exp(-2 tau / cos(theta)).
+
+    tau is the one-way `optical_depth` along the facet's normal. The layer covers every surface, returns nothing
+    cross-polarized, and has no height of its own.
+    """
+
+    name = "vegetation"
+    stage = "surface"
+    summary = "a layer that dims the surface and scatters by itself"
+    parameters = (
+        Parameter("optical_depth", "1", 0.0, 0.0, 20.0, 0.2, scale="log", fit_low=1e-6, fit_high=10.0),
+        Parameter("albedo", "1", math.nan, 0.0, 10.0, 0.1, scale="log", fit_low=1e-4, fit_high=5.0),
+    )
+
+    def trials(self, context: Context) -> list[Trial]:
+        size = 0.005
+        return [
+            Trial(
+                (Step("optical depth", size, {"optical_depth": size, "albedo": albedo}, one_sided=True),),
+                tuple({"optical_depth": depth, "albedo": albedo} for depth in (0.05, 0.3)),
+                f"albedo {albedo:g}",
+            )
+            for albedo in _ALBEDOS
+        ]
+
+    def scattering(self, render: ViewRender, p: Any, zeta: Any, sigma: Any, polarization: int) -> Any:
+        from warpsar.kernels import effects_vegetation as kernels
+        from warpsar.render import POLARIZATIONS
+
+        crossed = int(polarization in (POLARIZATIONS["HV"], POLARIZATIONS["VH"]))
+        result = render.program.array(sigma.shape[0])
+        render.program.launch(
+            kernels.canopy_kernel, sigma.shape[0], [p, crossed, render.hits.cos_incidence, sigma], [result]
+        )
+        return result
+
+
+EFFECT = Vegetation()

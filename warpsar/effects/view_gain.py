@@ -1,0 +1,48 @@
+"""Views that are not calibrated alike."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from warpsar.effects.base import Context, Effect, Parameter, Step, Trial
+
+if TYPE_CHECKING:
+    from warpsar.render import ViewRender
+
+
+class ViewGain(Effect):
+    """A gain per view, in dB. A gain that all views share is not told from rougher surfaces, so only differences
+    from the mean over the scene's views act."""
+
+    name = "view_gain"
+    stage = "gain"
+    summary = "gains that differ from view to view"
+    parameters = (
+        Parameter("gain_db", "dB", 0.0, -100.0, 100.0, 0.0, True, True, span=3.0, fit_low=-30.0, fit_high=30.0),
+    )
+
+    def trials(self, context: Context) -> list[Trial]:
+        names = [view.name for view in context.scene.views if view.role == "train"]
+        if len(names) < 2 or not context.scene.grid.calibrated:
+            return []
+        size = 0.2
+
+        def table(name: str, gain: float) -> dict[str, dict[str, float]]:
+            """One view up and the last one down: the others stay."""
+            return {"gain_db": {name: gain, names[-1]: -gain}}
+
+        steps = tuple(
+            Step(f"gain of {name}", size, table(name, size), table(name, -size), views=(name, names[-1]))
+            for name in names[:-1]
+        )
+        return [Trial(steps, ({"gain_db": dict.fromkeys(names, 0.0)},))]
+
+    def gain(self, render: ViewRender, p: Any, sigma: Any, points: Any) -> Any:
+        from warpsar.kernels import effects_view_gain as kernels
+
+        result = render.program.array(sigma.shape[0])
+        render.program.launch(kernels.gain_kernel, sigma.shape[0], [p, sigma], [result])
+        return result
+
+
+EFFECT = ViewGain()

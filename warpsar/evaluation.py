@@ -1,0 +1,319 @@
+"""How well a scene explains its measured images: metrics, residual images and files of `warpsar evaluate`."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpsar import runtime
+from warpsar.effects import declared
+from warpsar.errors import InputError
+from warpsar.identify import residual_autocovariance
+from warpsar.learning import RAY_NOISE
+from warpsar.likelihood import best_gain, deviance, expected_deviance, metrics
+from warpsar.observation import Observation, observe
+from warpsar.outputs import write_json
+from warpsar.render import Stage, ViewRender
+from warpsar.sampling import choose_density
+from warpsar.simulation import hit_grid, trace_view, view_seed
+
+if TYPE_CHECKING:
+    from warpsar.scene import Scene, View
+
+
+@dataclass(frozen=True)
+class EvaluatedImage:
+    """One measured image beside the model's; arrays of shape (rows, cols) = (range, azimuth).
+
+    `simulated`: beta0 of the model (linear power, dimensionless), times `gain`. `valid`: finite, unmasked, positive;
+    `observation` holds the measured beta0 and the lit interior that is compared. `floor`: the nuisance level [beta0]
+    added to the model where all valid pixels are compared. `incidence_deg` and `material` (index into the mesh's) are
+    those of the surface in the pixel, weighted by its modelled power; NaN and -1 where there is none. `range_m`,
+    `azimuth_m`: pixel centres about the reference point. `sampling_noise`: looks x relative variance of the model that
+    its rays leave, averaged over the interior. `metrics`: as evaluate.json has them.
+    """
+
+    observation: Observation
+    simulated: np.ndarray
+    valid: np.ndarray
+    gain: float
+    floor: float
+    incidence_deg: np.ndarray
+    material: np.ndarray
+    range_m: np.ndarray
+    azimuth_m: np.ndarray
+    sampling_noise: float
+    metrics: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def view(self) -> View:
+        return self.observation.view
+
+    @property
+    def polarization(self) -> str:
+        return self.observation.polarization
+
+    @property
+    def measured(self) -> np.ndarray:
+        """beta0, linear power, NaN where it is not finite."""
+        return self.observation.measured
+
+    @property
+    def interior(self) -> np.ndarray:
+        """The pixels that are compared."""
+        return self.observation.interior
+
+    @property
+    def ratio_db(self) -> np.ndarray:
+        """10 log10(measured / simulated) [dB]; NaN where either is not positive."""
+        return ratio_db(self.measured, self.simulated)
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """All images of a scene, and the metrics pooled over the pixels of each role; None for a role without images."""
+
+    images: list[EvaluatedImage]
+    train: dict[str, Any] | None
+    test: dict[str, Any] | None
+    rays_per_m2: float
+
+
+def ratio_db(measured: np.ndarray, simulated: np.ndarray) -> np.ndarray:
+    """10 log10(measured / simulated) [dB], any shape; NaN where either is not positive."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = 10.0 * np.log10(measured.astype(float) / simulated)
+    return np.where((measured > 0) & (simulated > 0), ratio, np.nan)
+
+
+def evaluate(scene: Scene, *, device: str | None = None, seed: int | None = None) -> Evaluation:
+    """Compare every measured image of the scene, of all roles, with the declared model; nothing is fitted but one
+    gain per image where the images are not calibrated, and the floor of `deviance_all`.
+
+    The model is the mean of two renders from independent rays, whose difference is its sampling noise. `seed` overrides
+    the scene's. Raises InputError for a scene without measured images, or where image and mesh do not meet.
+    """
+    views = [(index, view) for index, view in enumerate(scene.views) if view.images]
+    if not views:
+        raise InputError(f"{scene.path}: views: found none with measured images; evaluate needs `images` in a view")
+    stage = Stage.of(scene, runtime.resolve_device(device))
+    density = choose_density(scene, stage, [v for _, v in views], [_looks(scene, v) for _, v in views], RAY_NOISE)
+    seed = scene.sampling.seed if seed is None else seed
+    bar = runtime.progress(len(views), "evaluate", "view")
+    images = []
+    for index, view in views:
+        images += _evaluate_view(scene, stage, view, index, seed, density.rays_per_m2)
+        bar.update()
+    bar.close()
+    pooled = {role: pool([i for i in images if i.view.role == role]) for role in ("train", "test")}
+    return Evaluation(images, pooled["train"], pooled["test"], density.rays_per_m2)
+
+
+def _looks(scene: Scene, view: View) -> float:
+    """Looks for the choice of the rays: declared, or the largest estimate of the view's images."""
+    from warpsar.measured.looks import equivalent_looks
+
+    return view.looks or max(equivalent_looks(scene.measured(view, p)) or 1.0 for p in view.images)
+
+
+def _evaluate_view(
+    scene: Scene, stage: Stage, view: View, index: int, seed: int, rays_per_m2: float
+) -> list[EvaluatedImage]:
+    shape, effects = scene.grid.shape, declared(scene, view)
+    # Masks are those of the surface's own light: a floor, a blur or a second bounce must not widen them.
+    own = [e for e in effects if e.effect.stage not in ("path", "image")]
+    seeds = (view_seed(seed, index), view_seed(seed + 1, index + len(scene.views)))
+    pair, lit = [], dict.fromkeys(view.images, np.zeros(shape, bool))
+    for one in seeds:
+        hits = trace_view(scene, stage, view, seed=one, effects=effects, rays_per_m2=rays_per_m2)
+        render = ViewRender(stage, view, hits, shape, tuple(view.images), effects)
+        pair.append(render.forward())
+        alone = pair[-1]
+        if len(own) < len(effects):
+            alone = ViewRender(stage, view, hits, shape, tuple(view.images), own).forward()
+        lit = {pol: lit[pol] | (alone[pol] > 0) for pol in lit}
+    mask = scene.mask(view)
+    grid = hit_grid(scene)
+    axes = [a + (np.arange(n) + 0.5) * s for a, n, s in zip(grid.start_m, shape, grid.spacing_m, strict=True)]
+    found = []
+    for pol in view.images:
+        first, second = (images[pol].astype(float) for images in pair)
+        mean = (first + second) / 2.0
+        seen = observe(scene, view, pol, lit[pol] & (mean > 0))
+        mu = mean[seen.interior]
+        noise = seen.looks * float(np.mean(((first - second)[seen.interior] / 2.0 / mu) ** 2))
+        gain = 1.0 if scene.grid.calibrated else best_gain("gamma", seen.values, mu, seen.looks)
+        valid = np.isfinite(seen.measured) & (np.nan_to_num(seen.measured) > 0)
+        if mask is not None:
+            valid &= mask
+        incidence, material = _surface_in_pixels(scene, render, pol)
+        image = EvaluatedImage(
+            observation=seen,
+            simulated=gain * mean,
+            valid=valid,
+            gain=gain,
+            floor=nuisance_floor(seen.measured[valid].astype(float), gain * mean[valid]),
+            incidence_deg=incidence,
+            material=material,
+            range_m=axes[0],
+            azimuth_m=axes[1],
+            sampling_noise=noise,
+        )
+        found.append(replace(image, metrics=_metrics(image)))
+    return found
+
+
+def _surface_in_pixels(scene: Scene, render: ViewRender, polarization: str) -> tuple[np.ndarray, np.ndarray]:
+    """Incidence angle [deg] and index of the strongest material of every pixel, weighted by modelled power."""
+    hits, (rows, cols) = render.hits, render.shape
+    fine = hits.grid.bins_per_pixel
+    row, col = np.divmod(hits.pixel.numpy(), hits.grid.shape[1])
+    row = row // fine - (hits.grid.shape[0] // fine - rows) // 2
+    col = col // fine - (hits.grid.shape[1] // fine - cols) // 2
+    inside = (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
+    pixel = (row * cols + col)[inside]
+    power = (hits.weight.numpy().astype(float) * render.sigma[polarization].numpy())[inside]
+    total = np.bincount(pixel, power, rows * cols)
+    angle = np.rad2deg(np.arccos(np.minimum(hits.cos_incidence.numpy()[inside].astype(float), 1.0)))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        incidence = np.bincount(pixel, power * angle, rows * cols) / total
+    of_hit = scene.mesh.face_material[hits.face.numpy()[inside]]
+    shares = np.stack(
+        [np.bincount(pixel[of_hit == m], power[of_hit == m], rows * cols) for m in range(len(scene.mesh.materials))]
+    )
+    material = np.where(total > 0, shares.argmax(axis=0), -1)
+    return incidence.reshape(rows, cols), material.reshape(rows, cols)
+
+
+def nuisance_floor(measured: np.ndarray, modelled: np.ndarray) -> float:
+    """The level N >= 0 that maximises the gamma likelihood of `measured` about `modelled` + N; flat arrays of the
+    positive pixels. The number of looks does not move it."""
+    from scipy.optimize import minimize_scalar
+
+    def loss(log_level: float) -> float:
+        mean = modelled + np.exp(log_level)
+        return float(np.mean(measured / mean + np.log(mean)))
+
+    # 14 decades below the brightest pixel a floor is none to float32
+    grid = np.log(measured.max()) - np.linspace(32.0, 0.0, 33)
+    at = int(np.argmin([loss(g) for g in grid]))
+    best = minimize_scalar(
+        loss, bounds=(grid[max(at - 1, 0)], grid[min(at + 1, 32)]), method="bounded", options={"xatol": 1e-6}
+    )
+    if modelled.min() > 0 and np.mean(measured / modelled + np.log(modelled)) <= best.fun:
+        return 0.0
+    return float(np.exp(best.x))
+
+
+def mean_deviance(seen: Observation, modelled: np.ndarray, mask: np.ndarray) -> tuple[float, float]:
+    """Mean of d / E[d] over the pixels of `mask`, and its standard error; `modelled` is beta0, shape (rows, cols).
+
+    The error is sqrt(variance / n) with the residual's own autocovariance: speckle is correlated from pixel to pixel.
+    """
+    d = deviance(seen.measured[mask].astype(float), modelled[mask], seen.looks) / expected_deviance(seen.looks)
+    mean = float(d.mean())
+    covariance = residual_autocovariance([(replace(seen, interior=mask), d - mean)])
+    return mean, float(np.sqrt(covariance.sum() / d.size))
+
+
+def _metrics(image: EvaluatedImage) -> dict[str, Any]:
+    seen = image.observation
+    found: dict[str, Any] = metrics(seen.values, image.simulated[seen.interior], seen.looks)
+    found["deviance"], found["deviance_error"] = mean_deviance(seen, image.simulated, seen.interior)
+    whole = mean_deviance(seen, image.simulated + image.floor, image.valid)
+    found["deviance_all"], found["deviance_all_error"] = whole
+    count, count_all = int(seen.interior.sum()), int(image.valid.sum())
+    return found | {
+        "floor": image.floor,
+        "pixels": count,
+        "left_out": seen.measured.size - count,
+        "zeros": seen.zeros,
+        "pixels_all": count_all,
+        "left_out_all": seen.measured.size - count_all,
+    }
+
+
+def pool(images: Sequence[EvaluatedImage]) -> dict[str, Any] | None:
+    """Metrics over the pixels of several images together; None where there are none."""
+    if not images:
+        return None
+    measured = np.concatenate([i.observation.values for i in images])
+    found: dict[str, Any] = metrics(measured, np.concatenate([i.simulated[i.interior] for i in images]), 1.0)
+    counts = ("pixels", "left_out", "zeros", "pixels_all", "left_out_all")
+    found |= {key: sum(i.metrics[key] for i in images) for key in counts}
+    for key, n in (("deviance", "pixels"), ("deviance_all", "pixels_all")):
+        weights = np.array([i.metrics[n] for i in images]) / found[n]
+        found[key] = float(weights @ [i.metrics[key] for i in images])
+        found[f"{key}_error"] = float(np.linalg.norm(weights * [i.metrics[f"{key}_error"] for i in images]))
+    return found | {"images": len(images)}
+
+
+def run(
+    scene_path: Path | str, out: Path | str, *, device: str | None = None, seed: int | None = None
+) -> dict[str, Any]:
+    """`warpsar evaluate`: evaluate.json, residual images (EXR, PNG), learned.ply and report.html in `out`. Returns the
+    JSON's content."""
+    from warpsar.evaluation_report import residual_picture, write_report
+    from warpsar.images import replacing, write_exr
+    from warpsar.meshview import write_learned_ply
+    from warpsar.residuals import expected_db, profiles
+    from warpsar.scene import Scene
+
+    started = time.perf_counter()
+    scene = Scene.load(scene_path)
+    out = Path(out)
+    out.mkdir(parents=True, exist_ok=True)
+    where = runtime.resolve_device(device)
+    runtime.say_device(where)
+    for warning in scene.warnings:
+        runtime.say(f"warning: {warning}")
+    seed = scene.sampling.seed if seed is None else seed
+    found = evaluate(scene, device=where.alias, seed=seed)
+    views = []
+    for image in found.images:
+        seen = image.observation
+        stem = f"{image.view.name}_{image.polarization}_residual"
+        planes = {"measured": image.measured, "simulated": image.simulated, "ratio_db": image.ratio_db}
+        write_exr(out / f"{stem}.exr", planes)
+        with replacing(out / f"{stem}.png") as temporary:
+            temporary.write_bytes(residual_picture(image))
+        if seen.looks_estimated:
+            runtime.say(f"looks of {image.view.name} {image.polarization}: not declared, estimated as {seen.looks:.1f}")
+        views.append(
+            {
+                "name": image.view.name,
+                "role": image.view.role,
+                "polarization": image.polarization,
+                **image.metrics,
+                "looks": seen.looks,
+                "looks_estimated": seen.looks_estimated,
+                "gain": image.gain,
+                "gain_fitted": not scene.grid.calibrated,
+                "sampling_noise": image.sampling_noise,
+                "files": {"exr": f"{stem}.exr", "png": f"{stem}.png"},
+            }
+        )
+    write_learned_ply(out / "learned.ply", scene)
+    by_factor = profiles(found.images, scene.mesh.materials)
+    content = {
+        "rays_per_pixel": found.rays_per_m2 * scene.grid.pixel_area_m2,
+        "calibrated": scene.grid.calibrated,
+        "views": views,
+        "train": found.train,
+        "test": found.test,
+        "residuals_db": {name: profile.rows for name, profile in by_factor.items()},
+        "expected_residual_db": expected_db(found.images),
+    }
+    content = write_json(out / "evaluate.json", scene, where, seed, started, content)
+    command = ["warpsar", "evaluate", str(scene_path), "-o", str(out), "--device", where.alias, "--seed", str(seed)]
+    write_report(out / "report.html", scene, found, by_factor, content, command, where)
+    pooled = [(role, found_in) for role, found_in in (("train", found.train), ("test", found.test)) if found_in]
+    words = [f"{role} deviance {m['deviance']:.4f} +- {m['deviance_error']:.4f}" for role, m in pooled]
+    print(", ".join(words), file=sys.stdout)
+    return content
