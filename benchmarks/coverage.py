@@ -71,6 +71,20 @@ def white(random: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
     return random.gamma(LOOKS, 1.0 / LOOKS, shape)
 
 
+def blurred(random: np.random.Generator, shape: tuple[int, ...], width: float = 1.2) -> np.ndarray:
+    """Speckle of a Gaussian point-spread function, `width` pixels (standard deviation of the field's), mean 1."""
+    from scipy.ndimage import gaussian_filter
+
+    impulse = np.zeros(shape)
+    impulse[0, 0] = 1.0
+    power = float((gaussian_filter(impulse, width, mode="wrap") ** 2).sum())
+    fields = (gaussian_filter(part, width, mode="wrap") for part in random.normal(size=(2 * int(LOOKS), *shape)))
+    return sum((field**2 for field in fields), np.zeros(shape)) / (2 * int(LOOKS) * power)
+
+
+SPECKLE = {"white": white, "blurred": blurred}
+
+
 def coverage(
     case: str,
     repeats: int,
@@ -85,7 +99,7 @@ def coverage(
     density = Sampling(rays_per_pixel=4.0 * RAYS_PER_PIXEL, seed=1)
     clean = [one.beta0 for one in simulate(replace(truth, sampling=density), device=device)]
     start = replace(truth, materials=materials(START))
-    true = np.array([f(v) for v3 in TRUTH.values() for f, v in zip((lambda e: np.log(e - 1), np.log, np.log), v3)])
+    true = np.concatenate([[np.log(eps - 1), np.log(h), np.log(length)] for eps, h, length in TRUTH.values()])
     held, errors, deviations, iterations = [], [], [], []
     with tempfile.TemporaryDirectory() as folder:
         for repeat in range(repeats):
@@ -133,11 +147,17 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=100)
     parser.add_argument("--case", choices=list(CASES), default="hh_vv")
     parser.add_argument("--loss", default="gamma")
+    parser.add_argument("--speckle", choices=list(SPECKLE), default="white")
     parser.add_argument("--device")
     arguments = parser.parse_args()
-    json.dump(
-        coverage(arguments.case, arguments.repeats, device=arguments.device, loss=arguments.loss), sys.stdout, indent=1
+    found = coverage(
+        arguments.case,
+        arguments.repeats,
+        device=arguments.device,
+        loss=arguments.loss,
+        speckle=SPECKLE[arguments.speckle],
     )
+    json.dump(found, sys.stdout, indent=1)
     print()
 
 

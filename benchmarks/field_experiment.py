@@ -89,10 +89,8 @@ class Experiment:
                 begun[key] = str(path.resolve())
             self.starts[model] = changed(observed, TEXTURE, specular_fraction=tau, **begun)
         self.observed = observed
-        self.largest = {
-            view.name: max(float(np.nanmax(observed.measured(view, p))) for p in polarizations)
-            for view in observed.views
-        }
+        # by which every RMSE is divided: of all twelve views, so that errors compare between them
+        self.largest = max(float(np.nanmax(observed.measured(v, p))) for v in observed.views for p in polarizations)
 
     def fit(
         self, model: str, train: Sequence[str], *, loss: str = "gamma", variation: dict[str, float] | None = None
@@ -107,9 +105,8 @@ class Experiment:
         )
         found = learn(trained_on(start, train, rest), device=self.device, options=options)
         curves: dict[str, list[float]] = {"iteration": [row["iteration"] for row in found.history]}
-        for role, names in (("train", train), ("test", rest)):
-            largest = max((self.largest[name] for name in names), default=np.nan)
-            for key, scale in (("rmse", 1.0 / largest), ("deviance", 1.0), ("rmse_db", 1.0)):
+        for role in ("train", "test"):
+            for key, scale in (("rmse", 1.0 / self.largest), ("deviance", 1.0), ("rmse_db", 1.0)):
                 stated = [row.get(f"{role}_{key}") for row in found.history]
                 curves[f"{role}_{key}"] = [] if None in stated else [scale * value for value in stated]
         return Fit(
@@ -126,13 +123,12 @@ class Experiment:
         """Errors on the views half-way between; `clean_db` against the reference without speckle."""
         problem = self.problem(found, start, BETWEEN)
         errors = pooled_metrics(problem, found.x)
-        largest = max(self.largest[name] for name in BETWEEN)
         squares = [
             (10.0 * np.log10(mu / self.clean[seen.view.name][seen.polarization].ravel()[seen.pixels])) ** 2
             for seen, mu in zip(problem.observations, problem.modelled(found.x), strict=True)
         ]
         return {
-            "rmse": errors["rmse"] / largest,
+            "rmse": errors["rmse"] / self.largest,
             "deviance": errors["deviance"],
             "rmse_db": errors["rmse_db"],
             "clean_db": float(np.sqrt(np.mean(np.concatenate(squares)))),
@@ -178,7 +174,7 @@ class Experiment:
                 for p in self.polarizations:
                     clean = self.clean[view.name][p]
                     squares.append(((self.observed.measured(view, p) - clean)[clean > 0]) ** 2)
-        return float(np.sqrt(np.mean(np.concatenate(squares)))) / max(self.largest[name] for name in names)
+        return float(np.sqrt(np.mean(np.concatenate(squares)))) / self.largest
 
 
 def run(out: Path, device: str | None, *, iterations: int, rays: float) -> None:
@@ -209,9 +205,9 @@ def print_table(fits: Sequence[Fit], floor: float) -> None:
                 f"{last['train_rmse']:.4f}",
                 f"{last['test_rmse']:.4f}" if "test_rmse" in last else "",
                 f"{fit.between['rmse']:.4f}",
-                f"{last['train_deviance']:.2f}",
-                f"{last['test_deviance']:.2f}" if "test_deviance" in last else "",
-                f"{fit.between['deviance']:.2f}",
+                f"{last['train_deviance']:.3g}",
+                f"{last['test_deviance']:.3g}" if "test_deviance" in last else "",
+                f"{fit.between['deviance']:.3g}",
                 f"{fit.between['clean_db']:.2f}",
                 *(f"{fit.parameters[name]:.2f}" for name in ("eps_r - 1", "h", "l", "h l", "h / l")),
             ]
@@ -229,36 +225,40 @@ def draw_iterations(path: Path, fits: Sequence[Fit]) -> None:
     ):
         for index, fit in enumerate(fits):
             colour = f"C{index}"
-            axis.plot(fit.curves["iteration"], fit.curves[f"train_{key}"], colour, label=f"{len(fit.train)} views")
+            axis.plot(fit.curves["iteration"], fit.curves[f"train_{key}"], colour, label=f"{len(fit.train)}")
             if fit.curves[f"test_{key}"]:
                 axis.plot(fit.curves["iteration"], fit.curves[f"test_{key}"], colour, ls="--")
         axis.set(xlabel="iteration", ylabel=label, yscale="log")
         axis.grid(alpha=0.3, which="both", lw=0.4)
     axes[1].axhline(1.0, color="0.6", lw=0.8)
-    axes[0].legend(fontsize=8, frameon=False, title="solid: train, dashed: rest of the six", title_fontsize=8)
+    axes[0].legend(
+        fontsize=8, frameon=False, title="views (solid: train, dashed: rest of the six)", ncols=2, title_fontsize=8
+    )
     save(figure, path)
 
 
 def draw_views(path: Path, fits: Sequence[Fit], others: Sequence[Fit], floor: float) -> None:
+    """Errors on the views between, which no fit saw, against how many views were learned from."""
     figure, axes = new(9.0, 4.2, ncols=2)
-    for axis, key, label in zip(
-        axes, ("rmse", "deviance"), ("RMSE / largest measured value", "deviance / speckle floor"), strict=True
-    ):
+    for axis, key in zip(axes, ("rmse", "clean_db"), strict=True):
         for index, model in enumerate(MODELS):
             mine = [fit for fit in fits if fit.model == model]
             count = [len(fit.train) for fit in mine]
-            axis.plot(count, [fit.curves[f"train_{key}"][-1] for fit in mine], f"C{index}.:", label=f"{model}, train")
-            axis.plot(count, [fit.between[key] for fit in mine], f"C{index}o-", ms=4, label=f"{model}, between")
+            axis.plot(count, [fit.between[key] for fit in mine], f"C{index}o-", ms=4, label=f"{model}, unseen")
+            if key == "rmse":
+                train = [fit.curves["train_rmse"][-1] for fit in mine]
+                axis.plot(count, train, f"C{index}.:", label=f"{model}, train")
         for fit in others:
-            side = fit.train in (ADJACENT[:2], ADJACENT)
-            marker = "x" if side else "+"
-            name = "adjacent" if side else "120 deg apart"
-            label_once = f"KA+SPM, between; {name}" if len(fit.train) == 3 else None
-            axis.plot(len(fit.train), fit.between[key], f"k{marker}", ms=8, label=label_once)
-        axis.axhline(floor if key == "rmse" else 1.0, color="0.6", lw=0.8)
-        axis.set(xlabel="views learned from", ylabel=label, yscale="log")
+            name = "adjacent" if fit.train in (ADJACENT[:2], ADJACENT) else "120 deg apart"
+            label = f"KA+SPM, unseen; {name}" if len(fit.train) == 3 else None
+            axis.plot(len(fit.train), fit.between[key], "kx" if name == "adjacent" else "k+", ms=8, label=label)
+        axis.set(xlabel="views learned from", yscale="log")
         axis.grid(alpha=0.3, which="both", lw=0.4)
-    axes[1].legend(fontsize=7, frameon=False)
+    axes[0].axhline(floor, color="0.6", lw=0.8)
+    axes[0].set_ylabel("RMSE / largest measured value (grey: speckle alone)")
+    axes[1].set_ylabel("rms error against images without speckle [dB]")
+    axes[1].legend(*axes[0].get_legend_handles_labels(), fontsize=7, frameon=False, ncols=2, loc="upper right")
+    axes[1].set_ylim(top=100.0)
     save(figure, path)
 
 
@@ -266,14 +266,14 @@ def draw_images(path: Path, experiment: Experiment, fits: Sequence[Fit]) -> None
     """A view that no fit saw: measured, and what each model makes of it."""
     name = "az030"
     view = next(v for v in experiment.observed.views if v.name == name)
-    images = {"measured, 16 looks": experiment.observed.measured(view, "HH")}
+    images = {"reference, 16 looks": experiment.observed.measured(view, "HH")}
     for fit in fits:
         problem = experiment.problem(fit.found, experiment.starts[fit.model], [name])
         problem.modelled(fit.found.x)
         image = problem.views[0].render.images["HH"].numpy().reshape(experiment.observed.grid.shape)
         images[f"{fit.model}, from {len(fit.train)} others"] = image
-    high = 10.0 * np.log10(np.percentile(images["measured, 16 looks"], 99.8))
-    figure, axes = new(11.0, 3.4, ncols=len(images))
+    high = 10.0 * np.log10(np.percentile(images["reference, 16 looks"], 99.8))
+    figure, axes = new(11.0, 2.9, ncols=len(images))
     rows, cols = experiment.observed.grid.shape
     dr, du = experiment.observed.grid.spacing_m
     extent = (-cols * du / 2, cols * du / 2, rows * dr / 2, -rows * dr / 2)

@@ -17,6 +17,7 @@ COMMANDS = {
     "learn": "warpsar.cli.learn:command",
     "uv": "warpsar.cli.uv:command",
     "evaluate": "warpsar.cli.evaluate:command",
+    "diagnose": "warpsar.cli.diagnose:command",
 }
 
 

@@ -321,7 +321,9 @@ def test_files_are_those_of_the_contract(cube: Scene, tmp_path: Path, capsys: py
     assert not [p.name for p in (tmp_path / "out").iterdir() if p.name.startswith(".")]
 
 
-def test_gain_of_an_uncalibrated_image_is_fitted_and_said(cube: Scene, tmp_path: Path) -> None:
+def test_gain_of_an_uncalibrated_image_is_fitted_and_said(
+    cube: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     scaled = []
     for index, one in enumerate(cube.views):
         images = {pol: tmp_path / f"{one.name}_{pol}.tif" for pol in one.images}
@@ -334,6 +336,7 @@ def test_gain_of_an_uncalibrated_image_is_fitted_and_said(cube: Scene, tmp_path:
     # 700 pixels of 16 looks know a gain to 1 %
     assert [v["gain"] for v in content["views"]] == pytest.approx([2.5, 2.5, 3.5, 3.5], rel=0.035)
     assert all(v["gain_fitted"] for v in content["views"])
+    assert capsys.readouterr().err.count("not calibrated, fitted as") == 4
     assert abs(content["train"]["deviance"] - 1) < 3.5 * content["train"]["deviance_error"]
     assert "one gain per image is fitted" in (tmp_path / "out" / "report.html").read_text()
 

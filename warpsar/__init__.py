@@ -15,11 +15,12 @@ __version__ = "0.1.0"
 
 _LAZY = {
     "Scene": "warpsar.scene",
+    "diagnose": "warpsar.diagnosis.command",
     "evaluate": "warpsar.evaluation",
     "learn": "warpsar.learning",
     "simulate": "warpsar.simulation",
 }
-__all__ = ["DeviceError", "InputError", "Scene", "WarpsarError", "evaluate", "learn", "simulate"]
+__all__ = ["DeviceError", "InputError", "Scene", "WarpsarError", "diagnose", "evaluate", "learn", "simulate"]
 
 
 def __getattr__(name: str) -> Any:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpsar import runtime
-from warpsar.effects import declared
+from warpsar.effects import declared, get
 from warpsar.errors import InputError
 from warpsar.identify import residual_autocovariance
 from warpsar.learning import RAY_NOISE
@@ -103,7 +103,9 @@ def evaluate(scene: Scene, *, device: str | None = None, seed: int | None = None
     if not views:
         raise InputError(f"{scene.path}: views: found none with measured images; evaluate needs `images` in a view")
     stage = Stage.of(scene, runtime.resolve_device(device))
-    density = choose_density(scene, stage, [v for _, v in views], [_looks(scene, v) for _, v in views], RAY_NOISE)
+    # Image effects only lower the noise of what is lit, but spread light where next to none is left to measure it on.
+    plain = replace(scene, effects={name: t for name, t in scene.effects.items() if get(name).stage != "image"})
+    density = choose_density(plain, stage, [v for _, v in views], [_looks(scene, v) for _, v in views], RAY_NOISE)
     seed = scene.sampling.seed if seed is None else seed
     bar = runtime.progress(len(views), "evaluate", "view")
     images = []
@@ -285,6 +287,8 @@ def run(
             temporary.write_bytes(residual_picture(image))
         if seen.looks_estimated:
             runtime.say(f"looks of {image.view.name} {image.polarization}: not declared, estimated as {seen.looks:.1f}")
+        if not scene.grid.calibrated:
+            runtime.say(f"gain of {image.view.name} {image.polarization}: not calibrated, fitted as {image.gain:.4g}")
         views.append(
             {
                 "name": image.view.name,

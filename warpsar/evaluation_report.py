@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
     from warpsar.evaluation import EvaluatedImage, Evaluation
     from warpsar.identify import Identified
+    from warpsar.meshview import MeshView
     from warpsar.residuals import Profile
     from warpsar.scene import Scene
     from warpsar.surface import Kind
@@ -72,7 +73,7 @@ def _pm(metrics: dict[str, Any], key: str) -> str:
     """A deviance and its standard error, to the digits that mean something."""
     value, error = metrics[key], metrics[f"{key}_error"]
     digits = int(np.clip(1 - np.floor(np.log10(max(error, 1e-6))), 0, 4))
-    return f"{value:.{digits}f}\u00a0±\u00a0{error:.{digits}f}"
+    return f"{value:.{digits}f} ±\u00a0{error:.{digits}f}"
 
 
 METRICS = (
@@ -114,6 +115,8 @@ def _summary(scene: Scene, found: Evaluation) -> str:
         explained += (
             " The images are not calibrated: one gain per image is fitted, so absolute brightness is not tested."
         )
+    noise = max(i.sampling_noise for i in found.images)
+    explained += f" Rays add at most {noise:.1g} to a deviance, as two independent renders show."
     zeros = sum(m["zeros"] for _, m in _roles(found))
     if zeros:
         explained += f" {zeros} lit pixels measure exactly 0, which no speckle makes; they are left out."
@@ -148,9 +151,9 @@ def residual_picture(image: EvaluatedImage) -> bytes:
 
 
 def _reach(images: Sequence[EvaluatedImage]) -> float:
-    """End of the residual's colour scale [dB]: 98 % of the compared pixels are inside, whole dB, at least 3."""
+    """End of the residual's colour scale [dB]: 90 % of the compared pixels are inside, whole dB, at least 3."""
     residual = np.concatenate([np.abs(i.ratio_db[i.interior]) for i in images])
-    return float(np.clip(np.ceil(np.percentile(residual, 98.0)), 3.0, 30.0))
+    return float(np.clip(np.ceil(np.percentile(residual, 90.0)), 3.0, 30.0))
 
 
 def reduced(power: np.ndarray, mask: np.ndarray, factor: int) -> np.ndarray:
@@ -184,7 +187,7 @@ def _images(scene: Scene, found: Evaluation) -> str:
         measured, simulated = (reduced(p, everywhere, factor) for p in (image.measured, image.simulated))
         inner = [reduced(p, image.interior, factor) for p in (image.measured, image.simulated)]
         shown = np.concatenate([10.0 * np.log10(p[image.interior]) for p in (image.measured, image.simulated)])
-        low, high = np.floor(np.percentile(shown, 1.0)), np.ceil(np.percentile(shown, 99.7))
+        low, high = (int(f(np.percentile(shown, q))) for f, q in ((np.floor, 1.0), (np.ceil, 99.7)))
         panels = []
         for name, power in (("measured", measured), ("simulated", simulated)):
             with np.errstate(divide="ignore", invalid="ignore"):
@@ -208,7 +211,7 @@ def _images(scene: Scene, found: Evaluation) -> str:
         ]
         if not scene.grid.calibrated:
             said.append(("fitted gain", f"{10.0 * np.log10(image.gain):.2f} dB"))
-        key = report.scale("gray", [f"{low:g}", f"{high:g} dB"], "beta0")
+        key = report.scale("gray", [f"{low}", f"{high} dB"], "beta0")
         pictures = [report.picture(data, name, aspect=width / height) for name, data in panels]
         blocks.append(report.row(*pictures, report.cell(key, report.facts(said))))
     table = [[f"{i.view.name} {i.polarization}", i.view.role, *_metric_cells(i.metrics)] for i in found.images]
@@ -318,24 +321,26 @@ def _parameters(scene: Scene, stage: Stage, identified: Identified | None) -> st
     sides = [look(stage, *side) for side in SIDES_DEG]
     chosen = [k for k in KINDS if any(b.learn for b in surface.blocks if b.kind is k)] or list(KINDS[:3])
     for kind in chosen:
-        label, factor = _shown(kind)
-        values = [side.parameters[kind.key] * factor for side in sides]
-        low, high = (float(f([f(v) for v in values])) for f in (np.min, np.max))
-        if kind.key != "specular_fraction":  # learned, and told apart, by ratios
-            values = [np.log10(v) for v in values]
-            low, high = np.log10(low), np.log10(high)
-            ticks = [_number(10.0**t) for t in np.linspace(low, high, 3)]
-        else:
-            ticks = [_number(t) for t in np.linspace(low, high, 3)]
-        pictures = [
-            report.picture(
-                report.png(side.paint(report.colour(v, "viridis", low, high))), f"{label}, from azimuth {at:g}°"
-            )
-            for side, v, (at, _) in zip(sides, values, SIDES_DEG, strict=True)
-        ]
-        blocks.append(report.scale("viridis", ticks if high > low else ticks[:1], label))
-        blocks.append(report.row(*pictures, across=2))
+        blocks += _on_the_mesh(kind, sides)
     return report.section("Parameters of the surface", *blocks)
+
+
+def _on_the_mesh(kind: Kind, sides: Sequence[MeshView]) -> list[str]:
+    """A colour scale, and the parameter on the mesh from each side."""
+    label, factor = _shown(kind)
+    logarithmic = kind.key != "specular_fraction"  # learned, and told apart, by ratios
+    planes = [side.parameters[kind.key] * factor for side in sides]
+    planes = [np.log10(plane) for plane in planes] if logarithmic else planes
+    low, high = min(float(p.min()) for p in planes), max(float(p.max()) for p in planes)
+    marks = np.linspace(low, high, 3 if high > low else 1)
+    pictures = [
+        report.picture(
+            report.png(side.paint(report.colour(plane, "viridis", low, high))), f"{label}, from azimuth {at:g}°"
+        )
+        for side, plane, (at, _) in zip(sides, planes, SIDES_DEG, strict=True)
+    ]
+    ticks = [_number(10.0**mark if logarithmic else mark) for mark in marks]
+    return [report.scale("viridis", ticks, label), report.row(*pictures, across=2)]
 
 
 # How it came to be

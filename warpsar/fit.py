@@ -116,9 +116,9 @@ class FitProblem:
 
     `total_variation`: weight per parameter key, in log-likelihood per unit of log difference; `validity`: weight of
     the models' domains as soft constraints (corrected equations 9, 12, 19).
-    `views` names those of them that are used; `rays` and `observations` (by view name) are shared with other problems,
-    so that models are compared on the same rays and pixels. Raises InputError for views without measured images and for parameters that cannot
-    be learned.
+    `views` names those of them that are used; `rays` and `observations` (by view name) are shared with other
+    problems, so that models are compared on the same rays and pixels. Raises InputError for views without measured
+    images and for parameters that cannot be learned.
     """
 
     def __init__(
@@ -147,7 +147,7 @@ class FitProblem:
             np.mean([np.nanmean(scene.measured(v, p).astype(float) ** 2) for v in chosen for p in v.images])
         )
         # CUDA: all views read and differentiate one array; CPU: a copy each, so that threads never share a gradient
-        self.shared_nodes = (
+        self.shared_nodes: Any = (
             None if device.is_cpu else wp.zeros(self.surface.nodes.size, dtype=float, device=device, requires_grad=True)
         )
         self.views = [

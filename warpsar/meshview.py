@@ -30,7 +30,7 @@ def parameters_at(stage: Stage, face: Any, barycentric: Any) -> dict[str, np.nda
     from warpsar.kernels import shade
 
     device = stage.target.device
-    nodes = wp.array(stage.surface.nodes.astype(np.float32), dtype=float, device=device)
+    nodes: Any = wp.array(stage.surface.nodes.astype(np.float32), dtype=float, device=device)
     zeta = wp.empty(face.shape[0], dtype=wp.vec4, device=device)
     wp.launch(
         shade.gather_kernel,
@@ -47,12 +47,14 @@ def parameters_at(stage: Stage, face: Any, barycentric: Any) -> dict[str, np.nda
 class MeshView:
     """The mesh as seen from one side: rays that met it, several to a picture pixel, shape (n,).
 
-    `pixel` is row * cols + col of `shape`; `material` the index of the face's; `parameters` by key, SI; `light` is the
-    cosine between the line of sight and the surface's normal.
+    `pixel` is row * cols + col of `shape`; `point` [m] is about the reference point, (n, 3); `material` the index of
+    the `face`'s; `parameters` by key, SI; `light` is the cosine between the line of sight and the surface's normal.
     """
 
     shape: tuple[int, int]
     pixel: np.ndarray
+    point: np.ndarray
+    face: np.ndarray
     material: np.ndarray
     parameters: dict[str, np.ndarray]
     light: np.ndarray
@@ -87,10 +89,13 @@ def look(stage: Stage, azimuth_deg: float, incidence_deg: float, width: int = 48
     points = hits.point.numpy().astype(float)
     row = np.clip((points @ geometry.v - down.min()) / pixel_m, 0, shape[0] - 1).astype(int)
     col = np.clip((points @ -geometry.u - across.min()) / pixel_m, 0, shape[1] - 1).astype(int)
+    face = hits.face.numpy()
     return MeshView(
         shape=shape,
         pixel=row * shape[1] + col,
-        material=stage.face_material.numpy()[hits.face.numpy()],
+        point=points,
+        face=face,
+        material=stage.face_material.numpy()[face],
         parameters=parameters_at(stage, hits.face, hits.barycentric),
         light=hits.cos_incidence.numpy().astype(float),
     )

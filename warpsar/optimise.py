@@ -45,10 +45,11 @@ class FitState:
 
     @classmethod
     def from_arrays(cls, arrays: Any) -> FitState:
-        kinds = {"start": int, "iteration": int, "since_start": int, "arrived": bool}
+        kinds: dict[str, Any] = {"start": int, "iteration": int, "since_start": int, "arrived": bool}
         kinds |= {"loss": float, "best_loss": float, "damping": float}
         names = {f.name for f in fields(cls)}
-        return cls(**{k: kinds[k](arrays[k]) if k in kinds else np.array(arrays[k]) for k in arrays if k in names})
+        values: dict[str, Any] = {k: kinds.get(k, np.array)(arrays[k]) for k in arrays if k in names}
+        return cls(**values)
 
 
 def begin(problem: FitProblem, start: int, seed: int, previous: FitState | None = None) -> FitState:
@@ -138,7 +139,7 @@ class Adam:
         from warp.optim import Adam as WarpAdam
 
         self.problem, self.rate = problem, rate
-        self.x = wp.array(state.x.astype(np.float32), dtype=float, device=problem.device)
+        self.x: Any = wp.array(state.x.astype(np.float32), dtype=float, device=problem.device)
         self.gradient = wp.zeros_like(self.x)
         self.optimiser = WarpAdam([self.x], lr=rate)
         if state.first_moment is not None:
@@ -190,7 +191,9 @@ class GraphAdam:
         kept[problem.learned] = 1.0
         low, high = np.full(kept.size, -np.inf, np.float32), np.full(kept.size, np.inf, np.float32)
         low[problem.learned], high[problem.learned] = problem.bounds
-        self.kept, self.low, self.high = (wp.array(a, dtype=float, device=device) for a in (kept, low, high))
+        self.kept: Any = wp.array(kept, dtype=float, device=device)
+        self.low: Any = wp.array(low, dtype=float, device=device)
+        self.high: Any = wp.array(high, dtype=float, device=device)
         self.gradient = wp.zeros_like(self.nodes, requires_grad=False)
         self.optimiser = WarpAdam([self.nodes], lr=rate)
         if state.first_moment is not None:

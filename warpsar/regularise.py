@@ -51,8 +51,10 @@ class TotalVariation:
         self.count = sum(len(p) for p in pairs)
         if not self.count:
             return
-        first, second = (wp.array(np.concatenate(pairs)[:, k].astype(np.int32), device=device) for k in (0, 1))
-        weight_array = wp.array(np.concatenate(strength).astype(np.float32), dtype=float, device=device)
+        ends = np.concatenate(pairs).T.astype(np.int32, order="C")
+        first: Any = wp.array(ends[0], dtype=int, device=device)
+        second: Any = wp.array(ends[1], dtype=int, device=device)
+        weight_array: Any = wp.array(np.concatenate(strength).astype(np.float32), dtype=float, device=device)
         self.program.launch(
             kernels.variation_kernel,
             self.count,

@@ -33,7 +33,8 @@ th, td { padding: .3rem .7rem .3rem 0; text-align: right; white-space: nowrap; b
 th:first-child, td:first-child { text-align: left; }
 th { font-weight: 600; vertical-align: bottom; }
 .row { display: grid; gap: .9rem; align-items: start; margin: .5rem 0 1.2rem;
-  grid-template-columns: repeat(auto-fill, minmax(min(100%, max(var(--least), (100% - 2.7rem) / var(--across))), 1fr)); }
+  grid-template-columns:
+    repeat(auto-fill, minmax(min(100%, max(var(--least), (100% - 2.7rem) / var(--across))), 1fr)); }
 figure { margin: 0; min-width: 0; }
 figure img { display: block; width: 100%; height: auto; }
 figure img.pixels { image-rendering: pixelated; border: 1px solid #d8dde2; }
@@ -161,5 +162,5 @@ def png(rgb: np.ndarray) -> bytes:
     from matplotlib.image import imsave
 
     stream = BytesIO()
-    imsave(stream, rgb, format="png", pil_kwargs={"compress_level": 9}, metadata={"Software": None})
+    imsave(stream, rgb, format="png", pil_kwargs={"compress_level": 9}, metadata={"Software": "warpsar"})
     return stream.getvalue()

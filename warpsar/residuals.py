@@ -108,9 +108,11 @@ def profile_figure(profile: Profile, expected: dict[str, float]) -> Figure:
     median, low, high = (np.array([row[k] for row in rows]) for k in ("median_db", "p16_db", "p84_db"))
     if rows and "name" in rows[0]:
         at = np.arange(len(rows))
-        axis.errorbar(at, median, [median - low, high - median], fmt="o", color="C0", capsize=3, label="measured")
+        axis.errorbar(
+            at, median, [median - low, high - median], fmt="o", color="C0", capsize=3, label="median, 16 to 84 %"
+        )
         names = [row["name"] for row in rows]
-        slanted = sum(map(len, names)) > 40
+        slanted = sum(map(len, names)) > 30
         axis.set_xticks(at, names, rotation=30 if slanted else 0, ha="right" if slanted else "center")
         axis.set_xlim(-0.6, len(rows) - 0.4)
     else:

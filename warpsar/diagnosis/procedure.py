@@ -10,7 +10,7 @@ import numpy as np
 from warpsar import runtime
 from warpsar.diagnosis.bootstrap import Bootstrap, bootstrap
 from warpsar.diagnosis.evidence import Evidence
-from warpsar.diagnosis.refit import Bench, Fitted, LeftOut, fit_model, fit_with, leave_one_view_out
+from warpsar.diagnosis.refit import Bench, Fitted, LeftOut, fit_model, leave_one_view_out, screen, settle
 from warpsar.diagnosis.scan import Scan, Spot
 from warpsar.diagnosis.score import NOT_TESTABLE, Group, Projection, group
 from warpsar.diagnosis.templates import Template, TemplateMaker
@@ -189,7 +189,7 @@ def _step(
     refitted: list[tuple[float, Candidate, Fitted]] = []
     for candidate in passing[: options.refits]:
         chosen = [table for template in best[candidate.effect] for table in template.trial.starts][:REFIT_STARTS]
-        fitted = fit_with(bench, base, candidate.effect, chosen, options.starts, options.seed)
+        fitted = screen(bench, base, candidate.effect, chosen)
         candidate.refit_gain = 2.0 * (fitted.log_likelihood - base.log_likelihood)
         candidate.refit_size = fitted.size - base.size
         penalty = (fitted.size - base.size) * np.log(_effective_pixels(evidence))
@@ -201,6 +201,8 @@ def _step(
     for gain, candidate, fitted in sorted(refitted, key=lambda item: -item[0]):
         if gain <= 0:
             break
+        fitted = settle(bench, fitted, options.starts, options.seed)
+        candidate.refit_gain = 2.0 * (fitted.log_likelihood - base.log_likelihood)
         candidate.left_out = leave_one_view_out(bench, base, fitted, inflation)
         runtime.say(
             f"  {candidate.effect}: views left out gain {candidate.left_out.gain:.1f} +- {candidate.left_out.error:.1f}"

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from warpsar.simulation import Rays
 
 MOST_ITERATIONS = 40  # of one start
+SCREENING_ITERATIONS = 12  # of one start, where models are only ranked
 
 
 @dataclass(frozen=True)
@@ -59,7 +60,10 @@ class Fitted:
 
 
 def descend(
-    problem: FitProblem, starts: Iterable[np.ndarray], moving: np.ndarray | None = None
+    problem: FitProblem,
+    starts: Iterable[np.ndarray],
+    moving: np.ndarray | None = None,
+    most_iterations: int = MOST_ITERATIONS,
 ) -> tuple[np.ndarray, float, int]:
     """The best end of Levenberg-Marquardt from several starts, its loss, and the iterations of all."""
     best, best_loss, iterations = problem.x0, np.inf, 0
@@ -67,7 +71,7 @@ def descend(
     for start in starts:
         inside = np.clip(start, low, high)
         state = FitState(inside, np.inf, inside, np.inf)
-        while not state.arrived and state.since_start < MOST_ITERATIONS:
+        while not state.arrived and state.since_start < most_iterations:
             state = levenberg_marquardt(problem, state, moving)
         iterations += state.iteration
         if state.best_loss < best_loss:
@@ -82,21 +86,24 @@ def fit_model(bench: Bench, scene: Scene, further_starts: int, seed: int) -> Fit
     return _fitted(bench, problem, *descend(problem, starts))
 
 
-def fit_with(
-    bench: Bench, base: Fitted, name: str, tables: Sequence[Mapping[str, Any]], further_starts: int, seed: int
-) -> Fitted:
-    """`base` and one effect more, everything refitted: from each of the effect's own starts, and with the surface
-    drawn anew about the first of them. The best by likelihood."""
-    found: list[Fitted] = []
-    for index, table in enumerate(tables):
+def screen(bench: Bench, base: Fitted, name: str, tables: Sequence[Mapping[str, Any]]) -> Fitted:
+    """`base` and one effect more, everything refitted, from each of the effect's own starts: the best by likelihood."""
+    found = []
+    for table in tables:
         problem = bench.problem(with_effect(base.scene, name, table))
-        starts = [problem.x0]
-        if index == 0:
-            starts += [begin(problem, k, seed).x for k in range(1, further_starts + 1)]
-            for start in starts[1:]:  # the effect's own parameters begin where it says
-                start[problem.learned.size :] = problem.x0[problem.learned.size :]
-        found.append(_fitted(bench, problem, *descend(problem, starts)))
+        found.append(_fitted(bench, problem, *descend(problem, [problem.x0], None, SCREENING_ITERATIONS)))
     return max(found, key=lambda fitted: fitted.log_likelihood)
+
+
+def settle(bench: Bench, screened: Fitted, further_starts: int, seed: int) -> Fitted:
+    """The screened model at its best: on from where it stands, and from surfaces drawn anew about it."""
+    problem = screened.problem
+    starts = [screened.x]
+    for k in range(1, further_starts + 1):
+        start = begin(problem, k, seed).x
+        start[problem.learned.size :] = screened.x[problem.learned.size :]  # the effect stays where it was found
+        starts.append(start)
+    return _fitted(bench, problem, *descend(problem, starts))
 
 
 def _fitted(bench: Bench, problem: FitProblem, x: np.ndarray, loss: float, iterations: int) -> Fitted:

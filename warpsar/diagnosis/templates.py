@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpsar.effects import get, validate
+from warpsar.effects import NAMES, declared, get, validate
 from warpsar.effects.base import Context
 from warpsar.fit import FitProblem
 
@@ -59,6 +59,11 @@ class TemplateMaker:
         self._problem = partial(FitProblem, device=device, rays=rays, observations=observations)
         self.neutral = self._problem(scene)
         self.mu = self.neutral.modelled_as_declared()
+        self.whole = [
+            view.render.images[seen.polarization].numpy().reshape(seen.interior.shape).copy()
+            for view in self.neutral.views
+            for seen in view.observations
+        ]
 
     def tangent(self) -> np.ndarray:
         """d ln(mu) / dx of everything that is fitted, shape (n, p), with one column per unknown gain."""
@@ -94,10 +99,31 @@ class TemplateMaker:
 
     def _images(self, name: str, table: Mapping[str, Any], views: Sequence[str] | None) -> list[np.ndarray]:
         """The model's pixels with the effect; only `views` are rendered, the others stay as they are."""
-        problem = self._problem(with_effect(self.scene, name, table), views=views)
+        scene = with_effect(self.scene, name, table)
+        if get(name).stage == "image" and not self._later_effects(name):
+            return self._finished(scene, name, views)
+        problem = self._problem(scene, views=views)
         changed = iter(problem.modelled_as_declared())
         touched = {view.view.name for view in problem.views}
         return [
             next(changed) if seen.view.name in touched else mu
             for seen, mu in zip(self.neutral.observations, self.mu, strict=True)
         ]
+
+    def _later_effects(self, name: str) -> bool:
+        """Whether a declared effect acts after this one: then the finished image is not what it acts on."""
+        return any(NAMES.index(other) > NAMES.index(name) for other in self.scene.effects)
+
+    def _finished(self, scene: Scene, name: str, views: Sequence[str] | None) -> list[np.ndarray]:
+        """An image effect on the finished images: nothing is shaded again."""
+        found, at = [], 0
+        for view in self.neutral.views:
+            for seen in view.observations:
+                mu = self.mu[at]
+                if views is None or view.view.name in views:
+                    effect = next(e for e in declared(scene, view.view, neutral=True) if e.effect.name == name)
+                    image = view.render.image_with(effect, self.whole[at])
+                    mu = np.maximum(image.ravel()[seen.pixels].astype(float), 1e-30)
+                found.append(mu)
+                at += 1
+        return found

@@ -1,0 +1,303 @@
+"""How often `warpsar diagnose` is right: images of the project's own renderer with an effect that the scene file does not
+declare, with nothing missing, with several effects, and with what no effect explains.
+
+    python benchmarks/diagnosis_rates.py run -o out/rates --case none --looks 16 --repeats 100
+    python benchmarks/diagnosis_rates.py run -o out/rates                # all cases, looks and kinds of speckle
+    python benchmarks/diagnosis_rates.py table -o out/rates
+
+A run appends one line of JSON to runs.jsonl in the folder; runs that are there already are not made again. Every run
+has its own speckle, its own rays and its own wrong start. docs/diagnosis.md has the results.
+"""
+
+import json
+import sys
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+
+from warpsar import runtime
+from warpsar.diagnosis.command import diagnose
+from warpsar.diagnosis.procedure import DiagnoseOptions
+from warpsar.images import write_tiff
+from warpsar.mesh import Mesh
+from warpsar.scene import Grid, Material, Radar, Sampling, Scene, View
+from warpsar.simulation import simulate
+
+TRUTH = {
+    "ground": (6.0, 0.0012, 0.010),
+    "wall": (9.0, 0.0010, 0.006),
+    "roof": (4.0, 0.0008, 0.008),
+}
+KEYS = ("eps_r", "rms_height_m", "correlation_length_m")
+START_SD = 0.25  # of ln(eps_r - 1), ln h, ln l about the truth
+CLEAN_RAYS_PER_PIXEL = 2048.0
+CLEAN_SEED = 90001
+LOOKS = (1, 4, 16)
+CORRELATION_PX = 0.7  # standard deviation of the field's Gaussian point-spread function
+# azimuth, incidence, role
+VIEWS = ((10, 38, "train"), (100, 46, "train"), (195, 52, "train"), (280, 42, "train"), (55, 48, "test"))
+
+
+@dataclass(frozen=True)
+class Case:
+    """`effects`: what the images hold and the scene does not declare; `names`: what a right verdict says."""
+
+    effects: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    outside: str = ""
+
+    @property
+    def names(self) -> set[str]:
+        return set(self.effects)
+
+
+SINGLE: dict[str, dict[str, Any]] = {
+    "multibounce": {"strength": 1.0},
+    "antenna_pattern": {"beamwidth_m": 40.0, "boresight_m": 4.0},
+    "range_loss": {"per_m": 0.02},
+    "view_gain": {"gain_db": {"v0": 0.6, "v1": -0.5, "v2": 0.3, "v3": -0.4}},
+    "eps_gradient": {"per_m_east": 0.03, "per_m_north": -0.02},
+    "exponential_spectrum": {"weight": 0.5},
+    "two_scale": {"slope_variance": 0.01},
+    "vegetation": {"optical_depth": 0.4, "albedo": 0.1},
+    "edge_diffraction": {"strength": 3.0},
+    "registration": {"range_m": 0.15, "azimuth_m": -0.2},
+    "point_spread": {"range_fwhm_m": 0.9, "azimuth_fwhm_m": 0.7, "window": "gaussian"},
+    "noise_floor": {"level": 0.004},
+    "azimuth_ambiguity": {"level": 0.05, "offset_m": 9.0},
+    "saturation": {"exponent": 0.9},
+    "interference": {"level": {"v1": 0.02}, "rows": {"v1": [[30, 32]]}},
+}
+CASES: dict[str, Case] = {
+    "none": Case(),
+    **{name: Case({name: table}) for name, table in SINGLE.items()},
+    **{
+        "+".join(names): Case({name: SINGLE[name] for name in names})
+        for names in (
+            ("noise_floor", "point_spread"),
+            ("multibounce", "antenna_pattern"),
+            ("multibounce", "registration"),
+            ("noise_floor", "multibounce", "registration"),
+        )
+    },
+    "an object missing": Case(outside="object"),
+    "a mover's smear": Case(outside="smear"),
+}
+SMEAR_ROWS, SMEAR_COLS = slice(28, 30), slice(22, 40)
+
+
+def mesh(extra: bool = False) -> Mesh:
+    """Level ground of 28 m, a house in L shape and a hut; `extra`: a container of wall material beside them."""
+    boxes = [((-7, -6, 0), (3, -1, 6)), ((-7, -1, 0), (-2, 6, 4)), ((5, 3, 0), (9, 8, 3))]
+    boxes += [((6, -7, 0), (8, -4, 2))] if extra else []
+    vertices = [[-14, -14, 0], [14, -14, 0], [14, 14, 0], [-14, 14, 0]]
+    faces, material = [[0, 1, 2], [0, 2, 3]], [0, 0]
+    for low, high in boxes:
+        n = len(vertices)
+        vertices += [[(low, high)[i][0], (low, high)[j][1], (low, high)[k][2]] for i, j, k in product((0, 1), repeat=3)]
+        sides = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6))
+        for a, b, c, d in sides:
+            faces += [[n + a, n + b, n + c], [n + a, n + c, n + d]]
+            material += [1, 1]
+        faces += [[n + 1, n + 5, n + 7], [n + 1, n + 7, n + 3]]
+        material += [2, 2]
+    return Mesh(np.array(vertices, float), np.array(faces, np.int32), np.array(material, np.int32), tuple(TRUTH))
+
+
+def truth(extra: bool = False) -> Scene:
+    return Scene(
+        mesh=mesh(extra),
+        radar=Radar(frequency_hz=9.6e9, polarizations=("HH",)),
+        grid=Grid(shape=(64, 64), spacing_m=(0.5, 0.5)),
+        materials={name: Material(**dict(zip(KEYS, values, strict=True))) for name, values in TRUTH.items()},
+        views=[View(name=f"v{i}", azimuth_deg=a, incidence_deg=b, role=role) for i, (a, b, role) in enumerate(VIEWS)],
+        sampling=Sampling(rays_per_pixel=CLEAN_RAYS_PER_PIXEL, seed=CLEAN_SEED),
+    )
+
+
+def clean_images(case: Case, device: str | None, folder: Path, name: str) -> list[np.ndarray]:
+    """beta0 of every view without speckle, kept in `folder`."""
+    path = folder / f"clean_{'_'.join(name.replace(chr(39), '').split())}.npz"
+    if not path.is_file():
+        scene = replace(truth(case.outside == "object"), effects={n: dict(t) for n, t in case.effects.items()})
+        images = [one.beta0["HH"] for one in simulate(scene, device=device)]
+        if case.outside == "smear":  # one object's power along a row, in one view, as bright as a roof's edge
+            level = 2.0 * float(np.median(images[1][images[1] > 0]))
+            images[1][SMEAR_ROWS, SMEAR_COLS] += level
+        np.savez(path, *images)
+    with np.load(path) as stored:
+        return [stored[key] for key in stored.files]
+
+
+def speckle(random: np.random.Generator, shape: tuple[int, ...], looks: int, correlated: bool) -> np.ndarray:
+    """Gamma speckle of mean 1, white or that of fields with a Gaussian point-spread function."""
+    if not correlated:
+        return random.gamma(looks, 1.0 / looks, shape)
+    from scipy.ndimage import gaussian_filter
+
+    fields = random.standard_normal((2 * looks, *shape))
+    fields = gaussian_filter(fields, (0.0, CORRELATION_PX, CORRELATION_PX), mode="wrap")
+    impulse = np.zeros(shape)
+    impulse[0, 0] = 1.0
+    power = float((gaussian_filter(impulse, CORRELATION_PX, mode="wrap") ** 2).sum())
+    return np.asarray((fields**2).mean(axis=0) / power)
+
+
+def measured(images: Sequence[np.ndarray], looks: int, correlated: bool, seed: int, folder: Path) -> Scene:
+    """The scene that is handed to the diagnosis: images with speckle of `seed`, and a start beside the truth."""
+    random = np.random.default_rng([seed, looks, int(correlated)])
+    scene = truth()
+    views = []
+    for view, image in zip(scene.views, images, strict=True):
+        path = folder / f"{view.name}.tif"
+        write_tiff(path, (image * speckle(random, image.shape, looks, correlated)).astype(np.float32))
+        views.append(view.model_copy(update={"images": {"HH": path}, "looks": float(looks)}))
+    materials = {}
+    for name, (eps_r, h, length) in TRUTH.items():
+        a, b, c = np.exp(START_SD * random.standard_normal(3))
+        materials[name] = Material(eps_r=1 + (eps_r - 1) * a, rms_height_m=h * b, correlation_length_m=length * c)
+    return replace(scene, views=views, materials=materials, sampling=Sampling(seed=seed))
+
+
+def one_run(name: str, looks: int, correlated: bool, seed: int, options: DiagnoseOptions, device: str, out: Path) -> Any:
+    import tempfile
+
+    started = time.perf_counter()
+    images = clean_images(CASES[name], device, out, name)
+    with tempfile.TemporaryDirectory() as folder:
+        scene = measured(images, looks, correlated, seed, Path(folder))
+        report = diagnose(scene, device=device, options=replace(options, seed=seed))
+    found = report.diagnosis
+    spot = found.steps[-1].spot
+    return {
+        "case": name,
+        "looks": looks,
+        "speckle": "correlated" if correlated else "white",
+        "seed": seed,
+        "verdict": found.verdict,
+        "unexplained": found.unexplained,
+        "spot": [found.evidence.observations[spot.observation].view.name, spot.row, spot.col, spot.window],
+        "effects": found.final.scene.effects,
+        "scores": {c.effect: round(c.minus_log_p, 2) for c in found.steps[0].candidates if c.testability == "testable"},
+        "not_testable": [c.effect for c in found.steps[0].candidates if c.testability == "not_testable"],
+        "test_before": report.before["test"],
+        "test_after": report.after["test"],
+        "rays_per_pixel": found.density.rays_per_pixel,
+        "seconds": round(time.perf_counter() - started, 1),
+    }
+
+
+def wanted(
+    cases: Sequence[str], looks: Sequence[int], kinds: Sequence[str], repeats: int | None
+) -> Iterator[tuple[str, int, str, int]]:
+    """Runs in an order in which every prefix is balanced."""
+    most = {name: repeats or (100 if name == "none" else 20) for name in cases}
+    for seed in range(max(most.values())):
+        for name, number, kind in product(cases, looks, kinds):
+            if seed < most[name]:
+                yield name, number, kind, seed
+
+
+def stored_runs(out: Path) -> list[dict[str, Any]]:
+    path = out / "runs.jsonl"
+    return [json.loads(line) for line in path.read_text().splitlines()] if path.is_file() else []
+
+
+@click.group()
+def main() -> None:
+    """Detection and false-alarm rates of `warpsar diagnose`."""
+
+
+@main.command()
+@click.option("-o", "--out", required=True, type=click.Path(file_okay=False, path_type=Path))
+@click.option("--case", "cases", multiple=True, type=click.Choice(list(CASES)), help="Repeatable; default: all.")
+@click.option("--looks", multiple=True, type=click.Choice([str(n) for n in LOOKS]), help="Repeatable; default: all.")
+@click.option("--speckle", "kinds", multiple=True, type=click.Choice(["white", "correlated"]), help="Default: both.")
+@click.option("--repeats", type=click.IntRange(min=1), help="Default: 100 of none, 20 of each other case.")
+@click.option("--max-time", type=float, default=float("inf"), help="Start no run after so many seconds.")
+@click.option("--family-error", type=float, default=DiagnoseOptions.family_error, show_default=True)
+@click.option("--draws", type=int, default=DiagnoseOptions.draws, show_default=True)
+@click.option("--device")
+def run(
+    out: Path,
+    cases: tuple[str, ...],
+    looks: tuple[str, ...],
+    kinds: tuple[str, ...],
+    repeats: int | None,
+    max_time: float,
+    family_error: float,
+    draws: int,
+    device: str | None,
+) -> None:
+    """Make the runs that are not in the folder yet."""
+    out.mkdir(parents=True, exist_ok=True)
+    options = DiagnoseOptions(family_error=family_error, draws=draws)
+    where = runtime.resolve_device(device)
+    done = {(r["case"], r["looks"], r["speckle"], r["seed"]) for r in stored_runs(out)}
+    started = time.perf_counter()
+    numbers = [int(n) for n in looks] or list(LOOKS)
+    for key in wanted(cases or list(CASES), numbers, kinds or ("white", "correlated"), repeats):
+        if key in done:
+            continue
+        if time.perf_counter() - started > max_time:
+            click.echo("out of time; the same command goes on from here", err=True)
+            break
+        name, number, kind, seed = key
+        click.echo(f"== {name}, {number} looks, {kind}, seed {seed}", err=True)
+        row = one_run(name, number, kind == "correlated", seed, options, where.alias, out)
+        row["family_error"] = family_error
+        with (out / "runs.jsonl").open("a") as stream:
+            stream.write(json.dumps(row) + "\n")
+        click.echo(f"   {row['verdict']}{' unexplained' if row['unexplained'] else ''}, {row['seconds']} s", err=True)
+
+
+def judged(row: Mapping[str, Any]) -> str:
+    """One word for a run: right, missed (less than the truth), more (the truth and something else), wrong."""
+    case, verdict = CASES[row["case"]], set(row["verdict"])
+    if case.outside:
+        if verdict:
+            return "wrong"
+        return "right" if row["unexplained"] else "missed"
+    if verdict == case.names:
+        return "unexplained too" if row["unexplained"] else "right"
+    if verdict < case.names:
+        return "unexplained" if row["unexplained"] and not verdict else "missed"
+    return "more" if verdict > case.names else "wrong"
+
+
+@main.command()
+@click.option("-o", "--out", required=True, type=click.Path(file_okay=False, path_type=Path))
+def table(out: Path) -> None:
+    """Markdown of what the folder holds, and rates.json: per case, looks and speckle, how the runs came out."""
+    rows = stored_runs(out)
+    words = ("right", "unexplained too", "more", "missed", "unexplained", "wrong")
+    cells: dict[tuple[str, int, str], list[dict[str, Any]]] = {}
+    for row in rows:
+        cells.setdefault((row["case"], row["looks"], row["speckle"]), []).append(row)
+    order = {name: i for i, name in enumerate(CASES)}
+    summary = []
+    click.echo("| in the images | looks | speckle | runs | " + " | ".join(words) + " | named instead or besides |")
+    click.echo("|---" * (len(words) + 5) + "|")
+    for key in sorted(cells, key=lambda k: (order[k[0]], k[1], k[2])):
+        members = cells[key]
+        count = {word: sum(judged(row) == word for row in members) for word in words}
+        others: dict[str, int] = {}
+        for row in members:
+            for name in set(row["verdict"]) - CASES[key[0]].names:
+                others[name] = others.get(name, 0) + 1
+        said = ", ".join(f"{name} {n}" for name, n in sorted(others.items()))
+        numbers = " | ".join(str(count[word]) if count[word] else "" for word in words)
+        click.echo(f"| {key[0]} | {key[1]} | {key[2]} | {len(members)} | {numbers} | {said} |")
+        summary.append(
+            {"case": key[0], "looks": key[1], "speckle": key[2], "runs": len(members), **count, "others": others}
+        )
+    (out / "rates.json").write_text(json.dumps(summary, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,55 @@
+"""`warpsar diagnose`: which effect the measured images hold and the scene does not declare."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+
+@click.command(name="diagnose")
+@click.argument("scene", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.option(
+    "-o",
+    "--out",
+    required=True,
+    type=click.Path(file_okay=False, path_type=Path),
+    help="Folder for diagnosis.json, scene.toml with the effects that were found, and report.html; made if missing.",
+)
+@click.option(
+    "--device", metavar="cpu|cuda|cuda:N", help="Default: the first CUDA device if there is one, else the CPU."
+)
+@click.option(
+    "--family-error",
+    type=click.FloatRange(min=0, max=1, min_open=True, max_open=True),
+    default=0.01,
+    show_default=True,
+    help="Chance of any false alarm in a turn.",
+)
+@click.option("--draws", type=click.IntRange(min=1), default=1000, show_default=True, help="Of the bootstrap.")
+@click.option("--starts", type=click.IntRange(min=0), default=2, show_default=True, help="Further starts of every fit.")
+@click.option(
+    "--most-effects", type=click.IntRange(min=0), default=4, show_default=True, help="How many may be added."
+)
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the bootstrap and starts.")
+def command(
+    scene: Path,
+    out: Path,
+    device: str | None,
+    family_error: float,
+    draws: int,
+    starts: int,
+    most_effects: int,
+    seed: int,
+) -> None:
+    """Fit SCENE to its train views, find what its model lacks, add that and fit again.
+
+    Views with role test decide nothing; the error on them is reported before and after.
+    """
+    from warpsar.diagnosis import command as diagnosis
+    from warpsar.diagnosis.procedure import DiagnoseOptions
+
+    options = DiagnoseOptions(
+        family_error=family_error, draws=draws, starts=starts, most_effects=most_effects, seed=seed
+    )
+    diagnosis.run(scene, out, device=device, options=options)

@@ -1,0 +1,112 @@
+"""How far models are from the measured images, all on the same rays and frozen pixels, test views among them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpsar.diagnosis.procedure import _frozen
+from warpsar.diagnosis.refit import Bench
+from warpsar.evaluation import mean_deviance
+from warpsar.identify import residual_autocovariance
+from warpsar.likelihood import deviance, expected_deviance, metrics
+from warpsar.simulation import Rays
+
+if TYPE_CHECKING:
+    from warpsar.diagnosis.procedure import Diagnosis
+    from warpsar.observation import Observation
+    from warpsar.scene import Scene
+
+ROLES = ("train", "test")
+
+
+@dataclass(frozen=True)
+class Judged:
+    """One measured image beside a model's: `modelled` is beta0 with its gain, shape (rows, cols); `seen` holds the
+    pixels that are compared."""
+
+    role: str
+    seen: Observation
+    modelled: np.ndarray
+    gain: float
+
+    @property
+    def name(self) -> str:
+        return f"{self.seen.view.name} {self.seen.polarization}"
+
+    @property
+    def scaled_deviance(self) -> np.ndarray:
+        """d / E[d] of every compared pixel, shape (n,): 1 on average where speckle alone is left."""
+        looks = self.seen.looks
+        return deviance(self.seen.values, self.modelled[self.seen.interior], looks) / expected_deviance(looks)
+
+
+class Judge:
+    """Judges any model of the diagnosed scene. Masks of the test views are frozen as those of the train views were:
+    from the declared model, before anything was fitted."""
+
+    def __init__(self, found: Diagnosis) -> None:
+        bench = found.bench
+        self.benches = {"train": bench}
+        if any(view.role == "test" and view.images for view in found.scene.views):
+            other = Rays(bench.rays.stage, bench.rays.rays_per_m2, bench.rays.seed + 1)
+            turned = _turned(found.scene)
+            pair = [Bench(bench.device, rays, {}) for rays in (bench.rays, other)]
+            self.benches["test"] = Bench(bench.device, bench.rays, _frozen(*pair, turned))
+
+    def __call__(self, scene: Scene) -> list[Judged]:
+        """Every measured image beside `scene`'s, nothing fitted but the gain of images that are not calibrated.
+        What an effect holds for each view by itself is at its default in views that the scene's tables do not name."""
+        found = []
+        for role, bench in self.benches.items():
+            problem = bench.problem(scene if role == "train" else _turned(scene), dark=False)
+            gains = iter(problem.gains(problem.modelled_as_declared()))
+            for view in problem.views:
+                for seen in view.observations:
+                    gain = float(next(gains))
+                    image = view.render.images[seen.polarization].numpy().reshape(seen.measured.shape).astype(float)
+                    found.append(Judged(role, seen, gain * image, gain))
+        return found
+
+
+def _turned(scene: Scene) -> Scene:
+    """The scene with train and test views exchanged."""
+    other = {"train": "test", "test": "train"}
+    return replace(scene, views=[v.model_copy(update={"role": other[v.role]}) for v in scene.views])
+
+
+def pool(images: Sequence[Judged], role: str) -> dict[str, Any] | None:
+    """Metrics of scene-format.md over the compared pixels of all images of a role together, and the standard error of
+    the deviance (correlated speckle included); None where there are none."""
+    mine = [image for image in images if image.role == role]
+    if not mine:
+        return None
+    measured = np.concatenate([image.seen.values for image in mine])
+    found: dict[str, Any] = metrics(measured, np.concatenate([i.modelled[i.seen.interior] for i in mine]), 1.0)
+    shares = np.array([image.seen.values.size for image in mine]) / measured.size
+    means = np.array([mean_deviance(image.seen, image.modelled, image.seen.interior) for image in mine])
+    found["deviance"] = float(shares @ means[:, 0])
+    found["deviance_error"] = float(np.linalg.norm(shares * means[:, 1]))
+    found["pixels"] = int(measured.size)
+    found["left_out"] = sum(image.seen.left_out for image in mine)
+    found["zeros"] = sum(image.seen.zeros for image in mine)
+    return found | {"images": len(mine)}
+
+
+def difference(before: Sequence[Judged], after: Sequence[Judged], role: str) -> tuple[float, float] | None:
+    """Mean deviance before less that after, pixel by pixel, and its standard error: of the same speckle, so that it is
+    known far better than either. None where there are no images of the role."""
+    pairs = [(a, b) for a, b in zip(before, after, strict=True) if a.role == role]
+    if not pairs:
+        return None
+    parts = [a.scaled_deviance - b.scaled_deviance for a, b in pairs]
+    sizes = np.array([part.size for part in parts])
+    errors = [
+        np.sqrt(max(float(residual_autocovariance([(a.seen, part - part.mean())]).sum()), 0.0) / part.size)
+        for (a, _), part in zip(pairs, parts, strict=True)
+    ]
+    shares = sizes / sizes.sum()
+    return float(np.concatenate(parts).mean()), float(np.linalg.norm(shares * errors))

@@ -1,0 +1,185 @@
+"""Where on the surface something is left: a window of a view's pixels back to the world, and the residual on the mesh."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpsar.effects import get, value_in
+from warpsar.frame import geometry_of
+
+if TYPE_CHECKING:
+    from warpsar.diagnosis.judge import Judged
+    from warpsar.diagnosis.procedure import Diagnosis
+    from warpsar.diagnosis.scan import Spot
+    from warpsar.meshview import MeshView
+    from warpsar.scene import Scene, View
+    from warpsar.trace import Hits
+
+SMOOTHED = 5  # pixels on a side over which the residual on the mesh is averaged
+
+
+@dataclass(frozen=True)
+class Part:
+    """Lit surface of one material inside the window: its share of the window's lit area (dA), its middle and corners in
+    world coordinates [m]."""
+
+    material: str
+    share: float
+    centre_m: list[float]
+    low_m: list[float]
+    high_m: list[float]
+
+
+@dataclass(frozen=True)
+class Place:
+    """The strongest window on the surface. `range_m`, `azimuth_m`: its middle, about the reference point; `ratio_db`:
+    measured over modelled power in it [dB]; `parts`, largest first: none where nothing lit lies in it."""
+
+    view: str
+    polarization: str
+    row: int
+    col: int
+    window: int
+    z: float
+    ratio_db: float
+    range_m: float
+    azimuth_m: float
+    parts: list[Part]
+    views: list[dict[str, Any]]
+
+
+def place(found: Diagnosis, images: Sequence[Judged], spot: Spot) -> Place:
+    """Back-project the spot. `images` are the final model's; `views` says what every image measures over its model
+    about the middle of the largest part, seen there or not."""
+    scene = found.final.scene
+    seen = found.evidence.observations[spot.observation]
+    train = [image for image in images if image.role == "train"]
+    rows, cols = scene.grid.shape
+    hits = _hits(found, seen.view)
+    shift = _shift_px(scene, seen.view)
+    pixel = hits.pixel.numpy()
+    half = spot.window // 2
+    inside = (np.abs(pixel // cols - (spot.row - shift[0])) <= half + 0.5) & (
+        np.abs(pixel % cols - (spot.col - shift[1])) <= half + 0.5
+    )
+    parts = _parts(scene, hits, inside)
+    middle = [(i + 0.5 - n / 2) * s for i, n, s in zip((spot.row, spot.col), (rows, cols), scene.grid.spacing_m, strict=True)]
+    views = [] if not parts else [_in_view(found, image, np.array(parts[0].centre_m), half) for image in images]
+    return Place(
+        view=seen.view.name,
+        polarization=seen.polarization,
+        row=spot.row,
+        col=spot.col,
+        window=spot.window,
+        z=spot.z,
+        ratio_db=_window_db(train[spot.observation], spot.row, spot.col, half),
+        range_m=middle[0],
+        azimuth_m=middle[1],
+        parts=parts,
+        views=views,
+    )
+
+
+def _hits(found: Diagnosis, view: View) -> Hits:
+    """What the view lights, binned by its pixels."""
+    return found.bench.rays.hits(found.scene, view, [])
+
+
+def _shift_px(scene: Scene, view: View) -> np.ndarray:
+    """By how many rows and columns the model moves the image of a view."""
+    table = scene.effects.get("registration")
+    if table is None:
+        return np.zeros(2)
+    axes = geometry_of(scene, view)
+    range_m, azimuth_m, *world = (value_in(view, p, table) for p in get("registration").parameters)
+    moved = np.array([range_m + axes.d @ np.array(world), azimuth_m + axes.u @ np.array(world)])
+    return moved / np.array(scene.grid.spacing_m)
+
+
+def _parts(scene: Scene, hits: Hits, inside: np.ndarray) -> list[Part]:
+    points = hits.point.numpy()[inside].astype(float) + np.asarray(scene.reference_point_m)
+    weight = hits.weight.numpy()[inside].astype(float)
+    material = scene.mesh.face_material[hits.face.numpy()[inside]]
+    found = []
+    for index in np.unique(material):
+        mine = material == index
+        found.append(
+            Part(
+                scene.mesh.materials[index],
+                float(weight[mine].sum() / weight.sum()),
+                np.average(points[mine], axis=0, weights=weight[mine]).tolist(),
+                points[mine].min(axis=0).tolist(),
+                points[mine].max(axis=0).tolist(),
+            )
+        )
+    return sorted(found, key=lambda part: -part.share)
+
+
+def _pixel_of(scene: Scene, view: View, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Row and column, as floats with pixel i at i to i + 1, of points about the reference point, shape (n, 3)."""
+    axes = geometry_of(scene, view)
+    along = points @ axes.d
+    if axes.slant_range_m is not None:
+        along = np.hypot(along + axes.slant_range_m, points @ axes.v) - axes.slant_range_m
+    shift = _shift_px(scene, view)
+    places = (along, points @ axes.u)
+    row, col = (
+        at / step + n / 2 + moved
+        for at, n, step, moved in zip(places, scene.grid.shape, scene.grid.spacing_m, shift, strict=True)
+    )
+    return row, col
+
+
+def _in_view(found: Diagnosis, image: Judged, world: np.ndarray, half: int) -> dict[str, Any]:
+    scene = found.final.scene
+    row, col = (
+        int(np.floor(at[0])) for at in _pixel_of(scene, image.seen.view, (world - scene.reference_point_m)[None])
+    )
+    return {"image": image.name, "role": image.role, "row": row, "col": col, "ratio_db": _window_db(image, row, col, half)}
+
+
+def _window_db(image: Judged, row: int, col: int, half: int) -> float:
+    """10 log10 of measured over modelled power of the compared pixels in a window; nan where there are none."""
+    rows, cols = image.modelled.shape
+    box = (slice(max(row - half, 0), max(row + half + 1, 0)), slice(max(col - half, 0), max(col + half + 1, 0)))
+    use = image.seen.interior[box]
+    if row >= rows + half or col >= cols + half or not use.any():
+        return float("nan")
+    ratio = image.seen.measured[box][use].sum(dtype=float) / image.modelled[box][use].sum()
+    return float(10.0 * np.log10(ratio))
+
+
+def residual_on(side: MeshView, found: Diagnosis, images: Sequence[Judged]) -> np.ndarray:
+    """Measured over modelled power [dB] at every ray of a picture of the mesh, averaged over `SMOOTHED` pixels and the
+    train views that see the place; nan where none does, shape (n,)."""
+    from scipy.ndimage import uniform_filter
+
+    scene = found.final.scene
+    rows, cols = scene.grid.shape
+    faces = len(scene.mesh.faces)
+    total, count = np.zeros((2, len(side.point)))
+    for image in images:
+        if image.role != "train":
+            continue
+        mask = image.seen.interior
+        power = [
+            uniform_filter(np.where(mask, plane, 0.0).astype(float), SMOOTHED, mode="constant")
+            for plane in (image.seen.measured, image.modelled)
+        ]
+        row, col = _pixel_of(scene, image.seen.view, side.point)
+        shift = _shift_px(scene, image.seen.view)
+        i, j = np.floor(row).astype(int), np.floor(col).astype(int)
+        on = (i >= 0) & (i < rows) & (j >= 0) & (j < cols)
+        i, j = np.clip(i, 0, rows - 1), np.clip(j, 0, cols - 1)
+        unmoved = np.floor(row - shift[0]).astype(int) * cols + np.floor(col - shift[1]).astype(int)
+        hits = _hits(found, image.seen.view)
+        lit = np.isin(unmoved * faces + side.face, hits.pixel.numpy().astype(np.int64) * faces + hits.face.numpy())
+        use = on & lit & mask[i, j]
+        total[use] += power[0][i, j][use] / power[1][i, j][use]
+        count[use] += 1
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(10.0 * np.log10(total / count))
