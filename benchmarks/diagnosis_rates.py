@@ -1,5 +1,5 @@
-"""How often `warpsar diagnose` is right: images of the project's own renderer with an effect that the scene file does not
-declare, with nothing missing, with several effects, and with what no effect explains.
+"""How often `warpsar diagnose` is right: images of the project's own renderer with an effect that the scene file does
+not declare, with nothing missing, with several effects, and with what no effect explains.
 
     python benchmarks/diagnosis_rates.py run -o out/rates --case none --looks 16 --repeats 100
     python benchmarks/diagnosis_rates.py run -o out/rates                # all cases, looks and kinds of speckle
@@ -164,7 +164,9 @@ def measured(images: Sequence[np.ndarray], looks: int, correlated: bool, seed: i
     return replace(scene, views=views, materials=materials, sampling=Sampling(seed=seed))
 
 
-def one_run(name: str, looks: int, correlated: bool, seed: int, options: DiagnoseOptions, device: str, out: Path) -> Any:
+def one_run(
+    name: str, looks: int, correlated: bool, seed: int, options: DiagnoseOptions, device: str, out: Path
+) -> Any:
     import tempfile
 
     started = time.perf_counter()

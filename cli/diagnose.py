@@ -28,9 +28,7 @@ import click
 )
 @click.option("--draws", type=click.IntRange(min=1), default=1000, show_default=True, help="Of the bootstrap.")
 @click.option("--starts", type=click.IntRange(min=0), default=2, show_default=True, help="Further starts of every fit.")
-@click.option(
-    "--most-effects", type=click.IntRange(min=0), default=4, show_default=True, help="How many may be added."
-)
+@click.option("--most-effects", type=click.IntRange(min=0), default=4, show_default=True, help="How many may be added.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the bootstrap and starts.")
 def command(
     scene: Path,

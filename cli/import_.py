@@ -6,8 +6,9 @@ from pathlib import Path
 
 import click
 
-from warpsar.focus import WINDOWS
-from warpsar.measured.formats import FORMATS
+# As in warpsar.focus and warpsar.measured.formats, which import NumPy: `--help` shall not (held by tests/test_cli.py).
+WINDOWS = ("none", "hann", "taylor")
+FORMATS = ("gotcha", "cphd", "sicd", "mstar", "nisar", "geotiff", "tiff", "exr", "npy")
 
 
 @click.command(name="import")

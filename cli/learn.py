@@ -29,7 +29,7 @@ import click
     "--max-time", type=click.FloatRange(min=0, min_open=True), metavar="SECONDS", help="Stop after this long."
 )
 @click.option(
-    "--rate", type=click.FloatRange(min=0, min_open=True), default=0.05, show_default=True, help="Adam's step."
+    "--rate", type=click.FloatRange(min=0, min_open=True), default=0.05, show_default=True, help="Adam's first step."
 )
 @click.option(
     "--tv", multiple=True, metavar="KEY=WEIGHT", help="Total variation of a field, such as eps_r=5; repeatable."

@@ -114,3 +114,12 @@ def test_simulate_hands_its_options_on(
     result = CliRunner().invoke(cli.main, ["simulate", "scene.toml", "-o", "out", *arguments])
     assert (result.exit_code, result.output) == (0, "")
     assert calls == [((Path("scene.toml"), Path("out")), options)]
+
+
+def test_import_names_the_windows_and_formats_there_are() -> None:
+    from warpsar.cli import import_
+    from warpsar.focus import WINDOWS
+    from warpsar.measured.formats import FORMATS
+
+    assert tuple(WINDOWS) == import_.WINDOWS
+    assert tuple(FORMATS) == import_.FORMATS

@@ -62,8 +62,8 @@ class FitView:
             problem.stage, view, hits, scene.grid.shape, tuple(view.images), self.effects, nodes=shared
         )
         if observations is None:
-            images = self.render.forward()
-            observations = [observe(scene, view, pol, images[pol] > 0) for pol in view.images]
+            self.forward()
+            observations = [observe(scene, view, pol, self.render.lit(pol)) for pol in view.images]
         self.observations = observations
         self.gain = wp.ones(len(observations), dtype=float, device=device)
         self.loss = self.render.program.array(int(kernels.PARTIALS), wp.float64, sum_into=True)

@@ -42,7 +42,7 @@ def write_json(
             "device": f"{device.alias} ({device.name})",
             "seed": seed,
             "wall_time_s": round(time.perf_counter() - started, 3),
-            "input": {"scene": Path(scene.path).name, "sha256": scene.input_hash},
+            "input": {"scene": Path(scene.path or "scene").name, "sha256": scene.input_hash},
             **content,
         }
     )

@@ -98,6 +98,7 @@ class ViewRender:
         self.set_parameters(stage.surface.nodes, {e.effect.name: e.values for e in effects})
         self.images: dict[str, Any] = {}
         self.sigma: dict[str, Any] = {}
+        self._light: dict[str, Any] = {}
         self.layers: dict[str, Any] = {}
         self.kept: dict[str, Any] = {}  # what an effect worked out for one polarization and needs in the next
         fine = hits.grid.bins_per_pixel
@@ -115,11 +116,17 @@ class ViewRender:
             self.sigma[name] = sigma
             image = self.program.array(shape[0] * shape[1], sum_into=True)
             self.collect(sigma, hits.weight, hits.point, hits.pixel, image)
+            self._light[name] = image
             for effect, p in at("path"):
                 image = effect.paths(self, p, image, code)
             for effect, p in at("image"):
                 image = effect.image(self, p, image)
             self.images[name] = image
+
+    def lit(self, polarization: str) -> np.ndarray:
+        """Pixels that single-bounce light reached in the last run, (rows, cols) bool: a blur or a noise floor lights
+        nothing."""
+        return self._light[polarization].numpy().reshape(self.shape) > 0
 
     def _at(self, stage: str) -> list[tuple[Effect, Any]]:
         return [(e.effect, self.effect_values[e.effect.name]) for e in self._effects if e.effect.stage == stage]
@@ -217,8 +224,8 @@ class ViewRender:
         alone = copy(self)
         alone.program = Program(self.program.device)
         alone.settings, alone.kept, alone.layers = {effect.effect.name: effect.settings}, {}, {}
-        p = wp.array(effect.values.astype(np.float32), dtype=float, device=self.program.device)
-        given = wp.array(image.astype(np.float32).ravel(), dtype=float, device=self.program.device)
+        p: Any = wp.array(effect.values.astype(np.float32), dtype=float, device=self.program.device)
+        given: Any = wp.array(image.astype(np.float32).ravel(), dtype=float, device=self.program.device)
         result = effect.effect.image(alone, p, given)
         alone.program.forward()
         return result.numpy().reshape(self.shape).copy()

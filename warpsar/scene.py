@@ -22,6 +22,7 @@ from pydantic import (
 )
 
 from warpsar.errors import InputError
+from warpsar.frame import SPEED_OF_LIGHT
 from warpsar.images import read_channel, read_mask
 
 if TYPE_CHECKING:
@@ -30,7 +31,6 @@ if TYPE_CHECKING:
 
     from warpsar.mesh import Mesh
 
-SPEED_OF_LIGHT_M_PER_S = 299792458.0
 DEFAULT_RAYS_PER_PIXEL = 64.0
 LARGEST_IMAGE = 2**28
 """Pixels of an image: 1 GiB of float32."""
@@ -198,7 +198,10 @@ def within(key: str, value: Any) -> Any:
 
 def allowed_values(key: str) -> str:
     low, high = LIMITS[key]
-    return f"a number {'from' if key == 'specular_fraction' else 'above'} {low:g} to {high:g}"
+    allowed = f"a number {'from' if key == 'specular_fraction' else 'above'} {low:g} to {high:g}"
+    if key == "eps_r":
+        allowed += " (at 1 nothing reflects and every derivative is 0: a dead point that no fit can leave)"
+    return allowed
 
 
 class View(Table):
@@ -286,7 +289,7 @@ class Scene:
 
     def wavenumber(self, view: View) -> float:
         """2 pi f / c [rad/m] of a view."""
-        return 2.0 * math.pi * (view.frequency_hz or self.radar.frequency_hz) / SPEED_OF_LIGHT_M_PER_S
+        return 2.0 * math.pi * (view.frequency_hz or self.radar.frequency_hz) / SPEED_OF_LIGHT
 
     def slant_range_m(self, view: View) -> float | None:
         """Range from the track to the reference point [m]; None for a plane wave."""

@@ -189,6 +189,8 @@ class _Loader:
         self.warnings: list[str] = []
 
     def scene(self) -> Scene:
+        from warpsar.effects import check as check_effects
+
         file = self.file
         mesh_path = self.absolute(file.scene.mesh)
         mesh: Mesh | None = None
@@ -206,7 +208,7 @@ class _Loader:
             )
         _refuse(self.path, self.problems)
         assert mesh is not None
-        return Scene(
+        scene = Scene(
             mesh=mesh,
             radar=file.radar,
             grid=file.image,
@@ -220,6 +222,8 @@ class _Loader:
             warnings=(*(f"{mesh_path}: {warning}" for warning in mesh.warnings), *self.warnings),
             source=self.text,
         )
+        check_effects(scene)
+        return scene
 
     def absolute(self, name: str | Path) -> Path:
         path = self.path.parent / name

@@ -208,6 +208,7 @@ def run(
     started = time.perf_counter()
     scene = Scene.load(scene_path)
     out = Path(out)
+    out.mkdir(parents=True, exist_ok=True)  # refused now rather than after the work
     where = runtime.resolve_device(device)
     runtime.say_device(where)
     for warning in scene.warnings:

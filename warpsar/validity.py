@@ -1,4 +1,4 @@
-"""How much of the lit surface lies outside the domain of the model that it is given (equations 9, 12, 19, corrected)."""
+"""How much of the lit surface lies outside the domain of its model (equations 9, 12, 19, corrected)."""
 
 from __future__ import annotations
 

@@ -98,7 +98,8 @@ def bootstrap(
 class Speckle:
     """Standardised gamma speckle on the pixels of the evidence, with its autocovariance.
 
-    Correlated: a Gaussian field of that correlation, taken to the gamma distribution quantile by quantile.
+    Correlated: a Gaussian field taken to the gamma distribution quantile by quantile, which lowers correlations (0.72
+    to 0.65 at one look); the field's own are as much higher.
     """
 
     def __init__(self, evidence: Evidence) -> None:
@@ -114,10 +115,11 @@ class Speckle:
             correlation = evidence.autocovariance / evidence.autocovariance[lags, lags]
             for seen in self.observations:
                 kernel = np.zeros([n + 2 * lags for n in seen.interior.shape])
-                kernel[: 2 * lags + 1, : 2 * lags + 1] = correlation
+                if seen.looks not in self._power:
+                    self._power[seen.looks] = self._quantiles(seen.looks)
+                kernel[: 2 * lags + 1, : 2 * lags + 1] = self._underlying(correlation, seen.looks)
                 kernel = np.roll(kernel, (-lags, -lags), (0, 1))
                 self.spectra.append((kernel.shape, np.sqrt(np.maximum(np.fft.rfft2(kernel).real, 0.0))))
-                self._power[seen.looks] = self._quantiles(seen.looks)
 
     def __call__(self, random: np.random.Generator, draws: int) -> np.ndarray:
         """Draws of sqrt(L) (I / mu - 1), shape (n, draws); scaled up where the residual varies more than speckle."""
@@ -142,3 +144,16 @@ class Speckle:
         below = gamma.ppf(norm.cdf(self._normal), looks)
         above = gamma.isf(norm.sf(self._normal), looks)
         return np.where(self._normal < 0, below, above) / looks
+
+    def _underlying(self, correlation: np.ndarray, looks: float) -> np.ndarray:
+        """Correlations of normal variables whose gamma ones have `correlation` (not negative), any shape.
+
+        The transform's Hermite coefficients c_k make it sum(c_k^2 rho^k) / sum(c_k^2) (Lancaster, 1957).
+        """
+        z, w = np.polynomial.hermite_e.hermegauss(120)
+        power = np.interp(z, self._normal, self._power[looks])
+        order = np.arange(1, 25)
+        hermite = np.polynomial.hermite_e.hermevander(z, order[-1])[:, 1:]
+        shares = ((w * power) @ hermite) ** 2 / np.cumprod(order.astype(float))
+        rho = np.linspace(0.0, 1.0, 201)
+        return np.interp(correlation, (rho[:, None] ** order) @ shares / shares.sum(), rho)

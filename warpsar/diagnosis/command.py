@@ -14,13 +14,12 @@ import numpy as np
 from warpsar import runtime
 from warpsar.diagnosis.judge import ROLES, Judge, Judged, difference, pool
 from warpsar.diagnosis.place import Place, place
-from warpsar.diagnosis.procedure import Candidate, Diagnosis, DiagnoseOptions, Step, diagnose_scene
+from warpsar.diagnosis.procedure import Candidate, DiagnoseOptions, Diagnosis, Step, diagnose_scene
 from warpsar.diagnosis.score import NOT_TESTABLE
 from warpsar.effects import get
 from warpsar.errors import InputError
 from warpsar.identify import Identified, identify
 from warpsar.outputs import write_json
-from warpsar.surface import KINDS
 
 if TYPE_CHECKING:
     from warpsar.diagnosis.refit import Fitted
@@ -186,7 +185,10 @@ def content_of(
             for k, step in enumerate(added)
         ],
         "candidates": [_candidate(c) for c in found.steps[0].candidates]
-        + [{"effect": name, "testability": "declared", "statistic": None, "p_value": None} for name in found.scene.effects],
+        + [
+            {"effect": name, "testability": "declared", "statistic": None, "p_value": None}
+            for name in found.scene.effects
+        ],
         "not_testable": [c.effect for c in untestable],
         "not_testable_because": {c.effect: why_not(c) for c in untestable},
         "turns": [

@@ -52,4 +52,4 @@ class Evidence:
     def products(self, scaled: np.ndarray) -> np.ndarray:
         """Variance of sum(scaled * standardised), shape (k, k), for `scaled` of shape (n, k)."""
         parts = zip(self.split(scaled), self.observations, strict=True)
-        return sum(score_products(part, self.autocovariance, seen) for part, seen in parts)
+        return np.sum([score_products(part, self.autocovariance, seen) for part, seen in parts], axis=0)

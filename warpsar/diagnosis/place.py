@@ -1,4 +1,4 @@
-"""Where on the surface something is left: a window of a view's pixels back to the world, and the residual on the mesh."""
+"""Where on the surface something is left: a window of pixels back to the world, and the residual on the mesh."""
 
 from __future__ import annotations
 
@@ -67,7 +67,9 @@ def place(found: Diagnosis, images: Sequence[Judged], spot: Spot) -> Place:
         np.abs(pixel % cols - (spot.col - shift[1])) <= half + 0.5
     )
     parts = _parts(scene, hits, inside)
-    middle = [(i + 0.5 - n / 2) * s for i, n, s in zip((spot.row, spot.col), (rows, cols), scene.grid.spacing_m, strict=True)]
+    middle = [
+        (i + 0.5 - n / 2) * s for i, n, s in zip((spot.row, spot.col), (rows, cols), scene.grid.spacing_m, strict=True)
+    ]
     views = [] if not parts else [_in_view(found, image, np.array(parts[0].centre_m), half) for image in images]
     return Place(
         view=seen.view.name,
@@ -139,7 +141,13 @@ def _in_view(found: Diagnosis, image: Judged, world: np.ndarray, half: int) -> d
     row, col = (
         int(np.floor(at[0])) for at in _pixel_of(scene, image.seen.view, (world - scene.reference_point_m)[None])
     )
-    return {"image": image.name, "role": image.role, "row": row, "col": col, "ratio_db": _window_db(image, row, col, half)}
+    return {
+        "image": image.name,
+        "role": image.role,
+        "row": row,
+        "col": col,
+        "ratio_db": _window_db(image, row, col, half),
+    }
 
 
 def _window_db(image: Judged, row: int, col: int, half: int) -> float:

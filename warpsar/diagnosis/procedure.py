@@ -1,4 +1,4 @@
-"""The procedure of effects.md: fit, look at what is left, add the effect that explains it, and again until nothing is."""
+"""The procedure: fit, look at what is left, add the effect that explains it, and again until nothing is."""
 
 from __future__ import annotations
 
@@ -133,7 +133,7 @@ def diagnose_scene(scene: Scene, device: Any, options: DiagnoseOptions) -> Diagn
     base = declared = fit_model(bench, scene, options.starts, options.seed)
     steps: list[Step] = []
     while True:
-        step, evidence = _step(bench, other_rays, base, options, len(steps), bar)
+        step, evidence = _step(scene, bench, other_rays, base, options, len(steps), bar)
         steps.append(step)
         if step.fitted is None or len(steps) > options.most_effects:
             break
@@ -157,7 +157,13 @@ def _frozen(one: Bench, other: Bench, scene: Scene) -> dict[str, list[Observatio
 
 
 def _step(
-    bench: Bench, other_rays: Rays, base: Fitted, options: DiagnoseOptions, number: int, bar: Any
+    scene: Scene,
+    bench: Bench,
+    other_rays: Rays,
+    base: Fitted,
+    options: DiagnoseOptions,
+    number: int,
+    bar: Any,
 ) -> tuple[Step, Evidence]:
     """Score every effect that is not declared, refit the best, and add the one that holds on views left out."""
     evidence = Evidence.of(base.problem, base.x)
@@ -189,7 +195,7 @@ def _step(
     refitted: list[tuple[float, Candidate, Fitted]] = []
     for candidate in passing[: options.refits]:
         chosen = [table for template in best[candidate.effect] for table in template.trial.starts][:REFIT_STARTS]
-        fitted = screen(bench, base, candidate.effect, chosen)
+        fitted = screen(bench, base, scene, candidate.effect, chosen)
         candidate.refit_gain = 2.0 * (fitted.log_likelihood - base.log_likelihood)
         candidate.refit_size = fitted.size - base.size
         penalty = (fitted.size - base.size) * np.log(_effective_pixels(evidence))
@@ -303,5 +309,6 @@ def _effective_pixels(evidence: Evidence) -> float:
 def _say(step: Step, number: int, passing: list[Candidate]) -> None:
     names = ", ".join(f"{c.effect} ({c.minus_log_p:.0f})" for c in passing[:6]) or "none"
     runtime.say(
-        f"step {number + 1}: -ln p over {step.threshold:.1f}: {names}; scan {step.scan_minus_log_p:.1f} (z {step.spot.z:+.1f})"
+        f"step {number + 1}: -ln p over {step.threshold:.1f}: {names}; "
+        f"scan {step.scan_minus_log_p:.1f} (z {step.spot.z:+.1f})"
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,7 +22,11 @@ if TYPE_CHECKING:
     from warpsar.simulation import Rays
 
 MOST_ITERATIONS = 40  # of one start
-SCREENING_ITERATIONS = 12  # of one start, where models are only ranked
+SCREENING_ITERATIONS = 12  # of one start, where models are only ranked, or start where they belong
+HOPELESS = 100.0  # log-likelihood behind the best start, after so many iterations, at which a start is given up
+# Log-likelihood of one pixel beyond which a difference counts no more: a few bright pixels would else be all of the
+# sum, and all of its error.
+LARGEST_DIFFERENCE = 20.0
 
 
 @dataclass(frozen=True)
@@ -73,6 +77,8 @@ def descend(
         state = FitState(inside, np.inf, inside, np.inf)
         while not state.arrived and state.since_start < most_iterations:
             state = levenberg_marquardt(problem, state, moving)
+            if state.since_start == SCREENING_ITERATIONS and state.best_loss > best_loss + HOPELESS:
+                break
         iterations += state.iteration
         if state.best_loss < best_loss:
             best, best_loss = state.best_x, state.best_loss
@@ -86,12 +92,22 @@ def fit_model(bench: Bench, scene: Scene, further_starts: int, seed: int) -> Fit
     return _fitted(bench, problem, *descend(problem, starts))
 
 
-def screen(bench: Bench, base: Fitted, name: str, tables: Sequence[Mapping[str, Any]]) -> Fitted:
-    """`base` and one effect more, everything refitted, from each of the effect's own starts: the best by likelihood."""
-    found = []
+def screen(bench: Bench, base: Fitted, declared: Scene, name: str, tables: Sequence[Mapping[str, Any]]) -> Fitted:
+    """`base` and one effect more, everything refitted, from each of the effect's own starts: the best by likelihood.
+
+    The surface starts where `base` stands, and where the scene file does: a strong effect that is missing can pull
+    the fitted surface so far that no descent leads back.
+    """
+    surfaces = [base.scene, replace(base.scene, materials=declared.materials)]
+    found: list[Fitted] = []
     for table in tables:
-        problem = bench.problem(with_effect(base.scene, name, table))
-        found.append(_fitted(bench, problem, *descend(problem, [problem.x0], None, SCREENING_ITERATIONS)))
+        here = []
+        for surface in surfaces:
+            problem = bench.problem(with_effect(surface, name, table))
+            here.append(_fitted(bench, problem, *descend(problem, [problem.x0], None, SCREENING_ITERATIONS)))
+        better = max(range(len(here)), key=lambda k: here[k].log_likelihood)
+        surfaces = [surfaces[better]]  # the other tables need not try both
+        found.append(here[better])
     return max(found, key=lambda fitted: fitted.log_likelihood)
 
 
@@ -128,7 +144,8 @@ class LeftOut:
 
 
 def leave_one_view_out(bench: Bench, base: Fitted, fitted: Fitted, inflation: float) -> LeftOut:
-    """Each training view in turn is predicted by both models, fitted to the others; pixels are compared in pairs.
+    """Each training view in turn is predicted by both models, fitted to the others; pixels are compared in pairs, a
+    pixel counting `LARGEST_DIFFERENCE` at most.
 
     Parameters of the one view (its gain, its interference) cannot come from the others: they are fitted on it, with
     all else held. `inflation` is the variance of a sum of correlated residuals over that of white ones.
@@ -141,7 +158,7 @@ def leave_one_view_out(bench: Bench, base: Fitted, fitted: Fitted, inflation: fl
         others = [other for other in names if other != name]
         terms = [_predicted(bench, model, others, name) for model in (base, fitted)]
         differences.append(terms[0] - terms[1])
-    every = np.concatenate(differences)
+    every = np.clip(np.concatenate(differences), -LARGEST_DIFFERENCE, LARGEST_DIFFERENCE)
     error = float(np.sqrt(every.size * every.var() * max(inflation, 1.0)))
     return LeftOut(float(every.sum()), error, len(names))
 
@@ -149,7 +166,7 @@ def leave_one_view_out(bench: Bench, base: Fitted, fitted: Fitted, inflation: fl
 def _predicted(bench: Bench, model: Fitted, others: Sequence[str], name: str) -> np.ndarray:
     """Loss of every interior pixel of view `name` under the model fitted to `others`, shape (n,)."""
     problem = bench.problem(model.scene, others)
-    x, _, _ = descend(problem, [problem.x0])
+    x, _, _ = descend(problem, [problem.x0], None, SCREENING_ITERATIONS)
     known = dict(zip(problem.labels, x, strict=True))
     held = bench.problem(model.scene, [name], dark=False)
     theirs = np.array([known.get(label, held.x0[i]) for i, label in enumerate(held.labels)])

@@ -1,0 +1,285 @@
+"""The statistics of `warpsar diagnose`, each against a closed form, brute force or many draws."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from learning_scenes import cube_scene, measured, views_at
+from scipy import optimize, special, stats
+from worlds import view
+
+from warpsar import runtime
+from warpsar.diagnosis.bootstrap import Bootstrap, Speckle, Tail
+from warpsar.diagnosis.evidence import Evidence
+from warpsar.diagnosis.refit import Bench, LeftOut, fit_model, leave_one_view_out
+from warpsar.diagnosis.scan import Scan
+from warpsar.diagnosis.score import Group, Projection, log_tail, minus_log_p
+from warpsar.diagnosis.templates import Template, with_effect
+from warpsar.effects.base import Step, Trial
+from warpsar.observation import Observation
+from warpsar.render import Stage
+from warpsar.scene import Scene
+from warpsar.simulation import Rays
+
+WHITE = np.zeros((13, 13))
+WHITE[6, 6] = 1.0
+
+
+def observation(interior: np.ndarray, looks: float = 16.0) -> Observation:
+    nowhere = np.zeros_like(interior)
+    return Observation(view(0, 40), "HH", np.ones(interior.shape), interior, nowhere, nowhere, looks, False)
+
+
+def evidence(seen: Observation, autocovariance: np.ndarray = WHITE) -> Evidence:
+    n = int(seen.interior.sum())
+    return Evidence([seen], [np.ones(n)], np.zeros(n), np.full(n, np.sqrt(seen.looks)), autocovariance)
+
+
+# Tails
+
+
+# 1, 2 and 4 degrees of freedom have closed forms that never underflow: 2 Phi(-sqrt(s)), exp(-s/2), exp(-s/2) (1 + s/2)
+@pytest.mark.parametrize("statistic", [0.0, 0.3, 4.0, 60.0, 590.0, 610.0, 5000.0, 1e5])
+@pytest.mark.parametrize(
+    ("degrees", "closed_form"),
+    [
+        (1, lambda s: np.log(2.0) + special.log_ndtr(-np.sqrt(s))),
+        (2, lambda s: -s / 2.0),
+        (4, lambda s: -s / 2.0 + np.log1p(s / 2.0)),
+    ],
+)
+def test_log_tail_of_chi_square(statistic: float, degrees: int, closed_form: object) -> None:
+    assert callable(closed_form)
+    # the series beyond 600 stops after (2/s)^2: 1e-7
+    assert float(log_tail(statistic, degrees)) == pytest.approx(closed_form(statistic), rel=1e-9, abs=1e-6)
+
+
+def test_log_tail_meets_scipy() -> None:
+    s = np.linspace(0.1, 500.0, 50)
+    for degrees in range(1, 8):
+        np.testing.assert_allclose(log_tail(s, degrees), stats.chi2.logsf(s, degrees), rtol=1e-9)
+
+
+def test_mixture_by_hand() -> None:
+    s = np.array([0.5, 4.0, 30.0])
+    one, two, three = (stats.chi2.sf(s, k) for k in (1, 2, 3))
+    np.testing.assert_allclose(minus_log_p(s, 2, 0), -np.log(two), rtol=1e-9)
+    np.testing.assert_allclose(minus_log_p(s, 0, 1), -np.log(0.5 * one), rtol=1e-9)
+    np.testing.assert_allclose(minus_log_p(s, 0, 2), -np.log(0.5 * one + 0.25 * two), rtol=1e-9)
+    np.testing.assert_allclose(minus_log_p(s, 1, 2), -np.log(0.25 * one + 0.5 * two + 0.25 * three), rtol=1e-9)
+    np.testing.assert_allclose(minus_log_p(np.zeros(1), 0, 1), 0.0, atol=1e-12)
+
+
+# Scores
+
+
+def a_group(columns: np.ndarray, covariance: np.ndarray, one_sided: tuple[bool, ...]) -> Group:
+    step = Step("x", 1.0, {})
+    template = Template("x", Trial((step,) * len(one_sided), ({},)), columns, one_sided)
+    return Group([template], columns, covariance[None], np.ones(1))
+
+
+@pytest.mark.parametrize(
+    "one_sided",
+    [(True,), (False,), (True, True), (False, True), (True, False), (True, True, True), (False, True, False, True)],
+)
+def test_statistic_is_the_best_over_the_cone(one_sided: tuple[bool, ...]) -> None:
+    """max of 2 theta.S - theta' V theta with some theta >= 0, by non-negative least squares; a free theta is the
+    difference of two that are not negative."""
+    random = np.random.default_rng(len(one_sided))
+    k, n, draws = len(one_sided), 40, 30
+    columns = random.standard_normal((n, k))
+    covariance = np.cov(random.standard_normal((k, 3 * k + 3))).reshape(k, k) + 0.2 * np.eye(k)
+    residuals = random.standard_normal((n, draws))
+    found, scores = a_group(columns, covariance, one_sided).statistics(residuals)
+    root = np.linalg.cholesky(covariance)
+    for draw in range(draws):
+        target = np.linalg.solve(root, columns.T @ residuals[:, draw])
+        free = [i for i, bound in enumerate(one_sided) if not bound]
+        _, distance = optimize.nnls(np.hstack([root.T, -root.T[:, free]]), target)
+        assert found[0, draw] == pytest.approx(target @ target - distance**2, rel=1e-8, abs=1e-8)
+    expected = minus_log_p(found, one_sided.count(False), one_sided.count(True))
+    np.testing.assert_allclose(scores, expected)
+
+
+def test_one_sided_p_values_are_uniform() -> None:
+    """Independent coordinates, one free and one not negative: where p < 1 it is uniform, exactly."""
+    random = np.random.default_rng(3)
+    columns = np.eye(2)
+    _, scores = a_group(columns, np.eye(2), (False, True)).statistics(random.standard_normal((2, 20_000)))
+    p = np.exp(-scores[0])
+    # 20 000 draws: a share of 0.05 has a standard deviation of 0.0015
+    for level in (0.01, 0.05, 0.3):
+        assert np.mean(p < level) == pytest.approx(level, abs=4 * np.sqrt(level / 20_000))
+
+
+def test_projection_takes_out_the_tangent_and_nothing_else() -> None:
+    random = np.random.default_rng(0)
+    tangent = random.standard_normal((200, 3)) * [1.0, 1e3, 1e-3]
+    looks = random.uniform(1.0, 4.0, 200)
+    # a column twice and one of zeros: no more is taken out by them
+    projection = Projection(np.hstack([tangent, tangent[:, :1] - tangent[:, 1:2], np.zeros((200, 1))]), looks)
+    assert projection.basis.shape == (200, 3)
+    columns = random.standard_normal((200, 5))
+    left = projection(columns)
+    scale = np.linalg.norm(looks[:, None] * tangent, axis=0)
+    np.testing.assert_allclose((looks[:, None] * tangent / scale).T @ left, 0.0, atol=1e-12)
+    np.testing.assert_allclose(projection(left), left, atol=1e-12)
+    np.testing.assert_allclose(np.linalg.matrix_rank(np.hstack([columns - left, looks[:, None] * tangent / scale])), 3)
+
+
+# Bootstrap
+
+
+def test_tail_is_calibrated_inside_and_beyond_the_draws() -> None:
+    """Exponential draws: -ln p of x is x, also where no draw has been."""
+    tail = Tail.of(np.random.default_rng(0).exponential(size=4000))
+    x = np.array([0.05, 0.3, 1.0, 2.0, 2.3])
+    # the share above x of 4000 draws is known to 1 / sqrt(4000 p)
+    np.testing.assert_allclose(tail(x), x, atol=0.1)
+    # beyond, the slope comes from the 400 largest: 1 / sqrt(400)
+    np.testing.assert_allclose(tail(np.array([8.0, 15.0, 40.0])), [8.0, 15.0, 40.0], rtol=0.15)
+    many = tail(np.linspace(0.0, 20.0, 500))
+    assert (np.diff(many) >= 0).all()
+
+
+def test_threshold_is_passed_at_the_family_error() -> None:
+    largest = np.sort(np.random.default_rng(1).exponential(size=1000))
+    boot = Bootstrap({}, largest)
+    threshold = boot.threshold(0.01)
+    assert np.mean(largest > threshold) == pytest.approx(0.01, abs=0.001)
+    assert boot.p_family(threshold) == pytest.approx(0.011, abs=0.001)
+    assert boot.p_family(1e9) == pytest.approx(1 / 1001)
+
+
+@pytest.mark.parametrize("looks", [1.0, 4.0, 16.0])
+def test_white_speckle_is_gamma(looks: float) -> None:
+    seen = observation(np.ones((20, 20), bool), looks)
+    draws = Speckle(evidence(seen))(np.random.default_rng(0), 50)
+    assert draws.shape == (400, 50)
+    power = draws.ravel() / np.sqrt(looks) + 1.0
+    assert stats.kstest(power, stats.gamma(looks, scale=1 / looks).cdf).pvalue > 1e-3
+    assert draws.var() == pytest.approx(1.0, abs=0.05)
+
+
+@pytest.mark.parametrize("looks", [1.0, 4.0, 16.0])
+def test_correlated_speckle_has_the_asked_autocovariance(looks: float) -> None:
+    """Gamma marginals, the autocovariance that was asked for, and the mask's holes left out."""
+    lag = np.arange(-6, 7)
+    asked = np.exp(-(lag[:, None] ** 2 + lag[None, :] ** 2) / 3.0)
+    asked[np.hypot(*np.meshgrid(lag, lag)) > 3.5] = 0.0
+    interior = np.ones((40, 40), bool)
+    interior[10:14, 20:30] = False
+    seen = observation(interior, looks)
+    draws = Speckle(evidence(seen, asked))(np.random.default_rng(0), 200)
+    assert draws.shape == (interior.sum(), 200)
+    power = draws[::37].ravel() / np.sqrt(looks) + 1.0
+    assert stats.kstest(power, stats.gamma(looks, scale=1 / looks).cdf).pvalue > 1e-3
+    grid = np.full((40, 40, 200), np.nan)
+    grid[interior] = draws
+    for i, j in ((0, 0), (0, 1), (1, 0), (1, 1), (2, 0), (0, 2), (4, 0)):
+        product = grid[: 40 - i, : 40 - j] * grid[i:, j:]
+        # 200 fields of some 1600 / 9 independent patches: 0.01. And at one look no normal field has all the
+        # correlations that would give these: the nearest one is 0.035 off; without the correction it would be 0.065.
+        assert np.nanmean(product) == pytest.approx(asked[6 + i, 6 + j], abs=0.04 if looks == 1 else 0.03), (i, j)
+
+
+def test_residual_that_varies_more_than_speckle_makes_draws_that_do() -> None:
+    seen = observation(np.ones((30, 30), bool))
+    draws = Speckle(evidence(seen, 2.25 * WHITE))(np.random.default_rng(0), 40)
+    assert draws.std() == pytest.approx(1.5, rel=0.03)
+    calm = Speckle(evidence(seen, 0.5 * WHITE))(np.random.default_rng(0), 40)
+    assert calm.std() == pytest.approx(1.0, rel=0.03)
+
+
+# Scan
+
+
+@pytest.mark.parametrize(("size", "height"), [(3, 6.0), (5, -3.0), (9, 2.0)])
+def test_scan_finds_a_planted_patch(size: int, height: float) -> None:
+    interior = np.ones((40, 50), bool)
+    interior[:5] = False
+    masks = [observation(np.ones((30, 30), bool)), observation(interior)]
+    scan = Scan(masks, WHITE)
+    residual = np.zeros((40, 50))
+    residual[20 : 20 + size, 30 : 30 + size] = height
+    spot = scan.strongest([np.zeros(900), residual[interior]])
+    assert (spot.observation, spot.row, spot.col) == (1, 20 + size // 2, 30 + size // 2)
+    assert spot.window == size
+    assert spot.z == pytest.approx(height * size)  # size^2 pixels over the root of their number
+    largest = scan.largest([np.zeros((900, 2)), np.stack([residual[interior]] * 2, axis=1)])
+    np.testing.assert_allclose(largest, abs(spot.z))
+
+
+def test_scan_windows_are_standard_normal_and_leave_thin_places_out() -> None:
+    interior = np.ones((30, 30), bool)
+    interior[:, 12:] = False
+    interior[4, 20] = True  # a pixel by itself fills no window by half
+    scan = Scan([observation(interior)], WHITE)
+    random = np.random.default_rng(0)
+    noise = random.standard_normal((int(interior.sum()), 300))
+    windows = scan._windows(0, noise)
+    for z in windows:
+        used = (z != 0).any(axis=0)
+        assert z[:, used].std() == pytest.approx(1.0, rel=0.03)
+    alone = np.zeros(int(interior.sum()))
+    alone[np.flatnonzero(np.flatnonzero(interior) == 4 * 30 + 20)] = 100.0
+    assert scan.strongest([alone]).z == 0.0
+
+
+def test_scan_knows_that_speckle_is_correlated() -> None:
+    """Twice the variance of sums: z shrinks by its root."""
+    wide = WHITE.copy()
+    wide[6, 5] = wide[6, 7] = 0.5
+    residual = np.ones(900)
+    seen = [observation(np.ones((30, 30), bool))]
+    ratio = Scan(seen, WHITE).strongest([residual]).z / Scan(seen, wide).strongest([residual]).z
+    assert ratio == pytest.approx(np.sqrt(2.0))
+
+
+# Views left out
+
+
+def test_left_out_passes_beyond_two_errors_or_without_views() -> None:
+    assert LeftOut(10.1, 5.0, 3).passed
+    assert not LeftOut(9.9, 5.0, 3).passed
+    assert LeftOut(0.0, 0.0, 1).passed
+
+
+@pytest.fixture(scope="module")
+def benches(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[Bench, Scene]]:
+    """A cube on a plane from three sides, without and with a noise floor in its images."""
+    plain = cube_scene(views_at((20.0, 35.0), (140.0, 50.0), (250.0, 42.0)), polarizations=("HH",), shape=30)
+    device = runtime.resolve_device("cpu")
+    found = {}
+    for name, effects in (("none", {}), ("noise_floor", {"noise_floor": {"level": 0.01}})):
+        scene = measured(replace(plain, effects=effects), tmp_path_factory.mktemp(name))
+        scene = replace(scene, effects={})
+        bench = Bench(device, Rays(Stage.of(scene, device), 256.0, 3), {})
+        seen = {one.view.name: one.observations for one in bench.problem(scene).views}
+        found[name] = (Bench(device, bench.rays, seen), scene)
+    return found
+
+
+@pytest.mark.parametrize(("case", "helps"), [("noise_floor", True), ("none", False)])
+def test_views_left_out_tell_what_helps(case: str, helps: bool, benches: dict[str, tuple[Bench, Scene]]) -> None:
+    bench, scene = benches[case]
+    base = fit_model(bench, scene, 0, 0)
+    fitted = fit_model(bench, with_effect(scene, "noise_floor", {"level": 0.005}), 0, 0)
+    left = leave_one_view_out(bench, base, fitted, 1.0)
+    assert left.views == 3
+    assert left.passed == helps
+    if helps:
+        assert fitted.scene.effects["noise_floor"]["level"] == pytest.approx(0.01, rel=0.15)
+        assert left.gain > 5 * left.error
+    else:
+        assert abs(left.gain) < 3.0  # one parameter too many costs about a half
+
+
+def test_inflation_widens_the_error(benches: dict[str, tuple[Bench, Scene]]) -> None:
+    bench, scene = benches["none"]
+    base = fit_model(bench, scene, 0, 0)
+    fitted = fit_model(bench, with_effect(scene, "noise_floor", {"level": 0.005}), 0, 0)
+    narrow, wide, less = (leave_one_view_out(bench, base, fitted, f).error for f in (1.0, 4.0, 0.5))
+    assert wide == pytest.approx(2.0 * narrow)
+    assert less == narrow
