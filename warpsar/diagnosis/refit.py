@@ -98,13 +98,16 @@ def screen(bench: Bench, base: Fitted, declared: Scene, name: str, tables: Seque
     The surface starts where `base` stands, and where the scene file does: a strong effect that is missing can pull
     the fitted surface so far that no descent leads back.
     """
+    numbers = [{p.name: table.get(p.name) for p in get(name).parameters} for table in tables]
     surfaces = [base.scene, replace(base.scene, materials=declared.materials)]
     found: list[Fitted] = []
-    for table in tables:
+    for table, values in zip(tables, numbers, strict=True):
         here = []
         for surface in surfaces:
             problem = bench.problem(with_effect(surface, name, table))
-            here.append(_fitted(bench, problem, *descend(problem, [problem.x0], None, SCREENING_ITERATIONS)))
+            # a table that differs from the first in settings alone goes on from where that one arrived
+            start = found[0].x if found and values == numbers[0] else problem.x0
+            here.append(_fitted(bench, problem, *descend(problem, [start], None, SCREENING_ITERATIONS)))
         better = max(range(len(here)), key=lambda k: here[k].log_likelihood)
         surfaces = [surfaces[better]]  # the other tables need not try both
         found.append(here[better])
