@@ -8,6 +8,7 @@ from warpsar.kernels.scattering import sigma0
 UNIFORM = wp.constant(0)
 VERTEX = wp.constant(1)
 TEXTURE = wp.constant(2)
+HELD = wp.constant(3)  # uniform, and not learned
 
 # Learned coordinates, the four components of `zeta`.
 EPS = wp.constant(0)  # ln(eps_r - 1)
@@ -44,12 +45,25 @@ def texture_value(nodes: wp.array(dtype=float), offset: int, width: int, height:
 
 
 @wp.func
+def held_value(nodes: wp.array(dtype=float), index: int) -> float:
+    """A node without a gradient: on CUDA every hit would else add into one address, and nobody asks for the sum."""
+    return nodes[index]
+
+
+@wp.func_grad(held_value)
+def adjoint_held_value(nodes: wp.array(dtype=float), index: int, adjoint: float):
+    pass
+
+
+@wp.func
 def node_value(nodes: wp.array(dtype=float), place: wp.vec4i, corner: wp.vec3i, b: wp.vec3, uv: wp.vec2) -> float:
     """One parameter at one hit, whatever its layout; `b` holds the three barycentric weights."""
     offset = place[1]
     value = float(0.0)
     if place[0] == UNIFORM:
         value = nodes[offset]
+    elif place[0] == HELD:
+        value = held_value(nodes, offset)
     elif place[0] == VERTEX:
         value = b[0] * nodes[offset + corner[0]] + b[1] * nodes[offset + corner[1]] + b[2] * nodes[offset + corner[2]]
     else:

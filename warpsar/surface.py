@@ -56,7 +56,8 @@ KINDS = (
 )
 KEYS = tuple(kind.key for kind in KINDS)
 SPECTRA = {"gaussian": 0, "exponential": 1, "separable": 2}
-LAYOUTS = {"uniform": 0, "vertex": 1, "texture": 2}
+LAYOUTS = {"uniform": 0, "vertex": 1, "texture": 2}  # codes of kernels/shade.py
+HELD = 3  # there: uniform, and not learned
 
 
 @dataclass(frozen=True)
@@ -129,7 +130,9 @@ class Surface:
                     first_vertex = int(corners.min())
                     value = value[first_vertex : int(corners.max()) + 1]
                 height, width = value.shape if layout == "texture" else (0, 0)
-                places[m, k] = (LAYOUTS[layout], start - first_vertex, width, height)
+                held = layout == "uniform" and kind.key not in material.learn
+                code = HELD if held else LAYOUTS[layout]
+                places[m, k] = (code, start - first_vertex, width, height)
                 blocks.append(Block(name, kind, layout, start, value.shape, kind.key in material.learn, first_vertex))
                 values.append(kind.to_coordinate(value).ravel())
                 start += value.size

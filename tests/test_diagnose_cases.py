@@ -1,0 +1,97 @@
+"""`warpsar diagnose` on the cases of an independent renderer: exactly what is missing, and its parameters."""
+
+import json
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from warpsar.diagnosis.command import Diagnosed, diagnose
+from warpsar.diagnosis.judge import pool
+from warpsar.scene import SURFACE_KEYS, Scene
+
+pytestmark = pytest.mark.slow
+NAMES = ("none", "noise_floor", "multibounce", "point_spread", "registration", "antenna_pattern")
+
+
+@cache
+def diagnosed(folder: Path) -> Diagnosed:
+    return diagnose(Scene.load(folder / "scene.toml"), device="cpu")
+
+
+def true_effect(key: str, value: Any) -> dict[str, dict[str, Any]]:
+    """An effect of truth.json as scene.toml states it (the cases' README)."""
+    if key == "antenna":  # phi = (X . v) / R0
+        beamwidth_m, boresight_m = (value[0] * np.deg2rad(angle) for angle in value[1:])
+        return {"antenna_pattern": {"beamwidth_m": beamwidth_m, "boresight_m": boresight_m}}
+    if key == "registration_m":
+        return {"registration": {"range_m": value[0], "azimuth_m": value[1]}}
+    if key == "point_spread":
+        return {key: {"range_fwhm_m": value[0], "azimuth_fwhm_m": value[1], "window": "gaussian"}}
+    if key == "multibounce":
+        return {key: {"strength": 1.0, "max_bounces": value}}
+    return {key: {"level": value}}
+
+
+def truth_of(folder: Path, scene: Scene) -> Scene:
+    """The scene with the true materials and effects."""
+    truth = json.loads((folder / "truth.json").read_text())
+    materials = {
+        name: scene.materials[name].model_copy(update=dict(zip(SURFACE_KEYS, values, strict=True)))
+        for name, values in truth["materials"].items()
+    }
+    effects: dict[str, dict[str, Any]] = {}
+    for key, value in truth["effects"].items():
+        effects |= true_effect(key, value)
+    return replace(scene, materials=materials, effects=effects)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_exactly_what_is_missing_is_named(name: str, independent_cases: Path) -> None:
+    found = diagnosed(independent_cases / name).diagnosis
+    assert found.verdict == ([] if name == "none" else [name])
+    assert not found.unexplained
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_held_out_error_falls_to_that_of_the_true_model(name: str, independent_cases: Path) -> None:
+    """Mean deviance on the test views, the same pixels and rays for both: within 3 standard errors."""
+    folder = independent_cases / name
+    done = diagnosed(folder)
+    ours, true = done.after["test"], pool(done.judge(truth_of(folder, done.diagnosis.scene)), "test")
+    assert ours is not None
+    assert true is not None
+    assert ours["pixels"] == true["pixels"]
+    assert abs(ours["deviance"] - true["deviance"]) < 3 * true["deviance_error"]
+    assert true["deviance"] == pytest.approx(1.0, abs=0.02 + 3 * true["deviance_error"])
+
+
+def parameters(name: str, folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
+    """(found, true) tables of the effect."""
+    done = diagnosed(folder / name)
+    return done.diagnosis.final.scene.effects[name], truth_of(folder / name, done.diagnosis.scene).effects[name]
+
+
+def test_noise_level_is_found(independent_cases: Path) -> None:
+    found, true = parameters("noise_floor", independent_cases)
+    assert found["level"] == pytest.approx(true["level"], rel=0.05)
+
+
+def test_shift_is_found(independent_cases: Path) -> None:
+    found, true = parameters("registration", independent_cases)
+    for key in ("range_m", "azimuth_m"):
+        assert found.get(key, 0.0) == pytest.approx(true[key], abs=0.05)
+
+
+def test_widths_are_found(independent_cases: Path) -> None:
+    found, true = parameters("point_spread", independent_cases)
+    for key in ("range_fwhm_m", "azimuth_fwhm_m"):
+        assert found[key] == pytest.approx(true[key], rel=0.15)
+
+
+def test_beam_is_found(independent_cases: Path) -> None:
+    found, true = parameters("antenna_pattern", independent_cases)
+    assert found["beamwidth_m"] == pytest.approx(true["beamwidth_m"], rel=0.15)
