@@ -91,9 +91,9 @@ def moved_parameters(found: Diagnosis) -> tuple[list[Moved], Identified]:
     for block in first.problem.surface.blocks:
         if block.learn:
             a, b = float(first.x[at]), float(last.x[at])
-            values = [float(block.kind.from_coordinate(x)) for x in (a, b)]
+            one, two = (float(block.kind.from_coordinate(x)) for x in (a, b))
             moves.append(
-                Moved(block.material, block.kind.key, *values, float(before.sd[at]), float(after.sd[at]), b - a)
+                Moved(block.material, block.kind.key, one, two, float(before.sd[at]), float(after.sd[at]), b - a)
             )
             at += 1
     return moves, after

@@ -54,8 +54,8 @@ class Judge:
         if any(view.role == "test" and view.images for view in found.scene.views):
             other = Rays(bench.rays.stage, bench.rays.rays_per_m2, bench.rays.seed + 1)
             turned = _turned(found.scene)
-            pair = [Bench(bench.device, rays, {}) for rays in (bench.rays, other)]
-            self.benches["test"] = Bench(bench.device, bench.rays, _frozen(*pair, turned))
+            one, two = (Bench(bench.device, rays, {}) for rays in (bench.rays, other))
+            self.benches["test"] = Bench(bench.device, bench.rays, _frozen(one, two, turned))
 
     def __call__(self, scene: Scene) -> list[Judged]:
         """Every measured image beside `scene`'s, nothing fitted but the gain of images that are not calibrated.
