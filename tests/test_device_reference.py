@@ -15,6 +15,7 @@ from warpsar import runtime
 from warpsar.effects import declared, validate
 from warpsar.fit import FitProblem
 from warpsar.images import write_exr
+from warpsar.optimise import Adam, GraphAdam, begin, levenberg_marquardt
 from warpsar.render import Stage
 from warpsar.scene import Grid, Sampling, Scene
 from warpsar.simulation import Rays, simulate, trace_view, view_render
@@ -60,6 +61,10 @@ def computed(device: str, folder: Path) -> dict[str, np.ndarray]:
     problem = FitProblem(scene, where, rays=Rays(stage, seed=3))
     loss, gradient = problem.gradient(problem.x0)
     found["loss"], found["gradient"] = np.array([loss]), gradient
+    state = begin(problem, 0, 0)
+    for _ in range(3):
+        state = levenberg_marquardt(problem, state)
+    found["loss_after_three_steps"] = np.array([state.loss])
     return found
 
 
@@ -86,3 +91,26 @@ def test_devices_agree_with_the_stored_numbers(device: str, tmp_path: Path) -> N
 def test_the_stored_numbers_are_not_trivial(name: str) -> None:
     with np.load(STORED, allow_pickle=False) as stored:
         assert np.count_nonzero(stored[name]) > 0.2 * stored[name].size
+
+
+@pytest.mark.cuda
+def test_the_captured_graph_is_the_host_loop(tmp_path: Path) -> None:
+    """Both on CUDA: ten iterations of Adam, one by one from the host and as replays of one graph. Adam divides by the
+    gradient's own size, so that the rounding of sums in another order grows to 1e-3 of the ten steps of 0.01."""
+    computed("cuda", tmp_path)
+    where = runtime.resolve_device("cuda")
+    scene = small()
+    views = [
+        view.model_copy(update={"images": {"HH": tmp_path / f"{view.name}.exr"}, "looks": 4.0, "role": "train"})
+        for view in scene.views
+    ]
+    ends = []
+    for descent in (Adam, GraphAdam):
+        problem = FitProblem(replace(scene, views=views), where)
+        state = begin(problem, 0, 0)
+        run = descent(problem, state, 0.01)
+        while state.iteration < GraphAdam.STRIDE:
+            state = run.step(state)
+        ends.append(state.x)
+    np.testing.assert_allclose(ends[0], ends[1], atol=1e-3)
+    assert np.abs(ends[0] - problem.x0).max() > 0.05

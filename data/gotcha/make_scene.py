@@ -2,7 +2,7 @@
 
 python data/gotcha/make_scene.py FOLDER
 
-Flat ground at z = 0 in square cells of 1 m (an image pixel is 1 m by 1.4 m of ground, corners are read off to 1 or 2 m),
+Flat ground at z = 0 in square cells of 1 m (a pixel is 1 m by 1.4 m of ground, corners are read off to 1 or 2 m),
 two triangles each; a cell has the material of the last region that holds its centre. So regions share their edges,
 nothing overlaps, and nothing is left bare.
 """

@@ -117,6 +117,13 @@ def _summary(done: Diagnosed, content: dict[str, Any]) -> str:
     words = [report.paragraph(text) for text in _verdict(done, content)]
     if content["per_view_effects_on_test_views"]:
         words.append(report.paragraph(content["per_view_effects_on_test_views"]))
+    zeros = sum(image["zeros"] for image in content["images"])
+    if zeros:
+        words.append(
+            report.paragraph(
+                f"{zeros} lit pixels measure exactly 0, which no speckle makes; they are left out of all this."
+            )
+        )
     if any(image["looks_estimated"] for image in content["images"]):
         words.append(report.paragraph("The looks of the images were not declared; they were estimated."))
     if not found.scene.grid.calibrated:
@@ -140,7 +147,9 @@ def _verdict(done: Diagnosed, content: dict[str, Any]) -> list[str]:
         )
         tables = _said(step["parameters"])
         said.append(f"Added: {step['effect']} ({get(step['effect']).summary}), with {tables}.{held}")
-    if not said:
+    if not said and any(c.refit_gain is not None for c in found.steps[0].candidates):
+        said.append("Nothing was added: of the effects that passed the threshold, none helped on views left out.")
+    elif not said:
         said.append(
             "Nothing was added: no effect of the library explains what is left better than chance would, at a family "
             f"error rate of {error:g} %."
