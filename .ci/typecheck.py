@@ -15,7 +15,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 PYPROJECT = ROOT / "pyproject.toml"
-MYPY = [sys.executable, "-m", "mypy", f"--config-file={PYPROJECT}", f"--cache-dir={ROOT / '.mypy_cache'}"]
+MYPY = [sys.executable, "-m", "mypy", f"--config-file={PYPROJECT}", "--cache-dir=/dev/null"]
 
 
 def main() -> int:

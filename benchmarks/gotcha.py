@@ -30,15 +30,14 @@ from warpsar.measured import formats
 from warpsar.measured.data import PhaseHistory
 from warpsar.measured.ground import pixel_centres, plane_points
 from warpsar.measured.importer import import_measured
+from warpsar.measured.looks import equivalent_looks
 from warpsar.measured.resample import averaged
 from warpsar.scene import Scene, View
 
 MAKE_SCENE = Path(__file__).resolve().parent.parent / "data" / "gotcha" / "make_scene.py"
 VIEWS = ("az001", "az002", "az003")
-WINDOW, SAMPLES = (
-    "hann",
-    (5, 1),
-)  # per pixel of 1 m: what the importer chooses from the resolution; given here to fix it
+WINDOW = "hann"
+SAMPLES = (5, 1)  # per pixel of 1 m: what the importer would choose; given, so that pure speckle is averaged alike
 REFERENCE = "grass"  # gains are unknown, so brightness is against this region's
 
 
@@ -189,6 +188,7 @@ def compare(scene: Scene, found: evaluation.Evaluation, speckle: dict[str, np.nd
         uniform[name] = float(np.mean(deviance(alone[mask], modelled, looks)) / floor)
     return {
         "speckle_looks": {name: float(np.mean(image) ** 2 / np.var(image)) for name, image in speckle.items()},
+        "speckle_looks_estimated": {name: equivalent_looks(image) for name, image in speckle.items()},
         "uniform_ground": uniform,
         "pixels": int(mask.sum()),
         "pixels_of": {name: int((region == index).sum()) for index, name in enumerate(scene.mesh.materials)},
@@ -233,7 +233,9 @@ def figures(scene: Scene, found: evaluation.Evaluation, folder: Path) -> None:
         region = regions(scene, first.view)
         shown = np.where(region < 0, np.nan, region)
         drawn = right.imshow(shown, cmap="Set2", vmin=-0.5, vmax=7.5, **place)
-        bar = figure.colorbar(drawn, ax=right, ticks=range(len(names)), boundaries=np.arange(len(names) + 1) - 0.5)
+        bar = figure.colorbar(
+            drawn, ax=right, ticks=range(len(names)), boundaries=np.arange(len(names) + 1) - 0.5, shrink=0.8
+        )
         bar.ax.set_yticklabels(names)
         right.set_title("regions", size=9)
         for axis in (left, right):

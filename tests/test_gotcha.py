@@ -17,6 +17,11 @@ from warpsar.frame import geometry_of
 from warpsar.learning import LearnOptions
 from warpsar.scene import Scene
 
+# docs/measured.md
+TEST_DEVIANCE = {"deviance": 1.85, "grass": 1.04, "car_park": 1.47, "road": 0.80}
+OVER_GRASS_DB = {"car_park": -1.9, "road": -5.2, "west_strip": 2.7, "cars": 8.9, "targets": 13.1}
+SPECKLE_LOOKS, UNIFORM_GROUND = 2.48, 0.68
+
 
 @pytest.fixture(scope="module")
 def gotcha() -> Any:
@@ -164,13 +169,17 @@ def test_two_views_predict_the_third(gotcha: Any, measured_data: Path, tmp_path:
     compared = gotcha.compare(fitted, found, speckle)
     table = compared["deviance_over_floor"]
     model, constant = table["learned model"], table["one constant per region, fitted on train"]
-    # One incidence over flat regions: the model can be no more than a constant per region. They differ where a pixel
-    # holds two regions, by a few per cent of the deviance above the floor.
+    # One incidence over flat regions: the model can be no more than a constant per region. They differ in the pixels
+    # that hold two regions, about a tenth of all, where a constant takes the one under the pixel's centre.
     assert model["deviance"] == pytest.approx(constant["deviance"], rel=0.03)
-    assert model["deviance"] < 0.8 * table["one constant"]["deviance"]
-    # what docs/measured.md says, to the digits that a change of rays or of the region's border pixels leaves
-    assert model["grass"] == pytest.approx(DOCUMENTED["grass"], abs=0.05)
-    assert model["deviance"] == pytest.approx(DOCUMENTED["all"], abs=0.05)
+    assert model["deviance"] < 0.6 * table["one constant"]["deviance"]
+    assert table["mean of az001 and az002"]["deviance"] < 0.7 * model["deviance"]
+    # The documented digits, with the half of their last one and as much again for other rays and machines.
+    for key, value in TEST_DEVIANCE.items():
+        assert model[key] == pytest.approx(value, abs=0.01), key
     over_grass = gotcha.brightness(fitted, found, learned)
-    for name, decibel in DOCUMENTED["over_grass_db"].items():
-        assert over_grass[name]["over_grass_db"] == pytest.approx(decibel, abs=0.15), name
+    for name, decibel in OVER_GRASS_DB.items():
+        assert over_grass[name]["over_grass_db"] == pytest.approx(decibel, abs=0.1), name
+    # Speckle of 9264 pixels, neighbours alike: 2 % on its looks, and on what it leaves.
+    assert compared["speckle_looks"]["az003"] == pytest.approx(SPECKLE_LOOKS, rel=0.04)
+    assert compared["uniform_ground"]["one constant"] == pytest.approx(UNIFORM_GROUND, rel=0.04)

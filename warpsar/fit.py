@@ -64,6 +64,8 @@ class FitView:
         if observations is None:
             self.forward()
             observations = [observe(scene, view, pol, self.render.lit(pol)) for pol in view.images]
+            if any(e.effect.additive for e in self.effects):
+                observations = [seen.with_dark() for seen in observations]
         self.observations = observations
         self.gain = wp.ones(len(observations), dtype=float, device=device)
         self.loss = self.render.program.array(int(kernels.PARTIALS), wp.float64, sum_into=True)
@@ -247,7 +249,20 @@ class FitProblem:
                 tables[c.effect][c.parameter.name] = number
             else:
                 tables[c.effect][c.parameter.name][c.view] = number
+        # only differences act: with no mean over the views that are fitted, those that are not stay as they are
+        for (effect, name), views in self._zero_sums().items():
+            mean = sum(tables[effect][name][view] for view in views) / len(views)
+            for view in views:
+                tables[effect][name][view] -= mean
         return tables
+
+    def _zero_sums(self) -> dict[tuple[str, str], list[str]]:
+        """Fitted views of every per-view parameter whose values sum to zero."""
+        found: dict[tuple[str, str], list[str]] = {}
+        for c in self.effect_coordinates:
+            if c.parameter.zero_sum and c.view is not None:
+                found.setdefault((c.effect, c.parameter.name), []).append(c.view)
+        return found
 
     # What x gives
 
@@ -351,7 +366,8 @@ class FitProblem:
             }
             slope = sum(slopes.values()) if c.view is None else slopes[c.view]
             if c.view is not None and c.parameter.zero_sum:
-                slope -= sum(slopes.values()) / len(self.scene.views)
+                views = self._zero_sums()[c.effect, c.parameter.name]
+                slope -= sum(slopes[view] for view in views) / len(views)
             effects.append(slope * float(c.parameter.slope(coordinate)))
         return loss, np.concatenate([surface[self.learned], np.array(effects)])
 

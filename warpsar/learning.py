@@ -21,6 +21,7 @@ from warpsar.fit import FitProblem
 from warpsar.gradcheck import GradientCheck, check_gradient
 from warpsar.identify import Identified, identify
 from warpsar.likelihood import LOSSES, metrics
+from warpsar.observation import looks_of
 from warpsar.optimise import Adam, FitState, GraphAdam, begin, levenberg_marquardt
 from warpsar.outputs import write_json
 from warpsar.render import Stage
@@ -148,7 +149,7 @@ def prepare(scene: Scene, device: Any, options: LearnOptions) -> tuple[FitProble
     """The fit problem of the train views, with as many rays as the looks of the images ask for."""
     stage = Stage.of(scene, device)
     views = [v for v in scene.views if v.role == "train" and v.images]
-    density = choose_density(scene, stage, views, [v.looks or 1.0 for v in views], RAY_NOISE)
+    density = choose_density(scene, stage, views, [looks_of(scene, v) for v in views], RAY_NOISE)
     if density.chosen:
         runtime.say(
             f"rays: {density.rays_per_pixel:g} per pixel; looks x relative sampling variance {density.noise:.2g} "

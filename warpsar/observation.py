@@ -57,6 +57,27 @@ class Observation:
         return self.measured[self.interior].astype(float)
 
 
+def estimated_looks(scene: Scene, view: View, measured: np.ndarray) -> float:
+    """Looks of an image that does not declare them, NaN where it is not to be used; InputError where there is no
+    homogeneous ground to tell by."""
+    from warpsar.measured.looks import equivalent_looks
+
+    looks = equivalent_looks(measured)
+    if looks is None:
+        raise InputError(
+            f"{scene.path}: views {view.name}: looks are not given, and no homogeneous ground was found to estimate "
+            f"them on; give `looks`"
+        )
+    return float(looks)
+
+
+def looks_of(scene: Scene, view: View) -> float:
+    """Declared looks of a view, or those that its first image shows."""
+    if view.looks is not None:
+        return view.looks
+    return estimated_looks(scene, view, scene.measured(view, next(iter(view.images))))
+
+
 def observe(scene: Scene, view: View, polarization: str, lit: np.ndarray) -> Observation:
     """The measured image of a view with its masks; `lit` (rows, cols) is where the declared model puts light.
 
@@ -83,14 +104,7 @@ def observe(scene: Scene, view: View, polarization: str, lit: np.ndarray) -> Obs
     distance = distance_transform_edt(~lit) if lit.any() else np.full(lit.shape, np.inf)
     looks, estimated = view.looks, view.looks is None
     if looks is None:
-        from warpsar.measured.looks import equivalent_looks
-
-        looks = equivalent_looks(np.where(interior, measured, np.nan))
-        if looks is None:
-            raise InputError(
-                f"{scene.path}: views {view.name}: looks are not given, and no homogeneous ground was found to "
-                f"estimate them on; give `looks`"
-            )
+        looks = estimated_looks(scene, view, np.where(interior, measured, np.nan))
     return Observation(
         view,
         polarization,

@@ -208,8 +208,8 @@ def run(
     started = time.perf_counter()
     scene = Scene.load(scene_path)
     out = Path(out)
-    out.mkdir(parents=True, exist_ok=True)  # refused now rather than after the work
     where = runtime.resolve_device(device)
+    out.mkdir(parents=True, exist_ok=True)  # refused now rather than after the work
     runtime.say_device(where)
     for warning in scene.warnings:
         runtime.say(f"warning: {warning}")

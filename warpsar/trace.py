@@ -208,8 +208,12 @@ def trace(
     parts = [part for part in runtime.ordered(tasks, device) if part is not None]
     total_rays = (last - first) * rays.elevation_cells
     dtypes = (int, int, wp.vec2, float, wp.vec3, float, float, float)
-    arrays: Any = [concatenate([part[k] for part in parts], dtype, device) for k, dtype in enumerate(dtypes)]
-    return Hits(grid, geometry, *arrays, rays_per_m2, seed, total_rays)
+    names = ("pixel", "face", "barycentric", "weight", "point", "cos_incidence", "cos_twist", "cos2_azimuth")
+    arrays: dict[str, Any] = {
+        name: concatenate([part[k] for part in parts], dtype, device)
+        for k, (name, dtype) in enumerate(zip(names, dtypes, strict=True))
+    }
+    return Hits(grid, geometry, rays_per_m2=rays_per_m2, seed=seed, rays=total_rays, **arrays)
 
 
 def ray_count(

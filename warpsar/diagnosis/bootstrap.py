@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpsar import runtime
+from warpsar.diagnosis.evidence import LARGEST
 
 if TYPE_CHECKING:
     from warpsar.diagnosis.evidence import Evidence
@@ -78,7 +79,8 @@ def bootstrap(
     seeds = np.random.SeedSequence(seed).spawn(-(-draws // BATCH))
 
     def batch(sequence: np.random.SeedSequence) -> dict[str, np.ndarray]:
-        residuals = projection(speckle(np.random.default_rng(sequence), BATCH))
+        drawn = speckle(np.random.default_rng(sequence), BATCH)
+        residuals = projection(np.clip(drawn, -LARGEST, LARGEST))  # as the evidence is
         found = {
             name: np.max([g.statistics(residuals)[1].max(axis=0) for g in members], axis=0)
             for name, members in groups.items()

@@ -15,7 +15,8 @@ if TYPE_CHECKING:
     from warpsar.fit import FitProblem
     from warpsar.observation import Observation
 
-# A residual beyond this many standard deviations is what is looked for; it does not say how speckle is correlated.
+# Standard deviations beyond which a residual counts no more: speckle hardly ever goes there (e^-9 at one look), and a
+# few pixels of what is missing would else decide every score, and say how speckle is correlated.
 LARGEST = 8.0
 
 
@@ -23,8 +24,8 @@ LARGEST = 8.0
 class Evidence:
     """Residuals of all observations' pixels, one after the other: arrays of shape (n,).
 
-    `standardised` is sqrt(L) (I - mu) / mu, of unit variance for white speckle and a true model; `root_looks` is
-    sqrt(L) of the pixel. `autocovariance` is that of the standardised residual, from itself.
+    `standardised` is sqrt(L) (I - mu) / mu within +-`LARGEST`, of unit variance for white speckle and a true model;
+    `root_looks` is sqrt(L) of the pixel. `autocovariance` is that of the standardised residual, from itself.
     """
 
     observations: Sequence[Observation]
@@ -38,10 +39,11 @@ class Evidence:
         seen = problem.observations
         modelled = problem.modelled(x)
         modelled = [gain * mu for gain, mu in zip(problem.gains(modelled), modelled, strict=True)]
-        parts = [np.sqrt(s.looks) * (s.values / mu - 1.0) for s, mu in zip(seen, modelled, strict=True)]
-        autocovariance = residual_autocovariance(
-            [(s, np.clip(e, -LARGEST, LARGEST)) for s, e in zip(seen, parts, strict=True)]
-        )
+        parts = [
+            np.clip(np.sqrt(s.looks) * (s.values / mu - 1.0), -LARGEST, LARGEST)
+            for s, mu in zip(seen, modelled, strict=True)
+        ]
+        autocovariance = residual_autocovariance(list(zip(seen, parts, strict=True)))
         roots = np.concatenate([np.full(e.size, np.sqrt(s.looks)) for s, e in zip(seen, parts, strict=True)])
         return cls(seen, modelled, np.concatenate(parts), roots, autocovariance)
 

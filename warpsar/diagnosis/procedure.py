@@ -10,12 +10,13 @@ import numpy as np
 from warpsar import runtime
 from warpsar.diagnosis.bootstrap import Bootstrap, bootstrap
 from warpsar.diagnosis.evidence import Evidence
-from warpsar.diagnosis.refit import Bench, Fitted, LeftOut, fit_model, leave_one_view_out, screen, settle
+from warpsar.diagnosis.refit import Bench, Fitted, LeftOut, fit_model, fit_robustly, leave_one_view_out, screen, settle
 from warpsar.diagnosis.scan import Scan, Spot
 from warpsar.diagnosis.score import NOT_TESTABLE, Group, Projection, group
 from warpsar.diagnosis.templates import Template, TemplateMaker
 from warpsar.effects import NAMES, get
 from warpsar.errors import InputError
+from warpsar.observation import looks_of
 from warpsar.render import Stage
 from warpsar.sampling import Density, choose_density
 from warpsar.simulation import Rays
@@ -119,7 +120,7 @@ def diagnose_scene(scene: Scene, device: Any, options: DiagnoseOptions) -> Diagn
     views = [view for view in scene.views if view.role == "train" and view.images]
     if not views:
         raise InputError(f"{scene.path}: views: none with role train has measured images")
-    density = choose_density(scene, stage, views, [view.looks or 1.0 for view in views], MU_NOISE, total=True)
+    density = choose_density(scene, stage, views, [looks_of(scene, view) for view in views], MU_NOISE, total=True)
     runtime.say(
         f"rays: {density.rays_per_pixel:g} per pixel; looks x pixels x relative sampling variance "
         f"{density.noise:.2g} (wanted: under {MU_NOISE:g})"
@@ -166,9 +167,10 @@ def _step(
     bar: Any,
 ) -> tuple[Step, Evidence]:
     """Score every effect that is not declared, refit the best, and add the one that holds on views left out."""
-    evidence = Evidence.of(base.problem, base.x)
+    point = fit_robustly(base, scene, bench)
+    evidence = Evidence.of(base.problem, point.x)
     observations = {view.view.name: view.observations for view in base.problem.views}
-    maker = TemplateMaker(base.scene, bench.device, other_rays, observations, evidence.modelled)
+    maker = TemplateMaker(point.scene, bench.device, other_rays, observations, evidence.modelled)
     projection = Projection(maker.tangent(), evidence.root_looks)
 
     candidates: dict[str, Candidate] = {}
@@ -195,7 +197,7 @@ def _step(
     refitted: list[tuple[float, Candidate, Fitted]] = []
     for candidate in passing[: options.refits]:
         chosen = [table for template in best[candidate.effect] for table in template.trial.starts][:REFIT_STARTS]
-        fitted = screen(bench, base, scene, candidate.effect, chosen)
+        fitted = screen(bench, base, point.scene, scene, candidate.effect, chosen)
         candidate.refit_gain = 2.0 * (fitted.log_likelihood - base.log_likelihood)
         candidate.refit_size = fitted.size - base.size
         penalty = (fitted.size - base.size) * np.log(_effective_pixels(evidence))

@@ -7,12 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warpsar.diagnosis.evidence import LARGEST
 from warpsar.diagnosis.templates import with_effect
 from warpsar.effects import get
 from warpsar.fit import FitProblem
 from warpsar.likelihood import loss_terms
 from warpsar.optimise import FitState, begin, levenberg_marquardt
 from warpsar.results import learned_scene
+from warpsar.surface import Surface
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -23,6 +25,9 @@ if TYPE_CHECKING:
 
 MOST_ITERATIONS = 40  # of one start
 SCREENING_ITERATIONS = 12  # of one start, where models are only ranked, or start where they belong
+ROBUST_TURNS = 4
+MOST_LEFT_OUT = 0.2  # of all pixels
+BLOCK = 8  # columns: what a view's own parameters are fitted on and judged on alternates
 HOPELESS = 100.0  # log-likelihood behind the best start, after so many iterations, at which a start is given up
 # Log-likelihood of one pixel beyond which a difference counts no more: a few bright pixels would else be all of the
 # sum, and all of its error.
@@ -60,7 +65,9 @@ class Fitted:
 
     @property
     def size(self) -> int:
-        return int(self.x.size)
+        """Parameters that count: of those that sum to zero over the views, one does not."""
+        zero_sums = {(c.effect, c.parameter.name) for c in self.problem.effect_coordinates if c.parameter.zero_sum}
+        return int(self.x.size) - len(zero_sums)
 
 
 def descend(
@@ -92,14 +99,47 @@ def fit_model(bench: Bench, scene: Scene, further_starts: int, seed: int) -> Fit
     return _fitted(bench, problem, *descend(problem, starts))
 
 
-def screen(bench: Bench, base: Fitted, declared: Scene, name: str, tables: Sequence[Mapping[str, Any]]) -> Fitted:
+def fit_robustly(base: Fitted, declared: Scene, bench: Bench) -> Fitted:
+    """Where scores are taken: `base` fitted again without the pixels that it misses by more than `LARGEST` standard
+    deviations, until none comes or goes. A few pixels a thousand times too bright would else drag the surface to where
+    the effect that made them leaves no trace. `base` itself where nothing stands out, or a fifth of everything does.
+    """
+    problem, x, pixels = base.problem, base.x, base.problem.observations
+    kept: list[np.ndarray] = []
+    for _ in range(ROBUST_TURNS):
+        modelled = base.problem.modelled(x)
+        now = []
+        for seen, mu, gain in zip(pixels, modelled, base.problem.gains(modelled), strict=True):
+            interior = seen.interior.copy()
+            interior[seen.interior] = np.abs(np.sqrt(seen.looks) * (seen.values / (gain * mu) - 1.0)) <= LARGEST
+            now.append(interior)
+        left = sum(int(k.sum()) for k in now)
+        every = sum(int(seen.interior.sum()) for seen in pixels)
+        if left == every or left < (1.0 - MOST_LEFT_OUT) * every:
+            break
+        if kept and all((a == b).all() for a, b in zip(kept, now, strict=True)):
+            break
+        kept = now
+        reduced: dict[str, list[Observation]] = {}
+        for seen, keep in zip(pixels, kept, strict=True):
+            reduced.setdefault(seen.view.name, []).append(replace(seen, interior=keep))
+        problem = replace(bench, observations=reduced).problem(base.scene, dark=False)
+        start = problem.x0.copy()
+        start[: problem.learned.size] = Surface.of(declared).nodes[problem.learned]
+        x, _, _ = descend(problem, [x, start], None, SCREENING_ITERATIONS)
+    return base if problem is base.problem else replace(base, scene=learned_scene(problem, x), x=x)
+
+
+def screen(
+    bench: Bench, base: Fitted, from_scene: Scene, declared: Scene, name: str, tables: Sequence[Mapping[str, Any]]
+) -> Fitted:
     """`base` and one effect more, everything refitted, from each of the effect's own starts: the best by likelihood.
 
-    The surface starts where `base` stands, and where the scene file does: a strong effect that is missing can pull
-    the fitted surface so far that no descent leads back.
+    The surface starts as `from_scene` has it, and as the scene file does: a strong effect that is missing can pull the
+    fitted surface so far that no descent leads back.
     """
     numbers = [{p.name: table.get(p.name) for p in get(name).parameters} for table in tables]
-    surfaces = [base.scene, replace(base.scene, materials=declared.materials)]
+    surfaces = [from_scene, replace(base.scene, materials=declared.materials)]
     found: list[Fitted] = []
     for table, values in zip(tables, numbers, strict=True):
         here = []
@@ -150,8 +190,9 @@ def leave_one_view_out(bench: Bench, base: Fitted, fitted: Fitted, inflation: fl
     """Each training view in turn is predicted by both models, fitted to the others; pixels are compared in pairs, a
     pixel counting `LARGEST_DIFFERENCE` at most.
 
-    Parameters of the one view (its gain, its interference) cannot come from the others: they are fitted on it, with
-    all else held. `inflation` is the variance of a sum of correlated residuals over that of white ones.
+    Parameters of the one view (its gain, its interference) cannot come from the others: they are fitted on every other
+    block of its columns and judged on the blocks between, all else held. `inflation` is the variance of a sum of
+    correlated residuals over that of white ones.
     """
     names = [view.view.name for view in fitted.problem.views]
     if len(names) < 2:
@@ -175,8 +216,31 @@ def _predicted(bench: Bench, model: Fitted, others: Sequence[str], name: str) ->
     theirs = np.array([known.get(label, held.x0[i]) for i, label in enumerate(held.labels)])
     own = np.array([c.view == name for c in held.effect_coordinates], bool)
     moving = np.concatenate([np.zeros(held.learned.size, bool), own])
-    if moving.any():
-        theirs, _, _ = descend(held, [theirs], moving)
-    modelled = held.modelled(theirs)
-    parts = zip(held.observations, modelled, held.gains(modelled), strict=True)
-    return np.concatenate([loss_terms("gamma", s.values, gain * mu, s.looks) for s, mu, gain in parts])
+    if not moving.any():
+        return np.concatenate(_terms(held, theirs))
+    halves = []
+    for half in (0, 1):
+        fitted_on = [replace(s, interior=s.interior & _blocks(s, half)) for s in held.observations]
+        part = replace(bench, observations={name: fitted_on}).problem(model.scene, [name], dark=False)
+        x, _, _ = descend(part, [theirs], moving, SCREENING_ITERATIONS)
+        judged = zip(held.observations, _terms(held, x), strict=True)
+        halves.append([terms[~_blocks(s, half)[s.interior]] for s, terms in judged])
+    found = []
+    for seen, first, second in zip(held.observations, *halves, strict=True):
+        terms, even = np.empty(seen.pixels.size), _blocks(seen, 0)[seen.interior]
+        terms[~even], terms[even] = first, second
+        found.append(terms)
+    return np.concatenate(found)
+
+
+def _terms(problem: FitProblem, x: np.ndarray) -> list[np.ndarray]:
+    """Loss of every pixel of each observation."""
+    modelled = problem.modelled(x)
+    parts = zip(problem.observations, modelled, problem.gains(modelled), strict=True)
+    return [loss_terms("gamma", s.values, gain * mu, s.looks) for s, mu, gain in parts]
+
+
+def _blocks(seen: Observation, half: int) -> np.ndarray:
+    """Every other block of columns, shape of the image."""
+    columns = np.arange(seen.interior.shape[1]) // BLOCK % 2 == half
+    return np.broadcast_to(columns, seen.interior.shape)
