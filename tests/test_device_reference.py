@@ -78,7 +78,9 @@ def test_devices_agree_with_the_stored_numbers(device: str, tmp_path: Path) -> N
             expected, here = stored[name].astype(float), found[name].astype(float)
             # float32 with other orders of summation, fused multiply-adds and libm: 1e-5 of a pixel's own power; a ray
             # in thousands falls on the other side of an edge, and moves its cell (1/36 pixel) to the neighbour.
-            if name.endswith("hit_weight"):  # count and sum
+            if expected.size <= 2:
+                # hits, their sum, the loss; and the loss after three steps down a bent valley, which make some hundred
+                # of the gradient's 1e-6
                 np.testing.assert_allclose(here, expected, rtol=1e-3)
                 continue
             scale = np.sqrt(np.mean(expected**2))

@@ -211,6 +211,18 @@ def test_scan_finds_a_planted_patch(size: int, height: float) -> None:
     np.testing.assert_allclose(largest, abs(spot.z))
 
 
+def test_pixels_that_measure_nothing_count_where_the_data_are_looked_at() -> None:
+    """Nine silent pixels of 16 looks: 9 * (-4) over the root of 9; the draws know nothing of them."""
+    interior = np.ones((20, 20), bool)
+    interior[8:11, 4:7] = False
+    silent = np.where(interior, 0.0, -4.0)
+    scan = Scan([observation(interior)], WHITE, [silent])
+    spot = scan.strongest([np.zeros(int(interior.sum()))])
+    assert (spot.row, spot.col, spot.window) == (9, 5, 3)
+    assert spot.z == pytest.approx(-12.0)
+    assert scan.largest([np.zeros((int(interior.sum()), 2))]).max() == 0.0
+
+
 def test_scan_windows_are_standard_normal_and_leave_thin_places_out() -> None:
     interior = np.ones((30, 30), bool)
     interior[:, 12:] = False

@@ -22,6 +22,7 @@ from warpsar.sampling import Density, choose_density
 from warpsar.simulation import Rays
 
 if TYPE_CHECKING:
+    from warpsar.fit import FitProblem
     from warpsar.observation import Observation
     from warpsar.scene import Scene
 
@@ -29,6 +30,7 @@ MU_NOISE = 10.0  # looks x pixels x relative sampling variance of mu: the gain i
 CLASS_COSINE = 0.9  # templates closer than this are one class: the data hardly tell them apart
 DARK_PIXELS = 50  # fewer dark pixels than this say nothing
 REFIT_STARTS = 4  # of the tables an effect's best trials offer, how many are tried
+TRACE = 0.1  # of the median beta0: less is a border pixel's share of light
 SILENT_SHARE = 0.01  # of the dark pixels that may measure exactly 0 under a floor
 
 
@@ -182,7 +184,7 @@ def _step(
         candidates[name] = _candidate(name, found)
         if candidates[name].testability == "testable":
             groups[name] = found
-    scan = Scan(evidence.observations, evidence.autocovariance)
+    scan = Scan(evidence.observations, evidence.autocovariance, _silent(base.problem, point.x, evidence))
     boot = bootstrap(evidence, projection, groups, scan, options.draws, options.seed + number, bar.update)
     threshold = boot.threshold(options.family_error)
     spot = scan.strongest(evidence.split(evidence.standardised))
@@ -220,6 +222,20 @@ def _step(
             runtime.say(f"added: {candidate.effect} {fitted.scene.effects[candidate.effect]}")
             break
     return step, evidence
+
+
+def _silent(problem: FitProblem, x: np.ndarray, evidence: Evidence) -> list[np.ndarray]:
+    """-sqrt(L) where a pixel measures exactly 0 and the model puts more than a trace of light, 0 elsewhere."""
+    modelled = problem.modelled(x)
+    gains = iter(zip(problem.gains(modelled), evidence.modelled, strict=True))
+    found = []
+    for view in problem.views:
+        for seen in view.observations:
+            gain, mu = next(gains)
+            image = gain * view.render.images[seen.polarization].numpy().reshape(seen.interior.shape)
+            lit = seen.silent & (image > TRACE * np.median(mu))
+            found.append(np.where(lit, -np.sqrt(seen.looks), 0.0))
+    return found
 
 
 def _candidate(name: str, found: list[Group]) -> Candidate:

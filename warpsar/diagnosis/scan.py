@@ -28,16 +28,27 @@ class Spot:
 
 
 class Scan:
-    """Window sums over the pixels of every observation; built once, run on many residuals."""
+    """Window sums over the pixels of every observation; built once, run on many residuals.
 
-    def __init__(self, observations: Sequence[Observation], autocovariance: np.ndarray) -> None:
+    `silent`, an image per observation, holds the residual -sqrt(L) of pixels that the model lights and that measure
+    exactly 0: they count where the data are looked at, and are still in the draws.
+    """
+
+    def __init__(
+        self,
+        observations: Sequence[Observation],
+        autocovariance: np.ndarray,
+        silent: Sequence[np.ndarray] | None = None,
+    ) -> None:
         self.masks = [seen.interior for seen in observations]
+        self.silent = [np.zeros(mask.shape) for mask in self.masks] if silent is None else silent
         self.boxes, self.scales = [], []
         inflation = max(float(autocovariance.sum()), 1e-3)
-        for mask in self.masks:
-            rows, cols = np.nonzero(mask)
+        for mask, zeros in zip(self.masks, self.silent, strict=True):
+            every = mask | (zeros != 0)
+            rows, cols = np.nonzero(every)
             box = (slice(rows.min(), rows.max() + 1), slice(cols.min(), cols.max() + 1))
-            counts = _sums(mask[box][None].astype(float))
+            counts = _sums(every[box][None].astype(float))
             self.boxes.append(box)
             self.scales.append(
                 [
@@ -46,11 +57,13 @@ class Scan:
                 ]
             )
 
-    def _windows(self, index: int, residuals: np.ndarray) -> list[np.ndarray]:
+    def _windows(self, index: int, residuals: np.ndarray, *, silent: bool = False) -> list[np.ndarray]:
         """z of every window size, shape (draws, rows, cols) of the mask's box; `residuals` (pixels, draws)."""
         mask, box = self.masks[index], self.boxes[index]
         grid = np.zeros((residuals.shape[1], *mask[box].shape))
         grid[:, mask[box]] = residuals.T
+        if silent:
+            grid += self.silent[index][box]
         return [total * scale for total, scale in zip(_sums(grid), self.scales[index], strict=True)]
 
     def largest(self, parts: Sequence[np.ndarray]) -> np.ndarray:
@@ -62,7 +75,7 @@ class Scan:
         """The strongest window of one residual, an array (pixels,) per observation."""
         best = Spot(0.0, 0, 0, 0, WINDOWS[0])
         for index, part in enumerate(parts):
-            for window, z in zip(WINDOWS, self._windows(index, part[:, None]), strict=True):
+            for window, z in zip(WINDOWS, self._windows(index, part[:, None], silent=True), strict=True):
                 row, col = np.unravel_index(int(np.argmax(np.abs(z[0]))), z[0].shape)
                 if abs(z[0, row, col]) > abs(best.z):
                     box = self.boxes[index]
