@@ -43,7 +43,7 @@ class LearnOptions:
 
     `optimiser` "auto" takes Levenberg-Marquardt for uniform materials and Adam for fields. `starts`: the scene's own
     and others drawn about it. `total_variation`: weight per parameter key. `validity`: weight of the models' domains
-    as soft constraints, 0 for none. `rate`: Adam's first step in log coordinates. `max_time_s` counts all sessions of a
+    as soft constraints, 0 for none. `rate`: Adam's first step in log coordinates. `max_time_s` counts all parts of a
     resumed run.
     """
 

@@ -10,7 +10,17 @@ import numpy as np
 from warpsar import runtime
 from warpsar.diagnosis.bootstrap import Bootstrap, bootstrap
 from warpsar.diagnosis.evidence import Evidence
-from warpsar.diagnosis.refit import Bench, Fitted, LeftOut, fit_model, fit_robustly, leave_one_view_out, screen, settle
+from warpsar.diagnosis.refit import (
+    Bench,
+    Fitted,
+    LeftOut,
+    fit_model,
+    fit_robustly,
+    leave_one_view_out,
+    narrow,
+    screen,
+    settle,
+)
 from warpsar.diagnosis.scan import Scan, Spot
 from warpsar.diagnosis.score import NOT_TESTABLE, Group, Projection, group
 from warpsar.diagnosis.templates import Template, TemplateMaker
@@ -135,12 +145,13 @@ def diagnose_scene(scene: Scene, device: Any, options: DiagnoseOptions) -> Diagn
     runtime.say("fit of the declared model")
     base = declared = fit_model(bench, scene, options.starts, options.seed)
     steps: list[Step] = []
+    turn = bench  # the pixels of the turn: fewer where an added effect has moved the light
     while True:
-        step, evidence = _step(scene, bench, other_rays, base, options, len(steps), bar)
+        step, evidence = _step(scene, turn, other_rays, base, options, len(steps), bar)
         steps.append(step)
         if step.fitted is None or len(steps) > options.most_effects:
             break
-        base = step.fitted
+        turn, base = narrow(turn, step.fitted)
     bar.close()
     unexplained = steps[-1].added is None and steps[-1].scan_minus_log_p > steps[-1].threshold
     return Diagnosis(scene, declared, base, steps, unexplained, density, bench, evidence)

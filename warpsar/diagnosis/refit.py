@@ -165,6 +165,30 @@ def settle(bench: Bench, screened: Fitted, further_starts: int, seed: int) -> Fi
     return _fitted(bench, problem, *descend(problem, starts))
 
 
+def narrow(bench: Bench, fitted: Fitted) -> tuple[Bench, Fitted]:
+    """The pixels that are lit, with all their neighbours, by `fitted` too, and the model fitted to those.
+
+    An effect that moves light leaves pixels at its edge where the model's share of light is next to nothing, and
+    whatever they measure would look like one more effect. All models of a turn see the same pixels.
+    """
+    from scipy.ndimage import minimum_filter
+
+    fitted.problem.modelled(fitted.x)
+    observations: dict[str, list[Observation]] = {}
+    for view in fitted.problem.views:
+        for seen in bench.observations[view.view.name]:
+            lit = view.render.lit(seen.polarization).astype(np.uint8)
+            inner = minimum_filter(lit, size=3, mode="constant") > 0
+            kept = replace(seen, interior=seen.interior & inner, silent=seen.silent & inner)
+            observations.setdefault(view.view.name, []).append(kept)
+    pairs = [(a, b) for name in observations for a, b in zip(observations[name], bench.observations[name], strict=True)]
+    if all((a.interior == b.interior).all() for a, b in pairs):
+        return bench, fitted
+    narrowed = replace(bench, observations=observations)
+    problem = narrowed.problem(fitted.scene)
+    return narrowed, _fitted(narrowed, problem, *descend(problem, [problem.x0], None, SCREENING_ITERATIONS))
+
+
 def _fitted(bench: Bench, problem: FitProblem, x: np.ndarray, loss: float, iterations: int) -> Fitted:
     scene = learned_scene(problem, x)
     bare = problem if not any(get(n).additive for n in scene.effects) else bench.problem(scene, dark=False)
