@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
-import platform
-import shlex
 from collections.abc import Sequence
-from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -61,7 +58,11 @@ def write_report(
         _parameters(scene, stage, identified),
         report.section("What is not identifiable", *words),
         *_convergence(Path(scene.path).parent if scene.path else None),
-        _reproduce(content, command),
+        report.reproduce(
+            content,
+            command,
+            "Beside this file: evaluate.json (all numbers), residual images as EXR and PNG, learned.ply.",
+        ),
     ]
     report.write(path, report.page(title, lead, *sections))
 
@@ -396,25 +397,3 @@ def _deviance_figure(history: list[dict[str, float]]) -> Figure:
     axis.set_ylabel("deviance / speckle floor")
     axis.legend(frameon=False, fontsize=8)
     return figure
-
-
-def _reproduce(content: dict[str, Any], command: Sequence[str]) -> str:
-    packages = ("warp-lang", "numpy", "scipy", "trimesh", "OpenImageIO", "matplotlib")
-    made_with = ", ".join([f"Python {platform.python_version()}", *(f"{name} {version(name)}" for name in packages)])
-    return report.section(
-        "To make this again",
-        report.command(shlex.join(command)),
-        report.facts(
-            [
-                ("warpsar", content["version"]),
-                ("with", made_with),
-                ("device", content["device"]),
-                ("seed", str(content["seed"])),
-                ("time", f"{content['wall_time_s']:.1f} s"),
-                ("input", f"{content['input']['scene']}, SHA-256 {content['input']['sha256'][:16]}…"),
-            ]
-        ),
-        report.paragraph(
-            "Beside this file: evaluate.json (all numbers), residual images as EXR and PNG, learned.ply.", quiet=True
-        ),
-    )

@@ -23,7 +23,7 @@ from warpsar.identify import Identified, identify
 from warpsar.likelihood import LOSSES, metrics
 from warpsar.observation import looks_of
 from warpsar.optimise import Adam, FitState, GraphAdam, begin, levenberg_marquardt
-from warpsar.outputs import write_json
+from warpsar.outputs import opened, write_json
 from warpsar.render import Stage
 from warpsar.results import learned_scene
 from warpsar.sampling import Density, choose_density
@@ -335,21 +335,10 @@ def run(
     """`warpsar learn`: scene.toml with what was learned, history.csv, learn.json and figures in `out`."""
     from warpsar.figures import convergence
     from warpsar.images import replacing
-    from warpsar.scene import Scene
 
     started = time.perf_counter()
     options = options or LearnOptions()
-    scene = Scene.load(scene_path)
-    out = Path(out)
-    if (out / "scene.toml").resolve() == scene.path:
-        raise InputError(
-            f"--out: found {out}, where the scene file itself lies and would be replaced; allowed is another"
-        )
-    out.mkdir(parents=True, exist_ok=True)
-    where = runtime.resolve_device(device)
-    runtime.say_device(where)
-    for warning in scene.warnings:
-        runtime.say(f"warning: {warning}")
+    scene, out, where = opened(scene_path, out, device)
     found = learn(scene, device=where.alias, options=options, folder=out, resume=resume)
     found.scene.save(out / "scene.toml")
     with replacing(out / "history.csv") as temporary, temporary.open("w", newline="") as stream:

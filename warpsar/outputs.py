@@ -14,6 +14,29 @@ if TYPE_CHECKING:
     from warpsar.scene import Scene
 
 
+def opened(scene_path: Path | str, out: Path | str, device: str | None) -> tuple[Scene, Path, Any]:
+    """What a command that writes a new scene.toml begins with: the scene, its output folder, made, and the device.
+
+    Raises InputError where the folder is the scene file's own, and DeviceError.
+    """
+    from warpsar import runtime
+    from warpsar.errors import InputError
+    from warpsar.scene import Scene
+
+    scene = Scene.load(scene_path)
+    out = Path(out)
+    if (out / "scene.toml").resolve() == scene.path:
+        raise InputError(
+            f"--out: found {out}, where the scene file itself lies and would be replaced; allowed is another"
+        )
+    out.mkdir(parents=True, exist_ok=True)
+    where = runtime.resolve_device(device)
+    runtime.say_device(where)
+    for warning in scene.warnings:
+        runtime.say(f"warning: {warning}")
+    return scene, out, where
+
+
 def plain(value: Any) -> Any:
     """JSON's own types; NaN and infinity, which JSON has not, become null."""
     if isinstance(value, dict):

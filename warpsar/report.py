@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import base64
+import platform
+import shlex
 from collections.abc import Sequence
 from html import escape
+from importlib.metadata import version
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -164,3 +167,24 @@ def png(rgb: np.ndarray) -> bytes:
     stream = BytesIO()
     imsave(stream, rgb, format="png", pil_kwargs={"compress_level": 9}, metadata={"Software": "warpsar"})
     return stream.getvalue()
+
+
+def reproduce(content: dict[str, Any], words: Sequence[str], beside: str) -> str:
+    """The closing section: the command, and what it ran with, from a command's JSON; `beside` names the other files."""
+    packages = ("warp-lang", "numpy", "scipy", "trimesh", "OpenImageIO", "matplotlib")
+    made_with = ", ".join([f"Python {platform.python_version()}", *(f"{name} {version(name)}" for name in packages)])
+    return section(
+        "To make this again",
+        command(shlex.join(words)),
+        facts(
+            [
+                ("warpsar", content["version"]),
+                ("with", made_with),
+                ("device", content["device"]),
+                ("seed", str(content["seed"])),
+                ("time", f"{content['wall_time_s']:.1f} s"),
+                ("input", f"{content['input']['scene']}, SHA-256 {content['input']['sha256'][:16]}…"),
+            ]
+        ),
+        paragraph(beside, quiet=True),
+    )

@@ -17,9 +17,8 @@ from warpsar.diagnosis.place import Place, place
 from warpsar.diagnosis.procedure import Candidate, DiagnoseOptions, Diagnosis, Step, diagnose_scene
 from warpsar.diagnosis.score import NOT_TESTABLE
 from warpsar.effects import get
-from warpsar.errors import InputError
 from warpsar.identify import Identified, identify
-from warpsar.outputs import write_json
+from warpsar.outputs import opened, write_json
 
 if TYPE_CHECKING:
     from warpsar.diagnosis.refit import Fitted
@@ -116,21 +115,10 @@ def run(
     """`warpsar diagnose`: diagnosis.json, scene.toml with the added effects and report.html in `out`. Returns the
     JSON's content."""
     from warpsar.diagnosis.report import write_report
-    from warpsar.scene import Scene
 
     started = time.perf_counter()
     options = options or DiagnoseOptions()
-    scene = Scene.load(scene_path)
-    out = Path(out)
-    if (out / "scene.toml").resolve() == scene.path:
-        raise InputError(
-            f"--out: found {out}, where the scene file itself lies and would be replaced; allowed is another"
-        )
-    out.mkdir(parents=True, exist_ok=True)
-    where = runtime.resolve_device(device)
-    runtime.say_device(where)
-    for warning in scene.warnings:
-        runtime.say(f"warning: {warning}")
+    scene, out, where = opened(scene_path, out, device)
     done = diagnose(scene, device=where.alias, options=options)
     moves, identified = moved_parameters(done.diagnosis)
     done.diagnosis.final.scene.save(out / "scene.toml")

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import platform
-import shlex
 from collections.abc import Sequence
-from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -50,7 +47,9 @@ def write_report(
         _parameters(done, moves, content),
         _not_tested(found.steps[-1]),
         _left(done),
-        _reproduce(content, command),
+        report.reproduce(
+            content, command, "Beside this file: diagnosis.json (all numbers), scene.toml (the model at the end)."
+        ),
     ]
     report.write(path, report.page(title, lead, *sections))
 
@@ -436,25 +435,3 @@ def _left(done: Diagnosed) -> str:
         report.row(*pictures, across=2),
     ]
     return report.section("What is left at the end, and where", *blocks)
-
-
-def _reproduce(content: dict[str, Any], command: Sequence[str]) -> str:
-    packages = ("warp-lang", "numpy", "scipy", "trimesh", "OpenImageIO", "matplotlib")
-    made_with = ", ".join([f"Python {platform.python_version()}", *(f"{name} {version(name)}" for name in packages)])
-    return report.section(
-        "To make this again",
-        report.command(shlex.join(command)),
-        report.facts(
-            [
-                ("warpsar", content["version"]),
-                ("with", made_with),
-                ("device", content["device"]),
-                ("seed", str(content["seed"])),
-                ("time", f"{content['wall_time_s']:.1f} s"),
-                ("input", f"{content['input']['scene']}, SHA-256 {content['input']['sha256'][:16]}…"),
-            ]
-        ),
-        report.paragraph(
-            "Beside this file: diagnosis.json (all numbers), scene.toml (the model at the end).", quiet=True
-        ),
-    )
