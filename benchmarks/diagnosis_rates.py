@@ -10,9 +10,11 @@ has its own speckle, its own rays and its own wrong start. docs/diagnosis.md has
 """
 
 import json
+import multiprocessing
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from dataclasses import dataclass, field, replace
 from itertools import product
 from pathlib import Path
@@ -164,12 +166,12 @@ def measured(images: Sequence[np.ndarray], looks: int, correlated: bool, seed: i
     return replace(scene, views=views, materials=materials, sampling=Sampling(seed=seed))
 
 
-def one_run(
-    name: str, looks: int, correlated: bool, seed: int, options: DiagnoseOptions, device: str, out: Path
-) -> Any:
+def one_run(key: tuple[str, int, str, int], options: DiagnoseOptions, device: str, out: Path) -> dict[str, Any]:
     import tempfile
 
-    started = time.perf_counter()
+    name, looks, kind, seed = key
+    correlated = kind == "correlated"
+    started, used = time.perf_counter(), time.process_time()
     images = clean_images(CASES[name], device, out, name)
     with tempfile.TemporaryDirectory() as folder:
         scene = measured(images, looks, correlated, seed, Path(folder))
@@ -179,7 +181,7 @@ def one_run(
     return {
         "case": name,
         "looks": looks,
-        "speckle": "correlated" if correlated else "white",
+        "speckle": kind,
         "seed": seed,
         "verdict": found.verdict,
         "unexplained": found.unexplained,
@@ -190,7 +192,9 @@ def one_run(
         "test_before": report.before["test"],
         "test_after": report.after["test"],
         "rays_per_pixel": found.density.rays_per_pixel,
+        "family_error": options.family_error,
         "seconds": round(time.perf_counter() - started, 1),
+        "cpu_seconds": round(time.process_time() - used, 1),
     }
 
 
@@ -221,6 +225,7 @@ def main() -> None:
 @click.option("--looks", multiple=True, type=click.Choice([str(n) for n in LOOKS]), help="Repeatable; default: all.")
 @click.option("--speckle", "kinds", multiple=True, type=click.Choice(["white", "correlated"]), help="Default: both.")
 @click.option("--repeats", type=click.IntRange(min=1), help="Default: 100 of none, 20 of each other case.")
+@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True, help="Runs side by side.")
 @click.option("--max-time", type=float, default=float("inf"), help="Start no run after so many seconds.")
 @click.option("--family-error", type=float, default=DiagnoseOptions.family_error, show_default=True)
 @click.option("--draws", type=int, default=DiagnoseOptions.draws, show_default=True)
@@ -231,6 +236,7 @@ def run(
     looks: tuple[str, ...],
     kinds: tuple[str, ...],
     repeats: int | None,
+    jobs: int,
     max_time: float,
     family_error: float,
     draws: int,
@@ -242,24 +248,40 @@ def run(
     where = runtime.resolve_device(device)
     done = {(r["case"], r["looks"], r["speckle"], r["seed"]) for r in stored_runs(out)}
     started = time.perf_counter()
+    cases = cases or tuple(CASES)
+    for name in cases:
+        clean_images(CASES[name], where.alias, out, name)
     numbers = [int(n) for n in looks] or list(LOOKS)
-    for key in wanted(cases or list(CASES), numbers, kinds or ("white", "correlated"), repeats):
-        if key in done:
-            continue
-        if time.perf_counter() - started > max_time:
-            click.echo("out of time; the same command goes on from here", err=True)
-            break
-        name, number, kind, seed = key
-        click.echo(f"== {name}, {number} looks, {kind}, seed {seed}", err=True)
-        row = one_run(name, number, kind == "correlated", seed, options, where.alias, out)
-        row["family_error"] = family_error
-        with (out / "runs.jsonl").open("a") as stream:
-            stream.write(json.dumps(row) + "\n")
-        click.echo(f"   {row['verdict']}{' unexplained' if row['unexplained'] else ''}, {row['seconds']} s", err=True)
+    keys = [key for key in wanted(cases, numbers, kinds or ("white", "correlated"), repeats) if key not in done]
+    left = iter(keys)
+    bar = runtime.progress(len(keys), "runs", "run")
+    at_work: set[Future[dict[str, Any]]] = set()
+    with ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn")) as pool:
+        while True:
+            while len(at_work) < jobs and time.perf_counter() - started < max_time:
+                key = next(left, None)
+                if key is None:
+                    break
+                at_work.add(pool.submit(one_run, key, options, where.alias, out))
+            if not at_work:
+                break
+            ready, at_work = wait(at_work, return_when=FIRST_COMPLETED)
+            for one in ready:
+                row = one.result()
+                with (out / "runs.jsonl").open("a") as stream:
+                    stream.write(json.dumps(row) + "\n")
+                bar.update()
+                click.echo(
+                    f"{row['case']}, {row['looks']} looks, {row['speckle']}, seed {row['seed']}: {row['verdict']}"
+                    f"{' unexplained' if row['unexplained'] else ''}, {row['seconds']} s",
+                    err=True,
+                )
+    bar.close()
 
 
 def judged(row: Mapping[str, Any]) -> str:
-    """One word for a run: right, missed (less than the truth), more (the truth and something else), wrong."""
+    """One word for a run: right, missed (less than the truth), not testable (missed, and said to be so), more (the
+    truth and something else), wrong."""
     case, verdict = CASES[row["case"]], set(row["verdict"])
     if case.outside:
         if verdict:
@@ -267,6 +289,8 @@ def judged(row: Mapping[str, Any]) -> str:
         return "right" if row["unexplained"] else "missed"
     if verdict == case.names:
         return "unexplained too" if row["unexplained"] else "right"
+    if verdict < case.names and not row["unexplained"] and case.names - verdict <= set(row["not_testable"]):
+        return "not testable"
     if verdict < case.names:
         return "unexplained" if row["unexplained"] and not verdict else "missed"
     return "more" if verdict > case.names else "wrong"
@@ -277,7 +301,7 @@ def judged(row: Mapping[str, Any]) -> str:
 def table(out: Path) -> None:
     """Markdown of what the folder holds, and rates.json: per case, looks and speckle, how the runs came out."""
     rows = stored_runs(out)
-    words = ("right", "unexplained too", "more", "missed", "unexplained", "wrong")
+    words = ("right", "unexplained too", "more", "not testable", "missed", "unexplained", "wrong")
     cells: dict[tuple[str, int, str], list[dict[str, Any]]] = {}
     for row in rows:
         cells.setdefault((row["case"], row["looks"], row["speckle"]), []).append(row)

@@ -1,11 +1,13 @@
-"""A real run: AFRL's Gotcha, learned on two views of one degree each, tested on the third, without any effect.
+"""The loop on measured data: AFRL's Gotcha, learned and diagnosed on two views of one degree each, tested on the third.
 
-python benchmarks/gotcha.py DATA_FOLDER -o OUT [--figures docs/figures]
+python benchmarks/gotcha.py DATA_FOLDER -o OUT [--figures docs/figures] [--short]
 
-DATA_FOLDER holds data_3dsar_pass1_az001_HH.mat to az003. Builds the scene (data/gotcha), imports the views, learns
-twice and evaluates: `all`, three numbers per region; `heights`, one rms height per region with everything else, and
-grass, held, which is as many numbers as the data can determine. Then compares the test view with simple predictions.
-OUT gets it all, and gotcha.json; docs/measured.md says what it means.
+DATA_FOLDER holds gotcha/data_3dsar_pass1_az001_HH.mat to az003. Builds two scenes (data/gotcha): `flat`, regions on
+flat ground, and `bodies`, the ground with cars and reflectors standing on it; imports the views into both; learns
+uniform materials, then fields; diagnoses; and compares every step's prediction of az003, which nothing was read off,
+fitted to or decided by, with the simple ones. OUT gets it all, with gotcha.json and gotcha.md; docs/measured.md says
+what it means. A stage whose result lies in OUT is not made again. `--short` has the diagnosis fit from one start,
+refit the best score alone, and add two effects at most.
 """
 
 from __future__ import annotations
@@ -13,6 +15,7 @@ from __future__ import annotations
 import argparse
 import json
 import runpy
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,11 +23,17 @@ from typing import Any
 
 import numpy as np
 
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+from measured_loop import best_width, decibels, diagnosed, effect_widths, half_power_width, kept, markdown, pixel_kernel
+
 from warpsar import evaluation, learning
+from warpsar.diagnosis.procedure import DiagnoseOptions
 from warpsar.figures import new, save
-from warpsar.focus import focus
-from warpsar.frame import geometry_of
-from warpsar.images import replacing
+from warpsar.focus import cell_m, focus
+from warpsar.frame import ViewGeometry, geometry_of
+from warpsar.images import replacing, write_exr
+from warpsar.learning import LearnOptions
 from warpsar.likelihood import best_gain, deviance, expected_deviance
 from warpsar.measured import formats
 from warpsar.measured.data import PhaseHistory
@@ -36,18 +45,34 @@ from warpsar.scene import Scene, View
 
 MAKE_SCENE = Path(__file__).resolve().parent.parent / "data" / "gotcha" / "make_scene.py"
 VIEWS = ("az001", "az002", "az003")
-WINDOW = "hann"
-SAMPLES = (5, 1)  # per pixel of 1 m: what the importer would choose; given, so that pure speckle is averaged alike
+TRAIN = VIEWS[:2]
+WINDOW = "hann"  # over the band; over the aperture, none
+SAMPLES = (3, 2)  # per pixel of 0.5 x 1 m: no fewer than the resolution asks for
 REFERENCE = "grass"  # gains are unknown, so brightness is against this region's
+FIELD_TEXELS = 130  # of 1 m
+FIELD_ITERATIONS = 200
+FIELD_VARIATION = 0.1  # log-likelihood per unit of ln h between neighbouring texels
+NEAR = 3  # pixels from a body within which ground is called `near`: sidelobes, and cars not quite where they are
+FINE_M = 0.05
+DIAGNOSE = DiagnoseOptions(starts=1, draws=400)  # the fewest draws that a family error of 1 % allows
+SHORT = DiagnoseOptions(starts=0, draws=400, refits=1, most_effects=2)
 
 
 def source(data: Path, name: str) -> Path:
-    return data / f"data_3dsar_pass1_{name}_HH.mat"
+    return data / "gotcha" / f"data_3dsar_pass1_{name}_HH.mat"
 
 
-def prepare(data: Path, out: Path, device: str | None = None) -> Path:
-    """The scene in `out` with its three views imported; returns its scene.toml."""
-    path: Path = runpy.run_path(str(MAKE_SCENE))["write"](out)
+def history(data: Path, name: str) -> PhaseHistory:
+    found = formats.read([source(data, name)])
+    assert isinstance(found, PhaseHistory)
+    return found
+
+
+def prepare(data: Path, out: Path, *, flat: bool, device: str | None = None) -> Path:
+    """A scene in `out` with its three views imported; returns its scene.toml."""
+    if (out / f"{VIEWS[-1]}_HH.exr").exists():
+        return out / "scene.toml"
+    path: Path = runpy.run_path(str(MAKE_SCENE))["write"](out, flat=flat)
     for name in VIEWS:
         import_measured([source(data, name)], path, name, window_range=WINDOW, samples=SAMPLES, device=device)
     return path
@@ -66,21 +91,84 @@ def pure_speckle(
     generator = np.random.default_rng(0)
     images = {}
     for view in scene.views:
-        history = formats.read([source(data, view.name)])
-        assert isinstance(history, PhaseHistory)
-        shape = history.samples.shape
+        measured = history(data, view.name)
+        shape = measured.samples.shape
         noise = generator.normal(size=shape) + 1j * generator.normal(size=shape)
-        history = replace(history, samples=noise.astype(np.complex64))
+        measured = replace(measured, samples=noise.astype(np.complex64))
         points = ground_points(scene, view, samples)
-        (image,) = focus(history, points, reference_point_m=np.zeros(3), window_range=WINDOW, device=device)
+        (image,) = focus(measured, points, reference_point_m=np.zeros(3), window_range=WINDOW, device=device)
         images[view.name] = averaged(np.abs(image.astype(complex)) ** 2, samples)
     return images
 
 
-def regions(scene: Scene, view: View) -> np.ndarray:
+# ---- what theory says of the impulse response ----
+
+
+def cut(seen: PhaseHistory, geometry: ViewGeometry, places_m: np.ndarray, device: str | None) -> np.ndarray:
+    """Power at slant ranges and azimuths (n, 2) [m] on a line along either, focused on z = 0, (n,)."""
+    points = plane_points(geometry, np.zeros(3), np.unique(places_m[:, 0]), np.unique(places_m[:, 1])).reshape(-1, 3)
+    (image,) = focus(seen, points, reference_point_m=np.zeros(3), window_range=WINDOW, device=device)
+    return np.asarray(np.abs(image.astype(complex)) ** 2)
+
+
+def impulse_response(data: Path, scene: Scene, device: str | None = None) -> dict[str, Any]:
+    """The two reflectors against theory: half-power widths on a grid of 5 cm in the slant plane; shares of their power
+    in the five pixels about them along range and along azimuth; and the widths of `point_spread` that come nearest to
+    theory's kernel of this grid for points anywhere in a pixel."""
+    objects = runpy.run_path(str(MAKE_SCENE))["read"]("objects.toml")["reflectors"]
+    along = np.arange(-3.0, 3.0 + FINE_M / 2, FINE_M)
+    tapers = (WINDOW, "none")
+    reflectors, cells = [], (0.0, 0.0)
+    for name in TRAIN:
+        view = next(v for v in scene.views if v.name == name)
+        geometry = geometry_of(scene, view)
+        seen = history(data, name).with_autofocus()
+        cells = cell_m(seen, np.zeros(3))
+        for one in objects:
+            corner = np.array([*one["corner_m"], 0.0])
+            place = np.array([corner @ geometry.d, corner @ geometry.u])
+            entry: dict[str, Any] = {"view": name, "corner_m": one["corner_m"]}
+            for axis, label in enumerate(("range", "azimuth")):
+                way = np.eye(2)[axis]
+                profile = cut(seen, geometry, place + along[:, None] * way, device)
+                place += along[int(np.argmax(profile))] * way  # the other axis is then cut through the peak
+                profile = cut(seen, geometry, place + along[:, None] * way, device)
+                spacing, count, half = scene.grid.spacing_m[axis], SAMPLES[axis], scene.grid.shape[axis] / 2.0
+                pixel = place[axis] / spacing + half
+                middle = (np.floor(pixel) + 0.5 - half) * spacing  # of the pixel that holds the peak
+                sample = (np.arange(-2, 3)[:, None] + (np.arange(count) + 0.5) / count - 0.5) * spacing
+                offsets = (middle + sample).reshape(-1, 1) - place[axis]
+                shares = cut(seen, geometry, place + offsets * way, device).reshape(5, count).mean(axis=1)
+                theory = pixel_kernel(cells[axis], tapers[axis], spacing, count, pixel - np.floor(pixel) - 0.5)
+                theory = theory[len(theory) // 2 - 2 : len(theory) // 2 + 3]
+                entry[label] = {
+                    "width_m": half_power_width(profile, FINE_M),
+                    "theory_m": cells[axis] * {"none": 0.8859, "hann": 1.4408}[tapers[axis]],
+                    "shares": (shares / shares.sum()).round(3).tolist(),
+                    "theory_shares": (theory / theory.sum()).round(3).tolist(),
+                }
+            reflectors.append(entry)
+    kernels = [pixel_kernel(cells[k], tapers[k], scene.grid.spacing_m[k], SAMPLES[k]) for k in (0, 1)]
+    return {
+        "cells_m": cells,
+        "reflectors": reflectors,
+        "point_spread_m": {
+            window: {
+                label: best_width(kernels[axis], scene.grid.spacing_m[axis], window)
+                for axis, label in enumerate(("range_fwhm_m", "azimuth_fwhm_m"))
+            }
+            for window in ("sinc", "taylor", "gaussian")
+        },
+    }
+
+
+# ---- scenes to learn from ----
+
+
+def regions(scene: Scene, view: View, *, flat: bool = True) -> np.ndarray:
     """Index (into the mesh's materials) of the region under each pixel's centre, (rows, cols); -1 off the ground."""
     script = runpy.run_path(str(MAKE_SCENE))
-    content = script["table"]()
+    content = script["table"](flat=flat)
     names, material = script["cells"](content["regions"], content["size_m"])
     index = np.array([scene.mesh.materials.index(name) for name in names])[material]
     cell = np.floor((ground_points(scene, view)[..., :2] + content["size_m"] / 2.0) / script["CELL_M"]).astype(int)
@@ -89,17 +177,68 @@ def regions(scene: Scene, view: View) -> np.ndarray:
     return np.where(inside, index[north, east], -1)
 
 
-def heights_only(path: Path) -> Path:
-    """The scene with nothing to learn but rms heights, and none of grass; beside the given one."""
+def rewritten(path: Path, name: str, change: Any) -> Path:
+    """A scene file beside the given one, its materials as `change(material's name, table)` leaves them."""
     import tomlkit
 
     document: Any = tomlkit.parse(path.read_text(encoding="utf-8"))
-    for name, material in document["materials"].items():
-        material["learn"] = [] if name == REFERENCE else ["rms_height_m"]
-    held = path.with_name("heights.toml")
-    with replacing(held) as temporary:
+    for material, table in document["materials"].items():
+        change(material, table)
+    made = path.with_name(name)
+    with replacing(made) as temporary:
         temporary.write_text(tomlkit.dumps(document), encoding="utf-8", newline="\n")
-    return held
+    return made
+
+
+def heights_only(path: Path) -> Path:
+    """The scene with nothing to learn but rms heights, and none of grass; beside the given one."""
+
+    def change(name: str, table: Any) -> None:
+        table["learn"] = [] if name == REFERENCE else ["rms_height_m"]
+
+    return rewritten(path, "heights.toml", change)
+
+
+def all_of_it(path: Path) -> Path:
+    """The scene with eps_r, h and l of every material to learn."""
+
+    def change(name: str, table: Any) -> None:
+        table["learn"] = ["eps_r", "rms_height_m", "correlation_length_m"]
+
+    return rewritten(path, "all.toml", change)
+
+
+def fields_of(path: Path) -> Path:
+    """The scene with a texture of heights on every ground material, grass too, to begin with its uniform values."""
+
+    def change(name: str, table: Any) -> None:
+        if name in ("vehicle", "reflector"):
+            return
+        image = f"{name}_start.exr"
+        start = np.full((FIELD_TEXELS, FIELD_TEXELS), float(table["rms_height_m"]), np.float32)
+        write_exr(path.with_name(image), {"rms_height_m": start})
+        table["rms_height_m"], table["layout"], table["learn"] = image, "texture", ["rms_height_m"]
+
+    return rewritten(path, "fields.toml", change)
+
+
+def learned(path: Path, folder: Path, options: LearnOptions, device: str | None) -> dict[str, Any]:
+    """Learn and evaluate; what of both is told."""
+    found = learning.run(path, folder, device=device, options=options)
+    numbers = evaluation.run(folder / "scene.toml", folder / "evaluated", device=device)
+    keys = ("deviance", "deviance_error", "deviance_all", "pixels", "rmse_db", "correlation")
+    said = {
+        "looks": {view["name"]: view["looks"] for view in numbers["views"]},
+        **{role: {key: numbers[role][key] for key in keys} for role in ("train", "test")},
+        "outside_domain": found.get("outside_domain"),
+    }
+    if found.get("identifiability"):
+        said["identifiability"] = found["identifiability"].get("words")
+        said["materials"] = found["materials"]
+    return said
+
+
+# ---- predictions of the test view ----
 
 
 @dataclass(frozen=True)
@@ -127,8 +266,10 @@ def region_means(images: Sequence[Pixels], regions: int) -> np.ndarray:
     return means
 
 
-def seen_from(scene: Scene, images: dict[str, np.ndarray], target: str) -> np.ndarray:
-    """Mean of the images as they lie on z = 0, on the pixels of view `target`, (rows, cols); NaN off any of them."""
+def seen_from(scene: Scene, images: dict[str, np.ndarray], target: str, order: int = 1) -> np.ndarray:
+    """Mean of the images as they lie on z = 0, on the pixels of view `target`, (rows, cols); NaN off any of them.
+
+    `order` of the interpolation: 1 is bilinear, 0 takes the nearest pixel, whose speckle it leaves as it is."""
     from scipy.ndimage import map_coordinates
 
     by_name = {view.name: view for view in scene.views}
@@ -140,12 +281,13 @@ def seen_from(scene: Scene, images: dict[str, np.ndarray], target: str) -> np.nd
             points @ axis / step + (size - 1) / 2.0
             for axis, step, size in zip((geometry.d, geometry.u), scene.grid.spacing_m, scene.grid.shape, strict=True)
         ]
-        resampled.append(map_coordinates(image.astype(float), places, order=1, cval=np.nan))
+        resampled.append(map_coordinates(image.astype(float), places, order=order, cval=np.nan))
     return np.asarray(np.mean(resampled, axis=0))
 
 
-def predictions(scene: Scene, found: evaluation.Evaluation) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """Every prediction of the test view, (rows, cols), and the pixels that all of them have."""
+def simple_predictions(scene: Scene, found: evaluation.Evaluation) -> dict[str, np.ndarray]:
+    """What a user would try, from the flat scene's regions and the train images; each (rows, cols), NaN where it has
+    nothing to say."""
     from scipy.ndimage import uniform_filter
 
     train = [i for i in found.images if i.view.role == "train"]
@@ -154,50 +296,83 @@ def predictions(scene: Scene, found: evaluation.Evaluation) -> tuple[dict[str, n
     means = region_means(pixels, len(scene.mesh.materials))
     mean = seen_from(scene, {i.view.name: i.measured for i in train}, test.view.name)
     smooth = np.where(np.isfinite(mean), uniform_filter(np.nan_to_num(mean), 3), np.nan)
-    made = {
-        "learned model": test.simulated,
+    return {
         "one constant": np.ones(mean.shape),
-        "one constant per region, fitted on train": means[regions(scene, test.view)],
+        "one constant per flat region": means[regions(scene, test.view)],
         "mean of az001 and az002": mean,
         "the same, 3 x 3 pixels": smooth,
     }
-    return made, test.interior & np.isfinite(mean)
 
 
-def compare(scene: Scene, found: evaluation.Evaluation, speckle: dict[str, np.ndarray]) -> dict[str, Any]:
-    """Deviance over the speckle floor of every prediction of the test view, its one gain fitted: over all compared
-    pixels and in each region, whose gains are not fitted again. The floor is that of the looks estimated in the
-    picture; what uniform ground itself would leave is told by `speckle`, the views made of nothing else."""
-    (test,) = (i for i in found.images if i.view.role == "test")
-    made, mask = predictions(scene, found)
+def classes(image: evaluation.EvaluatedImage, materials: Sequence[str]) -> dict[str, np.ndarray]:
+    """Masks of the compared pixels: by the material that the scene with bodies lights most, and ground within `NEAR`
+    pixels of a body apart."""
+    from scipy.ndimage import maximum_filter
+
+    body = np.isin(image.material, [materials.index(name) for name in ("vehicle", "reflector")])
+    near = (maximum_filter(body.astype(np.uint8), size=2 * NEAR + 1) > 0) & ~body
+    found = {name: (image.material == i) & image.interior & ~near for i, name in enumerate(materials)}
+    return found | {"near a body": near & image.interior}
+
+
+@dataclass(frozen=True)
+class Compared:
+    """Predictions of the test image on the same pixels: deviance over the speckle floor of the image's looks, per pixel
+    (n,), one gain fitted to each prediction."""
+
+    looks: float
+    mask: np.ndarray
+    deviances: dict[str, np.ndarray]
+    decibels: dict[str, np.ndarray]
+
+
+def compare(test: evaluation.EvaluatedImage, made: dict[str, np.ndarray], mask: np.ndarray) -> Compared:
     looks, measured = test.observation.looks, test.measured[mask].astype(float)
-    region = regions(scene, test.view)[mask]
     floor = expected_deviance(looks)
-    table: dict[str, Any] = {}
+    found = Compared(looks, mask, {}, {})
     for name, image in made.items():
         modelled = image[mask] * best_gain("gamma", measured, image[mask], looks)
-        d = deviance(measured, modelled, looks) / floor
-        decibel = 10.0 * np.log10(measured / modelled)
-        table[name] = {"deviance": float(d.mean()), "rmse_db": float(np.sqrt(np.mean(decibel**2)))} | {
-            material: float(d[region == index].mean()) for index, material in enumerate(scene.mesh.materials)
-        }
-    alone, mean = (speckle[test.view.name], seen_from(scene, {n: speckle[n] for n in VIEWS[:2]}, test.view.name))
-    uniform = {}
+        found.deviances[name] = deviance(measured, modelled, looks) / floor
+        found.decibels[name] = 10.0 * np.log10(measured / modelled)
+    return found
+
+
+def scatter_floor(scene: Scene, found: evaluation.Evaluation, mask: np.ndarray) -> float:
+    """What the scatter between the two train views would leave of a perfect prediction, in the table's unit: the looks
+    that var(ln I1 - ln I2) = 2 psi'(L) gives on the mask's pixels. What glints from view to view counts as noise."""
+    from scipy.optimize import brentq
+    from scipy.special import digamma, polygamma
+
+    (test,) = (i for i in found.images if i.view.role == "test")
+    train = [i for i in found.images if i.view.role == "train"]
+    first, second = (seen_from(scene, {i.view.name: np.log(i.measured)}, test.view.name, 0)[mask] for i in train)
+    spread = float(np.var(first - second)) / 2.0
+    looks = float(brentq(lambda value: float(polygamma(1, value)) - spread, 1e-2, 1e3))
+    stated = test.observation.looks
+    return float((np.log(looks) - digamma(looks)) / (np.log(stated) - digamma(stated)))
+
+
+def speckle_floor(
+    scene: Scene, test: evaluation.EvaluatedImage, speckle: dict[str, np.ndarray], mask: np.ndarray
+) -> dict[str, Any]:
+    """What uniform ground leaves of a constant, and of the mean of two views, in the table's unit: from views made of
+    nothing but noise."""
+    looks = test.observation.looks
+    alone = speckle[test.view.name][mask]
+    mean = seen_from(scene, {n: speckle[n] for n in TRAIN}, test.view.name)[mask]
+    left = {}
     for name, image in (("one constant", np.ones(alone.shape)), ("mean of az001 and az002", mean)):
-        modelled = image[mask] * best_gain("gamma", alone[mask], image[mask], looks)
-        uniform[name] = float(np.mean(deviance(alone[mask], modelled, looks)) / floor)
+        modelled = image * best_gain("gamma", alone, image, looks)
+        left[name] = float(np.mean(deviance(alone, modelled, looks)) / expected_deviance(looks))
     return {
-        "speckle_looks": {name: float(np.mean(image) ** 2 / np.var(image)) for name, image in speckle.items()},
-        "speckle_looks_estimated": {name: equivalent_looks(image) for name, image in speckle.items()},
-        "uniform_ground": uniform,
-        "pixels": int(mask.sum()),
-        "pixels_of": {name: int((region == index).sum()) for index, name in enumerate(scene.mesh.materials)},
-        "deviance_over_floor": table,
+        "looks": {name: float(np.mean(image) ** 2 / np.var(image)) for name, image in speckle.items()},
+        "looks_estimated": {name: equivalent_looks(image) for name, image in speckle.items()},
+        "left": left,
     }
 
 
 def brightness(scene: Scene, found: evaluation.Evaluation, learned: dict[str, Any]) -> dict[str, Any]:
-    """Each region's modelled beta0 against grass [dB], the median over its pixels, and its 95 % interval: what is
+    """Each flat region's modelled beta0 against grass [dB], the median over its pixels, and its 95 % interval: what is
     learned of h alone is 20 log10 h, so the interval's half width is 1.96 sd(ln h) 20 / ln 10."""
     level = {}
     for index, name in enumerate(scene.mesh.materials):
@@ -216,76 +391,230 @@ def brightness(scene: Scene, found: evaluation.Evaluation, learned: dict[str, An
     return table
 
 
-def figures(scene: Scene, found: evaluation.Evaluation, folder: Path) -> None:
-    """The regions on the train views' mean, and the test view beside what was learned."""
-    grid = scene.grid
+def step_scenes(out: Path) -> dict[str, Path]:
+    """The scene after every addition of the diagnosis, by a name for tables."""
+    content = json.loads((out / "diagnosis" / "diagnosis.json").read_text(encoding="utf-8"))
+    names = ["bodies, as declared", *(f"+ {effect}" for effect in content["verdict"])]
+    return {name: out / "diagnosis" / f"step{k}.toml" for k, name in enumerate(names)}
+
+
+def predicted(out: Path, device: str | None = None) -> dict[str, evaluation.Evaluation]:
+    """Every learned scene in OUT, evaluated."""
+    scenes = {"flat, learned": out / "flat" / "learned" / "scene.toml", **step_scenes(out)}
+    scenes["bodies with fields"] = out / "bodies" / "fields" / "scene.toml"
+    return {name: evaluation.evaluate(Scene.load(path), device=device) for name, path in scenes.items()}
+
+
+def compared(data: Path, out: Path, found: dict[str, evaluation.Evaluation], device: str | None) -> dict[str, Any]:
+    """The table of docs/measured.md: every prediction, over all pixels and by class."""
+    flat, bodies = found["flat, learned"], found["bodies, as declared"]
+    scene = Scene.load(out / "flat" / "learned" / "scene.toml")
+    materials = Scene.load(out / "bodies" / "scene.toml").mesh.materials
+    test, of = (next(i for i in e.images if i.view.role == "test") for e in (flat, bodies))
+    simple = simple_predictions(scene, flat)
+    made = simple | {name: next(i for i in e.images if i.view.role == "test").simulated for name, e in found.items()}
+    mask = test.interior & of.interior & np.all([np.isfinite(image) & (image > 0) for image in made.values()], axis=0)
+    result = compare(test, made, mask)
+    parts = {name: part[mask] for name, part in classes(of, materials).items() if (part & mask).any()}
+    last = list(step_scenes(out))[-1]
+    best = result.deviances["mean of az001 and az002"]
+    table = {
+        name: {
+            "all": float(d.mean()),
+            **{label: float(d[part].mean()) for label, part in parts.items()},
+            "rmse_db": float(np.sqrt(np.mean(result.decibels[name] ** 2))),
+        }
+        for name, d in result.deviances.items()
+    }
+    return {
+        "looks": result.looks,
+        "pixels": {"all": int(mask.sum())} | {label: int(part.sum()) for label, part in parts.items()},
+        "deviance_over_floor": table,
+        "share_of_pixels_where_better_than_mean": {
+            label: float(np.mean(result.deviances[last][part] < best[part]))
+            for label, part in {"all": np.ones(best.shape, bool), **parts}.items()
+        },
+        "scatter_floor": {
+            label: scatter_floor(scene, flat, full & mask)
+            for label, full in {"all": mask, **classes(of, materials)}.items()
+            if (full & mask).sum() > 30
+        },
+        "speckle": speckle_floor(scene, test, pure_speckle(data, scene, SAMPLES, device), mask),
+    }
+
+
+# ---- pictures ----
+
+
+def outline(scene: Scene, view: View) -> list[np.ndarray]:
+    """Edges of the bodies as the view sees them: (2, 2) each, azimuth and slant range of both ends [m]."""
+    geometry = geometry_of(scene, view)
+    bodies = [scene.mesh.materials.index(name) for name in ("vehicle", "reflector")]
+    corners = scene.mesh.vertices[scene.mesh.faces[np.isin(scene.mesh.face_material, bodies)]]
+    found = []
+    for face in corners:
+        lengths = np.linalg.norm(face - np.roll(face, -1, axis=0), axis=1)
+        for k in np.argsort(lengths)[:2]:  # not the diagonal of a quad
+            ends = face[[k, (k + 1) % 3]]
+            found.append(np.column_stack([ends @ geometry.u, ends @ geometry.d]))
+    return found
+
+
+def figures(out: Path, found: dict[str, evaluation.Evaluation], folder: Path) -> None:
+    """The bodies over the train views' mean; the test view, the model, and what is left of it."""
+    from matplotlib.collections import LineCollection
+
+    bodies = Scene.load(out / "bodies" / "scene.toml")
+    grid = bodies.grid
     half = [n * s / 2.0 for n, s in zip(grid.shape, grid.spacing_m, strict=True)]
     place: dict[str, Any] = {"extent": (-half[1], half[1], half[0], -half[0]), "interpolation": "nearest"}
-    first, _, test = found.images
-    mean = seen_from(scene, {i.view.name: i.measured for i in found.images[:2]}, first.view.name)
-    reference = np.median(mean[np.isfinite(mean)])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        figure, (left, right) = new(8.0, 3.1, ncols=2, sharey=True)
-        drawn = left.imshow(10 * np.log10(mean / reference), cmap="gray", vmin=-8, vmax=16, **place)
-        left.set_title("az001 and az002, mean", size=9)
-        figure.colorbar(drawn, ax=left, label="dB to the median", shrink=0.8)
-        names = scene.mesh.materials
-        region = regions(scene, first.view)
-        shown = np.where(region < 0, np.nan, region)
-        drawn = right.imshow(shown, cmap="Set2", vmin=-0.5, vmax=7.5, **place)
-        bar = figure.colorbar(
-            drawn, ax=right, ticks=range(len(names)), boundaries=np.arange(len(names) + 1) - 0.5, shrink=0.8
-        )
-        bar.ax.set_yticklabels(names)
-        right.set_title("regions", size=9)
-        for axis in (left, right):
-            axis.set_xlabel("azimuth [m]")
-        left.set_ylabel("slant range [m]")
-        save(figure, folder / "measured_gotcha_run_regions.png")
+    declared, final = found["bodies, as declared"], found[list(step_scenes(out))[-1]]
+    first = declared.images[0]
+    mean = seen_from(bodies, {i.view.name: i.measured for i in declared.images[:2]}, first.view.name)
+    reference = float(np.median(mean[np.isfinite(mean)]))
+    folder.mkdir(parents=True, exist_ok=True)
+    figure, axis = new(7.0, 4.6)
+    drawn = axis.imshow(decibels(mean, reference), cmap="gray", vmin=-8, vmax=20, **place)
+    axis.add_collection(LineCollection(outline(bodies, first.view), colors="tab:orange", linewidths=0.4))
+    figure.colorbar(drawn, ax=axis, label="dB to the median", shrink=0.8)
+    axis.set(xlim=place["extent"][:2], ylim=place["extent"][2:], xlabel="azimuth [m]", ylabel="slant range [m]")
+    axis.set_title("az001 and az002, mean, with the bodies' edges", size=9)
+    save(figure, folder / "measured_gotcha_run_regions.png")
 
-        figure, axes = new(10.0, 2.9, ncols=3, sharey=True)
-        panels = (
-            ("az003, measured (test)", 10 * np.log10(test.measured / reference), "gray", (-8, 16)),
-            ("az003, learned on az001, az002", 10 * np.log10(test.simulated / reference), "gray", (-8, 16)),
-            ("measured / learned", test.ratio_db, "RdBu_r", (-12, 12)),
-        )
-        for axis, (title, values, colours, (low, high)) in zip(axes, panels, strict=True):
-            drawn = axis.imshow(values, cmap=colours, vmin=low, vmax=high, **place)
-            axis.set_title(title, size=9)
-            axis.set_xlabel("azimuth [m]")
-            figure.colorbar(drawn, ax=axis, label="dB", shrink=0.8)
-        axes[0].set_ylabel("slant range [m]")
-        save(figure, folder / "measured_gotcha_run_test.png")
+    figure, axes = new(10.0, 5.6, nrows=2, ncols=2, sharex=True, sharey=True)
+    tests = [next(i for i in e.images if i.view.role == "test") for e in (declared, final)]
+    panels = (
+        ("az003, measured (test)", decibels(tests[0].measured, reference), "gray", (-8, 20)),
+        ("with the effects found", decibels(tests[1].simulated, reference), "gray", (-8, 20)),
+        ("measured / declared", tests[0].ratio_db, "RdBu_r", (-12, 12)),
+        ("measured / with effects", tests[1].ratio_db, "RdBu_r", (-12, 12)),
+    )
+    for axis, (title, values, colours, (low, high)) in zip(axes.flat, panels, strict=True):
+        drawn = axis.imshow(values, cmap=colours, vmin=low, vmax=high, **place)
+        axis.set_title(title, size=9)
+        figure.colorbar(drawn, ax=axis, label="dB", shrink=0.8)
+    save(figure, folder / "measured_gotcha_run_test.png")
 
 
-def run(data: Path, out: Path, *, figure_folder: Path | None = None, device: str | None = None) -> dict[str, Any]:
+# ---- all of it ----
+
+
+def run(
+    data: Path,
+    out: Path,
+    *,
+    figure_folder: Path | None = None,
+    device: str | None = None,
+    options: DiagnoseOptions = DIAGNOSE,
+) -> dict[str, Any]:
     """All of it; returns what gotcha.json holds."""
-    path = prepare(data, out, device)
-    speckle = pure_speckle(data, Scene.load(path), SAMPLES, device)
-    content: dict[str, Any] = {}
-    for name, declared in (("all", path), ("heights", heights_only(path))):
-        folder = out / name
-        learned = learning.run(declared, folder / "learned", device=device)
-        numbers = evaluation.run(folder / "learned" / "scene.toml", folder / "evaluated", device=device)
-        scene = Scene.load(folder / "learned" / "scene.toml")
-        found = evaluation.evaluate(scene, device=device)
-        keys = ("deviance", "deviance_error", "pixels", "rmse_db", "correlation")
-        content[name] = {
-            "looks": {view["name"]: view["looks"] for view in numbers["views"]},
-            "gains": {view["name"]: view["gain"] for view in numbers["views"]},
-            **{role: {key: numbers[role][key] for key in keys} for role in ("train", "test")},
-            "identifiability": learned["identifiability"]["words"],
-            "outside_domain": learned["outside_domain"],
-            "materials": learned["materials"],
-            "comparison": compare(scene, found, speckle),
-        }
-    content["heights"]["brightness"] = brightness(scene, found, learned)
-    figure_folder = figure_folder or out
-    figure_folder.mkdir(parents=True, exist_ok=True)
-    figures(scene, found, figure_folder)
+    out.mkdir(parents=True, exist_ok=True)
+    flat = prepare(data, out / "flat", flat=True, device=device)
+    bodies = prepare(data, out / "bodies", flat=False, device=device)
+    theory = kept(out / "impulse_response.json", lambda: impulse_response(data, Scene.load(bodies), device))
+    one = LearnOptions(starts=1)
+
+    def of_flat() -> dict[str, Any]:
+        said = learned(heights_only(flat), out / "flat" / "learned", one, device)
+        scene = Scene.load(out / "flat" / "learned" / "scene.toml")
+        return said | {"brightness": brightness(scene, evaluation.evaluate(scene, device=device), said)}
+
+    def of_bodies() -> dict[str, Any]:
+        return learned(bodies, out / "bodies" / "learned", LearnOptions(), device)
+
+    def of_all() -> dict[str, Any]:
+        return learned(all_of_it(bodies), out / "bodies" / "all", one, device)
+
+    def of_fields() -> dict[str, Any]:
+        start = fields_of(out / "bodies" / "learned" / "scene.toml")
+        slowly = LearnOptions(starts=1, iterations=FIELD_ITERATIONS, total_variation={"rms_height_m": FIELD_VARIATION})
+        return learned(start, out / "bodies" / "fields", slowly, device)
+
+    content = {
+        "impulse_response": theory,
+        "flat": kept(out / "flat.json", of_flat),
+        "bodies": kept(out / "bodies.json", of_bodies),
+        "bodies_all": kept(out / "bodies_all.json", of_all),
+        "fields": kept(out / "fields.json", of_fields),
+        "diagnosis": kept(out / "diagnosis.json", lambda: diagnosed(bodies, out / "diagnosis", options, device)),
+    }
+    found = predicted(out, device)
+    content["comparison"] = compared(data, out, found, device)
+    content["point_spread_found"] = effect_widths(content["diagnosis"])
+    figures(out, found, figure_folder or out)
     with replacing(out / "gotcha.json") as temporary:
-        temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+        temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8", newline="\n")
+    with replacing(out / "gotcha.md") as temporary:
+        temporary.write_text(tables(content), encoding="utf-8", newline="\n")
     return content
+
+
+def tables(content: dict[str, Any]) -> str:
+    """What docs/measured.md quotes."""
+    theory, diagnosis, comparison = content["impulse_response"], content["diagnosis"], content["comparison"]
+    parts = ["## Reflectors\n"]
+    parts.append(
+        markdown(
+            ["reflector", "view", "axis", "width [m]", "theory [m]", "shares of five pixels", "theory"],
+            [
+                [
+                    str(r["corner_m"]),
+                    r["view"],
+                    a,
+                    r[a]["width_m"],
+                    r[a]["theory_m"],
+                    r[a]["shares"],
+                    r[a]["theory_shares"],
+                ]
+                for r in theory["reflectors"]
+                for a in ("range", "azimuth")
+            ],
+        )
+    )
+    parts.append("## point_spread: theory on this grid, and found\n")
+    rows = [[w, t["range_fwhm_m"], t["azimuth_fwhm_m"]] for w, t in theory["point_spread_m"].items()]
+    if content["point_spread_found"]:
+        found = content["point_spread_found"]
+        said = [f"{v['value_m']:.3g} ({v['low_m']:.3g} to {v['high_m']:.3g})" for v in found.values()]
+        rows.append([f"found, {diagnosis['effects']['point_spread'].get('window', 'gaussian')}", *said])
+    parts.append(markdown(["window", "range [m]", "azimuth [m]"], rows))
+    parts.append("## Turns of the diagnosis\n")
+    parts.append(
+        markdown(
+            ["turn", "passed: -ln p", "refitted: 2 ln L", "added", "scan: -ln p"],
+            [
+                [
+                    k + 1,
+                    ", ".join(
+                        f"{c['effect']} {c['minus_log_p']:.0f}"
+                        for c in sorted(turn["candidates"], key=lambda c: -(c["minus_log_p"] or 0))
+                        if c["testability"] == "testable" and c["minus_log_p"] > turn["threshold"]
+                    ),
+                    ", ".join(
+                        f"{c['effect']} {c['refit_gain']:+.0f}"
+                        for c in turn["candidates"]
+                        if c["refit_gain"] is not None
+                    ),
+                    turn["added"] or "",
+                    f"{turn['scan']['minus_log_p']:.1f} of {turn['threshold']:.1f}",
+                ]
+                for k, turn in enumerate(diagnosis["turns"])
+            ],
+        )
+    )
+    parts.append("## az003, deviance over the floor of its looks\n")
+    labels = ["all", *(label for label in comparison["pixels"] if label != "all")]
+    rows = [
+        [name, *(values[label] for label in labels), values["rmse_db"]]
+        for name, values in comparison["deviance_over_floor"].items()
+    ]
+    rows.append(["*view-to-view scatter*", *(comparison["scatter_floor"].get(label, "") for label in labels), ""])
+    rows += [[f"*uniform ground: {k}*", v, *[""] * len(labels)] for k, v in comparison["speckle"]["left"].items()]
+    rows.append(["pixels", *(comparison["pixels"][label] for label in labels), ""])
+    better = comparison["share_of_pixels_where_better_than_mean"]
+    rows.append(["last model better than the mean, share of pixels", *(better[label] for label in labels), ""])
+    parts.append(markdown(["prediction", *labels, "error [dB]"], rows))
+    return "\n".join(parts)
 
 
 def main() -> None:
@@ -293,17 +622,11 @@ def main() -> None:
     parser.add_argument("data", type=Path)
     parser.add_argument("-o", "--out", type=Path, required=True)
     parser.add_argument("--figures", type=Path, help="folder of the two pictures; default: OUT")
+    parser.add_argument("--short", action="store_true", help="a diagnosis of fewer starts, refits and effects")
     parser.add_argument("--device")
-    options = parser.parse_args()
-    content = run(options.data, options.out, figure_folder=options.figures, device=options.device)
-    summary = {
-        "train": content["heights"]["train"],
-        "test": content["heights"]["test"],
-        "brightness": content["heights"]["brightness"],
-        "all": content["all"]["comparison"],
-        "heights": content["heights"]["comparison"],
-    }
-    print(json.dumps(summary, indent=1))
+    given = parser.parse_args()
+    options = SHORT if given.short else DIAGNOSE
+    print(tables(run(given.data, given.out, figure_folder=given.figures, device=given.device, options=options)))
 
 
 if __name__ == "__main__":

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import click
 
+from warpsar.cli import options
+
 
 @click.command(name="evaluate")
 @click.argument("scene", type=click.Path(exists=True, dir_okay=False, path_type=Path))
@@ -16,9 +18,7 @@ import click
     type=click.Path(file_okay=False, path_type=Path),
     help="Folder for evaluate.json, report.html, residual images and learned.ply; made if missing.",
 )
-@click.option(
-    "--device", metavar="cpu|cuda|cuda:N", help="Default: the first CUDA device if there is one, else the CPU."
-)
+@options.device
 @click.option("--seed", type=click.IntRange(min=0), help="Of the rays' jitter; default: the scene's.")
 def command(scene: Path, out: Path, device: str | None, seed: int | None) -> None:
     """Compare the measured images of SCENE, train and test views alike, with what its model gives."""

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import click
 
+from warpsar.cli import options
+
 
 @click.command(name="learn")
 @click.argument("scene", type=click.Path(exists=True, dir_okay=False, path_type=Path))
@@ -16,9 +18,7 @@ import click
     type=click.Path(file_okay=False, path_type=Path),
     help="Folder for scene.toml with what was learned, learn.json, history.csv and figures; made if missing.",
 )
-@click.option(
-    "--device", metavar="cpu|cuda|cuda:N", help="Default: the first CUDA device if there is one, else the CPU."
-)
+@options.device
 @click.option("--loss", default="gamma", show_default=True, help="gamma, mse or log.")
 @click.option("--optimiser", default="auto", show_default=True, help="auto, lm or adam.")
 @click.option("--starts", type=click.IntRange(min=1), default=3, show_default=True, help="Starts for lm.")
@@ -39,6 +39,12 @@ import click
 )
 @click.option("--checkpoint-every", type=click.IntRange(min=1), default=10, show_default=True, help="Iterations.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the further starts.")
+@click.option(
+    "--max-memory",
+    type=click.FloatRange(min=0, min_open=True),
+    metavar="GIB",
+    help="Bound on kept hits; views beyond it are traced again in every iteration. Default: 60 % of the memory.",
+)
 @click.option("--resume", is_flag=True, help="Go on from the checkpoint in the output folder.")
 def command(
     scene: Path,
@@ -54,6 +60,7 @@ def command(
     validity: float,
     checkpoint_every: int,
     seed: int,
+    max_memory: float | None,
     resume: bool,
 ) -> None:
     """Learn what the surfaces of SCENE are made of, from its measured `train` views."""
@@ -66,7 +73,7 @@ def command(
             weights[key] = float(weight)
         except ValueError:
             raise click.BadParameter(f"found {item!r}; allowed is KEY=WEIGHT", param_hint="--tv") from None
-    options = learning.LearnOptions(
+    chosen = learning.LearnOptions(
         loss=loss,
         optimiser=optimiser,
         starts=starts,
@@ -77,5 +84,6 @@ def command(
         validity=validity,
         checkpoint_every=checkpoint_every,
         seed=seed,
+        max_memory_gib=max_memory,
     )
-    learning.run(scene, out, device=device, options=options, resume=resume)
+    learning.run(scene, out, device=device, options=chosen, resume=resume)

@@ -38,7 +38,7 @@ class LazyGroup(click.Group):
         try:
             return super().invoke(ctx)
         except WarpsarError as error:
-            _refuse(ctx, str(error), error.exit_code)
+            _refuse(ctx, "" if error.quiet else str(error), error.exit_code)
         except BrokenPipeError:  # click's to handle
             raise
         except OSError as error:  # a folder that cannot be written, a full disk
@@ -49,7 +49,8 @@ class LazyGroup(click.Group):
 
 
 def _refuse(ctx: click.Context, message: str, exit_code: int) -> NoReturn:
-    click.echo(f"Error: {message}", err=True)
+    if message:
+        click.echo(f"Error: {message}", err=True)
     ctx.exit(exit_code)
 
 

@@ -1,4 +1,4 @@
-"""`warpsar simulate`: a scene file in, one calibrated image per view out."""
+"""`warpsar simulate`: scene files in, one calibrated image per view out."""
 
 from __future__ import annotations
 
@@ -6,9 +6,11 @@ from pathlib import Path
 
 import click
 
+from warpsar.cli import options
+
 
 @click.command(name="simulate")
-@click.argument("scene", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.argument("scenes", nargs=-1, required=True, type=click.Path(exists=True, dir_okay=False, path_type=Path))
 @click.option(
     "-o",
     "--out",
@@ -17,10 +19,10 @@ import click
     help="Folder for images (EXR, beta0), quick looks (PNG, dB) and simulate.json; made if missing.",
 )
 @click.option(
-    "--device",
-    metavar="cpu|cuda|cuda:N",
-    help="Default: the first CUDA device if there is one, else the CPU.",
+    "--azimuths", metavar="START:STOP:STEP", help="Views at these angles [deg], in place of the file's; or A,B,C."
 )
+@click.option("--incidences", metavar="START:STOP:STEP", help="With --azimuths: a view at every pair of angles.")
+@options.device
 @click.option("--seed", type=click.IntRange(min=0), help="Of the rays' jitter; the same seed gives the same image.")
 @click.option("--layers", is_flag=True, help="Also incidence angle, layover count, shadow mask and material per pixel.")
 @click.option("--variance", is_flag=True, help="Also the sampling variance of every pixel, from a second seed.")
@@ -36,8 +38,10 @@ import click
     help="Bound on the memory for rays and hits; a smaller one only takes longer.",
 )
 def command(
-    scene: Path,
+    scenes: tuple[Path, ...],
     out: Path,
+    azimuths: str | None,
+    incidences: str | None,
     device: str | None,
     seed: int | None,
     layers: bool,
@@ -45,11 +49,31 @@ def command(
     per_ray: bool,
     max_memory: float | None,
 ) -> None:
-    """Simulate every view of SCENE, a scene.toml beside its mesh."""
+    """Simulate every view of SCENES, each a scene.toml beside its mesh.
+
+    Of several scenes, or with --azimuths, images go to folders of a thousand, index.csv lists them, and those that are
+    there already are kept.
+    """
+    if len(scenes) > 1 or azimuths is not None or incidences is not None:
+        from warpsar import batch
+
+        batch.run(
+            scenes,
+            out,
+            azimuths=azimuths,
+            incidences=incidences,
+            device=device,
+            seed=seed,
+            layers=layers,
+            variance=variance,
+            per_ray=per_ray,
+            max_memory_gib=max_memory,
+        )
+        return
     from warpsar.simulation import run
 
     run(
-        scene,
+        scenes[0],
         out,
         device=device,
         seed=seed,

@@ -20,6 +20,8 @@ class RayGrid:
     azimuth_start: float  # [m], left edge of column 0
     azimuth_step: float  # [m]
     cells_per_column: int
+    first_cell: int  # azimuth cells, in whole columns of the image, that can meet the mesh
+    end_cell: int
     elevation_start: float
     elevation_step: float
     elevation_cells: int

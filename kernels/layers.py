@@ -4,6 +4,8 @@ import warp as wp
 
 from warpsar.kernels.geometry import RayGrid, intersect, ray_direction, ray_origin, slant_range_of
 
+wp.set_module_options({"max_unroll": 1})  # sixteen copies of a BVH query would take seconds to compile
+
 HIDDEN_SURFACES = wp.constant(16)  # surfaces behind the first that a ray looks for
 
 

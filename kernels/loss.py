@@ -7,7 +7,7 @@ MSE = wp.constant(1)
 LOG = wp.constant(2)
 
 # Partial sums of a loss: float64, spread over as many cells so that CUDA atomics seldom meet.
-PARTIALS = wp.constant(256)
+PARTIALS = wp.constant(4096)
 
 # A modelled pixel darker than this is as dark as this: keeps ln(mu), and 1 / mu^2 of the adjoint, finite in float32
 # where sigma0 underflows.
@@ -101,26 +101,3 @@ def validity_kernel(
     tau = 1.0 / (1.0 + wp.exp(-wp.clamp(z[3], -40.0, 40.0)))
     value = strength * weight[i] * ((1.0 - tau) * spm + tau * ka)
     wp.atomic_add(loss_out, i % PARTIALS, wp.float64(value))
-
-
-@wp.kernel(enable_backward=False)
-def keep_kernel(
-    kept: wp.array(dtype=float),
-    gradient: wp.array(dtype=float),
-    # Out:
-    kept_gradient_out: wp.array(dtype=float),
-):
-    """The gradient of what may change; 0 elsewhere."""
-    i = wp.tid()
-    kept_gradient_out[i] = kept[i] * gradient[i]
-
-
-@wp.kernel(enable_backward=False)
-def clamp_kernel(
-    low: wp.array(dtype=float),
-    high: wp.array(dtype=float),
-    # In and out:
-    nodes: wp.array(dtype=float),
-):
-    i = wp.tid()
-    nodes[i] = wp.clamp(nodes[i], low[i], high[i])

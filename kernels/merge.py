@@ -1,4 +1,4 @@
-"""Records of one (pixel, face), sorted side by side, become one hit."""
+"""What lies scattered over a table or repeats in a sorted list, numbered side by side."""
 
 import warp as wp
 
@@ -10,17 +10,23 @@ def number_kernel(order_out: wp.array(dtype=int)):
 
 
 @wp.kernel(enable_backward=False)
-def mark_starts_kernel(
-    key: wp.array(dtype=wp.int64),
-    merge: int,
-    start_out: wp.array(dtype=int),
-):
-    """1 where a new (pixel, face) begins."""
+def mark_rows_kernel(rows: wp.array2d(dtype=wp.int64), start_out: wp.array(dtype=int)):
+    """1 for a row that is taken, 0 for a free one."""
     i = wp.tid()
-    new = int(1)
-    if i > 0 and merge != 0:
-        if key[i] == key[i - 1]:
-            new = 0
+    start_out[i] = wp.where(rows[i, 0] == wp.int64(0), 0, 1)
+
+
+@wp.kernel(enable_backward=False)
+def mark_starts_kernel(value: wp.array(dtype=int), longest: int, whole: int, start_out: wp.array(dtype=int)):
+    """1 where a stretch of one value begins, and after every `longest` elements but for those of value `whole`."""
+    i = wp.tid()
+    new = int(0)
+    if i % longest == 0 and value[i] != whole:
+        new = 1
+    if i == 0:
+        new = 1
+    elif value[i] != value[i - 1]:
+        new = 1
     start_out[i] = new
 
 
@@ -37,33 +43,10 @@ def place_starts_kernel(
 
 
 @wp.kernel(enable_backward=False)
-def reduce_kernel(
-    # In:
-    key: wp.array(dtype=wp.int64),
-    order: wp.array(dtype=int),
-    weight: wp.array(dtype=float),
-    moment: wp.array(dtype=wp.vec2),
-    first: wp.array(dtype=int),
-    total: int,
-    face_bits: int,
-    # Out:
-    pixel_out: wp.array(dtype=int),
-    face_out: wp.array(dtype=int),
-    weight_out: wp.array(dtype=float),
-    barycentric_out: wp.array(dtype=wp.vec2),
+def key_kernel(
+    rows: wp.array2d(dtype=wp.int64),
+    row: wp.array(dtype=int),
+    key_out: wp.array(dtype=wp.int64),
 ):
-    """Weights summed, barycentrics averaged with them."""
     i = wp.tid()
-    begin = first[i]
-    end = total
-    if i + 1 < first.shape[0]:
-        end = first[i + 1]
-    sum_weight = float(0.0)
-    sum_moment = wp.vec2(0.0, 0.0)
-    for k in range(begin, end):
-        sum_weight += weight[order[k]]
-        sum_moment += moment[order[k]]
-    pixel_out[i] = int(key[begin] >> wp.int64(face_bits))
-    face_out[i] = int(key[begin] & ((wp.int64(1) << wp.int64(face_bits)) - wp.int64(1)))
-    weight_out[i] = sum_weight
-    barycentric_out[i] = sum_moment / sum_weight
+    key_out[i] = rows[row[i], 0] - wp.int64(1)

@@ -37,8 +37,9 @@ def complex_product(a: Any, b: Any):
 
 
 @wp.func
-def complex_quotient(a: Any, b: Any):
-    return complex_product(a, wp.vector(b[0], -b[1])) / wp.dot(b, b)
+def complex_inverse(a: Any):
+    inverse = type(a[0])(1.0) / wp.dot(a, a)
+    return wp.vector(a[0] * inverse, -a[1] * inverse)
 
 
 @wp.func
@@ -73,9 +74,9 @@ def amplitude_te(cos_theta: Any, eps: Any, q: Any):
 
     The second form has no cancellation for eps near 1 or theta near 90 degrees.
     """
-    denominator = wp.vector(cos_theta + q[0], q[1])
+    inverse = complex_inverse(wp.vector(cos_theta + q[0], q[1]))
     contrast = wp.vector(type(cos_theta)(1.0) - eps[0], -eps[1])
-    return complex_quotient(complex_quotient(contrast, denominator), denominator)
+    return complex_product(complex_product(contrast, inverse), inverse)
 
 
 @wp.func
@@ -84,10 +85,10 @@ def amplitude_tm(cos_theta: Any, eps: Any, q: Any, factor: Any):
 
     The Bragg amplitude a_vv for factor = 1 + sin^2; minus Fresnel's R_v for factor = cos^2.
     """
-    denominator = eps * cos_theta + q
+    inverse = complex_inverse(eps * cos_theta + q)
     contrast = wp.vector(eps[0] - type(cos_theta)(1.0), eps[1])
     numerator = wp.vector(sine_squared(cos_theta) - factor * eps[0], -factor * eps[1])
-    return complex_product(complex_quotient(contrast, denominator), complex_quotient(numerator, denominator))
+    return complex_product(complex_product(contrast, inverse), complex_product(numerator, inverse))
 
 
 @wp.func
@@ -255,3 +256,118 @@ def sigma0(
         slope_variance = type(c)(2.0) * rms_height * rms_height / area
         specular = geometric_optics(fresnel_h(one, eps_re, eps_im), c, slope_variance)
     return (one - specular_fraction) * diffuse + specular_fraction * specular
+
+
+@wp.func
+def slope_te(cos_theta: Any, eps: Any, q: Any, amplitude: Any):
+    """d amplitude_te / d eps, complex, where `amplitude` is it."""
+    inverse = complex_inverse(wp.vector(cos_theta + q[0], q[1]))
+    # q' = 1 / (2 q)
+    return -complex_product(inverse, inverse) - complex_product(complex_product(amplitude, complex_inverse(q)), inverse)
+
+
+@wp.func
+def slope_tm(cos_theta: Any, eps: Any, q: Any, factor: Any, amplitude: Any):
+    """d amplitude_tm / d eps, complex, where `amplitude` is it."""
+    one = type(cos_theta)(1.0)
+    two = type(cos_theta)(2.0)
+    inverse = complex_inverse(eps * cos_theta + q)
+    root = complex_inverse(q)
+    numerator = wp.vector(sine_squared(cos_theta) - factor * (two * eps[0] - one), -two * factor * eps[1])
+    growth = wp.vector(two * cos_theta + root[0], root[1])
+    return complex_product(complex_product(numerator, inverse) - complex_product(amplitude, growth), inverse)
+
+
+@wp.func
+def sigma0_slopes(
+    polarization: int,
+    spectrum: int,
+    variant: int,
+    wavenumber: Any,
+    cos_theta: Any,
+    cos_twist: Any,
+    eps_re: Any,
+    eps_im: Any,
+    rms_height: Any,
+    correlation_length_x: Any,
+    correlation_length_y: Any,
+    cos2_azimuth: Any,
+    specular_fraction: Any,
+):
+    """Derivatives of `sigma0` to ln(eps_re - 1), ln h, ln l (both lengths together) and logit tau: a vector of four.
+
+    In closed form: what reverse mode makes of `sigma0` takes four times the instructions and three times the registers.
+    """
+    one = type(cos_theta)(1.0)
+    two = type(cos_theta)(2.0)
+    c = bounded_cosine(cos_theta)
+    cos2 = c * c
+    eps = wp.vector(eps_re, -eps_im)
+
+    # the diffuse term: spectrum times power
+    bragg = type(c)(4.0) * sine_squared(c)
+    kx = wavenumber * correlation_length_x
+    ky = wavenumber * correlation_length_y
+    w = roughness_spectrum(spectrum, bragg, cos2_azimuth, wavenumber * rms_height, kx, ky)
+    kx2 = bragg * kx * kx
+    by_length = two
+    if spectrum == GAUSSIAN:
+        by_length = two - type(c)(0.5) * kx2
+    elif spectrum == EXPONENTIAL:
+        by_length = two - type(c)(3.0) * kx2 / (one + kx2)
+    else:
+        x = kx2 * cos2_azimuth
+        y = bragg * ky * ky * (one - cos2_azimuth)
+        by_length = two - two * (x / (one + x) + y / (one + y))
+    prefactor = type(c)(16.0) * type(c)(wp.pi)
+    if variant == AS_PRINTED:
+        prefactor = type(c)(8.0)
+    scale = prefactor * cos2 * cos2 * w
+
+    q = refraction(c, eps)
+    factor = one + sine_squared(c)
+    if variant == AS_PRINTED:
+        factor = cos2
+    a_hh = amplitude_te(c, eps, q)
+    a_vv = amplitude_tm(c, eps, q, factor)
+    d_hh = slope_te(c, eps, q, a_hh)
+    d_vv = slope_tm(c, eps, q, factor, a_vv)
+    turn = cos_twist * cos_twist
+    rest = sine_squared(cos_twist)
+    amplitude = a_vv - a_hh
+    slope = d_vv - d_hh
+    share = turn * rest
+    if polarization == HH:
+        amplitude = a_hh * turn + a_vv * rest
+        slope = d_hh * turn + d_vv * rest
+        share = one
+    elif polarization == VV:
+        amplitude = a_hh * rest + a_vv * turn
+        slope = d_hh * rest + d_vv * turn
+        share = one
+    diffuse = scale * share * wp.dot(amplitude, amplitude)
+    diffuse_by_eps = scale * share * two * wp.dot(amplitude, slope)
+
+    # geometric optics: reflectivity of normal incidence, and slopes of variance m^2 = 2 h^2 / l^2
+    specular = type(c)(0.0)
+    specular_by_eps = type(c)(0.0)
+    specular_by_length = type(c)(0.0)
+    if polarization != HV and polarization != VH:
+        area = correlation_length_x * correlation_length_x
+        if spectrum == SEPARABLE:
+            area = correlation_length_x * correlation_length_y
+        slope_variance = two * rms_height * rms_height / area
+        q0 = refraction(one, eps)
+        a0 = amplitude_te(one, eps, q0)
+        per_reflectivity = geometric_optics(one, c, slope_variance)
+        specular = per_reflectivity * wp.dot(a0, a0)
+        specular_by_eps = per_reflectivity * two * wp.dot(a0, slope_te(one, eps, q0, a0))
+        specular_by_length = specular * (two - sine_squared(c) / (cos2 * slope_variance))
+
+    diffuse_share = one - specular_fraction
+    return wp.vector(
+        (diffuse_share * diffuse_by_eps + specular_fraction * specular_by_eps) * (eps_re - one),
+        diffuse_share * two * diffuse - specular_fraction * specular_by_length,
+        diffuse_share * by_length * diffuse + specular_fraction * specular_by_length,
+        specular_fraction * diffuse_share * (specular - diffuse),
+    )

@@ -2,7 +2,8 @@
 
 import warp as wp
 
-from warpsar.kernels.scattering import sigma0
+from warpsar.kernels.scattering import sigma0, sigma0_slopes
+from warpsar.kernels.wide import read_vec4, read_vec4i, sum_of_lanes, write_vec4
 
 # Layouts of a parameter, and where its nodes stand: one row of (layout, offset, width, height) per material and kind.
 UNIFORM = wp.constant(0)
@@ -45,25 +46,12 @@ def texture_value(nodes: wp.array(dtype=float), offset: int, width: int, height:
 
 
 @wp.func
-def held_value(nodes: wp.array(dtype=float), index: int) -> float:
-    """A node without a gradient: on CUDA every hit would else add into one address, and nobody asks for the sum."""
-    return nodes[index]
-
-
-@wp.func_grad(held_value)
-def adjoint_held_value(nodes: wp.array(dtype=float), index: int, adjoint: float):
-    pass
-
-
-@wp.func
 def node_value(nodes: wp.array(dtype=float), place: wp.vec4i, corner: wp.vec3i, b: wp.vec3, uv: wp.vec2) -> float:
     """One parameter at one hit, whatever its layout; `b` holds the three barycentric weights."""
     offset = place[1]
     value = float(0.0)
-    if place[0] == UNIFORM:
+    if place[0] == UNIFORM or place[0] == HELD:
         value = nodes[offset]
-    elif place[0] == HELD:
-        value = held_value(nodes, offset)
     elif place[0] == VERTEX:
         value = b[0] * nodes[offset + corner[0]] + b[1] * nodes[offset + corner[1]] + b[2] * nodes[offset + corner[2]]
     else:
@@ -88,14 +76,170 @@ def coordinates_at(
     if uv.shape[0] > 0:
         at = b[0] * uv[corner[0]] + b[1] * uv[corner[1]] + b[2] * uv[corner[2]]
     return wp.vec4(
-        node_value(nodes, places[material, EPS], corner, b, at),
-        node_value(nodes, places[material, HEIGHT], corner, b, at),
-        node_value(nodes, places[material, LENGTH], corner, b, at),
-        node_value(nodes, places[material, FRACTION], corner, b, at),
+        node_value(nodes, read_vec4i(places, material, EPS), corner, b, at),
+        node_value(nodes, read_vec4i(places, material, HEIGHT), corner, b, at),
+        node_value(nodes, read_vec4i(places, material, LENGTH), corner, b, at),
+        node_value(nodes, read_vec4i(places, material, FRACTION), corner, b, at),
     )
 
 
-@wp.kernel
+@wp.struct
+class Site:
+    """A node, counted from its parameter's first, and its share in the value at a hit."""
+
+    node: int
+    share: float
+
+
+@wp.func
+def site_of(place: wp.vec4i, corner: wp.vec3i, b: wp.vec3, uv: wp.vec2, index: int) -> Site:
+    """Node number `index` of those that `node_value` mixes."""
+    site = Site()
+    site.node = 0
+    site.share = 1.0
+    if place[0] == VERTEX:
+        site.node = corner[index]
+        site.share = b[index]
+    elif place[0] == TEXTURE:
+        x = uv[0] * float(place[2]) - 0.5
+        y = (1.0 - uv[1]) * float(place[3]) - 0.5
+        right = index % 2
+        down = index // 2
+        fx = x - wp.floor(x)
+        fy = y - wp.floor(y)
+        column = wp.clamp(int(wp.floor(x)) + right, 0, place[2] - 1)
+        row = wp.clamp(int(wp.floor(y)) + down, 0, place[3] - 1)
+        site.node = row * place[2] + column
+        site.share = wp.where(right == 1, fx, 1.0 - fx) * wp.where(down == 1, fy, 1.0 - fy)
+    return site
+
+
+@wp.func
+def site_at(
+    hit: int,
+    term: int,
+    face: wp.array(dtype=int),
+    barycentric: wp.array(dtype=wp.vec2),
+    faces: wp.array2d(dtype=int),
+    face_material: wp.array(dtype=int),
+    uv: wp.array(dtype=wp.vec2),
+    places: wp.array2d(dtype=wp.vec4i),
+    terms: wp.array2d(dtype=wp.vec2i),
+) -> Site:
+    """The node (in all of `nodes`) and share that a term of a hit's coordinates has; no node (-1) for no such term."""
+    f = face[hit]
+    material = face_material[f]
+    kind = terms[material, term][0]
+    site = Site()
+    site.node = -1
+    if kind >= 0:
+        corner = wp.vec3i(faces[f, 0], faces[f, 1], faces[f, 2])
+        b = wp.vec3(1.0 - barycentric[hit][0] - barycentric[hit][1], barycentric[hit][0], barycentric[hit][1])
+        at = wp.vec2(0.0, 0.0)
+        if uv.shape[0] > 0:
+            at = b[0] * uv[corner[0]] + b[1] * uv[corner[1]] + b[2] * uv[corner[2]]
+        site = site_of(places[material, kind], corner, b, at, terms[material, term][1])
+        site.node += places[material, kind][1]
+    return site
+
+
+@wp.kernel(enable_backward=False)
+def site_kernel(
+    # In:
+    face: wp.array(dtype=int),
+    barycentric: wp.array(dtype=wp.vec2),
+    faces: wp.array2d(dtype=int),
+    face_material: wp.array(dtype=int),
+    uv: wp.array(dtype=wp.vec2),
+    places: wp.array2d(dtype=wp.vec4i),
+    terms: wp.array2d(dtype=wp.vec2i),
+    none: int,
+    # Out:
+    node_out: wp.array(dtype=int),
+    entry_out: wp.array(dtype=int),
+):
+    """Node of every term of every hit, `none` where there is no such term, and the terms numbered."""
+    i = wp.tid()
+    site = site_at(i // terms.shape[1], i % terms.shape[1], face, barycentric, faces, face_material, uv, places, terms)
+    node_out[i] = wp.where(site.node >= 0, site.node, none)
+    entry_out[i] = i
+
+
+@wp.kernel(enable_backward=False)
+def share_kernel(
+    # In:
+    entry: wp.array(dtype=int),
+    face: wp.array(dtype=int),
+    barycentric: wp.array(dtype=wp.vec2),
+    faces: wp.array2d(dtype=int),
+    face_material: wp.array(dtype=int),
+    uv: wp.array(dtype=wp.vec2),
+    places: wp.array2d(dtype=wp.vec4i),
+    terms: wp.array2d(dtype=wp.vec2i),
+    # Out:
+    part_out: wp.array(dtype=wp.int64),
+):
+    """The hit of an entry, and its share in the low 32 bits: one number, read at once."""
+    i = wp.tid()
+    hit = entry[i] // terms.shape[1]
+    site = site_at(hit, entry[i] % terms.shape[1], face, barycentric, faces, face_material, uv, places, terms)
+    part_out[i] = (wp.int64(hit) << wp.int64(32)) + wp.int64(wp.cast(site.share, wp.uint32))
+
+
+@wp.kernel(enable_backward=False)
+def target_kernel(
+    # In:
+    first: wp.array(dtype=int),
+    entry: wp.array(dtype=int),
+    node: wp.array(dtype=int),
+    face: wp.array(dtype=int),
+    face_material: wp.array(dtype=int),
+    places: wp.array2d(dtype=wp.vec4i),
+    terms: wp.array2d(dtype=wp.vec2i),
+    leader: wp.array2d(dtype=int),
+    # Out:
+    target_out: wp.array(dtype=wp.vec4i),
+):
+    """Nodes of the four parameters that a stretch adds to, -1 for none: those laid out as the first one is."""
+    s = wp.tid()
+    i = first[s]
+    material = face_material[face[entry[i] // terms.shape[1]]]
+    kind = terms[material, entry[i] % terms.shape[1]][0]
+    target = wp.vec4i(-1, -1, -1, -1)
+    for k in range(4):
+        if leader[material, k] == kind:
+            target[k] = node[i] - places[material, kind][1] + places[material, k][1]
+    target_out[s] = target
+
+
+@wp.kernel(enable_backward=False)
+def spread_kernel(
+    # In:
+    first: wp.array(dtype=int),
+    target: wp.array(dtype=wp.vec4i),
+    part: wp.array(dtype=wp.int64),
+    zeta_gradient: wp.array(dtype=wp.vec4),
+    lanes: int,
+    # Out:
+    nodes_gradient_out: wp.array(dtype=float),
+):
+    """The adjoint of `gather_kernel` to `nodes`: `lanes` threads (1 or LANES) add up one node's stretch of hits."""
+    s, lane = wp.tid()
+    end = part.shape[0]
+    if s + 1 < first.shape[0]:
+        end = first[s + 1]
+    total = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    for i in range(first[s] + lane, end, lanes):
+        share = wp.cast(wp.uint32(part[i] & wp.int64(0xFFFFFFFF)), float)
+        total += share * read_vec4(zeta_gradient, int(part[i] >> wp.int64(32)))
+    total = sum_of_lanes(total)
+    node = target[s]
+    for k in range(4):
+        if lane == 0 and node[k] >= 0:
+            wp.atomic_add(nodes_gradient_out, node[k], total[k])
+
+
+@wp.kernel(enable_backward=False)
 def gather_kernel(
     # In:
     face: wp.array(dtype=int),
@@ -112,7 +256,7 @@ def gather_kernel(
     i = wp.tid()
     b12 = barycentric[i]
     b = wp.vec3(1.0 - b12[0] - b12[1], b12[0], b12[1])
-    zeta_out[i] = coordinates_at(face[i], b, faces, face_material, uv, places, nodes)
+    write_vec4(zeta_out, i, coordinates_at(face[i], b, faces, face_material, uv, places, nodes))
 
 
 @wp.func
@@ -157,7 +301,7 @@ def sigma0_of(
     )
 
 
-@wp.kernel
+@wp.kernel(enable_backward=False)
 def scatter_kernel(
     # In:
     polarization: int,
@@ -191,19 +335,105 @@ def scatter_kernel(
         cos2_azimuth[i],
         eps_im[material],
         aspect[material],
-        zeta[i],
+        read_vec4(zeta, i),
     )
 
 
-@wp.kernel
+@wp.kernel(enable_backward=False)
+def scatter_adjoint_kernel(
+    # In:
+    polarization: int,
+    variant: int,
+    wavenumber: float,
+    local_basis: int,
+    face: wp.array(dtype=int),
+    face_material: wp.array(dtype=int),
+    cos_incidence: wp.array(dtype=float),
+    cos_twist: wp.array(dtype=float),
+    cos2_azimuth: wp.array(dtype=float),
+    spectrum: wp.array(dtype=int),
+    eps_im: wp.array(dtype=float),
+    aspect: wp.array(dtype=float),
+    zeta: wp.array(dtype=wp.vec4),
+    sigma_gradient: wp.array(dtype=float),
+    # Out:
+    zeta_gradient_out: wp.array(dtype=wp.vec4),
+):
+    i = wp.tid()
+    material = face_material[face[i]]
+    twist = cos_twist[i]
+    if local_basis != 0:
+        twist = 1.0
+    z = read_vec4(zeta, i)
+    length = wp.exp(z[LENGTH])
+    slopes = sigma0_slopes(
+        polarization,
+        spectrum[material],
+        variant,
+        wavenumber,
+        cos_incidence[i],
+        twist,
+        1.0 + wp.exp(z[EPS]),
+        eps_im[material],
+        wp.exp(z[HEIGHT]),
+        length,
+        aspect[material] * length,
+        cos2_azimuth[i],
+        fraction_of(z[FRACTION]),
+    )
+    write_vec4(zeta_gradient_out, i, read_vec4(zeta_gradient_out, i) + sigma_gradient[i] * slopes)
+
+
+@wp.kernel(enable_backward=False)
 def deposit_kernel(
     # In:
+    first: wp.array(dtype=int),
     pixel: wp.array(dtype=int),
     weight: wp.array(dtype=float),
     sigma: wp.array(dtype=float),
+    lanes: int,
     # Out:
     image_out: wp.array(dtype=float),
 ):
-    """beta0: sigma0 dA_perp / cos(theta) / pixel area, added up where it falls (equation 34 with its area)."""
+    """beta0: sigma0 dA_perp / cos(theta) / pixel area, added up where it falls (equation 34 with its area).
+
+    Hits lie pixel by pixel, from `first` on: `lanes` threads (1 or LANES) add up a pixel's hits, always in the same
+    order, so that a sum is the same to the bit in every run and however the hits are cut into bands.
+    """
+    s, lane = wp.tid()
+    begin = first[s]
+    end = pixel.shape[0]
+    if s + 1 < first.shape[0]:
+        end = first[s + 1]
+    total = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    for k in range(begin + lane, end, lanes):
+        total[0] += sigma[k] * weight[k]
+    total = sum_of_lanes(total)
+    if lane == 0:
+        wp.atomic_add(image_out, pixel[begin], total[0])
+
+
+@wp.kernel(enable_backward=False)
+def deposit_adjoint_kernel(
+    # In:
+    pixel: wp.array(dtype=int),
+    weight: wp.array(dtype=float),
+    image_gradient: wp.array(dtype=float),
+    # Out:
+    sigma_gradient_out: wp.array(dtype=float),
+):
     i = wp.tid()
-    wp.atomic_add(image_out, pixel[i], sigma[i] * weight[i])
+    sigma_gradient_out[i] = sigma_gradient_out[i] + weight[i] * image_gradient[pixel[i]]
+
+
+@wp.kernel
+def take_kernel(
+    # In:
+    sample: wp.array(dtype=int),
+    sigma: wp.array(dtype=float),
+    # Out:
+    taken_out: wp.array(dtype=float),
+):
+    """sigma0 of every bin, from the one sample that several share."""
+    i = wp.tid()
+    taken_out[i] = sigma[sample[i]]

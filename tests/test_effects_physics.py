@@ -136,7 +136,8 @@ def gains(scene: Scene, name: str, table: dict[str, Any]) -> tuple[np.ndarray, V
         pixel = np.zeros(one.hits.count, np.int32)
         pixel[:] = np.arange(one.hits.count) % (one.shape[0] * one.shape[1])
         one.hits.pixel.assign(pixel)
-        found.append(one.forward()["HH"].astype(float).ravel()[: one.hits.count])
+        again = ViewRender(one.stage, one.view, one.hits, one.shape, tuple(one.images), one._effects)
+        found.append(again.forward()["HH"].astype(float).ravel()[: one.hits.count])
     assert render.hits.count <= render.shape[0] * render.shape[1]
     return found[0] / found[1], render
 

@@ -148,8 +148,8 @@ def test_hits_in_finer_bins_fall_into_their_pixels(tmp_path: Path) -> None:
         replace(scene, effects={"registration": {"range_m": 0.0, "azimuth_m": 0.0}}), runtime.resolve_device("cpu")
     )
     for index in range(2):
-        fine, coarse = moved.views[index].render.hits, plain.views[index].render.hits
-        assert fine.grid.shape != coarse.grid.shape
+        assert moved.views[index].render.hits.grid.shape != plain.views[index].render.hits.grid.shape
+        fine, coarse = moved.views[index].render.shaded, plain.views[index].render.shaded
         pixel = hit_pixels(moved, index)
         inside = pixel >= 0
         np.testing.assert_array_equal(hit_pixels(plain, index), coarse.pixel.numpy())

@@ -134,13 +134,50 @@ def spectrum_kernel(
     )
 
 
-KERNELS = (sigma0_kernel, fresnel_kernel, bistatic_kernel, spectrum_kernel)
+@wp.kernel(enable_backward=False)
+def slopes_kernel(
+    polarization: wp.array(dtype=wp.int32),
+    spectrum: wp.array(dtype=wp.int32),
+    variant: wp.array(dtype=wp.int32),
+    wavenumber: wp.array(dtype=Any),
+    theta: wp.array(dtype=Any),
+    cos_twist: wp.array(dtype=Any),
+    eps_re: wp.array(dtype=Any),
+    eps_im: wp.array(dtype=Any),
+    rms_height: wp.array(dtype=Any),
+    length_x: wp.array(dtype=Any),
+    length_y: wp.array(dtype=Any),
+    cos2_azimuth: wp.array(dtype=Any),
+    tau: wp.array(dtype=Any),
+    out: wp.array2d(dtype=Any),
+):
+    i = wp.tid()
+    slopes = scattering.sigma0_slopes(
+        polarization[i],
+        spectrum[i],
+        variant[i],
+        wavenumber[i],
+        wp.cos(theta[i]),
+        cos_twist[i],
+        eps_re[i],
+        eps_im[i],
+        rms_height[i],
+        length_x[i],
+        length_y[i],
+        cos2_azimuth[i],
+        tau[i],
+    )
+    for k in range(4):
+        out[i, k] = slopes[k]
+
+
+KERNELS = (sigma0_kernel, fresnel_kernel, bistatic_kernel, spectrum_kernel, slopes_kernel)
 # Declared before the first launch, the instances compile as one module, once.
 for _kernel, _scalar in itertools.product(KERNELS, (wp.float32, wp.float64)):
     wp.overload(
         _kernel,
         {
-            a.label: wp.array(dtype=_scalar)
+            a.label: wp.array(dtype=_scalar, ndim=a.type.ndim)
             for a in _kernel.adj.args
             if isinstance(a.type, wp.array) and a.type.dtype is Any
         },
@@ -174,6 +211,19 @@ def sigma0(dtype=np.float64, device="cpu", **columns):
     unknown = columns.keys() - CODES.keys() - SURFACE.keys()
     assert not unknown, unknown
     return launch(sigma0_kernel, CODES | SURFACE | columns, dtype=dtype, device=device)
+
+
+def sigma0_slopes(dtype=np.float64, device="cpu", **columns):
+    """To ln(eps_re - 1), ln h, ln l, logit tau: shape (n, 4)."""
+    columns = CODES | SURFACE | columns
+    values = np.broadcast_arrays(*(np.atleast_1d(value) for value in columns.values()))
+    inputs = [
+        wp.array(value.ravel().astype(np.int32 if name in CODES else dtype), device=device)
+        for name, value in zip(columns, values, strict=True)
+    ]
+    out = wp.zeros((values[0].size, 4), dtype=wp.dtype_from_numpy(dtype), device=device)
+    wp.launch(slopes_kernel, dim=values[0].size, inputs=inputs, outputs=[out], device=device)
+    return out.numpy()
 
 
 def spectrum(code, wavenumber, rms_height, length_x, length_y, cos2_azimuth=1.0):
@@ -337,6 +387,51 @@ def test_everything_is_finite_at_the_edges(dtype, device):
     assert np.all(value >= 0.0)
     for name, gradient in gradients.items():
         assert np.all(np.isfinite(gradient)), name
+    slopes = sigma0_slopes(dtype, device, **grid, wavenumber=2e4, length_y=grid["length_x"])
+    assert np.all(np.isfinite(slopes))
+
+
+@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+def test_slopes_in_closed_form_are_those_of_reverse_mode(dtype, device):
+    """The chain rule from SI units to the learned coordinates; both lengths grow together."""
+    rng = np.random.default_rng(0)
+    codes = np.array(list(itertools.product(POLARIZATIONS, SPECTRA, VARIANTS))).repeat(40, axis=0)
+    n = len(codes)
+    surface = {
+        "wavenumber": np.exp(rng.uniform(3, 6, n)),
+        "theta": rng.uniform(0.01, 1.5, n),
+        "cos_twist": rng.uniform(0, 1, n),
+        "eps_re": 1 + np.exp(rng.uniform(-2, 4, n)),
+        "eps_im": rng.choice([0.0, 0.5, 7.0], n),
+        "rms_height": np.exp(rng.uniform(-8, -4, n)),
+        "length_x": np.exp(rng.uniform(-5, -1, n)),
+        "length_y": np.exp(rng.uniform(-5, -1, n)),
+        "cos2_azimuth": rng.uniform(0, 1, n),
+        "tau": rng.uniform(0.05, 0.95, n),
+    }
+    columns = dict(zip(CODES, codes.T, strict=True)) | surface
+    value, gradients = sigma0(device=device, **columns)
+    tau = surface["tau"]
+    expected = np.stack(
+        [
+            gradients["eps_re"] * (surface["eps_re"] - 1),
+            gradients["rms_height"] * surface["rms_height"],
+            gradients["length_x"] * surface["length_x"] + gradients["length_y"] * surface["length_y"],
+            gradients["tau"] * tau * (1 - tau),
+        ],
+        axis=1,
+    )
+    found = sigma0_slopes(dtype, device, **columns)
+    # The terms that cancel are sigma0's own, times an exponential's argument of up to some hundred; HV also takes the
+    # difference of two amplitudes.
+    scale = np.maximum(np.abs(expected), value[:, None])
+    error = np.abs(found - expected) / np.where(scale > 1e-30, scale, np.inf)
+    if dtype == np.float64:
+        assert error.max() < 1e-10
+    else:
+        assert np.median(error) < 1e-6
+        assert np.quantile(error, 0.99) < 1e-3
 
 
 def test_specular_fraction_selects_the_terms():

@@ -113,6 +113,44 @@ def test_texture_is_clamped(tmp_path: Path) -> None:
     np.testing.assert_allclose(found[u > 0.75], np.log(8.0), rtol=1e-6)
 
 
+@pytest.mark.parametrize("layout", ["uniform", "vertex", "texture"])
+def test_the_way_back_is_the_transpose(layout: str, tmp_path: Path, device: str) -> None:
+    """zeta = A nodes and gradient = A^T y, from two kernels: A's columns one by one. Held nodes get nothing."""
+    rng = np.random.default_rng(4)
+    if layout == "texture":  # textures of two sizes, and a third parameter that is a number
+        scene = texture_scene(
+            tmp_path,
+            eps_r=(2 + rng.random((3, 4))).astype(np.float32),
+            rms_height_m=(1e-3 * (1 + rng.random((2, 2)))).astype(np.float32),
+        )
+    else:
+        n = len(textured_mesh().vertices)
+        mesh = textured_mesh(wet=3 + 9 * rng.random(n), rough=1e-3 * (0.5 + rng.random(n)))
+        fields = {"layout": "vertex", "eps_r": "wet", "rms_height_m": "rough"} if layout == "vertex" else {}
+        scene = scene_of(mesh, view(30, 40), materials={"soil": {**SOIL, **fields}, "brick": {**BRICK, **fields}})
+    hits, render = hits_of(scene, device)
+    surface, program = render.stage.surface, render.program
+    y = rng.normal(size=(hits.count, 4)).astype(np.float32)
+    program.backward({render.zeta: y})
+    found = render.nodes.grad.numpy().astype(float)
+    held = np.setdiff1d(np.arange(found.size), surface.learned)
+    assert held.size
+    np.testing.assert_array_equal(found[held], 0.0)
+    columns = []
+    for node in surface.learned:
+        ends = []
+        for step in (-1.0, 1.0):
+            moved = surface.nodes.copy()
+            moved[node] += step
+            render.set_parameters(moved)
+            program.forward()
+            ends.append(render.zeta.numpy().astype(float))
+        columns.append(float((y * (ends[1] - ends[0]) / 2).sum()))
+    # float32 in zeta, of 1 to 10, and in sums of up to some thousand terms
+    np.testing.assert_allclose(found[surface.learned], columns, rtol=1e-4, atol=1e-6 * hits.count)
+    assert np.count_nonzero(found) > 0.5 * surface.learned.size
+
+
 @pytest.mark.parametrize("merge", [True, False])
 def test_vertex(merge: bool, device: str) -> None:
     """Barycentric in the learned coordinate, along the face that was hit."""

@@ -3,14 +3,26 @@
 from __future__ import annotations
 
 import hashlib
+import math
+import os
+import struct
+import warnings
+import zipfile
+import zlib
+from io import BytesIO
 from pathlib import Path
+from tokenize import TokenError
 
 import numpy as np
+from numpy.lib import format
 
 from warpsar.errors import InputError
 from warpsar.images import replacing
 
 NAME = "checkpoint.npz"
+# What broken bytes make zipfile and NumPy, whose headers are Python text, raise.
+_BROKEN: tuple[type[Exception], ...] = (OSError, ValueError, EOFError, LookupError, TypeError, OverflowError)
+_BROKEN += (RecursionError, RuntimeError, SyntaxError, TokenError, struct.error, zipfile.BadZipFile, zlib.error)
 
 
 def write(folder: Path, arrays: dict[str, np.ndarray], tag: str) -> None:
@@ -26,14 +38,17 @@ def read(folder: Path, tag: str) -> dict[str, np.ndarray] | None:
     Raises InputError for one of another run, or one that cannot be read.
     """
     path = folder / NAME
-    if not path.exists():
+    if not os.path.lexists(path):
         return None
     try:
-        with np.load(path, allow_pickle=False) as stored:
-            arrays = {key: stored[key] for key in stored.files}
+        if not path.is_file():
+            raise ValueError("not a file")
+        with zipfile.ZipFile(path) as archive, warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of headers of Python 2
+            arrays = {info.filename.removesuffix(".npy"): _array(archive, info) for info in archive.infolist()}
         if str(arrays.pop("digest", "")) != _digest(arrays):  # zip alone does not miss a member that is gone
             raise ValueError("damaged")
-    except Exception as error:  # whatever broken bytes make zip and NumPy stumble over
+    except _BROKEN as error:
         raise InputError(f"{path}: not a checkpoint of warpsar ({error}); remove it to start afresh") from error
     if str(arrays.pop("tag", "")) != tag:
         raise InputError(
@@ -41,6 +56,19 @@ def read(folder: Path, tag: str) -> dict[str, np.ndarray] | None:
             f"images and options, or a fresh output folder"
         )
     return arrays
+
+
+def _array(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> np.ndarray:
+    """A member as `np.savez` writes it: neither packed, nor larger than said, nor a pickle."""
+    if info.compress_type != zipfile.ZIP_STORED or info.file_size > info.compress_size:
+        raise ValueError(f"{info.filename} is packed")
+    stream = BytesIO(archive.read(info))
+    read_header = {(1, 0): format.read_array_header_1_0, (2, 0): format.read_array_header_2_0}
+    shape, _, kind = read_header[format.read_magic(stream)](stream)
+    if kind.hasobject or math.prod(shape) * kind.itemsize != info.file_size - stream.tell():
+        raise ValueError(f"{info.filename} is not the array it says")
+    stream.seek(0)
+    return np.asarray(format.read_array(stream, allow_pickle=False))
 
 
 def _digest(arrays: dict[str, np.ndarray]) -> str:

@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpsar import runtime
+from warpsar import distributed, runtime
 from warpsar.effects import declared, get
 from warpsar.errors import InputError
+from warpsar.frame import geometry_of
 from warpsar.identify import residual_autocovariance
 from warpsar.learning import RAY_NOISE
 from warpsar.likelihood import best_gain, deviance, expected_deviance, metrics
@@ -22,8 +23,10 @@ from warpsar.outputs import write_json
 from warpsar.render import Stage, ViewRender
 from warpsar.sampling import choose_density
 from warpsar.simulation import hit_grid, trace_view, view_seed
+from warpsar.trace import ray_count
 
 if TYPE_CHECKING:
+    from warpsar.distributed import Ranks
     from warpsar.scene import Scene, View
 
 
@@ -97,24 +100,91 @@ def evaluate(scene: Scene, *, device: str | None = None, seed: int | None = None
     gain per image where the images are not calibrated, and the floor of `deviance_all`.
 
     The model is the mean of two renders from independent rays, whose difference is its sampling noise. `seed` overrides
-    the scene's. Raises InputError for a scene without measured images, or where image and mesh do not meet.
+    the scene's. Several processes (`distributed`) share the views; all of them are in what the first one returns, none
+    in what the others do. Raises InputError for a scene without measured images, or where image and mesh do not meet.
     """
+    where = runtime.resolve_device(device)
+    ranks = distributed.ranks(where)
+    return _joined(scene, *_evaluated(scene, where, scene.sampling.seed if seed is None else seed, ranks), ranks)
+
+
+def _evaluated(scene: Scene, device: Any, seed: int, ranks: Ranks) -> tuple[list[EvaluatedImage], float]:
+    """This rank's images, dealt by their rays, and the rays per square metre."""
     views = [(index, view) for index, view in enumerate(scene.views) if view.images]
     if not views:
         raise InputError(f"{scene.path}: views: found none with measured images; evaluate needs `images` in a view")
-    stage = Stage.of(scene, runtime.resolve_device(device))
+    stage = Stage.of(scene, device)
     # Image effects only lower the noise of what is lit, but spread light where next to none is left to measure it on.
     plain = replace(scene, effects={name: t for name, t in scene.effects.items() if get(name).stage != "image"})
-    density = choose_density(plain, stage, [v for _, v in views], [_looks(scene, v) for _, v in views], RAY_NOISE)
-    seed = scene.sampling.seed if seed is None else seed
-    bar = runtime.progress(len(views), "evaluate", "view")
-    images = []
-    for index, view in views:
-        images += _evaluate_view(scene, stage, view, index, seed, density.rays_per_m2)
-        bar.update()
+    looks = [_looks(scene, view) for _, view in views]
+    density = ranks.agree(
+        lambda: choose_density(plain, stage, [view for _, view in views], looks, RAY_NOISE, ranks=ranks)
+    ).rays_per_m2
+    grid = hit_grid(scene)
+    costs = [ray_count(stage.target, geometry_of(scene, view), grid, density) * len(view.images) for _, view in views]
+    mine = distributed.deal(costs, ranks.size)[ranks.rank]
+    bar = runtime.progress(len(mine), "evaluate", "view")
+
+    def images() -> list[EvaluatedImage]:
+        found = []
+        for index, view in (views[i] for i in mine):
+            found += _evaluate_view(scene, stage, view, index, seed, density)
+            bar.update()
+        return found
+
+    found = ranks.agree(images)
     bar.close()
+    return found, density
+
+
+def _joined(scene: Scene, images: list[EvaluatedImage], density: float, ranks: Ranks) -> Evaluation:
+    """The images of all ranks in the order of the views, with what they give together; on the first rank alone."""
+    if ranks.size > 1:
+        images = _collected(scene, images, ranks)
     pooled = {role: pool([i for i in images if i.view.role == role]) for role in ("train", "test")}
-    return Evaluation(images, pooled["train"], pooled["test"], density.rays_per_m2)
+    return Evaluation(images, pooled["train"], pooled["test"], density)
+
+
+_OF_IMAGE = ("simulated", "valid", "incidence_deg", "material", "range_m", "azimuth_m")
+_OF_OBSERVATION = ("measured", "interior", "silent", "dark")
+
+
+def _collected(scene: Scene, images: list[EvaluatedImage], ranks: Ranks) -> list[EvaluatedImage]:
+    arrays: dict[str, np.ndarray] = {}
+    said = []
+    for number, image in enumerate(images):
+        arrays |= {f"{number} {name}": getattr(image, name) for name in _OF_IMAGE}
+        arrays |= {f"{number} {name}": getattr(image.observation, name) for name in _OF_OBSERVATION}
+        seen = image.observation
+        said.append(
+            {
+                "observation": [image.view.name, seen.polarization, seen.looks, seen.looks_estimated],
+                "image": {"gain": image.gain, "floor": image.floor, "sampling_noise": image.sampling_noise},
+                "metrics": image.metrics,
+            }
+        )
+    order = [view.name for view in scene.views]
+    found = []
+    for about, stored in zip(ranks.gather(said), ranks.collect(arrays), strict=False):
+        for number, one in enumerate(about):
+            view, polarization, looks, estimated = one["observation"]
+            of: dict[str, Any] = {name: stored[f"{number} {name}"] for name in (*_OF_IMAGE, *_OF_OBSERVATION)}
+            observation = Observation(
+                view=scene.views[order.index(view)],
+                polarization=polarization,
+                looks=looks,
+                looks_estimated=estimated,
+                **{name: of[name] for name in _OF_OBSERVATION},
+            )
+            found.append(
+                EvaluatedImage(
+                    observation=observation,
+                    metrics=one["metrics"],
+                    **one["image"],
+                    **{name: of[name] for name in _OF_IMAGE},
+                )
+            )
+    return sorted(found, key=lambda image: order.index(image.view.name))
 
 
 def _looks(scene: Scene, view: View) -> float:
@@ -173,7 +243,7 @@ def _evaluate_view(
 
 def _surface_in_pixels(scene: Scene, render: ViewRender, polarization: str) -> tuple[np.ndarray, np.ndarray]:
     """Incidence angle [deg] and index of the strongest material of every pixel, weighted by modelled power."""
-    hits, (rows, cols) = render.hits, render.shape
+    hits, (rows, cols) = render.shaded, render.shape
     fine = hits.grid.bins_per_pixel
     row, col = np.divmod(hits.pixel.numpy(), hits.grid.shape[1])
     row = row // fine - (hits.grid.shape[0] // fine - rows) // 2
@@ -256,11 +326,16 @@ def pool(images: Sequence[EvaluatedImage]) -> dict[str, Any] | None:
     return found | {"images": len(images)}
 
 
+def _stem(image: EvaluatedImage) -> str:
+    return f"{image.view.name}_{image.polarization}_residual"
+
+
 def run(
     scene_path: Path | str, out: Path | str, *, device: str | None = None, seed: int | None = None
 ) -> dict[str, Any]:
     """`warpsar evaluate`: evaluate.json, residual images (EXR, PNG), learned.ply and report.html in `out`. Returns the
-    JSON's content."""
+    JSON's content. Of several processes (`distributed`) each writes the residual images of its views, the first one the
+    rest; the others return nothing."""
     from warpsar.evaluation_report import residual_picture, write_report
     from warpsar.images import replacing, write_exr
     from warpsar.meshview import write_learned_ply
@@ -272,19 +347,24 @@ def run(
     out = Path(out)
     out.mkdir(parents=True, exist_ok=True)
     where = runtime.resolve_device(device)
+    ranks = distributed.ranks(where)
     runtime.say_device(where)
     for warning in scene.warnings:
         runtime.say(f"warning: {warning}")
     seed = scene.sampling.seed if seed is None else seed
-    found = evaluate(scene, device=where.alias, seed=seed)
-    views = []
-    for image in found.images:
-        seen = image.observation
-        stem = f"{image.view.name}_{image.polarization}_residual"
+    mine, density = _evaluated(scene, where, seed, ranks)
+    for image in mine:
+        stem = _stem(image)
         planes = {"measured": image.measured, "simulated": image.simulated, "ratio_db": image.ratio_db}
         write_exr(out / f"{stem}.exr", planes)
         with replacing(out / f"{stem}.png") as temporary:
             temporary.write_bytes(residual_picture(image))
+    found = _joined(scene, mine, density, ranks)
+    if not ranks.first:
+        return {}
+    views = []
+    for image in found.images:
+        seen, stem = image.observation, _stem(image)
         if seen.looks_estimated:
             runtime.say(f"looks of {image.view.name} {image.polarization}: not declared, estimated as {seen.looks:.1f}")
         if not scene.grid.calibrated:
@@ -308,6 +388,7 @@ def run(
     content = {
         "rays_per_pixel": found.rays_per_m2 * scene.grid.pixel_area_m2,
         "calibrated": scene.grid.calibrated,
+        "processes": ranks.size,
         "views": views,
         "train": found.train,
         "test": found.test,

@@ -266,22 +266,22 @@ def _identified(scene: Scene, stage: Stage, rays_per_m2: float) -> tuple[Identif
 def _field_words(folder: Path | None) -> list[str]:
     """What learn.json beside the scene says of fields, which are too large for one information matrix."""
     path = folder / "learn.json" if folder else None
-    fields = json.loads(path.read_text(encoding="utf-8")).get("fields", {}) if path and path.is_file() else {}
-    if not fields:
+    try:
+        fields = json.loads(path.read_text(encoding="utf-8")).get("fields", {}) if path and path.is_file() else {}
+        words = [
+            f"{name}: {f['determined']} of {f['nodes']} nodes determined to better than a factor e, "
+            f"{f['nodes'] - f['seen']} seen by no train view"
+            for name, f in fields.items()
+        ]
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
+        raise InputError(f"{path}: not what `warpsar learn` leaves ({error}); remove it") from error
+    if not words:
         return [
             report.paragraph(
                 "Not known for fields without the learn.json that `warpsar learn` leaves beside its scene."
             )
         ]
-    return [
-        report.bullets(
-            [
-                f"{name}: {f['determined']} of {f['nodes']} nodes determined to better than a factor e, "
-                f"{f['nodes'] - f['seen']} seen by no train view"
-                for name, f in fields.items()
-            ]
-        )
-    ]
+    return [report.bullets(words)]
 
 
 def _number(value: float) -> str:
@@ -352,8 +352,7 @@ def _convergence(folder: Path | None) -> list[str]:
     path = folder / "history.csv" if folder else None
     if path is None or not path.is_file():
         return []
-    with path.open(newline="", encoding="utf-8") as stream:
-        history = [{key: float(value) for key, value in row.items()} for row in csv.DictReader(stream)]
+    history = _history(path)
     if not history:
         return []
     figures = [
@@ -361,6 +360,19 @@ def _convergence(folder: Path | None) -> list[str]:
         report.drawing(_deviance_figure(history), "Deviance of the fit, in units of the speckle floor"),
     ]
     return [report.section("Convergence of the fit", report.row(*figures, across=2, least_px=300))]
+
+
+def _history(path: Path) -> list[dict[str, float]]:
+    try:
+        with path.open(newline="", encoding="utf-8") as stream:
+            history = [{key: float(value) for key, value in row.items()} for row in csv.DictReader(stream)]
+        for row in history:
+            numbers = {key: row[key] for key in ("iteration", "start", "loss", "train_deviance")}
+            if not all(0 <= abs(value) < 1e100 for value in numbers.values()):
+                raise ValueError(f"found {numbers}; must be finite numbers")
+    except (OSError, ValueError, TypeError, KeyError, csv.Error) as error:
+        raise InputError(f"{path}: not what `warpsar learn` leaves ({error}); remove it") from error
+    return history
 
 
 def _loss_figure(history: list[dict[str, float]]) -> Figure:

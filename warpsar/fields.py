@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warpsar import runtime
 from warpsar.images import write_exr
 from warpsar.results import file_stem
 from warpsar.surface import KINDS
@@ -24,7 +25,7 @@ def node_weights(problem: FitProblem, block: Block, view_index: int) -> Any:
     materials are empty."""
     from scipy.sparse import csr_array
 
-    hits = problem.views[view_index].render.hits
+    hits = problem.views[view_index].kept.shaded
     mesh = problem.scene.mesh
     face = hits.face.numpy()
     mine = np.flatnonzero(mesh.face_material[face] == problem.surface.materials.index(block.material))
@@ -53,7 +54,7 @@ def node_weights(problem: FitProblem, block: Block, view_index: int) -> Any:
 def hit_slopes(problem: FitProblem, view_index: int, polarization: str) -> np.ndarray:
     """d(sum of beta0) / d zeta of every hit at the last run, shape (hits, 4): one backward pass serves all hits, since
     each hit's power depends on its own coordinates alone. Where an image effect spreads it is left out."""
-    render = problem.views[view_index].render
+    render = problem.views[view_index].kept
     image = render.images[polarization]
     render.zeta.retain_grad = True  # Warp spends an array's gradient on the launch that wrote it
     render.program.backward({image: np.ones(image.shape[0], np.float32)})
@@ -63,7 +64,7 @@ def hit_slopes(problem: FitProblem, view_index: int, polarization: str) -> np.nd
 def hit_pixels(problem: FitProblem, view_index: int) -> np.ndarray:
     """The image pixel (row * cols + col) of every hit, shape (hits,); -1 outside. Effects may ask for hits in finer
     and wider bins than the image's."""
-    hits, (rows, cols) = problem.views[view_index].render.hits, problem.scene.grid.shape
+    hits, (rows, cols) = problem.views[view_index].kept.shaded, problem.scene.grid.shape
     fine = hits.grid.bins_per_pixel
     row, col = (at // fine for at in np.divmod(hits.pixel.numpy(), hits.grid.shape[1]))
     row -= (hits.grid.shape[0] // fine - rows) // 2
@@ -86,17 +87,20 @@ def write_field_uncertainty(problem: FitProblem, x: np.ndarray, folder: Path) ->
     for block in fields:
         groups.setdefault((block.material, block.shape), []).append(block)
     summary: dict[str, Any] = {}
+    if not problem.keeps_hits:
+        runtime.say("fields: no standard deviations, which need the hits of all views at hand (--max-memory)")
+        return summary
     for (material, _), group in groups.items():
         size, kinds = group[0].size, [KINDS.index(b.kind) for b in group]
         information = np.zeros((size, len(group), len(group)))
         seen_in = np.zeros(size, int)
         for index, view in enumerate(problem.views):
-            hits = view.render.hits
+            hits = view.kept.shaded
             at_hits = node_weights(problem, group[0], index)
             lit = np.zeros(size, bool)
             for seen in view.observations:
                 slopes = hit_slopes(problem, index, seen.polarization)
-                image = view.render.images[seen.polarization].numpy().astype(float)
+                image = view.kept.images[seen.polarization].numpy().astype(float)
                 used = seen.interior.ravel()
                 pixel = hit_pixels(problem, index)
                 inside = (pixel >= 0) & used[pixel]
@@ -114,10 +118,12 @@ def write_field_uncertainty(problem: FitProblem, x: np.ndarray, folder: Path) ->
                         information[:, i, j] += np.asarray(a.multiply(b).sum(axis=0)).ravel()
                 lit |= np.asarray((collect @ at_hits).sum(axis=0)).ravel() > 0
             seen_in += lit
+        information, seen_in = problem.ranks.sum(information), problem.ranks.sum(seen_in).astype(int)
         sd = _sd(information)
         for i, block in enumerate(group):
             stem = file_stem(problem.surface.materials, material, block.kind.key)
-            summary[f"{material}.{block.kind.key}"] = _write(folder, stem, block, sd[:, i], seen_in)
+            if problem.ranks.first:
+                summary[f"{material}.{block.kind.key}"] = _write(folder, stem, block, sd[:, i], seen_in)
     return summary
 
 

@@ -6,7 +6,9 @@ coordinates of the declared effects' parameters. Both optimisers, the Fisher inf
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import itertools
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -14,20 +16,24 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpsar import runtime
+from warpsar.bands import BandedRender, stretches
+from warpsar.distributed import ONE, Ranks, deal
 from warpsar.effects import declared, get, value_in
 from warpsar.errors import InputError
 from warpsar.likelihood import LOSSES, Curvature, best_gain, curvature, log_bias, loss_terms, loss_weight
+from warpsar.memory import OutOfMemoryError, default_gib, in_parts, kept_bytes, ran_out
 from warpsar.observation import Observation, observe
 from warpsar.regularise import TotalVariation
 from warpsar.render import Stage, ViewRender
-from warpsar.simulation import Rays
+from warpsar.simulation import Rays, effects_grid
 from warpsar.surface import KINDS, Surface
 
 if TYPE_CHECKING:
     from warpsar.effects.base import Parameter
+    from warpsar.render import DeclaredEffect
     from warpsar.scene import Scene, View
-    from warpsar.trace import Hits
 
+STREAMS = 16  # in which views run side by side on one CUDA device
 DIFFERENCE_STEP = 1e-2  # of a log coordinate: truncation and float32 rounding both stay near 1e-4 of a derivative
 
 
@@ -49,18 +55,21 @@ class EffectCoordinate:
 class FitView:
     """One view: its program, and the measured pixels of each polarization on the device."""
 
-    def __init__(self, problem: FitProblem, view: View, hits: Hits, observations: list[Observation] | None) -> None:
+    def __init__(
+        self,
+        problem: FitProblem,
+        view: View,
+        render: ViewRender | BandedRender,
+        effects: list[DeclaredEffect],
+        observations: list[Observation] | None,
+    ) -> None:
         import warp as wp
 
         from warpsar.kernels import loss as kernels
 
         scene, device = problem.scene, problem.device
-        self.view = view
-        self.effects = declared(scene, view, neutral=True)
-        shared = problem.shared_nodes
-        self.render = ViewRender(
-            problem.stage, view, hits, scene.grid.shape, tuple(view.images), self.effects, nodes=shared
-        )
+        self.view, self.effects = view, effects
+        self.render = render
         if observations is None:
             self.forward()
             observations = [observe(scene, view, pol, self.render.lit(pol)) for pol in view.images]
@@ -69,14 +78,17 @@ class FitView:
         self.observations = observations
         self.gain = wp.ones(len(observations), dtype=float, device=device)
         self.loss = self.render.program.array(int(kernels.PARTIALS), wp.float64, sum_into=True)
-        self.outside = self.render.program.array(int(kernels.PARTIALS), wp.float64, sum_into=True)
-        self._ones = np.ones(int(kernels.PARTIALS))
+        self.outside = wp.zeros(1, dtype=wp.float64, device=device)
+        self._seeds = {self.loss: 1.0}
         if problem.validity > 0:
+            self.outside = self.render.program.array(int(kernels.PARTIALS), wp.float64, sum_into=True)
+            self._seeds[self.outside] = 1.0
+            hits = self.kept.shaded
             strength = problem.validity / float(hits.weight.numpy().sum())
             self.render.program.launch(
                 kernels.validity_kernel,
                 hits.count,
-                [hits.geometry.wavenumber, strength, hits.weight, hits.cos_incidence, self.render.zeta],
+                [hits.geometry.wavenumber, strength, hits.weight, hits.cos_incidence, self.kept.zeta],
                 [self.outside],
             )
         for index, seen in enumerate(observations):
@@ -106,11 +118,25 @@ class FitView:
             for seen in self.observations
         ]
 
+    @property
+    def kept(self) -> ViewRender:
+        """The render, of a view whose hits are kept; InputError where they are not."""
+        if isinstance(self.render, BandedRender):
+            raise InputError(
+                f"view {self.view.name}: its hits are needed all at once, and are more than the memory they may take; "
+                f"allowed is a larger --max-memory, or no --validity"
+            )
+        return self.render
+
+    def pieces(self) -> Iterable[ViewRender]:
+        """The renders that hold the view's hits: one, after a forward run; or one after the other for each band."""
+        return self.render.pieces() if isinstance(self.render, BandedRender) else [self.render]
+
     def forward(self) -> None:
         self.render.program.forward()
 
     def backward(self, *, zero: bool = True) -> None:
-        self.render.program.backward({self.loss: self._ones, self.outside: self._ones}, zero=zero)
+        self.render.program.backward(self._seeds, zero=zero)
 
 
 class FitProblem:
@@ -121,6 +147,11 @@ class FitProblem:
     `views` names those of them that are used; `rays` and `observations` (by view name) are shared with other
     problems, so that models are compared on the same rays and pixels. Raises InputError for views without measured
     images and for parameters that cannot be learned.
+
+    Of several `ranks` each holds its own share of the views, dealt by their merged hits: `views`, `observations`,
+    `modelled` and whatever is per observation are of this rank alone, sums and x are of all (`chosen`).
+    `max_memory_gib` bounds what the hits of this rank's views take (by default `memory.default_gib`): views beyond it
+    are traced again, in bands, whenever their image is asked for.
     """
 
     def __init__(
@@ -135,37 +166,39 @@ class FitProblem:
         total_variation: Mapping[str, float] | None = None,
         validity: float = 0.0,
         observations: Mapping[str, list[Observation]] | None = None,
+        ranks: Ranks = ONE,
+        max_memory_gib: float | None = None,
     ) -> None:
         import warp as wp
 
         self.scene, self.device, self.loss, self.validity = scene, device, loss, validity
+        self.ranks = ranks
         rays = rays or Rays(Stage.of(scene, device), seed=scene.sampling.seed)
         self.surface = Surface.of(scene)
         self.stage = replace(rays.stage, surface=self.surface)
         chosen = [v for v in scene.views if v.role in roles and v.images and (views is None or v.name in views)]
         if not chosen:
             raise InputError(f"{scene.path}: views: none with role {' or '.join(roles)} has measured images")
-        self._mean_square = float(
-            np.mean([np.nanmean(scene.measured(v, p).astype(float) ** 2) for v in chosen for p in v.images])
-        )
+        self.chosen = chosen
+        mine, self.bands = self._dealt(rays, max_memory_gib)
+        squares = [np.nanmean(scene.measured(v, p).astype(float) ** 2) for v in mine for p in v.images]
+        total, count = ranks.sum([np.sum(squares), len(squares)])
+        self._mean_square = float(total / count)
         # CUDA: all views read and differentiate one array; CPU: a copy each, so that threads never share a gradient
         self.shared_nodes: Any = (
             None if device.is_cpu else wp.zeros(self.surface.nodes.size, dtype=float, device=device, requires_grad=True)
         )
-        self.views = [
-            FitView(
-                self,
-                view,
-                rays.hits(scene, view, declared(scene, view, neutral=True)),
-                (observations or {}).get(view.name),
-            )
-            for view in chosen
-        ]
-        self.variation = TotalVariation(self.surface, scene.mesh, total_variation or {}, device, self.shared_nodes)
+        self.views: list[FitView] = ranks.agree(
+            lambda: [self._fit_view(rays, view, (observations or {}).get(view.name)) for view in mine]
+        )
+        # once for all ranks
+        variation = (total_variation or {}) if ranks.first else {}
+        self.variation = TotalVariation(self.surface, scene.mesh, variation, device, self.shared_nodes)
         self.learned = self.surface.learned
         self.effect_coordinates = self._effect_coordinates()
         self._tables: dict[str, dict[str, Any]] = {name: dict(table) for name, table in scene.effects.items()}
-        self._ones = np.ones(self.variation.loss.size)
+        self._jacobian: tuple[bytes, list[np.ndarray]] | None = None
+        self._streams: list[Any] = []
         self.x0 = np.concatenate([self.surface.nodes[self.learned], self._effect_values(self.scene.effects)])
         if not np.isfinite(self.x0).all():
             bad = [self.labels[i] for i in np.flatnonzero(~np.isfinite(self.x0))[:5]]
@@ -173,6 +206,74 @@ class FitProblem:
                 f"{scene.path}: {', '.join(bad)}: found a dead start (eps_r = 1: no reflection, and every derivative "
                 f"is exactly 0); allowed is eps_r >= {KINDS[0].low:g}"
             )
+
+    # Which views are held here, and how
+
+    def _dealt(self, rays: Rays, max_memory_gib: float | None) -> tuple[list[View], dict[str, int]]:
+        """The views of this rank, and for those whose hits are not kept the number of bands they are traced in."""
+        scene, ranks = self.scene, self.ranks
+        effects = {v.name: declared(scene, v, neutral=True) for v in self.chosen}
+        budget = (default_gib(self.device) if max_memory_gib is None else max_memory_gib) * 2**30
+
+        def size(view: View, hits: int) -> int:
+            return kept_bytes(hits, len(view.images), len(effects[view.name]))
+
+        if ranks.size > 1:
+            own = self.chosen[ranks.rank :: ranks.size]
+            counted = ranks.agree(lambda: {v.name: rays.expected_hits(scene, v, effects[v.name]) for v in own})
+            hits = {name: count for part in ranks.gather(counted) for name, count in part.items()}
+            costs = [hits[v.name] * len(v.images) for v in self.chosen]
+            mine = [self.chosen[i] for i in deal(costs, ranks.size)[ranks.rank]]
+        else:
+            mine = self.chosen
+            hits = {v.name: rays.most_hits(scene, v, effects[v.name]) for v in mine}
+            if sum(size(v, hits[v.name]) for v in mine) > budget:
+                hits = {v.name: rays.expected_hits(scene, v, effects[v.name]) for v in mine}
+        banded, left = {}, budget
+        for view in sorted(mine, key=lambda v: hits[v.name]):
+            taken = size(view, hits[view.name])
+            if taken <= left:
+                left -= taken
+            else:
+                # half for the kept ones' sake and the rounding of the estimate
+                banded[view.name] = max(2, math.ceil(taken / (budget / 2)))
+        if banded:
+            runtime.say(
+                f"memory: the hits of {len(banded)} of {len(mine)} views would take more than "
+                f"{budget / 2**30:.3g} GiB; they are traced again in every iteration, in up to "
+                f"{max(banded.values())} bands"
+            )
+        return mine, banded
+
+    def _fit_view(self, rays: Rays, view: View, observations: list[Observation] | None) -> FitView:
+        scene, effects = self.scene, declared(self.scene, view, neutral=True)
+        shape, polarizations = scene.grid.shape, tuple(view.images)
+        if view.name not in self.bands:
+            try:
+                hits = rays.hits(scene, view, effects)
+                render = ViewRender(self.stage, view, hits, shape, polarizations, effects, nodes=self.shared_nodes)
+                return FitView(self, view, render, effects, observations)
+            except (MemoryError, RuntimeError, OutOfMemoryError) as error:
+                if not ran_out(error):
+                    raise
+            rays.forget(view)
+            runtime.say(f"view {view.name}: out of memory for its hits; they are traced again in every iteration")
+
+        def banded(parts: int) -> FitView:
+            bands = stretches(effects_grid(scene, effects), self.bands.get(view.name, 2) * parts)
+            render = BandedRender(
+                self.stage,
+                view,
+                partial(rays.trace, scene, view, effects),
+                bands,
+                shape,
+                polarizations,
+                effects,
+                nodes=self.shared_nodes,
+            )
+            return FitView(self, view, render, effects, observations)
+
+        return in_parts(banded, f"view {view.name}")
 
     # What x is
 
@@ -183,7 +284,7 @@ class FitProblem:
                 if parameter.name not in table:
                     continue
                 if parameter.per_view:
-                    names = [v.view.name for v in self.views if v.view.name in table[parameter.name]]
+                    names = [v.name for v in self.chosen if v.name in table[parameter.name]]
                     found += [EffectCoordinate(name, parameter, index, view) for view in names]
                 else:
                     found.append(EffectCoordinate(name, parameter, index))
@@ -257,12 +358,13 @@ class FitProblem:
         return tables
 
     def _zero_sums(self) -> dict[tuple[str, str], list[str]]:
-        """Fitted views of every per-view parameter whose values sum to zero."""
+        """Fitted views of every per-view parameter whose values sum to zero; a view by itself is free, beside others
+        that are known."""
         found: dict[tuple[str, str], list[str]] = {}
         for c in self.effect_coordinates:
             if c.parameter.zero_sum and c.view is not None:
                 found.setdefault((c.effect, c.parameter.name), []).append(c.view)
-        return found
+        return {key: views for key, views in found.items() if len(views) > 1}
 
     # What x gives
 
@@ -297,6 +399,11 @@ class FitProblem:
         return [mu for view in self.views for mu in view.modelled()]
 
     @property
+    def keeps_hits(self) -> bool:
+        """Whether every rank holds the hits of all its views."""
+        return not self.ranks.largest(sum(isinstance(view.render, BandedRender) for view in self.views))
+
+    @property
     def observations(self) -> list[Observation]:
         return [seen for view in self.views for seen in view.observations]
 
@@ -322,10 +429,11 @@ class FitProblem:
     def value(self, modelled: Sequence[np.ndarray]) -> float:
         """The loss, float64, from modelled pixels (without penalties)."""
         terms = zip(self.observations, modelled, self.gains(modelled), strict=True)
-        return sum(
+        mine = sum(
             self.weight(seen) * float(loss_terms(self.loss, seen.values, gain * mu, seen.looks).sum())
             for seen, mu, gain in terms
         )
+        return float(self.ranks.sum(mine))
 
     def gradient(self, x: np.ndarray) -> tuple[float, np.ndarray]:
         """Loss (float64 sums) and its gradient to x, by the tape's adjoint.
@@ -350,53 +458,87 @@ class FitProblem:
         variation = self.variation
         if shared:
             self._backward_shared()
+            self.ranks.sum_on_device(self.shared_nodes.grad)
             surface = self.shared_nodes.grad.numpy().astype(float)
         else:
-            surface = np.sum([view.render.nodes.grad.numpy().astype(float) for view in self.views], axis=0)
+            surface = np.zeros(nodes.size)
+            for view in self.views:
+                surface += view.render.nodes.grad.numpy()
             if variation.count:
                 variation.nodes.assign(nodes.astype(np.float32))
                 variation.program.forward()
-                variation.program.backward({variation.loss: self._ones})
+                variation.program.backward({variation.loss: 1.0})
                 surface += variation.nodes.grad.numpy()
+            surface = self.ranks.sum(surface)
         loss = self.loss_on_device()
         effects = []
         for c, coordinate in zip(self.effect_coordinates, x[self.learned.size :], strict=True):
             slopes = {
                 view.view.name: float(view.render.effect_values[c.effect].grad.numpy()[c.index]) for view in self.views
             }
-            slope = sum(slopes.values()) if c.view is None else slopes[c.view]
+            slope = sum(slopes.values()) if c.view is None else slopes.get(c.view, 0.0)
             if c.view is not None and c.parameter.zero_sum:
-                views = self._zero_sums()[c.effect, c.parameter.name]
-                slope -= sum(slopes[view] for view in views) / len(views)
+                views = self._zero_sums().get((c.effect, c.parameter.name), [])
+                slope -= sum(slopes.get(view, 0.0) for view in views) / max(len(views), 1)
             effects.append(slope * float(c.parameter.slope(coordinate)))
-        return loss, np.concatenate([surface[self.learned], np.array(effects)])
+        return loss, np.concatenate([surface[self.learned], self.ranks.sum(effects)])
 
     def _backward_shared(self) -> None:
         """Adjoint of every view into the one array of nodes they share."""
-        for view in self.views:
-            view.render.program.zero_gradients()
+        self._side_by_side([view.render.program.zero_gradients for view in self.views])
+        self._add_gradients()
+
+    def _add_gradients(self) -> None:
         self.shared_nodes.grad.zero_()
-        for view in self.views:
-            view.backward(zero=False)
+        self._side_by_side([partial(view.backward, zero=False) for view in self.views])
         if self.variation.count:
             self.variation.program.forward()
-            self.variation.program.backward({self.variation.loss: self._ones}, zero=False)
+            self.variation.program.backward({self.variation.loss: 1.0}, zero=False)
+
+    def run_images(self) -> None:
+        """Images and losses for the nodes as they stand in `shared_nodes`, as `run_on_device` makes them."""
+        self._side_by_side([view.forward for view in self.views])
 
     def run_on_device(self) -> None:
         """Images, losses and gradient for the nodes as they stand in `shared_nodes`; nothing is copied to the host,
-        so that a CUDA graph can capture it. The gradient is in `shared_nodes.grad`."""
-        for view in self.views:
-            view.forward()
-        self._backward_shared()
+        so that a CUDA graph can capture it. The gradient, of this rank's views, is in `shared_nodes.grad`."""
+        clearing = [view.render.program.zero_gradients for view in self.views]
+        self._side_by_side([view.forward for view in self.views] + clearing)
+        self._add_gradients()
+
+    def _side_by_side(self, tasks: Sequence[Callable[[], None]]) -> None:
+        """Independent tasks in CUDA streams of their own: one small view does not fill the device, and clearing memory
+        leaves its arithmetic idle."""
+        import warp as wp
+
+        if not self._streams:
+            self._streams = [wp.Stream(self.device) for _ in range(min(2 * len(self.views), STREAMS))]
+        for task, stream in zip(tasks, itertools.cycle(self._streams), strict=False):
+            with wp.ScopedStream(stream):  # which waits for what came before
+                task()
+        for stream in self._streams[: len(tasks)]:
+            wp.wait_stream(stream)
 
     def loss_on_device(self) -> float:
         """The loss of the last run with its penalties, from the kernels' float64 partial sums."""
         losses = [loss for view in self.views for loss in (view.loss, view.outside)]
-        return sum(float(loss.numpy().sum()) for loss in [*losses, self.variation.loss])
+        return float(self.ranks.sum(sum(float(loss.numpy().sum()) for loss in [*losses, self.variation.loss])))
 
     def penalty(self) -> float:
         """The validity constraints' part of the last run (total variation is zero for uniform materials)."""
-        return sum(float(view.outside.numpy().sum()) for view in self.views)
+        return float(self.ranks.sum(sum(float(view.outside.numpy().sum()) for view in self.views)))
+
+    def jacobian_at(self, x: np.ndarray, moving: np.ndarray | None = None) -> list[np.ndarray]:
+        """`jacobian` with a column for all of x, 0 where `moving`, shape (p,), is false; kept until it is asked for
+        elsewhere."""
+        key = x.tobytes() + (b"" if moving is None else moving.tobytes())
+        if self._jacobian is None or self._jacobian[0] != key:
+            columns = np.arange(x.size) if moving is None else np.flatnonzero(moving)
+            found = [np.zeros((seen.values.size, x.size)) for seen in self.observations]
+            for whole, part in zip(found, self.jacobian(x, columns.tolist()), strict=True):
+                whole[:, columns] = part
+            self._jacobian = key, found
+        return self._jacobian[1]
 
     def jacobian(self, x: np.ndarray, columns: Sequence[int] | None = None) -> list[np.ndarray]:
         """d ln(mu) / dx of every observation, shape (pixels, len(columns)), by central differences of the images.

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warpsar.distributed import ONE, Ranks
 from warpsar.likelihood import residual_sd
 from warpsar.surface import KINDS
 
@@ -59,13 +60,16 @@ class Identified:
         }
 
 
-def residual_autocovariance(pairs: Sequence[tuple[Observation, np.ndarray]], lags: int = LAGS) -> np.ndarray:
+def residual_autocovariance(
+    pairs: Sequence[tuple[Observation, np.ndarray]], lags: int = LAGS, ranks: Ranks = ONE
+) -> np.ndarray:
     """Autocovariance of the standardised residuals, shape (2 lags + 1, 2 lags + 1).
 
     `pairs`: observation and residual of its interior pixels, divided by the speckle's own standard deviation.
-    Pooled over observations. The taper is flat to half the lags (Politis and Romano, 1995): one that falls from the
-    first lag on makes intervals too short by a quarter where speckle is correlated over two pixels. Lags that do not
-    stand out of their sampling error by three are zero, negative ones too: correlation only ever widens an interval.
+    Pooled over observations, of all `ranks`. The taper is flat to half the lags (Politis and Romano, 1995): one that
+    falls from the first lag on makes intervals too short by a quarter where speckle is correlated over two pixels. Lags
+    that do not stand out of their sampling error by three are zero, negative ones too: correlation only ever widens an
+    interval.
     """
     size = 2 * lags + 1
     total, count = np.zeros((size, size)), np.zeros((size, size))
@@ -79,6 +83,7 @@ def residual_autocovariance(pairs: Sequence[tuple[Observation, np.ndarray]], lag
                 both = _shifted(_shifted(inside, i - lags, 0), j - lags, 1) * inside
                 total[i, j] += float((grid * other).sum())
                 count[i, j] += both.sum()
+    total, count = ranks.sum(total), ranks.sum(count)
     covariance = total / np.maximum(count, 1.0)
     variance = covariance[lags, lags]
     noise = covariance < 3.0 * variance / np.sqrt(np.maximum(count, 1.0))
@@ -120,7 +125,8 @@ def identify(problem: FitProblem, x: np.ndarray) -> Identified:
     curvatures, jacobians = problem.curvatures(modelled), problem.jacobian(x)
     spreads = [residual_sd(problem.loss, seen.looks) for seen in problem.observations]
     autocovariance = residual_autocovariance(
-        [(s, c.residual / spread) for s, c, spread in zip(problem.observations, curvatures, spreads, strict=True)]
+        [(s, c.residual / spread) for s, c, spread in zip(problem.observations, curvatures, spreads, strict=True)],
+        ranks=problem.ranks,
     )
     information = np.zeros((x.size, x.size))
     products = np.zeros_like(information)
@@ -128,7 +134,7 @@ def identify(problem: FitProblem, x: np.ndarray) -> Identified:
         weighted = c.weight[:, None] * j
         information += j.T @ weighted
         products += score_products(spread * weighted, autocovariance, seen)
-    return of_information(problem.labels, information, products)
+    return of_information(problem.labels, problem.ranks.sum(information), problem.ranks.sum(products))
 
 
 def of_information(labels: list[str], information: np.ndarray, products: np.ndarray) -> Identified:

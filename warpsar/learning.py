@@ -8,19 +8,19 @@ import json
 import signal
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpsar import checkpoint, runtime
+from warpsar import checkpoint, distributed, runtime
 from warpsar.errors import InputError, WarpsarError
 from warpsar.fit import FitProblem
 from warpsar.gradcheck import GradientCheck, check_gradient
 from warpsar.identify import Identified, identify
-from warpsar.likelihood import LOSSES, metrics
+from warpsar.likelihood import LOSSES, METRICS, metrics
 from warpsar.observation import looks_of
 from warpsar.optimise import Adam, FitState, GraphAdam, begin, levenberg_marquardt
 from warpsar.outputs import opened, write_json
@@ -32,6 +32,8 @@ from warpsar.surface import KEYS, Surface
 from warpsar.validity import outside_domains
 
 if TYPE_CHECKING:
+    from warpsar.distributed import Ranks
+    from warpsar.observation import Observation
     from warpsar.scene import Scene
 
 RAY_NOISE = 0.01  # looks x relative sampling variance of a lit pixel (scene-format.md)
@@ -44,7 +46,7 @@ class LearnOptions:
     `optimiser` "auto" takes Levenberg-Marquardt for uniform materials and Adam for fields. `starts`: the scene's own
     and others drawn about it. `total_variation`: weight per parameter key. `validity`: weight of the models' domains
     as soft constraints, 0 for none. `rate`: Adam's first step in log coordinates. `max_time_s` counts all parts of a
-    resumed run.
+    resumed run. `max_memory_gib` bounds what kept hits take (`FitProblem`).
     """
 
     loss: str = "gamma"
@@ -57,6 +59,7 @@ class LearnOptions:
     validity: float = 0.0
     checkpoint_every: int = 10
     seed: int = 0
+    max_memory_gib: float | None = None
 
     def __post_init__(self) -> None:
         if self.loss not in LOSSES:
@@ -98,14 +101,18 @@ def learn(
 ) -> Learned:
     """Fit the materials' learnable parameters, and the declared effects', to the `train` views.
 
-    With `folder` the run keeps a checkpoint there, and `resume` goes on from it. Raises InputError for scenes that
+    With `folder` the run keeps a checkpoint there, and `resume` goes on from it. Of several processes (`distributed`)
+    each holds a share of the views; all return the same, and the first one writes. Raises InputError for scenes that
     cannot be learned from, and WarpsarError where the gradient check fails.
     """
     options = options or LearnOptions()
     _refuse_starts(scene)
     where = runtime.resolve_device(device)
+    ranks = distributed.ranks(where)
     folder = None if folder is None else Path(folder)
-    problem, density = prepare(scene, where, options)
+    if folder is not None and ranks.first and distributed.restarts() == 0 and not resume:
+        checkpoint.remove(folder)  # of an earlier run: torchrun's restarts shall find this one's
+    problem, density = ranks.agree(lambda: prepare(scene, where, options, ranks))
     if not problem.x0.size:
         raise InputError(f"{scene.path}: materials: nothing to learn: every `learn` is empty and no effect is declared")
     _refuse_options(problem, options)
@@ -119,15 +126,16 @@ def learn(
             f"{scene.path}: the gradient check failed: {check.worst:.2g} off, over the allowed 2e-2; more rays, or a "
             f"start further inside the bounds, may help"
         )
-    tests = _test_problem(scene, where, options, problem, density)
+    tests = ranks.agree(lambda: _test_problem(scene, where, options, problem, density))
     tag = _tag(scene, options)
-    stored = checkpoint.read(folder, tag) if folder is not None and resume else None
+    source = folder if resume and ranks.first else None
+    stored = ranks.hand_out(ranks.agree(lambda: None if source is None else checkpoint.read(source, tag)))
     if resume and stored is None:
         runtime.say("--resume: there is no checkpoint; the run starts afresh")
     state, history, stopped = _iterate(problem, tests, options, folder, tag, stored)
     x = state.best_x
     train = pooled_metrics(problem, x)
-    final = learned_scene(problem, x, folder)
+    final = learned_scene(problem, x, folder if ranks.first else None)
     return Learned(
         scene=final,
         x=x,
@@ -145,11 +153,13 @@ def learn(
     )
 
 
-def prepare(scene: Scene, device: Any, options: LearnOptions) -> tuple[FitProblem, Density]:
+def prepare(
+    scene: Scene, device: Any, options: LearnOptions, ranks: Ranks = distributed.ONE
+) -> tuple[FitProblem, Density]:
     """The fit problem of the train views, with as many rays as the looks of the images ask for."""
     stage = Stage.of(scene, device)
     views = [v for v in scene.views if v.role == "train" and v.images]
-    density = choose_density(scene, stage, views, [looks_of(scene, v) for v in views], RAY_NOISE)
+    density = choose_density(scene, stage, views, [looks_of(scene, v) for v in views], RAY_NOISE, ranks=ranks)
     if density.chosen:
         runtime.say(
             f"rays: {density.rays_per_pixel:g} per pixel; looks x relative sampling variance {density.noise:.2g} "
@@ -162,13 +172,33 @@ def prepare(scene: Scene, device: Any, options: LearnOptions) -> tuple[FitProble
         rays=Rays(stage, density.rays_per_m2, scene.sampling.seed),
         total_variation=options.total_variation,
         validity=options.validity,
+        ranks=ranks,
+        max_memory_gib=options.max_memory_gib,
     )
-    for seen in problem.observations:
-        if seen.looks_estimated:
-            runtime.say(f"looks of {seen.view.name} {seen.polarization}: not declared, estimated as {seen.looks:.1f}")
-        if seen.zeros:
-            runtime.say(f"{seen.view.name} {seen.polarization}: {seen.zeros} lit pixels measure 0 and are left out")
+    for name, seen in _of_all(problem, _described).items():
+        if seen["estimated"]:
+            runtime.say(f"looks of {name}: not declared, estimated as {seen['looks']:.1f}")
+        if seen["zeros"]:
+            runtime.say(f"{name}: {seen['zeros']} lit pixels measure 0 and are left out")
     return problem, density
+
+
+def _described(seen: Observation) -> dict[str, Any]:
+    return {
+        "looks": seen.looks,
+        "estimated": seen.looks_estimated,
+        "used": int(seen.interior.sum()),
+        "left_out": seen.left_out,
+        "zeros": seen.zeros,
+    }
+
+
+def _of_all(problem: FitProblem, about: Callable[[Observation], Any]) -> dict[str, Any]:
+    """What there is to say (JSON's types) about every observation of all ranks, by "view polarization", in order."""
+    mine = [[s.view.name, s.polarization, about(s)] for s in problem.observations]
+    order = [view.name for view in problem.chosen]
+    found = sorted((each for part in problem.ranks.gather(mine) for each in part), key=lambda one: order.index(one[0]))
+    return {f"{view} {polarization}": what for view, polarization, what in found}
 
 
 def _test_problem(
@@ -183,17 +213,20 @@ def _test_problem(
         loss=options.loss,
         roles=("test",),
         rays=Rays(problem.stage, density.rays_per_m2, scene.sampling.seed),
+        ranks=problem.ranks,
+        max_memory_gib=options.max_memory_gib,
     )
 
 
 def pooled_metrics(problem: FitProblem, x: np.ndarray) -> dict[str, float]:
     """Metrics of scene-format.md over all observations' interior pixels, each weighted by its pixels."""
     modelled = problem.modelled(x)
-    found, counts = [], []
+    total = np.zeros(len(METRICS) + 1)
     for seen, mu, gain in zip(problem.observations, modelled, problem.gains(modelled), strict=True):
-        found.append(metrics(seen.values, gain * mu, seen.looks))
-        counts.append(seen.values.size)
-    return {key: float(np.average([f[key] for f in found], weights=counts)) for key in found[0]}
+        found = metrics(seen.values, gain * mu, seen.looks)
+        total += seen.values.size * np.array([*(found[key] for key in METRICS), 1.0])
+    *sums, count = problem.ranks.sum(total)
+    return {key: float(value / count) for key, value in zip(METRICS, sums, strict=True)}
 
 
 def _refuse_starts(scene: Scene) -> None:
@@ -228,8 +261,9 @@ def _refuse_options(problem: FitProblem, options: LearnOptions) -> None:
 
 
 def _tag(scene: Scene, options: LearnOptions) -> str:
-    """What a checkpoint belongs to: input and options, but for those that only say when to stop."""
-    chosen = {k: v for k, v in asdict(options).items() if k not in ("iterations", "max_time_s", "checkpoint_every")}
+    """What a checkpoint belongs to: input and options, but for those that only say when to stop, or where hits are."""
+    free = ("iterations", "max_time_s", "checkpoint_every", "max_memory_gib")
+    chosen = {k: v for k, v in asdict(options).items() if k not in free}
     # a scene made in memory has no text for the hash to hold
     made = "" if scene.source else repr((scene.radar, scene.grid, scene.sampling, scene.materials, scene.effects))
     return hashlib.sha256((scene.input_hash + made + json.dumps(chosen, sort_keys=True)).encode()).hexdigest()
@@ -248,7 +282,7 @@ def _steps(problem: FitProblem, options: LearnOptions, state: FitState | None) -
                 state = levenberg_marquardt(problem, state)
                 yield state
         else:
-            graph = problem.shared_nodes is not None and not problem.effect_coordinates
+            graph = problem.shared_nodes is not None and not problem.effect_coordinates and problem.keeps_hits
             descent = (GraphAdam if graph and problem.scene.grid.calibrated else Adam)(problem, state, options.rate)
             while not state.arrived:
                 state = descent.step(state)
@@ -267,6 +301,7 @@ def _iterate(
     stored: dict[str, np.ndarray] | None,
 ) -> tuple[FitState, list[dict[str, Any]], str]:
     """Run to the end, with checkpoints; returns the last state, the history and why it stopped."""
+    ranks = problem.ranks
     history: list[dict[str, Any]] = [] if stored is None else json.loads(str(stored.pop("history")))
     spent = 0.0 if stored is None else float(stored.pop("spent_s"))
     state = None if stored is None else FitState.from_arrays(stored)
@@ -283,7 +318,7 @@ def _iterate(
     bar.update(state.iteration if state else 0)
 
     def save(now: FitState) -> None:
-        if folder is not None:
+        if folder is not None and ranks.first:
             extra = {
                 "history": np.array(json.dumps(history)),
                 "spent_s": np.array(time.perf_counter() - started),
@@ -305,10 +340,15 @@ def _iterate(
             history.append(row)
             bar.update(state.iteration - bar.n)
             bar.set_postfix_str(f"loss {state.loss:.6g}", refresh=False)
-            if interrupted:
+            # a signal, and a second more or less, reach the ranks at different iterations
+            asked = ranks.largest(float(bool(interrupted)))
+            late = ranks.largest(time.perf_counter() - started) > options.max_time_s
+            if asked:
                 save(state)
-                raise WarpsarError(f"stopped by a signal at iteration {state.iteration}; go on with --resume")
-            if time.perf_counter() - started > options.max_time_s:
+                refusal = WarpsarError(f"stopped by a signal at iteration {state.iteration}; go on with --resume")
+                refusal.quiet = not ranks.first
+                raise refusal
+            if late:
                 stopped = "time"
                 break
             if len(history) % options.checkpoint_every == 0:
@@ -339,13 +379,17 @@ def run(
     started = time.perf_counter()
     options = options or LearnOptions()
     scene, out, where = opened(scene_path, out, device)
+    resume = resume or bool(distributed.restarts())
     found = learn(scene, device=where.alias, options=options, folder=out, resume=resume)
-    found.scene.save(out / "scene.toml")
-    with replacing(out / "history.csv") as temporary, temporary.open("w", newline="") as stream:
-        writer = csv.DictWriter(stream, list(found.history[0]))
-        writer.writeheader()
-        writer.writerows(found.history)
-    convergence(out / "convergence.png", found.history)
+    ranks = found.problem.ranks
+    if ranks.first:
+        found.scene.save(out / "scene.toml")
+        with replacing(out / "history.csv") as temporary, temporary.open("w", newline="") as stream:
+            writer = csv.DictWriter(stream, list(found.history[0]))
+            writer.writeheader()
+            writer.writerows(found.history)
+        convergence(out / "convergence.png", found.history)
+    described = _of_all(found.problem, _described)
     content = {
         "options": asdict(options),
         "rays_per_pixel": found.density.rays_per_pixel,
@@ -360,19 +404,15 @@ def run(
         "materials": _material_summary(found),
         "effects": found.scene.effects,
         "outside_domain": found.domains,
-        "looks": {
-            f"{s.view.name} {s.polarization}": {"looks": s.looks, "estimated": s.looks_estimated}
-            for s in found.problem.observations
-        },
-        "pixels": {
-            f"{s.view.name} {s.polarization}": {"used": int(s.values.size), "left_out": s.left_out, "zeros": s.zeros}
-            for s in found.problem.observations
-        },
+        "looks": {name: {key: seen[key] for key in ("looks", "estimated")} for name, seen in described.items()},
+        "pixels": {name: {key: seen[key] for key in ("used", "left_out", "zeros")} for name, seen in described.items()},
+        "processes": ranks.size,
     }
     if not scene.grid.calibrated:
-        gains = found.problem.gains(found.problem.modelled(found.x))
-        names = [f"{s.view.name} {s.polarization}" for s in found.problem.observations]
-        content["gains"] = dict(zip(names, gains.tolist(), strict=True))
+        modelled = found.problem.modelled(found.x)
+        pairs = zip(found.problem.observations, modelled, strict=True)
+        gains = {(s.view.name, s.polarization): found.problem.gain(s, mu) for s, mu in pairs}
+        content["gains"] = _of_all(found.problem, lambda s: gains[s.view.name, s.polarization])
     if found.identified is not None:
         content["identifiability"] = found.identified.summary()
         for sentence in found.identified.words:
@@ -381,6 +421,9 @@ def run(
         from warpsar.fields import write_field_uncertainty
 
         content["fields"] = write_field_uncertainty(found.problem, found.x, out)
+    ranks.barrier()  # a rank that dies from here on takes no result with it
+    if not ranks.first:
+        return content
     content = write_json(out / "learn.json", scene, where, options.seed, started, content)
     checkpoint.remove(out)
     print(

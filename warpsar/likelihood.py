@@ -87,6 +87,9 @@ def loss_terms(loss: str, measured: np.ndarray, modelled: np.ndarray, looks: flo
     return 0.5 * (np.log(measured / modelled) - log_bias(looks)) ** 2
 
 
+METRICS = ("rmse", "nrmse", "rmse_db", "deviance", "correlation")
+
+
 def metrics(measured: np.ndarray, modelled: np.ndarray, looks: float) -> dict[str, float]:
     """rmse (beta0), nrmse = rmse / rms(I), rmse_db and deviance / E[d] over pixels where both are positive, and
     correlation, of flat arrays of the pixels compared (scene-format.md)."""

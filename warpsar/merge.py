@@ -1,4 +1,4 @@
-"""Records of many rays -> hits: those of one face in one pixel differ only in their barycentrics, and are one."""
+"""What rays left: rows of a table in the order of their keys, and stretches of one value in a list."""
 
 from __future__ import annotations
 
@@ -8,42 +8,49 @@ if TYPE_CHECKING:
     import warp as wp
 
 
-def merge_records(
-    key: wp.array, weight: wp.array, moment: wp.array, count: int, key_bits: int, face_bits: int, merge: bool
-) -> tuple[wp.array, wp.array, wp.array, wp.array]:
-    """(pixel, face, weight, barycentric) of the hits, sorted by pixel, then face.
+def sorted_rows(rows: wp.array, count: wp.array, key_bits: int) -> tuple[int, int, Any, Any]:
+    """(count[0], count[1], key, row) of the rows that are taken, sorted by key: what the host has to know comes in one
+    copy.
 
-    `key` holds pixel * 2^face_bits + face in its first `count` of at least 2 * `count` elements (the sort's
-    room). The sort is stable, so on the CPU the sums are the same to the bit in every run. With `merge` false
-    every record stays a hit of its own.
+    `rows` and `count` as in `kernels.trace.Records`; `key` (int64) and `row` (int) have one element for each row
+    taken. The sort is stable: records of one key that were left one after the other stay so.
     """
     import warp as wp
 
     from warpsar.kernels import merge as kernels
 
-    device: Any = key.device
-
-    def empty(shape: int, dtype: Any) -> wp.array:
-        return wp.empty(shape, dtype=dtype, device=device)
-
-    order = empty(2 * count, int)
-    wp.launch(kernels.number_kernel, count, outputs=[order], device=device)
-    wp.utils.radix_sort_pairs(key, order, count, 0, key_bits)
-
-    start, rank = empty(count, int), empty(count, int)
-    wp.launch(kernels.mark_starts_kernel, count, inputs=[key, int(merge)], outputs=[start], device=device)
+    device: Any = rows.device
+    capacity = rows.shape[0]
+    start, rank = (wp.empty(capacity, dtype=int, device=device) for _ in range(2))
+    wp.launch(kernels.mark_rows_kernel, capacity, inputs=[rows], outputs=[start], device=device)
     wp.utils.array_scan(start, rank, inclusive=True)
-    hits = int(rank[count - 1 :].numpy()[0]) if count else 0
-    first = empty(hits, int)
-    wp.launch(kernels.place_starts_kernel, count, inputs=[start, rank], outputs=[first], device=device)
+    known = wp.empty(3, dtype=int, device=device)
+    wp.copy(known, count, count=2)
+    wp.copy(known, rank, dest_offset=2, src_offset=capacity - 1, count=1)
+    lost, taken, n = (int(value) for value in known.numpy())
+    if not n:
+        return lost, taken, wp.empty(0, dtype=wp.int64, device=device), wp.empty(0, dtype=int, device=device)
+    # twice as long as they are: the sort's room
+    key, row = wp.empty(2 * n, dtype=wp.int64, device=device), wp.empty(2 * n, dtype=int, device=device)
+    wp.launch(kernels.place_starts_kernel, capacity, inputs=[start, rank], outputs=[row], device=device)
+    wp.launch(kernels.key_kernel, n, inputs=[rows, row], outputs=[key], device=device)
+    wp.utils.radix_sort_pairs(key, row, n, 0, key_bits)
+    return lost, taken, key[:n], row[:n]
 
-    pixel, face = empty(hits, int), empty(hits, int)
-    total, barycentric = empty(hits, float), empty(hits, wp.vec2)
-    wp.launch(
-        kernels.reduce_kernel,
-        hits,
-        inputs=[key, order, weight, moment, first, count, face_bits],
-        outputs=[pixel, face, total, barycentric],
-        device=device,
-    )
-    return pixel, face, total, barycentric
+
+def starts(values: wp.array, longest: int = 2**30, whole: int = -1) -> Any:
+    """Where stretches of one value begin, int; the longer ones in pieces, but for that of the value `whole`."""
+    import warp as wp
+
+    from warpsar.kernels import merge as kernels
+
+    device: Any = values.device
+    n = values.shape[0]
+    if not n:
+        return wp.empty(0, dtype=int, device=device)
+    start, rank = (wp.empty(n, dtype=int, device=device) for _ in range(2))
+    wp.launch(kernels.mark_starts_kernel, n, inputs=[values, longest, whole], outputs=[start], device=device)
+    wp.utils.array_scan(start, rank, inclusive=True)
+    first = wp.empty(int(rank[n - 1 :].numpy()[0]), dtype=int, device=device)
+    wp.launch(kernels.place_starts_kernel, n, inputs=[start, rank], outputs=[first], device=device)
+    return first

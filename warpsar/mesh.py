@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import json
+import logging
+import os
 import re
+import struct
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
@@ -12,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpsar.errors import InputError
+from warpsar.errors import InputError, shown
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -23,6 +27,16 @@ DEFAULT_MATERIAL = "default"
 SUSPICIOUS_EXTENT_M = 5e3
 # float32 kernels keep no metre apart beyond this, and no radar scene is this large.
 LARGEST_COORDINATE_M = 1e8
+LARGEST_PER_BYTE = 1032
+"""Heights of a DEM to a byte of its file: what deflate packs at most."""
+LARGEST_DEM = 2**25
+"""Pixels of a DEM: 67 million faces."""
+LARGEST_MESH = 2**28
+"""Vertices, and faces, of all parts of a file: nodes may show one part many times."""
+# What trimesh, which has no errors of its own, raises on broken files: it stumbles over them.
+_BROKEN: tuple[type[Exception], ...] = (ArithmeticError, AssertionError, AttributeError, EOFError, ImportError)
+_BROKEN += (LookupError, NameError, NotImplementedError, OSError, RecursionError, TypeError, ValueError, struct.error)
+logging.getLogger("trimesh").addHandler(logging.NullHandler())  # what it says of a broken file is in our message
 # PLY vertex properties that are not scalars of the surface.
 _PLY_RESERVED = frozenset(
     ["x", "y", "z", "nx", "ny", "nz", "red", "green", "blue", "alpha"] + ["u", "v", "s", "t", "texture_u", "texture_v"]  # noqa: RUF005
@@ -85,33 +99,47 @@ def read_mesh(path: str | Path) -> Mesh:
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         raise InputError(f"{path}: found a mesh of type '{suffix}'; must be one of {', '.join(SUFFIXES)}")
-    if not path.is_file():
+    if not os.path.isfile(path):  # Path.is_file raises for names that no file can have
         raise InputError(f"{path}: no such mesh file")
     if not path.stat().st_size:
         raise InputError(f"{path}: the file is empty; must hold triangles")
     scalars: dict[str, NDArray[np.float64]] = {}
     warnings: list[str] = []
+    if suffix == ".obj":
+        parts = _read_obj(path)
+    elif suffix == ".ply":
+        parts, scalars = _read_ply(path, warnings)
+    elif suffix == ".stl":
+        parts = _read_stl(path)
+    elif suffix in (".tif", ".tiff"):
+        parts = _read_dem(path, warnings)
+    else:
+        parts = _read_gltf(path, warnings)
+    return _join(path, parts, scalars, warnings)
+
+
+@contextmanager
+def _stumbling(path: Path) -> Iterator[None]:
+    """Around trimesh, and what it makes of a file: what that raises becomes one message, and nonsense no noise."""
+    suffix = path.suffix.lower()
     try:
-        if suffix == ".obj":
-            parts = _read_obj(path)
-        elif suffix == ".ply":
-            parts, scalars = _read_ply(path, warnings)
-        elif suffix == ".stl":
-            parts = _read_stl(path)
-        elif suffix in (".tif", ".tiff"):
-            parts = _read_dem(path, warnings)
-        else:
-            parts = _read_gltf(path, warnings)
-    except InputError:
-        raise
-    except Exception as error:  # the readers raise whatever a broken file makes them stumble over
-        what = f"{type(error).__name__}: {error}"
+        with np.errstate(all="ignore"):
+            yield
+    except _BROKEN as error:
+        what = f"{type(error).__name__}: {' '.join(str(error).split())[:500]}"
         if isinstance(error, IndexError) and suffix == ".obj":
             what = f"a face refers to an entry that is not there: {error}"
         elif isinstance(error, ModuleNotFoundError) and error.name == "charset_normalizer":
             what = "truncated, or text that is not UTF-8"  # trimesh wanted to guess the encoding
         raise InputError(f"{path}: cannot be read as {suffix[1:].upper()} ({what})") from error
-    return _join(path, parts, scalars, warnings)
+
+
+def _load(path: Path, source: Any, **how: Any) -> Any:
+    """A `trimesh.Scene`; of the files that it refers to only those in `resolver` are there."""
+    import trimesh
+
+    with _stumbling(path):
+        return trimesh.load_scene(source, process=False, **{"resolver": {}, **how})
 
 
 def _join(path: Path, parts: list[_Part], scalars: dict[str, Any], warnings: list[str]) -> Mesh:
@@ -127,12 +155,13 @@ def _join(path: Path, parts: list[_Part], scalars: dict[str, Any], warnings: lis
             bad = low if low < 0 else high
             raise InputError(f"{path}: a face refers to vertex {bad} (from 0); the file has {count} vertices")
     names = tuple(dict.fromkeys(part.name for part in parts))
+    index_of = {name: index for index, name in enumerate(names)}
     starts = np.cumsum([0] + [len(part.vertices) for part in parts[:-1]])
     vertices = np.ascontiguousarray(np.concatenate([part.vertices for part in parts]), dtype=np.float64)
     faces = np.concatenate([part.faces + start for part, start in zip(parts, starts, strict=True)])
     faces = faces.astype(np.int32)
     face_material = np.repeat(
-        np.array([names.index(part.name) for part in parts], np.int32), [len(part.faces) for part in parts]
+        np.array([index_of[part.name] for part in parts], np.int32), [len(part.faces) for part in parts]
     )
     bad_vertices = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
     if len(bad_vertices):
@@ -156,9 +185,11 @@ def _join(path: Path, parts: list[_Part], scalars: dict[str, Any], warnings: lis
         warnings.append(f"the mesh is {extent:g} m across: are its units millimetres? They must be metres")
     uv = None
     if any(part.uv is not None for part in parts):
-        uv = np.concatenate(
-            [np.full((len(p.vertices), 2), np.nan) if p.uv is None else p.uv for p in parts], dtype=np.float32
-        )
+        with np.errstate(over="ignore"):  # beyond float32 is no place on a texture
+            uv = np.concatenate(
+                [np.full((len(p.vertices), 2), np.nan) if p.uv is None else p.uv for p in parts], dtype=np.float32
+            )
+        uv[~np.isfinite(uv)] = np.nan
     return Mesh(vertices, faces, face_material, names, uv, scalars, dropped, tuple(warnings))
 
 
@@ -175,14 +206,23 @@ def _zero_area(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArr
     return zero
 
 
-def _parts(scene: Any, name_of: Any) -> list[_Part]:
+def _parts(path: Path, scene: Any, name_of: Any) -> list[_Part]:
     """The geometries of a `trimesh.Scene`, each at its place in the world."""
+    with _stumbling(path):
+        return _placed(scene, name_of)
+
+
+def _placed(scene: Any, name_of: Any) -> list[_Part]:
     import trimesh
 
     parts = []
+    total = 0
     for node in scene.graph.nodes_geometry:
         transform, key = scene.graph[node]
         geometry = scene.geometry[key]
+        total += max(len(geometry.vertices), len(getattr(geometry, "faces", ())))
+        if total > LARGEST_MESH:
+            raise ValueError(f"more than {LARGEST_MESH} vertices or faces in all")
         vertices = trimesh.transform_points(np.asarray(geometry.vertices, np.float64), transform)
         faces = np.asarray(getattr(geometry, "faces", np.zeros((0, 3))), np.int64)
         uv = getattr(getattr(geometry, "visual", None), "uv", None)
@@ -201,17 +241,14 @@ def _material_name(geometry: Any) -> str | None:
 
 def _read_obj(path: Path) -> list[_Part]:
     """Through trimesh, which knows only names that are in the .mtl: give it names and .mtl of our own."""
-    import trimesh
-
     text, names = _canonical_obj(path)
     mtl = "".join(f"newmtl m{i}\nKd 1 1 1\n" for i in range(len(names)))
-    scene = trimesh.load_scene(
-        BytesIO(text), file_type="obj", resolver={"names.mtl": mtl.encode()}, process=False, validate=False
-    )
-    parts = _parts(scene, lambda _key, geometry: _material_name(geometry))
+    scene = _load(path, BytesIO(text), file_type="obj", resolver={"names.mtl": mtl.encode()}, validate=False)
+    parts = _parts(path, scene, lambda _key, geometry: _material_name(geometry))
     # Our .mtl names the material of every face: a part without one is a point cloud.
     parts = [_Part(names[int((p.name or "m0")[1:])], p.vertices, p.faces, p.uv) for p in parts]
-    return sorted(parts, key=lambda part: names.index(part.name))
+    order = {name: index for index, name in enumerate(names)}
+    return sorted(parts, key=lambda part: order[part.name])
 
 
 def _canonical_obj(path: Path) -> tuple[bytes, list[str]]:
@@ -227,7 +264,7 @@ def _canonical_obj(path: Path) -> tuple[bytes, list[str]]:
         text = re.sub(rb"\n((?:vt?n?|f) [^\n#]*)#[^\n]*", rb"\n\1", text)
     if re.search(rb"\nf[^\n]*?[ /][-0]", text):
         text = b"\n".join(_absolute_indices(path, text))
-    names = [DEFAULT_MATERIAL]
+    names = {DEFAULT_MATERIAL: 0}
     pieces = [b"\nmtllib names.mtl\nusemtl m0"]
     group = material = ""
     end = 0
@@ -240,14 +277,12 @@ def _canonical_obj(path: Path) -> tuple[bytes, list[str]]:
         elif match[1] != b"mtllib":
             group = stated
         name = material or group or DEFAULT_MATERIAL
-        if name not in names:
-            names.append(name)
-        pieces.append(b"\nusemtl m%d" % names.index(name))
+        pieces.append(b"\nusemtl m%d" % names.setdefault(name, len(names)))
     pieces.append(text[end:])
     text = b"".join(pieces)
     if not text.isascii():  # the names are out, so this is nothing a mesh needs, and trimesh would guess at it
         text = text.decode("ascii", "replace").encode("ascii", "replace")
-    return text, names
+    return text, list(names)
 
 
 def _absolute_indices(path: Path, text: bytes) -> Iterator[bytes]:
@@ -257,7 +292,10 @@ def _absolute_indices(path: Path, text: bytes) -> Iterator[bytes]:
     def absolute(part: bytes, count: int) -> bytes:
         if not part:
             return part
-        index = int(part)
+        try:
+            index = int(part)
+        except ValueError as error:  # no whole number, or one of thousands of digits
+            raise InputError(f"{path}: a face has the index {shown(part)}; must be a whole number") from error
         if index == 0 or index < -count:
             raise InputError(
                 f"{path}: a face has the index {index} after {count} entries; must be 1 or more, or -1 to {-count}"
@@ -278,93 +316,142 @@ def _absolute_indices(path: Path, text: bytes) -> Iterator[bytes]:
 
 
 def _read_ply(path: Path, warnings: list[str]) -> tuple[list[_Part], dict[str, Any]]:
-    import trimesh
-
     # fix_texture splits vertices at the seams of per-face texture coordinates; the order is kept without it.
-    scene = trimesh.load_scene(path, process=False, fix_texture=False)
+    scene = _load(path, path, fix_texture=False)
     if not scene.geometry:
         return [], {}
     (geometry,) = scene.geometry.values()
     elements = geometry.metadata["_ply_raw"]
     for name, element in elements.items():
         data = element.get("data")
-        rows = len(next(iter(data.values())) if isinstance(data, dict) else data) if data is not None else 0
+        with _stumbling(path):
+            rows = len(next(iter(data.values())) if isinstance(data, dict) else data) if data is not None else 0
         if rows != element["length"]:  # trimesh takes the lines that there are
             raise InputError(f"{path}: found {rows} of {element['length']} {name} entries: truncated")
     scalars: dict[str, NDArray[np.float64]] = {}
     if "texcoord" in elements.get("face", {}).get("properties", {}):
-        scene = trimesh.load_scene(path, process=False, fix_texture=True)
+        scene = _load(path, path, fix_texture=True)
         warnings.append("texture coordinates are per face: vertices were split, their scalars are not available")
     else:
-        vertex = elements["vertex"]
-        scalars = {
-            name: np.asarray(vertex["data"][name], np.float64).reshape(-1)
-            for name, kind in vertex["properties"].items()
-            if name not in _PLY_RESERVED and "LIST" not in kind
-        }
-    return _parts(scene, lambda _key, _geometry: DEFAULT_MATERIAL), scalars
+        with _stumbling(path):
+            vertex = elements["vertex"]
+            scalars = {
+                name: np.asarray(vertex["data"][name], np.float64).reshape(-1)
+                for name, kind in vertex["properties"].items()
+                if name not in _PLY_RESERVED and "LIST" not in kind
+            }
+    return _parts(path, scene, lambda _key, _geometry: DEFAULT_MATERIAL), scalars
 
 
 def _read_stl(path: Path) -> list[_Part]:
-    import trimesh
-
-    scene = trimesh.load_scene(path, process=False)
-    for geometry in scene.geometry.values():
-        if np.isfinite(geometry.vertices).all():
-            geometry.merge_vertices()
-    return _parts(scene, lambda _key, _geometry: DEFAULT_MATERIAL)
+    scene = _load(path, path)
+    with _stumbling(path):
+        for geometry in scene.geometry.values():
+            if np.isfinite(geometry.vertices).all():
+                geometry.merge_vertices()
+    return _parts(path, scene, lambda _key, _geometry: DEFAULT_MATERIAL)
 
 
 def _read_gltf(path: Path, warnings: list[str]) -> list[_Part]:
-    import trimesh
-
-    scene = trimesh.load_scene(path, process=False)
-    parts = _parts(scene, lambda key, geometry: _material_name(geometry) or str(key) or DEFAULT_MATERIAL)
-    if "trimesh" in _gltf_generator(path):
+    tree, binary = _gltf_chunks(path)
+    with _stumbling(path):
+        buffers = _gltf_buffers(path, tree)
+        _check_gltf(path, tree, path.stat().st_size + sum(map(len, buffers.values())))
+        generator = str(tree["asset"].get("generator", ""))
+        # Names are all that is asked of materials: no picture that they refer to is opened.
+        if "materials" in tree:
+            tree["materials"] = [{"name": str(m["name"])} if "name" in m else {} for m in tree["materials"]]
+        text = json.dumps({**tree, "images": [], "textures": []}).encode()
+    if binary is not None:
+        text = _glb(text, binary)
+    scene = _load(path, BytesIO(text), file_type=path.suffix[1:].lower(), resolver=buffers)
+    parts = _parts(path, scene, lambda key, geometry: _material_name(geometry) or str(key) or DEFAULT_MATERIAL)
+    if "trimesh" in generator:
         warnings.append("glTF by trimesh: coordinates taken as they are, Z up")
         return parts
     y_up_to_z_up = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
     return [_Part(p.name, p.vertices @ y_up_to_z_up, p.faces, p.uv) for p in parts]
 
 
-def _gltf_generator(path: Path) -> str:
-    """The name of the program that wrote a glTF, from its JSON (the first chunk of a GLB, after 20 bytes)."""
+def _gltf_chunks(path: Path) -> tuple[dict[str, Any], bytes | None]:
+    """The JSON of a glTF, and what comes after it in a GLB (chunks with their heads; None for a .gltf)."""
     data = path.read_bytes()
-    if data[:4] == b"glTF":
-        data = data[20 : 20 + int.from_bytes(data[12:16], "little")]
-    return str(json.loads(data)["asset"].get("generator", ""))
+    binary = None
+    if path.suffix.lower() == ".glb":  # magic, version, length; length and type of the first chunk, which is JSON
+        if len(data) < 20 or data[:4] != b"glTF" or data[16:20] != b"JSON":
+            raise InputError(f"{path}: cannot be read as GLB (no glTF header, or no JSON after it)")
+        (version, length, size) = struct.unpack_from("<III", data, 4)
+        if version != 2 or length > len(data) or 20 + size > len(data):
+            raise InputError(
+                f"{path}: cannot be read as GLB (found version {version}, {length} bytes, JSON of {size}; must be 2, "
+                f"and within the file's {len(data)} bytes)"
+            )
+        data, binary = data[20 : 20 + size], data[20 + size :]
+    try:
+        tree = json.loads(data)
+    except (ValueError, RecursionError) as error:
+        what = f"{type(error).__name__}: {error}"
+        raise InputError(f"{path}: cannot be read as {path.suffix[1:].upper()} ({what})") from error
+    if not isinstance(tree, dict):
+        raise InputError(f"{path}: cannot be read as {path.suffix[1:].upper()} (its JSON is no object)")
+    return tree, binary
+
+
+def _glb(text: bytes, binary: bytes) -> bytes:
+    text += b" " * (-len(text) % 4)
+    return struct.pack("<4sIII4s", b"glTF", 2, 20 + len(text) + len(binary), len(text), b"JSON") + text + binary
+
+
+def _gltf_buffers(path: Path, tree: dict[str, Any]) -> dict[str, bytes]:
+    """The files that a glTF's buffers name: those in its own folder or below."""
+    found = {}
+    for buffer in tree.get("buffers", []):
+        name = buffer.get("uri")
+        if name is None or "base64," in name:
+            continue
+        file = (path.parent / name).resolve()
+        if not file.is_relative_to(path.parent.resolve()) or not file.is_file():
+            raise InputError(f"{path}: a buffer is in {name}; must be a file in the same folder")
+        found[name] = file.read_bytes()
+    return found
+
+
+def _check_gltf(path: Path, tree: dict[str, Any], size: int) -> None:
+    """trimesh makes the arrays that are claimed, and takes sparse ones for zeros."""
+    counts = [accessor["count"] for accessor in tree.get("accessors", [])]
+    if any(not isinstance(count, int) or count < 0 for count in counts) or sum(counts) > size:
+        raise InputError(f"{path}: the accessors claim {shown(counts)} elements in {size} bytes; must be fewer")
+    for mesh in tree.get("meshes", []):
+        for primitive in mesh["primitives"]:
+            used = (primitive.get("indices"), *(primitive["attributes"].get(k) for k in ("POSITION", "TEXCOORD_0")))
+            if any("sparse" in tree["accessors"][index] for index in used if index is not None):
+                raise InputError(f"{path}: found a sparse accessor; must be a plain one")
 
 
 def _read_dem(path: Path, warnings: list[str]) -> list[_Part]:
-    try:
-        import rasterio
-        from rasterio.errors import NotGeoreferencedWarning
-        from rasterio.warp import transform as project
-    except ImportError as error:
-        raise InputError(f'{path}: a GeoTIFF DEM needs rasterio: pip install "warpsar[geo]"') from error
-    import warnings as python_warnings
+    from warpsar import geotiff
 
-    with python_warnings.catch_warnings():
-        python_warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        with rasterio.open(path) as source:
-            if source.count != 1:
-                raise InputError(f"{path}: found {source.count} bands; a DEM must have one, of heights [m]")
-            band = source.read(1, masked=True)
-            heights = np.ma.filled(band.astype(np.float64), np.nan) * source.scales[0] + source.offsets[0]
-            affine, crs = source.transform, source.crs
+    with geotiff.opened(path) as source:
+        _check_dem(path, source)
+        band = source.read(1, masked=True)
+        heights = np.ma.filled(band.astype(np.float64), np.nan) * source.scales[0] + source.offsets[0]
+        affine, crs = source.transform, source.crs
+    with geotiff.projecting(path):
+        from rasterio.warp import transform as project
+
+        row, col = (index.ravel() + 0.5 for index in np.indices(heights.shape))
+        x = affine.a * col + affine.b * row + affine.c
+        y = affine.d * col + affine.e * row + affine.f
+        centre_x, centre_y = float(x.mean()), float(y.mean())  # of an affine grid: its middle
+        if crs is not None and crs.is_geographic:
+            local = f"+proj=aeqd +lat_0={centre_y} +lon_0={centre_x} +datum=WGS84 +units=m"
+            east, north = (np.asarray(values) for values in project(crs, local, x, y))
+        else:
+            if crs is None:
+                warnings.append("the DEM has no coordinate system: its coordinates are taken as metres")
+            metres = crs.linear_units_factor[1] if crs is not None else 1.0
+            east, north = (x - centre_x) * metres, (y - centre_y) * metres
     rows, cols = heights.shape
-    row, col = (index.ravel() + 0.5 for index in np.indices(heights.shape))
-    x = affine.a * col + affine.b * row + affine.c
-    y = affine.d * col + affine.e * row + affine.f
-    centre_x, centre_y = float(x.mean()), float(y.mean())  # of an affine grid: its middle
-    if crs is not None and crs.is_geographic:
-        local = f"+proj=aeqd +lat_0={centre_y} +lon_0={centre_x} +datum=WGS84 +units=m"
-        east, north = (np.asarray(values) for values in project(crs, local, x, y))
-    else:
-        if crs is None:
-            warnings.append("the DEM has no coordinate system: its coordinates are taken as metres")
-        metres = crs.linear_units_factor[1] if crs is not None else 1.0
-        east, north = (x - centre_x) * metres, (y - centre_y) * metres
     valid = np.isfinite(heights)
     whole = valid[:-1, :-1] & valid[1:, :-1] & valid[:-1, 1:] & valid[1:, 1:]
     corner = np.arange(rows * cols).reshape(rows, cols)[:-1, :-1][whole]
@@ -379,3 +466,17 @@ def _read_dem(path: Path, warnings: list[str]) -> list[_Part]:
     index = np.cumsum(used) - 1
     vertices = np.stack([east, north, heights.ravel()], axis=1)[used]
     return [_Part(DEFAULT_MATERIAL, vertices, index[faces])]
+
+
+def _check_dem(path: Path, source: Any) -> None:
+    """What a raster's header says, before its pixels are read."""
+    if source.count != 1:
+        raise InputError(f"{path}: found {source.count} bands; a DEM must have one, of heights [m]")
+    size = path.stat().st_size
+    most = min(LARGEST_DEM, LARGEST_PER_BYTE * size)
+    if source.width * source.height > most:
+        raise InputError(
+            f"{path}: found {source.height} x {source.width} heights; must be at most {most}, by its {size} bytes"
+        )
+    if np.dtype(source.dtypes[0]).kind not in "fiu":
+        raise InputError(f"{path}: found heights of type {source.dtypes[0]}; must be real numbers")

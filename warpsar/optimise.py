@@ -1,4 +1,4 @@
-"""The two ways down: Levenberg-Marquardt for a handful of parameters, Adam (warp.optim) for fields.
+"""The two ways down: Levenberg-Marquardt for a handful of parameters, Adam for fields.
 
 Both are written as one step from a state to the next, and the state is all there is: saved and loaded, a run goes on
 to the bit as if it had never stopped.
@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 LARGEST_STEP = 1.0  # of a log coordinate in one Levenberg-Marquardt step: a factor e
 FLAT = 2e-3  # predicted gain in log-likelihood at which Levenberg-Marquardt has arrived: 1/16 of a standard deviation
+RENEWED = 0.2  # of a log coordinate: images are differentiated again once the fit has moved so far
+HARDLY, NOTHING = 1e-3, 1e-2  # damping that counts as none; share of `flat` that no step is tried for
 BEND_STEP = 0.1  # of a step, over which the images' second derivative along it is measured
 MOST_BEND = 0.75  # the largest correction, relative to the step, that is trusted
 PLATEAU_WINDOW, PLATEAU_GAIN = 50, 1e-5  # Adam: relative gain of the best loss over so many iterations
@@ -35,13 +37,15 @@ class FitState:
     iteration: int = 0
     since_start: int = 0
     damping: float = 1e-3
-    first_moment: np.ndarray | None = None
-    second_moment: np.ndarray | None = None
+    differentiated_at: np.ndarray | None = None  # Levenberg-Marquardt: where its Jacobian was made
+    first_moment: Any = None  # Adam's: an array of the host's or of the device's
+    second_moment: Any = None
     recent: np.ndarray | None = None  # Adam: best loss after each of the last iterations
     arrived: bool = False
 
     def arrays(self) -> dict[str, np.ndarray]:
-        return {f.name: np.asarray(v) for f in fields(self) if (v := getattr(self, f.name)) is not None}
+        values = {f.name: v for f in fields(self) if (v := getattr(self, f.name)) is not None}
+        return {name: v.numpy() if hasattr(v, "numpy") else np.asarray(v) for name, v in values.items()}
 
     @classmethod
     def from_arrays(cls, arrays: Any) -> FitState:
@@ -70,44 +74,63 @@ def _better(state: FitState, x: np.ndarray, loss: float) -> FitState:
     return replace(state, x=x, loss=loss)
 
 
-def levenberg_marquardt(problem: FitProblem, state: FitState, moving: np.ndarray | None = None) -> FitState:
+def levenberg_marquardt(
+    problem: FitProblem, state: FitState, moving: np.ndarray | None = None, flat: float = FLAT
+) -> FitState:
     """One step of Levenberg-Marquardt with geodesic acceleration (Transtrum and Sethna, arXiv:1201.5885).
 
     Gradient from the tape, curvature from central differences of the images (Fisher scoring for the gamma
-    likelihood). The valleys are narrow and bent (eps_r against h against l), so a step is corrected by the images'
-    second derivative along it. Elements at a bound that the gradient pushes outward stay there, and so do those that
-    `moving`, shape (p,), leaves out.
+    likelihood), which hardly changes within `RENEWED` and is kept so long. The valleys are narrow and bent (eps_r
+    against h against l), so a step is corrected by the images' second derivative along it. Elements at a bound that the
+    gradient pushes outward stay there, and so do those that no pixel depends on and that `moving`, shape (p,), leaves
+    out. The fit has arrived where a Jacobian made on the spot, and a step that is hardly damped, promise less than
+    `flat` in log-likelihood.
     """
     x = state.x
+    origin = state.differentiated_at
+    if origin is None or np.abs(x - origin).max() > RENEWED:
+        origin = x
     _, gradient = problem.gradient(x)
     modelled = problem.modelled(x)
     loss = problem.value(modelled) + problem.penalty()
-    curvatures, jacobians = problem.curvatures(modelled), problem.jacobian(x)
+    curvatures, jacobians = problem.curvatures(modelled), problem.jacobian_at(origin, moving)
     weighted = [c.weight[:, None] * j for j, c in zip(jacobians, curvatures, strict=True)]
-    hessian = sum(j.T @ w for j, w in zip(jacobians, weighted, strict=True))
+    hessian = np.zeros((x.size, x.size))
+    for j, w in zip(jacobians, weighted, strict=True):
+        hessian += j.T @ w
+    hessian = problem.ranks.sum(hessian)
     low, high = problem.bounds
-    free = ~((x <= low) & (gradient > 0) | (x >= high) & (gradient < 0))
+    free = ~((x <= low) & (gradient > 0) | (x >= high) & (gradient < 0)) & (np.diag(hessian) > 0)
     if moving is not None:
         free &= moving
     scale = np.diag(hessian) + 1e-12 * max(float(np.trace(hessian)), 1e-300)
-    flat = [np.log(mu) for mu in modelled]
-    damping, growth, new_x, new_loss, predicted = state.damping, 4.0, x, loss, np.inf
-    for _ in range(12):
-        damped = (hessian + np.diag(damping * scale))[np.ix_(free, free)]
+    damping, growth, new_x, new_loss = state.damping, 4.0, x, loss
+
+    def damped_by(factor: float) -> tuple[np.ndarray, np.ndarray, float]:
+        """The damped curvature, the step, and the gain in log-likelihood that it promises."""
+        damped = (hessian + np.diag(factor * scale))[np.ix_(free, free)]
         step = np.zeros_like(x)
         step[free] = -np.linalg.solve(damped, gradient[free])
-        predicted = -float(gradient @ step + 0.5 * step @ hessian @ step)
-        if predicted < FLAT:
+        promised = -float(gradient @ step + 0.5 * step @ hessian @ step)
+        # hosts of different kinds may round a solution differently, and none may go another way
+        promised, *whole = problem.ranks.same([promised, *step]).tolist()
+        return damped, np.array(whole), promised
+
+    there = damped_by(min(damping, HARDLY))[2] < flat
+    for _ in range(0 if there else 12):
+        damped, step, promised = damped_by(damping)
+        if promised < NOTHING * flat:
             break
         step *= min(1.0, LARGEST_STEP / float(np.abs(step).max()))
         ahead = problem.modelled(np.clip(x + BEND_STEP * step, low, high))
-        bend = [
-            2.0 / BEND_STEP * ((np.log(a) - m) / BEND_STEP - j @ step)
-            for a, m, j in zip(ahead, flat, jacobians, strict=True)
-        ]
+        further = problem.modelled(np.clip(x + 2.0 * BEND_STEP * step, low, high))
+        bend = [np.log(b * m / a**2) / BEND_STEP**2 for a, b, m in zip(ahead, further, modelled, strict=True)]
         correction = np.zeros_like(x)
-        push = sum(w.T @ b for w, b in zip(weighted, bend, strict=True))
-        correction[free] = -0.5 * np.linalg.solve(damped, push[free])
+        push = np.zeros_like(x)
+        for w, b in zip(weighted, bend, strict=True):
+            push += w.T @ b
+        correction[free] = -0.5 * np.linalg.solve(damped, problem.ranks.sum(push)[free])
+        correction = problem.ranks.same(correction)
         if 2.0 * np.linalg.norm(correction) <= MOST_BEND * np.linalg.norm(step):
             trial = np.clip(x + step + correction, low, high)
             value = problem.value(problem.modelled(trial)) + problem.penalty()
@@ -117,12 +140,14 @@ def levenberg_marquardt(problem: FitProblem, state: FitState, moving: np.ndarray
         damping *= growth
         growth *= 2.0  # far from the minimum the damping may have to rise by many decades
     state = _better(state, new_x, new_loss)
+    stuck = new_x is x  # arrived, or float32 images tell no lower point
     return replace(
         state,
-        damping=min(damping, 1e6),
+        damping=HARDLY if stuck else min(damping, 1e6),  # a new Jacobian gets every chance
+        differentiated_at=None if stuck else origin,
         iteration=state.iteration + 1,
         since_start=state.since_start + 1,
-        arrived=predicted < FLAT or new_x is x,  # float32 images tell no lower point
+        arrived=stuck and origin is x,
     )
 
 
@@ -132,7 +157,7 @@ def eased(rate: float, iteration: int) -> float:
 
 
 class Adam:
-    """warp.optim.Adam on the whole of x, with bounds; on CUDA the image, loss and gradient are one captured graph."""
+    """warp.optim.Adam on the whole of x, with bounds, from the host."""
 
     def __init__(self, problem: FitProblem, state: FitState, rate: float) -> None:
         import warp as wp
@@ -174,81 +199,86 @@ class Adam:
 
 
 class GraphAdam:
-    """Adam where nothing leaves the CUDA device: image, loss and gradients of all views replayed as one captured
-    graph, then warp.optim's update, for `STRIDE` iterations between two looks at the loss."""
+    """Adam where nothing leaves the CUDA device: image, loss and gradients of all views and the update replayed as one
+    captured graph (of several ranks, two, with the sum of their gradients between), for `STRIDE` iterations between two
+    looks at the loss."""
 
     STRIDE = 10
 
     def __init__(self, problem: FitProblem, state: FitState, rate: float) -> None:
         import warp as wp
-        from warp.optim import Adam as WarpAdam
+
+        from warpsar.kernels import adam as kernels
 
         self.problem, self.rate = problem, rate
         device = problem.device
         self.nodes = problem.shared_nodes
-        self.nodes.assign(problem.nodes(state.x).astype(np.float32))
-        kept = np.zeros(self.nodes.size, np.float32)
-        kept[problem.learned] = 1.0
-        low, high = np.full(kept.size, -np.inf, np.float32), np.full(kept.size, np.inf, np.float32)
+        start = problem.nodes(state.x).astype(np.float32)
+        low, high = start.copy(), start.copy()
         low[problem.learned], high[problem.learned] = problem.bounds
-        self.kept: Any = wp.array(kept, dtype=float, device=device)
-        self.low: Any = wp.array(low, dtype=float, device=device)
-        self.high: Any = wp.array(high, dtype=float, device=device)
-        self.gradient = wp.zeros_like(self.nodes, requires_grad=False)
-        self.optimiser = WarpAdam([self.nodes], lr=rate)
-        if state.first_moment is not None:
-            self.optimiser.m[0].assign(state.first_moment)
-            self.optimiser.v[0].assign(state.second_moment)
-            self.optimiser.t = state.since_start
-        self._iterate()  # loads every kernel, which a capture cannot
-        with wp.ScopedCapture(device) as capture:
-            self._iterate()
-        self.graph = capture.graph
 
-    def _iterate(self) -> None:
+        def put(values: np.ndarray, dtype: Any = float) -> Any:
+            return wp.array(values, dtype=dtype, device=device)
+
+        self.nodes.assign(start)
+        self.low, self.high = put(low), put(high)
+        self.first, self.second = (wp.zeros_like(self.nodes, requires_grad=False) for _ in range(2))
+        if state.first_moment is not None:
+            self.first.assign(state.first_moment)
+            self.second.assign(state.second_moment)
+        self.done, self.size = put(np.array([state.since_start]), int), put(np.zeros(2))
+        problem.run_on_device()  # loads every kernel, which a capture cannot
+        wp.load_module(kernels, device=device)
+        alone = problem.ranks.size == 1
+        self.graphs = []
+        for tasks in [(problem.run_on_device, self._update)] if alone else [(problem.run_on_device,), (self._update,)]:
+            with wp.ScopedCapture(device) as capture:
+                for task in tasks:
+                    task()
+            self.graphs.append(capture.graph)
+
+    def _update(self) -> None:
         import warp as wp
 
-        from warpsar.kernels import loss as kernels
+        from warpsar.kernels import adam as kernels
 
-        self.problem.run_on_device()
+        device = self.problem.device
+        wp.launch(kernels.tick_kernel, 1, inputs=[self.rate, SETTLING], outputs=[self.done, self.size], device=device)
         wp.launch(
-            kernels.keep_kernel,
+            kernels.adam_kernel,
             self.nodes.size,
-            inputs=[self.kept, self.nodes.grad],
-            outputs=[self.gradient],
-            device=self.problem.device,
+            inputs=[self.nodes.grad, self.size, self.low, self.high],
+            outputs=[self.first, self.second, self.nodes],
+            device=device,
         )
+
+    def iterate(self) -> None:
+        """One iteration; nothing waits for it."""
+        import warp as wp
+
+        wp.capture_launch(self.graphs[0])
+        for graph in self.graphs[1:]:
+            self.problem.ranks.sum_on_device(self.nodes.grad)
+            wp.capture_launch(graph)
 
     def step(self, state: FitState) -> FitState:
         """`STRIDE` iterations; the loss is that of the last one."""
         import warp as wp
 
-        from warpsar.kernels import loss as kernels
-
-        x = state.x
-        for turn in range(self.STRIDE):
-            wp.capture_launch(self.graph)
-            if turn == self.STRIDE - 1:
-                loss = self.problem.loss_on_device()
-                x = self.nodes.numpy()[self.problem.learned].astype(float)
-            self.optimiser.lr = eased(self.rate, state.since_start + turn)
-            self.optimiser.step([self.gradient])
-            wp.launch(
-                kernels.clamp_kernel,
-                self.nodes.size,
-                inputs=[self.low, self.high],
-                outputs=[self.nodes],
-                device=self.problem.device,
-            )
-        state = _better(state, x, loss)
+        learned = self.problem.learned
+        for _ in range(self.STRIDE - 1):
+            self.iterate()
+        x = self.nodes.numpy()[learned].astype(float)
+        self.iterate()
+        state = _better(state, x, self.problem.loss_on_device())
         recent = np.append([] if state.recent is None else state.recent, state.best_loss)
         recent = recent[-PLATEAU_WINDOW // self.STRIDE - 1 :]
         gained = (recent[0] - recent[-1]) / max(abs(recent[-1]), 1e-300)
         return replace(
             state,
-            x=self.nodes.numpy()[self.problem.learned].astype(float),
-            first_moment=self.optimiser.m[0].numpy(),
-            second_moment=self.optimiser.v[0].numpy(),
+            x=self.nodes.numpy()[learned].astype(float),
+            first_moment=wp.clone(self.first),
+            second_moment=wp.clone(self.second),
             recent=recent,
             iteration=state.iteration + self.STRIDE,
             since_start=state.since_start + self.STRIDE,

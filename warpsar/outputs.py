@@ -52,8 +52,12 @@ def plain(value: Any) -> Any:
     return value
 
 
+def _input(scene: Scene) -> dict[str, str]:
+    return {"scene": Path(scene.path or "scene").name, "sha256": scene.input_hash}
+
+
 def write_json(
-    path: Path, scene: Scene, device: Any, seed: int, started: float, content: dict[str, Any]
+    path: Path, scene: Scene | None, device: Any, seed: int | None, started: float, content: dict[str, Any]
 ) -> dict[str, Any]:
     """Write `content` under the version, device, seed, wall time (since `started`, perf_counter) and input hash."""
     from warpsar import __version__
@@ -65,7 +69,7 @@ def write_json(
             "device": f"{device.alias} ({device.name})",
             "seed": seed,
             "wall_time_s": round(time.perf_counter() - started, 3),
-            "input": {"scene": Path(scene.path or "scene").name, "sha256": scene.input_hash},
+            **({} if scene is None else {"input": _input(scene)}),
             **content,
         }
     )

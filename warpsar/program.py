@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 
@@ -31,8 +31,18 @@ class Program:
             self._sums.append(array)
         return array
 
-    def launch(self, kernel: Any, dim: Any, inputs: Sequence[Any], outputs: Sequence[Any]) -> None:
-        """Record a launch; nothing runs before `forward`."""
+    def launch(
+        self,
+        kernel: Any,
+        dim: Any,
+        inputs: Sequence[Any],
+        outputs: Sequence[Any],
+        adjoint: Callable[[], None] | None = None,
+    ) -> None:
+        """Record a launch; nothing runs before `forward`.
+
+        `adjoint` adds the outputs' gradients to those of the inputs, in place of what Warp makes of the kernel.
+        """
         import warp as wp
 
         inputs, outputs = list(inputs), list(outputs)
@@ -48,7 +58,11 @@ class Program:
         if command is None:  # nothing to do: a view without hits
             return
         self._commands.append(command)
-        self._tape.record_launch(kernel, dim, 0, inputs, outputs, self.device)
+        if adjoint is None:
+            self._tape.record_launch(kernel, dim, 0, inputs, outputs, self.device)
+        else:
+            arrays = [a for a in [*inputs, *outputs] if isinstance(a, wp.array) and a.requires_grad]
+            self._tape.record_func(adjoint, arrays)
 
     def forward(self) -> None:
         for array in self._sums:
@@ -60,12 +74,15 @@ class Program:
         self._tape.zero()
 
     def backward(self, seeds: dict[Any, Any], *, zero: bool = True) -> None:
-        """Gradients of sum(seed * array) over `seeds` into every `.grad`.
+        """Gradients of sum(seed * array) over `seeds`, arrays or numbers, into every `.grad`.
 
         They are zeroed first; with `zero` false they add to what is there (programs that share an array).
         """
         if zero:
             self.zero_gradients()
         for array, seed in seeds.items():
-            array.grad.assign(seed)
+            if isinstance(seed, float):
+                array.grad.fill_(seed)
+            else:
+                array.grad.assign(seed)
         self._tape.backward()

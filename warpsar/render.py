@@ -5,11 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass, field
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warpsar import runtime
+from warpsar.lookup import Spread
+from warpsar.merge import starts
 from warpsar.program import Program
+from warpsar.shading import shading_samples
 
 if TYPE_CHECKING:
     from warpsar.effects.base import Effect
@@ -44,6 +49,7 @@ class Stage:
         from warpsar.surface import Surface
         from warpsar.trace import Target
 
+        runtime.load_kernels(device, "trace", "merge", "shade", *(["raster"] if device.is_cpu else []))
         surface = Surface.of(scene)
         uv = np.zeros((0, 2), np.float32) if scene.mesh.uv is None else scene.mesh.uv
         return cls(
@@ -74,8 +80,9 @@ class ViewRender:
 
     `images[pol]` is beta0, shape (rows * cols,), float32, on the device after `forward`; `nodes` and
     `effect_values[name]` are this view's own copies of the parameters, with their gradients after
-    `program.backward`. Stages: coordinates -> sigma0 -> gains -> deposit -> paths -> image. `spacing_m` is that of
-    the pixels; `layers`: further arrays (rows * cols,) by name that effects leave, shares of the beta0.
+    `program.backward`. `hits` say where power falls, `shaded`, one per face and pixel, what is shaded. Stages:
+    coordinates -> sigma0 -> gains -> deposit -> paths -> image. `spacing_m` is that of the pixels; `layers`: further
+    arrays (rows * cols,) by name that effects leave, shares of the beta0.
     """
 
     def __init__(
@@ -101,12 +108,14 @@ class ViewRender:
         self._light: dict[str, Any] = {}
         self.layers: dict[str, Any] = {}
         self.kept: dict[str, Any] = {}  # what an effect worked out for one polarization and needs in the next
+        self.shaded, self._sample = shading_samples(hits)
         fine = hits.grid.bins_per_pixel
         self.spacing_m = (hits.grid.spacing_m[0] * fine, hits.grid.spacing_m[1] * fine)
 
         self._effects = effects
         at = self._at
-        zeta = self.coordinates(hits.face, hits.barycentric, hits.point)
+        shaded = self.shaded
+        zeta = self.coordinates(shaded.face, shaded.barycentric, shaded.point)
         self.zeta = zeta
         for name in polarizations:
             code = POLARIZATIONS[name]
@@ -115,7 +124,7 @@ class ViewRender:
                 sigma = effect.scattering(self, p, zeta, sigma, code)
             self.sigma[name] = sigma
             image = self.program.array(shape[0] * shape[1], sum_into=True)
-            self.collect(sigma, hits.weight, hits.point, hits.pixel, image)
+            self.collect(sigma, hits.weight, shaded.point, hits.pixel, image, self._sample)
             self._light[name] = image
             for effect, p in at("path"):
                 image = effect.paths(self, p, image, code)
@@ -137,35 +146,63 @@ class ViewRender:
 
         from warpsar.kernels import shade
 
-        stage = self.stage
+        stage, nodes = self.stage, self.nodes
         n = face.shape[0]
-        zeta = self.program.array(n, wp.vec4)
+        gathered = self.program.array(n, wp.vec4)
+
+        @cache
+        def spread() -> Spread:  # when a gradient is asked for
+            return Spread(stage, face, barycentric)
+
         self.program.launch(
             shade.gather_kernel,
             n,
-            [face, barycentric, stage.target.faces, stage.face_material, stage.uv, stage.places, self.nodes],
-            [zeta],
+            [face, barycentric, stage.target.faces, stage.face_material, stage.uv, stage.places, nodes],
+            [gathered],
+            adjoint=lambda: spread().add(gathered.grad, nodes.grad),
         )
+        zeta = gathered
         for effect, p in self._at("surface"):
             zeta = effect.coordinates(self, p, zeta, points)
         return zeta
 
-    def collect(self, sigma: Any, weight: Any, points: Any, bins: Any, image: Any) -> None:
+    def collect(self, sigma: Any, weight: Any, points: Any, bins: Any, image: Any, sample: Any = None) -> None:
         """Record the gains on `sigma` and its deposit into `image`, an array that is zeroed before each run.
 
         `bins` are row * cols + col of `hits.grid`, `weight` as in Hits; what a path effect finds goes the same way.
+        `sample`: which of `sigma` each bin takes, where several take one.
         """
         from warpsar.kernels import shade
 
         for effect, p in self._at("gain"):
             sigma = effect.gain(self, p, sigma, points)
+        if sample is not None:
+            taken = self.program.array(bins.shape[0])
+            self.program.launch(shade.take_kernel, bins.shape[0], [sample, sigma], [taken])
+            sigma = taken
         movers = self._at("position")
         for effect, p in movers:
             effect.deposit(self, p, sigma, weight, bins, image)
         if not movers and self.hits.grid.shape == self.shape:
-            self.program.launch(shade.deposit_kernel, sigma.shape[0], [bins, weight, sigma], [image])
+            self._deposit(sigma, weight, bins, image)
         elif not movers:
             self.deposit(sigma, weight, bins, self.program.array(2, grad=False), image)
+
+    def _deposit(self, sigma: Any, weight: Any, bins: Any, image: Any) -> None:
+        import warp as wp
+
+        from warpsar.kernels import shade
+        from warpsar.kernels.wide import LANES
+
+        n = sigma.shape[0]
+
+        def adjoint() -> None:
+            inputs = [bins, weight, image.grad]
+            wp.launch(shade.deposit_adjoint_kernel, n, inputs=inputs, outputs=[sigma.grad], device=sigma.device)
+
+        first, lanes = starts(bins), 1 if sigma.device.is_cpu else LANES
+        inputs = [first, bins, weight, sigma, lanes]
+        self.program.launch(shade.deposit_kernel, (first.shape[0], lanes), inputs, [image], adjoint=adjoint)
 
     def deposit(self, sigma: Any, weight: Any, bins: Any, shift: Any, image: Any) -> None:
         """Record the deposit of bins finer or wider than the pixels, moved by `shift` (rows, columns) pixels."""
@@ -181,30 +218,33 @@ class ViewRender:
 
     def scatter(self, zeta: Any, polarization: int, spectrum: Any = None) -> Any:
         """Record sigma0 of the hits for coordinates `zeta`; `spectrum` takes the place of the materials' own."""
+        import warp as wp
+
         from warpsar.kernels import shade
 
-        hits, stage = self.hits, self.stage
-        sigma = self.program.array(hits.count)
-        self.program.launch(
-            shade.scatter_kernel,
-            hits.count,
-            [
-                polarization,
-                stage.variant,
-                self.geometry.wavenumber,
-                int(stage.local_basis),
-                hits.face,
-                stage.face_material,
-                hits.cos_incidence,
-                hits.cos_twist,
-                hits.cos2_azimuth,
-                stage.spectrum if spectrum is None else spectrum,
-                stage.eps_im,
-                stage.aspect,
-                zeta,
-            ],
-            [sigma],
-        )
+        hits, stage, n = self.shaded, self.stage, self.shaded.count
+        sigma = self.program.array(n)
+        inputs = [
+            polarization,
+            stage.variant,
+            self.geometry.wavenumber,
+            int(stage.local_basis),
+            hits.face,
+            stage.face_material,
+            hits.cos_incidence,
+            hits.cos_twist,
+            hits.cos2_azimuth,
+            stage.spectrum if spectrum is None else spectrum,
+            stage.eps_im,
+            stage.aspect,
+            zeta,
+        ]
+
+        def adjoint() -> None:
+            slopes = [*inputs, sigma.grad]
+            wp.launch(shade.scatter_adjoint_kernel, n, inputs=slopes, outputs=[zeta.grad], device=sigma.device)
+
+        self.program.launch(shade.scatter_kernel, n, inputs, [sigma], adjoint=adjoint)
         return sigma
 
     def set_parameters(self, nodes: np.ndarray, effects: Mapping[str, np.ndarray] | None = None) -> None:

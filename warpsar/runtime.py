@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import os
 import sys
+import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from functools import cache, partial
+from importlib import import_module
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from warpsar.errors import DeviceError
@@ -14,10 +17,12 @@ if TYPE_CHECKING:
     import warp as wp
 
 T = TypeVar("T")
+_worker = threading.local()
 
 
 def resolve_device(name: str | None = None) -> wp.Device:
-    """The Warp device called `name` ("cpu", "cuda", "cuda:1"); None takes CUDA if there is one, else the CPU.
+    """The Warp device called `name` ("cpu", "cuda", "cuda:1"); None takes CUDA if there is one, else the CPU. "cuda" is
+    the first, or that of this process's LOCAL_RANK where torchrun started several.
 
     Raises DeviceError (exit 3) for a device that is not there.
     """
@@ -26,17 +31,28 @@ def resolve_device(name: str | None = None) -> wp.Device:
     wp.config.log_level = max(wp.config.log_level, wp.LOG_WARNING)
     wp.init()
     if name is None:
-        name = "cuda:0" if wp.get_cuda_device_count() else "cpu"
+        name = "cuda" if wp.get_cuda_device_count() else "cpu"
     known = ["cpu"] + [d.alias for d in wp.get_cuda_devices()]
-    wanted = "cuda:0" if name == "cuda" else name
+    # one process a GPU; under SLURM each may see its own alone, as cuda:0
+    own = _of_torchrun("LOCAL_RANK", 0) % max(len(known) - 1, 1)
+    wanted = f"cuda:{own}" if name == "cuda" else name
     if wanted not in known:
         raise DeviceError(f"--device {name}: there is no such device here; there is {', '.join(known)}")
     return wp.get_device(wanted)
 
 
+def _of_torchrun(name: str, alone: int) -> int:
+    """A number of torchrun's environment; `alone` where there is one process, or none of it."""
+    if os.environ.get("WORLD_SIZE", "1") == "1":
+        return alone
+    value = os.environ.get(name, "")
+    return int(value) if value.isdigit() else alone
+
+
 def say(message: str) -> None:
-    """A message for people: stderr, so that stdout carries results only."""
-    print(message, file=sys.stderr)
+    """A message for people: stderr, so that stdout carries results only. Of several processes, the first one speaks."""
+    if _of_torchrun("RANK", 0) == 0:
+        print(message, file=sys.stderr)
 
 
 def say_device(device: Any) -> None:
@@ -46,11 +62,32 @@ def say_device(device: Any) -> None:
 
 
 def thread_count() -> int:
-    """Threads for CPU work: WARPSAR_THREADS, else the cores this process may use. Results do not depend on it."""
+    """Threads for CPU work: WARPSAR_THREADS, else the cores this process may use, shared with those that torchrun
+    started beside it. Results do not depend on it."""
     asked = os.environ.get("WARPSAR_THREADS", "")
     if asked.isdigit() and int(asked) > 0:
         return int(asked)
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return max(1, cores // processes_here())
+
+
+def processes_here() -> int:
+    """Processes of this run on this host."""
+    return max(1, _of_torchrun("LOCAL_WORLD_SIZE", 1))
+
+
+def load_kernels(device: Any, *names: str) -> None:
+    """Compile the named modules of `warpsar.kernels`, or load what Warp's cache has of them, side by side.
+
+    Left to their first launches they would come one after the other. A module's `BLOCK` is the block size of its
+    launches, where that is not Warp's own: on CUDA each size is compiled for itself.
+    """
+    import warp as wp
+
+    modules = [import_module(f"warpsar.kernels.{name}") for name in names]
+    load = [partial(wp.load_module, m, device=device, block_dim=getattr(m, "BLOCK", None)) for m in modules]
+    for _ in in_threads(load):
+        pass
 
 
 def ordered(tasks: Iterable[Callable[[], T]], device: Any) -> Iterator[T]:
@@ -66,12 +103,26 @@ def ordered(tasks: Iterable[Callable[[], T]], device: Any) -> Iterator[T]:
 
 def in_threads(tasks: Iterable[Callable[[], T]]) -> Iterator[T]:
     """Results of independent NumPy tasks, in their order, on all cores whatever the device."""
-    with ThreadPoolExecutor(thread_count()) as pool:
-        yield from pool.map(lambda task: task(), tasks)
+    if getattr(_worker, "busy", False):  # a task of a task: its own thread, or all could wait for one another
+        yield from (task() for task in tasks)
+    else:
+        yield from _pool(thread_count()).map(_work, tasks)
+
+
+def _work(task: Callable[[], T]) -> T:
+    _worker.busy = True
+    return task()
+
+
+@cache
+def _pool(threads: int) -> ThreadPoolExecutor:
+    """Kept: a fit hands out small tasks thousands of times, and starting threads costs as much as they do."""
+    return ThreadPoolExecutor(threads)
 
 
 def progress(total: int, what: str, unit: str = "it") -> Any:
     """A tqdm bar on stderr, silent where stderr is no terminal and for work that ends within a second."""
     from tqdm import tqdm
 
-    return tqdm(total=total, desc=what, unit=unit, file=sys.stderr, disable=None, delay=1.0, leave=False)
+    hidden = True if _of_torchrun("RANK", 0) else None
+    return tqdm(total=total, desc=what, unit=unit, file=sys.stderr, disable=hidden, delay=1.0, leave=False)

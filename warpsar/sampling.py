@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from warpsar.distributed import ONE, Ranks
 from warpsar.effects import declared
 from warpsar.render import Stage, ViewRender
 from warpsar.simulation import trace_view, view_seed
@@ -53,20 +54,32 @@ def relative_variance(
 
 
 def choose_density(
-    scene: Scene, stage: Stage, views: Sequence[View], looks: Sequence[float], limit: float, *, total: bool = False
+    scene: Scene,
+    stage: Stage,
+    views: Sequence[View],
+    looks: Sequence[float],
+    limit: float,
+    *,
+    total: bool = False,
+    ranks: Ranks = ONE,
 ) -> Density:
     """The scene's stated density, or the smallest power of two of rays per pixel that keeps the noise under `limit`:
-    of the noisiest view's lit pixel, or of all pixels together (`total`)."""
+    of the noisiest view's lit pixel, or of all pixels together (`total`). `ranks` share the views."""
     area = scene.grid.pixel_area_m2
     stated = scene.sampling.density_per_m2(scene.grid)
     if scene.sampling.stated and not total:
         return Density(stated, stated * area, float("nan"), False)
     per_pixel = max(FEWEST, stated * area) if scene.sampling.stated else FEWEST
-    while True:
-        found = [
+
+    def mine() -> list[tuple[float, float, int]]:
+        return [
             (look, *relative_variance(scene, stage, view, per_pixel / area, (view_seed(101, i), view_seed(202, i))))
             for i, (view, look) in enumerate(zip(views, looks, strict=True))
+            if i % ranks.size == ranks.rank
         ]
+
+    while True:
+        found = [each for part in ranks.gather(ranks.agree(mine)) for each in part]
         pixels = [look * variance * count for look, variance, count in found]
         noise = sum(pixels) if total else max(look * variance for look, variance, _ in found)
         if noise < limit or per_pixel >= MOST:

@@ -23,7 +23,7 @@ from pydantic import (
 
 from warpsar.errors import InputError
 from warpsar.frame import SPEED_OF_LIGHT
-from warpsar.images import read_channel, read_mask
+from warpsar.images import LARGEST_IMAGE, read_channel, read_mask
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -32,8 +32,6 @@ if TYPE_CHECKING:
     from warpsar.mesh import Mesh
 
 DEFAULT_RAYS_PER_PIXEL = 64.0
-LARGEST_IMAGE = 2**28
-"""Pixels of an image: 1 GiB of float32."""
 
 Polarization = Literal["HH", "HV", "VH", "VV"]
 SurfaceKey = Literal["eps_r", "rms_height_m", "correlation_length_m", "specular_fraction"]
@@ -297,12 +295,12 @@ class Scene:
 
     def measured(self, view: View, polarization: str) -> NDArray[np.float32]:
         """The measured image: beta0, linear power, shape (rows, cols); NaN where it is not finite."""
-        image = read_channel(view.images[polarization], polarization)  # type: ignore[index]
+        image = read_channel(view.images[polarization], polarization, shape=self.grid.shape)  # type: ignore[index]
         return np.where(np.isfinite(image), image, np.float32(np.nan))
 
     def mask(self, view: View) -> NDArray[np.bool_] | None:
         """The pixels that the view's mask lets through, shape (rows, cols); None without a mask."""
-        return None if view.mask is None else read_mask(view.mask)
+        return None if view.mask is None else read_mask(view.mask, shape=self.grid.shape)
 
     def field(self, material: str, key: str) -> NDArray[np.float32] | NDArray[np.float64]:
         """The values that a name stands for.

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from pydantic import Field, ValidationError, field_validator
 
-from warpsar.errors import InputError
+from warpsar.errors import InputError, shown
 from warpsar.images import read_channel, read_mask, replacing
 from warpsar.mesh import Mesh, read_mesh
 from warpsar.scene import (
@@ -34,14 +34,16 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
+LARGEST_FILE = 2**24
+"""Bytes of a scene file: 50,000 views."""
+_MOST_KEY_PARTS = 100
+_MOST_SHOWN = 50
+
+
 def load(path: Path) -> Scene:
     """`Scene.load`."""
-    text = _read_text(path)
+    text, raw = read(path)
     path = path.parent.resolve() / path.name
-    try:
-        raw = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # ValueError: also numbers of thousands of digits
-        raise InputError(f"{path}: not valid TOML ({error})") from error
     file, problems = _parse(raw)
     effects = _parse_effects(raw, problems)
     _refuse(path, problems)
@@ -91,8 +93,24 @@ _TABLES: dict[str, type[Table]] = {
 # ---- what is in the file ----
 
 
+def read(path: Path) -> tuple[str, dict[str, Any]]:
+    """A scene file's text, and its tables as they stand there; raises InputError for what is not TOML."""
+    text = _read_text(path)
+    lines = (line.partition("#")[0] for line in text.splitlines())
+    if any(part.count(".") > _MOST_KEY_PARTS for line in lines for part in re.split(r"[=,{}\[\]]", line)):
+        raise InputError(f"{path}: found a key of more than {_MOST_KEY_PARTS} parts; must be fewer")  # time ~ parts^2
+    try:
+        return text, tomllib.loads(text)
+    except (ValueError, RecursionError) as error:  # ValueError: also numbers of thousands of digits
+        raise InputError(f"{path}: not valid TOML ({error})") from error
+
+
 def _read_text(path: Path) -> str:
     try:
+        if path.exists() and not path.is_file():  # a FIFO waits for ever, a device never ends
+            raise InputError(f"{path}: cannot be read as a scene file (a directory, pipe or device)")
+        if (size := path.stat().st_size) > LARGEST_FILE:
+            raise InputError(f"{path}: found a scene file of {size} bytes; must be at most {LARGEST_FILE}")
         data = path.read_bytes()
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
@@ -129,7 +147,9 @@ def _refuse(path: Path, problems: list[str]) -> None:
     if len(problems) == 1:
         raise InputError(f"{path}: {problems[0]}")
     if problems:
-        raise InputError("\n  ".join([f"{path}: {len(problems)} things are wrong", *problems]))
+        more = [f"and {len(problems) - _MOST_SHOWN} more"] if len(problems) > _MOST_SHOWN else []
+        listed = [f"{path}: {len(problems)} things are wrong", *problems[:_MOST_SHOWN], *more]
+        raise InputError("\n  ".join(listed))
 
 
 def _problem(details: Mapping[str, Any], raw: dict[str, Any]) -> str:
@@ -148,7 +168,7 @@ def _problem(details: Mapping[str, Any], raw: dict[str, Any]) -> str:
         message = "must be up to 50 letters, digits, '_', '-', '+' and '.', the first a letter, digit or '_'"
     if isinstance(found, dict) and kind == "value_error":
         return f"{key}: {message}"
-    return f"{key}: found {_show(found)}; {message}"
+    return f"{key}: found {shown(found)}; {message}"
 
 
 def _key(place: tuple[int | str, ...], raw: dict[str, Any]) -> str:
@@ -157,20 +177,11 @@ def _key(place: tuple[int | str, ...], raw: dict[str, Any]) -> str:
         if isinstance(part, int):
             key += f"[{part}]"
             if place[0] == "views" and depth == 1 and isinstance(name := raw["views"][part], dict):
-                key += f" ({_show(name.get('name')).strip(chr(39))})" if "name" in name else ""
+                key += f" ({shown(name.get('name')).strip(chr(39))})" if "name" in name else ""
         else:
-            part = part if re.fullmatch(r"[\w-]+", part) else _show(part)
+            part = part if re.fullmatch(r"[\w-]+", part) else shown(part)
             key += f".{part}" if key else part
     return key
-
-
-def _show(value: object) -> str:
-    """A value as a user wrote it, more or less, and not too much of it."""
-    try:
-        text = repr(value)
-    except ValueError:  # Python prints no whole number of more than 4300 digits
-        return "a number of thousands of digits"
-    return text if len(text) <= 80 else f"{text[:77]}..."
 
 
 # ---- what the file refers to ----
@@ -255,22 +266,11 @@ class _Loader:
             self.check_mask(f"{key}.mask", changed["mask"])
         return view.model_copy(update=changed)
 
-    def fits(self, key: str, path: Path, shape: tuple[int, ...]) -> bool:
-        if shape == self.file.image.shape:
-            return True
-        rows, cols = self.file.image.shape
-        self.problems.append(
-            f"{key}: {path}: found {shape[0]} x {shape[1]} pixels; must be {rows} x {cols} (image.shape)"
-        )
-        return False
-
     def check_image(self, key: str, path: Path, polarization: str) -> None:
         try:
-            image = read_channel(path, polarization)
+            image = read_channel(path, polarization, shape=self.file.image.shape)
         except InputError as error:
             self.problems.append(f"{key}: {error}")
-            return
-        if not self.fits(key, path, image.shape):
             return
         finite = np.isfinite(image)
         missing, negative = int(image.size - finite.sum()), finite & (image < 0)
@@ -286,11 +286,11 @@ class _Loader:
 
     def check_mask(self, key: str, path: Path) -> None:
         try:
-            mask = read_mask(path)
+            mask = read_mask(path, shape=self.file.image.shape)
         except InputError as error:
             self.problems.append(f"{key}: {error}")
             return
-        if self.fits(key, path, mask.shape) and not mask.any():
+        if not mask.any():
             self.problems.append(f"{key}: {path}: every pixel is 0; must be nonzero where pixels are used")
 
     def material(self, name: str, material: Material, mesh: Mesh | None) -> Material:

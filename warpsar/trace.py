@@ -12,7 +12,8 @@ import numpy as np
 from warpsar import runtime
 from warpsar.errors import InputError
 from warpsar.frame import ViewGeometry
-from warpsar.merge import merge_records
+from warpsar.merge import sorted_rows
+from warpsar.raster import Raster
 
 if TYPE_CHECKING:
     import warp as wp
@@ -20,9 +21,12 @@ if TYPE_CHECKING:
     from warpsar.mesh import Mesh
 
 DEFAULT_MEMORY_GIB = 2.0
-_RECORDS_PER_RAY = 2
-_RECORD_BYTES = 52  # key, weight, moment; the sort's keys, order, starts
-_SEGMENT = 64  # cells of one thread on CUDA, where the columns alone are too few threads
+_RAY_BYTES = 96  # at most: its face, what the raster keeps of it, two rows of its band's table, their marks and ranks
+_ROW_BYTES = 32
+_CACHE_BYTES = 2**21  # of one core: a CPU band's table is filled at random, and twice as fast where it stays there
+_TILE = (4, 8)  # rays of a CUDA warp: across azimuth, along elevation
+_SEGMENT = 4  # rays of one CUDA thread when they are recorded
+_KEPT_SHARE = 0.25  # of a CUDA device's memory, that a process does not hand back between views
 
 
 @dataclass(frozen=True)
@@ -56,6 +60,7 @@ class Target:
     faces: wp.array  # shape (m, 3), int32
     bvh: wp.Mesh
     corners: np.ndarray  # [m], shape (n, 3), float64, about the reference point
+    places: wp.array  # the same on the device, vec3d
 
     @classmethod
     def upload(cls, mesh: Mesh, reference_point_m: Any, device: Any) -> Target:
@@ -64,10 +69,33 @@ class Target:
         corners = np.asarray(mesh.vertices, np.float64) - np.asarray(reference_point_m, np.float64)
         vertices: wp.array = wp.array(corners.astype(np.float32), dtype=wp.vec3, device=device)
         faces: wp.array = wp.array(np.ascontiguousarray(mesh.faces, np.int32), dtype=int, device=device)
-        # Measured on CUDA: cuBQL traces 4.85 Grays/s, SAH 4.2, the default 3.4 (docs/benchmarks.md).
-        constructor = "sah" if device.is_cpu else "cubql"
-        bvh = wp.Mesh(vertices, faces.flatten(), bvh_constructor=constructor)
-        return cls(device, vertices, faces, bvh, corners)
+        # Measured on CUDA (docs/benchmarks.md): cuBQL with two faces a leaf traces fastest, and is built in a sixth of
+        # SAH's time.
+        constructor, leaf = ("sah", None) if device.is_cpu else ("cubql", 2)
+        bvh = wp.Mesh(vertices, faces.flatten(), bvh_constructor=constructor, bvh_leaf_size=leaf)
+        if device.is_cuda and wp.is_mempool_enabled(device):
+            wp.set_mempool_release_threshold(device, _KEPT_SHARE)
+        places: wp.array = wp.array(corners, dtype=wp.vec3d, device=device, copy=False)
+        return cls(device, vertices, faces, bvh, corners, places)
+
+    def ends(self, geometry: ViewGeometry) -> tuple[np.ndarray, np.ndarray]:
+        """Least and largest (X . d, X . u, elevation, distance from the track) of the mesh, float64, shape (4,) each.
+
+        Elevation is X . v [m]; with a track, the angle about it [rad]. Found on the device: the host takes as long
+        for a million vertices as CUDA for all of their image.
+        """
+        import warp as wp
+
+        from warpsar.kernels.trace import BLOCK, extent_kernel
+
+        axes = [wp.vec3d(*axis) for axis in (geometry.d, geometry.u, geometry.v)]
+        shape = (1 if self.device.is_cpu else 4096, 4)
+        low = wp.empty(shape, dtype=wp.float64, device=self.device)
+        high = wp.empty(shape, dtype=wp.float64, device=self.device)
+        inputs = [self.places, *axes, geometry.slant_range_m or 0.0]
+        outputs = [low, high]
+        wp.launch(extent_kernel, shape[0], inputs=inputs, outputs=outputs, device=self.device, block_dim=BLOCK)
+        return low.numpy().min(axis=0), high.numpy().max(axis=0)
 
 
 @dataclass
@@ -111,6 +139,7 @@ def trace(
     merge: bool = True,
     cells_multiple: int = 1,
     pixel_area_m2: float | None = None,
+    only_columns: tuple[int, int] | None = None,
     max_memory_gib: float = DEFAULT_MEMORY_GIB,
     progress: Any = None,
 ) -> Hits:
@@ -119,8 +148,9 @@ def trace(
     `rays_per_m2` counts rays over the plane across the look direction. `deposit`: a ray's power goes to the bin
     of its sample ("nearest"), to the range bins its cell covers on the facet's plane ("footprint"), or is split
     between the two nearest bin centres in range ("linear", differentiable). `pixel_area_m2` divides the weights
-    and is the grid's own unless the grid is finer than the image. Memory stays near `max_memory_gib` beside the
-    hits themselves; the result does not depend on it, nor on the number of threads.
+    and is the grid's own unless the grid is finer than the image. `only_columns`: the first of the grid's and the one
+    after the last, with the rays that they would have in the whole. Memory stays near `max_memory_gib` beside the hits
+    themselves; the result does not depend on it, nor on the number of threads, nor on the order of CUDA's.
     """
     import warp as wp
 
@@ -128,87 +158,82 @@ def trace(
 
     device = target.device
     rays = ray_grid(target, geometry, grid, rays_per_m2, cells_multiple, pixel_area_m2 or grid.pixel_area_m2)
-    first, last = cells_on_the_mesh(target, geometry, rays)
-    face_bits = max(1, int(target.faces.shape[0] - 1).bit_length())
+    first, last = rays.first_cell, rays.end_cell
+    if only_columns is not None:
+        first = max(first, only_columns[0] * rays.cells_per_column)
+        last = max(first, min(last, only_columns[1] * rays.cells_per_column))
+    faces = int(target.faces.shape[0])
+    face_bits = max(1, (faces - 1).bit_length())
     key_bits = face_bits + max(1, (grid.shape[0] * grid.shape[1] - 1).bit_length())
-    if key_bits > 63:
+    if key_bits > 62:
         raise InputError(
-            f"[image] shape: {grid.shape[0]} x {grid.shape[1]} pixels with {target.faces.shape[0]} faces cannot be "
-            f"numbered in 63 bits; allowed are {2 ** (63 - face_bits)} pixels"
+            f"[image] shape: {grid.shape[0]} x {grid.shape[1]} pixels with {faces} faces cannot be "
+            f"numbered in 62 bits; allowed are {2 ** (62 - face_bits)} pixels"
         )
     codes = {"nearest": kernels.NEAREST, "linear": kernels.LINEAR, "footprint": kernels.FOOTPRINT}
-    segment = rays.elevation_cells if device.is_cpu else _SEGMENT
+    segment, block = rays.elevation_cells if device.is_cpu else _SEGMENT, kernels.BLOCK
     workers = runtime.thread_count() if device.is_cpu else 1
-    most = min(max_memory_gib * 2**30 / workers / _RECORD_BYTES, 2**30)  # records, numbered in 31 bits
-    room = most / (_RECORDS_PER_RAY * max(rays.elevation_cells, 1))
+    most = min(max_memory_gib * 2**30 / workers / _RAY_BYTES, 2**29)  # rays of a band; rows are numbered in 31 bits
+
+    def rows_expected(begin: int, end: int) -> float:
+        """Rows of the table for the azimuth cells `begin` to `end`, with as many left free."""
+        expected = 2.0 * (end - begin) * rays.elevation_cells
+        if merge:
+            # As many (pixel, face) as two nets of cells cut one another into, one surface deep; more is retried.
+            pixels = grid.shape[0] * (end - begin) / rays.cells_per_column
+            lit = faces * (end - begin) / max(rays.end_cell - rays.first_cell, 1)
+            expected = min(expected, 2.0 * (math.sqrt(pixels) + math.sqrt(lit)) ** 2)
+        return expected
+
     # whole columns of pixels, so that no two bands share one; at least 8 bands for the threads to share
     columns = -(-(last - first) // rays.cells_per_column)
-    per_band = max(1, min(int(room) // rays.cells_per_column, -(-columns // 8) if device.is_cpu else columns))
-    width = per_band * rays.cells_per_column
+    room = int(most / max(rays.elevation_cells, 1)) // rays.cells_per_column
+    if device.is_cpu:
+        pieces = max(8, math.ceil(_ROW_BYTES * rows_expected(first, last) / _CACHE_BYTES))
+        room = min(room, -(-columns // pieces))
+    width = max(1, min(room, columns)) * rays.cells_per_column
+
+    raster = Raster.where_it_pays(target, rays, first, last) if device.is_cpu else None
+
+    def recorded(begin: int, end: int, capacity: int) -> tuple[Any, Any, Any]:
+        """Records of a band's rays in a table of `capacity` rows, or of more where they find no room; their keys in
+        order, and their rows."""
+        face = nearest_faces(target, rays, begin, end, seed) if raster is None else raster.nearest(begin, end, seed)
+        while True:
+            records = kernels.Records()
+            records.rows = wp.zeros((capacity, 4), dtype=wp.int64, device=device)
+            # a ray's own weight is at least 2^29 quanta, and at grazing incidence 1e6 times as much
+            records.quanta = 2.0 ** (30 - math.floor(math.log2(1.0 / (rays_per_m2 * rays.pixel_area))))
+            records.merge = int(merge)
+            records.count = wp.zeros(2, dtype=int, device=device)
+            inputs = [rays, target.vertices, target.faces, face, begin, segment, seed, int(codes[deposit]), face_bits]
+            dim = (-(-rays.elevation_cells // segment), end - begin)
+            wp.launch(kernels.record_kernel, dim, inputs=inputs, outputs=[records], device=device, block_dim=block)
+            lost, taken, key, row = sorted_rows(records.rows, records.count, key_bits)
+            if not lost:
+                return records, key, row
+            capacity = 4 * capacity if merge else taken
 
     def band(begin: int) -> tuple[Any, ...] | None:
         end = min(begin + width, last)
-        dim = (end - begin, -(-rays.elevation_cells // segment))
-        # Rays in a run share a record, and one may leave a few; where that is not enough the count says so, and all
-        # is traced again.
-        capacity = max(4096, (end - begin) * rays.elevation_cells * _RECORDS_PER_RAY)
-        while True:
-            records = kernels.Records()
-            records.key = wp.empty(capacity, dtype=wp.int64, device=device)
-            records.weight = wp.empty(capacity, dtype=float, device=device)
-            records.moment = wp.empty(capacity, dtype=wp.vec2, device=device)
-            records.count = wp.zeros(1, dtype=int, device=device)
-            wp.launch(
-                kernels.trace_kernel,
-                dim,
-                inputs=[
-                    rays,
-                    target.bvh.id,
-                    target.vertices,
-                    target.faces,
-                    begin,
-                    segment,
-                    seed,
-                    int(codes[deposit]),
-                    face_bits,
-                    int(merge),
-                ],
-                outputs=[records],
-                device=device,
-            )
-            count = int(records.count.numpy()[0])
-            if count <= capacity:
-                break
-            capacity = count
+        sent = (end - begin) * rays.elevation_cells
+        records, key, row = recorded(begin, end, int(rows_expected(begin, end)) + 1024)
         if progress is not None:
-            progress.update(dim[0] * rays.elevation_cells)
-        if not count:
+            progress.update(sent)
+        n = row.shape[0]
+        if not n:
             return None
-        key = wp.empty(2 * count, dtype=wp.int64, device=device)
-        wp.copy(key, records.key, count=count)
-        pixel, face, weight, barycentric = merge_records(
-            key, records.weight, records.moment, count, key_bits, face_bits, merge
-        )
-        n = pixel.shape[0]
-        point = wp.empty(n, dtype=wp.vec3, device=device)
-        cos_incidence = wp.empty(n, dtype=float, device=device)
-        cos_twist = wp.empty(n, dtype=float, device=device)
-        cos2_azimuth = wp.empty(n, dtype=float, device=device)
-        wp.launch(
-            kernels.hit_geometry_kernel,
-            n,
-            inputs=[rays, target.vertices, target.faces, face, barycentric],
-            outputs=[point, cos_incidence, cos_twist, cos2_azimuth],
-            device=device,
-        )
-        return pixel, face, barycentric, weight, point, cos_incidence, cos_twist, cos2_azimuth
+        found = tuple(wp.empty(n, dtype=dtype, device=device) for dtype in dtypes)
+        inputs = [rays, target.vertices, target.faces, records, key, row, face_bits]
+        wp.launch(kernels.hit_kernel, n, inputs=inputs, outputs=list(found), device=device, block_dim=block)
+        return found
 
-    wp.load_module(kernels, device=device)
+    names = ("pixel", "face", "barycentric", "weight", "point", "cos_incidence", "cos_twist", "cos2_azimuth")
+    dtypes = (int, int, wp.vec2, float, wp.vec3, float, float, float)
+    wp.load_module(kernels, device=device, block_dim=block)
     tasks = [partial(band, begin) for begin in range(first, last, width)]
     parts = [part for part in runtime.ordered(tasks, device) if part is not None]
     total_rays = (last - first) * rays.elevation_cells
-    dtypes = (int, int, wp.vec2, float, wp.vec3, float, float, float)
-    names = ("pixel", "face", "barycentric", "weight", "point", "cos_incidence", "cos_twist", "cos2_azimuth")
     arrays: dict[str, Any] = {
         name: concatenate([part[k] for part in parts], dtype, device)
         for k, (name, dtype) in enumerate(zip(names, dtypes, strict=True))
@@ -216,12 +241,28 @@ def trace(
     return Hits(grid, geometry, rays_per_m2=rays_per_m2, seed=seed, rays=total_rays, **arrays)
 
 
+def nearest_faces(target: Target, rays: Any, begin: int, end: int, seed: int) -> Any:
+    """The face that each ray of the azimuth cells `begin` to `end` meets first, or -1; int, shape (rays of the band,),
+    the elevation cells of one azimuth cell side by side."""
+    import warp as wp
+
+    from warpsar.kernels.trace import BLOCK, query_kernel
+
+    face = wp.empty((end - begin) * rays.elevation_cells, dtype=int, device=target.device)
+    # a CPU launch walks its threads one after the other: down the columns
+    tile = (1, rays.elevation_cells) if target.device.is_cpu else _TILE
+    dim = (-(-(end - begin) // tile[0]), -(-rays.elevation_cells // tile[1]), tile[0] * tile[1])
+    inputs = [rays, target.bvh.id, begin, end, *tile, seed]
+    wp.launch(query_kernel, dim, inputs=inputs, outputs=[face], device=target.device, block_dim=BLOCK)
+    return face
+
+
 def ray_count(
     target: Target, geometry: ViewGeometry, grid: BinGrid, rays_per_m2: float, cells_multiple: int = 1
 ) -> int:
     """Rays that `trace` will send: what a progress bar counts to."""
     rays = ray_grid(target, geometry, grid, rays_per_m2, cells_multiple, grid.pixel_area_m2)
-    first, last = cells_on_the_mesh(target, geometry, rays)
+    first, last = rays.first_cell, rays.end_cell
     return (last - first) * rays.elevation_cells
 
 
@@ -235,7 +276,7 @@ def launch_layers(
 
     device = target.device
     rays = ray_grid(target, geometry, grid, rays_per_m2, 1, grid.pixel_area_m2)
-    first, last = cells_on_the_mesh(target, geometry, rays)
+    first, last = rays.first_cell, rays.end_cell
     visits = wp.zeros(grid.shape[0] * grid.shape[1], dtype=float, device=device)
     hidden = wp.zeros(grid.shape[0] * grid.shape[1], dtype=int, device=device)
     width = max(1, -(-(last - first) // rays.cells_per_column // 8)) * rays.cells_per_column
@@ -283,51 +324,42 @@ def ray_grid(
 
     from warpsar.kernels.geometry import RayGrid
 
-    along = target.corners @ geometry.d
-    across = target.corners @ geometry.v
+    low, high = target.ends(geometry)
     spacing = grid.spacing_m[1]
     per_column = max(1, round(spacing * math.sqrt(rays_per_m2) / cells_multiple)) * cells_multiple
     step = spacing / per_column
     across_step = 1.0 / (rays_per_m2 * step)
     rays = RayGrid()
     rays.d, rays.u, rays.v = (wp.vec3(*axis) for axis in (geometry.d, geometry.u, geometry.v))
-    margin = 1e-3 * max(1.0, float(np.ptp(along)))
-    rays.standoff = float(margin - along.min())
+    margin = 1e-3 * max(1.0, high[0] - low[0])
+    rays.standoff = float(margin - low[0])
     if geometry.slant_range_m is None:
         rays.slant_range = 0.0
-        rays.reach = float(np.ptp(along) + 3 * margin)
-        low, high = across.min(), across.max()
+        rays.reach = float(high[0] - low[0] + 3 * margin)
     else:
         r0 = geometry.slant_range_m
-        if along.min() <= -r0:
+        if low[0] <= -r0:
             raise InputError(
-                f"[radar] slant_range_m: found {r0:g}, and the mesh reaches {-along.min():g} m toward the radar; "
+                f"[radar] slant_range_m: found {r0:g}, and the mesh reaches {-low[0]:g} m toward the radar; "
                 f"allowed is a track in front of the whole mesh"
             )
         rays.slant_range = r0
         rays.standoff = min(rays.standoff, r0)
-        rays.reach = float(np.hypot(along + r0, across).max() - r0 + rays.standoff + 3 * margin)
-        angle = np.arctan2(across, along + r0)
-        low, high = angle.min(), angle.max()
+        rays.reach = float(high[3] - r0 + rays.standoff + 3 * margin)
         across_step /= r0
     rays.azimuth_start = grid.start_m[1]
     rays.azimuth_step = step
     rays.cells_per_column = per_column
-    rays.elevation_cells = max(1, math.ceil((high - low) / across_step * (1 - 1e-9)))
+    rays.elevation_cells = max(1, math.ceil((high[2] - low[2]) / across_step * (1 - 1e-9)))
     rays.elevation_step = across_step
     # centred, so that a mesh seen from the opposite side meets the same strata
-    rays.elevation_start = float((low + high) / 2 - rays.elevation_cells * across_step / 2)
+    rays.elevation_start = float((low[2] + high[2]) / 2 - rays.elevation_cells * across_step / 2)
     rays.range_start = grid.start_m[0]
     rays.range_spacing = grid.spacing_m[0]
     rays.rows, rays.cols = grid.shape
     rays.pixel_area = pixel_area_m2
+    width = rays.azimuth_step * per_column
+    first = max(0, math.floor((low[1] - rays.azimuth_start) / width))
+    end = min(rays.cols, math.ceil((high[1] - rays.azimuth_start) / width))
+    rays.first_cell, rays.end_cell = first * per_column, max(first, end) * per_column
     return rays
-
-
-def cells_on_the_mesh(target: Target, geometry: ViewGeometry, rays: Any) -> tuple[int, int]:
-    """Azimuth cells, in whole columns of the image, that can meet the mesh."""
-    azimuth = target.corners @ geometry.u
-    width = rays.azimuth_step * rays.cells_per_column
-    first = max(0, math.floor((azimuth.min() - rays.azimuth_start) / width))
-    last = min(rays.cols, math.ceil((azimuth.max() - rays.azimuth_start) / width))
-    return first * rays.cells_per_column, max(first, last) * rays.cells_per_column

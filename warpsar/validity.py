@@ -26,9 +26,9 @@ def outside_domains(problem: FitProblem, x: np.ndarray) -> dict[str, dict[str, f
     problem.modelled(x)
     names = problem.surface.materials
     area = np.zeros((len(names), 4))  # lit and outside, for SPM and KA
-    for view in problem.views:
-        hits = view.render.hits
-        zeta = view.render.zeta.numpy().astype(float)
+    for piece in (piece for view in problem.views for piece in view.pieces()):
+        hits = piece.shaded
+        zeta = piece.zeta.numpy().astype(float)
         material = problem.scene.mesh.face_material[hits.face.numpy()]
         weight = hits.weight.numpy().astype(float)
         k = hits.geometry.wavenumber
@@ -38,6 +38,7 @@ def outside_domains(problem: FitProblem, x: np.ndarray) -> dict[str, dict[str, f
         for column, used in ((0, spm), (1, ka)):
             area[:, column] += np.bincount(material, weight * used, len(names))
             area[:, column + 2] += np.bincount(material, weight * used * outside[:, column], len(names))
+    area = problem.ranks.sum(area)
     return {
         name: {
             model: float(area[m, column + 2] / area[m, column])

@@ -185,6 +185,7 @@ def content_of(
                 "scan": {"z": step.spot.z, "minus_log_p": step.scan_minus_log_p, "p_value": step.p_scan},
                 "candidates": [_candidate(c) for c in step.candidates],
                 "added": step.added,
+                "dropped": step.dropped,
             }
             for step in found.steps
         ],

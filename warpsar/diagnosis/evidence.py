@@ -25,7 +25,8 @@ class Evidence:
     """Residuals of all observations' pixels, one after the other: arrays of shape (n,).
 
     `standardised` is sqrt(L) (I - mu) / mu within +-`LARGEST`, of unit variance for white speckle and a true model;
-    `root_looks` is sqrt(L) of the pixel. `autocovariance` is that of the standardised residual, from itself.
+    `root_looks` is sqrt(L) of the pixel. `modelled` is mu before the gain of images that are not calibrated.
+    `autocovariance` is that of the standardised residual, from itself.
     """
 
     observations: Sequence[Observation]
@@ -38,10 +39,9 @@ class Evidence:
     def of(cls, problem: FitProblem, x: np.ndarray) -> Evidence:
         seen = problem.observations
         modelled = problem.modelled(x)
-        modelled = [gain * mu for gain, mu in zip(problem.gains(modelled), modelled, strict=True)]
         parts = [
-            np.clip(np.sqrt(s.looks) * (s.values / mu - 1.0), -LARGEST, LARGEST)
-            for s, mu in zip(seen, modelled, strict=True)
+            np.clip(np.sqrt(s.looks) * (s.values / (gain * mu) - 1.0), -LARGEST, LARGEST)
+            for s, mu, gain in zip(seen, modelled, problem.gains(modelled), strict=True)
         ]
         autocovariance = residual_autocovariance(list(zip(seen, parts, strict=True)))
         roots = np.concatenate([np.full(e.size, np.sqrt(s.looks)) for s, e in zip(seen, parts, strict=True)])

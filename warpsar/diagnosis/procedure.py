@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -18,8 +19,10 @@ from warpsar.diagnosis.refit import (
     fit_robustly,
     leave_one_view_out,
     narrow,
+    refit_without,
     screen,
     settle,
+    varies_over_columns,
 )
 from warpsar.diagnosis.scan import Scan, Spot
 from warpsar.diagnosis.score import NOT_TESTABLE, Group, Projection, group
@@ -39,7 +42,7 @@ if TYPE_CHECKING:
 MU_NOISE = 10.0  # looks x pixels x relative sampling variance of mu: the gain in 2 ln L that denoising mu could bring
 CLASS_COSINE = 0.9  # templates closer than this are one class: the data hardly tell them apart
 DARK_PIXELS = 50  # fewer dark pixels than this say nothing
-REFIT_STARTS = 4  # of the tables an effect's best trials offer, how many are tried
+OFFERED = 40  # tables of an effect's best trials that its refit may try
 TRACE = 0.1  # of the median beta0: less is a border pixel's share of light
 SILENT_SHARE = 0.01  # of the dark pixels that may measure exactly 0 under a floor
 
@@ -87,7 +90,7 @@ class Candidate:
 
 @dataclass
 class Step:
-    """One turn: what was tested, what was added (None: nothing)."""
+    """One turn: what was tested, what was added (None: nothing), and what earlier turns had added in its place."""
 
     candidates: list[Candidate]
     added: str | None
@@ -97,6 +100,7 @@ class Step:
     threshold: float
     base: Fitted
     fitted: Fitted | None = None
+    dropped: list[str] = field(default_factory=list)
 
 
 @dataclass
@@ -115,7 +119,7 @@ class Diagnosis:
 
     @property
     def verdict(self) -> list[str]:
-        return [step.added for step in self.steps if step.added is not None]
+        return [step.added for step in self.steps if step.added in self.final.scene.effects]
 
 
 def diagnose_scene(scene: Scene, device: Any, options: DiagnoseOptions) -> Diagnosis:
@@ -151,6 +155,7 @@ def diagnose_scene(scene: Scene, device: Any, options: DiagnoseOptions) -> Diagn
         steps.append(step)
         if step.fitted is None or len(steps) > options.most_effects:
             break
+        _prune(turn, step, [s.added for s in steps[:-1] if s.added], _effective_pixels(evidence))
         turn, base = narrow(turn, step.fitted)
     bar.close()
     unexplained = steps[-1].added is None and steps[-1].scan_minus_log_p > steps[-1].threshold
@@ -200,7 +205,8 @@ def _step(
     threshold = boot.threshold(options.family_error)
     spot = scan.strongest(evidence.split(evidence.standardised))
     best = _score(candidates, groups, projection(evidence.standardised), boot)
-    passing = _passing(candidates, threshold, _dark(base))
+    dark = _dark(base)
+    passing = _passing(candidates, threshold, dark)
     scanned = float(boot.tails["scan"](abs(spot.z)))
     step = Step(list(candidates.values()), None, spot, scanned, boot.p_family(scanned), threshold, base)
     _say(step, number, passing)
@@ -209,7 +215,7 @@ def _step(
 
     refitted: list[tuple[float, Candidate, Fitted]] = []
     for candidate in passing[: options.refits]:
-        chosen = [table for template in best[candidate.effect] for table in template.trial.starts][:REFIT_STARTS]
+        chosen = [table for template in best[candidate.effect] for table in template.trial.starts][:OFFERED]
         fitted = screen(bench, base, point.scene, scene, candidate.effect, chosen)
         candidate.refit_gain = 2.0 * (fitted.log_likelihood - base.log_likelihood)
         candidate.refit_size = fitted.size - base.size
@@ -218,6 +224,15 @@ def _step(
         runtime.say(
             f"  refit {candidate.effect}: 2 ln L {candidate.refit_gain:+.1f} for {candidate.refit_size} parameters"
         )
+    if dark.asks:
+        # Without such an effect the dark pixels are impossible: of those that make them possible the likeliest is
+        # needed, whatever it gains in the light.
+        able = [fitted for _, candidate, fitted in refitted if get(candidate.effect).additive]
+        if able:
+            step.fitted = settle(bench, max(able, key=lambda f: f.whole), options.starts, options.seed)
+            step.added = next(name for name in step.fitted.scene.effects if name not in base.scene.effects)
+            runtime.say(f"added: {step.added} {step.fitted.scene.effects[step.added]}, which the dark pixels ask for")
+            return step, evidence
     inflation = float(evidence.autocovariance.sum() / evidence.autocovariance.max())
     for gain, candidate, fitted in sorted(refitted, key=lambda item: -item[0]):
         if gain <= 0:
@@ -228,6 +243,10 @@ def _step(
         runtime.say(
             f"  {candidate.effect}: views left out gain {candidate.left_out.gain:.1f} +- {candidate.left_out.error:.1f}"
         )
+        if varies_over_columns(bench, base, fitted, candidate.effect):
+            candidate.note = "not one value for a view: it varies over the view's columns"
+            runtime.say(f"  {candidate.effect}: {candidate.note}")
+            continue
         if candidate.left_out.passed:
             step.added, step.fitted = candidate.effect, fitted
             runtime.say(f"added: {candidate.effect} {fitted.scene.effects[candidate.effect]}")
@@ -235,15 +254,30 @@ def _step(
     return step, evidence
 
 
+def _prune(bench: Bench, step: Step, earlier: Sequence[str], pixels: float) -> None:
+    """Drop what was added before if the newest effect has made it needless: less likelihood is lost without it than
+    its parameters cost. A blur can stand in for a shift until the shift is found."""
+    for name in earlier:
+        assert step.fitted is not None
+        if name not in step.fitted.scene.effects or get(name).additive:
+            continue
+        without = refit_without(bench, step.fitted, name)
+        lost = 2.0 * (step.fitted.log_likelihood - without.log_likelihood)
+        if lost < (step.fitted.size - without.size) * np.log(pixels):
+            step.dropped.append(name)
+            step.fitted = without
+            runtime.say(f"dropped: {name}, needless with {step.added} (2 ln L {-lost:+.1f})")
+
+
 def _silent(problem: FitProblem, x: np.ndarray, evidence: Evidence) -> list[np.ndarray]:
     """-sqrt(L) where a pixel measures exactly 0 and the model puts more than a trace of light, 0 elsewhere."""
-    modelled = problem.modelled(x)
-    gains = iter(zip(problem.gains(modelled), evidence.modelled, strict=True))
+    problem.modelled(x)
+    modelled = iter(evidence.modelled)
     found = []
     for view in problem.views:
         for seen in view.observations:
-            gain, mu = next(gains)
-            image = gain * view.render.images[seen.polarization].numpy().reshape(seen.interior.shape)
+            mu = next(modelled)
+            image = view.render.images[seen.polarization].numpy().reshape(seen.interior.shape)
             lit = seen.silent & (image > TRACE * np.median(mu))
             found.append(np.where(lit, -np.sqrt(seen.looks), 0.0))
     return found

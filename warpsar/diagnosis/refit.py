@@ -12,7 +12,7 @@ from warpsar.diagnosis.templates import with_effect
 from warpsar.effects import get
 from warpsar.fit import FitProblem
 from warpsar.likelihood import loss_terms
-from warpsar.optimise import FitState, begin, levenberg_marquardt
+from warpsar.optimise import FLAT, FitState, begin, levenberg_marquardt
 from warpsar.results import learned_scene
 from warpsar.surface import Surface
 
@@ -24,10 +24,15 @@ if TYPE_CHECKING:
     from warpsar.simulation import Rays
 
 MOST_ITERATIONS = 40  # of one start
-SCREENING_ITERATIONS = 12  # of one start, where models are only ranked, or start where they belong
+# Where models are only ranked, or start where they belong: iterations of one start, and the promised log-likelihood at
+# which it has arrived; verdicts turn on several units.
+QUICK_ITERATIONS, QUICK_FLAT = 12, 0.05
 ROBUST_TURNS = 4
 MOST_LEFT_OUT = 0.2  # of all pixels
 BLOCK = 8  # columns: what a view's own parameters are fitted on and judged on alternates
+STARTS = 4  # of the tables that an effect's best trials offer, how many are fitted fully
+WORTH = 2.0  # log-likelihood that another setting has to gain; five times as much if it adds something
+VARIES = 0.5  # of a gain, that may be gained again by letting a view's own parameter vary over its columns
 HOPELESS = 100.0  # log-likelihood behind the best start, after so many iterations, at which a start is given up
 # Log-likelihood of one pixel beyond which a difference counts no more: a few bright pixels would else be all of the
 # sum, and all of its error.
@@ -55,12 +60,14 @@ class Bench:
 @dataclass(frozen=True)
 class Fitted:
     """A model at its best: `scene` holds what was learned; `log_likelihood` over the lit interior alone, up to a
-    constant that all models share; `size`, the number of fitted parameters."""
+    constant that all models share, and `whole` over all pixels that were fitted; `size`, the number of fitted
+    parameters."""
 
     scene: Scene
     problem: FitProblem
     x: np.ndarray
     log_likelihood: float
+    whole: float
     iterations: int
 
     @property
@@ -74,17 +81,19 @@ def descend(
     problem: FitProblem,
     starts: Iterable[np.ndarray],
     moving: np.ndarray | None = None,
-    most_iterations: int = MOST_ITERATIONS,
+    *,
+    quick: bool = False,
 ) -> tuple[np.ndarray, float, int]:
     """The best end of Levenberg-Marquardt from several starts, its loss, and the iterations of all."""
     best, best_loss, iterations = problem.x0, np.inf, 0
     low, high = problem.bounds
+    most_iterations, flat = (QUICK_ITERATIONS, QUICK_FLAT) if quick else (MOST_ITERATIONS, FLAT)
     for start in starts:
         inside = np.clip(start, low, high)
         state = FitState(inside, np.inf, inside, np.inf)
         while not state.arrived and state.since_start < most_iterations:
-            state = levenberg_marquardt(problem, state, moving)
-            if state.since_start == SCREENING_ITERATIONS and state.best_loss > best_loss + HOPELESS:
+            state = levenberg_marquardt(problem, state, moving, flat)
+            if state.since_start == QUICK_ITERATIONS and state.best_loss > best_loss + HOPELESS:
                 break
         iterations += state.iteration
         if state.best_loss < best_loss:
@@ -126,18 +135,20 @@ def fit_robustly(base: Fitted, declared: Scene, bench: Bench) -> Fitted:
         problem = replace(bench, observations=reduced).problem(base.scene, dark=False)
         start = problem.x0.copy()
         start[: problem.learned.size] = Surface.of(declared).nodes[problem.learned]
-        x, _, _ = descend(problem, [x, start], None, SCREENING_ITERATIONS)
+        x, _, _ = descend(problem, [x, start], quick=True)
     return base if problem is base.problem else replace(base, scene=learned_scene(problem, x), x=x)
 
 
 def screen(
     bench: Bench, base: Fitted, from_scene: Scene, declared: Scene, name: str, tables: Sequence[Mapping[str, Any]]
 ) -> Fitted:
-    """`base` and one effect more, everything refitted, from each of the effect's own starts: the best by likelihood.
+    """`base` and one effect more, everything refitted, from each of the effect's best `STARTS` tables: the best by
+    likelihood, refined by all of them (`Effect.refinements`).
 
     The surface starts as `from_scene` has it, and as the scene file does: a strong effect that is missing can pull the
     fitted surface so far that no descent leads back.
     """
+    tables, others = tables[:STARTS], tables
     numbers = [{p.name: table.get(p.name) for p in get(name).parameters} for table in tables]
     surfaces = [from_scene, replace(base.scene, materials=declared.materials)]
     found: list[Fitted] = []
@@ -147,11 +158,30 @@ def screen(
             problem = bench.problem(with_effect(surface, name, table))
             # a table that differs from the first in settings alone goes on from where that one arrived
             start = found[0].x if found and values == numbers[0] else problem.x0
-            here.append(_fitted(bench, problem, *descend(problem, [start], None, SCREENING_ITERATIONS)))
+            here.append(_fitted(bench, problem, *descend(problem, [start], quick=True)))
         better = max(range(len(here)), key=lambda k: here[k].log_likelihood)
         surfaces = [surfaces[better]]  # the other tables need not try both
         found.append(here[better])
-    return max(found, key=lambda fitted: fitted.log_likelihood)
+    return _refined(bench, max(found, key=lambda fitted: fitted.log_likelihood), name, others)
+
+
+def _refined(bench: Bench, fitted: Fitted, name: str, others: Sequence[Mapping[str, Any]]) -> Fitted:
+    """Uphill through the effect's refinements, its own parameters fitted at each, and everything at the end."""
+    best = fitted
+    climbing = True
+    while climbing:
+        climbing = False
+        for table, chosen in get(name).refinements(best.scene, best.scene.effects[name], others):
+            problem = bench.problem(with_effect(best.scene, name, table))
+            own = np.array([c.effect == name for c in problem.effect_coordinates], bool)
+            moving = np.concatenate([np.zeros(problem.learned.size, bool), own])
+            trial = _fitted(bench, problem, *descend(problem, [problem.x0], moving, quick=True))
+            if trial.log_likelihood > best.log_likelihood + WORTH * (1 + 4 * chosen):
+                best, climbing = trial, True
+                break
+    if best is fitted:
+        return fitted
+    return _fitted(bench, best.problem, *descend(best.problem, [best.x], quick=True))
 
 
 def settle(bench: Bench, screened: Fitted, further_starts: int, seed: int) -> Fitted:
@@ -163,6 +193,13 @@ def settle(bench: Bench, screened: Fitted, further_starts: int, seed: int) -> Fi
         start[problem.learned.size :] = screened.x[problem.learned.size :]  # the effect stays where it was found
         starts.append(start)
     return _fitted(bench, problem, *descend(problem, starts))
+
+
+def refit_without(bench: Bench, fitted: Fitted, name: str) -> Fitted:
+    """The model without one of its effects, fitted on from where it stands."""
+    effects = {other: table for other, table in fitted.scene.effects.items() if other != name}
+    problem = bench.problem(replace(fitted.scene, effects=effects))
+    return _fitted(bench, problem, *descend(problem, [problem.x0], quick=True))
 
 
 def narrow(bench: Bench, fitted: Fitted) -> tuple[Bench, Fitted]:
@@ -186,14 +223,14 @@ def narrow(bench: Bench, fitted: Fitted) -> tuple[Bench, Fitted]:
         return bench, fitted
     narrowed = replace(bench, observations=observations)
     problem = narrowed.problem(fitted.scene)
-    return narrowed, _fitted(narrowed, problem, *descend(problem, [problem.x0], None, SCREENING_ITERATIONS))
+    return narrowed, _fitted(narrowed, problem, *descend(problem, [problem.x0], quick=True))
 
 
 def _fitted(bench: Bench, problem: FitProblem, x: np.ndarray, loss: float, iterations: int) -> Fitted:
     scene = learned_scene(problem, x)
     bare = problem if not any(get(n).additive for n in scene.effects) else bench.problem(scene, dark=False)
     value = bare.value(bare.modelled(x))
-    return Fitted(scene, problem, x, -value, iterations)
+    return Fitted(scene, problem, x, -value, -loss, iterations)
 
 
 @dataclass(frozen=True)
@@ -226,15 +263,42 @@ def leave_one_view_out(bench: Bench, base: Fitted, fitted: Fitted, inflation: fl
         others = [other for other in names if other != name]
         terms = [_predicted(bench, model, others, name) for model in (base, fitted)]
         differences.append(terms[0] - terms[1])
-    every = np.clip(np.concatenate(differences), -LARGEST_DIFFERENCE, LARGEST_DIFFERENCE)
+    every = _clipped(np.concatenate(differences))
     error = float(np.sqrt(every.size * every.var() * max(inflation, 1.0)))
     return LeftOut(float(every.sum()), error, len(names))
+
+
+def varies_over_columns(bench: Bench, base: Fitted, fitted: Fitted, name: str) -> bool:
+    """Whether what an effect holds for each view by itself is no property of the view: fitted anew to each block of the
+    view's columns, it gains half as much again as it did by being one for all of them. So does something that lies in
+    a few columns, such as a mover's smear along a range line."""
+    gained = regained = 0.0
+    for view in {c.view for c in fitted.problem.effect_coordinates if c.effect == name and c.view is not None}:
+        held = bench.problem(fitted.scene, [view], dark=False)
+        own = [c.effect == name and c.view == view for c in held.effect_coordinates]
+        moving = np.concatenate([np.zeros(held.learned.size, bool), np.array(own, bool)])
+        before = _terms(bench.problem(base.scene, [view], dark=False), None)
+        gained += sum(_clipped(a - b).sum() for a, b in zip(before, _terms(held, held.x0), strict=True))
+        for block in range(-(-held.scene.grid.shape[1] // BLOCK)):
+            masks = [s.interior & (np.arange(s.interior.shape[1]) // BLOCK == block) for s in held.observations]
+            if not any(mask.any() for mask in masks):
+                continue
+            pixels = [replace(s, interior=mask) for s, mask in zip(held.observations, masks, strict=True)]
+            part = replace(bench, observations={view: pixels}).problem(fitted.scene, [view], dark=False)
+            x, _, _ = descend(part, [part.x0], moving, quick=True)
+            terms = zip(_terms(part, part.x0), _terms(part, x), strict=True)
+            regained += sum(_clipped(a - b).sum() for a, b in terms) - 0.5 * sum(own)
+    return regained > VARIES * gained
+
+
+def _clipped(differences: np.ndarray) -> np.ndarray:
+    return np.clip(differences, -LARGEST_DIFFERENCE, LARGEST_DIFFERENCE)
 
 
 def _predicted(bench: Bench, model: Fitted, others: Sequence[str], name: str) -> np.ndarray:
     """Loss of every interior pixel of view `name` under the model fitted to `others`, shape (n,)."""
     problem = bench.problem(model.scene, others)
-    x, _, _ = descend(problem, [problem.x0], None, SCREENING_ITERATIONS)
+    x, _, _ = descend(problem, [problem.x0], quick=True)
     known = dict(zip(problem.labels, x, strict=True))
     held = bench.problem(model.scene, [name], dark=False)
     theirs = np.array([known.get(label, held.x0[i]) for i, label in enumerate(held.labels)])
@@ -246,7 +310,7 @@ def _predicted(bench: Bench, model: Fitted, others: Sequence[str], name: str) ->
     for half in (0, 1):
         fitted_on = [replace(s, interior=s.interior & _blocks(s, half)) for s in held.observations]
         part = replace(bench, observations={name: fitted_on}).problem(model.scene, [name], dark=False)
-        x, _, _ = descend(part, [theirs], moving, SCREENING_ITERATIONS)
+        x, _, _ = descend(part, [theirs], moving, quick=True)
         judged = zip(held.observations, _terms(held, x), strict=True)
         halves.append([terms[~_blocks(s, half)[s.interior]] for s, terms in judged])
     found = []
@@ -257,9 +321,9 @@ def _predicted(bench: Bench, model: Fitted, others: Sequence[str], name: str) ->
     return np.concatenate(found)
 
 
-def _terms(problem: FitProblem, x: np.ndarray) -> list[np.ndarray]:
-    """Loss of every pixel of each observation."""
-    modelled = problem.modelled(x)
+def _terms(problem: FitProblem, x: np.ndarray | None) -> list[np.ndarray]:
+    """Loss of every pixel of each observation; of the scene as it stands where x is None."""
+    modelled = problem.modelled_as_declared() if x is None else problem.modelled(x)
     parts = zip(problem.observations, modelled, problem.gains(modelled), strict=True)
     return [loss_terms("gamma", s.values, gain * mu, s.looks) for s, mu, gain in parts]
 

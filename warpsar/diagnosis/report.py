@@ -314,7 +314,10 @@ def _why(step: Step, tested: Sequence[Candidate]) -> list[str]:
         top = max(tested, key=lambda c: c.minus_log_p)
         if top is not winner:
             text += f". {top.effect} scored higher before the fit, but fits worse"
+        if winner.left_out is None:
+            text += f". {winner.note}, which no model without such an effect can hold, so that nothing else was asked"
         said.append(text + ".")
+        said += [f"{name}, added before, is needless beside {winner.effect}, and was dropped." for name in step.dropped]
         failed = [c for c in refitted if c.left_out is not None and not c.left_out.passed]
         said += [
             f"{c.effect} was refused: it does not help on views left out by more than two standard errors."

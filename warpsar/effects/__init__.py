@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpsar.errors import InputError
+from warpsar.errors import InputError, shown
 
 if TYPE_CHECKING:
     from warpsar.effects.base import Effect, Parameter, Setting
@@ -51,7 +51,7 @@ def validate(name: str, table: Any, where: str, views: Collection[str] | None = 
         raise InputError(f"{where}: found {name!r}; allowed are {', '.join(NAMES)}")
     effect = get(name)
     if not isinstance(table, dict):
-        raise InputError(f"{where}: found {table!r}; allowed is a table")
+        raise InputError(f"{where}: found {shown(table)}; allowed is a table")
     parameters = {p.name: p for p in effect.parameters}
     settings = {s.name: s for s in effect.settings}
     for key, value in table.items():
@@ -63,7 +63,7 @@ def validate(name: str, table: Any, where: str, views: Collection[str] | None = 
             setting = settings[key]
             for place, one in _entries(at, value, setting.per_view, views):
                 if not setting.accepts(one):
-                    raise InputError(f"{place}: found {one!r}; allowed is {setting.allowed}")
+                    raise InputError(f"{place}: found {shown(one)}; allowed is {setting.allowed}")
         else:
             raise InputError(f"{at}: unknown key; allowed are {', '.join([*parameters, *settings])}")
     # Parameters stay as stated: a fit moves those and no others. Settings get their defaults.
@@ -75,7 +75,7 @@ def _entries(at: str, value: Any, per_view: bool, views: Collection[str] | None)
     if not per_view:
         return [(at, value)]
     if not isinstance(value, dict):
-        raise InputError(f"{at}: found {value!r}; allowed is a table of view names and values")
+        raise InputError(f"{at}: found {shown(value)}; allowed is a table of view names and values")
     for view in value:
         if views is not None and view not in views:
             raise InputError(f"{at}: found {view!r}; allowed are the views {', '.join(views)}")
@@ -84,10 +84,11 @@ def _entries(at: str, value: Any, per_view: bool, views: Collection[str] | None)
 
 def _check_number(at: str, value: Any, p: Parameter) -> None:
     number = isinstance(value, int | float) and not isinstance(value, bool)
-    if not number or not (math.isfinite(value) or value == p.neutral):
-        raise InputError(f"{at}: found {value!r}; allowed is a number [{p.unit}]")
+    # abs, not isfinite: a whole number may be too long for a float.
+    if not number or not (abs(value) < math.inf or value == p.neutral):
+        raise InputError(f"{at}: found {shown(value)}; allowed is a number [{p.unit}]")
     if not p.low <= value <= p.high:
-        raise InputError(f"{at}: found {value!r}; allowed is {p.low:g} to {p.high:g} {p.unit}")
+        raise InputError(f"{at}: found {shown(value)}; allowed is {p.low:g} to {p.high:g} {p.unit}")
 
 
 def check(scene: Scene) -> None:

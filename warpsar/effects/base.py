@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
@@ -167,6 +167,14 @@ class Effect:
     def trials(self, context: Context) -> list[Trial]:
         """How a score test looks for the effect; empty where this scene has no place for it."""
         raise NotImplementedError
+
+    def refinements(
+        self, scene: Scene, table: Mapping[str, Any], others: Sequence[Mapping[str, Any]]
+    ) -> list[tuple[Mapping[str, Any], int]]:
+        """Tables to be tried in the place of a fitted one, which no derivative leads to: other settings near its own,
+        or more of the same; and how much each has that was chosen freely, more than the fitted one. `others` are
+        tables whose trials scored too, best first."""
+        return []
 
     def check(self, scene: Scene, table: Mapping[str, Any]) -> str | None:
         """What is wrong with a table, sound by itself, in this scene; None if nothing."""

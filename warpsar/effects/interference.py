@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from warpsar.render import ViewRender
     from warpsar.scene import Scene
 
+_MOVES = (-4, -1, 1, 4)  # of an end of a band, in rows
 _HEIGHTS_PX = (1, 4, 16)  # of the bands that are tried, at steps of half their height
 
 
@@ -28,6 +29,11 @@ def _bands(value: Any) -> bool:
         )
 
     return isinstance(value, list | tuple) and all(map(band, value))
+
+
+def _overlap(band: Sequence[int], others: Sequence[Sequence[int]]) -> bool:
+    """Whether a band meets one of the others, or the row beside it: then it is the other that should move."""
+    return any(band[0] <= end and first <= band[1] for first, end in others)
 
 
 class Interference(Effect):
@@ -71,6 +77,31 @@ class Interference(Effect):
                     at = {"level": {view.name: size}, "rows": {view.name: [band]}}
                     step = Step("level", size, at, one_sided=True, views=(view.name,))
                     found.append(Trial((step,), (at,), f"{view.name}, rows {band[0]} to {band[1] - 1}"))
+        return found
+
+    def refinements(
+        self, scene: Scene, table: Mapping[str, Any], others: Sequence[Mapping[str, Any]]
+    ) -> list[tuple[Mapping[str, Any], int]]:
+        """Each end of each band a little elsewhere; and another band that scored, of this view or of one more."""
+        rows = table["rows"]
+        found: list[tuple[Mapping[str, Any], int]] = []
+        for view, bands in rows.items():
+            for index, (first, end) in enumerate(bands):
+                rest = [band for k, band in enumerate(bands) if k != index]
+                moved = [[first + move, end] for move in _MOVES] + [[first, end + move] for move in _MOVES]
+                found += [
+                    ({**table, "rows": {**rows, view: sorted([*rest, band])}}, 0)
+                    for band in moved
+                    if 0 <= band[0] < band[1] <= scene.grid.shape[0] and not _overlap(band, rest)
+                ]
+        for other in others:
+            ((view, (band,)),) = other["rows"].items()
+            if not _overlap(band, rows.get(view, [])):
+                added = {
+                    "level": {**other["level"], **table["level"]},
+                    "rows": {**rows, view: sorted([*rows.get(view, []), list(band)])},
+                }
+                found.append((added, 1))
         return found
 
     def image(self, render: ViewRender, p: Any, image: Any) -> Any:

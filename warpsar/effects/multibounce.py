@@ -11,7 +11,7 @@ import numpy as np
 
 from warpsar import runtime
 from warpsar.effects.base import Context, Effect, Parameter, Step, Trial, one_of
-from warpsar.trace import DEFAULT_MEMORY_GIB, BinGrid, cells_on_the_mesh, concatenate, ray_grid
+from warpsar.trace import DEFAULT_MEMORY_GIB, BinGrid, concatenate, ray_grid
 
 if TYPE_CHECKING:
     import warp as wp
@@ -147,7 +147,7 @@ def trace_paths(render: ViewRender, max_bounces: int) -> list[Paths | None]:
     wide = BinGrid((grid.shape[0], 2 * grid.shape[1]), grid.spacing_m)
     area = render.spacing_m[0] * render.spacing_m[1]
     rays = ray_grid(target, hits.geometry, wide, hits.rays_per_m2, 1, area)
-    first, last = cells_on_the_mesh(target, hits.geometry, rays)
+    first, last = rays.first_cell, rays.end_cell
     size = float(np.linalg.norm(np.ptp(target.corners, axis=0)))
     segment = rays.elevation_cells if device.is_cpu else _SEGMENT
     workers = runtime.thread_count() if device.is_cpu else 1

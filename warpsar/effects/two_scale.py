@@ -40,7 +40,7 @@ class TwoScale(Effect):
 
         from warpsar.kernels import effects_two_scale as kernels
 
-        stage, hits, geometry, device = render.stage, render.hits, render.geometry, render.program.device
+        stage, hits, geometry, device = render.stage, render.shaded, render.geometry, render.program.device
         x, w = np.polynomial.hermite_e.hermegauss(_NODES)
         w = w / w.sum()
         tilts = [[a, b, wa * wb] for a, wa in zip(x, w, strict=True) for b, wb in zip(x, w, strict=True)]

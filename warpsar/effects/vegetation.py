@@ -46,7 +46,7 @@ class Vegetation(Effect):
         crossed = int(polarization in (POLARIZATIONS["HV"], POLARIZATIONS["VH"]))
         result = render.program.array(sigma.shape[0])
         render.program.launch(
-            kernels.canopy_kernel, sigma.shape[0], [p, crossed, render.hits.cos_incidence, sigma], [result]
+            kernels.canopy_kernel, sigma.shape[0], [p, crossed, render.shaded.cos_incidence, sigma], [result]
         )
         return result
 

@@ -22,15 +22,19 @@ def read(path: Path, polarization: str | None, frame: EarthFrame | None) -> Phas
     """
     try:
         import sarkit.cphd as sarkit_cphd
+        from lxml.etree import LxmlError
     except ImportError as error:
         raise InputError(f'{path}: CPHD needs sarkit: pip install "warpsar[sicd]"') from error
-    with reading(path, "CPHD file"), path.open("rb") as file:
+    with reading(path, "CPHD file", LxmlError), path.open("rb") as file:
+        blocks = _blocks(path, sarkit_cphd.read_file_header(file)[1])
+        file.seek(0)
         reader = sarkit_cphd.Reader(file)
         tree = reader.metadata.xmltree
         domain, kind = tree.findtext("{*}Global/{*}DomainType"), tree.findtext("{*}CollectionID/{*}CollectType")
         if domain != "FX" or kind != "MONOSTATIC":
             raise InputError(f"{path}: found {kind}, domain {domain}; MONOSTATIC data in the FX domain can be focused")
         channel, found = _channel(path, tree, polarization)
+        _check_arrays(path, tree, channel, blocks)
         signal, pvp = reader.read_channel(channel)
         sgn = int(tree.findtext("{*}Global/{*}SGN"))
         iarp = _vector(tree, "{*}SceneCoordinates/{*}IARP/{*}ECF")
@@ -66,6 +70,41 @@ def read(path: Path, polarization: str | None, frame: EarthFrame | None) -> Phas
         polarization=found,
         frame=frame or Origin(*ecef_to_geodetic(iarp).tolist()),
     )
+
+
+def _blocks(path: Path, header: dict[str, str]) -> dict[str, int]:
+    """Sizes of the file's blocks [bytes], each of which must lie in the file: the library reads as much as they say."""
+    size, found = path.stat().st_size, {}
+    for name in ("XML", "SUPPORT", "PVP", "SIGNAL"):
+        if name == "SUPPORT" and f"{name}_BLOCK_SIZE" not in header:
+            continue
+        length, start = int(header[f"{name}_BLOCK_SIZE"]), int(header[f"{name}_BLOCK_BYTE_OFFSET"])
+        if length < 0 or start < 0 or start + length > size:
+            raise InputError(
+                f"{path}: the header places {name} at bytes {start} to {start + length}; the file has {size}: broken "
+                "or truncated"
+            )
+        found[name] = length
+    return found
+
+
+def _check_arrays(path: Path, tree: Any, channel: str, blocks: dict[str, int]) -> None:
+    """Whether a channel's arrays fit into their blocks."""
+    for node in tree.findall("{*}Data/{*}Channel"):
+        if node.findtext("{*}Identifier") == channel:
+            vectors, samples = (int(node.findtext(f"{{*}}{name}")) for name in ("NumVectors", "NumSamples"))
+            size = int(tree.findtext("{*}Data/{*}NumBytesPVP"))
+            packed = int(node.findtext("{*}CompressedSignalSize") or 0)
+            fits = vectors * samples * 2 <= blocks["SIGNAL"] or packed > 0  # 2 bytes: the smallest kind of sample
+            if (
+                min(vectors, samples, size, packed) < 0
+                or not fits
+                or max(packed, vectors * size) > sum(blocks.values())
+            ):
+                raise InputError(
+                    f"{path}: channel {channel} has {vectors} vectors of {samples} samples and {size} bytes of "
+                    f"parameters; they do not fit into the file's blocks: broken"
+                )
 
 
 def _channel(path: Path, tree: Any, wanted: str | None) -> tuple[str, str]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import struct
+import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -14,6 +16,9 @@ from warpsar.frame import SPEED_OF_LIGHT
 from warpsar.measured.earth import EarthFrame, axes_at
 
 Quantity = Literal["complex", "amplitude", "power"]
+FARTHEST_M = 1e9
+"""Of any length in a file, as of `slant_range_m` in a scene file."""
+_BAND_HZ = (1e6, 1e13)  # as of `frequency_hz` there
 
 
 @dataclass(frozen=True)
@@ -26,6 +31,20 @@ class Facts:
     polarization: str | None = None
     slant_range_m: float | None = None
     strip_map: bool = False
+
+    def checked(self, source: str) -> Facts:
+        """Itself; raises InputError, naming `source`, for numbers that can be of no radar."""
+        limits = {
+            "azimuth_deg": (-360.0, 360.0),
+            "incidence_deg": (-180.0, 180.0),
+            "frequency_hz": _BAND_HZ,
+            "slant_range_m": (1e-3, FARTHEST_M),
+        }
+        for name, (low, high) in limits.items():
+            value = getattr(self, name)
+            if value is not None and not low <= value <= high:  # NaN is within nothing
+                raise InputError(f"{source}: found {name} = {value:g}; must be {low:g} to {high:g}")
+        return self
 
 
 @dataclass(frozen=True)
@@ -71,8 +90,19 @@ class PhaseHistory:
                 raise InputError(f"{self.source}: {name} has shape {value.shape}, but there are {pulses} pulses")
             if not np.isfinite(value).all():
                 raise InputError(f"{self.source}: {name} holds NaN or infinite values")
+        lengths = [self.position_m, self.reference_range_m]
+        if self.autofocus_range_m is not None:
+            lengths.append(self.autofocus_range_m)
+        if max(float(np.abs(each).max()) for each in lengths) > FARTHEST_M:
+            raise InputError(f"{self.source}: positions and ranges must be within {FARTHEST_M:g} m")
         if not (self.frequency_start_hz > 0).all() or not (self.frequency_step_hz > 0).all():
             raise InputError(f"{self.source}: frequencies must be positive and rising")
+        highest = self.frequency_start_hz + self.samples.shape[0] * self.frequency_step_hz
+        if self.frequency_start_hz.min() < _BAND_HZ[0] or highest.max() > _BAND_HZ[1]:
+            raise InputError(
+                f"{self.source}: found frequencies of {self.frequency_start_hz.min():g} to {highest.max():g} Hz; must "
+                f"be {_BAND_HZ[0]:g} to {_BAND_HZ[1]:g}"
+            )
         bad = int((~np.isfinite(self.samples)).sum())
         if bad:
             raise InputError(
@@ -151,18 +181,29 @@ class ImageChip:
             raise InputError(
                 f"{self.source}: the image has shape {tuple(self.samples.shape)}; rows and columns are needed"
             )
+        if self.spacing_m is not None and not all(1e-5 <= step <= 1e5 for step in self.spacing_m):
+            steps = " x ".join(f"{step:g}" for step in self.spacing_m)
+            raise InputError(f"{self.source}: found pixels of {steps} m; must be 1e-5 to 1e5 each")
+
+
+# SciPy, sarkit (jbpy, lxml), h5py and rasterio document few errors: these are what broken files made them raise.
+BROKEN: tuple[type[Exception], ...] = (ArithmeticError, AssertionError, AttributeError, EOFError, LookupError, OSError)
+BROKEN += (NameError, NotImplementedError, RecursionError, RuntimeError, SyntaxError, TypeError, ValueError)
+BROKEN += (struct.error, zlib.error)
 
 
 @contextmanager
-def reading(path: Any, what: str) -> Iterator[None]:
-    """Whatever a library raises on a broken file becomes one InputError that names it."""
+def reading(path: Any, what: str, *also: type[Exception]) -> Iterator[None]:
+    """Around a library: what it raises on a broken file becomes one InputError that names it, and NaN makes no noise.
+
+    `also` are the library's errors that derive from no built-in one.
+    """
     try:
-        yield
-    except (InputError, KeyboardInterrupt):
-        raise
+        with np.errstate(all="ignore"):
+            yield
     except FileNotFoundError:
         raise InputError(f"{path}: no such file") from None
-    except Exception as error:
+    except (*BROKEN, *also) as error:
         reason = " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"{path}: not a readable {what} ({reason[:200]})") from error
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -19,8 +20,17 @@ _MAGIC = {
 }
 
 
+def _regular(path: Path) -> None:
+    """A pipe waits for ever, and a device never ends."""
+    if not os.path.exists(path):  # Path.exists raises for names that no file can have
+        raise InputError(f"{path}: no such file")
+    if not os.path.isfile(path):
+        raise InputError(f"{path}: cannot be read (a directory, pipe or device); must be a file")
+
+
 def detect(path: Path) -> str:
     """The format's name, one of `FORMATS`; raises InputError for a file that is none of them."""
+    _regular(path)
     try:
         with path.open("rb") as file:
             head = file.read(4096)
@@ -66,6 +76,8 @@ def read(
         raise InputError(f"{len(paths)} sources: only AFRL .mat files can be combined, and {paths[0]} is {name}")
     if quantity is not None and name not in ("geotiff", "tiff", "exr", "npy"):
         raise InputError(f"{paths[0]}: {name} says itself what its numbers are; leave --quantity out")
+    for path in paths:
+        _regular(path)
     path = paths[0]
     measured: PhaseHistory | ImageChip
     if name == "gotcha":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from warpsar.errors import InputError
+from warpsar.measured import mat5
 from warpsar.measured.data import PhaseHistory, reading
 
 _FREQUENCY_MISFIT = 0.1  # of a step: float32 frequencies of 10 GHz are rounded to 1 kHz, 0.001 of Gotcha's step
@@ -49,11 +51,14 @@ def read(paths: Sequence[Path]) -> PhaseHistory:
 
 def _read_one(path: Path) -> PhaseHistory:
     from scipy.io import loadmat
+    from scipy.io.matlab import MatReadError
 
-    with reading(path, "MATLAB file"):
+    mat5.check(path)
+    with reading(path, "MATLAB file", MatReadError), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of variables that are there twice, or hold functions
         content = loadmat(path, squeeze_me=False)
     data = content.get("data")
-    if data is None or data.dtype.names is None or data.size != 1:
+    if not isinstance(data, np.ndarray) or data.dtype.names is None or data.size != 1:
         raise InputError(f"{path}: no structure `data` in it; found {', '.join(k for k in content if k[:2] != '__')}")
     record = data.ravel()[0]
     missing = [name for name in ("fp", "freq", "x", "y", "z", "r0") if name not in record.dtype.names]
@@ -75,6 +80,8 @@ def _read_one(path: Path) -> PhaseHistory:
         raise InputError(
             f"{path}: fp has shape {samples.shape}, for {frequency.size} frequencies; at least 2 x 2 wanted"
         )
+    if not np.isfinite(frequency).all() or np.abs(frequency).max() > 1e13:
+        raise InputError(f"{path}: freq holds NaN, infinite or endless values; must be up to 1e13 Hz")
     index = np.arange(frequency.size)
     step, start = np.polyfit(index, frequency, 1)
     misfit = np.abs(start + step * index - frequency).max()

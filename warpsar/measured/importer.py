@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import tempfile
-import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -79,7 +78,8 @@ def import_measured(
     frame = _frame(scene, origin)
     measured = formats.read(sources, file_format=file_format, quantity=quantity, polarization=polarization, frame=frame)
     reference = np.asarray(scene.reference_point_m, np.float64)
-    facts = measured.facts(reference)
+    with np.errstate(all="ignore"):  # nonsense shows in the facts
+        facts = measured.facts(reference).checked(measured.source)
     pol = _polarization(measured.source, facts.polarization, polarization, scene)
     if exists:
         _refuse_contradictions(measured.source, facts, scene, view)
@@ -111,7 +111,9 @@ def import_measured(
             fine = _focused(measured, points, reference, window_range, window_azimuth, subapertures, device)
         else:
             fine = sample_power(measured, _located(measured, points, reference))
-    power = averaged(fine, looks).astype(np.float32)
+    with np.errstate(all="ignore"):  # beyond float32 is infinite, and no power
+        power = averaged(fine, looks).astype(np.float32)
+    power[~np.isfinite(power)] = np.nan
     unseen = int((~np.isfinite(power)).sum())
     if unseen == power.size:
         raise InputError(f"{measured.source}: no pixel of the view's grid lies wholly inside what was measured")
@@ -136,14 +138,10 @@ def _load(path: Path, view_name: str) -> tuple[Scene, bool]:
     """The scene with the view asked for, made up where it is missing, and without images: they may not be there yet."""
     import tomlkit
 
+    from warpsar import scenefile
     from warpsar.scene import Scene
 
-    try:
-        raw = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read as a scene file ({error.strerror})") from None
-    except ValueError as error:
-        raise InputError(f"{path}: not valid TOML ({error})") from error
+    _, raw = scenefile.read(path)
     views = raw.setdefault("views", [])
     exists = False
     for view in views if isinstance(views, list) else []:

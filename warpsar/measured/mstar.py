@@ -31,15 +31,22 @@ def read(path: Path) -> ImageChip:
         except ValueError:
             raise InputError(f"{path}: header field {name} = {header.get(name)!r}; a number is needed") from None
 
-    rows, cols = int(number("NumberOfRows")), int(number("NumberOfColumns"))
-    offset = int(number("PhoenixHeaderLength")) + int(number("native_header_length"))
+    def whole(name: str, least: int) -> int:
+        value = number(name)
+        if not (value.is_integer() and least <= value <= len(content)):  # neither NaN nor infinity is
+            raise InputError(f"{path}: header field {name} = {value:g}; must be {least} to the file's {len(content)}")
+        return int(value)
+
+    rows, cols = whole("NumberOfRows", 1), whole("NumberOfColumns", 1)
+    offset = whole("PhoenixHeaderLength", 0) + whole("native_header_length", 0)
     size = rows * cols
-    if size < 1 or len(content) - offset < 8 * size:
+    if len(content) - offset < 8 * size:
         raise InputError(
             f"{path}: {len(content)} bytes; {rows} x {cols} pixels of magnitude and phase need {offset + 8 * size}"
         )
     values = np.frombuffer(content, ">f4", 2 * size, offset).reshape(2, rows, cols).astype(np.float32)
-    samples = (values[0] * np.exp(1j * values[1])).astype(np.complex64)
+    with np.errstate(all="ignore"):  # pixels that are not finite stay so, and are left out
+        samples = (values[0] * np.exp(1j * values[1])).astype(np.complex64)
     position = header.get("RadarPosition", "").lower()
     if position not in ("top", "bottom"):
         raise InputError(f"{path}: header field RadarPosition = {position!r}; top or bottom is known")

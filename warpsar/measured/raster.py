@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-import warnings
+import math
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from warpsar import geotiff
 from warpsar.errors import InputError
-from warpsar.measured.data import Facts, ImageChip, Quantity, reading
+from warpsar.measured.data import Facts, ImageChip, Quantity
 from warpsar.measured.earth import EarthFrame, Origin, ecef_to_geodetic, geodetic_to_ecef
 
 SUFFIXES = (".tif", ".tiff", ".exr", ".npy")
 _WGS84 = "EPSG:4326"
+LARGEST_PIECE = 2**24
+"""Pixels of a strip or tile, which are unpacked together: 64 MiB of float32."""
 
 
 class ProjectedFrame:
@@ -33,11 +36,11 @@ class ProjectedFrame:
 
 def dem_frame(path: Path) -> EarthFrame | None:
     """Where on the earth the mesh of a GeoTIFF DEM lies (see `warpsar.mesh`); None without a coordinate system."""
-    with _open(path) as source:
+    with geotiff.opened(path) as source:
         centre, crs = source.xy(source.height / 2, source.width / 2, offset="ul"), source.crs
-    if crs is None:
-        return None
-    return Origin(centre[1], centre[0]) if crs.is_geographic else ProjectedFrame(crs, centre)
+        if crs is None:
+            return None
+        return Origin(centre[1], centre[0]) if crs.is_geographic else ProjectedFrame(crs, centre)
 
 
 def read(
@@ -58,20 +61,20 @@ def read(
 def is_map(path: Path) -> bool:
     """Whether a TIFF has a coordinate system; only rasterio can tell."""
     try:
-        with _open(path) as source:
+        with geotiff.opened(path) as source:
             return source.crs is not None
     except InputError:
         return False
 
 
 def _read_slant(path: Path, polarization: str | None) -> np.ndarray:
-    from warpsar.images import read_channel
+    from warpsar.images import read_channel, read_npy
 
     if path.suffix.lower() == ".npy":
-        with reading(path, "NumPy array"):
-            array = np.load(path, allow_pickle=False)
+        array = read_npy(path)
         if array.dtype.kind == "c":
-            return array.astype(np.complex64)
+            with np.errstate(all="ignore"):
+                return np.array(array, np.complex64)
     return read_channel(path, polarization)
 
 
@@ -83,10 +86,15 @@ def _read_map(path: Path, quantity: Quantity | None, polarization: str | None, f
         )
     from rasterio.warp import transform
 
-    with _open(path) as source:
+    with geotiff.opened(path) as source:
         shape, crs, inverse = source.shape, source.crs, ~source.transform
         names = [name or "" for name in source.descriptions]
         dtype = np.dtype(source.dtypes[0] if not source.dtypes[0].startswith("complex") else np.complex64)
+        piece = math.prod(source.block_shapes[0])
+    if crs is None:
+        raise InputError(f"{path}: found no coordinate system; must have one, or --format tiff be said")
+    if piece > LARGEST_PIECE:
+        raise InputError(f"{path}: found pieces of {piece} pixels; must be strips or tiles of up to {LARGEST_PIECE}")
     if len(names) > 1 and names.count(polarization or "") != 1:
         raise InputError(
             f"{path}: {len(names)} bands, described as {', '.join(map(repr, names))}; one must be described as the "
@@ -96,21 +104,24 @@ def _read_map(path: Path, quantity: Quantity | None, polarization: str | None, f
 
     def locate(points_m: np.ndarray) -> np.ndarray:
         geodetic = ecef_to_geodetic(frame.to_ecef(points_m))
-        x, y = transform(_WGS84, crs, geodetic[..., 1].ravel(), geodetic[..., 0].ravel())
+        with geotiff.projecting(path):
+            x, y = transform(_WGS84, crs, geodetic[..., 1].ravel(), geodetic[..., 0].ravel())
         x, y = np.asarray(x), np.asarray(y)
         col, row = (inverse.a * x + inverse.b * y + inverse.c, inverse.d * x + inverse.e * y + inverse.f)
         return np.stack([row, col], axis=-1).reshape(*points_m.shape[:-1], 2) - 0.5
 
     # Pixel size on the ground, measured through the projection: degrees are not metres.
     corner = locate(np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]))
-    per_metre = np.linalg.norm(corner[1:] - corner[0], axis=0)
+    with np.errstate(all="ignore"):
+        per_metre = np.linalg.norm(corner[1:] - corner[0], axis=0)
+        spacing_m = (float(1.0 / per_metre[0]), float(1.0 / per_metre[1]))
     facts = Facts(polarization=polarization)
     return ImageChip(
         str(path),
         _Window(path, band, shape, dtype),
         _said(path, dtype, quantity),
         lambda reference_point_m: facts,
-        spacing_m=(float(1.0 / per_metre[0]), float(1.0 / per_metre[1])),
+        spacing_m=spacing_m,
         locate=locate,
     )
 
@@ -123,21 +134,10 @@ class _Window:
 
     def __getitem__(self, window: tuple[slice, slice]) -> np.ndarray:
         rows, cols = window
-        with reading(self.path, "GeoTIFF"), _open(self.path) as source:
+        with geotiff.opened(self.path) as source:
             raw = source.read(self.band, window=((rows.start, rows.stop), (cols.start, cols.stop)), masked=True)
-        kind = np.complex64 if self.dtype.kind == "c" else np.float32
-        return np.ma.filled(raw.astype(kind), np.nan)
-
-
-def _open(path: Path) -> Any:
-    try:
-        import rasterio
-        from rasterio.errors import NotGeoreferencedWarning
-    except ImportError as error:
-        raise InputError(f'{path}: GeoTIFF needs rasterio: pip install "warpsar[geo]"') from error
-    with reading(path, "GeoTIFF"), warnings.catch_warnings():
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        return rasterio.open(path)
+            kind = np.complex64 if self.dtype.kind == "c" else np.float32
+            return np.ma.filled(raw.astype(kind), np.nan)
 
 
 def _said(path: Path, dtype: np.dtype, quantity: Quantity | None) -> Quantity:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from warpsar.errors import InputError
+from warpsar.images import LARGEST_IMAGE
 from warpsar.measured.data import ImageChip
 
 _MARGIN = 32  # [pixels] around what is needed, for the Fourier transform to run out in
@@ -29,15 +30,22 @@ def sample_power(chip: ImageChip, pixel: np.ndarray) -> np.ndarray:
     wanted = np.clip(pixel[inside], 0, last)
     low = np.maximum(np.floor(wanted.min(axis=0)).astype(int) - _MARGIN, 0)
     high = np.minimum(np.ceil(wanted.max(axis=0)).astype(int) + _MARGIN, last) + 1
+    if np.prod(high - low) > LARGEST_IMAGE:
+        raise InputError(
+            f"{chip.source}: the view's grid lies on {high[0] - low[0]} x {high[1] - low[1]} of its pixels; at most "
+            f"{LARGEST_IMAGE} can be resampled at once"
+        )
     samples = np.asarray(chip.samples[slice(low[0], high[0]), slice(low[1], high[1])])
     bad = ~np.isfinite(samples)
     if bad.all():
         raise InputError(f"{chip.source}: every pixel under the view's grid is NaN or infinite")
     if chip.quantity == "power" and (samples[~bad] < 0).any():
         raise InputError(f"{chip.source}: negative values, down to {samples[~bad].min():g}; linear power has none")
-    power[inside] = _interpolated(np.where(bad, 0, samples), bad, wanted - low, chip.quantity)
-    if chip.gain is not None:
-        power *= chip.gain(pixel)
+    with np.errstate(all="ignore"):  # what overflows is infinite, and no power
+        power[inside] = _interpolated(np.where(bad, 0, samples), bad, wanted - low, chip.quantity)
+        if chip.gain is not None:
+            power *= chip.gain(pixel)
+    power[~np.isfinite(power)] = np.nan
     return power
 
 

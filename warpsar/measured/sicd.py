@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import logging
+import os
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -12,6 +14,30 @@ from warpsar.measured.data import Facts, ImageChip, Quantity, direction_deg, rea
 from warpsar.measured.earth import EarthFrame, Origin, ecef_to_geodetic
 
 _AMPLITUDE_LOOKUP = "AMP8I_PHS8I"
+logging.getLogger("jbpy").addHandler(logging.NullHandler())  # what it says of a broken file is in our message
+
+
+class _Guarded:
+    """A NITF as jbpy reads it, field by field.
+
+    Bands beyond 9 (NBANDS = 0, then XBANDS in five digits, up to 99,999) take it time by their square; SICD has two.
+    """
+
+    def __init__(self, file: BinaryIO) -> None:
+        self.file, self.last = file, b""
+        self.size = os.fstat(file.fileno()).st_size
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.file, name)
+
+    def read(self, size: int = -1) -> bytes:
+        if size > self.size:
+            raise ValueError(f"a field of {size} bytes in a file of {self.size}")
+        if size == 5 and self.last == b"0":
+            raise ValueError("an image of more than 9 bands")
+        data = self.file.read(size)
+        self.last = data if size == 1 else b""
+        return data
 
 
 class _Window:
@@ -25,13 +51,31 @@ class _Window:
 
         rows, cols = window
         with reading(self.path, "SICD image"), self.path.open("rb") as file:
-            raw, _ = sarkit_sicd.NitfReader(file).read_sub_image(rows.start, cols.start, rows.stop, cols.stop)
+            reader = sarkit_sicd.NitfReader(_Guarded(file))
+            raw, _ = reader.read_sub_image(rows.start, cols.start, rows.stop, cols.stop)
             if raw.dtype.names and "amp" in raw.dtype.names:
                 table = np.arange(256.0) if self.lookup is None else self.lookup
                 return (table[raw["amp"]] * np.exp(2j * np.pi * raw["phase"] / 256.0)).astype(np.complex64)
             if raw.dtype.names:
                 return (raw["real"].astype(np.float32) + 1j * raw["imag"].astype(np.float32)).astype(np.complex64)
             return raw.astype(np.complex64)
+
+
+def _check_pixels(path: Path, reader: Any, kinds: Any) -> None:
+    """The XML's shape against the NITF's image segments, and those against the file: the library believes the XML."""
+    data = reader.metadata.xmltree.find("{*}ImageData")
+    rows, cols = (int(data.findtext(f"{{*}}{name}")) for name in ("NumRows", "NumCols"))
+    wanted = rows * cols * kinds[data.findtext("{*}PixelType")]["dtype"].itemsize
+    segments = [s for s in reader.jbp["ImageSegments"] if s["subheader"]["IID1"].value.startswith("SICD")]
+    shapes = [(s["subheader"]["NROWS"].value, s["subheader"]["NCOLS"].value) for s in segments]
+    held, end = sum(s["Data"].size for s in segments), max(s["Data"].get_offset() + s["Data"].size for s in segments)
+    if min(rows, cols) < 1 or sum(s[0] for s in shapes) != rows or any(s[1] != cols for s in shapes):
+        raise InputError(f"{path}: the XML says {rows} x {cols} pixels, the NITF's image segments have {shapes}")
+    if held != wanted or end > path.stat().st_size:
+        raise InputError(
+            f"{path}: {rows} x {cols} pixels of {data.findtext('{*}PixelType')} need {wanted} bytes; the NITF's image "
+            f"segments hold {held}, up to byte {end} of {path.stat().st_size}: broken or truncated"
+        )
 
 
 def read(path: Path, frame: EarthFrame | None) -> ImageChip:
@@ -42,28 +86,40 @@ def read(path: Path, frame: EarthFrame | None) -> ImageChip:
     """
     try:
         import sarkit.sicd as sarkit_sicd
+        from lxml.etree import LxmlError
         from sarkit.sicd import projection
     except ImportError as error:
         raise InputError(f'{path}: SICD needs sarkit: pip install "warpsar[sicd]"') from error
-    with reading(path, "SICD file"), path.open("rb") as file:
-        xml = sarkit_sicd.NitfReader(file).metadata.xmltree
-    helper = sarkit_sicd.XmlHelper(xml)
+    with reading(path, "SICD file", LxmlError), path.open("rb") as file:
+        reader = sarkit_sicd.NitfReader(_Guarded(file))
+        xml = reader.metadata.xmltree
+        _check_pixels(path, reader, sarkit_sicd.PIXEL_TYPES)
+        helper = sarkit_sicd.XmlHelper(xml)
 
     def load(name: str) -> Any:
         return helper.load("./" + "/".join(f"{{*}}{part}" for part in name.split("/")))
 
-    with reading(path, "SICD header"):
-        scp, shape = load("GeoData/SCP/ECF"), (load("ImageData/NumRows"), load("ImageData/NumCols"))
+    def numbers(shape: tuple[int, ...], *names: str) -> np.ndarray:
+        found = np.array([load(name) for name in names], np.float64).reshape(shape)
+        if not np.isfinite(found).all():
+            raise InputError(f"{path}: the header's {', '.join(names)} must be finite numbers")
+        return found
+
+    with reading(path, "SICD header", LxmlError):
+        scp, shape = numbers((3,), "GeoData/SCP/ECF"), (load("ImageData/NumRows"), load("ImageData/NumCols"))
         world = frame or Origin(*ecef_to_geodetic(scp).tolist())
-        spacing = (load("Grid/Row/SS"), load("Grid/Col/SS"))
-        first = np.array([load("ImageData/FirstRow"), load("ImageData/FirstCol")])
-        middle = load("ImageData/SCPPixel") - first
-        arp = load("SCPCOA/ARPPos")
+        spacing = tuple(numbers((2,), "Grid/Row/SS", "Grid/Col/SS").tolist())
+        middle = numbers((2,), "ImageData/SCPPixel") - numbers((2,), "ImageData/FirstRow", "ImageData/FirstCol")
+        arp = numbers((3,), "SCPCOA/ARPPos")
         pol = "".join(part[0] for part in load("ImageFormation/TxRcvPolarizationProc").split(":"))
-        band = [load(f"ImageFormation/TxFrequencyProc/{end}") for end in ("MinProc", "MaxProc")]
+        band = numbers((2,), *(f"ImageFormation/TxFrequencyProc/{end}" for end in ("MinProc", "MaxProc")))
         beta0 = load("Radiometric/BetaZeroSFPoly")
+        if beta0 is not None and (np.ndim(beta0) != 2 or not np.isfinite(beta0).all()):
+            raise InputError(f"{path}: the header's BetaZeroSFPoly must be finite coefficients of two powers")
         pixel_type = load("ImageData/PixelType")
         lookup = load("ImageData/AmpTable") if pixel_type == _AMPLITUDE_LOOKUP else None
+        if lookup is not None and (np.shape(lookup) != (256,) or not np.isfinite(lookup).all()):
+            raise InputError(f"{path}: the header's AmpTable must be 256 finite numbers")
         parameters = projection.MetadataParams.from_xml(xml)
 
     def locate(points_m: np.ndarray) -> np.ndarray:
@@ -80,7 +136,7 @@ def read(path: Path, frame: EarthFrame | None) -> ImageChip:
     def facts(reference_point_m: np.ndarray) -> Facts:
         toward = arp - world.to_ecef(reference_point_m)
         azimuth, incidence = direction_deg(toward, world, reference_point_m)
-        return Facts(azimuth, incidence, sum(band) / 2.0, pol, float(np.linalg.norm(toward)))
+        return Facts(azimuth, incidence, float(band.mean()), pol, float(np.linalg.norm(toward)))
 
     quantity: Quantity = "complex"
     return ImageChip(

@@ -1,0 +1,189 @@
+"""How time and memory grow with faces, rays, pixels and views, and the sizes of the method's published timings.
+
+python benchmarks/growth.py --device cpu --out growth_cpu.json
+python benchmarks/growth.py --device cuda --out growth_gpu.json
+python benchmarks/growth.py --device cuda --sweep paper --out paper_gpu.json
+
+Each size runs in a process of its own, so that one's memory is not another's peak. A slope is that of the straight
+line through the logarithms: 1 is proportional, 0 is free. `paper`: 450,000 and 900,000 faces, 32, 64 and 128 samples
+per pixel, pixels of 0.41, 0.82 and 1.64 m, which holds the rows of its table VII (Quadro RTX 8000: 2.86 s forward and
+1.50 s backward for 900,391 faces, 128 samples, 0.41 m). JSON in --out after every size; tables on stdout.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import resource
+import subprocess
+import sys
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+import numpy as np
+from peer import smooth_scene, timed
+from simulate import machine
+
+Size = dict[str, Any]
+PAPER_PIXELS = (423, 380)  # of 0.41 x 0.47 m
+BASE = {
+    "cpu": {"faces": 200_000, "pixels": [212, 190], "rays_per_pixel": 16.0, "views": 1},
+    "cuda": {"faces": 900_000, "pixels": [*PAPER_PIXELS], "rays_per_pixel": 128.0, "views": 1},
+}
+SWEEPS = ("faces", "rays_per_pixel", "pixels", "views", "paper")
+TIMES = ("trace", "fresh_image", "iteration")
+
+
+def sizes_of(sweep: str, base: Size) -> list[Size]:
+    """Sizes of a sweep: from a quarter (a sixteenth of the pixels) of the base to four times as much."""
+    if sweep == "paper":
+        return [
+            {"faces": faces, "pixels": [p // shrink for p in PAPER_PIXELS], "rays_per_pixel": rays, "views": 1}
+            for faces in (450_000, 900_000)
+            for shrink in (1, 2, 4)
+            for rays in (32.0, 64.0, 128.0)
+        ]
+    if sweep == "views":
+        return [{**base, "views": views} for views in (1, 2, 4, 8)]
+    if sweep == "pixels":
+        return [{**base, "pixels": [round(p * side) for p in base["pixels"]]} for side in (0.5, 0.7, 1.0, 1.4, 2.0)]
+    return [{**base, sweep: type(base[sweep])(base[sweep] * factor)} for factor in (0.25, 0.5, 1.0, 2.0, 4.0)]
+
+
+def measure(size: Size, device_name: str, repeats: int) -> dict[str, Any]:
+    """Tracing, fresh images of all views, and one learning iteration over them, in this process."""
+    import warp as wp
+
+    from warpsar import runtime
+    from warpsar.fit import FitProblem
+    from warpsar.images import write_exr
+    from warpsar.render import Stage, ViewRender
+    from warpsar.simulation import Rays, trace_view
+
+    device = runtime.resolve_device(device_name)
+    synchronize = partial(wp.synchronize_device, device)
+
+    def peak_gib() -> float:
+        if device.is_cuda and wp.is_mempool_enabled(device):
+            return wp.get_mempool_used_mem_high(device) / 2**30
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+
+    scene = smooth_scene(size["faces"], tuple(size["pixels"]), size["rays_per_pixel"])
+    turned = [
+        scene.views[0].model_copy(update={"name": f"v{i}", "azimuth_deg": 270.0 + 360.0 * i / size["views"]})
+        for i in range(size["views"])
+    ]
+    scene = replace(scene, views=turned)
+    stage = Stage.of(scene, device)
+
+    def traced(view: Any) -> Any:
+        return trace_view(scene, stage, view, seed=0, effects=[])
+
+    def trace() -> None:
+        for view in scene.views:
+            traced(view)
+
+    def fresh() -> list[Any]:
+        renders = []
+        for view in scene.views:
+            render = ViewRender(stage, view, traced(view), scene.grid.shape, scene.radar.polarizations, [])
+            render.program.forward()
+            renders.append(render)
+        return renders
+
+    times = {"trace": timed(trace, synchronize, repeats), "fresh_image": timed(fresh, synchronize, repeats)}
+    peak_image = peak_gib()
+    rng = np.random.default_rng(0)
+    with TemporaryDirectory() as folder:
+        views = []
+        for view, render in zip(scene.views, fresh(), strict=True):
+            image = render.forward()["HH"]
+            path = Path(folder) / f"{view.name}.exr"
+            write_exr(path, {"HH": (image * rng.gamma(16.0, 1 / 16.0, image.shape)).astype(np.float32)})
+            views.append(view.model_copy(update={"images": {"HH": path}, "looks": 16.0}))
+        problem = FitProblem(replace(scene, views=views), device, rays=Rays(stage, seed=0))
+    problem.gradient(problem.x0)
+    if device.is_cuda:
+        problem.run_on_device()  # loads what a capture cannot
+        with wp.ScopedCapture(device) as capture:
+            problem.run_on_device()
+        iterate = partial(wp.capture_launch, capture.graph)
+    else:
+        iterate = partial(problem.gradient, problem.x0)
+    times["iteration"] = timed(iterate, synchronize, 5 * repeats if device.is_cuda else repeats)
+    hits = [view.render.hits for view in problem.views]
+    return {
+        **size,
+        "faces": len(scene.mesh.faces),
+        "rays": sum(h.rays for h in hits),
+        "merged_hits": sum(h.count for h in hits),
+        "parameters": int(problem.x0.size),
+        **times,
+        "peak_image_gib": peak_image,
+        "peak_iteration_gib": peak_gib(),
+    }
+
+
+def slopes(sweep: str, rows: list[dict[str, Any]], clock: str) -> dict[str, float]:
+    """d ln(seconds) / d ln(what was varied)."""
+    varied = np.array([np.prod(row[sweep]) for row in rows], float)
+    found = {name: np.array([row[name][clock] for row in rows]) for name in TIMES}
+    found["memory"] = np.array([row["peak_iteration_gib"] for row in rows])
+    return {name: float(np.polyfit(np.log(varied), np.log(values), 1)[0]) for name, values in found.items()}
+
+
+def table(rows: list[dict[str, Any]], clock: str) -> str:
+    lines = [
+        "| faces | pixels | rays / pixel | views | rays | merged hits | trace, ms | fresh image, ms | iteration, ms "
+        "| memory, GiB |",
+        "|---|---|---|---|---|---|---|---|---|---|",
+    ]
+    lines += [
+        f"| {r['faces']:,} | {r['pixels'][0]} x {r['pixels'][1]} | {r['rays_per_pixel']:g} | {r['views']} "
+        f"| {r['rays']:,} | {r['merged_hits']:,} | "
+        + " | ".join(f"{1e3 * r[name][clock]:.3g}" for name in TIMES)
+        + f" | {r['peak_iteration_gib']:.2f} |"
+        for r in rows
+    ]
+    return "\n".join(lines)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu")
+    parser.add_argument("--sweep", choices=SWEEPS, action="append", help="may be repeated; default all")
+    parser.add_argument("--repeats", type=int, default=3, help="runs of which the median counts")
+    parser.add_argument("--clock", choices=("wall_s", "cpu_s"), default="wall_s", help="what table and slopes show")
+    parser.add_argument("--out", type=Path, help="JSON file")
+    parser.add_argument("--one", help=argparse.SUPPRESS)  # a size, as JSON: measured in this process
+    options = parser.parse_args()
+    if options.one:
+        print(json.dumps(measure(json.loads(options.one), options.device, options.repeats)))
+        return
+    result: dict[str, Any] = {"benchmark": "growth", **machine(options.device), "sweeps": {}}
+    for sweep in options.sweep or SWEEPS:
+        rows: list[dict[str, Any]] = []
+        for size in sizes_of(sweep, BASE[options.device]):
+            print(f"{sweep}: {size}", file=sys.stderr)
+            command = [sys.executable, __file__, "--device", options.device, "--repeats", str(options.repeats)]
+            done = subprocess.run([*command, "--one", json.dumps(size)], stdout=subprocess.PIPE, text=True, check=True)
+            rows.append(json.loads(done.stdout.splitlines()[-1]))
+            result["sweeps"][sweep] = {"sizes": rows}
+            if options.out:  # after every size: a later one may not end
+                options.out.write_text(json.dumps(result, indent=1) + "\n")
+        print(f"\n{sweep}\n\n{table(rows, options.clock)}")
+        if sweep != "paper":
+            result["sweeps"][sweep]["slopes"] = {clock: slopes(sweep, rows, clock) for clock in ("wall_s", "cpu_s")}
+            found = result["sweeps"][sweep]["slopes"][options.clock]
+            print("\nslopes: " + ", ".join(f"{name} {value:.2f}" for name, value in found.items()))
+    if options.out:
+        options.out.write_text(json.dumps(result, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,125 @@
+"""Nearest faces of a view's rays on the CPU: Warp's BVH, the raster, and Embree where embreex is installed.
+
+python benchmarks/rays.py --out rays_cpu.json
+
+The town of benchmarks/scenes.py, of few and of many faces, under few and many rays, for a plane wave and for a track.
+One thread, CPU seconds, medians; setting up is apart, since a BVH serves all views of a mesh and the raster one view.
+`differ`: rays whose face is another one than the BVH's (they lie on edges). embreex sends rays one by one; with
+packets Embree is what benchmarks/peer.py measures as Mitsuba's trace.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import json
+import os
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+os.environ["WARPSAR_THREADS"] = "1"
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+import numpy as np
+from peer import timed
+from scenes import town_scene
+from simulate import machine
+
+PIXELS = (423, 380)
+SIZES = ((200, 32.0), (20_000, 32.0), (900_000, 4.0), (900_000, 32.0))  # faces, rays per pixel
+TRACKS = (None, 8000.0)
+
+
+def measure(faces: int, rays_per_pixel: float, slant_range_m: float | None, repeats: int) -> dict[str, Any]:
+    import warp as wp
+
+    from warpsar import runtime
+    from warpsar.frame import geometry_of
+    from warpsar.kernels.raster import sample_kernel
+    from warpsar.raster import Raster
+    from warpsar.simulation import hit_grid
+    from warpsar.trace import Target, nearest_faces, ray_grid
+
+    device = runtime.resolve_device("cpu")
+    scene = town_scene(faces, PIXELS, rays_per_pixel)
+    geometry = replace(geometry_of(scene, scene.views[0]), slant_range_m=slant_range_m)
+    kept: dict[str, Any] = {}
+
+    def run(name: str, task: Any) -> float:
+        def keep() -> None:
+            kept[name] = task()
+
+        return timed(keep, lambda: None, repeats)["cpu_s"]
+
+    found: dict[str, Any] = {"faces": len(scene.mesh.faces), "slant_range_m": slant_range_m}
+    found["bvh_setup_s"] = run("target", lambda: Target.upload(scene.mesh, scene.reference_point_m, device))
+    target = kept["target"]
+    grid = hit_grid(scene)
+    density = scene.sampling.density_per_m2(scene.grid)
+    rays = ray_grid(target, geometry, grid, density, 1, grid.pixel_area_m2)
+    first, last = rays.first_cell, rays.end_cell
+    found["rays"] = (last - first) * rays.elevation_cells
+    width = max(1, (last - first) // rays.cells_per_column // 16) * rays.cells_per_column
+    bands = [(begin, min(begin + width, last)) for begin in range(first, last, width)]
+    found["bvh_s"] = run("bvh", lambda: [nearest_faces(target, rays, *band, 0).numpy() for band in bands])
+    found["raster_setup_s"] = run("raster", lambda: Raster(target, rays))
+    raster = kept["raster"]
+    found["raster_s"] = run("nearest", lambda: [raster.nearest(*band, 0).numpy() for band in bands])
+    expected, nearest = np.concatenate(kept["bvh"]), np.concatenate(kept["nearest"])
+    found["raster_differ"] = int(np.sum(nearest != expected))
+    found["chosen"] = "BVH" if Raster.where_it_pays(target, rays, first, last) is None else "raster"
+    if importlib.util.find_spec("embreex") and slant_range_m is None:
+        from embreex.mesh_construction import TriangleMesh
+        from embreex.rtcore_scene import EmbreeScene
+
+        def build() -> Any:
+            embree = EmbreeScene()
+            TriangleMesh(embree, target.vertices.numpy(), target.faces.numpy())
+            embree.run(np.zeros((1, 3), np.float32), np.array([[0, 0, 1]], np.float32))
+            return embree
+
+        found["embreex_setup_s"] = run("embree", build)
+        samples: Any = wp.empty(found["rays"], dtype=wp.vec2, device=device)
+        wp.launch(sample_kernel, last - first, inputs=[rays, first, 0], outputs=[samples], device=device)
+        at = samples.numpy().astype(float)
+        origins = (at[:, :1] * geometry.u + at[:, 1:] * geometry.v - rays.standoff * geometry.d).astype(np.float32)
+        directions = np.broadcast_to(geometry.d.astype(np.float32), origins.shape).copy()
+        found["embreex_s"] = run("embreex", lambda: kept["embree"].run(origins, directions))
+        found["embreex_differ"] = int(np.sum(kept["embreex"] != expected))
+    return found
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    names = ("bvh", "raster", "embreex")
+    lines = [
+        "| faces | rays | wave | Mrays per CPU s: BVH | raster | embreex | setup, s: BVH | raster | embreex | differ |",
+        "|---|---|---|---|---|---|---|---|---|---|",
+    ]
+    for row in rows:
+        rates = [f"{row['rays'] / row[f'{n}_s'] / 1e6:.1f}" if f"{n}_s" in row else "" for n in names]
+        setups = [f"{row[f'{n}_setup_s']:.3f}" if f"{n}_setup_s" in row else "" for n in names]
+        wave = "plane" if row["slant_range_m"] is None else f"{row['slant_range_m'] / 1000:g} km"
+        cells = [f"{row['faces']:,}", f"{row['rays']:,}", wave, *rates, *setups, str(row["raster_differ"])]
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--repeats", type=int, default=3, help="runs of which the median counts")
+    parser.add_argument("--out", type=Path, help="JSON file")
+    options = parser.parse_args()
+    rows = []
+    for slant_range_m in TRACKS:
+        for faces, rays in SIZES:
+            print(f"{faces} faces, {rays:g} rays per pixel", file=sys.stderr)
+            rows.append(measure(faces, rays, slant_range_m, options.repeats))
+    if options.out:
+        options.out.write_text(json.dumps({"benchmark": "rays", **machine("cpu"), "sizes": rows}, indent=1) + "\n")
+    print(table(rows))
+
+
+if __name__ == "__main__":
+    main()

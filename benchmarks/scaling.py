@@ -1,0 +1,233 @@
+"""How `learn` (32 views) and `simulate` (1,000 images) gain by processes: JSON, one entry per number, and a table.
+
+python benchmarks/scaling.py --device cuda --ranks 1 2 4 --out scaling.json
+python benchmarks/scaling.py --device cpu --ranks 1 2 --faces 20000 --pixels 96 --views 8 --images 200 --out cpu.json
+
+Processes on the CPU have one thread each. Times are those of the slowest process; kernels are loaded before.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+STEPS = 5  # of GraphAdam, ten iterations each; as many iterations of Adam on the CPU
+RAYS_PER_PIXEL = 32.0
+
+
+def learn(ranks: Any, device: Any, options: argparse.Namespace, folder: Path) -> dict[str, Any]:
+    """A field of three parameters per vertex, fitted to images of the same town from all around."""
+    import warp as wp
+    from scenes import town_scene
+
+    import warpsar
+    from warpsar.fit import FitProblem
+    from warpsar.images import write_tiff
+    from warpsar.learning import LearnOptions
+    from warpsar.optimise import Adam, GraphAdam, begin
+    from warpsar.render import Stage
+    from warpsar.scene import View
+    from warpsar.simulation import Simulation
+
+    shape = (options.pixels, options.pixels)
+    scene = town_scene(options.faces, shape, RAYS_PER_PIXEL, layout="vertex")
+    views = [
+        View(name=f"v{i}", azimuth_deg=360.0 * i / options.views, incidence_deg=45.0, looks=16.0)
+        for i in range(options.views)
+    ]
+    scene = replace(scene, views=views)
+    made = Simulation(scene, Stage.of(scene, device))
+    for index, view in enumerate(views):
+        if index % ranks.size == ranks.rank:
+            write_tiff(folder / f"{view.name}.tif", 1.3 * made.view(view, index).beta0["HH"])  # not the start
+    del made
+    ranks.barrier()
+    views = [view.model_copy(update={"images": {"HH": folder / f"{view.name}.tif"}}) for view in views]
+    scene = replace(scene, views=views)
+
+    def timed(task: Callable[[], Any]) -> tuple[float, Any]:
+        wp.synchronize_device(device)
+        ranks.barrier()
+        started = time.perf_counter()
+        result = task()
+        wp.synchronize_device(device)
+        return ranks.largest(time.perf_counter() - started), result
+
+    prepare_s, problem = timed(lambda: FitProblem(scene, device, ranks=ranks))
+    state = begin(problem, 0, 0)
+    descent = (Adam if problem.shared_nodes is None else GraphAdam)(problem, state, 0.01)
+    state = descent.step(state)
+
+    def iterate() -> None:
+        nonlocal state
+        for _ in range(STEPS):
+            state = descent.step(state)
+
+    iterations = STEPS * getattr(descent, "STRIDE", 1)
+    iteration_s = timed(iterate)[0] / iterations
+    whole = LearnOptions(optimiser="adam", rate=0.01, iterations=options.iterations)
+    learn_s = timed(lambda: warpsar.learn(scene, device=device.alias, options=whole))[0]
+    gradient: Any = wp.zeros(problem.surface.nodes.size, dtype=float, device=device)
+    ranks.sum_on_device(gradient)
+    reduce_s = timed(lambda: [ranks.sum_on_device(gradient) for _ in range(20)])[0] / 20
+    hits = [view.render.hits for view in problem.views]
+    return {
+        "views_here": [int(n) for n in ranks.gather(len(hits))],
+        "merged_hits": int(ranks.sum(sum(each.count for each in hits))),
+        "rays": int(ranks.sum(sum(each.rays for each in hits))),
+        "parameters": int(problem.x0.size),
+        "prepare_s": prepare_s,
+        "iteration_s": iteration_s,
+        "learn_s": learn_s,
+        "reduced_bytes": 4 * problem.surface.nodes.size,
+        "reduce_s": reduce_s,
+        "loss": state.loss,
+    }
+
+
+def simulate(ranks: Any, device: Any, options: argparse.Namespace, folder: Path) -> dict[str, Any]:
+    """Images of the town at as many azimuths; what a process spends on an image, and on its file."""
+    from scenes import town_scene
+
+    from warpsar import batch
+    from warpsar.images import write_exr
+    from warpsar.render import Stage
+    from warpsar.results import write_ply
+    from warpsar.scene import Scene
+    from warpsar.simulation import Simulation
+
+    path = folder / "town.toml"
+    if ranks.first:
+        scene = town_scene(options.faces, (options.pixels, options.pixels), RAYS_PER_PIXEL)
+        write_ply(folder / "town.ply", scene.mesh.vertices, scene.mesh.faces, {})
+        spacing = [float(step) for step in scene.grid.spacing_m]
+        material = scene.materials["town"].model_dump(mode="json", exclude_unset=True)
+        text = [
+            '[scene]\nmesh = "town.ply"',
+            f'[radar]\nfrequency_hz = {scene.radar.frequency_hz}\npolarizations = ["HH"]',
+            f"[image]\nshape = [{options.pixels}, {options.pixels}]\nspacing_m = {spacing}",
+            f"[sampling]\nrays_per_pixel = {RAYS_PER_PIXEL}",
+            "[materials.default]",
+            *(f"{key} = {value}" for key, value in material.items()),
+            '[[views]]\nname = "west"\nazimuth_deg = 270.0\nincidence_deg = 45.0',
+        ]
+        path.write_text("\n".join(text) + "\n")
+    ranks.barrier()
+
+    def images(count: int, out: Path) -> float:
+        ranks.barrier()
+        started = time.perf_counter()
+        batch.run([path], out, azimuths=f"0:360:{360.0 / count:g}", incidences="45", device=device.alias)
+        return ranks.largest(time.perf_counter() - started)
+
+    images(2 * ranks.size, folder / "warm")
+    wall_s = images(options.images, folder / "out")
+    started = time.perf_counter()
+    scene = Scene.load(path)
+    loaded = time.perf_counter()
+    one = Simulation(scene, Stage.of(scene, device))
+    one.view(scene.views[0], 0)
+    ready = time.perf_counter()
+    for index in range(10):
+        image = one.view(scene.views[0], index)
+    traced = time.perf_counter()
+    for index in range(10):
+        target = folder / f"probe{ranks.rank}_{index}.exr"
+        write_exr(target, image.beta0)
+        batch.sha256(target)
+    written = time.perf_counter()
+    return {
+        "wall_s": wall_s,
+        "load_s": loaded - started,
+        "bvh_s": ready - loaded,
+        "image_s": (traced - ready) / 10,
+        "file_s": (written - traced) / 10,
+        "file_bytes": target.stat().st_size,
+    }
+
+
+def work(options: argparse.Namespace) -> None:
+    from warpsar import distributed, runtime
+
+    device = runtime.resolve_device(options.device)
+    ranks = distributed.ranks(device)
+    folder = Path(options.folder)
+    found: dict[str, Any] = {"ranks": ranks.size, "device": device.name}
+    for name, task in (("learn", learn), ("simulate", simulate)):
+        (folder / name).mkdir(exist_ok=True)
+        found[name] = task(ranks, device, options, folder / name)
+    if ranks.first:
+        (folder / "found.json").write_text(json.dumps(found))
+
+
+def table(entries: list[dict[str, Any]], iterations: int, images: int) -> str:
+    lines = [
+        "| processes | iteration, ms | speed-up | all-reduce, ms | MB | preparation, s | speed-up "
+        f"| {iterations} iterations of learn, s | speed-up "
+        f"| {images} images, s | speed-up | image, ms | its file, ms |",
+        "|---" * 13 + "|",
+    ]
+    first = entries[0]
+    for each in entries:
+        one, many = each["learn"], each["simulate"]
+        gain = [first["learn"][key] / one[key] for key in ("iteration_s", "prepare_s", "learn_s")]
+        lines.append(
+            f"| {each['ranks']} | {1e3 * one['iteration_s']:.2f} | {gain[0]:.2f} | {1e3 * one['reduce_s']:.3f} "
+            f"| {one['reduced_bytes'] / 1e6:.2f} | {one['prepare_s']:.2f} | {gain[1]:.2f} "
+            f"| {one['learn_s']:.2f} | {gain[2]:.2f} | {many['wall_s']:.2f} "
+            f"| {first['simulate']['wall_s'] / many['wall_s']:.2f} | {1e3 * many['image_s']:.2f} "
+            f"| {1e3 * many['file_s']:.2f} |"
+        )
+    return "\n".join(lines)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--device", default="cuda", help="cpu or cuda")
+    parser.add_argument("--ranks", type=int, nargs="+", default=[1, 2, 4])
+    parser.add_argument("--faces", type=int, default=900_000)
+    parser.add_argument("--pixels", type=int, default=400, help="of a side")
+    parser.add_argument("--views", type=int, default=32)
+    parser.add_argument("--iterations", type=int, default=100, help="of the whole of learn")
+    parser.add_argument("--images", type=int, default=1000)
+    parser.add_argument("--out", type=Path)
+    parser.add_argument("--folder", help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.folder:
+        work(options)
+        return
+    entries = []
+    for count in options.ranks:
+        with TemporaryDirectory() as folder:
+            safe = ["-P"] if sys.flags.safe_path else []
+            command = [sys.executable, *safe, "-m", "torch.distributed.run", "--standalone", "--no-python"]
+            command += ["--nproc-per-node", str(count), sys.executable, *safe, __file__, "--folder", folder]
+            for name in ("device", "faces", "pixels", "views", "iterations", "images"):
+                command += [f"--{name}", str(getattr(options, name))]
+            threads = {"WARPSAR_THREADS": "1"} if options.device == "cpu" else {}
+            print(f"{count} processes", file=sys.stderr)
+            subprocess.run(command, check=True, env={**os.environ, "OMP_NUM_THREADS": "1", **threads})
+            entries.append(json.loads((Path(folder) / "found.json").read_text()))
+        sizes = {name: getattr(options, name) for name in ("faces", "pixels", "views", "iterations", "images")}
+        if options.out:  # after every number: a later one may not end
+            options.out.write_text(json.dumps({"benchmark": "scaling", **sizes, "entries": entries}, indent=1) + "\n")
+    losses = np.array([each["learn"]["loss"] for each in entries])
+    print(table(entries, options.iterations, options.images))
+    print(f"loss after {STEPS + 1} steps: largest difference {np.ptp(losses) / losses[0]:.1e} of it")
+
+
+if __name__ == "__main__":
+    main()

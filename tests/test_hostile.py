@@ -1,0 +1,286 @@
+"""Hostile files end in one message, or are read, and in nothing else; and no code here can load a pickle.
+
+`benchmarks/hostile.py` is the long run; here are all its crafted attacks, and a few mutations of each reader's file.
+"""
+
+import ast
+import importlib
+import pickle
+import struct
+import subprocess
+import sys
+import tracemalloc
+import zipfile
+from collections import Counter
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import ROOT
+
+from warpsar import checkpoint
+from warpsar.errors import LONGEST_MESSAGE, InputError, shown
+from warpsar.images import read_channel, read_npy, write_exr
+from warpsar.measured import mat5
+from warpsar.mesh import read_mesh
+
+MUTATIONS = 4  # of each reader's file, after its attacks
+
+
+def module(name: str) -> Any:
+    """A script of benchmarks/, imported beside its neighbours; what makes the sound files needs every extra."""
+    for extra in ("rasterio", "sarkit", "h5py"):
+        pytest.importorskip(extra, reason="needs the extras geo, sicd and hdf5")
+    folder = str(ROOT / "benchmarks")
+    if folder not in sys.path:
+        sys.path.insert(0, folder)
+    return importlib.import_module(name)
+
+
+# ---- all readers ----
+
+
+@pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="memory is measured as Linux counts it")
+def test_every_attack_ends_in_one_message() -> None:
+    """In a worker under a limit on its memory: `benchmarks/hostile.py` says all that is looked at."""
+    hostile, cases = module("hostile"), module("hostile_cases")
+    readers = cases.readers().values()
+    todo = [(r.name, i) for r in readers for i in range(len(r.attacks) + len(cases.PLACES) + MUTATIONS)]
+    results = list(hostile.run(todo, seed=7))
+    wrong = [
+        f"{r['reader']} {r['index']} ({r['attack']}): {r['outcome']}: {r['detail'][-500:]}"
+        for r in results
+        if r["outcome"] not in hostile.GOOD
+    ]
+    assert not wrong, "\n".join(wrong)
+    counts = Counter(r["outcome"] for r in results)
+    assert counts["refused"] > 500  # of about 650: attacks that reach no reader would show here
+    assert counts["read"] > 20
+
+
+def test_the_judge_sees_what_is_wrong(tmp_path: Path) -> None:
+    """What a reader may do wrong is told from a refusal, so that the table's zeros mean something."""
+    hostile = module("hostile")
+    file = tmp_path / "a"
+    file.write_text("a")
+    before = hostile._contents(tmp_path)
+    sound = InputError(f"{file}: broken")
+
+    def outcome(error: Exception | None, said: str = "") -> str:
+        return str(hostile._judge(error, said, tmp_path, before)[0])
+
+    assert outcome(None) == "read"
+    assert outcome(sound) == "refused"
+    assert outcome(sound, "libpng error: broken") == "noisy"
+    assert outcome(KeyError("x")) == "traceback"
+    assert outcome(InputError("broken")) == "unclear"
+    assert hostile._exhausted(InputError("x")) is False
+    hidden = InputError("x")
+    hidden.__cause__ = MemoryError()
+    assert hostile._exhausted(hidden)
+    (tmp_path / ".half").write_text("")
+    assert outcome(sound) == "half-written"
+
+
+@pytest.mark.parametrize(
+    ("reader", "attack"),
+    [("scene.toml", "a FIFO"), ("mesh glTF", "a buffer that is /dev/zero"), ("mask PNG", "2^31 x 2^31 pixels")],
+)
+def test_the_command_line_refuses_in_one_line(tmp_path: Path, reader: str, attack: str) -> None:
+    cases = module("hostile_cases")
+    chosen = cases.readers()[reader]
+    folder = tmp_path / "case"
+    chosen.lay_out(folder)
+    next(a for a in (*chosen.attacks, *cases.PLACES) if a.name == attack).make(folder / chosen.target)
+    words = [sys.executable, "-m", "warpsar", *chosen.command(folder)]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 2, done.stderr
+    assert done.stdout == ""
+    lines = done.stderr.splitlines()
+    assert lines[0].startswith(f"Error: {folder}")
+    assert all(line.startswith("  ") for line in lines[1:])  # the list of what is wrong
+    assert not (folder / "out").exists()
+
+
+# ---- pickles ----
+
+FORBIDDEN_IMPORTS = {"pickle", "cPickle", "_pickle", "marshal", "shelve", "dill", "cloudpickle", "joblib", "yaml"}
+FORBIDDEN_CALLS = {"eval", "exec", "__import__"}
+LOADERS = {"load", "read_array"}  # numpy.load, numpy.lib.format.read_array: pickles unless told otherwise
+
+
+def _sources() -> list[Path]:
+    return [path for folder in ("warpsar", "cli", "kernels") for path in (ROOT / folder).rglob("*.py")]
+
+
+@pytest.mark.parametrize("path", _sources(), ids=lambda path: str(path.relative_to(ROOT)))
+def test_no_source_can_load_a_pickle(path: Path) -> None:
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            names = [alias.name for alias in node.names]
+            names.append(getattr(node, "module", None) or "")
+            assert not {name.split(".")[0] for name in names} & FORBIDDEN_IMPORTS
+        if not isinstance(node, ast.Call):
+            continue
+        function = node.func
+        if isinstance(function, ast.Name):
+            assert function.id not in FORBIDDEN_CALLS
+        if isinstance(function, ast.Attribute) and isinstance(function.value, ast.Name):
+            owner, name = function.value.id, function.attr
+            if owner in ("np", "numpy", "format") and name in LOADERS:
+                said = {key.arg: key.value for key in node.keywords}
+                assert isinstance(said.get("allow_pickle"), ast.Constant)
+                assert said["allow_pickle"].value is False
+            assert (owner, name) not in {("torch", "load"), ("dist", "broadcast_object_list")}
+            assert not name.endswith(("_object", "_object_list"))  # torch.distributed's: pickles over the wire
+        for key in node.keywords:
+            if key.arg == "allow_pickle":
+                assert isinstance(key.value, ast.Constant)
+                assert key.value.value is False
+
+
+class Bait:
+    """Makes a file when it is unpickled."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __reduce__(self) -> Any:
+        return open, (str(self.path), "w")
+
+
+def test_the_bait_bites(tmp_path: Path) -> None:
+    pickle.loads(pickle.dumps(Bait(tmp_path / "bitten"))).close()
+    assert (tmp_path / "bitten").exists()
+
+
+def test_a_pickle_in_a_numpy_file_is_refused_and_not_loaded(tmp_path: Path) -> None:
+    bitten = tmp_path / "bitten"
+    np.save(tmp_path / "a.npy", np.array([[Bait(bitten)]], object), allow_pickle=True)
+    (tmp_path / "b.npy").write_bytes(pickle.dumps(Bait(bitten)))
+    for name in ("a.npy", "b.npy"):
+        for read in (read_npy, read_channel):
+            with pytest.raises(InputError, match=name):
+                read(tmp_path / name)
+    assert not bitten.exists()
+
+
+def test_a_pickle_in_a_checkpoint_is_refused_and_not_loaded(tmp_path: Path) -> None:
+    bitten = tmp_path / "bitten"
+    np.savez(tmp_path / checkpoint.NAME, x=np.array([Bait(bitten)], object), allow_pickle=True)
+    with pytest.raises(InputError, match=r"checkpoint\.npz"):
+        checkpoint.read(tmp_path, "tag")
+    assert not bitten.exists()
+
+
+# ---- what a checkpoint may be ----
+
+
+def test_a_checkpoint_survives(tmp_path: Path) -> None:
+    arrays = {"x": np.arange(6.0).reshape(2, 3), "i": np.array(3), "name": np.array("é"), "none": np.zeros((0, 2))}
+    checkpoint.write(tmp_path, arrays, "tag")
+    found = checkpoint.read(tmp_path, "tag")
+    assert found is not None
+    assert set(found) == set(arrays)
+    for key, array in arrays.items():
+        np.testing.assert_array_equal(found[key], array)
+        assert found[key].dtype == array.dtype
+
+
+def test_a_packed_checkpoint_is_refused_unread(tmp_path: Path) -> None:
+    content = BytesIO()
+    np.save(content, np.zeros(2**23))
+    with zipfile.ZipFile(tmp_path / checkpoint.NAME, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("x.npy", content.getvalue())
+    tracemalloc.start()
+    with pytest.raises(InputError, match="packed"):
+        checkpoint.read(tmp_path, "tag")
+    assert tracemalloc.get_traced_memory()[1] < 2**22  # of 64 MiB
+    tracemalloc.stop()
+
+
+# ---- MATLAB files ----
+
+
+def test_matlab_arrays_of_every_kind_pass(tmp_path: Path) -> None:
+    """What SciPy writes, packed or not, in cells and structures, empty, sparse, text, and complex."""
+    from scipy.io import savemat
+    from scipy.sparse import eye_array
+
+    content = {
+        "data": {"fp": np.ones((5, 7), np.complex64), "af": {"r_correct": np.zeros(7)}, "empty": np.zeros((0, 3))},
+        "text": "näme",
+        "cells": np.array([[1, "two"], [np.ones(3), {"x": 1.0}]], object),
+        "records": np.zeros(4, [("a", "f8"), ("b", "i2")]),
+        "sparse": eye_array(50),
+        "flag": True,
+        "bytes": np.arange(3, dtype=np.uint8),
+    }
+    for packed in (False, True):
+        savemat(tmp_path / "a.mat", content, do_compression=packed)
+        mat5.check(tmp_path / "a.mat")
+
+
+def test_matlab_zeros_packed_too_well_are_refused(tmp_path: Path) -> None:
+    from scipy.io import savemat
+
+    savemat(tmp_path / "a.mat", {"data": np.zeros(2**22)}, do_compression=True)
+    with pytest.raises(InputError, match="unpacks to more than 100 times"):
+        mat5.check(tmp_path / "a.mat")
+
+
+# ---- messages, and what a file refers to ----
+
+
+def test_messages_steer_no_terminal_and_end() -> None:
+    assert str(InputError("a\x1b[2J\x07\ud800é\nb")) == "a\\x1b[2J\\x07\\ud800é\nb"
+    long = str(InputError("x" * 10**6))
+    assert len(long) < LONGEST_MESSAGE + 100
+    assert "990000 letters more" in long
+    assert len(shown("x" * 10**6)) == 80
+    assert shown(10**5000) == "a number of thousands of digits"
+
+
+def test_an_image_of_another_shape_is_not_unpacked(tmp_path: Path) -> None:
+    write_exr(tmp_path / "a.exr", {"HH": np.zeros((2048, 2048), np.float32)})
+    tracemalloc.start()
+    with pytest.raises(InputError, match=r"found 2048 x 2048 pixels; must be 8 x 10 \(image\.shape\)"):
+        read_channel(tmp_path / "a.exr", "HH", shape=(8, 10))
+    assert tracemalloc.get_traced_memory()[1] < 2**20
+    tracemalloc.stop()
+
+
+def _gltf(files: Any, folder: Path, uri: str) -> Path:
+    path = folder / "a.gltf"
+    path.write_bytes(files.gltf(buffers=[{"byteLength": 48, "uri": uri}]))
+    return path
+
+
+def test_gltf_buffers_lie_beside_it_or_nowhere(tmp_path: Path) -> None:
+    files = module("hostile_files")
+    corners = np.array([[0, 0, 0], [9, 0, 0], [9, 0, -9]], "<f4").tobytes()
+    (tmp_path / "scene").mkdir()
+    for place in (tmp_path, tmp_path / "scene"):
+        (place / "a.bin").write_bytes(corners + struct.pack("<III", 0, 1, 2))
+    assert len(read_mesh(_gltf(files, tmp_path / "scene", "a.bin")).faces) == 1
+    (tmp_path / "scene" / "link.bin").symlink_to(tmp_path / "a.bin")
+    for uri in ("../a.bin", str(tmp_path / "a.bin"), "link.bin", "b.bin", "."):
+        with pytest.raises(InputError, match="must be a file in the same folder"):
+            read_mesh(_gltf(files, tmp_path / "scene", uri))
+
+
+def test_a_virtual_raster_is_no_geotiff(tmp_path: Path) -> None:
+    """GDAL would open it, and whatever it names, under any suffix."""
+    rasterio = pytest.importorskip("rasterio", reason="needs the extra geo")
+    with rasterio.open(tmp_path / "b.tif", "w", driver="GTiff", width=3, height=3, count=1, dtype="float32") as file:
+        file.write(np.ones((1, 3, 3), np.float32))
+    (tmp_path / "a.tif").write_text(
+        '<VRTDataset rasterXSize="3" rasterYSize="3"><VRTRasterBand dataType="Float32" band="1"><SimpleSource>'
+        f"<SourceFilename>{tmp_path / 'b.tif'}</SourceFilename></SimpleSource></VRTRasterBand></VRTDataset>"
+    )
+    with rasterio.open(tmp_path / "a.tif") as file:
+        assert file.driver == "VRT"
+    with pytest.raises(InputError, match=r"a\.tif: cannot be read as TIFF"):
+        read_mesh(tmp_path / "a.tif")

@@ -1,0 +1,270 @@
+"""The processes of one run, as torchrun starts them: sums, decisions and lists shared over torch.distributed.
+
+Host numbers travel over gloo, device arrays over NCCL where they are on CUDA. torch is not imported unless WORLD_SIZE
+says that there is more than one process. Objects travel as JSON or as plain arrays: no pickle is ever read.
+"""
+
+from __future__ import annotations
+
+import atexit
+import io
+import json
+import os
+from collections.abc import Callable, Mapping, Sequence
+from datetime import timedelta
+from typing import Any
+
+import numpy as np
+
+from warpsar.errors import DeviceError, InputError, WarpsarError
+
+# A process that dies is noticed by torchrun at once; this is for hosts that fall silent. It has to outlast what one
+# rank may do while the others wait.
+SILENCE = timedelta(hours=2)
+
+
+class Ranks:
+    """The one process of a run without others; also what `Processes` has to offer."""
+
+    rank = 0
+    size = 1
+
+    @property
+    def first(self) -> bool:
+        """Whether this rank writes what there is to be only one of."""
+        return self.rank == 0
+
+    def sum(self, array: Any) -> np.ndarray:
+        """Sum over the ranks of a host array, float64, the same to the bit on each."""
+        return np.array(array, float)
+
+    def sum_on_device(self, array: Any) -> None:
+        """Sum a Warp array over the ranks, in place, on its device and in its stream."""
+
+    def largest(self, value: float) -> float:
+        """The largest of the ranks' values."""
+        return value
+
+    def same(self, array: Any) -> np.ndarray:
+        """The first rank's array, float64: what it decides holds for all."""
+        return np.array(array, float)
+
+    def gather(self, value: Any) -> list[Any]:
+        """Every rank's value (JSON's types), in the order of the ranks, on each."""
+        return [value]
+
+    def collect(self, arrays: Mapping[str, np.ndarray]) -> list[dict[str, np.ndarray]]:
+        """Every rank's arrays, in the order of the ranks, on the first; an empty list on the others."""
+        return [dict(arrays)]
+
+    def hand_out(self, arrays: Mapping[str, np.ndarray] | None) -> dict[str, np.ndarray] | None:
+        """The first rank's arrays, or None, on each."""
+        return None if arrays is None else dict(arrays)
+
+    def counter(self) -> Callable[[int], int]:
+        """A count of all ranks together, from 0: takes what is to be added, gives what it was."""
+        total = 0
+
+        def add(number: int) -> int:
+            nonlocal total
+            total += number
+            return total - number
+
+        return add
+
+    def barrier(self) -> None:
+        """Wait until every rank is here."""
+        self.sum(0.0)
+
+    def agree(self, task: Callable[[], Any]) -> Any:
+        """Run `task` on every rank; a refusal on one of them is raised on all."""
+        problem, result = None, None
+        try:
+            result = task()
+        except WarpsarError as error:
+            problem = error
+        refusals = self.gather(None if problem is None else [problem.exit_code, str(problem)])
+        first = next((rank for rank, refusal in enumerate(refusals) if refusal), None)
+        if first is None:
+            return result
+        code, text = refusals[first]
+        if problem is None:
+            problem = {each.exit_code: each for each in (InputError, DeviceError)}.get(code, WarpsarError)(text)
+        problem.quiet = first != self.rank
+        raise problem
+
+
+ONE = Ranks()
+
+
+class Processes(Ranks):
+    """One of several processes, which call the same methods in the same order."""
+
+    def __init__(self, device: Any) -> None:
+        try:
+            import torch
+            import torch.distributed as dist
+        except ImportError as error:
+            raise InputError(
+                f"WORLD_SIZE: found {os.environ['WORLD_SIZE']}; several processes need torch "
+                f"(pip install 'warpsar[distributed]')"
+            ) from error
+        self._torch, self._dist, self.device = torch, dist, device
+        if device.is_cuda:
+            torch.cuda.set_device(device.ordinal)
+        backend = "cpu:gloo,cuda:nccl" if device.is_cuda else "gloo"
+        store, self.rank, self.size = next(iter(dist.rendezvous("env://", timeout=SILENCE)))
+        if os.environ.get("TORCHELASTIC_USE_AGENT_STORE") == "True":
+            # it outlives a restart, and what the dead have left in it must not be taken for news
+            store = dist.PrefixStore(f"attempt {restarts() or 0}", store)
+        self._lost = False
+        world = {"store": store, "rank": self.rank, "world_size": self.size, "timeout": SILENCE}
+        self._call(dist.init_process_group, backend, **world)
+        atexit.register(self._leave)
+        self._store, self._counters = dist.PrefixStore("counters", store), 0
+        places = self.gather(device.uuid if device.is_cuda else str(self.rank))
+        if len(set(places)) < self.size:
+            refusal = DeviceError(
+                f"--device {device.alias}: found {self.size} processes on {len(set(places))} GPUs; allowed is one each "
+                f"(torchrun --nproc-per-node)"
+            )
+            refusal.quiet = not self.first
+            raise refusal
+
+    def _leave(self) -> None:
+        if not self._lost:  # with a peer gone it would wait for it
+            self._dist.destroy_process_group()
+
+    def _call(self, collective: Callable[..., Any], *arguments: Any, **more: Any) -> Any:
+        try:
+            return collective(*arguments, **more)
+        except RuntimeError as error:
+            self._lost = True
+            reason = str(error).strip().splitlines()[-1:] or ["no reason given"]
+            raise WarpsarError(
+                f"rank {self.rank} of {self.size}: the others cannot be reached, or one is gone ({reason[0][:200]})"
+            ) from error
+
+    def sum(self, array: Any) -> np.ndarray:
+        total = np.array(array, float)  # a copy of its own, which torch adds into
+        self._call(self._dist.all_reduce, self._torch.from_numpy(total.reshape(-1)))
+        return total
+
+    def sum_on_device(self, array: Any) -> None:
+        import warp as wp
+
+        if not array.size:
+            return
+        tensor = wp.to_torch(array.flatten(), requires_grad=False)
+        if not array.device.is_cuda:
+            self._call(self._dist.all_reduce, tensor)
+            return
+        with self._torch.cuda.stream(wp.stream_to_torch(array.device)):
+            self._call(self._dist.all_reduce, tensor)
+
+    def largest(self, value: float) -> float:
+        tensor = self._torch.tensor([value], dtype=self._torch.float64)
+        self._call(self._dist.all_reduce, tensor, op=self._dist.ReduceOp.MAX)
+        return float(tensor[0])
+
+    def same(self, array: Any) -> np.ndarray:
+        mine = np.array(array, float)
+        self._call(self._dist.broadcast, self._torch.from_numpy(mine.reshape(-1)), src=0)
+        return mine
+
+    def _lengths(self, data: bytes) -> list[int]:
+        lengths = np.zeros(self.size)
+        lengths[self.rank] = len(data)
+        return [int(n) for n in self.sum(lengths)]
+
+    def gather(self, value: Any) -> list[Any]:
+        data = json.dumps(value).encode()
+        lengths = self._lengths(data)
+        mine = self._torch.zeros(max(lengths), dtype=self._torch.uint8)
+        mine[: len(data)] = self._torch.frombuffer(bytearray(data), dtype=self._torch.uint8)
+        found = [self._torch.empty_like(mine) for _ in lengths]
+        self._call(self._dist.all_gather, found, mine)
+        return [json.loads(each[:n].numpy().tobytes()) for each, n in zip(found, lengths, strict=True)]
+
+    def collect(self, arrays: Mapping[str, np.ndarray]) -> list[dict[str, np.ndarray]]:
+        data = _packed(arrays)
+        lengths = self._lengths(data)
+        if not self.first:
+            self._call(self._dist.send, self._torch.frombuffer(bytearray(data), dtype=self._torch.uint8), dst=0)
+            return []
+        found = [dict(arrays)]
+        for rank in range(1, self.size):
+            received = self._torch.empty(lengths[rank], dtype=self._torch.uint8)
+            self._call(self._dist.recv, received, src=rank)
+            found.append(_unpacked(received.numpy().tobytes()))
+        return found
+
+    def hand_out(self, arrays: Mapping[str, np.ndarray] | None) -> dict[str, np.ndarray] | None:
+        data = b"" if arrays is None or not self.first else _packed(arrays)
+        length = int(self.same(float(len(data))))
+        buffer = np.zeros(length, np.uint8)
+        buffer[: len(data)] = np.frombuffer(data, np.uint8)
+        self._call(self._dist.broadcast, self._torch.from_numpy(buffer), src=0)
+        return _unpacked(buffer.tobytes()) if length else None
+
+    def counter(self) -> Callable[[int], int]:
+        self._counters += 1
+        name = str(self._counters)
+        return lambda number: int(self._call(self._store.add, name, number)) - number
+
+
+def _packed(arrays: Mapping[str, np.ndarray]) -> bytes:
+    buffer = io.BytesIO()
+    np.savez(buffer, **arrays)  # type: ignore[arg-type]
+    return buffer.getvalue()
+
+
+def _unpacked(data: bytes) -> dict[str, np.ndarray]:
+    with np.load(io.BytesIO(data), allow_pickle=False) as stored:
+        return {key: stored[key] for key in stored.files}
+
+
+_here: Ranks | None = None
+
+
+def ranks(device: Any) -> Ranks:
+    """The processes that this one belongs to, joined at the first call; `device` is the one it works on.
+
+    Raises InputError where WORLD_SIZE is there and the rest of torchrun's environment, or torch, is not.
+    """
+    global _here
+    if _here is None:
+        _here = Processes(device) if _asked_for() else ONE
+    return _here
+
+
+def _asked_for() -> bool:
+    size = os.environ.get("WORLD_SIZE", "1")
+    if not size.isdigit() or int(size) < 1:
+        raise InputError(f"WORLD_SIZE: found {size!r}; allowed is a whole number from 1")
+    if int(size) == 1:
+        return False
+    missing = [name for name in ("RANK", "LOCAL_RANK", "MASTER_ADDR", "MASTER_PORT") if name not in os.environ]
+    if missing:
+        raise InputError(
+            f"WORLD_SIZE={size}: {', '.join(missing)} is not set; start several processes with torchrun (docs/scale.md)"
+        )
+    return True
+
+
+def restarts() -> int | None:
+    """How often torchrun started this process again, after one of the run had died; None where it did not start it."""
+    found = os.environ.get("TORCHELASTIC_RESTART_COUNT", "")
+    return int(found) if found.isdigit() else None
+
+
+def deal(costs: Sequence[float], ranks: int) -> list[list[int]]:
+    """Indices of `costs`, ascending, for each rank: the longest first, to whoever has least (Graham, 1969: within 4/3
+    of the best)."""
+    hands: list[list[int]] = [[] for _ in range(ranks)]
+    load = [0.0] * ranks
+    for index in sorted(range(len(costs)), key=lambda i: -costs[i]):
+        least = min(range(ranks), key=load.__getitem__)
+        hands[least].append(index)
+        load[least] += costs[index]
+    return [sorted(hand) for hand in hands]
