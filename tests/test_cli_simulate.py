@@ -197,7 +197,7 @@ def test_an_older_result_stays_whole_when_the_next_run_is_stopped(scene: Path) -
     out = scene.parent / "out"
     assert warpsar("simulate", scene, "-o", out, "--device", "cpu").returncode == 0
     before = {path.name: path.read_bytes() for path in out.iterdir()}
-    scene.write_text(SCENE.replace("rays_per_pixel = 16.0", "rays_per_pixel = 2e7"))
+    scene.write_text(SCENE.replace("rays_per_pixel = 16.0", "rays_per_pixel = 1e7"))
     process = subprocess.Popen(
         [sys.executable, "-m", "warpsar", "simulate", str(scene), "-o", str(out), "--device", "cpu"],
         stderr=subprocess.PIPE,

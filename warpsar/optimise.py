@@ -16,7 +16,6 @@ if TYPE_CHECKING:
 
 LARGEST_STEP = 1.0  # of a log coordinate in one Levenberg-Marquardt step: a factor e
 FLAT = 2e-3  # predicted gain in log-likelihood at which Levenberg-Marquardt has arrived: 1/16 of a standard deviation
-RENEWED = 0.2  # of a log coordinate: images are differentiated again once the fit has moved so far
 HARDLY, NOTHING = 1e-3, 1e-2  # damping that counts as none; share of `flat` that no step is tried for
 BEND_STEP = 0.1  # of a step, over which the images' second derivative along it is measured
 MOST_BEND = 0.75  # the largest correction, relative to the step, that is trusted
@@ -75,12 +74,18 @@ def _better(state: FitState, x: np.ndarray, loss: float) -> FitState:
 
 
 def levenberg_marquardt(
-    problem: FitProblem, state: FitState, moving: np.ndarray | None = None, flat: float = FLAT
+    problem: FitProblem,
+    state: FitState,
+    moving: np.ndarray | None = None,
+    *,
+    flat: float = FLAT,
+    kept_within: float = 0.0,
 ) -> FitState:
     """One step of Levenberg-Marquardt with geodesic acceleration (Transtrum and Sethna, arXiv:1201.5885).
 
     Gradient from the tape, curvature from central differences of the images (Fisher scoring for the gamma
-    likelihood), which hardly changes within `RENEWED` and is kept so long. The valleys are narrow and bent (eps_r
+    likelihood); these may be kept while x moves less than `kept_within` of a log coordinate, which speckle forgives and
+    the long flat valleys of noiseless images do not. The valleys are narrow and bent (eps_r
     against h against l), so a step is corrected by the images' second derivative along it. Elements at a bound that the
     gradient pushes outward stay there, and so do those that no pixel depends on and that `moving`, shape (p,), leaves
     out. The fit has arrived where a Jacobian made on the spot, and a step that is hardly damped, promise less than
@@ -88,7 +93,7 @@ def levenberg_marquardt(
     """
     x = state.x
     origin = state.differentiated_at
-    if origin is None or np.abs(x - origin).max() > RENEWED:
+    if origin is None or np.abs(x - origin).max() > kept_within:
         origin = x
     _, gradient = problem.gradient(x)
     modelled = problem.modelled(x)

@@ -27,6 +27,7 @@ MOST_ITERATIONS = 40  # of one start
 # Where models are only ranked, or start where they belong: iterations of one start, and the promised log-likelihood at
 # which it has arrived; verdicts turn on several units.
 QUICK_ITERATIONS, QUICK_FLAT = 12, 0.05
+KEPT_WITHIN = 0.2  # of a log coordinate, that a fit moves before its images are differentiated again
 ROBUST_TURNS = 4
 MOST_LEFT_OUT = 0.2  # of all pixels
 BLOCK = 8  # columns: what a view's own parameters are fitted on and judged on alternates
@@ -92,7 +93,7 @@ def descend(
         inside = np.clip(start, low, high)
         state = FitState(inside, np.inf, inside, np.inf)
         while not state.arrived and state.since_start < most_iterations:
-            state = levenberg_marquardt(problem, state, moving, flat)
+            state = levenberg_marquardt(problem, state, moving, flat=flat, kept_within=KEPT_WITHIN)
             if state.since_start == QUICK_ITERATIONS and state.best_loss > best_loss + HOPELESS:
                 break
         iterations += state.iteration
