@@ -299,29 +299,33 @@ def judged(row: Mapping[str, Any]) -> str:
 @main.command()
 @click.option("-o", "--out", required=True, type=click.Path(file_okay=False, path_type=Path))
 def table(out: Path) -> None:
-    """Markdown of what the folder holds, and rates.json: per case, looks and speckle, how the runs came out."""
+    """Markdown of what the folder holds, both kinds of speckle together, and rates.json: every kind by itself."""
     rows = stored_runs(out)
-    words = ("right", "unexplained too", "more", "not testable", "missed", "unexplained", "wrong")
-    cells: dict[tuple[str, int, str], list[dict[str, Any]]] = {}
-    for row in rows:
-        cells.setdefault((row["case"], row["looks"], row["speckle"]), []).append(row)
-    order = {name: i for i, name in enumerate(CASES)}
+    words = ("unexplained too", "more", "not testable", "missed", "unexplained", "wrong")
+    click.echo(
+        "| in the images | runs | right at 1 | 4 | 16 looks | " + " | ".join(words) + " | named instead or besides |"
+    )
+    click.echo("|---" * (len(words) + 6) + "|")
     summary = []
-    click.echo("| in the images | looks | speckle | runs | " + " | ".join(words) + " | named instead or besides |")
-    click.echo("|---" * (len(words) + 5) + "|")
-    for key in sorted(cells, key=lambda k: (order[k[0]], k[1], k[2])):
-        members = cells[key]
-        count = {word: sum(judged(row) == word for row in members) for word in words}
+    for name in CASES:
+        mine = [row for row in rows if row["case"] == name]
+        if not mine:
+            continue
         others: dict[str, int] = {}
-        for row in members:
-            for name in set(row["verdict"]) - CASES[key[0]].names:
-                others[name] = others.get(name, 0) + 1
-        said = ", ".join(f"{name} {n}" for name, n in sorted(others.items()))
-        numbers = " | ".join(str(count[word]) if count[word] else "" for word in words)
-        click.echo(f"| {key[0]} | {key[1]} | {key[2]} | {len(members)} | {numbers} | {said} |")
-        summary.append(
-            {"case": key[0], "looks": key[1], "speckle": key[2], "runs": len(members), **count, "others": others}
-        )
+        for row in mine:
+            for other in set(row["verdict"]) - CASES[name].names:
+                others[other] = others.get(other, 0) + 1
+        by_looks = [[judged(row) == "right" for row in mine if row["looks"] == looks] for looks in LOOKS]
+        right = " | ".join(f"{sum(found)} of {len(found)}" for found in by_looks)
+        counts = {word: sum(judged(row) == word for row in mine) for word in words}
+        said = ", ".join(f"{other} {n}" for other, n in sorted(others.items()))
+        numbers = " | ".join(str(n or "") for n in counts.values())
+        click.echo(f"| {name} | {len(mine)} | {right} | {numbers} | {said} |")
+        for looks, kind in product(LOOKS, ("white", "correlated")):
+            members = [row for row in mine if (row["looks"], row["speckle"]) == (looks, kind)]
+            if members:
+                came_out = {word: sum(judged(row) == word for row in members) for word in ("right", *words)}
+                summary.append({"case": name, "looks": looks, "speckle": kind, "runs": len(members), **came_out})
     (out / "rates.json").write_text(json.dumps(summary, indent=1) + "\n")
 
 
