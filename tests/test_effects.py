@@ -312,3 +312,25 @@ def test_a_sixteenth_effect_is_a_module_and_its_name(monkeypatch: pytest.MonkeyP
     (plain, _) = simulate(scene, device="cpu")
     (loud, _) = simulate(with_effect(scene, "doubling", {"gain_db": 10 * math.log10(2)}), device="cpu")
     assert loud.beta0["HH"] == pytest.approx(2 * plain.beta0["HH"], rel=1e-6)
+
+
+def test_refinements_of_interference_move_one_end_or_add_one_band() -> None:
+    """Bands stay inside the image, apart from one another, and a band that scored joins only where there is room."""
+    scene = street()
+    rows = scene.grid.shape[0]
+    table = {"level": {"v0": 0.1}, "rows": {"v0": [[0, 2], [6, 8]]}}
+    others = [
+        {"level": {"v0": 0.2}, "rows": {"v0": [[7, 9]]}},  # overlaps
+        {"level": {"v1": 0.3}, "rows": {"v1": [[4, 5]]}},
+    ]
+    found = get("interference").refinements(scene, table, others)
+    moved = [one["rows"] for one, chosen in found if chosen == 0]
+    assert {"v0": [[0, 3], [6, 8]]} in moved
+    assert {"v0": [[0, 2], [5, 8]]} in moved
+    for bands in (rows_of["v0"] for rows_of in moved):
+        assert len(bands) == 2
+        assert all(0 <= first < end <= rows for first, end in bands)
+        assert bands[0][1] < bands[1][0]
+        assert np.count_nonzero(np.array(bands) != np.array(table["rows"]["v0"])) == 1
+    added = [one for one, chosen in found if chosen == 1]
+    assert added == [{"level": {"v1": 0.3, "v0": 0.1}, "rows": {"v0": [[0, 2], [6, 8]], "v1": [[4, 5]]}}]
