@@ -10,12 +10,13 @@ from learning_scenes import bumpy, measured, views_at
 from worlds import SOIL, plate, scene_of
 
 from warpsar import runtime
-from warpsar.fields import hit_pixels, node_weights, write_field_uncertainty
+from warpsar.fields import node_weights, write_field_uncertainty
 from warpsar.fit import FitProblem
 from warpsar.images import read_channel, write_exr
 from warpsar.mesh import Mesh
 from warpsar.results import learned_scene
 from warpsar.scene import Material, Scene
+from warpsar.shading import image_pixels
 
 KEYS = ("eps_r", "rms_height_m")
 
@@ -150,9 +151,9 @@ def test_hits_in_finer_bins_fall_into_their_pixels(tmp_path: Path) -> None:
     for index in range(2):
         assert moved.views[index].render.hits.grid.shape != plain.views[index].render.hits.grid.shape
         fine, coarse = moved.views[index].render.shaded, plain.views[index].render.shaded
-        pixel = hit_pixels(moved, index)
+        pixel = image_pixels(fine, scene.grid.shape)
         inside = pixel >= 0
-        np.testing.assert_array_equal(hit_pixels(plain, index), coarse.pixel.numpy())
+        np.testing.assert_array_equal(image_pixels(coarse, scene.grid.shape), coarse.pixel.numpy())
         found = np.bincount(pixel[inside], fine.weight.numpy()[inside], 14 * 14)
         expected = np.bincount(coarse.pixel.numpy(), coarse.weight.numpy(), 14 * 14)
         # a ray's footprint is shared out among finer bins: what crosses a pixel's edge differs by its sampling

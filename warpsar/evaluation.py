@@ -22,6 +22,7 @@ from warpsar.observation import Observation, observe
 from warpsar.outputs import write_json
 from warpsar.render import Stage, ViewRender
 from warpsar.sampling import choose_density
+from warpsar.shading import image_pixels
 from warpsar.simulation import hit_grid, trace_view, view_seed
 from warpsar.trace import ray_count
 
@@ -244,12 +245,9 @@ def _evaluate_view(
 def _surface_in_pixels(scene: Scene, render: ViewRender, polarization: str) -> tuple[np.ndarray, np.ndarray]:
     """Incidence angle [deg] and index of the strongest material of every pixel, weighted by modelled power."""
     hits, (rows, cols) = render.shaded, render.shape
-    fine = hits.grid.bins_per_pixel
-    row, col = np.divmod(hits.pixel.numpy(), hits.grid.shape[1])
-    row = row // fine - (hits.grid.shape[0] // fine - rows) // 2
-    col = col // fine - (hits.grid.shape[1] // fine - cols) // 2
-    inside = (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
-    pixel = (row * cols + col)[inside]
+    pixel = image_pixels(hits, render.shape)
+    inside = pixel >= 0
+    pixel = pixel[inside]
     power = (hits.weight.numpy().astype(float) * render.sigma[polarization].numpy())[inside]
     total = np.bincount(pixel, power, rows * cols)
     angle = np.rad2deg(np.arccos(np.minimum(hits.cos_incidence.numpy()[inside].astype(float), 1.0)))

@@ -10,6 +10,7 @@ import numpy as np
 from warpsar import runtime
 from warpsar.images import write_exr
 from warpsar.results import file_stem
+from warpsar.shading import image_pixels
 from warpsar.surface import KINDS
 
 if TYPE_CHECKING:
@@ -61,17 +62,6 @@ def hit_slopes(problem: FitProblem, view_index: int, polarization: str) -> np.nd
     return render.zeta.grad.numpy().astype(float)
 
 
-def hit_pixels(problem: FitProblem, view_index: int) -> np.ndarray:
-    """The image pixel (row * cols + col) of every hit, shape (hits,); -1 outside. Effects may ask for hits in finer
-    and wider bins than the image's."""
-    hits, (rows, cols) = problem.views[view_index].kept.shaded, problem.scene.grid.shape
-    fine = hits.grid.bins_per_pixel
-    row, col = (at // fine for at in np.divmod(hits.pixel.numpy(), hits.grid.shape[1]))
-    row -= (hits.grid.shape[0] // fine - rows) // 2
-    col -= (hits.grid.shape[1] // fine - cols) // 2
-    return np.where((row >= 0) & (row < rows) & (col >= 0) & (col < cols), row * cols + col, -1)
-
-
 def write_field_uncertainty(problem: FitProblem, x: np.ndarray, folder: Path) -> dict[str, Any]:
     """Standard deviation (in the learned coordinate) and views per node of every learned field, as EXR maps for
     textures and NPY for vertices in `folder`; returns a summary per field.
@@ -102,7 +92,7 @@ def write_field_uncertainty(problem: FitProblem, x: np.ndarray, folder: Path) ->
                 slopes = hit_slopes(problem, index, seen.polarization)
                 image = view.kept.images[seen.polarization].numpy().astype(float)
                 used = seen.interior.ravel()
-                pixel = hit_pixels(problem, index)
+                pixel = image_pixels(hits, problem.scene.grid.shape)
                 inside = (pixel >= 0) & used[pixel]
                 collect = csr_array(
                     (inside.astype(float), (np.maximum(pixel, 0), np.arange(hits.count))),

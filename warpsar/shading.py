@@ -63,3 +63,13 @@ def _merged(hits: Hits) -> tuple[Hits, Any]:
         **means,
     )
     return merged, upload(sample.astype(np.int32), int)
+
+
+def image_pixels(shaded: Hits, shape: tuple[int, int]) -> np.ndarray:
+    """The pixel (row * cols + col) of an image of `shape` that each shading sample lies in, shape (n,); -1 outside.
+    Effects may have light binned beyond the image's edges."""
+    row, col = np.divmod(shaded.pixel.numpy(), shaded.grid.shape[1])
+    row -= (shaded.grid.shape[0] - shape[0]) // 2
+    col -= (shaded.grid.shape[1] - shape[1]) // 2
+    inside = (row >= 0) & (row < shape[0]) & (col >= 0) & (col < shape[1])
+    return np.where(inside, row * shape[1] + col, -1)

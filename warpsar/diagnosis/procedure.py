@@ -227,11 +227,13 @@ def _step(
     if dark.asks:
         # Without such an effect the dark pixels are impossible: of those that make them possible the likeliest is
         # needed, whatever it gains in the light.
-        able = [fitted for _, candidate, fitted in refitted if get(candidate.effect).additive]
+        able = [(candidate, fitted) for _, candidate, fitted in refitted if get(candidate.effect).additive]
         if able:
-            step.fitted = settle(bench, max(able, key=lambda f: f.whole), options.starts, options.seed)
-            step.added = next(name for name in step.fitted.scene.effects if name not in base.scene.effects)
-            runtime.say(f"added: {step.added} {step.fitted.scene.effects[step.added]}, which the dark pixels ask for")
+            candidate, fitted = max(able, key=lambda pair: pair[1].whole)
+            fitted = settle(bench, fitted, options.starts, options.seed)
+            candidate.refit_gain = 2.0 * (fitted.log_likelihood - base.log_likelihood)
+            step.added, step.fitted = candidate.effect, fitted
+            runtime.say(f"added: {step.added} {fitted.scene.effects[step.added]}, which the dark pixels ask for")
             return step, evidence
     inflation = float(evidence.autocovariance.sum() / evidence.autocovariance.max())
     for gain, candidate, fitted in sorted(refitted, key=lambda item: -item[0]):
@@ -243,14 +245,15 @@ def _step(
         runtime.say(
             f"  {candidate.effect}: views left out gain {candidate.left_out.gain:.1f} +- {candidate.left_out.error:.1f}"
         )
+        if not candidate.left_out.passed:
+            continue
         if varies_over_columns(bench, base, fitted, candidate.effect):
             candidate.note = "not one value for a view: it varies over the view's columns"
             runtime.say(f"  {candidate.effect}: {candidate.note}")
             continue
-        if candidate.left_out.passed:
-            step.added, step.fitted = candidate.effect, fitted
-            runtime.say(f"added: {candidate.effect} {fitted.scene.effects[candidate.effect]}")
-            break
+        step.added, step.fitted = candidate.effect, fitted
+        runtime.say(f"added: {candidate.effect} {fitted.scene.effects[candidate.effect]}")
+        break
     return step, evidence
 
 

@@ -146,8 +146,15 @@ def _verdict(done: Diagnosed, content: dict[str, Any]) -> list[str]:
         )
         tables = _said(step["parameters"])
         said.append(f"Added: {step['effect']} ({get(step['effect']).summary}), with {tables}.{held}")
+    said += [
+        f"Dropped again, being needless beside {turn['added']}: {name}."
+        for turn in content["turns"]
+        for name in turn["dropped"]
+    ]
     if not said and any(c.refit_gain is not None for c in found.steps[0].candidates):
-        said.append("Nothing was added: of the effects that passed the threshold, none helped on views left out.")
+        said.append(
+            "Nothing was added: none of the effects that passed the threshold held; the sections on the turns say why."
+        )
     elif not said:
         said.append(
             "Nothing was added: no effect of the library explains what is left better than chance would, at a family "
@@ -215,8 +222,8 @@ def _reach(images: Sequence[Judged]) -> float:
 
 
 def _turn(step: Step, number: int, done: Diagnosed, content: dict[str, Any]) -> str:
-    declared = list(done.diagnosis.scene.effects) + done.diagnosis.verdict[:number]
-    about = f"with {', '.join(declared)}" if declared else "as declared"
+    effects = step.base.scene.effects
+    about = f"with {', '.join(effects)}" if effects else "as declared"
     tested = [c for c in step.candidates if c.testability == "testable"]
     draws, error = content["options"]["draws"], 100.0 * content["options"]["family_error"]
     said = (
@@ -312,24 +319,23 @@ def _why(step: Step, tested: Sequence[Candidate]) -> list[str]:
             else "; no other effect came near the threshold"
         )
         top = max(tested, key=lambda c: c.minus_log_p)
-        if top is not winner:
-            text += f". {top.effect} scored higher before the fit, but fits worse"
         if winner.left_out is None:
             text += f". {winner.note}, which no model without such an effect can hold, so that nothing else was asked"
+        elif top is not winner:
+            text += f". {top.effect} scored higher before the fit, but fits worse"
         said.append(text + ".")
         said += [f"{name}, added before, is needless beside {winner.effect}, and was dropped." for name in step.dropped]
-        failed = [c for c in refitted if c.left_out is not None and not c.left_out.passed]
-        said += [
-            f"{c.effect} was refused: it does not help on views left out by more than two standard errors."
-            for c in failed
-        ]
     elif refitted:
         said.append(
-            f"Nothing was added: of what passed the threshold ({', '.join(c.effect for c in refitted)}), nothing "
-            f"helped on views left out by more than two standard errors."
+            f"Nothing was added: what passed the threshold ({', '.join(c.effect for c in refitted)}) gained less "
+            f"likelihood than its parameters cost, or was refused."
         )
     else:
         said.append("No effect passed the threshold: nothing was added, and the search ends here.")
+    for c in refitted:
+        if c.left_out is not None and c.effect != step.added:
+            why = "it does not help on views left out by more than two standard errors"
+            said.append(f"{c.effect} was refused: {c.note if c.left_out.passed else why}.")
     return said
 
 
