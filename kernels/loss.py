@@ -9,8 +9,8 @@ LOG = wp.constant(2)
 # Partial sums of a loss: float64, spread over as many cells so that CUDA atomics seldom meet.
 PARTIALS = wp.constant(4096)
 
-# A modelled pixel darker than this is as dark as this: keeps ln(mu), and 1 / mu^2 of the adjoint, finite in float32
-# where sigma0 underflows.
+# No modelled pixel counts as darker than this: keeps ln(mu), and 1 / mu^2 of the adjoint, finite in float32 where
+# sigma0 underflows.
 DARKEST = wp.constant(1.0e-18)
 
 
@@ -21,6 +21,7 @@ def loss_kernel(
     pixel: wp.array(dtype=int),
     measured: wp.array(dtype=float),
     image: wp.array(dtype=float),
+    darkest: wp.array(dtype=float),
     gain: wp.array(dtype=float),
     gain_index: int,
     looks: float,
@@ -30,9 +31,10 @@ def loss_kernel(
     loss_out: wp.array(dtype=wp.float64),
 ):
     """GAMMA: L (I / mu - 1 - ln(I / mu)), half the deviance; MSE: (I - mu)^2 / 2 (equation 38);
-    LOG: (ln I - ln mu - bias)^2 / 2, bias = psi(L) - ln L. Each times `weight`."""
+    LOG: (ln I - ln mu - bias)^2 / 2, bias = psi(L) - ln L. Each times `weight`. mu is the image, no darker than
+    `darkest` (one a pixel, or one for all), times the gain."""
     i = wp.tid()
-    mu = wp.max(gain[gain_index] * image[pixel[i]], DARKEST)
+    mu = gain[gain_index] * wp.max(image[pixel[i]], darkest[wp.min(i, darkest.shape[0] - 1)])
     observed = measured[i]
     value = float(0.0)
     if kind == GAMMA:

@@ -100,6 +100,7 @@ class FitView:
                     wp.array(seen.pixels, dtype=int, device=device),
                     wp.array(seen.values.astype(np.float32), dtype=float, device=device),
                     self.render.images[seen.polarization],
+                    wp.array(seen.darkest, dtype=float, device=device),
                     self.gain,
                     index,
                     seen.looks,
@@ -111,10 +112,8 @@ class FitView:
 
     def modelled(self) -> list[np.ndarray]:
         """beta0 of the interior pixels, before any gain, of each observation; after a forward run."""
-        from warpsar.kernels.loss import DARKEST
-
         return [
-            np.maximum(self.render.images[seen.polarization].numpy()[seen.pixels].astype(float), DARKEST)
+            np.maximum(self.render.images[seen.polarization].numpy()[seen.pixels].astype(float), seen.darkest)
             for seen in self.observations
         ]
 

@@ -22,7 +22,8 @@ class Observation:
 
     `interior`: lit by the declared model with all eight neighbours, off the image's edge, unmasked, finite and
     positive. `silent`: the same, but measuring exactly 0, which no gamma likelihood can hold. `dark`: far from
-    everything lit, off the edge, unmasked and finite; zeros stay in.
+    everything lit, off the edge, unmasked and finite; zeros stay in. `least` [beta0 before any gain] is how dark the
+    model may call a pixel that is not `dark`: less than what its rays can miss says nothing.
     """
 
     view: View
@@ -33,6 +34,7 @@ class Observation:
     dark: np.ndarray
     looks: float
     looks_estimated: bool
+    least: float = 0.0
 
     @property
     def zeros(self) -> int:
@@ -50,6 +52,15 @@ class Observation:
     def pixels(self) -> np.ndarray:
         """Flat indices of the interior, shape (n,), int32."""
         return np.flatnonzero(self.interior).astype(np.int32)
+
+    @property
+    def darkest(self) -> np.ndarray:
+        """Modelled beta0 below which a pixel counts no darker, one for all or shape (n,), float32."""
+        from warpsar.kernels.loss import DARKEST
+
+        if self.least <= DARKEST:
+            return np.array([DARKEST], np.float32)
+        return np.where(self.dark[self.interior], DARKEST, self.least).astype(np.float32)
 
     @property
     def values(self) -> np.ndarray:

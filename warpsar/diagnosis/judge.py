@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpsar.diagnosis.procedure import _frozen
+from warpsar.diagnosis.procedure import frozen
 from warpsar.diagnosis.refit import Bench
 from warpsar.evaluation import mean_deviance
 from warpsar.identify import residual_autocovariance
@@ -55,7 +55,7 @@ class Judge:
             other = Rays(bench.rays.stage, bench.rays.rays_per_m2, bench.rays.seed + 1)
             turned = _turned(found.scene)
             one, two = (Bench(bench.device, rays, {}) for rays in (bench.rays, other))
-            self.benches["test"] = Bench(bench.device, bench.rays, _frozen(one, two, turned))
+            self.benches["test"] = Bench(bench.device, bench.rays, frozen(one, two, turned))
 
     def __call__(self, scene: Scene) -> list[Judged]:
         """Every measured image beside `scene`'s, nothing fitted but the gain of images that are not calibrated.
@@ -68,6 +68,7 @@ class Judge:
                 for seen in view.observations:
                     gain = float(next(gains))
                     image = view.render.images[seen.polarization].numpy().reshape(seen.measured.shape).astype(float)
+                    image[seen.interior] = np.maximum(image[seen.interior], seen.darkest)
                     found.append(Judged(role, seen, gain * image, gain))
         return found
 

@@ -26,6 +26,7 @@ from warpsar.diagnosis.refit import (
 )
 from warpsar.diagnosis.scan import Scan, Spot
 from warpsar.diagnosis.score import NOT_TESTABLE, Group, Projection, group
+from warpsar.diagnosis.survey import surveyed
 from warpsar.diagnosis.templates import Template, TemplateMaker
 from warpsar.effects import NAMES, get
 from warpsar.errors import InputError
@@ -143,7 +144,7 @@ def diagnose_scene(scene: Scene, device: Any, options: DiagnoseOptions) -> Diagn
     )
     rays = Rays(stage, density.rays_per_m2, 2 * scene.sampling.seed)
     other_rays = Rays(stage, density.rays_per_m2, 2 * scene.sampling.seed + 1)
-    bench = Bench(device, rays, _frozen(Bench(device, rays, {}), Bench(device, other_rays, {}), scene))
+    bench = Bench(device, rays, frozen(Bench(device, rays, {}), Bench(device, other_rays, {}), scene))
 
     bar = runtime.progress(2 * options.draws, "diagnose", "")
     runtime.say("fit of the declared model")
@@ -162,17 +163,26 @@ def diagnose_scene(scene: Scene, device: Any, options: DiagnoseOptions) -> Diagn
     return Diagnosis(scene, declared, base, steps, unexplained, density, bench, evidence)
 
 
-def _frozen(one: Bench, other: Bench, scene: Scene) -> dict[str, list[Observation]]:
+def frozen(one: Bench, other: Bench, scene: Scene) -> dict[str, list[Observation]]:
     """Masks from the declared model, the same for all that follows. A pixel counts as lit if both sets of rays light
-    it and its neighbours: where one of them misses, its share of light is sampling noise."""
-    pairs = zip(one.problem(scene, dark=False).views, other.problem(scene, dark=False).views, strict=True)
-    return {
-        a.view.name: [
-            replace(mine, interior=mine.interior & theirs.interior, dark=mine.dark & theirs.dark)
+    it and its neighbours: where one of them misses, its share of light is sampling noise. Where an effect has moved
+    the light, a pixel may hold a sliver that no ray meets: it counts as one ray's share of a median pixel at least."""
+    problems = [bench.problem(scene, dark=False) for bench in (one, other)]
+    declared = iter(problems[0].modelled_as_declared())
+    density = one.rays.rays_per_m2 or scene.sampling.density_per_m2(scene.grid)
+    rays_per_pixel = density * scene.grid.pixel_area_m2
+    found = {}
+    for a, b in zip(*(problem.views for problem in problems), strict=True):
+        found[a.view.name] = [
+            replace(
+                mine,
+                interior=mine.interior & theirs.interior,
+                dark=mine.dark & theirs.dark,
+                least=float(np.median(next(declared))) / rays_per_pixel,
+            )
             for mine, theirs in zip(a.observations, b.observations, strict=True)
         ]
-        for a, b in pairs
-    }
+    return found
 
 
 def _step(
@@ -215,7 +225,8 @@ def _step(
 
     refitted: list[tuple[float, Candidate, Fitted]] = []
     for candidate in passing[: options.refits]:
-        chosen = [table for template in best[candidate.effect] for table in template.trial.starts][:OFFERED]
+        trials = [template.trial for template in best[candidate.effect]][:OFFERED]
+        chosen = [table for trial in trials for table in surveyed(bench, point.scene, candidate.effect, trial)]
         fitted = screen(bench, base, point.scene, scene, candidate.effect, chosen)
         candidate.refit_gain = 2.0 * (fitted.log_likelihood - base.log_likelihood)
         candidate.refit_size = fitted.size - base.size

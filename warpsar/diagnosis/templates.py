@@ -123,7 +123,7 @@ class TemplateMaker:
                 if views is None or view.view.name in views:
                     effect = next(e for e in declared(scene, view.view, neutral=True) if e.effect.name == name)
                     image = view.render.image_with(effect, self.whole[at])
-                    mu = np.maximum(image.ravel()[seen.pixels].astype(float), 1e-30)
+                    mu = np.maximum(image.ravel()[seen.pixels].astype(float), seen.darkest)
                 found.append(mu)
                 at += 1
         return found

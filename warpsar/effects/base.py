@@ -118,12 +118,14 @@ class Trial:
     """Steps that are tested together (their number is the degrees of freedom), at one choice of whatever is
     undefined at neutral; over the trials of an effect the score is maximised.
 
-    `starts` are tables with the parameters to be learned, and settings: where fits begin if the trial wins.
+    `starts` are tables with the parameters to be learned, and settings: where fits begin if the trial wins. `survey`
+    names parameters (linear ones) that the data may place far from there, with the first step of a search for it.
     """
 
     steps: tuple[Step, ...]
     starts: tuple[Mapping[str, Any], ...]
     label: str = ""
+    survey: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

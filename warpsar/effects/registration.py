@@ -37,11 +37,12 @@ class Registration(Effect):
         return float(np.abs(values[:2]).max() + np.linalg.norm(values[2:]) + _ROOM_PX * max(grid.spacing_m))
 
     def trials(self, context: Context) -> list[Trial]:
-        size = 0.25 * min(context.scene.grid.spacing_m)
+        pixel = min(context.scene.grid.spacing_m)
+        size = 0.25 * pixel
 
         def trial(label: str, *names: str) -> Trial:
             steps = tuple(Step(name, size, {name: size}, {name: -size}) for name in names)
-            return Trial(steps, (dict.fromkeys(names, 0.0),), label)
+            return Trial(steps, (dict.fromkeys(names, 0.0),), label, dict.fromkeys(names, 2.0 * pixel))
 
         return [trial("all views alike", "range_m", "azimuth_m"), trial("world", "east_m", "north_m", "up_m")]
 
