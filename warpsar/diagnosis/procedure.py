@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -20,12 +20,12 @@ from warpsar.diagnosis.refit import (
     leave_one_view_out,
     narrow,
     refit_without,
-    screen,
     settle,
     varies_over_columns,
 )
 from warpsar.diagnosis.scan import Scan, Spot
 from warpsar.diagnosis.score import NOT_TESTABLE, Group, Projection, group
+from warpsar.diagnosis.screening import Screening
 from warpsar.diagnosis.survey import surveyed
 from warpsar.diagnosis.templates import Template, TemplateMaker
 from warpsar.effects import NAMES, get
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 MU_NOISE = 10.0  # looks x pixels x relative sampling variance of mu: the gain in 2 ln L that denoising mu could bring
 CLASS_COSINE = 0.9  # templates closer than this are one class: the data hardly tell them apart
 DARK_PIXELS = 50  # fewer dark pixels than this say nothing
-OFFERED = 40  # tables of an effect's best trials that its refit may try
+OFFERED = 40  # of an effect's best trials that its refit may try
 TRACE = 0.1  # of the median beta0: less is a border pixel's share of light
 SILENT_SHARE = 0.01  # of the dark pixels that may measure exactly 0 under a floor
 
@@ -224,17 +224,11 @@ def _step(
         return step, evidence
 
     refitted: list[tuple[float, Candidate, Fitted]] = []
-    for candidate in passing[: options.refits]:
-        trials = [template.trial for template in best[candidate.effect]][:OFFERED]
-        chosen = [table for trial in trials for table in surveyed(bench, point.scene, candidate.effect, trial)]
-        fitted = screen(bench, base, point.scene, scene, candidate.effect, chosen)
+    for candidate, fitted in _screened(bench, base, point.scene, scene, passing[: options.refits], best, dark):
         candidate.refit_gain = 2.0 * (fitted.log_likelihood - base.log_likelihood)
         candidate.refit_size = fitted.size - base.size
         penalty = (fitted.size - base.size) * np.log(_effective_pixels(evidence))
         refitted.append((candidate.refit_gain - penalty, candidate, fitted))
-        runtime.say(
-            f"  refit {candidate.effect}: 2 ln L {candidate.refit_gain:+.1f} for {candidate.refit_size} parameters"
-        )
     if dark.asks:
         # Without such an effect the dark pixels are impossible: of those that make them possible the likeliest is
         # needed, whatever it gains in the light.
@@ -266,6 +260,34 @@ def _step(
         runtime.say(f"added: {candidate.effect} {fitted.scene.effects[candidate.effect]}")
         break
     return step, evidence
+
+
+def _screened(
+    bench: Bench,
+    base: Fitted,
+    from_scene: Scene,
+    declared: Scene,
+    passing: Sequence[Candidate],
+    templates: Mapping[str, Sequence[Template]],
+    dark: Dark,
+) -> Iterator[tuple[Candidate, Fitted]]:
+    """Every candidate's fit, those first that look likeliest at a glance. Where dark pixels decide, none is given up
+    for what the others make of the lit ones."""
+    screenings = []
+    for candidate in passing:
+        trials = [template.trial for template in templates[candidate.effect]][:OFFERED]
+        tables = [table for trial in trials for table in surveyed(bench, from_scene, candidate.effect, trial)]
+        screenings.append((candidate, Screening(bench, base, from_scene, declared, candidate.effect, tables)))
+    lead = -np.inf
+    for candidate, screening in sorted(screenings, key=lambda pair: -pair[1].glanced.log_likelihood):
+        fitted, given_up = screening.finish(-np.inf if dark.asks else lead)
+        lead = max(lead, fitted.log_likelihood)
+        gain = 2.0 * (fitted.log_likelihood - base.log_likelihood)
+        said = ", given up" if given_up else ""
+        runtime.say(f"  refit {candidate.effect}: 2 ln L {gain:+.1f} for {fitted.size - base.size} parameters{said}")
+        if given_up:
+            candidate.note += f"{'; ' if candidate.note else ''}its fit was given up, far behind"
+        yield candidate, fitted
 
 
 def _prune(bench: Bench, step: Step, earlier: Sequence[str], pixels: float) -> None:

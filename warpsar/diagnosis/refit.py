@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpsar.diagnosis.evidence import LARGEST
-from warpsar.diagnosis.templates import with_effect
 from warpsar.effects import get
 from warpsar.fit import FitProblem
 from warpsar.likelihood import loss_terms
@@ -31,8 +30,6 @@ KEPT_WITHIN = 0.2  # of a log coordinate, that a fit moves before its images are
 ROBUST_TURNS = 4
 MOST_LEFT_OUT = 0.2  # of all pixels
 BLOCK = 8  # columns: what a view's own parameters are fitted on and judged on alternates
-STARTS = 4  # of the tables that an effect's best trials offer, how many are fitted fully
-WORTH = 2.0  # log-likelihood that another setting has to gain; five times as much if it adds something
 VARIES = 0.5  # of a gain, that may be gained again by letting a view's own parameter vary over its columns
 HOPELESS = 100.0  # log-likelihood behind the best start, after so many iterations, at which a start is given up
 # Log-likelihood of one pixel beyond which a difference counts no more: a few bright pixels would else be all of the
@@ -106,7 +103,7 @@ def fit_model(bench: Bench, scene: Scene, further_starts: int, seed: int) -> Fit
     """The scene's model from its own start and others drawn about it."""
     problem = bench.problem(scene)
     starts = [begin(problem, k, seed).x for k in range(further_starts + 1)]
-    return _fitted(bench, problem, *descend(problem, starts))
+    return fitted_at(bench, problem, *descend(problem, starts))
 
 
 def fit_robustly(base: Fitted, declared: Scene, bench: Bench) -> Fitted:
@@ -140,51 +137,6 @@ def fit_robustly(base: Fitted, declared: Scene, bench: Bench) -> Fitted:
     return base if problem is base.problem else replace(base, scene=learned_scene(problem, x), x=x)
 
 
-def screen(
-    bench: Bench, base: Fitted, from_scene: Scene, declared: Scene, name: str, tables: Sequence[Mapping[str, Any]]
-) -> Fitted:
-    """`base` and one effect more, everything refitted, from each of the effect's best `STARTS` tables: the best by
-    likelihood, refined by all of them (`Effect.refinements`).
-
-    The surface starts as `from_scene` has it, and as the scene file does: a strong effect that is missing can pull the
-    fitted surface so far that no descent leads back.
-    """
-    tables, others = tables[:STARTS], tables
-    numbers = [{p.name: table.get(p.name) for p in get(name).parameters} for table in tables]
-    surfaces = [from_scene, replace(base.scene, materials=declared.materials)]
-    found: list[Fitted] = []
-    for table, values in zip(tables, numbers, strict=True):
-        here = []
-        for surface in surfaces:
-            problem = bench.problem(with_effect(surface, name, table))
-            # a table that differs from the first in settings alone goes on from where that one arrived
-            start = found[0].x if found and values == numbers[0] else problem.x0
-            here.append(_fitted(bench, problem, *descend(problem, [start], quick=True)))
-        better = max(range(len(here)), key=lambda k: here[k].log_likelihood)
-        surfaces = [surfaces[better]]  # the other tables need not try both
-        found.append(here[better])
-    return _refined(bench, max(found, key=lambda fitted: fitted.log_likelihood), name, others)
-
-
-def _refined(bench: Bench, fitted: Fitted, name: str, others: Sequence[Mapping[str, Any]]) -> Fitted:
-    """Uphill through the effect's refinements, its own parameters fitted at each, and everything at the end."""
-    best = fitted
-    climbing = True
-    while climbing:
-        climbing = False
-        for table, chosen in get(name).refinements(best.scene, best.scene.effects[name], others):
-            problem = bench.problem(with_effect(best.scene, name, table))
-            own = np.array([c.effect == name for c in problem.effect_coordinates], bool)
-            moving = np.concatenate([np.zeros(problem.learned.size, bool), own])
-            trial = _fitted(bench, problem, *descend(problem, [problem.x0], moving, quick=True))
-            if trial.log_likelihood > best.log_likelihood + WORTH * (1 + 4 * chosen):
-                best, climbing = trial, True
-                break
-    if best is fitted:
-        return fitted
-    return _fitted(bench, best.problem, *descend(best.problem, [best.x], quick=True))
-
-
 def settle(bench: Bench, screened: Fitted, further_starts: int, seed: int) -> Fitted:
     """The screened model at its best: on from where it stands, and from surfaces drawn anew about it."""
     problem = screened.problem
@@ -193,14 +145,14 @@ def settle(bench: Bench, screened: Fitted, further_starts: int, seed: int) -> Fi
         start = begin(problem, k, seed).x
         start[problem.learned.size :] = screened.x[problem.learned.size :]  # the effect stays where it was found
         starts.append(start)
-    return _fitted(bench, problem, *descend(problem, starts))
+    return fitted_at(bench, problem, *descend(problem, starts))
 
 
 def refit_without(bench: Bench, fitted: Fitted, name: str) -> Fitted:
     """The model without one of its effects, fitted on from where it stands."""
     effects = {other: table for other, table in fitted.scene.effects.items() if other != name}
     problem = bench.problem(replace(fitted.scene, effects=effects))
-    return _fitted(bench, problem, *descend(problem, [problem.x0], quick=True))
+    return fitted_at(bench, problem, *descend(problem, [problem.x0], quick=True))
 
 
 def narrow(bench: Bench, fitted: Fitted) -> tuple[Bench, Fitted]:
@@ -224,10 +176,11 @@ def narrow(bench: Bench, fitted: Fitted) -> tuple[Bench, Fitted]:
         return bench, fitted
     narrowed = replace(bench, observations=observations)
     problem = narrowed.problem(fitted.scene)
-    return narrowed, _fitted(narrowed, problem, *descend(problem, [problem.x0], quick=True))
+    return narrowed, fitted_at(narrowed, problem, *descend(problem, [problem.x0], quick=True))
 
 
-def _fitted(bench: Bench, problem: FitProblem, x: np.ndarray, loss: float, iterations: int) -> Fitted:
+def fitted_at(bench: Bench, problem: FitProblem, x: np.ndarray, loss: float, iterations: int) -> Fitted:
+    """A problem's model at x, where its loss is `loss`."""
     scene = learned_scene(problem, x)
     bare = problem if not any(get(n).additive for n in scene.effects) else bench.problem(scene, dark=False)
     value = bare.value(bare.modelled(x))

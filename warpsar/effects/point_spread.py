@@ -38,7 +38,9 @@ class PointSpread(Effect):
             Step(f"{name} squared", spacing[name] ** 2, {name: spacing[name], "window": "gaussian"}, one_sided=True)
             for name in axes
         )
-        starts = tuple({**{name: 1.5 * spacing[name] for name in axes}, "window": window} for window in WINDOWS)
+        starts = tuple(
+            {**{name: 1.5 * spacing[name] for name in axes}, "window": window} for window in reversed(WINDOWS)
+        )
         return [Trial(steps, starts)]
 
     def image(self, render: ViewRender, p: Any, image: Any) -> Any:

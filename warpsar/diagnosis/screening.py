@@ -1,0 +1,137 @@
+"""Which candidate is the likeliest: short fits of all of them, given up where they fall far behind."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpsar.diagnosis.refit import KEPT_WITHIN, QUICK_FLAT, QUICK_ITERATIONS, Bench, Fitted, descend, fitted_at
+from warpsar.diagnosis.templates import with_effect
+from warpsar.effects import get
+from warpsar.optimise import FitState, levenberg_marquardt
+from warpsar.results import learned_scene
+
+if TYPE_CHECKING:
+    from warpsar.fit import FitProblem
+    from warpsar.scene import Scene
+
+STARTS = 4  # of the tables that an effect's best trials offer, how many are fitted
+GLANCE = 4  # iterations after which candidates are compared for the first time
+HOPELESS = 100.0  # log-likelihood by which a fit, at its present pace, would miss the best of the others
+CLIMB = 10.0  # times what an effect has gained, that refinements may bring
+WORTH = 2.0  # log-likelihood that another setting has to gain; five times as much if it adds something
+
+
+class Screening:
+    """`base` and one effect more, everything refitted, from each of the effect's best `STARTS` tables.
+
+    The surface starts as `from_scene` has it, and as the scene file does: a strong effect that is missing can pull the
+    fitted surface so far that no descent leads back. At first only a glance: `glanced` is the model after a few
+    iterations from the first table.
+    """
+
+    def __init__(
+        self,
+        bench: Bench,
+        base: Fitted,
+        from_scene: Scene,
+        declared: Scene,
+        name: str,
+        tables: Sequence[Mapping[str, Any]],
+    ) -> None:
+        self.bench, self.base, self.name, self.tables = bench, base, name, tables
+        surfaces = [from_scene, replace(base.scene, materials=declared.materials)]
+        runs = []
+        for surface in surfaces:
+            problem = bench.problem(with_effect(surface, name, tables[0]))
+            runs.append((problem, self._run(problem, _at(problem.x0), GLANCE)))
+        best = min(range(len(runs)), key=lambda k: runs[k][1].best_loss)
+        self._surface, self._first = surfaces[best], runs[best]  # the other tables need not try both
+        self.glanced = _fitted(bench, *self._first)
+
+    def finish(self, lead: float) -> tuple[Fitted, bool]:
+        """The best of all tables by likelihood, refined by them (`Effect.refinements`), and whether its fit was given
+        up; `lead` is the log-likelihood of the best other candidate."""
+        problem, state = self._first
+        # dark pixels, if any, cost the effect what they cost it now
+        limit = self.glanced.whole - self.glanced.log_likelihood + lead
+        numbers = [{p.name: table.get(p.name) for p in get(self.name).parameters} for table in self.tables[:STARTS]]
+        found: list[Fitted] = []
+        given_up: list[bool] = []
+        for table, values in zip(self.tables, numbers, strict=False):
+            if found:
+                alike = values == numbers[0]  # a table that differs from the first in settings alone
+                if alike and given_up[0]:
+                    continue
+                problem = self.bench.problem(with_effect(self._surface, self.name, table))
+                state = _at(found[0].x if alike else problem.x0)
+            state = self._run(problem, state, QUICK_ITERATIONS, limit)
+            given_up.append(not state.arrived and state.since_start < QUICK_ITERATIONS)
+            found.append(_fitted(self.bench, problem, state))
+        best = max(range(len(found)), key=lambda k: found[k].log_likelihood)
+        before = self.base.log_likelihood
+        if CLIMB * (found[best].log_likelihood - before) < lead - before:
+            return found[best], given_up[best]
+        return _refined(self.bench, found[best], self.name, self.tables), given_up[best]
+
+    def _run(self, problem: FitProblem, state: FitState, until: int, limit: float = -np.inf) -> FitState:
+        """On to iteration `until`, or to where the log-likelihood `limit` is out of reach."""
+        while not state.arrived and state.since_start < until:
+            before = state.best_loss
+            state = levenberg_marquardt(problem, state, flat=QUICK_FLAT, kept_within=KEPT_WITHIN)
+            reached = state.best_loss - (before - state.best_loss) * (QUICK_ITERATIONS - state.since_start)
+            if state.since_start >= GLANCE and reached > HOPELESS - limit:
+                break
+        return state
+
+
+def _at(x: np.ndarray) -> FitState:
+    return FitState(x, np.inf, x, np.inf)
+
+
+def _fitted(bench: Bench, problem: FitProblem, state: FitState) -> Fitted:
+    return fitted_at(bench, problem, state.best_x, state.best_loss, state.iteration)
+
+
+def _refined(bench: Bench, fitted: Fitted, name: str, others: Sequence[Mapping[str, Any]]) -> Fitted:
+    """Uphill through the effect's refinements, its own parameters fitted at each, and everything at the end."""
+    scene = fitted.scene
+    climbing = True
+    while climbing:
+        climbing = False
+        known: dict[tuple[str, ...], float] = {}  # log-likelihood of the scene as it is, by views
+        for table, chosen in get(name).refinements(scene, scene.effects[name], others):
+            views = _views(scene, name, table)
+            if views not in known:
+                known[views] = _log_likelihood(bench, scene, views)
+            problem = bench.problem(with_effect(scene, name, table), views)
+            own = np.array([c.effect == name for c in problem.effect_coordinates], bool)
+            moving = np.concatenate([np.zeros(problem.learned.size, bool), own])
+            x, _, _ = descend(problem, [problem.x0], moving, quick=True)
+            trial = learned_scene(problem, x)
+            if _log_likelihood(bench, trial, views) > known[views] + WORTH * (1 + 4 * chosen):
+                scene, climbing = trial, True
+                break
+    if scene is fitted.scene:
+        return fitted
+    problem = bench.problem(scene)
+    return fitted_at(bench, problem, *descend(problem, [problem.x0], quick=True))
+
+
+def _views(scene: Scene, name: str, table: Mapping[str, Any]) -> tuple[str, ...]:
+    """Train views that look otherwise with another table of the effect."""
+    effect, now = get(name), scene.effects[name]
+    train = [view.name for view in scene.views if view.role == "train" and view.images]
+    per_view = {p.name for p in effect.parameters if p.per_view} | {s.name for s in effect.settings if s.per_view}
+    differing = [key for key in {*now, *table} if now.get(key) != table.get(key)]
+    if not per_view.issuperset(differing):
+        return tuple(train)
+    return tuple(v for v in train if any(now.get(k, {}).get(v) != table.get(k, {}).get(v) for k in differing))
+
+
+def _log_likelihood(bench: Bench, scene: Scene, views: Sequence[str]) -> float:
+    problem = bench.problem(scene, views, dark=False)
+    return -problem.value(problem.modelled_as_declared())
