@@ -43,6 +43,7 @@ if TYPE_CHECKING:
 MU_NOISE = 10.0  # looks x pixels x relative sampling variance of mu: the gain in 2 ln L that denoising mu could bring
 CLASS_COSINE = 0.9  # templates closer than this are one class: the data hardly tell them apart
 DARK_PIXELS = 50  # fewer dark pixels than this say nothing
+GLANCED = 8  # candidates that get a few iterations
 OFFERED = 40  # of an effect's best trials that its refit may try
 TRACE = 0.1  # of the median beta0: less is a border pixel's share of light
 SILENT_SHARE = 0.01  # of the dark pixels that may measure exactly 0 under a floor
@@ -51,8 +52,8 @@ SILENT_SHARE = 0.01  # of the dark pixels that may measure exactly 0 under a flo
 @dataclass(frozen=True)
 class DiagnoseOptions:
     """How to decide. `family_error`: chance of naming anything, or calling the rest unexplained, where nothing is
-    missing. `draws`: bootstrap size. `refits`: how many of the best scores are refitted. `starts`: further starts of
-    every fit. `most_effects`: how many may be added."""
+    missing. `draws`: bootstrap size. `refits`: how many of the likeliest at a glance are fitted fully. `starts`: further
+    starts of every fit. `most_effects`: how many may be added."""
 
     family_error: float = 0.01
     draws: int = 1000
@@ -199,6 +200,9 @@ def _step(
     evidence = Evidence.of(base.problem, point.x)
     observations = {view.view.name: view.observations for view in base.problem.views}
     maker = TemplateMaker(point.scene, bench.device, other_rays, observations, evidence.modelled)
+    # A fit without the paths that a surface throws back may have made it a poor mirror, and them invisible.
+    unmoved = replace(point.scene, materials=scene.materials)
+    paths = TemplateMaker(unmoved, bench.device, other_rays, observations, evidence.modelled)
     projection = Projection(maker.tangent(), evidence.root_looks)
 
     candidates: dict[str, Candidate] = {}
@@ -206,7 +210,10 @@ def _step(
     for name in NAMES:
         if name in base.scene.effects:
             continue
-        found = group(maker.templates(name), projection, evidence)
+        templates = maker.templates(name)
+        if get(name).stage == "path":
+            templates += paths.templates(name)
+        found = group(templates, projection, evidence)
         candidates[name] = _candidate(name, found)
         if candidates[name].testability == "testable":
             groups[name] = found
@@ -224,7 +231,7 @@ def _step(
         return step, evidence
 
     refitted: list[tuple[float, Candidate, Fitted]] = []
-    for candidate, fitted in _screened(bench, base, point.scene, scene, passing[: options.refits], best, dark):
+    for candidate, fitted in _screened(bench, base, point.scene, scene, passing, best, dark, options.refits):
         candidate.refit_gain = 2.0 * (fitted.log_likelihood - base.log_likelihood)
         candidate.refit_size = fitted.size - base.size
         penalty = (fitted.size - base.size) * np.log(_effective_pixels(evidence))
@@ -270,16 +277,20 @@ def _screened(
     passing: Sequence[Candidate],
     templates: Mapping[str, Sequence[Template]],
     dark: Dark,
+    most: int,
 ) -> Iterator[tuple[Candidate, Fitted]]:
-    """Every candidate's fit, those first that look likeliest at a glance. Where dark pixels decide, none is given up
-    for what the others make of the lit ones."""
+    """Fits of the `most` candidates that look likeliest at a glance. Where dark pixels decide, the effects that can
+    explain them come first, and none is given up for what others make of the lit pixels."""
     screenings = []
-    for candidate in passing:
+    for candidate in passing[:GLANCED]:
         trials = [template.trial for template in templates[candidate.effect]][:OFFERED]
         tables = [table for trial in trials for table in surveyed(bench, from_scene, candidate.effect, trial)]
         screenings.append((candidate, Screening(bench, base, from_scene, declared, candidate.effect, tables)))
     lead = -np.inf
-    for candidate, screening in sorted(screenings, key=lambda pair: -pair[1].glanced.log_likelihood):
+    order = sorted(screenings, key=lambda pair: -pair[1].glanced.log_likelihood)
+    if dark.asks:
+        order.sort(key=lambda pair: not get(pair[0].effect).additive)
+    for candidate, screening in order[:most]:
         fitted, given_up = screening.finish(-np.inf if dark.asks else lead)
         lead = max(lead, fitted.log_likelihood)
         gain = 2.0 * (fitted.log_likelihood - base.log_likelihood)
