@@ -1,25 +1,17 @@
 """The statistics of `warpsar diagnose`, each against a closed form, brute force or many draws."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from learning_scenes import cube_scene, measured, views_at
 from scipy import optimize, special, stats
 from worlds import view
 
-from warpsar import runtime
 from warpsar.diagnosis.bootstrap import Bootstrap, Speckle, Tail
 from warpsar.diagnosis.evidence import Evidence
-from warpsar.diagnosis.refit import Bench, LeftOut, fit_model, leave_one_view_out
 from warpsar.diagnosis.scan import Scan
 from warpsar.diagnosis.score import Group, Projection, log_tail, minus_log_p
-from warpsar.diagnosis.templates import Template, with_effect
+from warpsar.diagnosis.templates import Template
 from warpsar.effects.base import Step, Trial
 from warpsar.observation import Observation
-from warpsar.render import Stage
-from warpsar.scene import Scene
-from warpsar.simulation import Rays
 
 WHITE = np.zeros((13, 13))
 WHITE[6, 6] = 1.0
@@ -247,55 +239,3 @@ def test_scan_knows_that_speckle_is_correlated() -> None:
     seen = [observation(np.ones((30, 30), bool))]
     ratio = Scan(seen, WHITE).strongest([residual]).z / Scan(seen, wide).strongest([residual]).z
     assert ratio == pytest.approx(np.sqrt(2.0))
-
-
-# Views left out
-
-
-def test_left_out_passes_beyond_two_errors_or_without_views() -> None:
-    assert LeftOut(10.1, 5.0, 3).passed
-    assert not LeftOut(9.9, 5.0, 3).passed
-    assert LeftOut(0.0, 0.0, 1).passed
-
-
-@pytest.fixture(scope="module")
-def benches(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[Bench, Scene]]:
-    """A cube on a plane, without and with a noise floor in its images; no view has an incidence angle to itself, which
-    others could not tell of."""
-    angles = ((20.0, 35.0), (140.0, 36.0), (250.0, 50.0), (310.0, 49.0))
-    plain = cube_scene(views_at(*angles), polarizations=("HH",), shape=30)
-    device = runtime.resolve_device("cpu")
-    found = {}
-    for name, effects in (("none", {}), ("noise_floor", {"noise_floor": {"level": 0.01}})):
-        scene = measured(replace(plain, effects=effects), tmp_path_factory.mktemp(name))
-        scene = replace(scene, effects={})
-        bench = Bench(device, Rays(Stage.of(scene, device), 256.0, 3), {})
-        seen = {one.view.name: one.observations for one in bench.problem(scene).views}
-        found[name] = (Bench(device, bench.rays, seen), scene)
-    return found
-
-
-def test_views_left_out_tell_what_helps(benches: dict[str, tuple[Bench, Scene]]) -> None:
-    """A floor that is there lets views be predicted from the others; one that is not gains what speckle gains by
-    chance, some units of ln L."""
-    gains = {}
-    for case, (bench, scene) in benches.items():
-        base = fit_model(bench, scene, 0, 0)
-        fitted = fit_model(bench, with_effect(scene, "noise_floor", {"level": 0.005}), 0, 0)
-        left = leave_one_view_out(bench, base, fitted, 1.0)
-        assert left.views == 4
-        gains[case] = left.gain
-        if case == "noise_floor":
-            assert left.passed
-            assert fitted.scene.effects["noise_floor"]["level"] == pytest.approx(0.01, rel=0.15)
-    assert gains["noise_floor"] > 15.0
-    assert abs(gains["none"]) < 10.0
-
-
-def test_inflation_widens_the_error(benches: dict[str, tuple[Bench, Scene]]) -> None:
-    bench, scene = benches["none"]
-    base = fit_model(bench, scene, 0, 0)
-    fitted = fit_model(bench, with_effect(scene, "noise_floor", {"level": 0.005}), 0, 0)
-    narrow, wide, less = (leave_one_view_out(bench, base, fitted, f).error for f in (1.0, 4.0, 0.5))
-    assert wide == pytest.approx(2.0 * narrow)
-    assert less == narrow

@@ -11,17 +11,15 @@ import numpy as np
 from warpsar import runtime
 from warpsar.diagnosis.bootstrap import Bootstrap, bootstrap
 from warpsar.diagnosis.evidence import Evidence
+from warpsar.diagnosis.left_out import LeftOut, leave_one_view_out, varies_over_columns
 from warpsar.diagnosis.refit import (
     Bench,
     Fitted,
-    LeftOut,
     fit_model,
     fit_robustly,
-    leave_one_view_out,
     narrow,
     refit_without,
     settle,
-    varies_over_columns,
 )
 from warpsar.diagnosis.scan import Scan, Spot
 from warpsar.diagnosis.score import NOT_TESTABLE, Group, Projection, group
@@ -52,8 +50,8 @@ SILENT_SHARE = 0.01  # of the dark pixels that may measure exactly 0 under a flo
 @dataclass(frozen=True)
 class DiagnoseOptions:
     """How to decide. `family_error`: chance of naming anything, or calling the rest unexplained, where nothing is
-    missing. `draws`: bootstrap size. `refits`: how many of the likeliest at a glance are fitted fully. `starts`: further
-    starts of every fit. `most_effects`: how many may be added."""
+    missing. `draws`: bootstrap size. `refits`: how many of the likeliest at a glance are fitted fully. `starts`:
+    further starts of every fit. `most_effects`: how many may be added."""
 
     family_error: float = 0.01
     draws: int = 1000
@@ -247,13 +245,12 @@ def _step(
             step.added, step.fitted = candidate.effect, fitted
             runtime.say(f"added: {step.added} {fitted.scene.effects[step.added]}, which the dark pixels ask for")
             return step, evidence
-    inflation = float(evidence.autocovariance.sum() / evidence.autocovariance.max())
     for gain, candidate, fitted in sorted(refitted, key=lambda item: -item[0]):
         if gain <= 0:
             break
         fitted = settle(bench, fitted, options.starts, options.seed)
         candidate.refit_gain = 2.0 * (fitted.log_likelihood - base.log_likelihood)
-        candidate.left_out = leave_one_view_out(bench, base, fitted, inflation)
+        candidate.left_out = leave_one_view_out(bench, base, fitted, candidate.effect)
         runtime.say(
             f"  {candidate.effect}: views left out gain {candidate.left_out.gain:.1f} +- {candidate.left_out.error:.1f}"
         )

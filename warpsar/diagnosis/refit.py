@@ -1,4 +1,4 @@
-"""Full fits of a model, with an effect more or without, and what views that were left out say of it."""
+"""Full fits of a model, with an effect more or without."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import numpy as np
 from warpsar.diagnosis.evidence import LARGEST
 from warpsar.effects import get
 from warpsar.fit import FitProblem
-from warpsar.likelihood import loss_terms
 from warpsar.optimise import FLAT, FitState, begin, levenberg_marquardt
 from warpsar.results import learned_scene
 from warpsar.surface import Surface
@@ -29,12 +28,7 @@ QUICK_ITERATIONS, QUICK_FLAT = 12, 0.05
 KEPT_WITHIN = 0.2  # of a log coordinate, that a fit moves before its images are differentiated again
 ROBUST_TURNS = 4
 MOST_LEFT_OUT = 0.2  # of all pixels
-BLOCK = 8  # columns: what a view's own parameters are fitted on and judged on alternates
-VARIES = 0.5  # of a gain, that may be gained again by letting a view's own parameter vary over its columns
 HOPELESS = 100.0  # log-likelihood behind the best start, after so many iterations, at which a start is given up
-# Log-likelihood of one pixel beyond which a difference counts no more: a few bright pixels would else be all of the
-# sum, and all of its error.
-LARGEST_DIFFERENCE = 20.0
 
 
 @dataclass(frozen=True)
@@ -185,104 +179,3 @@ def fitted_at(bench: Bench, problem: FitProblem, x: np.ndarray, loss: float, ite
     bare = problem if not any(get(n).additive for n in scene.effects) else bench.problem(scene, dark=False)
     value = bare.value(bare.modelled(x))
     return Fitted(scene, problem, x, -value, -loss, iterations)
-
-
-@dataclass(frozen=True)
-class LeftOut:
-    """Log-likelihood of views that were left out, with an effect less without it: sum and standard error."""
-
-    gain: float
-    error: float
-    views: int
-
-    @property
-    def passed(self) -> bool:
-        """More than two standard errors above zero; with a single view nothing can be left out."""
-        return self.views < 2 or self.gain > 2.0 * self.error
-
-
-def leave_one_view_out(bench: Bench, base: Fitted, fitted: Fitted, inflation: float) -> LeftOut:
-    """Each training view in turn is predicted by both models, fitted to the others; pixels are compared in pairs, a
-    pixel counting `LARGEST_DIFFERENCE` at most.
-
-    Parameters of the one view (its gain, its interference) cannot come from the others: they are fitted on every other
-    block of its columns and judged on the blocks between, all else held. `inflation` is the variance of a sum of
-    correlated residuals over that of white ones.
-    """
-    names = [view.view.name for view in fitted.problem.views]
-    if len(names) < 2:
-        return LeftOut(0.0, 0.0, len(names))
-    differences = []
-    for name in names:
-        others = [other for other in names if other != name]
-        terms = [_predicted(bench, model, others, name) for model in (base, fitted)]
-        differences.append(terms[0] - terms[1])
-    every = _clipped(np.concatenate(differences))
-    error = float(np.sqrt(every.size * every.var() * max(inflation, 1.0)))
-    return LeftOut(float(every.sum()), error, len(names))
-
-
-def varies_over_columns(bench: Bench, base: Fitted, fitted: Fitted, name: str) -> bool:
-    """Whether what an effect holds for each view by itself is no property of the view: fitted anew to each block of the
-    view's columns, it gains half as much again as it did by being one for all of them. So does something that lies in
-    a few columns, such as a mover's smear along a range line."""
-    gained = regained = 0.0
-    for view in {c.view for c in fitted.problem.effect_coordinates if c.effect == name and c.view is not None}:
-        held = bench.problem(fitted.scene, [view], dark=False)
-        own = [c.effect == name and c.view == view for c in held.effect_coordinates]
-        moving = np.concatenate([np.zeros(held.learned.size, bool), np.array(own, bool)])
-        before = _terms(bench.problem(base.scene, [view], dark=False), None)
-        gained += sum(_clipped(a - b).sum() for a, b in zip(before, _terms(held, held.x0), strict=True))
-        for block in range(-(-held.scene.grid.shape[1] // BLOCK)):
-            masks = [s.interior & (np.arange(s.interior.shape[1]) // BLOCK == block) for s in held.observations]
-            if not any(mask.any() for mask in masks):
-                continue
-            pixels = [replace(s, interior=mask) for s, mask in zip(held.observations, masks, strict=True)]
-            part = replace(bench, observations={view: pixels}).problem(fitted.scene, [view], dark=False)
-            x, _, _ = descend(part, [part.x0], moving, quick=True)
-            terms = zip(_terms(part, part.x0), _terms(part, x), strict=True)
-            regained += sum(_clipped(a - b).sum() for a, b in terms) - 0.5 * sum(own)
-    return regained > VARIES * gained
-
-
-def _clipped(differences: np.ndarray) -> np.ndarray:
-    return np.clip(differences, -LARGEST_DIFFERENCE, LARGEST_DIFFERENCE)
-
-
-def _predicted(bench: Bench, model: Fitted, others: Sequence[str], name: str) -> np.ndarray:
-    """Loss of every interior pixel of view `name` under the model fitted to `others`, shape (n,)."""
-    problem = bench.problem(model.scene, others)
-    x, _, _ = descend(problem, [problem.x0], quick=True)
-    known = dict(zip(problem.labels, x, strict=True))
-    held = bench.problem(model.scene, [name], dark=False)
-    theirs = np.array([known.get(label, held.x0[i]) for i, label in enumerate(held.labels)])
-    own = np.array([c.view == name for c in held.effect_coordinates], bool)
-    moving = np.concatenate([np.zeros(held.learned.size, bool), own])
-    if not moving.any():
-        return np.concatenate(_terms(held, theirs))
-    halves = []
-    for half in (0, 1):
-        fitted_on = [replace(s, interior=s.interior & _blocks(s, half)) for s in held.observations]
-        part = replace(bench, observations={name: fitted_on}).problem(model.scene, [name], dark=False)
-        x, _, _ = descend(part, [theirs], moving, quick=True)
-        judged = zip(held.observations, _terms(held, x), strict=True)
-        halves.append([terms[~_blocks(s, half)[s.interior]] for s, terms in judged])
-    found = []
-    for seen, first, second in zip(held.observations, *halves, strict=True):
-        terms, even = np.empty(seen.pixels.size), _blocks(seen, 0)[seen.interior]
-        terms[~even], terms[even] = first, second
-        found.append(terms)
-    return np.concatenate(found)
-
-
-def _terms(problem: FitProblem, x: np.ndarray | None) -> list[np.ndarray]:
-    """Loss of every pixel of each observation; of the scene as it stands where x is None."""
-    modelled = problem.modelled_as_declared() if x is None else problem.modelled(x)
-    parts = zip(problem.observations, modelled, problem.gains(modelled), strict=True)
-    return [loss_terms("gamma", s.values, gain * mu, s.looks) for s, mu, gain in parts]
-
-
-def _blocks(seen: Observation, half: int) -> np.ndarray:
-    """Every other block of columns, shape of the image."""
-    columns = np.arange(seen.interior.shape[1]) // BLOCK % 2 == half
-    return np.broadcast_to(columns, seen.interior.shape)

@@ -1,0 +1,201 @@
+"""Fits of the diagnosis: where they begin, which are given up, what is dropped, and what views left out say."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from learning_scenes import cube_scene, measured, views_at
+
+from warpsar import runtime
+from warpsar.diagnosis.left_out import LeftOut, leave_one_view_out
+from warpsar.diagnosis.procedure import Step, _prune, frozen
+from warpsar.diagnosis.refit import Bench, Fitted, fit_model
+from warpsar.diagnosis.scan import Spot
+from warpsar.diagnosis.screening import GLANCE, Screening
+from warpsar.diagnosis.survey import surveyed
+from warpsar.diagnosis.templates import with_effect
+from warpsar.effects import get
+from warpsar.effects.base import Context
+from warpsar.render import Stage
+from warpsar.scene import Scene
+from warpsar.simulation import Rays
+
+SHIFT = {"range_m": 0.33, "azimuth_m": -0.41}  # of pixels of 0.5 m
+FLOOR = {"level": 0.01}
+BLUR = {"range_fwhm_m": 0.9, "azimuth_fwhm_m": 0.8, "window": "gaussian"}
+# no view has an incidence angle to itself, which others could not tell of
+ANGLES = ((20.0, 35.0), (140.0, 36.0), (250.0, 50.0), (310.0, 49.0))
+
+
+def bench_of(effects: Mapping[str, Mapping[str, Any]], folder: Path) -> tuple[Bench, Scene]:
+    """A cube on a plane whose images hold `effects`; the scene declares none."""
+    truth = replace(
+        cube_scene(views_at(*ANGLES), polarizations=("HH",), shape=44),
+        effects={name: dict(table) for name, table in effects.items()},
+    )
+    scene = replace(measured(truth, folder), effects={})
+    device = runtime.resolve_device("cpu")
+    rays, other = (Rays(Stage.of(scene, device), 256.0, seed) for seed in (3, 4))
+    return Bench(device, rays, frozen(Bench(device, rays, {}), Bench(device, other, {}), scene)), scene
+
+
+@pytest.fixture(scope="module")
+def shifted(tmp_path_factory: pytest.TempPathFactory) -> tuple[Bench, Scene]:
+    """Lines of double bounce 20 dB above the ground, and all of it moved by less than a pixel."""
+    effects = {"multibounce": {"strength": 1.0}, "registration": SHIFT}
+    bench, scene = bench_of(effects, tmp_path_factory.mktemp("shifted"))
+    return bench, with_effect(scene, "multibounce", {"strength": 1.0})
+
+
+@pytest.fixture(scope="module")
+def blurred(tmp_path_factory: pytest.TempPathFactory) -> tuple[Bench, Scene]:
+    return bench_of({"point_spread": BLUR}, tmp_path_factory.mktemp("blurred"))
+
+
+@pytest.fixture(scope="module")
+def floor(tmp_path_factory: pytest.TempPathFactory) -> tuple[Bench, Scene]:
+    return bench_of({"noise_floor": FLOOR}, tmp_path_factory.mktemp("floor"))
+
+
+def likelihood(bench: Bench, scene: Scene) -> float:
+    problem = bench.problem(scene)
+    return -problem.value(problem.modelled_as_declared())
+
+
+def fitted_to(bench: Bench, scene: Scene, effects: Mapping[str, Mapping[str, Any]]) -> Fitted:
+    return fit_model(bench, replace(scene, effects={n: dict(t) for n, t in effects.items()}), 0, 0)
+
+
+# Where fits begin
+
+
+def test_a_shift_of_bright_lines_is_searched_for(shifted: tuple[Bench, Scene]) -> None:
+    """The search ends at the shift to what its last step, an eighth of a pixel, can tell; of the world's shifts, which
+    cannot be this one in all views, it finds the best of a grid about it."""
+    bench, scene = shifted
+    alike, world = get("registration").trials(Context(scene, 0.01))
+    (table,) = surveyed(bench, scene, "registration", alike)
+    for key, value in SHIFT.items():
+        assert table[key] == pytest.approx(value, abs=0.5 / 8)
+    (anywhere,) = surveyed(bench, scene, "registration", world)
+    assert likelihood(bench, with_effect(scene, "registration", anywhere)) < likelihood(
+        bench, with_effect(scene, "registration", table)
+    )
+
+
+def test_the_search_leads_the_fit_where_the_slope_at_zero_does_not(shifted: tuple[Bench, Scene]) -> None:
+    bench, scene = shifted
+    base = fit_model(bench, scene, 0, 0)
+    zero = dict.fromkeys(SHIFT, 0.0)
+    found = {}
+    for start in ("zero", "searched"):
+        trial = get("registration").trials(Context(scene, 0.01))[0]
+        tables = [zero] if start == "zero" else surveyed(bench, base.scene, "registration", trial)
+        found[start], _ = Screening(bench, base, base.scene, scene, "registration", tables).finish(-np.inf)
+    assert found["searched"].log_likelihood > found["zero"].log_likelihood - 1.0
+    for key, value in SHIFT.items():  # 16 looks, some 2,000 pixels with lines among them: a hundredth of a pixel
+        assert found["searched"].scene.effects["registration"][key] == pytest.approx(value, abs=0.02)
+
+
+def test_a_pixel_without_a_ray_counts_as_one_rays_share(floor: tuple[Bench, Scene]) -> None:
+    """L (I / m - 1 - ln(I / m)) with m the declared least, in the kernel as on the host, and no slope there; dark
+    pixels keep their own darkness."""
+    bench, scene = floor
+    seen = bench.observations["v0"][0]
+    assert seen.least == pytest.approx(np.median(bench.problem(scene).modelled_as_declared()[0]) / (256.0 / 4.0))
+    unlit = np.argwhere(seen.dark)[0]
+    interior = np.zeros_like(seen.interior)
+    interior[tuple(unlit)] = True
+    one = replace(seen, interior=interior, dark=np.zeros_like(seen.dark))
+    problem = replace(bench, observations={"v0": [one]}).problem(scene, ["v0"], dark=False)
+    ratio = float(one.values[0]) / one.least
+    expected = one.looks * (ratio - 1.0 - np.log(ratio))
+    loss, gradient = problem.gradient(problem.x0)
+    assert loss == pytest.approx(expected, rel=1e-5)  # float32
+    assert problem.value(problem.modelled(problem.x0)) == pytest.approx(expected, rel=1e-6)
+    assert (gradient == 0.0).all()
+    dark = replace(one, dark=interior)
+    assert dark.darkest[0] < 1e-15 < dark.least
+
+
+# Which fits are given up
+
+
+def test_a_fit_far_behind_is_given_up_and_no_other(floor: tuple[Bench, Scene]) -> None:
+    bench, scene = floor
+    far = replace(scene, materials={n: m.model_copy(update={"eps_r": 40.0}) for n, m in scene.materials.items()})
+    base = fit_model(bench, scene, 0, 0)
+    tables = [{"range_fwhm_m": 3.0, "azimuth_fwhm_m": 3.0}]
+    screening = Screening(bench, base, far, far, "point_spread", tables)
+    assert screening.glanced.iterations <= GLANCE
+    behind, given_up = screening.finish(base.log_likelihood + 1e5)
+    assert given_up
+    whole, finished = screening.finish(-np.inf)
+    assert not finished
+    assert whole.iterations > behind.iterations
+    assert whole.log_likelihood >= behind.log_likelihood
+    # nested in the base with widths of nothing: a fit that is let go on arrives no lower, but for speckle's ripples
+    assert whole.log_likelihood > base.log_likelihood - 5.0
+
+
+# What is dropped
+
+
+def test_what_the_newest_effect_makes_needless_is_dropped(
+    shifted: tuple[Bench, Scene], tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    step = Step([], "registration", Spot(0, 0, 0, 3, 0.0), 0.0, 1.0, 7.0, fit_model(*shifted, 0, 0))
+    bench, scene = shifted
+    narrow = {**BLUR, "range_fwhm_m": 0.2, "azimuth_fwhm_m": 0.2}
+    step.fitted = fitted_to(bench, scene, {**scene.effects, "point_spread": narrow, "registration": SHIFT})
+    _prune(bench, step, ["point_spread"], 1e4)
+    assert step.dropped == ["point_spread"]
+    assert set(step.fitted.scene.effects) == {"multibounce", "registration"}
+
+    bench, scene = bench_of({"point_spread": BLUR, "registration": SHIFT}, tmp_path_factory.mktemp("both"))
+    step.dropped = []
+    step.fitted = fitted_to(bench, scene, {"point_spread": BLUR, "registration": SHIFT})
+    _prune(bench, step, ["point_spread"], 1e4)
+    assert step.dropped == []
+
+
+# Views left out
+
+
+def test_left_out_passes_beyond_two_errors_or_without_views() -> None:
+    assert LeftOut(10.1, 5.0, 3).passed
+    assert not LeftOut(9.9, 5.0, 3).passed
+    assert LeftOut(0.0, 0.0, 1).passed
+
+
+def test_views_left_out_tell_what_helps(blurred: tuple[Bench, Scene], floor: tuple[Bench, Scene]) -> None:
+    """A blur that is there helps in views it was not fitted to; one that is not gains what speckle gains by chance,
+    some units of ln L."""
+    gains = {}
+    for case, (bench, scene) in {"blurred": blurred, "sharp": floor}.items():
+        base = fit_model(bench, scene, 0, 0)
+        left = leave_one_view_out(bench, base, fitted_to(bench, scene, {"point_spread": BLUR}), "point_spread")
+        assert left.views == 4
+        assert left.passed == (case == "blurred")
+        gains[case] = left.gain
+    assert gains["blurred"] > 15.0
+    assert abs(gains["sharp"]) < 10.0
+
+
+def test_what_one_view_has_is_not_carried_to_the_others(
+    blurred: tuple[Bench, Scene], floor: tuple[Bench, Scene]
+) -> None:
+    """One view is blurred, three are sharp: the three say so, and the one alone cannot say otherwise."""
+    bench, scene = floor
+    views = [blurred[1].views[0], *scene.views[1:]]
+    scene = replace(scene, views=views)
+    one = Bench(bench.device, bench.rays, {})
+    other = Bench(bench.device, Rays(bench.rays.stage, 256.0, 4), {})
+    bench = replace(one, observations=frozen(one, other, scene))
+    base = fit_model(bench, scene, 0, 0)
+    fitted = fitted_to(bench, scene, {"point_spread": BLUR})
+    assert fitted.log_likelihood > base.log_likelihood + 5.0
+    assert not leave_one_view_out(bench, base, fitted, "point_spread").passed

@@ -1,0 +1,143 @@
+"""What views that no parameter of an effect has seen say of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warpsar.diagnosis.refit import Bench, Fitted, descend
+from warpsar.identify import residual_autocovariance
+from warpsar.likelihood import loss_terms
+from warpsar.results import learned_scene
+
+if TYPE_CHECKING:
+    from warpsar.fit import FitProblem
+    from warpsar.observation import Observation
+    from warpsar.scene import Scene
+
+BLOCK = 8  # columns: what a view's own parameters are fitted on and judged on alternates
+VARIES = 0.5  # of a gain, that may be gained again by letting a view's own parameter vary over its columns
+# Log-likelihood of one pixel beyond which a difference counts no more: a few bright pixels would else be all of the
+# sum, and all of its error.
+LARGEST_DIFFERENCE = 20.0
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """Log-likelihood of views that were left out, with an effect less without it: sum and standard error."""
+
+    gain: float
+    error: float
+    views: int
+
+    @property
+    def passed(self) -> bool:
+        """More than two standard errors above zero; with a single view nothing can be left out."""
+        return self.views < 2 or self.gain > 2.0 * self.error
+
+
+def leave_one_view_out(bench: Bench, base: Fitted, fitted: Fitted, effect: str) -> LeftOut:
+    """Each training view in turn is explained by both models, with parameters of `effect` that come from the others;
+    pixels are compared in pairs, a pixel counting `LARGEST_DIFFERENCE` at most, and the error is that of a sum of
+    correlated differences.
+
+    The surface, and whatever else both models have, is a nuisance, fitted to all views in both: one that has never seen
+    a view's incidence extrapolates so badly that little else decides. Parameters of the one view (its gain, its
+    interference) cannot come from the others: they are fitted on every other block of its columns, as all else is in
+    both models, and judged on the blocks between.
+    """
+    names = [view.view.name for view in fitted.problem.views]
+    if len(names) < 2:
+        return LeftOut(0.0, 0.0, len(names))
+    own = [c for c in fitted.problem.effect_coordinates if c.effect == effect]
+    per_view = all(c.view is not None for c in own)
+    pairs: list[tuple[Observation, np.ndarray]] = []
+    for name in names:
+        if not per_view:
+            terms = (
+                _terms(bench, base.scene, name),
+                _terms(bench, _with_the_others(bench, fitted, effect, name), name),
+            )
+        elif any(c.view == name for c in own):
+            terms = (_by_halves(bench, base, name), _by_halves(bench, fitted, name))
+        else:
+            continue  # the same image with and without
+        seen = bench.observations[name]
+        pairs += [(s, _clipped(a - b)) for s, a, b in zip(seen, *terms, strict=True)]
+    every = np.concatenate([difference for _, difference in pairs])
+    covariance = residual_autocovariance([(seen, difference - every.mean()) for seen, difference in pairs])
+    return LeftOut(float(every.sum()), float(np.sqrt(every.size * covariance.sum())), len(names))
+
+
+def _with_the_others(bench: Bench, fitted: Fitted, effect: str, name: str) -> Scene:
+    """The model with the effect as all views but `name` have it, and everything else as all views do."""
+    problem = bench.problem(fitted.scene, [view for view in bench.observations if view != name])
+    x, _, _ = descend(problem, [problem.x0], quick=True)
+    known = dict(zip(problem.labels, x, strict=True))
+    whole = bench.problem(fitted.scene)
+    held = np.array([c.effect == effect for c in whole.effect_coordinates], bool)
+    held = np.concatenate([np.zeros(whole.learned.size, bool), held])
+    start = np.where(held, [known.get(label, at) for label, at in zip(whole.labels, whole.x0, strict=True)], whole.x0)
+    x, _, _ = descend(whole, [start], ~held, quick=True)
+    return learned_scene(whole, x)
+
+
+def _by_halves(bench: Bench, model: Fitted, name: str) -> list[np.ndarray]:
+    """Loss of every pixel of each observation of a view, fitted to the other views and the other half of this."""
+    found = [np.empty(seen.pixels.size) for seen in bench.observations[name]]
+    for half in (0, 1):
+        part = [replace(s, interior=s.interior & _blocks(s, half)) for s in bench.observations[name]]
+        problem = replace(bench, observations={**bench.observations, name: part}).problem(model.scene)
+        x, _, _ = descend(problem, [problem.x0], quick=True)
+        for into, seen, terms in zip(
+            found, bench.observations[name], _terms(bench, learned_scene(problem, x), name), strict=True
+        ):
+            judged = ~_blocks(seen, half)[seen.interior]
+            into[judged] = terms[judged]
+    return found
+
+
+def varies_over_columns(bench: Bench, base: Fitted, fitted: Fitted, name: str) -> bool:
+    """Whether what an effect holds for each view by itself is no property of the view: fitted anew to each block of the
+    view's columns, it gains half as much again as it did by being one for all of them. So does something that lies in
+    a few columns, such as a mover's smear along a range line."""
+    gained = regained = 0.0
+    for view in {c.view for c in fitted.problem.effect_coordinates if c.effect == name and c.view is not None}:
+        held = bench.problem(fitted.scene, [view], dark=False)
+        own = [c.effect == name and c.view == view for c in held.effect_coordinates]
+        moving = np.concatenate([np.zeros(held.learned.size, bool), np.array(own, bool)])
+        before = _terms(bench, base.scene, view)
+        gained += sum(_clipped(a - b).sum() for a, b in zip(before, _of_problem(held, held.x0), strict=True))
+        for block in range(-(-held.scene.grid.shape[1] // BLOCK)):
+            masks = [s.interior & (np.arange(s.interior.shape[1]) // BLOCK == block) for s in held.observations]
+            if not any(mask.any() for mask in masks):
+                continue
+            pixels = [replace(s, interior=mask) for s, mask in zip(held.observations, masks, strict=True)]
+            part = replace(bench, observations={view: pixels}).problem(fitted.scene, [view], dark=False)
+            x, _, _ = descend(part, [part.x0], moving, quick=True)
+            terms = zip(_of_problem(part, part.x0), _of_problem(part, x), strict=True)
+            regained += sum(_clipped(a - b).sum() for a, b in terms) - 0.5 * sum(own)
+    return regained > VARIES * gained
+
+
+def _clipped(differences: np.ndarray) -> np.ndarray:
+    return np.clip(differences, -LARGEST_DIFFERENCE, LARGEST_DIFFERENCE)
+
+
+def _terms(bench: Bench, scene: Scene, name: str) -> list[np.ndarray]:
+    """Loss of every interior pixel of each observation of a view, of the scene as it stands."""
+    return _of_problem(bench.problem(scene, [name], dark=False), None)
+
+
+def _of_problem(problem: FitProblem, x: np.ndarray | None) -> list[np.ndarray]:
+    modelled = problem.modelled_as_declared() if x is None else problem.modelled(x)
+    parts = zip(problem.observations, modelled, problem.gains(modelled), strict=True)
+    return [loss_terms("gamma", s.values, gain * mu, s.looks) for s, mu, gain in parts]
+
+
+def _blocks(seen: Observation, half: int) -> np.ndarray:
+    """Every other block of columns, shape of the image."""
+    columns = np.arange(seen.interior.shape[1]) // BLOCK % 2 == half
+    return np.broadcast_to(columns, seen.interior.shape)
