@@ -62,9 +62,7 @@ def computed(device: str, folder: Path) -> dict[str, np.ndarray]:
     loss, gradient = problem.gradient(problem.x0)
     found["loss"], found["gradient"] = np.array([loss]), gradient
     state = begin(problem, 0, 0)
-    for _ in range(3):
-        state = levenberg_marquardt(problem, state)
-    found["loss_after_three_steps"] = np.array([state.loss])
+    found["loss_after_a_step"] = np.array([levenberg_marquardt(problem, state).loss])
     return found
 
 
@@ -79,8 +77,9 @@ def test_devices_agree_with_the_stored_numbers(device: str, tmp_path: Path) -> N
             # float32 with other orders of summation, fused multiply-adds and libm: 1e-5 of a pixel's own power; a ray
             # in thousands falls on the other side of an edge, and moves its cell (1/36 pixel) to the neighbour.
             if expected.size <= 2:
-                # hits, their sum, the loss; and the loss after three steps down a bent valley, which make some hundred
-                # of the gradient's 1e-6
+                # hits, their sum, the loss; and the loss after a step down a bent valley, which makes some hundred of
+                # the gradient's 1e-6. After more steps the two need not be at one place: whether a step is taken or a
+                # shorter one tried hangs on a comparison.
                 np.testing.assert_allclose(here, expected, rtol=1e-3)
                 continue
             scale = np.sqrt(np.mean(expected**2))
