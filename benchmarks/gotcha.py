@@ -493,6 +493,10 @@ def figures(out: Path, found: dict[str, evaluation.Evaluation], folder: Path) ->
         drawn = axis.imshow(values, cmap=colours, vmin=low, vmax=high, **place)
         axis.set_title(title, size=9)
         figure.colorbar(drawn, ax=axis, label="dB", shrink=0.8)
+    for axis in axes[-1]:
+        axis.set_xlabel("azimuth [m]")
+    for axis in axes[:, 0]:
+        axis.set_ylabel("slant range [m]")
     save(figure, folder / "measured_gotcha_run_test.png")
 
 

@@ -267,8 +267,8 @@ class GraphAdam:
             wp.capture_launch(graph)
 
     def _x(self) -> np.ndarray:
-        """x as it stands on the device: a field of a million nodes is one stretch, which is five times as fast to take as
-        one by one."""
+        """x as it stands on the device. A field of a million nodes is one stretch, which is five times as fast to take
+        as one by one."""
         learned, nodes = self.problem.learned, self.nodes.numpy()
         first, end = learned.min(), learned.max() + 1
         whole = end - first == learned.size
