@@ -6,6 +6,8 @@ from pathlib import Path
 
 import click
 
+from warpsar.cli import options
+
 
 @click.command(name="diagnose")
 @click.argument("scene", type=click.Path(exists=True, dir_okay=False, path_type=Path))
@@ -16,9 +18,7 @@ import click
     type=click.Path(file_okay=False, path_type=Path),
     help="Folder for diagnosis.json, scene.toml with the effects that were found, and report.html; made if missing.",
 )
-@click.option(
-    "--device", metavar="cpu|cuda|cuda:N", help="Default: the first CUDA device if there is one, else the CPU."
-)
+@options.device
 @click.option(
     "--family-error",
     type=click.FloatRange(min=0, max=1, min_open=True, max_open=True),
@@ -47,7 +47,7 @@ def command(
     from warpsar.diagnosis import command as diagnosis
     from warpsar.diagnosis.procedure import DiagnoseOptions
 
-    options = DiagnoseOptions(
+    chosen = DiagnoseOptions(
         family_error=family_error, draws=draws, starts=starts, most_effects=most_effects, seed=seed
     )
-    diagnosis.run(scene, out, device=device, options=options)
+    diagnosis.run(scene, out, device=device, options=chosen)

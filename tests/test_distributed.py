@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from learning_scenes import bumpy, measured, views_at
+from learning_scenes import bumpy, cube_scene, measured, starting, views_at
+from test_diagnose import saved
 from test_resume import outcome, small_scene, written
 from torchrun import ENVIRONMENT, finish, start, strike
 from worlds import SOIL, scene_of
@@ -23,7 +24,7 @@ from warpsar import checkpoint, effects
 from warpsar.distributed import ONE, deal, ranks
 from warpsar.errors import InputError
 from warpsar.images import read_image
-from warpsar.scene import Material
+from warpsar.scene import Material, Sampling
 from warpsar.surface import KINDS
 from warpsar.unwrap import write_obj
 
@@ -172,6 +173,106 @@ def test_evaluate_and_simulate_on_two_ranks_are_those_on_one(work: Path, command
         np.testing.assert_array_equal(read_image(together / name), read_image(alone / name))
 
 
+def shifted_scene(folder: Path) -> Path:
+    """A cube on a plane whose images lie beside the model's by less than a pixel: several effects look alike."""
+    folder.mkdir()
+    views = [*views_at((15.0, 35.0), (135.0, 48.0), (250.0, 42.0)), *views_at((330.0, 40.0), role="test")]
+    views[3] = views[3].model_copy(update={"name": "test"})
+    shift = {"registration": {"range_m": 0.33, "azimuth_m": -0.41}}
+    truth = replace(cube_scene(views, polarizations=("HH",), shape=32), effects=shift)
+    scene = starting(replace(measured(replace(truth, sampling=Sampling(rays_per_pixel=256.0)), folder), effects={}))
+    saved(replace(scene, sampling=Sampling(rays_per_pixel=64.0)), folder)
+    return folder / "scene.toml"
+
+
+@pytest.fixture(scope="module")
+def shifted(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return shifted_scene(tmp_path_factory.mktemp("diagnosed") / "shifted")
+
+
+@needs_torch
+def test_diagnose_on_two_ranks_is_diagnose_on_one(shifted: Path, tmp_path: Path) -> None:
+    """To the bit: a fit, a fold, a batch of draws is one process's work, and what is shared is in the tasks' order."""
+    options = ["--device", "cpu", "--draws", "400", "--starts", "1"]
+    runs = [start(n, "-m", "warpsar", "diagnose", shifted, "-o", tmp_path / str(n), *options) for n in (1, 2)]
+    alone, together = [finish(run) for run in runs]
+    assert together[0] == alone[0]
+    assert alone[0].startswith("registration; test deviance ")
+    said = [
+        [line for line in stderr.splitlines() if re.search("2 ln L|left out|added", line)]
+        for _, stderr in (alone, together)
+    ]
+    assert said[1] == said[0]  # by one of them
+    one, other = (json.loads((tmp_path / str(n) / "diagnosis.json").read_text()) for n in (1, 2))
+    assert (one.pop("processes"), other.pop("processes")) == (1, 2)
+    assert one.pop("wall_time_s") > 0
+    assert other.pop("wall_time_s") > 0
+    assert other.pop("ray_noise") == pytest.approx(one.pop("ray_noise"), rel=1e-12)  # a sum over views, rank by rank
+    assert other == one
+    # what was shared: several candidates' fits, the views left out, and a second turn
+    assert len(one["turns"]) == 2
+    assert len(one["steps"][0]["refitted"]) > 2
+    assert one["steps"][0]["left_out"]["passed"]
+    for name in ("scene.toml", "report.html"):
+        assert (tmp_path / "2" / name).exists()
+    assert (tmp_path / "2" / "scene.toml").read_text() == (tmp_path / "1" / "scene.toml").read_text()
+
+
+NOISY = """
+import json, sys
+from dataclasses import asdict
+from pathlib import Path
+import numpy as np
+from warpsar import distributed, runtime
+from warpsar.diagnosis.procedure import DiagnoseOptions, diagnose_scene
+from warpsar.fit import FitView
+from warpsar.scene import Scene
+
+device = runtime.resolve_device("cpu")
+ranks = distributed.ranks(device)
+random, exact = np.random.default_rng(ranks.rank), FitView.modelled
+FitView.modelled = lambda view: [mu * (1.0 + 1e-6 * random.normal(size=mu.shape)) for mu in exact(view)]
+found = diagnose_scene(Scene.load(sys.argv[1]), device, DiagnoseOptions(draws=400, starts=1), ranks)
+last = found.final
+mine = {
+    "pixel": float(last.problem.modelled(last.x)[0][0]),
+    "verdict": found.verdict,
+    "fits": [[fit.x.tolist(), fit.log_likelihood, fit.whole] for fit in (found.declared, last)],
+    "effects": last.scene.effects,
+    "turns": [
+        [asdict(step.spot), step.threshold, step.p_scan, step.added, [repr(c) for c in step.candidates]]
+        for step in found.steps
+    ],
+    "pixels": [seen.pixels.tolist() for view in found.bench.observations.values() for seen in view],
+}
+everything = ranks.gather(mine)
+if ranks.first:
+    Path(sys.argv[2]).write_text(json.dumps(everything))
+"""
+
+
+@needs_torch
+def test_ranks_that_see_other_last_bits_decide_alike(shifted: Path, tmp_path: Path) -> None:
+    """Sums of a GPU's atomics differ from rank to rank; so do these images, by noise of each rank's own."""
+    worker = tmp_path / "worker.py"
+    worker.write_text(NOISY)
+    finish(start(2, worker, shifted, tmp_path / "found.json"))
+    first, second = json.loads((tmp_path / "found.json").read_text())
+    assert second.pop("pixel") != first.pop("pixel")
+    assert second == first
+    assert first["verdict"] == ["registration"]
+
+
+@needs_torch
+def test_a_refusal_of_diagnose_is_said_once(work: Path, tmp_path: Path) -> None:
+    run = start(2, "-m", "warpsar", "diagnose", work / "texture" / "scene.toml", "-o", tmp_path, "--device", "cpu")
+    _, stderr = finish(run, expected=1)  # torchrun's own
+    assert len(re.findall("^Error: ", stderr, re.MULTILINE)) == 1
+    assert stderr.count("found a learned field (layout vertex or texture)") == 1
+    assert re.search(r"Root Cause.*exitcode +: 2 ", stderr, re.DOTALL)
+    assert not list(tmp_path.iterdir())
+
+
 def coordinate(content: dict[str, Any], label: str) -> float:
     """An element of x, by its label, as learn.json has it."""
     name, _, key = label.partition(".")
@@ -291,6 +392,7 @@ def test_one_process_imports_no_torch() -> None:
 import sys
 sys.modules["torch"] = None
 from warpsar import distributed, learning, simulation, evaluation, batch
+from warpsar.diagnosis import command
 assert distributed.ranks(None) is distributed.ONE
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)

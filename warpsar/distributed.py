@@ -10,9 +10,9 @@ import atexit
 import io
 import json
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from datetime import timedelta
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -21,6 +21,16 @@ from warpsar.errors import DeviceError, InputError, WarpsarError
 # A process that dies is noticed by torchrun at once; this is for hosts that fall silent. It has to outlast what one
 # rank may do while the others wait.
 SILENCE = timedelta(hours=2)
+
+T = TypeVar("T")
+
+
+def _as_it_is(value: Any) -> Any:
+    return value
+
+
+def _in_order(tasks: Iterable[Callable[[], T]]) -> Iterable[T]:
+    return (task() for task in tasks)
 
 
 class Ranks:
@@ -92,6 +102,25 @@ class Ranks:
             problem = {each.exit_code: each for each in (InputError, DeviceError)}.get(code, WarpsarError)(text)
         problem.quiet = first != self.rank
         raise problem
+
+    def deal_out(
+        self,
+        tasks: Sequence[Callable[[], T]],
+        told: Callable[[T], Any] = _as_it_is,
+        heard: Callable[[Any], T] = _as_it_is,
+        run: Callable[[Iterable[Callable[[], T]]], Iterable[T]] = _in_order,
+    ) -> list[T]:
+        """Results of independent tasks, in their order, on every rank: each runs its share and tells the others.
+
+        `told` makes JSON's types of a result, and `heard` a result of those; a rank's own stay as they are. `run` gives
+        the results of tasks in their order. A task may ask nothing of the ranks; a refusal on one is raised on all.
+        """
+        mine = self.agree(lambda: list(run(tasks[self.rank :: self.size])))
+        parts = self.gather([told(result) for result in mine])
+        return [
+            mine[k // self.size] if k % self.size == self.rank else heard(parts[k % self.size][k // self.size])
+            for k in range(len(tasks))
+        ]
 
 
 ONE = Ranks()

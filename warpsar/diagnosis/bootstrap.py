@@ -11,6 +11,7 @@ import numpy as np
 
 from warpsar import runtime
 from warpsar.diagnosis.evidence import LARGEST
+from warpsar.distributed import ONE, Ranks
 
 if TYPE_CHECKING:
     from warpsar.diagnosis.evidence import Evidence
@@ -70,10 +71,11 @@ def bootstrap(
     draws: int,
     seed: int,
     progress: Callable[[int], Any] | None = None,
+    ranks: Ranks = ONE,
 ) -> Bootstrap:
     """Draw speckle with the residual's own correlation and take it through the projection, every score and the scan.
 
-    A draw stands for a refit: the tangent space is taken out of it as a fit would.
+    A draw stands for a refit: the tangent space is taken out of it as a fit would. `ranks` share the draws.
     """
     speckle = Speckle(evidence)
     seeds = np.random.SeedSequence(seed).spawn(-(-draws // BATCH))
@@ -87,10 +89,15 @@ def bootstrap(
         }
         found["scan"] = scan.largest(evidence.split(residuals))
         if progress is not None:
-            progress(BATCH)
+            progress(BATCH * ranks.size)
         return found
 
-    batches = list(runtime.in_threads([partial(batch, sequence) for sequence in seeds]))
+    batches = ranks.deal_out(
+        [partial(batch, sequence) for sequence in seeds],
+        told=lambda found: {name: values.tolist() for name, values in found.items()},
+        heard=lambda found: {name: np.array(values) for name, values in found.items()},
+        run=runtime.in_threads,
+    )
     scores = {name: np.concatenate([b[name] for b in batches])[:draws] for name in batches[0]}
     tails = {name: Tail.of(values) for name, values in scores.items()}
     largest = np.max([tails[name](values) for name, values in scores.items()], axis=0)

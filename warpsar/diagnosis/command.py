@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpsar import runtime
+from warpsar import distributed, runtime
 from warpsar.diagnosis.judge import ROLES, Judge, Judged, difference, pool
 from warpsar.diagnosis.place import Place, place
 from warpsar.diagnosis.procedure import Candidate, DiagnoseOptions, Diagnosis, Step, diagnose_scene
@@ -51,9 +51,15 @@ class Diagnosed:
 def diagnose(scene: Scene, *, device: str | None = None, options: DiagnoseOptions | None = None) -> Diagnosed:
     """Run the procedure of docs/diagnosis.md on the train views; then judge every step's model, once, on all views.
 
-    Raises InputError for scenes without measured train views, or with learned fields.
+    Several processes (`distributed`) share the work; all return the same. Raises InputError for scenes without measured
+    train views, or with learned fields.
     """
-    found = diagnose_scene(scene, runtime.resolve_device(device), options or DiagnoseOptions())
+    where = runtime.resolve_device(device)
+    return judged(diagnose_scene(scene, where, options or DiagnoseOptions(), distributed.ranks(where)))
+
+
+def judged(found: Diagnosis) -> Diagnosed:
+    """Every step's model on all views."""
     judge = Judge(found)
     models = [judge(fitted.scene) for fitted in fitted_models(found)]
     return Diagnosed(found, judge, models, place(found, models[-1], found.steps[-1].spot))
@@ -113,21 +119,28 @@ def run(
     scene_path: Path | str, out: Path | str, *, device: str | None = None, options: DiagnoseOptions | None = None
 ) -> dict[str, Any]:
     """`warpsar diagnose`: diagnosis.json, scene.toml with the added effects and report.html in `out`. Returns the
-    JSON's content."""
+    JSON's content; of several processes, the first one judges and writes, and the others return nothing."""
     from warpsar.diagnosis.report import write_report
 
     started = time.perf_counter()
     options = options or DiagnoseOptions()
     scene, out, where = opened(scene_path, out, device)
-    done = diagnose(scene, device=where.alias, options=options)
-    moves, identified = moved_parameters(done.diagnosis)
-    done.diagnosis.final.scene.save(out / "scene.toml")
-    content = write_json(
-        out / "diagnosis.json", scene, where, options.seed, started, content_of(done, moves, identified, options)
-    )
-    write_report(out / "report.html", done, moves, content, command_line(scene_path, out, where.alias, options))
-    print(in_short(done), file=sys.stdout)
-    return content
+    ranks = distributed.ranks(where)
+    found = diagnose_scene(scene, where, options, ranks)
+
+    def written() -> dict[str, Any]:
+        if not ranks.first:
+            return {}
+        done = judged(found)
+        moves, identified = moved_parameters(found)
+        found.final.scene.save(out / "scene.toml")
+        content = content_of(done, moves, identified, options) | {"processes": ranks.size}
+        content = write_json(out / "diagnosis.json", scene, where, options.seed, started, content)
+        write_report(out / "report.html", done, moves, content, command_line(scene_path, out, where.alias, options))
+        print(in_short(done), file=sys.stdout)
+        return content
+
+    return ranks.agree(written)
 
 
 def command_line(scene_path: Path | str, out: Path, device: str, options: DiagnoseOptions) -> list[str]:

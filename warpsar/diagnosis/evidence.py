@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from warpsar.distributed import ONE, Ranks
 from warpsar.identify import residual_autocovariance, score_products
 
 if TYPE_CHECKING:
@@ -36,9 +37,9 @@ class Evidence:
     autocovariance: np.ndarray
 
     @classmethod
-    def of(cls, problem: FitProblem, x: np.ndarray) -> Evidence:
+    def of(cls, problem: FitProblem, x: np.ndarray, ranks: Ranks = ONE) -> Evidence:
         seen = problem.observations
-        modelled = problem.modelled(x)
+        modelled = [ranks.same(mu) for mu in problem.modelled(x)]
         parts = [
             np.clip(np.sqrt(s.looks) * (s.values / (gain * mu) - 1.0), -LARGEST, LARGEST)
             for s, mu, gain in zip(seen, modelled, problem.gains(modelled), strict=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,6 +14,8 @@ from warpsar.likelihood import loss_terms
 from warpsar.results import learned_scene
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
     from warpsar.fit import FitProblem
     from warpsar.observation import Observation
     from warpsar.scene import Scene
@@ -53,22 +56,30 @@ def leave_one_view_out(bench: Bench, base: Fitted, fitted: Fitted, effect: str) 
         return LeftOut(0.0, 0.0, len(names))
     own = [c for c in fitted.problem.effect_coordinates if c.effect == effect]
     per_view = all(c.view is not None for c in own)
-    pairs: list[tuple[Observation, np.ndarray]] = []
-    for name in names:
-        if not per_view:
+
+    def judged(name: str) -> list[np.ndarray]:
+        if per_view:
+            terms = (_by_halves(bench, base, name), _by_halves(bench, fitted, name))
+        else:
             terms = (
                 _terms(bench, base.scene, name),
                 _terms(bench, _with_the_others(bench, fitted, effect, name), name),
             )
-        elif any(c.view == name for c in own):
-            terms = (_by_halves(bench, base, name), _by_halves(bench, fitted, name))
-        else:
-            continue  # the same image with and without
-        seen = bench.observations[name]
-        pairs += [(s, _clipped(a - b)) for s, a, b in zip(seen, *terms, strict=True)]
+        return [_clipped(a - b) for a, b in zip(*terms, strict=True)]
+
+    # where each view has its own parameters, one without any has the same image with and without
+    touched = [name for name in names if not per_view or any(c.view == name for c in own)]
+    found = bench.ranks.deal_out(
+        [partial(judged, name) for name in touched],
+        told=lambda differences: [one.tolist() for one in differences],
+        heard=lambda differences: [np.array(one) for one in differences],
+    )
+    seen = [one for name in touched for one in bench.observations[name]]
+    pairs = list(zip(seen, [difference for view in found for difference in view], strict=True))
     every = np.concatenate([difference for _, difference in pairs])
     covariance = residual_autocovariance([(seen, difference - every.mean()) for seen, difference in pairs])
-    return LeftOut(float(every.sum()), float(np.sqrt(every.size * covariance.sum())), len(names))
+    gain, error = bench.ranks.same([every.sum(), np.sqrt(every.size * covariance.sum())]).tolist()
+    return LeftOut(gain, error, len(names))
 
 
 def _with_the_others(bench: Bench, fitted: Fitted, effect: str, name: str) -> Scene:
@@ -103,23 +114,36 @@ def varies_over_columns(bench: Bench, base: Fitted, fitted: Fitted, name: str) -
     """Whether what an effect holds for each view by itself is no property of the view: fitted anew to each block of the
     view's columns, it gains half as much again as it did by being one for all of them. So does something that lies in
     a few columns, such as a mover's smear along a range line."""
-    gained = regained = 0.0
-    for view in {c.view for c in fitted.problem.effect_coordinates if c.effect == name and c.view is not None}:
+    views = dict.fromkeys(c.view for c in fitted.problem.effect_coordinates if c.effect == name and c.view is not None)
+
+    def gained(view: str) -> float:
         held = bench.problem(fitted.scene, [view], dark=False)
-        own = [c.effect == name and c.view == view for c in held.effect_coordinates]
-        moving = np.concatenate([np.zeros(held.learned.size, bool), np.array(own, bool)])
-        before = _terms(bench, base.scene, view)
-        gained += sum(_clipped(a - b).sum() for a, b in zip(before, _of_problem(held, held.x0), strict=True))
-        for block in range(-(-held.scene.grid.shape[1] // BLOCK)):
-            masks = [s.interior & (np.arange(s.interior.shape[1]) // BLOCK == block) for s in held.observations]
-            if not any(mask.any() for mask in masks):
-                continue
-            pixels = [replace(s, interior=mask) for s, mask in zip(held.observations, masks, strict=True)]
-            part = replace(bench, observations={view: pixels}).problem(fitted.scene, [view], dark=False)
-            x, _, _ = descend(part, [part.x0], moving, quick=True)
-            terms = zip(_of_problem(part, part.x0), _of_problem(part, x), strict=True)
-            regained += sum(_clipped(a - b).sum() for a, b in terms) - 0.5 * sum(own)
-    return regained > VARIES * gained
+        return _lost(_terms(bench, base.scene, view), _of_problem(held, held.x0))
+
+    def regained(view: str, pixels: list[Observation]) -> float:
+        part = replace(bench, observations={view: pixels}).problem(fitted.scene, [view], dark=False)
+        own = [c.effect == name and c.view == view for c in part.effect_coordinates]
+        moving = np.concatenate([np.zeros(part.learned.size, bool), np.array(own, bool)])
+        x, _, _ = descend(part, [part.x0], moving, quick=True)
+        return _lost(_of_problem(part, part.x0), _of_problem(part, x)) - 0.5 * sum(own)
+
+    blocks = [(view, pixels) for view in views for pixels in _by_blocks(bench.observations[view])]
+    tasks = [*(partial(gained, view) for view in views), *(partial(regained, *block) for block in blocks)]
+    found = bench.ranks.deal_out(tasks)
+    return sum(found[len(views) :]) > VARIES * sum(found[: len(views)])
+
+
+def _by_blocks(seen: Sequence[Observation]) -> Iterator[list[Observation]]:
+    """A view's observations, block of columns by block, where there are pixels."""
+    block_of = np.arange(seen[0].interior.shape[1]) // BLOCK
+    for block in range(block_of[-1] + 1):
+        part = [replace(one, interior=one.interior & (block_of == block)) for one in seen]
+        if any(one.interior.any() for one in part):
+            yield part
+
+
+def _lost(before: Sequence[np.ndarray], after: Sequence[np.ndarray]) -> float:
+    return float(sum(_clipped(a - b).sum() for a, b in zip(before, after, strict=True)))
 
 
 def _clipped(differences: np.ndarray) -> np.ndarray:

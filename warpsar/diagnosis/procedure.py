@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -26,6 +27,7 @@ from warpsar.diagnosis.score import NOT_TESTABLE, Group, Projection, group
 from warpsar.diagnosis.screening import Screening
 from warpsar.diagnosis.survey import surveyed
 from warpsar.diagnosis.templates import Template, TemplateMaker
+from warpsar.distributed import ONE, Ranks
 from warpsar.effects import NAMES, get
 from warpsar.errors import InputError
 from warpsar.observation import looks_of
@@ -36,7 +38,7 @@ from warpsar.simulation import Rays
 if TYPE_CHECKING:
     from warpsar.fit import FitProblem
     from warpsar.observation import Observation
-    from warpsar.scene import Scene
+    from warpsar.scene import Scene, View
 
 MU_NOISE = 10.0  # looks x pixels x relative sampling variance of mu: the gain in 2 ln L that denoising mu could bring
 CLASS_COSINE = 0.9  # templates closer than this are one class: the data hardly tell them apart
@@ -122,28 +124,22 @@ class Diagnosis:
         return [step.added for step in self.steps if step.added in self.final.scene.effects]
 
 
-def diagnose_scene(scene: Scene, device: Any, options: DiagnoseOptions) -> Diagnosis:
+def diagnose_scene(scene: Scene, device: Any, options: DiagnoseOptions, ranks: Ranks = ONE) -> Diagnosis:
     """Run the procedure on the training views of a scene with uniform materials.
 
-    Raises InputError for scenes without measured training views, or with learned fields.
+    Every one of the `ranks` goes through all of it; they share the fits, folds and draws, and decide as the first one
+    does. Raises InputError for scenes without measured training views, or with learned fields.
     """
-    stage = Stage.of(scene, device)
-    if any(block.learn and block.size > 1 for block in stage.surface.blocks):
-        raise InputError(
-            f"{scene.path}: materials: found a learned field (layout vertex or texture); diagnose tests scenes of "
-            f"uniform materials, because a field can imitate most effects"
-        )
-    views = [view for view in scene.views if view.role == "train" and view.images]
-    if not views:
-        raise InputError(f"{scene.path}: views: none with role train has measured images")
-    density = choose_density(scene, stage, views, [looks_of(scene, view) for view in views], MU_NOISE, total=True)
+    stage, views, looks = ranks.agree(lambda: _training(scene, device))
+    density = choose_density(scene, stage, views, looks, MU_NOISE, total=True, ranks=ranks)
     runtime.say(
         f"rays: {density.rays_per_pixel:g} per pixel; looks x pixels x relative sampling variance "
         f"{density.noise:.2g} (wanted: under {MU_NOISE:g})"
     )
     rays = Rays(stage, density.rays_per_m2, 2 * scene.sampling.seed)
     other_rays = Rays(stage, density.rays_per_m2, 2 * scene.sampling.seed + 1)
-    bench = Bench(device, rays, frozen(Bench(device, rays, {}), Bench(device, other_rays, {}), scene))
+    one, other = (Bench(device, each, {}, ranks) for each in (rays, other_rays))
+    bench = replace(one, observations=frozen(one, other, scene))
 
     bar = runtime.progress(2 * options.draws, "diagnose", "")
     runtime.say("fit of the declared model")
@@ -155,32 +151,44 @@ def diagnose_scene(scene: Scene, device: Any, options: DiagnoseOptions) -> Diagn
         steps.append(step)
         if step.fitted is None or len(steps) > options.most_effects:
             break
-        _prune(turn, step, [s.added for s in steps[:-1] if s.added], _effective_pixels(evidence))
+        _prune(turn, step, [s.added for s in steps[:-1] if s.added], _effective_pixels(evidence, ranks))
         turn, base = narrow(turn, step.fitted)
     bar.close()
     unexplained = steps[-1].added is None and steps[-1].scan_minus_log_p > steps[-1].threshold
     return Diagnosis(scene, declared, base, steps, unexplained, density, bench, evidence)
 
 
+def _training(scene: Scene, device: Any) -> tuple[Stage, list[View], list[float]]:
+    """What is tested: the surface, the training views and their looks."""
+    stage = Stage.of(scene, device)
+    if any(block.learn and block.size > 1 for block in stage.surface.blocks):
+        raise InputError(
+            f"{scene.path}: materials: found a learned field (layout vertex or texture); diagnose tests scenes of "
+            f"uniform materials, because a field can imitate most effects"
+        )
+    views = [view for view in scene.views if view.role == "train" and view.images]
+    if not views:
+        raise InputError(f"{scene.path}: views: none with role train has measured images")
+    return stage, views, [looks_of(scene, view) for view in views]
+
+
 def frozen(one: Bench, other: Bench, scene: Scene) -> dict[str, list[Observation]]:
     """Masks from the declared model, the same for all that follows. A pixel counts as lit if both sets of rays light
     it and its neighbours: where one of them misses, its share of light is sampling noise. Where an effect has moved
     the light, a pixel may hold a sliver that no ray meets: it counts as one ray's share of a median pixel at least."""
-    problems = [bench.problem(scene, dark=False) for bench in (one, other)]
+    ranks = one.ranks
+    problems = ranks.agree(lambda: [bench.problem(scene, dark=False) for bench in (one, other)])
     declared = iter(problems[0].modelled_as_declared())
     density = one.rays.rays_per_m2 or scene.sampling.density_per_m2(scene.grid)
     rays_per_pixel = density * scene.grid.pixel_area_m2
-    found = {}
+    found: dict[str, list[Observation]] = {}
     for a, b in zip(*(problem.views for problem in problems), strict=True):
-        found[a.view.name] = [
-            replace(
-                mine,
-                interior=mine.interior & theirs.interior,
-                dark=mine.dark & theirs.dark,
-                least=float(np.median(next(declared))) / rays_per_pixel,
-            )
-            for mine, theirs in zip(a.observations, b.observations, strict=True)
-        ]
+        for mine, theirs in zip(a.observations, b.observations, strict=True):
+            masks = ranks.same([mine.interior & theirs.interior, mine.silent, mine.dark & theirs.dark]) > 0
+            looks, least = ranks.same([mine.looks, float(np.median(next(declared))) / rays_per_pixel]).tolist()
+            interior, silent, dark = masks
+            seen = replace(mine, interior=interior, silent=silent, dark=dark, looks=looks, least=least)
+            found.setdefault(a.view.name, []).append(seen)
     return found
 
 
@@ -194,45 +202,40 @@ def _step(
     bar: Any,
 ) -> tuple[Step, Evidence]:
     """Score every effect that is not declared, refit the best, and add the one that holds on views left out."""
+    ranks = bench.ranks
     point = fit_robustly(base, scene, bench)
-    evidence = Evidence.of(base.problem, point.x)
-    observations = {view.view.name: view.observations for view in base.problem.views}
-    maker = TemplateMaker(point.scene, bench.device, other_rays, observations, evidence.modelled)
-    # A fit without the paths that a surface throws back may have made it a poor mirror, and them invisible.
-    unmoved = replace(point.scene, materials=scene.materials)
-    paths = TemplateMaker(unmoved, bench.device, other_rays, observations, evidence.modelled)
-    projection = Projection(maker.tangent(), evidence.root_looks)
-
-    candidates: dict[str, Candidate] = {}
-    groups: dict[str, list[Group]] = {}
-    for name in NAMES:
-        if name in base.scene.effects:
-            continue
-        templates = maker.templates(name)
-        if get(name).stage == "path":
-            templates += paths.templates(name)
-        found = group(templates, projection, evidence)
-        candidates[name] = _candidate(name, found)
-        if candidates[name].testability == "testable":
-            groups[name] = found
+    evidence = Evidence.of(base.problem, point.x, ranks)
+    projection, found = ranks.agree(lambda: _grouped(scene, bench, other_rays, base, point.scene, evidence))
+    candidates = {name: _candidate(name, members) for name, members in found.items()}
+    testable = ranks.gather([c.effect for c in candidates.values() if c.testability == "testable"])[0]
+    groups = {name: found[name] for name in testable}
     scan = Scan(evidence.observations, evidence.autocovariance, _silent(base.problem, point.x, evidence))
-    boot = bootstrap(evidence, projection, groups, scan, options.draws, options.seed + number, bar.update)
-    threshold = boot.threshold(options.family_error)
+    boot = bootstrap(evidence, projection, groups, scan, options.draws, options.seed + number, bar.update, ranks)
     spot = scan.strongest(evidence.split(evidence.standardised))
     best = _score(candidates, groups, projection(evidence.standardised), boot)
-    dark = _dark(base)
-    passing = _passing(candidates, threshold, dark)
     scanned = float(boot.tails["scan"](abs(spot.z)))
-    step = Step(list(candidates.values()), None, spot, scanned, boot.p_family(scanned), threshold, base)
+    step = Step(
+        list(candidates.values()),
+        None,
+        spot,
+        scanned,
+        boot.p_family(scanned),
+        boot.threshold(options.family_error),
+        base,
+    )
+    _as_the_first(step, ranks)
+    dark = _dark(base)
+    passing = _passing(step.candidates, step.threshold, dark)
     _say(step, number, passing)
     if number >= options.most_effects:
         return step, evidence
 
+    pixels = _effective_pixels(evidence, ranks)
     refitted: list[tuple[float, Candidate, Fitted]] = []
     for candidate, fitted in _screened(bench, base, point.scene, scene, passing, best, dark, options.refits):
         candidate.refit_gain = 2.0 * (fitted.log_likelihood - base.log_likelihood)
         candidate.refit_size = fitted.size - base.size
-        penalty = (fitted.size - base.size) * np.log(_effective_pixels(evidence))
+        penalty = (fitted.size - base.size) * np.log(pixels)
         refitted.append((candidate.refit_gain - penalty, candidate, fitted))
     if dark.asks:
         # Without such an effect the dark pixels are impossible: of those that make them possible the likeliest is
@@ -266,6 +269,34 @@ def _step(
     return step, evidence
 
 
+def _grouped(
+    scene: Scene, bench: Bench, other_rays: Rays, base: Fitted, at: Scene, evidence: Evidence
+) -> tuple[Projection, dict[str, list[Group]]]:
+    """The templates of every effect that is not declared, about the scene `at`, and the tangent of what is fitted."""
+    observations = {view.view.name: view.observations for view in base.problem.views}
+    maker = TemplateMaker(at, bench.device, other_rays, observations, evidence.modelled)
+    # A fit without the paths that a surface throws back may have made it a poor mirror, and them invisible.
+    unmoved = replace(at, materials=scene.materials)
+    paths = TemplateMaker(unmoved, bench.device, other_rays, observations, evidence.modelled)
+    projection = Projection(maker.tangent(), evidence.root_looks)
+    found = {}
+    for name in NAMES:
+        if name in base.scene.effects:
+            continue
+        templates = maker.templates(name)
+        if get(name).stage == "path":
+            templates += paths.templates(name)
+        found[name] = group(templates, projection, evidence)
+    return projection, found
+
+
+def _as_the_first(step: Step, ranks: Ranks) -> None:
+    """The scores of the first rank, which all go on with: last bits differ from GPU to GPU."""
+    mine = [[asdict(c) for c in step.candidates], asdict(step.spot), step.scan_minus_log_p, step.p_scan, step.threshold]
+    candidates, spot, step.scan_minus_log_p, step.p_scan, step.threshold = ranks.gather(mine)[0]
+    step.candidates, step.spot = [Candidate(**c) for c in candidates], Spot(**spot)
+
+
 def _screened(
     bench: Bench,
     base: Fitted,
@@ -275,27 +306,43 @@ def _screened(
     templates: Mapping[str, Sequence[Template]],
     dark: Dark,
     most: int,
-) -> Iterator[tuple[Candidate, Fitted]]:
-    """Fits of the `most` candidates that look likeliest at a glance. Where dark pixels decide, the effects that can
-    explain them come first, and none is given up for what others make of the lit pixels."""
-    screenings = []
-    for candidate in passing[:GLANCED]:
-        trials = [template.trial for template in templates[candidate.effect]][:OFFERED]
-        tables = [table for trial in trials for table in surveyed(bench, from_scene, candidate.effect, trial)]
-        screenings.append((candidate, Screening(bench, base, from_scene, declared, candidate.effect, tables)))
-    lead = -np.inf
-    order = sorted(screenings, key=lambda pair: -pair[1].glanced.log_likelihood)
+) -> list[tuple[Candidate, Fitted]]:
+    """Fits of the `most` candidates that look likeliest at a glance; each may be given up for what the best other one
+    looks like. Where dark pixels decide, the effects that can explain them come first, and none is given up for what
+    others make of the lit pixels."""
+
+    def glance(effect: str) -> Screening:
+        trials = [template.trial for template in templates[effect]][:OFFERED]
+        tables = [table for trial in trials for table in surveyed(bench, from_scene, effect, trial)]
+        return Screening(bench, base, from_scene, declared, effect, tables)
+
+    screenings = bench.ranks.deal_out(
+        [partial(glance, candidate.effect) for candidate in passing[:GLANCED]],
+        told=Screening.told,
+        heard=partial(Screening.heard, bench, base, from_scene, declared),
+    )
+    order = sorted(zip(passing, screenings, strict=False), key=lambda pair: -pair[1].glanced.log_likelihood)
     if dark.asks:
         order.sort(key=lambda pair: not get(pair[0].effect).additive)
-    for candidate, screening in order[:most]:
-        fitted, given_up = screening.finish(-np.inf if dark.asks else lead)
-        lead = max(lead, fitted.log_likelihood)
+
+    def lead_over(one: Screening) -> float:
+        others = (other.glanced.log_likelihood for other in screenings if other is not one)
+        return -np.inf if dark.asks else max(others, default=-np.inf)
+
+    finished = bench.ranks.deal_out(
+        [partial(screening.finish, lead_over(screening)) for _, screening in order[:most]],
+        told=lambda result: [result[0].told(), result[1]],
+        heard=lambda told: (Fitted.heard(bench, base.scene, told[0]), told[1]),
+    )
+    found = []
+    for (candidate, _), (fitted, given_up) in zip(order, finished, strict=False):
         gain = 2.0 * (fitted.log_likelihood - base.log_likelihood)
         said = ", given up" if given_up else ""
         runtime.say(f"  refit {candidate.effect}: 2 ln L {gain:+.1f} for {fitted.size - base.size} parameters{said}")
         if given_up:
             candidate.note += f"{'; ' if candidate.note else ''}its fit was given up, far behind"
-        yield candidate, fitted
+        found.append((candidate, fitted))
+    return found
 
 
 def _prune(bench: Bench, step: Step, earlier: Sequence[str], pixels: float) -> None:
@@ -389,10 +436,10 @@ def _dark(base: Fitted) -> Dark:
     return Dark(sum(int(one.dark.sum()) for one in seen), positive)
 
 
-def _passing(candidates: dict[str, Candidate], threshold: float, dark: Dark) -> list[Candidate]:
+def _passing(candidates: Sequence[Candidate], threshold: float, dark: Dark) -> list[Candidate]:
     """Candidates worth a refit, best first. Power in the dark calls for an additive effect, whatever the lit pixels
     say; a floor is out of the question where many dark pixels measure exactly 0."""
-    order = sorted(candidates.values(), key=lambda c: -c.minus_log_p)
+    order = sorted(candidates, key=lambda c: -c.minus_log_p)
     found = [c for c in order if c.testability == "testable" and c.minus_log_p > threshold]
     if dark.refuses_a_floor:
         for candidate in found:
@@ -407,10 +454,10 @@ def _passing(candidates: dict[str, Candidate], threshold: float, dark: Dark) -> 
     return found
 
 
-def _effective_pixels(evidence: Evidence) -> float:
+def _effective_pixels(evidence: Evidence, ranks: Ranks) -> float:
     """Independent looks in the data: pixels over the correlation area, times looks."""
     area = max(float(evidence.autocovariance.sum() / evidence.autocovariance.max()), 1.0)
-    return float(np.sum(evidence.root_looks**2) / area)
+    return float(ranks.same(np.sum(evidence.root_looks**2) / area))
 
 
 def _say(step: Step, number: int, passing: list[Candidate]) -> None:

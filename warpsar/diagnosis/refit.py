@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from warpsar.diagnosis.evidence import LARGEST
+from warpsar.distributed import ONE, Ranks
 from warpsar.effects import get
 from warpsar.fit import FitProblem
 from warpsar.optimise import FLAT, FitState, begin, levenberg_marquardt
 from warpsar.results import learned_scene
-from warpsar.surface import Surface
+from warpsar.surface import KEYS, Surface
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -28,16 +30,20 @@ QUICK_ITERATIONS, QUICK_FLAT = 12, 0.05
 KEPT_WITHIN = 0.2  # of a log coordinate, that a fit moves before its images are differentiated again
 ROBUST_TURNS = 4
 MOST_LEFT_OUT = 0.2  # of all pixels
-HOPELESS = 100.0  # log-likelihood behind the best start, after so many iterations, at which a start is given up
+HOPELESS = 100.0  # log-likelihood behind the best start, after the quick iterations, at which a start is given up
 
 
 @dataclass(frozen=True)
 class Bench:
-    """Rays and frozen pixels that all models are compared on. `observations` by view name."""
+    """Rays and frozen pixels that all models are compared on. `observations` by view name.
+
+    Every one of the `ranks` holds all views, and fits whole models by itself.
+    """
 
     device: Any
     rays: Rays
     observations: Mapping[str, list[Observation]]
+    ranks: Ranks = ONE
 
     def problem(self, scene: Scene, views: Sequence[str] | None = None, *, dark: bool | None = None) -> FitProblem:
         """The scene's fit problem; its dark pixels are used where it has an additive effect, or as `dark` says."""
@@ -68,6 +74,30 @@ class Fitted:
         zero_sums = {(c.effect, c.parameter.name) for c in self.problem.effect_coordinates if c.parameter.zero_sum}
         return int(self.x.size) - len(zero_sums)
 
+    def told(self) -> dict[str, Any]:
+        """For other ranks (JSON's types): where the fit began and where it ended."""
+        begun = self.problem.scene
+        return {
+            "materials": {name: {key: getattr(m, key) for key in KEYS} for name, m in begun.materials.items()},
+            "effects": begun.effects,
+            "x": self.x.tolist(),
+            "log_likelihood": self.log_likelihood,
+            "whole": self.whole,
+            "iterations": self.iterations,
+        }
+
+    @classmethod
+    def heard(cls, bench: Bench, scene: Scene, told: Mapping[str, Any]) -> Fitted:
+        """The model that another rank has `told` of; `scene` is of the same mesh and views."""
+        materials = {
+            name: material.model_copy(
+                update={k: tuple(v) if isinstance(v, list) else v for k, v in told["materials"][name].items()}
+            )
+            for name, material in scene.materials.items()
+        }
+        problem, x = bench.problem(replace(scene, materials=materials, effects=told["effects"])), np.array(told["x"])
+        return cls(learned_scene(problem, x), problem, x, told["log_likelihood"], told["whole"], told["iterations"])
+
 
 def descend(
     problem: FitProblem,
@@ -75,29 +105,42 @@ def descend(
     moving: np.ndarray | None = None,
     *,
     quick: bool = False,
+    ranks: Ranks = ONE,
 ) -> tuple[np.ndarray, float, int]:
-    """The best end of Levenberg-Marquardt from several starts, its loss, and the iterations of all."""
-    best, best_loss, iterations = problem.x0, np.inf, 0
+    """The best end of Levenberg-Marquardt from several starts, its loss and all iterations. The starts race, and
+    the hopeless are given up; `ranks` share them."""
     low, high = problem.bounds
-    most_iterations, flat = (QUICK_ITERATIONS, QUICK_FLAT) if quick else (MOST_ITERATIONS, FLAT)
-    for start in starts:
-        inside = np.clip(start, low, high)
-        state = FitState(inside, np.inf, inside, np.inf)
-        while not state.arrived and state.since_start < most_iterations:
+    flat = QUICK_FLAT if quick else FLAT
+
+    def on(state: FitState, until: int) -> FitState:
+        while not state.arrived and state.since_start < until:
             state = levenberg_marquardt(problem, state, moving, flat=flat, kept_within=KEPT_WITHIN)
-            if state.since_start == QUICK_ITERATIONS and state.best_loss > best_loss + HOPELESS:
-                break
-        iterations += state.iteration
-        if state.best_loss < best_loss:
-            best, best_loss = state.best_x, state.best_loss
-    return best, best_loss, iterations
+        return state
+
+    states = [FitState(inside, np.inf, inside, np.inf) for inside in (np.clip(start, low, high) for start in starts)]
+    for until in (QUICK_ITERATIONS,) if quick else (QUICK_ITERATIONS, MOST_ITERATIONS):
+        hopeless = min(state.best_loss for state in states) + HOPELESS
+        tasks = [partial(on, state, until if state.best_loss <= hopeless else 0) for state in states]
+        states = ranks.deal_out(tasks, state_told, FitState.from_arrays)
+    best = min(states, key=lambda state: state.best_loss)
+    return best.best_x, best.best_loss, sum(state.iteration for state in states)
+
+
+def state_told(state: FitState) -> dict[str, Any]:
+    """What `FitState.from_arrays` reads, in JSON's types."""
+    return {name: array.tolist() for name, array in state.arrays().items()}
 
 
 def fit_model(bench: Bench, scene: Scene, further_starts: int, seed: int) -> Fitted:
     """The scene's model from its own start and others drawn about it."""
     problem = bench.problem(scene)
-    starts = [begin(problem, k, seed).x for k in range(further_starts + 1)]
-    return fitted_at(bench, problem, *descend(problem, starts))
+    return _fit(bench, problem, [begin(problem, k, seed).x for k in range(further_starts + 1)])
+
+
+def _fit(bench: Bench, problem: FitProblem, starts: Iterable[np.ndarray], *, quick: bool = False) -> Fitted:
+    """By all ranks together."""
+    best = descend(problem, starts, quick=quick, ranks=bench.ranks)
+    return fitted_at(bench, problem, *best, bench.ranks)
 
 
 def fit_robustly(base: Fitted, declared: Scene, bench: Bench) -> Fitted:
@@ -128,7 +171,8 @@ def fit_robustly(base: Fitted, declared: Scene, bench: Bench) -> Fitted:
         start = problem.x0.copy()
         start[: problem.learned.size] = Surface.of(declared).nodes[problem.learned]
         x, _, _ = descend(problem, [x, start], quick=True)
-    return base if problem is base.problem else replace(base, scene=learned_scene(problem, x), x=x)
+    x = bench.ranks.same(x)
+    return base if (x == base.x).all() else replace(base, scene=learned_scene(problem, x), x=x)
 
 
 def settle(bench: Bench, screened: Fitted, further_starts: int, seed: int) -> Fitted:
@@ -139,14 +183,14 @@ def settle(bench: Bench, screened: Fitted, further_starts: int, seed: int) -> Fi
         start = begin(problem, k, seed).x
         start[problem.learned.size :] = screened.x[problem.learned.size :]  # the effect stays where it was found
         starts.append(start)
-    return fitted_at(bench, problem, *descend(problem, starts))
+    return _fit(bench, problem, starts)
 
 
 def refit_without(bench: Bench, fitted: Fitted, name: str) -> Fitted:
     """The model without one of its effects, fitted on from where it stands."""
     effects = {other: table for other, table in fitted.scene.effects.items() if other != name}
     problem = bench.problem(replace(fitted.scene, effects=effects))
-    return fitted_at(bench, problem, *descend(problem, [problem.x0], quick=True))
+    return _fit(bench, problem, [problem.x0], quick=True)
 
 
 def narrow(bench: Bench, fitted: Fitted) -> tuple[Bench, Fitted]:
@@ -162,7 +206,7 @@ def narrow(bench: Bench, fitted: Fitted) -> tuple[Bench, Fitted]:
     for view in fitted.problem.views:
         for seen in bench.observations[view.view.name]:
             lit = view.render.lit(seen.polarization).astype(np.uint8)
-            inner = minimum_filter(lit, size=3, mode="constant") > 0
+            inner = bench.ranks.same(minimum_filter(lit, size=3, mode="constant")) > 0
             kept = replace(seen, interior=seen.interior & inner, silent=seen.silent & inner)
             observations.setdefault(view.view.name, []).append(kept)
     pairs = [(a, b) for name in observations for a, b in zip(observations[name], bench.observations[name], strict=True)]
@@ -170,12 +214,14 @@ def narrow(bench: Bench, fitted: Fitted) -> tuple[Bench, Fitted]:
         return bench, fitted
     narrowed = replace(bench, observations=observations)
     problem = narrowed.problem(fitted.scene)
-    return narrowed, fitted_at(narrowed, problem, *descend(problem, [problem.x0], quick=True))
+    return narrowed, _fit(narrowed, problem, [problem.x0], quick=True)
 
 
-def fitted_at(bench: Bench, problem: FitProblem, x: np.ndarray, loss: float, iterations: int) -> Fitted:
-    """A problem's model at x, where its loss is `loss`."""
+def fitted_at(
+    bench: Bench, problem: FitProblem, x: np.ndarray, loss: float, iterations: int, ranks: Ranks = ONE
+) -> Fitted:
+    """A problem's model at x, where its loss is `loss`; of several `ranks`, as the first one sees it."""
     scene = learned_scene(problem, x)
     bare = problem if not any(get(n).additive for n in scene.effects) else bench.problem(scene, dark=False)
-    value = bare.value(bare.modelled(x))
+    value = float(ranks.same(bare.value(bare.modelled(x))))
     return Fitted(scene, problem, x, -value, -loss, iterations)

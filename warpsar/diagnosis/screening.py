@@ -3,12 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpsar.diagnosis.refit import KEPT_WITHIN, QUICK_FLAT, QUICK_ITERATIONS, Bench, Fitted, descend, fitted_at
+from warpsar.diagnosis.refit import (
+    KEPT_WITHIN,
+    QUICK_FLAT,
+    QUICK_ITERATIONS,
+    Bench,
+    Fitted,
+    descend,
+    fitted_at,
+    state_told,
+)
 from warpsar.diagnosis.templates import with_effect
 from warpsar.effects import get
 from warpsar.optimise import FitState, levenberg_marquardt
@@ -25,12 +34,25 @@ CLIMB = 10.0  # times what an effect has gained, that refinements may bring
 WORTH = 2.0  # log-likelihood that another setting has to gain; five times as much if it adds something
 
 
+@dataclass(frozen=True)
+class Glance:
+    """How far a few iterations from an effect's first table came, with which of the surfaces; see `Fitted`."""
+
+    surface: int
+    state: FitState
+    log_likelihood: float
+    whole: float
+
+    @property
+    def iterations(self) -> int:
+        return self.state.iteration
+
+
 class Screening:
     """`base` and one effect more, everything refitted, from each of the effect's best `STARTS` tables.
 
     The surface starts as `from_scene` has it, and as the scene file does: a strong effect that is missing can pull the
-    fitted surface so far that no descent leads back. At first only a glance: `glanced` is the model after a few
-    iterations from the first table.
+    fitted surface so far that no descent leads back. At first only a glance, which may be another rank's.
     """
 
     def __init__(
@@ -41,21 +63,41 @@ class Screening:
         declared: Scene,
         name: str,
         tables: Sequence[Mapping[str, Any]],
+        glanced: Glance | None = None,
     ) -> None:
         self.bench, self.base, self.name, self.tables = bench, base, name, tables
         surfaces = [from_scene, replace(base.scene, materials=declared.materials)]
-        runs = []
-        for surface in surfaces:
-            problem = bench.problem(with_effect(surface, name, tables[0]))
-            runs.append((problem, self._run(problem, _at(problem.x0), GLANCE)))
-        best = min(range(len(runs)), key=lambda k: runs[k][1].best_loss)
-        self._surface, self._first = surfaces[best], runs[best]  # the other tables need not try both
-        self.glanced = _fitted(bench, *self._first)
+        self._problem: FitProblem | None = None
+        if glanced is None:
+            runs = []
+            for surface in surfaces:
+                problem = bench.problem(with_effect(surface, name, tables[0]))
+                runs.append((problem, self._run(problem, _at(problem.x0), GLANCE)))
+            best = min(range(len(runs)), key=lambda k: runs[k][1].best_loss)
+            self._problem, state = runs[best]
+            fitted = _fitted(bench, self._problem, state)
+            glanced = Glance(best, state, fitted.log_likelihood, fitted.whole)
+        self.glanced = glanced
+        self._surface = surfaces[glanced.surface]  # the other tables need not try both
+
+    def told(self) -> dict[str, Any]:
+        """For other ranks (JSON's types): what the glance found."""
+        return {"name": self.name, "tables": self.tables, **vars(self.glanced), "state": state_told(self.glanced.state)}
+
+    @classmethod
+    def heard(
+        cls, bench: Bench, base: Fitted, from_scene: Scene, declared: Scene, told: Mapping[str, Any]
+    ) -> Screening:
+        """The screening that another rank has `told` of."""
+        about = dict(told)
+        name, tables, state = about.pop("name"), about.pop("tables"), FitState.from_arrays(about.pop("state"))
+        return cls(bench, base, from_scene, declared, name, tables, Glance(state=state, **about))
 
     def finish(self, lead: float) -> tuple[Fitted, bool]:
         """The best of all tables by likelihood, refined by them (`Effect.refinements`), and whether its fit was given
         up; `lead` is the log-likelihood of the best other candidate."""
-        problem, state = self._first
+        problem = self._problem or self.bench.problem(with_effect(self._surface, self.name, self.tables[0]))
+        state = self.glanced.state
         # dark pixels, if any, cost the effect what they cost it now
         limit = self.glanced.whole - self.glanced.log_likelihood + lead
         numbers = [{p.name: table.get(p.name) for p in get(self.name).parameters} for table in self.tables[:STARTS]]
