@@ -94,8 +94,9 @@ class Screening:
         return cls(bench, base, from_scene, declared, name, tables, Glance(state=state, **about))
 
     def finish(self, lead: float) -> tuple[Fitted, bool]:
-        """The best of all tables by likelihood, refined by them (`Effect.refinements`), and whether its fit was given
-        up; `lead` is the log-likelihood of the best other candidate."""
+        """The best of all tables, refined by them (`Effect.refinements`), and whether its fit was given up; `lead` is
+        the log-likelihood of the best other candidate. Best by likelihood, less half a ln(pixels) for each parameter:
+        three that shift the world are not taken for what two explain."""
         problem = self._problem or self.bench.problem(with_effect(self._surface, self.name, self.tables[0]))
         state = self.glanced.state
         # dark pixels, if any, cost the effect what they cost it now
@@ -109,15 +110,20 @@ class Screening:
                 if alike and given_up[0]:
                     continue
                 problem = self.bench.problem(with_effect(self._surface, self.name, table))
-                state = _at(found[0].x if alike else problem.x0)
+                # from where the first arrived, too: what fits with one window is too wide for another
+                starts = [problem.x0, found[0].x] if alike else [problem.x0]
+                glances = [self._run(problem, _at(x), GLANCE) for x in starts]
+                state = min(glances, key=lambda run: run.best_loss)
             state = self._run(problem, state, QUICK_ITERATIONS, limit)
             given_up.append(not state.arrived and state.since_start < QUICK_ITERATIONS)
             found.append(_fitted(self.bench, problem, state))
-        best = max(range(len(found)), key=lambda k: found[k].log_likelihood)
+        price = 0.5 * np.log(sum(int(seen.interior.sum()) for seen in problem.observations))
+        best = max(range(len(found)), key=lambda k: found[k].log_likelihood - price * found[k].size)
         before = self.base.log_likelihood
         if CLIMB * (found[best].log_likelihood - before) < lead - before:
             return found[best], given_up[best]
-        return _refined(self.bench, found[best], self.name, self.tables), given_up[best]
+        refined = _refined(self.bench, found[best], self.name, self.tables)
+        return refined, given_up[best] and refined.log_likelihood < lead
 
     def _run(self, problem: FitProblem, state: FitState, until: int, limit: float = -np.inf) -> FitState:
         """On to iteration `until`, or to where the log-likelihood `limit` is out of reach."""
