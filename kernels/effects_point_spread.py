@@ -1,6 +1,10 @@
 """Separable convolution with a kernel whose width is a parameter."""
 
+from typing import Any
+
 import warp as wp
+
+from warpsar.kernels.wide import sum_of_lanes
 
 SINC = wp.constant(0)
 TAYLOR = wp.constant(1)
@@ -18,6 +22,26 @@ F4 = wp.constant(-0.00073455164987)
 
 # Narrower than this share of a pixel counts as this: the kernel is 1 and 0 there to float32.
 NARROWEST = wp.constant(1.0e-5)
+
+# Pixels of a line that a thread takes at once: as many as the CPU has in a register or two. On CUDA one each, so that
+# neighbouring threads read neighbouring pixels.
+Stretch = wp.types.vector(length=16, dtype=float)
+Pixel = wp.types.vector(length=1, dtype=float)
+
+READ = """
+    for (int k = 0; k < %d; ++k)
+        none[k] = array.data[i + k];
+    return none;
+"""
+
+
+# Overloads of one function, as Warp has them.
+@wp.func_native(READ % 16)
+def read(array: wp.array(dtype=float), i: int, none: Stretch) -> Stretch: ...  # type: ignore[empty-body]
+
+
+@wp.func_native(READ % 1)  # type: ignore[no-redef]
+def read(array: wp.array(dtype=float), i: int, none: Pixel) -> Pixel: ...  # type: ignore[empty-body]  # noqa: F811
 
 
 @wp.func
@@ -86,7 +110,17 @@ def normalise_kernel(
     weight_out[i] = weight[i] / total[0]
 
 
-@wp.kernel
+@wp.func
+def reach_of(window: int, width: float, count: int) -> int:
+    """Pixels to each side that the kernel has weights for."""
+    reach = count - 1
+    if window == GAUSSIAN:
+        # exp(-4 ln 2 * 9) = 1.5e-11 is left out
+        reach = wp.min(reach, int(3.0 * wp.max(width, 0.0)) + 1)
+    return reach
+
+
+@wp.kernel(enable_backward=False)
 def blur_kernel(
     # In:
     window: int,
@@ -95,22 +129,101 @@ def blur_kernel(
     p: wp.array(dtype=float),
     weight: wp.array(dtype=float),
     image: wp.array(dtype=float),
+    cols: int,
     count: int,  # pixels along the axis
     stride: int,  # from one to the next
+    none: Any,  # Stretch() or Pixel(); an image has at least as many columns
+    add: int,
     # Out:
     image_out: wp.array(dtype=float),
 ):
-    """One axis. Outside the image there is nothing; what is spread there is lost.
+    """One axis. Outside the image there is nothing; what is spread there is lost. It is its own adjoint to `image`,
+    which `add` adds to what is there."""
+    row, part = wp.tid()
+    n = len(none)
+    begin = part * n
+    col = wp.min(begin, cols - n)  # the last stretch overlaps with the one before
+    i = row * cols + col
+    # Places along the axis of the first and last pixel of the stretch.
+    low = row
+    high = row
+    if stride == 1:
+        low = col
+        high = col + n - 1
+    reach = reach_of(window, p[index] / spacing, count)
+    value = none
+    # Loops of their own: a branch between the two would take `value` through memory.
+    first = wp.max(-low, -reach)
+    last = wp.min(count - 1 - high, reach)
+    for k in range(first, last + 1):
+        value += weight[wp.abs(k)] * read(image, i + k * stride, none)
+    if stride == 1:  # distances at which some of the stretch meet the image's edge
+        for k in range(wp.max(-high, -reach), first):
+            for j in range(-k - low, n):
+                value[j] += weight[-k] * image[i + k + j]
+        for k in range(last + 1, wp.min(count - 1 - low, reach) + 1):
+            for j in range(0, count - low - k):
+                value[j] += weight[k] * image[i + k + j]
+    for j in range(n):
+        if col + j >= begin:
+            if add != 0:
+                value[j] += image_out[i + j]
+            image_out[i + j] = value[j]
 
-    The sum must stay bare: reverse mode is wrong where a dynamic loop's result meets more than a sum.
+
+@wp.kernel(enable_backward=False)
+def weight_adjoint_kernel(
+    # In:
+    window: int,
+    spacing: float,
+    index: int,
+    p: wp.array(dtype=float),
+    image: wp.array(dtype=float),
+    blurred_gradient: wp.array(dtype=float),
+    cols: int,
+    count: int,
+    stride: int,
+    none: Any,
+    parts: int,
+    lanes: int,
+    # Out:
+    weight_gradient_out: wp.array(dtype=float),
+):
+    """Adjoint of `blur_kernel` to the weight at distance k: g_i x_j + g_j x_i over the pairs of pixels so far apart.
+
+    `parts` threads share the rows, and `lanes` (1, or on CUDA LANES) a row.
     """
-    i = wp.tid()
-    at = (i // stride) % count
-    reach = count
-    if window == GAUSSIAN:
-        # exp(-4 ln 2 * 9) = 1.5e-11 is left out
-        reach = wp.min(count, int(3.0 * wp.max(p[index] / spacing, 0.0)) + 1)
-    value = float(0.0)
-    for j in range(wp.max(0, at - reach), wp.min(count, at + reach + 1)):
-        value += weight[wp.abs(j - at)] * image[i + (j - at) * stride]
-    image_out[i] = value
+    k, part, lane = wp.tid()
+    if k <= reach_of(window, p[index] / spacing, count):
+        n = len(none)
+        rows = image.shape[0] // cols
+        length = cols
+        if stride == 1:
+            length -= k
+        else:
+            rows -= k
+        stretches = length // n
+        total = none
+        rest = float(0.0)
+        for row in range(part, rows, parts):
+            for s in range(lane, stretches, lanes):
+                i = row * cols + s * n
+                j = i + k * stride
+                total += wp.cw_mul(read(blurred_gradient, i, none), read(image, j, none))
+                total += wp.cw_mul(read(blurred_gradient, j, none), read(image, i, none))
+            for i in range(row * cols + stretches * n + lane, row * cols + length, lanes):
+                j = i + k * stride
+                rest += blurred_gradient[i] * image[j] + blurred_gradient[j] * image[i]
+        for j in range(n):
+            rest += total[j]
+        if k == 0:  # a pair is one pixel
+            rest *= 0.5
+        rest = sum_of_lanes(wp.vec4(rest, 0.0, 0.0, 0.0))[0]
+        if lane == 0:
+            wp.atomic_add(weight_gradient_out, k, rest)
+
+
+# Both now: the module would be compiled again for the second one, by whichever thread is the first to launch it.
+for stretch in (Stretch, Pixel):
+    wp.overload(blur_kernel, {"none": stretch})
+    wp.overload(weight_adjoint_kernel, {"none": stretch})

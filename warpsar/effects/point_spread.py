@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 from warpsar.effects.base import Context, Effect, Parameter, Step, Trial, one_of
 
 if TYPE_CHECKING:
+    from warpsar.program import Program
     from warpsar.render import ViewRender
 
 WINDOWS = {"sinc": 0, "taylor": 1, "gaussian": 2}  # kernels/effects_point_spread.py
@@ -46,23 +47,46 @@ class PointSpread(Effect):
     def image(self, render: ViewRender, p: Any, image: Any) -> Any:
         from warpsar.kernels import effects_point_spread as kernels
 
-        program, (rows, cols) = render.program, render.shape
-        window = WINDOWS[render.settings[self.name]["window"]]
-        for index, (count, stride, spacing) in enumerate(
-            ((rows, cols, render.spacing_m[0]), (cols, 1, render.spacing_m[1]))
-        ):
+        program, window = render.program, WINDOWS[render.settings[self.name]["window"]]
+        for index, (count, spacing) in enumerate(zip(render.shape, render.spacing_m, strict=True)):
             weight, total, share = program.array(count + 1), program.array(1, sum_into=True), program.array(count + 1)
-            result = program.array(image.shape[0])
             program.launch(kernels.sample_kernel, count + 1, [window, spacing, index, p], [weight, total])
             program.launch(kernels.normalise_kernel, count + 1, [weight, total], [share])
-            program.launch(
-                kernels.blur_kernel,
-                image.shape[0],
-                [window, spacing, index, p, share, image, count, stride],
-                [result],
-            )
-            image = result
+            image = _blurred(program, [window, spacing, index, p], share, image, render.shape, index)
         return image
+
+
+def _blurred(program: Program, width: list[Any], weight: Any, image: Any, shape: tuple[int, int], axis: int) -> Any:
+    """Record the convolution of `image` along one axis with `weight`, by distance in pixels."""
+    import warp as wp
+
+    from warpsar.kernels import effects_point_spread as kernels
+    from warpsar.kernels.wide import LANES
+
+    (rows, cols), device = shape, image.device
+    stretch = kernels.Stretch()
+    none = stretch if device.is_cpu and cols >= len(stretch) else kernels.Pixel()
+    along = [cols, shape[axis], (cols, 1)[axis], none]
+    dim = (rows, -(-cols // len(none)))
+    parts, lanes = (8, 1) if device.is_cpu else (rows, LANES)
+    result = program.array(rows * cols)
+    back = (
+        (kernels.blur_kernel, dim, [*width, weight, result.grad, *along, 1], image.grad),
+        (
+            kernels.weight_adjoint_kernel,
+            (shape[axis], parts, lanes),
+            [*width, image, result.grad, *along, parts, lanes],
+            weight.grad,
+        ),
+    )
+    commands = [wp.launch(k, d, inputs=i, outputs=[o], device=device, record_cmd=True) for k, d, i, o in back]
+
+    def adjoint() -> None:
+        for command in commands:
+            command.launch()
+
+    program.launch(kernels.blur_kernel, dim, [*width, weight, image, *along, 0], [result], adjoint=adjoint)
+    return result
 
 
 EFFECT = PointSpread()
