@@ -5,6 +5,12 @@ templates.py  what each effect would leave, from rays of its own
 score.py      how well a template fits what is left, beyond what the surface can absorb
 bootstrap.py  how large the largest score gets by speckle alone
 scan.py       whether something is left that no effect explains, and where
-refit.py      full fits with an effect added, and what views that were left out say of it
+refit.py      full fits of a model, and the pixels and rays that all models share
+survey.py     where a fit begins that no derivative leads to
+screening.py  which candidates are worth a full fit
+left_out.py   what views that an effect's parameters have not seen say of it
 procedure.py  the steps, in their order
+judge.py      how far models are from all images, test views among them
+place.py      where on the surface something is left
+command.py, report.py  what is written, and the page that a reviewer reads
 """
