@@ -22,8 +22,9 @@ class Observation:
 
     `interior`: lit by the declared model with all eight neighbours, off the image's edge, unmasked, finite and
     positive. `silent`: the same, but measuring exactly 0, which no gamma likelihood can hold. `dark`: far from
-    everything lit, off the edge, unmasked and finite; zeros stay in. `least` [beta0 before any gain] is how dark the
-    model may call a pixel that is not `dark`: less than what its rays can miss says nothing.
+    everything lit, off the edge, unmasked and finite; zeros stay in.
+    `least` [beta0 before any gain], if given, is how dark a model may call each pixel that is not `dark`: less than
+    what its rays can miss says nothing.
     """
 
     view: View
@@ -34,7 +35,7 @@ class Observation:
     dark: np.ndarray
     looks: float
     looks_estimated: bool
-    least: float = 0.0
+    least: np.ndarray | None = None
 
     @property
     def zeros(self) -> int:
@@ -58,9 +59,9 @@ class Observation:
         """Modelled beta0 below which a pixel counts no darker, one for all or shape (n,), float32."""
         from warpsar.kernels.loss import DARKEST
 
-        if self.least <= DARKEST:
+        if self.least is None:
             return np.array([DARKEST], np.float32)
-        return np.where(self.dark[self.interior], DARKEST, self.least).astype(np.float32)
+        return np.maximum(np.where(self.dark, 0.0, self.least)[self.interior], DARKEST).astype(np.float32)
 
     @property
     def values(self) -> np.ndarray:

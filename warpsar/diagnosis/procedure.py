@@ -45,6 +45,7 @@ CLASS_COSINE = 0.9  # templates closer than this are one class: the data hardly 
 DARK_PIXELS = 50  # fewer dark pixels than this say nothing
 GLANCED = 8  # candidates that get a few iterations
 OFFERED = 40  # of an effect's best trials that its refit may try
+SLIVER = 0.25  # of a ray's share of a pixel: darker than this no pixel is called that was lit
 TRACE = 0.1  # of the median beta0: less is a border pixel's share of light
 SILENT_SHARE = 0.01  # of the dark pixels that may measure exactly 0 under a floor
 
@@ -175,17 +176,20 @@ def _training(scene: Scene, device: Any) -> tuple[Stage, list[View], list[float]
 def frozen(one: Bench, other: Bench, scene: Scene) -> dict[str, list[Observation]]:
     """Masks from the declared model, the same for all that follows. A pixel counts as lit if both sets of rays light
     it and its neighbours: where one of them misses, its share of light is sampling noise. Where an effect has moved
-    the light, a pixel may hold a sliver that no ray meets: it counts as one ray's share of a median pixel at least."""
+    the light, a pixel may hold a sliver that no ray meets: it counts as `SLIVER` of a ray's share of what it was
+    declared to have, at least; a share of any brighter pixel would take dim surfaces for dark."""
     ranks = one.ranks
     problems = ranks.agree(lambda: [bench.problem(scene, dark=False) for bench in (one, other)])
-    declared = iter(problems[0].modelled_as_declared())
+    problems[0].modelled_as_declared()
     density = one.rays.rays_per_m2 or scene.sampling.density_per_m2(scene.grid)
     rays_per_pixel = density * scene.grid.pixel_area_m2
     found: dict[str, list[Observation]] = {}
     for a, b in zip(*(problem.views for problem in problems), strict=True):
         for mine, theirs in zip(a.observations, b.observations, strict=True):
             masks = ranks.same([mine.interior & theirs.interior, mine.silent, mine.dark & theirs.dark]) > 0
-            looks, least = ranks.same([mine.looks, float(np.median(next(declared))) / rays_per_pixel]).tolist()
+            image = a.render.images[mine.polarization].numpy().reshape(mine.interior.shape)
+            least = ranks.same(SLIVER / rays_per_pixel * image)
+            looks = float(ranks.same(mine.looks))
             interior, silent, dark = masks
             seen = replace(mine, interior=interior, silent=silent, dark=dark, looks=looks, least=least)
             found.setdefault(a.view.name, []).append(seen)
