@@ -106,14 +106,10 @@ class Screening:
         given_up: list[bool] = []
         for table, values in zip(self.tables, numbers, strict=False):
             if found:
-                alike = values == numbers[0]  # a table that differs from the first in settings alone
-                if alike and given_up[0]:
-                    continue
+                if values == numbers[0] and given_up[0]:
+                    continue  # it differs in settings alone
                 problem = self.bench.problem(with_effect(self._surface, self.name, table))
-                # from where the first arrived, too: what fits with one window is too wide for another
-                starts = [problem.x0, found[0].x] if alike else [problem.x0]
-                glances = [self._run(problem, _at(x), GLANCE) for x in starts]
-                state = min(glances, key=lambda run: run.best_loss)
+                state = _at(problem.x0)  # not where the first arrived: what fits with one window leads another astray
             state = self._run(problem, state, QUICK_ITERATIONS, limit)
             given_up.append(not state.arrived and state.since_start < QUICK_ITERATIONS)
             found.append(_fitted(self.bench, problem, state))
