@@ -130,7 +130,7 @@ def test_a_fit_far_behind_is_given_up_and_no_other(floor: tuple[Bench, Scene]) -
     base = fit_model(bench, scene, 0, 0)
     tables = [{"range_fwhm_m": 3.0, "azimuth_fwhm_m": 3.0}]
     screening = Screening(bench, base, far, far, "point_spread", tables)
-    assert screening.glanced.iterations <= GLANCE
+    assert screening.glanced.state.iteration <= GLANCE
     behind, given_up = screening.finish(base.log_likelihood + 1e5)
     assert given_up
     whole, finished = screening.finish(-np.inf)

@@ -76,6 +76,7 @@ class FitView:
             if any(e.effect.additive for e in self.effects):
                 observations = [seen.with_dark() for seen in observations]
         self.observations = observations
+        self._pixels = [(seen.polarization, seen.pixels, seen.darkest) for seen in observations]
         self.gain = wp.ones(len(observations), dtype=float, device=device)
         self.loss = self.render.program.array(int(kernels.PARTIALS), wp.float64, sum_into=True)
         self.outside = wp.zeros(1, dtype=wp.float64, device=device)
@@ -91,16 +92,16 @@ class FitView:
                 [hits.geometry.wavenumber, strength, hits.weight, hits.cos_incidence, self.kept.zeta],
                 [self.outside],
             )
-        for index, seen in enumerate(observations):
+        for index, (seen, (_, pixels, darkest)) in enumerate(zip(observations, self._pixels, strict=True)):
             self.render.program.launch(
                 kernels.loss_kernel,
-                seen.pixels.size,
+                pixels.size,
                 [
                     LOSSES[problem.loss],
-                    wp.array(seen.pixels, dtype=int, device=device),
+                    wp.array(pixels, dtype=int, device=device),
                     wp.array(seen.values.astype(np.float32), dtype=float, device=device),
                     self.render.images[seen.polarization],
-                    wp.array(seen.darkest, dtype=float, device=device),
+                    wp.array(darkest, dtype=float, device=device),
                     self.gain,
                     index,
                     seen.looks,
@@ -112,9 +113,10 @@ class FitView:
 
     def modelled(self) -> list[np.ndarray]:
         """beta0 of the interior pixels, before any gain, of each observation; after a forward run."""
+        images = self.render.images
         return [
-            np.maximum(self.render.images[seen.polarization].numpy()[seen.pixels].astype(float), seen.darkest)
-            for seen in self.observations
+            np.maximum(images[polarization].numpy()[pixels].astype(float), darkest)
+            for polarization, pixels, darkest in self._pixels
         ]
 
     @property
@@ -427,12 +429,13 @@ class FitProblem:
 
     def value(self, modelled: Sequence[np.ndarray]) -> float:
         """The loss, float64, from modelled pixels (without penalties)."""
-        terms = zip(self.observations, modelled, self.gains(modelled), strict=True)
-        mine = sum(
-            self.weight(seen) * float(loss_terms(self.loss, seen.values, gain * mu, seen.looks).sum())
-            for seen, mu, gain in terms
-        )
-        return float(self.ranks.sum(mine))
+        pairs = zip(self.observations, self.terms(modelled), strict=True)
+        return float(self.ranks.sum(sum(self.weight(seen) * float(terms.sum()) for seen, terms in pairs)))
+
+    def terms(self, modelled: Sequence[np.ndarray]) -> list[np.ndarray]:
+        """The loss of every pixel of each observation, float64, before its weight, at its best gain."""
+        pairs = zip(self.observations, modelled, self.gains(modelled), strict=True)
+        return [loss_terms(self.loss, seen.values, gain * mu, seen.looks) for seen, mu, gain in pairs]
 
     def gradient(self, x: np.ndarray) -> tuple[float, np.ndarray]:
         """Loss (float64 sums) and its gradient to x, by the tape's adjoint.

@@ -16,7 +16,6 @@ from warpsar.results import learned_scene
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from warpsar.fit import FitProblem
     from warpsar.observation import Observation
     from warpsar.scene import Scene
 
@@ -127,14 +126,15 @@ def varies_over_columns(bench: Bench, base: Fitted, fitted: Fitted, name: str) -
 
     def gained(view: str) -> float:
         held = bench.problem(fitted.scene, [view], dark=False)
-        return _lost(_terms(bench.problem(base.scene, [view], dark=False), None), _terms(held, held.x0))
+        without = bench.problem(base.scene, [view], dark=False)
+        return _lost(without.terms(without.modelled_as_declared()), held.terms(held.modelled(held.x0)))
 
     def regained(view: str, pixels: list[Observation]) -> float:
         part = replace(bench, observations={view: pixels}).problem(fitted.scene, [view], dark=False)
         own = [c.effect == name and c.view == view for c in part.effect_coordinates]
         moving = np.concatenate([np.zeros(part.learned.size, bool), np.array(own, bool)])
         x, _, _ = descend(part, [part.x0], moving, quick=True)
-        return _lost(_terms(part, part.x0), _terms(part, x)) - 0.5 * sum(own)
+        return _lost(*(part.terms(part.modelled(at)) for at in (part.x0, x))) - 0.5 * sum(own)
 
     blocks = [(view, pixels) for view in views for pixels in _by_blocks(bench.observations[view])]
     tasks = [*(partial(gained, view) for view in views), *(partial(regained, *block) for block in blocks)]
@@ -164,13 +164,6 @@ def _modelled(bench: Bench, scene: Scene, name: str) -> list[np.ndarray]:
     problem = bench.problem(scene, [name], dark=False)
     modelled = problem.modelled_as_declared()
     return [gain * mu for mu, gain in zip(modelled, problem.gains(modelled), strict=True)]
-
-
-def _terms(problem: FitProblem, x: np.ndarray | None) -> list[np.ndarray]:
-    """Loss of every pixel of each observation; of the scene as it stands where x is None."""
-    modelled = problem.modelled_as_declared() if x is None else problem.modelled(x)
-    parts = zip(problem.observations, modelled, problem.gains(modelled), strict=True)
-    return [loss_terms("gamma", s.values, gain * mu, s.looks) for s, mu, gain in parts]
 
 
 def _blocks(seen: Observation, half: int) -> np.ndarray:

@@ -109,7 +109,6 @@ def descend(
 ) -> tuple[np.ndarray, float, int]:
     """The best end of Levenberg-Marquardt from several starts, its loss and all iterations. The starts race, and
     the hopeless are given up; `ranks` share them."""
-    low, high = problem.bounds
     flat = QUICK_FLAT if quick else FLAT
 
     def on(state: FitState, until: int) -> FitState:
@@ -117,13 +116,19 @@ def descend(
             state = levenberg_marquardt(problem, state, moving, flat=flat, kept_within=KEPT_WITHIN)
         return state
 
-    states = [FitState(inside, np.inf, inside, np.inf) for inside in (np.clip(start, low, high) for start in starts)]
+    states = [standing_at(problem, start) for start in starts]
     for until in (QUICK_ITERATIONS,) if quick else (QUICK_ITERATIONS, MOST_ITERATIONS):
         hopeless = min(state.best_loss for state in states) + HOPELESS
         tasks = [partial(on, state, until if state.best_loss <= hopeless else 0) for state in states]
         states = ranks.deal_out(tasks, state_told, FitState.from_arrays)
     best = min(states, key=lambda state: state.best_loss)
     return best.best_x, best.best_loss, sum(state.iteration for state in states)
+
+
+def standing_at(problem: FitProblem, x: np.ndarray) -> FitState:
+    """A fit that begins at x, or where the bounds are nearest to it."""
+    inside = np.clip(x, *problem.bounds)
+    return FitState(inside, np.inf, inside, np.inf)
 
 
 def state_told(state: FitState) -> dict[str, Any]:

@@ -16,6 +16,7 @@ from warpsar.diagnosis.refit import (
     Fitted,
     descend,
     fitted_at,
+    standing_at,
     state_told,
 )
 from warpsar.diagnosis.templates import with_effect
@@ -43,10 +44,6 @@ class Glance:
     log_likelihood: float
     whole: float
 
-    @property
-    def iterations(self) -> int:
-        return self.state.iteration
-
 
 class Screening:
     """`base` and one effect more, everything refitted, from each of the effect's best `STARTS` tables.
@@ -72,7 +69,7 @@ class Screening:
             runs = []
             for surface in surfaces:
                 problem = bench.problem(with_effect(surface, name, tables[0]))
-                runs.append((problem, self._run(problem, _at(problem.x0), GLANCE)))
+                runs.append((problem, self._run(problem, standing_at(problem, problem.x0), GLANCE)))
             best = min(range(len(runs)), key=lambda k: runs[k][1].best_loss)
             self._problem, state = runs[best]
             fitted = _fitted(bench, self._problem, state)
@@ -109,7 +106,8 @@ class Screening:
                 if values == numbers[0] and given_up[0]:
                     continue  # it differs in settings alone
                 problem = self.bench.problem(with_effect(self._surface, self.name, table))
-                state = _at(problem.x0)  # not where the first arrived: what fits with one window leads another astray
+                # not where the first arrived: what fits with one window leads another astray
+                state = standing_at(problem, problem.x0)
             state = self._run(problem, state, QUICK_ITERATIONS, limit)
             given_up.append(not state.arrived and state.since_start < QUICK_ITERATIONS)
             found.append(_fitted(self.bench, problem, state))
@@ -130,10 +128,6 @@ class Screening:
             if state.since_start >= GLANCE and reached > HOPELESS - limit:
                 break
         return state
-
-
-def _at(x: np.ndarray) -> FitState:
-    return FitState(x, np.inf, x, np.inf)
 
 
 def _fitted(bench: Bench, problem: FitProblem, state: FitState) -> Fitted:

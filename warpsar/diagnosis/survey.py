@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpsar.diagnosis.templates import with_effect
-from warpsar.likelihood import loss_terms
 
 if TYPE_CHECKING:
     from warpsar.diagnosis.refit import Bench
@@ -60,6 +59,4 @@ def _compass(problem: FitProblem, columns: list[int], step: np.ndarray) -> np.nd
 
 
 def _bounded_loss(problem: FitProblem, x: np.ndarray) -> float:
-    modelled = problem.modelled(x)
-    parts = zip(problem.observations, modelled, problem.gains(modelled), strict=True)
-    return float(sum(np.minimum(loss_terms("gamma", s.values, g * mu, s.looks), BOUND).sum() for s, mu, g in parts))
+    return float(sum(np.minimum(terms, BOUND).sum() for terms in problem.terms(problem.modelled(x))))
