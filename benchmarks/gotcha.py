@@ -1,13 +1,13 @@
-"""The loop on measured data: AFRL's Gotcha, learned and diagnosed on two views of one degree each, tested on the third.
+"""The loop on measured data: AFRL's Gotcha, learned and diagnosed on two views of one degree each, tested on others.
 
 python benchmarks/gotcha.py DATA_FOLDER -o OUT [--figures docs/figures] [--short]
 
-DATA_FOLDER holds gotcha/data_3dsar_pass1_az001_HH.mat to az003. Builds two scenes (data/gotcha): `flat`, regions on
-flat ground, and `bodies`, the ground with cars and reflectors standing on it; imports the views into both; learns
-uniform materials, then fields; diagnoses; and compares every step's prediction of az003, which nothing was read off,
-fitted to or decided by, with the simple ones. OUT gets it all, with gotcha.json and gotcha.md; docs/measured.md says
-what it means. A stage whose result lies in OUT is not made again. `--short` has the diagnosis fit from one start,
-refit the best score alone, and add two effects at most.
+DATA_FOLDER holds gotcha/data_3dsar_pass1_az001_HH.mat to az003; whatever other degrees lie there are test views, too.
+Builds two scenes (data/gotcha): `flat`, regions on flat ground, and `bodies`, the ground with cars and reflectors
+standing on it; imports the views into both; learns uniform materials, then fields; diagnoses; and compares every step's
+prediction of az003 (and of what follows it), which nothing was read off, fitted to or decided by, with the simple ones.
+OUT gets it all, with gotcha.json and gotcha.md (docs/measured.md says what it means); what lies there already is
+not made again. `--short` has the diagnosis fit from one start, refit the best score alone, and add two effects at most.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import argparse
 import json
 import runpy
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -44,8 +44,8 @@ from warpsar.measured.resample import averaged
 from warpsar.scene import Scene, View
 
 MAKE_SCENE = Path(__file__).resolve().parent.parent / "data" / "gotcha" / "make_scene.py"
-VIEWS = ("az001", "az002", "az003")
-TRAIN = VIEWS[:2]
+TRAIN = ("az001", "az002")
+TEST = "az003"
 WINDOW = "hann"  # over the band; over the aperture, none
 SAMPLES = (3, 2)  # per pixel of 0.5 x 1 m: no fewer than the resolution asks for
 REFERENCE = "grass"  # gains are unknown, so brightness is against this region's
@@ -62,6 +62,14 @@ def source(data: Path, name: str) -> Path:
     return data / "gotcha" / f"data_3dsar_pass1_{name}_HH.mat"
 
 
+def views_in(data: Path) -> list[str]:
+    """The train views, az003, and whatever other degrees lie beside them."""
+    prefix, suffix = source(data, "").name.split("__")
+    found = (path.name for path in source(data, "").parent.glob(f"{prefix}_az*_{suffix}"))
+    others = (name.removeprefix(f"{prefix}_").removesuffix(f"_{suffix}") for name in found)
+    return [*TRAIN, TEST, *sorted(set(others) - {*TRAIN, TEST})]
+
+
 def history(data: Path, name: str) -> PhaseHistory:
     found = formats.read([source(data, name)])
     assert isinstance(found, PhaseHistory)
@@ -69,13 +77,20 @@ def history(data: Path, name: str) -> PhaseHistory:
 
 
 def prepare(data: Path, out: Path, *, flat: bool, device: str | None = None) -> Path:
-    """A scene in `out` with its three views imported; returns its scene.toml."""
-    if (out / f"{VIEWS[-1]}_HH.exr").exists():
+    """A scene in `out` with its views imported; returns its scene.toml."""
+    views = views_in(data)
+    if (out / f"{views[-1]}_HH.exr").exists():
         return out / "scene.toml"
     path: Path = runpy.run_path(str(MAKE_SCENE))["write"](out, flat=flat)
-    for name in VIEWS:
+    for name in views:
         import_measured([source(data, name)], path, name, window_range=WINDOW, samples=SAMPLES, device=device)
-    return path
+
+    def as_tests(document: Any) -> None:
+        for view in document["views"]:
+            if view["name"] not in TRAIN:
+                view["role"] = "test"
+
+    return rewritten(path, path.name, as_tests)
 
 
 def ground_points(scene: Scene, view: View, samples: tuple[int, int] = (1, 1)) -> np.ndarray:
@@ -177,13 +192,12 @@ def regions(scene: Scene, view: View, *, flat: bool = True) -> np.ndarray:
     return np.where(inside, index[north, east], -1)
 
 
-def rewritten(path: Path, name: str, change: Any) -> Path:
-    """A scene file beside the given one, its materials as `change(material's name, table)` leaves them."""
+def rewritten(path: Path, name: str, change: Callable[[Any], None]) -> Path:
+    """A scene file beside the given one, its tables as `change` leaves them."""
     import tomlkit
 
     document: Any = tomlkit.parse(path.read_text(encoding="utf-8"))
-    for material, table in document["materials"].items():
-        change(material, table)
+    change(document)
     made = path.with_name(name)
     with replacing(made) as temporary:
         temporary.write_text(tomlkit.dumps(document), encoding="utf-8", newline="\n")
@@ -193,8 +207,9 @@ def rewritten(path: Path, name: str, change: Any) -> Path:
 def heights_only(path: Path) -> Path:
     """The scene with nothing to learn but rms heights, and none of grass; beside the given one."""
 
-    def change(name: str, table: Any) -> None:
-        table["learn"] = [] if name == REFERENCE else ["rms_height_m"]
+    def change(document: Any) -> None:
+        for name, table in document["materials"].items():
+            table["learn"] = [] if name == REFERENCE else ["rms_height_m"]
 
     return rewritten(path, "heights.toml", change)
 
@@ -202,8 +217,9 @@ def heights_only(path: Path) -> Path:
 def all_of_it(path: Path) -> Path:
     """The scene with eps_r, h and l of every material to learn."""
 
-    def change(name: str, table: Any) -> None:
-        table["learn"] = ["eps_r", "rms_height_m", "correlation_length_m"]
+    def change(document: Any) -> None:
+        for table in document["materials"].values():
+            table["learn"] = ["eps_r", "rms_height_m", "correlation_length_m"]
 
     return rewritten(path, "all.toml", change)
 
@@ -211,13 +227,14 @@ def all_of_it(path: Path) -> Path:
 def fields_of(path: Path) -> Path:
     """The scene with a texture of heights on every ground material, grass too, to begin with its uniform values."""
 
-    def change(name: str, table: Any) -> None:
-        if name in ("vehicle", "reflector"):
-            return
-        image = f"{name}_start.exr"
-        start = np.full((FIELD_TEXELS, FIELD_TEXELS), float(table["rms_height_m"]), np.float32)
-        write_exr(path.with_name(image), {"rms_height_m": start})
-        table["rms_height_m"], table["layout"], table["learn"] = image, "texture", ["rms_height_m"]
+    def change(document: Any) -> None:
+        for name, table in document["materials"].items():
+            if name in ("vehicle", "reflector"):
+                continue
+            image = f"{name}_start.exr"
+            start = np.full((FIELD_TEXELS, FIELD_TEXELS), float(table["rms_height_m"]), np.float32)
+            write_exr(path.with_name(image), {"rms_height_m": start})
+            table["rms_height_m"], table["layout"], table["learn"] = image, "texture", ["rms_height_m"]
 
     return rewritten(path, "fields.toml", change)
 
@@ -285,13 +302,17 @@ def seen_from(scene: Scene, images: dict[str, np.ndarray], target: str, order: i
     return np.asarray(np.mean(resampled, axis=0))
 
 
-def simple_predictions(scene: Scene, found: evaluation.Evaluation) -> dict[str, np.ndarray]:
-    """What a user would try, from the flat scene's regions and the train images; each (rows, cols), NaN where it has
-    nothing to say."""
+def image_of(found: evaluation.Evaluation, view: str) -> evaluation.EvaluatedImage:
+    """The image of a view."""
+    return next(i for i in found.images if i.view.name == view)
+
+
+def simple_predictions(scene: Scene, found: evaluation.Evaluation, view: str = TEST) -> dict[str, np.ndarray]:
+    """What a user would try for a test view, from the flat scene's regions and the train images; each (rows, cols),
+    NaN where it has nothing to say."""
     from scipy.ndimage import uniform_filter
 
-    train = [i for i in found.images if i.view.role == "train"]
-    (test,) = (i for i in found.images if i.view.role == "test")
+    train, test = [image_of(found, name) for name in TRAIN], image_of(found, view)
     pixels = [Pixels(i.observation.values, regions(scene, i.view)[i.interior], i.observation.looks) for i in train]
     means = region_means(pixels, len(scene.mesh.materials))
     mean = seen_from(scene, {i.view.name: i.measured for i in train}, test.view.name)
@@ -337,14 +358,15 @@ def compare(test: evaluation.EvaluatedImage, made: dict[str, np.ndarray], mask: 
     return found
 
 
-def scatter_floor(scene: Scene, found: evaluation.Evaluation, mask: np.ndarray) -> float:
+def scatter_floor(
+    scene: Scene, found: evaluation.Evaluation, test: evaluation.EvaluatedImage, mask: np.ndarray
+) -> float:
     """What the scatter between the two train views would leave of a perfect prediction, in the table's unit: the looks
     that var(ln I1 - ln I2) = 2 psi'(L) gives on the mask's pixels. What glints from view to view counts as noise."""
     from scipy.optimize import brentq
     from scipy.special import digamma, polygamma
 
-    (test,) = (i for i in found.images if i.view.role == "test")
-    train = [i for i in found.images if i.view.role == "train"]
+    train = [image_of(found, name) for name in TRAIN]
     first, second = (seen_from(scene, {i.view.name: np.log(i.measured)}, test.view.name, 0)[mask] for i in train)
     spread = float(np.var(first - second)) / 2.0
     looks = float(brentq(lambda value: float(polygamma(1, value)) - spread, 1e-2, 1e3))
@@ -406,13 +428,20 @@ def predicted(out: Path, device: str | None = None) -> dict[str, evaluation.Eval
 
 
 def compared(data: Path, out: Path, found: dict[str, evaluation.Evaluation], device: str | None) -> dict[str, Any]:
-    """The table of docs/measured.md: every prediction, over all pixels and by class."""
-    flat, bodies = found["flat, learned"], found["bodies, as declared"]
+    """The table of docs/measured.md for each test view: every prediction, over all pixels and by class."""
     scene = Scene.load(out / "flat" / "learned" / "scene.toml")
+    speckle = pure_speckle(data, scene, SAMPLES, device)
+    return {view.name: _compared(view.name, scene, out, found, speckle) for view in scene.views if view.role == "test"}
+
+
+def _compared(
+    view: str, scene: Scene, out: Path, found: dict[str, evaluation.Evaluation], speckle: dict[str, np.ndarray]
+) -> dict[str, Any]:
+    flat, bodies = found["flat, learned"], found["bodies, as declared"]
     materials = Scene.load(out / "bodies" / "scene.toml").mesh.materials
-    test, of = (next(i for i in e.images if i.view.role == "test") for e in (flat, bodies))
-    simple = simple_predictions(scene, flat)
-    made = simple | {name: next(i for i in e.images if i.view.role == "test").simulated for name, e in found.items()}
+    test, of = (image_of(e, view) for e in (flat, bodies))
+    simple = simple_predictions(scene, flat, view)
+    made = simple | {name: image_of(e, view).simulated for name, e in found.items()}
     mask = test.interior & of.interior & np.all([np.isfinite(image) & (image > 0) for image in made.values()], axis=0)
     result = compare(test, made, mask)
     parts = {name: part[mask] for name, part in classes(of, materials).items() if (part & mask).any()}
@@ -435,11 +464,11 @@ def compared(data: Path, out: Path, found: dict[str, evaluation.Evaluation], dev
             for label, part in {"all": np.ones(best.shape, bool), **parts}.items()
         },
         "scatter_floor": {
-            label: scatter_floor(scene, flat, full & mask)
+            label: scatter_floor(scene, flat, test, full & mask)
             for label, full in {"all": mask, **classes(of, materials)}.items()
             if (full & mask).sum() > 30
         },
-        "speckle": speckle_floor(scene, test, pure_speckle(data, scene, SAMPLES, device), mask),
+        "speckle": speckle_floor(scene, test, speckle, mask),
     }
 
 
@@ -482,9 +511,9 @@ def figures(out: Path, found: dict[str, evaluation.Evaluation], folder: Path) ->
     save(figure, folder / "measured_gotcha_run_regions.png")
 
     figure, axes = new(10.0, 5.6, nrows=2, ncols=2, sharex=True, sharey=True)
-    tests = [next(i for i in e.images if i.view.role == "test") for e in (declared, final)]
+    tests = [image_of(e, TEST) for e in (declared, final)]
     panels = (
-        ("az003, measured (test)", decibels(tests[0].measured, reference), "gray", (-8, 20)),
+        (f"{TEST}, measured (test)", decibels(tests[0].measured, reference), "gray", (-8, 20)),
         ("with the effects found", decibels(tests[1].simulated, reference), "gray", (-8, 20)),
         ("measured / declared", tests[0].ratio_db, "RdBu_r", (-12, 12)),
         ("measured / with effects", tests[1].ratio_db, "RdBu_r", (-12, 12)),
@@ -555,7 +584,7 @@ def run(
 
 def tables(content: dict[str, Any]) -> str:
     """What docs/measured.md quotes."""
-    theory, diagnosis, comparison = content["impulse_response"], content["diagnosis"], content["comparison"]
+    theory, diagnosis = content["impulse_response"], content["diagnosis"]
     parts = ["## Reflectors\n"]
     parts.append(
         markdown(
@@ -606,18 +635,19 @@ def tables(content: dict[str, Any]) -> str:
             ],
         )
     )
-    parts.append("## az003, deviance over the floor of its looks\n")
-    labels = ["all", *(label for label in comparison["pixels"] if label != "all")]
-    rows = [
-        [name, *(values[label] for label in labels), values["rmse_db"]]
-        for name, values in comparison["deviance_over_floor"].items()
-    ]
-    rows.append(["*view-to-view scatter*", *(comparison["scatter_floor"].get(label, "") for label in labels), ""])
-    rows += [[f"*uniform ground: {k}*", v, *[""] * len(labels)] for k, v in comparison["speckle"]["left"].items()]
-    rows.append(["pixels", *(comparison["pixels"][label] for label in labels), ""])
-    better = comparison["share_of_pixels_where_better_than_mean"]
-    rows.append(["last model better than the mean, share of pixels", *(better[label] for label in labels), ""])
-    parts.append(markdown(["prediction", *labels, "error [dB]"], rows))
+    for view, comparison in content["comparison"].items():
+        parts.append(f"## {view}, deviance over the floor of its looks\n")
+        labels = ["all", *(label for label in comparison["pixels"] if label != "all")]
+        rows = [
+            [name, *(values[label] for label in labels), values["rmse_db"]]
+            for name, values in comparison["deviance_over_floor"].items()
+        ]
+        rows.append(["*view-to-view scatter*", *(comparison["scatter_floor"].get(label, "") for label in labels), ""])
+        rows += [[f"*uniform ground: {k}*", v, *[""] * len(labels)] for k, v in comparison["speckle"]["left"].items()]
+        rows.append(["pixels", *(comparison["pixels"][label] for label in labels), ""])
+        better = comparison["share_of_pixels_where_better_than_mean"]
+        rows.append(["last model better than the mean, share of pixels", *(better[label] for label in labels), ""])
+        parts.append(markdown(["prediction", *labels, "error [dB]"], rows))
     return "\n".join(parts)
 
 

@@ -9,6 +9,7 @@ refit.py      full fits of a model, and the pixels and rays that all models shar
 survey.py     where a fit begins that no derivative leads to
 screening.py  which candidates are worth a full fit
 left_out.py   what views that an effect's parameters have not seen say of it
+carried.py    whether the surface could be what an effect of the image was taken for
 procedure.py  the steps, in their order
 judge.py      how far models are from all images, test views among them
 place.py      where on the surface something is left

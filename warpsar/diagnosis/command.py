@@ -250,6 +250,7 @@ def _candidate(c: Candidate) -> dict[str, Any]:
         "refit_gain": c.refit_gain,
         "refit_size": c.refit_size,
         "left_out": None if left is None else {**asdict(left), "passed": left.passed},
+        "carried_over": c.carried,
         "note": c.note,
     }
 

@@ -36,8 +36,8 @@ class LeftOut:
 
     @property
     def passed(self) -> bool:
-        """More than two standard errors above zero; with a single view nothing can be left out."""
-        return self.views < 2 or self.gain > 2.0 * self.error
+        """More than two standard errors above zero."""
+        return self.gain > 2.0 * self.error
 
 
 def leave_one_view_out(bench: Bench, base: Fitted, fitted: Fitted, effect: str) -> LeftOut:
@@ -48,16 +48,15 @@ def leave_one_view_out(bench: Bench, base: Fitted, fitted: Fitted, effect: str) 
     The surface, and whatever else both models have, is a nuisance, fitted to all views in both: one that has never seen
     a view's incidence extrapolates so badly that little else decides. Parameters of the one view (its gain, its
     interference) cannot come from the others: they are fitted on every other block of its columns, as all else is in
-    both models, and judged on the blocks between.
+    both models, and judged on the blocks between. So is everything where there is but one view.
     """
     names = [view.view.name for view in fitted.problem.views]
-    if len(names) < 2:
-        return LeftOut(0.0, 0.0, len(names))
     own = [c for c in fitted.problem.effect_coordinates if c.effect == effect]
     per_view = all(c.view is not None for c in own)
+    halved = per_view or len(names) == 1
 
     def judged(name: str) -> list[np.ndarray]:
-        if per_view:
+        if halved:
             models = (_by_halves(bench, base, name), _by_halves(bench, fitted, name))
         else:
             models = (
@@ -88,7 +87,7 @@ def _gain(seen: Observation, without: np.ndarray, with_it: np.ndarray) -> np.nda
         loss_terms("gamma", beta0, without, seen.looks) - loss_terms("gamma", beta0, with_it, seen.looks)
         for beta0 in (seen.values, with_it)
     ]
-    return _clipped(np.stack(found))
+    return clipped(np.stack(found))
 
 
 def _with_the_others(bench: Bench, fitted: Fitted, effect: str, name: str) -> Scene:
@@ -152,10 +151,11 @@ def _by_blocks(seen: Sequence[Observation]) -> Iterator[list[Observation]]:
 
 
 def _lost(before: Sequence[np.ndarray], after: Sequence[np.ndarray]) -> float:
-    return float(sum(_clipped(a - b).sum() for a, b in zip(before, after, strict=True)))
+    return float(sum(clipped(a - b).sum() for a, b in zip(before, after, strict=True)))
 
 
-def _clipped(differences: np.ndarray) -> np.ndarray:
+def clipped(differences: np.ndarray) -> np.ndarray:
+    """Log-likelihoods of pixels, each counting `LARGEST_DIFFERENCE` at most."""
     return np.clip(differences, -LARGEST_DIFFERENCE, LARGEST_DIFFERENCE)
 
 

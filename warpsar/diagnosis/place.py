@@ -60,7 +60,7 @@ def place(found: Diagnosis, images: Sequence[Judged], spot: Spot) -> Place:
     train = [image for image in images if image.role == "train"]
     rows, cols = scene.grid.shape
     hits = _hits(found, seen.view)
-    shift = _shift_px(scene, seen.view)
+    shift = shift_px(scene, seen.view)
     pixel = hits.pixel.numpy()
     half = spot.window // 2
     inside = (np.abs(pixel // cols - (spot.row - shift[0])) <= half + 0.5) & (
@@ -91,7 +91,7 @@ def _hits(found: Diagnosis, view: View) -> Hits:
     return found.bench.rays.hits(found.scene, view, [])
 
 
-def _shift_px(scene: Scene, view: View) -> np.ndarray:
+def shift_px(scene: Scene, view: View) -> np.ndarray:
     """By how many rows and columns the model moves the image of a view."""
     table = scene.effects.get("registration")
     if table is None:
@@ -121,13 +121,13 @@ def _parts(scene: Scene, hits: Hits, inside: np.ndarray) -> list[Part]:
     return sorted(found, key=lambda part: -part.share)
 
 
-def _pixel_of(scene: Scene, view: View, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def pixel_of(scene: Scene, view: View, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Row and column, as floats with pixel i at i to i + 1, of points about the reference point, shape (n, 3)."""
     axes = geometry_of(scene, view)
     along = points @ axes.d
     if axes.slant_range_m is not None:
         along = np.hypot(along + axes.slant_range_m, points @ axes.v) - axes.slant_range_m
-    shift = _shift_px(scene, view)
+    shift = shift_px(scene, view)
     places = (along, points @ axes.u)
     row, col = (
         at / step + n / 2 + moved
@@ -139,7 +139,7 @@ def _pixel_of(scene: Scene, view: View, points: np.ndarray) -> tuple[np.ndarray,
 def _in_view(found: Diagnosis, image: Judged, world: np.ndarray, half: int) -> dict[str, Any]:
     scene = found.final.scene
     row, col = (
-        int(np.floor(at[0])) for at in _pixel_of(scene, image.seen.view, (world - scene.reference_point_m)[None])
+        int(np.floor(at[0])) for at in pixel_of(scene, image.seen.view, (world - scene.reference_point_m)[None])
     )
     return {
         "image": image.name,
@@ -178,8 +178,8 @@ def residual_on(side: MeshView, found: Diagnosis, images: Sequence[Judged]) -> n
             uniform_filter(np.where(mask, plane, 0.0).astype(float), SMOOTHED, mode="constant")
             for plane in (image.seen.measured, image.modelled)
         ]
-        row, col = _pixel_of(scene, image.seen.view, side.point)
-        shift = _shift_px(scene, image.seen.view)
+        row, col = pixel_of(scene, image.seen.view, side.point)
+        shift = shift_px(scene, image.seen.view)
         i, j = np.floor(row).astype(int), np.floor(col).astype(int)
         on = (i >= 0) & (i < rows) & (j >= 0) & (j < cols)
         i, j = np.clip(i, 0, rows - 1), np.clip(j, 0, cols - 1)

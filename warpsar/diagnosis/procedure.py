@@ -11,6 +11,7 @@ import numpy as np
 
 from warpsar import runtime
 from warpsar.diagnosis.bootstrap import Bootstrap, bootstrap
+from warpsar.diagnosis.carried import CARRIED, carried_over
 from warpsar.diagnosis.evidence import Evidence
 from warpsar.diagnosis.left_out import LeftOut, leave_one_view_out, varies_over_columns
 from warpsar.diagnosis.refit import (
@@ -88,7 +89,13 @@ class Candidate:
     refit_gain: float | None = None  # 2 ln L over the model without it
     refit_size: int | None = None
     left_out: LeftOut | None = None
+    carried: float | None = None  # share of its gain that the surface takes from view to view
     note: str = ""
+
+    @property
+    def shared(self) -> bool:
+        """Whether the surface could be what it was taken for."""
+        return self.carried is not None and self.carried > CARRIED
 
 
 @dataclass
@@ -155,7 +162,10 @@ def diagnose_scene(scene: Scene, device: Any, options: DiagnoseOptions, ranks: R
         _prune(turn, step, [s.added for s in steps[:-1] if s.added], _effective_pixels(evidence, ranks))
         turn, base = narrow(turn, step.fitted)
     bar.close()
-    unexplained = steps[-1].added is None and steps[-1].scan_minus_log_p > steps[-1].threshold
+    last = steps[-1]
+    # what was refused because something may stand there is left, whatever the scan makes of it
+    left = last.scan_minus_log_p > last.threshold or any(c.shared for c in last.candidates)
+    unexplained = last.added is None and left
     return Diagnosis(scene, declared, base, steps, unexplained, density, bench, evidence)
 
 
@@ -267,10 +277,28 @@ def _step(
             candidate.note = "not one value for a view: it varies over the view's columns"
             runtime.say(f"  {candidate.effect}: {candidate.note}")
             continue
+        if get(candidate.effect).in_image:
+            candidate.carried = carried_over(bench, fitted, candidate.effect)
+        if candidate.shared:
+            candidate.note = _shared_note(candidate)
+            runtime.say(f"  {candidate.effect}: {candidate.note}")
+            if get(candidate.effect).additive:
+                continue
         step.added, step.fitted = candidate.effect, fitted
         runtime.say(f"added: {candidate.effect} {fitted.scene.effects[candidate.effect]}")
         break
     return step, evidence
+
+
+def _shared_note(candidate: Candidate) -> str:
+    """Power that was added in an image can as well come from something that stands there; every radar blurs, so of a
+    blur the amount alone is in doubt."""
+    share = f"the surface takes {100.0 * (candidate.carried or 0.0):.0f} % of its gain over from view to view"
+    if candidate.left_out is not None and candidate.left_out.views == 1:
+        share = "one view alone"
+    if get(candidate.effect).additive:
+        return f"{share}: it cannot be told from something that stands there"
+    return f"{share}: its size cannot be told from errors of the mesh, and is that of both"
 
 
 def _grouped(

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpsar import report
+from warpsar.diagnosis.carried import CARRIED
 from warpsar.diagnosis.command import SAME_SD, Diagnosed, Moved, why_not
 from warpsar.diagnosis.judge import ROLES, Judged
 from warpsar.diagnosis.place import residual_on
@@ -138,14 +139,17 @@ def _verdict(done: Diagnosed, content: dict[str, Any]) -> list[str]:
     said = []
     for step in content["steps"]:
         left = step["left_out"]
-        held = (
-            ""
-            if left is None or left["views"] < 2
-            else f" Each of {left['views']} train views was predicted from the others: with it ln L is higher by "
-            f"{plus_minus(left['gain'], left['error'])}, all views together."
-        )
+        held = ""
+        if left is not None:
+            from_what = (
+                f"Each of {left['views']} train views was predicted from the others"
+                if left["views"] > 1
+                else "Each half of the one train view's columns was predicted from the other"
+            )
+            held = f" {from_what}: with it ln L is higher by {plus_minus(left['gain'], left['error'])}, all together."
         tables = _said(step["parameters"])
-        said.append(f"Added: {step['effect']} ({get(step['effect']).summary}), with {tables}.{held}")
+        doubt = f" But {step['note']}." if (step["carried_over"] or 0.0) > CARRIED else ""
+        said.append(f"Added: {step['effect']} ({get(step['effect']).summary}), with {tables}.{held}{doubt}")
     said += [
         f"Dropped again, being needless beside {turn['added']}: {name}."
         for turn in content["turns"]
@@ -298,7 +302,7 @@ def _candidate_table(step: Step, tested: Sequence[Candidate], content: dict[str,
             f"z {step.spot.z:+.1f}",
         ]
     )
-    head = ["effect", "-ln p", "p (family)", "its own", "refit, 2 ln L", "views left out, ln L", "alike", "best trial"]
+    head = ["effect", "-ln p", "p (family)", "its own", "refit, 2 ln L", "views left out, ln L", "alike", "note"]
     caption = (
         "its own: share of the template that the surface's parameters cannot imitate. refit: gain of the full fit, and "
         "by how many parameters. alike: effects whose templates the data hardly tell from this one."
@@ -399,8 +403,11 @@ def _left(done: Diagnosed) -> str:
         f"measured over modelled {where.ratio_db:+.2f} dB, z {where.z:+.1f}, score {last.scan_minus_log_p:.1f} against "
         f"a threshold of {last.threshold:.1f}."
     )
+    surface = [c.effect for c in last.candidates if c.shared]
     verdict = (
-        "Nothing in the library explains it: it is left unexplained."
+        f"What was tried as {' and '.join(surface)} lies on the surface: something the mesh lacks is left unexplained."
+        if found.unexplained and surface
+        else "Nothing in the library explains it: it is left unexplained."
         if found.unexplained
         else "Speckle alone leaves such a window somewhere: nothing has to be explained."
         if last.scan_minus_log_p <= last.threshold

@@ -20,6 +20,7 @@ class AzimuthAmbiguity(Effect):
     name = "azimuth_ambiguity"
     stage = "image"
     additive = True
+    in_image = True
     summary = "faint copies of the image at a distance in azimuth"
     parameters = (
         Parameter("level", "1", 0.0, 0.0, 1.0, 0.01, scale="log", fit_low=1e-9, fit_high=1.0),

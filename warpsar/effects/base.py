@@ -160,6 +160,7 @@ class Effect:
     parameters: ClassVar[tuple[Parameter, ...]] = ()
     settings: ClassVar[tuple[Setting, ...]] = ()
     additive: ClassVar[bool] = False  # puts power where the scene has none: judged on the dark pixels too
+    in_image: ClassVar[bool] = False  # acts at places of the image, whatever surface lies there
     bins_per_pixel: ClassVar[int] = 1  # how much finer than the image, per axis, the hits are binned for it
 
     def margin_m(self, grid: Grid, values: np.ndarray) -> float:

@@ -45,6 +45,7 @@ class Interference(Effect):
     name = "interference"
     stage = "image"
     additive = True
+    in_image = True
     summary = "lines of added power in a view"
     parameters = (
         Parameter("level", "beta0", 0.0, 0.0, 1e9, 1e-3, per_view=True, scale="log", fit_low=1e-12, fit_high=1e6),

@@ -26,6 +26,7 @@ class PointSpread(Effect):
 
     name = "point_spread"
     stage = "image"
+    in_image = True
     summary = "finite resolution in range and azimuth"
     parameters = (_width("range_fwhm_m"), _width("azimuth_fwhm_m"))
     settings = (one_of("window", "gaussian", *WINDOWS),)

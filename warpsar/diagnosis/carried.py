@@ -1,0 +1,96 @@
+"""Whether the surface could be what an effect of the image was taken for."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warpsar.diagnosis.left_out import clipped
+from warpsar.diagnosis.place import pixel_of, shift_px
+from warpsar.likelihood import loss_terms
+
+if TYPE_CHECKING:
+    from warpsar.diagnosis.refit import Bench, Fitted
+    from warpsar.observation import Observation
+    from warpsar.scene import Scene, View
+
+# Of an effect's gain: from here on the surface may be what it was taken for. What lies in the image alone loses by
+# being carried over; a thin line of the world loses much of its gain at the pixels' corners.
+CARRIED = 0.25
+
+
+def carried_over(bench: Bench, fitted: Fitted, effect: str) -> float:
+    """How much of what an effect gains is gained as well by its changes in every view as the surface takes them over
+    from the other views: a share of log-likelihood; 1 for a single view, which can tell nothing of the kind.
+
+    What the radar or the processing does lies in the image, and another view has it elsewhere on the surface. What the
+    mesh lacks, a strip of bright ground or the far side of a car, lies on the surface. Views that look the same way
+    cannot tell one from the other, nor can views left out. Compared on the pixels that show surface which another view
+    sees too, with the model's other parameters held.
+    """
+    names = [view.view.name for view in fitted.problem.views]
+    if len(names) < 2:
+        return 1.0
+    scene = fitted.scene
+    without = replace(scene, effects={name: table for name, table in scene.effects.items() if name != effect})
+    models = [bench.problem(model, dark=False) for model in (without, scene)]
+    before, after = (problem.modelled_as_declared() for problem in models)
+    gains = models[1].gains(after)
+    change = [np.zeros(seen.interior.shape) for seen in models[1].observations]
+    for plane, seen, a, b in zip(change, models[1].observations, before, after, strict=True):
+        plane[seen.interior] = np.log(b / a)
+    found = bench.ranks.deal_out(
+        [
+            partial(_gained, bench, scene, models[1].observations, change, k, gains[k] * mu)
+            for k, mu in enumerate(before)
+        ]
+    )
+    own, carried = np.sum(found, axis=0)
+    return float(bench.ranks.same(carried / own if own > 0 else 0.0))
+
+
+def _gained(
+    bench: Bench, scene: Scene, seen: list[Observation], change: list[np.ndarray], at: int, without: np.ndarray
+) -> list[float]:
+    """Log-likelihood that observation number `at` gains by its own change of ln(beta0), and by what the others' views
+    carry over; `without`: its modelled pixels before."""
+    mine = seen[at]
+    others = [k for k, one in enumerate(seen) if one.view.name != mine.view.name]
+    others = [k for k in others if seen[k].polarization == mine.polarization]
+    brought = np.zeros((2, mine.interior.size))  # sums of the change, and of the light that other views see too
+    for k in others:
+        brought += _on_the_surface(bench, scene, mine.view, seen[k], change[k])
+    total, light = brought[:, mine.pixels]
+    shared = light > 0
+    ways = change[at][mine.interior], np.where(shared, total / np.where(shared, light, 1.0), 0.0)
+    lost = [
+        loss_terms("gamma", mine.values, without * np.exp(way), mine.looks) for way in (np.zeros(light.size), *ways)
+    ]
+    return [float(clipped(lost[0] - after)[shared].sum()) for after in lost[1:]]
+
+
+def _on_the_surface(bench: Bench, scene: Scene, view: View, other: Observation, change: np.ndarray) -> np.ndarray:
+    """Per pixel of `view`, (2, rows * cols): the other observation's change, summed over the lit surface in the pixel
+    that the other sees too, weighted by its lit area; and the sum of the weights."""
+    rows, cols = change.shape
+    faces = len(scene.mesh.faces)
+    hits, theirs = (bench.rays.hits(scene, one, []) for one in (view, other.view))
+    points, face = hits.point.numpy().astype(float), hits.face.numpy()
+
+    def pixels(of: View, moved: bool) -> np.ndarray:
+        """Where the hits lie in the image of a view, with or without what the model moves it by; -1 outside."""
+        shift = np.zeros(2) if moved else shift_px(scene, of)
+        row, col = (np.floor(at - by).astype(int) for at, by in zip(pixel_of(scene, of, points), shift, strict=True))
+        inside = (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
+        return np.where(inside, row * cols + col, -1)
+
+    lit = theirs.pixel.numpy().astype(np.int64) * faces + theirs.face.numpy()
+    here, there = pixels(view, True), pixels(other.view, True)
+    seen = np.isin(pixels(other.view, False).astype(np.int64) * faces + face, lit)
+    seen &= (here >= 0) & (there >= 0) & other.interior.ravel()[there]
+    weight = hits.weight.numpy()[seen].astype(float)
+    sums = (np.bincount(here[seen], w, rows * cols) for w in (weight * change.ravel()[there[seen]], weight))
+    return np.stack(list(sums))
