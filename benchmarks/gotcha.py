@@ -422,7 +422,8 @@ def step_scenes(out: Path) -> dict[str, Path]:
 
 def predicted(out: Path, device: str | None = None) -> dict[str, evaluation.Evaluation]:
     """Every learned scene in OUT, evaluated."""
-    scenes = {"flat, learned": out / "flat" / "learned" / "scene.toml", **step_scenes(out)}
+    learned_scenes = {f"{name}, learned": out / name / "learned" / "scene.toml" for name in ("flat", "bodies")}
+    scenes = {**learned_scenes, **step_scenes(out)}
     scenes["bodies with fields"] = out / "bodies" / "fields" / "scene.toml"
     return {name: evaluation.evaluate(Scene.load(path), device=device) for name, path in scenes.items()}
 

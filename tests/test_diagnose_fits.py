@@ -173,7 +173,7 @@ def test_what_the_newest_effect_makes_needless_is_dropped(
 def test_left_out_passes_beyond_two_errors_or_without_views() -> None:
     assert LeftOut(10.1, 5.0, 3).passed
     assert not LeftOut(9.9, 5.0, 3).passed
-    assert not LeftOut(0.0, 0.0, 1).passed
+    assert LeftOut(0.0, 0.0, 1).passed
 
 
 def test_views_left_out_tell_what_helps(blurred: tuple[Bench, Scene], floor: tuple[Bench, Scene]) -> None:
@@ -239,12 +239,8 @@ def test_what_the_surface_could_be_is_told_by_views_from_elsewhere(
     assert (carried < 0.3) if told else (carried > 0.7)
 
 
-@pytest.mark.parametrize(("effect", "held"), [("point_spread", True), ("two_scale", False)])
-def test_of_a_single_view_the_other_half_of_its_columns_judges(effect: str, held: bool, tmp_path: Path) -> None:
-    """A blur is there in both halves of the columns; a slope variance that is not there gains nothing in the other."""
-    table = {"point_spread": BLUR, "two_scale": {"slope_variance": 0.01}}[effect]
+def test_a_single_view_tells_nothing_of_the_surface(tmp_path: Path) -> None:
     bench, scene = bench_of({"point_spread": BLUR}, tmp_path, ((20.0, 40.0),))
-    declared = {} if effect == "point_spread" else {"point_spread": BLUR}
-    base, fitted = (fitted_to(bench, scene, effects) for effects in (declared, {**declared, effect: table}))
-    assert leave_one_view_out(bench, base, fitted, effect).passed is held
-    assert carried_over(bench, fitted, effect) == 1.0
+    base, fitted = (fitted_to(bench, scene, effects) for effects in ({}, {"point_spread": BLUR}))
+    assert leave_one_view_out(bench, base, fitted, "point_spread") == LeftOut(0.0, 0.0, 1)
+    assert carried_over(bench, fitted, "point_spread") == 1.0

@@ -280,7 +280,7 @@ def _step(
         if get(candidate.effect).in_image:
             candidate.carried = carried_over(bench, fitted, candidate.effect)
         if candidate.shared:
-            candidate.note = _shared_note(candidate)
+            candidate.note += f"{'; ' if candidate.note else ''}{_shared_note(candidate)}"
             runtime.say(f"  {candidate.effect}: {candidate.note}")
             if get(candidate.effect).additive:
                 continue

@@ -141,12 +141,12 @@ def _verdict(done: Diagnosed, content: dict[str, Any]) -> list[str]:
         left = step["left_out"]
         held = ""
         if left is not None:
-            from_what = (
-                f"Each of {left['views']} train views was predicted from the others"
+            held = (
+                f" Each of {left['views']} train views was predicted from the others: with it ln L is higher by "
+                f"{plus_minus(left['gain'], left['error'])}, all views together."
                 if left["views"] > 1
-                else "Each half of the one train view's columns was predicted from the other"
+                else " There is one train view: none could be left out to ask."
             )
-            held = f" {from_what}: with it ln L is higher by {plus_minus(left['gain'], left['error'])}, all together."
         tables = _said(step["parameters"])
         doubt = f" But {step['note']}." if (step["carried_over"] or 0.0) > CARRIED else ""
         said.append(f"Added: {step['effect']} ({get(step['effect']).summary}), with {tables}.{held}{doubt}")
