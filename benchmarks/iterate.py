@@ -106,15 +106,16 @@ def measure(
 def traffic(problem: FitProblem) -> int:
     """Bytes of an iteration's arrays, each read or written once by every kernel that has to (no caches between them).
 
-    Per hit: look-up 28 (face, barycentric; coordinates), sigma0 36 (face, three cosines, coordinates; sigma0), deposit
-    12; their adjoints: 16 (pixel, weight, gradient twice), 68 (as sigma0, and the coordinates' gradient twice), 16; 20
-    to clear gradients. Per hit and corner 8 (hit and share); per node 12 (itself, its gradient twice), 36 for Adam.
+    Per hit: look-up 28 (face, barycentric; coordinates), sigma0 52 (face, three cosines, coordinates; sigma0, slopes),
+    deposit 12; their adjoints: 16 (pixel, weight, gradient twice), 52 (slopes, gradient; the coordinates' gradient
+    twice), 16; 20 to clear gradients. Per hit and corner 8 (hit and share); per node 12 (itself, its gradient twice),
+    36 for Adam.
     """
     hits = sum(view.render.hits.count for view in problem.views)
     nodes = problem.shared_nodes.size
     mesh = problem.scene.mesh
     per_view = 12 * len(mesh.faces) + 12 * nodes + 20 * problem.scene.grid.shape[0] * problem.scene.grid.shape[1]
-    return hits * (28 + 36 + 12 + 16 + 68 + 16 + 20 + 3 * 8) + len(problem.views) * per_view + 36 * nodes
+    return hits * (28 + 52 + 12 + 16 + 52 + 16 + 20 + 3 * 8) + len(problem.views) * per_view + 36 * nodes
 
 
 def main() -> None:

@@ -1,9 +1,11 @@
-"""Nearest faces of a view's rays on the CPU: Warp's BVH, the raster, and Embree where embreex is installed.
+"""Nearest faces of a view's rays: Warp's BVH, the raster, and on the CPU Embree where embreex is installed.
 
 python benchmarks/rays.py --out rays_cpu.json
+python benchmarks/rays.py --device cuda --out rays_gpu.json
 
 The town of benchmarks/scenes.py, of few and of many faces, under few and many rays, for a plane wave and for a track.
-One thread, CPU seconds, medians; setting up is apart, since a BVH serves all views of a mesh and the raster one view.
+One thread of the CPU and its seconds, or wall times of CUDA; medians. Setting up is apart, since a BVH serves all views
+of a mesh and the raster one view.
 `differ`: rays whose face is another one than the BVH's (they lie on edges). embreex sends rays one by one; with
 packets Embree is what benchmarks/peer.py measures as Mitsuba's trace.
 """
@@ -28,21 +30,25 @@ from scenes import town_scene
 from simulate import machine
 
 PIXELS = (423, 380)
-SIZES = ((200, 32.0), (20_000, 32.0), (900_000, 4.0), (900_000, 32.0))  # faces, rays per pixel
+SIZES = {  # faces, rays per pixel
+    "cpu": ((200, 32.0), (20_000, 32.0), (900_000, 4.0), (900_000, 32.0)),
+    "cuda": ((200, 128.0), (20_000, 128.0), (900_000, 0.25), (900_000, 1.0), (900_000, 4.0), (900_000, 128.0)),
+}
 TRACKS = (None, 8000.0)
 
 
-def measure(faces: int, rays_per_pixel: float, slant_range_m: float | None, repeats: int) -> dict[str, Any]:
+def measure(
+    device: Any, faces: int, rays_per_pixel: float, slant_range_m: float | None, repeats: int
+) -> dict[str, Any]:
     import warp as wp
 
-    from warpsar import runtime
     from warpsar.frame import geometry_of
     from warpsar.kernels.raster import sample_kernel
-    from warpsar.raster import Raster
+    from warpsar.raster import ParallelRaster, Raster
     from warpsar.simulation import hit_grid
     from warpsar.trace import Target, nearest_faces, ray_grid
 
-    device = runtime.resolve_device("cpu")
+    kind, clock = (Raster, "cpu_s") if device.is_cpu else (ParallelRaster, "wall_s")
     scene = town_scene(faces, PIXELS, rays_per_pixel)
     geometry = replace(geometry_of(scene, scene.views[0]), slant_range_m=slant_range_m)
     kept: dict[str, Any] = {}
@@ -51,7 +57,7 @@ def measure(faces: int, rays_per_pixel: float, slant_range_m: float | None, repe
         def keep() -> None:
             kept[name] = task()
 
-        return timed(keep, lambda: None, repeats)["cpu_s"]
+        return timed(keep, lambda: wp.synchronize_device(device), repeats)[clock]
 
     found: dict[str, Any] = {"faces": len(scene.mesh.faces), "slant_range_m": slant_range_m}
     found["bvh_setup_s"] = run("target", lambda: Target.upload(scene.mesh, scene.reference_point_m, device))
@@ -61,16 +67,16 @@ def measure(faces: int, rays_per_pixel: float, slant_range_m: float | None, repe
     rays = ray_grid(target, geometry, grid, density, 1, grid.pixel_area_m2)
     first, last = rays.first_cell, rays.end_cell
     found["rays"] = (last - first) * rays.elevation_cells
-    width = max(1, (last - first) // rays.cells_per_column // 16) * rays.cells_per_column
+    width = max(1, (last - first) // rays.cells_per_column // (16 if device.is_cpu else 1)) * rays.cells_per_column
     bands = [(begin, min(begin + width, last)) for begin in range(first, last, width)]
-    found["bvh_s"] = run("bvh", lambda: [nearest_faces(target, rays, *band, 0).numpy() for band in bands])
-    found["raster_setup_s"] = run("raster", lambda: Raster(target, rays))
+    found["bvh_s"] = run("bvh", lambda: [nearest_faces(target, rays, *band, 0) for band in bands])
+    found["raster_setup_s"] = run("raster", lambda: kind(target, rays))
     raster = kept["raster"]
-    found["raster_s"] = run("nearest", lambda: [raster.nearest(*band, 0).numpy() for band in bands])
-    expected, nearest = np.concatenate(kept["bvh"]), np.concatenate(kept["nearest"])
+    found["raster_s"] = run("nearest", lambda: [raster.nearest(*band, 0) for band in bands])
+    expected, nearest = (np.concatenate([part.numpy() for part in kept[name]]) for name in ("bvh", "nearest"))
     found["raster_differ"] = int(np.sum(nearest != expected))
-    found["chosen"] = "BVH" if Raster.where_it_pays(target, rays, first, last) is None else "raster"
-    if importlib.util.find_spec("embreex") and slant_range_m is None:
+    found["chosen"] = "BVH" if kind.where_it_pays(target, rays, first, last) is None else "raster"
+    if device.is_cpu and importlib.util.find_spec("embreex") and slant_range_m is None:
         from embreex.mesh_construction import TriangleMesh
         from embreex.rtcore_scene import EmbreeScene
 
@@ -94,30 +100,36 @@ def measure(faces: int, rays_per_pixel: float, slant_range_m: float | None, repe
 def table(rows: list[dict[str, Any]]) -> str:
     names = ("bvh", "raster", "embreex")
     lines = [
-        "| faces | rays | wave | Mrays per CPU s: BVH | raster | embreex | setup, s: BVH | raster | embreex | differ |",
-        "|---|---|---|---|---|---|---|---|---|---|",
+        "| faces | rays | wave | Mrays per s: BVH | raster | embreex | setup, s: BVH | raster | embreex | differ "
+        "| chosen |",
+        "|---|---|---|---|---|---|---|---|---|---|---|",
     ]
     for row in rows:
         rates = [f"{row['rays'] / row[f'{n}_s'] / 1e6:.1f}" if f"{n}_s" in row else "" for n in names]
-        setups = [f"{row[f'{n}_setup_s']:.3f}" if f"{n}_setup_s" in row else "" for n in names]
+        setups = [f"{row[f'{n}_setup_s']:.2g}" if f"{n}_setup_s" in row else "" for n in names]
         wave = "plane" if row["slant_range_m"] is None else f"{row['slant_range_m'] / 1000:g} km"
-        cells = [f"{row['faces']:,}", f"{row['rays']:,}", wave, *rates, *setups, str(row["raster_differ"])]
-        lines.append("| " + " | ".join(cells) + " |")
+        cells = [f"{row['faces']:,}", f"{row['rays']:,}", wave, *rates, *setups, row["raster_differ"], row["chosen"]]
+        lines.append("| " + " | ".join(map(str, cells)) + " |")
     return "\n".join(lines)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--device", choices=sorted(SIZES), default="cpu")
     parser.add_argument("--repeats", type=int, default=3, help="runs of which the median counts")
     parser.add_argument("--out", type=Path, help="JSON file")
     options = parser.parse_args()
+    from warpsar import runtime
+
+    device = runtime.resolve_device(options.device)
     rows = []
     for slant_range_m in TRACKS:
-        for faces, rays in SIZES:
+        for faces, rays in SIZES[options.device]:
             print(f"{faces} faces, {rays:g} rays per pixel", file=sys.stderr)
-            rows.append(measure(faces, rays, slant_range_m, options.repeats))
+            rows.append(measure(device, faces, rays, slant_range_m, options.repeats))
     if options.out:
-        options.out.write_text(json.dumps({"benchmark": "rays", **machine("cpu"), "sizes": rows}, indent=1) + "\n")
+        result = {"benchmark": "rays", **machine(options.device), "sizes": rows}
+        options.out.write_text(json.dumps(result, indent=1) + "\n")
     print(table(rows))
 
 

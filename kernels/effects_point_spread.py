@@ -218,7 +218,7 @@ def weight_adjoint_kernel(
             rest += total[j]
         if k == 0:  # a pair is one pixel
             rest *= 0.5
-        rest = sum_of_lanes(wp.vec4(rest, 0.0, 0.0, 0.0))[0]
+        rest = sum_of_lanes(rest)
         if lane == 0:
             wp.atomic_add(weight_gradient_out, k, rest)
 

@@ -103,3 +103,16 @@ def validity_kernel(
     tau = 1.0 / (1.0 + wp.exp(-wp.clamp(z[3], -40.0, 40.0)))
     value = strength * weight[i] * ((1.0 - tau) * spm + tau * ka)
     wp.atomic_add(loss_out, i % PARTIALS, wp.float64(value))
+
+
+@wp.kernel(enable_backward=False)
+def add_up_kernel(
+    # In:
+    part: wp.array(dtype=wp.float64),
+    # Out:
+    total_out: wp.array(dtype=wp.float64),
+):
+    """The sum of partial sums; zeros, of which most are, cost no atomic addition."""
+    i = wp.tid()
+    if part[i] != wp.float64(0.0):
+        wp.atomic_add(total_out, 0, part[i])

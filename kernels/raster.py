@@ -5,7 +5,17 @@ import warp as wp
 from warpsar.kernels.geometry import RayGrid
 from warpsar.kernels.trace import azimuth_of, elevation_of, jitter_of
 
+# A product fused into a sum is rounded otherwise than its twin: two faces would differ about their common edge.
+wp.set_module_options({"fuse_fp": False})
+
+BLOCK = 128  # threads of a CUDA block
+
 FAR = wp.constant(1.0e30)
+
+FACE_LANES = 8  # threads that share a face, or a strip of one
+SMALL = wp.constant(512)  # cells of a face that are held against it at once; a larger one is cut into strips
+STRIP_BITS = wp.constant(36)  # of a number that counts strips; faces are counted above them
+NO_FACE = 2**63 - 1  # a distance that no face has, and -1 in the low 32 bits
 
 
 @wp.struct
@@ -53,6 +63,24 @@ def sample_kernel(
         )
 
 
+@wp.func
+def cells_of(grid: RayGrid, a: wp.vec4, b: wp.vec4, c: wp.vec4, slack: float) -> wp.vec4i:
+    """Cells that a face may touch: first and last in azimuth, first and last in elevation; last < first for none."""
+    left = (wp.min(wp.min(a[0], b[0]), c[0]) - grid.azimuth_start) / grid.azimuth_step - slack
+    right = (wp.max(wp.max(a[0], b[0]), c[0]) - grid.azimuth_start) / grid.azimuth_step + slack
+    bottom = wp.min(wp.min(a[1], b[1]), c[1]) - slack
+    top = wp.max(wp.max(a[1], b[1]), c[1]) + slack
+    # cut before the conversion: an image may be a small part of the mesh
+    width = float(grid.cols * grid.cells_per_column)
+    height = float(grid.elevation_cells)
+    return wp.vec4i(
+        int(wp.floor(wp.clamp(left, 0.0, width))),
+        int(wp.floor(wp.clamp(right, -1.0, width - 1.0))),
+        int(wp.floor(wp.clamp(bottom, 0.0, height))),
+        int(wp.floor(wp.clamp(top, -1.0, height - 1.0))),
+    )
+
+
 @wp.kernel(enable_backward=False)
 def extent_kernel(
     # In:
@@ -63,24 +91,8 @@ def extent_kernel(
     # Out:
     cells_out: wp.array(dtype=wp.vec4i),
 ):
-    """Cells that a face may touch: first and last in azimuth, first and last in elevation; last < first for none."""
     f = wp.tid()
-    a = corner[faces[f, 0]]
-    b = corner[faces[f, 1]]
-    c = corner[faces[f, 2]]
-    left = (wp.min(wp.min(a[0], b[0]), c[0]) - grid.azimuth_start) / grid.azimuth_step - slack
-    right = (wp.max(wp.max(a[0], b[0]), c[0]) - grid.azimuth_start) / grid.azimuth_step + slack
-    bottom = wp.min(wp.min(a[1], b[1]), c[1]) - slack
-    top = wp.max(wp.max(a[1], b[1]), c[1]) + slack
-    # cut before the conversion: an image may be a small part of the mesh
-    width = float(grid.cols * grid.cells_per_column)
-    height = float(grid.elevation_cells)
-    cells_out[f] = wp.vec4i(
-        int(wp.floor(wp.clamp(left, 0.0, width))),
-        int(wp.floor(wp.clamp(right, -1.0, width - 1.0))),
-        int(wp.floor(wp.clamp(bottom, 0.0, height))),
-        int(wp.floor(wp.clamp(top, -1.0, height - 1.0))),
-    )
+    cells_out[f] = cells_of(grid, corner[faces[f, 0]], corner[faces[f, 1]], corner[faces[f, 2]], slack)
 
 
 @wp.func
@@ -110,83 +122,190 @@ def widened(grid: RayGrid, a: wp.vec4, b: wp.vec4, left: float, right: float, sp
     return result
 
 
-@wp.kernel(enable_backward=False)
-def raster_kernel(
+@wp.func
+def strip_of(
+    grid: RayGrid, a: wp.vec4, b: wp.vec4, c: wp.vec4, cell: int, bottom: int, top: int, slack: float
+) -> wp.vec2i:
+    """Of the elevation cells `bottom` to `top` the first and the last that a face may touch in one azimuth cell."""
+    begin = grid.azimuth_start + (float(cell) - slack) * grid.azimuth_step
+    end = grid.azimuth_start + (float(cell) + 1.0 + slack) * grid.azimuth_step
+    span = Span()
+    span.low = FAR
+    span.high = -FAR
+    span = widened(grid, a, b, begin, end, span)
+    span = widened(grid, b, c, begin, end, span)
+    span = widened(grid, c, a, begin, end, span)
+    low = wp.max(bottom, int(wp.floor(span.low - slack)))
+    return wp.vec2i(low, wp.min(top, int(wp.floor(span.high + slack))))
+
+
+@wp.func
+def distance_to(grid: RayGrid, a: wp.vec4, b: wp.vec4, c: wp.vec4, azimuth: float, elevation: float) -> float:
+    """How far along a ray a face lies; infinite where the ray passes it, or meets it edge-on.
+
+    Edges are tested in the plane across the ray, from differences that two faces with a common edge round alike: no ray
+    passes between them.
+    """
+    # the ray's origin and direction in the plane of d and v, as in `ray_origin`
+    cosine = float(1.0)
+    sine = float(0.0)
+    along = -grid.standoff
+    across = elevation
+    if grid.slant_range > 0.0:
+        cosine = wp.cos(elevation)
+        sine = wp.sin(elevation)
+        half = wp.sin(0.5 * elevation)
+        along = -2.0 * half * half * grid.slant_range - grid.standoff * cosine
+        across = (grid.slant_range - grid.standoff) * sine
+    au = a[0] - azimuth
+    bu = b[0] - azimuth
+    cu = c[0] - azimuth
+    av = (a[3] - across) * cosine - (a[2] - along) * sine
+    bv = (b[3] - across) * cosine - (b[2] - along) * sine
+    cv = (c[3] - across) * cosine - (c[2] - along) * sine
+    wa = bu * cv - bv * cu
+    wb = cu * av - cv * au
+    wc = au * bv - av * bu
+    distance = float(wp.inf)
+    if (wa >= 0.0 and wb >= 0.0 and wc >= 0.0) or (wa <= 0.0 and wb <= 0.0 and wc <= 0.0):
+        total = wa + wb + wc
+        if total != 0.0:
+            d = (wa * a[2] + wb * b[2] + wc * c[2]) / total - along
+            v = (wa * a[3] + wb * b[3] + wc * c[3]) / total - across
+            distance = d * cosine + v * sine
+    return distance
+
+
+@wp.func
+def draw(
+    grid: RayGrid,
+    seed: int,
+    a: wp.vec4,
+    b: wp.vec4,
+    c: wp.vec4,
+    f: int,
+    cell: int,
+    k: int,
+    at: int,
+    nearest: wp.array(dtype=wp.int64),
+):
+    """A face against one ray: the smallest (distance, face) stays, in whatever order they come."""
+    jitter = jitter_of(grid, seed, cell, k)
+    distance = distance_to(grid, a, b, c, azimuth_of(grid, cell, jitter), elevation_of(grid, k, jitter))
+    if distance < FAR:
+        # the bits of positive numbers are in their order
+        bits = wp.int64(wp.cast(wp.max(distance, 0.0), wp.uint32))
+        found = (bits << wp.int64(32)) + wp.int64(f)
+        if found < nearest[at]:
+            wp.atomic_min(nearest, at, found)
+
+
+@wp.kernel(enable_backward=False, launch_bounds=(BLOCK, 12))
+def draw_kernel(
     # In:
     grid: RayGrid,
     corner: wp.array(dtype=wp.vec4),
     faces: wp.array2d(dtype=int),
-    cells: wp.array(dtype=wp.vec4i),
-    listed: wp.array(dtype=int),
-    sample: wp.array(dtype=wp.vec2),
     first_cell: int,
     last_cell: int,
     slack: float,
+    seed: int,
     # In and out:
-    depth: wp.array(dtype=float),
-    nearest: wp.array(dtype=int),
+    nearest: wp.array(dtype=wp.int64),
+    large: wp.array(dtype=wp.int64),
+    # Out:
+    large_face: wp.array(dtype=int),
+    large_begin: wp.array(dtype=wp.int64),
 ):
-    """One face against the rays whose cells it may touch; a launch on the CPU is serial, so nothing is atomic.
+    """FACE_LANES threads hold one face against the rays whose cells it may touch, or put it on the list of large ones.
 
-    Edges are tested in the plane across each ray, from differences that two faces with a common edge round alike:
-    no ray passes between them. `cells` of each face are those of `extent_kernel`, `slack` [cells] is what it had.
+    `large` counts them and their strips (of one azimuth cell) in one number, so that in the list strips are numbered
+    in order.
     """
-    f = listed[wp.tid()]
+    t = wp.tid()
+    f = t // FACE_LANES
+    lane = t % FACE_LANES
     a = corner[faces[f, 0]]
     b = corner[faces[f, 1]]
     c = corner[faces[f, 2]]
-    box = cells[f]
+    box = cells_of(grid, a, b, c, slack)
     first = wp.max(box[0], first_cell)
-    last = wp.min(box[1], last_cell)
-    bottom = box[2]
-    top = box[3]
-    slanted = first < last and bottom + 3 < top  # worth cutting into strips of one azimuth cell
-    for cell in range(first, last + 1):
-        low = bottom
-        high = top
-        if slanted:
-            begin = grid.azimuth_start + (float(cell) - slack) * grid.azimuth_step
-            end = grid.azimuth_start + (float(cell) + 1.0 + slack) * grid.azimuth_step
-            span = Span()
-            span.low = FAR
-            span.high = -FAR
-            span = widened(grid, a, b, begin, end, span)
-            span = widened(grid, b, c, begin, end, span)
-            span = widened(grid, c, a, begin, end, span)
-            low = wp.max(low, int(wp.floor(span.low - slack)))
-            high = wp.min(high, int(wp.floor(span.high + slack)))
-        row = (cell - first_cell) * grid.elevation_cells
-        for k in range(low, high + 1):
-            at = row + k
-            azimuth = sample[at][0]
-            elevation = sample[at][1]
-            # the ray's origin and direction in the plane of d and v, as in `ray_origin`
-            cosine = float(1.0)
-            sine = float(0.0)
-            along = -grid.standoff
-            across = elevation
-            if grid.slant_range > 0.0:
-                cosine = wp.cos(elevation)
-                sine = wp.sin(elevation)
-                half = wp.sin(0.5 * elevation)
-                along = -2.0 * half * half * grid.slant_range - grid.standoff * cosine
-                across = (grid.slant_range - grid.standoff) * sine
-            au = a[0] - azimuth
-            bu = b[0] - azimuth
-            cu = c[0] - azimuth
-            av = (a[3] - across) * cosine - (a[2] - along) * sine
-            bv = (b[3] - across) * cosine - (b[2] - along) * sine
-            cv = (c[3] - across) * cosine - (c[2] - along) * sine
-            wa = bu * cv - bv * cu
-            wb = cu * av - cv * au
-            wc = au * bv - av * bu
-            if (wa >= 0.0 and wb >= 0.0 and wc >= 0.0) or (wa <= 0.0 and wb <= 0.0 and wc <= 0.0):
-                total = wa + wb + wc
-                if total != 0.0:  # else edge-on
-                    d = (wa * a[2] + wb * b[2] + wc * c[2]) / total - along
-                    v = (wa * a[3] + wb * b[3] + wc * c[3]) / total - across
-                    distance = d * cosine + v * sine
-                    # of two at one distance the first: a matter of the mesh, not of the order they come in
-                    if distance < depth[at] or (distance == depth[at] and f < nearest[at]):
-                        depth[at] = distance
-                        nearest[at] = f
+    wide = wp.min(box[1], last_cell) - first + 1
+    high = box[3] - box[2] + 1
+    if wide > 0 and high > 0:
+        if wide <= SMALL and high <= SMALL and wide * high <= SMALL:
+            for i in range(lane, wide * high, FACE_LANES):
+                cell = first + i // high
+                k = box[2] + i % high
+                draw(grid, seed, a, b, c, f, cell, k, (cell - first_cell) * grid.elevation_cells + k, nearest)
+        elif lane == 0:
+            one = wp.int64(1) << wp.int64(STRIP_BITS)
+            taken = wp.atomic_add(large, 0, one + wp.int64(wide))
+            slot = int(taken >> wp.int64(STRIP_BITS))
+            large_face[slot] = f
+            large_begin[slot] = taken & (one - wp.int64(1))
+
+
+@wp.kernel(enable_backward=False, launch_bounds=(BLOCK, 10))
+def draw_large_kernel(
+    # In:
+    grid: RayGrid,
+    corner: wp.array(dtype=wp.vec4),
+    faces: wp.array2d(dtype=int),
+    first_cell: int,
+    slack: float,
+    seed: int,
+    groups: int,
+    large: wp.array(dtype=wp.int64),
+    large_face: wp.array(dtype=int),
+    large_begin: wp.array(dtype=wp.int64),
+    # In and out:
+    nearest: wp.array(dtype=wp.int64),
+):
+    """The strips of the large faces, shared out to groups of FACE_LANES threads: the host need not count them."""
+    t = wp.tid()
+    group = t // FACE_LANES
+    lane = t % FACE_LANES
+    one = wp.int64(1) << wp.int64(STRIP_BITS)
+    count = int(large[0] >> wp.int64(STRIP_BITS))
+    strips = large[0] & (one - wp.int64(1))
+    each = (strips + wp.int64(groups) - wp.int64(1)) // wp.int64(groups)
+    number = wp.int64(group) * each
+    last = wp.min(number + each, strips)
+    # the last of the list that begins at the first of these strips or before it
+    slot = int(0)
+    end = count
+    while end - slot > 1 and number < last:
+        middle = (slot + end) // 2
+        if large_begin[middle] <= number:
+            slot = middle
+        else:
+            end = middle
+    while number < last:
+        until = last
+        if slot + 1 < count:
+            until = wp.min(last, large_begin[slot + 1])
+        f = large_face[slot]
+        a = corner[faces[f, 0]]
+        b = corner[faces[f, 1]]
+        c = corner[faces[f, 2]]
+        box = cells_of(grid, a, b, c, slack)
+        begin = wp.max(box[0], first_cell) + int(number - large_begin[slot])
+        for cell in range(begin, begin + int(until - number)):
+            strip = strip_of(grid, a, b, c, cell, box[2], box[3], slack)
+            row = (cell - first_cell) * grid.elevation_cells
+            for k in range(strip[0] + lane, strip[1] + 1, FACE_LANES):
+                draw(grid, seed, a, b, c, f, cell, k, row + k, nearest)
+        number = until
+        slot += 1
+
+
+@wp.kernel(enable_backward=False)
+def area_kernel(vertices: wp.array(dtype=wp.vec3), faces: wp.array2d(dtype=int), area_out: wp.array(dtype=wp.float64)):
+    """Area of every face that is this thread's [m2], summed."""
+    t = wp.tid()
+    area = wp.float64(0.0)
+    for f in range(t, faces.shape[0], area_out.shape[0]):
+        p = vertices[faces[f, 0]]
+        area += wp.float64(0.5 * wp.length(wp.cross(vertices[faces[f, 1]] - p, vertices[faces[f, 2]] - p)))
+    area_out[t] = area

@@ -2,8 +2,20 @@
 
 import warp as wp
 
-from warpsar.kernels.scattering import sigma0, sigma0_slopes
-from warpsar.kernels.wide import read_vec4, read_vec4i, sum_of_lanes, write_vec4
+from warpsar.kernels.scattering import sigma0, sigma0_and_slopes
+from warpsar.kernels.wide import (
+    NODE_LANES,
+    read_float,
+    read_int,
+    read_int64,
+    read_row,
+    read_vec2,
+    read_vec4,
+    read_vec4i,
+    sum_of_lanes,
+    sum_of_node,
+    write_vec4,
+)
 
 # Layouts of a parameter, and where its nodes stand: one row of (layout, offset, width, height) per material and kind.
 UNIFORM = wp.constant(0)
@@ -70,8 +82,8 @@ def coordinates_at(
     nodes: wp.array(dtype=float),
 ) -> wp.vec4:
     """Learned coordinates on face `f` at barycentric weights `b`; `places` and `uv` as in `gather_kernel`."""
-    material = face_material[f]
-    corner = wp.vec3i(faces[f, 0], faces[f, 1], faces[f, 2])
+    material = read_int(face_material, f)
+    corner = read_row(faces, f)
     at = wp.vec2(0.0, 0.0)
     if uv.shape[0] > 0:
         at = b[0] * uv[corner[0]] + b[1] * uv[corner[1]] + b[2] * uv[corner[2]]
@@ -219,20 +231,22 @@ def spread_kernel(
     target: wp.array(dtype=wp.vec4i),
     part: wp.array(dtype=wp.int64),
     zeta_gradient: wp.array(dtype=wp.vec4),
-    lanes: int,
     # Out:
     nodes_gradient_out: wp.array(dtype=float),
 ):
-    """The adjoint of `gather_kernel` to `nodes`: `lanes` threads (1 or LANES) add up one node's stretch of hits."""
-    s, lane = wp.tid()
+    """The adjoint of `gather_kernel` to `nodes`: NODE_LANES threads add up one node's stretch of hits."""
+    t = wp.tid()
+    s = t // NODE_LANES
+    lane = t % NODE_LANES
     end = part.shape[0]
     if s + 1 < first.shape[0]:
-        end = first[s + 1]
+        end = read_int(first, s + 1)
     total = wp.vec4(0.0, 0.0, 0.0, 0.0)
-    for i in range(first[s] + lane, end, lanes):
-        share = wp.cast(wp.uint32(part[i] & wp.int64(0xFFFFFFFF)), float)
-        total += share * read_vec4(zeta_gradient, int(part[i] >> wp.int64(32)))
-    total = sum_of_lanes(total)
+    for i in range(read_int(first, s) + lane, end, NODE_LANES):
+        entry = read_int64(part, i)
+        share = wp.cast(wp.uint32(entry & wp.int64(0xFFFFFFFF)), float)
+        total += share * read_vec4(zeta_gradient, int(entry >> wp.int64(32)))
+    total = sum_of_node(total)
     node = target[s]
     for k in range(4):
         if lane == 0 and node[k] >= 0:
@@ -254,9 +268,9 @@ def gather_kernel(
 ):
     """`places` [material, kind]; `uv` per vertex, of length 0 where the mesh has none."""
     i = wp.tid()
-    b12 = barycentric[i]
+    b12 = read_vec2(barycentric, i)
     b = wp.vec3(1.0 - b12[0] - b12[1], b12[0], b12[1])
-    write_vec4(zeta_out, i, coordinates_at(face[i], b, faces, face_material, uv, places, nodes))
+    write_vec4(zeta_out, i, coordinates_at(read_int(face, i), b, faces, face_material, uv, places, nodes))
 
 
 @wp.func
@@ -321,26 +335,26 @@ def scatter_kernel(
     sigma_out: wp.array(dtype=float),
 ):
     i = wp.tid()
-    material = face_material[face[i]]
-    twist = cos_twist[i]
+    material = read_int(face_material, read_int(face, i))
+    twist = read_float(cos_twist, i)
     if local_basis != 0:
         twist = 1.0
     sigma_out[i] = sigma0_of(
         polarization,
-        spectrum[material],
+        read_int(spectrum, material),
         variant,
         wavenumber,
-        cos_incidence[i],
+        read_float(cos_incidence, i),
         twist,
-        cos2_azimuth[i],
-        eps_im[material],
-        aspect[material],
+        read_float(cos2_azimuth, i),
+        read_float(eps_im, material),
+        read_float(aspect, material),
         read_vec4(zeta, i),
     )
 
 
-@wp.kernel(enable_backward=False)
-def scatter_adjoint_kernel(
+@wp.kernel(enable_backward=False, launch_bounds=(256, 6))
+def scatter_slopes_kernel(
     # In:
     polarization: int,
     variant: int,
@@ -355,33 +369,48 @@ def scatter_adjoint_kernel(
     eps_im: wp.array(dtype=float),
     aspect: wp.array(dtype=float),
     zeta: wp.array(dtype=wp.vec4),
+    # Out:
+    sigma_out: wp.array(dtype=float),
+    slopes_out: wp.array(dtype=wp.vec4),
+):
+    """`scatter_kernel`, and the derivatives of sigma0 to the learned coordinates: most of the work is common."""
+    i = wp.tid()
+    material = read_int(face_material, read_int(face, i))
+    twist = read_float(cos_twist, i)
+    if local_basis != 0:
+        twist = 1.0
+    z = read_vec4(zeta, i)
+    length = wp.exp(z[LENGTH])
+    found = sigma0_and_slopes(
+        polarization,
+        read_int(spectrum, material),
+        variant,
+        wavenumber,
+        read_float(cos_incidence, i),
+        twist,
+        1.0 + wp.exp(z[EPS]),
+        read_float(eps_im, material),
+        wp.exp(z[HEIGHT]),
+        length,
+        read_float(aspect, material) * length,
+        read_float(cos2_azimuth, i),
+        fraction_of(z[FRACTION]),
+    )
+    sigma_out[i] = found[0]
+    write_vec4(slopes_out, i, wp.vec4(found[1], found[2], found[3], found[4]))
+
+
+@wp.kernel(enable_backward=False)
+def scatter_adjoint_kernel(
+    # In:
+    slopes: wp.array(dtype=wp.vec4),
     sigma_gradient: wp.array(dtype=float),
     # Out:
     zeta_gradient_out: wp.array(dtype=wp.vec4),
 ):
     i = wp.tid()
-    material = face_material[face[i]]
-    twist = cos_twist[i]
-    if local_basis != 0:
-        twist = 1.0
-    z = read_vec4(zeta, i)
-    length = wp.exp(z[LENGTH])
-    slopes = sigma0_slopes(
-        polarization,
-        spectrum[material],
-        variant,
-        wavenumber,
-        cos_incidence[i],
-        twist,
-        1.0 + wp.exp(z[EPS]),
-        eps_im[material],
-        wp.exp(z[HEIGHT]),
-        length,
-        aspect[material] * length,
-        cos2_azimuth[i],
-        fraction_of(z[FRACTION]),
-    )
-    write_vec4(zeta_gradient_out, i, read_vec4(zeta_gradient_out, i) + sigma_gradient[i] * slopes)
+    gradient = read_float(sigma_gradient, i) * read_vec4(slopes, i)
+    write_vec4(zeta_gradient_out, i, read_vec4(zeta_gradient_out, i) + gradient)
 
 
 @wp.kernel(enable_backward=False)
@@ -400,17 +429,19 @@ def deposit_kernel(
     Hits lie pixel by pixel, from `first` on: `lanes` threads (1 or LANES) add up a pixel's hits, always in the same
     order, so that a sum is the same to the bit in every run and however the hits are cut into bands.
     """
-    s, lane = wp.tid()
-    begin = first[s]
+    t = wp.tid()
+    s = t // lanes
+    lane = t - s * lanes
+    begin = read_int(first, s)
     end = pixel.shape[0]
     if s + 1 < first.shape[0]:
-        end = first[s + 1]
-    total = wp.vec4(0.0, 0.0, 0.0, 0.0)
+        end = read_int(first, s + 1)
+    total = float(0.0)
     for k in range(begin + lane, end, lanes):
-        total[0] += sigma[k] * weight[k]
+        total += read_float(sigma, k) * read_float(weight, k)
     total = sum_of_lanes(total)
     if lane == 0:
-        wp.atomic_add(image_out, pixel[begin], total[0])
+        wp.atomic_add(image_out, pixel[begin], total)
 
 
 @wp.kernel(enable_backward=False)
@@ -423,7 +454,8 @@ def deposit_adjoint_kernel(
     sigma_gradient_out: wp.array(dtype=float),
 ):
     i = wp.tid()
-    sigma_gradient_out[i] = sigma_gradient_out[i] + weight[i] * image_gradient[pixel[i]]
+    gradient = read_float(weight, i) * read_float(image_gradient, read_int(pixel, i))
+    sigma_gradient_out[i] = sigma_gradient_out[i] + gradient
 
 
 @wp.kernel

@@ -12,6 +12,7 @@ from warpsar.kernels.geometry import (
     ray_origin,
     slant_range_of,
 )
+from warpsar.kernels.wide import WARP, least_of_warp
 
 NEAREST = wp.constant(0)
 LINEAR = wp.constant(1)
@@ -290,16 +291,17 @@ def extent_kernel(
     u: wp.vec3d,
     v: wp.vec3d,
     slant_range: wp.float64,
+    threads: int,
     # Out:
-    low_out: wp.array2d(dtype=wp.float64),
-    high_out: wp.array2d(dtype=wp.float64),
+    ends_out: wp.array2d(dtype=wp.float64),
 ):
-    """Ends of the mesh, a row for each thread: along range and azimuth, in elevation (an angle about the track at
-    `slant_range`, where that is not 0), and in distance from the track."""
+    """Ends of the mesh, a row for each warp of CUDA's: along range and azimuth, in elevation (an angle about the track
+    at `slant_range`, where that is not 0), and in distance from the track. The least, then the least of the negative.
+    """
     t = wp.tid()
     low = wp.vec4d(wp.float64(1.0e300))
     high = -low
-    for i in range(t, vertices.shape[0], low_out.shape[0]):
+    for i in range(t, vertices.shape[0], threads):
         along = wp.dot(vertices[i], d)
         across = wp.dot(vertices[i], v)
         ends = wp.vec4d(along, wp.dot(vertices[i], u), across, wp.float64(0.0))
@@ -308,6 +310,9 @@ def extent_kernel(
             ends = wp.vec4d(along, ends[1], wp.atan2(across, r), wp.sqrt(r * r + across * across))
         low = wp.min(low, ends)
         high = wp.max(high, ends)
-    for k in range(4):
-        low_out[t, k] = low[k]
-        high_out[t, k] = high[k]
+    low = least_of_warp(low)
+    high = least_of_warp(-high)
+    if t % WARP == 0:
+        for k in range(4):
+            ends_out[t // WARP, k] = low[k]
+            ends_out[t // WARP, 4 + k] = high[k]

@@ -1,8 +1,45 @@
-"""What Warp has no word for: vectors of contiguous arrays moved as a whole, not float by float, and sums over lanes."""
+"""What Warp has no word for: elements of contiguous arrays moved at once and whole, and sums over lanes."""
 
 import warp as wp
 
 LANES = 8  # neighbouring threads of a CUDA warp that share a sum
+NODE_LANES = 4  # the same for a node: of four numbers, and shorter
+WARP = 32  # threads of a CUDA warp
+
+
+# Warp's own index may be negative and goes by 64-bit strides: eight instructions where these take one.
+@wp.func_native("return array.data[i];")
+def read_float(array: wp.array(dtype=float), i: int) -> float: ...  # type: ignore[empty-body]
+
+
+@wp.func_native("return array.data[i];")
+def read_int(array: wp.array(dtype=int), i: int) -> int: ...  # type: ignore[empty-body]
+
+
+@wp.func_native("return array.data[i];")
+def read_int64(array: wp.array(dtype=wp.int64), i: int) -> wp.int64: ...  # type: ignore[empty-body]
+
+
+@wp.func_native(
+    """
+#if defined(__CUDA_ARCH__)
+    const float2 q = reinterpret_cast<const float2*>(array.data)[i];
+    return wp::vec_t<2, wp::float32>(q.x, q.y);
+#else
+    return array.data[i];
+#endif
+"""
+)
+def read_vec2(array: wp.array(dtype=wp.vec2), i: int) -> wp.vec2: ...  # type: ignore[empty-body]
+
+
+@wp.func_native(
+    """
+    const int* row = array.data + 3 * static_cast<size_t>(i);
+    return wp::vec_t<3, wp::int32>(row[0], row[1], row[2]);
+"""
+)
+def read_row(array: wp.array2d(dtype=int), i: int) -> wp.vec3i: ...  # type: ignore[empty-body]
 
 
 @wp.func_native(
@@ -47,11 +84,37 @@ def write_vec4(array: wp.array(dtype=wp.vec4), i: int, value: wp.vec4): ...
     """
 #if defined(__CUDA_ARCH__)
     const unsigned lanes = 0xFFu << (threadIdx.x & 24);
-    for (int k = 0; k < 4; ++k)
-        for (int far = 4; far > 0; far /= 2)
-            value[k] += __shfl_down_sync(lanes, value[k], far, 8);
+    for (int far = 4; far > 0; far /= 2)
+        value += __shfl_down_sync(lanes, value, far, 8);
 #endif
     return value;
 """
 )
-def sum_of_lanes(value: wp.vec4) -> wp.vec4: ...  # type: ignore[empty-body]
+def sum_of_lanes(value: float) -> float: ...  # type: ignore[empty-body]
+
+
+@wp.func_native(
+    """
+#if defined(__CUDA_ARCH__)
+    const unsigned lanes = 0xFu << (threadIdx.x & 28);
+    for (int k = 0; k < 4; ++k)
+        for (int far = 2; far > 0; far /= 2)
+            value[k] += __shfl_down_sync(lanes, value[k], far, 4);
+#endif
+    return value;
+"""
+)
+def sum_of_node(value: wp.vec4) -> wp.vec4: ...  # type: ignore[empty-body]
+
+
+@wp.func_native(
+    """
+#if defined(__CUDA_ARCH__)
+    for (int k = 0; k < 4; ++k)
+        for (int far = 16; far > 0; far /= 2)
+            value[k] = fmin(value[k], __shfl_xor_sync(0xFFFFFFFFu, value[k], far));
+#endif
+    return value;
+"""
+)
+def least_of_warp(value: wp.vec4d) -> wp.vec4d: ...  # type: ignore[empty-body]

@@ -10,9 +10,11 @@ import resource
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections import Counter
 from decimal import Decimal
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +25,8 @@ from test_distributed import needs_torch
 from torchrun import ENVIRONMENT, finish, start, strike
 from worlds import SOIL, ground, mesh_of, scene_of, view
 
-from warpsar import batch
+from warpsar import batch, images
+from warpsar.background import Background
 from warpsar.cli.main import main
 from warpsar.errors import InputError
 from warpsar.images import read_channel
@@ -259,6 +262,92 @@ def test_a_disk_that_fills_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     assert len(list(out.rglob("*.exr"))) == 3  # and no half a file
     assert "6 images: 3 made, 3 were there" in run(*asked)
     assert_whole(out, names_of(["scene"], range(0, 360, 60), [40]))
+
+
+def test_a_file_that_cannot_be_written_among_many(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A refusal of one file, beside the making of the next images: it is named at the end, and all others are made."""
+    path, out = scene_file(tmp_path / "a"), tmp_path / "out"
+    asked = (path, "-o", out, "--azimuths", "0:360:60", "--incidences", "40")
+    write = images.write_exr
+
+    def refused(target: Path, channels: Any) -> None:
+        if target.name == "az120_inc40.exr":
+            raise InputError(f"{target}: cannot be written (so it is said)")
+        write(target, channels)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(images, "write_exr", refused)
+        said = run(*asked, expected=2)
+    assert "6 images" not in said
+    assert "5 images: 5 made" in said
+    assert "1 failed; everything else is made" in said
+    assert said.count("cannot be written (so it is said)") == 1
+    names = names_of(["scene"], range(0, 360, 60), [40])
+    assert_whole(out, names - {"scene/az120_inc40"})
+    assert list(json.loads((out / "simulate.json").read_text())["failed"]) == [f"{path}, view az120_inc40"]
+    assert "6 images: 1 made, 5 were there" in run(*asked)
+
+
+def test_the_last_file_finds_no_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """When no image is left to be made, whose end would have told of it."""
+    path, out = scene_file(tmp_path / "a"), tmp_path / "out"
+    asked = (path, "-o", out, "--azimuths", "0:360:60", "--incidences", "40")
+    write = images.write_exr
+
+    def full(target: Path, channels: Any) -> None:
+        if target.name == "az300_inc40.exr":
+            time.sleep(0.2)  # the other thread has ended by then
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(target))
+        write(target, channels)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(images, "write_exr", full)
+        said = run(*asked, expected=2)
+    assert said.splitlines()[-1] == f"Error: {out}/scene/000/az300_inc40.exr: No space left on device"
+    assert "Traceback" not in said
+    assert not (out / "simulate.json").exists()
+    assert "6 images: 1 made, 5 were there" in run(*asked)
+    assert_whole(out, names_of(["scene"], range(0, 360, 60), [40]))
+
+
+def test_tasks_beside_are_in_order_few_and_end_with_the_first_failure() -> None:
+    done: list[int] = []
+    held = threading.Semaphore(0)
+
+    def task(number: int) -> None:
+        held.acquire()
+        if number == 3:
+            raise OSError("the third")
+        done.append(number)
+
+    with Background(2) as beside:
+        for number in (0, 1, 2):
+            beside.put(partial(task, number))
+        waiting = threading.Thread(target=beside.put, args=[partial(task, 7)], daemon=True)
+        waiting.start()
+        waiting.join(0.1)
+        assert waiting.is_alive()  # one in work, two that wait: the fourth has to wait with its image
+        held.release()
+        waiting.join(10.0)
+        assert not waiting.is_alive()
+        for _ in range(3):
+            held.release()
+    assert done == [0, 1, 2, 7]
+    for _ in range(9):
+        held.release()
+
+    def failing(own: Exception | None = None) -> None:
+        with Background(4) as beside:
+            for number in (3, 4, 5):
+                beside.put(partial(task, number))
+            if own is not None:
+                raise own
+
+    with pytest.raises(OSError, match="the third"):
+        failing()
+    assert done == [0, 1, 2, 7]
+    with pytest.raises(ValueError, match="of the block"):  # which goes before
+        failing(ValueError("of the block"))
 
 
 def test_the_kernel_refuses_the_bytes_of_an_image(tmp_path: Path) -> None:

@@ -9,24 +9,27 @@ from typing import Any
 
 import numpy as np
 import pytest
+import warp as wp
 from click.testing import CliRunner
 from learning_scenes import START, TRUTH, bumpy, cube_scene, measured, noise_free, starting, views_at
 from scipy.ndimage import minimum_filter
-from worlds import SOIL, ground, mesh_of, scene_of, sigma0, view
+from worlds import SOIL, WAVENUMBER, ground, mesh_of, scene_of, sigma0, view
 
 from warpsar import learning, runtime
 from warpsar.cli.main import main
 from warpsar.effects import NAMES, get
 from warpsar.errors import InputError
 from warpsar.fit import FitProblem
-from warpsar.gradcheck import check_gradient
+from warpsar.gradcheck import TOLERANCE, _differences, check_gradient
 from warpsar.images import read_channel, write_exr, write_tiff
-from warpsar.learning import LearnOptions, learn
-from warpsar.optimise import Adam, GraphAdam, begin, levenberg_marquardt
+from warpsar.learning import LearnOptions, learn, pooled_metrics
+from warpsar.likelihood import metrics, metrics_of
+from warpsar.optimise import Adam, FitState, GraphAdam, begin, levenberg_marquardt
 from warpsar.results import write_ply
 from warpsar.scene import Material, Sampling, Scene
 from warpsar.simulation import simulate
 from warpsar.surface import KEYS, KINDS
+from warpsar.validity import outside_domains
 
 ANGLES = ((20.0, 35.0), (140.0, 50.0))
 
@@ -250,6 +253,20 @@ def test_a_start_at_the_minimum_stays_there(cube: Scene) -> None:
     assert (np.abs(again.x - first.x) < 0.1 * first.identified.sd).all()
 
 
+@pytest.mark.parametrize(("width", "place"), [(1.0, 0.3), (0.01, 0.005), (0.008, 0.008)])
+def test_the_gradient_checks_steps_follow_the_loss(width: float, place: float) -> None:
+    """ln(w^2 + (t - p)^2), as the loss of a dark pixel beside a bright point goes with a blur's width: slope
+    -2 p / (w^2 + p^2) at 0, whatever is expected of it."""
+
+    def loss(t: float) -> float:
+        return float(np.log(width**2 + (t - place) ** 2))
+
+    truth = -2.0 * place / (width**2 + place**2)
+    for expected in (truth, 0.0):
+        slope, _ = _differences(loss, loss(0.0), expected)
+        assert slope == pytest.approx(truth, rel=TOLERANCE)
+
+
 def test_the_gradient_check_sees_a_wrong_gradient(cube: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     """One derivative of six 5 % off, at the start and at the minimum."""
     at_minimum = learn(cube, device="cpu", options=LearnOptions(starts=1)).x
@@ -305,6 +322,25 @@ def test_further_starts_find_the_lower_minimum(tmp_path: Path) -> None:
     assert np.exp(free.x[0]) == pytest.approx(good, rel=0.03)
     assert free.loss < stuck.loss - 10
     assert {row["start"] for row in free.history} == set(range(12))
+
+
+def test_lit_area_outside_the_domains(tmp_path: Path) -> None:
+    """Of a plane seen at 40 degrees, all of it alike: kh, kl and the incidence angle decide, each condition once."""
+    cases = [  # kh, kl; share outside SPM, and outside KA
+        ((0.1, 1.0), (0.0, 1.0)),  # kh small for KA
+        ((0.31, 5.0), (1.0, 1.0)),
+        ((0.29, 1.3), (1.0, 1.0)),  # too steep for SPM
+        ((2.2, 7.0), (1.0, 0.0)),
+        ((2.2, 5.9), (1.0, 1.0)),  # kl
+        ((2.2, 6.1), (1.0, 1.0)),  # kl^2 = 37.2, under 2.76 x 2 pi x 2.2 = 38.2
+        ((2.0, 20.0), (1.0, 1.0)),  # kh cos(40) = 1.53, under 1.58
+    ]
+    scene = measured(scene_of(mesh_of(soil=ground(8.0)), [view(0.0, 40.0, name="v0")], shape=(10, 10)), tmp_path)
+    for (kh, kl), expected in cases:
+        numbers = {"rms_height_m": kh / WAVENUMBER, "correlation_length_m": kl / WAVENUMBER, "specular_fraction": 0.5}
+        problem = FitProblem(with_material(scene, "soil", **numbers), runtime.resolve_device("cpu"))
+        found = outside_domains(problem, problem.x0)["soil"]
+        assert (found["spm"], found["ka"]) == expected, (kh, kl)
 
 
 def test_validity_as_a_soft_constraint(cube: Scene) -> None:
@@ -532,6 +568,23 @@ def test_lm_leaves_what_a_bound_holds(cube: Scene) -> None:
             assert problem.value(problem.modelled(beside)) > loss - 0.05
 
 
+def test_metrics_from_sums_are_those_of_the_pixels(tmp_path: Path) -> None:
+    """The kernel that makes the sums, and what is made of them, against NumPy on the pixels: both in float64."""
+    from warpsar.kernels.metrics import PARTIALS, SUMS
+
+    problem = FitProblem(field_scene(tmp_path), runtime.resolve_device("cpu"))
+    for x in (problem.x0, problem.x0 + 0.3):
+        modelled = problem.modelled(x)
+        sums: Any = wp.zeros((len(modelled), int(PARTIALS), int(SUMS)), dtype=wp.float64, device="cpu")
+        for number, one in enumerate(problem.views):
+            one.add_moments([sums[2 * number], sums[2 * number + 1]])
+        for seen, mu, moments in zip(problem.observations, modelled, sums.numpy().sum(axis=1), strict=True):
+            assert seen.count == seen.values.size
+            found = metrics_of(moments, seen.count, seen.looks)
+            for key, value in metrics(seen.values, mu, seen.looks).items():
+                assert found[key] == pytest.approx(value, rel=1e-12), key
+
+
 # ---- CUDA ----
 
 
@@ -548,11 +601,63 @@ def test_the_captured_graph_is_adam(tmp_path: Path) -> None:
         descent = way(problem, state, 0.05)
         for _ in range(steps):
             state = descent.step(state)
-        ends.append(state.x)
+        ends.append(np.asarray(state.x))
         losses.append(state.loss)
     assert losses[1] == pytest.approx(losses[0], rel=1e-3)
     assert np.median(np.abs(ends[1] - ends[0])) < 1e-2
     assert np.median(np.abs(ends[0] - problem.x0)) > 0.1  # it went somewhere
+
+
+@pytest.mark.cuda
+def test_what_the_device_keeps_is_the_best_of_its_looks(tmp_path: Path) -> None:
+    """Beside what the host would keep. The nodes are set beside the minimum now and then, so that the best is not the
+    last; the loss of what is kept is made on the host."""
+    problem = FitProblem(field_scene(tmp_path), runtime.resolve_device("cuda"))
+    state = begin(problem, 0, 0)
+    descent = GraphAdam(problem, state, 0.05)
+    losses, kept = [], []
+    for number in range(7):
+        if number in (3, 5):
+            problem.shared_nodes.assign(problem.nodes(problem.x0 + 1.0).astype(np.float32))
+        state = descent.step(state)
+        losses.append(state.loss)
+        kept.append(np.asarray(state.best_x))
+        assert state.best_loss == min(losses)
+    best = int(np.argmin(losses))
+    assert best == 2
+    for later in kept[best:]:  # nothing that came after has changed it
+        np.testing.assert_array_equal(later, kept[best])
+    assert np.abs(kept[1] - kept[2]).max() > 1e-3
+    # float32 images in float64 sums, of 5,600 pixels: of another order on the host
+    assert problem.value(problem.modelled(kept[best])) == pytest.approx(losses[best], rel=1e-6)
+    found, expected = (pooled_metrics(problem, x) for x in (state.best_x, kept[best]))
+    for key, value in expected.items():
+        assert found[key] == pytest.approx(value, rel=1e-9), key
+
+
+@pytest.mark.cuda
+def test_a_checkpoint_of_the_device_goes_on_from_there(tmp_path: Path) -> None:
+    """Arrays as a checkpoint holds them, into another problem: to the bit what they were, and where they lead the same
+    but for the order of atomic sums."""
+    scene, where = field_scene(tmp_path), runtime.resolve_device("cuda")
+    problem = FitProblem(scene, where)
+    state = begin(problem, 0, 0)
+    descent = GraphAdam(problem, state, 0.02)
+    for _ in range(3):
+        state = descent.step(state)
+    stored = {name: array.copy() for name, array in state.arrays().items()}
+    whole = descent.step(descent.step(state))
+    other = FitProblem(scene, where)
+    resumed = FitState.from_arrays(stored)
+    second = GraphAdam(other, resumed, 0.02)
+    np.testing.assert_array_equal(second.nodes.numpy()[other.learned], stored["x"])
+    for key, array in (("first_moment", second.first), ("second_moment", second.second)):
+        np.testing.assert_array_equal(array.numpy(), stored[key])
+        assert np.count_nonzero(stored[key])
+    resumed = second.step(second.step(resumed))
+    assert resumed.iteration == whole.iteration == 50
+    assert resumed.loss == pytest.approx(whole.loss, rel=1e-6)
+    np.testing.assert_allclose(np.asarray(resumed.x), np.asarray(whole.x), atol=1e-3)  # of 20 steps of 0.01
 
 
 @pytest.mark.cuda

@@ -100,10 +100,11 @@ class BandedRender:
         """As `ViewRender.lit`."""
         return self.light[polarization].numpy().reshape(self.shape) > 0
 
-    def set_parameters(self, nodes: np.ndarray, effects: Mapping[str, np.ndarray] | None = None) -> None:
+    def set_parameters(self, nodes: np.ndarray | None, effects: Mapping[str, np.ndarray] | None = None) -> None:
         """As `ViewRender.set_parameters`."""
-        self._node_values = nodes
-        self.nodes.assign(np.asarray(nodes, np.float32))
+        if nodes is not None:
+            self._node_values = nodes
+            self.nodes.assign(np.asarray(nodes, np.float32))
         for name, values in (effects or {}).items():
             if values.size:
                 self.effect_values[name].assign(np.asarray(values, np.float32))
@@ -166,9 +167,9 @@ class _BandedProgram:
         self._render, self._tail = render, tail
         self.device, self.array, self.launch = tail.device, tail.array, tail.launch
 
-    def forward(self) -> None:
+    def forward(self, *, gradient: bool = False) -> None:
         self._render.make_light()
-        self._tail.forward()
+        self._tail.forward(gradient=gradient)
 
     def zero_gradients(self) -> None:
         self._tail.zero_gradients()

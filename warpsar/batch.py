@@ -2,7 +2,7 @@
 
 An image is there when its file is whole and its line is in the index. Each process adds lines to a part of the index of
 its own right after the file; parts are merged when a run begins and when it ends, so that a run that was killed at any
-moment is taken up where it stood.
+moment is taken up where it stood. A file is packed and written while the next image is made.
 """
 
 from __future__ import annotations
@@ -19,12 +19,13 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from decimal import Decimal, InvalidOperation
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
 from warpsar import __version__, distributed, runtime
+from warpsar.background import Background
 from warpsar.errors import InputError, WarpsarError
 from warpsar.outputs import write_json
 from warpsar.trace import DEFAULT_MEMORY_GIB
@@ -36,6 +37,8 @@ if TYPE_CHECKING:
 
 PER_FOLDER = 1000
 BLOCKS_PER_RANK = 8  # of views of one scene: few enough to load a scene seldom, many enough to end together
+FINE = 128  # the same where every rank loads every scene anyway
+AHEAD = 2  # images whose files wait to be written
 TOLD_EVERY = 8  # images, to the bar that counts those of all processes
 MOST_VIEWS = 10_000_000
 INDEX, PARTS = "index.csv", "index.parts"
@@ -118,7 +121,8 @@ def blocks(views: Sequence[int], ranks: int) -> list[Block]:
     Scenes stay whole where there are enough of them for all, since each costs its loading and its BVH.
     """
     whole = len(views) >= BLOCKS_PER_RANK * ranks or ranks == 1
-    size = max(1, -(-sum(views) // (BLOCKS_PER_RANK * ranks)))
+    per_rank = FINE if len(views) == 1 else BLOCKS_PER_RANK
+    size = max(1, -(-sum(views) // (per_rank * ranks)))
     found = []
     for scene, count in enumerate(views):
         parts = 1 if whole else max(1, -(-count // size))
@@ -237,26 +241,42 @@ def run(
     failures: dict[str, str] = {}
     maker: _Maker | None = None
     taken, finished = ranks.counter(), ranks.counter()
-    while (number := taken(1)) < len(dealt):
-        block = dealt[number]
-        path = scenes[block.scene]
-        if str(path) in failures:
-            continue
+
+    def finish(what: str, outcome: str, write: Callable[[], None]) -> None:
         try:
-            if maker is None or maker.path != path:
-                maker = _Maker(path, names[block.scene], made, where, options, index)
+            write()
         except WarpsarError as error:
-            failures[str(path)] = str(error)
-            continue
-        numbers = range(block.part, len(maker.views), block.of)
-        for start in range(0, len(numbers), TOLD_EVERY):
-            some = numbers[start : start + TOLD_EVERY]
-            for view in some:
-                try:
-                    done[maker.image(view)] += 1
-                except WarpsarError as error:
-                    failures[f"{path}, view {maker.views[view].name}"] = str(error)
-            bar.update(finished(len(some)) + len(some) - bar.n)
+            failures[what] = str(error)
+        else:
+            done[outcome] += 1
+
+    with Background(AHEAD) as beside:
+        while (number := taken(1)) < len(dealt):
+            block = dealt[number]
+            path = scenes[block.scene]
+            if str(path) in failures:
+                continue
+            try:
+                if maker is None or maker.path != path:
+                    maker = _Maker(path, names[block.scene], made, where, options, index)
+            except WarpsarError as error:
+                failures[str(path)] = str(error)
+                continue
+            numbers = range(block.part, len(maker.views), block.of)
+            for start in range(0, len(numbers), TOLD_EVERY):
+                some = numbers[start : start + TOLD_EVERY]
+                for view in some:
+                    what = f"{path}, view {maker.views[view].name}"
+                    try:
+                        outcome, write = maker.image(view)
+                    except WarpsarError as error:
+                        failures[what] = str(error)
+                        continue
+                    if write is None:
+                        done[outcome] += 1
+                    else:
+                        beside.put(partial(finish, what, outcome, write))
+                bar.update(finished(len(some)) + len(some) - bar.n)
     bar.close()
     index.close()
     everything = ranks.gather([done, failures])
@@ -328,8 +348,8 @@ class _Maker:
 
         return Stage.of(self.scene, self.device)
 
-    def image(self, number: int) -> str:
-        """Make image `number` unless it is there; one of `OUTCOMES`."""
+    def image(self, number: int) -> tuple[str, Callable[[], None] | None]:
+        """Make image `number` unless it is there: one of `OUTCOMES`, and what writes the file and its row."""
         view = self.views[number]
         name = f"{self.label}/{view.name}"
         inputs = hashlib.sha256(f"{self._inputs} {view!r} {self._seed(number)}".encode()).hexdigest()
@@ -340,34 +360,37 @@ class _Maker:
             elif sha256(self.index.out / row["file"]) != row["sha256"]:
                 outcome = "damaged"
             else:
-                return "kept"
+                return "kept", None
         file = f"{self.label}/{number // PER_FOLDER:03d}/{view.name}.exr" if row is None else row["file"]
-        self._make(view, number, self.index.out / file)
-        self.index.add(
-            {
-                "name": name,
-                "scene": str(self.path),
-                "azimuth_deg": repr(view.azimuth_deg),
-                "incidence_deg": repr(view.incidence_deg),
-                "frequency_hz": repr(view.frequency_hz or self.scene.radar.frequency_hz),
-                "file": file,
-                "sha256": sha256(self.index.out / file) or "",
-                "inputs": inputs,
-            }
-        )
-        return outcome
+        new = {
+            "name": name,
+            "scene": str(self.path),
+            "azimuth_deg": repr(view.azimuth_deg),
+            "incidence_deg": repr(view.incidence_deg),
+            "frequency_hz": repr(view.frequency_hz or self.scene.radar.frequency_hz),
+            "file": file,
+            "inputs": inputs,
+        }
+        return outcome, partial(self._write, self._make(view, number), new)
 
     def _seed(self, number: int) -> int:
         """Number of the view whose jitter it has: a view made on the fly keeps its own in a longer list of angles."""
         return zlib.crc32(self.views[number].name.encode()) if self.fresh else number
 
-    def _make(self, view: View, number: int, path: Path) -> None:
-        from warpsar.images import write_exr
+    def _make(self, view: View, number: int) -> dict[str, Any]:
+        """The image's channels by name."""
         from warpsar.simulation import Simulation, channels
 
         scene = replace(self.scene, views=[view]) if self.fresh else self.scene
         one = Simulation(scene, self.stage, **self.options).view(view, self._seed(number))
-        write_exr(path, one.beta0 | channels(one))
+        return one.beta0 | channels(one)
+
+    def _write(self, image: dict[str, Any], row: Row) -> None:
+        from warpsar.images import write_exr
+
+        path = self.index.out / row["file"]
+        write_exr(path, image)
+        self.index.add({**row, "sha256": sha256(path) or ""})
 
 
 def sha256(path: Path) -> str | None:

@@ -52,6 +52,18 @@ class EffectCoordinate:
         return f"{self.effect}.{self.parameter.name}{where}"
 
 
+@dataclass(frozen=True)
+class DeviceX:
+    """x of a problem without effects' parameters, as the whole surface's `nodes` on the device, of which x is
+    `learned`; NumPy makes it an array of the host's, float64, where it needs one."""
+
+    nodes: Any
+    learned: np.ndarray | slice
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
+        return np.array(self.nodes.numpy()[self.learned], dtype or float)
+
+
 class FitView:
     """One view: its program, and the measured pixels of each polarization on the device."""
 
@@ -92,16 +104,21 @@ class FitView:
                 [hits.geometry.wavenumber, strength, hits.weight, hits.cos_incidence, self.kept.zeta],
                 [self.outside],
             )
+        self._compared: list[list[Any]] = []
         for index, (seen, (_, pixels, darkest)) in enumerate(zip(observations, self._pixels, strict=True)):
+            compared = [
+                wp.array(pixels, dtype=int, device=device),
+                wp.array(seen.values.astype(np.float32), dtype=float, device=device),
+                self.render.images[seen.polarization],
+                wp.array(darkest, dtype=float, device=device),
+            ]
+            self._compared.append(compared)
             self.render.program.launch(
                 kernels.loss_kernel,
                 pixels.size,
                 [
                     LOSSES[problem.loss],
-                    wp.array(pixels, dtype=int, device=device),
-                    wp.array(seen.values.astype(np.float32), dtype=float, device=device),
-                    self.render.images[seen.polarization],
-                    wp.array(darkest, dtype=float, device=device),
+                    *compared,
                     self.gain,
                     index,
                     seen.looks,
@@ -119,6 +136,17 @@ class FitView:
             for polarization, pixels, darkest in self._pixels
         ]
 
+    def add_moments(self, sums: Sequence[Any]) -> None:
+        """Add the sums of kernels/metrics.py over each observation's pixels, as `modelled` gives them, to an array of
+        `sums` each."""
+        import warp as wp
+
+        from warpsar.kernels import metrics as kernels
+
+        for compared, total in zip(self._compared, sums, strict=True):
+            size, device = compared[0].size, self.render.program.device
+            wp.launch(kernels.moments_kernel, size, inputs=compared, outputs=[total], device=device)
+
     @property
     def kept(self) -> ViewRender:
         """The render, of a view whose hits are kept; InputError where they are not."""
@@ -133,8 +161,8 @@ class FitView:
         """The renders that hold the view's hits: one, after a forward run; or one after the other for each band."""
         return self.render.pieces() if isinstance(self.render, BandedRender) else [self.render]
 
-    def forward(self) -> None:
-        self.render.program.forward()
+    def forward(self, *, gradient: bool = False) -> None:
+        self.render.program.forward(gradient=gradient)
 
     def backward(self, *, zero: bool = True) -> None:
         self.render.program.backward(self._seeds, zero=zero)
@@ -196,6 +224,9 @@ class FitProblem:
         variation = (total_variation or {}) if ranks.first else {}
         self.variation = TotalVariation(self.surface, scene.mesh, variation, device, self.shared_nodes)
         self.learned = self.surface.learned
+        # the same as one stretch where it is one: a field of a million nodes is several times as fast to take so
+        whole = self.learned.size and self.learned[-1] + 1 - self.learned[0] == self.learned.size
+        self._learned: Any = slice(self.learned[0], self.learned[-1] + 1) if whole else self.learned
         self.effect_coordinates = self._effect_coordinates()
         self._tables: dict[str, dict[str, Any]] = {name: dict(table) for name, table in scene.effects.items()}
         self._jacobian: tuple[bytes, list[np.ndarray]] | None = None
@@ -221,10 +252,21 @@ class FitProblem:
 
         if ranks.size > 1:
             own = self.chosen[ranks.rank :: ranks.size]
-            counted = ranks.agree(lambda: {v.name: rays.expected_hits(scene, v, effects[v.name]) for v in own})
+            most = sum(size(v, rays.most_hits(scene, v, effects[v.name])) for v in own)
+
+            def count(view: View) -> int:
+                # a GPU takes a column as long as an image
+                if self.device.is_cuda and most <= budget:
+                    return rays.hits(scene, view, effects[view.name]).count
+                return rays.expected_hits(scene, view, effects[view.name])
+
+            counted = ranks.agree(lambda: {v.name: count(v) for v in own})
             hits = {name: count for part in ranks.gather(counted) for name, count in part.items()}
             costs = [hits[v.name] * len(v.images) for v in self.chosen]
             mine = [self.chosen[i] for i in deal(costs, ranks.size)[ranks.rank]]
+            for view in own:
+                if view not in mine:
+                    rays.forget(view)
         else:
             mine = self.chosen
             hits = {v.name: rays.most_hits(scene, v, effects[v.name]) for v in mine}
@@ -299,10 +341,14 @@ class FitProblem:
             values.append(c.parameter.to_coordinate(value[c.view] if c.view else value))
         return np.array(values, float)
 
-    def follow(self, other: FitProblem, x: np.ndarray) -> np.ndarray:
+    def follow(self, other: FitProblem, x: np.ndarray | DeviceX) -> np.ndarray | DeviceX:
         """x of a fit to other views of the scene, as x of these; an effect's numbers of these views alone stay as
         declared."""
         self._tables = other.effect_tables(x)
+        if isinstance(x, DeviceX):
+            if not self.effect_coordinates:
+                return x
+            x = np.asarray(x)
         return np.concatenate([x[: other.learned.size], self._effect_values(self._tables)])
 
     @property
@@ -323,29 +369,34 @@ class FitProblem:
     @property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
         """Lower and upper bounds of x."""
-        low, high = [], []
+        ends, sizes = [], []
         for block in self.surface.blocks:
             if block.learn:
-                low += [float(block.kind.to_coordinate(block.kind.low))] * block.size
-                high += [float(block.kind.to_coordinate(block.kind.high))] * block.size
+                ends.append([float(block.kind.to_coordinate(end)) for end in (block.kind.low, block.kind.high)])
+                sizes.append(block.size)
         for c in self.effect_coordinates:
-            ends = sorted(c.parameter.to_coordinate(v) for v in c.parameter.fit_bounds)
-            low.append(ends[0])
-            high.append(ends[1])
-        return np.array(low), np.array(high)
+            ends.append(sorted(c.parameter.to_coordinate(v) for v in c.parameter.fit_bounds))
+            sizes.append(1)
+        low, high = np.repeat(np.reshape(ends, (-1, 2)), sizes, axis=0).T
+        return low.copy(), high.copy()
 
     def nodes(self, x: np.ndarray) -> np.ndarray:
         """The whole surface's nodes with x in place."""
         nodes = self.surface.nodes.copy()
-        nodes[self.learned] = x[: self.learned.size]
+        nodes[self._learned] = x[: self.learned.size]
         return nodes
 
-    def effect_tables(self, x: np.ndarray) -> dict[str, dict[str, Any]]:
+    def on_device(self, nodes: Any) -> DeviceX:
+        """The x that stands in `nodes`, an array of the device's as long as the whole surface's."""
+        return DeviceX(nodes, self._learned)
+
+    def effect_tables(self, x: np.ndarray | DeviceX) -> dict[str, dict[str, Any]]:
         """The tables `[effects.*]` with x in place."""
         tables = {
             name: {k: dict(v) if isinstance(v, dict) else v for k, v in t.items()} for name, t in self._tables.items()
         }
-        for c, value in zip(self.effect_coordinates, x[self.learned.size :], strict=True):
+        values = () if isinstance(x, DeviceX) else x[self.learned.size :]
+        for c, value in zip(self.effect_coordinates, values, strict=True):
             number = float(c.parameter.from_coordinate(value))
             if c.view is None:
                 tables[c.effect][c.parameter.name] = number
@@ -369,7 +420,22 @@ class FitProblem:
 
     # What x gives
 
-    def _set(self, view: FitView, nodes: np.ndarray, tables: Mapping[str, Mapping[str, Any]]) -> None:
+    def _share(self, x: np.ndarray | DeviceX) -> np.ndarray | None:
+        """The nodes that views have still to be given: where they read one array it is filled here, once for all. Views
+        in bands make their renders anew, and need them on the host."""
+        import warp as wp
+
+        if self.shared_nodes is not None:
+            if isinstance(x, DeviceX):
+                if x.nodes is not self.shared_nodes:
+                    wp.copy(self.shared_nodes, x.nodes)
+            else:
+                self.shared_nodes.assign(self.nodes(x).astype(np.float32))
+            if not any(isinstance(view.render, BandedRender) for view in self.views):
+                return None
+        return self.nodes(np.asarray(x))
+
+    def _set(self, view: FitView, nodes: np.ndarray | None, tables: Mapping[str, Mapping[str, Any]]) -> None:
         values = {}
         for e in view.effects:
             table = tables[e.effect.name]
@@ -378,8 +444,8 @@ class FitProblem:
             )
         view.render.set_parameters(nodes, values)
 
-    def _run(self, x: np.ndarray) -> None:
-        nodes, tables = self.nodes(x), self.effect_tables(x)
+    def _run(self, x: np.ndarray | DeviceX) -> None:
+        nodes, tables = self._share(x), self.effect_tables(x)
 
         def one(view: FitView) -> None:
             self._set(view, nodes, tables)
@@ -388,10 +454,27 @@ class FitProblem:
         for _ in runtime.ordered([partial(one, view) for view in self.views], self.device):
             pass
 
-    def modelled(self, x: np.ndarray) -> list[np.ndarray]:
+    def modelled(self, x: np.ndarray | DeviceX) -> list[np.ndarray]:
         """beta0 of every observation's interior pixels, before gains; the order of `observations`."""
         self._run(x)
         return [mu for view in self.views for mu in view.modelled()]
+
+    def moments(self, x: DeviceX) -> np.ndarray:
+        """Sums over the pixels of every observation before gains, shape (observations, kernels.metrics.SUMS), float64:
+        what metrics need of `modelled`, and no image leaves the device for."""
+        import warp as wp
+
+        from warpsar.kernels import metrics as kernels
+
+        self._run(x)
+        shape = (len(self.observations), int(kernels.PARTIALS), int(kernels.SUMS))
+        sums: Any = wp.zeros(shape, dtype=wp.float64, device=self.device)
+        start = 0
+        for view in self.views:
+            end = start + len(view.observations)
+            view.add_moments([sums[k] for k in range(start, end)])
+            start = end
+        return np.asarray(sums.numpy()).sum(axis=1)
 
     def modelled_as_declared(self) -> list[np.ndarray]:
         """`modelled` of the scene exactly as it stands, be its effects within a fit's bounds or not."""
@@ -442,35 +525,20 @@ class FitProblem:
 
         Gains are at their best, so by the envelope theorem they add nothing to the gradient.
         """
-        nodes, tables = self.nodes(x), self.effect_tables(x)
-        shared = self.shared_nodes is not None
-
-        def one(view: FitView) -> None:
-            self._set(view, nodes, tables)
-            view.forward()
-            if not self.scene.grid.calibrated:
-                pairs = zip(view.observations, view.modelled(), strict=True)
-                view.gain.assign(np.array([self.gain(seen, mu) for seen, mu in pairs], np.float32))
-                view.forward()
-            if not shared:
-                view.backward()
-
-        for _ in runtime.ordered([partial(one, view) for view in self.views], self.device):
-            pass
+        self._run_with_losses(x, gradient=True)
         variation = self.variation
-        if shared:
+        if self.shared_nodes is not None:
             self._backward_shared()
             self.ranks.sum_on_device(self.shared_nodes.grad)
-            surface = self.shared_nodes.grad.numpy().astype(float)
+            surface = self.shared_nodes.grad.numpy()[self._learned].astype(float)
         else:
-            surface = np.zeros(nodes.size)
+            surface = np.zeros(self.learned.size)
             for view in self.views:
-                surface += view.render.nodes.grad.numpy()
+                surface += view.render.nodes.grad.numpy()[self._learned]
             if variation.count:
-                variation.nodes.assign(nodes.astype(np.float32))
-                variation.program.forward()
+                self._run_variation(x)
                 variation.program.backward({variation.loss: 1.0})
-                surface += variation.nodes.grad.numpy()
+                surface += variation.nodes.grad.numpy()[self._learned]
             surface = self.ranks.sum(surface)
         loss = self.loss_on_device()
         effects = []
@@ -483,7 +551,38 @@ class FitProblem:
                 views = self._zero_sums().get((c.effect, c.parameter.name), [])
                 slope -= sum(slopes.get(view, 0.0) for view in views) / max(len(views), 1)
             effects.append(slope * float(c.parameter.slope(coordinate)))
-        return loss, np.concatenate([surface[self.learned], self.ranks.sum(effects)])
+        return loss, np.concatenate([surface, self.ranks.sum(effects)])
+
+    def loss_at(self, x: np.ndarray) -> float:
+        """The loss at x as `gradient` gives it, its penalties in it, for the cost of the images."""
+        self._run_with_losses(x, gradient=False)
+        if self.variation.count:
+            self._run_variation(x)
+        return self.loss_on_device()
+
+    def _run_with_losses(self, x: np.ndarray, *, gradient: bool) -> None:
+        """Images, and losses at their best gains; with `gradient` what it needs, and where views share no array of
+        nodes that of each."""
+        nodes, tables = self._share(x), self.effect_tables(x)
+        calibrated = self.scene.grid.calibrated
+
+        def one(view: FitView) -> None:
+            self._set(view, nodes, tables)
+            view.forward(gradient=gradient and calibrated)
+            if not calibrated:
+                pairs = zip(view.observations, view.modelled(), strict=True)
+                view.gain.assign(np.array([self.gain(seen, mu) for seen, mu in pairs], np.float32))
+                view.forward(gradient=gradient)
+            if gradient and self.shared_nodes is None:
+                view.backward()
+
+        for _ in runtime.ordered([partial(one, view) for view in self.views], self.device):
+            pass
+
+    def _run_variation(self, x: np.ndarray) -> None:
+        if self.shared_nodes is None:
+            self.variation.nodes.assign(self.nodes(x).astype(np.float32))
+        self.variation.program.forward()
 
     def _backward_shared(self) -> None:
         """Adjoint of every view into the one array of nodes they share."""
@@ -505,7 +604,7 @@ class FitProblem:
         """Images, losses and gradient for the nodes as they stand in `shared_nodes`; nothing is copied to the host,
         so that a CUDA graph can capture it. The gradient, of this rank's views, is in `shared_nodes.grad`."""
         clearing = [view.render.program.zero_gradients for view in self.views]
-        self._side_by_side([view.forward for view in self.views] + clearing)
+        self._side_by_side([partial(view.forward, gradient=True) for view in self.views] + clearing)
         self._add_gradients()
 
     def _side_by_side(self, tasks: Sequence[Callable[[], None]]) -> None:
@@ -523,8 +622,29 @@ class FitProblem:
 
     def loss_on_device(self) -> float:
         """The loss of the last run with its penalties, from the kernels' float64 partial sums."""
-        losses = [loss for view in self.views for loss in (view.loss, view.outside)]
-        return float(self.ranks.sum(sum(float(loss.numpy().sum()) for loss in [*losses, self.variation.loss])))
+        import warp as wp
+
+        if self.device.is_cuda:
+            total = wp.zeros(1, dtype=wp.float64, device=self.device)
+            self.add_losses(total)
+            return float(self.ranks.sum(total.numpy()[0]))
+        return float(self.ranks.sum(sum(float(loss.numpy().sum()) for loss in self._losses())))
+
+    def add_losses(self, total: Any) -> None:
+        """Add the loss of the last run of this rank's views, with its penalties, to `total`, shape (1,), float64, on
+        the device; nothing is copied to the host, so that a CUDA graph can capture it."""
+        import warp as wp
+
+        from warpsar.kernels import loss as kernels
+
+        def add(loss: Any) -> None:
+            wp.launch(kernels.add_up_kernel, loss.size, inputs=[loss], outputs=[total], device=self.device)
+
+        self._side_by_side([partial(add, loss) for loss in self._losses()])
+
+    def _losses(self) -> list[Any]:
+        """Partial sums of the last run."""
+        return [*(loss for view in self.views for loss in (view.loss, view.outside)), self.variation.loss]
 
     def penalty(self) -> float:
         """The validity constraints' part of the last run (total variation is zero for uniform materials)."""

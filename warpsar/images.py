@@ -9,6 +9,7 @@ import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
 from io import BytesIO
 from pathlib import Path
 from tokenize import TokenError
@@ -17,7 +18,7 @@ from uuid import uuid4
 
 import numpy as np
 
-from warpsar import tiff
+from warpsar import runtime, tiff
 from warpsar.errors import InputError
 
 if TYPE_CHECKING:
@@ -241,7 +242,8 @@ def read_mask(path: str | Path, shape: tuple[int, int] | None = None) -> NDArray
 def write_exr(path: str | Path, channels: Mapping[str, ArrayLike]) -> None:
     """Write float32 channels, each of shape (rows, cols), under their names, atomically."""
     arrays = [np.asarray(array, np.float32) for array in channels.values()]
-    _write(Path(path), np.stack(arrays, axis=2), names=tuple(channels), compression="zip")
+    whole = np.stack(arrays, axis=2) if len(arrays) > 1 else arrays[0][:, :, None]
+    _write(Path(path), whole, names=tuple(channels), compression="zip")
 
 
 def write_tiff(path: str | Path, image: ArrayLike) -> None:
@@ -271,6 +273,14 @@ def quick_look(
     return low, high
 
 
+@cache
+def _share_cores() -> None:
+    """Have OpenEXR pack on the cores that are this process's: it would take all of the host's in each."""
+    import OpenImageIO as oiio  # noqa: N813
+
+    oiio.attribute("exr_threads", runtime.thread_count())
+
+
 def _write(
     path: Path,
     pixels: NDArray[Any],
@@ -281,6 +291,7 @@ def _write(
     """Write pixels of shape (rows, cols, channels) in their own type, in the format of the suffix."""
     import OpenImageIO as oiio  # noqa: N813
 
+    _share_cores()
     rows, cols, count = pixels.shape
     spec = oiio.ImageSpec(cols, rows, count, oiio.UINT8 if pixels.dtype == np.uint8 else oiio.FLOAT)
     if names:

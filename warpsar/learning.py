@@ -17,10 +17,10 @@ import numpy as np
 
 from warpsar import checkpoint, distributed, runtime
 from warpsar.errors import InputError, WarpsarError
-from warpsar.fit import FitProblem
+from warpsar.fit import DeviceX, FitProblem
 from warpsar.gradcheck import GradientCheck, check_gradient
 from warpsar.identify import Identified, identify
-from warpsar.likelihood import LOSSES, METRICS, metrics
+from warpsar.likelihood import LOSSES, METRICS, metrics, metrics_of
 from warpsar.observation import looks_of
 from warpsar.optimise import Adam, FitState, GraphAdam, begin, levenberg_marquardt
 from warpsar.outputs import opened, write_json
@@ -133,7 +133,7 @@ def learn(
     if resume and stored is None:
         runtime.say("--resume: there is no checkpoint; the run starts afresh")
     state, history, stopped = _iterate(problem, tests, options, folder, tag, stored)
-    x = state.best_x
+    x = np.asarray(state.best_x)
     train = pooled_metrics(problem, x)
     final = learned_scene(problem, x, folder if ranks.first else None)
     return Learned(
@@ -218,13 +218,19 @@ def _test_problem(
     )
 
 
-def pooled_metrics(problem: FitProblem, x: np.ndarray) -> dict[str, float]:
+def pooled_metrics(problem: FitProblem, x: np.ndarray | DeviceX) -> dict[str, float]:
     """Metrics of scene-format.md over all observations' interior pixels, each weighted by its pixels."""
-    modelled = problem.modelled(x)
+    observations = problem.observations
+    if isinstance(x, DeviceX) and problem.scene.grid.calibrated:
+        moments = problem.moments(x)
+        parts = [metrics_of(sums, seen.count, seen.looks) for seen, sums in zip(observations, moments, strict=True)]
+    else:
+        modelled = problem.modelled(x)
+        pairs = zip(observations, modelled, problem.gains(modelled), strict=True)
+        parts = [metrics(seen.values, gain * mu, seen.looks) for seen, mu, gain in pairs]
     total = np.zeros(len(METRICS) + 1)
-    for seen, mu, gain in zip(problem.observations, modelled, problem.gains(modelled), strict=True):
-        found = metrics(seen.values, gain * mu, seen.looks)
-        total += seen.values.size * np.array([*(found[key] for key in METRICS), 1.0])
+    for seen, found in zip(observations, parts, strict=True):
+        total += seen.count * np.array([*(found[key] for key in METRICS), 1.0])
     *sums, count = problem.ranks.sum(total)
     return {key: float(value / count) for key, value in zip(METRICS, sums, strict=True)}
 

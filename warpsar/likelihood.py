@@ -87,6 +87,21 @@ def loss_terms(loss: str, measured: np.ndarray, modelled: np.ndarray, looks: flo
     return 0.5 * (np.log(measured / modelled) - log_bias(looks)) ** 2
 
 
+def metrics_of(moments: np.ndarray, pixels: int, looks: float) -> dict[str, float]:
+    """`metrics` of `pixels` pixels from the sums of kernels/metrics.py, shape (9,), float64."""
+    i, ii, mu, mumu, imu, error = moments[:6] / pixels
+    both, logarithm, excess = moments[6:]
+    spread = np.sqrt(max(ii - i**2, 0.0) * max(mumu - mu**2, 0.0))
+    rmse = float(np.sqrt(error))
+    return {
+        "rmse": rmse,
+        "nrmse": rmse / float(np.sqrt(ii)),
+        "rmse_db": float(10.0 / np.log(10.0) * np.sqrt(logarithm / both)),
+        "deviance": float(2.0 * looks * excess / both / expected_deviance(looks)),
+        "correlation": float((imu - i * mu) / spread) if spread > 0 else float("nan"),
+    }
+
+
 METRICS = ("rmse", "nrmse", "rmse_db", "deviance", "correlation")
 
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warpsar.launches import Launch, by_stretches
 from warpsar.merge import starts
 from warpsar.surface import HELD, LAYOUTS
 
@@ -58,16 +59,17 @@ class Spread:
         inputs.append(wp.array(leader, dtype=int, device=device))
         wp.launch(shade.target_kernel, stretches, inputs=inputs, outputs=[self.target], device=device)
 
-    def add(self, zeta_gradient: Any, nodes_gradient: Any) -> None:
-        import warp as wp
+    def adding(self, zeta_gradient: Any, nodes_gradient: Any) -> Launch:
+        """The launch that adds to `nodes_gradient`."""
+        from warpsar.kernels import shade, shade_lanes
+        from warpsar.kernels.wide import NODE_LANES
 
-        from warpsar.kernels.shade import spread_kernel
-        from warpsar.kernels.wide import LANES
-
-        device = zeta_gradient.device
-        lanes = 1 if device.is_cpu else LANES
-        inputs = [self.first, self.target, self.part, zeta_gradient, lanes]
-        wp.launch(spread_kernel, (self.first.shape[0], lanes), inputs=inputs, outputs=[nodes_gradient], device=device)
+        device, stretches = zeta_gradient.device, self.first.shape[0]
+        inputs, outputs = [self.first, self.target, self.part, zeta_gradient], [nodes_gradient]
+        if device.is_cpu:
+            pieces = by_stretches(self.first, self.part, [self.target])
+            return Launch(shade_lanes.spread_kernel, stretches, inputs, outputs, device, pieces)
+        return Launch(shade.spread_kernel, stretches * NODE_LANES, inputs, outputs, device)
 
 
 def _terms(places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

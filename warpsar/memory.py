@@ -15,6 +15,7 @@ SHARE = 0.6  # of a device's memory that kept hits may take: the mesh, its BVH a
 PARTS = (1, 4, 16, 64, 256)  # into how many parts work is cut, one number after the other, where memory runs out
 _HIT = 44 + 32  # bytes: trace.Hits; the learned coordinates and their gradients
 _SIGMA = 8  # bytes: sigma0 and its gradient, for each polarization and each effect that acts on it
+_SLOPES = 16  # bytes: sigma0's slopes to the coordinates, for each polarization
 
 
 class OutOfMemoryError(WarpsarError):
@@ -23,7 +24,7 @@ class OutOfMemoryError(WarpsarError):
 
 def kept_bytes(hits: int, polarizations: int, effects: int) -> int:
     """Device memory of one view whose hits are kept for a fit."""
-    return hits * (_HIT + _SIGMA * polarizations * (1 + effects))
+    return hits * (_HIT + polarizations * (_SIGMA * (1 + effects) + _SLOPES))
 
 
 def default_gib(device: Any) -> float:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 if TYPE_CHECKING:
     import warp as wp
 
@@ -36,6 +38,20 @@ def sorted_rows(rows: wp.array, count: wp.array, key_bits: int) -> tuple[int, in
     wp.launch(kernels.key_kernel, n, inputs=[rows, row], outputs=[key], device=device)
     wp.utils.radix_sort_pairs(key, row, n, 0, key_bits)
     return lost, taken, key[:n], row[:n]
+
+
+def rows_by_key(rows: wp.array, n: int, key_bits: int) -> tuple[Any, Any]:
+    """(key, row) of the first `n` of the CPU's `rows`, as `sorted_rows` gives them."""
+    import warp as wp
+
+    device: Any = rows.device
+    if not n:
+        return wp.empty(0, dtype=wp.int64, device=device), wp.empty(0, dtype=int, device=device)
+    # twice as long as they are: the sort's room
+    key, row = wp.empty(2 * n, dtype=wp.int64, device=device), wp.empty(2 * n, dtype=int, device=device)
+    key.numpy()[:n], row.numpy()[:n] = rows.numpy()[:n, 0], np.arange(n, dtype=np.int32)
+    wp.utils.radix_sort_pairs(key, row, n, 0, key_bits)
+    return key[:n], row[:n]
 
 
 def starts(values: wp.array, longest: int = 2**30, whole: int = -1) -> Any:

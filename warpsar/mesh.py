@@ -10,12 +10,14 @@ import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warpsar import runtime
 from warpsar.errors import InputError, shown
 
 if TYPE_CHECKING:
@@ -37,6 +39,7 @@ LARGEST_MESH = 2**28
 _BROKEN: tuple[type[Exception], ...] = (ArithmeticError, AssertionError, AttributeError, EOFError, ImportError)
 _BROKEN += (LookupError, NameError, NotImplementedError, OSError, RecursionError, TypeError, ValueError, struct.error)
 logging.getLogger("trimesh").addHandler(logging.NullHandler())  # what it says of a broken file is in our message
+_TOGETHER = 1 << 16  # faces that a core looks at: some 20 arrays of three numbers each stay in its cache
 # PLY vertex properties that are not scalars of the surface.
 _PLY_RESERVED = frozenset(
     ["x", "y", "z", "nx", "ny", "nz", "red", "green", "blue", "alpha"] + ["u", "v", "s", "t", "texture_u", "texture_v"]  # noqa: RUF005
@@ -195,15 +198,17 @@ def _join(path: Path, parts: list[_Part], scalars: dict[str, Any], warnings: lis
 
 def _zero_area(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.bool_]:
     """Faces whose height over their longest edge is lost in the rounding of their coordinates, shape (m,)."""
-    zero = np.empty(len(faces), bool)
     rounding = 4 * np.finfo(np.float64).eps * float(np.abs(vertices).max())
-    for start in range(0, len(faces), 1 << 20):  # bounds the memory: 24 arrays of a million rows
-        a, b, c = (vertices[faces[start : start + (1 << 20), i]] for i in range(3))
+
+    def some(start: int) -> NDArray[np.bool_]:
+        a, b, c = (vertices[faces[start : start + _TOGETHER, i]] for i in range(3))
         edges = np.stack([b - a, c - b, a - c])
         longest = np.sqrt((edges**2).sum(axis=2).max(axis=0))
         normal = np.cross(edges[0], edges[2])
-        zero[start : start + len(a)] = np.sqrt((normal**2).sum(axis=1)) <= rounding * longest
-    return zero
+        zero: NDArray[np.bool_] = np.sqrt((normal**2).sum(axis=1)) <= rounding * longest
+        return zero
+
+    return np.concatenate(list(runtime.in_threads([partial(some, k) for k in range(0, len(faces), _TOGETHER)])))
 
 
 def _parts(path: Path, scene: Any, name_of: Any) -> list[_Part]:

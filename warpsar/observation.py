@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -40,6 +41,11 @@ class Observation:
     @property
     def zeros(self) -> int:
         return int(self.silent.sum())
+
+    @cached_property
+    def count(self) -> int:
+        """Pixels of the interior."""
+        return int(self.interior.sum())
 
     @property
     def left_out(self) -> int:

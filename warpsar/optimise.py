@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
-    from warpsar.fit import FitProblem
+    from warpsar.fit import DeviceX, FitProblem
 
 LARGEST_STEP = 1.0  # of a log coordinate in one Levenberg-Marquardt step: a factor e
 FLAT = 2e-3  # predicted gain in log-likelihood at which Levenberg-Marquardt has arrived: 1/16 of a standard deviation
@@ -26,18 +26,20 @@ SPREAD = 0.7  # standard deviation of the starts after the first, in log coordin
 
 @dataclass(frozen=True)
 class FitState:
-    """Where a fit stands. `start` counts starts, `iteration` iterations over all of them."""
+    """Where a fit stands. `start` counts starts, `iteration` iterations over all of them. Adam on a CUDA device leaves
+    what is as long as x there, in the arrays it works on: they hold until its next step, the best x until a better one
+    has been followed by another step."""
 
-    x: np.ndarray
+    x: Any
     loss: float
-    best_x: np.ndarray
+    best_x: Any
     best_loss: float
     start: int = 0
     iteration: int = 0
     since_start: int = 0
     damping: float = 1e-3
     differentiated_at: np.ndarray | None = None  # Levenberg-Marquardt: where its Jacobian was made
-    first_moment: Any = None  # Adam's: an array of the host's or of the device's
+    first_moment: Any = None  # Adam's
     second_moment: Any = None
     recent: np.ndarray | None = None  # Adam: best loss after each of the last iterations
     arrived: bool = False
@@ -67,7 +69,7 @@ def begin(problem: FitProblem, start: int, seed: int, previous: FitState | None 
     return FitState(x, np.inf, previous.best_x, previous.best_loss, start, previous.iteration)
 
 
-def _better(state: FitState, x: np.ndarray, loss: float) -> FitState:
+def _better(state: FitState, x: np.ndarray | DeviceX, loss: float) -> FitState:
     if loss < state.best_loss:
         return replace(state, x=x, loss=loss, best_x=x, best_loss=loss)
     return replace(state, x=x, loss=loss)
@@ -204,9 +206,9 @@ class Adam:
 
 
 class GraphAdam:
-    """Adam where nothing leaves the CUDA device: image, loss and gradients of all views and the update replayed as one
-    captured graph (of several ranks, two, with the sum of their gradients between), for `STRIDE` iterations between two
-    looks at the loss."""
+    """Adam where nothing but the loss leaves the CUDA device: image, loss and gradients of all views and the update
+    replayed as one captured graph (of several ranks, two, with the sum of their gradients between), for `STRIDE`
+    iterations between two looks at the loss."""
 
     STRIDE = 10
 
@@ -218,7 +220,7 @@ class GraphAdam:
         self.problem, self.rate = problem, rate
         device = problem.device
         self.nodes = problem.shared_nodes
-        start = problem.nodes(state.x).astype(np.float32)
+        start = problem.nodes(np.asarray(state.x)).astype(np.float32)
         low, high = start.copy(), start.copy()
         low[problem.learned], high[problem.learned] = problem.bounds
 
@@ -232,7 +234,10 @@ class GraphAdam:
             self.first.assign(state.first_moment)
             self.second.assign(state.second_moment)
         self.done, self.size = put(np.array([state.since_start]), int), put(np.zeros(2))
+        self.loss = put(np.zeros(1), wp.float64)
+        self.seen, self.spare = (wp.zeros_like(self.first) for _ in range(2))
         problem.run_on_device()  # loads every kernel, which a capture cannot
+        problem.add_losses(self.loss)
         wp.load_module(kernels, device=device)
         alone = problem.ranks.size == 1
         self.graphs = []
@@ -241,6 +246,10 @@ class GraphAdam:
                 for task in tasks:
                     task()
             self.graphs.append(capture.graph)
+        with wp.ScopedCapture(device) as capture:
+            self.loss.zero_()
+            problem.add_losses(self.loss)
+        self.look = capture.graph
 
     def _update(self) -> None:
         import warp as wp
@@ -266,31 +275,30 @@ class GraphAdam:
             self.problem.ranks.sum_on_device(self.nodes.grad)
             wp.capture_launch(graph)
 
-    def _x(self) -> np.ndarray:
-        """x as it stands on the device. A field of a million nodes is one stretch, which is five times as fast to take
-        as one by one."""
-        learned, nodes = self.problem.learned, self.nodes.numpy()
-        first, end = learned.min(), learned.max() + 1
-        whole = end - first == learned.size
-        return np.asarray(nodes[first:end] if whole else nodes[learned], float)
-
     def step(self, state: FitState) -> FitState:
         """`STRIDE` iterations; the loss is that of the last one."""
         import warp as wp
 
+        problem = self.problem
         for _ in range(self.STRIDE - 1):
             self.iterate()
-        x = self._x()
+        wp.copy(self.seen, self.nodes)
         self.iterate()
-        state = _better(state, x, self.problem.loss_on_device())
+        wp.capture_launch(self.look)
+        problem.ranks.sum_on_device(self.loss)
+        loss = float(self.loss.numpy()[0])  # the same to the bit on each rank; nothing else waits for the device
+        better = loss < state.best_loss
+        state = _better(state, problem.on_device(self.seen), loss)
+        if better:
+            self.seen, self.spare = self.spare, self.seen
         recent = np.append([] if state.recent is None else state.recent, state.best_loss)
         recent = recent[-PLATEAU_WINDOW // self.STRIDE - 1 :]
         gained = (recent[0] - recent[-1]) / max(abs(recent[-1]), 1e-300)
         return replace(
             state,
-            x=self._x(),
-            first_moment=wp.clone(self.first),
-            second_moment=wp.clone(self.second),
+            x=problem.on_device(self.nodes),
+            first_moment=self.first,
+            second_moment=self.second,
             recent=recent,
             iteration=state.iteration + self.STRIDE,
             since_start=state.since_start + self.STRIDE,

@@ -5,16 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from warpsar import runtime
+from warpsar.launches import Launch, by_elements, by_stretches
 from warpsar.lookup import Spread
 from warpsar.merge import starts
 from warpsar.program import Program
 from warpsar.shading import shading_samples
+from warpsar.surface import LAYOUTS
 
 if TYPE_CHECKING:
     from warpsar.effects.base import Effect
@@ -49,7 +51,8 @@ class Stage:
         from warpsar.surface import Surface
         from warpsar.trace import Target
 
-        runtime.load_kernels(device, "trace", "merge", "shade", *(["raster"] if device.is_cpu else []))
+        own = ["shade_lanes", "columns"] if device.is_cpu else []
+        runtime.load_kernels(device, "trace", "merge", "shade", "raster", *own)
         surface = Surface.of(scene)
         uv = np.zeros((0, 2), np.float32) if scene.mesh.uv is None else scene.mesh.uv
         return cls(
@@ -64,6 +67,13 @@ class Stage:
             eps_im=wp.array(surface.eps_im, dtype=float, device=device),
             aspect=wp.array(surface.aspect, dtype=float, device=device),
         )
+
+    @cached_property
+    def nodes(self) -> Any:
+        """The surface's nodes on the device, float32."""
+        import warp as wp
+
+        return wp.array(self.surface.nodes.astype(np.float32), dtype=float, device=self.target.device)
 
 
 @dataclass
@@ -102,7 +112,8 @@ class ViewRender:
         self.settings = {e.effect.name: e.settings for e in effects}
         self.nodes = self.program.array(stage.surface.nodes.size) if nodes is None else nodes
         self.effect_values = {e.effect.name: self.program.array(max(1, e.values.size)) for e in effects}
-        self.set_parameters(stage.surface.nodes, {e.effect.name: e.values for e in effects})
+        self.nodes.assign(stage.nodes)
+        self.set_parameters(None, {e.effect.name: e.values for e in effects})
         self.images: dict[str, Any] = {}
         self.sigma: dict[str, Any] = {}
         self._light: dict[str, Any] = {}
@@ -144,22 +155,25 @@ class ViewRender:
         """Record the learned coordinates (vec4) at places on the mesh, with the effects that act on them."""
         import warp as wp
 
-        from warpsar.kernels import shade
+        from warpsar.kernels import shade, shade_lanes
 
         stage, nodes = self.stage, self.nodes
         n = face.shape[0]
         gathered = self.program.array(n, wp.vec4)
+        mesh = [stage.target.faces, stage.face_material, stage.uv, stage.places]
 
         @cache
-        def spread() -> Spread:  # when a gradient is asked for
-            return Spread(stage, face, barycentric)
+        def spread() -> Launch:  # when a gradient is asked for
+            return Spread(stage, face, barycentric).adding(gathered.grad, nodes.grad)
 
+        lean = face.device.is_cpu and not (stage.surface.places[:, :, 0] == LAYOUTS["texture"]).any()
         self.program.launch(
-            shade.gather_kernel,
+            shade_lanes.gather_kernel if lean else shade.gather_kernel,
             n,
-            [face, barycentric, stage.target.faces, stage.face_material, stage.uv, stage.places, nodes],
+            [face, barycentric, *mesh, nodes],
             [gathered],
-            adjoint=lambda: spread().add(gathered.grad, nodes.grad),
+            adjoint=lambda: spread().launch(),
+            pieces=by_elements([face, barycentric, gathered]),
         )
         zeta = gathered
         for effect, p in self._at("surface"):
@@ -189,20 +203,24 @@ class ViewRender:
             self.deposit(sigma, weight, bins, self.program.array(2, grad=False), image)
 
     def _deposit(self, sigma: Any, weight: Any, bins: Any, image: Any) -> None:
-        import warp as wp
-
         from warpsar.kernels import shade
         from warpsar.kernels.wide import LANES
 
-        n = sigma.shape[0]
-
-        def adjoint() -> None:
-            inputs = [bins, weight, image.grad]
-            wp.launch(shade.deposit_adjoint_kernel, n, inputs=inputs, outputs=[sigma.grad], device=sigma.device)
+        @cache
+        def adjoint() -> Launch:
+            pieces = by_elements([bins, weight, sigma.grad])
+            inputs, outputs = [bins, weight, image.grad], [sigma.grad]
+            return Launch(shade.deposit_adjoint_kernel, sigma.shape[0], inputs, outputs, sigma.device, pieces)
 
         first, lanes = starts(bins), 1 if sigma.device.is_cpu else LANES
-        inputs = [first, bins, weight, sigma, lanes]
-        self.program.launch(shade.deposit_kernel, (first.shape[0], lanes), inputs, [image], adjoint=adjoint)
+        self.program.launch(
+            shade.deposit_kernel,
+            first.shape[0] * lanes,
+            [first, bins, weight, sigma, lanes],
+            [image],
+            adjoint=lambda: adjoint().launch(),
+            pieces=by_stretches(first, bins),
+        )
 
     def deposit(self, sigma: Any, weight: Any, bins: Any, shift: Any, image: Any) -> None:
         """Record the deposit of bins finer or wider than the pixels, moved by `shift` (rows, columns) pixels."""
@@ -220,9 +238,10 @@ class ViewRender:
         """Record sigma0 of the hits for coordinates `zeta`; `spectrum` takes the place of the materials' own."""
         import warp as wp
 
-        from warpsar.kernels import shade
+        from warpsar.kernels import shade, shade_lanes
 
         hits, stage, n = self.shaded, self.stage, self.shaded.count
+        device: Any = stage.target.device
         sigma = self.program.array(n)
         inputs = [
             polarization,
@@ -239,17 +258,41 @@ class ViewRender:
             stage.aspect,
             zeta,
         ]
+        per_hit = [hits.face, hits.cos_incidence, hits.cos_twist, hits.cos2_azimuth, zeta, sigma]
 
-        def adjoint() -> None:
-            slopes = [*inputs, sigma.grad]
-            wp.launch(shade.scatter_adjoint_kernel, n, inputs=slopes, outputs=[zeta.grad], device=sigma.device)
+        @cache
+        def slopes() -> Any:  # when a gradient is asked for
+            return wp.empty(n, dtype=wp.vec4, device=device)
 
-        self.program.launch(shade.scatter_kernel, n, inputs, [sigma], adjoint=adjoint)
+        @cache
+        def adjoint() -> Launch:
+            pieces = by_elements([slopes(), sigma.grad, zeta.grad])
+            return Launch(shade.scatter_adjoint_kernel, n, [slopes(), sigma.grad], [zeta.grad], device, pieces)
+
+        if device.is_cpu:
+            kernel = keeping = shade_lanes.scatter_kernel
+            block, outputs = shade_lanes.HITS, [sigma, wp.empty(0, dtype=wp.vec4, device=device)]
+        else:
+            kernel, keeping = shade.scatter_kernel, shade.scatter_slopes_kernel
+            block, outputs = 1, [sigma]
+        dim = -(-n // block)
+        self.program.launch(
+            kernel,
+            dim,
+            inputs,
+            outputs,
+            adjoint=lambda: adjoint().launch(),
+            keeping=lambda: Launch(
+                keeping, dim, inputs, [sigma, slopes()], device, by_elements([*per_hit, slopes()], block)
+            ),
+            pieces=by_elements(per_hit, block),
+        )
         return sigma
 
-    def set_parameters(self, nodes: np.ndarray, effects: Mapping[str, np.ndarray] | None = None) -> None:
-        """Parameters of the next `forward`: nodes in learned coordinates, effects' values by name."""
-        self.nodes.assign(np.asarray(nodes, np.float32))
+    def set_parameters(self, nodes: np.ndarray | None, effects: Mapping[str, np.ndarray] | None = None) -> None:
+        """Parameters of the next `forward`: nodes in learned coordinates (None: as before), effects' values by name."""
+        if nodes is not None:
+            self.nodes.assign(np.asarray(nodes, np.float32))
         for name, values in (effects or {}).items():
             if values.size:
                 self.effect_values[name].assign(np.asarray(values, np.float32))

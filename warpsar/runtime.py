@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import sys
 import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache, partial
 from importlib import import_module
@@ -38,7 +40,21 @@ def resolve_device(name: str | None = None) -> wp.Device:
     wanted = f"cuda:{own}" if name == "cuda" else name
     if wanted not in known:
         raise DeviceError(f"--device {name}: there is no such device here; there is {', '.join(known)}")
+    if wanted == "cpu":
+        _keep_memory()
     return wp.get_device(wanted)
+
+
+@cache
+def _keep_memory() -> None:
+    """Have glibc keep up to 1 GiB of what is freed. It would hand large arrays back to the kernel at once, and to be
+    given the same pages again, zeroed one by one, takes as long as half of an image."""
+    try:
+        adjust = ctypes.CDLL(None).mallopt
+    except (AttributeError, OSError, TypeError):  # another C library
+        return
+    for parameter in (-1, -3):  # M_TRIM_THRESHOLD, M_MMAP_THRESHOLD
+        adjust(parameter, 2**30)
 
 
 def _of_torchrun(name: str, alone: int) -> int:
@@ -103,15 +119,50 @@ def ordered(tasks: Iterable[Callable[[], T]], device: Any) -> Iterator[T]:
 
 def in_threads(tasks: Iterable[Callable[[], T]]) -> Iterator[T]:
     """Results of independent NumPy tasks, in their order, on all cores whatever the device."""
-    if getattr(_worker, "busy", False):  # a task of a task: its own thread, or all could wait for one another
-        yield from (task() for task in tasks)
-    else:
-        yield from _pool(thread_count()).map(_work, tasks)
+    if not hasattr(_worker, "cores"):
+        given = list(tasks)
+        if len(given) > 1:
+            threads = thread_count()
+            yield from _pool(threads).map(partial(_work, max(1, threads // len(given))), given)
+            return
+        tasks = given
+    # one task keeps all cores for itself; a task of a task stays in its thread, or all could wait for one another
+    yield from (task() for task in tasks)
 
 
-def _work(task: Callable[[], T]) -> T:
-    _worker.busy = True
+def _work(cores: int, task: Callable[[], T]) -> T:
+    _worker.cores = cores
     return task()
+
+
+def side_by_side(tasks: Sequence[Callable[[], object]]) -> None:
+    """Run independent pieces of one task on the cores that the task may use: this thread, and others that are free.
+
+    Whoever is free takes the next piece, and this thread waits for none that has not begun: it cannot hang.
+    """
+    helpers = min(getattr(_worker, "cores", None) or thread_count(), len(tasks)) - 1
+    if helpers < 1:
+        for task in tasks:
+            task()
+        return
+    left = deque(tasks)
+
+    def work() -> None:
+        while True:
+            try:
+                task = left.popleft()
+            except IndexError:
+                return
+            task()
+
+    started = [_pool(thread_count()).submit(work) for _ in range(helpers)]
+    try:
+        work()
+    finally:
+        left.clear()
+        for other in started:
+            if not other.cancel():
+                other.result()
 
 
 @cache

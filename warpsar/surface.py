@@ -111,6 +111,7 @@ class Surface:
         for m, name in enumerate(names):
             material = scene.materials[name]
             spectrum[m] = SPECTRA[material.spectrum]
+            ends: tuple[int, int] | None = None  # the first and the last vertex of its faces
             for k, kind in enumerate(KINDS):
                 declared = getattr(material, kind.key)
                 if isinstance(declared, str):
@@ -126,9 +127,11 @@ class Surface:
                     value, layout = np.array([declared], float), "uniform"
                 first_vertex = 0
                 if layout == "vertex":
-                    corners = scene.mesh.faces[scene.mesh.face_material == m]
-                    first_vertex = int(corners.min())
-                    value = value[first_vertex : int(corners.max()) + 1]
+                    if ends is None:
+                        corners = scene.mesh.faces[scene.mesh.face_material == m]
+                        ends = int(corners.min()), int(corners.max())
+                    first_vertex = ends[0]
+                    value = value[first_vertex : ends[1] + 1]
                 height, width = value.shape if layout == "texture" else (0, 0)
                 held = layout == "uniform" and kind.key not in material.learn
                 code = HELD if held else LAYOUTS[layout]

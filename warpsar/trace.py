@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,8 +12,8 @@ import numpy as np
 from warpsar import runtime
 from warpsar.errors import InputError
 from warpsar.frame import ViewGeometry
-from warpsar.merge import sorted_rows
-from warpsar.raster import Raster
+from warpsar.merge import rows_by_key, sorted_rows
+from warpsar.raster import ParallelRaster, Raster
 
 if TYPE_CHECKING:
     import warp as wp
@@ -22,8 +22,7 @@ if TYPE_CHECKING:
 
 DEFAULT_MEMORY_GIB = 2.0
 _RAY_BYTES = 96  # at most: its face, what the raster keeps of it, two rows of its band's table, their marks and ranks
-_ROW_BYTES = 32
-_CACHE_BYTES = 2**21  # of one core: a CPU band's table is filled at random, and twice as fast where it stays there
+_BAND_RAYS = 2**20  # of a CPU's band; smaller ones share more faces, and larger ones leave cores without
 _TILE = (4, 8)  # rays of a CUDA warp: across azimuth, along elevation
 _SEGMENT = 4  # rays of one CUDA thread when they are recorded
 _KEPT_SHARE = 0.25  # of a CUDA device's memory, that a process does not hand back between views
@@ -61,6 +60,7 @@ class Target:
     bvh: wp.Mesh
     corners: np.ndarray  # [m], shape (n, 3), float64, about the reference point
     places: wp.array  # the same on the device, vec3d
+    _ends: dict[bytes, np.ndarray] = field(default_factory=dict)
 
     @classmethod
     def upload(cls, mesh: Mesh, reference_point_m: Any, device: Any) -> Target:
@@ -82,20 +82,36 @@ class Target:
         """Least and largest (X . d, X . u, elevation, distance from the track) of the mesh, float64, shape (4,) each.
 
         Elevation is X . v [m]; with a track, the angle about it [rad]. Found on the device: the host takes as long
-        for a million vertices as CUDA for all of their image.
+        for a million vertices as CUDA for all of their image. Kept: whoever counts a view's rays traces them, too.
         """
         import warp as wp
 
         from warpsar.kernels.trace import BLOCK, extent_kernel
+        from warpsar.kernels.wide import WARP
 
+        track = geometry.slant_range_m or 0.0
+        key = np.concatenate([geometry.d, geometry.u, geometry.v, [track]]).tobytes()
+        if key in self._ends:
+            return self._ends[key][:4], -self._ends[key][4:]
         axes = [wp.vec3d(*axis) for axis in (geometry.d, geometry.u, geometry.v)]
-        shape = (1 if self.device.is_cpu else 4096, 4)
-        low = wp.empty(shape, dtype=wp.float64, device=self.device)
-        high = wp.empty(shape, dtype=wp.float64, device=self.device)
-        inputs = [self.places, *axes, geometry.slant_range_m or 0.0]
-        outputs = [low, high]
-        wp.launch(extent_kernel, shape[0], inputs=inputs, outputs=outputs, device=self.device, block_dim=BLOCK)
-        return low.numpy().min(axis=0), high.numpy().max(axis=0)
+        threads = 1 if self.device.is_cpu else 512 * WARP
+        ends = wp.empty((-(-threads // WARP), 8), dtype=wp.float64, device=self.device)
+        inputs = [self.places, *axes, track, threads]
+        wp.launch(extent_kernel, threads, inputs=inputs, outputs=[ends], device=self.device, block_dim=BLOCK)
+        self._ends[key] = found = ends.numpy().min(axis=0)
+        return found[:4], -found[4:]
+
+    @cached_property
+    def area_m2(self) -> float:
+        """Area of all faces together."""
+        import warp as wp
+
+        from warpsar.kernels.raster import BLOCK, area_kernel
+
+        area = wp.empty(1 if self.device.is_cpu else 16384, dtype=wp.float64, device=self.device)
+        inputs = [self.vertices, self.faces]
+        wp.launch(area_kernel, area.shape[0], inputs=inputs, outputs=[area], device=self.device, block_dim=BLOCK)
+        return float(area.numpy().sum())
 
 
 @dataclass
@@ -154,6 +170,7 @@ def trace(
     """
     import warp as wp
 
+    from warpsar.kernels import columns as in_columns
     from warpsar.kernels import trace as kernels
 
     device = target.device
@@ -189,21 +206,28 @@ def trace(
     columns = -(-(last - first) // rays.cells_per_column)
     room = int(most / max(rays.elevation_cells, 1)) // rays.cells_per_column
     if device.is_cpu:
-        pieces = max(8, math.ceil(_ROW_BYTES * rows_expected(first, last) / _CACHE_BYTES))
+        # not by the number of threads: the bands' order is that of the hits
+        pieces = max(8, (last - first) * rays.elevation_cells // _BAND_RAYS)
         room = min(room, -(-columns // pieces))
     width = max(1, min(room, columns)) * rays.cells_per_column
 
-    raster = Raster.where_it_pays(target, rays, first, last) if device.is_cpu else None
+    kind: type[Raster | ParallelRaster] = Raster if device.is_cpu else ParallelRaster
+    raster = kind.where_it_pays(target, rays, first, last)
 
     def recorded(begin: int, end: int, capacity: int) -> tuple[Any, Any, Any]:
         """Records of a band's rays in a table of `capacity` rows, or of more where they find no room; their keys in
         order, and their rows."""
         face = nearest_faces(target, rays, begin, end, seed) if raster is None else raster.nearest(begin, end, seed)
+        records = kernels.Records()
+        # a ray's own weight is at least 2^29 quanta, and at grazing incidence 1e6 times as much
+        records.quanta = 2.0 ** (30 - math.floor(math.log2(1.0 / (rays_per_m2 * rays.pixel_area))))
+        if device.is_cpu and merge:
+            records.rows, taken = recorded_in_columns(
+                target, rays, face, begin, end, capacity, seed, codes[deposit], face_bits, records.quanta
+            )
+            return records, *rows_by_key(records.rows, taken, key_bits)
         while True:
-            records = kernels.Records()
             records.rows = wp.zeros((capacity, 4), dtype=wp.int64, device=device)
-            # a ray's own weight is at least 2^29 quanta, and at grazing incidence 1e6 times as much
-            records.quanta = 2.0 ** (30 - math.floor(math.log2(1.0 / (rays_per_m2 * rays.pixel_area))))
             records.merge = int(merge)
             records.count = wp.zeros(2, dtype=int, device=device)
             inputs = [rays, target.vertices, target.faces, face, begin, segment, seed, int(codes[deposit]), face_bits]
@@ -224,20 +248,25 @@ def trace(
         if not n:
             return None
         found = tuple(wp.empty(n, dtype=dtype, device=device) for dtype in dtypes)
-        inputs = [rays, target.vertices, target.faces, records, key, row, face_bits]
-        wp.launch(kernels.hit_kernel, n, inputs=inputs, outputs=list(found), device=device, block_dim=block)
+        mesh = [rays, target.vertices, target.faces]
+        if device.is_cpu:
+            inputs = [*mesh, records.rows, records.quanta, key, row, face_bits]
+            blocks = -(-n // in_columns.LANES)
+            wp.launch(in_columns.hit_kernel, blocks, inputs=inputs, outputs=list(found), device=device)
+        else:
+            inputs = [*mesh, records, key, row, face_bits]
+            wp.launch(kernels.hit_kernel, n, inputs=inputs, outputs=list(found), device=device, block_dim=block)
         return found
 
     names = ("pixel", "face", "barycentric", "weight", "point", "cos_incidence", "cos_twist", "cos2_azimuth")
     dtypes = (int, int, wp.vec2, float, wp.vec3, float, float, float)
-    wp.load_module(kernels, device=device, block_dim=block)
+    for module in [kernels, in_columns] if device.is_cpu else [kernels]:
+        wp.load_module(module, device=device, block_dim=block)
     tasks = [partial(band, begin) for begin in range(first, last, width)]
     parts = [part for part in runtime.ordered(tasks, device) if part is not None]
     total_rays = (last - first) * rays.elevation_cells
-    arrays: dict[str, Any] = {
-        name: concatenate([part[k] for part in parts], dtype, device)
-        for k, (name, dtype) in enumerate(zip(names, dtypes, strict=True))
-    }
+    whole = [partial(concatenate, [part[k] for part in parts], dtype, device) for k, dtype in enumerate(dtypes)]
+    arrays: dict[str, Any] = dict(zip(names, runtime.ordered(whole, device), strict=True))
     return Hits(grid, geometry, rays_per_m2=rays_per_m2, seed=seed, rays=total_rays, **arrays)
 
 
@@ -255,6 +284,42 @@ def nearest_faces(target: Target, rays: Any, begin: int, end: int, seed: int) ->
     inputs = [rays, target.bvh.id, begin, end, *tile, seed]
     wp.launch(query_kernel, dim, inputs=inputs, outputs=[face], device=target.device, block_dim=BLOCK)
     return face
+
+
+def recorded_in_columns(
+    target: Target,
+    rays: Any,
+    face: Any,
+    begin: int,
+    end: int,
+    capacity: int,
+    seed: int,
+    deposit: int,
+    face_bits: int,
+    quanta: float,
+) -> tuple[Any, int]:
+    """Records of the band's rays on the CPU, merged, in the order in which their columns left them: rows as in
+    `kernels.trace.Records`, with the key itself, and how many. `capacity` of them are expected at most."""
+    import warp as wp
+
+    from warpsar.kernels import columns as kernels
+
+    device, columns = target.device, (end - begin) // rays.cells_per_column
+    across, along = (wp.empty(face.shape[0] + kernels.LANES, dtype=float, device=device) for _ in range(2))
+    inputs = [rays, begin, seed]
+    wp.launch(kernels.jitter_kernel, end - begin, inputs=inputs, outputs=[across, along], device=device)
+    while True:
+        taken = wp.zeros(1, dtype=int, device=device)
+        rows = wp.empty((capacity, 4), dtype=wp.int64, device=device)
+        link = wp.empty(capacity, dtype=int, device=device)
+        head = wp.empty(1 << (capacity // columns).bit_length(), dtype=int, device=device)
+        inputs = [rays, target.vertices, target.faces, face, across, along, begin, int(deposit), face_bits, quanta]
+        outputs = [head, link, taken, rows]
+        wp.launch(kernels.record_kernel, columns, inputs=inputs, outputs=outputs, device=device)
+        found = int(taken.numpy()[0])
+        if found <= capacity:
+            return rows, found
+        capacity = found
 
 
 def ray_count(

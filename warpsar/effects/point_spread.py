@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from warpsar.effects.base import Context, Effect, Parameter, Step, Trial, one_of
@@ -71,19 +72,22 @@ def _blurred(program: Program, width: list[Any], weight: Any, image: Any, shape:
     dim = (rows, -(-cols // len(none)))
     parts, lanes = (8, 1) if device.is_cpu else (rows, LANES)
     result = program.array(rows * cols)
-    back = (
-        (kernels.blur_kernel, dim, [*width, weight, result.grad, *along, 1], image.grad),
-        (
-            kernels.weight_adjoint_kernel,
-            (shape[axis], parts, lanes),
-            [*width, image, result.grad, *along, parts, lanes],
-            weight.grad,
-        ),
-    )
-    commands = [wp.launch(k, d, inputs=i, outputs=[o], device=device, record_cmd=True) for k, d, i, o in back]
+
+    @cache
+    def commands() -> list[Any]:  # when a gradient is asked for
+        back = (
+            (kernels.blur_kernel, dim, [*width, weight, result.grad, *along, 1], image.grad),
+            (
+                kernels.weight_adjoint_kernel,
+                (shape[axis], parts, lanes),
+                [*width, image, result.grad, *along, parts, lanes],
+                weight.grad,
+            ),
+        )
+        return [wp.launch(k, d, inputs=i, outputs=[o], device=device, record_cmd=True) for k, d, i, o in back]
 
     def adjoint() -> None:
-        for command in commands:
+        for command in commands():
             command.launch()
 
     program.launch(kernels.blur_kernel, dim, [*width, weight, image, *along, 0], [result], adjoint=adjoint)

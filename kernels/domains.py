@@ -1,0 +1,49 @@
+"""Whether a surface lies in the domain of the model that is used for it (equations 9, 12, 19, corrected)."""
+
+import warp as wp
+
+# Partial sums, spread over as many cells so that CUDA atomics seldom meet.
+PARTIALS = wp.constant(256)
+
+
+@wp.func
+def spm_valid(kh: wp.float64, kl: wp.float64) -> bool:
+    """Small perturbation (19): kh < 0.3 and sqrt(2) h / l < 0.3."""
+    limit = wp.float64(0.3)
+    return kh < limit and wp.sqrt(wp.float64(2.0)) * kh / kl < limit
+
+
+@wp.func
+def ka_valid(kh: wp.float64, kl: wp.float64, cos_incidence: wp.float64) -> bool:
+    """Geometric optics (9, 12): kh cos(theta) > sqrt(10) / 2, kl > 6 and l^2 > 2.76 h lambda."""
+    rough = kh * cos_incidence > wp.sqrt(wp.float64(10.0)) / wp.float64(2.0)
+    return rough and kl > wp.float64(6.0) and kl * kl > wp.float64(2.76 * 2.0 * wp.pi) * kh
+
+
+@wp.kernel(enable_backward=False)
+def area_kernel(
+    # In:
+    wavenumber: wp.float64,
+    face: wp.array(dtype=int),
+    face_material: wp.array(dtype=int),
+    weight: wp.array(dtype=float),
+    cos_incidence: wp.array(dtype=float),
+    zeta: wp.array(dtype=wp.vec4),
+    # Out:
+    area_out: wp.array3d(dtype=wp.float64),
+):
+    """Per partial sum and material: lit area where SPM is in use (tau < 1) and where KA is (tau > 0), and of each what
+    lies outside its domain."""
+    i = wp.tid()
+    z = zeta[i]
+    kh = wavenumber * wp.exp(wp.float64(z[1]))
+    kl = wavenumber * wp.exp(wp.float64(z[2]))
+    cell, material, area = i % PARTIALS, face_material[face[i]], wp.float64(weight[i])
+    if z[3] < 40.0:
+        wp.atomic_add(area_out, cell, material, 0, area)
+        if not spm_valid(kh, kl):
+            wp.atomic_add(area_out, cell, material, 2, area)
+    if z[3] > -40.0:
+        wp.atomic_add(area_out, cell, material, 1, area)
+        if not ka_valid(kh, kl, wp.float64(cos_incidence[i])):
+            wp.atomic_add(area_out, cell, material, 3, area)
