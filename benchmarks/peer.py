@@ -110,7 +110,8 @@ def ours(scene: Any, device: Any, repeats: int, folder: Path) -> tuple[dict[str,
     sampling = scene.sampling.model_copy(update={"deposit": "nearest"})
     fitted = replace(scene, views=[measured], sampling=sampling)
     problem = FitProblem(fitted, device, loss="mse", rays=Rays(kept["stage"], seed=scene.sampling.seed))
-    _, gradient = problem.gradient(problem.x0)
+    x = problem.x0
+    _, gradient = problem.gradient(x)
     if device.is_cuda:
         problem.run_on_device()  # loads what a capture cannot
         with wp.ScopedCapture(device) as capture:
@@ -118,7 +119,7 @@ def ours(scene: Any, device: Any, repeats: int, folder: Path) -> tuple[dict[str,
         graph = capture.graph
         rows["iteration"] = timed(lambda: wp.capture_launch(graph), synchronize, 10 * repeats)
     else:
-        rows["iteration"] = timed(lambda: problem.gradient(problem.x0), synchronize, repeats)
+        rows["iteration"] = timed(lambda: problem.gradient(x), synchronize, repeats)
 
     rays = ray_grid(kept["stage"].target, geometry, grid, density, 1, scene.grid.pixel_area_m2)
     cells = rays.end_cell - rays.first_cell

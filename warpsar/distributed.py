@@ -46,7 +46,7 @@ class Ranks:
 
     def sum(self, array: Any) -> np.ndarray:
         """Sum over the ranks of a host array, float64, the same to the bit on each."""
-        return np.array(array, float)
+        return np.asarray(array, float)
 
     def sum_on_device(self, array: Any) -> None:
         """Sum a Warp array over the ranks, in place, on its device and in its stream."""

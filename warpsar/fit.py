@@ -224,6 +224,7 @@ class FitProblem:
         variation = (total_variation or {}) if ranks.first else {}
         self.variation = TotalVariation(self.surface, scene.mesh, variation, device, self.shared_nodes)
         self.learned = self.surface.learned
+        self._nodes = self.surface.nodes.astype(np.float32)  # as the device has them
         # the same as one stretch where it is one: a field of a million nodes is several times as fast to take so
         whole = self.learned.size and self.learned[-1] + 1 - self.learned[0] == self.learned.size
         self._learned: Any = slice(self.learned[0], self.learned[-1] + 1) if whole else self.learned
@@ -381,10 +382,13 @@ class FitProblem:
         return low.copy(), high.copy()
 
     def nodes(self, x: np.ndarray) -> np.ndarray:
-        """The whole surface's nodes with x in place."""
-        nodes = self.surface.nodes.copy()
-        nodes[self._learned] = x[: self.learned.size]
-        return nodes
+        """The whole surface's nodes with x in place, float64."""
+        return self._with(x, self.surface.nodes)
+
+    def _with(self, x: np.ndarray, nodes: np.ndarray) -> np.ndarray:
+        found = nodes.copy()
+        found[self._learned] = x[: self.learned.size]
+        return found
 
     def on_device(self, nodes: Any) -> DeviceX:
         """The x that stands in `nodes`, an array of the device's as long as the whole surface's."""
@@ -430,10 +434,10 @@ class FitProblem:
                 if x.nodes is not self.shared_nodes:
                     wp.copy(self.shared_nodes, x.nodes)
             else:
-                self.shared_nodes.assign(self.nodes(x).astype(np.float32))
+                self.shared_nodes.assign(self._with(x, self._nodes))
             if not any(isinstance(view.render, BandedRender) for view in self.views):
                 return None
-        return self.nodes(np.asarray(x))
+        return self._with(np.asarray(x), self._nodes)
 
     def _set(self, view: FitView, nodes: np.ndarray | None, tables: Mapping[str, Mapping[str, Any]]) -> None:
         values = {}
@@ -532,13 +536,14 @@ class FitProblem:
             self.ranks.sum_on_device(self.shared_nodes.grad)
             surface = self.shared_nodes.grad.numpy()[self._learned].astype(float)
         else:
-            surface = np.zeros(self.learned.size)
-            for view in self.views:
-                surface += view.render.nodes.grad.numpy()[self._learned]
+            parts = [view.render.nodes.grad for view in self.views]
             if variation.count:
                 self._run_variation(x)
                 variation.program.backward({variation.loss: 1.0})
-                surface += variation.nodes.grad.numpy()[self._learned]
+                parts.append(variation.nodes.grad)
+            surface = parts[0].numpy()[self._learned].astype(float) if parts else np.zeros(self.learned.size)
+            for part in parts[1:]:
+                surface += part.numpy()[self._learned]
             surface = self.ranks.sum(surface)
         loss = self.loss_on_device()
         effects = []
@@ -551,7 +556,7 @@ class FitProblem:
                 views = self._zero_sums().get((c.effect, c.parameter.name), [])
                 slope -= sum(slopes.get(view, 0.0) for view in views) / max(len(views), 1)
             effects.append(slope * float(c.parameter.slope(coordinate)))
-        return loss, np.concatenate([surface, self.ranks.sum(effects)])
+        return loss, np.concatenate([surface, self.ranks.sum(effects)]) if effects else surface
 
     def loss_at(self, x: np.ndarray) -> float:
         """The loss at x as `gradient` gives it, its penalties in it, for the cost of the images."""
@@ -581,7 +586,7 @@ class FitProblem:
 
     def _run_variation(self, x: np.ndarray) -> None:
         if self.shared_nodes is None:
-            self.variation.nodes.assign(self.nodes(x).astype(np.float32))
+            self.variation.nodes.assign(self._with(x, self._nodes))
         self.variation.program.forward()
 
     def _backward_shared(self) -> None:
