@@ -263,6 +263,14 @@ def test_the_slicy_scene_lies_as_the_picture_says(tmp_path: Path) -> None:
     assert nearest.max() < 1e-4
 
 
+def test_further_degrees_are_test_views(gotcha: Any, tmp_path: Path) -> None:
+    for name in ("az001", "az003", "az017", "az004"):
+        path = gotcha.source(tmp_path, name)
+        path.parent.mkdir(exist_ok=True)
+        path.touch()
+    assert gotcha.views_in(tmp_path) == ["az001", "az002", "az003", "az004", "az017"]
+
+
 @pytest.mark.measured
 def test_two_views_predict_the_third(gotcha: Any, measured_data: Path, tmp_path: Path) -> None:
     """What must hold of the flat scene, whose learned model can be no more than a constant per region."""
