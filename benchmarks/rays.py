@@ -53,6 +53,11 @@ def measure(
     geometry = replace(geometry_of(scene, scene.views[0]), slant_range_m=slant_range_m)
     kept: dict[str, Any] = {}
 
+    def with_bvh() -> Target:
+        target = Target.upload(scene.mesh, scene.reference_point_m, device)
+        assert target.bvh is not None
+        return target
+
     def run(name: str, task: Any) -> float:
         def keep() -> None:
             kept[name] = task()
@@ -60,7 +65,7 @@ def measure(
         return timed(keep, lambda: wp.synchronize_device(device), repeats)[clock]
 
     found: dict[str, Any] = {"faces": len(scene.mesh.faces), "slant_range_m": slant_range_m}
-    found["bvh_setup_s"] = run("target", lambda: Target.upload(scene.mesh, scene.reference_point_m, device))
+    found["bvh_setup_s"] = run("target", with_bvh)
     target = kept["target"]
     grid = hit_grid(scene)
     density = scene.sampling.density_per_m2(scene.grid)

@@ -172,7 +172,7 @@ def simulate(ranks: Any, device: Any, options: argparse.Namespace, folder: Path)
     return {
         "wall_s": wall_s,
         "load_s": loaded - started,
-        "bvh_s": ready - loaded,
+        "first_s": ready - loaded,
         "image_s": (traced - ready) / 10,
         "file_s": (written - traced) / 10,
         "file_bytes": target.stat().st_size,
@@ -222,7 +222,7 @@ PARTS = {
         "metrics_s": "metrics of all views",
         "domains_s": "domains",
     },
-    "simulate": {"load_s": "scene read", "bvh_s": "upload, BVH, first image"},
+    "simulate": {"load_s": "scene read", "first_s": "upload, first image"},
 }
 
 

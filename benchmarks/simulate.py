@@ -106,7 +106,7 @@ def measure(size: Size, device_name: str | None, repeats: int, max_memory_gib: f
         "rays": rays,
         "merged_hits": count,
         "lit_fraction": lit,
-        "upload_and_bvh_s": build_s,
+        "upload_s": build_s,
         "trace_s": trace_s,
         "trace_rays_per_s": rays / trace_s,
         # of all threads: what others do on the machine does not count in it

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from functools import cached_property, partial
+from threading import Lock
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -52,15 +53,16 @@ class BinGrid:
 
 @dataclass
 class Target:
-    """A mesh on a device, about its reference point, with its BVH."""
+    """A mesh on a device, about its reference point."""
 
     device: Any
     vertices: wp.array  # [m], shape (n,), vec3
     faces: wp.array  # shape (m, 3), int32
-    bvh: wp.Mesh
     corners: np.ndarray  # [m], shape (n, 3), float64, about the reference point
     places: wp.array  # the same on the device, vec3d
     _ends: dict[bytes, np.ndarray] = field(default_factory=dict)
+    _bvh: wp.Mesh | None = None
+    _building: Lock = field(default_factory=Lock)
 
     @classmethod
     def upload(cls, mesh: Mesh, reference_point_m: Any, device: Any) -> Target:
@@ -69,14 +71,24 @@ class Target:
         corners = np.asarray(mesh.vertices, np.float64) - np.asarray(reference_point_m, np.float64)
         vertices: wp.array = wp.array(corners.astype(np.float32), dtype=wp.vec3, device=device)
         faces: wp.array = wp.array(np.ascontiguousarray(mesh.faces, np.int32), dtype=int, device=device)
-        # Measured on CUDA (docs/benchmarks.md): cuBQL with two faces a leaf traces fastest, and is built in a sixth of
-        # SAH's time.
-        constructor, leaf = ("sah", None) if device.is_cpu else ("cubql", 2)
-        bvh = wp.Mesh(vertices, faces.flatten(), bvh_constructor=constructor, bvh_leaf_size=leaf)
         if device.is_cuda and wp.is_mempool_enabled(device):
             wp.set_mempool_release_threshold(device, _KEPT_SHARE)
         places: wp.array = wp.array(corners, dtype=wp.vec3d, device=device, copy=False)
-        return cls(device, vertices, faces, bvh, corners, places)
+        return cls(device, vertices, faces, corners, places)
+
+    @property
+    def bvh(self) -> wp.Mesh:
+        """Built when a ray first asks for it: most views are traced without (`Raster`)."""
+        import warp as wp
+
+        with self._building:  # bands ask for it side by side
+            if self._bvh is None:
+                # Measured on CUDA (docs/benchmarks.md): cuBQL with two faces a leaf traces fastest, and is built in a
+                # sixth of SAH's time.
+                constructor, leaf = ("sah", None) if self.device.is_cpu else ("cubql", 2)
+                faces = self.faces.flatten()
+                self._bvh = wp.Mesh(self.vertices, faces, bvh_constructor=constructor, bvh_leaf_size=leaf)
+        return self._bvh
 
     def ends(self, geometry: ViewGeometry) -> tuple[np.ndarray, np.ndarray]:
         """Least and largest (X . d, X . u, elevation, distance from the track) of the mesh, float64, shape (4,) each.
