@@ -10,7 +10,7 @@ import pytest
 from learning_scenes import cube_scene, measured, views_at
 
 from warpsar import runtime
-from warpsar.diagnosis.carried import carried_over
+from warpsar.diagnosis.carried import carried_over, is_carried
 from warpsar.diagnosis.left_out import LeftOut, leave_one_view_out
 from warpsar.diagnosis.procedure import Step, _prune, frozen
 from warpsar.diagnosis.refit import Bench, Fitted, fit_model
@@ -237,6 +237,16 @@ def test_what_the_surface_could_be_is_told_by_views_from_elsewhere(
     bench, scene = bench_of({effect: table}, tmp_path, angles)
     carried = carried_over(bench, fitted_to(bench, scene, {effect: table}), effect)
     assert (carried < 0.3) if told else (carried > 0.7)
+    assert is_carried(effect, carried) is not told
+
+
+def test_copies_come_over_in_part_to_a_view_from_the_other_side(tmp_path: Path) -> None:
+    """They lie on both sides of what they are copies of; but their light is that of the side seen, so that an
+    ambiguity is still told."""
+    bench, scene = bench_of({"azimuth_ambiguity": GHOST}, tmp_path, ((20.0, 40.0), (200.0, 40.0), (110.0, 45.0)))
+    table = {"azimuth_ambiguity": GHOST}
+    carried = carried_over(bench, fitted_to(bench, scene, table), "azimuth_ambiguity")
+    assert not is_carried("azimuth_ambiguity", carried)
 
 
 def test_a_single_view_tells_nothing_of_the_surface(tmp_path: Path) -> None:

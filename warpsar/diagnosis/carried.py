@@ -10,6 +10,7 @@ import numpy as np
 
 from warpsar.diagnosis.left_out import clipped
 from warpsar.diagnosis.place import pixel_of, shift_px
+from warpsar.effects import get
 from warpsar.likelihood import loss_terms
 
 if TYPE_CHECKING:
@@ -17,9 +18,16 @@ if TYPE_CHECKING:
     from warpsar.observation import Observation
     from warpsar.scene import Scene, View
 
-# Of an effect's gain: from here on the surface may be what it was taken for. What lies in the image alone loses by
-# being carried over; a thin line of the world loses much of its gain at the pixels' corners.
-CARRIED = 0.25
+# Of an effect's gain: from here on the surface may be what it was taken for. What is the same in all views comes over
+# in part by itself, such as copies on both sides to a view from the other side (0.4 seen); what each view has for
+# itself does not, and of a thin line of the world much is lost at the pixels' corners (0.3 left).
+CARRIED, CARRIED_ALONE = 0.5, 0.25
+
+
+def is_carried(effect: str, share: float) -> bool:
+    """Whether so much of its gain comes over that the effect cannot be told from something on the surface."""
+    alone = all(parameter.per_view for parameter in get(effect).parameters)
+    return share > (CARRIED_ALONE if alone else CARRIED)
 
 
 def carried_over(bench: Bench, fitted: Fitted, effect: str) -> float:

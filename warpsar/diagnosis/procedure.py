@@ -11,7 +11,7 @@ import numpy as np
 
 from warpsar import runtime
 from warpsar.diagnosis.bootstrap import Bootstrap, bootstrap
-from warpsar.diagnosis.carried import CARRIED, carried_over
+from warpsar.diagnosis.carried import carried_over, is_carried
 from warpsar.diagnosis.evidence import Evidence
 from warpsar.diagnosis.left_out import LeftOut, leave_one_view_out, varies_over_columns
 from warpsar.diagnosis.refit import (
@@ -95,7 +95,7 @@ class Candidate:
     @property
     def shared(self) -> bool:
         """Whether the surface could be what it was taken for."""
-        return self.carried is not None and self.carried > CARRIED
+        return self.carried is not None and is_carried(self.effect, self.carried)
 
 
 @dataclass

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpsar import report
-from warpsar.diagnosis.carried import CARRIED
+from warpsar.diagnosis.carried import is_carried
 from warpsar.diagnosis.command import SAME_SD, Diagnosed, Moved, why_not
 from warpsar.diagnosis.judge import ROLES, Judged
 from warpsar.diagnosis.place import residual_on
@@ -148,7 +148,7 @@ def _verdict(done: Diagnosed, content: dict[str, Any]) -> list[str]:
                 else " There is one train view: none could be left out to ask."
             )
         tables = _said(step["parameters"])
-        doubt = f" But {step['note']}." if (step["carried_over"] or 0.0) > CARRIED else ""
+        doubt = f" But {step['note']}." if is_carried(step["effect"], step["carried_over"] or 0.0) else ""
         said.append(f"Added: {step['effect']} ({get(step['effect']).summary}), with {tables}.{held}{doubt}")
     said += [
         f"Dropped again, being needless beside {turn['added']}: {name}."
