@@ -2,7 +2,8 @@
 
 python benchmarks/gotcha.py DATA_FOLDER -o OUT [--figures docs/figures] [--short]
 
-DATA_FOLDER holds gotcha/data_3dsar_pass1_az001_HH.mat to az003; whatever other degrees lie there are test views, too.
+DATA_FOLDER holds gotcha/data_3dsar_pass1_az001_HH.mat to az003; whatever other degrees lie there are test views, too
+(of an OUT that was begun without them they are not).
 Builds two scenes (data/gotcha): `flat`, regions on flat ground, and `bodies`, the ground with cars and reflectors
 standing on it; imports the views into both; learns uniform materials, then fields; diagnoses; and compares every step's
 prediction of az003 (and of what follows it), which nothing was read off, fitted to or decided by, with the simple ones.

@@ -14,6 +14,23 @@ wp.set_module_options({"fuse_fp": False})
 
 LANES = 8  # rays that are worked on at once
 
+# What the native code below begins with: numbers of LANES rays side by side, and points of as many.
+_NUMBERS = """
+    typedef float V __attribute__((ext_vector_type(8)));
+    typedef int I __attribute__((ext_vector_type(8)));
+"""
+_POINTS = """
+    struct P { V x, y, z; };
+    const auto dot = [](P a, P b) -> V { return a.x * b.x + a.y * b.y + a.z * b.z; };
+    const auto cross = [](P a, P b) -> P {
+        return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
+    };
+    const auto difference = [](P a, P b) -> P { return {a.x - b.x, a.y - b.y, a.z - b.z}; };
+    const auto constant = [](wp::vec_t<3, float> p) -> P { return {V(p.c[0]), V(p.c[1]), V(p.c[2])}; };
+    const P d = constant(grid.d), u = constant(grid.u), v = constant(grid.v);
+    const V one = 1.0f;
+"""
+
 
 @wp.func_native(
     """
@@ -168,8 +185,6 @@ def ray_kernel(
 
 
 _RASTER = """
-    typedef float V __attribute__((ext_vector_type(8)));
-    typedef int I __attribute__((ext_vector_type(8)));
     const auto load = [](const wp::array_t<float>& array, int at) -> V {
         V result;
         __builtin_memcpy(&result, array.data + at, sizeof(V));
@@ -270,7 +285,7 @@ _RASTER = """
 """
 
 
-@wp.func_native(_RASTER)
+@wp.func_native(_NUMBERS + _RASTER)
 def raster_face(
     i: int,
     grid: RayGrid,
@@ -341,9 +356,6 @@ def raster_kernel(
 
 
 _RECORD = """
-    typedef float V __attribute__((ext_vector_type(8)));
-    typedef int I __attribute__((ext_vector_type(8)));
-    struct P { V x, y, z; };
     const bool curved = grid.slant_range > 0.0f;
     const int column = first_cell / grid.cells_per_column + i;
     const wp::int64 capacity = rows.shape[0];
@@ -377,21 +389,12 @@ _RECORD = """
     };
 
     // eight rays at once
-    const auto dot = [](P a, P b) -> V {
-        return a.x * b.x + a.y * b.y + a.z * b.z;
-    };
-    const auto cross = [](P a, P b) -> P {
-        return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
-    };
-    const auto difference = [](P a, P b) -> P { return {a.x - b.x, a.y - b.y, a.z - b.z}; };
     const auto sum = [](V a, P p, V b, P q, V c, P r) -> P {
         return {a * p.x + b * q.x + c * r.x, a * p.y + b * q.y + c * r.y, a * p.z + b * q.z + c * r.z};
     };
     const auto least = [](V a, V b) -> V { return a < b ? a : b; };
     const auto most = [](V a, V b) -> V { return a > b ? a : b; };
-    const auto constant = [](wp::vec_t<3, float> p) -> P { return {V(p.c[0]), V(p.c[1]), V(p.c[2])}; };
-    const P d = constant(grid.d), u = constant(grid.u), v = constant(grid.v);
-    const V one = 1.0f, none = 0.0f;
+    const V none = 0.0f;
     const auto slant_range_of = [&](P point) -> V {
         const V along = dot(point, d);
         if (!curved)
@@ -534,7 +537,7 @@ _RECORD = """
 """
 
 
-@wp.func_native(_RECORD)
+@wp.func_native(_NUMBERS + _POINTS + _RECORD)
 def record_column(
     i: int,
     grid: RayGrid,
@@ -596,15 +599,7 @@ def record_kernel(
 
 
 _HITS = """
-    typedef float V __attribute__((ext_vector_type(8)));
     typedef double D __attribute__((ext_vector_type(8)));
-    typedef int I __attribute__((ext_vector_type(8)));
-    struct P { V x, y, z; };
-    const auto dot = [](P a, P b) -> V { return a.x * b.x + a.y * b.y + a.z * b.z; };
-    const auto cross = [](P a, P b) -> P {
-        return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
-    };
-    const auto difference = [](P a, P b) -> P { return {a.x - b.x, a.y - b.y, a.z - b.z}; };
     const auto scaled = [](V a, P p) -> P { return {a * p.x, a * p.y, a * p.z}; };
     const auto length = [&](P p) -> V { return __builtin_elementwise_sqrt(dot(p, p)); };
     const auto normalized = [&](P p) -> P {
@@ -612,9 +607,6 @@ _HITS = """
         const I some = l > 0.0f;
         return {some ? p.x / l : none, some ? p.y / l : none, some ? p.z / l : none};
     };
-    const auto constant = [](wp::vec_t<3, float> p) -> P { return {V(p.c[0]), V(p.c[1]), V(p.c[2])}; };
-    const P d = constant(grid.d), u = constant(grid.u), v = constant(grid.v);
-    const V one = 1.0f;
 
     const int n = pixel_out.shape[0], begin = 8 * block, count = wp::min(n - begin, 8);
     const wp::int64 mask = (wp::int64(1) << face_bits) - 1;
@@ -671,7 +663,7 @@ _HITS = """
 """
 
 
-@wp.func_native(_HITS)
+@wp.func_native(_NUMBERS + _POINTS + _HITS)
 def hit_block(
     block: int,
     grid: RayGrid,

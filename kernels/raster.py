@@ -53,7 +53,7 @@ def sample_kernel(
     # Out:
     sample_out: wp.array(dtype=wp.vec2),
 ):
-    """Azimuth [m] and elevation of the rays of one azimuth cell."""
+    """Azimuth [m] and elevation of the rays of one azimuth cell: what tests and benchmarks hand to other programs."""
     i = wp.tid()
     cell = first_cell + i
     for k in range(grid.elevation_cells):

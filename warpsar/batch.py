@@ -118,7 +118,7 @@ class Block:
 def blocks(views: Sequence[int], ranks: int) -> list[Block]:
     """What is dealt out, one after the other, to whoever is free; `views`: how many each scene has.
 
-    Scenes stay whole where there are enough of them for all, since each costs its loading and its BVH.
+    Scenes stay whole where there are enough of them for all, since each costs its loading.
     """
     whole = len(views) >= BLOCKS_PER_RANK * ranks or ranks == 1
     per_rank = FINE if len(views) == 1 else BLOCKS_PER_RANK

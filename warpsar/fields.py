@@ -57,7 +57,7 @@ def hit_slopes(problem: FitProblem, view_index: int, polarization: str) -> np.nd
     each hit's power depends on its own coordinates alone. Where an image effect spreads it is left out."""
     render = problem.views[view_index].kept
     image = render.images[polarization]
-    render.program.zero_gradients()
+    render.program.zero_gradients()  # arrays have none before the first is asked for
     render.zeta.retain_grad = True  # Warp spends an array's gradient on the launch that wrote it
     render.program.backward({image: np.ones(image.shape[0], np.float32)})
     return render.zeta.grad.numpy().astype(float)

@@ -88,16 +88,17 @@ def _on_the_surface(bench: Bench, scene: Scene, view: View, other: Observation, 
     hits, theirs = (bench.rays.hits(scene, one, []) for one in (view, other.view))
     points, face = hits.point.numpy().astype(float), hits.face.numpy()
 
-    def pixels(of: View, moved: bool) -> np.ndarray:
-        """Where the hits lie in the image of a view, with or without what the model moves it by; -1 outside."""
-        shift = np.zeros(2) if moved else shift_px(scene, of)
-        row, col = (np.floor(at - by).astype(int) for at, by in zip(pixel_of(scene, of, points), shift, strict=True))
+    def index(at: np.ndarray) -> np.ndarray:
+        """Pixels (row * cols + col) of rows and columns, shape (2, n); -1 outside."""
+        row, col = np.floor(at).astype(np.int64)
         inside = (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
         return np.where(inside, row * cols + col, -1)
 
+    at = np.stack(pixel_of(scene, other.view, points))
+    here, there = index(np.stack(pixel_of(scene, view, points))), index(at)
+    # what is lit was binned before the model moved it
     lit = theirs.pixel.numpy().astype(np.int64) * faces + theirs.face.numpy()
-    here, there = pixels(view, True), pixels(other.view, True)
-    seen = np.isin(pixels(other.view, False).astype(np.int64) * faces + face, lit)
+    seen = np.isin(index(at - shift_px(scene, other.view)[:, None]) * faces + face, lit)
     seen &= (here >= 0) & (there >= 0) & other.interior.ravel()[there]
     weight = hits.weight.numpy()[seen].astype(float)
     sums = (np.bincount(here[seen], w, rows * cols) for w in (weight * change.ravel()[there[seen]], weight))
