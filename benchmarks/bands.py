@@ -18,6 +18,8 @@ from typing import Any
 
 import numpy as np
 
+from warpsar.runtime import devices
+
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 
@@ -25,15 +27,15 @@ def measure(options: argparse.Namespace, folder: Path) -> dict[str, Any]:
     import warp as wp
     from scenes import town_scene
 
-    from warpsar import runtime
-    from warpsar.fit import FitProblem
-    from warpsar.images import write_tiff
-    from warpsar.optimise import begin, levenberg_marquardt
-    from warpsar.render import Stage
-    from warpsar.scene import View
-    from warpsar.simulation import Rays, Simulation
+    from warpsar.io.images import write_tiff
+    from warpsar.learning.optimise import begin, levenberg_marquardt
+    from warpsar.learning.problem import FitProblem
+    from warpsar.simulation.command import Simulation
+    from warpsar.simulation.rays import Rays
+    from warpsar.surface.stage import Stage
+    from warpsar.world.tables import View
 
-    device = runtime.resolve_device(options.device)
+    device = devices.resolve_device(options.device)
     scene = town_scene(options.faces, (options.pixels, options.pixels), 64.0)
     angles = [360.0 * i / options.views for i in range(options.views)]
     views = [View(name=f"v{i}", azimuth_deg=a, incidence_deg=45.0, looks=16.0) for i, a in enumerate(angles)]

@@ -20,11 +20,12 @@ from typing import Any
 
 import numpy as np
 
-from warpsar.images import write_tiff
-from warpsar.learning import LearnOptions, learn
-from warpsar.mesh import Mesh
-from warpsar.scene import Grid, Material, Radar, Sampling, Scene, View
-from warpsar.simulation import simulate
+from warpsar.io.images import write_tiff
+from warpsar.learning.command import LearnOptions, learn
+from warpsar.scene.scene import Scene
+from warpsar.simulation.command import simulate
+from warpsar.world.mesh import Mesh
+from warpsar.world.tables import Grid, Material, Radar, Sampling, View
 
 LOOKS = 16.0
 RAYS_PER_PIXEL = 64.0

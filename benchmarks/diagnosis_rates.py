@@ -23,13 +23,14 @@ from typing import Any
 import click
 import numpy as np
 
-from warpsar import runtime
-from warpsar.diagnosis.command import diagnose
-from warpsar.diagnosis.procedure import DiagnoseOptions
-from warpsar.images import write_tiff
-from warpsar.mesh import Mesh
-from warpsar.scene import Grid, Material, Radar, Sampling, Scene, View
-from warpsar.simulation import simulate
+from warpsar.diagnosis.found import DiagnoseOptions
+from warpsar.diagnosis.result import diagnose
+from warpsar.io.images import write_tiff
+from warpsar.runtime import console, devices
+from warpsar.scene.scene import Scene
+from warpsar.simulation.command import simulate
+from warpsar.world.mesh import Mesh
+from warpsar.world.tables import Grid, Material, Radar, Sampling, View
 
 TRUTH = {
     "ground": (6.0, 0.0012, 0.010),
@@ -245,7 +246,7 @@ def run(
     """Make the runs that are not in the folder yet."""
     out.mkdir(parents=True, exist_ok=True)
     options = DiagnoseOptions(family_error=family_error, draws=draws)
-    where = runtime.resolve_device(device)
+    where = devices.resolve_device(device)
     done = {(r["case"], r["looks"], r["speckle"], r["seed"]) for r in stored_runs(out)}
     started = time.perf_counter()
     cases = cases or tuple(CASES)
@@ -254,7 +255,7 @@ def run(
     numbers = [int(n) for n in looks] or list(LOOKS)
     keys = [key for key in wanted(cases, numbers, kinds or ("white", "correlated"), repeats) if key not in done]
     left = iter(keys)
-    bar = runtime.progress(len(keys), "runs", "run")
+    bar = console.progress(len(keys), "runs", "run")
     at_work: set[Future[dict[str, Any]]] = set()
     with ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn")) as pool:
         while True:

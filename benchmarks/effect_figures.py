@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from warpsar import Scene, simulate
-from warpsar.effects import NAMES, get, validate
+from warpsar.effects.registry import NAMES, get, validate
 
 EXAMPLE = Path(__file__).parent.parent / "data" / "example" / "scene.toml"
 VIEW = "view"

@@ -20,6 +20,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from warpsar.runtime import devices
+
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import numpy as np
@@ -72,20 +74,21 @@ def mirrors_kernel(
 
 
 def effects_of(scene: Any, name: str, **table: Any) -> list[Any]:
-    from warpsar.effects import declared
+    from warpsar.effects.registry import declared
 
     return declared(replace(scene, effects={name: table}), scene.views[0])
 
 
 def measure(device_name: str, rays_per_pixel: float, repeats: int) -> dict[str, Any]:
-    from warpsar import runtime
     from warpsar.effects.multibounce import trace_paths
-    from warpsar.render import Stage, ViewRender
-    from warpsar.scene import Scene
-    from warpsar.simulation import trace_view
-    from warpsar.trace import BinGrid, ray_grid
+    from warpsar.render.render import ViewRender
+    from warpsar.scene.scene import Scene
+    from warpsar.simulation.rays import trace_view
+    from warpsar.surface.stage import Stage
+    from warpsar.trace.hits import BinGrid
+    from warpsar.trace.rays import ray_grid
 
-    device = runtime.resolve_device(device_name)
+    device = devices.resolve_device(device_name)
     synchronize = partial(wp.synchronize_device, device)
     scene = Scene.load(ROOT / "data" / "example" / "scene.toml")
     scene = replace(scene, sampling=scene.sampling.model_copy(update={"rays_per_pixel": rays_per_pixel}))

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 import warpsar
-from warpsar.figures import new, save
+from warpsar.io.figures import new, save
 
 HERE = Path(__file__).resolve().parent
 

@@ -19,9 +19,10 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parent))  # so that `import experiments` from a test finds its neighbours
 from references import NO_SPECKLE_LOOKS, changed, clean_images, measured, with_rays
 
-from warpsar.images import replacing
-from warpsar.learning import Learned, LearnOptions, learn
-from warpsar.scene import Sampling, Scene
+from warpsar.io.images import replacing
+from warpsar.learning.command import Learned, LearnOptions, learn
+from warpsar.scene.scene import Scene
+from warpsar.world.tables import Sampling
 
 DATA = Path(__file__).parent.parent / "data"
 KEYS = ("eps_r", "rms_height_m", "correlation_length_m")
@@ -291,7 +292,7 @@ def print_sampling(rows: Sequence[dict[str, Any]]) -> None:
 
 def case_result(folder: Path, out: Path, device: str | None) -> dict[str, Any]:
     """`warpsar learn` on a case with truth.json beside it: is the truth in the intervals of what is identifiable?"""
-    from warpsar.learning import run
+    from warpsar.learning.command import run
 
     content = run(folder / "scene.toml", out / folder.name, device=device)
     truth = json.loads((folder / "truth.json").read_text())["materials"]

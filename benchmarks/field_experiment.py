@@ -10,14 +10,14 @@ import numpy as np
 from experiments import DATA, KEYS, logs, say, table, write
 from references import changed, clean_images, measured, trained_on, with_rays
 
-from warpsar.figures import new, save
-from warpsar.fit import FitProblem
-from warpsar.images import read_channel, write_exr
-from warpsar.learning import Learned, LearnOptions, learn, pooled_metrics
-from warpsar.render import Stage
-from warpsar.scene import Scene
-from warpsar.simulation import Rays
-from warpsar.surface import KINDS
+from warpsar.io.figures import new, save
+from warpsar.io.images import read_channel, write_exr
+from warpsar.learning.command import Learned, LearnOptions, learn, pooled_metrics
+from warpsar.learning.problem import FitProblem
+from warpsar.scene.scene import Scene
+from warpsar.simulation.rays import Rays
+from warpsar.surface.stage import Stage
+from warpsar.surface.surface import KINDS
 
 MODELS = {"SPM": 0.0, "KA": 1.0, "KA+SPM": 0.5}  # tau of the fit; the reference has 0.5
 # Everywhere. Geometric optics starts steeper: with the other slopes a roof at 79 degrees is 900 dB dark.
@@ -150,7 +150,7 @@ class Experiment:
 
     def views_of_texels(self, found: Learned) -> np.ndarray:
         """In how many of the fit's views a texel is seen, shape (rows, cols)."""
-        from warpsar.fields import write_field_uncertainty
+        from warpsar.learning.fields import write_field_uncertainty
 
         folder = self.folder / "uncertainty"
         folder.mkdir(parents=True, exist_ok=True)

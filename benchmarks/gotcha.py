@@ -28,21 +28,24 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from measured_loop import best_width, decibels, diagnosed, effect_widths, half_power_width, kept, markdown, pixel_kernel
 
-from warpsar import evaluation, learning
-from warpsar.diagnosis.procedure import DiagnoseOptions
-from warpsar.figures import new, save
-from warpsar.focus import cell_m, focus
-from warpsar.frame import ViewGeometry, geometry_of
-from warpsar.images import replacing, write_exr
-from warpsar.learning import LearnOptions
-from warpsar.likelihood import best_gain, deviance, expected_deviance
+from warpsar.diagnosis.found import DiagnoseOptions
+from warpsar.evaluation import command as evaluation
+from warpsar.io.figures import new, save
+from warpsar.io.images import replacing, write_exr
+from warpsar.learning import command as learning
+from warpsar.learning.command import LearnOptions
 from warpsar.measured import formats
 from warpsar.measured.data import PhaseHistory
+from warpsar.measured.focus import cell_m, focus
 from warpsar.measured.ground import pixel_centres, plane_points
 from warpsar.measured.importer import import_measured
-from warpsar.measured.looks import equivalent_looks
 from warpsar.measured.resample import averaged
-from warpsar.scene import Scene, View
+from warpsar.scene.scene import Scene
+from warpsar.speckle.likelihood import best_gain, deviance, expected_deviance
+from warpsar.speckle.looks import equivalent_looks
+from warpsar.world.frame import ViewGeometry
+from warpsar.world.tables import View
+from warpsar.world.world import geometry_of
 
 MAKE_SCENE = Path(__file__).resolve().parent.parent / "data" / "gotcha" / "make_scene.py"
 TRAIN = ("az001", "az002")

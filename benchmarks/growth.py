@@ -23,6 +23,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from warpsar.runtime import devices
+
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import numpy as np
@@ -59,13 +61,13 @@ def measure(size: Size, device_name: str, repeats: int) -> dict[str, Any]:
     """Tracing, fresh images of all views, and one learning iteration over them, in this process."""
     import warp as wp
 
-    from warpsar import runtime
-    from warpsar.fit import FitProblem
-    from warpsar.images import write_exr
-    from warpsar.render import Stage, ViewRender
-    from warpsar.simulation import Rays, trace_view
+    from warpsar.io.images import write_exr
+    from warpsar.learning.problem import FitProblem
+    from warpsar.render.render import ViewRender
+    from warpsar.simulation.rays import Rays, trace_view
+    from warpsar.surface.stage import Stage
 
-    device = runtime.resolve_device(device_name)
+    device = devices.resolve_device(device_name)
     synchronize = partial(wp.synchronize_device, device)
 
     def peak_gib() -> float:

@@ -70,7 +70,7 @@ def _huge_exr(width: int, height: int) -> Callable[[], bytes]:
 
 def _zero_exr(path: Path) -> Path:
     """4096 x 4096 pixels of nothing, packed into little."""
-    from warpsar.images import write_exr
+    from warpsar.io.images import write_exr
 
     write_exr(path.with_suffix(".exr"), {"HH": np.zeros((4096, 4096), np.float32)})
     return path.with_suffix(".exr")

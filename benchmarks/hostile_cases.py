@@ -63,7 +63,7 @@ class Reader:
 
 def _load(folder: Path) -> None:
     """Read, write and read again: what is accepted must survive."""
-    from warpsar.scene import Scene
+    from warpsar.scene.scene import Scene
 
     scene = Scene.load(folder / "scene.toml")
     scene.save(folder / "saved.toml")
@@ -135,19 +135,19 @@ def _measured(kind: str, name: str) -> Reader:
 
 
 def _checkpoint(folder: Path) -> None:
-    from warpsar import checkpoint
+    from warpsar.io import checkpoint
 
     checkpoint.read(folder, TAG)
 
 
 def _history(folder: Path) -> None:
-    from warpsar import evaluation_report
+    from warpsar.evaluation import report as evaluation_report
 
     evaluation_report._convergence(folder)
 
 
 def _fields(folder: Path) -> None:
-    from warpsar import evaluation_report
+    from warpsar.evaluation import report as evaluation_report
 
     evaluation_report._field_words(folder)
 

@@ -195,8 +195,8 @@ def files() -> dict[str, bytes]:
     import trimesh
     from test_measured_readers import MADE
 
-    from warpsar import checkpoint, geotiff
-    from warpsar.images import write_exr, write_tiff
+    from warpsar.io import checkpoint, geotiff
+    from warpsar.io.images import write_exr, write_tiff
 
     power = np.random.default_rng(0).exponential(0.1, (8, 10))
     files: dict[str, bytes] = {"scene.toml": scene_text().encode(), "scene.obj": _OBJ.encode()}

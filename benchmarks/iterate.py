@@ -24,11 +24,12 @@ from typing import Any
 import numpy as np
 from scenes import town_scene
 
-from warpsar import runtime
-from warpsar.fit import FitProblem
-from warpsar.images import write_exr
-from warpsar.optimise import Adam, GraphAdam, begin
-from warpsar.simulation import simulate
+from warpsar.io.images import write_exr
+from warpsar.learning.adam import Adam, GraphAdam
+from warpsar.learning.optimise import begin
+from warpsar.learning.problem import FitProblem
+from warpsar.runtime import devices
+from warpsar.simulation.command import simulate
 
 
 def measure(
@@ -128,7 +129,7 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=10)
     parser.add_argument("--out", type=Path)
     options = parser.parse_args()
-    device = runtime.resolve_device(options.device)
+    device = devices.resolve_device(options.device)
     with TemporaryDirectory() as folder:
         rows = [
             measure(device, options.faces, tuple(options.pixels), rays, options.views, options.repeats, Path(folder))

@@ -12,12 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from warpsar import outputs
-from warpsar.diagnosis.command import command_line, content_of, diagnose, fitted_models, in_short, moved_parameters
-from warpsar.diagnosis.procedure import DiagnoseOptions
+from warpsar.diagnosis.command import command_line, content_of, in_short
+from warpsar.diagnosis.found import DiagnoseOptions
 from warpsar.diagnosis.report import write_report
-from warpsar.focus import taper
-from warpsar.images import replacing
+from warpsar.diagnosis.result import diagnose, fitted_models, moved_parameters
+from warpsar.io.images import replacing
+from warpsar.measured.focus import taper
+from warpsar.simulation import outputs
 
 REACH = 12  # pixels on either side of a point that its kernel is followed
 FINE = 40  # places of a point inside a pixel

@@ -27,6 +27,8 @@ from statistics import median
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from warpsar.runtime import devices
+
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import numpy as np
@@ -66,13 +68,15 @@ def ours(scene: Any, device: Any, repeats: int, folder: Path) -> tuple[dict[str,
     """warpsar's timings, and what Mitsuba needs to do the same."""
     import warp as wp
 
-    from warpsar.fit import FitProblem
-    from warpsar.frame import geometry_of
-    from warpsar.images import write_exr
+    from warpsar.io.images import write_exr
     from warpsar.kernels.raster import sample_kernel
-    from warpsar.render import Stage, ViewRender
-    from warpsar.simulation import Rays, hit_grid, view_seed
-    from warpsar.trace import ray_grid, trace
+    from warpsar.learning.problem import FitProblem
+    from warpsar.render.render import ViewRender
+    from warpsar.simulation.rays import Rays, hit_grid, view_seed
+    from warpsar.surface.stage import Stage
+    from warpsar.trace.rays import ray_grid
+    from warpsar.trace.trace import trace
+    from warpsar.world.world import geometry_of
 
     def synchronize() -> None:
         wp.synchronize_device(device)
@@ -313,9 +317,7 @@ def measure(device_name: str, faces: int, pixels: tuple[int, int], rays: float, 
     """Both programs in this process, one after the other."""
     import warp as wp
 
-    from warpsar import runtime
-
-    device = runtime.resolve_device(device_name)
+    device = devices.resolve_device(device_name)
     scene = smooth_scene(faces, pixels, rays)
     with TemporaryDirectory() as folder:
         own, given = ours(scene, device, repeats, Path(folder))

@@ -21,6 +21,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from warpsar.runtime import devices
+
 os.environ["WARPSAR_THREADS"] = "1"
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
@@ -42,11 +44,13 @@ def measure(
 ) -> dict[str, Any]:
     import warp as wp
 
-    from warpsar.frame import geometry_of
     from warpsar.kernels.raster import sample_kernel
-    from warpsar.raster import ParallelRaster, Raster
-    from warpsar.simulation import hit_grid
-    from warpsar.trace import Target, nearest_faces, ray_grid
+    from warpsar.simulation.rays import hit_grid
+    from warpsar.trace.nearest import ParallelRaster, Raster
+    from warpsar.trace.rays import ray_grid
+    from warpsar.trace.target import Target
+    from warpsar.trace.trace import nearest_faces
+    from warpsar.world.world import geometry_of
 
     kind, clock = (Raster, "cpu_s") if device.is_cpu else (ParallelRaster, "wall_s")
     scene = town_scene(faces, PIXELS, rays_per_pixel)
@@ -124,9 +128,8 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=3, help="runs of which the median counts")
     parser.add_argument("--out", type=Path, help="JSON file")
     options = parser.parse_args()
-    from warpsar import runtime
 
-    device = runtime.resolve_device(options.device)
+    device = devices.resolve_device(options.device)
     rows = []
     for slant_range_m in TRACKS:
         for faces, rays in SIZES[options.device]:

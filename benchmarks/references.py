@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from warpsar.images import write_exr
-from warpsar.scene import Sampling, Scene
-from warpsar.simulation import simulate
+from warpsar.io.images import write_exr
+from warpsar.scene.scene import Scene
+from warpsar.simulation.command import simulate
+from warpsar.world.tables import Sampling
 
 RAY_FACTOR = 4.0  # the reference has so many times the fit's rays, from another seed
 REFERENCE_SEED = 1000

@@ -23,6 +23,8 @@ from typing import Any
 
 import numpy as np
 
+from warpsar.runtime import devices
+
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 STEPS = 5  # of GraphAdam, ten iterations each; as many iterations of Adam on the CPU
@@ -35,15 +37,16 @@ def learn(ranks: Any, device: Any, options: argparse.Namespace, folder: Path) ->
     from scenes import town_scene
 
     import warpsar
-    from warpsar.fit import FitProblem
-    from warpsar.gradcheck import check_gradient
-    from warpsar.images import write_tiff
-    from warpsar.learning import LearnOptions, pooled_metrics
-    from warpsar.optimise import Adam, GraphAdam, begin
-    from warpsar.render import Stage
-    from warpsar.scene import View
-    from warpsar.simulation import Simulation
-    from warpsar.validity import outside_domains
+    from warpsar.io.images import write_tiff
+    from warpsar.learning.adam import Adam, GraphAdam
+    from warpsar.learning.command import LearnOptions, pooled_metrics
+    from warpsar.learning.gradcheck import check_gradient
+    from warpsar.learning.optimise import begin
+    from warpsar.learning.problem import FitProblem
+    from warpsar.learning.validity import outside_domains
+    from warpsar.simulation.command import Simulation
+    from warpsar.surface.stage import Stage
+    from warpsar.world.tables import View
 
     shape = (options.pixels, options.pixels)
     scene = town_scene(options.faces, shape, RAYS_PER_PIXEL, layout="vertex")
@@ -122,12 +125,12 @@ def simulate(ranks: Any, device: Any, options: argparse.Namespace, folder: Path)
     """Images of the town at as many azimuths; what a process spends on an image, and on its file."""
     from scenes import town_scene
 
-    from warpsar import batch
-    from warpsar.images import write_exr
-    from warpsar.render import Stage
-    from warpsar.results import write_ply
-    from warpsar.scene import Scene
-    from warpsar.simulation import Simulation
+    from warpsar.io.images import write_exr
+    from warpsar.io.ply import write_ply
+    from warpsar.scene.scene import Scene
+    from warpsar.simulation import batch
+    from warpsar.simulation.command import Simulation
+    from warpsar.surface.stage import Stage
 
     path = folder / "town.toml"
     if ranks.first:
@@ -180,9 +183,9 @@ def simulate(ranks: Any, device: Any, options: argparse.Namespace, folder: Path)
 
 
 def work(options: argparse.Namespace) -> None:
-    from warpsar import distributed, runtime
+    from warpsar.runtime import distributed
 
-    device = runtime.resolve_device(options.device)
+    device = devices.resolve_device(options.device)
     ranks = distributed.ranks(device)
     folder = Path(options.folder)
     found: dict[str, Any] = {"ranks": ranks.size, "device": device.name}

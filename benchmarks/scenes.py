@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from warpsar.mesh import Mesh
-from warpsar.scene import Grid, Material, Radar, Sampling, Scene, View
+from warpsar.scene.scene import Scene
+from warpsar.world.mesh import Mesh
+from warpsar.world.tables import Grid, Material, Radar, Sampling, View
 
 SIZE_M = (173.6, 178.8)
 MATERIAL = {"eps_r": 5.0, "rms_height_m": 0.0004, "correlation_length_m": 0.005}

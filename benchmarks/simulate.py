@@ -20,6 +20,8 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
+from warpsar.runtime import console, devices, threads
+
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 Size = dict[str, Any]
@@ -49,13 +51,13 @@ def measure(size: Size, device_name: str | None, repeats: int, max_memory_gib: f
     import warp as wp
     from scenes import town_scene
 
-    from warpsar import runtime
-    from warpsar.frame import geometry_of
-    from warpsar.render import Stage, ViewRender
-    from warpsar.simulation import hit_grid
-    from warpsar.trace import trace
+    from warpsar.render.render import ViewRender
+    from warpsar.simulation.rays import hit_grid
+    from warpsar.surface.stage import Stage
+    from warpsar.trace.trace import trace
+    from warpsar.world.world import geometry_of
 
-    device = runtime.resolve_device(device_name)
+    device = devices.resolve_device(device_name)
 
     def synchronize() -> None:
         wp.synchronize_device(device)
@@ -81,7 +83,7 @@ def measure(size: Size, device_name: str | None, repeats: int, max_memory_gib: f
     synchronize()
     build_s = time.perf_counter() - started
     runs = []
-    with runtime.progress(0, "rays", "ray") as bar:
+    with console.progress(0, "rays", "ray") as bar:
         for _ in range(repeats):
             hits = render = None  # two of them at a time would be another memory
             *seconds, hits, render = image(scene, stage, bar)
@@ -126,15 +128,15 @@ def measure(size: Size, device_name: str | None, repeats: int, max_memory_gib: f
 def machine(device_name: str | None) -> dict[str, Any]:
     import warp as wp
 
-    from warpsar import __version__, runtime
+    from warpsar import __version__
 
-    device = runtime.resolve_device(device_name)
+    device = devices.resolve_device(device_name)
     return {
         "version": __version__,
         "warp": wp.__version__,
         "device": device.alias,
         "device_name": device.name if device.is_cuda else _processor(),
-        "threads": runtime.thread_count(),
+        "threads": threads.thread_count(),
         "python": platform.python_version(),
         "load_average": os.getloadavg()[0],
     }

@@ -19,22 +19,24 @@ from typing import Any
 
 import numpy as np
 
+from warpsar.runtime import devices
+
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from measured_loop import best_width, decibels, diagnosed, effect_widths, half_power_width, kept, markdown, pixel_kernel
 
-from warpsar import evaluation, runtime
-from warpsar.diagnosis.procedure import DiagnoseOptions
+from warpsar.diagnosis.found import DiagnoseOptions
 from warpsar.diagnosis.refit import descend
-from warpsar.figures import new, save
-from warpsar.fit import FitProblem
-from warpsar.focus import taper
-from warpsar.frame import SPEED_OF_LIGHT
-from warpsar.images import replacing
+from warpsar.evaluation import command as evaluation
+from warpsar.io.figures import new, save
+from warpsar.io.images import replacing
+from warpsar.learning.problem import FitProblem
 from warpsar.measured import formats
 from warpsar.measured.data import ImageChip
+from warpsar.measured.focus import taper
 from warpsar.measured.importer import import_measured
-from warpsar.scene import Scene
+from warpsar.scene.scene import Scene
+from warpsar.world.frame import SPEED_OF_LIGHT
 
 MAKE_SCENE = Path(__file__).resolve().parent.parent / "data" / "slicy" / "make_scene.py"
 VIEW = "hb14931"
@@ -165,7 +167,7 @@ def windows(path: Path, device: str | None) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for window in ("sinc", "taylor", "gaussian") if "point_spread" in scene.effects else ():
         effects = {**scene.effects, "point_spread": {**scene.effects["point_spread"], "window": window}}
-        problem = FitProblem(replace(scene, effects=effects), runtime.resolve_device(device))
+        problem = FitProblem(replace(scene, effects=effects), devices.resolve_device(device))
         x, loss, _ = descend(problem, [problem.x0])
         table = problem.effect_tables(x)["point_spread"]
         found[window] = {"loss": loss, "range_fwhm_m": table["range_fwhm_m"], "azimuth_fwhm_m": table["azimuth_fwhm_m"]}

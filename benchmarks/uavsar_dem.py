@@ -15,12 +15,14 @@ from pathlib import Path
 
 import numpy as np
 
-from warpsar import runtime, simulate
+from warpsar import simulate
 from warpsar.errors import InputError
 from warpsar.measured import nisar
 from warpsar.measured.raster import dem_frame
-from warpsar.mesh import read_mesh
-from warpsar.scene import Grid, Material, Radar, Sampling, Scene, View
+from warpsar.runtime import devices
+from warpsar.scene.scene import Scene
+from warpsar.world.mesh import read_mesh
+from warpsar.world.tables import Grid, Material, Radar, Sampling, View
 
 SOIL = {"eps_r": 10.0, "rms_height_m": 0.01, "correlation_length_m": 0.08}  # kh = 0.26, kl = 2.1 at 1.243 GHz
 SHAPE, SPACING_M = (200, 300), (20.0, 40.0)  # the DEM reaches under the track: stay on the side that is looked at
@@ -54,7 +56,7 @@ def figure(scene: Scene, image: object, path: Path) -> None:
     matplotlib.use("Agg")
     from matplotlib import pyplot as plt
 
-    from warpsar.images import replacing
+    from warpsar.io.images import replacing
 
     beta0 = image.beta0["HH"]  # type: ignore[attr-defined]
     with np.errstate(divide="ignore"):
@@ -94,7 +96,7 @@ def main() -> None:
     parser.add_argument("--device")
     options = parser.parse_args()
     scene = dem_scene(options.folder)
-    device = runtime.resolve_device(options.device)
+    device = devices.resolve_device(options.device)
     started = time.perf_counter()
     (image,) = simulate(scene, device=device.alias, layers=True)
     seconds = time.perf_counter() - started

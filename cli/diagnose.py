@@ -45,7 +45,7 @@ def command(
     Views with role test decide nothing; the error on them is reported before and after.
     """
     from warpsar.diagnosis import command as diagnosis
-    from warpsar.diagnosis.procedure import DiagnoseOptions
+    from warpsar.diagnosis.found import DiagnoseOptions
 
     chosen = DiagnoseOptions(
         family_error=family_error, draws=draws, starts=starts, most_effects=most_effects, seed=seed

@@ -22,6 +22,6 @@ from warpsar.cli import options
 @click.option("--seed", type=click.IntRange(min=0), help="Of the rays' jitter; default: the scene's.")
 def command(scene: Path, out: Path, device: str | None, seed: int | None) -> None:
     """Compare the measured images of SCENE, train and test views alike, with what its model gives."""
-    from warpsar.evaluation import run
+    from warpsar.evaluation.command import run
 
     run(scene, out, device=device, seed=seed)

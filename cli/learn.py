@@ -64,7 +64,7 @@ def command(
     resume: bool,
 ) -> None:
     """Learn what the surfaces of SCENE are made of, from its measured `train` views."""
-    from warpsar import learning
+    from warpsar.learning import command as learning
 
     weights = {}
     for item in tv:

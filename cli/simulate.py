@@ -55,7 +55,7 @@ def command(
     there already are kept.
     """
     if len(scenes) > 1 or azimuths is not None or incidences is not None:
-        from warpsar import batch
+        from warpsar.simulation import batch
 
         batch.run(
             scenes,
@@ -70,7 +70,7 @@ def command(
             max_memory_gib=max_memory,
         )
         return
-    from warpsar.simulation import run
+    from warpsar.simulation.command import run
 
     run(
         scenes[0],

@@ -18,6 +18,6 @@ import click
 )
 def command(scene: Path, out: Path) -> None:
     """Give the mesh of SCENE texture coordinates (extra `uv`), each material its own square."""
-    from warpsar import unwrap
+    from warpsar.scene import unwrap
 
     unwrap.run(scene, out)

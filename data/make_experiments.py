@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from warpsar.images import write_exr
+from warpsar.io.images import write_exr
 
 FOLDER = Path(__file__).parent
 Point = tuple[float, float, float]

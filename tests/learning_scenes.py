@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 from worlds import box, ground, mesh_of, plate, scene_of, view
 
-from warpsar.images import write_tiff
-from warpsar.mesh import Mesh
-from warpsar.scene import Material, Sampling, Scene, View
-from warpsar.simulation import simulate
+from warpsar.io.images import write_tiff
+from warpsar.scene.scene import Scene
+from warpsar.simulation.command import simulate
+from warpsar.world.mesh import Mesh
+from warpsar.world.tables import Material, Sampling, View
 
 TRUTH = {
     "ground": {"eps_r": 6.0, "rms_height_m": 0.0008, "correlation_length_m": 0.008},

@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from warpsar import distributed, runtime
 from warpsar.errors import InputError
-from warpsar.evaluation import run as evaluate
-from warpsar.fit import FitProblem
-from warpsar.images import write_tiff
-from warpsar.learning import LearnOptions, run
-from warpsar.scene import Scene
-from warpsar.simulation import run as simulate
+from warpsar.evaluation.command import run as evaluate
+from warpsar.io.images import write_tiff
+from warpsar.learning.command import LearnOptions, run
+from warpsar.learning.problem import FitProblem
+from warpsar.runtime import devices, distributed
+from warpsar.scene.scene import Scene
+from warpsar.simulation.command import run as simulate
 
 
 def collectives(ranks: distributed.Ranks, device: Any) -> dict[str, Any]:
@@ -93,7 +93,7 @@ def refusal(ranks: distributed.Ranks, device: Any, path: Path) -> str:
 
 def main() -> None:
     work = Path(sys.argv[1])
-    device = runtime.resolve_device("cpu")
+    device = devices.resolve_device("cpu")
     ranks = distributed.ranks(device)
     found: dict[str, Any] = {"collectives": collectives(ranks, device)}
     found["refusal"] = refusal(ranks, device, work / "effects" / "scene.toml")

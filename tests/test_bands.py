@@ -9,13 +9,14 @@ import pytest
 from learning_scenes import bumpy, measured, views_at
 from worlds import SOIL, scene_of
 
-from warpsar import memory, runtime
-from warpsar.bands import stretches
 from warpsar.errors import InputError
-from warpsar.fit import FitProblem
-from warpsar.learning import LearnOptions, learn
-from warpsar.scene import Material, Scene
-from warpsar.trace import BinGrid
+from warpsar.learning.command import LearnOptions, learn
+from warpsar.learning.problem import FitProblem
+from warpsar.render.bands import stretches
+from warpsar.runtime import devices, memory
+from warpsar.scene.scene import Scene
+from warpsar.trace.hits import BinGrid
+from warpsar.world.tables import Material
 
 EFFECTS: dict[str, dict[str, dict[str, Any]]] = {
     "none": {},
@@ -44,7 +45,7 @@ def bumpy_scene(folder: Path, effects: str = "none", layout: str = "uniform") ->
 
 def problems(scene: Scene, device: str, **more: Any) -> tuple[FitProblem, FitProblem]:
     """The same fit with all hits kept, and with none."""
-    where = runtime.resolve_device(device)
+    where = devices.resolve_device(device)
     kept, banded = (FitProblem(scene, where, max_memory_gib=gib, **more) for gib in (None, 1e-6))
     assert kept.keeps_hits
     assert not kept.bands
@@ -90,7 +91,7 @@ def test_learn_in_bands_ends_where_learn_does(tmp_path: Path) -> None:
 
 def test_some_kept_and_some_not(tmp_path: Path) -> None:
     scene = bumpy_scene(tmp_path)
-    where = runtime.resolve_device("cpu")
+    where = devices.resolve_device("cpu")
     sizes = {v.view.name: v.kept.hits.count for v in FitProblem(scene, where).views}
     bytes_of = {name: memory.kept_bytes(hits, 2, 0) for name, hits in sizes.items()}
     # room for one of them, with what the estimate may be off by
@@ -101,10 +102,10 @@ def test_some_kept_and_some_not(tmp_path: Path) -> None:
 def test_hits_are_estimated_from_a_few_columns(tmp_path: Path) -> None:
     scene = bumpy_scene(tmp_path)
     finer = replace(scene, grid=scene.grid.model_copy(update={"shape": (64, 128), "spacing_m": (0.1, 0.07)}))
-    from warpsar.render import Stage
-    from warpsar.simulation import Rays
+    from warpsar.simulation.rays import Rays
+    from warpsar.surface.stage import Stage
 
-    rays = Rays(Stage.of(finer, runtime.resolve_device("cpu")))
+    rays = Rays(Stage.of(finer, devices.resolve_device("cpu")))
     for view in finer.views:
         count = rays.hits(finer, view, []).count
         # 16 of 128 columns: a smooth number per column
@@ -117,18 +118,18 @@ def test_effects_that_need_all_hits_are_refused(name: str, tmp_path: Path) -> No
     scene = replace(
         bumpy_scene(tmp_path), effects={name: {"strength": 0.9} if name == "multibounce" else {"exponent": 0.9}}
     )
-    from warpsar.effects import validate
+    from warpsar.effects.registry import validate
 
     effects = {key: validate(key, table, key) for key, table in scene.effects.items()}
     with pytest.raises(InputError, match=f"effects.{name}: starts from all hits of view v0 at once"):
-        FitProblem(replace(scene, effects=effects), runtime.resolve_device("cpu"), max_memory_gib=1e-6)
+        FitProblem(replace(scene, effects=effects), devices.resolve_device("cpu"), max_memory_gib=1e-6)
 
 
 def test_out_of_memory_in_a_fit_turns_to_bands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A device that has no memory for one view's hits at once, as Warp says it."""
-    from warpsar import simulation
+    from warpsar.simulation import command as simulation
 
-    scene, where = bumpy_scene(tmp_path), runtime.resolve_device("cpu")
+    scene, where = bumpy_scene(tmp_path), devices.resolve_device("cpu")
     kept = FitProblem(scene, where)
     limit = min(view.kept.hits.count for view in kept.views) // 6
     real = simulation.trace

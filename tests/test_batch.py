@@ -25,14 +25,15 @@ from test_distributed import needs_torch
 from torchrun import ENVIRONMENT, finish, start, strike
 from worlds import SOIL, ground, mesh_of, scene_of, view
 
-from warpsar import batch, images
-from warpsar.background import Background
 from warpsar.cli.main import main
 from warpsar.errors import InputError
-from warpsar.images import read_channel
-from warpsar.scene import Scene
-from warpsar.simulation import simulate
-from warpsar.unwrap import write_obj
+from warpsar.io import images
+from warpsar.io.images import read_channel
+from warpsar.runtime.background import Background
+from warpsar.scene.scene import Scene
+from warpsar.scene.unwrap import write_obj
+from warpsar.simulation import batch
+from warpsar.simulation.command import simulate
 
 HERE = Path(__file__).resolve().parent
 
@@ -399,7 +400,7 @@ def test_half_a_row_and_half_a_file_are_as_if_never_written(tmp_path: Path) -> N
 
 def out_of_memory(limit: int, monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """Have `trace` fail as Warp does on a device whose memory ends at `limit` hits of a call; counts that passed."""
-    from warpsar import simulation
+    from warpsar.simulation import command as simulation
 
     real, passed = simulation.trace, []
 

@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 from scipy.special import digamma
 
-from warpsar import runtime
-from warpsar.render import Stage
-from warpsar.scene import SURFACE_KEYS, Scene
-from warpsar.simulation import render_view, trace_view
+from warpsar.runtime import devices
+from warpsar.scene.scene import Scene
+from warpsar.simulation.command import render_view
+from warpsar.simulation.rays import trace_view
+from warpsar.surface.stage import Stage
+from warpsar.world.tables import SURFACE_KEYS
 
 UNDECLARED = ("antenna_pattern", "multibounce", "noise_floor", "point_spread", "registration")
 
@@ -38,7 +40,7 @@ def pairs(folder: Path, rays_per_pixel: float) -> tuple[float, list[Pair]]:
     }
     sampling = scene.sampling.model_copy(update={"rays_per_pixel": rays_per_pixel})
     scene = replace(scene, materials=materials, sampling=sampling)
-    stage = Stage.of(scene, runtime.resolve_device("cpu"))
+    stage = Stage.of(scene, devices.resolve_device("cpu"))
     found = []
     for index, view in enumerate(scene.views):
         hits = trace_view(scene, stage, view, seed=index, effects=[])

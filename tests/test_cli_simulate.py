@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from warpsar import __version__
-from warpsar.images import read_channel
+from warpsar.io.images import read_channel
 
 MESH = """\
 usemtl soil

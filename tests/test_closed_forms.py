@@ -7,9 +7,9 @@ import pytest
 from worlds import BRICK, SOIL, axes, box, cos_twist, ground, join, mesh_of, plate, scene_of, sigma0, view
 
 import warpsar
-from warpsar.mesh import Mesh
-from warpsar.scene import Scene
-from warpsar.simulation import SimulatedView
+from warpsar.scene.scene import Scene
+from warpsar.simulation.command import SimulatedView
+from warpsar.world.mesh import Mesh
 
 INCIDENCES = (10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 75.0)
 # A range in float32 is off by up to 4e-6 m at 64 m and beyond, 1e-5 of these half-metre pixels: a few of them at each

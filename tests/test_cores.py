@@ -10,23 +10,23 @@ import pytest
 import warp as wp
 from test_gradients import tiny_scene
 
-from warpsar import launches, runtime
-from warpsar.fit import FitProblem
+from warpsar.learning.problem import FitProblem
+from warpsar.runtime import devices, launches, threads
 
 
 @pytest.mark.parametrize("layout", ["uniform", "vertex", "texture"])
 def test_threads_do_not_change_a_bit(layout: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Image, loss and gradient of one view, its launches whole and cut into as many pieces as the threads allow."""
     scene = tiny_scene(tmp_path, layout=layout)
-    device = runtime.resolve_device("cpu")
+    device = devices.resolve_device("cpu")
     cut: list[int] = []
-    apart = runtime.side_by_side
+    apart = threads.side_by_side
 
     def counted(tasks: list[object]) -> None:
         cut.append(len(tasks))
         apart(tasks)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(runtime, "side_by_side", counted)
+    monkeypatch.setattr(threads, "side_by_side", counted)
     found = []
     for threads, least in (("1", 2**14), ("1", 16), ("2", 16), ("3", 16), ("7", 16)):
         monkeypatch.setenv("WARPSAR_THREADS", threads)
@@ -72,17 +72,17 @@ def test_pieces_inside_of_tasks_end(monkeypatch: pytest.MonkeyPatch) -> None:
             done.append(number)
 
     def task(number: int) -> int:
-        runtime.side_by_side([partial(piece, 100 * number + k) for k in range(20)])
+        threads.side_by_side([partial(piece, 100 * number + k) for k in range(20)])
         return number
 
-    device = runtime.resolve_device("cpu")
+    device = devices.resolve_device("cpu")
     for count in (1, 2, 3, 9):
         done.clear()
-        assert list(runtime.ordered([partial(task, n) for n in range(count)], device)) == list(range(count))
+        assert list(threads.ordered([partial(task, n) for n in range(count)], device)) == list(range(count))
         assert sorted(done) == [100 * n + k for n in range(count) for k in range(20)]
 
     def failing() -> None:
         raise ValueError("of a piece")
 
     with pytest.raises(ValueError, match="of a piece"):
-        runtime.side_by_side([failing, *(partial(piece, k) for k in range(5))])
+        threads.side_by_side([failing, *(partial(piece, k) for k in range(5))])

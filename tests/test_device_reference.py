@@ -11,14 +11,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from warpsar import runtime
-from warpsar.effects import declared, validate
-from warpsar.fit import FitProblem
-from warpsar.images import write_exr
-from warpsar.optimise import Adam, GraphAdam, begin, levenberg_marquardt
-from warpsar.render import Stage
-from warpsar.scene import Grid, Sampling, Scene
-from warpsar.simulation import Rays, simulate, trace_view, view_render
+from warpsar.effects.registry import declared, validate
+from warpsar.io.images import write_exr
+from warpsar.learning.adam import Adam, GraphAdam
+from warpsar.learning.optimise import begin, levenberg_marquardt
+from warpsar.learning.problem import FitProblem
+from warpsar.runtime import devices
+from warpsar.scene.scene import Scene
+from warpsar.simulation.command import simulate, view_render
+from warpsar.simulation.rays import Rays, trace_view
+from warpsar.surface.stage import Stage
+from warpsar.world.tables import Grid, Sampling
 
 HERE = Path(__file__).resolve().parent
 STORED = HERE / "data" / "cpu_reference.npz"
@@ -39,7 +42,7 @@ def small(effects: dict[str, Any] | None = None) -> Scene:
 
 def computed(device: str, folder: Path) -> dict[str, np.ndarray]:
     """Images with and without effects, merged hits, and the gradient of the likelihood to every parameter."""
-    where = runtime.resolve_device(device)
+    where = devices.resolve_device(device)
     found: dict[str, np.ndarray] = {}
     plain = simulate(small(), device=device)
     for view in plain:
@@ -99,7 +102,7 @@ def test_the_captured_graph_is_the_host_loop(tmp_path: Path) -> None:
     """Both on CUDA: ten iterations of Adam, one by one from the host and as replays of one graph. Adam divides by the
     gradient's own size, so that the rounding of sums in another order grows to 1e-3 of the ten steps of 0.01."""
     computed("cuda", tmp_path)
-    where = runtime.resolve_device("cuda")
+    where = devices.resolve_device("cuda")
     scene = small()
     views = [
         view.model_copy(update={"images": {"HH": tmp_path / f"{view.name}.exr"}, "looks": 4.0, "role": "train"})

@@ -16,13 +16,14 @@ from worlds import axes, view
 import warpsar
 import warpsar.effects
 from warpsar.cli.main import main
-from warpsar.diagnosis.command import Diagnosed, diagnose
+from warpsar.diagnosis.found import DiagnoseOptions
 from warpsar.diagnosis.judge import Judged, difference, pool
-from warpsar.diagnosis.procedure import DiagnoseOptions
-from warpsar.images import read_channel, write_tiff
-from warpsar.likelihood import metrics
-from warpsar.observation import Observation
-from warpsar.scene import Sampling, Scene
+from warpsar.diagnosis.result import Diagnosed, diagnose
+from warpsar.io.images import read_channel, write_tiff
+from warpsar.learning.observation import Observation
+from warpsar.scene.scene import Scene
+from warpsar.speckle.likelihood import metrics
+from warpsar.world.tables import Sampling
 
 SLOPE = {"per_m_east": 0.08, "per_m_north": -0.05}  # of ln(eps_r - 1), over a scene of 16 m
 SIZE = 44

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from warpsar.diagnosis.command import Diagnosed, diagnose
 from warpsar.diagnosis.judge import pool
-from warpsar.scene import SURFACE_KEYS, Scene
+from warpsar.diagnosis.result import Diagnosed, diagnose
+from warpsar.scene.scene import Scene
+from warpsar.world.tables import SURFACE_KEYS
 
 pytestmark = pytest.mark.slow
 NAMES = ("none", "noise_floor", "multibounce", "point_spread", "registration", "antenna_pattern")

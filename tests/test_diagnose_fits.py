@@ -9,20 +9,23 @@ import numpy as np
 import pytest
 from learning_scenes import cube_scene, measured, views_at
 
-from warpsar import runtime
+from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.carried import carried_over, is_carried
+from warpsar.diagnosis.found import Step
+from warpsar.diagnosis.frozen import frozen
 from warpsar.diagnosis.left_out import LeftOut, leave_one_view_out
-from warpsar.diagnosis.procedure import Step, _prune, frozen
-from warpsar.diagnosis.refit import Bench, Fitted, fit_model
+from warpsar.diagnosis.procedure import _prune
+from warpsar.diagnosis.refit import Fitted, fit_model
 from warpsar.diagnosis.scan import Spot
 from warpsar.diagnosis.screening import GLANCE, Screening
 from warpsar.diagnosis.survey import surveyed
 from warpsar.diagnosis.templates import with_effect
-from warpsar.effects import get
-from warpsar.effects.base import Context
-from warpsar.render import Stage
-from warpsar.scene import Scene
-from warpsar.simulation import Rays
+from warpsar.effects.registry import get
+from warpsar.effects.base.trial import Context
+from warpsar.runtime import devices
+from warpsar.scene.scene import Scene
+from warpsar.simulation.rays import Rays
+from warpsar.surface.stage import Stage
 
 SHIFT = {"range_m": 0.33, "azimuth_m": -0.41}  # of pixels of 0.5 m
 FLOOR = {"level": 0.01}
@@ -42,7 +45,7 @@ def bench_of(
         effects={name: dict(table) for name, table in effects.items()},
     )
     scene = replace(measured(truth, folder), effects={})
-    device = runtime.resolve_device("cpu")
+    device = devices.resolve_device("cpu")
     rays, other = (Rays(Stage.of(scene, device), 256.0, seed) for seed in (3, 4))
     return Bench(device, rays, frozen(Bench(device, rays, {}), Bench(device, other, {}), scene)), scene
 

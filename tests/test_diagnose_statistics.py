@@ -10,8 +10,8 @@ from warpsar.diagnosis.evidence import Evidence
 from warpsar.diagnosis.scan import Scan
 from warpsar.diagnosis.score import Group, Projection, log_tail, minus_log_p
 from warpsar.diagnosis.templates import Template
-from warpsar.effects.base import Step, Trial
-from warpsar.observation import Observation
+from warpsar.effects.base.trial import Step, Trial
+from warpsar.learning.observation import Observation
 
 WHITE = np.zeros((13, 13))
 WHITE[6, 6] = 1.0

@@ -20,13 +20,14 @@ from test_resume import outcome, small_scene, written
 from torchrun import ENVIRONMENT, finish, start, strike
 from worlds import SOIL, scene_of
 
-from warpsar import checkpoint, effects
-from warpsar.distributed import ONE, deal, ranks
+from warpsar.effects import registry as effects
 from warpsar.errors import InputError
-from warpsar.images import read_image
-from warpsar.scene import Material, Sampling
-from warpsar.surface import KINDS
-from warpsar.unwrap import write_obj
+from warpsar.io import checkpoint
+from warpsar.io.images import read_image
+from warpsar.runtime.distributed import ONE, deal, ranks
+from warpsar.scene.unwrap import write_obj
+from warpsar.surface.surface import KINDS
+from warpsar.world.tables import Material, Sampling
 
 # Long enough to be struck, with a checkpoint every five iterations.
 ADAM = ["--rate", "0.001", "--iterations", "200", "--checkpoint-every", "5", "--tv", "rms_height_m=1"]

@@ -11,13 +11,17 @@ import pytest
 from worlds import BRICK, SOIL, box, ground, mesh_of, scene_of, view
 
 import warpsar.effects as registry
-from warpsar import runtime
-from warpsar.effects import check, declared, get, validate
-from warpsar.effects.base import Context, Effect, Parameter
+from warpsar.effects.base.effect import Effect
+from warpsar.effects.base.parameter import Parameter
+from warpsar.effects.registry import check, declared, get, validate
+from warpsar.effects.base.trial import Context
 from warpsar.errors import InputError
-from warpsar.render import Stage, ViewRender
-from warpsar.scene import Scene
-from warpsar.simulation import simulate, trace_view
+from warpsar.render.render import ViewRender
+from warpsar.runtime import devices
+from warpsar.scene.scene import Scene
+from warpsar.simulation.command import simulate
+from warpsar.simulation.rays import trace_view
+from warpsar.surface.stage import Stage
 
 STRIP_MAP: dict[str, Any] = {"slant_range_m": 300.0}
 
@@ -71,7 +75,7 @@ def with_effect(scene: Scene, name: str, table: dict[str, Any]) -> Scene:
 
 def render_of(scene: Scene, *, neutral: bool = False) -> ViewRender:
     """The first view with its effects; those at neutral too where asked."""
-    stage = Stage.of(scene, runtime.resolve_device("cpu"))
+    stage = Stage.of(scene, devices.resolve_device("cpu"))
     effects = declared(scene, scene.views[0], neutral=neutral)
     hits = trace_view(scene, stage, scene.views[0], seed=3, effects=effects)
     return ViewRender(stage, scene.views[0], hits, scene.grid.shape, scene.radar.polarizations, effects)

@@ -8,9 +8,9 @@ import worlds
 from test_effects import gradients_of, render_of, with_effect
 from worlds import BRICK, SOIL, WAVENUMBER, ground, mesh_of, plate, scene_of, view
 
-from warpsar.mesh import Mesh
-from warpsar.scene import Scene
-from warpsar.simulation import simulate
+from warpsar.scene.scene import Scene
+from warpsar.simulation.command import simulate
+from warpsar.world.mesh import Mesh
 
 SPACING = 0.5
 CORNER = (0.3, 0.1, 1.0)  # not on the edge of a pixel

@@ -12,9 +12,9 @@ from test_effects import render_of, with_effect
 from worlds import box, ground, mesh_of, scene_of, view
 
 from warpsar.effects.edge_diffraction import sharp_edges
-from warpsar.render import ViewRender
-from warpsar.scene import Scene
-from warpsar.simulation import simulate
+from warpsar.render.render import ViewRender
+from warpsar.scene.scene import Scene
+from warpsar.simulation.command import simulate
 
 # float32 through a handful of operations
 ROUNDING = 1e-5

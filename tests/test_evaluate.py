@@ -13,18 +13,20 @@ from learning_scenes import TRUTH, cube_scene, measured, starting, views_at
 from scipy import integrate, special, stats
 from worlds import box, ground, mesh_of, scene_of, view
 
-from warpsar import runtime
 from warpsar.cli.main import main
-from warpsar.evaluation import EvaluatedImage, evaluate, mean_deviance, nuisance_floor, pool, run
-from warpsar.images import read_channel, write_tiff
-from warpsar.likelihood import deviance, expected_deviance, metrics
-from warpsar.mesh import read_mesh
-from warpsar.meshview import RAYS, look, write_learned_ply
-from warpsar.observation import Observation
-from warpsar.render import Stage
-from warpsar.residuals import expected_db, profiles, residual_db
-from warpsar.results import write_ply
-from warpsar.scene import SURFACE_KEYS, Scene
+from warpsar.evaluation.command import evaluate, mean_deviance, nuisance_floor, pool, run
+from warpsar.evaluation.image import EvaluatedImage
+from warpsar.evaluation.meshview import RAYS, look, write_learned_ply
+from warpsar.evaluation.residuals import expected_db, profiles, residual_db
+from warpsar.io.images import read_channel, write_tiff
+from warpsar.io.ply import write_ply
+from warpsar.learning.observation import Observation
+from warpsar.runtime import devices
+from warpsar.scene.scene import Scene
+from warpsar.speckle.likelihood import deviance, expected_deviance, metrics
+from warpsar.surface.stage import Stage
+from warpsar.world.mesh import read_mesh
+from warpsar.world.tables import SURFACE_KEYS
 
 LOOKS = (1.0, 4.0, 16.0)
 
@@ -398,7 +400,7 @@ def test_ply_and_pictures_show_vertex_values(tmp_path: Path) -> None:
     np.testing.assert_allclose(mesh.vertex_scalars["eps_r"], np.exp(0.1 * mesh.vertices[:, 0]) + 1.0, rtol=1e-6)
 
     # from the south, east is on the right of the picture
-    side = look(Stage.of(scene, runtime.resolve_device("cpu")), 180.0, 55.0, width=100)
+    side = look(Stage.of(scene, devices.resolve_device("cpu")), 180.0, 55.0, width=100)
     columns = side.pixel % side.shape[1]
     x = np.log(side.parameters["eps_r"] - 1.0) / 0.1
     pixel_m = 10.0 / 100
@@ -410,7 +412,7 @@ def test_pictures_hide_what_is_hidden() -> None:
     mesh = mesh_of(ground=ground(32.0), cube=box((-2.5, -2.5, 0.0), (2.5, 2.5, 5.0)))
     scene = scene_of(mesh, view(0.0, 40.0))
     azimuth, incidence = np.deg2rad([205.0, 55.0])
-    side = look(Stage.of(scene, runtime.resolve_device("cpu")), 205.0, 55.0, width=200)
+    side = look(Stage.of(scene, devices.resolve_device("cpu")), 205.0, 55.0, width=200)
     toward = np.array([np.sin(azimuth) * np.sin(incidence), np.cos(azimuth) * np.sin(incidence), np.cos(incidence)])
     across = 32.0 * (abs(np.sin(azimuth)) + abs(np.cos(azimuth)))  # of the ground's square
     pixel_m = across / 200

@@ -11,7 +11,8 @@ import pytest
 from click.testing import CliRunner
 from conftest import ROOT
 
-from warpsar.scene import Scene
+from warpsar.runtime import devices
+from warpsar.scene.scene import Scene
 
 
 def module(name: str) -> Any:
@@ -108,13 +109,12 @@ def test_the_building_is_found_from_far_off(experiments: Any, tmp_path: Path) ->
 
 def test_a_start_that_is_dark_beyond_float32_has_a_finite_gradient(experiments: Any, tmp_path: Path) -> None:
     """Facets too flat for their tilt: beta0 near 1e-24, of which 1 / mu^2 in the adjoint is infinite in float32."""
-    from warpsar import runtime
-    from warpsar.fit import FitProblem
+    from warpsar.learning.problem import FitProblem
 
     truth = Scene.load(ROOT / "data" / "in_domain" / "ka.toml")
     observed = experiments.measured(truth, experiments.clean_images(truth), tmp_path, 16.0, seed=0)
     start = experiments.changed(observed, "soil", rms_height_m=0.003, correlation_length_m=0.1)
-    problem = FitProblem(start, runtime.resolve_device("cpu"))
+    problem = FitProblem(start, devices.resolve_device("cpu"))
     loss, gradient = problem.gradient(problem.x0)
     assert min(mu.min() for mu in problem.modelled(problem.x0)) < 1e-15
     assert np.isfinite(loss)

@@ -9,14 +9,15 @@ import pytest
 from learning_scenes import bumpy, measured, views_at
 from worlds import SOIL, plate, scene_of
 
-from warpsar import runtime
-from warpsar.fields import node_weights, write_field_uncertainty
-from warpsar.fit import FitProblem
-from warpsar.images import read_channel, write_exr
-from warpsar.mesh import Mesh
-from warpsar.results import learned_scene
-from warpsar.scene import Material, Scene
-from warpsar.shading import image_pixels
+from warpsar.io.images import read_channel, write_exr
+from warpsar.learning.fields import node_weights, write_field_uncertainty
+from warpsar.learning.problem import FitProblem
+from warpsar.learning.results import learned_scene
+from warpsar.runtime import devices
+from warpsar.scene.scene import Scene
+from warpsar.surface.samples import image_pixels
+from warpsar.world.mesh import Mesh
+from warpsar.world.tables import Material
 
 KEYS = ("eps_r", "rms_height_m")
 
@@ -76,7 +77,7 @@ def test_uncertainty_is_that_of_the_jacobian(layout: str, effects: dict[str, Any
     """1 %: the brute force differences float32 images over 0.01. A node that a single hit grazes, with a weight of
     1e-4, is seen by one and not by the other; so nodes count that are known to better than a factor e^3."""
     scene = scene_with_fields(layout, tmp_path, {})
-    problem = FitProblem(replace(scene, effects=effects), runtime.resolve_device(device))
+    problem = FitProblem(replace(scene, effects=effects), devices.resolve_device(device))
     if problem.effect_coordinates:  # the brute force is that of the surface's nodes alone
         problem.effect_coordinates = []
         problem.x0 = problem.x0[: problem.learned.size]
@@ -102,7 +103,7 @@ def test_a_node_that_no_pixel_sees_is_infinite(tmp_path: Path) -> None:
     mask = np.zeros((14, 14))
     mask[:, :5] = 1.0
     write_exr(tmp_path / "mask.exr", {"Y": mask})
-    problem = FitProblem(replace(scene, views=views[:1]), runtime.resolve_device("cpu"))
+    problem = FitProblem(replace(scene, views=views[:1]), devices.resolve_device("cpu"))
     write_field_uncertainty(problem, problem.x0, tmp_path)
     sd, seen_in = read_back("texture", tmp_path)
     assert 0 < np.count_nonzero(seen_in) < 16
@@ -120,7 +121,7 @@ def test_one_polarization_cannot_tell_two_parameters(tmp_path: Path) -> None:
     for key, number in (("eps_r", 6.0), ("rms_height_m", 0.001)):
         write_exr(tmp_path / f"start_{key}.exr", {key: np.full((4, 4), number)})
     views = [v.model_copy(update={"images": {"HH": v.images["HH"]}}) for v in scene.views[:1]]
-    problem = FitProblem(replace(scene, mesh=mesh, views=views), runtime.resolve_device("cpu"))
+    problem = FitProblem(replace(scene, mesh=mesh, views=views), devices.resolve_device("cpu"))
     write_field_uncertainty(problem, problem.x0, tmp_path)
     sd, seen_in = read_back("texture", tmp_path)
     assert seen_in.max() == 1
@@ -129,7 +130,7 @@ def test_one_polarization_cannot_tell_two_parameters(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("layout", ["texture", "vertex"])
 def test_weights_add_up_to_one(layout: str, tmp_path: Path) -> None:
-    problem = FitProblem(scene_with_fields(layout, tmp_path), runtime.resolve_device("cpu"))
+    problem = FitProblem(scene_with_fields(layout, tmp_path), devices.resolve_device("cpu"))
     block = problem.surface.block("soil", "eps_r")
     for index, view in enumerate(problem.views):
         weights = node_weights(problem, block, index)
@@ -144,9 +145,9 @@ def test_hits_in_finer_bins_fall_into_their_pixels(tmp_path: Path) -> None:
     """A declared registration error has hits binned finer than the image, with a margin; moved by nothing, each lies
     in the pixel where it lay."""
     scene = scene_with_fields("texture", tmp_path)
-    plain = FitProblem(scene, runtime.resolve_device("cpu"))
+    plain = FitProblem(scene, devices.resolve_device("cpu"))
     moved = FitProblem(
-        replace(scene, effects={"registration": {"range_m": 0.0, "azimuth_m": 0.0}}), runtime.resolve_device("cpu")
+        replace(scene, effects={"registration": {"range_m": 0.0, "azimuth_m": 0.0}}), devices.resolve_device("cpu")
     )
     for index in range(2):
         assert moved.views[index].render.hits.grid.shape != plain.views[index].render.hits.grid.shape
@@ -174,7 +175,7 @@ def test_names_that_no_file_may_have(tmp_path: Path) -> None:
     scene = scene_with_fields("texture", tmp_path)
     mesh = replace(scene.mesh, materials=("wall/north side",))
     scene = replace(scene, mesh=mesh, materials={"wall/north side": scene.materials["soil"]})
-    problem = FitProblem(scene, runtime.resolve_device("cpu"))
+    problem = FitProblem(scene, devices.resolve_device("cpu"))
     found = learned_scene(problem, problem.x0, tmp_path)
     write_field_uncertainty(problem, problem.x0, tmp_path)
     assert Path(str(found.materials["wall/north side"].eps_r)).name == "wall_north_side_0_eps_r.exr"

@@ -7,10 +7,10 @@ import pytest
 from measured_files import C, Pass, echoes
 
 from warpsar.errors import InputError
-from warpsar.focus import cell_m, focus, taper
-from warpsar.frame import view_geometry
 from warpsar.measured.data import PhaseHistory
+from warpsar.measured.focus import cell_m, focus, taper
 from warpsar.measured.ground import plane_points
+from warpsar.world.frame import view_geometry
 
 LOOK = Pass(azimuth_deg=110.0, incidence_deg=44.0, slant_range_m=10e3)
 FREQUENCY_HZ = 9.3e9 + 2e6 * np.arange(300)

@@ -10,9 +10,6 @@ import warp as wp
 from worlds import SOIL, axes, cos_twist, ground, mesh_of, scene_of, sigma0, view
 
 import warpsar
-from warpsar import runtime
-from warpsar.frame import geometry_of
-from warpsar.geometry_image import GeometryImage
 from warpsar.kernels.geometry import (
     RayGrid,
     cos2_azimuth_of,
@@ -23,10 +20,13 @@ from warpsar.kernels.geometry import (
     ray_origin,
     slant_range_of,
 )
-from warpsar.mesh import Mesh
-from warpsar.render import Stage
-from warpsar.scene import Scene
-from warpsar.simulation import hit_grid, view_seed
+from warpsar.render.geometry_image import GeometryImage
+from warpsar.runtime import devices
+from warpsar.scene.scene import Scene
+from warpsar.simulation.rays import hit_grid, view_seed
+from warpsar.surface.stage import Stage
+from warpsar.world.mesh import Mesh
+from warpsar.world.world import geometry_of
 
 QUANTITIES = 11
 
@@ -166,7 +166,7 @@ def bumpy(layout: str = "uniform", slant_range_m: float | None = None) -> Scene:
 
 
 def geometry_image(scene: Scene, device: str, seed: int = 0) -> GeometryImage:
-    stage = Stage.of(scene, runtime.resolve_device(device))
+    stage = Stage.of(scene, devices.resolve_device(device))
     return GeometryImage(
         stage,
         geometry_of(scene, scene.views[0]),

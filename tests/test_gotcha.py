@@ -15,12 +15,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from warpsar import learning
-from warpsar.diagnosis.procedure import DiagnoseOptions
-from warpsar.evaluation import evaluate
-from warpsar.frame import geometry_of
-from warpsar.learning import LearnOptions
-from warpsar.scene import Scene
+from warpsar.diagnosis.found import DiagnoseOptions
+from warpsar.evaluation.command import evaluate
+from warpsar.learning import command as learning
+from warpsar.learning.command import LearnOptions
+from warpsar.scene.scene import Scene
+from warpsar.world.world import geometry_of
 
 # docs/measured.md
 OVER_GRASS_DB = {"car_park": -1.8, "road": -5.1, "west_strip": 2.3, "cars": 9.1, "targets": 13.3}

@@ -21,13 +21,14 @@ from learning_scenes import bumpy
 from scipy.special import digamma, polygamma
 from worlds import scene_of, view
 
-from warpsar import runtime
-from warpsar.fit import FitProblem
-from warpsar.images import write_exr, write_tiff
-from warpsar.regularise import ROUNDING
-from warpsar.scene import Material, Scene, View
-from warpsar.simulation import simulate
-from warpsar.surface import KEYS
+from warpsar.io.images import write_exr, write_tiff
+from warpsar.learning.problem import FitProblem
+from warpsar.learning.regularise import ROUNDING
+from warpsar.runtime import devices
+from warpsar.scene.scene import Scene
+from warpsar.simulation.command import simulate
+from warpsar.surface.surface import KEYS
+from warpsar.world.tables import Material, View
 
 STEP, STEP_OF_ALL = 0.05, 0.02
 TOLERANCE = 1e-3
@@ -115,7 +116,7 @@ def test_every_parameter_in_every_polarization(
     layout: str, spectrum: str, variant: str, geometry: str, tmp_path: Path
 ) -> None:
     scene = tiny_scene(tmp_path, layout=layout, spectrum=spectrum, variant=variant, geometry=geometry)
-    problem = FitProblem(scene, runtime.resolve_device("cpu"))
+    problem = FitProblem(scene, devices.resolve_device("cpu"))
     x0 = problem.x0
     problem.gradient(x0)
     adjoint = [one.render.nodes.grad.numpy().astype(float) for one in problem.views]
@@ -173,7 +174,7 @@ def test_every_loss(name: str, calibrated: bool, uniform: Scene) -> None:
     from scipy.optimize import minimize_scalar
 
     scene = replace(uniform, grid=uniform.grid.model_copy(update={"calibrated": calibrated}))
-    problem = FitProblem(scene, runtime.resolve_device("cpu"), loss=name)
+    problem = FitProblem(scene, devices.resolve_device("cpu"), loss=name)
     mean_square = np.mean([np.mean(scene.measured(v, v.name).astype(float) ** 2) for v in scene.views])
     written_out = {
         "gamma": gamma,
@@ -202,7 +203,7 @@ def test_total_variation(layout: str, tmp_path: Path) -> None:
     """Neighbours written out: texels that share a side; vertices of the 4 x 4 grid and its diagonals."""
     weights = {"eps_r": 3.0, "rms_height_m": 7.0, "specular_fraction": 0.5}
     scene = tiny_scene(tmp_path, layout=layout)
-    problem = FitProblem(scene, runtime.resolve_device("cpu"), total_variation=weights)
+    problem = FitProblem(scene, devices.resolve_device("cpu"), total_variation=weights)
 
     def rough(difference: np.ndarray) -> float:
         return float(np.sum(np.sqrt(difference**2 + ROUNDING**2) - ROUNDING))
@@ -227,7 +228,7 @@ def test_validity_penalty(tau: float, uniform: Scene) -> None:
     values = {**NUMBERS, "rms_height_m": 0.004, "specular_fraction": tau}
     scene = replace(uniform, materials={"soil": Material(learn=KEYS, **values)})
     strength = 200.0
-    problem = FitProblem(scene, runtime.resolve_device("cpu"), validity=strength)
+    problem = FitProblem(scene, devices.resolve_device("cpu"), validity=strength)
 
     def beyond(ratio: Any) -> Any:
         return np.maximum(np.log(ratio), 0.0) ** 2
@@ -257,7 +258,7 @@ def test_cuda_gradient_is_the_cpu_one(layout: str, tmp_path: Path) -> None:
     weights = {} if layout == "uniform" else {"eps_r": 1.0}
     found = []
     for device in ("cpu", "cuda"):
-        problem = FitProblem(scene, runtime.resolve_device(device), total_variation=weights, validity=5.0)
+        problem = FitProblem(scene, devices.resolve_device(device), total_variation=weights, validity=5.0)
         found.append(problem.gradient(problem.x0))
     (value, gradient), (cuda_value, cuda_gradient) = found
     assert cuda_value == pytest.approx(value, rel=1e-4)

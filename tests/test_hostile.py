@@ -20,11 +20,11 @@ import numpy as np
 import pytest
 from conftest import ROOT
 
-from warpsar import checkpoint
 from warpsar.errors import LONGEST_MESSAGE, InputError, shown
-from warpsar.images import read_channel, read_npy, write_exr
+from warpsar.io import checkpoint
+from warpsar.io.images import read_channel, read_npy, write_exr
 from warpsar.measured import mat5
-from warpsar.mesh import read_mesh
+from warpsar.world.mesh import read_mesh
 
 MUTATIONS = 4  # of each reader's file, after its attacks
 

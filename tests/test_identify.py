@@ -11,12 +11,13 @@ import pytest
 from learning_scenes import cube_scene, measured, noise_free, speckle, views_at
 from worlds import ground, mesh_of, plate, scene_of
 
-from warpsar import runtime
-from warpsar.fit import FitProblem
-from warpsar.identify import identify, of_information, residual_autocovariance, score_products
-from warpsar.learning import LearnOptions, learn
-from warpsar.scene import Material, Scene
-from warpsar.surface import KEYS
+from warpsar.learning.command import LearnOptions, learn
+from warpsar.learning.identify import identify, of_information, residual_autocovariance, score_products
+from warpsar.learning.problem import FitProblem
+from warpsar.runtime import devices
+from warpsar.scene.scene import Scene
+from warpsar.surface.surface import KEYS
+from warpsar.world.tables import Material
 
 ROOT = Path(__file__).resolve().parent.parent
 # The three angles to the normal of a cube's lit faces at relative azimuths 0, 30 and 60 (docs/physics.md), here as
@@ -67,7 +68,7 @@ def test_information_is_that_of_the_table(
 ) -> None:  # fmt: skip
     learned = KEYS if "free" in name else KEYS[:3]
     scene = plane(tmp_path, {**material, "specular_fraction": tau}, polarizations, *learned)
-    problem = FitProblem(scene, runtime.resolve_device("cpu"))
+    problem = FitProblem(scene, devices.resolve_device("cpu"))
     information = per_unit_looks(problem)
     found = of_information(problem.labels, 1000 * information, 1000 * information)
     printed = np.isfinite(eigenvalues)
@@ -92,7 +93,7 @@ def test_words(
     material: dict[str, float], tau: float, polarizations: tuple[str, ...], words: str, tmp_path: Path
 ) -> None:
     scene = plane(tmp_path, {**material, "specular_fraction": tau}, polarizations)
-    problem = FitProblem(scene, runtime.resolve_device("cpu"))
+    problem = FitProblem(scene, devices.resolve_device("cpu"))
     (sentence,) = identify(problem, problem.x0).words
     assert re.fullmatch(words, sentence), sentence
 
@@ -101,7 +102,7 @@ def test_words(
 def test_geometric_optics_never_tells_h_from_l(polarizations: tuple[str, ...], tmp_path: Path) -> None:
     """The null direction is exactly (0, 1, 1) / sqrt(2); to float32 images, 1e-4 of it."""
     problem = FitProblem(
-        plane(tmp_path, {**T3, "specular_fraction": 1.0}, polarizations), runtime.resolve_device("cpu")
+        plane(tmp_path, {**T3, "specular_fraction": 1.0}, polarizations), devices.resolve_device("cpu")
     )
     found = identify(problem, problem.x0)
     np.testing.assert_allclose(np.abs(found.eigenvectors[:, 0]), [0, 0.5**0.5, 0.5**0.5], atol=2e-4)
@@ -115,7 +116,7 @@ def test_geometric_optics_never_tells_h_from_l(polarizations: tuple[str, ...], t
 def test_a_plane_at_one_incidence_gives_one_number(tmp_path: Path) -> None:
     """Rule (iv) of physics.md: rank 1; only the combination that makes sigma0 is known, to 1 / sqrt(looks x pixels)."""
     scene = plane(tmp_path, VALID, ("HH",))
-    problem = FitProblem(replace(scene, views=scene.views[:1]), runtime.resolve_device("cpu"))
+    problem = FitProblem(replace(scene, views=scene.views[:1]), devices.resolve_device("cpu"))
     found = identify(problem, problem.x0)
     assert np.isinf(found.sd).all()
     assert np.count_nonzero(found.eigenvalues > 1e-9 * found.eigenvalues[-1]) == 1
@@ -130,7 +131,7 @@ def test_what_no_view_sees_is_not_identifiable(tmp_path: Path) -> None:
     mesh = mesh_of(soil=ground(60.0), cellar=plate((-3, -3, -20.0), (6, 0, 0), (0, 6, 0)))
     views = views_at((0.0, 45.0), (90.0, 60.0))
     scene = scene_of(mesh, views, shape=(14, 14), polarizations=("HH", "VV"), rays_per_pixel=16.0)
-    problem = FitProblem(measured(scene, tmp_path), runtime.resolve_device("cpu"))
+    problem = FitProblem(measured(scene, tmp_path), devices.resolve_device("cpu"))
     found = identify(problem, problem.x0)
     assert np.isinf(found.sd[3:]).all()
     assert np.isfinite(found.sd[:3]).all()
@@ -142,7 +143,7 @@ def test_unknown_gains_take_away_the_size(tmp_path: Path) -> None:
     scene = plane(tmp_path, VALID, ("HH",))
     free = replace(scene, grid=scene.grid.model_copy(update={"calibrated": False}))
     for loss in ("gamma", "mse", "log"):
-        problem = FitProblem(free, runtime.resolve_device("cpu"), loss=loss)
+        problem = FitProblem(free, devices.resolve_device("cpu"), loss=loss)
         # of the calibrated information only sampling noise is left: angles vary by nothing in a plane wave
         assert np.trace(identify(problem, problem.x0).information) < 1e-6 * np.trace(
             identify(FitProblem(scene, problem.device, loss=loss), problem.x0).information

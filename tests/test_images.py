@@ -7,7 +7,7 @@ import OpenImageIO as oiio  # noqa: N813
 import pytest
 
 from warpsar.errors import InputError
-from warpsar.images import quick_look, read_channel, read_image, read_mask, replacing, write_exr, write_tiff
+from warpsar.io.images import quick_look, read_channel, read_image, read_mask, replacing, write_exr, write_tiff
 
 
 @pytest.fixture

@@ -15,21 +15,24 @@ from learning_scenes import START, TRUTH, bumpy, cube_scene, measured, noise_fre
 from scipy.ndimage import minimum_filter
 from worlds import SOIL, WAVENUMBER, ground, mesh_of, scene_of, sigma0, view
 
-from warpsar import learning, runtime
 from warpsar.cli.main import main
-from warpsar.effects import NAMES, get
+from warpsar.effects.registry import NAMES, get
 from warpsar.errors import InputError
-from warpsar.fit import FitProblem
-from warpsar.gradcheck import TOLERANCE, _differences, check_gradient
-from warpsar.images import read_channel, write_exr, write_tiff
-from warpsar.learning import LearnOptions, learn, pooled_metrics
-from warpsar.likelihood import metrics, metrics_of
-from warpsar.optimise import Adam, FitState, GraphAdam, begin, levenberg_marquardt
-from warpsar.results import write_ply
-from warpsar.scene import Material, Sampling, Scene
-from warpsar.simulation import simulate
-from warpsar.surface import KEYS, KINDS
-from warpsar.validity import outside_domains
+from warpsar.io.images import read_channel, write_exr, write_tiff
+from warpsar.io.ply import write_ply
+from warpsar.learning import command as learning
+from warpsar.learning.adam import Adam, GraphAdam
+from warpsar.learning.command import LearnOptions, learn, pooled_metrics
+from warpsar.learning.gradcheck import TOLERANCE, _differences, check_gradient
+from warpsar.learning.optimise import FitState, begin, levenberg_marquardt
+from warpsar.learning.problem import FitProblem
+from warpsar.learning.validity import outside_domains
+from warpsar.runtime import devices
+from warpsar.scene.scene import Scene
+from warpsar.simulation.command import simulate
+from warpsar.speckle.likelihood import metrics, metrics_of
+from warpsar.surface.surface import KEYS, KINDS
+from warpsar.world.tables import Material, Sampling
 
 ANGLES = ((20.0, 35.0), (140.0, 50.0))
 
@@ -62,7 +65,7 @@ def with_material(scene: Scene, name: str, **values: Any) -> Scene:
 
 def save_scene(scene: Scene, folder: Path) -> Path:
     """A scene made in memory as files; materials by OBJ groups."""
-    from warpsar.unwrap import write_obj
+    from warpsar.scene.unwrap import write_obj
 
     folder.mkdir(parents=True, exist_ok=True)
     write_obj(folder / "mesh.obj", scene.mesh)
@@ -270,7 +273,7 @@ def test_the_gradient_checks_steps_follow_the_loss(width: float, place: float) -
 def test_the_gradient_check_sees_a_wrong_gradient(cube: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     """One derivative of six 5 % off, at the start and at the minimum."""
     at_minimum = learn(cube, device="cpu", options=LearnOptions(starts=1)).x
-    problem = FitProblem(cube, runtime.resolve_device("cpu"))
+    problem = FitProblem(cube, devices.resolve_device("cpu"))
     assert check_gradient(problem, problem.x0).worst < 2e-3
     assert check_gradient(problem, at_minimum).worst < 2e-3
     true_gradient = problem.gradient
@@ -338,7 +341,7 @@ def test_lit_area_outside_the_domains(tmp_path: Path) -> None:
     scene = measured(scene_of(mesh_of(soil=ground(8.0)), [view(0.0, 40.0, name="v0")], shape=(10, 10)), tmp_path)
     for (kh, kl), expected in cases:
         numbers = {"rms_height_m": kh / WAVENUMBER, "correlation_length_m": kl / WAVENUMBER, "specular_fraction": 0.5}
-        problem = FitProblem(with_material(scene, "soil", **numbers), runtime.resolve_device("cpu"))
+        problem = FitProblem(with_material(scene, "soil", **numbers), devices.resolve_device("cpu"))
         found = outside_domains(problem, problem.x0)["soil"]
         assert (found["spm"], found["ka"]) == expected, (kh, kl)
 
@@ -393,7 +396,7 @@ def test_a_field_is_learned_and_loads_again(layout: str, tmp_path: Path) -> None
     scene = field_scene(tmp_path, layout)
     write_ply(tmp_path / "mesh.ply", scene.mesh.vertices, scene.mesh.faces, scene.mesh.vertex_scalars)
     if layout == "texture":
-        from warpsar.unwrap import write_obj
+        from warpsar.scene.unwrap import write_obj
 
         write_obj(tmp_path / "mesh.obj", scene.mesh)
     else:
@@ -414,7 +417,7 @@ def test_a_field_is_learned_and_loads_again(layout: str, tmp_path: Path) -> None
     assert np.median(right) == pytest.approx(0.0012, rel=0.1)
     # the same rays give the fit's image: EXR holds float32, PLY float64
     loaded = simulate(learned, device="cpu")
-    problem = FitProblem(learned, runtime.resolve_device("cpu"))
+    problem = FitProblem(learned, devices.resolve_device("cpu"))
     for made, one in zip(loaded, problem.views, strict=True):
         for seen in one.observations:
             deviance = 2 * seen.looks * np.mean(
@@ -483,7 +486,7 @@ def test_what_is_discrete_in_an_effect_cannot_be_learned(name: str) -> None:
 
 def test_a_discrete_setting_is_no_coordinate_of_the_fit(cube: Scene) -> None:
     table = {"strength": 0.1, "max_bounces": 2}
-    problem = FitProblem(replace(cube, effects={"multibounce": table}), runtime.resolve_device("cpu"))
+    problem = FitProblem(replace(cube, effects={"multibounce": table}), devices.resolve_device("cpu"))
     assert [label for label in problem.labels if "multibounce" in label] == ["multibounce.strength"]
 
 
@@ -548,7 +551,7 @@ def test_lm_leaves_what_a_bound_holds(cube: Scene) -> None:
     for name in ("ground", "cube"):
         values = TRUTH[name]
         cube = with_material(cube, name, **{**values, "eps_r": 50.0}, learn=("eps_r", "correlation_length_m"))
-    problem = FitProblem(cube, runtime.resolve_device("cpu"))
+    problem = FitProblem(cube, devices.resolve_device("cpu"))
     state = begin(problem, 0, 0)
     while not state.arrived and state.iteration < 60:
         state = levenberg_marquardt(problem, state)
@@ -572,7 +575,7 @@ def test_metrics_from_sums_are_those_of_the_pixels(tmp_path: Path) -> None:
     """The kernel that makes the sums, and what is made of them, against NumPy on the pixels: both in float64."""
     from warpsar.kernels.metrics import PARTIALS, SUMS
 
-    problem = FitProblem(field_scene(tmp_path), runtime.resolve_device("cpu"))
+    problem = FitProblem(field_scene(tmp_path), devices.resolve_device("cpu"))
     for x in (problem.x0, problem.x0 + 0.3):
         modelled = problem.modelled(x)
         sums: Any = wp.zeros((len(modelled), int(PARTIALS), int(SUMS)), dtype=wp.float64, device="cpu")
@@ -596,7 +599,7 @@ def test_the_captured_graph_is_adam(tmp_path: Path) -> None:
     scene = field_scene(tmp_path)
     ends, losses = [], []
     for alias, way, steps in (("cpu", Adam, 40), ("cuda", GraphAdam, 40 // GraphAdam.STRIDE)):
-        problem = FitProblem(scene, runtime.resolve_device(alias), total_variation={"rms_height_m": 1.0})
+        problem = FitProblem(scene, devices.resolve_device(alias), total_variation={"rms_height_m": 1.0})
         state = begin(problem, 0, 0)
         descent = way(problem, state, 0.05)
         for _ in range(steps):
@@ -612,7 +615,7 @@ def test_the_captured_graph_is_adam(tmp_path: Path) -> None:
 def test_what_the_device_keeps_is_the_best_of_its_looks(tmp_path: Path) -> None:
     """Beside what the host would keep. The nodes are set beside the minimum now and then, so that the best is not the
     last; the loss of what is kept is made on the host."""
-    problem = FitProblem(field_scene(tmp_path), runtime.resolve_device("cuda"))
+    problem = FitProblem(field_scene(tmp_path), devices.resolve_device("cuda"))
     state = begin(problem, 0, 0)
     descent = GraphAdam(problem, state, 0.05)
     losses, kept = [], []
@@ -639,7 +642,7 @@ def test_what_the_device_keeps_is_the_best_of_its_looks(tmp_path: Path) -> None:
 def test_a_checkpoint_of_the_device_goes_on_from_there(tmp_path: Path) -> None:
     """Arrays as a checkpoint holds them, into another problem: to the bit what they were, and where they lead the same
     but for the order of atomic sums."""
-    scene, where = field_scene(tmp_path), runtime.resolve_device("cuda")
+    scene, where = field_scene(tmp_path), devices.resolve_device("cuda")
     problem = FitProblem(scene, where)
     state = begin(problem, 0, 0)
     descent = GraphAdam(problem, state, 0.02)

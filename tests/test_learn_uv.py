@@ -12,12 +12,13 @@ from worlds import SOIL, scene_of, view
 
 from warpsar.cli.main import main
 from warpsar.errors import InputError
-from warpsar.images import write_exr
-from warpsar.learning import LearnOptions, learn
-from warpsar.mesh import Mesh, read_mesh
-from warpsar.scene import Material, Scene
-from warpsar.simulation import simulate
-from warpsar.unwrap import unwrap, write_obj
+from warpsar.io.images import write_exr
+from warpsar.learning.command import LearnOptions, learn
+from warpsar.scene.scene import Scene
+from warpsar.scene.unwrap import unwrap, write_obj
+from warpsar.simulation.command import simulate
+from warpsar.world.mesh import Mesh, read_mesh
+from warpsar.world.tables import Material
 
 
 @pytest.fixture
@@ -160,8 +161,8 @@ def test_refusals(cube: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_vertex_layouts_are_refused(tmp_path: Path) -> None:
-    from warpsar.results import write_ply
-    from warpsar.unwrap import run
+    from warpsar.io.ply import write_ply
+    from warpsar.scene.unwrap import run
 
     mesh = bumpy()
     write_ply(tmp_path / "mesh.ply", mesh.vertices, mesh.faces, mesh.vertex_scalars)

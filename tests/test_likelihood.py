@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import optimize, stats
 
-from warpsar.likelihood import (
+from warpsar.speckle.likelihood import (
     best_gain,
     curvature,
     deviance,

@@ -8,12 +8,12 @@ import pytest
 from measured_files import C, Pass, echoes, write_cphd, write_mat, write_phoenix, write_sicd
 
 from warpsar.errors import InputError
-from warpsar.images import read_channel, write_exr
+from warpsar.io.images import read_channel, write_exr
 from warpsar.measured.ground import mesh_points, pixel_centres, plane_points
 from warpsar.measured.importer import import_measured
-from warpsar.measured.looks import equivalent_looks
 from warpsar.measured.resample import sample_power
-from warpsar.scene import Scene
+from warpsar.scene.scene import Scene
+from warpsar.speckle.looks import equivalent_looks
 
 GROUND = "v -60 -60 0\nv 60 -60 0\nv 60 60 0\nv -60 60 0\nf 1 2 3\nf 1 3 4\n"
 STEP = "usemtl low\n" + GROUND + "usemtl high\nv -4 -60 3\nv 4 -60 3\nv 4 60 3\nv -4 60 3\nf 5 6 7\nf 5 7 8\n"
@@ -60,7 +60,7 @@ def view_text(name: str, look: Pass, **extra: object) -> str:
 
 def simulated(path: Path) -> np.ndarray:
     """The scene's own model image, as complex numbers of random phase."""
-    from warpsar.simulation import simulate
+    from warpsar.simulation.command import simulate
 
     beta0 = simulate(Scene.load(path), device="cpu")[0].beta0
     (power,) = beta0.values()
@@ -105,7 +105,7 @@ def test_a_simulated_scene_comes_back_from_phase_history(kind: str, tmp_path: Pa
     path = scene_file(tmp_path, shape, spacing, views=view_text("v", look), mesh=STEP)
     image = simulated(path)
     scene = Scene.load(path)
-    from warpsar.frame import geometry_of
+    from warpsar.world.world import geometry_of
 
     geometry = geometry_of(scene, scene.views[0])
     points = plane_points(geometry, np.zeros(3), *pixel_centres(shape, spacing, (1, 1)))
@@ -142,7 +142,7 @@ def test_a_target_on_a_roof_is_in_focus_on_the_roof(surface: str, tmp_path: Path
     source = write_mat(tmp_path / "made_HH.mat", samples, frequency, 300.0 * s)
     done = import_measured([source], path, "v", surface=surface, samples=(1, 1), device="cpu")
     scene = Scene.load(path)
-    from warpsar.frame import geometry_of
+    from warpsar.world.world import geometry_of
 
     geometry = geometry_of(scene, scene.views[0])
     at = target[0] @ geometry.d, target[0] @ geometry.u
@@ -223,7 +223,7 @@ def test_unknown_pixels_spoil_only_their_neighbours() -> None:
 
 @pytest.mark.parametrize("slant_range_m", [None, 500.0])
 def test_points_have_the_range_and_azimuth_they_are_asked_for(slant_range_m: float | None) -> None:
-    from warpsar.frame import view_geometry
+    from warpsar.world.frame import view_geometry
 
     geometry = view_geometry(200.0, 35.0, 9.6e9, slant_range_m)
     reference = np.array([10.0, -20.0, 5.0])
@@ -241,7 +241,7 @@ def test_points_have_the_range_and_azimuth_they_are_asked_for(slant_range_m: flo
 
 @pytest.mark.parametrize("slant_range_m", [None, 300.0])
 def test_on_the_mesh_the_roof_comes_before_the_ground(slant_range_m: float | None, tmp_path: Path, device: str) -> None:
-    from warpsar.frame import view_geometry
+    from warpsar.world.frame import view_geometry
 
     scene = Scene.load(scene_file(tmp_path, (8, 8), (1.0, 1.0), views=view_text("v", Pass()), mesh=STEP))
     geometry = view_geometry(90.0, 45.0, 9.6e9, slant_range_m)

@@ -85,7 +85,7 @@ def numpy_array(folder: Path) -> Path:
 
 
 def exr(folder: Path) -> Path:
-    from warpsar.images import write_exr
+    from warpsar.io.images import write_exr
 
     path = folder / "made.exr"
     write_exr(path, {"HH": np.random.default_rng(0).rayleigh(size=(20, 24))})
@@ -93,7 +93,7 @@ def exr(folder: Path) -> Path:
 
 
 def tiff(folder: Path) -> Path:
-    from warpsar.images import write_tiff
+    from warpsar.io.images import write_tiff
 
     path = folder / "made.tif"
     write_tiff(path, np.random.default_rng(0).rayleigh(size=(20, 24)))
@@ -387,6 +387,6 @@ def test_channel_of_another_polarization_is_refused(tmp_path: Path) -> None:
 
 
 def test_speed_of_light_is_the_projects() -> None:
-    from warpsar.frame import SPEED_OF_LIGHT
+    from warpsar.world.frame import SPEED_OF_LIGHT
 
     assert SPEED_OF_LIGHT == C

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from warpsar.errors import InputError
-from warpsar.mesh import Mesh, read_mesh
+from warpsar.world.mesh import Mesh, read_mesh
 
 SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
 PLY = """ply

@@ -8,13 +8,13 @@ import pytest
 from learning_scenes import cube_scene, measured, noise_free, views_at
 from worlds import ground, mesh_of, scene_of
 
-from warpsar import runtime
 from warpsar.errors import InputError
-from warpsar.fit import FitProblem
-from warpsar.images import read_channel, write_exr, write_tiff
-from warpsar.learning import LearnOptions, learn
-from warpsar.observation import observe
-from warpsar.scene import Scene
+from warpsar.io.images import read_channel, write_exr, write_tiff
+from warpsar.learning.command import LearnOptions, learn
+from warpsar.learning.observation import observe
+from warpsar.learning.problem import FitProblem
+from warpsar.runtime import devices
+from warpsar.scene.scene import Scene
 
 SHAPE = (40, 40)
 
@@ -26,7 +26,7 @@ def scene(tmp_path: Path) -> Scene:
 
 
 def lit_by(scene: Scene) -> np.ndarray:
-    problem = FitProblem(scene, runtime.resolve_device("cpu"))
+    problem = FitProblem(scene, devices.resolve_device("cpu"))
     return problem.views[0].render.forward()["HH"] > 0
 
 
@@ -106,7 +106,7 @@ def test_looks_are_estimated_where_not_declared(tmp_path: Path) -> None:
     scene = scene_of(mesh_of(ground=ground(200.0)), views_at((0.0, 40.0)), shape=(100, 100), rays_per_pixel=32.0)
     scene = measured(scene, tmp_path, looks=9.0)
     scene = replace(scene, views=[v.model_copy(update={"looks": None}) for v in scene.views])
-    (found,) = FitProblem(scene, runtime.resolve_device("cpu")).observations
+    (found,) = FitProblem(scene, devices.resolve_device("cpu")).observations
     assert found.looks_estimated
     assert found.looks == pytest.approx(9.0, rel=0.1)
 
@@ -114,22 +114,22 @@ def test_looks_are_estimated_where_not_declared(tmp_path: Path) -> None:
 def test_an_image_that_misses_the_mesh_is_refused(scene: Scene) -> None:
     away = replace(scene, reference_point_m=(500.0, 0.0, 0.0))
     with pytest.raises(InputError, match="views v0: no pixel of HH is lit by the model, unmasked and positive"):
-        FitProblem(away, runtime.resolve_device("cpu"))
+        FitProblem(away, devices.resolve_device("cpu"))
 
 
 def test_nothing_but_zeros_is_refused(scene: Scene) -> None:
     write_tiff(scene.views[0].images["HH"], np.zeros(SHAPE))
     with pytest.raises(InputError, match="no pixel of HH is lit"):
-        FitProblem(scene, runtime.resolve_device("cpu"))
+        FitProblem(scene, devices.resolve_device("cpu"))
 
 
 def test_masks_of_one_model_serve_another(scene: Scene) -> None:
     """Frozen pixels: the same for every model that is compared."""
-    first = FitProblem(scene, runtime.resolve_device("cpu"))
+    first = FitProblem(scene, devices.resolve_device("cpu"))
     frozen = {view.view.name: view.observations for view in first.views}
     lifted = replace(scene, effects={"noise_floor": {"level": 0.01}})
-    own = FitProblem(lifted, runtime.resolve_device("cpu"))
-    shared = FitProblem(lifted, runtime.resolve_device("cpu"), observations=frozen)
+    own = FitProblem(lifted, devices.resolve_device("cpu"))
+    shared = FitProblem(lifted, devices.resolve_device("cpu"), observations=frozen)
     assert shared.observations[0] is first.observations[0]
     # noise lights nothing, but the dark pixels tell its level
     lit = own.observations[0].interior & ~own.observations[0].dark

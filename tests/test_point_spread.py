@@ -9,9 +9,9 @@ import pytest
 from scipy.optimize import brentq
 from scipy.signal.windows import taylor
 
-from warpsar import runtime
 from warpsar.effects.point_spread import EFFECT, WINDOWS
-from warpsar.program import Program
+from warpsar.runtime import devices
+from warpsar.runtime.program import Program
 
 SPACING = (0.5, 0.4)
 # narrower than the CPU's stretches of pixels, as wide as one, no multiple of one, several and a line
@@ -24,7 +24,7 @@ class Spread:
     """The effect by itself: `image` in, `result` out."""
 
     def __init__(self, device: str, window: str, shape: tuple[int, int], widths: tuple[float, float]) -> None:
-        self.program = Program(runtime.resolve_device(device))
+        self.program = Program(devices.resolve_device(device))
         self.p, self.image = self.program.array(2), self.program.array(shape[0] * shape[1])
         self.p.assign(np.array(widths, np.float32))
         self.shape = shape

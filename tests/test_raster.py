@@ -8,11 +8,14 @@ import numpy as np
 import pytest
 from worlds import axes, box, ground, join, mesh_of, plate
 
-from warpsar import runtime
-from warpsar.frame import ViewGeometry, view_geometry
-from warpsar.mesh import Mesh
-from warpsar.raster import ParallelRaster, Raster
-from warpsar.trace import BinGrid, Target, nearest_faces, ray_grid
+from warpsar.runtime import devices
+from warpsar.trace.hits import BinGrid
+from warpsar.trace.nearest import ParallelRaster, Raster
+from warpsar.trace.rays import ray_grid
+from warpsar.trace.target import Target
+from warpsar.trace.trace import nearest_faces
+from warpsar.world.frame import ViewGeometry, view_geometry
+from warpsar.world.mesh import Mesh
 
 PLANE, TRACK = None, 900.0  # R0 [m] of a wave that is plane, and of a track whose rays turn by degrees over the scene
 
@@ -33,7 +36,7 @@ def prepared(
     rays_per_m2: float = 9.0,
     device: str = "cpu",
 ) -> tuple[Target, ViewGeometry, Any]:
-    target = Target.upload(mesh, np.zeros(3), runtime.resolve_device(device))
+    target = Target.upload(mesh, np.zeros(3), devices.resolve_device(device))
     geometry = replace(view_geometry(25.0, 40.0, 9.6e9), slant_range_m=slant_range_m)
     grid = BinGrid(shape, (1.0, 1.0))
     return target, geometry, ray_grid(target, geometry, grid, rays_per_m2, 1, 1.0)

@@ -12,10 +12,10 @@ from learning_scenes import cube_scene, measured, views_at
 from matplotlib.image import imread
 from worlds import view
 
-from warpsar import report
-from warpsar.evaluation import run
-from warpsar.evaluation_report import reduced
-from warpsar.figures import new
+from warpsar.evaluation.command import run
+from warpsar.evaluation.report import reduced
+from warpsar.io import html as report
+from warpsar.io.figures import new
 
 VOID = {"meta", "img", "br", "hr", "link", "input"}
 

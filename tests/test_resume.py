@@ -16,12 +16,13 @@ import pytest
 from learning_scenes import bumpy, measured, views_at
 from worlds import SOIL, scene_of
 
-from warpsar import checkpoint
 from warpsar.errors import InputError
-from warpsar.images import read_image, write_exr
-from warpsar.learning import LearnOptions, learn
-from warpsar.scene import Material, Scene
-from warpsar.unwrap import write_obj
+from warpsar.io import checkpoint
+from warpsar.io.images import read_image, write_exr
+from warpsar.learning.command import LearnOptions, learn
+from warpsar.scene.scene import Scene
+from warpsar.scene.unwrap import write_obj
+from warpsar.world.tables import Material
 
 Whole = Callable[[str], tuple[Path, Path]]
 # Long enough to be killed more than once; what stops it is the number of iterations.

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from warpsar.errors import InputError
-from warpsar.images import write_exr, write_tiff
-from warpsar.scene import Grid, Material, Sampling, Scene
+from warpsar.io.images import write_exr, write_tiff
+from warpsar.scene.scene import Scene
+from warpsar.world.tables import Grid, Material, Sampling
 
 OBJ = """vt 0 0
 vt 1 0

@@ -13,8 +13,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from warpsar.errors import InputError
-from warpsar.images import write_tiff
-from warpsar.scene import Scene
+from warpsar.io.images import write_tiff
+from warpsar.scene.scene import Scene
 
 TABLES: dict[str, Any] = {
     "scene": {"mesh": "scene.obj", "reference_point_m": [0.0, 0.0, 0.0]},

@@ -9,10 +9,10 @@ import pytest
 from worlds import BRICK, SOIL, box, ground, mesh_of, scene_of, sigma0, view
 
 import warpsar
-from warpsar.effects import validate
+from warpsar.effects.registry import validate
 from warpsar.errors import DeviceError
-from warpsar.scene import Scene
-from warpsar.simulation import view_seed
+from warpsar.scene.scene import Scene
+from warpsar.simulation.rays import view_seed
 
 
 def town(*views: Any, **options: Any) -> Scene:

@@ -8,14 +8,15 @@ import pytest
 from worlds import BRICK, SOIL, ground, mesh_of, plate, scene_of, sigma0, view
 
 import warpsar
-from warpsar import runtime
-from warpsar.images import write_exr
-from warpsar.mesh import Mesh
-from warpsar.render import Stage, ViewRender
-from warpsar.scene import Scene
-from warpsar.simulation import trace_view
-from warpsar.surface import FRACTION_LIMIT, KEYS, KINDS, Surface
-from warpsar.trace import Hits
+from warpsar.io.images import write_exr
+from warpsar.render.render import ViewRender
+from warpsar.runtime import devices
+from warpsar.scene.scene import Scene
+from warpsar.simulation.rays import trace_view
+from warpsar.surface.stage import Stage
+from warpsar.surface.surface import FRACTION_LIMIT, KEYS, KINDS, Surface
+from warpsar.trace.hits import Hits
+from warpsar.world.mesh import Mesh
 
 SIZE = 24.0
 
@@ -34,7 +35,7 @@ def textured_mesh(**scalars: np.ndarray) -> Mesh:
 
 
 def hits_of(scene: Scene, device: str, merge: bool = True) -> tuple[Hits, ViewRender]:
-    stage = Stage.of(scene, runtime.resolve_device(device))
+    stage = Stage.of(scene, devices.resolve_device(device))
     hits = trace_view(scene, stage, scene.views[0], seed=1, effects=[], merge=merge)
     render = ViewRender(stage, scene.views[0], hits, scene.grid.shape, scene.radar.polarizations, [])
     render.forward()

@@ -11,13 +11,17 @@ from hypothesis import strategies as st
 from worlds import BRICK, axes, box, ground, mesh_of, plate, scene_of, sigma0, view
 
 import warpsar
-from warpsar import runtime
 from warpsar.errors import InputError
-from warpsar.frame import geometry_of, view_geometry
-from warpsar.mesh import Mesh
-from warpsar.scene import Scene
-from warpsar.simulation import hit_grid
-from warpsar.trace import BinGrid, Hits, Target, ray_count, trace
+from warpsar.runtime import devices
+from warpsar.scene.scene import Scene
+from warpsar.simulation.rays import hit_grid
+from warpsar.trace.hits import BinGrid, Hits
+from warpsar.trace.rays import ray_count
+from warpsar.trace.target import Target
+from warpsar.trace.trace import trace
+from warpsar.world.frame import view_geometry
+from warpsar.world.mesh import Mesh
+from warpsar.world.world import geometry_of
 
 DEPOSITS = ("nearest", "linear", "footprint")
 
@@ -29,7 +33,7 @@ def town(**options: Any) -> Scene:
 
 
 def traced(scene: Scene, **options: Any) -> Hits:
-    target = Target.upload(scene.mesh, scene.reference_point_m, runtime.resolve_device(options.pop("device", "cpu")))
+    target = Target.upload(scene.mesh, scene.reference_point_m, devices.resolve_device(options.pop("device", "cpu")))
     density = options.pop("rays_per_m2", scene.sampling.density_per_m2(scene.grid))
     return trace(target, geometry_of(scene, scene.views[0]), options.pop("grid", hit_grid(scene)), density, **options)
 
@@ -298,13 +302,13 @@ def test_a_mesh_far_outside_of_the_image_has_no_rays() -> None:
     scene = scene_of(mesh_of(soil=ground(4)), view(0, 40))
     away = replace(scene, mesh=replace(scene.mesh, vertices=scene.mesh.vertices + np.array([500.0, 0.0, 0.0])))
     assert traced(away).count == 0
-    target = Target.upload(away.mesh, (0, 0, 0), runtime.resolve_device("cpu"))
+    target = Target.upload(away.mesh, (0, 0, 0), devices.resolve_device("cpu"))
     assert ray_count(target, geometry_of(away, away.views[0]), hit_grid(away), 100.0) == 0
 
 
 def test_rays_are_counted() -> None:
     scene = town()
-    target = Target.upload(scene.mesh, (0, 0, 0), runtime.resolve_device("cpu"))
+    target = Target.upload(scene.mesh, (0, 0, 0), devices.resolve_device("cpu"))
     hits = traced(scene)
     assert hits.rays == ray_count(target, geometry_of(scene, scene.views[0]), hit_grid(scene), hits.rays_per_m2)
 

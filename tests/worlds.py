@@ -5,8 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from warpsar.mesh import Mesh
-from warpsar.scene import Grid, Material, Radar, Sampling, Scene, View
+from warpsar.scene.scene import Scene
+from warpsar.world.mesh import Mesh
+from warpsar.world.tables import Grid, Material, Radar, Sampling, View
 
 FREQUENCY_HZ = 9.6e9
 WAVENUMBER = 2 * np.pi * FREQUENCY_HZ / 299792458.0

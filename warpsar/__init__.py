@@ -10,17 +10,16 @@ from importlib import import_module
 from typing import Any
 
 from warpsar.errors import DeviceError, InputError, WarpsarError
-
-__version__ = "0.1.0"
+from warpsar.version import __version__
 
 _LAZY = {
-    "Scene": "warpsar.scene",
-    "diagnose": "warpsar.diagnosis.command",
-    "evaluate": "warpsar.evaluation",
-    "learn": "warpsar.learning",
-    "simulate": "warpsar.simulation",
+    "Scene": "warpsar.scene.scene",
+    "diagnose": "warpsar.diagnosis.result",
+    "evaluate": "warpsar.evaluation.command",
+    "learn": "warpsar.learning.command",
+    "simulate": "warpsar.simulation.command",
 }
-__all__ = ["DeviceError", "InputError", "Scene", "WarpsarError", "diagnose", "evaluate", "learn", "simulate"]
+__all__ = ["DeviceError", "InputError", "Scene", "WarpsarError", "__version__", "diagnose", "evaluate", "learn", "simulate"]
 
 
 def __getattr__(name: str) -> Any:

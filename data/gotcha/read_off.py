@@ -37,9 +37,9 @@ WAVELENGTH_M = 299_792_458.0 / 9.6e9
 
 def power_on_the_ground(data: Path, device: str | None = None) -> tuple[np.ndarray, np.ndarray]:
     """Mean power of the train views on z = 0, [north, east], and its axis (the same for both) [m]."""
-    from warpsar.focus import focus
     from warpsar.measured import formats
     from warpsar.measured.data import PhaseHistory
+    from warpsar.measured.focus import focus
 
     axis = np.arange(-HALF_M, HALF_M + STEP_M / 2, STEP_M)
     east, north = np.meshgrid(axis, axis)

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpsar import runtime
 from warpsar.diagnosis.evidence import LARGEST
-from warpsar.distributed import ONE, Ranks
+from warpsar.runtime import threads
+from warpsar.runtime.distributed import ONE, Ranks
 
 if TYPE_CHECKING:
     from warpsar.diagnosis.evidence import Evidence
@@ -96,7 +96,7 @@ def bootstrap(
         [partial(batch, sequence) for sequence in seeds],
         told=lambda found: {name: values.tolist() for name, values in found.items()},
         heard=lambda found: {name: np.array(values) for name, values in found.items()},
-        run=runtime.in_threads,
+        run=threads.in_threads,
     )
     scores = {name: np.concatenate([b[name] for b in batches])[:draws] for name in batches[0]}
     tails = {name: Tail.of(values) for name, values in scores.items()}

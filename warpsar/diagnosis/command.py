@@ -5,114 +5,21 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from warpsar import distributed, runtime
-from warpsar.diagnosis.judge import ROLES, Judge, Judged, difference, pool
-from warpsar.diagnosis.place import Place, place
-from warpsar.diagnosis.procedure import Candidate, DiagnoseOptions, Diagnosis, Step, diagnose_scene
-from warpsar.diagnosis.score import NOT_TESTABLE
-from warpsar.effects import get
-from warpsar.identify import Identified, identify
-from warpsar.outputs import opened, write_json
+from warpsar.diagnosis.found import Candidate, DiagnoseOptions, Diagnosis, Step
+from warpsar.diagnosis.judge import ROLES, Judged, difference, pool
+from warpsar.diagnosis.procedure import diagnose_scene
+from warpsar.diagnosis.result import Diagnosed, Moved, judged, moved_parameters, why_not
+from warpsar.effects.registry import get
+from warpsar.learning.identify import Identified
+from warpsar.runtime import distributed
+from warpsar.simulation.outputs import opened, write_json
 
 if TYPE_CHECKING:
-    from warpsar.diagnosis.refit import Fitted
-    from warpsar.scene import Scene
-
-SAME_SD = 2.0  # a parameter that moved by more of its standard deviations than this is said to have moved
-
-
-@dataclass(frozen=True)
-class Diagnosed:
-    """A diagnosis with what came of it on all views. `models`: the declared model and the one after every addition,
-    each as `Judged` images of train and test views; `place`: the strongest window of what is left at the end."""
-
-    diagnosis: Diagnosis
-    judge: Judge
-    models: list[list[Judged]]
-    place: Place
-
-    @property
-    def before(self) -> dict[str, dict[str, Any] | None]:
-        """Metrics of the declared model, fitted, on `train` and `test`."""
-        return {role: pool(self.models[0], role) for role in ROLES}
-
-    @property
-    def after(self) -> dict[str, dict[str, Any] | None]:
-        """The same of the model with every added effect."""
-        return {role: pool(self.models[-1], role) for role in ROLES}
-
-
-def diagnose(scene: Scene, *, device: str | None = None, options: DiagnoseOptions | None = None) -> Diagnosed:
-    """Run the procedure of docs/diagnosis.md on the train views; then judge every step's model, once, on all views.
-
-    Several processes (`distributed`) share the work; all return the same. Raises InputError for scenes without measured
-    train views, or with learned fields.
-    """
-    where = runtime.resolve_device(device)
-    return judged(diagnose_scene(scene, where, options or DiagnoseOptions(), distributed.ranks(where)))
-
-
-def judged(found: Diagnosis) -> Diagnosed:
-    """Every step's model on all views."""
-    judge = Judge(found)
-    models = [judge(fitted.scene) for fitted in fitted_models(found)]
-    return Diagnosed(found, judge, models, place(found, models[-1], found.steps[-1].spot))
-
-
-def fitted_models(found: Diagnosis) -> list[Fitted]:
-    """The declared model and the one after every addition, fitted."""
-    return [found.declared, *(step.fitted for step in found.steps if step.fitted is not None)]
-
-
-@dataclass(frozen=True)
-class Moved:
-    """A surface parameter before and after the effects were added: values (SI), and standard deviations of their
-    learned coordinates (ln, or logit for specular_fraction); `sds`: the move over the root of both variances' sum."""
-
-    material: str
-    key: str
-    before: float
-    after: float
-    before_sd: float
-    after_sd: float
-    move: float
-
-    @property
-    def sds(self) -> float:
-        return self.move / float(np.hypot(self.before_sd, self.after_sd))
-
-
-def moved_parameters(found: Diagnosis) -> tuple[list[Moved], Identified]:
-    """How far every learned surface parameter went, and what the final model's data can say of them."""
-    first, last = found.declared, found.final
-    before, after = (identify(fitted.problem, fitted.x) for fitted in (first, last))
-    moves, at = [], 0
-    for block in first.problem.surface.blocks:
-        if block.learn:
-            a, b = float(first.x[at]), float(last.x[at])
-            one, two = (float(block.kind.from_coordinate(x)) for x in (a, b))
-            moves.append(
-                Moved(block.material, block.kind.key, one, two, float(before.sd[at]), float(after.sd[at]), b - a)
-            )
-            at += 1
-    return moves, after
-
-
-def why_not(candidate: Candidate) -> str:
-    """Why an effect could not be tested."""
-    if candidate.testability == "absent":
-        return "this scene has no place for it"
-    share = 100.0 * candidate.eta
-    return (
-        f"all but {share:.2g} % of what it would change, the surface's parameters can change alike "
-        f"(allowed: {100.0 * NOT_TESTABLE:g} %): in this geometry the two cannot be told apart"
-    )
+    pass
 
 
 def run(

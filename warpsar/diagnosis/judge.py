@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpsar.diagnosis.procedure import frozen
-from warpsar.diagnosis.refit import Bench
-from warpsar.evaluation import mean_deviance
-from warpsar.identify import residual_autocovariance
-from warpsar.likelihood import deviance, expected_deviance, metrics
-from warpsar.simulation import Rays
+from warpsar.diagnosis.bench import Bench
+from warpsar.diagnosis.frozen import frozen
+from warpsar.evaluation.command import mean_deviance
+from warpsar.learning.identify import residual_autocovariance
+from warpsar.simulation.rays import Rays
+from warpsar.speckle.likelihood import deviance, expected_deviance, metrics
 
 if TYPE_CHECKING:
-    from warpsar.diagnosis.procedure import Diagnosis
-    from warpsar.observation import Observation
-    from warpsar.scene import Scene
+    from warpsar.diagnosis.found import Diagnosis
+    from warpsar.learning.observation import Observation
+    from warpsar.scene.scene import Scene
 
 ROLES = ("train", "test")
 

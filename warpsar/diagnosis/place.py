@@ -8,16 +8,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpsar.effects import get, value_in
-from warpsar.frame import geometry_of
+from warpsar.diagnosis.projection import pixel_of, shift_px
 
 if TYPE_CHECKING:
+    from warpsar.diagnosis.found import Diagnosis
     from warpsar.diagnosis.judge import Judged
-    from warpsar.diagnosis.procedure import Diagnosis
     from warpsar.diagnosis.scan import Spot
-    from warpsar.meshview import MeshView
-    from warpsar.scene import Scene, View
-    from warpsar.trace import Hits
+    from warpsar.evaluation.meshview import MeshView
+    from warpsar.scene.scene import Scene
+    from warpsar.trace.hits import Hits
+    from warpsar.world.tables import View
+
 
 SMOOTHED = 5  # pixels on a side over which the residual on the mesh is averaged
 
@@ -91,17 +92,6 @@ def _hits(found: Diagnosis, view: View) -> Hits:
     return found.bench.rays.hits(found.scene, view, [])
 
 
-def shift_px(scene: Scene, view: View) -> np.ndarray:
-    """By how many rows and columns the model moves the image of a view."""
-    table = scene.effects.get("registration")
-    if table is None:
-        return np.zeros(2)
-    axes = geometry_of(scene, view)
-    range_m, azimuth_m, *world = (value_in(view, p, table) for p in get("registration").parameters)
-    moved = np.array([range_m + axes.d @ np.array(world), azimuth_m + axes.u @ np.array(world)])
-    return moved / np.array(scene.grid.spacing_m)
-
-
 def _parts(scene: Scene, hits: Hits, inside: np.ndarray) -> list[Part]:
     points = hits.point.numpy()[inside].astype(float) + np.asarray(scene.reference_point_m)
     weight = hits.weight.numpy()[inside].astype(float)
@@ -119,21 +109,6 @@ def _parts(scene: Scene, hits: Hits, inside: np.ndarray) -> list[Part]:
             )
         )
     return sorted(found, key=lambda part: -part.share)
-
-
-def pixel_of(scene: Scene, view: View, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Row and column, as floats with pixel i at i to i + 1, of points about the reference point, shape (n, 3)."""
-    axes = geometry_of(scene, view)
-    along = points @ axes.d
-    if axes.slant_range_m is not None:
-        along = np.hypot(along + axes.slant_range_m, points @ axes.v) - axes.slant_range_m
-    shift = shift_px(scene, view)
-    places = (along, points @ axes.u)
-    row, col = (
-        at / step + n / 2 + moved
-        for at, n, step, moved in zip(places, scene.grid.shape, scene.grid.spacing_m, shift, strict=True)
-    )
-    return row, col
 
 
 def _in_view(found: Diagnosis, image: Judged, world: np.ndarray, half: int) -> dict[str, Any]:

@@ -3,133 +3,62 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpsar import runtime
+from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.bootstrap import Bootstrap, bootstrap
-from warpsar.diagnosis.carried import carried_over, is_carried
+from warpsar.diagnosis.carried import carried_over
 from warpsar.diagnosis.evidence import Evidence
-from warpsar.diagnosis.left_out import LeftOut, leave_one_view_out, varies_over_columns
-from warpsar.diagnosis.refit import (
-    Bench,
-    Fitted,
-    fit_model,
-    fit_robustly,
-    narrow,
-    refit_without,
-    settle,
-)
+from warpsar.diagnosis.found import Candidate, DiagnoseOptions, Diagnosis, Step
+from warpsar.diagnosis.frozen import frozen
+from warpsar.diagnosis.left_out import leave_one_view_out, varies_over_columns
+from warpsar.diagnosis.refit import Fitted, fit_model, fit_robustly, narrow, refit_without, settle
 from warpsar.diagnosis.scan import Scan, Spot
 from warpsar.diagnosis.score import NOT_TESTABLE, Group, Projection, group
 from warpsar.diagnosis.screening import Screening
 from warpsar.diagnosis.survey import surveyed
 from warpsar.diagnosis.templates import Template, TemplateMaker
-from warpsar.distributed import ONE, Ranks
-from warpsar.effects import NAMES, get
+from warpsar.effects.registry import NAMES, get
 from warpsar.errors import InputError
-from warpsar.observation import looks_of
-from warpsar.render import Stage
-from warpsar.sampling import Density, choose_density
-from warpsar.simulation import Rays
+from warpsar.learning.observation import looks_of
+from warpsar.runtime import console
+from warpsar.runtime.distributed import ONE, Ranks
+from warpsar.simulation.rays import Rays
+from warpsar.simulation.sampling import choose_density
+from warpsar.surface.stage import Stage
 
 if TYPE_CHECKING:
-    from warpsar.fit import FitProblem
-    from warpsar.observation import Observation
-    from warpsar.scene import Scene, View
+    from warpsar.learning.problem import FitProblem
+    from warpsar.scene.scene import Scene
+    from warpsar.world.tables import View
+
 
 MU_NOISE = 10.0  # looks x pixels x relative sampling variance of mu: the gain in 2 ln L that denoising mu could bring
+
+
 CLASS_COSINE = 0.9  # templates closer than this are one class: the data hardly tell them apart
+
+
 DARK_PIXELS = 50  # fewer dark pixels than this say nothing
+
+
 GLANCED = 8  # candidates that get a few iterations
+
+
 OFFERED = 40  # of an effect's best trials that its refit may try
+
+
 SLIVER = 0.25  # of a ray's share of a pixel: darker than this no pixel is called that was lit
+
+
 TRACE = 0.1  # of the median beta0: less is a border pixel's share of light
+
+
 SILENT_SHARE = 0.01  # of the dark pixels that may measure exactly 0 under a floor
-
-
-@dataclass(frozen=True)
-class DiagnoseOptions:
-    """How to decide. `family_error`: chance of naming anything, or calling the rest unexplained, where nothing is
-    missing. `draws`: bootstrap size. `refits`: how many of the likeliest at a glance are fitted fully. `starts`:
-    further starts of every fit. `most_effects`: how many may be added."""
-
-    family_error: float = 0.01
-    draws: int = 1000
-    refits: int = 4
-    starts: int = 2
-    most_effects: int = 4
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        if not 0.0 < self.family_error < 1.0:
-            raise InputError(f"--family-error: found {self.family_error}; allowed is between 0 and 1")
-        if self.draws * self.family_error < 4:
-            raise InputError(
-                f"--draws: found {self.draws}; a family error rate of {self.family_error} needs "
-                f"{int(np.ceil(4 / self.family_error))} draws or more"
-            )
-
-
-@dataclass
-class Candidate:
-    """What one effect scored at one step. `eta`: share of its template that the surface cannot imitate; `minus_log_p`:
-    of its largest score, calibrated by the bootstrap; `p_value`: of the family."""
-
-    effect: str
-    testability: str  # "testable", "not_testable" or "absent": the scene has no place for it
-    eta: float = float("nan")
-    statistic: float = float("nan")
-    minus_log_p: float = 0.0
-    p_value: float = 1.0
-    resembles: list[str] = field(default_factory=list)
-    refit_gain: float | None = None  # 2 ln L over the model without it
-    refit_size: int | None = None
-    left_out: LeftOut | None = None
-    carried: float | None = None  # share of its gain that the surface takes from view to view
-    note: str = ""
-
-    @property
-    def shared(self) -> bool:
-        """Whether the surface could be what it was taken for."""
-        return self.carried is not None and is_carried(self.effect, self.carried)
-
-
-@dataclass
-class Step:
-    """One turn: what was tested, what was added (None: nothing), and what earlier turns had added in its place."""
-
-    candidates: list[Candidate]
-    added: str | None
-    spot: Spot
-    scan_minus_log_p: float
-    p_scan: float
-    threshold: float
-    base: Fitted
-    fitted: Fitted | None = None
-    dropped: list[str] = field(default_factory=list)
-
-
-@dataclass
-class Diagnosis:
-    """`steps` in their order, the last of which added nothing unless the limit was reached; `declared` is the model
-    of the scene file, fitted, and `final` the one with every added effect."""
-
-    scene: Scene
-    declared: Fitted
-    final: Fitted
-    steps: list[Step]
-    unexplained: bool
-    density: Density
-    bench: Bench
-    evidence: Evidence
-
-    @property
-    def verdict(self) -> list[str]:
-        return [step.added for step in self.steps if step.added in self.final.scene.effects]
 
 
 def diagnose_scene(scene: Scene, device: Any, options: DiagnoseOptions, ranks: Ranks = ONE) -> Diagnosis:
@@ -140,7 +69,7 @@ def diagnose_scene(scene: Scene, device: Any, options: DiagnoseOptions, ranks: R
     """
     stage, views, looks = ranks.agree(lambda: _training(scene, device))
     density = choose_density(scene, stage, views, looks, MU_NOISE, total=True, ranks=ranks)
-    runtime.say(
+    console.say(
         f"rays: {density.rays_per_pixel:g} per pixel; looks x pixels x relative sampling variance "
         f"{density.noise:.2g} (wanted: under {MU_NOISE:g})"
     )
@@ -149,8 +78,8 @@ def diagnose_scene(scene: Scene, device: Any, options: DiagnoseOptions, ranks: R
     one, other = (Bench(device, each, {}, ranks) for each in (rays, other_rays))
     bench = replace(one, observations=frozen(one, other, scene))
 
-    bar = runtime.progress(2 * options.draws, "diagnose", "")
-    runtime.say("fit of the declared model")
+    bar = console.progress(2 * options.draws, "diagnose", "")
+    console.say("fit of the declared model")
     base = declared = fit_model(bench, scene, options.starts, options.seed)
     steps: list[Step] = []
     turn = bench  # the pixels of the turn: fewer where an added effect has moved the light
@@ -181,29 +110,6 @@ def _training(scene: Scene, device: Any) -> tuple[Stage, list[View], list[float]
     if not views:
         raise InputError(f"{scene.path}: views: none with role train has measured images")
     return stage, views, [looks_of(scene, view) for view in views]
-
-
-def frozen(one: Bench, other: Bench, scene: Scene) -> dict[str, list[Observation]]:
-    """Masks from the declared model, the same for all that follows. A pixel counts as lit if both sets of rays light
-    it and its neighbours: where one of them misses, its share of light is sampling noise. Where an effect has moved
-    the light, a pixel may hold a sliver that no ray meets: it counts as `SLIVER` of a ray's share of what it was
-    declared to have, at least; a share of any brighter pixel would take dim surfaces for dark."""
-    ranks = one.ranks
-    problems = ranks.agree(lambda: [bench.problem(scene, dark=False) for bench in (one, other)])
-    problems[0].modelled_as_declared()
-    density = one.rays.rays_per_m2 or scene.sampling.density_per_m2(scene.grid)
-    rays_per_pixel = density * scene.grid.pixel_area_m2
-    found: dict[str, list[Observation]] = {}
-    for a, b in zip(*(problem.views for problem in problems), strict=True):
-        for mine, theirs in zip(a.observations, b.observations, strict=True):
-            masks = ranks.same([mine.interior & theirs.interior, mine.silent, mine.dark & theirs.dark]) > 0
-            image = a.render.images[mine.polarization].numpy().reshape(mine.interior.shape)
-            least = ranks.same(SLIVER / rays_per_pixel * image)
-            looks = float(ranks.same(mine.looks))
-            interior, silent, dark = masks
-            seen = replace(mine, interior=interior, silent=silent, dark=dark, looks=looks, least=least)
-            found.setdefault(a.view.name, []).append(seen)
-    return found
 
 
 def _step(
@@ -260,7 +166,7 @@ def _step(
             fitted = settle(bench, fitted, options.starts, options.seed)
             candidate.refit_gain = 2.0 * (fitted.log_likelihood - base.log_likelihood)
             step.added, step.fitted = candidate.effect, fitted
-            runtime.say(f"added: {step.added} {fitted.scene.effects[step.added]}, which the dark pixels ask for")
+            console.say(f"added: {step.added} {fitted.scene.effects[step.added]}, which the dark pixels ask for")
             return step, evidence
     for gain, candidate, fitted in sorted(refitted, key=lambda item: -item[0]):
         if gain <= 0:
@@ -268,24 +174,24 @@ def _step(
         fitted = settle(bench, fitted, options.starts, options.seed)
         candidate.refit_gain = 2.0 * (fitted.log_likelihood - base.log_likelihood)
         candidate.left_out = leave_one_view_out(bench, base, fitted, candidate.effect)
-        runtime.say(
+        console.say(
             f"  {candidate.effect}: views left out gain {candidate.left_out.gain:.1f} +- {candidate.left_out.error:.1f}"
         )
         if not candidate.left_out.passed:
             continue
         if varies_over_columns(bench, base, fitted, candidate.effect):
             candidate.note = "not one value for a view: it varies over the view's columns"
-            runtime.say(f"  {candidate.effect}: {candidate.note}")
+            console.say(f"  {candidate.effect}: {candidate.note}")
             continue
         if get(candidate.effect).in_image:
             candidate.carried = carried_over(bench, fitted, candidate.effect)
         if candidate.shared:
             candidate.note += f"{'; ' if candidate.note else ''}{_shared_note(candidate)}"
-            runtime.say(f"  {candidate.effect}: {candidate.note}")
+            console.say(f"  {candidate.effect}: {candidate.note}")
             if get(candidate.effect).additive:
                 continue
         step.added, step.fitted = candidate.effect, fitted
-        runtime.say(f"added: {candidate.effect} {fitted.scene.effects[candidate.effect]}")
+        console.say(f"added: {candidate.effect} {fitted.scene.effects[candidate.effect]}")
         break
     return step, evidence
 
@@ -370,7 +276,7 @@ def _screened(
     for (candidate, _), (fitted, given_up) in zip(order, finished, strict=False):
         gain = 2.0 * (fitted.log_likelihood - base.log_likelihood)
         said = ", given up" if given_up else ""
-        runtime.say(f"  refit {candidate.effect}: 2 ln L {gain:+.1f} for {fitted.size - base.size} parameters{said}")
+        console.say(f"  refit {candidate.effect}: 2 ln L {gain:+.1f} for {fitted.size - base.size} parameters{said}")
         if given_up:
             candidate.note += f"{'; ' if candidate.note else ''}its fit was given up, far behind"
         found.append((candidate, fitted))
@@ -389,7 +295,7 @@ def _prune(bench: Bench, step: Step, earlier: Sequence[str], pixels: float) -> N
         if lost < (step.fitted.size - without.size) * np.log(pixels):
             step.dropped.append(name)
             step.fitted = without
-            runtime.say(f"dropped: {name}, needless with {step.added} (2 ln L {-lost:+.1f})")
+            console.say(f"dropped: {name}, needless with {step.added} (2 ln L {-lost:+.1f})")
 
 
 def _silent(problem: FitProblem, x: np.ndarray, evidence: Evidence) -> list[np.ndarray]:
@@ -494,7 +400,7 @@ def _effective_pixels(evidence: Evidence, ranks: Ranks) -> float:
 
 def _say(step: Step, number: int, passing: list[Candidate]) -> None:
     names = ", ".join(f"{c.effect} ({c.minus_log_p:.0f})" for c in passing[:6]) or "none"
-    runtime.say(
+    console.say(
         f"step {number + 1}: -ln p over {step.threshold:.1f}: {names}; "
         f"scan {step.scan_minus_log_p:.1f} (z {step.spot.z:+.1f})"
     )

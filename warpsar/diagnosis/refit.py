@@ -8,51 +8,40 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.evidence import LARGEST
-from warpsar.distributed import ONE, Ranks
-from warpsar.effects import get
-from warpsar.fit import FitProblem
-from warpsar.optimise import FLAT, FitState, begin, levenberg_marquardt
-from warpsar.results import learned_scene
-from warpsar.surface import KEYS, Surface
+from warpsar.effects.registry import get
+from warpsar.learning.optimise import FLAT, FitState, begin, levenberg_marquardt
+from warpsar.learning.problem import FitProblem
+from warpsar.learning.results import learned_scene
+from warpsar.runtime.distributed import ONE, Ranks
+from warpsar.surface.surface import KEYS, Surface
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Mapping
 
-    from warpsar.observation import Observation
-    from warpsar.scene import Scene
-    from warpsar.simulation import Rays
+    from warpsar.learning.observation import Observation
+    from warpsar.scene.scene import Scene
+
 
 MOST_ITERATIONS = 40  # of one start
+
+
 # Where models are only ranked, or start where they belong: iterations of one start, and the promised log-likelihood at
 # which it has arrived; verdicts turn on several units.
 QUICK_ITERATIONS, QUICK_FLAT = 12, 0.05
+
+
 KEPT_WITHIN = 0.2  # of a log coordinate, that a fit moves before its images are differentiated again
+
+
 ROBUST_TURNS = 4
+
+
 MOST_LEFT_OUT = 0.2  # of all pixels
+
+
 HOPELESS = 100.0  # log-likelihood behind the best start, after the quick iterations, at which a start is given up
-
-
-@dataclass(frozen=True)
-class Bench:
-    """Rays and frozen pixels that all models are compared on. `observations` by view name.
-
-    Every one of the `ranks` holds all views, and fits whole models by itself.
-    """
-
-    device: Any
-    rays: Rays
-    observations: Mapping[str, list[Observation]]
-    ranks: Ranks = ONE
-
-    def problem(self, scene: Scene, views: Sequence[str] | None = None, *, dark: bool | None = None) -> FitProblem:
-        """The scene's fit problem; its dark pixels are used where it has an additive effect, or as `dark` says."""
-        if dark is None:
-            dark = any(get(name).additive for name in scene.effects)
-        seen = self.observations
-        if dark:
-            seen = {name: [one.with_dark() for one in found] for name, found in seen.items()}
-        return FitProblem(scene, self.device, views=views, rays=self.rays, observations=seen)
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from warpsar.observation import Observation
+    from warpsar.learning.observation import Observation
 
 WINDOWS = (3, 5, 9)  # pixels on a side
 FULL = 0.5  # share of a window that must be compared pixels

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.refit import (
     KEPT_WITHIN,
     QUICK_FLAT,
     QUICK_ITERATIONS,
-    Bench,
     Fitted,
     descend,
     fitted_at,
@@ -20,13 +20,13 @@ from warpsar.diagnosis.refit import (
     state_told,
 )
 from warpsar.diagnosis.templates import with_effect
-from warpsar.effects import get
-from warpsar.optimise import FitState, levenberg_marquardt
-from warpsar.results import learned_scene
+from warpsar.effects.registry import get
+from warpsar.learning.optimise import FitState, levenberg_marquardt
+from warpsar.learning.results import learned_scene
 
 if TYPE_CHECKING:
-    from warpsar.fit import FitProblem
-    from warpsar.scene import Scene
+    from warpsar.learning.problem import FitProblem
+    from warpsar.scene.scene import Scene
 
 STARTS = 4  # of the tables that an effect's best trials offer, how many are fitted
 GLANCE = 4  # iterations after which candidates are compared for the first time

@@ -11,10 +11,10 @@ import numpy as np
 from warpsar.diagnosis.templates import with_effect
 
 if TYPE_CHECKING:
-    from warpsar.diagnosis.refit import Bench
-    from warpsar.effects.base import Trial
-    from warpsar.fit import FitProblem
-    from warpsar.scene import Scene
+    from warpsar.diagnosis.bench import Bench
+    from warpsar.effects.base.trial import Trial
+    from warpsar.learning.problem import FitProblem
+    from warpsar.scene.scene import Scene
 
 # Log-likelihood that one pixel may cost: a bright line in the wrong row costs thousands until it is in the right one,
 # and decides where everything else would lie.

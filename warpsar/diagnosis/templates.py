@@ -13,17 +13,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpsar.effects import NAMES, declared, get, validate
-from warpsar.effects.base import Context
-from warpsar.fit import FitProblem
+from warpsar.effects.registry import NAMES, declared, get, validate
+from warpsar.effects.base.trial import Context
+from warpsar.learning.problem import FitProblem
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from warpsar.effects.base import Step, Trial
-    from warpsar.observation import Observation
-    from warpsar.scene import Scene
-    from warpsar.simulation import Rays
+    from warpsar.effects.base.trial import Step, Trial
+    from warpsar.learning.observation import Observation
+    from warpsar.scene.scene import Scene
+    from warpsar.simulation.rays import Rays
 
 
 @dataclass(frozen=True)

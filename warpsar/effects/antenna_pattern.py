@@ -6,11 +6,13 @@ import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from warpsar.effects.base import Context, Effect, Parameter, Step, Trial
+from warpsar.effects.base.effect import Effect
+from warpsar.effects.base.parameter import Parameter
+from warpsar.effects.base.trial import Context, Step, Trial
 
 if TYPE_CHECKING:
-    from warpsar.render import ViewRender
-    from warpsar.scene import Scene
+    from warpsar.effects.base.recorder import Recorder
+    from warpsar.world.world import World
 
 
 def _pair(unit: str, low: float, high: float, start: float, fit_high: float) -> tuple[Parameter, Parameter]:
@@ -31,10 +33,11 @@ class AntennaPattern(Effect):
 
     name = "antenna_pattern"
     stage = "gain"
+    order = 10
     summary = "two-way elevation pattern of the antenna"
     parameters = (*_pair("deg", 1e-3, 90.0, 20.0, 1e3), *_pair("m", 1e-3, 1e7, 100.0, 1e7))
 
-    def check(self, scene: Scene, table: Mapping[str, Any]) -> str | None:
+    def check(self, scene: World, table: Mapping[str, Any]) -> str | None:
         for unit, other, kind in (("deg", "m", "plane-wave"), ("m", "deg", "strip-map")):
             used = [key for key in (f"beamwidth_{unit}", f"boresight_{unit}") if key in table]
             strips = [scene.slant_range_m(view) is not None for view in scene.views]
@@ -64,7 +67,7 @@ class AntennaPattern(Effect):
         starts = tuple(table(4.0 * extent, turned * extent) for turned in (0.0, 0.5, -0.5))
         return [Trial((linear, square), starts)]
 
-    def gain(self, render: ViewRender, p: Any, sigma: Any, points: Any) -> Any:
+    def gain(self, render: Recorder, p: Any, sigma: Any, points: Any) -> Any:
         import warp as wp
 
         from warpsar.kernels import effects_antenna_pattern as kernels

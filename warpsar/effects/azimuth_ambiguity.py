@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
-from warpsar.effects.base import Context, Effect, Parameter, Step, Trial
+from warpsar.effects.base.effect import Effect
+from warpsar.effects.base.parameter import Parameter
+from warpsar.effects.base.trial import Context, Step, Trial
 
 if TYPE_CHECKING:
-    from warpsar.render import ViewRender
+    from warpsar.effects.base.recorder import Recorder
 
 _NEAREST_PX = 3  # nearer copies are a point spread
 
@@ -19,6 +21,7 @@ class AzimuthAmbiguity(Effect):
 
     name = "azimuth_ambiguity"
     stage = "image"
+    order = 20
     additive = True
     in_image = True
     summary = "faint copies of the image at a distance in azimuth"
@@ -37,7 +40,7 @@ class AzimuthAmbiguity(Effect):
             found.append(Trial((Step("level", size, at, one_sided=True),), (at,), f"offset {at['offset_m']:g} m"))
         return found
 
-    def image(self, render: ViewRender, p: Any, image: Any) -> Any:
+    def image(self, render: Recorder, p: Any, image: Any) -> Any:
         from warpsar.kernels import effects_azimuth_ambiguity as kernels
 
         result = render.program.array(image.shape[0])

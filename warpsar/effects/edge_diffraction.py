@@ -7,11 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpsar.effects.base import Context, Effect, Parameter, Step, Trial
+from warpsar.effects.base.effect import Effect
+from warpsar.effects.base.parameter import Parameter
+from warpsar.effects.base.trial import Context, Step, Trial
 
 if TYPE_CHECKING:
-    from warpsar.render import ViewRender
-    from warpsar.trace import Target
+    from warpsar.effects.base.recorder import Recorder
+    from warpsar.trace.target import Target
 
 _SHARP_DEG = 30.0  # faces that turn by less are a curved surface in facets
 _PIECES_PER_BIN = 2
@@ -40,6 +42,7 @@ class EdgeDiffraction(Effect):
 
     name = "edge_diffraction"
     stage = "path"
+    order = 20
     summary = "lines along sharp edges"
     parameters = (Parameter("strength", "1", 0.0, 0.0, 1e6, 1.0, scale="log", fit_low=1e-6, fit_high=1e4),)
 
@@ -47,10 +50,10 @@ class EdgeDiffraction(Effect):
         size = 0.1
         return [Trial((Step("strength", size, {"strength": size}, one_sided=True),), ({"strength": size},))]
 
-    def paths(self, render: ViewRender, p: Any, image: Any, polarization: int) -> Any:
+    def paths(self, render: Recorder, p: Any, image: Any, polarization: int) -> Any:
         from warpsar.kernels import effects_edge_diffraction as kernels
         from warpsar.kernels import effects_multibounce as adding
-        from warpsar.render import POLARIZATIONS
+        from warpsar.surface.stage import POLARIZATIONS
 
         name = next(key for key, code in POLARIZATIONS.items() if code == polarization)
         if name not in ("HH", "VV"):
@@ -97,12 +100,12 @@ def sharp_edges(target: Target) -> Edges:
     return Edges(start[sharp][keep], end[sharp][keep], outward[keep] / length[keep])
 
 
-def visible_pieces(render: ViewRender) -> tuple[Any, Any, Any]:
+def visible_pieces(render: Recorder) -> tuple[Any, Any, Any]:
     """Bins of the hits' grid, weights and places of the pieces of sharp edges that the radar sees, on the device."""
     import warp as wp
 
     from warpsar.kernels import effects_edge_diffraction as kernels
-    from warpsar.trace import ray_grid
+    from warpsar.trace.rays import ray_grid
 
     hits, target = render.hits, render.stage.target
     device = target.device

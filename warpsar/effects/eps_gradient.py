@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from warpsar.effects.base import Context, Effect, Parameter, Step, Trial
+from warpsar.effects.base.effect import Effect
+from warpsar.effects.base.parameter import Parameter
+from warpsar.effects.base.trial import Context, Step, Trial
 
 if TYPE_CHECKING:
-    from warpsar.render import ViewRender
+    from warpsar.effects.base.recorder import Recorder
 
 
 def _slope(name: str) -> Parameter:
@@ -22,6 +24,7 @@ class EpsGradient(Effect):
 
     name = "eps_gradient"
     stage = "surface"
+    order = 10
     summary = "permittivity changing across the scene"
     parameters = (_slope("per_m_east"), _slope("per_m_north"))
 
@@ -31,7 +34,7 @@ class EpsGradient(Effect):
         steps = tuple(Step(name, size, {name: size}, {name: -size}) for name in names)
         return [Trial(steps, (dict.fromkeys(names, 0.0),))]
 
-    def coordinates(self, render: ViewRender, p: Any, zeta: Any, points: Any) -> Any:
+    def coordinates(self, render: Recorder, p: Any, zeta: Any, points: Any) -> Any:
         import warp as wp
 
         from warpsar.kernels import effects_eps_gradient as kernels

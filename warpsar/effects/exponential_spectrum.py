@@ -6,10 +6,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpsar.effects.base import Context, Effect, Parameter, Step, Trial
+from warpsar.effects.base.effect import Effect
+from warpsar.effects.base.parameter import Parameter
+from warpsar.effects.base.trial import Context, Step, Trial
 
 if TYPE_CHECKING:
-    from warpsar.render import ViewRender
+    from warpsar.effects.base.recorder import Recorder
 
 
 class ExponentialSpectrum(Effect):
@@ -20,6 +22,7 @@ class ExponentialSpectrum(Effect):
 
     name = "exponential_spectrum"
     stage = "surface"
+    order = 20
     summary = "a roughness spectrum with a longer tail"
     parameters = (Parameter("weight", "1", 0.0, 0.0, 1.0, 0.5, span=0.3),)
 
@@ -29,7 +32,7 @@ class ExponentialSpectrum(Effect):
         size = 0.02
         return [Trial((Step("weight", size, {"weight": size}, one_sided=True),), ({"weight": 0.3}, {"weight": 0.8}))]
 
-    def scattering(self, render: ViewRender, p: Any, zeta: Any, sigma: Any, polarization: int) -> Any:
+    def scattering(self, render: Recorder, p: Any, zeta: Any, sigma: Any, polarization: int) -> Any:
         import warp as wp
 
         from warpsar.kernels import effects_exponential_spectrum as kernels

@@ -7,11 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpsar.effects.base import Context, Effect, Parameter, Setting, Step, Trial
+from warpsar.effects.base.effect import Effect
+from warpsar.effects.base.parameter import Parameter, Setting
+from warpsar.effects.base.trial import Context, Step, Trial
 
 if TYPE_CHECKING:
-    from warpsar.render import ViewRender
-    from warpsar.scene import Scene
+    from warpsar.effects.base.recorder import Recorder
+    from warpsar.world.world import World
 
 _MOVES = (-4, -1, 1, 4)  # of an end of a band, in rows
 _HEIGHTS_PX = (1, 4, 16)  # of the bands that are tried, at steps of half their height
@@ -44,6 +46,7 @@ class Interference(Effect):
 
     name = "interference"
     stage = "image"
+    order = 40
     additive = True
     in_image = True
     summary = "lines of added power in a view"
@@ -52,7 +55,7 @@ class Interference(Effect):
     )
     settings = (Setting("rows", {}, _bands, "a list of [first, end] rows, first < end", per_view=True),)
 
-    def check(self, scene: Scene, table: Mapping[str, Any]) -> str | None:
+    def check(self, scene: World, table: Mapping[str, Any]) -> str | None:
         rows = table.get("rows", {})
         for name in table.get("level", {}):
             if not rows.get(name):
@@ -81,7 +84,7 @@ class Interference(Effect):
         return found
 
     def refinements(
-        self, scene: Scene, table: Mapping[str, Any], others: Sequence[Mapping[str, Any]]
+        self, scene: World, table: Mapping[str, Any], others: Sequence[Mapping[str, Any]]
     ) -> list[tuple[Mapping[str, Any], int]]:
         """Each end of each band a little elsewhere; and another band that scored, of this view or of one more."""
         rows = table["rows"]
@@ -105,7 +108,7 @@ class Interference(Effect):
                 found.append((added, 1))
         return found
 
-    def image(self, render: ViewRender, p: Any, image: Any) -> Any:
+    def image(self, render: Recorder, p: Any, image: Any) -> Any:
         import warp as wp
 
         from warpsar.kernels import effects_interference as kernels

@@ -9,14 +9,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpsar import runtime
-from warpsar.effects.base import Context, Effect, Parameter, Step, Trial, one_of
-from warpsar.trace import DEFAULT_MEMORY_GIB, BinGrid, concatenate, ray_grid
+from warpsar.effects.base.effect import Effect
+from warpsar.effects.base.parameter import Parameter, one_of
+from warpsar.effects.base.trial import Context, Step, Trial
+from warpsar.runtime import threads
+from warpsar.trace.hits import DEFAULT_MEMORY_GIB, BinGrid, concatenate
+from warpsar.trace.rays import ray_grid
 
 if TYPE_CHECKING:
     import warp as wp
 
-    from warpsar.render import ViewRender
+    from warpsar.effects.base.recorder import Recorder
 
 _RECORD_BYTES = 160  # a record, and the sort's keys and order, twice
 _SEGMENT = 64  # cells of one thread on CUDA
@@ -60,6 +63,7 @@ class Multibounce(Effect):
 
     name = "multibounce"
     stage = "path"
+    order = 10
     summary = "double and triple bounces between surfaces"
     parameters = (Parameter("strength", "1", 0.0, 0.0, 1e6, 1.0, scale="log", fit_low=1e-6, fit_high=1e4),)
     settings = (one_of("max_bounces", 3, 2, 3, 4),)
@@ -68,9 +72,9 @@ class Multibounce(Effect):
         step = Step("strength", 1.0, {"strength": 1.0}, one_sided=True)
         return [Trial((step,), tuple({"strength": s} for s in (1.0, 0.2, 5.0)))]
 
-    def paths(self, render: ViewRender, p: Any, image: Any, polarization: int) -> Any:
+    def paths(self, render: Recorder, p: Any, image: Any, polarization: int) -> Any:
         from warpsar.kernels import effects_multibounce as kernels
-        from warpsar.render import POLARIZATIONS
+        from warpsar.surface.stage import POLARIZATIONS
 
         name = next(key for key, code in POLARIZATIONS.items() if code == polarization)
         if name not in ("HH", "VV"):
@@ -134,7 +138,7 @@ class Multibounce(Effect):
         return image
 
 
-def trace_paths(render: ViewRender, max_bounces: int) -> list[Paths | None]:
+def trace_paths(render: Recorder, max_bounces: int) -> list[Paths | None]:
     """Paths of 2, 3, ... `max_bounces` bounces, with the density and seed of the view's hits; None where there are
     none."""
     import warp as wp
@@ -150,7 +154,7 @@ def trace_paths(render: ViewRender, max_bounces: int) -> list[Paths | None]:
     first, last = rays.first_cell, rays.end_cell
     size = float(np.linalg.norm(np.ptp(target.corners, axis=0)))
     segment = rays.elevation_cells if device.is_cpu else _SEGMENT
-    workers = runtime.thread_count() if device.is_cpu else 1
+    workers = threads.thread_count() if device.is_cpu else 1
     room = int(DEFAULT_MEMORY_GIB * 2**30 / workers / (_RECORD_BYTES * rays.elevation_cells * (max_bounces - 1)))
     # at least 8 bands for the threads to share
     width = max(1, min(room, -(-(last - first) // 8) if device.is_cpu else last - first))
@@ -188,7 +192,7 @@ def trace_paths(render: ViewRender, max_bounces: int) -> list[Paths | None]:
 
     wp.load_module(kernels, device=device)
     tasks = [partial(band, begin) for begin in range(first, last, width)]
-    parts = [part for part in runtime.ordered(tasks, device) if part is not None]
+    parts = [part for part in threads.ordered(tasks, device) if part is not None]
     found: list[Paths | None] = []
     for index in range(max_bounces - 1):
         mine = [part[index] for part in parts if part[index] is not None]

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from warpsar.effects.base import Context, Effect, Parameter, Step, Trial
+from warpsar.effects.base.effect import Effect
+from warpsar.effects.base.parameter import Parameter
+from warpsar.effects.base.trial import Context, Step, Trial
 
 if TYPE_CHECKING:
-    from warpsar.render import ViewRender
+    from warpsar.effects.base.recorder import Recorder
 
 
 class NoiseFloor(Effect):
@@ -15,6 +17,7 @@ class NoiseFloor(Effect):
 
     name = "noise_floor"
     stage = "image"
+    order = 30
     additive = True
     summary = "noise of the receiver, the same in every pixel"
     parameters = (Parameter("level", "beta0", 0.0, 0.0, 1e9, 1e-3, scale="log", fit_low=1e-12, fit_high=1e6),)
@@ -23,7 +26,7 @@ class NoiseFloor(Effect):
         size = 0.1 * context.level
         return [Trial((Step("level", size, {"level": size}, one_sided=True),), ({"level": size},))]
 
-    def image(self, render: ViewRender, p: Any, image: Any) -> Any:
+    def image(self, render: Recorder, p: Any, image: Any) -> Any:
         from warpsar.kernels import effects_noise_floor as kernels
 
         result = render.program.array(image.shape[0])

@@ -5,11 +5,13 @@ from __future__ import annotations
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
-from warpsar.effects.base import Context, Effect, Parameter, Step, Trial, one_of
+from warpsar.effects.base.effect import Effect
+from warpsar.effects.base.parameter import Parameter, one_of
+from warpsar.effects.base.trial import Context, Step, Trial
 
 if TYPE_CHECKING:
-    from warpsar.program import Program
-    from warpsar.render import ViewRender
+    from warpsar.effects.base.recorder import Recorder
+    from warpsar.runtime.program import Program
 
 WINDOWS = {"sinc": 0, "taylor": 1, "gaussian": 2}  # kernels/effects_point_spread.py
 
@@ -27,6 +29,7 @@ class PointSpread(Effect):
 
     name = "point_spread"
     stage = "image"
+    order = 10
     in_image = True
     summary = "finite resolution in range and azimuth"
     parameters = (_width("range_fwhm_m"), _width("azimuth_fwhm_m"))
@@ -46,7 +49,7 @@ class PointSpread(Effect):
         )
         return [Trial(steps, starts)]
 
-    def image(self, render: ViewRender, p: Any, image: Any) -> Any:
+    def image(self, render: Recorder, p: Any, image: Any) -> Any:
         from warpsar.kernels import effects_point_spread as kernels
 
         program, window = render.program, WINDOWS[render.settings[self.name]["window"]]

@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from warpsar.effects.base import Context, Effect, Parameter, Step, Trial
+from warpsar.effects.base.effect import Effect
+from warpsar.effects.base.parameter import Parameter
+from warpsar.effects.base.trial import Context, Step, Trial
 
 if TYPE_CHECKING:
-    from warpsar.render import ViewRender
-    from warpsar.scene import Scene
+    from warpsar.effects.base.recorder import Recorder
+    from warpsar.world.world import World
 
 
 class RangeLoss(Effect):
@@ -22,13 +24,14 @@ class RangeLoss(Effect):
 
     name = "range_loss"
     stage = "gain"
+    order = 20
     summary = "power falling with slant range"
     parameters = (
         Parameter("exponent", "1", 0.0, -20.0, 20.0, 3.0, span=5.0),
         Parameter("per_m", "1/m", 0.0, -10.0, 10.0, 0.01, span=0.02),
     )
 
-    def check(self, scene: Scene, table: Mapping[str, Any]) -> str | None:
+    def check(self, scene: World, table: Mapping[str, Any]) -> str | None:
         strips = [scene.slant_range_m(view) is not None for view in scene.views]
         if "exponent" in table and not any(strips):
             return ".exponent: found in a plane-wave scene, where R0 is infinite; allowed there is per_m"
@@ -43,7 +46,7 @@ class RangeLoss(Effect):
             key, size = "exponent", size * min(r for r in ranges if r is not None)
         return [Trial((Step(key, size, {key: size}, {key: -size}),), ({key: 0.0},))]
 
-    def gain(self, render: ViewRender, p: Any, sigma: Any, points: Any) -> Any:
+    def gain(self, render: Recorder, p: Any, sigma: Any, points: Any) -> Any:
         import warp as wp
 
         from warpsar.kernels import effects_range_loss as kernels

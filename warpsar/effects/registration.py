@@ -6,11 +6,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpsar.effects.base import Context, Effect, Parameter, Step, Trial
+from warpsar.effects.base.effect import Effect
+from warpsar.effects.base.parameter import Parameter
+from warpsar.effects.base.trial import Context, Step, Trial
 
 if TYPE_CHECKING:
-    from warpsar.render import ViewRender
-    from warpsar.scene import Grid
+    from warpsar.effects.base.recorder import Recorder
+    from warpsar.world.tables import Grid
 
 _REACH_M = 1e4
 _ROOM_PX = 4  # pixels beyond the shift that is declared: as far as a fit may go from there without a dark edge
@@ -29,6 +31,7 @@ class Registration(Effect):
 
     name = "registration"
     stage = "position"
+    order = 10
     summary = "the scene lies shifted in the images"
     parameters = tuple(_metres(name) for name in ("range_m", "azimuth_m", "east_m", "north_m", "up_m"))
     bins_per_pixel = 4
@@ -46,7 +49,7 @@ class Registration(Effect):
 
         return [trial("all views alike", "range_m", "azimuth_m"), trial("world", "east_m", "north_m", "up_m")]
 
-    def deposit(self, render: ViewRender, p: Any, sigma: Any, weight: Any, bins: Any, image: Any) -> None:
+    def deposit(self, render: Recorder, p: Any, sigma: Any, weight: Any, bins: Any, image: Any) -> None:
         import warp as wp
 
         from warpsar.kernels import effects_registration as kernels

@@ -7,10 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpsar.effects.base import Context, Effect, Parameter, Setting, Step, Trial
+from warpsar.effects.base.effect import Effect
+from warpsar.effects.base.parameter import Parameter, Setting
+from warpsar.effects.base.trial import Context, Step, Trial
 
 if TYPE_CHECKING:
-    from warpsar.render import ViewRender
+    from warpsar.effects.base.recorder import Recorder
 
 _TURNS = 4  # of eight bits each: a number's 32
 
@@ -29,6 +31,7 @@ class Saturation(Effect):
 
     name = "saturation"
     stage = "image"
+    order = 50
     summary = "power compressed about its median"
     parameters = (Parameter("exponent", "1", 1.0, 0.01, 10.0, 0.9, fit_low=0.1, fit_high=4.0),)
     settings = (Setting("pivot", "median", _pivot, 'a positive beta0 or "median"'),)
@@ -38,7 +41,7 @@ class Saturation(Effect):
         step = Step("exponent - 1", size, {"exponent": 1.0 + size}, {"exponent": 1.0 - size})
         return [Trial((step,), ({"exponent": 0.9}, {"exponent": 1.1}))]
 
-    def image(self, render: ViewRender, p: Any, image: Any) -> Any:
+    def image(self, render: Recorder, p: Any, image: Any) -> Any:
         import warp as wp
 
         from warpsar.kernels import effects_saturation as kernels
@@ -52,7 +55,7 @@ class Saturation(Effect):
         render.program.launch(kernels.compress_kernel, image.shape[0], [p, pivot, image], [result])
         return result
 
-    def _median(self, render: ViewRender, image: Any) -> Any:
+    def _median(self, render: Recorder, image: Any) -> Any:
         """Record the median of the pixels that rays meet: a radix selection of the two numbers in the middle."""
         import warp as wp
 
@@ -77,7 +80,7 @@ class Saturation(Effect):
         return median
 
 
-def lit_pixels(render: ViewRender) -> np.ndarray:
+def lit_pixels(render: Recorder) -> np.ndarray:
     """Which pixels of the image the hits fall into, shape (rows * cols,), bool; without any shift."""
     grid, (rows, cols) = render.hits.grid, render.shape
     fine = np.zeros(grid.shape[0] * grid.shape[1], bool)

@@ -6,10 +6,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpsar.effects.base import Context, Effect, Parameter, Step, Trial
+from warpsar.effects.base.effect import Effect
+from warpsar.effects.base.parameter import Parameter
+from warpsar.effects.base.trial import Context, Step, Trial
 
 if TYPE_CHECKING:
-    from warpsar.render import ViewRender
+    from warpsar.effects.base.recorder import Recorder
 
 _NODES = 5  # Gauss-Hermite points per slope: exact for a ninth-degree polynomial
 
@@ -23,6 +25,7 @@ class TwoScale(Effect):
 
     name = "two_scale"
     stage = "surface"
+    order = 30
     summary = "large-scale slopes under the roughness"
     parameters = (Parameter("slope_variance", "1", 0.0, 0.0, 1.0, 0.005, scale="log", fit_low=1e-7, fit_high=0.3),)
 
@@ -35,7 +38,7 @@ class TwoScale(Effect):
             )
         ]
 
-    def scattering(self, render: ViewRender, p: Any, zeta: Any, sigma: Any, polarization: int) -> Any:
+    def scattering(self, render: Recorder, p: Any, zeta: Any, sigma: Any, polarization: int) -> Any:
         import warp as wp
 
         from warpsar.kernels import effects_two_scale as kernels

@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
-from warpsar.effects.base import Context, Effect, Parameter, Step, Trial
+from warpsar.effects.base.effect import Effect
+from warpsar.effects.base.parameter import Parameter
+from warpsar.effects.base.trial import Context, Step, Trial
 
 if TYPE_CHECKING:
-    from warpsar.render import ViewRender
+    from warpsar.effects.base.recorder import Recorder
 
 _ALBEDOS = (0.01, 0.03, 0.1, 0.3, 1.0)
 
@@ -22,6 +24,7 @@ class Vegetation(Effect):
 
     name = "vegetation"
     stage = "surface"
+    order = 40
     summary = "a layer that dims the surface and scatters by itself"
     parameters = (
         Parameter("optical_depth", "1", 0.0, 0.0, 20.0, 0.2, scale="log", fit_low=1e-6, fit_high=10.0),
@@ -39,9 +42,9 @@ class Vegetation(Effect):
             for albedo in _ALBEDOS
         ]
 
-    def scattering(self, render: ViewRender, p: Any, zeta: Any, sigma: Any, polarization: int) -> Any:
+    def scattering(self, render: Recorder, p: Any, zeta: Any, sigma: Any, polarization: int) -> Any:
         from warpsar.kernels import effects_vegetation as kernels
-        from warpsar.render import POLARIZATIONS
+        from warpsar.surface.stage import POLARIZATIONS
 
         crossed = int(polarization in (POLARIZATIONS["HV"], POLARIZATIONS["VH"]))
         result = render.program.array(sigma.shape[0])

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from warpsar.effects.base import Context, Effect, Parameter, Step, Trial
+from warpsar.effects.base.effect import Effect
+from warpsar.effects.base.parameter import Parameter
+from warpsar.effects.base.trial import Context, Step, Trial
 
 if TYPE_CHECKING:
-    from warpsar.render import ViewRender
+    from warpsar.effects.base.recorder import Recorder
 
 
 class ViewGain(Effect):
@@ -16,6 +18,7 @@ class ViewGain(Effect):
 
     name = "view_gain"
     stage = "gain"
+    order = 30
     summary = "gains that differ from view to view"
     parameters = (
         Parameter("gain_db", "dB", 0.0, -100.0, 100.0, 0.0, True, True, span=3.0, fit_low=-30.0, fit_high=30.0),
@@ -37,7 +40,7 @@ class ViewGain(Effect):
         )
         return [Trial(steps, ({"gain_db": dict.fromkeys(names, 0.0)},))]
 
-    def gain(self, render: ViewRender, p: Any, sigma: Any, points: Any) -> Any:
+    def gain(self, render: Recorder, p: Any, sigma: Any, points: Any) -> Any:
         from warpsar.kernels import effects_view_gain as kernels
 
         result = render.program.array(sigma.shape[0])

@@ -12,8 +12,8 @@ from typing import Any, Literal
 import numpy as np
 
 from warpsar.errors import InputError
-from warpsar.frame import SPEED_OF_LIGHT
 from warpsar.measured.earth import EarthFrame, axes_at
+from warpsar.world.frame import SPEED_OF_LIGHT
 
 Quantity = Literal["complex", "amplitude", "power"]
 FARTHEST_M = 1e9

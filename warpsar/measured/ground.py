@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpsar import runtime
-from warpsar.frame import ViewGeometry
+from warpsar.runtime import console, devices
+from warpsar.world.frame import ViewGeometry
 
 if TYPE_CHECKING:
-    from warpsar.mesh import Mesh
+    from warpsar.world.mesh import Mesh
 
 _ARC_STEPS = 64  # chords of a strip-map's circle of equal range: at 300 m their sagitta over 50 m is 0.3 mm
 
@@ -63,7 +63,7 @@ def mesh_points(
 
     from warpsar.kernels.backproject import first_surface_kernel
 
-    target = runtime.resolve_device(device)
+    target = devices.resolve_device(device)
     reference = np.asarray(reference_point_m, np.float64)
     corners = (mesh.vertices - reference).astype(np.float32)
     surface = wp.Mesh(
@@ -77,7 +77,7 @@ def mesh_points(
     points = np.empty((range_m.size, azimuth_m.size, 3))
     missed = 0
     block = max(1, (1 << 22) // (azimuth_m.size * heights.size))
-    with runtime.progress(range_m.size, "placing pixels on the mesh", "row") as bar:
+    with console.progress(range_m.size, "placing pixels on the mesh", "row") as bar:
         for first in range(0, range_m.size, block):
             rows = range_m[first : first + block]
             curve = np.stack([plane_points(geometry, np.zeros(3), rows, azimuth_m, z) for z in heights], axis=2)

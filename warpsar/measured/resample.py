@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from warpsar.errors import InputError
-from warpsar.images import LARGEST_IMAGE
+from warpsar.io.images import LARGEST_IMAGE
 from warpsar.measured.data import ImageChip
 
 _MARGIN = 32  # [pixels] around what is needed, for the Fourier transform to run out in

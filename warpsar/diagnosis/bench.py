@@ -1,0 +1,39 @@
+"""What every fit of a diagnosis shares."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from warpsar.effects.registry import get
+from warpsar.learning.problem import FitProblem
+from warpsar.runtime.distributed import ONE, Ranks
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from warpsar.learning.observation import Observation
+    from warpsar.scene.scene import Scene
+    from warpsar.simulation.rays import Rays
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Rays and frozen pixels that all models are compared on. `observations` by view name.
+
+    Every one of the `ranks` holds all views, and fits whole models by itself.
+    """
+
+    device: Any
+    rays: Rays
+    observations: Mapping[str, list[Observation]]
+    ranks: Ranks = ONE
+
+    def problem(self, scene: Scene, views: Sequence[str] | None = None, *, dark: bool | None = None) -> FitProblem:
+        """The scene's fit problem; its dark pixels are used where it has an additive effect, or as `dark` says."""
+        if dark is None:
+            dark = any(get(name).additive for name in scene.effects)
+        seen = self.observations
+        if dark:
+            seen = {name: [one.with_dark() for one in found] for name, found in seen.items()}
+        return FitProblem(scene, self.device, views=views, rays=self.rays, observations=seen)

@@ -1,0 +1,101 @@
+"""What a diagnosis found: candidates, turns, verdict."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warpsar.diagnosis.bench import Bench
+from warpsar.diagnosis.carried import is_carried
+from warpsar.diagnosis.evidence import Evidence
+from warpsar.diagnosis.left_out import LeftOut
+from warpsar.diagnosis.refit import Fitted
+from warpsar.diagnosis.scan import Spot
+from warpsar.errors import InputError
+from warpsar.simulation.sampling import Density
+
+if TYPE_CHECKING:
+    from warpsar.scene.scene import Scene
+
+
+@dataclass(frozen=True)
+class DiagnoseOptions:
+    """How to decide. `family_error`: chance of naming anything, or calling the rest unexplained, where nothing is
+    missing. `draws`: bootstrap size. `refits`: how many of the likeliest at a glance are fitted fully. `starts`:
+    further starts of every fit. `most_effects`: how many may be added."""
+
+    family_error: float = 0.01
+    draws: int = 1000
+    refits: int = 4
+    starts: int = 2
+    most_effects: int = 4
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.family_error < 1.0:
+            raise InputError(f"--family-error: found {self.family_error}; allowed is between 0 and 1")
+        if self.draws * self.family_error < 4:
+            raise InputError(
+                f"--draws: found {self.draws}; a family error rate of {self.family_error} needs "
+                f"{int(np.ceil(4 / self.family_error))} draws or more"
+            )
+
+
+@dataclass
+class Candidate:
+    """What one effect scored at one step. `eta`: share of its template that the surface cannot imitate; `minus_log_p`:
+    of its largest score, calibrated by the bootstrap; `p_value`: of the family."""
+
+    effect: str
+    testability: str  # "testable", "not_testable" or "absent": the scene has no place for it
+    eta: float = float("nan")
+    statistic: float = float("nan")
+    minus_log_p: float = 0.0
+    p_value: float = 1.0
+    resembles: list[str] = field(default_factory=list)
+    refit_gain: float | None = None  # 2 ln L over the model without it
+    refit_size: int | None = None
+    left_out: LeftOut | None = None
+    carried: float | None = None  # share of its gain that the surface takes from view to view
+    note: str = ""
+
+    @property
+    def shared(self) -> bool:
+        """Whether the surface could be what it was taken for."""
+        return self.carried is not None and is_carried(self.effect, self.carried)
+
+
+@dataclass
+class Step:
+    """One turn: what was tested, what was added (None: nothing), and what earlier turns had added in its place."""
+
+    candidates: list[Candidate]
+    added: str | None
+    spot: Spot
+    scan_minus_log_p: float
+    p_scan: float
+    threshold: float
+    base: Fitted
+    fitted: Fitted | None = None
+    dropped: list[str] = field(default_factory=list)
+
+
+@dataclass
+class Diagnosis:
+    """`steps` in their order, the last of which added nothing unless the limit was reached; `declared` is the model
+    of the scene file, fitted, and `final` the one with every added effect."""
+
+    scene: Scene
+    declared: Fitted
+    final: Fitted
+    steps: list[Step]
+    unexplained: bool
+    density: Density
+    bench: Bench
+    evidence: Evidence
+
+    @property
+    def verdict(self) -> list[str]:
+        return [step.added for step in self.steps if step.added in self.final.scene.effects]

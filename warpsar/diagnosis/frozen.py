@@ -1,0 +1,36 @@
+"""x"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from warpsar.diagnosis.bench import Bench
+from warpsar.diagnosis.procedure import SLIVER
+
+if TYPE_CHECKING:
+    from warpsar.learning.observation import Observation
+    from warpsar.scene.scene import Scene
+
+
+def frozen(one: Bench, other: Bench, scene: Scene) -> dict[str, list[Observation]]:
+    """Masks from the declared model, the same for all that follows. A pixel counts as lit if both sets of rays light
+    it and its neighbours: where one of them misses, its share of light is sampling noise. Where an effect has moved
+    the light, a pixel may hold a sliver that no ray meets: it counts as `SLIVER` of a ray's share of what it was
+    declared to have, at least; a share of any brighter pixel would take dim surfaces for dark."""
+    ranks = one.ranks
+    problems = ranks.agree(lambda: [bench.problem(scene, dark=False) for bench in (one, other)])
+    problems[0].modelled_as_declared()
+    density = one.rays.rays_per_m2 or scene.sampling.density_per_m2(scene.grid)
+    rays_per_pixel = density * scene.grid.pixel_area_m2
+    found: dict[str, list[Observation]] = {}
+    for a, b in zip(*(problem.views for problem in problems), strict=True):
+        for mine, theirs in zip(a.observations, b.observations, strict=True):
+            masks = ranks.same([mine.interior & theirs.interior, mine.silent, mine.dark & theirs.dark]) > 0
+            image = a.render.images[mine.polarization].numpy().reshape(mine.interior.shape)
+            least = ranks.same(SLIVER / rays_per_pixel * image)
+            looks = float(ranks.same(mine.looks))
+            interior, silent, dark = masks
+            seen = replace(mine, interior=interior, silent=silent, dark=dark, looks=looks, least=least)
+            found.setdefault(a.view.name, []).append(seen)
+    return found

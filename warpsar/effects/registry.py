@@ -1,0 +1,141 @@
+"""The effects by name, and what a scene declares of them. A new effect is a file in this folder, and no more."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping
+from functools import cache
+from importlib import import_module
+from pkgutil import iter_modules
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpsar.errors import InputError, shown
+
+if TYPE_CHECKING:
+    from warpsar.effects.base.effect import DeclaredEffect
+    from warpsar.effects.base.effect import Effect
+    from warpsar.effects.base.parameter import Parameter, Setting
+    from warpsar.world.world import World
+    from warpsar.world.tables import View
+
+@cache
+def _files() -> frozenset[str]:
+    """The modules of this folder that are effects: all but this one."""
+    found = {module.name for module in iter_modules(warpsar.effects.__path__) if not module.ispkg}
+    return frozenset(found - {"registry"})
+
+
+@cache
+def names() -> tuple[str, ...]:
+    """All effects, in the order in which they act: stage after stage, and within a stage by their `order`."""
+    return tuple(sorted(_files(), key=lambda name: (STAGES.index(get(name).stage), get(name).order)))
+
+
+def get(name: str) -> Effect:
+    """The effect called `name`; each module `warpsar.effects.<name>` holds it as `EFFECT`."""
+    effect: Effect = import_module(f"warpsar.effects.{name}").EFFECT
+    return effect
+
+
+def validate(name: str, table: Any, where: str, views: Collection[str] | None = None) -> dict[str, Any]:
+    """The table `[effects.<name>]` with default settings filled in; `where` names file and key in the refusal.
+
+    `views` are the names that tables of per-view values may use; None leaves that to `check`. Raises InputError.
+    """
+    if name not in _files():
+        raise InputError(f"{where}: found {name!r}; allowed are {', '.join(names())}")
+    effect = get(name)
+    if not isinstance(table, dict):
+        raise InputError(f"{where}: found {shown(table)}; allowed is a table")
+    parameters = {p.name: p for p in effect.parameters}
+    settings = {s.name: s for s in effect.settings}
+    for key, value in table.items():
+        at = f"{where}.{key}"
+        if key in parameters:
+            for place, one in _entries(at, value, parameters[key].per_view, views):
+                _check_number(place, one, parameters[key])
+        elif key in settings:
+            setting = settings[key]
+            for place, one in _entries(at, value, setting.per_view, views):
+                if not setting.accepts(one):
+                    raise InputError(f"{place}: found {shown(one)}; allowed is {setting.allowed}")
+        else:
+            raise InputError(f"{at}: unknown key; allowed are {', '.join([*parameters, *settings])}")
+    # Parameters stay as stated: a fit moves those and no others. Settings get their defaults.
+    return {**table, **{s.name: table.get(s.name, s.default) for s in effect.settings}}
+
+
+def _entries(at: str, value: Any, per_view: bool, views: Collection[str] | None) -> list[tuple[str, Any]]:
+    """What stands at a key, with its place: one value, or one for each view named."""
+    if not per_view:
+        return [(at, value)]
+    if not isinstance(value, dict):
+        raise InputError(f"{at}: found {shown(value)}; allowed is a table of view names and values")
+    for view in value:
+        if views is not None and view not in views:
+            raise InputError(f"{at}: found {view!r}; allowed are the views {', '.join(views)}")
+    return [(f"{at}.{view}", one) for view, one in value.items()]
+
+
+def _check_number(at: str, value: Any, p: Parameter) -> None:
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    # abs, not isfinite: a whole number may be too long for a float.
+    if not number or not (abs(value) < math.inf or value == p.neutral):
+        raise InputError(f"{at}: found {shown(value)}; allowed is a number [{p.unit}]")
+    if not p.low <= value <= p.high:
+        raise InputError(f"{at}: found {shown(value)}; allowed is {p.low:g} to {p.high:g} {p.unit}")
+
+
+def check(scene: World) -> None:
+    """Refuse what the scene's effects ask of views that it does not have, or of another kind of scene (InputError)."""
+    views = [view.name for view in scene.views]
+    for name, table in scene.effects.items():
+        where = f"{scene.path or 'scene'}: effects.{name}"
+        validate(name, table, where, views)
+        problem = get(name).check(scene, table)
+        if problem is not None:
+            raise InputError(f"{where}{problem}")
+
+
+def declared(scene: World, view: View, *, neutral: bool = False) -> list[DeclaredEffect]:
+    """The scene's effects with their values in `view`, in the order in which they act.
+
+    Those at their neutral values are left out unless `neutral` asks for them (a fit may start there). Raises
+    InputError as `check` does.
+    """
+    check(scene)
+    found = []
+    for name in names() if scene.effects else ():
+        if name not in scene.effects:
+            continue
+        effect, table = get(name), scene.effects[name]
+        values = [value_in(view, p, table, scene.views) for p in effect.parameters]
+        if not neutral and all(
+            v == p.neutral or math.isnan(p.neutral) for v, p in zip(values, effect.parameters, strict=True)
+        ):
+            continue
+        settings = {s.name: setting_in(view, s, table) for s in effect.settings}
+        found.append(DeclaredEffect(effect, np.array(values, float), settings))
+    return found
+
+
+def value_in(view: View, parameter: Parameter, table: Mapping[str, Any], views: Collection[View] = ()) -> float:
+    """What `table` says of a parameter in one view; its default where it says nothing.
+
+    Of a `zero_sum` parameter the mean over `views` is taken off.
+    """
+    value = table.get(parameter.name, parameter.default)
+    if not isinstance(value, Mapping):
+        return float(value)
+    mean = 0.0
+    if parameter.zero_sum and views:
+        mean = sum(value.get(v.name, parameter.default) for v in views) / len(views)
+    return float(value.get(view.name, parameter.default)) - mean
+
+
+def setting_in(view: View, setting: Setting, table: Mapping[str, Any]) -> Any:
+    """What `table` says of a setting in one view; the default of a per-view setting is that of a view."""
+    value = table.get(setting.name, setting.default)
+    return value.get(view.name) if setting.per_view else value

@@ -1,0 +1,190 @@
+"""Building blocks of a report that stands alone: one HTML file, pictures inside it, nothing fetched."""
+
+from __future__ import annotations
+
+import base64
+import platform
+import shlex
+from collections.abc import Sequence
+from html import escape
+from importlib.metadata import version
+from io import BytesIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpsar.io.images import replacing
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+STYLE = """
+:root { color-scheme: light; }
+* { box-sizing: border-box; }
+body { margin: 0 auto; max-width: 1180px; padding: 1rem; color: #1c2126; background: #fff;
+  font: 16px/1.5 system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif; }
+h1 { font-size: 1.5rem; line-height: 1.25; margin: .5rem 0; overflow-wrap: anywhere; }
+h2 { font-size: 1.2rem; margin: 2.2rem 0 .6rem; padding-top: .6rem; border-top: 1px solid #d8dde2; }
+h3 { font-size: 1rem; margin: 1.4rem 0 .5rem; }
+p, li { max-width: 75ch; overflow-wrap: anywhere; }
+.quiet, figcaption, caption { color: #56606a; font-size: .875rem; }
+.wide { overflow-x: auto; margin: .75rem 0; }
+table { border-collapse: collapse; font-variant-numeric: tabular-nums; font-size: .9rem; }
+caption { text-align: left; padding-bottom: .35rem; }
+th, td { padding: .3rem .7rem .3rem 0; text-align: right; white-space: nowrap; border-bottom: 1px solid #e6e9ec; }
+th:first-child, td:first-child { text-align: left; }
+th { font-weight: 600; vertical-align: bottom; }
+.row { display: grid; gap: .9rem; align-items: start; margin: .5rem 0 1.2rem;
+  grid-template-columns:
+    repeat(auto-fill, minmax(min(100%, max(var(--least), (100% - 2.7rem) / var(--across))), 1fr)); }
+figure { margin: 0; min-width: 0; }
+figure img { display: block; width: 100%; height: auto; }
+figure img.pixels { image-rendering: pixelated; border: 1px solid #d8dde2; }
+.scale { display: block; max-width: 24rem; font-size: .8rem; color: #56606a; margin: .2rem 0 .6rem; }
+.scale i { display: block; height: .7rem; border: 1px solid #d8dde2; }
+.scale b { display: flex; justify-content: space-between; font-weight: 400; font-variant-numeric: tabular-nums; }
+dl { display: grid; grid-template-columns: auto auto; gap: .1rem .8rem; margin: 0; font-size: .875rem;
+  justify-content: start; font-variant-numeric: tabular-nums; }
+dt { color: #56606a; } dd { margin: 0; overflow-wrap: anywhere; }
+pre { background: #f3f5f7; padding: .7rem; overflow-x: auto; font-size: .85rem; }
+"""
+
+
+def page(title: str, lead: str, *sections: str) -> str:
+    """The whole document; `title` and `lead` are plain text."""
+    return (
+        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        f"<title>{escape(title)}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n"
+        f'<h1>{escape(title)}</h1>\n<p class="quiet">{escape(lead)}</p>\n'
+        + "\n".join(sections)
+        + "\n</body>\n</html>\n"
+    )
+
+
+def write(path: Path, document: str) -> None:
+    """Write the document, atomically, UTF-8."""
+    with replacing(path) as temporary:
+        temporary.write_text(document, encoding="utf-8")
+
+
+def section(title: str, *blocks: str) -> str:
+    return f"<section>\n<h2>{escape(title)}</h2>\n" + "\n".join(blocks) + "\n</section>"
+
+
+def heading(text: str) -> str:
+    return f"<h3>{escape(text)}</h3>"
+
+
+def paragraph(text: str, *, quiet: bool = False) -> str:
+    return f'<p class="quiet">{escape(text)}</p>' if quiet else f"<p>{escape(text)}</p>"
+
+
+def bullets(items: Sequence[str]) -> str:
+    return "<ul>" + "".join(f"<li>{escape(item)}</li>" for item in items) + "</ul>"
+
+
+def command(line: str) -> str:
+    """A line to type in a shell."""
+    return f"<pre>{escape(line)}</pre>"
+
+
+def table(columns: Sequence[str], rows: Sequence[Sequence[Any]], caption: str = "") -> str:
+    """Cells are plain text, the first column left, the others right; scrolls by itself where it is too wide."""
+    head = "".join(f'<th scope="col">{escape(c)}</th>' for c in columns)
+    body = "".join("<tr>" + "".join(f"<td>{escape(str(cell))}</td>" for cell in row) + "</tr>" for row in rows)
+    said = f"<caption>{escape(caption)}</caption>" if caption else ""
+    return f'<div class="wide"><table>{said}<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
+
+
+def facts(pairs: Sequence[tuple[str, str]]) -> str:
+    """Names and values, one below the other."""
+    return "<dl>" + "".join(f"<dt>{escape(name)}</dt><dd>{escape(value)}</dd>" for name, value in pairs) + "</dl>"
+
+
+def row(*cells: str, across: int = 4, least_px: int = 158) -> str:
+    """Cells side by side, at most `across` of them, fewer where each would be narrower than `least_px`; two of 158
+    stand beside each other on a phone."""
+    return f'<div class="row" style="--across: {across}; --least: {least_px}px">' + "".join(cells) + "</div>"
+
+
+def cell(*blocks: str) -> str:
+    return "<div>" + "".join(blocks) + "</div>"
+
+
+def picture(png: bytes, caption: str, *, aspect: float | None = None) -> str:
+    """A picture; `aspect`, of an image of measurements, is its width / height in metres, and its pixels stay sharp."""
+    sharp = "" if aspect is None else f' class="pixels" style="aspect-ratio: {aspect:.6g}"'
+    return _figure(data_uri(png, "image/png"), caption, sharp)
+
+
+def drawing(figure: Figure, caption: str, *, show: bool = True) -> str:
+    """A matplotlib figure, as SVG; the caption is read out in its place, and shown unless `show` is false."""
+    import matplotlib
+
+    stream = BytesIO()
+    with matplotlib.rc_context({"svg.hashsalt": "warpsar"}):  # the same figure is the same bytes
+        figure.savefig(stream, format="svg", metadata={"Date": None})
+    return _figure(data_uri(stream.getvalue(), "image/svg+xml"), caption, "", show=show)
+
+
+def _figure(uri: str, caption: str, attributes: str, *, show: bool = True) -> str:
+    said = f"<figcaption>{escape(caption)}</figcaption>" if show else ""
+    return f'<figure><img src="{uri}" alt="{escape(caption, quote=True)}"{attributes}>{said}</figure>'
+
+
+def data_uri(content: bytes, kind: str) -> str:
+    return f"data:{kind};base64,{base64.b64encode(content).decode('ascii')}"
+
+
+def scale(colours: str, ticks: Sequence[str], label: str) -> str:
+    """The key of a colour scale: `colours` names a matplotlib map, `ticks` stand evenly along it."""
+    from matplotlib import colormaps
+    from matplotlib.colors import to_hex
+
+    stops = ", ".join(to_hex(colour) for colour in colormaps[colours](np.linspace(0.0, 1.0, 17)))
+    marks = "".join(f"<span>{escape(tick)}</span>" for tick in ticks)
+    return (
+        f'<span class="scale">{escape(label)}<i style="background: linear-gradient(to right, {stops})"></i>'
+        f"<b>{marks}</b></span>"
+    )
+
+
+def colour(values: np.ndarray, colours: str, low: float, high: float) -> np.ndarray:
+    """RGB, 0 to 1, shape (*values.shape, 3), of the matplotlib map `colours` from `low` to `high`; NaN is mid-grey."""
+    from matplotlib import colormaps
+
+    span = high - low if high > low else 1.0
+    rgb = colormaps[colours](np.clip((np.nan_to_num(values) - low) / span, 0.0, 1.0))[..., :3]
+    return np.where(np.isnan(values)[..., None], 0.75, rgb)
+
+
+def png(rgb: np.ndarray) -> bytes:
+    """A PNG file of an RGB picture, shape (rows, cols, 3), float from 0 to 1 or uint8."""
+    from matplotlib.image import imsave
+
+    stream = BytesIO()
+    imsave(stream, rgb, format="png", pil_kwargs={"compress_level": 9}, metadata={"Software": "warpsar"})
+    return stream.getvalue()
+
+
+def reproduce(content: dict[str, Any], words: Sequence[str], beside: str) -> str:
+    """The closing section: the command, and what it ran with, from a command's JSON; `beside` names the other files."""
+    packages = ("warp-lang", "numpy", "scipy", "trimesh", "OpenImageIO", "matplotlib")
+    made_with = ", ".join([f"Python {platform.python_version()}", *(f"{name} {version(name)}" for name in packages)])
+    return section(
+        "To make this again",
+        command(shlex.join(words)),
+        facts(
+            [
+                ("warpsar", content["version"]),
+                ("with", made_with),
+                ("device", content["device"]),
+                ("seed", str(content["seed"])),
+                ("time", f"{content['wall_time_s']:.1f} s"),
+                ("input", f"{content['input']['scene']}, SHA-256 {content['input']['sha256'][:16]}…"),
+            ]
+        ),
+        paragraph(beside, quiet=True),
+    )

@@ -1,0 +1,311 @@
+"""Image files in and out, through OpenImageIO: float32, linear power; quick looks in dB."""
+
+from __future__ import annotations
+
+import os
+import struct
+import warnings
+import zlib
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cache
+from io import BytesIO
+from pathlib import Path
+from tokenize import TokenError
+from typing import TYPE_CHECKING, Any
+from uuid import uuid4
+
+import numpy as np
+
+from warpsar.errors import InputError
+from warpsar.io import tiff
+from warpsar.runtime import threads
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+LARGEST_IMAGE = 2**28
+"""Pixels of an image: 1 GiB of float32."""
+_MOST_PER_BYTE = 8 * 1032  # pixels: deflate packs 1032 to 1, and a mask's pixel may be a bit
+_OIIO_FORMATS = {b"v/1\x01": "openexr", **dict.fromkeys(tiff.MAGIC, "tiff")}
+_PNG = b"\x89PNG"
+
+
+@contextmanager
+def replacing(path: str | Path) -> Iterator[Path]:
+    """A temporary name beside `path`, of its suffix, that becomes `path` when the block ends well."""
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{uuid4().hex}{path.suffix}")
+    try:
+        yield temporary
+        os.replace(temporary, path)
+    except OSError as error:
+        if error.errno is not None:  # of the file that was wanted, which nobody calls by its temporary name
+            error.filename, error.filename2 = str(path), None
+        raise
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+@dataclass(frozen=True)
+class _Picture:
+    """An image file whose header is read, and its pixels not yet."""
+
+    names: tuple[str, ...]
+    """Its channels."""
+    kind: str | None
+    """The type of its numbers where it is not a floating-point one."""
+    pixels: Callable[[int, int], NDArray[Any]]
+    """Channels from the first number up to the second, shape (rows, cols, channels)."""
+
+
+@contextmanager
+def _opened(path: Path, shape: tuple[int, int] | None) -> Iterator[_Picture]:
+    """An image or a NumPy file; its size is held against `shape` and its own bytes before any pixel is read."""
+    if not os.path.isfile(path):  # Path.is_file raises for names that no file can have
+        raise InputError(f"{path}: no such image file")
+    if path.suffix.lower() == ".npy":
+        yield _open_npy(path, shape)
+        return
+    try:
+        with path.open("rb") as file:
+            magic = file.read(4)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read as an image ({error.strerror})") from error
+    if magic == _PNG:
+        with _open_png(path, shape) as picture:
+            yield picture
+    elif magic in _OIIO_FORMATS:
+        with _open_oiio(path, _OIIO_FORMATS[magic], shape) as picture:
+            yield picture
+    else:
+        raise InputError(f"{path}: cannot be read as an image (its first bytes are of no TIFF, EXR or PNG)")
+
+
+def _check_size(path: Path, rows: int, cols: int, shape: tuple[int, int] | None) -> None:
+    if shape is not None and (rows, cols) != tuple(shape):
+        raise InputError(f"{path}: found {rows} x {cols} pixels; must be {shape[0]} x {shape[1]} (image.shape)")
+    most = min(LARGEST_IMAGE, _MOST_PER_BYTE * path.stat().st_size)
+    if not 0 < rows * cols <= most:
+        raise InputError(
+            f"{path}: found {rows} x {cols} pixels; must be 1 to {most}, by its {path.stat().st_size} bytes"
+        )
+
+
+@contextmanager
+def _open_oiio(path: Path, kind: str, shape: tuple[int, int] | None) -> Iterator[_Picture]:
+    import OpenImageIO as oiio  # noqa: N813
+
+    if kind == "tiff":
+        tiff.check(path)
+    source = oiio.ImageInput.open(str(path))
+    if source is None:
+        raise InputError(f"{path}: cannot be read as an image ({_reason(oiio.geterror)})")
+    try:
+        spec = source.spec()
+        if source.format_name() != kind:  # it asks all its readers, the suffix' first
+            raise InputError(f"{path}: cannot be read as an image (found {source.format_name()}; must be {kind})")
+        if spec.deep or spec.depth > 1:
+            raise InputError(f"{path}: found a deep or volume image; must be a plain one of rows and columns")
+        _check_size(path, spec.height, spec.width, shape)
+        try:
+            names = tuple(spec.channelnames)
+        except UnicodeDecodeError as error:
+            raise InputError(f"{path}: broken (its channels' names are not UTF-8)") from error
+
+        def pixels(first: int, end: int) -> NDArray[Any]:
+            _check_size(path, spec.height * (end - first), spec.width, None)
+            found = source.read_image(0, 0, first, end, oiio.FLOAT)
+            if found is None:
+                raise InputError(f"{path}: broken or truncated ({_reason(source.geterror)})")
+            return np.asarray(found, np.float32).reshape(spec.height, spec.width, end - first)
+
+        floating = spec.format.basetype in (oiio.HALF, oiio.FLOAT, oiio.DOUBLE)
+        yield _Picture(names, None if floating else str(spec.format), pixels)
+    finally:
+        source.close()
+
+
+def _reason(error: Callable[[], str]) -> str:
+    """What OpenImageIO says, on one line."""
+    try:
+        return " ".join(error().split())[:500] or "no reason given"
+    except UnicodeDecodeError:  # it quotes the file's own bytes
+        return "no readable reason given"
+
+
+@contextmanager
+def _open_png(path: Path, shape: tuple[int, int] | None) -> Iterator[_Picture]:
+    """With Pillow: OpenImageIO's reader writes to stderr what it finds broken."""
+    from PIL.PngImagePlugin import PngImageFile
+
+    def broken(error: Exception) -> InputError:
+        return InputError(f"{path}: cannot be read as an image ({error})")
+
+    try:
+        picture = PngImageFile(BytesIO(path.read_bytes()))  # of a file it asks for as much as a chunk claims
+    except _PNG_ERRORS as error:
+        raise broken(error) from error
+    with picture:
+        _check_size(path, picture.height, picture.width, shape)
+
+        def pixels(first: int, end: int) -> NDArray[Any]:
+            try:
+                plain = picture.convert("RGBA") if picture.mode in ("P", "PA") else picture
+                found = np.asarray(plain)
+            except _PNG_ERRORS as error:
+                raise broken(error) from error
+            return np.atleast_3d(found)[:, :, first:end]
+
+        names = ("R", "G", "B", "A") if picture.mode in ("P", "PA") else picture.getbands()
+        yield _Picture(tuple(names), "uint", pixels)
+
+
+# What Pillow raises on broken files, by its documentation (OSError, SyntaxError) and by its decoders of chunks.
+_PNG_ERRORS = (OSError, SyntaxError, ValueError, EOFError, struct.error, zlib.error)
+
+
+def read_npy(path: Path) -> NDArray[Any]:
+    """The array in a NumPy file, mapped: as large as the file at most, and never a pickle; raises InputError."""
+    try:
+        # NumPy multiplies a shape's numbers, and finds headers of Python 2.
+        with np.errstate(all="ignore"), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return np.lib.format.open_memmap(path, mode="r")
+    except (OSError, ValueError, EOFError, SyntaxError, TypeError, OverflowError, RecursionError, TokenError) as error:
+        reason = " ".join(str(error).split())[:500]
+        raise InputError(f"{path}: cannot be read as a NumPy array ({reason})") from error
+
+
+def _open_npy(path: Path, shape: tuple[int, int] | None) -> _Picture:
+    array = read_npy(path)
+    if array.ndim not in (2, 3):
+        raise InputError(f"{path}: found an array of shape {np.shape(array)}; must be (rows, cols[, channels])")
+    if array.dtype.kind not in "fiub":
+        raise InputError(f"{path}: found values of type {array.dtype}; must be floating point")
+    _check_size(path, array.shape[0], array.shape[1], shape)
+    array = np.atleast_3d(array)
+
+    def pixels(first: int, end: int) -> NDArray[Any]:
+        with np.errstate(all="ignore"):  # beyond float32 is infinite, and masked or refused as such
+            return array[:, :, first:end].astype(np.float32)
+
+    names = tuple(str(i) for i in range(array.shape[2]))
+    return _Picture(names, None if array.dtype.kind == "f" else str(array.dtype), pixels)
+
+
+def _refuse_whole_numbers(path: Path, picture: _Picture) -> None:
+    if picture.kind is not None:
+        raise InputError(f"{path}: found pixels of type {picture.kind}; must be floating point (float32 TIFF or EXR)")
+
+
+def read_image(path: str | Path) -> NDArray[np.float32]:
+    """All channels of a floating-point image (TIFF, EXR, NPY), shape (rows, cols, channels).
+
+    Raises `InputError` for a file that is missing, broken, truncated or of whole numbers (of unknown scale).
+    """
+    path = Path(path)
+    with _opened(path, None) as picture:
+        _refuse_whole_numbers(path, picture)
+        return picture.pixels(0, len(picture.names))
+
+
+def read_channel(
+    path: str | Path, name: str | None = None, shape: tuple[int, int] | None = None
+) -> NDArray[np.float32]:
+    """One channel, shape (rows, cols): the only one, or the one called `name`.
+
+    Raises `InputError` as `read_image` does, where there are several channels and none has the name, and where the
+    image has not the `shape` that is asked for.
+    """
+    path = Path(path)
+    with _opened(path, shape) as picture:
+        _refuse_whole_numbers(path, picture)
+        names = picture.names
+        if len(names) > 1 and name not in names:
+            wanted = f", or one named {name}" if name else ""
+            raise InputError(f"{path}: found the channels {', '.join(names)}; must have one channel{wanted}")
+        index = names.index(name) if len(names) > 1 and name is not None else 0
+        return np.ascontiguousarray(picture.pixels(index, index + 1)[:, :, 0])
+
+
+def read_mask(path: str | Path, shape: tuple[int, int] | None = None) -> NDArray[np.bool_]:
+    """The pixels to use, shape (rows, cols): not zero in some channel other than alpha. PNG, or as `read_channel`."""
+    with _opened(Path(path), shape) as picture:
+        pixels = picture.pixels(0, len(picture.names))
+    if len(picture.names) > 1:
+        pixels = pixels[:, :, [name != "A" for name in picture.names]]
+    return (np.nan_to_num(pixels, nan=0.0) != 0).any(axis=2)
+
+
+def write_exr(path: str | Path, channels: Mapping[str, ArrayLike]) -> None:
+    """Write float32 channels, each of shape (rows, cols), under their names, atomically."""
+    arrays = [np.asarray(array, np.float32) for array in channels.values()]
+    whole = np.stack(arrays, axis=2) if len(arrays) > 1 else arrays[0][:, :, None]
+    _write(Path(path), whole, names=tuple(channels), compression="zip")
+
+
+def write_tiff(path: str | Path, image: ArrayLike) -> None:
+    """Write a float32 TIFF of one channel, shape (rows, cols), atomically."""
+    _write(Path(path), np.asarray(image, np.float32)[:, :, None], compression="zip")
+
+
+def quick_look(
+    path: str | Path, beta0: ArrayLike, floor_db: float | None = None, ceiling_db: float | None = None
+) -> tuple[float, float]:
+    """Write a grey PNG of an image in dB, near range on top; the limits are returned and in its metadata.
+
+    beta0: linear power, shape (rows, cols). Black is `floor_db` and below (and what is not positive or
+    finite), white `ceiling_db` and above: by default the 2nd and 99.5th percentile of the positive pixels.
+    """
+    beta0 = np.asarray(beta0, np.float64)
+    positive = np.isfinite(beta0) & (beta0 > 0)
+    decibel = np.full(beta0.shape, -np.inf)
+    decibel[positive] = 10 * np.log10(beta0[positive])
+    low, high = np.percentile(decibel[positive], [2.0, 99.5]) if positive.any() else (-1.0, 0.0)
+    low = float(low if floor_db is None else floor_db)
+    high = float(high if ceiling_db is None else ceiling_db)
+    if not high > low:  # a constant image, or a floor above everything: show a range of one dB
+        high = low + 1.0
+    grey = np.round(np.clip((decibel - low) / (high - low), 0.0, 1.0) * 255.0).astype(np.uint8)
+    _write(Path(path), grey[:, :, None], description=f"beta0 in dB: black {low:.2f} dB, white {high:.2f} dB")
+    return low, high
+
+
+@cache
+def _share_cores() -> None:
+    """Have OpenEXR pack on the cores that are this process's: it would take all of the host's in each."""
+    import OpenImageIO as oiio  # noqa: N813
+
+    oiio.attribute("exr_threads", threads.thread_count())
+
+
+def _write(
+    path: Path,
+    pixels: NDArray[Any],
+    names: tuple[str, ...] = (),
+    compression: str | None = None,
+    description: str | None = None,
+) -> None:
+    """Write pixels of shape (rows, cols, channels) in their own type, in the format of the suffix."""
+    import OpenImageIO as oiio  # noqa: N813
+
+    _share_cores()
+    rows, cols, count = pixels.shape
+    spec = oiio.ImageSpec(cols, rows, count, oiio.UINT8 if pixels.dtype == np.uint8 else oiio.FLOAT)
+    if names:
+        spec.channelnames = names
+    if compression:
+        spec.attribute("compression", compression)
+    if description:
+        spec.attribute("ImageDescription", description)
+    with replacing(path) as temporary:
+        target = oiio.ImageOutput.create(str(temporary))
+        if target is None:
+            raise InputError(f"{path}: cannot be written ({_reason(oiio.geterror)})")
+        done = target.open(str(temporary), spec) and target.write_image(np.ascontiguousarray(pixels))
+        done = target.close() and done
+        if not done:
+            raise OSError(f"{path}: cannot be written ({_reason(target.geterror)})")

@@ -1,0 +1,168 @@
+"""Adam: steps of a fixed length along a smoothed gradient."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpsar.learning.optimise import FitState, better
+
+if TYPE_CHECKING:
+    from warpsar.learning.problem import FitProblem
+
+
+PLATEAU_WINDOW, PLATEAU_GAIN = 50, 1e-5  # Adam: relative gain of the best loss over so many iterations
+
+
+SETTLING = 30.0  # Adam's step shrinks after so many iterations: a constant one rattles in total variation's kinks
+
+
+
+def eased(rate: float, iteration: int) -> float:
+    """Adam's step at an iteration: `rate` at first, then falling as 1 / sqrt(iteration)."""
+    return float(rate / np.sqrt(1.0 + iteration / SETTLING))
+
+
+class Adam:
+    """warp.optim.Adam on the whole of x, with bounds, from the host."""
+
+    def __init__(self, problem: FitProblem, state: FitState, rate: float) -> None:
+        import warp as wp
+        from warp.optim import Adam as WarpAdam
+
+        self.problem, self.rate = problem, rate
+        self.x: Any = wp.array(state.x.astype(np.float32), dtype=float, device=problem.device)
+        self.gradient = wp.zeros_like(self.x)
+        self.optimiser = WarpAdam([self.x], lr=rate)
+        if state.first_moment is not None:
+            self.optimiser.m[0].assign(state.first_moment)
+            self.optimiser.v[0].assign(state.second_moment)
+            self.optimiser.t = state.since_start
+
+    def step(self, state: FitState) -> FitState:
+        """One iteration."""
+        problem = self.problem
+        x = self.x.numpy().astype(float)
+        loss, gradient = problem.gradient(x)
+        self.gradient.assign(gradient.astype(np.float32))
+        self.optimiser.lr = eased(self.rate, state.since_start)
+        self.optimiser.step([self.gradient])
+        low, high = problem.bounds
+        moved = np.clip(self.x.numpy(), low.astype(np.float32), high.astype(np.float32))
+        self.x.assign(moved)
+        state = better(state, x, loss)
+        recent = np.append([] if state.recent is None else state.recent, state.best_loss)[-PLATEAU_WINDOW - 1 :]
+        gained = (recent[0] - recent[-1]) / max(abs(recent[-1]), 1e-300)
+        return replace(
+            state,
+            x=moved.astype(float),
+            first_moment=self.optimiser.m[0].numpy(),
+            second_moment=self.optimiser.v[0].numpy(),
+            recent=recent,
+            iteration=state.iteration + 1,
+            since_start=state.since_start + 1,
+            arrived=recent.size > PLATEAU_WINDOW and gained < PLATEAU_GAIN,
+        )
+
+
+class GraphAdam:
+    """Adam where nothing but the loss leaves the CUDA device: image, loss and gradients of all views and the update
+    replayed as one captured graph (of several ranks, two, with the sum of their gradients between), for `STRIDE`
+    iterations between two looks at the loss."""
+
+    STRIDE = 10
+
+    def __init__(self, problem: FitProblem, state: FitState, rate: float) -> None:
+        import warp as wp
+
+        from warpsar.kernels import adam as kernels
+
+        self.problem, self.rate = problem, rate
+        device = problem.device
+        self.nodes = problem.shared_nodes
+        start = problem.nodes(np.asarray(state.x)).astype(np.float32)
+        low, high = start.copy(), start.copy()
+        low[problem.learned], high[problem.learned] = problem.bounds
+
+        def put(values: np.ndarray, dtype: Any = float) -> Any:
+            return wp.array(values, dtype=dtype, device=device)
+
+        self.nodes.assign(start)
+        self.low, self.high = put(low), put(high)
+        self.first, self.second = (wp.zeros_like(self.nodes, requires_grad=False) for _ in range(2))
+        if state.first_moment is not None:
+            self.first.assign(state.first_moment)
+            self.second.assign(state.second_moment)
+        self.done, self.size = put(np.array([state.since_start]), int), put(np.zeros(2))
+        self.loss = put(np.zeros(1), wp.float64)
+        self.seen, self.spare = (wp.zeros_like(self.first) for _ in range(2))
+        problem.run_on_device()  # loads every kernel, which a capture cannot
+        problem.add_losses(self.loss)
+        wp.load_module(kernels, device=device)
+        alone = problem.ranks.size == 1
+        self.graphs = []
+        for tasks in [(problem.run_on_device, self._update)] if alone else [(problem.run_on_device,), (self._update,)]:
+            with wp.ScopedCapture(device) as capture:
+                for task in tasks:
+                    task()
+            self.graphs.append(capture.graph)
+        with wp.ScopedCapture(device) as capture:
+            self.loss.zero_()
+            problem.add_losses(self.loss)
+        self.look = capture.graph
+
+    def _update(self) -> None:
+        import warp as wp
+
+        from warpsar.kernels import adam as kernels
+
+        device = self.problem.device
+        wp.launch(kernels.tick_kernel, 1, inputs=[self.rate, SETTLING], outputs=[self.done, self.size], device=device)
+        wp.launch(
+            kernels.adam_kernel,
+            self.nodes.size,
+            inputs=[self.nodes.grad, self.size, self.low, self.high],
+            outputs=[self.first, self.second, self.nodes],
+            device=device,
+        )
+
+    def iterate(self) -> None:
+        """One iteration; nothing waits for it."""
+        import warp as wp
+
+        wp.capture_launch(self.graphs[0])
+        for graph in self.graphs[1:]:
+            self.problem.ranks.sum_on_device(self.nodes.grad)
+            wp.capture_launch(graph)
+
+    def step(self, state: FitState) -> FitState:
+        """`STRIDE` iterations; the loss is that of the last one."""
+        import warp as wp
+
+        problem = self.problem
+        for _ in range(self.STRIDE - 1):
+            self.iterate()
+        wp.copy(self.seen, self.nodes)
+        self.iterate()
+        wp.capture_launch(self.look)
+        problem.ranks.sum_on_device(self.loss)
+        loss = float(self.loss.numpy()[0])  # the same to the bit on each rank; nothing else waits for the device
+        better = loss < state.best_loss
+        state = better(state, problem.on_device(self.seen), loss)
+        if better:
+            self.seen, self.spare = self.spare, self.seen
+        recent = np.append([] if state.recent is None else state.recent, state.best_loss)
+        recent = recent[-PLATEAU_WINDOW // self.STRIDE - 1 :]
+        gained = (recent[0] - recent[-1]) / max(abs(recent[-1]), 1e-300)
+        return replace(
+            state,
+            x=problem.on_device(self.nodes),
+            first_moment=self.first,
+            second_moment=self.second,
+            recent=recent,
+            iteration=state.iteration + self.STRIDE,
+            since_start=state.since_start + self.STRIDE,
+            arrived=recent.size > PLATEAU_WINDOW // self.STRIDE and gained < PLATEAU_GAIN,
+        )

@@ -1,0 +1,222 @@
+"""What the data can say of the parameters: Fisher information, intervals, and words (physics.md, section 3)."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpsar.runtime.distributed import ONE, Ranks
+from warpsar.speckle.likelihood import residual_sd
+from warpsar.surface.surface import KINDS
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from warpsar.learning.observation import Observation
+    from warpsar.learning.problem import FitProblem
+
+# A log coordinate known to worse than this (a factor e either way within two standard deviations) is not determined.
+UNDETERMINED_SD = 0.5
+# A pair's product or ratio is named where it is at least this much better known than both of its members.
+BETTER = 3.0
+# Eigenvalues below this share of the largest, in a matrix scaled to a unit diagonal, are zero to float32 images.
+RANK_TOLERANCE = 1e-9
+LAGS = 6  # pixels, each way, over which neighbouring residuals are taken to be correlated
+
+
+@dataclass
+class Identified:
+    """Fisher information of x at a solution, and what follows.
+
+    `information`, `covariance`: shape (p, p), in the coordinates of x. `covariance` is the sandwich
+    F^-1 S F^-1 with S from the residuals' own autocovariance (correlated speckle included); the variance of an
+    element with a part in a direction that the data do not see is infinite. `eigenvalues` ascending with
+    `eigenvectors` in columns, of the information. `words`: sentences.
+    """
+
+    labels: list[str]
+    information: np.ndarray
+    covariance: np.ndarray
+    eigenvalues: np.ndarray
+    eigenvectors: np.ndarray
+    words: list[str] = field(default_factory=list)
+
+    @property
+    def sd(self) -> np.ndarray:
+        """Standard deviation of every element of x, shape (p,); infinite where the data say nothing."""
+        return np.sqrt(np.diag(self.covariance))
+
+    def summary(self) -> dict[str, Any]:
+        return {
+            "parameters": self.labels,
+            "standard_deviation": self.sd,
+            "identifiable": [bool(sd < UNDETERMINED_SD) for sd in self.sd],
+            "eigenvalues": self.eigenvalues,
+            "eigenvectors": self.eigenvectors.T,
+            "words": self.words,
+        }
+
+
+def residual_autocovariance(
+    pairs: Sequence[tuple[Observation, np.ndarray]], lags: int = LAGS, ranks: Ranks = ONE
+) -> np.ndarray:
+    """Autocovariance of the standardised residuals, shape (2 lags + 1, 2 lags + 1).
+
+    `pairs`: observation and residual of its interior pixels, divided by the speckle's own standard deviation.
+    Pooled over observations, of all `ranks`. The taper is flat to half the lags (Politis and Romano, 1995): one that
+    falls from the first lag on makes intervals too short by a quarter where speckle is correlated over two pixels. Lags
+    that do not stand out of their sampling error by three are zero, negative ones too: correlation only ever widens an
+    interval.
+    """
+    size = 2 * lags + 1
+    total, count = np.zeros((size, size)), np.zeros((size, size))
+    for seen, standardised in pairs:
+        grid = np.zeros(seen.measured.shape)
+        grid[seen.interior] = standardised
+        inside = seen.interior.astype(float)
+        for i in range(size):
+            for j in range(size):
+                other = _shifted(_shifted(grid, i - lags, 0), j - lags, 1)
+                both = _shifted(_shifted(inside, i - lags, 0), j - lags, 1) * inside
+                total[i, j] += float((grid * other).sum())
+                count[i, j] += both.sum()
+    total, count = ranks.sum(total), ranks.sum(count)
+    covariance = total / np.maximum(count, 1.0)
+    variance = covariance[lags, lags]
+    noise = covariance < 3.0 * variance / np.sqrt(np.maximum(count, 1.0))
+    noise[lags, lags] = False
+    taper = np.minimum(1.0, 2.0 - 2.0 * np.abs(np.arange(-lags, lags + 1)) / (lags + 1.0))
+    return np.where(noise, 0.0, covariance) * np.outer(taper, taper)
+
+
+def score_products(scaled: np.ndarray, autocovariance: np.ndarray, seen: Observation) -> np.ndarray:
+    """Variance of sum(scaled * standardised residual), shape (p, p), for residuals of the given autocovariance;
+    `scaled` shape (pixels, p): what a residual of one standard deviation adds to the score."""
+    from scipy.ndimage import convolve
+
+    if np.count_nonzero(autocovariance) == 1:
+        return autocovariance.max() * (scaled.T @ scaled)
+    products = np.zeros((scaled.shape[1], scaled.shape[1]))
+    grid = np.zeros(seen.measured.shape)
+    for column in range(scaled.shape[1]):
+        grid[seen.interior] = scaled[:, column]
+        products[:, column] = scaled.T @ convolve(grid, autocovariance, mode="constant")[seen.interior]
+    return (products + products.T) / 2.0
+
+
+def _shifted(array: np.ndarray, lag: int, axis: int) -> np.ndarray:
+    """`array` moved by `lag` along `axis`, zeros moved in."""
+    out = np.zeros_like(array)
+    n = array.shape[axis]
+    to = [slice(None)] * array.ndim
+    of = [slice(None)] * array.ndim
+    to[axis] = slice(max(lag, 0), n + min(lag, 0))
+    of[axis] = slice(max(-lag, 0), n - max(lag, 0))
+    out[tuple(to)] = array[tuple(of)]
+    return out
+
+
+def identify(problem: FitProblem, x: np.ndarray) -> Identified:
+    """Fisher information and intervals of a handful of parameters at the solution x."""
+    modelled = problem.modelled(x)
+    curvatures, jacobians = problem.curvatures(modelled), problem.jacobian(x)
+    spreads = [residual_sd(problem.loss, seen.looks) for seen in problem.observations]
+    autocovariance = residual_autocovariance(
+        [(s, c.residual / spread) for s, c, spread in zip(problem.observations, curvatures, spreads, strict=True)],
+        ranks=problem.ranks,
+    )
+    information = np.zeros((x.size, x.size))
+    products = np.zeros_like(information)
+    for seen, j, c, spread in zip(problem.observations, jacobians, curvatures, spreads, strict=True):
+        weighted = c.weight[:, None] * j
+        information += j.T @ weighted
+        products += score_products(spread * weighted, autocovariance, seen)
+    return of_information(problem.labels, problem.ranks.sum(information), problem.ranks.sum(products))
+
+
+def of_information(labels: list[str], information: np.ndarray, products: np.ndarray) -> Identified:
+    """Eigenvalues, covariance and words from F and S."""
+    values, vectors = np.linalg.eigh(information)
+    scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
+    unit_values, unit_vectors = np.linalg.eigh(information / np.outer(scale, scale))
+    seen = unit_values > RANK_TOLERANCE * unit_values.max()
+    inverse = (unit_vectors[:, seen] / unit_values[seen]) @ unit_vectors[:, seen].T / np.outer(scale, scale)
+    covariance = inverse @ products @ inverse
+    unseen = unit_vectors[:, ~seen].T / scale
+    unseen /= np.linalg.norm(unseen, axis=1, keepdims=True)
+    reported = covariance.copy()
+    np.fill_diagonal(reported, [_sd(row, covariance, unseen) ** 2 for row in np.eye(len(labels))])
+    return Identified(labels, information, reported, values, vectors, describe(labels, covariance, unseen))
+
+
+def _sd(combination: np.ndarray, covariance: np.ndarray, unseen: np.ndarray) -> float:
+    """Standard deviation of a sum of elements of x; infinite where it has a part in an unseen direction."""
+    if np.linalg.norm(unseen @ combination) > 1e-3 * np.linalg.norm(combination):
+        return float("inf")
+    return float(np.sqrt(max(combination @ covariance @ combination, 0.0)))
+
+
+def _best_known(members: list[int], covariance: np.ndarray, unseen: np.ndarray) -> np.ndarray:
+    """The sum of `members` of x that is known best, as exponents of the parameters; the largest is 1."""
+    span = np.eye(len(covariance))[:, members]
+    if len(unseen):
+        _, singular, across = np.linalg.svd(unseen[:, members])
+        span = span @ across[np.count_nonzero(singular > 1e-3) :].T
+    if not span.shape[1]:
+        return np.zeros(len(covariance))
+    direction = span @ np.linalg.eigh(span.T @ covariance @ span)[1][:, 0]
+    return direction / direction[np.argmax(np.abs(direction))]
+
+
+def describe(labels: Sequence[str], covariance: np.ndarray, unseen: np.ndarray) -> list[str]:
+    """One sentence per material: what is determined, alone or in combination, and to how much.
+
+    `covariance` holds on what is seen; `unseen`, shape (n, p), are unit vectors along which the data say nothing.
+    """
+    unit = np.eye(len(labels))
+    groups: dict[str, list[int]] = {}
+    for index, label in enumerate(labels):
+        groups.setdefault(label.rsplit(".", 1)[0], []).append(index)
+    symbols = {kind.key: kind.symbol for kind in KINDS}
+    sentences = []
+    for name, members in groups.items():
+        short = {i: symbols.get(labels[i].rsplit(".", 1)[1], labels[i].rsplit(".", 1)[1]) for i in members}
+        sd = {i: _sd(unit[i], covariance, unseen) for i in members}
+        good = [i for i in members if sd[i] < UNDETERMINED_SD]
+        bad = [i for i in members if i not in good]
+        combinations = []
+        for i, j in itertools.combinations(members, 2):
+            for sign, mark in ((1.0, "*"), (-1.0, "/")):
+                combined = _sd(unit[i] + sign * unit[j], covariance, unseen)
+                if combined < UNDETERMINED_SD and BETTER * combined < min(sd[i], sd[j]) and (i in bad or j in bad):
+                    combinations.append((combined, f"{_of(short[i])}{mark}{_of(short[j])}"))
+        if len(bad) > 1 and not combinations:
+            powers = _best_known(bad, covariance, unseen)
+            combined = _sd(powers, covariance, unseen)
+            shown = {i: f"{powers[i]:.2f}" for i in bad if abs(powers[i]) >= 0.005}
+            if len(shown) > 1 and combined < UNDETERMINED_SD:
+                factors = [_of(short[i]) + ("" if power == "1.00" else f"^{power}") for i, power in shown.items()]
+                combinations.append((combined, "*".join(factors)))
+        known = [f"{_of(short[i])} to {_percent(sd[i])}" for i in good]
+        combined_known = [f"{text} to {_percent(value)}" for value, text in sorted(combinations)]
+        if not bad:
+            sentences.append(f"{name}: {', '.join(known)}")
+        elif known or combined_known:
+            lost = ", ".join(_of(short[i]) for i in bad)
+            sentences.append(
+                f"{name}: only {', '.join(known + combined_known)} determined; {lost} alone not identifiable"
+            )
+        else:
+            sentences.append(f"{name}: not identifiable ({', '.join(_of(short[i]) for i in bad)})")
+    return sentences
+
+
+def _of(symbol: str) -> str:
+    return "(eps_r-1)" if symbol == "eps_r" else symbol
+
+
+def _percent(sd: float) -> str:
+    return f"{100.0 * sd:.2g} %"

@@ -1,0 +1,136 @@
+"""Which measured pixels are compared with the model, and at how many looks (effects.md, step 2)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warpsar.errors import InputError
+
+if TYPE_CHECKING:
+    from warpsar.scene.scene import Scene
+    from warpsar.world.tables import View
+
+BORDER = 2  # pixels at the image's edge that are left out
+FAR = 6  # pixels from any lit one: from here on nothing but additive effects can be seen
+
+
+@dataclass(frozen=True)
+class Observation:
+    """One measured image, and the pixels of it that are used; all (rows, cols).
+
+    `interior`: lit by the declared model with all eight neighbours, off the image's edge, unmasked, finite and
+    positive. `silent`: the same, but measuring exactly 0, which no gamma likelihood can hold. `dark`: far from
+    everything lit, off the edge, unmasked and finite; zeros stay in.
+    `least` [beta0 before any gain], if given, is how dark a model may call each pixel that is not `dark`: less than
+    what its rays can miss says nothing.
+    """
+
+    view: View
+    polarization: str
+    measured: np.ndarray
+    interior: np.ndarray
+    silent: np.ndarray
+    dark: np.ndarray
+    looks: float
+    looks_estimated: bool
+    least: np.ndarray | None = None
+
+    @property
+    def zeros(self) -> int:
+        return int(self.silent.sum())
+
+    @cached_property
+    def count(self) -> int:
+        """Pixels of the interior."""
+        return int(self.interior.sum())
+
+    @property
+    def left_out(self) -> int:
+        return int(self.interior.size - self.interior.sum())
+
+    def with_dark(self) -> Observation:
+        """The same with the positive dark pixels among those that are used: what an additive effect is fitted on."""
+        return replace(self, interior=self.interior | (self.dark & (np.nan_to_num(self.measured) > 0)))
+
+    @property
+    def pixels(self) -> np.ndarray:
+        """Flat indices of the interior, shape (n,), int32."""
+        return np.flatnonzero(self.interior).astype(np.int32)
+
+    @property
+    def darkest(self) -> np.ndarray:
+        """Modelled beta0 below which a pixel counts no darker, one for all or shape (n,), float32."""
+        from warpsar.kernels.loss import DARKEST
+
+        if self.least is None:
+            return np.array([DARKEST], np.float32)
+        return np.maximum(np.where(self.dark, 0.0, self.least)[self.interior], DARKEST).astype(np.float32)
+
+    @property
+    def values(self) -> np.ndarray:
+        """Measured beta0 of the interior, shape (n,), float64."""
+        return self.measured[self.interior].astype(float)
+
+
+def estimated_looks(scene: Scene, view: View, measured: np.ndarray) -> float:
+    """Looks of an image that does not declare them, NaN where it is not to be used; InputError where there is no
+    homogeneous ground to tell by."""
+    from warpsar.speckle.looks import equivalent_looks
+
+    looks = equivalent_looks(measured)
+    if looks is None:
+        raise InputError(
+            f"{scene.path}: views {view.name}: looks are not given, and no homogeneous ground was found to estimate "
+            f"them on; give `looks`"
+        )
+    return float(looks)
+
+
+def looks_of(scene: Scene, view: View) -> float:
+    """Declared looks of a view, or those that its first image shows."""
+    if view.looks is not None:
+        return view.looks
+    return estimated_looks(scene, view, scene.measured(view, next(iter(view.images))))
+
+
+def observe(scene: Scene, view: View, polarization: str, lit: np.ndarray) -> Observation:
+    """The measured image of a view with its masks; `lit` (rows, cols) is where the declared model puts light.
+
+    Looks that are not declared are estimated from the image. Raises InputError where they cannot be, or where no
+    pixel is left.
+    """
+    from scipy.ndimage import distance_transform_edt, minimum_filter
+
+    measured = scene.measured(view, polarization)
+    usable = np.isfinite(measured)
+    mask = scene.mask(view)
+    if mask is not None:
+        usable &= mask
+    usable[:BORDER] = usable[-BORDER:] = False
+    usable[:, :BORDER] = usable[:, -BORDER:] = False
+    inner = minimum_filter(lit.astype(np.uint8), size=3, mode="constant") > 0
+    positive = np.where(np.isfinite(measured), measured, 0) > 0
+    interior = usable & inner & positive
+    if not interior.any():
+        raise InputError(
+            f"{scene.path}: views {view.name}: no pixel of {polarization} is lit by the model, unmasked and "
+            f"positive at once; the image and the mesh do not meet, or sigma0 is 0 at the declared parameters"
+        )
+    distance = distance_transform_edt(~lit) if lit.any() else np.full(lit.shape, np.inf)
+    looks, estimated = view.looks, view.looks is None
+    if looks is None:
+        looks = estimated_looks(scene, view, np.where(interior, measured, np.nan))
+    return Observation(
+        view,
+        polarization,
+        measured,
+        interior,
+        usable & inner & ~positive,
+        usable & (distance > FAR),
+        float(looks),
+        estimated,
+    )

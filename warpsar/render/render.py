@@ -1,0 +1,259 @@
+"""Hits + Surface + effects -> Image, as a program that runs forward, and backward to every parameter."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from copy import copy
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpsar.effects.base.effect import DeclaredEffect
+from warpsar.runtime.launches import Launch, by_elements, by_stretches
+from warpsar.runtime.program import Program
+from warpsar.surface.samples import shading_samples
+from warpsar.surface.spread import Spread
+from warpsar.surface.stage import POLARIZATIONS, Stage
+from warpsar.surface.surface import LAYOUTS
+from warpsar.trace.merge import starts
+
+if TYPE_CHECKING:
+    from warpsar.effects.base.effect import Effect
+    from warpsar.trace.hits import Hits
+    from warpsar.world.frame import ViewGeometry
+    from warpsar.world.tables import View
+
+
+class ViewRender:
+    """One view's images as a function of the surface's nodes and the effects' parameters.
+
+    `images[pol]` is beta0, shape (rows * cols,), float32, on the device after `forward`; `nodes` and
+    `effect_values[name]` are this view's own copies of the parameters, with their gradients after
+    `program.backward`. `hits` say where power falls, `shaded`, one per face and pixel, what is shaded. Stages:
+    coordinates -> sigma0 -> gains -> deposit -> paths -> image. `spacing_m` is that of the pixels; `layers`: further
+    arrays (rows * cols,) by name that effects leave, shares of the beta0.
+    """
+
+    def __init__(
+        self,
+        stage: Stage,
+        view: View,
+        hits: Hits,
+        shape: tuple[int, int],
+        polarizations: tuple[str, ...],
+        effects: list[DeclaredEffect],
+        nodes: Any = None,
+    ) -> None:
+        """`nodes` shares one device array of parameters between views (CUDA); by default each view has its own."""
+        self.stage, self.view, self.hits, self.shape = stage, view, hits, shape
+        self.geometry: ViewGeometry = hits.geometry
+        self.program = Program(stage.target.device)
+        self.settings = {e.effect.name: e.settings for e in effects}
+        self.nodes = self.program.array(stage.surface.nodes.size) if nodes is None else nodes
+        self.effect_values = {e.effect.name: self.program.array(max(1, e.values.size)) for e in effects}
+        self.nodes.assign(stage.nodes)
+        self.set_parameters(None, {e.effect.name: e.values for e in effects})
+        self.images: dict[str, Any] = {}
+        self.sigma: dict[str, Any] = {}
+        self._light: dict[str, Any] = {}
+        self.layers: dict[str, Any] = {}
+        self.kept: dict[str, Any] = {}  # what an effect worked out for one polarization and needs in the next
+        self.shaded, self._sample = shading_samples(hits)
+        fine = hits.grid.bins_per_pixel
+        self.spacing_m = (hits.grid.spacing_m[0] * fine, hits.grid.spacing_m[1] * fine)
+
+        self._effects = effects
+        at = self._at
+        shaded = self.shaded
+        zeta = self.coordinates(shaded.face, shaded.barycentric, shaded.point)
+        self.zeta = zeta
+        for name in polarizations:
+            code = POLARIZATIONS[name]
+            sigma = self.scatter(zeta, code)
+            for effect, p in at("surface"):
+                sigma = effect.scattering(self, p, zeta, sigma, code)
+            self.sigma[name] = sigma
+            image = self.program.array(shape[0] * shape[1], sum_into=True)
+            self.collect(sigma, hits.weight, shaded.point, hits.pixel, image, self._sample)
+            self._light[name] = image
+            for effect, p in at("path"):
+                image = effect.paths(self, p, image, code)
+            for effect, p in at("image"):
+                image = effect.image(self, p, image)
+            self.images[name] = image
+
+    def lit(self, polarization: str) -> np.ndarray:
+        """Pixels that single-bounce light reached in the last run, (rows, cols) bool: a blur or a noise floor lights
+        nothing."""
+        return self._light[polarization].numpy().reshape(self.shape) > 0
+
+    def _at(self, stage: str) -> list[tuple[Effect, Any]]:
+        return [(e.effect, self.effect_values[e.effect.name]) for e in self._effects if e.effect.stage == stage]
+
+    def coordinates(self, face: Any, barycentric: Any, points: Any) -> Any:
+        """Record the learned coordinates (vec4) at places on the mesh, with the effects that act on them."""
+        import warp as wp
+
+        from warpsar.kernels import shade, shade_lanes
+
+        stage, nodes = self.stage, self.nodes
+        n = face.shape[0]
+        gathered = self.program.array(n, wp.vec4)
+        mesh = [stage.target.faces, stage.face_material, stage.uv, stage.places]
+
+        @cache
+        def spread() -> Launch:  # when a gradient is asked for
+            return Spread(stage, face, barycentric).adding(gathered.grad, nodes.grad)
+
+        lean = face.device.is_cpu and not (stage.surface.places[:, :, 0] == LAYOUTS["texture"]).any()
+        self.program.launch(
+            shade_lanes.gather_kernel if lean else shade.gather_kernel,
+            n,
+            [face, barycentric, *mesh, nodes],
+            [gathered],
+            adjoint=lambda: spread().launch(),
+            pieces=by_elements([face, barycentric, gathered]),
+        )
+        zeta = gathered
+        for effect, p in self._at("surface"):
+            zeta = effect.coordinates(self, p, zeta, points)
+        return zeta
+
+    def collect(self, sigma: Any, weight: Any, points: Any, bins: Any, image: Any, sample: Any = None) -> None:
+        """Record the gains on `sigma` and its deposit into `image`, an array that is zeroed before each run.
+
+        `bins` are row * cols + col of `hits.grid`, `weight` as in Hits; what a path effect finds goes the same way.
+        `sample`: which of `sigma` each bin takes, where several take one.
+        """
+        from warpsar.kernels import shade
+
+        for effect, p in self._at("gain"):
+            sigma = effect.gain(self, p, sigma, points)
+        if sample is not None:
+            taken = self.program.array(bins.shape[0])
+            self.program.launch(shade.take_kernel, bins.shape[0], [sample, sigma], [taken])
+            sigma = taken
+        movers = self._at("position")
+        for effect, p in movers:
+            effect.deposit(self, p, sigma, weight, bins, image)
+        if not movers and self.hits.grid.shape == self.shape:
+            self._deposit(sigma, weight, bins, image)
+        elif not movers:
+            self.deposit(sigma, weight, bins, self.program.array(2, grad=False), image)
+
+    def _deposit(self, sigma: Any, weight: Any, bins: Any, image: Any) -> None:
+        from warpsar.kernels import shade
+        from warpsar.kernels.wide import LANES
+
+        @cache
+        def adjoint() -> Launch:
+            pieces = by_elements([bins, weight, sigma.grad])
+            inputs, outputs = [bins, weight, image.grad], [sigma.grad]
+            return Launch(shade.deposit_adjoint_kernel, sigma.shape[0], inputs, outputs, sigma.device, pieces)
+
+        first, lanes = starts(bins), 1 if sigma.device.is_cpu else LANES
+        self.program.launch(
+            shade.deposit_kernel,
+            first.shape[0] * lanes,
+            [first, bins, weight, sigma, lanes],
+            [image],
+            adjoint=lambda: adjoint().launch(),
+            pieces=by_stretches(first, bins),
+        )
+
+    def deposit(self, sigma: Any, weight: Any, bins: Any, shift: Any, image: Any) -> None:
+        """Record the deposit of bins finer or wider than the pixels, moved by `shift` (rows, columns) pixels."""
+        from warpsar.kernels import effects_registration as kernels
+
+        grid = self.hits.grid
+        self.program.launch(
+            kernels.move_kernel,
+            sigma.shape[0],
+            [*grid.shape, grid.bins_per_pixel, *self.shape, bins, weight, sigma, shift],
+            [image],
+        )
+
+    def scatter(self, zeta: Any, polarization: int, spectrum: Any = None) -> Any:
+        """Record sigma0 of the hits for coordinates `zeta`; `spectrum` takes the place of the materials' own."""
+        import warp as wp
+
+        from warpsar.kernels import shade, shade_lanes
+
+        hits, stage, n = self.shaded, self.stage, self.shaded.count
+        device: Any = stage.target.device
+        sigma = self.program.array(n)
+        inputs = [
+            polarization,
+            stage.variant,
+            self.geometry.wavenumber,
+            int(stage.local_basis),
+            hits.face,
+            stage.face_material,
+            hits.cos_incidence,
+            hits.cos_twist,
+            hits.cos2_azimuth,
+            stage.spectrum if spectrum is None else spectrum,
+            stage.eps_im,
+            stage.aspect,
+            zeta,
+        ]
+        per_hit = [hits.face, hits.cos_incidence, hits.cos_twist, hits.cos2_azimuth, zeta, sigma]
+
+        @cache
+        def slopes() -> Any:  # when a gradient is asked for
+            return wp.empty(n, dtype=wp.vec4, device=device)
+
+        @cache
+        def adjoint() -> Launch:
+            pieces = by_elements([slopes(), sigma.grad, zeta.grad])
+            return Launch(shade.scatter_adjoint_kernel, n, [slopes(), sigma.grad], [zeta.grad], device, pieces)
+
+        if device.is_cpu:
+            kernel = keeping = shade_lanes.scatter_kernel
+            block, outputs = shade_lanes.HITS, [sigma, wp.empty(0, dtype=wp.vec4, device=device)]
+        else:
+            kernel, keeping = shade.scatter_kernel, shade.scatter_slopes_kernel
+            block, outputs = 1, [sigma]
+        dim = -(-n // block)
+        self.program.launch(
+            kernel,
+            dim,
+            inputs,
+            outputs,
+            adjoint=lambda: adjoint().launch(),
+            keeping=lambda: Launch(
+                keeping, dim, inputs, [sigma, slopes()], device, by_elements([*per_hit, slopes()], block)
+            ),
+            pieces=by_elements(per_hit, block),
+        )
+        return sigma
+
+    def set_parameters(self, nodes: np.ndarray | None, effects: Mapping[str, np.ndarray] | None = None) -> None:
+        """Parameters of the next `forward`: nodes in learned coordinates (None: as before), effects' values by name."""
+        if nodes is not None:
+            self.nodes.assign(np.asarray(nodes, np.float32))
+        for name, values in (effects or {}).items():
+            if values.size:
+                self.effect_values[name].assign(np.asarray(values, np.float32))
+
+    def image_with(self, effect: DeclaredEffect, image: np.ndarray) -> np.ndarray:
+        """What one effect of the image stage makes of a finished image, shape (rows, cols), float32.
+
+        No ray is shaded for it: a score test asks for hundreds of offsets and lines.
+        """
+        import warp as wp
+
+        alone = copy(self)
+        alone.program = Program(self.program.device)
+        alone.settings, alone.kept, alone.layers = {effect.effect.name: effect.settings}, {}, {}
+        p: Any = wp.array(effect.values.astype(np.float32), dtype=float, device=self.program.device)
+        given: Any = wp.array(image.astype(np.float32).ravel(), dtype=float, device=self.program.device)
+        result = effect.effect.image(alone, p, given)
+        alone.program.forward()
+        return result.numpy().reshape(self.shape).copy()
+
+    def forward(self) -> dict[str, np.ndarray]:
+        """beta0 by polarization, shape (rows, cols), float32."""
+        self.program.forward()
+        return {name: image.numpy().reshape(self.shape).copy() for name, image in self.images.items()}

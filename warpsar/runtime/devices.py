@@ -1,0 +1,64 @@
+"""Device and threads: the only place that knows that a CPU launch of Warp is serial."""
+
+from __future__ import annotations
+
+import ctypes
+from functools import cache, partial
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from warpsar.errors import DeviceError
+from warpsar.runtime.threads import in_threads
+from warpsar.runtime.torchrun import of_torchrun as _of_torchrun
+
+if TYPE_CHECKING:
+    import warp as wp
+
+
+def resolve_device(name: str | None = None) -> wp.Device:
+    """The Warp device called `name` ("cpu", "cuda", "cuda:1"); None takes CUDA if there is one, else the CPU. "cuda" is
+    the first, or that of this process's LOCAL_RANK where torchrun started several.
+
+    Raises DeviceError (exit 3) for a device that is not there.
+    """
+    import warp as wp
+
+    wp.config.log_level = max(wp.config.log_level, wp.LOG_WARNING)
+    wp.init()
+    if name is None:
+        name = "cuda" if wp.get_cuda_device_count() else "cpu"
+    known = ["cpu"] + [d.alias for d in wp.get_cuda_devices()]
+    # one process a GPU; under SLURM each may see its own alone, as cuda:0
+    own = _of_torchrun("LOCAL_RANK", 0) % max(len(known) - 1, 1)
+    wanted = f"cuda:{own}" if name == "cuda" else name
+    if wanted not in known:
+        raise DeviceError(f"--device {name}: there is no such device here; there is {', '.join(known)}")
+    if wanted == "cpu":
+        _keep_memory()
+    return wp.get_device(wanted)
+
+
+@cache
+def _keep_memory() -> None:
+    """Have glibc keep up to 1 GiB of what is freed. It would hand large arrays back to the kernel at once, and to be
+    given the same pages again, zeroed one by one, takes as long as half of an image."""
+    try:
+        adjust = ctypes.CDLL(None).mallopt
+    except (AttributeError, OSError, TypeError):  # another C library
+        return
+    for parameter in (-1, -3):  # M_TRIM_THRESHOLD, M_MMAP_THRESHOLD
+        adjust(parameter, 2**30)
+
+
+def load_kernels(device: Any, *names: str) -> None:
+    """Compile the named modules of `warpsar.kernels`, or load what Warp's cache has of them, side by side.
+
+    Left to their first launches they would come one after the other. A module's `BLOCK` is the block size of its
+    launches, where that is not Warp's own: on CUDA each size is compiled for itself.
+    """
+    import warp as wp
+
+    modules = [import_module(f"warpsar.kernels.{name}") for name in names]
+    load = [partial(wp.load_module, m, device=device, block_dim=getattr(m, "BLOCK", None)) for m in modules]
+    for _ in in_threads(load):
+        pass

@@ -1,0 +1,98 @@
+"""Launches recorded once and replayed, on the CPU in pieces: what lets all cores work on one view.
+
+A launch is cut only where no sum crosses the cut, so that results are the same to the bit however many the cores.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpsar.runtime import threads
+
+if TYPE_CHECKING:
+    import warp as wp
+
+_LEAST = 2**14  # elements of a piece: handing one to another core costs as much as some thousands of them
+
+
+@dataclass(frozen=True)
+class Piece:
+    """Some threads of a launch, and by `id` of the arrays that they do not see whole what they see of them."""
+
+    threads: int
+    views: dict[int, Any]
+
+
+class Launch:
+    """A launch, or its `pieces` side by side; `runs` is false where there is nothing to do."""
+
+    def __init__(
+        self,
+        kernel: Any,
+        dim: Any,
+        inputs: Sequence[Any],
+        outputs: Sequence[Any],
+        device: Any,
+        pieces: Sequence[Piece] = (),
+    ) -> None:
+        import warp as wp
+
+        def recorded(dim: Any, views: dict[int, Any]) -> Any:
+            given, found = ([views.get(id(a), a) for a in arrays] for arrays in (inputs, outputs))
+            return wp.launch(
+                kernel, dim, inputs=given, outputs=found, device=device, record_tape=False, record_cmd=True
+            )
+
+        further = tuple(dim[1:]) if isinstance(dim, tuple) else ()
+        commands = [recorded((p.threads, *further), p.views) for p in pieces] or [recorded(dim, {})]
+        self._tasks = [command.launch for command in commands if command is not None]
+        self.runs = bool(self._tasks)
+
+    def launch(self) -> None:
+        if len(self._tasks) == 1:  # small views are launched by the thousand
+            self._tasks[0]()
+        else:
+            threads.side_by_side(self._tasks)
+
+
+def by_elements(arrays: Sequence[wp.array], per_thread: int = 1) -> list[Piece]:
+    """Pieces of a launch whose thread i sees the elements i * per_thread to (i + 1) * per_thread of `arrays` alone."""
+    n = arrays[0].shape[0]
+    count = _count(arrays[0])
+    if count < 2:
+        return []
+    step = -(-n // (count * per_thread)) * per_thread
+    ends = [(begin, min(begin + step, n)) for begin in range(0, n, step)]
+    return [Piece(-(-(end - begin) // per_thread), {id(a): a[begin:end] for a in arrays}) for begin, end in ends]
+
+
+def by_stretches(first: wp.array, values: wp.array, each: Sequence[wp.array] = ()) -> list[Piece]:
+    """Pieces of a launch whose thread i adds up `values` from first[i] to first[i + 1], or to their end.
+
+    Of the arrays `each` it sees element i; threads with the same element there add to one sum and stay together.
+    """
+    count = _count(values)
+    if count < 2:
+        return []
+    begin = first.numpy()
+    edges = np.searchsorted(begin, np.arange(1, count) * (values.shape[0] / count))
+    for array in each:
+        rows = array.numpy().reshape(begin.size, -1)
+        new = np.append(np.flatnonzero((rows[1:] != rows[:-1]).any(axis=1)) + 1, begin.size)
+        edges = new[np.searchsorted(new, edges)]
+    edges = np.unique([0, *edges, begin.size])
+    pieces = []
+    for low, high in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
+        end = int(begin[high]) if high < begin.size else values.shape[0]
+        pieces.append(Piece(high - low, {id(a): a[low:high] for a in (first, *each)} | {id(values): values[:end]}))
+    return pieces
+
+
+def _count(array: wp.array) -> int:
+    """Into how many pieces a launch over all elements is cut: none on CUDA."""
+    device: Any = array.device
+    return min(2 * threads.thread_count(), array.shape[0] // _LEAST) if device.is_cpu else 1

@@ -1,0 +1,22 @@
+"""What torchrun tells this process of the others."""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    pass
+
+
+def _of_torchrun(name: str, alone: int) -> int:
+    """A number of torchrun's environment; `alone` where there is one process, or none of it."""
+    if os.environ.get("WORLD_SIZE", "1") == "1":
+        return alone
+    value = os.environ.get(name, "")
+    return int(value) if value.isdigit() else alone
+
+
+def processes_here() -> int:
+    """Processes of this run on this host."""
+    return max(1, _of_torchrun("LOCAL_WORLD_SIZE", 1))

@@ -1,0 +1,154 @@
+"""What stands in a scene file: its tables, and one message with everything that is wrong in them."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import Field, ValidationError, field_validator
+
+from warpsar.errors import InputError, shown
+from warpsar.effects.registry import validate
+from warpsar.world.tables import (
+    FileName,
+    Grid,
+    Material,
+    Number,
+    Radar,
+    Sampling,
+    Table,
+    View,
+)
+
+LARGEST_FILE = 2**24
+"""Bytes of a scene file: 50,000 views."""
+
+
+_MOST_KEY_PARTS = 100
+
+
+_MOST_SHOWN = 50
+
+
+class _SceneTable(Table):
+    mesh: FileName
+    reference_point_m: tuple[Number, Number, Number] = (0.0, 0.0, 0.0)
+
+    @field_validator("reference_point_m")
+    @classmethod
+    def _near(cls, value: tuple[float, float, float]) -> tuple[float, float, float]:
+        if max(map(abs, value)) > 1e8:
+            raise ValueError("must be three numbers within 1e8 m")
+        return value
+
+
+class SceneFile(Table):
+    scene: _SceneTable
+    radar: Radar
+    image: Grid
+    sampling: Sampling = Sampling()
+    materials: Annotated[dict[str, Material], Field(min_length=1)]
+    effects: dict[str, dict[str, Any]] = Field(default_factory=dict)
+    views: Annotated[list[View], Field(min_length=1)]
+
+
+_TABLES: dict[str, type[Table]] = {
+    "scene": _SceneTable,
+    "radar": Radar,
+    "image": Grid,
+    "sampling": Sampling,
+    "materials": Material,
+    "views": View,
+}
+
+
+def read(path: Path) -> tuple[str, dict[str, Any]]:
+    """A scene file's text, and its tables as they stand there; raises InputError for what is not TOML."""
+    text = _read_text(path)
+    lines = (line.partition("#")[0] for line in text.splitlines())
+    if any(part.count(".") > _MOST_KEY_PARTS for line in lines for part in re.split(r"[=,{}\[\]]", line)):
+        raise InputError(f"{path}: found a key of more than {_MOST_KEY_PARTS} parts; must be fewer")  # time ~ parts^2
+    try:
+        return text, tomllib.loads(text)
+    except (ValueError, RecursionError) as error:  # ValueError: also numbers of thousands of digits
+        raise InputError(f"{path}: not valid TOML ({error})") from error
+
+
+def _read_text(path: Path) -> str:
+    try:
+        if path.exists() and not path.is_file():  # a FIFO waits for ever, a device never ends
+            raise InputError(f"{path}: cannot be read as a scene file (a directory, pipe or device)")
+        if (size := path.stat().st_size) > LARGEST_FILE:
+            raise InputError(f"{path}: found a scene file of {size} bytes; must be at most {LARGEST_FILE}")
+        data = path.read_bytes()
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise InputError(f"{path}: cannot be read as a scene file ({reason})") from error
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        byte = f"byte {error.start} is 0x{data[error.start]:02x}"
+        raise InputError(f"{path}: not UTF-8 text ({byte})") from error
+
+
+def parse(raw: dict[str, Any]) -> tuple[SceneFile | None, list[str]]:
+    try:
+        return SceneFile.model_validate(raw), []
+    except ValidationError as error:
+        return None, [_problem(details, raw) for details in error.errors(include_url=False)]
+
+
+def parse_effects(raw: Mapping[str, Any], problems: list[str]) -> dict[str, dict[str, Any]]:
+    effects = {}
+    tables = raw.get("effects", {})
+    for name, table in tables.items() if isinstance(tables, dict) else ():
+        if isinstance(table, dict):
+            try:
+                effects[name] = validate(name, table, f"effects.{name}")
+            except InputError as error:
+                problems.append(str(error))
+    return effects
+
+
+def refuse(path: Path, problems: list[str]) -> None:
+    if len(problems) == 1:
+        raise InputError(f"{path}: {problems[0]}")
+    if problems:
+        more = [f"and {len(problems) - _MOST_SHOWN} more"] if len(problems) > _MOST_SHOWN else []
+        listed = [f"{path}: {len(problems)} things are wrong", *problems[:_MOST_SHOWN], *more]
+        raise InputError("\n  ".join(listed))
+
+
+def _problem(details: Mapping[str, Any], raw: dict[str, Any]) -> str:
+    """One of pydantic's errors as: key, what was found, what is allowed."""
+    place = tuple(part for part in details["loc"] if part != "[key]")
+    key = _key(place, raw)
+    found, kind = details["input"], details["type"]
+    if kind == "missing":
+        return f"{key}: missing"
+    if kind == "extra_forbidden":
+        model = _TABLES[str(place[0])] if len(place) > 1 else SceneFile
+        known = [info.alias or name for name, info in model.model_fields.items()]
+        return f"{key}: unknown key; must be one of {', '.join(known)}"
+    message = re.sub(r"^(Value error, |Input )", "", details["msg"]).replace("should", "must")
+    if kind == "string_pattern_mismatch":
+        message = "must be up to 50 letters, digits, '_', '-', '+' and '.', the first a letter, digit or '_'"
+    if isinstance(found, dict) and kind == "value_error":
+        return f"{key}: {message}"
+    return f"{key}: found {shown(found)}; {message}"
+
+
+def _key(place: tuple[int | str, ...], raw: dict[str, Any]) -> str:
+    key = ""
+    for depth, part in enumerate(place):
+        if isinstance(part, int):
+            key += f"[{part}]"
+            if place[0] == "views" and depth == 1 and isinstance(name := raw["views"][part], dict):
+                key += f" ({shown(name.get('name')).strip(chr(39))})" if "name" in name else ""
+        else:
+            part = part if re.fullmatch(r"[\w-]+", part) else shown(part)
+            key += f".{part}" if key else part
+    return key

@@ -1,0 +1,116 @@
+"""A scene as the text of a scene file, with the comments of the one it was loaded from."""
+
+from __future__ import annotations
+
+import os
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from warpsar.errors import InputError
+from warpsar.io.images import replacing
+from warpsar.world.tables import (
+    SURFACE_KEYS,
+    Material,
+    Table,
+    View,
+)
+from warpsar.world.world import World
+
+def save(scene: World, path: Path) -> None:
+    """`Scene.save`."""
+    with replacing(path) as temporary:
+        text = _Writer(scene, path.parent.resolve()).text()
+        temporary.write_text(text, encoding="utf-8", newline="\n")
+
+
+class _Writer:
+    """The text of a scene file in `folder`."""
+
+    def __init__(self, scene: World, folder: Path) -> None:
+        self.scene, self.folder = scene, folder
+
+    def text(self) -> str:
+        import tomlkit
+
+        tables = self.tables()
+        fresh = tomlkit.dumps(tables)
+        if not self.scene.source:
+            return fresh
+        try:
+            document = tomlkit.parse(self.scene.source)
+            _merge(document, tables)
+            text = tomlkit.dumps(document)
+            kept = tomllib.loads(text) == tables
+        except Exception:  # a comment is not worth losing a result for
+            kept = False
+        return text if kept else fresh
+
+    def tables(self) -> dict[str, Any]:
+        scene = self.scene
+        if scene.mesh_path is None:
+            raise InputError("a scene without a mesh file cannot be saved: write the mesh and give mesh_path")
+        head: dict[str, Any] = {"mesh": self.relative(scene.mesh_path)}
+        if any(scene.reference_point_m):
+            head["reference_point_m"] = list(scene.reference_point_m)
+        tables: dict[str, Any] = {"scene": head, "radar": _plain(scene.radar), "image": _plain(scene.grid)}
+        if sampling := _plain(scene.sampling):
+            tables["sampling"] = sampling
+        tables["materials"] = {name: self.material(material) for name, material in scene.materials.items()}
+        if scene.effects:
+            tables["effects"] = scene.effects
+        tables["views"] = [self.view(view) for view in scene.views]
+        return tables
+
+    def material(self, material: Material) -> dict[str, Any]:
+        table = _plain(material)
+        if material.layout == "texture":
+            for key in SURFACE_KEYS:
+                if isinstance(table.get(key), str):
+                    table[key] = self.relative(Path(table[key]))
+        return table
+
+    def view(self, view: View) -> dict[str, Any]:
+        table = _plain(view)
+        if "images" in table:
+            table["images"] = {name: self.relative(Path(path)) for name, path in table["images"].items()}
+        if "mask" in table:
+            table["mask"] = self.relative(Path(table["mask"]))
+        return table
+
+    def relative(self, path: Path) -> str:
+        try:
+            return Path(os.path.relpath(self.folder / path, self.folder)).as_posix()
+        except ValueError:  # another drive
+            return path.as_posix()
+
+
+def _plain(table: Table) -> dict[str, Any]:
+    """What was stated or changed of a table, as TOML knows it."""
+    # warnings: a field with a validator of its own is serialized twice, and the second time its pair is a list.
+    return table.model_dump(mode="json", by_alias=True, exclude_unset=True, exclude_none=True, warnings=False)
+
+
+def _merge(document: Any, tables: Any) -> None:
+    """Make a parsed TOML container hold `tables`, touching nothing that already does."""
+    import tomlkit
+
+    for key in [key for key in document if key not in tables]:
+        del document[key]
+    for key, value in tables.items():
+        old = document.get(key)
+        if isinstance(value, dict) and isinstance(old, dict):
+            _merge(old, value)
+        elif key == "views" and isinstance(old, list):
+            for index, item in enumerate(value):
+                if index < len(old):
+                    _merge(old[index], item)
+                else:
+                    old.append(tomlkit.item(item))
+            del old[len(value) :]
+        elif old is None or not _same(old, value):
+            document[key] = value
+
+
+def _same(old: Any, new: Any) -> bool:
+    return bool(old == new) and isinstance(old, bool) == isinstance(new, bool)

@@ -1,0 +1,259 @@
+"""Scene -> images: the forward model from end to end, and the files of `warpsar simulate`."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpsar.effects.registry import declared
+from warpsar.runtime import console, devices, distributed
+from warpsar.runtime.memory import PARTS, OutOfMemoryError, in_parts, ran_out
+from warpsar.simulation.outputs import write_json
+from warpsar.simulation.rays import effects_grid, hit_grid, trace_view, view_seed
+from warpsar.trace.hits import DEFAULT_MEMORY_GIB, Hits
+from warpsar.trace.rays import ray_count
+from warpsar.world.world import geometry_of
+
+if TYPE_CHECKING:
+    from warpsar.effects.base.effect import DeclaredEffect
+    from warpsar.render.render import ViewRender
+    from warpsar.scene.scene import Scene
+    from warpsar.surface.stage import Stage
+    from warpsar.world.tables import View
+
+
+@dataclass
+class SimulatedView:
+    """One view's images.
+
+    `beta0[pol]`: linear power, dimensionless, shape (rows, cols), float32, rows along slant range. `range_m` and
+    `azimuth_m`: pixel centres about the reference point [m]. `sampling_variance[pol]`: variance of beta0 that the
+    jitter of the rays leaves (two seeds). `layers`: see `warpsar.layers.layers`,
+    and by name the shares of beta0 that effects tell apart (`beta0_2_bounces_HH`), before the image stage.
+    """
+
+    name: str
+    beta0: dict[str, np.ndarray]
+    range_m: np.ndarray
+    azimuth_m: np.ndarray
+    rays: int
+    hits: int
+    sampling_variance: dict[str, np.ndarray] = field(default_factory=dict)
+    layers: dict[str, np.ndarray] = field(default_factory=dict)
+
+
+class Simulation:
+    """Images of a scene's views, with its declared materials and effects, one at a time.
+
+    `seed` overrides the scene's; `merge` false keeps every ray's hit; `bar` counts rays.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        stage: Stage,
+        *,
+        seed: int | None = None,
+        layers: bool = False,
+        variance: bool = False,
+        merge: bool = True,
+        max_memory_gib: float = DEFAULT_MEMORY_GIB,
+        bar: Any = None,
+    ) -> None:
+        self.scene, self.stage, self.bar = scene, stage, bar
+        self.seed = scene.sampling.seed if seed is None else seed
+        self.layers, self.variance, self.merge, self.max_memory_gib = layers, variance, merge, max_memory_gib
+        self.grid, self.density = hit_grid(scene), scene.sampling.density_per_m2(scene.grid)
+
+    def rays(self, view: View) -> int:
+        """Rays that the view will cost."""
+        return ray_count(self.stage.target, geometry_of(self.scene, view), self.grid, self.density) * (
+            1 + self.variance
+        )
+
+    def view(self, view: View, index: int) -> SimulatedView:
+        """The images of `view`, with the jitter of the scene's view number `index`.
+
+        Raises OutOfMemoryError where the device cannot hold the hits of 1/256 of it.
+        """
+        scene, stage, grid = self.scene, self.stage, self.grid
+        hits, count, beta0, shares = self._images(view, view_seed(self.seed, index))
+        axes = [
+            start + (np.arange(n) + 0.5) * step
+            for start, n, step in zip(grid.start_m, grid.shape, grid.spacing_m, strict=True)
+        ]
+        rays = self.rays(view) // (1 + self.variance) if hits is None else hits.rays
+        one = SimulatedView(view.name, beta0, axes[0], axes[1], rays, count)
+        if self.variance:
+            # half the squared difference of two independent images is each one's variance
+            other = self._images(view, view_seed(self.seed + 1, index + len(scene.views)))[2]
+            one.sampling_variance = {p: ((beta0[p] - other[p]) ** 2 / 2).astype(np.float32) for p in beta0}
+        if self.layers:
+            from warpsar.trace.layers import layers as layers_of
+
+            if hits is None or hits.grid != grid:  # binned for an effect
+                hits = self._trace(view, view_seed(self.seed, index), [])
+            one.layers = layers_of(stage.target, scene.mesh, hits, self.density) | shares
+        return one
+
+    def _trace(self, view: View, seed: int, effects: list[DeclaredEffect], **more: Any) -> Hits:
+        gib = self.max_memory_gib
+        return trace_view(self.scene, self.stage, view, seed=seed, effects=effects, max_memory_gib=gib, **more)
+
+    def _images(self, view: View, seed: int) -> tuple[Hits | None, int, dict[str, np.ndarray], dict[str, np.ndarray]]:
+        """Hits, where they fit into memory, and their number; images; shares of them that effects tell apart."""
+        effects = declared(self.scene, view)
+        try:
+            hits = self._trace(view, seed, effects, merge=self.merge, progress=self.bar)
+            render = view_render(self.scene, self.stage, view, hits)
+            beta0 = render.forward()
+            return hits, hits.count, beta0, {n: a.numpy().reshape(render.shape) for n, a in render.layers.items()}
+        except (MemoryError, RuntimeError, OutOfMemoryError) as error:
+            if not ran_out(error):
+                raise
+        count, beta0 = in_parts(partial(self._in_bands, view, seed, effects), f"view {view.name}", PARTS[1:])
+        return None, count, beta0, {}
+
+    def _in_bands(
+        self, view: View, seed: int, effects: list[DeclaredEffect], bands: int
+    ) -> tuple[int, dict[str, np.ndarray]]:
+        """Number of hits, and images, with the hits of one band at a time in memory."""
+        from warpsar.render.bands import BandedRender, stretches
+
+        count = 0
+
+        def traced(only_columns: tuple[int, int]) -> Hits:
+            nonlocal count
+            hits = self._trace(view, seed, effects, merge=self.merge, only_columns=only_columns)
+            count += hits.count
+            return hits
+
+        columns = stretches(effects_grid(self.scene, effects), bands)
+        polarizations = self.scene.radar.polarizations
+        render = BandedRender(self.stage, view, traced, columns, self.scene.grid.shape, polarizations, effects)
+        beta0 = render.forward()
+        return count, beta0
+
+
+def simulate(
+    scene: Scene,
+    *,
+    device: str | None = None,
+    seed: int | None = None,
+    layers: bool = False,
+    variance: bool = False,
+    merge: bool = True,
+    max_memory_gib: float = DEFAULT_MEMORY_GIB,
+) -> list[SimulatedView]:
+    """Images of every view of the scene, with its declared materials and effects.
+
+    `seed` overrides the scene's; `merge` false keeps every ray's hit. Raises DeviceError for a device that is
+    not there.
+    """
+    from warpsar.surface.stage import Stage
+
+    stage = Stage.of(scene, devices.resolve_device(device))
+    made = Simulation(
+        scene, stage, seed=seed, layers=layers, variance=variance, merge=merge, max_memory_gib=max_memory_gib
+    )
+    made.bar = console.progress(sum(map(made.rays, scene.views)), "rays", "ray")
+    found = [made.view(view, index) for index, view in enumerate(scene.views)]
+    made.bar.close()
+    return found
+
+
+def view_render(scene: Scene, stage: Stage, view: View, hits: Hits) -> ViewRender:
+    """One traced view with the scene's declared effects, ready to run."""
+    from warpsar.render.render import ViewRender
+
+    return ViewRender(stage, view, hits, scene.grid.shape, scene.radar.polarizations, declared(scene, view))
+
+
+def render_view(scene: Scene, stage: Stage, view: View, hits: Hits) -> dict[str, np.ndarray]:
+    """beta0 by polarization of one traced view, with the scene's declared effects."""
+    return view_render(scene, stage, view, hits).forward()
+
+
+def channels(view: SimulatedView) -> dict[str, np.ndarray]:
+    """What was asked for of a view beyond its images, by name: layers, shares and sampling variances."""
+    return dict(view.layers) | {f"sampling_variance_{p}": v for p, v in view.sampling_variance.items()}
+
+
+def _write(out: Path, view: SimulatedView) -> dict[str, Any]:
+    """A view's files, and what simulate.json says of it."""
+    from warpsar.io.images import quick_look, write_exr
+
+    files = {"image": f"{view.name}.exr", "quick_look": f"{view.name}.png"}
+    write_exr(out / files["image"], view.beta0)
+    first = next(iter(view.beta0.values()))
+    quick_look(out / files["quick_look"], first)
+    extra = channels(view)
+    if extra:
+        files["layers"] = f"{view.name}_layers.exr"
+        write_exr(out / files["layers"], extra)
+    return {
+        "name": view.name,
+        "files": files,
+        "rays": view.rays,
+        "hits": view.hits,
+        "lit_fraction": float((first > 0).mean()),
+        "mean_beta0": {p: float(image.mean(dtype=float)) for p, image in view.beta0.items()},
+    }
+
+
+def run(
+    scene_path: Path | str,
+    out: Path | str,
+    *,
+    device: str | None = None,
+    seed: int | None = None,
+    layers: bool = False,
+    variance: bool = False,
+    per_ray: bool = False,
+    max_memory_gib: float | None = None,
+) -> dict[str, Any]:
+    """`warpsar simulate`: images (EXR), quick looks (PNG) and simulate.json in `out`. Returns the JSON's content.
+
+    Several processes (`distributed`) share the views, dealt by their rays.
+    """
+    from warpsar.scene.scene import Scene
+    from warpsar.surface.stage import Stage
+
+    started = time.perf_counter()
+    scene = Scene.load(scene_path)
+    out = Path(out)
+    where = devices.resolve_device(device)
+    ranks = distributed.ranks(where)
+    out.mkdir(parents=True, exist_ok=True)  # refused now rather than after the work
+    console.say_device(where)
+    for warning in scene.warnings:
+        console.say(f"warning: {warning}")
+    made = Simulation(
+        scene,
+        Stage.of(scene, where),
+        seed=seed,
+        layers=layers,
+        variance=variance,
+        merge=not per_ray,
+        max_memory_gib=max_memory_gib or DEFAULT_MEMORY_GIB,
+    )
+    costs = [made.rays(view) for view in scene.views]
+    mine = distributed.deal(costs, ranks.size)[ranks.rank]
+    made.bar = console.progress(sum(costs[index] for index in mine), "rays", "ray")
+    summary = [[index, _write(out, made.view(scene.views[index], index))] for index in mine]
+    made.bar.close()
+    summary = sorted(each for part in ranks.gather(summary) for each in part)
+    content = {
+        "rays_per_m2": made.density,
+        "materials": list(scene.mesh.materials),
+        "processes": ranks.size,
+        "views": [entry for _, entry in summary],
+    }
+    if not ranks.first:
+        return content
+    return write_json(out / "simulate.json", scene, where, made.seed, started, content)

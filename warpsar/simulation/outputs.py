@@ -1,0 +1,79 @@
+"""What every command's JSON carries, and writing it whole or not at all."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpsar.runtime import console, devices
+
+if TYPE_CHECKING:
+    from warpsar.scene.scene import Scene
+
+
+def opened(scene_path: Path | str, out: Path | str, device: str | None) -> tuple[Scene, Path, Any]:
+    """What a command that writes a new scene.toml begins with: the scene, its output folder, made, and the device.
+
+    Raises InputError where the folder is the scene file's own, and DeviceError.
+    """
+    from warpsar.errors import InputError
+    from warpsar.scene.scene import Scene
+
+    scene = Scene.load(scene_path)
+    out = Path(out)
+    if (out / "scene.toml").resolve() == scene.path:
+        raise InputError(
+            f"--out: found {out}, where the scene file itself lies and would be replaced; allowed is another"
+        )
+    out.mkdir(parents=True, exist_ok=True)
+    where = devices.resolve_device(device)
+    console.say_device(where)
+    for warning in scene.warnings:
+        console.say(f"warning: {warning}")
+    return scene, out, where
+
+
+def plain(value: Any) -> Any:
+    """JSON's own types; NaN and infinity, which JSON has not, become null."""
+    if isinstance(value, dict):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(v) for v in value]
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def _input(scene: Scene) -> dict[str, str]:
+    return {"scene": Path(scene.path or "scene").name, "sha256": scene.input_hash}
+
+
+def write_json(
+    path: Path, scene: Scene | None, device: Any, seed: int | None, started: float, content: dict[str, Any]
+) -> dict[str, Any]:
+    """Write `content` under the version, device, seed, wall time (since `started`, perf_counter) and input hash."""
+    from warpsar.version import __version__
+    from warpsar.io.images import replacing
+
+    whole = plain(
+        {
+            "version": __version__,
+            "device": f"{device.alias} ({device.name})",
+            "seed": seed,
+            "wall_time_s": round(time.perf_counter() - started, 3),
+            **({} if scene is None else {"input": _input(scene)}),
+            **content,
+        }
+    )
+    with replacing(path) as temporary:
+        temporary.write_text(json.dumps(whole, indent=1) + "\n", encoding="utf-8")
+    return whole

@@ -1,0 +1,131 @@
+"""Rays through the views of a scene: traced when first asked for, and kept."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+from warpsar.runtime.memory import in_parts
+from warpsar.trace.hits import DEFAULT_MEMORY_GIB, BinGrid, Hits
+from warpsar.trace.rays import ray_count
+from warpsar.trace.trace import trace
+from warpsar.world.world import geometry_of
+
+if TYPE_CHECKING:
+    from warpsar.effects.base.effect import DeclaredEffect
+    from warpsar.scene.scene import Scene
+    from warpsar.surface.stage import Stage
+    from warpsar.world.tables import View
+
+
+SAMPLED = 16  # columns of an image by which its hits are estimated
+
+
+def view_seed(scene_seed: int, index: int) -> int:
+    """Seed of view `index`: views do not share their jitter. Fits a signed 32-bit integer."""
+    return (scene_seed * 7919 + index * 104729 + 1) % (2**31 - 1)
+
+
+def trace_view(
+    scene: Scene,
+    stage: Stage,
+    view: View,
+    *,
+    seed: int,
+    effects: list[DeclaredEffect],
+    rays_per_m2: float | None = None,
+    merge: bool = True,
+    max_memory_gib: float = DEFAULT_MEMORY_GIB,
+    **options: Any,
+) -> Hits:
+    """Hits of one view, with the scene's sampling unless `rays_per_m2` is given, binned as its effects ask."""
+    geometry, grid = geometry_of(scene, view), effects_grid(scene, effects)
+
+    def traced(parts: int) -> Hits:
+        return trace(
+            stage.target,
+            geometry,
+            grid,
+            rays_per_m2 or scene.sampling.density_per_m2(scene.grid),
+            seed=seed,
+            deposit=scene.sampling.deposit,
+            merge=merge,
+            pixel_area_m2=scene.grid.pixel_area_m2,
+            max_memory_gib=max_memory_gib / parts,
+            **options,
+        )
+
+    return in_parts(traced, f"view {view.name}")
+
+
+def hit_grid(scene: Scene, bins_per_pixel: int = 1, margin_m: float = 0.0) -> BinGrid:
+    """Bins of the hits: the image's pixels, or `bins_per_pixel` of them per axis, and whole pixels of margin."""
+    shape = [
+        (n + 2 * math.ceil(margin_m / step)) * bins_per_pixel
+        for n, step in zip(scene.grid.shape, scene.grid.spacing_m, strict=True)
+    ]
+    spacing = [step / bins_per_pixel for step in scene.grid.spacing_m]
+    return BinGrid((shape[0], shape[1]), (spacing[0], spacing[1]), bins_per_pixel)
+
+
+def effects_grid(scene: Scene, effects: list[DeclaredEffect]) -> BinGrid:
+    """Bins as fine and as wide as the effects ask."""
+    fine = max((e.effect.bins_per_pixel for e in effects), default=1)
+    margin = max((e.effect.margin_m(scene.grid, e.values) for e in effects), default=0.0)
+    return hit_grid(scene, fine, margin)
+
+
+class Rays:
+    """One set of rays through a scene: hits of its views, traced when first asked for, and kept.
+
+    Models that differ in materials and effects alone share them, so that they are compared on the same rays.
+    """
+
+    def __init__(self, stage: Stage, rays_per_m2: float | None = None, seed: int = 0) -> None:
+        self.stage, self.rays_per_m2, self.seed = stage, rays_per_m2, seed
+        self._kept: dict[tuple[str, BinGrid], Hits] = {}
+
+    def hits(self, scene: Scene, view: View, effects: list[DeclaredEffect]) -> Hits:
+        key = (view.name, effects_grid(scene, effects))
+        if key not in self._kept:
+            self._kept[key] = self.trace(scene, view, effects)
+        return self._kept[key]
+
+    def trace(
+        self,
+        scene: Scene,
+        view: View,
+        effects: list[DeclaredEffect],
+        only_columns: tuple[int, int] | None = None,
+        max_memory_gib: float = DEFAULT_MEMORY_GIB,
+    ) -> Hits:
+        """Hits of a view, or of a band of its columns, that are not kept here."""
+        return trace_view(
+            scene,
+            self.stage,
+            view,
+            seed=view_seed(self.seed, [v.name for v in scene.views].index(view.name)),
+            effects=effects,
+            rays_per_m2=self.rays_per_m2,
+            only_columns=only_columns,
+            max_memory_gib=max_memory_gib,
+        )
+
+    def forget(self, view: View) -> None:
+        """Let go of a view's hits."""
+        for key in [key for key in self._kept if key[0] == view.name]:
+            del self._kept[key]
+
+    def most_hits(self, scene: Scene, view: View, effects: list[DeclaredEffect]) -> int:
+        """More merged hits than a view will have: two of every ray."""
+        grid, geometry = effects_grid(scene, effects), geometry_of(scene, view)
+        density = self.rays_per_m2 or scene.sampling.density_per_m2(scene.grid)
+        return 2 * ray_count(self.stage.target, geometry, grid, density)
+
+    def expected_hits(self, scene: Scene, view: View, effects: list[DeclaredEffect]) -> int:
+        """How many merged hits a view will have, from every `cols // SAMPLED`-th column of its grid."""
+        columns = effects_grid(scene, effects).shape[1]
+        stride = max(1, columns // SAMPLED)
+        sample = range(stride // 2, columns, stride)
+        found = sum(self.trace(scene, view, effects, (column, column + 1)).count for column in sample)
+        return round(found * columns / len(sample))

@@ -1,0 +1,89 @@
+"""How many rays are enough for the looks of the measured images (scene-format.md, "Layouts")."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warpsar.effects.registry import declared
+from warpsar.render.render import ViewRender
+from warpsar.runtime.distributed import ONE, Ranks
+from warpsar.simulation.rays import trace_view, view_seed
+from warpsar.surface.stage import Stage
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from warpsar.scene.scene import Scene
+    from warpsar.world.tables import View
+
+FEWEST, MOST = 64.0, 4096.0  # rays per pixel
+
+
+@dataclass(frozen=True)
+class Density:
+    """`rays_per_m2` over the plane across the look direction. `noise` is what two seeds show: the largest over the
+    views of looks x mean relative sampling variance of a lit pixel, or the sum over all lit pixels of looks x
+    relative variance (`total`); nan where the scene stated the density."""
+
+    rays_per_m2: float
+    rays_per_pixel: float
+    noise: float
+    chosen: bool
+
+
+def relative_variance(
+    scene: Scene, stage: Stage, view: View, rays_per_m2: float, seeds: tuple[int, int]
+) -> tuple[float, int]:
+    """Mean relative variance of beta0 over the lit interior of one view, from two independent sets of rays, and the
+    number of pixels in it."""
+    from scipy.ndimage import minimum_filter
+
+    effects = declared(scene, view)
+    pair, lit = [], []
+    for seed in seeds:
+        hits = trace_view(scene, stage, view, seed=seed, effects=effects, rays_per_m2=rays_per_m2)
+        render = ViewRender(stage, view, hits, scene.grid.shape, scene.radar.polarizations[:1], effects)
+        pair.append(next(iter(render.forward().values())).astype(float))
+        lit.append(render.lit(scene.radar.polarizations[0]))
+    mean = (pair[0] + pair[1]) / 2.0
+    interior = minimum_filter((lit[0] & lit[1]).astype(np.uint8), size=3, mode="constant") > 0
+    if not interior.any():
+        return 0.0, 0
+    return float(np.mean((pair[0] - pair[1])[interior] ** 2 / 2.0 / mean[interior] ** 2)), int(interior.sum())
+
+
+def choose_density(
+    scene: Scene,
+    stage: Stage,
+    views: Sequence[View],
+    looks: Sequence[float],
+    limit: float,
+    *,
+    total: bool = False,
+    ranks: Ranks = ONE,
+) -> Density:
+    """The scene's stated density, or the smallest power of two of rays per pixel that keeps the noise under `limit`:
+    of the noisiest view's lit pixel, or of all pixels together (`total`). `ranks` share the views."""
+    area = scene.grid.pixel_area_m2
+    stated = scene.sampling.density_per_m2(scene.grid)
+    if scene.sampling.stated and not total:
+        return Density(stated, stated * area, float("nan"), False)
+    per_pixel = max(FEWEST, stated * area) if scene.sampling.stated else FEWEST
+
+    def mine() -> list[tuple[float, float, int]]:
+        return [
+            (look, *relative_variance(scene, stage, view, per_pixel / area, (view_seed(101, i), view_seed(202, i))))
+            for i, (view, look) in enumerate(zip(views, looks, strict=True))
+            if i % ranks.size == ranks.rank
+        ]
+
+    while True:
+        found = [each for part in ranks.gather(ranks.agree(mine)) for each in part]
+        pixels = [look * variance * count for look, variance, count in found]
+        noise = sum(pixels) if total else max(look * variance for look, variance, _ in found)
+        if noise < limit or per_pixel >= MOST:
+            return Density(per_pixel / area, per_pixel, noise, not scene.sampling.stated)
+        per_pixel *= 2.0

@@ -1,0 +1,92 @@
+"""The way back from the hits' coordinates to the nodes: every node with the hits that it has a share in."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpsar.runtime.launches import Launch, by_stretches
+from warpsar.surface.surface import HELD, LAYOUTS
+from warpsar.trace.merge import starts
+
+if TYPE_CHECKING:
+    from warpsar.surface.stage import Stage
+
+_LONGEST = 64  # entries that one thread adds up
+_NODES = {LAYOUTS["uniform"]: 1, LAYOUTS["vertex"]: 3, LAYOUTS["texture"]: 4}  # that a value mixes
+
+
+class Spread:
+    """The adjoint of `gather_kernel` to the nodes: `nodes_gradient` += A^T `zeta_gradient`, for zeta = A nodes.
+
+    Hits know their nodes, so the adjoint that Warp makes adds nine numbers a hit to addresses which others add to,
+    too. Here A is kept by its columns, sorted once: (hit, share) of each node side by side, read in order and added up
+    in registers. Parameters laid out alike have one column for all of them.
+    """
+
+    def __init__(self, stage: Stage, face: Any, barycentric: Any) -> None:
+        import warp as wp
+
+        from warpsar.kernels import shade
+
+        device: Any = face.device
+        terms, leader = _terms(stage.surface.places)
+        entries = face.shape[0] * terms.shape[1]
+        none = stage.surface.nodes.size
+        table: Any = wp.array(terms, dtype=wp.vec2i, device=device)
+        mesh = [stage.target.faces, stage.face_material, stage.uv, stage.places, table]
+
+        def empty(n: int, dtype: Any = int) -> Any:
+            return wp.empty(n, dtype=dtype, device=device)
+
+        # twice as long as they are: the sort's room
+        node, entry = empty(2 * entries), empty(2 * entries)
+        inputs = [face, barycentric, *mesh, none]
+        wp.launch(shade.site_kernel, entries, inputs=inputs, outputs=[node, entry], device=device)
+        wp.utils.radix_sort_pairs(node, entry, entries, 0, max(1, none.bit_length()))
+        self.first, used = starts(node[:entries] if entries else node, _LONGEST, none), entries
+        if entries and int(node[entries - 1 : entries].numpy()[0]) == none:  # the last stretch is that of no node
+            last = self.first.shape[0] - 1
+            used = int(self.first[last:].numpy()[0])
+            self.first = self.first[:last] if last else empty(0)
+        stretches = self.first.shape[0]
+        self.part = empty(used, wp.int64)
+        inputs = [entry, face, barycentric, *mesh]
+        wp.launch(shade.share_kernel, used, inputs=inputs, outputs=[self.part], device=device)
+        self.target = empty(stretches, wp.vec4i)
+        inputs = [self.first, entry, node, face, stage.face_material, stage.places, table]
+        inputs.append(wp.array(leader, dtype=int, device=device))
+        wp.launch(shade.target_kernel, stretches, inputs=inputs, outputs=[self.target], device=device)
+
+    def adding(self, zeta_gradient: Any, nodes_gradient: Any) -> Launch:
+        """The launch that adds to `nodes_gradient`."""
+        from warpsar.kernels import shade, shade_lanes
+        from warpsar.kernels.wide import NODE_LANES
+
+        device, stretches = zeta_gradient.device, self.first.shape[0]
+        inputs, outputs = [self.first, self.target, self.part, zeta_gradient], [nodes_gradient]
+        if device.is_cpu:
+            pieces = by_stretches(self.first, self.part, [self.target])
+            return Launch(shade_lanes.spread_kernel, stretches, inputs, outputs, device, pieces)
+        return Launch(shade.spread_kernel, stretches * NODE_LANES, inputs, outputs, device)
+
+
+def _terms(places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(material, term) -> (kind, number of its node), kind -1 for none, shape (materials, n, 2); and the kind that each
+    parameter goes with, the first that is laid out as it is, -1 where it is held: (materials, kinds). int32."""
+    leader = np.full(places.shape[:2], -1, np.int32)
+    found: list[list[tuple[int, int]]] = []
+    for m, kinds in enumerate(places):
+        found.append([])
+        for k, (layout, _, *shape) in enumerate(kinds):
+            if layout == HELD:
+                continue
+            alike = [j for j in range(k) if leader[m, j] == j and [kinds[j][0], *kinds[j][2:]] == [layout, *shape]]
+            leader[m, k] = alike[0] if alike else k
+            if not alike:
+                found[m] += [(k, number) for number in range(_NODES[int(layout)])]
+    terms = np.full((len(found), max(map(len, found)), 2), -1, np.int32)
+    for m, row in enumerate(found):
+        terms[m, : len(row)] = np.array(row, np.int32).reshape(-1, 2)
+    return terms, leader

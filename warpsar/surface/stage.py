@@ -1,0 +1,69 @@
+"""What every view of a scene shares on a device."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpsar.runtime import devices
+
+if TYPE_CHECKING:
+    from warpsar.world.world import World
+    from warpsar.surface.surface import Surface
+    from warpsar.trace.target import Target
+
+
+POLARIZATIONS = {"HH": 0, "VV": 1, "HV": 2, "VH": 3}
+
+
+VARIANTS = {"standard": 0, "as_printed": 1}
+
+
+@dataclass
+class Stage:
+    """What every view of a scene shares on a device: mesh, materials, and the equations' variant."""
+
+    target: Target
+    surface: Surface
+    variant: int
+    local_basis: bool
+    face_material: Any
+    uv: Any
+    places: Any
+    spectrum: Any
+    eps_im: Any
+    aspect: Any
+
+    @classmethod
+    def of(cls, scene: World, device: Any) -> Stage:
+        import warp as wp
+
+        from warpsar.surface.surface import Surface
+        from warpsar.trace.target import Target
+
+        own = ["shade_lanes", "columns"] if device.is_cpu else []
+        devices.load_kernels(device, "trace", "merge", "shade", "raster", *own)
+        surface = Surface.of(scene)
+        uv = np.zeros((0, 2), np.float32) if scene.mesh.uv is None else scene.mesh.uv
+        return cls(
+            target=Target.upload(scene.mesh, scene.reference_point_m, device),
+            surface=surface,
+            variant=VARIANTS[scene.radar.variant],
+            local_basis=scene.radar.polarization_basis == "local",
+            face_material=wp.array(scene.mesh.face_material, dtype=int, device=device),
+            uv=wp.array(uv, dtype=wp.vec2, device=device),
+            places=wp.array(surface.places, dtype=wp.vec4i, device=device),
+            spectrum=wp.array(surface.spectrum, dtype=int, device=device),
+            eps_im=wp.array(surface.eps_im, dtype=float, device=device),
+            aspect=wp.array(surface.aspect, dtype=float, device=device),
+        )
+
+    @cached_property
+    def nodes(self) -> Any:
+        """The surface's nodes on the device, float32."""
+        import warp as wp
+
+        return wp.array(self.surface.nodes.astype(np.float32), dtype=float, device=self.target.device)

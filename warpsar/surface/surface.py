@@ -1,0 +1,157 @@
+"""What is learned: the surface parameters of every material, as one vector of nodes behind one interface.
+
+A node is a number in the coordinate in which it is learned: ln(eps_r - 1), ln h, ln l, logit tau. A material has
+one node per parameter (`uniform`), one per vertex, or one per texel of a texture; kernels look all of them up
+through the same table.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from warpsar.world.world import World
+
+FRACTION_LIMIT = 40.0  # kernels/shade.py: beyond it tau is 0 or 1 to the bit
+
+
+def _logit(tau: Any) -> Any:
+    with np.errstate(divide="ignore"):
+        return np.clip(np.log(tau) - np.log1p(-np.asarray(tau)), -FRACTION_LIMIT, FRACTION_LIMIT)
+
+
+def _sigmoid(x: Any) -> Any:
+    x = np.asarray(x, float)
+    tau = 1.0 / (1.0 + np.exp(-x))
+    return np.where(x <= -FRACTION_LIMIT, 0.0, np.where(x >= FRACTION_LIMIT, 1.0, tau))
+
+
+def _log_contrast(eps_r: Any) -> Any:
+    with np.errstate(divide="ignore"):
+        return np.log(np.asarray(eps_r, float) - 1.0)
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A surface parameter: its key in scene.toml, its learned coordinate and back, and how far a fit may go (SI)."""
+
+    key: str
+    symbol: str
+    coordinate_name: str
+    to_coordinate: Callable[[Any], Any]
+    from_coordinate: Callable[[Any], Any]
+    low: float
+    high: float
+
+
+KINDS = (
+    Kind("eps_r", "eps_r", "ln(eps_r - 1)", _log_contrast, lambda z: 1.0 + np.exp(z), 1.01, 300.0),
+    Kind("rms_height_m", "h", "ln h", np.log, np.exp, 1e-6, 10.0),
+    Kind("correlation_length_m", "l", "ln l", np.log, np.exp, 1e-5, 100.0),
+    Kind("specular_fraction", "tau", "logit tau", _logit, _sigmoid, 1e-6, 1.0 - 1e-6),
+)
+KEYS = tuple(kind.key for kind in KINDS)
+SPECTRA = {"gaussian": 0, "exponential": 1, "separable": 2}
+LAYOUTS = {"uniform": 0, "vertex": 1, "texture": 2}  # codes of kernels/shade.py
+HELD = 3  # there: uniform, and not learned
+
+
+@dataclass(frozen=True)
+class Block:
+    """Nodes of one parameter of one material: `nodes[start : start + size]`, shaped `shape`."""
+
+    material: str
+    kind: Kind
+    layout: str  # of this parameter: a plain number is "uniform" in every material
+    start: int
+    shape: tuple[int, ...]
+    learn: bool
+    first_vertex: int = 0  # vertex layout: the mesh vertex of the first node
+
+    @property
+    def size(self) -> int:
+        return int(np.prod(self.shape, dtype=int))
+
+    @property
+    def stop(self) -> int:
+        return self.start + self.size
+
+
+@dataclass
+class Surface:
+    """All materials' parameters: `nodes`, shape (n,), float64, in the learned coordinates, and what they mean.
+
+    `places`, shape (materials, 4, 4) int32, is the kernels' table of (layout, offset, width, height).
+    `spectrum` (int), `eps_im` and `aspect` (l_y / l_x), shape (materials,), are never learned.
+    """
+
+    materials: tuple[str, ...]
+    blocks: tuple[Block, ...]
+    nodes: np.ndarray
+    places: np.ndarray
+    spectrum: np.ndarray
+    eps_im: np.ndarray
+    aspect: np.ndarray
+
+    @classmethod
+    def of(cls, scene: World) -> Surface:
+        """The surface a scene file declares."""
+        blocks: list[Block] = []
+        values: list[np.ndarray] = []
+        names = tuple(scene.mesh.materials)
+        places = np.zeros((len(names), len(KINDS), 4), np.int32)
+        spectrum = np.zeros(len(names), np.int32)
+        eps_im = np.zeros(len(names), np.float32)
+        aspect = np.ones(len(names), np.float32)
+        start = 0
+        for m, name in enumerate(names):
+            material = scene.materials[name]
+            spectrum[m] = SPECTRA[material.spectrum]
+            ends: tuple[int, int] | None = None  # the first and the last vertex of its faces
+            for k, kind in enumerate(KINDS):
+                declared = getattr(material, kind.key)
+                if isinstance(declared, str):
+                    value = np.asarray(scene.field(name, kind.key), float)
+                    layout = material.layout
+                elif isinstance(declared, tuple):
+                    value, layout = np.array([declared[0]], float), "uniform"
+                    if kind.key == "eps_r":
+                        eps_im[m] = -declared[1]
+                    else:
+                        aspect[m] = declared[1] / declared[0]
+                else:
+                    value, layout = np.array([declared], float), "uniform"
+                first_vertex = 0
+                if layout == "vertex":
+                    if ends is None:
+                        corners = scene.mesh.faces[scene.mesh.face_material == m]
+                        ends = int(corners.min()), int(corners.max())
+                    first_vertex = ends[0]
+                    value = value[first_vertex : ends[1] + 1]
+                height, width = value.shape if layout == "texture" else (0, 0)
+                held = layout == "uniform" and kind.key not in material.learn
+                code = HELD if held else LAYOUTS[layout]
+                places[m, k] = (code, start - first_vertex, width, height)
+                blocks.append(Block(name, kind, layout, start, value.shape, kind.key in material.learn, first_vertex))
+                values.append(kind.to_coordinate(value).ravel())
+                start += value.size
+        return cls(names, tuple(blocks), np.concatenate(values), places, spectrum, eps_im, aspect)
+
+    def block(self, material: str, key: str) -> Block:
+        return next(b for b in self.blocks if b.material == material and b.kind.key == key)
+
+    def values(self, material: str, key: str, nodes: np.ndarray | None = None) -> np.ndarray:
+        """The parameter in SI units, in its block's shape; of `nodes` where given."""
+        block = self.block(material, key)
+        source = self.nodes if nodes is None else nodes
+        return np.asarray(block.kind.from_coordinate(source[block.start : block.stop])).reshape(block.shape)
+
+    @property
+    def learned(self) -> np.ndarray:
+        """Indices of the nodes that may change, shape (p,), int64."""
+        parts = [np.arange(b.start, b.stop) for b in self.blocks if b.learn]
+        return np.concatenate(parts) if parts else np.zeros(0, int)

@@ -1,0 +1,95 @@
+"""A mesh on a device."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from threading import Lock
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpsar.world.frame import ViewGeometry
+
+if TYPE_CHECKING:
+    import warp as wp
+
+    from warpsar.world.mesh import Mesh
+
+
+_KEPT_SHARE = 0.25  # of a CUDA device's memory, that a process does not hand back between views
+
+
+@dataclass
+class Target:
+    """A mesh on a device, about its reference point."""
+
+    device: Any
+    vertices: wp.array  # [m], shape (n,), vec3
+    faces: wp.array  # shape (m, 3), int32
+    corners: np.ndarray  # [m], shape (n, 3), float64, about the reference point
+    places: wp.array  # the same on the device, vec3d
+    _ends: dict[bytes, np.ndarray] = field(default_factory=dict)
+    _bvh: wp.Mesh | None = None
+    _building: Lock = field(default_factory=Lock)
+
+    @classmethod
+    def upload(cls, mesh: Mesh, reference_point_m: Any, device: Any) -> Target:
+        import warp as wp
+
+        corners = np.asarray(mesh.vertices, np.float64) - np.asarray(reference_point_m, np.float64)
+        vertices: wp.array = wp.array(corners.astype(np.float32), dtype=wp.vec3, device=device)
+        faces: wp.array = wp.array(np.ascontiguousarray(mesh.faces, np.int32), dtype=int, device=device)
+        if device.is_cuda and wp.is_mempool_enabled(device):
+            wp.set_mempool_release_threshold(device, _KEPT_SHARE)
+        places: wp.array = wp.array(corners, dtype=wp.vec3d, device=device, copy=False)
+        return cls(device, vertices, faces, corners, places)
+
+    @property
+    def bvh(self) -> wp.Mesh:
+        """Built when a ray first asks for it: most views are traced without (`Raster`)."""
+        import warp as wp
+
+        with self._building:  # bands ask for it side by side
+            if self._bvh is None:
+                # Measured on CUDA (docs/benchmarks.md): cuBQL with two faces a leaf traces fastest, and is built in a
+                # sixth of SAH's time.
+                constructor, leaf = ("sah", None) if self.device.is_cpu else ("cubql", 2)
+                faces = self.faces.flatten()
+                self._bvh = wp.Mesh(self.vertices, faces, bvh_constructor=constructor, bvh_leaf_size=leaf)
+        return self._bvh
+
+    def ends(self, geometry: ViewGeometry) -> tuple[np.ndarray, np.ndarray]:
+        """Least and largest (X . d, X . u, elevation, distance from the track) of the mesh, float64, shape (4,) each.
+
+        Elevation is X . v [m]; with a track, the angle about it [rad]. Found on the device: the host takes as long
+        for a million vertices as CUDA for all of their image. Kept: whoever counts a view's rays traces them, too.
+        """
+        import warp as wp
+
+        from warpsar.kernels.trace import BLOCK, extent_kernel
+        from warpsar.kernels.wide import WARP
+
+        track = geometry.slant_range_m or 0.0
+        key = np.concatenate([geometry.d, geometry.u, geometry.v, [track]]).tobytes()
+        if key in self._ends:
+            return self._ends[key][:4], -self._ends[key][4:]
+        axes = [wp.vec3d(*axis) for axis in (geometry.d, geometry.u, geometry.v)]
+        threads = 1 if self.device.is_cpu else 512 * WARP
+        ends = wp.empty((-(-threads // WARP), 8), dtype=wp.float64, device=self.device)
+        inputs = [self.places, *axes, track, threads]
+        wp.launch(extent_kernel, threads, inputs=inputs, outputs=[ends], device=self.device, block_dim=BLOCK)
+        self._ends[key] = found = ends.numpy().min(axis=0)
+        return found[:4], -found[4:]
+
+    @cached_property
+    def area_m2(self) -> float:
+        """Area of all faces together."""
+        import warp as wp
+
+        from warpsar.kernels.raster import BLOCK, area_kernel
+
+        area = wp.empty(1 if self.device.is_cpu else 16384, dtype=wp.float64, device=self.device)
+        inputs = [self.vertices, self.faces]
+        wp.launch(area_kernel, area.shape[0], inputs=inputs, outputs=[area], device=self.device, block_dim=BLOCK)
+        return float(area.numpy().sum())

@@ -1,0 +1,43 @@
+"""A view's axes: where range, azimuth and elevation point (scene-format.md, "Frame")."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    pass
+
+
+SPEED_OF_LIGHT = 299792458.0
+
+
+@dataclass(frozen=True)
+class ViewGeometry:
+    """Axes of one view, all unit vectors of shape (3,), float64, in world coordinates (X east, Y north, Z up).
+
+    `s` points from the scene to the radar, `d` = -`s` is slant range, `u` azimuth, `v` elevation (down and back
+    toward the radar). `wavenumber` is 2 pi f / c [rad/m]; `slant_range_m` is None for a plane wave, else the
+    distance R0 from the straight track to the reference point (strip-map).
+    """
+
+    s: np.ndarray
+    d: np.ndarray
+    u: np.ndarray
+    v: np.ndarray
+    wavenumber: float
+    slant_range_m: float | None = None
+
+
+def view_geometry(
+    azimuth_deg: float, incidence_deg: float, frequency_hz: float, slant_range_m: float | None = None
+) -> ViewGeometry:
+    """Axes for a radar seen at `azimuth_deg` (clockwise from north) and `incidence_deg` (from the zenith)."""
+    azimuth, incidence = np.deg2rad(azimuth_deg), np.deg2rad(incidence_deg)
+    s = np.array([np.sin(azimuth) * np.sin(incidence), np.cos(azimuth) * np.sin(incidence), np.cos(incidence)])
+    d = -s
+    u = np.cross([0.0, 0.0, 1.0], d)
+    u /= np.linalg.norm(u)
+    return ViewGeometry(s, d, u, np.cross(u, d), 2.0 * np.pi * frequency_hz / SPEED_OF_LIGHT, slant_range_m)

@@ -1,0 +1,114 @@
+"""What is looked at: a mesh, its materials, the views of it, and what they measured."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from dataclasses import field as dataclass_field
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpsar.errors import InputError
+from warpsar.io.images import read_channel, read_mask
+from warpsar.world.frame import SPEED_OF_LIGHT, ViewGeometry, view_geometry
+from warpsar.world.tables import SURFACE_KEYS, Grid, Material, Radar, Sampling, View
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from warpsar.world.mesh import Mesh
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """A scene with all that its files hold, checked; `dataclasses.replace` makes a changed one.
+
+    Effects, rays and surfaces need no more than this; `warpsar.scene.Scene` adds the way from and to a file.
+    """
+
+    mesh: Mesh
+    radar: Radar
+    grid: Grid
+    materials: dict[str, Material]
+    """In the order of `mesh.materials`."""
+    views: list[View]
+    sampling: Sampling = dataclass_field(default_factory=Sampling)
+    effects: dict[str, dict[str, Any]] = dataclass_field(default_factory=dict)
+    """Parameters of the declared effects, as `warpsar.effects.registry.validate` gives them."""
+    reference_point_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Where range and azimuth are zero [m], world."""
+    path: Path | None = None
+    """The scene file, absolute; None for a scene made in memory."""
+    mesh_path: Path | None = None
+    """The mesh file, absolute."""
+    warnings: tuple[str, ...] = ()
+    """What the user should be told about the input, one line each."""
+    source: str = dataclass_field(default="", repr=False)
+    """The scene file's text: `save` keeps its comments."""
+
+    def wavenumber(self, view: View) -> float:
+        """2 pi f / c [rad/m] of a view."""
+        return 2.0 * math.pi * (view.frequency_hz or self.radar.frequency_hz) / SPEED_OF_LIGHT
+
+    def slant_range_m(self, view: View) -> float | None:
+        """Range from the track to the reference point [m]; None for a plane wave."""
+        return view.slant_range_m or self.radar.slant_range_m
+
+    def measured(self, view: View, polarization: str) -> NDArray[np.float32]:
+        """The measured image: beta0, linear power, shape (rows, cols); NaN where it is not finite."""
+        image = read_channel(view.images[polarization], polarization, shape=self.grid.shape)  # type: ignore[index]
+        return np.where(np.isfinite(image), image, np.float32(np.nan))
+
+    def mask(self, view: View) -> NDArray[np.bool_] | None:
+        """The pixels that the view's mask lets through, shape (rows, cols); None without a mask."""
+        return None if view.mask is None else read_mask(view.mask, shape=self.grid.shape)
+
+    def field(self, material: str, key: str) -> NDArray[np.float32] | NDArray[np.float64]:
+        """The values that a name stands for.
+
+        A texture, shape (rows, cols), row 0 at v = 1, float32; or the scalar of all of the mesh's vertices,
+        shape (n,), float64.
+        """
+        table = self.materials[material]
+        name = getattr(table, key)
+        if not isinstance(name, str):
+            raise InputError(f"materials.{material}.{key} is the number {name}, not the name of a field")
+        return read_channel(name, key) if table.layout == "texture" else self.mesh.vertex_scalars[name]
+
+    def files(self) -> Iterator[Path]:
+        """Every image, mask and map that the scene refers to, in a fixed order."""
+        for material in self.materials.values():
+            for key in SURFACE_KEYS:
+                value = getattr(material, key)
+                if isinstance(value, str) and material.layout == "texture":
+                    yield Path(value)
+        for view in self.views:
+            yield from (view.images[key] for key in sorted(view.images))
+            if view.mask is not None:
+                yield view.mask
+
+    @cached_property
+    def input_hash(self) -> str:
+        """SHA-256 of the scene file, the mesh as read and every file referred to, wherever they lie."""
+        total = hashlib.sha256(self.source.encode())
+        mesh = self.mesh
+        scalars = dict(sorted(mesh.vertex_scalars.items()))
+        total.update(repr((mesh.materials, mesh.vertices.shape, mesh.faces.shape, list(scalars))).encode())
+        for array in (mesh.vertices, mesh.faces, mesh.face_material, mesh.uv, *scalars.values()):
+            if array is not None:
+                total.update(np.ascontiguousarray(array).data)
+        for path in self.files():
+            with path.open("rb") as stream:
+                total.update(hashlib.file_digest(stream, "sha256").digest())
+        return total.hexdigest()
+
+
+def geometry_of(world: World, view: View) -> ViewGeometry:
+    """Axes of one of the views, with the frequency and slant range that hold there."""
+    frequency_hz = view.frequency_hz or world.radar.frequency_hz
+    return view_geometry(view.azimuth_deg, view.incidence_deg, frequency_hz, world.slant_range_m(view))
