@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from warpsar import Scene, simulate
-from warpsar.effects.registry import NAMES, get, validate
+from warpsar.effects.registry import get, names, validate
 
 EXAMPLE = Path(__file__).parent.parent / "data" / "example" / "scene.toml"
 VIEW = "view"
@@ -96,7 +96,7 @@ def draw(name: str, without: np.ndarray, out: Path) -> Path:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, required=True, help="folder for the pictures")
-    parser.add_argument("names", nargs="*", default=list(NAMES), help="effects; all by default")
+    parser.add_argument("names", nargs="*", default=list(names()), help="effects; all by default")
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
     without = simulate(scene_with(None), device="cpu")[0].beta0["HH"]

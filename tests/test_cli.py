@@ -108,7 +108,7 @@ def test_simulate_hands_its_options_on(
     def run(*paths: Path, **options: object) -> None:
         calls.append((paths, options))
 
-    monkeypatch.setattr("warpsar.simulation.run", run)
+    monkeypatch.setattr("warpsar.simulation.command.run", run)
     monkeypatch.chdir(tmp_path)
     Path("scene.toml").touch()
     result = CliRunner().invoke(cli.main, ["simulate", "scene.toml", "-o", "out", *arguments])

@@ -28,8 +28,8 @@ def test_threads_do_not_change_a_bit(layout: str, tmp_path: Path, monkeypatch: p
 
     monkeypatch.setattr(threads, "side_by_side", counted)
     found = []
-    for threads, least in (("1", 2**14), ("1", 16), ("2", 16), ("3", 16), ("7", 16)):
-        monkeypatch.setenv("WARPSAR_THREADS", threads)
+    for count, least in (("1", 2**14), ("1", 16), ("2", 16), ("3", 16), ("7", 16)):
+        monkeypatch.setenv("WARPSAR_THREADS", count)
         monkeypatch.setattr(launches, "_LEAST", least)
         cut.clear()
         problem = FitProblem(scene, device, views=["HV"])

@@ -14,11 +14,11 @@ from test_report import assert_alone
 from worlds import axes, view
 
 import warpsar
-import warpsar.effects
 from warpsar.cli.main import main
 from warpsar.diagnosis.found import DiagnoseOptions
 from warpsar.diagnosis.judge import Judged, difference, pool
 from warpsar.diagnosis.result import Diagnosed, diagnose
+from warpsar.effects.registry import names
 from warpsar.io.images import read_channel, write_tiff
 from warpsar.learning.observation import Observation
 from warpsar.scene.scene import Scene
@@ -96,7 +96,7 @@ def test_json_is_what_the_contract_says(graded: Ran) -> None:
     assert {"effect", "statistic", "p_value", "parameters", "test_deviance"} <= set(step)
     assert step["test_deviance"] == content["after"]["test"]["deviance"]
     assert step["p_value"] <= 0.01
-    assert {c["effect"] for c in content["candidates"]} == set(warpsar.effects.NAMES)
+    assert {c["effect"] for c in content["candidates"]} == set(names())
     for candidate in content["candidates"]:
         assert {"effect", "testability", "statistic", "p_value"} <= set(candidate)
         assert candidate["testability"] in ("testable", "not_testable", "absent")
@@ -161,7 +161,7 @@ def test_report_stands_alone_and_says_it_all(graded: Ran) -> None:
         assert sum(text.startswith(f"{name}, before") for text in described) == 1
         assert sum(text.startswith(f"{name}, after") for text in described) == 1
     assert sum("what is left, from azimuth" in text for text in described) == 2
-    for effect in warpsar.effects.NAMES:
+    for effect in names():
         assert effect in reader.text
     assert "nan" not in reader.text.replace("finance", "")
 

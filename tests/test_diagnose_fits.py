@@ -20,8 +20,8 @@ from warpsar.diagnosis.scan import Spot
 from warpsar.diagnosis.screening import GLANCE, Screening
 from warpsar.diagnosis.survey import surveyed
 from warpsar.diagnosis.templates import with_effect
-from warpsar.effects.registry import get
 from warpsar.effects.base.trial import Context
+from warpsar.effects.registry import get
 from warpsar.runtime import devices
 from warpsar.scene.scene import Scene
 from warpsar.simulation.rays import Rays

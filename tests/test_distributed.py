@@ -416,6 +416,6 @@ def test_half_an_environment_is_refused(
         monkeypatch.delenv(name, raising=False)
     for name, value in environment.items():
         monkeypatch.setenv(name, value)
-    monkeypatch.setattr("warpsar.distributed._here", None)
+    monkeypatch.setattr("warpsar.runtime.distributed._here", None)
     with pytest.raises(InputError, match=re.escape(message)):
         ranks(None)

@@ -3,18 +3,18 @@
 import dataclasses
 import math
 import sys
-import types
+from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from worlds import BRICK, SOIL, box, ground, mesh_of, scene_of, view
 
-import warpsar.effects as registry
-from warpsar.effects.base.effect import Effect
-from warpsar.effects.base.parameter import Parameter
-from warpsar.effects.registry import check, declared, get, validate
+import warpsar.effects
+from warpsar.effects import registry
 from warpsar.effects.base.trial import Context
+from warpsar.effects.registry import check, declared, get, names, validate
 from warpsar.errors import InputError
 from warpsar.render.render import ViewRender
 from warpsar.runtime import devices
@@ -81,7 +81,7 @@ def render_of(scene: Scene, *, neutral: bool = False) -> ViewRender:
     return ViewRender(stage, scene.views[0], hits, scene.grid.shape, scene.radar.polarizations, effects)
 
 
-@pytest.mark.parametrize("name", registry.NAMES)
+@pytest.mark.parametrize("name", names())
 def test_says_what_it_is(name: str) -> None:
     effect = get(name)
     assert effect.name == name
@@ -101,7 +101,7 @@ def test_says_what_it_is(name: str) -> None:
 
 def test_every_parameter_is_at_work() -> None:
     stated = {(name, key) for name, table, _ in WORKING for key in table}
-    assert {(name, p.name) for name in registry.NAMES for p in get(name).parameters} <= stated
+    assert {(name, p.name) for name in names() for p in get(name).parameters} <= stated
 
 
 @pytest.mark.parametrize(("name", "table", "radar"), WORKING, ids=IDS)
@@ -113,7 +113,7 @@ def test_changes_the_image(name: str, table: dict[str, Any], radar: dict[str, An
     assert (changed.beta0["VV"] >= 0).all()
 
 
-@pytest.mark.parametrize("name", registry.NAMES)
+@pytest.mark.parametrize("name", names())
 def test_neutral_changes_no_bit(name: str) -> None:
     scene = street()
     neutral = {p.name: {} if p.per_view else p.neutral for p in get(name).parameters if not math.isnan(p.neutral)}
@@ -200,7 +200,7 @@ def test_an_image_effect_alone_is_the_same(name: str, table: dict[str, Any]) -> 
     assert set(bare.settings) == set()
 
 
-@pytest.mark.parametrize("name", registry.NAMES)
+@pytest.mark.parametrize("name", names())
 def test_trials_can_be_declared(name: str) -> None:
     """Steps from neutral are tables that scene.toml would take, and change the images they say they change."""
     scene = street()
@@ -290,32 +290,58 @@ def test_view_gains_have_no_mean() -> None:
     assert [declared(scene, v)[0].values[0] for v in scene.views] == [1.5, -1.5]
 
 
-def test_a_sixteenth_effect_is_a_module_and_its_name(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Doubling(Effect):
-        """As much again of everything."""
+DOUBLING = '''
+from typing import Any
 
-        name = "doubling"
-        stage = "gain"
-        summary = "as much again"
-        parameters = (Parameter("gain_db", "dB", 0.0, -10.0, 10.0, 1.0),)
+from warpsar.effects.base.effect import Effect
+from warpsar.effects.base.parameter import Parameter
+from warpsar.effects.base.recorder import Recorder
+from warpsar.kernels.effects import view_gain as kernels
 
-        def gain(self, render: ViewRender, p: Any, sigma: Any, points: Any) -> Any:
-            from warpsar.kernels import effects_view_gain as kernels
 
-            result = render.program.array(sigma.shape[0])
-            render.program.launch(kernels.gain_kernel, sigma.shape[0], [p, sigma], [result])
-            return result
+class Doubling(Effect):
+    """As much again of everything."""
 
-    module = types.ModuleType("warpsar.effects.doubling")
-    module.EFFECT = Doubling()  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "warpsar.effects.doubling", module)
+    name = "doubling"
+    stage = "gain"
+    order = 99
+    summary = "as much again"
+    parameters = (Parameter("gain_db", "dB", 0.0, -10.0, 10.0, 1.0),)
+
+    def gain(self, render: Recorder, p: Any, sigma: Any, points: Any) -> Any:
+        result = render.program.array(sigma.shape[0])
+        render.program.launch(kernels.gain_kernel, sigma.shape[0], [p, sigma], [result])
+        return result
+
+
+EFFECT = Doubling()
+'''
+
+
+@pytest.fixture
+def forgetful() -> Iterator[None]:
+    """The registry looks at its folder anew, before and after."""
+    for look in (registry._files, registry.names):
+        look.cache_clear()
+    yield
+    for look in (registry._files, registry.names):
+        look.cache_clear()
+
+
+@pytest.mark.usefixtures("forgetful")
+def test_a_new_effect_is_a_file_in_the_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     with pytest.raises(InputError):
         validate("doubling", {}, "effects.doubling")
-    monkeypatch.setattr(registry, "NAMES", (*registry.NAMES, "doubling"))
+    registry._files.cache_clear()
+    registry.names.cache_clear()
+    (tmp_path / "doubling.py").write_text(DOUBLING)
+    monkeypatch.setattr(warpsar.effects, "__path__", [*warpsar.effects.__path__, str(tmp_path)])
+    assert names().index("doubling") == names().index("view_gain") + 1
     scene = street()
     (plain, _) = simulate(scene, device="cpu")
     (loud, _) = simulate(with_effect(scene, "doubling", {"gain_db": 10 * math.log10(2)}), device="cpu")
     assert loud.beta0["HH"] == pytest.approx(2 * plain.beta0["HH"], rel=1e-6)
+    monkeypatch.delitem(sys.modules, "warpsar.effects.doubling")
 
 
 def test_refinements_of_interference_move_one_end_or_add_one_band() -> None:

@@ -16,7 +16,7 @@ from scipy.ndimage import minimum_filter
 from worlds import SOIL, WAVENUMBER, ground, mesh_of, scene_of, sigma0, view
 
 from warpsar.cli.main import main
-from warpsar.effects.registry import NAMES, get
+from warpsar.effects.registry import get, names
 from warpsar.errors import InputError
 from warpsar.io.images import read_channel, write_exr, write_tiff
 from warpsar.io.ply import write_ply
@@ -475,7 +475,7 @@ def test_a_gain_per_view_is_learned_and_a_test_views_own_is_not(clean: Any, tmp_
     assert found.test["deviance"] == pytest.approx(1.0, abs=0.1)
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", names())
 def test_what_is_discrete_in_an_effect_cannot_be_learned(name: str) -> None:
     effect = get(name)
     for setting in effect.settings:

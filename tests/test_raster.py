@@ -167,7 +167,7 @@ def test_parallel_as_serial(
 ) -> None:
     """Faces of all sizes, each in whatever order: what the raster that takes one after the other finds, every time;
     many strips to one group of threads, and one."""
-    monkeypatch.setattr("warpsar.raster._GROUPS", groups)
+    monkeypatch.setattr("warpsar.trace.nearest._GROUPS", groups)
     mesh, rays_per_m2 = SCENES[name]
     target, _, rays = prepared(mesh, slant_range_m, rays_per_m2=rays_per_m2)
     expected = all_faces(SERIAL, target, rays, seed=7)

@@ -19,7 +19,17 @@ _LAZY = {
     "learn": "warpsar.learning.command",
     "simulate": "warpsar.simulation.command",
 }
-__all__ = ["DeviceError", "InputError", "Scene", "WarpsarError", "__version__", "diagnose", "evaluate", "learn", "simulate"]
+__all__ = [
+    "DeviceError",
+    "InputError",
+    "Scene",
+    "WarpsarError",
+    "__version__",
+    "diagnose",
+    "evaluate",
+    "learn",
+    "simulate",
+]
 
 
 def __getattr__(name: str) -> Any:

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from warpsar.effects.registry import get
+from warpsar.learning.observation import Observation
 from warpsar.learning.problem import FitProblem
 from warpsar.runtime.distributed import ONE, Ranks
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from warpsar.learning.observation import Observation
-    from warpsar.scene.scene import Scene
-    from warpsar.simulation.rays import Rays
+from warpsar.scene.scene import Scene
+from warpsar.simulation.rays import Rays
 
 
 @dataclass(frozen=True)

@@ -5,18 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from scipy.stats import gamma, norm
 
-from warpsar.diagnosis.evidence import LARGEST
+from warpsar.diagnosis.evidence import LARGEST, Evidence
+from warpsar.diagnosis.scan import Scan
+from warpsar.diagnosis.score import Group, Projection
 from warpsar.runtime import threads
 from warpsar.runtime.distributed import ONE, Ranks
-
-if TYPE_CHECKING:
-    from warpsar.diagnosis.evidence import Evidence
-    from warpsar.diagnosis.scan import Scan
-    from warpsar.diagnosis.score import Group, Projection
 
 BATCH = 25  # draws at once; fixed, so that the numbers do not depend on the threads
 TAIL = 0.1  # share of the draws from which a score's tail is taken to fall off exponentially
@@ -148,8 +146,6 @@ class Speckle:
         return np.concatenate(parts) * max(self.sd, 1.0)
 
     def _quantiles(self, looks: float) -> np.ndarray:
-        from scipy.stats import gamma, norm
-
         below = gamma.ppf(norm.cdf(self._normal), looks)
         above = gamma.isf(norm.sf(self._normal), looks)
         return np.where(self._normal < 0, below, above) / looks

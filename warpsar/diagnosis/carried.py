@@ -4,21 +4,18 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.left_out import clipped
 from warpsar.diagnosis.projection import pixel_of, shift_px
+from warpsar.diagnosis.refit import Fitted
 from warpsar.effects.registry import get
+from warpsar.learning.observation import Observation
+from warpsar.scene.scene import Scene
 from warpsar.speckle.likelihood import loss_terms
-
-if TYPE_CHECKING:
-    from warpsar.diagnosis.bench import Bench
-    from warpsar.diagnosis.refit import Fitted
-    from warpsar.learning.observation import Observation
-    from warpsar.scene.scene import Scene
-    from warpsar.world.tables import View
+from warpsar.world.tables import View
 
 # Of an effect's gain: from here on the surface may be what it was taken for. What is the same in all views comes over
 # in part by itself, such as copies on both sides to a view from the other side (0.4 seen); what each view has for

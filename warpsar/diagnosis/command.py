@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from warpsar.diagnosis.found import Candidate, DiagnoseOptions, Diagnosis, Step
 from warpsar.diagnosis.judge import ROLES, Judged, difference, pool
 from warpsar.diagnosis.procedure import diagnose_scene
+from warpsar.diagnosis.report import write_report
 from warpsar.diagnosis.result import Diagnosed, Moved, judged, moved_parameters, why_not
 from warpsar.effects.registry import get
 from warpsar.learning.identify import Identified
@@ -27,8 +28,6 @@ def run(
 ) -> dict[str, Any]:
     """`warpsar diagnose`: diagnosis.json, scene.toml with the added effects and report.html in `out`. Returns the
     JSON's content; of several processes, the first one judges and writes, and the others return nothing."""
-    from warpsar.diagnosis.report import write_report
-
     started = time.perf_counter()
     options = options or DiagnoseOptions()
     scene, out, where = opened(scene_path, out, device)

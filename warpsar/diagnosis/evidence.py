@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from warpsar.learning.identify import residual_autocovariance, score_products
+from warpsar.learning.observation import Observation
+from warpsar.learning.problem import FitProblem
 from warpsar.runtime.distributed import ONE, Ranks
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from warpsar.learning.observation import Observation
-    from warpsar.learning.problem import FitProblem
 
 # Standard deviations beyond which a residual counts no more: speckle hardly ever goes there (e^-9 at one look), and a
 # few pixels of what is missing would else decide every score, and say how speckle is correlated.

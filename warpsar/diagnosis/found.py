@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,10 +13,8 @@ from warpsar.diagnosis.left_out import LeftOut
 from warpsar.diagnosis.refit import Fitted
 from warpsar.diagnosis.scan import Spot
 from warpsar.errors import InputError
+from warpsar.scene.scene import Scene
 from warpsar.simulation.sampling import Density
-
-if TYPE_CHECKING:
-    from warpsar.scene.scene import Scene
 
 
 @dataclass(frozen=True)

@@ -1,16 +1,14 @@
-"""x"""
+"""Which pixels a diagnosis compares: frozen once, by the declared model, for all that follows."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 from warpsar.diagnosis.bench import Bench
-from warpsar.diagnosis.procedure import SLIVER
+from warpsar.learning.observation import Observation
+from warpsar.scene.scene import Scene
 
-if TYPE_CHECKING:
-    from warpsar.learning.observation import Observation
-    from warpsar.scene.scene import Scene
+SLIVER = 0.25  # of a ray's share of a pixel: darker than this no pixel is called that was lit
 
 
 def frozen(one: Bench, other: Bench, scene: Scene) -> dict[str, list[Observation]]:

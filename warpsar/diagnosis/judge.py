@@ -4,21 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from warpsar.diagnosis.bench import Bench
+from warpsar.diagnosis.found import Diagnosis
 from warpsar.diagnosis.frozen import frozen
 from warpsar.evaluation.command import mean_deviance
 from warpsar.learning.identify import residual_autocovariance
+from warpsar.learning.observation import Observation
+from warpsar.scene.scene import Scene
 from warpsar.simulation.rays import Rays
 from warpsar.speckle.likelihood import deviance, expected_deviance, metrics
-
-if TYPE_CHECKING:
-    from warpsar.diagnosis.found import Diagnosis
-    from warpsar.learning.observation import Observation
-    from warpsar.scene.scene import Scene
 
 ROLES = ("train", "test")
 

@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.refit import Fitted, descend
 from warpsar.learning.identify import residual_autocovariance
+from warpsar.learning.observation import Observation
 from warpsar.learning.results import learned_scene
+from warpsar.scene.scene import Scene
 from warpsar.speckle.likelihood import loss_terms
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from warpsar.learning.observation import Observation
-    from warpsar.scene.scene import Scene
 
 BLOCK = 8  # columns: what a view's own parameters are fitted on and judged on alternates
 VARIES = 0.5  # of a gain, that may be gained again by letting a view's own parameter vary over its columns

@@ -4,21 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from scipy.ndimage import uniform_filter
 
+from warpsar.diagnosis.found import Diagnosis
+from warpsar.diagnosis.judge import Judged
 from warpsar.diagnosis.projection import pixel_of, shift_px
-
-if TYPE_CHECKING:
-    from warpsar.diagnosis.found import Diagnosis
-    from warpsar.diagnosis.judge import Judged
-    from warpsar.diagnosis.scan import Spot
-    from warpsar.evaluation.meshview import MeshView
-    from warpsar.scene.scene import Scene
-    from warpsar.trace.hits import Hits
-    from warpsar.world.tables import View
-
+from warpsar.diagnosis.scan import Spot
+from warpsar.evaluation.meshview import MeshView
+from warpsar.scene.scene import Scene
+from warpsar.trace.hits import Hits
+from warpsar.world.tables import View
 
 SMOOTHED = 5  # pixels on a side over which the residual on the mesh is averaged
 
@@ -139,8 +137,6 @@ def _window_db(image: Judged, row: int, col: int, half: int) -> float:
 def residual_on(side: MeshView, found: Diagnosis, images: Sequence[Judged]) -> np.ndarray:
     """Measured over modelled power [dB] at every ray of a picture of the mesh, averaged over `SMOOTHED` pixels and the
     train views that see the place; nan where none does, shape (n,)."""
-    from scipy.ndimage import uniform_filter
-
     scene = found.final.scene
     rows, cols = scene.grid.shape
     faces = len(scene.mesh.faces)

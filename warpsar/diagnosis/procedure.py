@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -22,20 +22,17 @@ from warpsar.diagnosis.score import NOT_TESTABLE, Group, Projection, group
 from warpsar.diagnosis.screening import Screening
 from warpsar.diagnosis.survey import surveyed
 from warpsar.diagnosis.templates import Template, TemplateMaker
-from warpsar.effects.registry import NAMES, get
+from warpsar.effects.registry import get, names
 from warpsar.errors import InputError
 from warpsar.learning.observation import looks_of
+from warpsar.learning.problem import FitProblem
 from warpsar.runtime import console
 from warpsar.runtime.distributed import ONE, Ranks
+from warpsar.scene.scene import Scene
 from warpsar.simulation.rays import Rays
 from warpsar.simulation.sampling import choose_density
 from warpsar.surface.stage import Stage
-
-if TYPE_CHECKING:
-    from warpsar.learning.problem import FitProblem
-    from warpsar.scene.scene import Scene
-    from warpsar.world.tables import View
-
+from warpsar.world.tables import View
 
 MU_NOISE = 10.0  # looks x pixels x relative sampling variance of mu: the gain in 2 ln L that denoising mu could bring
 
@@ -50,9 +47,6 @@ GLANCED = 8  # candidates that get a few iterations
 
 
 OFFERED = 40  # of an effect's best trials that its refit may try
-
-
-SLIVER = 0.25  # of a ray's share of a pixel: darker than this no pixel is called that was lit
 
 
 TRACE = 0.1  # of the median beta0: less is a border pixel's share of light
@@ -218,7 +212,7 @@ def _grouped(
     paths = TemplateMaker(unmoved, bench.device, other_rays, observations, evidence.modelled)
     projection = Projection(maker.tangent(), evidence.root_looks)
     found = {}
-    for name in NAMES:
+    for name in names():
         if name in base.scene.effects:
             continue
         templates = maker.templates(name)

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from warpsar.effects.registry import get, value_in
+from warpsar.scene.scene import Scene
+from warpsar.world.tables import View
 from warpsar.world.world import geometry_of
-
-if TYPE_CHECKING:
-    from warpsar.scene.scene import Scene
-    from warpsar.world.tables import View
 
 
 def shift_px(scene: Scene, view: View) -> np.ndarray:

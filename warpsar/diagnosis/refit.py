@@ -2,27 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from scipy.ndimage import minimum_filter
 
 from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.evidence import LARGEST
 from warpsar.effects.registry import get
+from warpsar.learning.observation import Observation
 from warpsar.learning.optimise import FLAT, FitState, begin, levenberg_marquardt
 from warpsar.learning.problem import FitProblem
 from warpsar.learning.results import learned_scene
 from warpsar.runtime.distributed import ONE, Ranks
+from warpsar.scene.scene import Scene
 from warpsar.surface.surface import KEYS, Surface
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-
-    from warpsar.learning.observation import Observation
-    from warpsar.scene.scene import Scene
-
 
 MOST_ITERATIONS = 40  # of one start
 
@@ -193,8 +190,6 @@ def narrow(bench: Bench, fitted: Fitted) -> tuple[Bench, Fitted]:
     An effect that moves light leaves pixels at its edge where the model's share of light is next to nothing, and
     whatever they measure would look like one more effect. All models of a turn see the same pixels.
     """
-    from scipy.ndimage import minimum_filter
-
     fitted.problem.modelled(fitted.x)
     observations: dict[str, list[Observation]] = {}
     for view in fitted.problem.views:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpsar.diagnosis.carried import is_carried
+from warpsar.diagnosis.found import Candidate, Step
 from warpsar.diagnosis.judge import ROLES, Judged
 from warpsar.diagnosis.place import residual_on
 from warpsar.diagnosis.result import SAME_SD, Diagnosed, Moved, why_not
@@ -16,12 +17,12 @@ from warpsar.effects.registry import get
 from warpsar.evaluation.image import ratio_db
 from warpsar.evaluation.meshview import look
 from warpsar.io import html as report
+from warpsar.io.figures import new
 from warpsar.surface.stage import Stage
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from warpsar.diagnosis.found import Candidate, Step
 
 RESIDUAL_COLOURS = "RdBu_r"
 SIDES_DEG = ((205.0, 45.0), (25.0, 45.0))  # azimuth and incidence of the two looks at the mesh: askew to the compass
@@ -253,8 +254,6 @@ def _turn(step: Step, number: int, done: Diagnosed, content: dict[str, Any]) -> 
 
 def _bars(step: Step, tested: Sequence[Candidate]) -> Figure:
     """Calibrated scores as bars, the threshold as a line; linear below it, logarithmic above."""
-    from warpsar.io.figures import new
-
     named = [(c.effect, max(0.0, c.minus_log_p), c.effect == step.added) for c in tested]
     named = sorted(named, key=lambda item: item[1])
     named.append(("scan for anything", max(0.0, step.scan_minus_log_p), False))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -11,14 +11,11 @@ from warpsar.diagnosis.found import Candidate, DiagnoseOptions, Diagnosis
 from warpsar.diagnosis.judge import ROLES, Judge, Judged, pool
 from warpsar.diagnosis.place import Place, place
 from warpsar.diagnosis.procedure import diagnose_scene
+from warpsar.diagnosis.refit import Fitted
 from warpsar.diagnosis.score import NOT_TESTABLE
 from warpsar.learning.identify import Identified, identify
 from warpsar.runtime import devices, distributed
-
-if TYPE_CHECKING:
-    from warpsar.diagnosis.refit import Fitted
-    from warpsar.scene.scene import Scene
-
+from warpsar.scene.scene import Scene
 
 SAME_SD = 2.0  # a parameter that moved by more of its standard deviations than this is said to have moved
 

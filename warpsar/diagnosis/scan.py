@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from warpsar.learning.observation import Observation
+from warpsar.learning.observation import Observation
 
 WINDOWS = (3, 5, 9)  # pixels on a side
 FULL = 0.5  # share of a window that must be compared pixels

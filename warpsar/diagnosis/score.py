@@ -6,13 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from math import comb
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from scipy.sparse import csc_array
+from scipy.special import gammaincc, gammaln, logsumexp
 
-if TYPE_CHECKING:
-    from warpsar.diagnosis.evidence import Evidence
-    from warpsar.diagnosis.templates import Template
+from warpsar.diagnosis.evidence import Evidence
+from warpsar.diagnosis.templates import Template
 
 NOT_TESTABLE = 1e-3  # share of a template's energy outside the tangent space (effects.md, step 10)
 # Directions of the tangent weaker than this, relative to the strongest, are rounding of float32 images.
@@ -37,8 +38,6 @@ class Projection:
 
 def log_tail(statistic: np.ndarray, degrees: int) -> np.ndarray:
     """ln of the upper tail of a chi-square, also where it is below the smallest float."""
-    from scipy.special import gammaincc, gammaln
-
     a, x = degrees / 2.0, np.maximum(np.asarray(statistic, float), 0.0) / 2.0
     if degrees == 0:
         return np.where(x > 0, -np.inf, 0.0)
@@ -51,8 +50,6 @@ def log_tail(statistic: np.ndarray, degrees: int) -> np.ndarray:
 def minus_log_p(statistic: np.ndarray, two_sided: int, one_sided: int) -> np.ndarray:
     """-ln p of a score test with one-sided coordinates: the mixture of chi-squares with binomial weights (exact for
     independent coordinates; Self and Liang, 1987). What the approximation leaves, the bootstrap takes out."""
-    from scipy.special import logsumexp
-
     terms = [
         np.log(comb(one_sided, extra) / 2.0**one_sided) + log_tail(statistic, two_sided + extra)
         for extra in range(one_sided + 1)
@@ -133,8 +130,6 @@ def _covariances(columns: np.ndarray, projection: Projection, evidence: Evidence
 
 
 def _compact(columns: np.ndarray) -> Any:
-    from scipy.sparse import csc_array
-
     if np.count_nonzero(columns) < SPARSE * columns.size:
         return csc_array(columns)
     return columns

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -22,11 +22,9 @@ from warpsar.diagnosis.refit import (
 from warpsar.diagnosis.templates import with_effect
 from warpsar.effects.registry import get
 from warpsar.learning.optimise import FitState, levenberg_marquardt
+from warpsar.learning.problem import FitProblem
 from warpsar.learning.results import learned_scene
-
-if TYPE_CHECKING:
-    from warpsar.learning.problem import FitProblem
-    from warpsar.scene.scene import Scene
+from warpsar.scene.scene import Scene
 
 STARTS = 4  # of the tables that an effect's best trials offer, how many are fitted
 GLANCE = 4  # iterations after which candidates are compared for the first time

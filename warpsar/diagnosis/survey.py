@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from itertools import product
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.templates import with_effect
-
-if TYPE_CHECKING:
-    from warpsar.diagnosis.bench import Bench
-    from warpsar.effects.base.trial import Trial
-    from warpsar.learning.problem import FitProblem
-    from warpsar.scene.scene import Scene
+from warpsar.effects.base.trial import Trial
+from warpsar.learning.problem import FitProblem
+from warpsar.scene.scene import Scene
 
 # Log-likelihood that one pixel may cost: a bright line in the wrong row costs thousands until it is in the right one,
 # and decides where everything else would lie.

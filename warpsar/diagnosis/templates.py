@@ -6,24 +6,19 @@ and the two agree where nothing is missing; so templates come from an independen
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from warpsar.effects.registry import NAMES, declared, get, validate
-from warpsar.effects.base.trial import Context
+from warpsar.effects.base.trial import Context, Step, Trial
+from warpsar.effects.registry import declared, get, names, validate
+from warpsar.learning.observation import Observation
 from warpsar.learning.problem import FitProblem
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from warpsar.effects.base.trial import Step, Trial
-    from warpsar.learning.observation import Observation
-    from warpsar.scene.scene import Scene
-    from warpsar.simulation.rays import Rays
+from warpsar.scene.scene import Scene
+from warpsar.simulation.rays import Rays
 
 
 @dataclass(frozen=True)
@@ -112,7 +107,7 @@ class TemplateMaker:
 
     def _later_effects(self, name: str) -> bool:
         """Whether a declared effect acts after this one: then the finished image is not what it acts on."""
-        return any(NAMES.index(other) > NAMES.index(name) for other in self.scene.effects)
+        return any(names().index(other) > names().index(name) for other in self.scene.effects)
 
     def _finished(self, scene: Scene, name: str, views: Sequence[str] | None) -> list[np.ndarray]:
         """An image effect on the finished images: nothing is shaded again."""

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import warp as wp
 
 from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter
+from warpsar.effects.base.recorder import Recorder
 from warpsar.effects.base.trial import Context, Step, Trial
-
-if TYPE_CHECKING:
-    from warpsar.effects.base.recorder import Recorder
-    from warpsar.world.world import World
+from warpsar.kernels.effects import antenna_pattern as kernels
+from warpsar.world.world import World
 
 
 def _pair(unit: str, low: float, high: float, start: float, fit_high: float) -> tuple[Parameter, Parameter]:
@@ -68,10 +69,6 @@ class AntennaPattern(Effect):
         return [Trial((linear, square), starts)]
 
     def gain(self, render: Recorder, p: Any, sigma: Any, points: Any) -> Any:
-        import warp as wp
-
-        from warpsar.kernels import effects_antenna_pattern as kernels
-
         geometry = render.geometry
         result = render.program.array(sigma.shape[0])
         render.program.launch(

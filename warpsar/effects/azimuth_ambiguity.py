@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter
+from warpsar.effects.base.recorder import Recorder
 from warpsar.effects.base.trial import Context, Step, Trial
-
-if TYPE_CHECKING:
-    from warpsar.effects.base.recorder import Recorder
+from warpsar.kernels.effects import azimuth_ambiguity as kernels
 
 _NEAREST_PX = 3  # nearer copies are a point spread
 
@@ -41,8 +40,6 @@ class AzimuthAmbiguity(Effect):
         return found
 
     def image(self, render: Recorder, p: Any, image: Any) -> Any:
-        from warpsar.kernels import effects_azimuth_ambiguity as kernels
-
         result = render.program.array(image.shape[0])
         render.program.launch(
             kernels.ghost_kernel, image.shape[0], [p, render.spacing_m[1], render.shape[1], image], [result]

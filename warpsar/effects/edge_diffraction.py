@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import warp as wp
 
 from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter
+from warpsar.effects.base.recorder import Recorder
 from warpsar.effects.base.trial import Context, Step, Trial
-
-if TYPE_CHECKING:
-    from warpsar.effects.base.recorder import Recorder
-    from warpsar.trace.target import Target
+from warpsar.kernels import deposit
+from warpsar.kernels.effects import edge_diffraction as kernels
+from warpsar.surface.stage import POLARIZATIONS
+from warpsar.trace.rays import ray_grid
+from warpsar.trace.target import Target
 
 _SHARP_DEG = 30.0  # faces that turn by less are a curved surface in facets
 _PIECES_PER_BIN = 2
@@ -51,10 +54,6 @@ class EdgeDiffraction(Effect):
         return [Trial((Step("strength", size, {"strength": size}, one_sided=True),), ({"strength": size},))]
 
     def paths(self, render: Recorder, p: Any, image: Any, polarization: int) -> Any:
-        from warpsar.kernels import effects_edge_diffraction as kernels
-        from warpsar.kernels import effects_multibounce as adding
-        from warpsar.surface.stage import POLARIZATIONS
-
         name = next(key for key, code in POLARIZATIONS.items() if code == polarization)
         if name not in ("HH", "VV"):
             return image
@@ -69,7 +68,7 @@ class EdgeDiffraction(Effect):
         program.launch(kernels.strength_kernel, bins.shape[0], [p], [sigma])
         render.collect(sigma, weight, points, bins, share)
         result = program.array(image.shape[0])
-        program.launch(adding.add_kernel, image.shape[0], [image, share], [result])
+        program.launch(deposit.add_kernel, image.shape[0], [image, share], [result])
         return result
 
 
@@ -102,11 +101,6 @@ def sharp_edges(target: Target) -> Edges:
 
 def visible_pieces(render: Recorder) -> tuple[Any, Any, Any]:
     """Bins of the hits' grid, weights and places of the pieces of sharp edges that the radar sees, on the device."""
-    import warp as wp
-
-    from warpsar.kernels import effects_edge_diffraction as kernels
-    from warpsar.trace.rays import ray_grid
-
     hits, target = render.hits, render.stage.target
     device = target.device
     edges = sharp_edges(target)

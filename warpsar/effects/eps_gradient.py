@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import warp as wp
 
 from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter
+from warpsar.effects.base.recorder import Recorder
 from warpsar.effects.base.trial import Context, Step, Trial
-
-if TYPE_CHECKING:
-    from warpsar.effects.base.recorder import Recorder
+from warpsar.kernels.effects import eps_gradient as kernels
 
 
 def _slope(name: str) -> Parameter:
@@ -35,10 +36,6 @@ class EpsGradient(Effect):
         return [Trial(steps, (dict.fromkeys(names, 0.0),))]
 
     def coordinates(self, render: Recorder, p: Any, zeta: Any, points: Any) -> Any:
-        import warp as wp
-
-        from warpsar.kernels import effects_eps_gradient as kernels
-
         result = render.program.array(zeta.shape[0], wp.vec4)
         render.program.launch(kernels.slope_kernel, zeta.shape[0], [p, points, zeta], [result])
         return result

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import warp as wp
 
 from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter
+from warpsar.effects.base.recorder import Recorder
 from warpsar.effects.base.trial import Context, Step, Trial
-
-if TYPE_CHECKING:
-    from warpsar.effects.base.recorder import Recorder
+from warpsar.kernels.effects import exponential_spectrum as kernels
+from warpsar.kernels.scattering import EXPONENTIAL, GAUSSIAN
 
 
 class ExponentialSpectrum(Effect):
@@ -33,11 +34,6 @@ class ExponentialSpectrum(Effect):
         return [Trial((Step("weight", size, {"weight": size}, one_sided=True),), ({"weight": 0.3}, {"weight": 0.8}))]
 
     def scattering(self, render: Recorder, p: Any, zeta: Any, sigma: Any, polarization: int) -> Any:
-        import warp as wp
-
-        from warpsar.kernels import effects_exponential_spectrum as kernels
-        from warpsar.kernels.scattering import EXPONENTIAL, GAUSSIAN
-
         own = render.stage.spectrum.numpy()
         own = np.where(own == int(GAUSSIAN), int(EXPONENTIAL), own)
         other = render.scatter(zeta, polarization, wp.array(own, dtype=int, device=render.program.device))

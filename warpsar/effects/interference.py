@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import warp as wp
 
 from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter, Setting
+from warpsar.effects.base.recorder import Recorder
 from warpsar.effects.base.trial import Context, Step, Trial
-
-if TYPE_CHECKING:
-    from warpsar.effects.base.recorder import Recorder
-    from warpsar.world.world import World
+from warpsar.kernels.effects import interference as kernels
+from warpsar.world.world import World
 
 _MOVES = (-4, -1, 1, 4)  # of an end of a band, in rows
 _HEIGHTS_PX = (1, 4, 16)  # of the bands that are tried, at steps of half their height
@@ -109,10 +109,6 @@ class Interference(Effect):
         return found
 
     def image(self, render: Recorder, p: Any, image: Any) -> Any:
-        import warp as wp
-
-        from warpsar.kernels import effects_interference as kernels
-
         rows, cols = render.shape
         line = np.zeros(rows, np.float32)
         for first, end in render.settings[self.name]["rows"] or ():

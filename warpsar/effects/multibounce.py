@@ -5,21 +5,22 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import warp as wp
 
 from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter, one_of
+from warpsar.effects.base.recorder import Recorder
 from warpsar.effects.base.trial import Context, Step, Trial
+from warpsar.kernels import deposit
+from warpsar.kernels import merge as merging
+from warpsar.kernels.effects import multibounce as kernels
 from warpsar.runtime import threads
+from warpsar.surface.stage import POLARIZATIONS
 from warpsar.trace.hits import DEFAULT_MEMORY_GIB, BinGrid, concatenate
 from warpsar.trace.rays import ray_grid
-
-if TYPE_CHECKING:
-    import warp as wp
-
-    from warpsar.effects.base.recorder import Recorder
 
 _RECORD_BYTES = 160  # a record, and the sort's keys and order, twice
 _SEGMENT = 64  # cells of one thread on CUDA
@@ -73,9 +74,6 @@ class Multibounce(Effect):
         return [Trial((step,), tuple({"strength": s} for s in (1.0, 0.2, 5.0)))]
 
     def paths(self, render: Recorder, p: Any, image: Any, polarization: int) -> Any:
-        from warpsar.kernels import effects_multibounce as kernels
-        from warpsar.surface.stage import POLARIZATIONS
-
         name = next(key for key, code in POLARIZATIONS.items() if code == polarization)
         if name not in ("HH", "VV"):
             return image
@@ -133,7 +131,7 @@ class Multibounce(Effect):
                 power = left
             render.collect(power, paths.weight, paths.point, paths.pixel, share)
             result = program.array(image.shape[0])
-            program.launch(kernels.add_kernel, image.shape[0], [image, share], [result])
+            program.launch(deposit.add_kernel, image.shape[0], [image, share], [result])
             image = result
         return image
 
@@ -141,10 +139,6 @@ class Multibounce(Effect):
 def trace_paths(render: Recorder, max_bounces: int) -> list[Paths | None]:
     """Paths of 2, 3, ... `max_bounces` bounces, with the density and seed of the view's hits; None where there are
     none."""
-    import warp as wp
-
-    from warpsar.kernels import effects_multibounce as kernels
-
     hits, target = render.hits, render.stage.target
     grid, device = hits.grid, target.device
     # Rays that enter beside the image may leave inside: as far again on both sides, and no farther than the mesh.
@@ -206,10 +200,6 @@ def trace_paths(render: Recorder, max_bounces: int) -> list[Paths | None]:
 
 
 def _records(capacity: int, device: Any) -> Any:
-    import warp as wp
-
-    from warpsar.kernels import effects_multibounce as kernels
-
     records = kernels.PathRecords()
     records.bin = wp.empty(capacity, dtype=int, device=device)
     records.bounces = wp.empty(capacity, dtype=int, device=device)
@@ -224,11 +214,6 @@ def _records(capacity: int, device: Any) -> Any:
 
 def _merge(records: Any, count: int, max_bounces: int, device: Any) -> list[Any]:
     """Records of one bin and the same faces become one path; a list of arrays (or None) for 2, 3, ... bounces."""
-    import warp as wp
-
-    from warpsar.kernels import effects_multibounce as kernels
-    from warpsar.kernels import merge as merging
-
     order = wp.empty(2 * count, dtype=int, device=device)
     key = wp.empty(2 * count, dtype=wp.int64, device=device)
     wp.launch(merging.number_kernel, count, outputs=[order], device=device)
@@ -259,10 +244,6 @@ def _merge(records: Any, count: int, max_bounces: int, device: Any) -> list[Any]
 
 
 def _paths(arrays: list[Any], bounces: int, rays: Any, target: Any) -> Paths:
-    import warp as wp
-
-    from warpsar.kernels import effects_multibounce as kernels
-
     device = target.device
     pixel, met, second, third, weight, point = arrays
     n = pixel.shape[0]

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter
+from warpsar.effects.base.recorder import Recorder
 from warpsar.effects.base.trial import Context, Step, Trial
-
-if TYPE_CHECKING:
-    from warpsar.effects.base.recorder import Recorder
+from warpsar.kernels.effects import noise_floor as kernels
 
 
 class NoiseFloor(Effect):
@@ -27,8 +26,6 @@ class NoiseFloor(Effect):
         return [Trial((Step("level", size, {"level": size}, one_sided=True),), ({"level": size},))]
 
     def image(self, render: Recorder, p: Any, image: Any) -> Any:
-        from warpsar.kernels import effects_noise_floor as kernels
-
         result = render.program.array(image.shape[0])
         render.program.launch(kernels.noise_kernel, image.shape[0], [p, image], [result])
         return result

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import warp as wp
 
 from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter, one_of
+from warpsar.effects.base.recorder import Recorder
 from warpsar.effects.base.trial import Context, Step, Trial
+from warpsar.kernels.effects import point_spread as kernels
+from warpsar.kernels.wide import LANES
+from warpsar.runtime.program import Program
 
-if TYPE_CHECKING:
-    from warpsar.effects.base.recorder import Recorder
-    from warpsar.runtime.program import Program
-
-WINDOWS = {"sinc": 0, "taylor": 1, "gaussian": 2}  # kernels/effects_point_spread.py
+WINDOWS = {"sinc": 0, "taylor": 1, "gaussian": 2}  # kernels/effects/point_spread.py
 
 
 def _width(name: str) -> Parameter:
@@ -50,8 +52,6 @@ class PointSpread(Effect):
         return [Trial(steps, starts)]
 
     def image(self, render: Recorder, p: Any, image: Any) -> Any:
-        from warpsar.kernels import effects_point_spread as kernels
-
         program, window = render.program, WINDOWS[render.settings[self.name]["window"]]
         for index, (count, spacing) in enumerate(zip(render.shape, render.spacing_m, strict=True)):
             weight, total, share = program.array(count + 1), program.array(1, sum_into=True), program.array(count + 1)
@@ -63,11 +63,6 @@ class PointSpread(Effect):
 
 def _blurred(program: Program, width: list[Any], weight: Any, image: Any, shape: tuple[int, int], axis: int) -> Any:
     """Record the convolution of `image` along one axis with `weight`, by distance in pixels."""
-    import warp as wp
-
-    from warpsar.kernels import effects_point_spread as kernels
-    from warpsar.kernels.wide import LANES
-
     (rows, cols), device = shape, image.device
     stretch = kernels.Stretch()
     none = stretch if device.is_cpu and cols >= len(stretch) else kernels.Pixel()

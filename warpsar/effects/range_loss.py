@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import warp as wp
 
 from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter
+from warpsar.effects.base.recorder import Recorder
 from warpsar.effects.base.trial import Context, Step, Trial
-
-if TYPE_CHECKING:
-    from warpsar.effects.base.recorder import Recorder
-    from warpsar.world.world import World
+from warpsar.kernels.effects import range_loss as kernels
+from warpsar.world.world import World
 
 
 class RangeLoss(Effect):
@@ -47,10 +48,6 @@ class RangeLoss(Effect):
         return [Trial((Step(key, size, {key: size}, {key: -size}),), ({key: 0.0},))]
 
     def gain(self, render: Recorder, p: Any, sigma: Any, points: Any) -> Any:
-        import warp as wp
-
-        from warpsar.kernels import effects_range_loss as kernels
-
         geometry = render.geometry
         result = render.program.array(sigma.shape[0])
         render.program.launch(

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import warp as wp
 
 from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter
+from warpsar.effects.base.recorder import Recorder
 from warpsar.effects.base.trial import Context, Step, Trial
-
-if TYPE_CHECKING:
-    from warpsar.effects.base.recorder import Recorder
-    from warpsar.world.tables import Grid
+from warpsar.kernels.effects import registration as kernels
+from warpsar.world.tables import Grid
 
 _REACH_M = 1e4
 _ROOM_PX = 4  # pixels beyond the shift that is declared: as far as a fit may go from there without a dark edge
@@ -50,10 +50,6 @@ class Registration(Effect):
         return [trial("all views alike", "range_m", "azimuth_m"), trial("world", "east_m", "north_m", "up_m")]
 
     def deposit(self, render: Recorder, p: Any, sigma: Any, weight: Any, bins: Any, image: Any) -> None:
-        import warp as wp
-
-        from warpsar.kernels import effects_registration as kernels
-
         shift = render.kept.get(self.name)
         if shift is None:
             shift = render.kept[self.name] = render.program.array(2)

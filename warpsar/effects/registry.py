@@ -7,23 +7,21 @@ from collections.abc import Collection, Mapping
 from functools import cache
 from importlib import import_module
 from pkgutil import iter_modules
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from warpsar.effects.base.effect import STAGES, DeclaredEffect, Effect
+from warpsar.effects.base.parameter import Parameter, Setting
 from warpsar.errors import InputError, shown
+from warpsar.world.tables import View
+from warpsar.world.world import World
 
-if TYPE_CHECKING:
-    from warpsar.effects.base.effect import DeclaredEffect
-    from warpsar.effects.base.effect import Effect
-    from warpsar.effects.base.parameter import Parameter, Setting
-    from warpsar.world.world import World
-    from warpsar.world.tables import View
 
 @cache
 def _files() -> frozenset[str]:
     """The modules of this folder that are effects: all but this one."""
-    found = {module.name for module in iter_modules(warpsar.effects.__path__) if not module.ispkg}
+    found = {module.name for module in iter_modules(import_module(__package__).__path__) if not module.ispkg}
     return frozenset(found - {"registry"})
 
 

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import warp as wp
 
 from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter, Setting
+from warpsar.effects.base.recorder import Recorder
 from warpsar.effects.base.trial import Context, Step, Trial
-
-if TYPE_CHECKING:
-    from warpsar.effects.base.recorder import Recorder
+from warpsar.kernels.effects import saturation as kernels
 
 _TURNS = 4  # of eight bits each: a number's 32
 
@@ -42,10 +42,6 @@ class Saturation(Effect):
         return [Trial((step,), ({"exponent": 0.9}, {"exponent": 1.1}))]
 
     def image(self, render: Recorder, p: Any, image: Any) -> Any:
-        import warp as wp
-
-        from warpsar.kernels import effects_saturation as kernels
-
         chosen = render.settings[self.name]["pivot"]
         if chosen == "median":
             pivot = self._median(render, image)
@@ -57,10 +53,6 @@ class Saturation(Effect):
 
     def _median(self, render: Recorder, image: Any) -> Any:
         """Record the median of the pixels that rays meet: a radix selection of the two numbers in the middle."""
-        import warp as wp
-
-        from warpsar.kernels import effects_saturation as kernels
-
         program, n = render.program, image.shape[0]
         mask = lit_pixels(render)
         lit: Any = wp.array(mask.astype(np.int32), dtype=int, device=program.device)

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import warp as wp
 
 from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter
+from warpsar.effects.base.recorder import Recorder
 from warpsar.effects.base.trial import Context, Step, Trial
-
-if TYPE_CHECKING:
-    from warpsar.effects.base.recorder import Recorder
+from warpsar.kernels.effects import two_scale as kernels
 
 _NODES = 5  # Gauss-Hermite points per slope: exact for a ninth-degree polynomial
 
@@ -39,10 +39,6 @@ class TwoScale(Effect):
         ]
 
     def scattering(self, render: Recorder, p: Any, zeta: Any, sigma: Any, polarization: int) -> Any:
-        import warp as wp
-
-        from warpsar.kernels import effects_two_scale as kernels
-
         stage, hits, geometry, device = render.stage, render.shaded, render.geometry, render.program.device
         x, w = np.polynomial.hermite_e.hermegauss(_NODES)
         w = w / w.sum()

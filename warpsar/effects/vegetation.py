@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter
+from warpsar.effects.base.recorder import Recorder
 from warpsar.effects.base.trial import Context, Step, Trial
-
-if TYPE_CHECKING:
-    from warpsar.effects.base.recorder import Recorder
+from warpsar.kernels.effects import vegetation as kernels
+from warpsar.surface.stage import POLARIZATIONS
 
 _ALBEDOS = (0.01, 0.03, 0.1, 0.3, 1.0)
 
@@ -43,9 +43,6 @@ class Vegetation(Effect):
         ]
 
     def scattering(self, render: Recorder, p: Any, zeta: Any, sigma: Any, polarization: int) -> Any:
-        from warpsar.kernels import effects_vegetation as kernels
-        from warpsar.surface.stage import POLARIZATIONS
-
         crossed = int(polarization in (POLARIZATIONS["HV"], POLARIZATIONS["VH"]))
         result = render.program.array(sigma.shape[0])
         render.program.launch(

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter
+from warpsar.effects.base.recorder import Recorder
 from warpsar.effects.base.trial import Context, Step, Trial
-
-if TYPE_CHECKING:
-    from warpsar.effects.base.recorder import Recorder
+from warpsar.kernels.effects import view_gain as kernels
 
 
 class ViewGain(Effect):
@@ -41,8 +40,6 @@ class ViewGain(Effect):
         return [Trial(steps, ({"gain_db": dict.fromkeys(names, 0.0)},))]
 
     def gain(self, render: Recorder, p: Any, sigma: Any, points: Any) -> Any:
-        from warpsar.kernels import effects_view_gain as kernels
-
         result = render.program.array(sigma.shape[0])
         render.program.launch(kernels.gain_kernel, sigma.shape[0], [p, sigma], [result])
         return result

@@ -7,31 +7,35 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from warpsar.effects.registry import declared, get
 from warpsar.errors import InputError
 from warpsar.evaluation.image import EvaluatedImage, Evaluation
+from warpsar.evaluation.meshview import write_learned_ply
+from warpsar.evaluation.report import residual_picture, write_report
+from warpsar.evaluation.residuals import expected_db, profiles
+from warpsar.io.images import replacing, write_exr
 from warpsar.learning.command import RAY_NOISE
 from warpsar.learning.identify import residual_autocovariance
 from warpsar.learning.observation import Observation, observe
 from warpsar.render.render import ViewRender
 from warpsar.runtime import console, devices, distributed
+from warpsar.runtime.distributed import Ranks
+from warpsar.scene.scene import Scene
 from warpsar.simulation.outputs import write_json
 from warpsar.simulation.rays import hit_grid, trace_view, view_seed
 from warpsar.simulation.sampling import choose_density
 from warpsar.speckle.likelihood import best_gain, deviance, expected_deviance, metrics
+from warpsar.speckle.looks import equivalent_looks
 from warpsar.surface.samples import image_pixels
 from warpsar.surface.stage import Stage
 from warpsar.trace.rays import ray_count
+from warpsar.world.tables import View
 from warpsar.world.world import geometry_of
-
-if TYPE_CHECKING:
-    from warpsar.runtime.distributed import Ranks
-    from warpsar.scene.scene import Scene
-    from warpsar.world.tables import View
 
 
 def evaluate(scene: Scene, *, device: str | None = None, seed: int | None = None) -> Evaluation:
@@ -130,8 +134,6 @@ def _collected(scene: Scene, images: list[EvaluatedImage], ranks: Ranks) -> list
 
 def _looks(scene: Scene, view: View) -> float:
     """Looks for the choice of the rays: declared, or the largest estimate of the view's images."""
-    from warpsar.speckle.looks import equivalent_looks
-
     return view.looks or max(equivalent_looks(scene.measured(view, p)) or 1.0 for p in view.images)
 
 
@@ -204,7 +206,6 @@ def _surface_in_pixels(scene: Scene, render: ViewRender, polarization: str) -> t
 def nuisance_floor(measured: np.ndarray, modelled: np.ndarray) -> float:
     """The level N >= 0 that maximises the gamma likelihood of `measured` about `modelled` + N; flat arrays of the
     positive pixels. The number of looks does not move it."""
-    from scipy.optimize import minimize_scalar
 
     def loss(log_level: float) -> float:
         mean = modelled + np.exp(log_level)
@@ -274,12 +275,6 @@ def run(
     """`warpsar evaluate`: evaluate.json, residual images (EXR, PNG), learned.ply and report.html in `out`. Returns the
     JSON's content. Of several processes (`distributed`) each writes the residual images of its views, the first one the
     rest; the others return nothing."""
-    from warpsar.evaluation.meshview import write_learned_ply
-    from warpsar.evaluation.report import residual_picture, write_report
-    from warpsar.evaluation.residuals import expected_db, profiles
-    from warpsar.io.images import replacing, write_exr
-    from warpsar.scene.scene import Scene
-
     started = time.perf_counter()
     scene = Scene.load(scene_path)
     out = Path(out)

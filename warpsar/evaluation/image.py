@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from warpsar.learning.observation import Observation
-
-if TYPE_CHECKING:
-    from warpsar.world.tables import View
+from warpsar.world.tables import View
 
 
 @dataclass(frozen=True)

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import warp as wp
 
 from warpsar.io.ply import write_ply
+from warpsar.kernels import shade
 from warpsar.runtime import devices
+from warpsar.scene.scene import Scene
 from warpsar.surface.stage import Stage
 from warpsar.surface.surface import KEYS, KINDS
 from warpsar.trace.hits import BinGrid
 from warpsar.trace.trace import trace
 from warpsar.world.frame import view_geometry
-
-if TYPE_CHECKING:
-    from warpsar.scene.scene import Scene
 
 RAYS = 3  # per picture pixel and axis: edges of 10 shades
 TALLEST = 0.75  # of its width: a picture of a tall mesh is made narrower instead
@@ -26,10 +26,6 @@ TALLEST = 0.75  # of its width: a picture of a tall mesh is made narrower instea
 def parameters_at(stage: Stage, face: Any, barycentric: Any) -> dict[str, np.ndarray]:
     """Surface parameters (SI) at places on the mesh, whatever their layout: `face` (n,) int32, `barycentric` (n,) vec2,
     device arrays. By key, each of shape (n,)."""
-    import warp as wp
-
-    from warpsar.kernels import shade
-
     device = stage.target.device
     nodes: Any = wp.array(stage.surface.nodes.astype(np.float32), dtype=float, device=device)
     zeta = wp.empty(face.shape[0], dtype=wp.vec4, device=device)
@@ -107,8 +103,6 @@ def write_learned_ply(path: Path, scene: Scene) -> None:
 
     Vertices are split where materials meet, so that uniform values stay sharp; textures are sampled at the vertices.
     """
-    import warp as wp
-
     device = devices.resolve_device("cpu")
     stage = Stage.of(scene, device)
     mesh = scene.mesh

@@ -11,22 +11,21 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpsar.errors import InputError
-from warpsar.evaluation.image import ratio_db
-from warpsar.evaluation.meshview import look
-from warpsar.evaluation.residuals import profile_figure
+from warpsar.evaluation.image import EvaluatedImage, Evaluation, ratio_db
+from warpsar.evaluation.meshview import MeshView, look
+from warpsar.evaluation.residuals import Profile, profile_figure
 from warpsar.io import html as report
+from warpsar.io.figures import new
+from warpsar.learning.identify import Identified, identify
+from warpsar.learning.problem import FitProblem
+from warpsar.scene.scene import Scene
+from warpsar.simulation.rays import Rays
 from warpsar.surface.stage import Stage
-from warpsar.surface.surface import KINDS
+from warpsar.surface.surface import KINDS, Kind
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from warpsar.evaluation.image import EvaluatedImage, Evaluation
-    from warpsar.evaluation.meshview import MeshView
-    from warpsar.evaluation.residuals import Profile
-    from warpsar.learning.identify import Identified
-    from warpsar.scene.scene import Scene
-    from warpsar.surface.surface import Kind
 
 RESIDUAL_COLOURS = "RdBu_r"
 PICTURE_PIXELS = 1.5e6  # of all pictures of images together: the file stays under some 5 MB
@@ -241,10 +240,6 @@ def _residuals(by_factor: dict[str, Profile], expected: dict[str, float]) -> str
 
 def _identified(scene: Scene, stage: Stage, rays_per_m2: float) -> tuple[Identified | None, list[str]]:
     """What the train views can say of the parameters, and the words for it."""
-    from warpsar.learning.identify import identify
-    from warpsar.learning.problem import FitProblem
-    from warpsar.simulation.rays import Rays
-
     learns = any(block.learn for block in stage.surface.blocks) or bool(scene.effects)
     if not learns or not any(v.role == "train" and v.images for v in scene.views):
         said = "Nothing is to be learned here, or there is no train view to learn from."
@@ -376,8 +371,6 @@ def _history(path: Path) -> list[dict[str, float]]:
 
 
 def _loss_figure(history: list[dict[str, float]]) -> Figure:
-    from warpsar.io.figures import new
-
     figure, axis = new(4.6, 3.0)
     best = min(row["loss"] for row in history)
     for start in sorted({row["start"] for row in history}):
@@ -392,8 +385,6 @@ def _loss_figure(history: list[dict[str, float]]) -> Figure:
 
 
 def _deviance_figure(history: list[dict[str, float]]) -> Figure:
-    from warpsar.io.figures import new
-
     figure, axis = new(4.6, 3.0)
     for role, style in (("train", "-"), ("test", "--")):
         if f"{role}_deviance" in history[0]:

@@ -7,13 +7,15 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.stats import gamma
 
+from warpsar.evaluation.image import EvaluatedImage
+from warpsar.io.figures import new
 from warpsar.speckle.likelihood import log_bias
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from warpsar.evaluation.image import EvaluatedImage
 
 FEWEST = 30  # pixels of a bin: with fewer its 16 and 84 % points say nothing
 BINS = 24  # over the length of an axis
@@ -40,8 +42,6 @@ def residual_db(image: EvaluatedImage) -> np.ndarray:
 def expected_db(images: Sequence[EvaluatedImage]) -> dict[str, float]:
     """Percentiles [dB] of `residual_db` over all images' interiors if there is nothing but speckle, gamma of their
     looks."""
-    from scipy.stats import gamma
-
     db = np.linspace(-60.0, 30.0, 9001)
     share = np.zeros_like(db)
     for image in images:
@@ -99,8 +99,6 @@ def _filled(rows: list[dict[str, Any]], bins: np.ndarray, residual: np.ndarray) 
 
 def profile_figure(profile: Profile, expected: dict[str, float]) -> Figure:
     """Median and 16 to 84 % of the residual against the factor; grey: what speckle alone gives."""
-    from warpsar.io.figures import new
-
     figure, axis = new(4.4, 3.0)
     axis.axhspan(expected["p16"], expected["p84"], color="0.88", zorder=0, label="speckle alone, 16 to 84 %")
     axis.axhline(expected["median"], color="0.55", lw=0.8, zorder=1)

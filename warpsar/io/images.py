@@ -13,17 +13,15 @@ from functools import cache
 from io import BytesIO
 from pathlib import Path
 from tokenize import TokenError
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from uuid import uuid4
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from warpsar.errors import InputError
 from warpsar.io import tiff
 from warpsar.runtime import threads
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
 
 LARGEST_IMAGE = 2**28
 """Pixels of an image: 1 GiB of float32."""

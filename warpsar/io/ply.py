@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.lib.recfunctions import unstructured_to_structured
 
 from warpsar.io.images import replacing
 
@@ -15,8 +16,6 @@ if TYPE_CHECKING:
 
 def write_ply(path: Path, vertices: np.ndarray, faces: np.ndarray, scalars: dict[str, np.ndarray]) -> None:
     """Binary PLY with per-vertex scalars, which CloudCompare, MeshLab and Blender show; float64 coordinates [m]."""
-    from numpy.lib.recfunctions import unstructured_to_structured
-
     names = ["x", "y", "z", *scalars]
     columns = np.column_stack([vertices, *scalars.values()])
     vertex = unstructured_to_structured(columns, np.dtype([(name, "<f8") for name in names]))

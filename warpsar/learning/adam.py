@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import warp as wp
+from warp.optim import Adam as WarpAdam
 
-from warpsar.learning.optimise import FitState, better
-
-if TYPE_CHECKING:
-    from warpsar.learning.problem import FitProblem
-
+from warpsar.kernels import adam as kernels
+from warpsar.learning.optimise import FitState, improved
+from warpsar.learning.problem import FitProblem
 
 PLATEAU_WINDOW, PLATEAU_GAIN = 50, 1e-5  # Adam: relative gain of the best loss over so many iterations
 
 
 SETTLING = 30.0  # Adam's step shrinks after so many iterations: a constant one rattles in total variation's kinks
-
 
 
 def eased(rate: float, iteration: int) -> float:
@@ -29,9 +28,6 @@ class Adam:
     """warp.optim.Adam on the whole of x, with bounds, from the host."""
 
     def __init__(self, problem: FitProblem, state: FitState, rate: float) -> None:
-        import warp as wp
-        from warp.optim import Adam as WarpAdam
-
         self.problem, self.rate = problem, rate
         self.x: Any = wp.array(state.x.astype(np.float32), dtype=float, device=problem.device)
         self.gradient = wp.zeros_like(self.x)
@@ -52,7 +48,7 @@ class Adam:
         low, high = problem.bounds
         moved = np.clip(self.x.numpy(), low.astype(np.float32), high.astype(np.float32))
         self.x.assign(moved)
-        state = better(state, x, loss)
+        state = improved(state, x, loss)
         recent = np.append([] if state.recent is None else state.recent, state.best_loss)[-PLATEAU_WINDOW - 1 :]
         gained = (recent[0] - recent[-1]) / max(abs(recent[-1]), 1e-300)
         return replace(
@@ -75,10 +71,6 @@ class GraphAdam:
     STRIDE = 10
 
     def __init__(self, problem: FitProblem, state: FitState, rate: float) -> None:
-        import warp as wp
-
-        from warpsar.kernels import adam as kernels
-
         self.problem, self.rate = problem, rate
         device = problem.device
         self.nodes = problem.shared_nodes
@@ -114,10 +106,6 @@ class GraphAdam:
         self.look = capture.graph
 
     def _update(self) -> None:
-        import warp as wp
-
-        from warpsar.kernels import adam as kernels
-
         device = self.problem.device
         wp.launch(kernels.tick_kernel, 1, inputs=[self.rate, SETTLING], outputs=[self.done, self.size], device=device)
         wp.launch(
@@ -130,8 +118,6 @@ class GraphAdam:
 
     def iterate(self) -> None:
         """One iteration; nothing waits for it."""
-        import warp as wp
-
         wp.capture_launch(self.graphs[0])
         for graph in self.graphs[1:]:
             self.problem.ranks.sum_on_device(self.nodes.grad)
@@ -139,8 +125,6 @@ class GraphAdam:
 
     def step(self, state: FitState) -> FitState:
         """`STRIDE` iterations; the loss is that of the last one."""
-        import warp as wp
-
         problem = self.problem
         for _ in range(self.STRIDE - 1):
             self.iterate()
@@ -150,7 +134,7 @@ class GraphAdam:
         problem.ranks.sum_on_device(self.loss)
         loss = float(self.loss.numpy()[0])  # the same to the bit on each rank; nothing else waits for the device
         better = loss < state.best_loss
-        state = better(state, problem.on_device(self.seen), loss)
+        state = improved(state, problem.on_device(self.seen), loss)
         if better:
             self.seen, self.spare = self.spare, self.seen
         recent = np.append([] if state.recent is None else state.recent, state.best_loss)

@@ -11,32 +11,32 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from warpsar.errors import InputError, WarpsarError
 from warpsar.io import checkpoint
+from warpsar.io.figures import convergence
+from warpsar.io.images import replacing
 from warpsar.learning.adam import Adam, GraphAdam
+from warpsar.learning.fields import write_field_uncertainty
 from warpsar.learning.gradcheck import GradientCheck, check_gradient
 from warpsar.learning.identify import Identified, identify
-from warpsar.learning.observation import looks_of
+from warpsar.learning.observation import Observation, looks_of
 from warpsar.learning.optimise import FitState, begin, levenberg_marquardt
 from warpsar.learning.problem import DeviceX, FitProblem
 from warpsar.learning.results import learned_scene
 from warpsar.learning.validity import outside_domains
 from warpsar.runtime import console, devices, distributed
+from warpsar.runtime.distributed import Ranks
+from warpsar.scene.scene import Scene
 from warpsar.simulation.outputs import opened, write_json
 from warpsar.simulation.rays import Rays
 from warpsar.simulation.sampling import Density, choose_density
 from warpsar.speckle.likelihood import LOSSES, METRICS, metrics, metrics_of
 from warpsar.surface.stage import Stage
 from warpsar.surface.surface import KEYS, Surface
-
-if TYPE_CHECKING:
-    from warpsar.learning.observation import Observation
-    from warpsar.runtime.distributed import Ranks
-    from warpsar.scene.scene import Scene
 
 RAY_NOISE = 0.01  # looks x relative sampling variance of a lit pixel (scene-format.md)
 
@@ -381,9 +381,6 @@ def run(
     resume: bool = False,
 ) -> dict[str, Any]:
     """`warpsar learn`: scene.toml with what was learned, history.csv, learn.json and figures in `out`."""
-    from warpsar.io.figures import convergence
-    from warpsar.io.images import replacing
-
     started = time.perf_counter()
     options = options or LearnOptions()
     scene, out, where = opened(scene_path, out, device)
@@ -426,8 +423,6 @@ def run(
         for sentence in found.identified.words:
             console.say(sentence)
     else:
-        from warpsar.learning.fields import write_field_uncertainty
-
         content["fields"] = write_field_uncertainty(found.problem, found.x, out)
     ranks.barrier()  # a rank that dies from here on takes no result with it
     if not ranks.first:

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from scipy.sparse import csr_array
 
-from warpsar.io.images import write_exr
+from warpsar.io.images import replacing, write_exr
+from warpsar.learning.problem import FitProblem
 from warpsar.learning.results import file_stem
 from warpsar.runtime import console
 from warpsar.surface.samples import image_pixels
-from warpsar.surface.surface import KINDS
-
-if TYPE_CHECKING:
-    from warpsar.learning.problem import FitProblem
-    from warpsar.surface.surface import Block
+from warpsar.surface.surface import KINDS, Block
 
 # An information block with a smaller share than this of its largest eigenvalue is blind in that direction.
 BLIND = 1e-6
@@ -24,8 +22,6 @@ BLIND = 1e-6
 def node_weights(problem: FitProblem, block: Block, view_index: int) -> Any:
     """Interpolation weights of a block's nodes at the view's hits: scipy CSR, shape (hits, block.size); rows of other
     materials are empty."""
-    from scipy.sparse import csr_array
-
     hits = problem.views[view_index].kept.shaded
     mesh = problem.scene.mesh
     face = hits.face.numpy()
@@ -70,8 +66,6 @@ def write_field_uncertainty(problem: FitProblem, x: np.ndarray, folder: Path) ->
     Fisher information of the speckle, jointly over the parameters of one node and no others: neighbours are held, so
     it is a lower bound; total variation is not counted. Nodes that no pixel sees have an infinite one.
     """
-    from scipy.sparse import csr_array
-
     problem.modelled(x)
     fields = [block for block in problem.surface.blocks if block.learn and block.size > 1]
     groups: dict[tuple[str, tuple[int, ...]], list[Block]] = {}
@@ -134,8 +128,6 @@ def _write(folder: Path, stem: str, block: Block, sd: np.ndarray, seen_in: np.nd
         name = f"{stem}_sd.exr"
         write_exr(folder / name, {k: v.astype(np.float32) for k, v in maps.items()})
     else:
-        from warpsar.io.images import replacing
-
         name = f"{stem}_sd.npy"
         with replacing(folder / name) as temporary, temporary.open("wb") as stream:
             np.save(stream, np.column_stack([sd, seen_in]))

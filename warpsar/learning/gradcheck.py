@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from warpsar.learning.problem import FitProblem
+from warpsar.learning.problem import FitProblem
 
 STEP = 2e-2  # in the coordinates of x
 # float32 images leave about 1e-4 of a derivative over STEP, and Richardson's extrapolation no truncation beside it.

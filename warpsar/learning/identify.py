@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from scipy.ndimage import convolve
 
+from warpsar.learning.observation import Observation
+from warpsar.learning.problem import FitProblem
 from warpsar.runtime.distributed import ONE, Ranks
 from warpsar.speckle.likelihood import residual_sd
 from warpsar.surface.surface import KINDS
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from warpsar.learning.observation import Observation
-    from warpsar.learning.problem import FitProblem
 
 # A log coordinate known to worse than this (a factor e either way within two standard deviations) is not determined.
 UNDETERMINED_SD = 0.5
@@ -95,8 +93,6 @@ def residual_autocovariance(
 def score_products(scaled: np.ndarray, autocovariance: np.ndarray, seen: Observation) -> np.ndarray:
     """Variance of sum(scaled * standardised residual), shape (p, p), for residuals of the given autocovariance;
     `scaled` shape (pixels, p): what a residual of one standard deviation adds to the score."""
-    from scipy.ndimage import convolve
-
     if np.count_nonzero(autocovariance) == 1:
         return autocovariance.max() * (scaled.T @ scaled)
     products = np.zeros((scaled.shape[1], scaled.shape[1]))

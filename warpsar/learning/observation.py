@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.ndimage import distance_transform_edt, minimum_filter
 
 from warpsar.errors import InputError
-
-if TYPE_CHECKING:
-    from warpsar.scene.scene import Scene
-    from warpsar.world.tables import View
+from warpsar.kernels.loss import DARKEST
+from warpsar.scene.scene import Scene
+from warpsar.speckle.looks import equivalent_looks
+from warpsar.world.tables import View
 
 BORDER = 2  # pixels at the image's edge that are left out
 FAR = 6  # pixels from any lit one: from here on nothing but additive effects can be seen
@@ -64,8 +64,6 @@ class Observation:
     @property
     def darkest(self) -> np.ndarray:
         """Modelled beta0 below which a pixel counts no darker, one for all or shape (n,), float32."""
-        from warpsar.kernels.loss import DARKEST
-
         if self.least is None:
             return np.array([DARKEST], np.float32)
         return np.maximum(np.where(self.dark, 0.0, self.least)[self.interior], DARKEST).astype(np.float32)
@@ -79,8 +77,6 @@ class Observation:
 def estimated_looks(scene: Scene, view: View, measured: np.ndarray) -> float:
     """Looks of an image that does not declare them, NaN where it is not to be used; InputError where there is no
     homogeneous ground to tell by."""
-    from warpsar.speckle.looks import equivalent_looks
-
     looks = equivalent_looks(measured)
     if looks is None:
         raise InputError(
@@ -103,8 +99,6 @@ def observe(scene: Scene, view: View, polarization: str, lit: np.ndarray) -> Obs
     Looks that are not declared are estimated from the image. Raises InputError where they cannot be, or where no
     pixel is left.
     """
-    from scipy.ndimage import distance_transform_edt, minimum_filter
-
     measured = scene.measured(view, polarization)
     usable = np.isfinite(measured)
     mask = scene.mask(view)

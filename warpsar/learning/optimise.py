@@ -7,14 +7,11 @@ to the bit as if it had never stopped.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-
-if TYPE_CHECKING:
-    from warpsar.learning.problem import DeviceX, FitProblem
-
+from warpsar.learning.problem import DeviceX, FitProblem
 
 LARGEST_STEP = 1.0  # of a log coordinate in one Levenberg-Marquardt step: a factor e
 
@@ -79,7 +76,7 @@ def begin(problem: FitProblem, start: int, seed: int, previous: FitState | None 
     return FitState(x, np.inf, previous.best_x, previous.best_loss, start, previous.iteration)
 
 
-def better(state: FitState, x: np.ndarray | DeviceX, loss: float) -> FitState:
+def improved(state: FitState, x: np.ndarray | DeviceX, loss: float) -> FitState:
     if loss < state.best_loss:
         return replace(state, x=x, loss=loss, best_x=x, best_loss=loss)
     return replace(state, x=x, loss=loss)
@@ -156,7 +153,7 @@ def levenberg_marquardt(
                 break
         damping *= growth
         growth *= 2.0  # far from the minimum the damping may have to rise by many decades
-    state = better(state, new_x, new_loss)
+    state = improved(state, new_x, new_loss)
     stuck = new_x is x  # arrived, or float32 images tell no lower point
     return replace(
         state,

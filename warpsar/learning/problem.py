@@ -11,12 +11,17 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import warp as wp
 
+from warpsar.effects.base.effect import DeclaredEffect
+from warpsar.effects.base.parameter import Parameter
 from warpsar.effects.registry import declared, get, value_in
 from warpsar.errors import InputError
+from warpsar.kernels import loss as loss_kernels
+from warpsar.kernels import metrics as metrics_kernels
 from warpsar.learning.observation import Observation, observe
 from warpsar.learning.regularise import TotalVariation
 from warpsar.render.bands import BandedRender, stretches
@@ -24,16 +29,12 @@ from warpsar.render.render import ViewRender
 from warpsar.runtime import console, threads
 from warpsar.runtime.distributed import ONE, Ranks, deal
 from warpsar.runtime.memory import OutOfMemoryError, default_gib, in_parts, kept_bytes, ran_out
+from warpsar.scene.scene import Scene
 from warpsar.simulation.rays import Rays, effects_grid
 from warpsar.speckle.likelihood import LOSSES, Curvature, best_gain, curvature, log_bias, loss_terms, loss_weight
 from warpsar.surface.stage import Stage
 from warpsar.surface.surface import KINDS, Surface
-
-if TYPE_CHECKING:
-    from warpsar.effects.base.effect import DeclaredEffect
-    from warpsar.effects.base.parameter import Parameter
-    from warpsar.scene.scene import Scene
-    from warpsar.world.tables import View
+from warpsar.world.tables import View
 
 STREAMS = 16  # in which views run side by side on one CUDA device
 DIFFERENCE_STEP = 1e-2  # of a log coordinate: truncation and float32 rounding both stay near 1e-4 of a derivative
@@ -77,10 +78,6 @@ class FitView:
         effects: list[DeclaredEffect],
         observations: list[Observation] | None,
     ) -> None:
-        import warp as wp
-
-        from warpsar.kernels import loss as kernels
-
         scene, device = problem.scene, problem.device
         self.view, self.effects = view, effects
         self.render = render
@@ -92,16 +89,16 @@ class FitView:
         self.observations = observations
         self._pixels = [(seen.polarization, seen.pixels, seen.darkest) for seen in observations]
         self.gain = wp.ones(len(observations), dtype=float, device=device)
-        self.loss = self.render.program.array(int(kernels.PARTIALS), wp.float64, sum_into=True)
+        self.loss = self.render.program.array(int(loss_kernels.PARTIALS), wp.float64, sum_into=True)
         self.outside = wp.zeros(1, dtype=wp.float64, device=device)
         self._seeds = {self.loss: 1.0}
         if problem.validity > 0:
-            self.outside = self.render.program.array(int(kernels.PARTIALS), wp.float64, sum_into=True)
+            self.outside = self.render.program.array(int(loss_kernels.PARTIALS), wp.float64, sum_into=True)
             self._seeds[self.outside] = 1.0
             hits = self.kept.shaded
             strength = problem.validity / float(hits.weight.numpy().sum())
             self.render.program.launch(
-                kernels.validity_kernel,
+                loss_kernels.validity_kernel,
                 hits.count,
                 [hits.geometry.wavenumber, strength, hits.weight, hits.cos_incidence, self.kept.zeta],
                 [self.outside],
@@ -116,7 +113,7 @@ class FitView:
             ]
             self._compared.append(compared)
             self.render.program.launch(
-                kernels.loss_kernel,
+                loss_kernels.loss_kernel,
                 pixels.size,
                 [
                     LOSSES[problem.loss],
@@ -141,13 +138,9 @@ class FitView:
     def add_moments(self, sums: Sequence[Any]) -> None:
         """Add the sums of kernels/metrics.py over each observation's pixels, as `modelled` gives them, to an array of
         `sums` each."""
-        import warp as wp
-
-        from warpsar.kernels import metrics as kernels
-
         for compared, total in zip(self._compared, sums, strict=True):
             size, device = compared[0].size, self.render.program.device
-            wp.launch(kernels.moments_kernel, size, inputs=compared, outputs=[total], device=device)
+            wp.launch(metrics_kernels.moments_kernel, size, inputs=compared, outputs=[total], device=device)
 
     @property
     def kept(self) -> ViewRender:
@@ -200,8 +193,6 @@ class FitProblem:
         ranks: Ranks = ONE,
         max_memory_gib: float | None = None,
     ) -> None:
-        import warp as wp
-
         self.scene, self.device, self.loss, self.validity = scene, device, loss, validity
         self.ranks = ranks
         rays = rays or Rays(Stage.of(scene, device), seed=scene.sampling.seed)
@@ -429,8 +420,6 @@ class FitProblem:
     def _share(self, x: np.ndarray | DeviceX) -> np.ndarray | None:
         """The nodes that views have still to be given: where they read one array it is filled here, once for all. Views
         in bands make their renders anew, and need them on the host."""
-        import warp as wp
-
         if self.shared_nodes is not None:
             if isinstance(x, DeviceX):
                 if x.nodes is not self.shared_nodes:
@@ -468,12 +457,8 @@ class FitProblem:
     def moments(self, x: DeviceX) -> np.ndarray:
         """Sums over the pixels of every observation before gains, shape (observations, kernels.metrics.SUMS), float64:
         what metrics need of `modelled`, and no image leaves the device for."""
-        import warp as wp
-
-        from warpsar.kernels import metrics as kernels
-
         self._run(x)
-        shape = (len(self.observations), int(kernels.PARTIALS), int(kernels.SUMS))
+        shape = (len(self.observations), int(metrics_kernels.PARTIALS), int(metrics_kernels.SUMS))
         sums: Any = wp.zeros(shape, dtype=wp.float64, device=self.device)
         start = 0
         for view in self.views:
@@ -617,8 +602,6 @@ class FitProblem:
     def _side_by_side(self, tasks: Sequence[Callable[[], None]]) -> None:
         """Independent tasks in CUDA streams of their own: one small view does not fill the device, and clearing memory
         leaves its arithmetic idle."""
-        import warp as wp
-
         if not self._streams:
             self._streams = [wp.Stream(self.device) for _ in range(min(2 * len(self.views), STREAMS))]
         for task, stream in zip(tasks, itertools.cycle(self._streams), strict=False):
@@ -629,8 +612,6 @@ class FitProblem:
 
     def loss_on_device(self) -> float:
         """The loss of the last run with its penalties, from the kernels' float64 partial sums."""
-        import warp as wp
-
         if self.device.is_cuda:
             total = wp.zeros(1, dtype=wp.float64, device=self.device)
             self.add_losses(total)
@@ -640,12 +621,9 @@ class FitProblem:
     def add_losses(self, total: Any) -> None:
         """Add the loss of the last run of this rank's views, with its penalties, to `total`, shape (1,), float64, on
         the device; nothing is copied to the host, so that a CUDA graph can capture it."""
-        import warp as wp
-
-        from warpsar.kernels import loss as kernels
 
         def add(loss: Any) -> None:
-            wp.launch(kernels.add_up_kernel, loss.size, inputs=[loss], outputs=[total], device=self.device)
+            wp.launch(loss_kernels.add_up_kernel, loss.size, inputs=[loss], outputs=[total], device=self.device)
 
         self._side_by_side([partial(add, loss) for loss in self._losses()])
 

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import warp as wp
 
+from warpsar.kernels import loss as kernels
 from warpsar.runtime.program import Program
-
-if TYPE_CHECKING:
-    from warpsar.surface.surface import Block, Surface
-    from warpsar.world.mesh import Mesh
+from warpsar.surface.surface import Block, Surface
+from warpsar.world.mesh import Mesh
 
 # Differences below this (0.1 % of a parameter) are priced as squares, so that the slope at 0 exists.
 ROUNDING = 1e-3
@@ -34,10 +34,6 @@ class TotalVariation:
     """Sum over neighbours of weight * |difference| of the learned fields; a program like a view's."""
 
     def __init__(self, surface: Surface, mesh: Mesh, weights: Mapping[str, float], device: Any, nodes: Any) -> None:
-        import warp as wp
-
-        from warpsar.kernels import loss as kernels
-
         self.program = Program(device)
         self.nodes = self.program.array(surface.nodes.size) if nodes is None else nodes
         self.loss = self.program.array(int(kernels.PARTIALS), wp.float64, sum_into=True)

@@ -6,16 +6,14 @@ import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from warpsar.io.images import write_exr
 from warpsar.io.ply import write_ply
-
-if TYPE_CHECKING:
-    from warpsar.learning.problem import FitProblem
-    from warpsar.scene.scene import Scene
+from warpsar.learning.problem import FitProblem
+from warpsar.scene.scene import Scene
 
 
 def file_stem(materials: Sequence[str], material: str, key: str) -> str:

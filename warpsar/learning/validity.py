@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+import warp as wp
 
-if TYPE_CHECKING:
-    from warpsar.learning.problem import FitProblem
+from warpsar.kernels import domains as kernels
+from warpsar.learning.problem import FitProblem
 
 
 def outside_domains(problem: FitProblem, x: np.ndarray) -> dict[str, dict[str, float]]:
     """Per material: share of its lit area, over all views, outside the domain of small perturbation (`spm`, where
     tau < 1) and of geometric optics (`ka`, where tau > 0); absent where that model is not in use."""
-    import warp as wp
-
-    from warpsar.kernels import domains as kernels
-
     problem.modelled(x)
     names = problem.surface.materials
     cells = wp.zeros((int(kernels.PARTIALS), len(names), 4), dtype=wp.float64, device=problem.device)

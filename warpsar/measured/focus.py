@@ -10,16 +10,18 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import warp as wp
+from scipy import fft
+from scipy.signal import windows
 
 from warpsar.errors import InputError
+from warpsar.kernels.backproject import backproject_kernel
+from warpsar.measured.data import PhaseHistory
 from warpsar.runtime import console, devices, threads
 from warpsar.world.frame import SPEED_OF_LIGHT
-
-if TYPE_CHECKING:
-    from warpsar.measured.data import PhaseHistory
 
 WINDOWS = ("none", "hann", "taylor")
 TAYLOR_SIDELOBE_DB = 35
@@ -34,8 +36,6 @@ def taper(name: str, position: np.ndarray) -> np.ndarray:
 
     "taylor" has sidelobes of -35 dB, nbar 5.
     """
-    from scipy.signal import windows
-
     if name == "none":
         return np.ones_like(position)
     if name == "hann":
@@ -72,8 +72,6 @@ def focus(
     outside the swath that the frequency step leaves unambiguous, c / 4 df on each side, are NaN. Raises InputError for
     an unknown window, or more sub-apertures than pairs of pulses.
     """
-    import warp as wp
-
     target = devices.resolve_device(device)
     pulses = history.position_m.shape[0]
     if not 1 <= subapertures <= max(1, pulses // 2):
@@ -110,10 +108,6 @@ def _add_pulses(
     image: Any,
     device: Any,
 ) -> None:
-    import warp as wp
-
-    from warpsar.kernels.backproject import backproject_kernel
-
     profiles, frequency, bins_per_metre = _range_profiles(history, chosen, weights, window_range)
     step = history.frequency_step_hz[chosen]
 
@@ -153,8 +147,6 @@ def _range_profiles(
     history: PhaseHistory, chosen: np.ndarray, weights: np.ndarray, window: str
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Range-compressed pulses: complex64 (pulse, bin), the frequency [Hz] they are demodulated to, bins per metre."""
-    from scipy import fft
-
     count = history.samples.shape[0]
     bins = _profile_bins(history)
     band = taper(window, (np.arange(count) + 0.5) / count - 0.5)

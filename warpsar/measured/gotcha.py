@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.io import loadmat
+from scipy.io.matlab import MatReadError
 
 from warpsar.errors import InputError
 from warpsar.measured import mat5
@@ -50,9 +52,6 @@ def read(paths: Sequence[Path]) -> PhaseHistory:
 
 
 def _read_one(path: Path) -> PhaseHistory:
-    from scipy.io import loadmat
-    from scipy.io.matlab import MatReadError
-
     mat5.check(path)
     with reading(path, "MATLAB file", MatReadError), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of variables that are there twice, or hold functions

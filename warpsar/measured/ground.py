@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import warp as wp
 
+from warpsar.kernels.backproject import first_surface_kernel
 from warpsar.runtime import console, devices
 from warpsar.world.frame import ViewGeometry
-
-if TYPE_CHECKING:
-    from warpsar.world.mesh import Mesh
+from warpsar.world.mesh import Mesh
 
 _ARC_STEPS = 64  # chords of a strip-map's circle of equal range: at 300 m their sagitta over 50 m is 0.3 mm
 
@@ -59,10 +59,6 @@ def mesh_points(
 
     Also how many pixels met no surface; those lie at the reference point's height.
     """
-    import warp as wp
-
-    from warpsar.kernels.backproject import first_surface_kernel
-
     target = devices.resolve_device(device)
     reference = np.asarray(reference_point_m, np.float64)
     corners = (mesh.vertices - reference).astype(np.float32)

@@ -7,22 +7,23 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, cast
+from typing import Any, Literal, cast
 
 import numpy as np
 
 from warpsar.errors import InputError
+from warpsar.io.images import replacing, write_exr
 from warpsar.measured import formats, raster
 from warpsar.measured.data import Facts, ImageChip, PhaseHistory, Quantity
 from warpsar.measured.earth import EarthFrame, Origin
+from warpsar.measured.focus import cell_m, focus
 from warpsar.measured.ground import mesh_points, pixel_centres, plane_points
 from warpsar.measured.resample import averaged, sample_power
+from warpsar.scene import file as scenefile
+from warpsar.scene.scene import Scene
 from warpsar.speckle.looks import equivalent_looks
+from warpsar.world.tables import View
 from warpsar.world.world import geometry_of
-
-if TYPE_CHECKING:
-    from warpsar.scene.scene import Scene
-    from warpsar.world.tables import View
 
 ANGLE_TOLERANCE_DEG = 0.5
 FREQUENCY_TOLERANCE = 0.01
@@ -125,8 +126,6 @@ def import_measured(
         messages.append("too little homogeneous ground to estimate looks from; none written")
 
     image_path = scene_path.parent / f"{view_name}_{pol}.exr"
-    from warpsar.io.images import write_exr
-
     write_exr(image_path, {pol: power})
     _declare(scene_path, view, exists, pol, image_path.name, estimated)
     return Imported(image_path, power, pol, estimated, facts, looks, tuple(messages))
@@ -138,9 +137,6 @@ def import_measured(
 def _load(path: Path, view_name: str) -> tuple[Scene, bool]:
     """The scene with the view asked for, made up where it is missing, and without images: they may not be there yet."""
     import tomlkit
-
-    from warpsar.scene import file as scenefile
-    from warpsar.scene.scene import Scene
 
     _, raw = scenefile.read(path)
     views = raw.setdefault("views", [])
@@ -246,8 +242,6 @@ def _declare(path: Path, view: View, exists: bool, pol: str, image: str, looks: 
     """Write `images` and `looks` into the scene file, its comments and all else as they were."""
     import tomlkit
 
-    from warpsar.io.images import replacing
-
     document: Any = tomlkit.parse(path.read_text(encoding="utf-8-sig"))
     if not exists:
         if "views" not in document:
@@ -276,8 +270,6 @@ def _samples_per_pixel(
 ) -> tuple[int, int]:
     """Samples per pixel (range, azimuth): as given, else one per resolution cell, or per pixel of an image."""
     if isinstance(measured, PhaseHistory):
-        from warpsar.measured.focus import cell_m
-
         step: Sequence[float] | None = cell_m(measured, reference)
     else:
         step = measured.spacing_m
@@ -324,8 +316,6 @@ def _focused(
     device: str | None,
 ) -> np.ndarray:
     """Power, mean over the sub-apertures, with the file's autofocus where it has one."""
-    from warpsar.measured.focus import focus
-
     images = focus(
         history.with_autofocus(),
         points,

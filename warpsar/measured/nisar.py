@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.interpolate import CubicHermiteSpline
 
 from warpsar.errors import InputError
 from warpsar.measured.data import Facts, ImageChip, direction_deg, reading
@@ -182,8 +183,6 @@ class _Track:
     """Antenna positions and velocities between the orbit's state vectors: cubic Hermite, exact in both at each."""
 
     def __init__(self, time: np.ndarray, position: np.ndarray, velocity: np.ndarray) -> None:
-        from scipy.interpolate import CubicHermiteSpline
-
         self.time, self.position, self.velocity = time, position, velocity
         self._path = CubicHermiteSpline(time, position, velocity)
         self._speed = self._path.derivative()

@@ -10,6 +10,7 @@ import numpy as np
 
 from warpsar.errors import InputError
 from warpsar.io import geotiff
+from warpsar.io.images import read_channel, read_npy
 from warpsar.measured.data import Facts, ImageChip, Quantity
 from warpsar.measured.earth import EarthFrame, Origin, ecef_to_geodetic, geodetic_to_ecef
 
@@ -68,8 +69,6 @@ def is_map(path: Path) -> bool:
 
 
 def _read_slant(path: Path, polarization: str | None) -> np.ndarray:
-    from warpsar.io.images import read_channel, read_npy
-
     if path.suffix.lower() == ".npy":
         array = read_npy(path)
         if array.dtype.kind == "c":

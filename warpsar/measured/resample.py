@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy import fft
+from scipy.ndimage import map_coordinates
 
 from warpsar.errors import InputError
 from warpsar.io.images import LARGEST_IMAGE
@@ -50,8 +52,6 @@ def sample_power(chip: ImageChip, pixel: np.ndarray) -> np.ndarray:
 
 
 def _interpolated(samples: np.ndarray, bad: np.ndarray, at: np.ndarray, quantity: str) -> np.ndarray:
-    from scipy.ndimage import map_coordinates
-
     nearest = np.rint(at).astype(int)
     if np.abs(at - nearest).max() < _COINCIDENT:
         values = _power(samples[nearest[:, 0], nearest[:, 1]], quantity)
@@ -84,8 +84,6 @@ def _faded(count: int, at: np.ndarray) -> np.ndarray:
 
 def _finer(samples: np.ndarray) -> np.ndarray:
     """The image on a grid `_FINER` times as fine, up to phase: each axis' spectrum is centred first."""
-    from scipy import fft
-
     for axis in (0, 1):
         moved = np.moveaxis(samples, axis, 0)
         count = moved.shape[0]

@@ -10,21 +10,20 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import warp as wp
 
-from warpsar.effects.base.effect import DeclaredEffect
-from warpsar.effects.base.effect import Effect
+from warpsar.effects.base.effect import DeclaredEffect, Effect
+from warpsar.effects.base.recorder import Recorder
 from warpsar.errors import InputError
+from warpsar.kernels import bands as kernels
 from warpsar.render.render import ViewRender
-from warpsar.surface.stage import POLARIZATIONS
-
-if TYPE_CHECKING:
-    from warpsar.runtime.program import Program
-    from warpsar.surface.stage import Stage
-    from warpsar.trace.hits import BinGrid, Hits
-    from warpsar.world.tables import View
+from warpsar.runtime.program import Program
+from warpsar.surface.stage import POLARIZATIONS, Stage
+from warpsar.trace.hits import BinGrid, Hits
+from warpsar.world.tables import View
 
 NEED_ALL_HITS = ("edge_diffraction", "multibounce", "saturation")
 """Effects that start from the hits of a whole view."""
@@ -46,7 +45,7 @@ class _Given(Effect):
     def __init__(self, light: Mapping[int, Any]) -> None:
         self.light = light
 
-    def paths(self, render: ViewRender, p: Any, image: Any, polarization: int) -> Any:
+    def paths(self, render: Recorder, p: Any, image: Any, polarization: int) -> Any:
         return self.light[polarization]
 
 
@@ -76,8 +75,6 @@ class BandedRender:
                     f"than the memory they may take; allowed is a larger --max-memory, fewer rays or pixels, or a "
                     f"scene without it"
                 )
-        import warp as wp
-
         self.stage, self.view, self.shape, self.bands = stage, view, shape, bands
         self._trace, self._polarizations = trace, polarizations
         device: Any = stage.target.device
@@ -136,10 +133,6 @@ class BandedRender:
             yield piece
 
     def make_light(self) -> None:
-        import warp as wp
-
-        from warpsar.kernels import bands as kernels
-
         for light in self.light.values():
             light.zero_()
         for piece in self.pieces():

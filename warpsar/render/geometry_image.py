@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import warp as wp
 
+from warpsar.kernels.geometry_image import geometry_image_kernel
 from warpsar.runtime.program import Program
+from warpsar.surface.stage import POLARIZATIONS, Stage
+from warpsar.trace.hits import BinGrid
 from warpsar.trace.rays import ray_grid
 from warpsar.trace.trace import trace
-
-if TYPE_CHECKING:
-    from warpsar.surface.stage import Stage
-    from warpsar.trace.hits import BinGrid
-    from warpsar.world.frame import ViewGeometry
+from warpsar.world.frame import ViewGeometry
 
 
 class GeometryImage:
@@ -35,11 +35,6 @@ class GeometryImage:
         *,
         seed: int = 0,
     ) -> None:
-        import warp as wp
-
-        from warpsar.kernels.geometry_image import geometry_image_kernel
-        from warpsar.surface.stage import POLARIZATIONS
-
         target, device = stage.target, stage.target.device
         hits = trace(target, geometry, grid, rays_per_m2, seed=seed, deposit="nearest", merge=False)
         points = hits.point.numpy().astype(float)

@@ -5,24 +5,24 @@ from __future__ import annotations
 from collections.abc import Mapping
 from copy import copy
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import warp as wp
 
-from warpsar.effects.base.effect import DeclaredEffect
+from warpsar.effects.base.effect import DeclaredEffect, Effect
+from warpsar.kernels import deposit, shade, shade_lanes
+from warpsar.kernels.wide import LANES
 from warpsar.runtime.launches import Launch, by_elements, by_stretches
 from warpsar.runtime.program import Program
 from warpsar.surface.samples import shading_samples
 from warpsar.surface.spread import Spread
 from warpsar.surface.stage import POLARIZATIONS, Stage
 from warpsar.surface.surface import LAYOUTS
+from warpsar.trace.hits import Hits
 from warpsar.trace.merge import starts
-
-if TYPE_CHECKING:
-    from warpsar.effects.base.effect import Effect
-    from warpsar.trace.hits import Hits
-    from warpsar.world.frame import ViewGeometry
-    from warpsar.world.tables import View
+from warpsar.world.frame import ViewGeometry
+from warpsar.world.tables import View
 
 
 class ViewRender:
@@ -93,10 +93,6 @@ class ViewRender:
 
     def coordinates(self, face: Any, barycentric: Any, points: Any) -> Any:
         """Record the learned coordinates (vec4) at places on the mesh, with the effects that act on them."""
-        import warp as wp
-
-        from warpsar.kernels import shade, shade_lanes
-
         stage, nodes = self.stage, self.nodes
         n = face.shape[0]
         gathered = self.program.array(n, wp.vec4)
@@ -126,8 +122,6 @@ class ViewRender:
         `bins` are row * cols + col of `hits.grid`, `weight` as in Hits; what a path effect finds goes the same way.
         `sample`: which of `sigma` each bin takes, where several take one.
         """
-        from warpsar.kernels import shade
-
         for effect, p in self._at("gain"):
             sigma = effect.gain(self, p, sigma, points)
         if sample is not None:
@@ -143,9 +137,6 @@ class ViewRender:
             self.deposit(sigma, weight, bins, self.program.array(2, grad=False), image)
 
     def _deposit(self, sigma: Any, weight: Any, bins: Any, image: Any) -> None:
-        from warpsar.kernels import shade
-        from warpsar.kernels.wide import LANES
-
         @cache
         def adjoint() -> Launch:
             pieces = by_elements([bins, weight, sigma.grad])
@@ -164,11 +155,9 @@ class ViewRender:
 
     def deposit(self, sigma: Any, weight: Any, bins: Any, shift: Any, image: Any) -> None:
         """Record the deposit of bins finer or wider than the pixels, moved by `shift` (rows, columns) pixels."""
-        from warpsar.kernels import effects_registration as kernels
-
         grid = self.hits.grid
         self.program.launch(
-            kernels.move_kernel,
+            deposit.move_kernel,
             sigma.shape[0],
             [*grid.shape, grid.bins_per_pixel, *self.shape, bins, weight, sigma, shift],
             [image],
@@ -176,10 +165,6 @@ class ViewRender:
 
     def scatter(self, zeta: Any, polarization: int, spectrum: Any = None) -> Any:
         """Record sigma0 of the hits for coordinates `zeta`; `spectrum` takes the place of the materials' own."""
-        import warp as wp
-
-        from warpsar.kernels import shade, shade_lanes
-
         hits, stage, n = self.shaded, self.stage, self.shaded.count
         device: Any = stage.target.device
         sigma = self.program.array(n)
@@ -242,8 +227,6 @@ class ViewRender:
 
         No ray is shaded for it: a score test asks for hundreds of offsets and lines.
         """
-        import warp as wp
-
         alone = copy(self)
         alone.program = Program(self.program.device)
         alone.settings, alone.kept, alone.layers = {effect.effect.name: effect.settings}, {}, {}

@@ -6,7 +6,7 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 from warpsar.runtime.threads import thread_count
-from warpsar.runtime.torchrun import of_torchrun as _of_torchrun
+from warpsar.runtime.torchrun import of_torchrun as of_torchrun
 
 if TYPE_CHECKING:
     pass
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 def say(message: str) -> None:
     """A message for people: stderr, so that stdout carries results only. Of several processes, the first one speaks."""
-    if _of_torchrun("RANK", 0) == 0:
+    if of_torchrun("RANK", 0) == 0:
         print(message, file=sys.stderr)
 
 
@@ -28,5 +28,5 @@ def progress(total: int, what: str, unit: str = "it") -> Any:
     """A tqdm bar on stderr, silent where stderr is no terminal and for work that ends within a second."""
     from tqdm import tqdm
 
-    hidden = True if _of_torchrun("RANK", 0) else None
+    hidden = True if of_torchrun("RANK", 0) else None
     return tqdm(total=total, desc=what, unit=unit, file=sys.stderr, disable=hidden, delay=1.0, leave=False)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from warpsar.errors import DeviceError
 from warpsar.runtime.threads import in_threads
-from warpsar.runtime.torchrun import of_torchrun as _of_torchrun
+from warpsar.runtime.torchrun import of_torchrun as of_torchrun
 
 if TYPE_CHECKING:
     import warp as wp
@@ -29,7 +29,7 @@ def resolve_device(name: str | None = None) -> wp.Device:
         name = "cuda" if wp.get_cuda_device_count() else "cpu"
     known = ["cpu"] + [d.alias for d in wp.get_cuda_devices()]
     # one process a GPU; under SLURM each may see its own alone, as cuda:0
-    own = _of_torchrun("LOCAL_RANK", 0) % max(len(known) - 1, 1)
+    own = of_torchrun("LOCAL_RANK", 0) % max(len(known) - 1, 1)
     wanted = f"cuda:{own}" if name == "cuda" else name
     if wanted not in known:
         raise DeviceError(f"--device {name}: there is no such device here; there is {', '.join(known)}")

@@ -7,14 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import warp as wp
 
 from warpsar.runtime import threads
-
-if TYPE_CHECKING:
-    import warp as wp
 
 _LEAST = 2**14  # elements of a piece: handing one to another core costs as much as some thousands of them
 
@@ -39,8 +37,6 @@ class Launch:
         device: Any,
         pieces: Sequence[Piece] = (),
     ) -> None:
-        import warp as wp
-
         def recorded(dim: Any, views: dict[int, Any]) -> Any:
             given, found = ([views.get(id(a), a) for a in arrays] for arrays in (inputs, outputs))
             return wp.launch(

@@ -6,6 +6,8 @@ from collections.abc import Callable, Sequence
 from functools import cache, cached_property
 from typing import Any
 
+import warp as wp
+
 from warpsar.runtime.launches import Launch, Piece
 
 
@@ -28,8 +30,6 @@ class Program:
     def array(self, shape: Any, dtype: Any = float, *, grad: bool = True, sum_into: bool = False) -> Any:
         """A device array of this program; with `sum_into` it is zeroed before every forward run, and with `grad` it has
         a gradient from when the first one is asked for: images alone need no memory for it."""
-        import warp as wp
-
         array = wp.zeros(shape, dtype=dtype, device=self.device)
         if grad:
             self._differentiable.append(array)
@@ -63,8 +63,6 @@ class Program:
 
     @cached_property
     def _tape(self) -> Any:
-        import warp as wp
-
         tape = wp.Tape()
         for array in self._differentiable:
             array.requires_grad = True

@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     pass
 
 
-def _of_torchrun(name: str, alone: int) -> int:
+def of_torchrun(name: str, alone: int) -> int:
     """A number of torchrun's environment; `alone` where there is one process, or none of it."""
     if os.environ.get("WORLD_SIZE", "1") == "1":
         return alone
@@ -19,4 +19,4 @@ def _of_torchrun(name: str, alone: int) -> int:
 
 def processes_here() -> int:
     """Processes of this run on this host."""
-    return max(1, _of_torchrun("LOCAL_WORLD_SIZE", 1))
+    return max(1, of_torchrun("LOCAL_WORLD_SIZE", 1))

@@ -10,8 +10,8 @@ from typing import Annotated, Any
 
 from pydantic import Field, ValidationError, field_validator
 
-from warpsar.errors import InputError, shown
 from warpsar.effects.registry import validate
+from warpsar.errors import InputError, shown
 from warpsar.world.tables import (
     FileName,
     Grid,

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from warpsar.errors import InputError
 from warpsar.io.images import read_channel, read_mask
@@ -20,12 +21,9 @@ from warpsar.world.tables import (
     within,
 )
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
 
 def contents(path: Path) -> dict[str, Any]:
-    """The fields of the `World` that a scene file describes; its effects are checked each for itself. Raises InputError."""
+    """The fields of the `World` that a scene file describes. Effects are checked each by itself. Raises InputError."""
     text, raw = read(path)
     path = path.parent.resolve() / path.name
     file, problems = parse(raw)
@@ -65,20 +63,20 @@ class _Loader:
             )
         refuse(self.path, self.problems)
         assert mesh is not None
-        return dict(
-            mesh=mesh,
-            radar=file.radar,
-            grid=file.image,
-            materials={name: materials[name] for name in mesh.materials},
-            views=views,
-            sampling=file.sampling,
-            effects=self.effects,
-            reference_point_m=file.scene.reference_point_m,
-            path=self.path,
-            mesh_path=mesh_path,
-            warnings=(*(f"{mesh_path}: {warning}" for warning in mesh.warnings), *self.warnings),
-            source=self.text,
-        )
+        return {
+            "mesh": mesh,
+            "radar": file.radar,
+            "grid": file.image,
+            "materials": {name: materials[name] for name in mesh.materials},
+            "views": views,
+            "sampling": file.sampling,
+            "effects": self.effects,
+            "reference_point_m": file.scene.reference_point_m,
+            "path": self.path,
+            "mesh_path": mesh_path,
+            "warnings": (*(f"{mesh_path}: {warning}" for warning in mesh.warnings), *self.warnings),
+            "source": self.text,
+        }
 
     def absolute(self, name: str | Path) -> Path:
         path = self.path.parent / name

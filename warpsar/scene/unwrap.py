@@ -4,17 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from warpsar.errors import InputError
 from warpsar.io.images import replacing
 from warpsar.runtime import console
-
-if TYPE_CHECKING:
-    from warpsar.scene.scene import Scene
-    from warpsar.world.mesh import Mesh
+from warpsar.scene.scene import Scene
+from warpsar.world.mesh import Mesh
 
 # Room between charts, in texels of xatlas's own atlas of about 1024: two of a texture of 256, so that bilinear
 # interpolation does not mix them.
@@ -87,8 +84,6 @@ def run(scene_path: Path | str, out: Path | str) -> Scene:
 
     Raises InputError where nothing is without UV, and for vertex layouts, whose scalars an OBJ cannot hold.
     """
-    from warpsar.scene.scene import Scene
-
     scene = Scene.load(scene_path)
     mesh, out = scene.mesh, Path(out)
     if (out / "scene.toml").resolve() == scene.path:

@@ -17,6 +17,7 @@ from warpsar.world.tables import (
 )
 from warpsar.world.world import World
 
+
 def save(scene: World, path: Path) -> None:
     """`Scene.save`."""
     with replacing(path) as temporary:

@@ -22,19 +22,21 @@ from decimal import Decimal, InvalidOperation
 from functools import cached_property, partial
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import Any, TextIO
 
-from warpsar.version import __version__
+from warpsar.effects.registry import get
 from warpsar.errors import InputError, WarpsarError
+from warpsar.io.images import replacing, write_exr
 from warpsar.runtime import console, devices, distributed
 from warpsar.runtime.background import Background
+from warpsar.runtime.distributed import Ranks
+from warpsar.scene.scene import Scene
+from warpsar.simulation.command import Simulation, channels
 from warpsar.simulation.outputs import write_json
+from warpsar.surface.stage import Stage
 from warpsar.trace.hits import DEFAULT_MEMORY_GIB
-
-if TYPE_CHECKING:
-    from warpsar.runtime.distributed import Ranks
-    from warpsar.surface.stage import Stage
-    from warpsar.world.tables import View
+from warpsar.version import __version__
+from warpsar.world.tables import View
 
 PER_FOLDER = 1000
 BLOCKS_PER_RANK = 8  # of views of one scene: few enough to load a scene seldom, many enough to end together
@@ -76,7 +78,6 @@ def angles(text: str, option: str, low: float, high: float) -> list[Decimal]:
 
 def views_at(azimuths: Sequence[Decimal], incidences: Sequence[Decimal]) -> list[View]:
     """A view at every pair of angles [deg], named after them: az000_inc30, or with as many decimals as they have."""
-    from warpsar.world.tables import View
 
     def name(values: Sequence[Decimal]) -> Callable[[Decimal], str]:
         decimals = max(0, *(-int(v.normalize().as_tuple().exponent) for v in values))
@@ -172,8 +173,6 @@ class Index:
         self._merge()
 
     def _merge(self) -> None:
-        from warpsar.io.images import replacing
-
         parts = sorted((self.out / PARTS).glob("*.csv"))
         if not parts and (self.out / INDEX).exists():
             return
@@ -321,9 +320,6 @@ class _Maker:
     def __init__(
         self, path: Path, label: str, made: list[View] | None, device: Any, options: dict[str, Any], index: Index
     ) -> None:
-        from warpsar.effects.registry import get
-        from warpsar.scene.scene import Scene
-
         self.path, self.label, self.device, self.options, self.index = path, label, device, options, index
         self.scene = Scene.load(path)
         for warning in self.scene.warnings:
@@ -345,8 +341,6 @@ class _Maker:
     @cached_property
     def stage(self) -> Stage:
         """The mesh on the device: uploaded when the first image is missing."""
-        from warpsar.surface.stage import Stage
-
         return Stage.of(self.scene, self.device)
 
     def image(self, number: int) -> tuple[str, Callable[[], None] | None]:
@@ -380,15 +374,11 @@ class _Maker:
 
     def _make(self, view: View, number: int) -> dict[str, Any]:
         """The image's channels by name."""
-        from warpsar.simulation.command import Simulation, channels
-
         scene = replace(self.scene, views=[view]) if self.fresh else self.scene
         one = Simulation(scene, self.stage, **self.options).view(view, self._seed(number))
         return one.beta0 | channels(one)
 
     def _write(self, image: dict[str, Any], row: Row) -> None:
-        from warpsar.io.images import write_exr
-
         path = self.index.out / row["file"]
         write_exr(path, image)
         self.index.add({**row, "sha256": sha256(path) or ""})

@@ -6,25 +6,26 @@ import time
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from warpsar.effects.base.effect import DeclaredEffect
 from warpsar.effects.registry import declared
+from warpsar.io.images import quick_look, write_exr
+from warpsar.render.bands import BandedRender, stretches
+from warpsar.render.render import ViewRender
 from warpsar.runtime import console, devices, distributed
 from warpsar.runtime.memory import PARTS, OutOfMemoryError, in_parts, ran_out
+from warpsar.scene.scene import Scene
 from warpsar.simulation.outputs import write_json
 from warpsar.simulation.rays import effects_grid, hit_grid, trace_view, view_seed
+from warpsar.surface.stage import Stage
 from warpsar.trace.hits import DEFAULT_MEMORY_GIB, Hits
+from warpsar.trace.layers import layers as layers_of
 from warpsar.trace.rays import ray_count
+from warpsar.world.tables import View
 from warpsar.world.world import geometry_of
-
-if TYPE_CHECKING:
-    from warpsar.effects.base.effect import DeclaredEffect
-    from warpsar.render.render import ViewRender
-    from warpsar.scene.scene import Scene
-    from warpsar.surface.stage import Stage
-    from warpsar.world.tables import View
 
 
 @dataclass
@@ -94,8 +95,6 @@ class Simulation:
             other = self._images(view, view_seed(self.seed + 1, index + len(scene.views)))[2]
             one.sampling_variance = {p: ((beta0[p] - other[p]) ** 2 / 2).astype(np.float32) for p in beta0}
         if self.layers:
-            from warpsar.trace.layers import layers as layers_of
-
             if hits is None or hits.grid != grid:  # binned for an effect
                 hits = self._trace(view, view_seed(self.seed, index), [])
             one.layers = layers_of(stage.target, scene.mesh, hits, self.density) | shares
@@ -123,8 +122,6 @@ class Simulation:
         self, view: View, seed: int, effects: list[DeclaredEffect], bands: int
     ) -> tuple[int, dict[str, np.ndarray]]:
         """Number of hits, and images, with the hits of one band at a time in memory."""
-        from warpsar.render.bands import BandedRender, stretches
-
         count = 0
 
         def traced(only_columns: tuple[int, int]) -> Hits:
@@ -155,8 +152,6 @@ def simulate(
     `seed` overrides the scene's; `merge` false keeps every ray's hit. Raises DeviceError for a device that is
     not there.
     """
-    from warpsar.surface.stage import Stage
-
     stage = Stage.of(scene, devices.resolve_device(device))
     made = Simulation(
         scene, stage, seed=seed, layers=layers, variance=variance, merge=merge, max_memory_gib=max_memory_gib
@@ -169,8 +164,6 @@ def simulate(
 
 def view_render(scene: Scene, stage: Stage, view: View, hits: Hits) -> ViewRender:
     """One traced view with the scene's declared effects, ready to run."""
-    from warpsar.render.render import ViewRender
-
     return ViewRender(stage, view, hits, scene.grid.shape, scene.radar.polarizations, declared(scene, view))
 
 
@@ -186,8 +179,6 @@ def channels(view: SimulatedView) -> dict[str, np.ndarray]:
 
 def _write(out: Path, view: SimulatedView) -> dict[str, Any]:
     """A view's files, and what simulate.json says of it."""
-    from warpsar.io.images import quick_look, write_exr
-
     files = {"image": f"{view.name}.exr", "quick_look": f"{view.name}.png"}
     write_exr(out / files["image"], view.beta0)
     first = next(iter(view.beta0.values()))
@@ -221,9 +212,6 @@ def run(
 
     Several processes (`distributed`) share the views, dealt by their rays.
     """
-    from warpsar.scene.scene import Scene
-    from warpsar.surface.stage import Stage
-
     started = time.perf_counter()
     scene = Scene.load(scene_path)
     out = Path(out)

@@ -6,14 +6,15 @@ import json
 import math
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from warpsar.errors import InputError
+from warpsar.io.images import replacing
 from warpsar.runtime import console, devices
-
-if TYPE_CHECKING:
-    from warpsar.scene.scene import Scene
+from warpsar.scene.scene import Scene
+from warpsar.version import __version__
 
 
 def opened(scene_path: Path | str, out: Path | str, device: str | None) -> tuple[Scene, Path, Any]:
@@ -21,9 +22,6 @@ def opened(scene_path: Path | str, out: Path | str, device: str | None) -> tuple
 
     Raises InputError where the folder is the scene file's own, and DeviceError.
     """
-    from warpsar.errors import InputError
-    from warpsar.scene.scene import Scene
-
     scene = Scene.load(scene_path)
     out = Path(out)
     if (out / "scene.toml").resolve() == scene.path:
@@ -61,9 +59,6 @@ def write_json(
     path: Path, scene: Scene | None, device: Any, seed: int | None, started: float, content: dict[str, Any]
 ) -> dict[str, Any]:
     """Write `content` under the version, device, seed, wall time (since `started`, perf_counter) and input hash."""
-    from warpsar.version import __version__
-    from warpsar.io.images import replacing
-
     whole = plain(
         {
             "version": __version__,

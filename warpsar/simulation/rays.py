@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from warpsar.effects.base.effect import DeclaredEffect
 from warpsar.runtime.memory import in_parts
+from warpsar.scene.scene import Scene
+from warpsar.surface.stage import Stage
 from warpsar.trace.hits import DEFAULT_MEMORY_GIB, BinGrid, Hits
 from warpsar.trace.rays import ray_count
 from warpsar.trace.trace import trace
+from warpsar.world.tables import View
 from warpsar.world.world import geometry_of
-
-if TYPE_CHECKING:
-    from warpsar.effects.base.effect import DeclaredEffect
-    from warpsar.scene.scene import Scene
-    from warpsar.surface.stage import Stage
-    from warpsar.world.tables import View
-
 
 SAMPLED = 16  # columns of an image by which its hits are estimated
 

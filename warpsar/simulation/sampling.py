@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.ndimage import minimum_filter
 
 from warpsar.effects.registry import declared
 from warpsar.render.render import ViewRender
 from warpsar.runtime.distributed import ONE, Ranks
+from warpsar.scene.scene import Scene
 from warpsar.simulation.rays import trace_view, view_seed
 from warpsar.surface.stage import Stage
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from warpsar.scene.scene import Scene
-    from warpsar.world.tables import View
+from warpsar.world.tables import View
 
 FEWEST, MOST = 64.0, 4096.0  # rays per pixel
 
@@ -39,8 +36,6 @@ def relative_variance(
 ) -> tuple[float, int]:
     """Mean relative variance of beta0 over the lit interior of one view, from two independent sets of rays, and the
     number of pixels in it."""
-    from scipy.ndimage import minimum_filter
-
     effects = declared(scene, view)
     pair, lit = [], []
     for seed in seeds:

@@ -9,14 +9,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import digamma, polygamma
 
 LOSSES = {"gamma": 0, "mse": 1, "log": 2}  # codes of kernels/loss.py
 
 
 def expected_deviance(looks: float) -> float:
     """E[d] = 2 L (ln L - psi(L)), the deviance of one pixel of pure speckle."""
-    from scipy.special import digamma
-
     return float(2.0 * looks * (np.log(looks) - digamma(looks)))
 
 
@@ -51,8 +50,6 @@ def curvature(loss: str, measured: np.ndarray, modelled: np.ndarray, looks: floa
 
 def residual_sd(loss: str, looks: float) -> float:
     """Standard deviation that speckle alone gives the residual of `curvature`."""
-    from scipy.special import polygamma
-
     return float(np.sqrt(polygamma(1, looks) if loss == "log" else 1.0 / looks))
 
 
@@ -62,8 +59,6 @@ def loss_weight(loss: str, looks: float, mean_square: float) -> float:
     gamma: 1. mse (constant variance, equation 38): 1 / mean(I^2), the images' common scale. log: 1 / psi'(L), the
     variance of ln I.
     """
-    from scipy.special import polygamma
-
     if loss == "mse":
         return 1.0 / mean_square
     return 1.0 if loss == "gamma" else float(1.0 / polygamma(1, looks))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 WINDOW = 9  # [pixels] on a side: 81 samples, and still small beside a field or a car park
 _FEWEST_WINDOWS = 16
@@ -63,8 +64,6 @@ def _mode(power: np.ndarray) -> tuple[float, np.ndarray] | None:
 
 def _window_moments(power: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Mean and unbiased variance of every window; NaN where a pixel is not finite."""
-    from numpy.lib.stride_tricks import sliding_window_view
-
     if min(power.shape) < WINDOW:
         return np.empty((0, 0)), np.empty((0, 0))
     image = np.where(np.isfinite(power) & (power >= 0), power, np.nan).astype(np.float64)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import warp as wp
 
-if TYPE_CHECKING:
-    from warpsar.trace.hits import Hits
+from warpsar.trace.hits import Hits
 
 
 def shading_samples(hits: Hits) -> tuple[Hits, Any]:
@@ -27,8 +27,6 @@ def shading_samples(hits: Hits) -> tuple[Hits, Any]:
 
 
 def _merged(hits: Hits) -> tuple[Hits, Any]:
-    import warp as wp
-
     grid, fine = hits.grid, hits.grid.bins_per_pixel
     coarse = replace(
         grid,

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import warp as wp
 
+from warpsar.kernels import shade, shade_lanes
+from warpsar.kernels.wide import NODE_LANES
 from warpsar.runtime.launches import Launch, by_stretches
+from warpsar.surface.stage import Stage
 from warpsar.surface.surface import HELD, LAYOUTS
 from warpsar.trace.merge import starts
-
-if TYPE_CHECKING:
-    from warpsar.surface.stage import Stage
 
 _LONGEST = 64  # entries that one thread adds up
 _NODES = {LAYOUTS["uniform"]: 1, LAYOUTS["vertex"]: 3, LAYOUTS["texture"]: 4}  # that a value mixes
@@ -26,10 +27,6 @@ class Spread:
     """
 
     def __init__(self, stage: Stage, face: Any, barycentric: Any) -> None:
-        import warp as wp
-
-        from warpsar.kernels import shade
-
         device: Any = face.device
         terms, leader = _terms(stage.surface.places)
         entries = face.shape[0] * terms.shape[1]
@@ -61,9 +58,6 @@ class Spread:
 
     def adding(self, zeta_gradient: Any, nodes_gradient: Any) -> Launch:
         """The launch that adds to `nodes_gradient`."""
-        from warpsar.kernels import shade, shade_lanes
-        from warpsar.kernels.wide import NODE_LANES
-
         device, stretches = zeta_gradient.device, self.first.shape[0]
         inputs, outputs = [self.first, self.target, self.part, zeta_gradient], [nodes_gradient]
         if device.is_cpu:

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import warp as wp
 
 from warpsar.runtime import devices
-
-if TYPE_CHECKING:
-    from warpsar.world.world import World
-    from warpsar.surface.surface import Surface
-    from warpsar.trace.target import Target
-
+from warpsar.surface.surface import Surface
+from warpsar.trace.target import Target
+from warpsar.world.world import World
 
 POLARIZATIONS = {"HH": 0, "VV": 1, "HV": 2, "VH": 3}
 
@@ -39,11 +37,6 @@ class Stage:
 
     @classmethod
     def of(cls, scene: World, device: Any) -> Stage:
-        import warp as wp
-
-        from warpsar.surface.surface import Surface
-        from warpsar.trace.target import Target
-
         own = ["shade_lanes", "columns"] if device.is_cpu else []
         devices.load_kernels(device, "trace", "merge", "shade", "raster", *own)
         surface = Surface.of(scene)
@@ -64,6 +57,4 @@ class Stage:
     @cached_property
     def nodes(self) -> Any:
         """The surface's nodes on the device, float32."""
-        import warp as wp
-
         return wp.array(self.surface.nodes.astype(np.float32), dtype=float, device=self.target.device)

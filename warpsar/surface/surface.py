@@ -9,12 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from warpsar.world.world import World
+from warpsar.world.world import World
 
 FRACTION_LIMIT = 40.0  # kernels/shade.py: beyond it tau is 0 or 1 to the bit
 

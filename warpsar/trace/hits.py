@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import warp as wp
 
 from warpsar.world.frame import ViewGeometry
-
-if TYPE_CHECKING:
-    import warp as wp
-
 
 DEFAULT_MEMORY_GIB = 2.0
 
@@ -67,8 +65,6 @@ class Hits:
 
 
 def concatenate(parts: list[Any], dtype: Any, device: Any) -> Any:
-    import warp as wp
-
     if len(parts) == 1:
         return parts[0]
     whole = wp.empty(sum(p.shape[0] for p in parts), dtype=dtype, device=device)

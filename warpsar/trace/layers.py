@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from functools import partial
 
 import numpy as np
+import warp as wp
 
-from warpsar.trace.trace import launch_layers
-
-if TYPE_CHECKING:
-    from warpsar.trace.hits import Hits
-    from warpsar.trace.target import Target
-    from warpsar.world.mesh import Mesh
+from warpsar.kernels import layers as kernels
+from warpsar.runtime import threads
+from warpsar.trace.hits import BinGrid, Hits
+from warpsar.trace.rays import ray_grid
+from warpsar.trace.target import Target
+from warpsar.world.frame import ViewGeometry
+from warpsar.world.mesh import Mesh
 
 
 def layers(target: Target, mesh: Mesh, hits: Hits, rays_per_m2: float) -> dict[str, np.ndarray]:
@@ -44,3 +46,31 @@ def layers(target: Target, mesh: Mesh, hits: Hits, rays_per_m2: float) -> dict[s
         "material": best,
     }
     return {name: values.reshape(rows, cols).astype(np.float32) for name, values in found.items()}
+
+
+def launch_layers(
+    target: Target, geometry: ViewGeometry, grid: BinGrid, rays_per_m2: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Visits of the lit surface per pixel (float32) and whether a hidden surface lies there (bool), (rows * cols,)."""
+    device = target.device
+    rays = ray_grid(target, geometry, grid, rays_per_m2, 1, grid.pixel_area_m2)
+    first, last = rays.first_cell, rays.end_cell
+    visits = wp.zeros(grid.shape[0] * grid.shape[1], dtype=float, device=device)
+    hidden = wp.zeros(grid.shape[0] * grid.shape[1], dtype=int, device=device)
+    width = max(1, -(-(last - first) // rays.cells_per_column // 8)) * rays.cells_per_column
+
+    def band(begin: int) -> None:
+        # bands are whole columns of pixels: no two threads write into one
+        wp.launch(
+            kernels.layers_kernel,
+            min(width, last - begin),
+            inputs=[rays, target.bvh.id, target.vertices, target.faces, begin],
+            outputs=[visits, hidden],
+            device=device,
+        )
+
+    if last > first:
+        wp.load_module(kernels, device=device)
+        for _ in threads.ordered([partial(band, begin) for begin in range(first, last, width)], device):
+            pass
+    return visits.numpy(), hidden.numpy() > 0

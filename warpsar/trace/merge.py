@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import warp as wp
 
-if TYPE_CHECKING:
-    import warp as wp
+from warpsar.kernels import merge as kernels
 
 
 def sorted_rows(rows: wp.array, count: wp.array, key_bits: int) -> tuple[int, int, Any, Any]:
@@ -17,10 +17,6 @@ def sorted_rows(rows: wp.array, count: wp.array, key_bits: int) -> tuple[int, in
     `rows` and `count` as in `kernels.trace.Records`; `key` (int64) and `row` (int) have one element for each row
     taken. The sort is stable: records of one key that were left one after the other stay so.
     """
-    import warp as wp
-
-    from warpsar.kernels import merge as kernels
-
     device: Any = rows.device
     capacity = rows.shape[0]
     start, rank = (wp.empty(capacity, dtype=int, device=device) for _ in range(2))
@@ -42,8 +38,6 @@ def sorted_rows(rows: wp.array, count: wp.array, key_bits: int) -> tuple[int, in
 
 def rows_by_key(rows: wp.array, n: int, key_bits: int) -> tuple[Any, Any]:
     """(key, row) of the first `n` of the CPU's `rows`, as `sorted_rows` gives them."""
-    import warp as wp
-
     device: Any = rows.device
     if not n:
         return wp.empty(0, dtype=wp.int64, device=device), wp.empty(0, dtype=int, device=device)
@@ -56,10 +50,6 @@ def rows_by_key(rows: wp.array, n: int, key_bits: int) -> tuple[Any, Any]:
 
 def starts(values: wp.array, longest: int = 2**30, whole: int = -1) -> Any:
     """Where stretches of one value begin, int; the longer ones in pieces, but for that of the value `whole`."""
-    import warp as wp
-
-    from warpsar.kernels import merge as kernels
-
     device: Any = values.device
     n = values.shape[0]
     if not n:

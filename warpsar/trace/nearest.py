@@ -8,16 +8,15 @@ BVH.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import warp as wp
 
+from warpsar.kernels import columns as lanes
+from warpsar.kernels import raster
 from warpsar.runtime.launches import Launch, by_elements
-
-if TYPE_CHECKING:
-    import warp as wp
-
-    from warpsar.trace.target import Target
+from warpsar.trace.target import Target
 
 # Nanoseconds of one core: a face looked at, a ray held against a face, a ray through the BVH (benchmarks/rays.py).
 _FACE_NS, _TEST_NS, _QUERY_NS = 45.0, 6.0, 400.0
@@ -35,11 +34,6 @@ class Raster:
 
     def __init__(self, target: Target, grid: Any, cells: tuple[int, int] | None = None) -> None:
         """`tests` counts the rays of the azimuth `cells`, the first and the last (all), that faces are held against."""
-        import warp as wp
-
-        from warpsar.kernels import columns
-        from warpsar.kernels import raster as kernels
-
         self.target, self.grid = target, grid
         cells = cells or (grid.first_cell, grid.end_cell - 1)
         device, faces = target.device, target.faces.shape[0]
@@ -47,11 +41,11 @@ class Raster:
         self._cells: Any = wp.empty(faces, dtype=wp.vec4i, device=device)
         inputs = [grid, self._corner, target.faces, self._slack]
         pieces = by_elements([target.faces, self._cells])
-        Launch(kernels.extent_kernel, faces, inputs, [self._cells], device, pieces).launch()
+        Launch(raster.extent_kernel, faces, inputs, [self._cells], device, pieces).launch()
         first, order = wp.empty(grid.cols + 1, dtype=int, device=device), wp.zeros(faces, dtype=int, device=device)
         counts = wp.zeros(2, dtype=wp.float64, device=device)
         inputs, outputs = [self._cells, grid.cells_per_column, *cells], [first, order, counts]
-        wp.launch(columns.sort_kernel, 1, inputs=inputs, outputs=outputs, device=device)
+        wp.launch(lanes.sort_kernel, 1, inputs=inputs, outputs=outputs, device=device)
         self._begin, self._order = first.numpy(), order
         self.tests, widest = counts.numpy().tolist()
         self._widest = int(widest) // grid.cells_per_column + 1
@@ -70,26 +64,22 @@ class Raster:
 
         Shape ((last - first) * elevation_cells,), int32; of faces at the same distance the one that comes first.
         """
-        import warp as wp
-
-        from warpsar.kernels import columns as kernels
-
         device, grid = self.target.device, self.grid
         columns = first // self.grid.cells_per_column - self._widest, -(-last // self.grid.cells_per_column)
         near = slice(int(self._begin[max(0, columns[0])]), int(self._begin[columns[1]]))
         rays = (last - first) * grid.elevation_cells
-        room = rays + kernels.LANES
+        room = rays + lanes.LANES
         azimuth, higher = (wp.empty(room, dtype=float, device=device) for _ in range(2))
         # what rays about a track have besides
         track = [wp.empty(room if grid.slant_range else 0, dtype=float, device=device) for _ in range(3)]
         depth: Any = wp.full(room, np.inf, dtype=float, device=device)
         found: Any = wp.full(room, -1, dtype=int, device=device)
         inputs = [grid, first, seed]
-        wp.launch(kernels.jitter_kernel, last - first, inputs=inputs, outputs=[azimuth, higher], device=device)
+        wp.launch(lanes.jitter_kernel, last - first, inputs=inputs, outputs=[azimuth, higher], device=device)
         inputs, outputs = [grid, first], [azimuth, higher, *track]
-        wp.launch(kernels.ray_kernel, last - first, inputs=inputs, outputs=outputs, device=device)
+        wp.launch(lanes.ray_kernel, last - first, inputs=inputs, outputs=outputs, device=device)
         wp.launch(
-            kernels.raster_kernel,
+            lanes.raster_kernel,
             near.stop - near.start,
             inputs=[
                 self.grid,
@@ -131,27 +121,23 @@ class ParallelRaster:
 
     def nearest(self, first: int, last: int, seed: int) -> wp.array:
         """As of `Raster`; every other element of an array twice as long."""
-        import warp as wp
-
-        from warpsar.kernels import raster as kernels
-
         target, grid, device = self.target, self.grid, self.target.device
         faces, rays = target.faces.shape[0], (last - first) * grid.elevation_cells
-        found: Any = wp.full(rays, kernels.NO_FACE, dtype=wp.int64, device=device)
+        found: Any = wp.full(rays, raster.NO_FACE, dtype=wp.int64, device=device)
         large: Any = wp.zeros(1, dtype=wp.int64, device=device)
         large_face: Any = wp.empty(faces, dtype=int, device=device)
         large_begin: Any = wp.empty(faces, dtype=wp.int64, device=device)
         wp.launch(
-            kernels.draw_kernel,
-            faces * kernels.FACE_LANES,
+            raster.draw_kernel,
+            faces * raster.FACE_LANES,
             inputs=[grid, self._corner, target.faces, first, last - 1, self._slack, seed, found, large],
             outputs=[large_face, large_begin],
             device=device,
-            block_dim=kernels.BLOCK,
+            block_dim=raster.BLOCK,
         )
         wp.launch(
-            kernels.draw_large_kernel,
-            _GROUPS * kernels.FACE_LANES,
+            raster.draw_large_kernel,
+            _GROUPS * raster.FACE_LANES,
             inputs=[
                 grid,
                 self._corner,
@@ -166,30 +152,24 @@ class ParallelRaster:
             ],
             outputs=[found],
             device=device,
-            block_dim=kernels.BLOCK,
+            block_dim=raster.BLOCK,
         )
         return _low_half(found)
 
 
 def _projected(target: Target, grid: Any) -> tuple[Any, float]:
     """The mesh's vertices as `kernels.raster.project_kernel` gives them, and how far [cells] they may be off."""
-    import warp as wp
-
-    from warpsar.kernels import raster as kernels
-
     device, vertices = target.device, target.vertices.shape[0]
-    wp.load_module(kernels, device=device, block_dim=kernels.BLOCK)
+    wp.load_module(raster, device=device, block_dim=raster.BLOCK)
     corner: Any = wp.empty(vertices, dtype=wp.vec4, device=device)
     inputs = [grid, target.vertices]
-    wp.launch(kernels.project_kernel, vertices, inputs=inputs, outputs=[corner], device=device, block_dim=kernels.BLOCK)
+    wp.launch(raster.project_kernel, vertices, inputs=inputs, outputs=[corner], device=device, block_dim=raster.BLOCK)
     # float32 leaves a corner's own cell uncertain by 2^-22 or so of the grid
     return corner, 1e-3 + 1e-6 * max(grid.elevation_cells, grid.cols * grid.cells_per_column)
 
 
 def _low_half(values: wp.array) -> wp.array:
     """The low 32 bits of 64, int, of the same memory."""
-    import warp as wp
-
     halves: Any = wp.array(
         ptr=values.ptr, dtype=int, shape=values.shape, strides=(8,), device=values.device, copy=False
     )

@@ -5,7 +5,10 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
+import warp as wp
+
 from warpsar.errors import InputError
+from warpsar.kernels.geometry import RayGrid
 from warpsar.trace.hits import BinGrid
 from warpsar.trace.target import Target
 from warpsar.world.frame import ViewGeometry
@@ -32,10 +35,6 @@ def ray_grid(
     pixel_area_m2: float,
 ) -> Any:
     """Cells nest in the columns of `grid`, `cells_multiple` or a multiple of it to a column, about square."""
-    import warp as wp
-
-    from warpsar.kernels.geometry import RayGrid
-
     low, high = target.ends(geometry)
     spacing = grid.spacing_m[1]
     per_column = max(1, round(spacing * math.sqrt(rays_per_m2) / cells_multiple)) * cells_multiple

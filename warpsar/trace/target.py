@@ -5,17 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import cached_property
 from threading import Lock
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import warp as wp
 
+from warpsar.kernels import raster
+from warpsar.kernels import trace as kernels
+from warpsar.kernels.wide import WARP
 from warpsar.world.frame import ViewGeometry
-
-if TYPE_CHECKING:
-    import warp as wp
-
-    from warpsar.world.mesh import Mesh
-
+from warpsar.world.mesh import Mesh
 
 _KEPT_SHARE = 0.25  # of a CUDA device's memory, that a process does not hand back between views
 
@@ -35,8 +34,6 @@ class Target:
 
     @classmethod
     def upload(cls, mesh: Mesh, reference_point_m: Any, device: Any) -> Target:
-        import warp as wp
-
         corners = np.asarray(mesh.vertices, np.float64) - np.asarray(reference_point_m, np.float64)
         vertices: wp.array = wp.array(corners.astype(np.float32), dtype=wp.vec3, device=device)
         faces: wp.array = wp.array(np.ascontiguousarray(mesh.faces, np.int32), dtype=int, device=device)
@@ -48,8 +45,6 @@ class Target:
     @property
     def bvh(self) -> wp.Mesh:
         """Built when a ray first asks for it: most views are traced without (`Raster`)."""
-        import warp as wp
-
         with self._building:  # bands ask for it side by side
             if self._bvh is None:
                 # Measured on CUDA (docs/benchmarks.md): cuBQL with two faces a leaf traces fastest, and is built in a
@@ -65,10 +60,6 @@ class Target:
         Elevation is X . v [m]; with a track, the angle about it [rad]. Found on the device: the host takes as long
         for a million vertices as CUDA for all of their image. Kept: whoever counts a view's rays traces them, too.
         """
-        import warp as wp
-
-        from warpsar.kernels.trace import BLOCK, extent_kernel
-        from warpsar.kernels.wide import WARP
 
         track = geometry.slant_range_m or 0.0
         key = np.concatenate([geometry.d, geometry.u, geometry.v, [track]]).tobytes()
@@ -78,18 +69,17 @@ class Target:
         threads = 1 if self.device.is_cpu else 512 * WARP
         ends = wp.empty((-(-threads // WARP), 8), dtype=wp.float64, device=self.device)
         inputs = [self.places, *axes, track, threads]
-        wp.launch(extent_kernel, threads, inputs=inputs, outputs=[ends], device=self.device, block_dim=BLOCK)
+        launched = {"device": self.device, "block_dim": kernels.BLOCK}
+        wp.launch(kernels.extent_kernel, threads, inputs=inputs, outputs=[ends], **launched)
         self._ends[key] = found = ends.numpy().min(axis=0)
         return found[:4], -found[4:]
 
     @cached_property
     def area_m2(self) -> float:
         """Area of all faces together."""
-        import warp as wp
-
-        from warpsar.kernels.raster import BLOCK, area_kernel
-
         area = wp.empty(1 if self.device.is_cpu else 16384, dtype=wp.float64, device=self.device)
         inputs = [self.vertices, self.faces]
-        wp.launch(area_kernel, area.shape[0], inputs=inputs, outputs=[area], device=self.device, block_dim=BLOCK)
+        wp.launch(
+            raster.area_kernel, area.shape[0], inputs=inputs, outputs=[area], device=self.device, block_dim=raster.BLOCK
+        )
         return float(area.numpy().sum())

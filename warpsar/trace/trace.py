@@ -6,9 +6,11 @@ import math
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
+import warp as wp
 
 from warpsar.errors import InputError
+from warpsar.kernels import columns as in_columns
+from warpsar.kernels import trace as kernels
 from warpsar.runtime import threads
 from warpsar.trace.hits import DEFAULT_MEMORY_GIB, BinGrid, Hits, concatenate
 from warpsar.trace.merge import rows_by_key, sorted_rows
@@ -57,11 +59,6 @@ def trace(
     after the last, with the rays that they would have in the whole. Memory stays near `max_memory_gib` beside the hits
     themselves; the result does not depend on it, nor on the number of threads, nor on the order of CUDA's.
     """
-    import warp as wp
-
-    from warpsar.kernels import columns as in_columns
-    from warpsar.kernels import trace as kernels
-
     device = target.device
     rays = ray_grid(target, geometry, grid, rays_per_m2, cells_multiple, pixel_area_m2 or grid.pixel_area_m2)
     first, last = rays.first_cell, rays.end_cell
@@ -162,16 +159,12 @@ def trace(
 def nearest_faces(target: Target, rays: Any, begin: int, end: int, seed: int) -> Any:
     """The face that each ray of the azimuth cells `begin` to `end` meets first, or -1; int, shape (rays of the band,),
     the elevation cells of one azimuth cell side by side."""
-    import warp as wp
-
-    from warpsar.kernels.trace import BLOCK, query_kernel
-
     face = wp.empty((end - begin) * rays.elevation_cells, dtype=int, device=target.device)
     # a CPU launch walks its threads one after the other: down the columns
     tile = (1, rays.elevation_cells) if target.device.is_cpu else _TILE
     dim = (-(-(end - begin) // tile[0]), -(-rays.elevation_cells // tile[1]), tile[0] * tile[1])
     inputs = [rays, target.bvh.id, begin, end, *tile, seed]
-    wp.launch(query_kernel, dim, inputs=inputs, outputs=[face], device=target.device, block_dim=BLOCK)
+    wp.launch(kernels.query_kernel, dim, inputs=inputs, outputs=[face], device=target.device, block_dim=kernels.BLOCK)
     return face
 
 
@@ -189,14 +182,10 @@ def recorded_in_columns(
 ) -> tuple[Any, int]:
     """Records of the band's rays on the CPU, merged, in the order in which their columns left them: rows as in
     `kernels.trace.Records`, with the key itself, and how many. `capacity` of them are expected at most."""
-    import warp as wp
-
-    from warpsar.kernels import columns as kernels
-
     device, columns = target.device, (end - begin) // rays.cells_per_column
-    across, along = (wp.empty(face.shape[0] + kernels.LANES, dtype=float, device=device) for _ in range(2))
+    across, along = (wp.empty(face.shape[0] + in_columns.LANES, dtype=float, device=device) for _ in range(2))
     inputs = [rays, begin, seed]
-    wp.launch(kernels.jitter_kernel, end - begin, inputs=inputs, outputs=[across, along], device=device)
+    wp.launch(in_columns.jitter_kernel, end - begin, inputs=inputs, outputs=[across, along], device=device)
     while True:
         taken = wp.zeros(1, dtype=int, device=device)
         rows = wp.empty((capacity, 4), dtype=wp.int64, device=device)
@@ -204,40 +193,8 @@ def recorded_in_columns(
         head = wp.empty(1 << (capacity // columns).bit_length(), dtype=int, device=device)
         inputs = [rays, target.vertices, target.faces, face, across, along, begin, int(deposit), face_bits, quanta]
         outputs = [head, link, taken, rows]
-        wp.launch(kernels.record_kernel, columns, inputs=inputs, outputs=outputs, device=device)
+        wp.launch(in_columns.record_kernel, columns, inputs=inputs, outputs=outputs, device=device)
         found = int(taken.numpy()[0])
         if found <= capacity:
             return rows, found
         capacity = found
-
-
-def launch_layers(
-    target: Target, geometry: ViewGeometry, grid: BinGrid, rays_per_m2: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Visits of the lit surface per pixel (float32) and whether a hidden surface lies there (bool), (rows * cols,)."""
-    import warp as wp
-
-    from warpsar.kernels import layers as kernels
-
-    device = target.device
-    rays = ray_grid(target, geometry, grid, rays_per_m2, 1, grid.pixel_area_m2)
-    first, last = rays.first_cell, rays.end_cell
-    visits = wp.zeros(grid.shape[0] * grid.shape[1], dtype=float, device=device)
-    hidden = wp.zeros(grid.shape[0] * grid.shape[1], dtype=int, device=device)
-    width = max(1, -(-(last - first) // rays.cells_per_column // 8)) * rays.cells_per_column
-
-    def band(begin: int) -> None:
-        # bands are whole columns of pixels: no two threads write into one
-        wp.launch(
-            kernels.layers_kernel,
-            min(width, last - begin),
-            inputs=[rays, target.bvh.id, target.vertices, target.faces, begin],
-            outputs=[visits, hidden],
-            device=device,
-        )
-
-    if last > first:
-        wp.load_module(kernels, device=device)
-        for _ in threads.ordered([partial(band, begin) for begin in range(first, last, width)], device):
-            pass
-    return visits.numpy(), hidden.numpy() > 0

@@ -13,15 +13,14 @@ from dataclasses import dataclass, field
 from functools import partial
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from warpsar.errors import InputError, shown
+from warpsar.io import geotiff
 from warpsar.runtime import threads
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 SUFFIXES = (".obj", ".ply", ".stl", ".gltf", ".glb", ".tif", ".tiff")
 DEFAULT_MATERIAL = "default"
@@ -434,8 +433,6 @@ def _check_gltf(path: Path, tree: dict[str, Any], size: int) -> None:
 
 
 def _read_dem(path: Path, warnings: list[str]) -> list[_Part]:
-    from warpsar.io import geotiff
-
     with geotiff.opened(path) as source:
         _check_dem(path, source)
         band = source.read(1, masked=True)

@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import (
     BaseModel,
     BeforeValidator,
     ConfigDict,
     Field,
+    ValidationInfo,
     field_validator,
     model_validator,
 )
 
 from warpsar.io.images import LARGEST_IMAGE
-
-if TYPE_CHECKING:
-    from pydantic import ValidationInfo
-
 
 DEFAULT_RAYS_PER_PIXEL = 64.0
 

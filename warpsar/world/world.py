@@ -9,19 +9,16 @@ from dataclasses import dataclass
 from dataclasses import field as dataclass_field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from warpsar.errors import InputError
 from warpsar.io.images import read_channel, read_mask
 from warpsar.world.frame import SPEED_OF_LIGHT, ViewGeometry, view_geometry
+from warpsar.world.mesh import Mesh
 from warpsar.world.tables import SURFACE_KEYS, Grid, Material, Radar, Sampling, View
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from warpsar.world.mesh import Mesh
 
 
 @dataclass(frozen=True, eq=False)

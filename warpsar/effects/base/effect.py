@@ -4,19 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
+from typing import Any, ClassVar, Literal, get_args
 
 import numpy as np
 
 from warpsar.effects.base.parameter import Parameter, Setting
+from warpsar.effects.base.recorder import Recorder
 from warpsar.effects.base.trial import Context, Trial
 from warpsar.errors import InputError
-
-if TYPE_CHECKING:
-    from warpsar.effects.base.recorder import Recorder
-    from warpsar.world.world import World
-    from warpsar.world.tables import Grid
-
+from warpsar.world.tables import Grid
+from warpsar.world.world import World
 
 StageName = Literal["surface", "gain", "position", "path", "image"]
 STAGES: tuple[StageName, ...] = get_args(StageName)

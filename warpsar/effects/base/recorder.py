@@ -27,7 +27,7 @@ class Recorder(Protocol):
     shaded: Hits
     shape: tuple[int, int]
     spacing_m: tuple[float, float]
-    settings: Mapping[str, Mapping[str, Any]]
+    settings: dict[str, Mapping[str, Any]]
     layers: dict[str, Any]
     kept: dict[str, Any]
 

@@ -338,15 +338,3 @@ def mirror_kernel(
         reflectivity = fresnel_v(c, eps_re, loss)
     phase = 2.0 * wavenumber * wp.exp(zeta[i][HEIGHT]) * c
     power_out[i] = power[i] * reflectivity * wp.exp(-phase * phase)
-
-
-@wp.kernel
-def add_kernel(
-    # In:
-    image: wp.array(dtype=float),
-    more: wp.array(dtype=float),
-    # Out:
-    image_out: wp.array(dtype=float),
-):
-    i = wp.tid()
-    image_out[i] = image[i] + more[i]

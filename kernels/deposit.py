@@ -1,23 +1,6 @@
-"""Bins moved before they fall into pixels."""
+"""Power into images: bins that are finer or moved, and the sum of two images."""
 
 import warp as wp
-
-
-@wp.kernel
-def shift_kernel(
-    # In:
-    p: wp.array(dtype=float),  # range, azimuth, east, north, up [m]
-    d: wp.vec3,
-    u: wp.vec3,
-    row_spacing: float,
-    col_spacing: float,
-    # Out:
-    shift_out: wp.array(dtype=float),
-):
-    """The view's shift (rows, columns) in pixels: its own range and azimuth, and the world's seen along d and u."""
-    world = wp.vec3(p[2], p[3], p[4])
-    shift_out[0] = (p[0] + wp.dot(d, world)) / row_spacing
-    shift_out[1] = (p[1] + wp.dot(u, world)) / col_spacing
 
 
 @wp.func
@@ -62,3 +45,15 @@ def move_kernel(
                 share = overlap(first_row, width, r) * overlap(first_col, width, c)
                 if share > 0.0:
                     wp.atomic_add(image_out, r * cols + c, power * share)
+
+
+@wp.kernel
+def add_kernel(
+    # In:
+    image: wp.array(dtype=float),
+    more: wp.array(dtype=float),
+    # Out:
+    image_out: wp.array(dtype=float),
+):
+    i = wp.tid()
+    image_out[i] = image[i] + more[i]

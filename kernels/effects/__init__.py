@@ -1,0 +1,1 @@
+"""Kernels of the effects: one file each, beside `warpsar.effects`."""
