@@ -127,7 +127,7 @@ def test_effects_that_need_all_hits_are_refused(name: str, tmp_path: Path) -> No
 
 def test_out_of_memory_in_a_fit_turns_to_bands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A device that has no memory for one view's hits at once, as Warp says it."""
-    from warpsar.simulation import command as simulation
+    from warpsar.simulation import rays as simulation
 
     scene, where = bumpy_scene(tmp_path), devices.resolve_device("cpu")
     kept = FitProblem(scene, where)

@@ -277,7 +277,7 @@ def test_a_file_that_cannot_be_written_among_many(tmp_path: Path, monkeypatch: p
         write(target, channels)
 
     with monkeypatch.context() as patch:
-        patch.setattr(images, "write_exr", refused)
+        patch.setattr(batch, "write_exr", refused)
         said = run(*asked, expected=2)
     assert "6 images" not in said
     assert "5 images: 5 made" in said
@@ -302,7 +302,7 @@ def test_the_last_file_finds_no_room(tmp_path: Path, monkeypatch: pytest.MonkeyP
         write(target, channels)
 
     with monkeypatch.context() as patch:
-        patch.setattr(images, "write_exr", full)
+        patch.setattr(batch, "write_exr", full)
         said = run(*asked, expected=2)
     assert said.splitlines()[-1] == f"Error: {out}/scene/000/az300_inc40.exr: No space left on device"
     assert "Traceback" not in said
@@ -400,7 +400,7 @@ def test_half_a_row_and_half_a_file_are_as_if_never_written(tmp_path: Path) -> N
 
 def out_of_memory(limit: int, monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """Have `trace` fail as Warp does on a device whose memory ends at `limit` hits of a call; counts that passed."""
-    from warpsar.simulation import command as simulation
+    from warpsar.simulation import rays as simulation
 
     real, passed = simulation.trace, []
 

@@ -34,7 +34,7 @@ def test_threads_do_not_change_a_bit(layout: str, tmp_path: Path, monkeypatch: p
         cut.clear()
         problem = FitProblem(scene, device, views=["HV"])
         loss, gradient = problem.gradient(problem.x0)
-        assert max(cut, default=1) == (1 if least > 16 else pytest.approx(2 * int(threads), abs=1))
+        assert max(cut, default=1) == (1 if least > 16 else pytest.approx(2 * int(count), abs=1))
         found.append((loss, gradient, problem.views[0].render.images["HV"].numpy().copy()))
     for loss, gradient, image in found[1:]:
         assert loss == found[0][0]

@@ -224,12 +224,13 @@ import json, sys
 from dataclasses import asdict
 from pathlib import Path
 import numpy as np
-from warpsar import distributed, runtime
-from warpsar.diagnosis.procedure import DiagnoseOptions, diagnose_scene
-from warpsar.fit import FitView
-from warpsar.scene import Scene
+from warpsar.diagnosis.found import DiagnoseOptions
+from warpsar.diagnosis.procedure import diagnose_scene
+from warpsar.learning.problem import FitView
+from warpsar.runtime import devices, distributed
+from warpsar.scene.scene import Scene
 
-device = runtime.resolve_device("cpu")
+device = devices.resolve_device("cpu")
 ranks = distributed.ranks(device)
 random, exact = np.random.default_rng(ranks.rank), FitView.modelled
 FitView.modelled = lambda view: [mu * (1.0 + 1e-6 * random.normal(size=mu.shape)) for mu in exact(view)]
@@ -391,9 +392,14 @@ def test_deal_is_longest_first() -> None:
 def test_one_process_imports_no_torch() -> None:
     code = """
 import sys
-sys.modules["torch"] = None
-from warpsar import distributed, learning, simulation, evaluation, batch
-from warpsar.diagnosis import command
+
+class NoTorch:
+    def find_spec(self, name, path=None, target=None):
+        assert name.partition(".")[0] != "torch", "torch is asked for"
+
+sys.meta_path.insert(0, NoTorch())
+import warpsar.diagnosis.command, warpsar.evaluation.command, warpsar.learning.command, warpsar.simulation.batch
+from warpsar.runtime import distributed
 assert distributed.ranks(None) is distributed.ONE
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
