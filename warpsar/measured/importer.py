@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Literal, cast
 
 import numpy as np
+import tomlkit
 
 from warpsar.errors import InputError
 from warpsar.io.images import replacing, write_exr
@@ -136,8 +137,6 @@ def import_measured(
 
 def _load(path: Path, view_name: str) -> tuple[Scene, bool]:
     """The scene with the view asked for, made up where it is missing, and without images: they may not be there yet."""
-    import tomlkit
-
     _, raw = scenefile.read(path)
     views = raw.setdefault("views", [])
     exists = False
@@ -240,8 +239,6 @@ def _new_view(source: str, facts: Facts, scene: Scene, view: View) -> View:
 
 def _declare(path: Path, view: View, exists: bool, pol: str, image: str, looks: float | None) -> None:
     """Write `images` and `looks` into the scene file, its comments and all else as they were."""
-    import tomlkit
-
     document: Any = tomlkit.parse(path.read_text(encoding="utf-8-sig"))
     if not exists:
         if "views" not in document:

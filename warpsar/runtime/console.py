@@ -5,6 +5,8 @@ from __future__ import annotations
 import sys
 from typing import TYPE_CHECKING, Any
 
+from tqdm import tqdm
+
 from warpsar.runtime.threads import thread_count
 from warpsar.runtime.torchrun import of_torchrun as of_torchrun
 
@@ -26,7 +28,5 @@ def say_device(device: Any) -> None:
 
 def progress(total: int, what: str, unit: str = "it") -> Any:
     """A tqdm bar on stderr, silent where stderr is no terminal and for work that ends within a second."""
-    from tqdm import tqdm
-
     hidden = True if of_torchrun("RANK", 0) else None
     return tqdm(total=total, desc=what, unit=unit, file=sys.stderr, disable=hidden, delay=1.0, leave=False)

@@ -7,6 +7,8 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
+import tomlkit
+
 from warpsar.errors import InputError
 from warpsar.io.images import replacing
 from warpsar.world.tables import (
@@ -32,8 +34,6 @@ class _Writer:
         self.scene, self.folder = scene, folder
 
     def text(self) -> str:
-        import tomlkit
-
         tables = self.tables()
         fresh = tomlkit.dumps(tables)
         if not self.scene.source:
@@ -94,8 +94,6 @@ def _plain(table: Table) -> dict[str, Any]:
 
 def _merge(document: Any, tables: Any) -> None:
     """Make a parsed TOML container hold `tables`, touching nothing that already does."""
-    import tomlkit
-
     for key in [key for key in document if key not in tables]:
         del document[key]
     for key, value in tables.items():

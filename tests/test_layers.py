@@ -1,0 +1,206 @@
+"""How the house stands: rooms in one order, imports downward, no circle, lazy imports of heavy libraries alone.
+
+Every import counts: at the top of a file, inside a function, under TYPE_CHECKING, and by string (`import_module`, or
+tables of "module:attribute").
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+
+ROOMS = (
+    "errors",
+    "version",
+    "kernels",
+    "runtime",
+    "speckle",
+    "io",
+    "world",
+    "trace",
+    "surface",
+    "effects",
+    "scene",
+    "measured",
+    "render",
+    "simulation",
+    "learning",
+    "evaluation",
+    "diagnosis",
+    "cli",
+    "__init__",
+    "__main__",
+)
+"""From the ground up: a room imports its own files and those of rooms below. docs/design.md says what lives in each."""
+
+HEAVY = {"warp", "matplotlib", "rasterio", "torch", "trimesh", "OpenImageIO", "PIL", "h5py", "sarkit", "lxml", "xatlas"}
+"""Slow to import, or an extra that may be missing: they alone may be imported inside a function."""
+
+
+@dataclass(frozen=True)
+class Arrow:
+    """`importer` takes something from `imported`, both dotted names of modules; `lazy`: not at the top of the file."""
+
+    importer: str
+    imported: str
+    lazy: bool
+
+
+def sources(root: Path) -> dict[str, Path]:
+    """Every module of the package, by the name that it is imported under."""
+    found = {}
+    for folder, package in (("warpsar", "warpsar"), ("kernels", "warpsar.kernels"), ("cli", "warpsar.cli")):
+        for path in (root / folder).rglob("*.py"):
+            parts = path.relative_to(root / folder).with_suffix("").parts
+            found[".".join([package, *(part for part in parts if part != "__init__")])] = path
+    return found
+
+
+def _nodes(node: ast.AST, lazy: bool = False) -> Iterator[tuple[ast.AST, bool]]:
+    for child in ast.iter_child_nodes(node):
+        type_only = isinstance(child, ast.If) and "TYPE_CHECKING" in ast.unparse(child.test)
+        inside = lazy or type_only or isinstance(child, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda)
+        yield child, lazy
+        yield from _nodes(child, inside)
+
+
+def _named(text: str, whole: bool, modules: dict[str, Path]) -> list[str]:
+    """The modules that a string names: itself, or, of the beginning of a name, all that begin so."""
+    name = text.partition(":")[0]
+    if whole:
+        return [name] if name in modules and name != "warpsar" else []
+    return [m for m in modules if re.fullmatch(r"warpsar(\.\w+)*\.", name) and m.startswith(name)]
+
+
+def imports(path: Path, name: str, modules: dict[str, Path]) -> Iterator[tuple[str, bool]]:
+    """What a file imports: names of this package's modules, or of other libraries, and whether lazily."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    pieces = {part for node in ast.walk(tree) if isinstance(node, ast.JoinedStr) for part in node.values}
+    for node, lazy in _nodes(tree):
+        if isinstance(node, ast.Import):
+            yield from ((alias.name, lazy) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{name}: a relative import; write the module's whole name"
+            for alias in node.names:
+                inner = f"{node.module}.{alias.name}"
+                yield (inner if inner in modules else str(node.module)), lazy
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and node.value.startswith("warpsar."):
+            begins = node in pieces and node.value.endswith(".")
+            yield from ((found, True) for found in _named(node.value, not begins, modules) if found != name)
+
+
+def arrows(root: Path) -> list[Arrow]:
+    modules = sources(root)
+    return [
+        Arrow(name, imported, lazy) for name, path in modules.items() for imported, lazy in imports(path, name, modules)
+    ]
+
+
+def room(module: str) -> str:
+    parts = module.split(".")
+    return parts[1] if len(parts) > 1 else "__init__"
+
+
+def upward(found: list[Arrow]) -> list[str]:
+    own = [a for a in found if a.imported.split(".")[0] == "warpsar"]
+    return [
+        f"{a.importer} -> {a.imported}" for a in own if ROOMS.index(room(a.imported)) > ROOMS.index(room(a.importer))
+    ]
+
+
+def circles(found: list[Arrow]) -> list[list[str]]:
+    """Modules that reach themselves through others, a circle each (Tarjan 1972)."""
+    below: dict[str, set[str]] = {}
+    for arrow in found:
+        below.setdefault(arrow.importer, set()).add(arrow.imported)
+    index: dict[str, int] = {}
+    low: dict[str, int] = {}
+    stack: list[str] = []
+    rings: list[list[str]] = []
+
+    def visit(module: str) -> None:
+        index[module] = low[module] = len(index)
+        stack.append(module)
+        for other in below.get(module, ()):
+            if other not in index:
+                visit(other)
+                low[module] = min(low[module], low[other])
+            elif other in stack:
+                low[module] = min(low[module], index[other])
+        if low[module] == index[module]:
+            ring = stack[stack.index(module) :]
+            del stack[stack.index(module) :]
+            if len(ring) > 1 or module in below.get(module, ()):
+                rings.append(sorted(ring))
+
+    for module in below:
+        if module not in index:
+            visit(module)
+    return rings
+
+
+def test_no_arrow_runs_up() -> None:
+    assert upward(arrows(ROOT)) == []
+
+
+def test_no_circle() -> None:
+    assert circles(arrows(ROOT)) == []
+
+
+def test_every_room_has_its_place() -> None:
+    assert {room(module) for module in sources(ROOT)} == set(ROOMS)
+
+
+def test_lazy_imports_are_of_heavy_libraries() -> None:
+    """cli/ apart, whose commands import their work when they are called: help needs no engine; and the faces of the
+    package, which name by string what is imported when it is asked for."""
+    by_string = {"warpsar", "warpsar.effects.registry", "warpsar.runtime.devices"}
+    lazy = [a for a in arrows(ROOT) if a.lazy and room(a.importer) != "cli" and a.importer not in by_string]
+    assert [f"{a.importer} -> {a.imported}" for a in lazy if a.imported.split(".")[0] not in HEAVY] == []
+
+
+@pytest.fixture
+def house(tmp_path: Path) -> Path:
+    """A small house in good order."""
+    for name, text in {
+        "warpsar/errors.py": "",
+        "warpsar/world/mesh.py": "from warpsar.errors import InputError",
+        "warpsar/scene/scene.py": "from warpsar.world.mesh import Mesh",
+        "kernels/trace.py": "",
+        "cli/main.py": "",
+    }.items():
+        path = tmp_path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+    return tmp_path
+
+
+UP = {
+    "at the top": "from warpsar.scene.scene import Scene",
+    "in a function": "def load():\n    from warpsar.scene import scene",
+    "for types": "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    import warpsar.scene.scene",
+    "by string": "from importlib import import_module\nimport_module('warpsar.scene.scene')",
+    "by the beginning of a string": "from importlib import import_module\nimport_module(f'warpsar.scene.{name}')",
+}
+
+
+@pytest.mark.parametrize("how", UP)
+def test_an_arrow_up_is_found(house: Path, how: str) -> None:
+    assert upward(arrows(house)) == circles(arrows(house)) == []
+    (house / "warpsar/world/mesh.py").write_text(UP[how])
+    assert upward(arrows(house)) == ["warpsar.world.mesh -> warpsar.scene.scene"]
+    assert circles(arrows(house)) == [["warpsar.scene.scene", "warpsar.world.mesh"]]
+
+
+def test_a_circle_inside_a_room_is_found(house: Path) -> None:
+    (house / "warpsar/world/frame.py").write_text("from warpsar.world import mesh")
+    (house / "warpsar/world/mesh.py").write_text("def use():\n    from warpsar.world.frame import axes")
+    assert upward(arrows(house)) == []
+    assert circles(arrows(house)) == [["warpsar.world.frame", "warpsar.world.mesh"]]
