@@ -15,7 +15,7 @@ from warpsar.scenefile import _File as SceneFile
 if TYPE_CHECKING:
     from sphinx.application import Sphinx
 
-    from warpsar.effects.base import Effect, Parameter, Setting
+    from warpsar.effects.base import Parameter, Setting
 
 UNITS = {"_hz": "Hz", "_deg": "deg", "_m": "m"}
 HEADER = ("| key | value | default | meaning |", "|---|---|---|---|")
@@ -59,7 +59,7 @@ def _row(key: str, field: dict[str, Any], required: bool) -> str:
     default = "required" if required else _shown(field.get("default"))
     unit = next((unit for suffix, unit in UNITS.items() if key.endswith(suffix)), "")
     value = _value(field) or allowed_values(key)  # a surface value has a check of its own, which has no schema
-    return _cells(f"`{key}`", f"{value} {unit}".strip(), default, field.get("description", ""))
+    return _cells(f"`{key}`", f"{value} [{unit}]" if unit else value, default, field.get("description", ""))
 
 
 def _shown(default: Any) -> str:
@@ -89,13 +89,15 @@ def _value(field: dict[str, Any]) -> str:
         case "boolean":
             return "`true` or `false`"
         case "integer" | "number":
-            return " ".join(["whole number" if field["type"] == "integer" else "number", *_bounds(field)])
+            return ("whole number" if field["type"] == "integer" else "number") + _bounds(field)
     return ""
 
 
-def _bounds(field: dict[str, Any]) -> list[str]:
-    words = {"exclusiveMinimum": "above", "minimum": "from", "exclusiveMaximum": "below", "maximum": "to"}
-    return [f"{word} {_number(field[key])}" for key, word in words.items() if key in field]
+def _bounds(field: dict[str, Any]) -> str:
+    if "minimum" in field and "maximum" in field:
+        return f" from {_number(field['minimum'])} to {_number(field['maximum'])}"
+    words = {"exclusiveMinimum": "above", "minimum": "from", "exclusiveMaximum": "below", "maximum": "up to"}
+    return "".join(f", {word} {_number(field[key])}" for key, word in words.items() if key in field)
 
 
 def _number(value: float) -> str:
@@ -114,7 +116,7 @@ def effect_tables() -> str:
 
 
 def _parameter(parameter: Parameter) -> str:
-    unit = "" if parameter.unit == "1" else f" {parameter.unit}"
+    unit = "" if parameter.unit == "1" else f" [{parameter.unit}]"
     value = f"number from {_number(parameter.low)} to {_number(parameter.high)}{unit}"
     if parameter.per_view:
         value = f"table of view name = {value}"
