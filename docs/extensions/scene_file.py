@@ -8,14 +8,14 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
-from warpsar.effects import NAMES, get
-from warpsar.scene import allowed_values
-from warpsar.scenefile import _File as SceneFile
+from warpsar.effects.registry import get, names
+from warpsar.scene.file import SceneFile
+from warpsar.world.tables import allowed_values
 
 if TYPE_CHECKING:
     from sphinx.application import Sphinx
 
-    from warpsar.effects.base import Parameter, Setting
+    from warpsar.effects.base.parameter import Parameter, Setting
 
 UNITS = {"_hz": "Hz", "_deg": "deg", "_m": "m"}
 HEADER = ("| key | value | default | meaning |", "|---|---|---|---|")
@@ -107,7 +107,7 @@ def _number(value: float) -> str:
 def effect_tables() -> str:
     """Every effect that the registry knows: what it is, then a row for each parameter and setting."""
     parts = []
-    for name in NAMES:
+    for name in names():
         effect = get(name)
         rows = [*map(_parameter, effect.parameters), *map(_setting, effect.settings)]
         about = f"{effect.summary[:1].upper()}{effect.summary[1:]}. Its physics: [{name}](../effects.md#{name})."
