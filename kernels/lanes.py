@@ -11,13 +11,13 @@ structs, calls of further `@wp.func`s. Anything else raises `NotImplementedError
 """
 
 import ast
+import ctypes
 import inspect
 import re
 import textwrap
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from functools import cache
 from typing import Any
 
 import warp as wp
@@ -47,18 +47,22 @@ class Kind:
 FLOAT, INT, BOOL = Kind("float"), Kind("int"), Kind("bool")
 
 
-def source(lanes: int, functions: Mapping[Any, Collection[str]]) -> str:
+def source(lanes: int, functions: Mapping[Any, Collection[str] | None]) -> str:
     """A C++ struct `Lanes` for the body of a `@wp.func_native`, with a static function for each of `functions`.
 
-    `functions`: a `@wp.func`, and which of its arguments are the same for all `lanes`. `Lanes::V` and `Lanes::I` hold a
-    float and an int of every lane, `Lanes::V3` three floats (`.c[0]` to `.c[2]`). The text is the same in every run.
+    `functions`: a `@wp.func`, and which of its arguments are the same for all `lanes` (None: all are). `Lanes::V` and
+    `Lanes::I` hold a float and an int of every lane, `Lanes::V3` three floats (`.c[0]` to `.c[2]`); a `wp.struct` of
+    lanes has an s after its name. The text is the same in every run.
     """
     unit = _Unit()
     for function, uniform in functions.items():
-        parameters = inspect.signature(function.func).parameters.values()
-        unit.translated(function, tuple(_given(p.annotation, p.name not in uniform) for p in parameters))
+        kinds = []
+        for name, parameter in inspect.signature(function.func).parameters.items():
+            kind = _given(parameter.annotation, uniform is not None and name not in uniform)
+            kinds.append(unit.struct(kind.struct, True) if kind.struct and kind.lanes else kind)
+        unit.translated(function, tuple(kinds))
     body = "\n".join(unit.texts.values())
-    sizes = sorted({int(n) for n in re.findall(r"\bV(\d)\b", body)})
+    sizes = sorted({int(n) for n in re.findall(r"\bV(\d)\b", body + "".join(unit.structs.values()))})
     text = "".join(lane_words.vector(n) for n in sizes) + "".join(unit.structs.values()) + body
     return lane_words.begin(lanes, text) + textwrap.indent(text, "    ") + "};\n"
 
@@ -71,8 +75,8 @@ def enum(codes: type[IntEnum]) -> str:
 def _given(annotation: Any, lanes: bool) -> Kind:
     """Kind of an argument or field from its Warp type; `Any` is a float."""
     if hasattr(annotation, "native_name"):  # a wp.struct
-        return Kind(annotation.native_name, struct=annotation)
-    size = getattr(annotation, "_length_", 0)
+        return Kind(annotation.native_name, lanes, struct=annotation)
+    size = annotation._length_ if isinstance(annotation, type) and issubclass(annotation, ctypes.Array) else 0
     scalar = getattr(annotation, "_wp_scalar_type_", annotation)
     return Kind("int" if scalar in (int, wp.int32) else "float", lanes, size)
 
@@ -97,7 +101,7 @@ class _Unit:
         """The function's name in C++ and the kind of its result. C++ tells its versions apart by their arguments."""
         key = (function, kinds)
         if key not in self._known:
-            body = _Function(self, function.func, kinds)
+            body = _Function(self, function, kinds)
             self._known[key] = body.name, body.result
             self.texts[f"{body.name} {len(self.texts)}"] = body.text
         return self._known[key]
@@ -121,33 +125,28 @@ def field(kind: Kind, name: str) -> Kind:
     return _given(kind.struct.vars[name].type, kind.lanes)
 
 
-@cache
-def _tree(function: Any) -> ast.FunctionDef:
-    lines, first = inspect.getsourcelines(function)
-    tree = ast.parse(textwrap.dedent("".join(lines)))
-    ast.increment_lineno(tree, first - 1)
-    return tree.body[0]  # type: ignore[return-value]
-
-
 _PRECEDENCE = {ast.Add: 1, ast.Sub: 1, ast.Mult: 2, ast.Div: 2}
 _SIGNS = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/"}
 _COMPARISONS = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="}
 _SAME = ("sqrt", "exp", "abs", "floor", "sin", "cos", "atan2", "min", "max", "clamp")  # result as the arguments
 _OF_VECTORS = ("dot", "length", "normalize", "cross")
+_RANDOM = {"rand_init": Kind("wp::uint32"), "randf": FLOAT}  # of one ray alone: its state changes
 
 
 class _Function:
     """One `@wp.func` in C++. The first passes only find which variables differ between lanes; the last one counts."""
 
     def __init__(self, unit: _Unit, function: Any, kinds: tuple[Kind, ...]) -> None:
-        self.unit, self.function, self.tree = unit, function, _tree(function)
-        self.name: str = function.__name__
+        self.unit, self.function = unit, function
+        self.tree: ast.FunctionDef = function.adj.tree.body[0]  # parsed by Warp, and not changed
+        self.name = self.tree.name
         self.lanes = any(kind.lanes for kind in kinds)  # of the structs that it makes
+        self.called = set(re.findall(r"(\w+)\(", function.adj.source))
         self.kinds: dict[str, Kind] = dict(zip((a.arg for a in self.tree.args.args), kinds, strict=True))
         self.returned: Kind | None = None
-        before: Any = None
-        while before != (self.kinds, self.returned):
-            before = dict(self.kinds), self.returned
+        self.settled = False
+        while not self.settled:
+            self.settled = True
             self.lines: list[str] = []
             self.scopes: list[set[str]] = [{a.arg for a in self.tree.args.args}]
             self.masks: list[tuple[str, int]] = []  # lanes that a branch is for, and how many scopes lie outside
@@ -158,15 +157,17 @@ class _Function:
             raise self.unknown(self.tree)
         self.result = self.returned
         arguments = ", ".join(
-            f"const {kind.cpp}& {a.arg}" if kind.size or kind.struct else f"{kind.cpp} {a.arg}"
+            f"const {kind.cpp}& {self.variable(a.arg)}" if kind.size or kind.struct else f"{kind.cpp} {self.variable(a.arg)}"
             for a, kind in zip(self.tree.args.args, kinds, strict=True)
         )
-        head = f"// {function.__module__}.{self.name}\n[[gnu::always_inline]] static {self.result.cpp} {self.name}"
+        head = f"// {function.func.__module__}.{self.name}\n[[gnu::always_inline]] static {self.result.cpp} {self.name}"
         self.text = f"{head}({arguments})\n{{\n" + "".join(f"    {line}\n" for line in self.lines) + "}\n"
 
     def unknown(self, node: ast.AST) -> NotImplementedError:
-        file, line = inspect.getsourcefile(self.function), getattr(node, "lineno", "?")
-        return NotImplementedError(f"{file}:{line}: {ast.unparse(node)!r} cannot be written in lanes")
+        line = self.function.adj.fun_lineno + getattr(node, "lineno", 1) - 1
+        return NotImplementedError(
+            f"{self.function.adj.filename}:{line}: {ast.unparse(node)!r} cannot be written in lanes"
+        )
 
     # ---- statements ----
 
@@ -176,6 +177,10 @@ class _Function:
     def fresh(self, what: str) -> str:
         self.numbers[what] = self.numbers.get(what, 0) + 1
         return f"{what}{self.numbers[what]}"
+
+    def variable(self, name: str) -> str:
+        """A variable in C++, where it may not be called as a function that it is given by."""
+        return f"{name}_" if name in self.called else name
 
     def block(self, statements: list[ast.stmt]) -> None:
         for statement in statements:
@@ -217,15 +222,17 @@ class _Function:
         joined = _join(self.kinds.get(name), replace(kind, lanes=True) if blended else kind)
         if joined.size != kind.size or (blended and joined.struct):
             raise self.unknown(target)
+        self.settled &= self.kinds.setdefault(name, joined) == joined
         self.kinds[name] = joined
         text = self.cast(text, kind, joined)
+        variable = self.variable(name)
         if blended:
-            self.emit(f"{name} = choose({mask}, {text}, {name});")
+            self.emit(f"{variable} = choose({mask}, {text}, {variable});")
         elif any(name in scope for scope in self.scopes):
-            self.emit(f"{name} = {text};")
+            self.emit(f"{variable} = {text};")
         else:
             self.scopes[-1].add(name)
-            self.emit(f"{joined.cpp} {name} = {text};")
+            self.emit(f"{joined.cpp} {variable} = {text};")
 
     def unpack(self, names: list[ast.expr], value: ast.expr) -> None:
         if isinstance(value, ast.Tuple):
@@ -242,7 +249,8 @@ class _Function:
         ends = [self.value(bound)[0] for bound in bounds]
         first, last = ("0", *ends) if len(ends) == 1 else (ends[0], ends[1])
         self.kinds[name] = INT
-        self.emit(f"for (int {name} = {first}; {name} < {last}; ++{name}) {{")
+        i = self.variable(name)
+        self.emit(f"for (int {i} = {first}; {i} < {last}; ++{i}) {{")
         self.scopes.append({name})
         self.block(body)
         self.scopes.pop()
@@ -290,7 +298,9 @@ class _Function:
             text = "{" + ", ".join(text for text, _ in found) + "}"
         else:
             text, kind = self.value(value)
-        self.returned = _join(self.returned, kind)
+        joined = _join(self.returned, kind)
+        self.settled &= self.returned in (None, joined)
+        self.returned = joined
         text = self.cast(text, kind, self.returned)
         for mask, early in reversed(self.early):
             text = f"choose({mask}, {early}, {text})"
@@ -311,7 +321,7 @@ class _Function:
         """The value of a name from outside of the function; None for a variable."""
         match node:
             case ast.Name(name) if name not in self.kinds:
-                return self.function.__globals__.get(name)
+                return self.function.func.__globals__.get(name)
             case ast.Attribute(of, name):
                 return getattr(self.static(of), name, None)
         return None
@@ -322,7 +332,7 @@ class _Function:
             return _literal(constant)
         match node:
             case ast.Name(name) if any(name in scope for scope in self.scopes):
-                return name, self.kinds[name]
+                return self.variable(name), self.kinds[name]
             case ast.Attribute(of, name):
                 text, kind = self.value(of)
                 if kind.struct is not None:
@@ -405,6 +415,8 @@ class _Function:
             kind = Kind("int" if name.endswith("i") else "float", lanes, len(found))
             texts = [self.cast(text, k, replace(kind, size=0)) for text, k in found]
             return f"{kind.cpp}{{{', '.join(texts)}}}" if not lanes else f"{kind.cpp}{{{{{', '.join(texts)}}}}}", kind
+        if name in _RANDOM and not lanes:
+            return f"wp::{name}({', '.join(texts)})", _RANDOM[name]
         if name in _SAME:
             kind = Kind("int" if all(k.base == "int" for _, k in found) else "float", lanes)
         elif name in _OF_VECTORS:
@@ -447,8 +459,8 @@ def _closed(node: ast.expr, text: str) -> str:
 
 
 def _takes_long(body: list[ast.stmt]) -> bool:
-    """A function called, or a division: the rest is done before a processor knows which way a branch goes."""
+    """A function that is called, or two divisions: less is done before it is known which way a branch goes."""
     parts = [part for statement in body for part in ast.walk(statement)]
-    called = [ast.unparse(part.func) for part in parts if isinstance(part, ast.Call)]
-    light = ("wp.vec", "wp.vector", "type", "float", "int")
-    return any(isinstance(p, ast.Div) for p in parts) or any(not name.startswith(light) for name in called)
+    called = {ast.unparse(part.func).removeprefix("wp.") for part in parts if isinstance(part, ast.Call)}
+    light = re.compile(r"type\(.*|vec.*|float|int|abs|min|max|clamp|dot|floor")
+    return sum(isinstance(p, ast.Div) for p in parts) > 1 or any(not light.fullmatch(name) for name in called)

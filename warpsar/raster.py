@@ -37,8 +37,8 @@ class Raster:
         """`tests` counts the rays of the azimuth `cells`, the first and the last (all), that faces are held against."""
         import warp as wp
 
-        from warpsar.kernels import columns
         from warpsar.kernels import raster as kernels
+        from warpsar.kernels import raster_lanes
 
         self.target, self.grid = target, grid
         cells = cells or (grid.first_cell, grid.end_cell - 1)
@@ -51,7 +51,7 @@ class Raster:
         first, order = wp.empty(grid.cols + 1, dtype=int, device=device), wp.zeros(faces, dtype=int, device=device)
         counts = wp.zeros(2, dtype=wp.float64, device=device)
         inputs, outputs = [self._cells, grid.cells_per_column, *cells], [first, order, counts]
-        wp.launch(columns.sort_kernel, 1, inputs=inputs, outputs=outputs, device=device)
+        wp.launch(raster_lanes.sort_kernel, 1, inputs=inputs, outputs=outputs, device=device)
         self._begin, self._order = first.numpy(), order
         self.tests, widest = counts.numpy().tolist()
         self._widest = int(widest) // grid.cells_per_column + 1
@@ -72,7 +72,7 @@ class Raster:
         """
         import warp as wp
 
-        from warpsar.kernels import columns as kernels
+        from warpsar.kernels import raster_lanes as kernels
 
         device, grid = self.target.device, self.grid
         columns = first // self.grid.cells_per_column - self._widest, -(-last // self.grid.cells_per_column)
@@ -84,9 +84,7 @@ class Raster:
         track = [wp.empty(room if grid.slant_range else 0, dtype=float, device=device) for _ in range(3)]
         depth: Any = wp.full(room, np.inf, dtype=float, device=device)
         found: Any = wp.full(room, -1, dtype=int, device=device)
-        inputs = [grid, first, seed]
-        wp.launch(kernels.jitter_kernel, last - first, inputs=inputs, outputs=[azimuth, higher], device=device)
-        inputs, outputs = [grid, first], [azimuth, higher, *track]
+        inputs, outputs = [grid, first, seed], [azimuth, higher, *track]
         wp.launch(kernels.ray_kernel, last - first, inputs=inputs, outputs=outputs, device=device)
         wp.launch(
             kernels.raster_kernel,

@@ -51,7 +51,7 @@ class Stage:
         from warpsar.surface import Surface
         from warpsar.trace import Target
 
-        own = ["shade_lanes", "columns"] if device.is_cpu else []
+        own = ["shade_lanes", "raster_lanes", "record_lanes", "hit_lanes"] if device.is_cpu else []
         runtime.load_kernels(device, "trace", "merge", "shade", "raster", *own)
         surface = Surface.of(scene)
         uv = np.zeros((0, 2), np.float32) if scene.mesh.uv is None else scene.mesh.uv

@@ -182,8 +182,9 @@ def trace(
     """
     import warp as wp
 
-    from warpsar.kernels import columns as in_columns
+    from warpsar.kernels import hit_lanes, record_lanes
     from warpsar.kernels import trace as kernels
+    from warpsar.kernels.codes import Deposit
 
     device = target.device
     rays = ray_grid(target, geometry, grid, rays_per_m2, cells_multiple, pixel_area_m2 or grid.pixel_area_m2)
@@ -199,7 +200,7 @@ def trace(
             f"[image] shape: {grid.shape[0]} x {grid.shape[1]} pixels with {faces} faces cannot be "
             f"numbered in 62 bits; allowed are {2 ** (62 - face_bits)} pixels"
         )
-    codes = {"nearest": kernels.NEAREST, "linear": kernels.LINEAR, "footprint": kernels.FOOTPRINT}
+    codes = {code.name.lower(): code for code in Deposit}
     segment, block = rays.elevation_cells if device.is_cpu else _SEGMENT, kernels.BLOCK
     workers = runtime.thread_count() if device.is_cpu else 1
     most = min(max_memory_gib * 2**30 / workers / _RAY_BYTES, 2**29)  # rays of a band; rows are numbered in 31 bits
@@ -263,8 +264,8 @@ def trace(
         mesh = [rays, target.vertices, target.faces]
         if device.is_cpu:
             inputs = [*mesh, records.rows, records.quanta, key, row, face_bits]
-            blocks = -(-n // in_columns.LANES)
-            wp.launch(in_columns.hit_kernel, blocks, inputs=inputs, outputs=list(found), device=device)
+            blocks = -(-n // hit_lanes.LANES)
+            wp.launch(hit_lanes.hit_kernel, blocks, inputs=inputs, outputs=list(found), device=device)
         else:
             inputs = [*mesh, records, key, row, face_bits]
             wp.launch(kernels.hit_kernel, n, inputs=inputs, outputs=list(found), device=device, block_dim=block)
@@ -272,7 +273,7 @@ def trace(
 
     names = ("pixel", "face", "barycentric", "weight", "point", "cos_incidence", "cos_twist", "cos2_azimuth")
     dtypes = (int, int, wp.vec2, float, wp.vec3, float, float, float)
-    for module in [kernels, in_columns] if device.is_cpu else [kernels]:
+    for module in [kernels, record_lanes, hit_lanes] if device.is_cpu else [kernels]:
         wp.load_module(module, device=device, block_dim=block)
     tasks = [partial(band, begin) for begin in range(first, last, width)]
     parts = [part for part in runtime.ordered(tasks, device) if part is not None]
@@ -314,7 +315,7 @@ def recorded_in_columns(
     `kernels.trace.Records`, with the key itself, and how many. `capacity` of them are expected at most."""
     import warp as wp
 
-    from warpsar.kernels import columns as kernels
+    from warpsar.kernels import record_lanes as kernels
 
     device, columns = target.device, (end - begin) // rays.cells_per_column
     across, along = (wp.empty(face.shape[0] + kernels.LANES, dtype=float, device=device) for _ in range(2))
