@@ -11,6 +11,7 @@ struct Lanes {{
     typedef int I __attribute__((ext_vector_type(LANES)));
     {_INLINE} bool any(I mask) {{ return __builtin_reduce_or(mask); }}
     {_INLINE} V choose(I mask, V a, V b) {{ return mask ? a : b; }}
+    {_INLINE} I choose(I mask, I a, I b) {{ return mask ? a : b; }}
 """
 
 # A word is written out where the functions use it.
@@ -68,7 +69,7 @@ def vector(n: int) -> str:
         f"""{v} normalize(const {v}& a)
 {{
     const V l = length(a);
-    return choose(l > 0.0f, a / l, {v}{{{{{each('V(0.0f)')}}}}});
+    return choose(l > 0.0f, a / l, {v}{{{{{each("V(0.0f)")}}}}});
 }}""",
     ]
     if n == 3:

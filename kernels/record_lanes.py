@@ -159,7 +159,8 @@ _RECORD = """
                 continue;
             const V azimuth = Lanes::azimuth_of(grid, cell, ray.jitter);
             const Lanes::PlaneRays start = Lanes::plane_ray(grid, Lanes::elevation_of(grid, ray.number, ray.jitter));
-            const Lanes::V3 origin = Lanes::origin_of(grid, azimuth, start), direction = Lanes::direction_of(grid, start);
+            const Lanes::V3 origin = Lanes::origin_of(grid, azimuth, start);
+            const Lanes::V3 direction = Lanes::direction_of(grid, start);
             const Lanes::V3 p0 = ray.corner[0], p1 = ray.corner[1], p2 = ray.corner[2];
             const Lanes::RayHits hit = Lanes::intersect(origin, direction, p0, p1, p2);
             const V b1 = hit.b1, b2 = hit.b2, cosine = Lanes::abs(Lanes::dot(hit.normal, direction));

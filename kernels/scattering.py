@@ -375,9 +375,7 @@ def sigma0_and_slopes(
     d_hh = slope_te(c, q, a_hh)
     d_vv = slope_tm(c, eps, q, factor_vv(c, variant), a_vv)
     diffuse_by_eps = scale * two * wp.dot(amplitude, turned(polarization, cos_twist, d_hh, d_vv))
-    by_length = spectrum_slope(
-        spectrum, type(c)(4.0) * sine_squared(c), cos2_azimuth, wavenumber * lx, wavenumber * ly
-    )
+    by_length = spectrum_slope(spectrum, type(c)(4.0) * sine_squared(c), cos2_azimuth, wavenumber * lx, wavenumber * ly)
 
     specular = type(c)(0.0)
     specular_by_eps = type(c)(0.0)

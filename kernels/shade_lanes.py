@@ -106,7 +106,7 @@ def scatter_kernel(
     sigma_out: wp.array(dtype=float),
     slopes_out: wp.array(dtype=wp.vec4),
 ):
-    """sigma0 of HITS hits, and with `slopes_out` not empty their derivatives to `zeta` (`shade.sigma0_and_slopes_of`)."""
+    """`shade.scatter_kernel` for HITS hits; with `slopes_out` not empty `shade.scatter_slopes_kernel`."""
     shade_block(
         wp.tid(),
         polarization,
