@@ -56,6 +56,7 @@ class _Unit:
         self.texts: list[str] = []
         self.structs: dict[str, str] = {}
         self._known: dict[tuple[Any, tuple[Kind, ...]], tuple[str, Kind]] = {}
+        self._several: dict[tuple[str, tuple[Kind, ...]], int] = {}
 
     def translated(self, function: Any, kinds: tuple[Kind, ...]) -> tuple[str, Kind]:
         """The function's name in C++ and the kind of its result. C++ tells its versions apart by their arguments."""
@@ -74,7 +75,8 @@ class _Unit:
 
     def results(self, function: str, parts: tuple[Kind, ...]) -> Kind:
         """Several results of one function, as a struct."""
-        kind = Kind(f"{function}_results", parts=parts)
+        number = self._several.setdefault((function, parts), sum(name == function for name, _ in self._several))
+        kind = Kind(f"{function}_results{number or ''}", parts=parts)
         self.structs[kind.base] = struct_text(kind.base, {f"part{i}": part for i, part in enumerate(parts)})
         return kind
 
@@ -102,13 +104,13 @@ class _Function(Expressions):
             self.block(self.tree.body)
         if self.returned is None:
             raise self.unknown(self.tree)
-        self.result = self.returned
+        self.result: Kind = self.returned
         arguments = ", ".join(
             f"{f'const {kind.cpp}&' if kind.size or kind.struct else kind.cpp} {self.variable(name)}"
             for name, kind in zip(self.arguments, kinds, strict=True)
         )
         head = f"// {function.func.__module__}.{self.name}\n[[gnu::always_inline]] static {self.result.cpp} {self.name}"
-        self.text = f"{head}({arguments})\n{{\n" + "".join(f"    {line}\n" for line in self.lines) + "}\n"
+        self.text: str = f"{head}({arguments})\n{{\n" + "".join(f"    {line}\n" for line in self.lines) + "}\n"
 
     def translated(self, function: Any, kinds: tuple[Kind, ...]) -> tuple[str, Kind]:
         return self.unit.translated(function, kinds)
@@ -188,8 +190,10 @@ class _Function(Expressions):
             self.assign(name, f"{found}.part{i}", part)
 
     def repeat(self, name: str, bounds: list[ast.expr], body: list[ast.stmt]) -> None:
-        ends = [self.value(bound)[0] for bound in bounds]
-        first, last = ("0", *ends) if len(ends) == 1 else (ends[0], ends[1])
+        ends = [self.value(bound) for bound in bounds]
+        if len(ends) > 2 or any(kind.lanes for _, kind in ends):
+            raise self.unknown(bounds[-1])
+        first, last = ("0", ends[0][0]) if len(ends) == 1 else (ends[0][0], ends[1][0])
         self.kinds[name] = INT
         i = self.variable(name)
         self.emit(f"for (int {i} = {first}; {i} < {last}; ++{i}) {{")

@@ -87,7 +87,8 @@ def several(code: int, x: float, y: float, z: float) -> float:
     """A function with several results, and numbers in the type of others."""
     product, size = complex_and_square(wp.vector(x, y), wp.vector(type(y)(2.0), z))
     again, _size = complex_and_square(product, product)
-    return again[0] * type(x)(wp.pi) + again[1] * size
+    half, quarter = complex_and_square(wp.vector(0.5, 0.0), wp.vector(1.0, 0.0))
+    return again[0] * type(x)(wp.pi) + again[1] * size * half[0] - quarter
 
 
 @wp.func
@@ -197,6 +198,7 @@ def test_every_function_is_written_once_for_each_kind_of_its_arguments() -> None
     text = written(several)
     assert text.count(" square(V x)") == 1
     assert text.count("complex_and_square_results complex_and_square(") == 1
+    assert text.count("complex_and_square_results1 complex_and_square(") == 1  # of what is the same in all lanes
 
 
 @wp.func
@@ -212,12 +214,20 @@ def in_double(x: float) -> float:
 
 
 @wp.func
+def by_twos(x: float) -> float:
+    for _ in range(0, 4, 2):
+        x = x * x
+    return x
+
+
+@wp.func
 def of_own_length(x: float) -> float:
     return wp.vec3(x)[0]
 
 
 @pytest.mark.parametrize(
-    ("function", "what"), [(one_step, "while x > 1.0"), (in_double, "wp.float64"), (of_own_length, "wp.vec3(x)")]
+    ("function", "what"),
+    [(one_step, "while x > 1.0"), (in_double, "wp.float64"), (by_twos, "2"), (of_own_length, "wp.vec3(x)")],
 )
 def test_what_it_does_not_know_is_said_with_its_line(function: Any, what: str) -> None:
     with pytest.raises(NotImplementedError, match=r"test_lanes\.py:\d+: ") as raised:

@@ -33,10 +33,10 @@ class ExponentialSpectrum(Effect):
         import warp as wp
 
         from warpsar.kernels import effects_exponential_spectrum as kernels
-        from warpsar.kernels.scattering import EXPONENTIAL, GAUSSIAN
+        from warpsar.kernels.codes import Spectrum
 
         own = render.stage.spectrum.numpy()
-        own = np.where(own == int(GAUSSIAN), int(EXPONENTIAL), own)
+        own = np.where(own == Spectrum.GAUSSIAN, int(Spectrum.EXPONENTIAL), own)
         other = render.scatter(zeta, polarization, wp.array(own, dtype=int, device=render.program.device))
         result = render.program.array(sigma.shape[0])
         render.program.launch(kernels.mix_kernel, sigma.shape[0], [p, sigma, other], [result])
