@@ -18,7 +18,8 @@ import warp as wp
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
-from warpsar.kernels.scattering import GAUSSIAN, HH, STANDARD, VV, sigma0
+from warpsar.kernels.codes import Polarization, Spectrum, Variant
+from warpsar.kernels.scattering import sigma0
 
 WAVENUMBER = 2.0 * np.pi * 9.6e9 / 299792458.0
 INCIDENCE_DEG = np.linspace(0.0, 80.0, 321)
@@ -47,8 +48,8 @@ def curve_kernel(
     one = wp.float64(1.0)
     sigma_out[i] = sigma0(
         polarization,
-        GAUSSIAN,
-        STANDARD,
+        Spectrum.GAUSSIAN,
+        Variant.STANDARD,
         wavenumber,
         cos_theta[i],
         one,
@@ -90,9 +91,9 @@ def label(name: str, value: float) -> str:
 def draw_family(ax: Axes, name: str, values: tuple[float, ...], surface: dict[str, float], tau: float) -> None:
     for i, value in enumerate(values):
         varied = surface | {name: value}
-        ax.plot(INCIDENCE_DEG, curve_db(HH, tau, varied), color=f"C{i}", label=label(name, value))
+        ax.plot(INCIDENCE_DEG, curve_db(Polarization.HH, tau, varied), color=f"C{i}", label=label(name, value))
         if tau < 1.0:
-            ax.plot(INCIDENCE_DEG, curve_db(VV, tau, varied), color=f"C{i}", linestyle="--")
+            ax.plot(INCIDENCE_DEG, curve_db(Polarization.VV, tau, varied), color=f"C{i}", linestyle="--")
     fixed = ", ".join(label(n, v) for n, v in surface.items() if n != name)
     model = "small perturbation, HH solid, VV dashed" if tau < 1.0 else "geometric optics, HH = VV"
     ax.set_title(f"{model}\n{fixed}", fontsize=9)
@@ -124,7 +125,7 @@ def figure_3(path: Path) -> None:
 
 def figure_4(path: Path) -> None:
     figure, axes = plt.subplots(1, 2, figsize=(9.0, 4.0), layout="constrained")
-    for ax, polarization, channel in zip(axes, (HH, VV), ("HH", "VV"), strict=True):
+    for ax, polarization, channel in zip(axes, (Polarization.HH, Polarization.VV), ("HH", "VV"), strict=True):
         for i, tau in enumerate((0.0, 0.25, 0.5, 0.75, 1.0)):
             color = plt.get_cmap("viridis")(0.22 * i)
             ax.plot(

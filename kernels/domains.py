@@ -2,6 +2,8 @@
 
 import warp as wp
 
+from warpsar.kernels.codes import FRACTION_LIMIT, Coordinate
+
 # Partial sums, spread over as many cells so that CUDA atomics seldom meet.
 PARTIALS = wp.constant(256)
 
@@ -36,14 +38,14 @@ def area_kernel(
     lies outside its domain."""
     i = wp.tid()
     z = zeta[i]
-    kh = wavenumber * wp.exp(wp.float64(z[1]))
-    kl = wavenumber * wp.exp(wp.float64(z[2]))
+    kh = wavenumber * wp.exp(wp.float64(z[Coordinate.HEIGHT]))
+    kl = wavenumber * wp.exp(wp.float64(z[Coordinate.LENGTH]))
     cell, material, area = i % PARTIALS, face_material[face[i]], wp.float64(weight[i])
-    if z[3] < 40.0:
+    if z[Coordinate.FRACTION] < FRACTION_LIMIT:
         wp.atomic_add(area_out, cell, material, 0, area)
         if not spm_valid(kh, kl):
             wp.atomic_add(area_out, cell, material, 2, area)
-    if z[3] > -40.0:
+    if z[Coordinate.FRACTION] > -FRACTION_LIMIT:
         wp.atomic_add(area_out, cell, material, 1, area)
         if not ka_valid(kh, kl, wp.float64(cos_incidence[i])):
             wp.atomic_add(area_out, cell, material, 3, area)

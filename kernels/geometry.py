@@ -40,23 +40,85 @@ class RayHit:
     normal: wp.vec3
 
 
+@wp.struct
+class PlaneRay:
+    """A ray in the plane of d and v: where it starts along both [m], cosine and sine of its direction's angle to d."""
+
+    along: float
+    across: float
+    cosine: float
+    sine: float
+
+
 @wp.func
-def ray_direction(grid: RayGrid, elevation: float) -> wp.vec3:
+def jitter_of(grid: RayGrid, seed: int, cell: int, k: int) -> wp.vec2:
+    """Where in its cell a ray starts, (azimuth, elevation) from -0.5 to 0.5: a matter of the cell alone."""
+    random = wp.rand_init(seed, cell * grid.elevation_cells + k)
+    across = wp.randf(random) - 0.5
+    return wp.vec2(across, wp.randf(random) - 0.5)
+
+
+@wp.func
+def azimuth_of(grid: RayGrid, cell: int, jitter: wp.vec2) -> float:
+    return grid.azimuth_start + (float(cell) + 0.5) * grid.azimuth_step + jitter[0] * grid.azimuth_step
+
+
+@wp.func
+def elevation_of(grid: RayGrid, k: int, jitter: wp.vec2) -> float:
+    return grid.elevation_start + (float(k) + 0.5 + jitter[1]) * grid.elevation_step
+
+
+@wp.func
+def plane_ray(grid: RayGrid, elevation: float) -> PlaneRay:
+    ray = PlaneRay()
+    ray.along = -grid.standoff
+    ray.across = elevation
+    ray.cosine = 1.0
+    ray.sine = 0.0
     if grid.slant_range > 0.0:
-        return wp.cos(elevation) * grid.d + wp.sin(elevation) * grid.v
+        # Not on the track, where a distance of 10 km and more would leave no millimetres in float32. 1 - cos, too,
+        # is written without its cancellation.
+        half = wp.sin(0.5 * elevation)
+        ray.cosine = wp.cos(elevation)
+        ray.sine = wp.sin(elevation)
+        ray.along = -2.0 * half * half * grid.slant_range - grid.standoff * ray.cosine
+        ray.across = (grid.slant_range - grid.standoff) * ray.sine
+    return ray
+
+
+@wp.func
+def direction_of(grid: RayGrid, ray: PlaneRay) -> wp.vec3:
+    if grid.slant_range > 0.0:
+        return ray.cosine * grid.d + ray.sine * grid.v
     return grid.d
 
 
 @wp.func
-def ray_origin(grid: RayGrid, azimuth: float, elevation: float) -> wp.vec3:
+def origin_of(grid: RayGrid, azimuth: float, ray: PlaneRay) -> wp.vec3:
     if grid.slant_range > 0.0:
-        # Not on the track, where a distance of 10 km and more would leave no millimetres in float32. 1 - cos, too,
-        # is written without its cancellation.
-        s = wp.sin(0.5 * elevation)
-        nearer = -2.0 * s * s * grid.slant_range - grid.standoff * wp.cos(elevation)
-        higher = (grid.slant_range - grid.standoff) * wp.sin(elevation)
-        return azimuth * grid.u + nearer * grid.d + higher * grid.v
-    return azimuth * grid.u + elevation * grid.v - grid.standoff * grid.d
+        return azimuth * grid.u + ray.along * grid.d + ray.across * grid.v
+    return azimuth * grid.u + ray.across * grid.v + ray.along * grid.d
+
+
+@wp.func
+def ray_direction(grid: RayGrid, elevation: float) -> wp.vec3:
+    return direction_of(grid, plane_ray(grid, elevation))
+
+
+@wp.func
+def ray_origin(grid: RayGrid, azimuth: float, elevation: float) -> wp.vec3:
+    return origin_of(grid, azimuth, plane_ray(grid, elevation))
+
+
+@wp.func
+def point_on(p0: wp.vec3, p1: wp.vec3, p2: wp.vec3, b1: float, b2: float) -> wp.vec3:
+    """The point of a triangle with the barycentric weights `b1` and `b2` of its second and third corner."""
+    return p0 + b1 * (p1 - p0) + b2 * (p2 - p0)
+
+
+@wp.func
+def normal_of(p0: wp.vec3, p1: wp.vec3, p2: wp.vec3) -> wp.vec3:
+    return wp.normalize(wp.cross(p1 - p0, p2 - p0))
 
 
 @wp.func
@@ -72,7 +134,7 @@ def intersect(origin: wp.vec3, direction: wp.vec3, p0: wp.vec3, p1: wp.vec3, p2:
     hit.b1 = wp.dot(o, q) * inverse
     hit.b2 = wp.dot(direction, w) * inverse
     hit.distance = wp.dot(e2, w) * inverse
-    hit.normal = wp.normalize(wp.cross(e1, e2))
+    hit.normal = normal_of(p0, p1, p2)
     return hit
 
 
@@ -89,11 +151,24 @@ def slant_range_of(grid: RayGrid, point: wp.vec3) -> float:
 
 
 @wp.func
+def elevation_step_at(grid: RayGrid, slant_range: float) -> float:
+    """Length [m] of a cell in elevation, at a slant range about the reference point."""
+    if grid.slant_range > 0.0:
+        return (slant_range + grid.slant_range) * grid.elevation_step
+    return grid.elevation_step
+
+
+@wp.func
 def look_direction(grid: RayGrid, point: wp.vec3) -> wp.vec3:
     """Direction of travel of the ray that reaches `point`."""
     if grid.slant_range > 0.0:
         return wp.normalize((grid.slant_range + wp.dot(point, grid.d)) * grid.d + wp.dot(point, grid.v) * grid.v)
     return grid.d
+
+
+@wp.func
+def cos_incidence_of(normal: wp.vec3, direction: wp.vec3) -> float:
+    return wp.min(wp.abs(wp.dot(normal, direction)), 1.0)
 
 
 @wp.func
@@ -109,7 +184,7 @@ def cos_twist_of(normal: wp.vec3, direction: wp.vec3, u: wp.vec3) -> float:
 @wp.func
 def cos2_azimuth_of(normal: wp.vec3, direction: wp.vec3) -> float:
     """Squared cosine between the look direction on the facet and the facet's x axis: horizontal, east on the flat."""
-    x = wp.cross(wp.vec3(0.0, 0.0, 1.0), normal)
+    x = wp.vec3(-normal[1], normal[0], 0.0)  # the vertical x the normal
     if wp.length(x) < 1.0e-6:
         x = wp.vec3(1.0, 0.0, 0.0)
     along = direction - wp.dot(direction, normal) * normal

@@ -6,9 +6,12 @@ from warpsar.kernels.geometry import (
     RayGrid,
     cos2_azimuth_of,
     cos_twist_of,
+    direction_of,
+    elevation_step_at,
     intersect,
-    ray_direction,
-    ray_origin,
+    origin_of,
+    plane_ray,
+    point_on,
     slant_range_of,
 )
 from warpsar.kernels.shade import coordinates_at, sigma0_of
@@ -41,14 +44,15 @@ def geometry_image_kernel(
     """beta0 of one ray, split linearly between the two nearest rows: its slope in range is that of the power."""
     i = wp.tid()
     f = face[i]
-    origin = ray_origin(grid, azimuth[i], elevation[i])
-    direction = ray_direction(grid, elevation[i])
+    ray = plane_ray(grid, elevation[i])
+    origin = origin_of(grid, azimuth[i], ray)
+    direction = direction_of(grid, ray)
     p0 = vertices[faces[f, 0]]
     p1 = vertices[faces[f, 1]]
     p2 = vertices[faces[f, 2]]
     hit = intersect(origin, direction, p0, p1, p2)
     b = wp.vec3(1.0 - hit.b1 - hit.b2, hit.b1, hit.b2)
-    point = p0 + hit.b1 * (p1 - p0) + hit.b2 * (p2 - p0)
+    point = point_on(p0, p1, p2, hit.b1, hit.b2)
     cos_incidence = wp.abs(wp.dot(hit.normal, direction))
 
     material = face_material[f]
@@ -70,10 +74,8 @@ def geometry_image_kernel(
     )
 
     slant_range = slant_range_of(grid, point)
-    across = grid.elevation_step
-    if grid.slant_range > 0.0:
-        across = (slant_range + grid.slant_range) * grid.elevation_step
-    power = sigma * grid.azimuth_step * across / (cos_incidence * grid.pixel_area)
+    step = elevation_step_at(grid, slant_range)
+    power = sigma * grid.azimuth_step * step / (cos_incidence * grid.pixel_area)
     place = (slant_range - grid.range_start) / grid.range_spacing - 0.5
     row = int(wp.floor(place))
     after = place - wp.floor(place)

@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from warpsar.kernels.geometry import RayGrid, intersect, ray_direction, ray_origin, slant_range_of
+from warpsar.kernels.geometry import RayGrid, direction_of, intersect, origin_of, plane_ray, point_on, slant_range_of
 
 wp.set_module_options({"max_unroll": 1})  # sixteen copies of a BVH query would take seconds to compile
 
@@ -33,8 +33,9 @@ def layers_kernel(
     last_row = int(-1)
     for k in range(grid.elevation_cells):
         elevation = grid.elevation_start + (float(k) + 0.5) * grid.elevation_step
-        origin = ray_origin(grid, azimuth, elevation)
-        direction = ray_direction(grid, elevation)
+        ray = plane_ray(grid, elevation)
+        origin = origin_of(grid, azimuth, ray)
+        direction = direction_of(grid, ray)
         from_distance = float(0.0)
         row = int(-1)
         for surface in range(HIDDEN_SURFACES):
@@ -45,7 +46,7 @@ def layers_kernel(
                     p1 = vertices[faces[query.face, 1]]
                     p2 = vertices[faces[query.face, 2]]
                     hit = intersect(origin, direction, p0, p1, p2)
-                    point = p0 + hit.b1 * (p1 - p0) + hit.b2 * (p2 - p0)
+                    point = point_on(p0, p1, p2, hit.b1, hit.b2)
                     at = int(wp.floor((slant_range_of(grid, point) - grid.range_start) / grid.range_spacing))
                     inside = at >= 0 and at < grid.rows
                     if surface == 0:

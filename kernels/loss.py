@@ -2,6 +2,8 @@
 
 import warp as wp
 
+from warpsar.kernels.codes import FRACTION_LIMIT, Coordinate
+
 GAMMA = wp.constant(0)
 MSE = wp.constant(1)
 LOG = wp.constant(2)
@@ -92,15 +94,15 @@ def validity_kernel(
     """
     i = wp.tid()
     z = zeta[i]
-    kh = wp.log(wavenumber) + z[1]
-    kl = wp.log(wavenumber) + z[2]
+    kh = wp.log(wavenumber) + z[Coordinate.HEIGHT]
+    kl = wp.log(wavenumber) + z[Coordinate.LENGTH]
     spm = beyond(kh - wp.log(0.3)) + beyond(0.5 * wp.log(2.0) + kh - kl - wp.log(0.3))
     ka = (
         beyond(wp.log(0.5 * wp.sqrt(10.0)) - kh - wp.log(wp.max(cos_incidence[i], 1.0e-3)))
         + beyond(wp.log(6.0) - kl)
         + beyond(wp.log(2.76 * 2.0 * wp.pi) + kh - 2.0 * kl)
     )
-    tau = 1.0 / (1.0 + wp.exp(-wp.clamp(z[3], -40.0, 40.0)))
+    tau = 1.0 / (1.0 + wp.exp(-wp.clamp(z[Coordinate.FRACTION], -FRACTION_LIMIT, FRACTION_LIMIT)))
     value = strength * weight[i] * ((1.0 - tau) * spm + tau * ka)
     wp.atomic_add(loss_out, i % PARTIALS, wp.float64(value))
 

@@ -2,8 +2,7 @@
 
 import warp as wp
 
-from warpsar.kernels.geometry import RayGrid
-from warpsar.kernels.trace import azimuth_of, elevation_of, jitter_of
+from warpsar.kernels.geometry import PlaneRay, RayGrid, azimuth_of, elevation_of, jitter_of, plane_ray
 
 # A product fused into a sum is rounded otherwise than its twin: two faces would differ about their common edge.
 wp.set_module_options({"fuse_fp": False})
@@ -140,39 +139,32 @@ def strip_of(
 
 
 @wp.func
-def distance_to(grid: RayGrid, a: wp.vec4, b: wp.vec4, c: wp.vec4, azimuth: float, elevation: float) -> float:
+def distance_to(grid: RayGrid, a: wp.vec4, b: wp.vec4, c: wp.vec4, azimuth: float, ray: PlaneRay) -> float:
     """How far along a ray a face lies; infinite where the ray passes it, or meets it edge-on.
 
     Edges are tested in the plane across the ray, from differences that two faces with a common edge round alike: no ray
     passes between them.
     """
-    # the ray's origin and direction in the plane of d and v, as in `ray_origin`
-    cosine = float(1.0)
-    sine = float(0.0)
-    along = -grid.standoff
-    across = elevation
-    if grid.slant_range > 0.0:
-        cosine = wp.cos(elevation)
-        sine = wp.sin(elevation)
-        half = wp.sin(0.5 * elevation)
-        along = -2.0 * half * half * grid.slant_range - grid.standoff * cosine
-        across = (grid.slant_range - grid.standoff) * sine
     au = a[0] - azimuth
     bu = b[0] - azimuth
     cu = c[0] - azimuth
-    av = (a[3] - across) * cosine - (a[2] - along) * sine
-    bv = (b[3] - across) * cosine - (b[2] - along) * sine
-    cv = (c[3] - across) * cosine - (c[2] - along) * sine
+    av = a[3] - ray.across
+    bv = b[3] - ray.across
+    cv = c[3] - ray.across
+    if grid.slant_range > 0.0:
+        av = av * ray.cosine - (a[2] - ray.along) * ray.sine
+        bv = bv * ray.cosine - (b[2] - ray.along) * ray.sine
+        cv = cv * ray.cosine - (c[2] - ray.along) * ray.sine
     wa = bu * cv - bv * cu
     wb = cu * av - cv * au
     wc = au * bv - av * bu
+    total = wa + wb + wc
     distance = float(wp.inf)
-    if (wa >= 0.0 and wb >= 0.0 and wc >= 0.0) or (wa <= 0.0 and wb <= 0.0 and wc <= 0.0):
-        total = wa + wb + wc
-        if total != 0.0:
-            d = (wa * a[2] + wb * b[2] + wc * c[2]) / total - along
-            v = (wa * a[3] + wb * b[3] + wc * c[3]) / total - across
-            distance = d * cosine + v * sine
+    if total != 0.0 and ((wa >= 0.0 and wb >= 0.0 and wc >= 0.0) or (wa <= 0.0 and wb <= 0.0 and wc <= 0.0)):
+        distance = (wa * a[2] + wb * b[2] + wc * c[2]) / total - ray.along
+        if grid.slant_range > 0.0:
+            v = (wa * a[3] + wb * b[3] + wc * c[3]) / total - ray.across
+            distance = distance * ray.cosine + v * ray.sine
     return distance
 
 
@@ -191,7 +183,8 @@ def draw(
 ):
     """A face against one ray: the smallest (distance, face) stays, in whatever order they come."""
     jitter = jitter_of(grid, seed, cell, k)
-    distance = distance_to(grid, a, b, c, azimuth_of(grid, cell, jitter), elevation_of(grid, k, jitter))
+    ray = plane_ray(grid, elevation_of(grid, k, jitter))
+    distance = distance_to(grid, a, b, c, azimuth_of(grid, cell, jitter), ray)
     if distance < FAR:
         # the bits of positive numbers are in their order
         bits = wp.int64(wp.cast(wp.max(distance, 0.0), wp.uint32))

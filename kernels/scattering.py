@@ -12,20 +12,9 @@ from typing import Any
 
 import warp as wp
 
-# Channel of the radar, receive and transmit; HV and VH are equal by reciprocity.
-HH = wp.constant(0)
-VV = wp.constant(1)
-HV = wp.constant(2)
-VH = wp.constant(3)
+from warpsar.kernels.codes import Polarization, Spectrum, Variant
 
-# Roughness spectrum of the small-perturbation term; SEPARABLE is the paper's equation (16).
-GAUSSIAN = wp.constant(0)
-EXPONENTIAL = wp.constant(1)
-SEPARABLE = wp.constant(2)
-
-# Equations as derived, or with the constant of the paper's (13) and the amplitude of its (18).
-STANDARD = wp.constant(0)
-AS_PRINTED = wp.constant(1)
+HH = wp.constant(int(Polarization.HH))  # by this name the effects' kernels know it
 
 # Less than 0.21 arcseconds from grazing counts as 0.21: keeps 1/cos^4 and its derivative finite in float32.
 MIN_COS_INCIDENCE = wp.constant(1.0e-6)
@@ -92,12 +81,12 @@ def amplitude_tm(cos_theta: Any, eps: Any, q: Any, factor: Any):
 
 
 @wp.func
-def amplitude_vv(cos_theta: Any, eps: Any, q: Any, variant: int):
-    """Bragg amplitude a_vv, complex; a_hh at theta = 0. AS_PRINTED is the paper's (18), which is -R_v."""
+def factor_vv(cos_theta: Any, variant: int):
+    """`factor` of the Bragg amplitude a_vv, which is a_hh at theta = 0; AS_PRINTED: the paper's (18), which is -R_v."""
     factor = type(cos_theta)(1.0) + sine_squared(cos_theta)
-    if variant == AS_PRINTED:
+    if variant == Variant.AS_PRINTED:
         factor = cos_theta * cos_theta
-    return amplitude_tm(cos_theta, eps, q, factor)
+    return factor
 
 
 @wp.func
@@ -119,8 +108,8 @@ def fresnel_v(cos_theta: Any, eps_re: Any, eps_im: Any):
 
 
 @wp.func
-def geometric_optics(reflectivity: Any, cos_tilt: Any, slope_variance: Any):
-    """Kirchhoff coefficient in geometric optics: reflectivity exp(-tan^2 / (2 m^2)) / (2 m^2 cos^4).
+def mirror_lobe(cos_tilt: Any, slope_variance: Any):
+    """Kirchhoff coefficient in geometric optics for a reflectivity of 1: exp(-tan^2 / (2 m^2)) / (2 m^2 cos^4).
 
     cos_tilt: of the angle between the normal and the half vector of the two directions (backscatter: theta);
     slope_variance: m^2 of the surface's slopes, per axis.
@@ -131,7 +120,7 @@ def geometric_optics(reflectivity: Any, cos_tilt: Any, slope_variance: Any):
     sec2 = type(c)(1.0) / (c * c)
     # Half the exponent beside each sec^2: no factor overflows where the other one has underflowed.
     root = sec2 * wp.exp(-half * p * sine_squared(c) * sec2)
-    return reflectivity * p * root * root
+    return p * root * root
 
 
 @wp.func
@@ -144,11 +133,11 @@ def bistatic_geometric_optics(
     between the incoming direction and the half vector; cos_tilt: of beta, between half vector and normal.
     """
     reflectivity = type(cos_tilt)(0.0)
-    if polarization == HH:
+    if polarization == Polarization.HH:
         reflectivity = fresnel_h(cos_half_angle, eps_re, eps_im)
-    elif polarization == VV:
+    elif polarization == Polarization.VV:
         reflectivity = fresnel_v(cos_half_angle, eps_re, eps_im)
-    return geometric_optics(reflectivity, cos_tilt, slope_variance)
+    return reflectivity * mirror_lobe(cos_tilt, slope_variance)
 
 
 @wp.func
@@ -170,10 +159,10 @@ def roughness_spectrum(
     kx2 = wavenumber_squared * correlation_length_x * correlation_length_x
     hl = rms_height * correlation_length_x
     w = type(rms_height)(0.0)
-    if spectrum == GAUSSIAN:
+    if spectrum == Spectrum.GAUSSIAN:
         quarter = type(rms_height)(0.25)
         w = hl * hl * quarter / pi * wp.exp(-quarter * kx2)
-    elif spectrum == EXPONENTIAL:
+    elif spectrum == Spectrum.EXPONENTIAL:
         t = one + kx2
         w = hl * hl / ((pi + pi) * t * wp.sqrt(t))
     else:
@@ -184,24 +173,87 @@ def roughness_spectrum(
 
 
 @wp.func
-def bragg_power(polarization: int, variant: int, cos_theta: Any, cos_twist: Any, eps: Any):
-    """Power |S|^2 of the Bragg amplitudes, turned from the facet's basis into the radar's about the ray."""
-    q = refraction(cos_theta, eps)
-    a_hh = amplitude_te(cos_theta, eps, q)
-    a_vv = amplitude_vv(cos_theta, eps, q, variant)
+def is_crossed(polarization: int):
+    return polarization == Polarization.HV or polarization == Polarization.VH
+
+
+@wp.func
+def turned(polarization: int, cos_twist: Any, hh: Any, vv: Any):
+    """A channel's amplitude from those of the facet's own basis, turned into the radar's basis about the ray.
+
+    That of HV and VH lacks its factor sin(psi) cos(psi), whose square `turned_share` has.
+    """
     cos2 = cos_twist * cos_twist
     sin2 = sine_squared(cos_twist)
-    power = type(cos_theta)(0.0)
-    if polarization == HH:
-        s_hh = a_hh * cos2 + a_vv * sin2
-        power = wp.dot(s_hh, s_hh)
-    elif polarization == VV:
-        s_vv = a_hh * sin2 + a_vv * cos2
-        power = wp.dot(s_vv, s_vv)
-    else:
-        difference = a_vv - a_hh
-        power = wp.dot(difference, difference) * sin2 * cos2
-    return power
+    amplitude = vv - hh
+    if polarization == Polarization.HH:
+        amplitude = hh * cos2 + vv * sin2
+    elif polarization == Polarization.VV:
+        amplitude = hh * sin2 + vv * cos2
+    return amplitude
+
+
+@wp.func
+def turned_share(polarization: int, cos_twist: Any):
+    share = type(cos_twist)(1.0)
+    if is_crossed(polarization):
+        share = sine_squared(cos_twist) * cos_twist * cos_twist
+    return share
+
+
+@wp.func
+def bragg_terms(
+    polarization: int,
+    spectrum: int,
+    variant: int,
+    wavenumber: Any,
+    cosine: Any,
+    cos_twist: Any,
+    eps: Any,
+    rms_height: Any,
+    correlation_length_x: Any,
+    correlation_length_y: Any,
+    cos2_azimuth: Any,
+):
+    """First-order small perturbation: sigma0 is `scale` |S|^2, the amplitude S is a_hh and a_vv `turned`.
+
+    Returns scale, S, and for the slopes of S: q, a_hh, a_vv.
+    """
+    # In units of 1/k the Bragg wavenumber is 2 sin(theta), and the spectrum comes out multiplied by k^4.
+    w = roughness_spectrum(
+        spectrum,
+        type(cosine)(4.0) * sine_squared(cosine),
+        cos2_azimuth,
+        wavenumber * rms_height,
+        wavenumber * correlation_length_x,
+        wavenumber * correlation_length_y,
+    )
+    prefactor = type(cosine)(16.0) * type(cosine)(wp.pi)
+    if variant == Variant.AS_PRINTED:
+        prefactor = type(cosine)(8.0)
+    cos2 = cosine * cosine
+    scale = prefactor * cos2 * cos2 * w * turned_share(polarization, cos_twist)
+    q = refraction(cosine, eps)
+    a_hh = amplitude_te(cosine, eps, q)
+    a_vv = amplitude_tm(cosine, eps, q, factor_vv(cosine, variant))
+    return scale, turned(polarization, cos_twist, a_hh, a_vv), q, a_hh, a_vv
+
+
+@wp.func
+def mirror_terms(
+    spectrum: int, cosine: Any, eps: Any, rms_height: Any, correlation_length_x: Any, correlation_length_y: Any
+):
+    """Geometric optics: sigma0 is `lobe` |R|^2, R the reflection of normal incidence.
+
+    Returns lobe, R, and for their slopes: q of normal incidence, the variance of the surface's slopes.
+    """
+    one = type(cosine)(1.0)
+    area = correlation_length_x * correlation_length_x
+    if spectrum == Spectrum.SEPARABLE:
+        area = correlation_length_x * correlation_length_y
+    slope_variance = type(cosine)(2.0) * rms_height * rms_height / area
+    q = refraction(one, eps)
+    return mirror_lobe(cosine, slope_variance), amplitude_te(one, eps, q), q, slope_variance
 
 
 @wp.func
@@ -222,44 +274,32 @@ def sigma0(
 ):
     """Backscatter coefficient, linear: (1 - tau) first-order small perturbation + tau geometric optics.
 
-    polarization: HH, VV, HV, VH; spectrum: GAUSSIAN, EXPONENTIAL, SEPARABLE; variant: STANDARD, AS_PRINTED;
-    wavenumber [rad/m]; cos_theta: of the incidence on the facet; cos_twist: cos psi, 1 for the facet's own
-    basis; rms_height h, correlation lengths [m]; specular_fraction: tau.
+    polarization, spectrum, variant: codes (`kernels/codes.py`); wavenumber [rad/m]; cos_theta: of the incidence on the
+    facet; cos_twist: cos psi, 1 for the facet's own basis; rms_height h, correlation lengths [m];
+    specular_fraction: tau.
 
     correlation_length_x is an isotropic surface's only length. correlation_length_y and cos2_azimuth (squared
     cosine between the facet's x axis and the ray's projection on the facet) are read by SEPARABLE alone; its
     slope variance takes l^2 = lx ly. The geometric-optics term does not turn with the basis and has no HV.
     """
-    one = type(cos_theta)(1.0)
     c = bounded_cosine(cos_theta)
-    # In units of 1/k the Bragg wavenumber is 2 sin(theta), and the spectrum comes out multiplied by k^4.
-    w = roughness_spectrum(
-        spectrum,
-        type(c)(4.0) * sine_squared(c),
-        cos2_azimuth,
-        wavenumber * rms_height,
-        wavenumber * correlation_length_x,
-        wavenumber * correlation_length_y,
+    eps = wp.vector(eps_re, -eps_im)
+    h = rms_height
+    lx = correlation_length_x
+    ly = correlation_length_y
+    scale, amplitude, _q, _a_hh, _a_vv = bragg_terms(
+        polarization, spectrum, variant, wavenumber, c, cos_twist, eps, h, lx, ly, cos2_azimuth
     )
-    prefactor = type(c)(16.0) * type(c)(wp.pi)
-    if variant == AS_PRINTED:
-        prefactor = type(c)(8.0)
-    cos2 = c * c
-    power = bragg_power(polarization, variant, c, cos_twist, wp.vector(eps_re, -eps_im))
-    diffuse = prefactor * cos2 * cos2 * w * power
-
+    diffuse = scale * wp.dot(amplitude, amplitude)
     specular = type(c)(0.0)
-    if polarization != HV and polarization != VH:
-        area = correlation_length_x * correlation_length_x
-        if spectrum == SEPARABLE:
-            area = correlation_length_x * correlation_length_y
-        slope_variance = type(c)(2.0) * rms_height * rms_height / area
-        specular = geometric_optics(fresnel_h(one, eps_re, eps_im), c, slope_variance)
-    return (one - specular_fraction) * diffuse + specular_fraction * specular
+    if not is_crossed(polarization):
+        lobe, r, _q0, _variance = mirror_terms(spectrum, c, eps, h, lx, ly)
+        specular = lobe * wp.dot(r, r)
+    return (type(c)(1.0) - specular_fraction) * diffuse + specular_fraction * specular
 
 
 @wp.func
-def slope_te(cos_theta: Any, eps: Any, q: Any, amplitude: Any):
+def slope_te(cos_theta: Any, q: Any, amplitude: Any):
     """d amplitude_te / d eps, complex, where `amplitude` is it."""
     inverse = complex_inverse(wp.vector(cos_theta + q[0], q[1]))
     # q' = 1 / (2 q)
@@ -276,6 +316,28 @@ def slope_tm(cos_theta: Any, eps: Any, q: Any, factor: Any, amplitude: Any):
     numerator = wp.vector(sine_squared(cos_theta) - factor * (two * eps[0] - one), -two * factor * eps[1])
     growth = wp.vector(two * cos_theta + root[0], root[1])
     return complex_product(complex_product(numerator, inverse) - complex_product(amplitude, growth), inverse)
+
+
+@wp.func
+def spectrum_slope(
+    spectrum: int,
+    wavenumber_squared: Any,
+    cos2_azimuth: Any,
+    correlation_length_x: Any,
+    correlation_length_y: Any,
+):
+    """d ln(roughness_spectrum) / d ln l, both lengths together."""
+    one = type(wavenumber_squared)(1.0)
+    two = type(wavenumber_squared)(2.0)
+    kx2 = wavenumber_squared * correlation_length_x * correlation_length_x
+    slope = two - type(wavenumber_squared)(0.5) * kx2
+    if spectrum == Spectrum.EXPONENTIAL:
+        slope = two - type(wavenumber_squared)(3.0) * kx2 / (one + kx2)
+    elif spectrum == Spectrum.SEPARABLE:
+        x = kx2 * cos2_azimuth
+        y = wavenumber_squared * correlation_length_y * correlation_length_y * (one - cos2_azimuth)
+        slope = two - two * (x / (one + x) + y / (one + y))
+    return slope
 
 
 @wp.func
@@ -296,81 +358,40 @@ def sigma0_and_slopes(
 ):
     """`sigma0` and its derivatives to ln(eps_re - 1), ln h, ln l (both lengths together), logit tau: a vector of five.
 
-    In closed form: what reverse mode makes of `sigma0` takes four times the instructions and three times the registers.
+    The terms are those of `sigma0`; their slopes are in closed form. Reverse mode would take four times the
+    instructions and three times the registers. tests/test_scattering.py holds the two together in float64.
     """
     one = type(cos_theta)(1.0)
     two = type(cos_theta)(2.0)
     c = bounded_cosine(cos_theta)
-    cos2 = c * c
     eps = wp.vector(eps_re, -eps_im)
+    h = rms_height
+    lx = correlation_length_x
+    ly = correlation_length_y
+    scale, amplitude, q, a_hh, a_vv = bragg_terms(
+        polarization, spectrum, variant, wavenumber, c, cos_twist, eps, h, lx, ly, cos2_azimuth
+    )
+    diffuse = scale * wp.dot(amplitude, amplitude)
+    d_hh = slope_te(c, q, a_hh)
+    d_vv = slope_tm(c, eps, q, factor_vv(c, variant), a_vv)
+    diffuse_by_eps = scale * two * wp.dot(amplitude, turned(polarization, cos_twist, d_hh, d_vv))
+    by_length = spectrum_slope(spectrum, type(c)(4.0) * sine_squared(c), cos2_azimuth, wavenumber * lx, wavenumber * ly)
 
-    # the diffuse term: spectrum times power
-    bragg = type(c)(4.0) * sine_squared(c)
-    kx = wavenumber * correlation_length_x
-    ky = wavenumber * correlation_length_y
-    w = roughness_spectrum(spectrum, bragg, cos2_azimuth, wavenumber * rms_height, kx, ky)
-    kx2 = bragg * kx * kx
-    by_length = two
-    if spectrum == GAUSSIAN:
-        by_length = two - type(c)(0.5) * kx2
-    elif spectrum == EXPONENTIAL:
-        by_length = two - type(c)(3.0) * kx2 / (one + kx2)
-    else:
-        x = kx2 * cos2_azimuth
-        y = bragg * ky * ky * (one - cos2_azimuth)
-        by_length = two - two * (x / (one + x) + y / (one + y))
-    prefactor = type(c)(16.0) * type(c)(wp.pi)
-    if variant == AS_PRINTED:
-        prefactor = type(c)(8.0)
-    scale = prefactor * cos2 * cos2 * w
-
-    q = refraction(c, eps)
-    factor = one + sine_squared(c)
-    if variant == AS_PRINTED:
-        factor = cos2
-    a_hh = amplitude_te(c, eps, q)
-    a_vv = amplitude_tm(c, eps, q, factor)
-    d_hh = slope_te(c, eps, q, a_hh)
-    d_vv = slope_tm(c, eps, q, factor, a_vv)
-    turn = cos_twist * cos_twist
-    rest = sine_squared(cos_twist)
-    amplitude = a_vv - a_hh
-    slope = d_vv - d_hh
-    share = rest * turn
-    power = wp.dot(amplitude, amplitude) * rest * turn
-    if polarization == HH:
-        amplitude = a_hh * turn + a_vv * rest
-        slope = d_hh * turn + d_vv * rest
-        share = one
-        power = wp.dot(amplitude, amplitude)
-    elif polarization == VV:
-        amplitude = a_hh * rest + a_vv * turn
-        slope = d_hh * rest + d_vv * turn
-        share = one
-        power = wp.dot(amplitude, amplitude)
-    diffuse = scale * power
-    diffuse_by_eps = scale * share * two * wp.dot(amplitude, slope)
-
-    # geometric optics: reflectivity of normal incidence, and slopes of variance m^2 = 2 h^2 / l^2
     specular = type(c)(0.0)
     specular_by_eps = type(c)(0.0)
     specular_by_length = type(c)(0.0)
-    if polarization != HV and polarization != VH:
-        area = correlation_length_x * correlation_length_x
-        if spectrum == SEPARABLE:
-            area = correlation_length_x * correlation_length_y
-        slope_variance = two * rms_height * rms_height / area
-        q0 = refraction(one, eps)
-        a0 = amplitude_te(one, eps, q0)
-        specular = geometric_optics(wp.dot(a0, a0), c, slope_variance)
-        specular_by_eps = geometric_optics(two * wp.dot(a0, slope_te(one, eps, q0, a0)), c, slope_variance)
-        specular_by_length = specular * (two - sine_squared(c) / (cos2 * slope_variance))
+    if not is_crossed(polarization):
+        lobe, r, q0, slope_variance = mirror_terms(spectrum, c, eps, h, lx, ly)
+        specular = lobe * wp.dot(r, r)
+        specular_by_eps = lobe * two * wp.dot(r, slope_te(one, q0, r))
+        specular_by_length = specular * (two - sine_squared(c) / (c * c * slope_variance))
 
-    diffuse_share = one - specular_fraction
+    tau = specular_fraction
+    rest = one - tau
     return wp.vector(
-        diffuse_share * diffuse + specular_fraction * specular,
-        (diffuse_share * diffuse_by_eps + specular_fraction * specular_by_eps) * (eps_re - one),
-        diffuse_share * two * diffuse - specular_fraction * specular_by_length,
-        diffuse_share * by_length * diffuse + specular_fraction * specular_by_length,
-        specular_fraction * diffuse_share * (specular - diffuse),
+        rest * diffuse + tau * specular,
+        (rest * diffuse_by_eps + tau * specular_by_eps) * (eps_re - one),
+        rest * two * diffuse - tau * specular_by_length,
+        rest * by_length * diffuse + tau * specular_by_length,
+        tau * rest * (specular - diffuse),
     )

@@ -2,6 +2,7 @@
 
 import warp as wp
 
+from warpsar.kernels.codes import FRACTION_LIMIT, Coordinate, Layout
 from warpsar.kernels.scattering import sigma0, sigma0_and_slopes
 from warpsar.kernels.wide import (
     NODE_LANES,
@@ -17,20 +18,8 @@ from warpsar.kernels.wide import (
     write_vec4,
 )
 
-# Layouts of a parameter, and where its nodes stand: one row of (layout, offset, width, height) per material and kind.
-UNIFORM = wp.constant(0)
-VERTEX = wp.constant(1)
-TEXTURE = wp.constant(2)
-HELD = wp.constant(3)  # uniform, and not learned
-
-# Learned coordinates, the four components of `zeta`.
-EPS = wp.constant(0)  # ln(eps_r - 1)
-HEIGHT = wp.constant(1)  # ln h
-LENGTH = wp.constant(2)  # ln l
-FRACTION = wp.constant(3)  # logit tau
-
-# From here outward tau is 0 or 1 to the bit: its slope is below float32, and the sigmoid's adjoint would be inf * 0.
-FRACTION_LIMIT = wp.constant(40.0)
+# The effects' kernels know the learned coordinates by these names.
+EPS, HEIGHT, LENGTH, FRACTION = (wp.constant(int(coordinate)) for coordinate in Coordinate)
 
 
 @wp.func
@@ -59,12 +48,15 @@ def texture_value(nodes: wp.array(dtype=float), offset: int, width: int, height:
 
 @wp.func
 def node_value(nodes: wp.array(dtype=float), place: wp.vec4i, corner: wp.vec3i, b: wp.vec3, uv: wp.vec2) -> float:
-    """One parameter at one hit, whatever its layout; `b` holds the three barycentric weights."""
+    """One parameter at one hit, whatever its layout; `b` holds the three barycentric weights.
+
+    `place`: (layout, offset, width, height) of its nodes.
+    """
     offset = place[1]
     value = float(0.0)
-    if place[0] == UNIFORM or place[0] == HELD:
+    if place[0] == Layout.UNIFORM or place[0] == Layout.HELD:
         value = nodes[offset]
-    elif place[0] == VERTEX:
+    elif place[0] == Layout.VERTEX:
         value = b[0] * nodes[offset + corner[0]] + b[1] * nodes[offset + corner[1]] + b[2] * nodes[offset + corner[2]]
     else:
         value = texture_value(nodes, offset, place[2], place[3], uv)
@@ -88,10 +80,10 @@ def coordinates_at(
     if uv.shape[0] > 0:
         at = b[0] * uv[corner[0]] + b[1] * uv[corner[1]] + b[2] * uv[corner[2]]
     return wp.vec4(
-        node_value(nodes, read_vec4i(places, material, EPS), corner, b, at),
-        node_value(nodes, read_vec4i(places, material, HEIGHT), corner, b, at),
-        node_value(nodes, read_vec4i(places, material, LENGTH), corner, b, at),
-        node_value(nodes, read_vec4i(places, material, FRACTION), corner, b, at),
+        node_value(nodes, read_vec4i(places, material, Coordinate.EPS), corner, b, at),
+        node_value(nodes, read_vec4i(places, material, Coordinate.HEIGHT), corner, b, at),
+        node_value(nodes, read_vec4i(places, material, Coordinate.LENGTH), corner, b, at),
+        node_value(nodes, read_vec4i(places, material, Coordinate.FRACTION), corner, b, at),
     )
 
 
@@ -109,10 +101,10 @@ def site_of(place: wp.vec4i, corner: wp.vec3i, b: wp.vec3, uv: wp.vec2, index: i
     site = Site()
     site.node = 0
     site.share = 1.0
-    if place[0] == VERTEX:
+    if place[0] == Layout.VERTEX:
         site.node = corner[index]
         site.share = b[index]
-    elif place[0] == TEXTURE:
+    elif place[0] == Layout.TEXTURE:
         x = uv[0] * float(place[2]) - 0.5
         y = (1.0 - uv[1]) * float(place[3]) - 0.5
         right = index % 2
@@ -297,7 +289,7 @@ def sigma0_of(
     zeta: wp.vec4,
 ) -> float:
     """sigma0 from the learned coordinates; `aspect` is l_y / l_x of the separable spectrum."""
-    length = wp.exp(zeta[LENGTH])
+    length = wp.exp(zeta[Coordinate.LENGTH])
     return sigma0(
         polarization,
         spectrum,
@@ -305,13 +297,45 @@ def sigma0_of(
         wavenumber,
         cos_incidence,
         cos_twist,
-        1.0 + wp.exp(zeta[EPS]),
+        1.0 + wp.exp(zeta[Coordinate.EPS]),
         eps_im,
-        wp.exp(zeta[HEIGHT]),
+        wp.exp(zeta[Coordinate.HEIGHT]),
         length,
         aspect * length,
         cos2_azimuth,
-        fraction_of(zeta[FRACTION]),
+        fraction_of(zeta[Coordinate.FRACTION]),
+    )
+
+
+@wp.func
+def sigma0_and_slopes_of(
+    polarization: int,
+    spectrum: int,
+    variant: int,
+    wavenumber: float,
+    cos_incidence: float,
+    cos_twist: float,
+    cos2_azimuth: float,
+    eps_im: float,
+    aspect: float,
+    zeta: wp.vec4,
+):
+    """`sigma0_of`, and its derivatives to the learned coordinates: a vector of five."""
+    length = wp.exp(zeta[Coordinate.LENGTH])
+    return sigma0_and_slopes(
+        polarization,
+        spectrum,
+        variant,
+        wavenumber,
+        cos_incidence,
+        cos_twist,
+        1.0 + wp.exp(zeta[Coordinate.EPS]),
+        eps_im,
+        wp.exp(zeta[Coordinate.HEIGHT]),
+        length,
+        aspect * length,
+        cos2_azimuth,
+        fraction_of(zeta[Coordinate.FRACTION]),
     )
 
 
@@ -379,22 +403,17 @@ def scatter_slopes_kernel(
     twist = read_float(cos_twist, i)
     if local_basis != 0:
         twist = 1.0
-    z = read_vec4(zeta, i)
-    length = wp.exp(z[LENGTH])
-    found = sigma0_and_slopes(
+    found = sigma0_and_slopes_of(
         polarization,
         read_int(spectrum, material),
         variant,
         wavenumber,
         read_float(cos_incidence, i),
         twist,
-        1.0 + wp.exp(z[EPS]),
-        read_float(eps_im, material),
-        wp.exp(z[HEIGHT]),
-        length,
-        read_float(aspect, material) * length,
         read_float(cos2_azimuth, i),
-        fraction_of(z[FRACTION]),
+        read_float(eps_im, material),
+        read_float(aspect, material),
+        read_vec4(zeta, i),
     )
     sigma_out[i] = found[0]
     write_vec4(slopes_out, i, wp.vec4(found[1], found[2], found[3], found[4]))

@@ -2,22 +2,26 @@
 
 import warp as wp
 
+from warpsar.kernels.deposit import footprint_of, row_at, share_in
 from warpsar.kernels.geometry import (
     RayGrid,
+    azimuth_of,
     cos2_azimuth_of,
+    cos_incidence_of,
     cos_twist_of,
+    direction_of,
+    elevation_of,
+    elevation_step_at,
     intersect,
+    jitter_of,
     look_direction,
-    ray_direction,
-    ray_origin,
+    normal_of,
+    origin_of,
+    plane_ray,
+    point_on,
     slant_range_of,
 )
 from warpsar.kernels.wide import WARP, least_of_warp
-
-NEAREST = wp.constant(0)
-LINEAR = wp.constant(1)
-FOOTPRINT = wp.constant(2)
-
 
 # Threads of a CUDA block; eight blocks to a multiprocessor are asked for where threads mostly wait for memory: with all
 # the registers that the compiler would take, fewer of them were on their way.
@@ -82,42 +86,6 @@ def leave(records: Records, key: wp.int64, weight: float, moment: wp.vec2):
             wp.atomic_add(records.count, 0, 1)
 
 
-@wp.func
-def share_before(offset: float, wide: float, narrow: float) -> float:
-    """Share of a cell's power at ranges below `offset` from its middle: boxes `wide` and `narrow` convolved.
-
-    That is how a parallelogram on a plane lies in range, so the cells of a plane add up to a flat image.
-    """
-    distance = wp.abs(offset)
-    beyond = float(0.0)
-    if distance <= 0.5 * (wide - narrow):
-        beyond = 0.5 - distance / wp.max(wide, 1.0e-30)
-    elif distance < 0.5 * (wide + narrow):
-        rest = 0.5 * (wide + narrow) - distance
-        beyond = 0.5 * rest * rest / wp.max(wide * narrow, 1.0e-30)
-    if offset < 0.0:
-        return beyond
-    return 1.0 - beyond
-
-
-@wp.func
-def jitter_of(grid: RayGrid, seed: int, cell: int, k: int) -> wp.vec2:
-    """Where in its cell a ray starts, (azimuth, elevation) from -0.5 to 0.5: a matter of the cell alone."""
-    random = wp.rand_init(seed, cell * grid.elevation_cells + k)
-    across = wp.randf(random) - 0.5
-    return wp.vec2(across, wp.randf(random) - 0.5)
-
-
-@wp.func
-def azimuth_of(grid: RayGrid, cell: int, jitter: wp.vec2) -> float:
-    return grid.azimuth_start + (float(cell) + 0.5) * grid.azimuth_step + jitter[0] * grid.azimuth_step
-
-
-@wp.func
-def elevation_of(grid: RayGrid, k: int, jitter: wp.vec2) -> float:
-    return grid.elevation_start + (float(k) + 0.5 + jitter[1]) * grid.elevation_step
-
-
 @wp.kernel(enable_backward=False, launch_bounds=(BLOCK, 8))
 def query_kernel(
     # In:
@@ -140,9 +108,9 @@ def query_kernel(
     k = j * tile_height + lane // tile_width
     if cell < end_cell and k < grid.elevation_cells:
         jitter = jitter_of(grid, seed, cell, k)
-        elevation = elevation_of(grid, k, jitter)
-        origin = ray_origin(grid, azimuth_of(grid, cell, jitter), elevation)
-        query = wp.mesh_query_ray(mesh, origin, ray_direction(grid, elevation), grid.reach)
+        ray = plane_ray(grid, elevation_of(grid, k, jitter))
+        origin = origin_of(grid, azimuth_of(grid, cell, jitter), ray)
+        query = wp.mesh_query_ray(mesh, origin, direction_of(grid, ray), grid.reach)
         face_out[(cell - first_cell) * grid.elevation_cells + k] = wp.where(query.result, query.face, -1)
 
 
@@ -173,60 +141,22 @@ def record_kernel(
         f = face[i * grid.elevation_cells + k]
         if f >= 0:
             jitter = jitter_of(grid, seed, cell, k)
-            elevation = elevation_of(grid, k, jitter)
-            origin = ray_origin(grid, azimuth_of(grid, cell, jitter), elevation)
-            direction = ray_direction(grid, elevation)
+            ray = plane_ray(grid, elevation_of(grid, k, jitter))
+            origin = origin_of(grid, azimuth_of(grid, cell, jitter), ray)
+            direction = direction_of(grid, ray)
             p0 = vertices[faces[f, 0]]
             p1 = vertices[faces[f, 1]]
             p2 = vertices[faces[f, 2]]
             hit = intersect(origin, direction, p0, p1, p2)
-            slope = wp.dot(hit.normal, direction)
-            cosine = wp.abs(slope)
+            cosine = wp.abs(wp.dot(hit.normal, direction))
             if cosine > 1.0e-6:
-                point = p0 + hit.b1 * (p1 - p0) + hit.b2 * (p2 - p0)
-                centre = slant_range_of(grid, point)
-                across = grid.elevation_step
-                if grid.slant_range > 0.0:
-                    across = (centre + grid.slant_range) * grid.elevation_step
-                weight = grid.azimuth_step * across / (cosine * grid.pixel_area)
-                # where the ray's power falls in range: two boxes convolved, cut to [low, high]
-                middle = centre
-                wide = float(0.0)
-                narrow = float(0.0)
-                low = float(-1.0e30)
-                high = float(1.0e30)
-                if deposit == LINEAR:
-                    wide = grid.range_spacing
-                if deposit == FOOTPRINT:
-                    # The cell's own extent in range on the facet's plane: the sample's jitter drops out of it.
-                    per_u = -wp.dot(hit.normal, grid.u) / slope * grid.azimuth_step
-                    per_v = -wp.dot(hit.normal, wp.cross(grid.u, direction)) / slope * across
-                    r0 = slant_range_of(grid, p0)
-                    r1 = slant_range_of(grid, p1)
-                    r2 = slant_range_of(grid, p2)
-                    middle = centre - per_u * jitter[0] - per_v * jitter[1]
-                    wide = wp.max(wp.abs(per_u), wp.abs(per_v))
-                    narrow = wp.min(wp.abs(per_u), wp.abs(per_v))
-                    low = wp.min(wp.min(r0, centre), wp.min(r1, r2))
-                    high = wp.max(wp.max(r0, centre), wp.max(r1, r2))
-                half = 0.5 * (wide + narrow)
-                low = wp.max(low, middle - half)
-                high = wp.min(high, middle + half)
-                share_low = share_before(low - middle, wide, narrow)
-                total = share_before(high - middle, wide, narrow) - share_low
-                if wide < 1.0e-5 * grid.range_spacing or total < 1.0e-4:
-                    low = centre
-                    high = centre
-                # rows the interval covers, and the share of each
-                first_row = wp.max(int(wp.floor((low - grid.range_start) / grid.range_spacing)), 0)
-                last_row = wp.min(int(wp.floor((high - grid.range_start) / grid.range_spacing)), grid.rows - 1)
+                centre = slant_range_of(grid, point_on(p0, p1, p2, hit.b1, hit.b2))
+                weight = grid.azimuth_step * elevation_step_at(grid, centre) / (cosine * grid.pixel_area)
+                footprint = footprint_of(grid, deposit, centre, hit.normal, direction, p0, p1, p2, jitter)
+                first_row = wp.max(int(row_at(grid, footprint.low)), 0)
+                last_row = wp.min(int(row_at(grid, footprint.high)), grid.rows - 1)
                 for row in range(first_row, last_row + 1):
-                    share = float(1.0)
-                    if high > low:
-                        edge = grid.range_start + float(row) * grid.range_spacing
-                        upper = share_before(wp.min(high, edge + grid.range_spacing) - middle, wide, narrow)
-                        lower = share_before(wp.max(low, edge) - middle, wide, narrow)
-                        share = (upper - lower) / total
+                    share = share_in(grid, footprint, float(row))
                     if share > 0.0:
                         key = (wp.int64(row * grid.cols + column) << wp.int64(face_bits)) + wp.int64(f)
                         if key != run_key or records.merge == 0:
@@ -270,15 +200,15 @@ def hit_kernel(
     p0 = vertices[faces[f, 0]]
     p1 = vertices[faces[f, 1]]
     p2 = vertices[faces[f, 2]]
-    point = p0 + b1 * (p1 - p0) + b2 * (p2 - p0)
-    normal = wp.normalize(wp.cross(p1 - p0, p2 - p0))
+    point = point_on(p0, p1, p2, b1, b2)
+    normal = normal_of(p0, p1, p2)
     direction = look_direction(grid, point)
     pixel_out[i] = int(key[i] >> wp.int64(face_bits))
     face_out[i] = f
     barycentric_out[i] = wp.vec2(b1, b2)
     weight_out[i] = float(weight / wp.float64(records.quanta))
     point_out[i] = point
-    cos_incidence_out[i] = wp.min(wp.abs(wp.dot(normal, direction)), 1.0)
+    cos_incidence_out[i] = cos_incidence_of(normal, direction)
     cos_twist_out[i] = cos_twist_of(normal, direction, grid.u)
     cos2_azimuth_out[i] = cos2_azimuth_of(normal, direction)
 

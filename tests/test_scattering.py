@@ -13,24 +13,11 @@ import pytest
 import warp as wp
 
 from warpsar.kernels import scattering
-from warpsar.kernels.scattering import (
-    AS_PRINTED,
-    EXPONENTIAL,
-    GAUSSIAN,
-    HH,
-    HV,
-    SEPARABLE,
-    STANDARD,
-    VH,
-    VV,
-)
+from warpsar.kernels.codes import Polarization, Spectrum, Variant
 
 GOLDEN = Path(__file__).parent / "data" / "golden_scattering.csv"
-POLARIZATIONS, SPECTRA, VARIANTS = (
-    (HH, VV, HV, VH),
-    (GAUSSIAN, EXPONENTIAL, SEPARABLE),
-    (STANDARD, AS_PRINTED),
-)
+POLARIZATIONS, SPECTRA, VARIANTS = tuple(Polarization), tuple(Spectrum), tuple(Variant)
+(HH, VV, HV, VH), (GAUSSIAN, EXPONENTIAL, SEPARABLE), (STANDARD, AS_PRINTED) = POLARIZATIONS, SPECTRA, VARIANTS
 CODES = {"polarization": HH, "spectrum": GAUSSIAN, "variant": STANDARD}
 # Lossy, rough and oblique on purpose: no term of the model vanishes or dominates.
 SURFACE = {

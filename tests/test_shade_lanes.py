@@ -1,6 +1,5 @@
-"""Sixteen hits at once on the CPU (kernels/shade_lanes.py) against the scattering functions one by one in float64.
-
-test_scattering.py holds those against golden values.
+"""Sixteen hits at once on the CPU (kernels/shade_lanes.py): against golden values, and against the scattering functions
+one by one in float64, which test_scattering.py holds against golden values, derivatives and differences.
 """
 
 from itertools import product
@@ -9,8 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 import warp as wp
+from test_scattering import golden, relative_rounding  # noqa: F401 - a fixture
 
 from warpsar.kernels import shade_lanes
+from warpsar.kernels.codes import FRACTION_LIMIT, Spectrum
 from warpsar.kernels.scattering import sigma0_and_slopes
 
 COUNT = 16 * 40 + 5  # the last block is not full
@@ -63,7 +64,7 @@ def hits(count: int = COUNT) -> dict[str, np.ndarray]:
     }
 
 
-def in_lanes(given: dict[str, np.ndarray], polarization: int, variant: int) -> tuple[np.ndarray, np.ndarray]:
+def in_lanes(given: dict[str, Any], polarization: int, variant: int) -> tuple[np.ndarray, np.ndarray]:
     """sigma0, shape (n,), and its slopes, (n, 4)."""
 
     def put(values: Any, dtype: Any = float) -> Any:
@@ -72,9 +73,17 @@ def in_lanes(given: dict[str, np.ndarray], polarization: int, variant: int) -> t
     count = given["material"].size
     sigma = wp.zeros(count, dtype=float, device="cpu")
     slopes = wp.zeros(count, dtype=wp.vec4, device="cpu")
-    inputs = [polarization, variant, 200.0, 0, put(np.arange(count, dtype=np.int32), int), put(given["material"], int)]
+    inputs = [
+        polarization,
+        variant,
+        given.get("wavenumber", 200.0),
+        0,
+        put(np.arange(count, dtype=np.int32), int),
+        put(given["material"], int),
+    ]
     inputs += [put(given[name]) for name in ("incidence", "twist", "azimuth2")]
-    inputs += [put([0, 1, 2], int), put(EPS_IM), put(ASPECT), put(given["zeta"], wp.vec4)]
+    materials = (given.get("spectrum", tuple(Spectrum)), given.get("eps_im", EPS_IM), given.get("aspect", ASPECT))
+    inputs += [put(materials[0], int), put(materials[1]), put(materials[2]), put(given["zeta"], wp.vec4)]
     blocks = -(-count // shade_lanes.HITS)
     wp.launch(shade_lanes.scatter_kernel, blocks, inputs=inputs, outputs=[sigma, slopes], device="cpu")
     alone = wp.zeros(count, dtype=float, device="cpu")
@@ -111,6 +120,48 @@ def test_the_scattering_functions_in_float64(polarization: int, variant: int) ->
     error = (np.abs(slopes - expected[:, 1:]) / size)[seen]
     assert np.quantile(error, 0.95) < 3e-5
     assert error.max() < (2e-2 if polarization > 1 else 5e-4)
+
+
+def test_golden_values(golden: Any) -> None:  # noqa: F811
+    """The file knows nothing of learned coordinates: u (32 + 4 C) as in test_scattering.py, and C once more for each
+    coordinate's own rounding, whose size is up to |ln h| = 8 (u of it, and the exponential's 2e-7)."""
+    inputs, sigma, derivatives = golden
+    tau = inputs["tau"]
+    logit = np.array([-FRACTION_LIMIT if t == 0 else FRACTION_LIMIT if t == 1 else np.log(t / (1 - t)) for t in tau])
+    h, length = inputs["rms_height"], inputs["length_x"]
+    zeta = np.stack([np.log(inputs["eps_re"] - 1), np.log(h), np.log(length), logit], axis=1)
+    scaled = [
+        derivatives["eps_re"] * (inputs["eps_re"] - 1),
+        derivatives["rms_height"] * h,
+        derivatives["length"] * length,
+        np.where(tau == 0.3, derivatives["tau"] * tau * (1 - tau), 0.0),
+    ]
+    expected = np.stack(scaled, axis=1)
+    rounding = relative_rounding(inputs, sigma, derivatives, np.float32)
+    bound = rounding + (8.0 * 6e-8 + 2e-7) * np.abs(expected / sigma[:, None]).sum(axis=1)
+    groups = np.stack([inputs["polarization"], inputs["variant"], inputs["wavenumber"]], axis=1)
+    seen = 0
+    for polarization, variant, wavenumber in np.unique(groups, axis=0):
+        rows = np.flatnonzero((groups == (polarization, variant, wavenumber)).all(axis=1))
+        given = {
+            "wavenumber": wavenumber,
+            "incidence": np.cos(inputs["theta"][rows]),
+            "twist": inputs["cos_twist"][rows],
+            "azimuth2": inputs["cos2_azimuth"][rows],
+            "zeta": zeta[rows],
+            "material": np.arange(rows.size, dtype=np.int32),
+            "spectrum": inputs["spectrum"][rows].astype(np.int32),
+            "eps_im": inputs["eps_im"][rows],
+            "aspect": np.ones(rows.size),
+        }
+        found, slopes = in_lanes(given, int(polarization), int(variant))
+        assert (np.abs(found / sigma[rows] - 1.0) <= bound[rows]).all()
+        error = np.abs(slopes - expected[rows]) / sigma[rows, None]
+        size = 1.0 + np.abs(expected[rows]) / sigma[rows, None]
+        assert (error <= 4.0 * bound[rows, None] * size).all()
+        seen += rows.size
+    assert seen == 547
+    assert np.median(bound) < 1e-5
 
 
 def test_a_hit_is_the_same_wherever_it_lies_in_its_block() -> None:

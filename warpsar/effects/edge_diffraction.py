@@ -12,7 +12,7 @@ from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter
 from warpsar.effects.base.recorder import Recorder
 from warpsar.effects.base.trial import Context, Step, Trial
-from warpsar.kernels import deposit
+from warpsar.kernels import binning
 from warpsar.kernels.effects import edge_diffraction as kernels
 from warpsar.surface.stage import POLARIZATIONS
 from warpsar.trace.rays import ray_grid
@@ -68,7 +68,7 @@ class EdgeDiffraction(Effect):
         program.launch(kernels.strength_kernel, bins.shape[0], [p], [sigma])
         render.collect(sigma, weight, points, bins, share)
         result = program.array(image.shape[0])
-        program.launch(deposit.add_kernel, image.shape[0], [image, share], [result])
+        program.launch(binning.add_kernel, image.shape[0], [image, share], [result])
         return result
 
 

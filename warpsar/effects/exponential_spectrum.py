@@ -11,8 +11,8 @@ from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter
 from warpsar.effects.base.recorder import Recorder
 from warpsar.effects.base.trial import Context, Step, Trial
+from warpsar.kernels.codes import Spectrum
 from warpsar.kernels.effects import exponential_spectrum as kernels
-from warpsar.kernels.scattering import EXPONENTIAL, GAUSSIAN
 
 
 class ExponentialSpectrum(Effect):
@@ -35,7 +35,7 @@ class ExponentialSpectrum(Effect):
 
     def scattering(self, render: Recorder, p: Any, zeta: Any, sigma: Any, polarization: int) -> Any:
         own = render.stage.spectrum.numpy()
-        own = np.where(own == int(GAUSSIAN), int(EXPONENTIAL), own)
+        own = np.where(own == Spectrum.GAUSSIAN, int(Spectrum.EXPONENTIAL), own)
         other = render.scatter(zeta, polarization, wp.array(own, dtype=int, device=render.program.device))
         result = render.program.array(sigma.shape[0])
         render.program.launch(kernels.mix_kernel, sigma.shape[0], [p, sigma, other], [result])

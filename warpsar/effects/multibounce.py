@@ -14,7 +14,7 @@ from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter, one_of
 from warpsar.effects.base.recorder import Recorder
 from warpsar.effects.base.trial import Context, Step, Trial
-from warpsar.kernels import deposit
+from warpsar.kernels import binning
 from warpsar.kernels import merge as merging
 from warpsar.kernels.effects import multibounce as kernels
 from warpsar.runtime import threads
@@ -131,7 +131,7 @@ class Multibounce(Effect):
                 power = left
             render.collect(power, paths.weight, paths.point, paths.pixel, share)
             result = program.array(image.shape[0])
-            program.launch(deposit.add_kernel, image.shape[0], [image, share], [result])
+            program.launch(binning.add_kernel, image.shape[0], [image, share], [result])
             image = result
         return image
 

@@ -11,7 +11,7 @@ import numpy as np
 import warp as wp
 
 from warpsar.effects.base.effect import DeclaredEffect, Effect
-from warpsar.kernels import deposit, shade, shade_lanes
+from warpsar.kernels import binning, shade, shade_lanes
 from warpsar.kernels.wide import LANES
 from warpsar.runtime.launches import Launch, by_elements, by_stretches
 from warpsar.runtime.program import Program
@@ -157,7 +157,7 @@ class ViewRender:
         """Record the deposit of bins finer or wider than the pixels, moved by `shift` (rows, columns) pixels."""
         grid = self.hits.grid
         self.program.launch(
-            deposit.move_kernel,
+            binning.move_kernel,
             sigma.shape[0],
             [*grid.shape, grid.bins_per_pixel, *self.shape, bins, weight, sigma, shift],
             [image],

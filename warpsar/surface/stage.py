@@ -37,7 +37,7 @@ class Stage:
 
     @classmethod
     def of(cls, scene: World, device: Any) -> Stage:
-        own = ["shade_lanes", "columns"] if device.is_cpu else []
+        own = ["shade_lanes", "raster_lanes", "record_lanes", "hit_lanes"] if device.is_cpu else []
         devices.load_kernels(device, "trace", "merge", "shade", "raster", *own)
         surface = Surface.of(scene)
         uv = np.zeros((0, 2), np.float32) if scene.mesh.uv is None else scene.mesh.uv

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from warpsar.kernels import columns as lanes
 from warpsar.kernels import raster
+from warpsar.kernels import raster_lanes as lanes
 from warpsar.runtime.launches import Launch, by_elements
 from warpsar.trace.target import Target
 
@@ -74,9 +74,7 @@ class Raster:
         track = [wp.empty(room if grid.slant_range else 0, dtype=float, device=device) for _ in range(3)]
         depth: Any = wp.full(room, np.inf, dtype=float, device=device)
         found: Any = wp.full(room, -1, dtype=int, device=device)
-        inputs = [grid, first, seed]
-        wp.launch(lanes.jitter_kernel, last - first, inputs=inputs, outputs=[azimuth, higher], device=device)
-        inputs, outputs = [grid, first], [azimuth, higher, *track]
+        inputs, outputs = [grid, first, seed], [azimuth, higher, *track]
         wp.launch(lanes.ray_kernel, last - first, inputs=inputs, outputs=outputs, device=device)
         wp.launch(
             lanes.raster_kernel,

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 import warp as wp
 
 from warpsar.errors import InputError
-from warpsar.kernels import columns as in_columns
+from warpsar.kernels import hit_lanes, record_lanes
 from warpsar.kernels import trace as kernels
+from warpsar.kernels.codes import Deposit
 from warpsar.runtime import threads
 from warpsar.trace.hits import DEFAULT_MEMORY_GIB, BinGrid, Hits, concatenate
 from warpsar.trace.merge import rows_by_key, sorted_rows
@@ -73,7 +74,7 @@ def trace(
             f"[image] shape: {grid.shape[0]} x {grid.shape[1]} pixels with {faces} faces cannot be "
             f"numbered in 62 bits; allowed are {2 ** (62 - face_bits)} pixels"
         )
-    codes = {"nearest": kernels.NEAREST, "linear": kernels.LINEAR, "footprint": kernels.FOOTPRINT}
+    codes = {code.name.lower(): code for code in Deposit}
     segment, block = rays.elevation_cells if device.is_cpu else _SEGMENT, kernels.BLOCK
     workers = threads.thread_count() if device.is_cpu else 1
     most = min(max_memory_gib * 2**30 / workers / _RAY_BYTES, 2**29)  # rays of a band; rows are numbered in 31 bits
@@ -137,8 +138,8 @@ def trace(
         mesh = [rays, target.vertices, target.faces]
         if device.is_cpu:
             inputs = [*mesh, records.rows, records.quanta, key, row, face_bits]
-            blocks = -(-n // in_columns.LANES)
-            wp.launch(in_columns.hit_kernel, blocks, inputs=inputs, outputs=list(found), device=device)
+            blocks = -(-n // hit_lanes.LANES)
+            wp.launch(hit_lanes.hit_kernel, blocks, inputs=inputs, outputs=list(found), device=device)
         else:
             inputs = [*mesh, records, key, row, face_bits]
             wp.launch(kernels.hit_kernel, n, inputs=inputs, outputs=list(found), device=device, block_dim=block)
@@ -146,7 +147,7 @@ def trace(
 
     names = ("pixel", "face", "barycentric", "weight", "point", "cos_incidence", "cos_twist", "cos2_azimuth")
     dtypes = (int, int, wp.vec2, float, wp.vec3, float, float, float)
-    for module in [kernels, in_columns] if device.is_cpu else [kernels]:
+    for module in [kernels, record_lanes, hit_lanes] if device.is_cpu else [kernels]:
         wp.load_module(module, device=device, block_dim=block)
     tasks = [partial(band, begin) for begin in range(first, last, width)]
     parts = [part for part in threads.ordered(tasks, device) if part is not None]
@@ -183,9 +184,9 @@ def recorded_in_columns(
     """Records of the band's rays on the CPU, merged, in the order in which their columns left them: rows as in
     `kernels.trace.Records`, with the key itself, and how many. `capacity` of them are expected at most."""
     device, columns = target.device, (end - begin) // rays.cells_per_column
-    across, along = (wp.empty(face.shape[0] + in_columns.LANES, dtype=float, device=device) for _ in range(2))
+    across, along = (wp.empty(face.shape[0] + record_lanes.LANES, dtype=float, device=device) for _ in range(2))
     inputs = [rays, begin, seed]
-    wp.launch(in_columns.jitter_kernel, end - begin, inputs=inputs, outputs=[across, along], device=device)
+    wp.launch(record_lanes.jitter_kernel, end - begin, inputs=inputs, outputs=[across, along], device=device)
     while True:
         taken = wp.zeros(1, dtype=int, device=device)
         rows = wp.empty((capacity, 4), dtype=wp.int64, device=device)
@@ -193,7 +194,7 @@ def recorded_in_columns(
         head = wp.empty(1 << (capacity // columns).bit_length(), dtype=int, device=device)
         inputs = [rays, target.vertices, target.faces, face, across, along, begin, int(deposit), face_bits, quanta]
         outputs = [head, link, taken, rows]
-        wp.launch(in_columns.record_kernel, columns, inputs=inputs, outputs=outputs, device=device)
+        wp.launch(record_lanes.record_kernel, columns, inputs=inputs, outputs=outputs, device=device)
         found = int(taken.numpy()[0])
         if found <= capacity:
             return rows, found
