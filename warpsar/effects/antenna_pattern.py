@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from warpsar.effects.base import Context, Effect, Parameter, Step, Trial
 
@@ -32,6 +32,8 @@ class AntennaPattern(Effect):
     name = "antenna_pattern"
     stage = "gain"
     summary = "two-way elevation pattern of the antenna"
+    example: ClassVar[dict[str, Any]] = {"beamwidth_m": 45.0, "boresight_m": 8.0}
+    rate_case: ClassVar[dict[str, Any]] = {"beamwidth_m": 40.0, "boresight_m": 4.0}
     parameters = (*_pair("deg", 1e-3, 90.0, 20.0, 1e3), *_pair("m", 1e-3, 1e7, 100.0, 1e7))
 
     def check(self, scene: Scene, table: Mapping[str, Any]) -> str | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from warpsar.effects.base import Context, Effect, Parameter, Step, Trial
 
@@ -22,6 +22,8 @@ class AzimuthAmbiguity(Effect):
     additive = True
     in_image = True
     summary = "faint copies of the image at a distance in azimuth"
+    example: ClassVar[dict[str, Any]] = {"level": 0.05, "offset_m": 22.0}
+    rate_case: ClassVar[dict[str, Any]] = {"level": 0.05, "offset_m": 9.0}
     parameters = (
         Parameter("level", "1", 0.0, 0.0, 1.0, 0.01, scale="log", fit_low=1e-9, fit_high=1.0),
         Parameter("offset_m", "m", math.nan, 0.0, 1e6, 10.0),

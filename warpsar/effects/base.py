@@ -157,6 +157,10 @@ class Effect:
     name: ClassVar[str]
     stage: ClassVar[Stage]
     summary: ClassVar[str]
+    example: ClassVar[dict[str, Any]]
+    """Its table, strong enough to be seen in a picture of the example scene; values per view are for `v0` and `v1`."""
+    rate_case: ClassVar[dict[str, Any]]
+    """Its table where `diagnose` is counted (benchmarks/diagnosis_rates.py); values per view are for `v0` to `v3`."""
     parameters: ClassVar[tuple[Parameter, ...]] = ()
     settings: ClassVar[tuple[Setting, ...]] = ()
     additive: ClassVar[bool] = False  # puts power where the scene has none: judged on the dark pixels too

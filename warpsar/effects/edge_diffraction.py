@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -41,6 +41,8 @@ class EdgeDiffraction(Effect):
     name = "edge_diffraction"
     stage = "path"
     summary = "lines along sharp edges"
+    example: ClassVar[dict[str, Any]] = {"strength": 3.0}
+    rate_case: ClassVar[dict[str, Any]] = {"strength": 3.0}
     parameters = (Parameter("strength", "1", 0.0, 0.0, 1e6, 1.0, scale="log", fit_low=1e-6, fit_high=1e4),)
 
     def trials(self, context: Context) -> list[Trial]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from warpsar.effects.base import Context, Effect, Parameter, Step, Trial
 
@@ -23,6 +23,8 @@ class EpsGradient(Effect):
     name = "eps_gradient"
     stage = "surface"
     summary = "permittivity changing across the scene"
+    example: ClassVar[dict[str, Any]] = {"per_m_east": 0.04, "per_m_north": 0.02}
+    rate_case: ClassVar[dict[str, Any]] = {"per_m_east": 0.03, "per_m_north": -0.02}
     parameters = (_slope("per_m_east"), _slope("per_m_north"))
 
     def trials(self, context: Context) -> list[Trial]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -21,6 +21,8 @@ class ExponentialSpectrum(Effect):
     name = "exponential_spectrum"
     stage = "surface"
     summary = "a roughness spectrum with a longer tail"
+    example: ClassVar[dict[str, Any]] = {"weight": 1.0}
+    rate_case: ClassVar[dict[str, Any]] = {"weight": 0.5}
     parameters = (Parameter("weight", "1", 0.0, 0.0, 1.0, 0.5, span=0.3),)
 
     def trials(self, context: Context) -> list[Trial]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -47,6 +47,8 @@ class Interference(Effect):
     additive = True
     in_image = True
     summary = "lines of added power in a view"
+    example: ClassVar[dict[str, Any]] = {"level": {"v0": 0.02}, "rows": {"v0": [[40, 42], [100, 101]]}}
+    rate_case: ClassVar[dict[str, Any]] = {"level": {"v1": 0.02}, "rows": {"v1": [[30, 32]]}}
     parameters = (
         Parameter("level", "beta0", 0.0, 0.0, 1e9, 1e-3, per_view=True, scale="log", fit_low=1e-12, fit_high=1e6),
     )

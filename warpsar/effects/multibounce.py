@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -61,6 +61,8 @@ class Multibounce(Effect):
     name = "multibounce"
     stage = "path"
     summary = "double and triple bounces between surfaces"
+    example: ClassVar[dict[str, Any]] = {"strength": 1.0}
+    rate_case: ClassVar[dict[str, Any]] = {"strength": 1.0}
     parameters = (Parameter("strength", "1", 0.0, 0.0, 1e6, 1.0, scale="log", fit_low=1e-6, fit_high=1e4),)
     settings = (one_of("max_bounces", 3, 2, 3, 4),)
 

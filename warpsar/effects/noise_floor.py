@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from warpsar.effects.base import Context, Effect, Parameter, Step, Trial
 
@@ -17,6 +17,8 @@ class NoiseFloor(Effect):
     stage = "image"
     additive = True
     summary = "noise of the receiver, the same in every pixel"
+    example: ClassVar[dict[str, Any]] = {"level": 0.002}
+    rate_case: ClassVar[dict[str, Any]] = {"level": 0.004}
     parameters = (Parameter("level", "beta0", 0.0, 0.0, 1e9, 1e-3, scale="log", fit_low=1e-12, fit_high=1e6),)
 
     def trials(self, context: Context) -> list[Trial]:

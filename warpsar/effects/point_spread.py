@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from warpsar.effects.base import Context, Effect, Parameter, Step, Trial, one_of
 
@@ -29,6 +29,8 @@ class PointSpread(Effect):
     stage = "image"
     in_image = True
     summary = "finite resolution in range and azimuth"
+    example: ClassVar[dict[str, Any]] = {"range_fwhm_m": 1.2, "azimuth_fwhm_m": 1.2, "window": "sinc"}
+    rate_case: ClassVar[dict[str, Any]] = {"range_fwhm_m": 0.9, "azimuth_fwhm_m": 0.7, "window": "gaussian"}
     parameters = (_width("range_fwhm_m"), _width("azimuth_fwhm_m"))
     settings = (one_of("window", "gaussian", *WINDOWS),)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from warpsar.effects.base import Context, Effect, Parameter, Step, Trial
 
@@ -23,6 +23,8 @@ class RangeLoss(Effect):
     name = "range_loss"
     stage = "gain"
     summary = "power falling with slant range"
+    example: ClassVar[dict[str, Any]] = {"per_m": 0.05}
+    rate_case: ClassVar[dict[str, Any]] = {"per_m": 0.02}
     parameters = (
         Parameter("exponent", "1", 0.0, -20.0, 20.0, 3.0, span=5.0),
         Parameter("per_m", "1/m", 0.0, -10.0, 10.0, 0.01, span=0.02),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -30,6 +30,8 @@ class Registration(Effect):
     name = "registration"
     stage = "position"
     summary = "the scene lies shifted in the images"
+    example: ClassVar[dict[str, Any]] = {"range_m": 1.5, "azimuth_m": -1.0}
+    rate_case: ClassVar[dict[str, Any]] = {"range_m": 0.15, "azimuth_m": -0.2}
     parameters = tuple(_metres(name) for name in ("range_m", "azimuth_m", "east_m", "north_m", "up_m"))
     bins_per_pixel = 4
 

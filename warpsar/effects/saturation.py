@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -30,6 +30,8 @@ class Saturation(Effect):
     name = "saturation"
     stage = "image"
     summary = "power compressed about its median"
+    example: ClassVar[dict[str, Any]] = {"exponent": 0.6}
+    rate_case: ClassVar[dict[str, Any]] = {"exponent": 0.8}
     parameters = (Parameter("exponent", "1", 1.0, 0.01, 10.0, 0.9, fit_low=0.1, fit_high=4.0),)
     settings = (Setting("pivot", "median", _pivot, 'a positive beta0 or "median"'),)
 

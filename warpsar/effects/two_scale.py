@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -24,6 +24,8 @@ class TwoScale(Effect):
     name = "two_scale"
     stage = "surface"
     summary = "large-scale slopes under the roughness"
+    example: ClassVar[dict[str, Any]] = {"slope_variance": 0.02}
+    rate_case: ClassVar[dict[str, Any]] = {"slope_variance": 0.03}
     parameters = (Parameter("slope_variance", "1", 0.0, 0.0, 1.0, 0.005, scale="log", fit_low=1e-7, fit_high=0.3),)
 
     def trials(self, context: Context) -> list[Trial]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from warpsar.effects.base import Context, Effect, Parameter, Step, Trial
 
@@ -23,6 +23,8 @@ class Vegetation(Effect):
     name = "vegetation"
     stage = "surface"
     summary = "a layer that dims the surface and scatters by itself"
+    example: ClassVar[dict[str, Any]] = {"optical_depth": 0.3, "albedo": 0.05}
+    rate_case: ClassVar[dict[str, Any]] = {"optical_depth": 0.8, "albedo": 0.1}
     parameters = (
         Parameter("optical_depth", "1", 0.0, 0.0, 20.0, 0.2, scale="log", fit_low=1e-6, fit_high=10.0),
         Parameter("albedo", "1", math.nan, 0.0, 10.0, 0.1, scale="log", fit_low=1e-4, fit_high=5.0),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from warpsar.effects.base import Context, Effect, Parameter, Step, Trial
 
@@ -17,6 +17,8 @@ class ViewGain(Effect):
     name = "view_gain"
     stage = "gain"
     summary = "gains that differ from view to view"
+    example: ClassVar[dict[str, Any]] = {"gain_db": {"v0": 6.0, "v1": -6.0}}
+    rate_case: ClassVar[dict[str, Any]] = {"gain_db": {"v0": 1.2, "v1": -1.0, "v2": 0.6, "v3": -0.8}}
     parameters = (
         Parameter("gain_db", "dB", 0.0, -100.0, 100.0, 0.0, True, True, span=3.0, fit_low=-30.0, fit_high=30.0),
     )
