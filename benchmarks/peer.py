@@ -1,7 +1,8 @@
 """warpsar beside Mitsuba 3: the same scene, the same rays, on one machine in one run; ratios, JSON and a table.
 
-python benchmarks/peer.py --device cpu --rays-per-pixel 4 128 --out peer_cpu.json
-python benchmarks/peer.py --device cuda --rays-per-pixel 32 128 --out peer_gpu.json
+    python benchmarks/peer.py --device cpu --rays-per-pixel 4 32 128 --out peer_cpu.json [--write]
+    python benchmarks/peer.py --device cuda --rays-per-pixel 32 128 --out peer_gpu.json
+    python benchmarks/peer.py --from peer_gpu.json --write
 
 Needs `pip install mitsuba`; on the CPU also LLVM (Debian: libllvm15). The town of benchmarks/scenes.py with a
 permittivity, a roughness and a correlation length at every vertex. Mitsuba sends the rays that warpsar drew, and its
@@ -30,8 +31,9 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import numpy as np
+import tables
 from scenes import MATERIAL, town_scene
-from simulate import machine
+from simulate import machine, said
 
 Row = dict[str, float]
 KEYS = ("rms_height_m", "correlation_length_m", "eps_r")
@@ -299,14 +301,29 @@ def compared(kind: str, own: dict[str, Row], other: dict[str, Row]) -> list[dict
     ]
 
 
-def table(rows: list[dict[str, Any]]) -> str:
-    lines = ["| | warpsar, ms | Mitsuba, ms | ratio | ratio of CPU seconds | target |", "|---|---|---|---|---|---|"]
-    lines += [
-        f"| {r['what']} | {1e3 * r['warpsar_s']:.3g} | {1e3 * r['mitsuba_s']:.3g} | {r['ratio']:.3g} "
-        f"| {r['cpu_ratio']:.3g} | {'' if r['target'] is None else format(r['target'], 'g')} |"
-        for r in rows
-    ]
-    return "\n".join(lines)
+def table(result: dict[str, Any]) -> str:
+    """A column per number of rays: both times, and Mitsuba's over warpsar's; on the CPU also that of CPU seconds."""
+    sizes, cuda = result["sizes"], result["device"].startswith("cuda")
+    rows: list[list[str]] = []
+    for index, (what, *_) in enumerate(COMPARED):
+        cells = []
+        for size in sizes:
+            one = size["compared"][index]
+            ratios = f"{one['ratio']:.3g}" + ("" if cuda else f"; {one['cpu_ratio']:.3g}")
+            cells.append(f"{1e3 * one['warpsar_s']:.3g} / {1e3 * one['mitsuba_s']:.3g} ({ratios})")
+        target = sizes[0]["compared"][index]["target"]
+        rows.append([what, *cells, "" if target is None else f"{target:g}"])
+    about = (
+        ("merged hits", "merged_hits", ","),
+        ("images differ, of the rms", "image_rms_difference", ".1e"),
+        ("cosine of the gradients", "gradient_cosine", ".6f"),
+    )
+    rows += [[what, *(format(size[key], form) for size in sizes), ""] for what, key, form in about]
+    kinds = "ratio" if cuda else "ratio; ratio of CPU seconds"
+    header = [f"ms: warpsar / Mitsuba ({kinds})", *(f"{size['rays']:,} rays" for size in sizes), "target"]
+    first = sizes[0]
+    of = f"{first['faces']:,} faces, {' x '.join(map(str, first['pixels']))} pixels, {first['parameters']:,} parameters"
+    return f"{said(result)}, Mitsuba {first['mitsuba']}; {of}.\n\n{tables.markdown(header, rows)}"
 
 
 def measure(device_name: str, faces: int, pixels: tuple[int, int], rays: float, repeats: int) -> dict[str, Any]:
@@ -335,6 +352,19 @@ def measure(device_name: str, faces: int, pixels: tuple[int, int], rays: float, 
     return found | about | {"warpsar": own, "peer": other, "compared": compared(device_name, own, other)}
 
 
+def run(options: argparse.Namespace) -> dict[str, Any]:
+    """Each number of rays in a process of its own."""
+    result: dict[str, Any] = {"benchmark": "peer", **machine(options.device), "sizes": []}
+    for rays in options.rays_per_pixel:
+        command = [sys.executable, __file__, "--one", "--device", options.device, "--faces", str(options.faces)]
+        command += ["--pixels", *map(str, options.pixels), "--rays-per-pixel", str(rays)]
+        command += ["--repeats", str(options.repeats)]
+        done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True)
+        result["sizes"].append(json.loads(done.stdout.splitlines()[-1]))
+        tables.save(options.out, result)  # after every size: a later one may not end
+    return result
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu")
@@ -342,28 +372,17 @@ def main() -> None:
     parser.add_argument("--pixels", type=int, nargs=2, default=(423, 380), metavar=("ROWS", "COLS"))
     parser.add_argument("--rays-per-pixel", type=float, nargs="+", default=[4.0])
     parser.add_argument("--repeats", type=int, default=7, help="runs of which the median counts")
-    parser.add_argument("--out", type=Path, help="JSON file")
     parser.add_argument("--one", action="store_true", help=argparse.SUPPRESS)  # measured in this process
+    tables.add_options(parser)
     options = parser.parse_args()
-    if importlib.util.find_spec("mitsuba") is None:
+    if options.source is None and importlib.util.find_spec("mitsuba") is None:
         parser.error("the peer is not installed: pip install mitsuba (and, for --device cpu, LLVM: Debian's libllvm15)")
-    pixels = tuple(options.pixels)
     if options.one:
         rays = options.rays_per_pixel[0]
-        print(json.dumps(measure(options.device, options.faces, pixels, rays, options.repeats)))
+        print(json.dumps(measure(options.device, options.faces, tuple(options.pixels), rays, options.repeats)))
         return
-    result: dict[str, Any] = {"benchmark": "peer", **machine(options.device), "sizes": []}
-    for rays in options.rays_per_pixel:
-        command = [sys.executable, __file__, "--one", "--device", options.device, "--faces", str(options.faces)]
-        command += ["--pixels", *map(str, pixels), "--rays-per-pixel", str(rays), "--repeats", str(options.repeats)]
-        done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True)
-        found = json.loads(done.stdout.splitlines()[-1])
-        result["sizes"].append(found)
-        if options.out:  # after every size: a later one may not end
-            options.out.write_text(json.dumps(result, indent=1) + "\n")
-        print(f"\n{found['faces']:,} faces, {found['rays']:,} rays, {found['merged_hits']:,} merged hits")
-        print(f"the images differ by {found['image_rms_difference']:.1e} rms", end=", ")
-        print(f"the gradients' cosine is {found['gradient_cosine']:.6f}\n\n{table(found['compared'])}", flush=True)
+    result = tables.stored(options.source) if options.source else run(options)
+    tables.publish({f"peer.{result['device'].split(':')[0]}": table(result)}, result, options.write)
 
 
 if __name__ == "__main__":
