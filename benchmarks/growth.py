@@ -28,7 +28,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import numpy as np
 import tables
-from peer import smooth_scene, timed
+from peer import gradient_task, smooth_scene, timed
 from simulate import machine, said
 
 Size = dict[str, Any]
@@ -117,14 +117,8 @@ def measure(size: Size, device_name: str, repeats: int) -> dict[str, Any]:
         fitted = replace(scene, views=speckled(scene, fresh(), Path(folder)))
         problem = FitProblem(fitted, device, rays=Rays(stage, seed=0))
     problem.gradient(problem.x0)
-    if device.is_cuda:
-        problem.run_on_device()  # loads what a capture cannot
-        with wp.ScopedCapture(device) as capture:
-            problem.run_on_device()
-        iterate = partial(wp.capture_launch, capture.graph)
-    else:
-        iterate = partial(problem.gradient, problem.x0)
-    times["iteration"] = timed(iterate, synchronize, 5 * repeats if device.is_cuda else repeats)
+    turns = 5 * repeats if device.is_cuda else repeats
+    times["iteration"] = timed(gradient_task(problem, device), synchronize, turns)
     hits = [view.render.hits for view in problem.views]
     return {
         **size,

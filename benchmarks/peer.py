@@ -23,6 +23,7 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from statistics import median
 from tempfile import TemporaryDirectory
@@ -68,13 +69,10 @@ def ours(scene: Any, device: Any, repeats: int, folder: Path) -> tuple[dict[str,
     """warpsar's timings, and what Mitsuba needs to do the same."""
     import warp as wp
 
-    from warpsar.fit import FitProblem
     from warpsar.frame import geometry_of
-    from warpsar.images import write_exr
-    from warpsar.kernels.raster import sample_kernel
     from warpsar.render import Stage, ViewRender
-    from warpsar.simulation import Rays, hit_grid, view_seed
-    from warpsar.trace import ray_grid, trace
+    from warpsar.simulation import hit_grid, view_seed
+    from warpsar.trace import trace
 
     def synchronize() -> None:
         wp.synchronize_device(device)
@@ -106,49 +104,76 @@ def ours(scene: Any, device: Any, repeats: int, folder: Path) -> tuple[dict[str,
         "image of kept hits": timed(kept["render"].program.forward, synchronize, repeats),
     }
     image = next(iter(render(traced(deposit="nearest")).forward().values()))
+    rows["iteration"], fitted = iteration(scene, kept["stage"], image, device, repeats, folder)
+    return rows, {"image": image, **fitted, **rays_of(scene, kept["stage"], device, geometry, grid, density, seed)}
+
+
+def gradient_task(problem: Any, device: Any) -> Callable[[], Any]:
+    """Image, loss and gradient of a problem: on CUDA as one captured graph."""
+    import warp as wp
+
+    if not device.is_cuda:
+        return partial(problem.gradient, problem.x0)
+    problem.run_on_device()  # loads what a capture cannot
+    with wp.ScopedCapture(device) as capture:
+        problem.run_on_device()
+    return partial(wp.capture_launch, capture.graph)
+
+
+def iteration(
+    scene: Any, stage: Any, image: np.ndarray, device: Any, repeats: int, folder: Path
+) -> tuple[Row, dict[str, Any]]:
+    """Time of image, loss and gradient; the speckled image that is fitted, its gradient, and the merged hits."""
+    import warp as wp
+
+    from warpsar.fit import FitProblem
+    from warpsar.images import write_exr
+    from warpsar.simulation import Rays
+
     speckled = image * np.random.default_rng(0).gamma(16.0, 1 / 16.0, image.shape)
     write_exr(folder / "west.exr", {"HH": speckled.astype(np.float32)})
-    measured = view.model_copy(update={"images": {"HH": folder / "west.exr"}, "looks": 16.0})
+    measured = scene.views[0].model_copy(update={"images": {"HH": folder / "west.exr"}, "looks": 16.0})
     # nearest bins, as Mitsuba's: gradients can be held against one another
     sampling = scene.sampling.model_copy(update={"deposit": "nearest"})
     fitted = replace(scene, views=[measured], sampling=sampling)
-    problem = FitProblem(fitted, device, loss="mse", rays=Rays(kept["stage"], seed=scene.sampling.seed))
-    x = problem.x0
-    _, gradient = problem.gradient(x)
-    if device.is_cuda:
-        problem.run_on_device()  # loads what a capture cannot
-        with wp.ScopedCapture(device) as capture:
-            problem.run_on_device()
-        graph = capture.graph
-        rows["iteration"] = timed(lambda: wp.capture_launch(graph), synchronize, 10 * repeats)
-    else:
-        rows["iteration"] = timed(lambda: problem.gradient(x), synchronize, repeats)
-
-    rays = ray_grid(kept["stage"].target, geometry, grid, density, 1, scene.grid.pixel_area_m2)
-    cells = rays.end_cell - rays.first_cell
-    samples: Any = wp.empty(cells * rays.elevation_cells, dtype=wp.vec2, device=device)
-    wp.launch(sample_kernel, cells, inputs=[rays, rays.first_cell, seed], outputs=[samples], device=device)
+    problem = FitProblem(fitted, device, loss="mse", rays=Rays(stage, seed=scene.sampling.seed))
+    _, gradient = problem.gradient(problem.x0)
+    synchronize = partial(wp.synchronize_device, device)
+    row = timed(gradient_task(problem, device), synchronize, 10 * repeats if device.is_cuda else repeats)
     seen = np.zeros(image.size, np.float32)
     seen[problem.observations[0].pixels] = 1.0
     hits = problem.views[0].render.hits
-    given = {
+    names = ("face", "pixel", "barycentric", "weight", "cos_incidence")
+    return row, {
+        "measured": speckled.astype(np.float32).ravel(),
+        "seen": seen,
+        "gradient": gradient,
+        "merged": {name: getattr(hits, name).numpy() for name in names},
+    }
+
+
+def rays_of(scene: Any, stage: Any, device: Any, geometry: Any, grid: Any, density: float, seed: int) -> dict[str, Any]:
+    """The rays that were traced, as Mitsuba needs them."""
+    import warp as wp
+
+    from warpsar.kernels.raster import sample_kernel
+    from warpsar.trace import ray_grid
+
+    rays = ray_grid(stage.target, geometry, grid, density, 1, scene.grid.pixel_area_m2)
+    cells = rays.end_cell - rays.first_cell
+    samples: Any = wp.empty(cells * rays.elevation_cells, dtype=wp.vec2, device=device)
+    wp.launch(sample_kernel, cells, inputs=[rays, rays.first_cell, seed], outputs=[samples], device=device)
+    return {
         "samples": samples.numpy(),
         "axes": (geometry.d, geometry.u, geometry.v),
         "wavenumber": geometry.wavenumber,
         "standoff": rays.standoff,
         "cell_m2": rays.azimuth_step * rays.elevation_step,
         "start_m": grid.start_m,
-        "image": image,
-        "measured": speckled.astype(np.float32).ravel(),
-        "seen": seen,
-        "gradient": gradient,
-        "merged": {
-            name: getattr(hits, name).numpy() for name in ("face", "pixel", "barycentric", "weight", "cos_incidence")
-        },
     }
-    return rows, given
 
 
+# One long function: Mitsuba's types exist once a variant is chosen, and all that is timed shares its arrays.
 def theirs(scene: Any, variant: str, given: dict[str, Any], repeats: int) -> tuple[dict[str, Row], dict[str, Any]]:
     """Mitsuba's timings, and how near its image and gradient are."""
     import drjit as dr

@@ -110,11 +110,15 @@ def publish(bodies: Mapping[str, str], result: Mapping[str, Any], write: bool) -
             put(name, body, result.get("made", {"date": UNKNOWN, "commit": UNKNOWN}))
 
 
+def add_write(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--write", action="store_true", help="put the tables into their pages in docs/")
+
+
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """What every benchmark with a table in a page offers: its JSON, an earlier run's, and the page."""
+    """What a benchmark with one JSON file offers: to write it, to start from it, and to put its tables into pages."""
     parser.add_argument("--out", type=Path, help="JSON file")
     parser.add_argument("--from", dest="source", type=Path, metavar="FILE", help="JSON of a run: nothing is measured")
-    parser.add_argument("--write", action="store_true", help="put the table into its page in docs/")
+    add_write(parser)
 
 
 def save(path: Path | None, result: Mapping[str, Any]) -> None:
