@@ -34,6 +34,7 @@ MEASURES = {
     "experiments.fields": (*DEFAULT, "data/fields"),
     "gotcha": (*DEFAULT, "data/gotcha"),
     "slicy": (*DEFAULT, "data/slicy"),
+    "hostile": (*DEFAULT, "cli"),
     "startup": (*DEFAULT, "cli", "data/example"),
     "effects": (*DEFAULT, "data/example"),
 }

@@ -4,7 +4,8 @@
     ...
     <!-- /table -->
 
-The command that makes a table puts it there itself, with `--write`. `python benchmarks/refresh.py` lists them all.
+The last line between them says the same to a reader. The command that makes a table puts it there itself, with
+`--write`. `python benchmarks/refresh.py` lists them all.
 """
 
 from __future__ import annotations
@@ -87,7 +88,7 @@ def made(root: Path = ROOT) -> dict[str, str]:
 
 
 def put(name: str, body: str, when: Mapping[str, str], root: Path = ROOT) -> Path:
-    """Puts a table between its comments, with the date and the commit of `when`; returns the page.
+    """Puts a table between its comments, and under it its command and the date and commit of `when`; returns the page.
 
     Raises LookupError where no page, or more than one place, has the comments of `name`.
     """
@@ -97,7 +98,8 @@ def put(name: str, body: str, when: Mapping[str, str], root: Path = ROOT) -> Pat
     page, match = places[0]
     text = page.read_text(encoding="utf-8")
     first = f"<!-- table: {name} | {match['command']} | {when['date']} | {when['commit']} -->"
-    block = f"{first}\n\n{body.strip()}\n\n<!-- /table -->"
+    said = f"Made by `{match['command']}` on {when['date']}, commit `{when['commit']}`."
+    block = "\n\n".join((first, body.strip(), said, "<!-- /table -->"))
     page.write_text(text[: match.start()] + block + text[match.end() :], encoding="utf-8", newline="\n")
     return page
 

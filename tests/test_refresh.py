@@ -3,11 +3,14 @@
 import importlib
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
 import pytest
 from conftest import ROOT
+
+from warpsar.effects import NAMES, declared, get, validate
 
 PAGE = """# A page
 
@@ -34,7 +37,7 @@ def module(name: str) -> ModuleType:
     return importlib.import_module(name)
 
 
-refresh, tables = module("refresh"), module("tables")
+refresh, scenes, tables = module("refresh"), module("scenes"), module("tables")
 
 
 def git(root: Path, *words: str) -> str:
@@ -104,9 +107,16 @@ def test_what_is_measured_is_there() -> None:
 def test_only_the_named_table_is_replaced(root: Path) -> None:
     before = (root / "docs" / "page.md").read_text()
     tables.put("first", "| b |\n|---|\n| 2 |", {"date": "2026-02-03", "commit": "abcdef0"}, root)
-    after = before.replace("| a |\n|---|\n| 1 |", "| b |\n|---|\n| 2 |")
+    said = "Made by `python benchmarks/first.py` on 2026-02-03, commit `abcdef0`."
+    after = before.replace("| a |\n|---|\n| 1 |", f"| b |\n|---|\n| 2 |\n\n{said}")
     after = after.replace("2026-01-01 | unknown", "2026-02-03 | abcdef0")
     assert (root / "docs" / "page.md").read_text() == after
+
+
+def test_what_is_said_of_a_table_does_not_pile_up(root: Path) -> None:
+    for _ in range(2):
+        tables.put("first", "| b |\n|---|\n| 2 |", {"date": "2026-02-03", "commit": "abcdef0"}, root)
+    assert (root / "docs" / "page.md").read_text().count("Made by") == 1
 
 
 def test_a_table_without_a_place_is_refused(root: Path) -> None:
@@ -187,3 +197,18 @@ def test_the_tables_of_this_checkout_can_be_read() -> None:
         python, script = table.command.split()[:2]
         assert python == "python"
         assert "--write" in (ROOT / script).read_text() or "add_options" in (ROOT / script).read_text()
+
+
+# ---- what the pictures and the rates of the docs ask of an effect ----
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(("table", "views"), [("example", 2), ("rate_case", 4)])
+def test_every_effect_declares_a_sound_table_that_does_something(name: str, table: str, views: int) -> None:
+    values = getattr(get(name), table)
+    names = [f"v{i}" for i in range(views)]
+    validate(name, values, f"{name}.{table}", names)
+    scene = scenes.example_with(None, 1.0)
+    found = [scene.views[0].model_copy(update={"name": view}) for view in names]
+    scene = replace(scene, views=found, effects={name: values})
+    assert any(declared(scene, view) for view in found)  # effects at neutral are left out
