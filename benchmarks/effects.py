@@ -193,7 +193,8 @@ def measure(device_name: str, rays_per_pixel: float, repeats: int) -> dict[str, 
     own = every_effect(bench)
     bounces(bench)
     blurs(bench)
-    return {"times": bench.times, "counts": bench.counts, "effects": own, "floors": floors(bench)}
+    plain = {"effect": "(the image itself)", **{part: bench.seconds(f"plain, {part}") for part in PARTS}}
+    return {"times": bench.times, "counts": bench.counts, "effects": [plain, *own], "floors": floors(bench)}
 
 
 def direct(image: np.ndarray, kernels: list[np.ndarray]) -> np.ndarray:
