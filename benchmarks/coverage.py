@@ -1,24 +1,28 @@
 """How honest the intervals of `warpsar learn` are: one scene, many draws of the speckle, how often they hold the truth.
 
-    python benchmarks/coverage.py --repeats 100 --case hh_vv
-    python benchmarks/coverage.py --repeats 100 --case hh_incidences
+    python benchmarks/coverage.py --out coverage.json [--write]
+    python benchmarks/coverage.py --repeats 30 --case hh_incidences
 
 A cube on a plane, both within the domain of small perturbation. Images are drawn with other rays than the fit's, and
-four times as many. JSON on stdout.
+four times as many. Without --case all four rows of the table are made.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import tempfile
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+import tables
 
 from warpsar.io.images import write_tiff
 from warpsar.learning.command import LearnOptions, learn
@@ -84,6 +88,23 @@ def blurred(random: np.random.Generator, shape: tuple[int, ...], width: float = 
 
 
 SPECKLE = {"white": white, "blurred": blurred}
+ROWS = (  # case, loss, speckle
+    ("hh_vv", "gamma", "white"),
+    ("hh_incidences", "gamma", "white"),
+    ("hh_vv", "mse", "white"),
+    ("hh_vv", "gamma", "blurred"),
+)
+
+
+def with_speckle(start: Scene, clean: list[Any], draw: Callable[[tuple[int, ...]], np.ndarray], folder: Path) -> Scene:
+    """The scene with the clean images times one draw of speckle as its measured ones."""
+    views = []
+    for view, images in zip(start.views, clean, strict=True):
+        paths = {p: folder / f"{view.name}_{p}.tif" for p in images}
+        for polarization, image in images.items():
+            write_tiff(paths[polarization], image * draw(image.shape))
+        views.append(view.model_copy(update={"images": paths}))
+    return replace(start, views=views)
 
 
 def coverage(
@@ -105,13 +126,8 @@ def coverage(
     with tempfile.TemporaryDirectory() as folder:
         for repeat in range(repeats):
             random = np.random.default_rng([seed, repeat])
-            views = []
-            for view, images in zip(start.views, clean, strict=True):
-                paths = {p: Path(folder) / f"{view.name}_{p}.tif" for p in images}
-                for polarization, image in images.items():
-                    write_tiff(paths[polarization], image * speckle(random, image.shape))
-                views.append(view.model_copy(update={"images": paths}))
-            found = learn(replace(start, views=views), device=device, options=LearnOptions(starts=1, loss=loss))
+            drawn = with_speckle(start, clean, partial(speckle, random), Path(folder))
+            found = learn(drawn, device=device, options=LearnOptions(starts=1, loss=loss))
             assert found.identified is not None
             sd, error = found.identified.sd, found.x - true
             usable = np.array(found.identified.summary()["identifiable"])
@@ -143,23 +159,39 @@ def coverage(
     }
 
 
+def table(result: dict[str, Any]) -> str:
+    rows = []
+    for found in result["runs"]:
+        errors = [f"{100 * one['median_relative_error']:.2g}" for one in found["parameters"].values()]
+        held = f"{found['held_percent']} % of {found['intervals']}"
+        rows.append([found["case"], found["loss"], found["speckle"], held])
+        rows[-1] += [", ".join(errors[i : i + 3]) for i in range(0, len(errors), 3)]
+    header = ["case", "loss", "speckle", "95 % intervals that hold the truth"]
+    header += [f"{name}: median error of eps_r - 1, h, l [%]" for name in TRUTH]
+    return tables.markdown(header, rows)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--repeats", type=int, default=100)
-    parser.add_argument("--case", choices=list(CASES), default="hh_vv")
+    parser.add_argument("--case", choices=list(CASES), help="only this one, with --loss and --speckle")
     parser.add_argument("--loss", default="gamma")
     parser.add_argument("--speckle", choices=list(SPECKLE), default="white")
     parser.add_argument("--device")
-    arguments = parser.parse_args()
-    found = coverage(
-        arguments.case,
-        arguments.repeats,
-        device=arguments.device,
-        loss=arguments.loss,
-        speckle=SPECKLE[arguments.speckle],
-    )
-    json.dump(found, sys.stdout, indent=1)
-    print()
+    tables.add_options(parser)
+    options = parser.parse_args()
+    if options.case and options.write:
+        parser.error("--write is for the whole table: leave --case out")
+    if options.source:
+        result = tables.stored(options.source)
+    else:
+        result = {"benchmark": "coverage", "made": tables.made(), "runs": []}
+        for case, loss, speckle in [(options.case, options.loss, options.speckle)] if options.case else ROWS:
+            print(f"{case}, {loss}, {speckle}", file=sys.stderr)
+            found = coverage(case, options.repeats, device=options.device, loss=loss, speckle=SPECKLE[speckle])
+            result["runs"].append(found | {"speckle": speckle})
+            tables.save(options.out, result)
+    tables.publish({"coverage": table(result)}, result, options.write)
 
 
 if __name__ == "__main__":

@@ -1,9 +1,9 @@
 """How often `warpsar diagnose` is right: images of the project's own renderer with an effect that the scene file does
-not declare, with nothing missing, with several effects, and with what no effect explains.
+not declare (`Effect.rate_case`), with nothing missing, with several effects, and with what no effect explains.
 
     python benchmarks/diagnosis_rates.py run -o out/rates --case none --looks 16 --repeats 100
     python benchmarks/diagnosis_rates.py run -o out/rates                # all cases, looks and kinds of speckle
-    python benchmarks/diagnosis_rates.py table -o out/rates
+    python benchmarks/diagnosis_rates.py table -o out/rates [--write]
 
 A run appends one line of JSON to runs.jsonl in the folder; runs that are there already are not made again. Every run
 has its own speckle, its own rays and its own wrong start. docs/diagnosis.md has the results.
@@ -13,6 +13,7 @@ import json
 import multiprocessing
 import sys
 import time
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from dataclasses import dataclass, field, replace
@@ -23,10 +24,16 @@ from typing import Any
 import click
 import numpy as np
 
+from warpsar.runtime import console, devices
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+import tables
+
 from warpsar.diagnosis.found import DiagnoseOptions
 from warpsar.diagnosis.result import diagnose
+from warpsar.effects.registry import get, names
 from warpsar.io.images import write_tiff
-from warpsar.runtime import console, devices
 from warpsar.scene.scene import Scene
 from warpsar.simulation.command import simulate
 from warpsar.world.mesh import Mesh
@@ -59,23 +66,7 @@ class Case:
         return set(self.effects)
 
 
-SINGLE: dict[str, dict[str, Any]] = {
-    "multibounce": {"strength": 1.0},
-    "antenna_pattern": {"beamwidth_m": 40.0, "boresight_m": 4.0},
-    "range_loss": {"per_m": 0.02},
-    "view_gain": {"gain_db": {"v0": 1.2, "v1": -1.0, "v2": 0.6, "v3": -0.8}},
-    "eps_gradient": {"per_m_east": 0.03, "per_m_north": -0.02},
-    "exponential_spectrum": {"weight": 0.5},
-    "two_scale": {"slope_variance": 0.03},
-    "vegetation": {"optical_depth": 0.8, "albedo": 0.1},
-    "edge_diffraction": {"strength": 3.0},
-    "registration": {"range_m": 0.15, "azimuth_m": -0.2},
-    "point_spread": {"range_fwhm_m": 0.9, "azimuth_fwhm_m": 0.7, "window": "gaussian"},
-    "noise_floor": {"level": 0.004},
-    "azimuth_ambiguity": {"level": 0.05, "offset_m": 9.0},
-    "saturation": {"exponent": 0.8},
-    "interference": {"level": {"v1": 0.02}, "rows": {"v1": [[30, 32]]}},
-}
+SINGLE: dict[str, dict[str, Any]] = {name: get(name).rate_case for name in names()}
 CASES: dict[str, Case] = {
     "none": Case(),
     **{name: Case({name: table}) for name, table in SINGLE.items()},
@@ -254,30 +245,34 @@ def run(
         clean_images(CASES[name], where.alias, out, name)
     numbers = [int(n) for n in looks] or list(LOOKS)
     keys = [key for key in wanted(cases, numbers, kinds or ("white", "correlated"), repeats) if key not in done]
-    left = iter(keys)
     bar = console.progress(len(keys), "runs", "run")
+    when = tables.made()
+    for row in side_by_side(keys, jobs, started + max_time, (options, where.alias, out)):
+        with (out / "runs.jsonl").open("a") as stream:
+            stream.write(json.dumps(row | when) + "\n")
+        bar.update()
+        click.echo(
+            f"{row['case']}, {row['looks']} looks, {row['speckle']}, seed {row['seed']}: {row['verdict']}"
+            f"{' unexplained' if row['unexplained'] else ''}, {row['seconds']} s",
+            err=True,
+        )
+    bar.close()
+
+
+def side_by_side(
+    keys: Sequence[tuple[str, int, str, int]], jobs: int, end: float, options: tuple[DiagnoseOptions, str, Path]
+) -> Iterator[dict[str, Any]]:
+    """`one_run` of every key as it is done, `jobs` at a time; none is begun after the time `end`."""
+    left = iter(keys)
     at_work: set[Future[dict[str, Any]]] = set()
     with ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn")) as pool:
         while True:
-            while len(at_work) < jobs and time.perf_counter() - started < max_time:
-                key = next(left, None)
-                if key is None:
-                    break
-                at_work.add(pool.submit(one_run, key, options, where.alias, out))
+            while len(at_work) < jobs and time.perf_counter() < end and (key := next(left, None)) is not None:
+                at_work.add(pool.submit(one_run, key, *options))
             if not at_work:
                 break
             ready, at_work = wait(at_work, return_when=FIRST_COMPLETED)
-            for one in ready:
-                row = one.result()
-                with (out / "runs.jsonl").open("a") as stream:
-                    stream.write(json.dumps(row) + "\n")
-                bar.update()
-                click.echo(
-                    f"{row['case']}, {row['looks']} looks, {row['speckle']}, seed {row['seed']}: {row['verdict']}"
-                    f"{' unexplained' if row['unexplained'] else ''}, {row['seconds']} s",
-                    err=True,
-                )
-    bar.close()
+            yield from (one.result() for one in ready)
 
 
 def judged(row: Mapping[str, Any]) -> str:
@@ -297,37 +292,49 @@ def judged(row: Mapping[str, Any]) -> str:
     return "more" if verdict > case.names else "wrong"
 
 
-@main.command()
-@click.option("-o", "--out", required=True, type=click.Path(file_okay=False, path_type=Path))
-def table(out: Path) -> None:
-    """Markdown of what the folder holds, both kinds of speckle together, and rates.json: every kind by itself."""
-    rows = stored_runs(out)
-    words = ("unexplained too", "more", "not testable", "missed", "unexplained", "wrong")
-    click.echo(
-        "| in the images | runs | right at 1 | 4 | 16 looks | " + " | ".join(words) + " | named instead or besides |"
-    )
-    click.echo("|---" * (len(words) + 6) + "|")
-    summary = []
+WORDS = ("unexplained too", "more", "not testable", "missed", "unexplained", "wrong")
+
+
+def rates(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Markdown: a line per case, both kinds of speckle together."""
+    lines = []
     for name in CASES:
         mine = [row for row in rows if row["case"] == name]
         if not mine:
             continue
-        others: dict[str, int] = {}
-        for row in mine:
-            for other in set(row["verdict"]) - CASES[name].names:
-                others[other] = others.get(other, 0) + 1
+        others = Counter(other for row in mine for other in set(row["verdict"]) - CASES[name].names)
         by_looks = [[judged(row) == "right" for row in mine if row["looks"] == looks] for looks in LOOKS]
-        right = " | ".join(f"{sum(found)} of {len(found)}" for found in by_looks)
-        counts = {word: sum(judged(row) == word for row in mine) for word in words}
+        counts = Counter(judged(row) for row in mine)
         said = ", ".join(f"{other} {n}" for other, n in sorted(others.items()))
-        numbers = " | ".join(str(n or "") for n in counts.values())
-        click.echo(f"| {name} | {len(mine)} | {right} | {numbers} | {said} |")
-        for looks, kind in product(LOOKS, ("white", "correlated")):
-            members = [row for row in mine if (row["looks"], row["speckle"]) == (looks, kind)]
-            if members:
-                came_out = {word: sum(judged(row) == word for row in members) for word in ("right", *words)}
-                summary.append({"case": name, "looks": looks, "speckle": kind, "runs": len(members), **came_out})
-    (out / "rates.json").write_text(json.dumps(summary, indent=1) + "\n")
+        right = [f"{sum(found)} of {len(found)}" for found in by_looks]
+        lines.append([name, len(mine), *right, *(counts[word] or "" for word in WORDS), said])
+    header = ["in the images", "runs", "right at 1", "4", "16 looks", *WORDS, "named instead or besides"]
+    return tables.markdown(header, lines)
+
+
+def summary(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """How many runs came out how, of each case, looks and kind of speckle."""
+    found = []
+    for name, looks, kind in product(CASES, LOOKS, ("white", "correlated")):
+        members = [row for row in rows if (row["case"], row["looks"], row["speckle"]) == (name, looks, kind)]
+        if members:
+            counts = Counter(judged(row) for row in members)
+            came_out = {word: counts[word] for word in ("right", *WORDS)}
+            found.append({"case": name, "looks": looks, "speckle": kind, "runs": len(members), **came_out})
+    return found
+
+
+@main.command()
+@click.option("-o", "--out", required=True, type=click.Path(file_okay=False, path_type=Path))
+@click.option("--write", is_flag=True, help="Put the table into its page in docs/, with the date of its oldest run.")
+def table(out: Path, write: bool) -> None:
+    """Markdown of what the folder holds, and rates.json: every kind of speckle by itself."""
+    rows = stored_runs(out)
+    (out / "rates.json").write_text(json.dumps(summary(rows), indent=1) + "\n")
+    undated = dict.fromkeys(("date", "commit"), tables.UNKNOWN)
+    dates = [{key: row.get(key, tables.UNKNOWN) for key in undated} for row in rows]
+    oldest = undated if undated in dates else min(dates, key=lambda made: made["date"])
+    tables.publish({"diagnosis_rates": rates(rows)}, {"made": oldest}, write)
 
 
 if __name__ == "__main__":

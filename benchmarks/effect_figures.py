@@ -1,54 +1,34 @@
 """One picture per effect: the example scene without it, with it, and the ratio of the two.
 
-Run as `python benchmarks/effect_figures.py --out docs/figures`; the pictures are committed.
+    python benchmarks/effect_figures.py --out docs/figures
+
+Each effect says by itself which values its picture has (`Effect.example`). The pictures are committed.
 """
 
 from __future__ import annotations
 
 import argparse
 import dataclasses
+import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from warpsar import Scene, simulate
-from warpsar.effects.registry import get, names, validate
+sys.path.insert(0, str(Path(__file__).resolve().parent))
 
-EXAMPLE = Path(__file__).parent.parent / "data" / "example" / "scene.toml"
-VIEW = "view"
-# Strong enough to be seen at a glance.
-SHOWN: dict[str, dict[str, Any]] = {
-    "eps_gradient": {"per_m_east": 0.04, "per_m_north": 0.02},
-    "exponential_spectrum": {"weight": 1.0},
-    "two_scale": {"slope_variance": 0.02},
-    "vegetation": {"optical_depth": 0.3, "albedo": 0.05},
-    "antenna_pattern": {"beamwidth_m": 45.0, "boresight_m": 8.0},
-    "range_loss": {"per_m": 0.05},
-    "view_gain": {"gain_db": {VIEW: 6.0, "other": -6.0}},
-    "registration": {"range_m": 1.5, "azimuth_m": -1.0},
-    "multibounce": {"strength": 1.0},
-    "edge_diffraction": {"strength": 3.0},
-    "point_spread": {"range_fwhm_m": 1.2, "azimuth_fwhm_m": 1.2, "window": "sinc"},
-    "azimuth_ambiguity": {"level": 0.05, "offset_m": 22.0},
-    "noise_floor": {"level": 0.002},
-    "interference": {"level": {VIEW: 0.02}, "rows": {VIEW: [[40, 42], [100, 101]]}},
-    "saturation": {"exponent": 0.6},
-}
+from scenes import example_with
+
+from warpsar import Scene, simulate
+from warpsar.effects.registry import get, names
 
 
 def scene_with(name: str | None) -> Scene:
     """The example seen along its walls, in a second of CPU time; with one effect, or with none."""
-    scene = Scene.load(EXAMPLE)
-    first = scene.views[0].model_copy(update={"name": VIEW, "azimuth_deg": 2.0})
-    second = first.model_copy(update={"name": "other"})
-    polarization = "HH"
+    scene = example_with(name, 64.0)
     return dataclasses.replace(
         scene,
-        views=[first, second] if name == "view_gain" else [first],
-        radar=scene.radar.model_copy(update={"polarizations": (polarization,)}),
-        sampling=scene.sampling.model_copy(update={"rays_per_pixel": 64.0}),
-        effects={} if name is None else {name: validate(name, SHOWN[name], f"effects.{name}")},
+        views=[view.model_copy(update={"azimuth_deg": 2.0}) for view in scene.views],
+        radar=scene.radar.model_copy(update={"polarizations": ("HH",)}),
     )
 
 

@@ -3,13 +3,15 @@ domains, parameter fields, and a case of an independent renderer. docs/experimen
 
     python benchmarks/experiments.py table3 -o out/experiments
 
-Each command prints its table (Markdown) and leaves NAME.json, the references and their scene files in the folder.
+Each command prints its tables and leaves NAME.json, the references and their scene files in the folder. `--write` puts
+the tables into the page; `--from out/experiments/NAME.json` takes them from an earlier run.
 """
 
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,15 +19,15 @@ import click
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent))  # so that `import experiments` from a test finds its neighbours
-from references import NO_SPECKLE_LOOKS, changed, clean_images, measured, with_rays
+import field_experiment
+import tables
+from references import DATA, KEYS, NO_SPECKLE_LOOKS, changed, clean_images, logs, measured, with_rays
 
 from warpsar.io.images import replacing
 from warpsar.learning.command import Learned, LearnOptions, learn
 from warpsar.scene.scene import Scene
 from warpsar.world.tables import Sampling
 
-DATA = Path(__file__).parent.parent / "data"
-KEYS = ("eps_r", "rms_height_m", "correlation_length_m")
 OTHER_STARTS_SD = 0.7  # of ln(eps_r - 1), ln h and ln l, about the paper's start
 
 
@@ -52,26 +54,9 @@ def say(name: str) -> None:
     click.echo(f"{name} ...", err=True)
 
 
-def write(out: Path, name: str, content: Any) -> None:
-    with replacing(out / f"{name}.json") as temporary:
-        temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-
-
-def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    click.echo("| " + " | ".join(header) + " |\n|" + "---|" * len(header))
-    for row in rows:
-        click.echo("| " + " | ".join(row) + " |")
-
-
 def values_of(found: Learned, material: str) -> list[float]:
     """eps_r, h [m] and l [m] of a uniform material after a fit."""
     return [float(getattr(found.scene.materials[material], key)) for key in KEYS]
-
-
-def logs(values: Sequence[float]) -> np.ndarray:
-    """ln(eps_r - 1), ln h, ln l."""
-    eps_r, h, length = values
-    return np.log([eps_r - 1.0, h, length])
 
 
 def surface(values: Sequence[float]) -> list[str]:
@@ -118,54 +103,59 @@ def recover(
     results = []
     for run in runs:
         say(f"{name}: {run.name}")
-        printed = {"variant": "as_printed", "polarization_basis": "local"} if run.as_printed else {}
-        radar = scene.radar.model_copy(update={"polarizations": run.polarizations, **printed})
-        true_scene = changed(replace(scene, radar=radar), material, specular_fraction=run.tau)
         folder = out / name / run.name.replace(" ", "_").replace(",", "")
-        observed = measured(true_scene, clean_images(true_scene), folder, NO_SPECKLE_LOOKS)
+        observed = reference(scene, material, run, folder)
         fits = []
         for values in starts(start, count):
             begun = changed(observed, material, **dict(zip(KEYS, values, strict=True)))
             if not fits:
                 begun.save(folder / "scene.toml")
-            found = learn(begun, device=device, options=LearnOptions(starts=1))
-            assert found.identified is not None
-            fits.append(
-                {
-                    "start": values,
-                    "learned": values_of(found, material),
-                    "rms_db": found.train["rmse_db"],
-                    "iterations": len(found.history),
-                    "words": found.identified.words,
-                    "sd": found.identified.sd.tolist(),
-                }
-            )
+            fits.append({"start": values, **fitted(begun, material, device)})
         best = min(fit["rms_db"] for fit in fits)
-        for fit in fits:
-            fit["arrived"] = fit["rms_db"] < 1.1 * best
-        results.append({"run": run.name, "fits": fits})
-    content = {"truth": truth, "start": list(start), "runs": results}
-    write(out, name, content)
-    return content
+        results.append({"run": run.name, "fits": [fit | {"arrived": fit["rms_db"] < 1.1 * best} for fit in fits]})
+    return {"truth": truth, "start": list(start), "runs": results}
 
 
-def print_recovered(content: dict[str, Any], paper: Sequence[str]) -> None:
+def reference(scene: Scene, material: str, run: Run, folder: Path) -> Scene:
+    """The scene with the images of a run's equations and polarizations, free of speckle."""
+    printed = {"variant": "as_printed", "polarization_basis": "local"} if run.as_printed else {}
+    radar = scene.radar.model_copy(update={"polarizations": run.polarizations, **printed})
+    true_scene = changed(replace(scene, radar=radar), material, specular_fraction=run.tau)
+    return measured(true_scene, clean_images(true_scene), folder, NO_SPECKLE_LOOKS)
+
+
+def fitted(begun: Scene, material: str, device: str | None) -> dict[str, Any]:
+    """One fit from the values in the scene."""
+    found = learn(begun, device=device, options=LearnOptions(starts=1))
+    assert found.identified is not None
+    return {
+        "learned": values_of(found, material),
+        "rms_db": found.train["rmse_db"],
+        "iterations": len(found.history),
+        "words": found.identified.words,
+        "sd": found.identified.sd.tolist(),
+    }
+
+
+def recovered_tables(name: str, content: dict[str, Any], paper: Sequence[str]) -> dict[str, str]:
+    """The fits from the paper's start, and how far those that arrive lie apart."""
     rows = [
         ["truth", *surface(content["truth"]), "", ""],
         ["start", *surface(content["start"]), "", ""],
         ["paper, SPM, HH", *paper, "", ""],
     ]
+    apart = []
     for result in content["runs"]:
         fit = result["fits"][0]
         words = fit["words"][0].split(": ", 1)[1]
         rows.append([result["run"], *surface(fit["learned"]), f"{fit['rms_db']:.2g}", words])
-    table(("", "eps_r", "h [mm]", "l [mm]", "h l [mm^2]", "h / l", "rms [dB]", "determined, to one sd"), rows)
-    click.echo()
-    rows = []
-    for result in content["runs"]:
         arrived = [fit["learned"] for fit in result["fits"] if fit["arrived"]]
-        rows.append([result["run"], f"{len(arrived)} of {len(result['fits'])}", *between(arrived)])
-    table(("", "starts that arrived", "eps_r", "h [mm]", "l [mm]", "h l [mm^2]", "h / l"), rows)
+        apart.append([result["run"], f"{len(arrived)} of {len(result['fits'])}", *between(arrived)])
+    values = ("eps_r", "h [mm]", "l [mm]", "h l [mm^2]", "h / l")
+    return {
+        f"experiments.{name}": tables.markdown(("", *values, "rms [dB]", "determined, to one sd"), rows),
+        f"experiments.{name}.starts": tables.markdown(("", "starts that arrived", *values), apart),
+    }
 
 
 def in_domain_case(
@@ -201,14 +191,15 @@ def in_domain_case(
     return {"model": model, "truth": truth, "start": list(start), "looks": looks, "fits": fits}
 
 
-def print_in_domain(results: Sequence[dict[str, Any]]) -> None:
+def in_domain_table(results: Sequence[dict[str, Any]]) -> str:
     rows = []
     for result in results:
+        model = result["model"].upper()
         for index, symbol in enumerate(("eps_r", "h", "l", "h / l")):
             errors = np.array([fit["error"][index] for fit in result["fits"]])
             sds = [fit["sd"][index] for fit in result["fits"]]
             if None in sds:
-                rows.append([result["model"].upper(), symbol, "not identifiable", "", ""])
+                rows.append([model, symbol, "not identifiable", "", ""])
                 continue
             sd = np.array(sds)
             relative = np.abs(np.expm1(errors))
@@ -216,16 +207,10 @@ def print_in_domain(results: Sequence[dict[str, Any]]) -> None:
                 true = result["truth"][0]
                 relative = np.abs([fit["learned"][0] / true - 1.0 for fit in result["fits"]])
             inside = int((np.abs(errors) <= 1.96 * sd).sum())
-            rows.append(
-                [
-                    result["model"].upper(),
-                    symbol,
-                    f"{100 * np.median(relative):.2f} %",
-                    f"{100 * np.median(sd):.2f} %",
-                    f"{inside} of {len(errors)}",
-                ]
-            )
-    table(("truth in the domain of", "", "median error", "median sd of its log", "95 % interval holds truth"), rows)
+            percent = [f"{100 * np.median(values):.2f} %" for values in (relative, sd)]
+            rows.append([model, symbol, *percent, f"{inside} of {len(errors)}"])
+    header = ("truth in the domain of", "", "median error", "median sd of its log", "95 % interval holds truth")
+    return tables.markdown(header, rows)
 
 
 SAMPLES = (8, 16, 32, 64, 128, 256)
@@ -269,7 +254,7 @@ def sampling_error(
     return rows
 
 
-def print_sampling(rows: Sequence[dict[str, Any]]) -> None:
+def sampling_table(rows: Sequence[dict[str, Any]]) -> str:
     def cell(deposit: str, count: int, key: str, scale: float) -> str:
         found = [scale * r[key] for r in rows if r["deposit"] == deposit and r["rays_per_pixel"] == count]
         return f"{np.mean(found):.3g} ± {np.std(found, ddof=1):.2g}"
@@ -287,7 +272,7 @@ def print_sampling(rows: Sequence[dict[str, Any]]) -> None:
     header = ["rays per pixel"]
     for deposit in ("nearest", "footprint"):
         header += [f"{deposit}: parameters [%]", "RMSE / max [1e-3]", "rms [dB]"]
-    table(header, body)
+    return tables.markdown(header, body)
 
 
 def case_result(folder: Path, out: Path, device: str | None) -> dict[str, Any]:
@@ -319,7 +304,7 @@ def case_result(folder: Path, out: Path, device: str | None) -> dict[str, Any]:
     }
 
 
-def print_case(result: dict[str, Any]) -> None:
+def case_table(result: dict[str, Any]) -> str:
     rows = [
         [
             row["parameter"],
@@ -331,10 +316,35 @@ def print_case(result: dict[str, Any]) -> None:
         ]
         for row in result["parameters"]
     ]
-    table(("parameter", "truth", "learned", "95 % interval", "holds truth", "identifiable alone"), rows)
-    click.echo(f"\ndeviance: train {result['train']['deviance']:.4f}, test {result['test']['deviance']:.4f}\n")
-    for sentence in result["words"]:
-        click.echo(f"- {sentence}")
+    header = ("parameter", "truth", "learned", "95 % interval", "holds truth", "identifiable alone")
+    deviance = f"Deviance: train {result['train']['deviance']:.4f}, test {result['test']['deviance']:.4f}."
+    said = "\n".join(f"- {sentence}" for sentence in result["words"])
+    return f"{tables.markdown(header, rows)}\n\n{deviance}\n\n{said}"
+
+
+# ---- commands ----
+
+
+@dataclass(frozen=True)
+class Output:
+    """Where a command leaves its results, and whether it makes them or takes them from a JSON file."""
+
+    folder: Path
+    device: str | None
+    source: Path | None
+    write: bool
+
+    def result(self, name: str, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+        """What NAME.json holds: what was made, and the date and the commit it was made at."""
+        if self.source is not None:
+            return tables.stored(self.source)
+        content = {"made": tables.made(), **make()}
+        with replacing(self.folder / f"{name}.json") as temporary:
+            tables.save(temporary, content)
+        return content
+
+    def publish(self, content: dict[str, Any], bodies: dict[str, str]) -> None:
+        tables.publish(bodies, content, self.write)
 
 
 @click.group()
@@ -342,74 +352,86 @@ def main() -> None:
     """Experiments of the paper, and checks beyond it; see docs/experiments.md."""
 
 
-OUT = click.option("-o", "--out", type=click.Path(path_type=Path, file_okay=False), default=Path("out/experiments"))
-DEVICE = click.option("--device", default=None, help="cpu, cuda or cuda:N.")
+def with_output(command: Callable[..., None]) -> Callable[..., None]:
+    """The options that every experiment has, handed to it as one `Output`."""
+
+    def handed(out: Path, device: str | None, source: Path | None, write: bool, **others: Any) -> None:
+        command(Output(out, device, source, write), **others)
+
+    file = click.Path(path_type=Path, dir_okay=False, exists=True)
+    folder = click.Path(path_type=Path, file_okay=False)
+    handed.__doc__ = command.__doc__
+    for option in (
+        click.option("--write", is_flag=True, help="Put the tables into their page in docs/."),
+        click.option("--from", "source", type=file, help="JSON of a run: nothing is measured."),
+        click.option("--device", default=None, help="cpu, cuda or cuda:N."),
+        click.option("-o", "--out", type=folder, default=Path("out/experiments"), show_default=True),
+    ):
+        handed = option(handed)
+    return handed
 
 
 @main.command("table3")
-@OUT
-@DEVICE
-def table3_command(out: Path, device: str | None) -> None:
+@with_output
+def table3_command(output: Output) -> None:
     """Cube on a plane, 9.6 GHz."""
-    content = recover("table3", "cube", (25.0, 0.005, 0.010), out, device)
-    print_recovered(content, ("not in our notes", "2.09", "1.04", "2.174", "2.01"))
+    make = partial(recover, "table3", "cube", (25.0, 0.005, 0.010), output.folder, output.device)
+    content = output.result("table3", make)
+    paper = ("not known to us", "2.09", "1.04", "2.174", "2.01")
+    output.publish(content, recovered_tables("table3", content, paper))
 
 
 @main.command("table4")
-@OUT
-@DEVICE
-def table4_command(out: Path, device: str | None) -> None:
+@with_output
+def table4_command(output: Output) -> None:
     """Simplified building, 9.6 GHz, from eps_r 1.5 for the dead point 1."""
-    content = recover("table4", "building", (1.5, 1e-4, 1e-4), out, device)
-    print_recovered(content, ("7.42", "19", "9", "171", "2.111"))
+    make = partial(recover, "table4", "building", (1.5, 1e-4, 1e-4), output.folder, output.device)
+    content = output.result("table4", make)
+    output.publish(content, recovered_tables("table4", content, ("7.42", "19", "9", "171", "2.111")))
 
 
 @main.command("in_domain")
-@OUT
-@DEVICE
-@click.option("--seeds", type=click.IntRange(min=2), default=20, show_default=True)
-def in_domain_command(out: Path, device: str | None, seeds: int) -> None:
+@click.option("--seeds", type=click.IntRange(min=2), default=60, show_default=True)
+@with_output
+def in_domain_command(output: Output, seeds: int) -> None:
     """Surfaces inside the domains of the models, HH+VV, 16 looks."""
-    results = [
-        in_domain_case("spm", (4.0, 0.001, 0.006), out, device, seeds=seeds),
-        in_domain_case("ka", (4.0, 0.030, 0.200), out, device, seeds=seeds),
-    ]
-    write(out, "in_domain", results)
-    print_in_domain(results)
+    begun = {"spm": (4.0, 0.001, 0.006), "ka": (4.0, 0.030, 0.200)}
+
+    def make() -> dict[str, Any]:
+        folder, device = output.folder, output.device
+        return {"models": [in_domain_case(m, start, folder, device, seeds=seeds) for m, start in begun.items()]}
+
+    content = output.result("in_domain", make)
+    output.publish(content, {"experiments.in_domain": in_domain_table(content["models"])})
 
 
 @main.command("table6")
-@OUT
-@DEVICE
 @click.option("--seeds", type=click.IntRange(min=2), default=5, show_default=True)
-def table6_command(out: Path, device: str | None, seeds: int) -> None:
+@with_output
+def table6_command(output: Output, seeds: int) -> None:
     """Error after convergence against rays per pixel."""
-    rows = sampling_error(out, device, seeds=seeds)
-    write(out, "table6", rows)
-    print_sampling(rows)
+    content = output.result("table6", lambda: {"fits": sampling_error(output.folder, output.device, seeds=seeds)})
+    output.publish(content, {"experiments.table6": sampling_table(content["fits"])})
 
 
 @main.command("case")
 @click.argument("folder", type=click.Path(path_type=Path, file_okay=False, exists=True))
-@OUT
-@DEVICE
-def case_command(folder: Path, out: Path, device: str | None) -> None:
+@with_output
+def case_command(output: Output, folder: Path) -> None:
     """A case of an independent renderer, with its truth.json."""
-    result = case_result(folder, out, device)
-    write(out, f"case_{folder.name}", result)
-    print_case(result)
+    content = output.result(f"case_{folder.name}", lambda: case_result(folder, output.folder, output.device))
+    output.publish(content, {f"experiments.case.{folder.name}": case_table(content)})
 
 
 @main.command("fields")
-@OUT
-@DEVICE
 @click.option("--iterations", type=click.IntRange(min=2), default=300, show_default=True, help="Of Adam, per fit.")
 @click.option("--full", is_flag=True, help="Four times the rays and five times the iterations: for a GPU.")
-def fields_command(out: Path, device: str | None, iterations: int, full: bool) -> None:
+@with_output
+def fields_command(output: Output, iterations: int, full: bool) -> None:
     """Parameter fields of a painted building, 15.2 GHz, from one to six views."""
-    import field_experiment
-
-    field_experiment.run(out, device, iterations=iterations * (5 if full else 1), rays=4.0 if full else 1.0)
+    more = {"iterations": iterations * (5 if full else 1), "rays": 4.0 if full else 1.0}
+    content = output.result("fields", lambda: field_experiment.run(output.folder, output.device, **more))
+    output.publish(content, {"experiments.fields": field_experiment.table(content)})
 
 
 if __name__ == "__main__":

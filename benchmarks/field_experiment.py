@@ -7,8 +7,8 @@ from typing import Any
 
 import click
 import numpy as np
-from experiments import DATA, KEYS, logs, say, table, write
-from references import changed, clean_images, measured, trained_on, with_rays
+import tables
+from references import DATA, KEYS, changed, clean_images, logs, measured, trained_on, with_rays
 
 from warpsar.io.figures import new, save
 from warpsar.io.images import read_channel, write_exr
@@ -76,7 +76,7 @@ class Experiment:
         scene = replace(scene, radar=radar)
         self.device, self.iterations, self.polarizations = device, iterations, polarizations
         self.folder = out / "fields" / "".join(polarizations)
-        say(f"fields: references in {'+'.join(polarizations)}")
+        click.echo(f"fields: references in {'+'.join(polarizations)} ...", err=True)
         self.clean = clean_images(scene)
         observed = measured(scene, self.clean, self.folder / "reference", looks, seed=0)
         shape = self.true.field(TEXTURE, "eps_r").shape
@@ -95,7 +95,8 @@ class Experiment:
     def fit(
         self, model: str, train: Sequence[str], *, loss: str = "gamma", variation: dict[str, float] | None = None
     ) -> Fit:
-        say(f"fields: {model} from {len(train)} views ({', '.join(train)}), {'+'.join(self.polarizations)}")
+        seen = f"{len(train)} views ({', '.join(train)}), {'+'.join(self.polarizations)}"
+        click.echo(f"fields: {model} from {seen} ...", err=True)
         rest = [name for name in HEXAGON if name not in train]
         start = self.starts[model]
         options = LearnOptions(
@@ -177,45 +178,45 @@ class Experiment:
         return float(np.sqrt(np.mean(np.concatenate(squares)))) / self.largest
 
 
-def run(out: Path, device: str | None, *, iterations: int, rays: float) -> None:
+def run(out: Path, device: str | None, *, iterations: int, rays: float) -> dict[str, Any]:
+    """All fits, and their figures; returns what fields.json holds."""
     hh = Experiment(out, device, iterations=iterations, rays=rays)
     fits = [hh.fit(model, HEXAGON[:count]) for model in MODELS for count in range(1, 7)]
     beside = [hh.fit("KA+SPM", ADJACENT[:2]), hh.fit("KA+SPM", ADJACENT)]
     spread = [hh.fit("KA+SPM", ("az000", "az120", "az240"))]
     both = Experiment(out, device, iterations=iterations, rays=rays, polarizations=("HH", "VV"))
     best = both.fit("KA+SPM", HEXAGON)
-    everything = [*fits, *beside, *spread, best]
-    write(out, "fields", {"floor": hh.floor(BETWEEN), "fits": [fit.row for fit in everything]})
-    print_table(everything, hh.floor(BETWEEN))
     mixed = [fit for fit in fits if fit.model == "KA+SPM"]
     draw_iterations(out / "experiment_fields_iterations.png", mixed)
     draw_views(out / "experiment_fields_views.png", fits, beside + spread, hh.floor(BETWEEN))
     draw_images(out / "experiment_fields_images.png", hh, [fit for fit in fits if len(fit.train) == 3])
     draw_maps(out / "experiment_fields_maps.png", hh, mixed[-1], both, best)
+    return {"floor": hh.floor(BETWEEN), "fits": [fit.row for fit in [*fits, *beside, *spread, best]]}
 
 
-def print_table(fits: Sequence[Fit], floor: float) -> None:
+def table(content: dict[str, Any]) -> str:
+    """Errors of every fit, from what fields.json holds."""
     rows = []
-    for fit in fits:
-        last = fit.row["errors"]
+    for fit in content["fits"]:
+        last = fit["errors"]
         rows.append(
             [
-                f"{fit.model}, {'+'.join(fit.polarizations)}",
-                " ".join(name.removeprefix("az") for name in sorted(fit.train)),
+                f"{fit['model']}, {'+'.join(fit['polarizations'])}",
+                " ".join(name.removeprefix("az") for name in sorted(fit["train"])),
                 f"{last['train_rmse']:.4f}",
                 f"{last['test_rmse']:.4f}" if "test_rmse" in last else "",
-                f"{fit.between['rmse']:.4f}",
+                f"{fit['between']['rmse']:.4f}",
                 f"{last['train_deviance']:.3g}",
                 f"{last['test_deviance']:.3g}" if "test_deviance" in last else "",
-                f"{fit.between['deviance']:.3g}",
-                f"{fit.between['clean_db']:.2f}",
-                *(f"{fit.parameters[name]:.2f}" for name in ("eps_r - 1", "h", "l", "h l", "h / l")),
+                f"{fit['between']['deviance']:.3g}",
+                f"{fit['between']['clean_db']:.2f}",
+                *(f"{fit['parameters'][name]:.2f}" for name in ("eps_r - 1", "h", "l", "h l", "h / l")),
             ]
         )
     header = ["model", "azimuths [deg]", "RMSE/max train", "rest", "between", "deviance train", "rest", "between"]
     header += ["between, no speckle [dB]", "eps_r - 1", "h", "l", "h l", "h / l"]
-    table(header, rows)
-    click.echo(f"\nRMSE / max that speckle alone leaves, views between: {floor:.4f}")
+    floor = f"RMSE / max that speckle alone leaves, views between: {content['floor']:.4f}"
+    return f"{tables.markdown(header, rows)}\n\n{floor}"
 
 
 def draw_iterations(path: Path, fits: Sequence[Fit]) -> None:

@@ -1,13 +1,13 @@
 """The loop on measured data: AFRL's Gotcha, learned and diagnosed on two views of one degree each, tested on others.
 
-python benchmarks/gotcha.py DATA_FOLDER -o OUT [--figures docs/figures] [--short]
+    python benchmarks/gotcha.py DATA -o OUT [--figures docs/figures] [--short] [--write]
 
-DATA_FOLDER holds gotcha/data_3dsar_pass1_az001_HH.mat to az003; whatever other degrees lie there are test views, too
-(of an OUT that was begun without them they are not).
-Builds two scenes (data/gotcha): `flat`, regions on flat ground, and `bodies`, the ground with cars and reflectors
-standing on it; imports the views into both; learns uniform materials, then fields; diagnoses; and compares every step's
-prediction of az003 (and of what follows it), which nothing was read off, fitted to or decided by, with the simple ones.
-OUT gets it all, with gotcha.json and gotcha.md (docs/measured.md says what it means); what lies there already is
+DATA is a folder of public releases. It holds gotcha/data_3dsar_pass1_az001_HH.mat to az003, of the AFRL Gotcha
+volumetric data set; whatever other degrees lie there are test views, too (of an OUT that was begun without them they
+are not). Two scenes are built (data/gotcha): `flat`, regions on flat ground, and `bodies`, the ground with cars and
+reflectors standing on it. The views are imported into both; uniform materials are learned, then fields; the scene with
+bodies is diagnosed. Every step's prediction of az003 (and of what follows it), which nothing was read off, fitted to or
+decided by, is compared with simple ones. OUT gets it all, with gotcha.json and gotcha.md; what lies there already is
 not made again. `--short` has the diagnosis fit from one start, refit the best score alone, and add two effects at most.
 """
 
@@ -26,7 +26,20 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
-from measured_loop import best_width, decibels, diagnosed, effect_widths, half_power_width, kept, markdown, pixel_kernel
+import tables
+from measured_loop import (
+    TURNS,
+    best_width,
+    decibels,
+    diagnosed,
+    effect_widths,
+    half_power_width,
+    kept,
+    pixel_kernel,
+    rounded,
+    turns_of,
+    written,
+)
 
 from warpsar.diagnosis.found import DiagnoseOptions
 from warpsar.evaluation import command as evaluation
@@ -57,6 +70,7 @@ FIELD_TEXELS = 130  # of 1 m
 FIELD_ITERATIONS = 200
 FIELD_VARIATION = 0.1  # log-likelihood per unit of ln h between neighbouring texels
 NEAR = 3  # pixels from a body within which ground is called `near`: sidelobes, and cars not quite where they are
+FEWEST = 30  # pixels of a class that is told apart
 FINE_M = 0.05
 DIAGNOSE = DiagnoseOptions(starts=1, draws=400)  # the fewest draws that a family error of 1 % allows
 SHORT = DiagnoseOptions(starts=0, draws=400, refits=1, most_effects=2)
@@ -471,7 +485,7 @@ def _compared(
         "scatter_floor": {
             label: scatter_floor(scene, flat, test, full & mask)
             for label, full in {"all": mask, **classes(of, materials)}.items()
-            if (full & mask).sum() > 30
+            if (full & mask).sum() > FEWEST
         },
         "speckle": speckle_floor(scene, test, speckle, mask),
     }
@@ -547,6 +561,7 @@ def run(
 ) -> dict[str, Any]:
     """All of it; returns what gotcha.json holds."""
     out.mkdir(parents=True, exist_ok=True)
+    made = kept(out / "made.json", tables.made)
     flat = prepare(data, out / "flat", flat=True, device=device)
     bodies = prepare(data, out / "bodies", flat=False, device=device)
     theory = kept(out / "impulse_response.json", lambda: impulse_response(data, Scene.load(bodies), device))
@@ -569,6 +584,7 @@ def run(
         return learned(start, out / "bodies" / "fields", slowly, device)
 
     content = {
+        "made": made,
         "impulse_response": theory,
         "flat": kept(out / "flat.json", of_flat),
         "bodies": kept(out / "bodies.json", of_bodies),
@@ -580,80 +596,63 @@ def run(
     content["comparison"] = compared(data, out, found, device)
     content["point_spread_found"] = effect_widths(content["diagnosis"])
     figures(out, found, figure_folder or out)
-    with replacing(out / "gotcha.json") as temporary:
-        temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8", newline="\n")
-    with replacing(out / "gotcha.md") as temporary:
-        temporary.write_text(tables(content), encoding="utf-8", newline="\n")
+    written(out, "gotcha", content, tables_of(content))
     return content
 
 
-def tables(content: dict[str, Any]) -> str:
-    """What docs/measured.md quotes."""
-    theory, diagnosis = content["impulse_response"], content["diagnosis"]
-    parts = ["## Reflectors\n"]
-    parts.append(
-        markdown(
-            ["reflector", "view", "axis", "width [m]", "theory [m]", "shares of five pixels", "theory"],
-            [
-                [
-                    str(r["corner_m"]),
-                    r["view"],
-                    a,
-                    r[a]["width_m"],
-                    r[a]["theory_m"],
-                    r[a]["shares"],
-                    r[a]["theory_shares"],
-                ]
-                for r in theory["reflectors"]
-                for a in ("range", "azimuth")
-            ],
-        )
-    )
-    parts.append("## point_spread: theory on this grid, and found\n")
-    rows = [[w, t["range_fwhm_m"], t["azimuth_fwhm_m"]] for w, t in theory["point_spread_m"].items()]
+def reflectors(theory: dict[str, Any]) -> str:
+    rows = []
+    for one in theory["reflectors"]:
+        for axis in ("range", "azimuth"):
+            found = one[axis]
+            apart = max(abs(a - b) for a, b in zip(found["shares"], found["theory_shares"], strict=True))
+            rows.append([str(one["corner_m"]), one["view"], axis, found["width_m"], found["theory_m"], apart])
+    return rounded(["reflector at", "view", "axis", "width [m]", "theory [m]", "shares of five pixels differ by"], rows)
+
+
+def widths(content: dict[str, Any]) -> str:
+    rows = [
+        [w, t["range_fwhm_m"], t["azimuth_fwhm_m"]] for w, t in content["impulse_response"]["point_spread_m"].items()
+    ]
     if content["point_spread_found"]:
-        found = content["point_spread_found"]
-        said = [f"{v['value_m']:.3g} ({v['low_m']:.3g} to {v['high_m']:.3g})" for v in found.values()]
-        rows.append([f"found, {diagnosis['effects']['point_spread'].get('window', 'gaussian')}", *said])
-    parts.append(markdown(["window", "range [m]", "azimuth [m]"], rows))
-    parts.append("## Turns of the diagnosis\n")
-    parts.append(
-        markdown(
-            ["turn", "passed: -ln p", "refitted: 2 ln L", "added", "scan: -ln p"],
-            [
-                [
-                    k + 1,
-                    ", ".join(
-                        f"{c['effect']} {c['minus_log_p']:.0f}"
-                        for c in sorted(turn["candidates"], key=lambda c: -(c["minus_log_p"] or 0))
-                        if c["testability"] == "testable" and c["minus_log_p"] > turn["threshold"]
-                    ),
-                    ", ".join(
-                        f"{c['effect']} {c['refit_gain']:+.0f}"
-                        for c in turn["candidates"]
-                        if c["refit_gain"] is not None
-                    ),
-                    turn["added"] or "",
-                    f"{turn['scan']['minus_log_p']:.1f} of {turn['threshold']:.1f}",
-                ]
-                for k, turn in enumerate(diagnosis["turns"])
-            ],
+        values = content["point_spread_found"].values()
+        window = content["diagnosis"]["effects"]["point_spread"].get("window", "gaussian")
+        rows.append(
+            [f"found, {window}", *(f"{v['value_m']:.3g} ({v['low_m']:.3g} to {v['high_m']:.3g})" for v in values)]
         )
-    )
-    for view, comparison in content["comparison"].items():
-        parts.append(f"## {view}, deviance over the floor of its looks\n")
-        labels = ["all", *(label for label in comparison["pixels"] if label != "all")]
-        rows = [
-            [name, *(values[label] for label in labels), values["rmse_db"]]
-            for name, values in comparison["deviance_over_floor"].items()
-        ]
-        rows.append(["*view-to-view scatter*", *(comparison["scatter_floor"].get(label, "") for label in labels), ""])
-        rows += [[f"*uniform ground: {k}*", v, *[""] * len(labels)] for k, v in comparison["speckle"]["left"].items()]
-        rows.append(["pixels", *(comparison["pixels"][label] for label in labels), ""])
-        better = comparison["share_of_pixels_where_better_than_mean"]
-        rows.append(["last model better than the mean, share of pixels", *(better[label] for label in labels), ""])
-        parts.append(markdown(["prediction", *labels, "error [dB]"], rows))
-    return "\n".join(parts)
+    return rounded(["window", "range [m]", "azimuth [m]"], rows)
+
+
+def brightness_table(flat: dict[str, Any]) -> str:
+    found = {name: one for name, one in flat["brightness"].items() if name != REFERENCE}
+    said = [f"{one['over_grass_db']:+.1f} ± {one['half_interval_db']:.1f}" for one in found.values()]
+    return rounded(["flat scene", *found], [["beta0 against grass, 95 % interval [dB]", *said]])
+
+
+def comparison_table(comparison: dict[str, Any]) -> str:
+    """Deviance of every prediction over the floor of its looks."""
+    labels = ["all", *(label for label, n in comparison["pixels"].items() if label != "all" and n > FEWEST)]
+    rows = [
+        [name, *(values[label] for label in labels), values["rmse_db"]]
+        for name, values in comparison["deviance_over_floor"].items()
+    ]
+    rows.append(["*view-to-view scatter*", *(comparison["scatter_floor"].get(label, "") for label in labels), ""])
+    rows += [[f"*uniform ground: {k}*", v, *[""] * len(labels)] for k, v in comparison["speckle"]["left"].items()]
+    rows.append(["pixels", *(comparison["pixels"][label] for label in labels), ""])
+    better = comparison["share_of_pixels_where_better_than_mean"]
+    rows.append(["last model better than the mean, share of pixels", *(better[label] for label in labels), ""])
+    return rounded(["prediction", *labels, "error [dB]"], rows)
+
+
+def tables_of(content: dict[str, Any]) -> dict[str, str]:
+    """The tables of docs/measured.md, and one for each further test view."""
+    return {
+        "gotcha.reflectors": reflectors(content["impulse_response"]),
+        "gotcha.widths": widths(content),
+        "gotcha.brightness": brightness_table(content["flat"]),
+        "gotcha.turns": rounded(TURNS, turns_of(content["diagnosis"])),
+        **{f"gotcha.{view}": comparison_table(found) for view, found in content["comparison"].items()},
+    }
 
 
 def main() -> None:
@@ -663,9 +662,14 @@ def main() -> None:
     parser.add_argument("--figures", type=Path, help="folder of the two pictures; default: OUT")
     parser.add_argument("--short", action="store_true", help="a diagnosis of fewer starts, refits and effects")
     parser.add_argument("--device")
+    tables.add_write(parser)
     given = parser.parse_args()
     options = SHORT if given.short else DIAGNOSE
-    print(tables(run(given.data, given.out, figure_folder=given.figures, device=given.device, options=options)))
+    content = run(given.data, given.out, figure_folder=given.figures, device=given.device, options=options)
+    found = tables_of(content)
+    further = {f"gotcha.{view}" for view in content["comparison"]} - {f"gotcha.{TEST}"}  # no page has these
+    tables.publish({name: body for name, body in found.items() if name not in further}, content, given.write)
+    tables.publish({name: found[name] for name in sorted(further)}, content, False)
 
 
 if __name__ == "__main__":

@@ -1,13 +1,14 @@
 """How time and memory grow with faces, rays, pixels and views, and the sizes of the method's published timings.
 
-python benchmarks/growth.py --device cpu --out growth_cpu.json
-python benchmarks/growth.py --device cuda --out growth_gpu.json
-python benchmarks/growth.py --device cuda --sweep paper --out paper_gpu.json
+    python benchmarks/growth.py --device cpu --out growth_cpu.json [--write]
+    python benchmarks/growth.py --device cuda --out growth_gpu.json
+    python benchmarks/growth.py --device cuda --sweep paper --out paper_gpu.json
 
 Each size runs in a process of its own, so that one's memory is not another's peak. A slope is that of the straight
 line through the logarithms: 1 is proportional, 0 is free. `paper`: 450,000 and 900,000 faces, 32, 64 and 128 samples
 per pixel, pixels of 0.41, 0.82 and 1.64 m, which holds the rows of its table VII (Quadro RTX 8000: 2.86 s forward and
-1.50 s backward for 900,391 faces, 128 samples, 0.41 m). JSON in --out after every size; tables on stdout.
+1.50 s backward for 900,391 faces, 128 samples, 0.41 m). On the CPU the tables
+show CPU seconds, on CUDA wall time. JSON in --out after every size.
 """
 
 from __future__ import annotations
@@ -28,8 +29,9 @@ from warpsar.runtime import devices
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import numpy as np
-from peer import smooth_scene, timed
-from simulate import machine
+import tables
+from peer import gradient_task, smooth_scene, timed
+from simulate import machine, said
 
 Size = dict[str, Any]
 PAPER_PIXELS = (423, 380)  # of 0.41 x 0.47 m
@@ -57,11 +59,24 @@ def sizes_of(sweep: str, base: Size) -> list[Size]:
     return [{**base, sweep: type(base[sweep])(base[sweep] * factor)} for factor in (0.25, 0.5, 1.0, 2.0, 4.0)]
 
 
+def speckled(scene: Any, renders: list[Any], folder: Path) -> list[Any]:
+    """The views with images of 16 looks made from their renders."""
+    from warpsar.io.images import write_exr
+
+    rng = np.random.default_rng(0)
+    views = []
+    for view, render in zip(scene.views, renders, strict=True):
+        image = render.forward()["HH"]
+        path = folder / f"{view.name}.exr"
+        write_exr(path, {"HH": (image * rng.gamma(16.0, 1 / 16.0, image.shape)).astype(np.float32)})
+        views.append(view.model_copy(update={"images": {"HH": path}, "looks": 16.0}))
+    return views
+
+
 def measure(size: Size, device_name: str, repeats: int) -> dict[str, Any]:
     """Tracing, fresh images of all views, and one learning iteration over them, in this process."""
     import warp as wp
 
-    from warpsar.io.images import write_exr
     from warpsar.learning.problem import FitProblem
     from warpsar.render.render import ViewRender
     from warpsar.simulation.rays import Rays, trace_view
@@ -100,24 +115,12 @@ def measure(size: Size, device_name: str, repeats: int) -> dict[str, Any]:
 
     times = {"trace": timed(trace, synchronize, repeats), "fresh_image": timed(fresh, synchronize, repeats)}
     peak_image = peak_gib()
-    rng = np.random.default_rng(0)
     with TemporaryDirectory() as folder:
-        views = []
-        for view, render in zip(scene.views, fresh(), strict=True):
-            image = render.forward()["HH"]
-            path = Path(folder) / f"{view.name}.exr"
-            write_exr(path, {"HH": (image * rng.gamma(16.0, 1 / 16.0, image.shape)).astype(np.float32)})
-            views.append(view.model_copy(update={"images": {"HH": path}, "looks": 16.0}))
-        problem = FitProblem(replace(scene, views=views), device, rays=Rays(stage, seed=0))
+        fitted = replace(scene, views=speckled(scene, fresh(), Path(folder)))
+        problem = FitProblem(fitted, device, rays=Rays(stage, seed=0))
     problem.gradient(problem.x0)
-    if device.is_cuda:
-        problem.run_on_device()  # loads what a capture cannot
-        with wp.ScopedCapture(device) as capture:
-            problem.run_on_device()
-        iterate = partial(wp.capture_launch, capture.graph)
-    else:
-        iterate = partial(problem.gradient, problem.x0)
-    times["iteration"] = timed(iterate, synchronize, 5 * repeats if device.is_cuda else repeats)
+    turns = 5 * repeats if device.is_cuda else repeats
+    times["iteration"] = timed(gradient_task(problem, device), synchronize, turns)
     hits = [view.render.hits for view in problem.views]
     return {
         **size,
@@ -140,33 +143,59 @@ def slopes(sweep: str, rows: list[dict[str, Any]], clock: str) -> dict[str, floa
 
 
 def table(rows: list[dict[str, Any]], clock: str) -> str:
-    lines = [
-        "| faces | pixels | rays / pixel | views | rays | merged hits | trace, ms | fresh image, ms | iteration, ms "
-        "| memory, GiB |",
-        "|---|---|---|---|---|---|---|---|---|---|",
-    ]
-    lines += [
-        f"| {r['faces']:,} | {r['pixels'][0]} x {r['pixels'][1]} | {r['rays_per_pixel']:g} | {r['views']} "
-        f"| {r['rays']:,} | {r['merged_hits']:,} | "
-        + " | ".join(f"{1e3 * r[name][clock]:.3g}" for name in TIMES)
-        + f" | {r['peak_iteration_gib']:.2f} |"
+    """A line per size."""
+    header = ["faces", "pixels", "rays / pixel", "views", "rays", "merged hits", "trace, ms", "fresh image, ms"]
+    header += ["iteration, ms", "memory, GiB"]
+    body = [
+        [
+            f"{r['faces']:,}",
+            f"{r['pixels'][0]} x {r['pixels'][1]}",
+            f"{r['rays_per_pixel']:g}",
+            r["views"],
+            f"{r['rays']:,}",
+            f"{r['merged_hits']:,}",
+            *(f"{1e3 * r[name][clock]:.3g}" for name in TIMES),
+            f"{r['peak_iteration_gib']:.2f}",
+        ]
         for r in rows
     ]
-    return "\n".join(lines)
+    return tables.markdown(header, body)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu")
-    parser.add_argument("--sweep", choices=SWEEPS, action="append", help="may be repeated; default all")
-    parser.add_argument("--repeats", type=int, default=3, help="runs of which the median counts")
-    parser.add_argument("--clock", choices=("wall_s", "cpu_s"), default="wall_s", help="what table and slopes show")
-    parser.add_argument("--out", type=Path, help="JSON file")
-    parser.add_argument("--one", help=argparse.SUPPRESS)  # a size, as JSON: measured in this process
-    options = parser.parse_args()
-    if options.one:
-        print(json.dumps(measure(json.loads(options.one), options.device, options.repeats)))
-        return
+def growth_table(sweeps: dict[str, Any], clock: str) -> str:
+    """A line per sweep: its smallest and its largest size, and the slopes."""
+    names = {"faces": "faces", "rays_per_pixel": "rays a pixel", "pixels": "pixels", "views": "views"}
+    header = ["what grows", "from, to", "trace, ms", "fresh image, ms", "iteration, ms", "memory, GiB"]
+    header += ["slopes: trace", "fresh image", "iteration", "memory"]
+    rows = []
+    for sweep, label in names.items():
+        if sweep not in sweeps:
+            continue
+        found = sweeps[sweep]["sizes"]
+        ends = [found[0], found[-1]]
+        sizes = [f"{e[sweep]:,.0f}" if np.isscalar(e[sweep]) else " x ".join(map(str, e[sweep])) for e in ends]
+        times = [", ".join(f"{1e3 * e[name][clock]:.3g}" for e in ends) for name in TIMES]
+        memory = ", ".join(f"{e['peak_iteration_gib']:.2f}" for e in ends)
+        slope = [f"{value:.2f}" for value in slopes(sweep, found, clock).values()]
+        rows.append([label, ", ".join(sizes), *times, memory, *slope])
+    return tables.markdown(header, rows)
+
+
+def bodies(result: dict[str, Any]) -> dict[str, str]:
+    """The tables of the docs: one of all sweeps, and one of the paper's sizes."""
+    kind = result["device"].split(":")[0]
+    clock = "cpu_s" if kind == "cpu" else "wall_s"
+    found = {}
+    if set(result["sweeps"]) - {"paper"}:
+        found[f"growth.{kind}"] = growth_table(result["sweeps"], clock)
+    if "paper" in result["sweeps"]:
+        found[f"growth.{kind}.paper"] = table(result["sweeps"]["paper"]["sizes"], clock)
+    times = "CPU seconds of all threads" if kind == "cpu" else "wall time"
+    return {name: f"{said(result)}; {times}.\n\n{body}" for name, body in found.items()}
+
+
+def run(options: argparse.Namespace) -> dict[str, Any]:
+    """Every size in a process of its own."""
     result: dict[str, Any] = {"benchmark": "growth", **machine(options.device), "sweeps": {}}
     for sweep in options.sweep or SWEEPS:
         rows: list[dict[str, Any]] = []
@@ -176,15 +205,23 @@ def main() -> None:
             done = subprocess.run([*command, "--one", json.dumps(size)], stdout=subprocess.PIPE, text=True, check=True)
             rows.append(json.loads(done.stdout.splitlines()[-1]))
             result["sweeps"][sweep] = {"sizes": rows}
-            if options.out:  # after every size: a later one may not end
-                options.out.write_text(json.dumps(result, indent=1) + "\n")
-        print(f"\n{sweep}\n\n{table(rows, options.clock)}")
-        if sweep != "paper":
-            result["sweeps"][sweep]["slopes"] = {clock: slopes(sweep, rows, clock) for clock in ("wall_s", "cpu_s")}
-            found = result["sweeps"][sweep]["slopes"][options.clock]
-            print("\nslopes: " + ", ".join(f"{name} {value:.2f}" for name, value in found.items()))
-    if options.out:
-        options.out.write_text(json.dumps(result, indent=1) + "\n")
+            tables.save(options.out, result)  # after every size: a later one may not end
+    return result
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu")
+    parser.add_argument("--sweep", choices=SWEEPS, action="append", help="may be repeated; default all")
+    parser.add_argument("--repeats", type=int, default=3, help="runs of which the median counts")
+    parser.add_argument("--one", help=argparse.SUPPRESS)  # a size, as JSON: measured in this process
+    tables.add_options(parser)
+    options = parser.parse_args()
+    if options.one:
+        print(json.dumps(measure(json.loads(options.one), options.device, options.repeats)))
+        return
+    result = tables.stored(options.source) if options.source else run(options)
+    tables.publish(bodies(result), result, options.write)
 
 
 if __name__ == "__main__":

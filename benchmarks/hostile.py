@@ -1,6 +1,6 @@
 """Hostile files through every reader, counted: read, refused in one message, or anything worse.
 
-python benchmarks/hostile.py -o OUT [--cases 500] [--seed 0] [--readers "mesh OBJ" ...] [--command-line 100]
+    python benchmarks/hostile.py -o OUT [--cases 500] [--seed 0] [--readers "mesh OBJ" ...] [--command-line 100]
 
 Every reader meets its crafted attacks and then mutations of a sound file until it has had CASES of them
 (`hostile_cases.py`). They run in one worker process under a limit on its address space; the parent watches the clock,
@@ -31,6 +31,10 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+import tables
 
 GOOD = ("read", "refused")
 BAD = {
@@ -73,66 +77,62 @@ def _exhausted(error: BaseException | None) -> bool:
     return False
 
 
-def work() -> None:
-    """Read [reader, index, seed] lines from stdin, answer each with what happened."""
-    import warnings
+class Case:
+    """The worker's side of a case: its folder, what was said while it was read, and what was tried that must not be."""
 
-    answers = os.fdopen(os.dup(1), "w")
-    work_folder = Path(tempfile.mkdtemp(prefix="hostile-"))
-    capture = os.open(work_folder / "output", os.O_RDWR | os.O_CREAT | os.O_APPEND)
-    os.dup2(capture, 1)
-    os.dup2(capture, 2)
-    from hostile_cases import readers
+    def __init__(self) -> None:
+        from hostile_cases import readers
 
-    events: list[str] = []
-    armed = False
+        self.readers, self.events, self.armed = readers(), [], False
+        self.home = Path(tempfile.mkdtemp(prefix="hostile-"))
+        self.folder = self.home / "case"
+        self.capture = os.open(self.home / "output", os.O_RDWR | os.O_CREAT | os.O_APPEND)
+        os.dup2(self.capture, 1)
+        os.dup2(self.capture, 2)
+        for reader in self.readers.values():  # everything lazy is imported and set up before anything is measured
+            reader.lay_out(self.folder)
+            reader.read(self.folder)
+        sys.addaudithook(self.watch)
 
-    def watch(event: str, arguments: tuple[Any, ...]) -> None:
-        if armed and event.startswith(_FORBIDDEN):
-            events.append(event)
+    def watch(self, event: str, arguments: tuple[Any, ...]) -> None:
+        if self.armed and event.startswith(_FORBIDDEN):
+            self.events.append(event)
 
-    for reader in readers().values():  # everything lazy is imported and set up before anything is measured
-        reader.lay_out(work_folder / "case")
-        reader.read(work_folder / "case")
-    sys.addaudithook(watch)
-    warnings.filterwarnings("always", category=UserWarning)
-    warnings.filterwarnings("always", category=RuntimeWarning)
-    bound = _status("VmSize") + int(ADDRESS_SPACE_GIB * 2**30)
-    resource.setrlimit(resource.RLIMIT_AS, (bound, bound))
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    print(json.dumps("ready"), file=answers, flush=True)
-    for line in sys.stdin:
-        name, index, seed = json.loads(line)
-        reader = readers()[name]
-        folder = work_folder / "case"
-        reader.lay_out(folder)
-        attack = reader.spoil(folder, index, seed)
-        before = _contents(folder)
-        os.chdir(folder)
-        os.ftruncate(capture, 0)
-        events.clear()
+    def read(self, reader: Any) -> BaseException | None:
+        """What the reader raises."""
+        self.armed = True
+        try:
+            reader.read(self.folder)
+        except Exception as raised:
+            return raised
+        finally:
+            self.armed = False
+        return None
+
+    def run(self, name: str, index: int, seed: int) -> dict[str, Any]:
+        reader = self.readers[name]
+        reader.lay_out(self.folder)
+        attack = reader.spoil(self.folder, index, seed)
+        before = _contents(self.folder)
+        os.chdir(self.folder)
+        os.ftruncate(self.capture, 0)
+        self.events.clear()
         Path("/proc/self/clear_refs").write_text("5")  # the peak starts again
         resident, started = _status("VmRSS"), time.perf_counter()
-        error: BaseException | None = None
-        armed = True
-        try:
-            reader.read(folder)
-        except Exception as raised:
-            error = raised
-        armed = False
+        error = self.read(reader)
         spent, grown = time.perf_counter() - started, _status("VmHWM") - resident
         sys.stdout.flush()
         sys.stderr.flush()
-        said = os.pread(capture, 4000, 0).decode("utf-8", "replace")
-        outcome, detail = _judge(error, said, folder, before)
-        if events or (folder / "unpickled").exists():
-            outcome, detail = "escaped", f"{sorted(set(events))}; {detail}"
+        outcome, detail = _judge(error, os.pread(self.capture, 4000, 0).decode("utf-8", "replace"), self.folder, before)
+        if self.events or (self.folder / "unpickled").exists():
+            outcome, detail = "escaped", f"{sorted(set(self.events))}; {detail}"
         elif outcome == "read" and attack is not None and not attack.accepted:
             outcome = "accepted"
         if grown > MEMORY_GIB * 2**30 or _exhausted(error):
             outcome, detail = "memory", f"{grown / 2**30:.2f} GiB: {detail}"
         cause = error.__cause__ if error is not None else None
-        answer = {
+        os.chdir(self.home)
+        return {
             "reader": name,
             "index": index,
             "attack": attack.name if attack else None,
@@ -142,9 +142,22 @@ def work() -> None:
             "seconds": round(spent, 4),
             "grown_mib": round(grown / 2**20, 1),
         }
-        error = cause = None
-        os.chdir(work_folder)
-        print(json.dumps(answer), file=answers, flush=True)
+
+
+def work() -> None:
+    """Read [reader, index, seed] lines from stdin, answer each with what happened."""
+    import warnings
+
+    answers = os.fdopen(os.dup(1), "w")
+    case = Case()
+    warnings.filterwarnings("always", category=UserWarning)
+    warnings.filterwarnings("always", category=RuntimeWarning)
+    bound = _status("VmSize") + int(ADDRESS_SPACE_GIB * 2**30)
+    resource.setrlimit(resource.RLIMIT_AS, (bound, bound))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    print(json.dumps("ready"), file=answers, flush=True)
+    for line in sys.stdin:
+        print(json.dumps(case.run(*json.loads(line))), file=answers, flush=True)
 
 
 def _contents(folder: Path) -> dict[str, Any]:
@@ -306,28 +319,70 @@ def _judge_command(done: subprocess.CompletedProcess[str], folder: Path, before:
 
 def table(results: list[dict[str, Any]], command: list[dict[str, Any]]) -> str:
     """Markdown: a line per reader, and what went wrong, by kind."""
-    lines = [
-        "| reader | cases | read | refused | wrong | longest [s] | most memory [MiB] |",
-        "|---|---|---|---|---|---|---|",
-    ]
 
-    def row(label: str, mine: list[dict[str, Any]]) -> None:
+    def row(label: str, mine: list[dict[str, Any]]) -> list[Any]:
         counts = Counter(result["outcome"] for result in mine)
         wrong = sum(counts[kind] for kind in BAD)
         longest = f"{max(r['seconds'] for r in mine):.1f}" if "seconds" in mine[0] else ""
         most = f"{max(0.0, *(r['grown_mib'] for r in mine)):.0f}" if "grown_mib" in mine[0] else ""
-        cells = [label, *map(str, (len(mine), counts["read"], counts["refused"], wrong)), longest, most]
-        lines.append("| " + " | ".join(cells) + " |")
+        return [label, len(mine), counts["read"], counts["refused"], wrong, longest, most]
 
+    rows = []
     for name in dict.fromkeys(result["reader"] for result in results):
-        row(name, [result for result in results if result["reader"] == name])
+        rows.append(row(name, [result for result in results if result["reader"] == name]))
     if results:
-        row("**all**", results)
+        rows.append(row("**all**", results))
     if command:
-        row("command line", command)
-    counts = Counter(result["outcome"] for result in [*results, *command])
-    lines += ["", *(f"- {kind}: {counts[kind]} ({meaning})" for kind, meaning in BAD.items())]
-    return "\n".join(lines) + "\n"
+        rows.append(row("command line", command))
+    header = ["reader", "cases", "read", "refused", "wrong", "longest [s]", "most memory [MiB]"]
+    return tables.markdown(header, rows)
+
+
+def kinds(results: list[dict[str, Any]]) -> str:
+    """What went wrong, by kind."""
+    counts = Counter(result["outcome"] for result in results)
+    return "\n".join(f"- {kind}: {counts[kind]} ({meaning})" for kind, meaning in BAD.items())
+
+
+def logged(path: Path) -> list[dict[str, Any]]:
+    """Results of an earlier run."""
+    return [json.loads(line) for line in path.read_text().splitlines()] if path.is_file() else []
+
+
+def read_all(options: argparse.Namespace) -> list[dict[str, Any]]:
+    """Every case through its reader; those in OUT/cases.jsonl are not run again."""
+    from hostile_cases import readers
+
+    log = options.out / "cases.jsonl"
+    results = logged(log)
+    done = {(result["reader"], result["index"]) for result in results}
+    cases = itertools.product(options.readers or list(readers()), range(options.cases))
+    with log.open("a") as stream:
+        for result in run([case for case in cases if case not in done], options.seed):
+            results.append(result)
+            stream.write(json.dumps(result) + "\n")
+            stream.flush()
+            if result["outcome"] in BAD:
+                _keep(options.out / "wrong", result["reader"], result["index"], options.seed)
+                last = result["detail"].strip().splitlines()[-1:] or [""]
+                print(
+                    f"{result['reader']} {result['index']} ({result['attack']}): {result['outcome']}: {last[0][:200]}"
+                )
+    return results
+
+
+def command_all(options: argparse.Namespace) -> list[dict[str, Any]]:
+    """A sample of the cases through the command line; those in OUT/command_line.jsonl are not run again."""
+    log = options.out / "command_line.jsonl"
+    results = logged(log)
+    with log.open("a") as stream:
+        for result in command_line(options.command_line, options.cases, options.seed, len(results)):
+            results.append(result)
+            stream.write(json.dumps(result) + "\n")
+            stream.flush()
+            if result["outcome"] in BAD:
+                print(f"command line: {result['reader']} {result['index']}: {result['outcome']}: {result['detail']}")
+    return results
 
 
 def main() -> int:
@@ -338,48 +393,29 @@ def main() -> int:
     parser.add_argument("--readers", nargs="+")
     parser.add_argument("--command-line", type=int, default=0, help="so many cases also through the command line")
     parser.add_argument("--worker", action="store_true", help=argparse.SUPPRESS)
+    tables.add_write(parser)
     options = parser.parse_args()
     if options.worker:
         work()
         return 0
-    from hostile_cases import readers
-
     out: Path = options.out
     out.mkdir(parents=True, exist_ok=True)
-    log = out / "cases.jsonl"
-    results = [json.loads(line) for line in log.read_text().splitlines()] if log.is_file() else []
-    names = options.readers or list(readers())
-    done = {(result["reader"], result["index"]) for result in results}
-    left = [case for case in itertools.product(names, range(options.cases)) if case not in done]
-    with log.open("a") as stream:
-        for result in run(left, options.seed):
-            results.append(result)
-            stream.write(json.dumps(result) + "\n")
-            stream.flush()
-            if result["outcome"] in BAD:
-                _keep(out / "wrong", result["reader"], result["index"], options.seed)
-                last = result["detail"].strip().splitlines()[-1:] or [""]
-                print(
-                    f"{result['reader']} {result['index']} ({result['attack']}): {result['outcome']}: {last[0][:200]}"
-                )
-    log = out / "command_line.jsonl"
-    command = [json.loads(line) for line in log.read_text().splitlines()] if log.is_file() else []
-    with log.open("a") as stream:
-        for result in command_line(options.command_line, options.cases, options.seed, len(command)):
-            command.append(result)
-            stream.write(json.dumps(result) + "\n")
-            stream.flush()
-            if result["outcome"] in BAD:
-                print(f"command line: {result['reader']} {result['index']}: {result['outcome']}: {result['detail']}")
+    if not (out / "made.json").is_file():  # a run that goes on is as old as its first case
+        tables.save(out / "made.json", tables.made())
+    results, command = read_all(options), command_all(options)
     causes = {
         name: dict(Counter(r["cause"] for r in results if r["reader"] == name and r["cause"] is not None))
         for name in dict.fromkeys(r["reader"] for r in results)
     }
     counts = dict(Counter(r["outcome"] for r in results))
-    report = {"seed": options.seed, "cases": len(results), "counts": counts, "causes": causes, "command_line": command}
-    (out / "hostile.json").write_text(json.dumps(report, indent=1) + "\n")
-    (out / "hostile.md").write_text(table(results, command))
-    print(table(results, command))
+    report = {"made": tables.stored(out / "made.json"), "seed": options.seed, "cases": len(results), "counts": counts}
+    report |= {"causes": causes, "command_line": command}
+    tables.save(out / "hostile.json", report)
+    body = table(results, command)
+    wrong = kinds([*results, *command])
+    (out / "hostile.md").write_text(f"{body}\n\n{wrong}\n")
+    tables.publish({"hostile": body}, report, options.write)
+    print(f"\n{wrong}")
     return 1 if any(r["outcome"] in BAD for r in [*results, *command]) else 0
 
 

@@ -154,7 +154,7 @@ def _fields(folder: Path) -> None:
 
 @cache
 def readers() -> dict[str, Reader]:
-    """Every reader by its name."""
+    """Every reader by its name: one long list."""
     full = {name: sound(name) for name in ("scene.toml", "scene.obj", "hh.exr", "vv.tif", "eps.exr", "mask.png")}
     found = [
         Reader("scene.toml", full, "scene.toml", _load, _simulate, attacks_on.SCENE_ATTACKS, False, mutate_toml),

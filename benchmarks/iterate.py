@@ -1,17 +1,17 @@
 """One learning iteration: image, loss, gradient to every vertex and parameter, update.
 
-python benchmarks/iterate.py --device cuda --faces 900482 --pixels 423 380 --rays-per-pixel 128 --out FILE
-python benchmarks/iterate.py --device cuda --faces 20000 --pixels 96 96 --rays-per-pixel 32 --views 12 --out FILE
+    python benchmarks/iterate.py --device cuda --faces 900482 --pixels 423 380 --rays-per-pixel 32 128 512 --out FILE
+    python benchmarks/iterate.py --device cuda --faces 20000 --pixels 96 96 --rays-per-pixel 32 --views 12 --out FILE
 
 The town of benchmarks/scenes.py with per-vertex parameters, measured against its own speckled image. On CUDA the
 iteration is one captured graph; beside its time stand the bytes that its kernels have to move, and a copy's rate on the
-same device. On the CPU it is the host-side loop. JSON out.
+same device. On the CPU it is the host-side loop.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
+import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -22,21 +22,24 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+
+from warpsar.runtime import devices
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+import tables
 from scenes import town_scene
+from simulate import machine, said
 
 from warpsar.io.images import write_exr
 from warpsar.learning.adam import Adam, GraphAdam
 from warpsar.learning.optimise import begin
 from warpsar.learning.problem import FitProblem
-from warpsar.runtime import devices
 from warpsar.simulation.command import simulate
 
 
-def measure(
-    device: Any, faces: int, pixels: tuple[int, int], rays: float, views: int, repeats: int, folder: Path
-) -> dict[str, Any]:
-    import warp as wp
-
+def measured_town(device: Any, faces: int, pixels: tuple[int, int], rays: float, views: int, folder: Path) -> Any:
+    """The town with parameters at its vertices and `views` images of 16 looks of itself."""
     scene = town_scene(faces, pixels, rays, layout="vertex")
     around = [
         scene.views[0].model_copy(update={"name": f"view{k}", "azimuth_deg": 270.0 + 360.0 * k / views})
@@ -50,48 +53,64 @@ def measure(
         path = folder / f"{view.name}.exr"
         write_exr(path, {"HH": speckled.astype(np.float32)})
         measured.append(view.model_copy(update={"images": {"HH": path}, "looks": 16.0}))
-    scene = replace(scene, views=measured)
+    return replace(scene, views=measured)
 
-    def timed(task: Callable[[], Any], turns: int) -> float:
-        wp.synchronize_device(device)
-        started = time.perf_counter()
-        for _ in range(turns):
-            task()
-        wp.synchronize_device(device)
-        return (time.perf_counter() - started) / turns
 
-    problems: list[FitProblem] = []
-    prepare_s = timed(lambda: problems.append(FitProblem(scene, device)), 1)
-    problem = problems[0]
-    state = begin(problem, 0, 0)
+def timed(device: Any, task: Callable[[], Any], turns: int = 1) -> float:
+    """Seconds of a turn."""
+    import warp as wp
+
+    wp.synchronize_device(device)
+    started = time.perf_counter()
+    for _ in range(turns):
+        task()
+    wp.synchronize_device(device)
+    return (time.perf_counter() - started) / turns
+
+
+def on_cuda(problem: FitProblem, state: Any, device: Any, repeats: int) -> dict[str, Any]:
+    """An iteration as one captured graph, its parts, and the rate of a copy."""
+    import warp as wp
+
+    def often(task: Callable[[], Any], turns: int, times: int = repeats) -> float:
+        return median(timed(device, task, turns) for _ in range(times))
+
     found: dict[str, Any] = {}
-    if device.is_cuda:
-        descent = GraphAdam(problem, state, 0.01)
-        tasks: dict[str, Callable[[], None]] = {"image": problem.run_images, "gradient": problem.run_on_device}
-        for name, task in tasks.items():
-            with wp.ScopedCapture(device) as capture:
-                task()
-            found[f"{name}_s"] = median(timed(partial(wp.capture_launch, capture.graph), 50) for _ in range(repeats))
-        found["iteration_s"] = median(timed(descent.iterate, 50) for _ in range(repeats))
-        n = 1 << 28
-        source, target = wp.zeros(n, dtype=float, device=device), wp.zeros(n, dtype=float, device=device)
-        copy_s = median(timed(lambda: wp.copy(target, source), 10) for _ in range(5))
-        found["bytes"] = traffic(problem)
-        found["copy_bytes_per_s"] = 8 * n / copy_s
-        found["fraction_of_copy"] = found["bytes"] / found["iteration_s"] / found["copy_bytes_per_s"]
-        # with a look at the loss and at x on the host after every STRIDE iterations
-        found["iteration_with_looks_s"] = median(
-            timed(partial(descent.step, state), 1) / descent.STRIDE for _ in range(repeats)
-        )
-        found["peak_device_gib"] = wp.get_mempool_used_mem_high(device) / 2**30
-    else:
-        adam = Adam(problem, state, 0.01)
-        state = adam.step(state)
-        found["image_s"] = median(timed(problem.views[0].forward, 1) for _ in range(repeats))
-        found["iteration_s"] = median(timed(partial(adam.step, state), 1) for _ in range(repeats))
+    descent = GraphAdam(problem, state, 0.01)
+    for name, task in {"image": problem.run_images, "gradient": problem.run_on_device}.items():
+        with wp.ScopedCapture(device) as capture:
+            task()
+        found[f"{name}_s"] = often(partial(wp.capture_launch, capture.graph), 50)
+    found["iteration_s"] = often(descent.iterate, 50)
+    n = 1 << 28
+    source, target = wp.zeros(n, dtype=float, device=device), wp.zeros(n, dtype=float, device=device)
+    found["bytes"] = traffic(problem)
+    found["copy_bytes_per_s"] = 8 * n / often(lambda: wp.copy(target, source), 10, 5)
+    found["fraction_of_copy"] = found["bytes"] / found["iteration_s"] / found["copy_bytes_per_s"]
+    # with a look at the loss and at x on the host after every STRIDE iterations
+    found["iteration_with_looks_s"] = often(partial(descent.step, state), 1) / descent.STRIDE
+    found["peak_device_gib"] = wp.get_mempool_used_mem_high(device) / 2**30
+    return found
+
+
+def on_cpu(problem: FitProblem, state: Any, device: Any, repeats: int) -> dict[str, Any]:
+    """An iteration of the host-side loop, and the image in it."""
+    adam = Adam(problem, state, 0.01)
+    state = adam.step(state)
+    tasks = {"image_s": problem.views[0].forward, "iteration_s": partial(adam.step, state)}
+    return {name: median(timed(device, task) for _ in range(repeats)) for name, task in tasks.items()}
+
+
+def measure(
+    device: Any, faces: int, pixels: tuple[int, int], rays: float, views: int, repeats: int, folder: Path
+) -> dict[str, Any]:
+    scene = measured_town(device, faces, pixels, rays, views, folder)
+    problems: list[FitProblem] = []
+    prepare_s = timed(device, lambda: problems.append(FitProblem(scene, device)))
+    problem = problems[0]
+    found = (on_cuda if device.is_cuda else on_cpu)(problem, begin(problem, 0, 0), device, repeats)
     hits = [view.render.hits for view in problem.views]
     return {
-        "device": device.name,
         "faces": len(scene.mesh.faces),
         "vertices": len(scene.mesh.vertices),
         "pixels": list(pixels),
@@ -119,6 +138,26 @@ def traffic(problem: FitProblem) -> int:
     return hits * (28 + 52 + 12 + 16 + 52 + 16 + 20 + 3 * 8) + len(problem.views) * per_view + 36 * nodes
 
 
+# Key of the JSON, heading, factor, format.
+COLUMNS = (
+    ("views", "views", 1, "d"),
+    ("rays", "rays", 1, ",d"),
+    ("merged_hits", "merged hits", 1, ",d"),
+    ("parameters", "parameters", 1, ",d"),
+    ("image_s", "image, ms", 1e3, ".3f"),
+    ("gradient_s", "image + loss + gradient, ms", 1e3, ".3f"),
+    ("iteration_s", "iteration with Adam, ms", 1e3, ".3f"),
+    ("bytes", "MB", 1e-6, ".0f"),
+    ("fraction_of_copy", "of the copy's rate", 1, ".2f"),
+)
+
+
+def table(result: dict[str, Any]) -> str:
+    columns = [column for column in COLUMNS if column[0] in result["sizes"][0]]
+    rows = [[format(factor * size[key], form) for key, _, factor, form in columns] for size in result["sizes"]]
+    return f"{said(result)}.\n\n{tables.markdown([column[1] for column in columns], rows)}"
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--device", help="cpu, cuda, cuda:N; default as the program's")
@@ -127,19 +166,21 @@ def main() -> None:
     parser.add_argument("--rays-per-pixel", type=float, nargs="+", default=[16.0])
     parser.add_argument("--views", type=int, default=1, help="views around the town")
     parser.add_argument("--repeats", type=int, default=10)
-    parser.add_argument("--out", type=Path)
+    tables.add_options(parser)
     options = parser.parse_args()
-    device = devices.resolve_device(options.device)
-    with TemporaryDirectory() as folder:
-        rows = [
-            measure(device, options.faces, tuple(options.pixels), rays, options.views, options.repeats, Path(folder))
-            for rays in options.rays_per_pixel
-        ]
-    text = json.dumps({"benchmark": "iterate", "sizes": rows}, indent=1) + "\n"
-    if options.out:
-        options.out.write_text(text)
+    if options.source:
+        result = tables.stored(options.source)
     else:
-        print(text, end="")
+        result = {"benchmark": "iterate", **machine(options.device)}
+        device, pixels = devices.resolve_device(options.device), tuple(options.pixels)
+        with TemporaryDirectory() as folder:
+            result["sizes"] = [
+                measure(device, options.faces, pixels, rays, options.views, options.repeats, Path(folder))
+                for rays in options.rays_per_pixel
+            ]
+        tables.save(options.out, result)
+    name = f"iterate.{result['device'].split(':')[0]}.views{result['sizes'][0]['views']}"
+    tables.publish({name: table(result)}, result, options.write)
 
 
 if __name__ == "__main__":

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import tables
 
 from warpsar.diagnosis.command import command_line, content_of, in_short
 from warpsar.diagnosis.found import DiagnoseOptions
@@ -126,11 +127,46 @@ def decibels(image: np.ndarray, reference: float) -> np.ndarray:
     return np.asarray(10.0 * np.log10(np.maximum(image / reference, 1e-6)))
 
 
-def markdown(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
-    """A table; numbers with three digits."""
+def turns_of(diagnosis: dict[str, Any]) -> list[list[str]]:
+    """A line per turn of a diagnosis, for tables: -ln p of the effects that passed, 2 ln L of those that were refitted,
+    what was asked of these and came out, and what was added."""
+    lines = []
+    for number, turn in enumerate(diagnosis["turns"], 1):
+        passed = [
+            c for c in turn["candidates"] if c["testability"] == "testable" and c["minus_log_p"] > turn["threshold"]
+        ]
+        passed.sort(key=lambda c: -c["minus_log_p"])
+        refitted = [c for c in turn["candidates"] if c["refit_gain"] is not None]
+        refitted.sort(key=lambda c: -c["refit_gain"])
+        asked = []
+        for c in refitted:
+            left, over = c["left_out"], c["carried_over"]
+            said = [] if left is None or left["views"] < 2 else [f"left out {left['gain']:,.0f} ± {left['error']:,.0f}"]
+            said += [] if over is None else [f"carried over {100 * over:.0f} %"]
+            asked += [f"{c['effect']}: {', '.join(said)}"] if said else []
+        lines.append(
+            [
+                str(number),
+                ", ".join(f"{c['effect']} {c['minus_log_p']:.0f}" for c in passed),
+                ", ".join(f"{c['effect']} {c['refit_gain']:+,.0f}" for c in refitted),
+                "; ".join(asked),
+                turn["added"] or "none",
+            ]
+        )
+    return lines
 
-    def cell(value: Any) -> str:
-        return f"{value:.3g}" if isinstance(value, float) else str(value)
 
-    lines = [head, ["---"] * len(head), *([cell(v) for v in row] for row in rows)]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
+TURNS = ("turn", "passed: -ln p", "refitted: 2 ln L", "asked", "added")
+
+
+def rounded(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
+    """A table whose numbers have three digits."""
+    return tables.markdown(head, [[f"{v:.3g}" if isinstance(v, float) else v for v in row] for row in rows])
+
+
+def written(out: Path, name: str, content: dict[str, Any], bodies: dict[str, str]) -> None:
+    """NAME.json and NAME.md in the folder."""
+    text = "\n\n".join(f"## {title}\n\n{body}" for title, body in bodies.items())
+    for suffix, whole in (("json", json.dumps(content, indent=1)), ("md", text)):
+        with replacing(out / f"{name}.{suffix}") as temporary:
+            temporary.write_text(f"{whole}\n", encoding="utf-8", newline="\n")

@@ -1,7 +1,8 @@
 """warpsar beside Mitsuba 3: the same scene, the same rays, on one machine in one run; ratios, JSON and a table.
 
-python benchmarks/peer.py --device cpu --rays-per-pixel 4 128 --out peer_cpu.json
-python benchmarks/peer.py --device cuda --rays-per-pixel 32 128 --out peer_gpu.json
+    python benchmarks/peer.py --device cpu --rays-per-pixel 4 32 128 --out peer_cpu.json [--write]
+    python benchmarks/peer.py --device cuda --rays-per-pixel 32 128 --out peer_gpu.json
+    python benchmarks/peer.py --from peer_gpu.json --write
 
 Needs `pip install mitsuba`; on the CPU also LLVM (Debian: libllvm15). The town of benchmarks/scenes.py with a
 permittivity, a roughness and a correlation length at every vertex. Mitsuba sends the rays that warpsar drew, and its
@@ -22,6 +23,7 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from statistics import median
 from tempfile import TemporaryDirectory
@@ -32,8 +34,9 @@ from warpsar.runtime import devices
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import numpy as np
+import tables
 from scenes import MATERIAL, town_scene
-from simulate import machine
+from simulate import machine, said
 
 Row = dict[str, float]
 KEYS = ("rms_height_m", "correlation_length_m", "eps_r")
@@ -68,13 +71,9 @@ def ours(scene: Any, device: Any, repeats: int, folder: Path) -> tuple[dict[str,
     """warpsar's timings, and what Mitsuba needs to do the same."""
     import warp as wp
 
-    from warpsar.io.images import write_exr
-    from warpsar.kernels.raster import sample_kernel
-    from warpsar.learning.problem import FitProblem
     from warpsar.render.render import ViewRender
-    from warpsar.simulation.rays import Rays, hit_grid, view_seed
+    from warpsar.simulation.rays import hit_grid, view_seed
     from warpsar.surface.stage import Stage
-    from warpsar.trace.rays import ray_grid
     from warpsar.trace.trace import trace
     from warpsar.world.world import geometry_of
 
@@ -108,49 +107,76 @@ def ours(scene: Any, device: Any, repeats: int, folder: Path) -> tuple[dict[str,
         "image of kept hits": timed(kept["render"].program.forward, synchronize, repeats),
     }
     image = next(iter(render(traced(deposit="nearest")).forward().values()))
+    rows["iteration"], fitted = iteration(scene, kept["stage"], image, device, repeats, folder)
+    return rows, {"image": image, **fitted, **rays_of(scene, kept["stage"], device, geometry, grid, density, seed)}
+
+
+def gradient_task(problem: Any, device: Any) -> Callable[[], Any]:
+    """Image, loss and gradient of a problem: on CUDA as one captured graph."""
+    import warp as wp
+
+    if not device.is_cuda:
+        return partial(problem.gradient, problem.x0)
+    problem.run_on_device()  # loads what a capture cannot
+    with wp.ScopedCapture(device) as capture:
+        problem.run_on_device()
+    return partial(wp.capture_launch, capture.graph)
+
+
+def iteration(
+    scene: Any, stage: Any, image: np.ndarray, device: Any, repeats: int, folder: Path
+) -> tuple[Row, dict[str, Any]]:
+    """Time of image, loss and gradient; the speckled image that is fitted, its gradient, and the merged hits."""
+    import warp as wp
+
+    from warpsar.io.images import write_exr
+    from warpsar.learning.problem import FitProblem
+    from warpsar.simulation.rays import Rays
+
     speckled = image * np.random.default_rng(0).gamma(16.0, 1 / 16.0, image.shape)
     write_exr(folder / "west.exr", {"HH": speckled.astype(np.float32)})
-    measured = view.model_copy(update={"images": {"HH": folder / "west.exr"}, "looks": 16.0})
+    measured = scene.views[0].model_copy(update={"images": {"HH": folder / "west.exr"}, "looks": 16.0})
     # nearest bins, as Mitsuba's: gradients can be held against one another
     sampling = scene.sampling.model_copy(update={"deposit": "nearest"})
     fitted = replace(scene, views=[measured], sampling=sampling)
-    problem = FitProblem(fitted, device, loss="mse", rays=Rays(kept["stage"], seed=scene.sampling.seed))
-    x = problem.x0
-    _, gradient = problem.gradient(x)
-    if device.is_cuda:
-        problem.run_on_device()  # loads what a capture cannot
-        with wp.ScopedCapture(device) as capture:
-            problem.run_on_device()
-        graph = capture.graph
-        rows["iteration"] = timed(lambda: wp.capture_launch(graph), synchronize, 10 * repeats)
-    else:
-        rows["iteration"] = timed(lambda: problem.gradient(x), synchronize, repeats)
-
-    rays = ray_grid(kept["stage"].target, geometry, grid, density, 1, scene.grid.pixel_area_m2)
-    cells = rays.end_cell - rays.first_cell
-    samples: Any = wp.empty(cells * rays.elevation_cells, dtype=wp.vec2, device=device)
-    wp.launch(sample_kernel, cells, inputs=[rays, rays.first_cell, seed], outputs=[samples], device=device)
+    problem = FitProblem(fitted, device, loss="mse", rays=Rays(stage, seed=scene.sampling.seed))
+    _, gradient = problem.gradient(problem.x0)
+    synchronize = partial(wp.synchronize_device, device)
+    row = timed(gradient_task(problem, device), synchronize, 10 * repeats if device.is_cuda else repeats)
     seen = np.zeros(image.size, np.float32)
     seen[problem.observations[0].pixels] = 1.0
     hits = problem.views[0].render.hits
-    given = {
+    names = ("face", "pixel", "barycentric", "weight", "cos_incidence")
+    return row, {
+        "measured": speckled.astype(np.float32).ravel(),
+        "seen": seen,
+        "gradient": gradient,
+        "merged": {name: getattr(hits, name).numpy() for name in names},
+    }
+
+
+def rays_of(scene: Any, stage: Any, device: Any, geometry: Any, grid: Any, density: float, seed: int) -> dict[str, Any]:
+    """The rays that were traced, as Mitsuba needs them."""
+    import warp as wp
+
+    from warpsar.kernels.raster import sample_kernel
+    from warpsar.trace.rays import ray_grid
+
+    rays = ray_grid(stage.target, geometry, grid, density, 1, scene.grid.pixel_area_m2)
+    cells = rays.end_cell - rays.first_cell
+    samples: Any = wp.empty(cells * rays.elevation_cells, dtype=wp.vec2, device=device)
+    wp.launch(sample_kernel, cells, inputs=[rays, rays.first_cell, seed], outputs=[samples], device=device)
+    return {
         "samples": samples.numpy(),
         "axes": (geometry.d, geometry.u, geometry.v),
         "wavenumber": geometry.wavenumber,
         "standoff": rays.standoff,
         "cell_m2": rays.azimuth_step * rays.elevation_step,
         "start_m": grid.start_m,
-        "image": image,
-        "measured": speckled.astype(np.float32).ravel(),
-        "seen": seen,
-        "gradient": gradient,
-        "merged": {
-            name: getattr(hits, name).numpy() for name in ("face", "pixel", "barycentric", "weight", "cos_incidence")
-        },
     }
-    return rows, given
 
 
+# One long function: Mitsuba's types exist once a variant is chosen, and all that is timed shares its arrays.
 def theirs(scene: Any, variant: str, given: dict[str, Any], repeats: int) -> tuple[dict[str, Row], dict[str, Any]]:
     """Mitsuba's timings, and how near its image and gradient are."""
     import drjit as dr
@@ -303,14 +329,29 @@ def compared(kind: str, own: dict[str, Row], other: dict[str, Row]) -> list[dict
     ]
 
 
-def table(rows: list[dict[str, Any]]) -> str:
-    lines = ["| | warpsar, ms | Mitsuba, ms | ratio | ratio of CPU seconds | target |", "|---|---|---|---|---|---|"]
-    lines += [
-        f"| {r['what']} | {1e3 * r['warpsar_s']:.3g} | {1e3 * r['mitsuba_s']:.3g} | {r['ratio']:.3g} "
-        f"| {r['cpu_ratio']:.3g} | {'' if r['target'] is None else format(r['target'], 'g')} |"
-        for r in rows
-    ]
-    return "\n".join(lines)
+def table(result: dict[str, Any]) -> str:
+    """A column per number of rays: both times, and Mitsuba's over warpsar's; on the CPU also that of CPU seconds."""
+    sizes, cuda = result["sizes"], result["device"].startswith("cuda")
+    rows: list[list[str]] = []
+    for index, (what, *_) in enumerate(COMPARED):
+        cells = []
+        for size in sizes:
+            one = size["compared"][index]
+            ratios = f"{one['ratio']:.3g}" + ("" if cuda else f"; {one['cpu_ratio']:.3g}")
+            cells.append(f"{1e3 * one['warpsar_s']:.3g} / {1e3 * one['mitsuba_s']:.3g} ({ratios})")
+        target = sizes[0]["compared"][index]["target"]
+        rows.append([what, *cells, "" if target is None else f"{target:g}"])
+    about = (
+        ("merged hits", "merged_hits", ","),
+        ("images differ, of the rms", "image_rms_difference", ".1e"),
+        ("cosine of the gradients", "gradient_cosine", ".6f"),
+    )
+    rows += [[what, *(format(size[key], form) for size in sizes), ""] for what, key, form in about]
+    kinds = "ratio" if cuda else "ratio; ratio of CPU seconds"
+    header = [f"ms: warpsar / Mitsuba ({kinds})", *(f"{size['rays']:,} rays" for size in sizes), "target"]
+    first = sizes[0]
+    of = f"{first['faces']:,} faces, {' x '.join(map(str, first['pixels']))} pixels, {first['parameters']:,} parameters"
+    return f"{said(result)}, Mitsuba {first['mitsuba']}; {of}.\n\n{tables.markdown(header, rows)}"
 
 
 def measure(device_name: str, faces: int, pixels: tuple[int, int], rays: float, repeats: int) -> dict[str, Any]:
@@ -337,6 +378,19 @@ def measure(device_name: str, faces: int, pixels: tuple[int, int], rays: float, 
     return found | about | {"warpsar": own, "peer": other, "compared": compared(device_name, own, other)}
 
 
+def run(options: argparse.Namespace) -> dict[str, Any]:
+    """Each number of rays in a process of its own."""
+    result: dict[str, Any] = {"benchmark": "peer", **machine(options.device), "sizes": []}
+    for rays in options.rays_per_pixel:
+        command = [sys.executable, __file__, "--one", "--device", options.device, "--faces", str(options.faces)]
+        command += ["--pixels", *map(str, options.pixels), "--rays-per-pixel", str(rays)]
+        command += ["--repeats", str(options.repeats)]
+        done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True)
+        result["sizes"].append(json.loads(done.stdout.splitlines()[-1]))
+        tables.save(options.out, result)  # after every size: a later one may not end
+    return result
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu")
@@ -344,28 +398,17 @@ def main() -> None:
     parser.add_argument("--pixels", type=int, nargs=2, default=(423, 380), metavar=("ROWS", "COLS"))
     parser.add_argument("--rays-per-pixel", type=float, nargs="+", default=[4.0])
     parser.add_argument("--repeats", type=int, default=7, help="runs of which the median counts")
-    parser.add_argument("--out", type=Path, help="JSON file")
     parser.add_argument("--one", action="store_true", help=argparse.SUPPRESS)  # measured in this process
+    tables.add_options(parser)
     options = parser.parse_args()
-    if importlib.util.find_spec("mitsuba") is None:
+    if options.source is None and importlib.util.find_spec("mitsuba") is None:
         parser.error("the peer is not installed: pip install mitsuba (and, for --device cpu, LLVM: Debian's libllvm15)")
-    pixels = tuple(options.pixels)
     if options.one:
         rays = options.rays_per_pixel[0]
-        print(json.dumps(measure(options.device, options.faces, pixels, rays, options.repeats)))
+        print(json.dumps(measure(options.device, options.faces, tuple(options.pixels), rays, options.repeats)))
         return
-    result: dict[str, Any] = {"benchmark": "peer", **machine(options.device), "sizes": []}
-    for rays in options.rays_per_pixel:
-        command = [sys.executable, __file__, "--one", "--device", options.device, "--faces", str(options.faces)]
-        command += ["--pixels", *map(str, pixels), "--rays-per-pixel", str(rays), "--repeats", str(options.repeats)]
-        done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True)
-        found = json.loads(done.stdout.splitlines()[-1])
-        result["sizes"].append(found)
-        if options.out:  # after every size: a later one may not end
-            options.out.write_text(json.dumps(result, indent=1) + "\n")
-        print(f"\n{found['faces']:,} faces, {found['rays']:,} rays, {found['merged_hits']:,} merged hits")
-        print(f"the images differ by {found['image_rms_difference']:.1e} rms", end=", ")
-        print(f"the gradients' cosine is {found['gradient_cosine']:.6f}\n\n{table(found['compared'])}", flush=True)
+    result = tables.stored(options.source) if options.source else run(options)
+    tables.publish({f"peer.{result['device'].split(':')[0]}": table(result)}, result, options.write)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """Nearest faces of a view's rays: Warp's BVH, the raster, and on the CPU Embree where embreex is installed.
 
-python benchmarks/rays.py --out rays_cpu.json
-python benchmarks/rays.py --device cuda --out rays_gpu.json
+    python benchmarks/rays.py --out rays_cpu.json [--write]
+    python benchmarks/rays.py --device cuda --out rays_gpu.json
 
 The town of benchmarks/scenes.py, of few and of many faces, under few and many rays, for a plane wave and for a track.
 One thread of the CPU and its seconds, or wall times of CUDA; medians. Setting up is apart, since a BVH serves all views
@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
-import json
 import os
 import sys
 from dataclasses import replace
@@ -27,9 +26,10 @@ os.environ["WARPSAR_THREADS"] = "1"
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import numpy as np
+import tables
 from peer import timed
 from scenes import town_scene
-from simulate import machine
+from simulate import machine, said
 
 PIXELS = (423, 380)
 SIZES = {  # faces, rays per pixel
@@ -86,59 +86,65 @@ def measure(
     found["raster_differ"] = int(np.sum(nearest != expected))
     found["chosen"] = "BVH" if kind.where_it_pays(target, rays, first, last) is None else "raster"
     if device.is_cpu and importlib.util.find_spec("embreex") and slant_range_m is None:
-        from embreex.mesh_construction import TriangleMesh
-        from embreex.rtcore_scene import EmbreeScene
-
-        def build() -> Any:
-            embree = EmbreeScene()
-            TriangleMesh(embree, target.vertices.numpy(), target.faces.numpy())
-            embree.run(np.zeros((1, 3), np.float32), np.array([[0, 0, 1]], np.float32))
-            return embree
-
-        found["embreex_setup_s"] = run("embree", build)
         samples: Any = wp.empty(found["rays"], dtype=wp.vec2, device=device)
         wp.launch(sample_kernel, last - first, inputs=[rays, first, 0], outputs=[samples], device=device)
         at = samples.numpy().astype(float)
         origins = (at[:, :1] * geometry.u + at[:, 1:] * geometry.v - rays.standoff * geometry.d).astype(np.float32)
         directions = np.broadcast_to(geometry.d.astype(np.float32), origins.shape).copy()
+        found["embreex_setup_s"] = run("embree", lambda: embree(target.vertices.numpy(), target.faces.numpy()))
         found["embreex_s"] = run("embreex", lambda: kept["embree"].run(origins, directions))
         found["embreex_differ"] = int(np.sum(kept["embreex"] != expected))
     return found
 
 
-def table(rows: list[dict[str, Any]]) -> str:
+def embree(vertices: np.ndarray, faces: np.ndarray) -> Any:
+    """Embree's scene of a mesh, built."""
+    from embreex.mesh_construction import TriangleMesh
+    from embreex.rtcore_scene import EmbreeScene
+
+    scene = EmbreeScene()
+    TriangleMesh(scene, vertices, faces)
+    scene.run(np.zeros((1, 3), np.float32), np.array([[0, 0, 1]], np.float32))
+    return scene
+
+
+def table(result: dict[str, Any]) -> str:
     names = ("bvh", "raster", "embreex")
-    lines = [
-        "| faces | rays | wave | Mrays per s: BVH | raster | embreex | setup, s: BVH | raster | embreex | differ "
-        "| chosen |",
-        "|---|---|---|---|---|---|---|---|---|---|---|",
-    ]
-    for row in rows:
+    rows = []
+    for row in result["sizes"]:
         rates = [f"{row['rays'] / row[f'{n}_s'] / 1e6:.1f}" if f"{n}_s" in row else "" for n in names]
         setups = [f"{row[f'{n}_setup_s']:.2g}" if f"{n}_setup_s" in row else "" for n in names]
         wave = "plane" if row["slant_range_m"] is None else f"{row['slant_range_m'] / 1000:g} km"
-        cells = [f"{row['faces']:,}", f"{row['rays']:,}", wave, *rates, *setups, row["raster_differ"], row["chosen"]]
-        lines.append("| " + " | ".join(map(str, cells)) + " |")
-    return "\n".join(lines)
+        faces, rays = f"{row['faces']:,}", f"{row['rays']:,}"
+        rows.append([faces, rays, wave, *rates, *setups, row["raster_differ"], row["chosen"]])
+    header = ["faces", "rays", "wave", "Mrays per s: BVH", "raster", "embreex"]
+    header += ["setup, s: BVH", "raster", "embreex", "differ", "chosen"]
+    return f"{said(result)}.\n\n{tables.markdown(header, rows)}"
+
+
+def measure_all(device_name: str, repeats: int) -> dict[str, Any]:
+
+    result: dict[str, Any] = {"benchmark": "rays", **machine(device_name), "sizes": []}
+    device = devices.resolve_device(device_name)
+    for slant_range_m in TRACKS:
+        for faces, rays in SIZES[device_name]:
+            print(f"{faces} faces, {rays:g} rays per pixel", file=sys.stderr)
+            result["sizes"].append(measure(device, faces, rays, slant_range_m, repeats))
+    return result
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--device", choices=sorted(SIZES), default="cpu")
     parser.add_argument("--repeats", type=int, default=3, help="runs of which the median counts")
-    parser.add_argument("--out", type=Path, help="JSON file")
+    tables.add_options(parser)
     options = parser.parse_args()
-
-    device = devices.resolve_device(options.device)
-    rows = []
-    for slant_range_m in TRACKS:
-        for faces, rays in SIZES[options.device]:
-            print(f"{faces} faces, {rays:g} rays per pixel", file=sys.stderr)
-            rows.append(measure(device, faces, rays, slant_range_m, options.repeats))
-    if options.out:
-        result = {"benchmark": "rays", **machine(options.device), "sizes": rows}
-        options.out.write_text(json.dumps(result, indent=1) + "\n")
-    print(table(rows))
+    if options.source:
+        result = tables.stored(options.source)
+    else:
+        result = measure_all(options.device, options.repeats)
+        tables.save(options.out, result)
+    tables.publish({f"rays.{result['device'].split(':')[0]}": table(result)}, result, options.write)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Reference images of a scene whose parameters are the truth, and the scene a fit starts from."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,9 +12,17 @@ from warpsar.scene.scene import Scene
 from warpsar.simulation.command import simulate
 from warpsar.world.tables import Sampling
 
+DATA = Path(__file__).parent.parent / "data"
+KEYS = ("eps_r", "rms_height_m", "correlation_length_m")
 RAY_FACTOR = 4.0  # the reference has so many times the fit's rays, from another seed
 REFERENCE_SEED = 1000
 NO_SPECKLE_LOOKS = 1e4  # what a noise-free image declares; its residual, not this, makes the intervals
+
+
+def logs(values: Sequence[Any]) -> np.ndarray:
+    """ln(eps_r - 1), ln h, ln l."""
+    eps_r, h, length = values
+    return np.log([eps_r - 1.0, h, length])
 
 
 def with_rays(scene: Scene, factor: float) -> Scene:

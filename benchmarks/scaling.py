@@ -1,7 +1,7 @@
-"""How `learn` (32 views) and `simulate` (1,000 images) gain by processes: JSON, one entry per number, and a table.
+"""How `learn` (32 views) and `simulate` (1,000 images) gain by processes.
 
-python benchmarks/scaling.py --device cuda --ranks 1 2 4 --out scaling.json
-python benchmarks/scaling.py --device cpu --ranks 1 2 --faces 20000 --pixels 96 --views 8 --images 200 --out cpu.json
+    python benchmarks/scaling.py --device cuda --ranks 1 2 4 --out scaling.json [--write]
+    python benchmarks/scaling.py --device cpu --ranks 1 2 --faces 20000 --pixels 96 --views 8 --images 200
 
 Processes on the CPU have one thread each. Times are those of the slowest process; kernels are loaded before. The second
 table has parts of what the first one tells: what does not divide is seen there.
@@ -17,6 +17,7 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -27,33 +28,25 @@ from warpsar.runtime import devices
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
+import tables
+from simulate import machine, said
+
 STEPS = 5  # of GraphAdam, ten iterations each; as many iterations of Adam on the CPU
 RAYS_PER_PIXEL = 32.0
 
 
-def learn(ranks: Any, device: Any, options: argparse.Namespace, folder: Path) -> dict[str, Any]:
-    """A field of three parameters per vertex, fitted to images of the same town from all around."""
-    import warp as wp
+def town_of(ranks: Any, device: Any, options: argparse.Namespace, folder: Path) -> Any:
+    """The town with a field of three parameters per vertex, and images of it from all around, brighter than its own."""
     from scenes import town_scene
 
-    import warpsar
     from warpsar.io.images import write_tiff
-    from warpsar.learning.adam import Adam, GraphAdam
-    from warpsar.learning.command import LearnOptions, pooled_metrics
-    from warpsar.learning.gradcheck import check_gradient
-    from warpsar.learning.optimise import begin
-    from warpsar.learning.problem import FitProblem
-    from warpsar.learning.validity import outside_domains
     from warpsar.simulation.command import Simulation
     from warpsar.surface.stage import Stage
     from warpsar.world.tables import View
 
-    shape = (options.pixels, options.pixels)
-    scene = town_scene(options.faces, shape, RAYS_PER_PIXEL, layout="vertex")
-    views = [
-        View(name=f"v{i}", azimuth_deg=360.0 * i / options.views, incidence_deg=45.0, looks=16.0)
-        for i in range(options.views)
-    ]
+    scene = town_scene(options.faces, (options.pixels, options.pixels), RAYS_PER_PIXEL, layout="vertex")
+    angles = [360.0 * i / options.views for i in range(options.views)]
+    views = [View(name=f"v{i}", azimuth_deg=a, incidence_deg=45.0, looks=16.0) for i, a in enumerate(angles)]
     scene = replace(scene, views=views)
     made = Simulation(scene, Stage.of(scene, device))
     for index, view in enumerate(views):
@@ -62,25 +55,46 @@ def learn(ranks: Any, device: Any, options: argparse.Namespace, folder: Path) ->
     del made
     ranks.barrier()
     views = [view.model_copy(update={"images": {"HH": folder / f"{view.name}.tif"}}) for view in views]
-    scene = replace(scene, views=views)
+    return replace(scene, views=views)
 
-    def timed(task: Callable[[], Any]) -> tuple[float, Any]:
-        wp.synchronize_device(device)
-        ranks.barrier()
-        started = time.perf_counter()
-        result = task()
-        wp.synchronize_device(device)
-        return ranks.largest(time.perf_counter() - started), result
+
+def timed(ranks: Any, device: Any, task: Callable[[], Any]) -> tuple[float, Any]:
+    """Seconds of the slowest process, and what the task returns."""
+    import warp as wp
+
+    wp.synchronize_device(device)
+    ranks.barrier()
+    started = time.perf_counter()
+    result = task()
+    wp.synchronize_device(device)
+    return ranks.largest(time.perf_counter() - started), result
+
+
+def learn(ranks: Any, device: Any, options: argparse.Namespace, folder: Path) -> dict[str, Any]:
+    """The whole of `learn`, an iteration of it, and its parts."""
+    import warp as wp
+
+    import warpsar
+    from warpsar.learning.adam import Adam, GraphAdam
+    from warpsar.learning.command import LearnOptions, pooled_metrics
+    from warpsar.learning.gradcheck import check_gradient
+    from warpsar.learning.optimise import begin
+    from warpsar.learning.problem import FitProblem
+    from warpsar.learning.validity import outside_domains
+
+    scene = town_of(ranks, device, options, folder)
+    clock = partial(timed, ranks, device)
 
     def whole(iterations: int) -> float:
         chosen = LearnOptions(optimiser="adam", rate=0.01, iterations=iterations)
-        return timed(lambda: warpsar.learn(scene, device=device.alias, options=chosen))[0]
+        return clock(lambda: warpsar.learn(scene, device=device.alias, options=chosen))[0]
 
     whole(1)
-    prepare_s, problem = timed(lambda: FitProblem(scene, device, ranks=ranks))
+    found: dict[str, Any] = {}
+    found["prepare_s"], problem = clock(lambda: FitProblem(scene, device, ranks=ranks))
     state = begin(problem, 0, 0)
     way = Adam if problem.shared_nodes is None else GraphAdam
-    begin_s, descent = timed(lambda: way(problem, state, 0.01))
+    found["begin_s"], descent = clock(lambda: way(problem, state, 0.01))
     state = descent.step(state)
 
     def iterate() -> None:
@@ -89,44 +103,53 @@ def learn(ranks: Any, device: Any, options: argparse.Namespace, folder: Path) ->
             state = descent.step(state)
 
     iterations = STEPS * getattr(descent, "STRIDE", 1)
-    iteration_s = timed(iterate)[0] / iterations
-    unseen_s = iteration_s
+    found["iteration_s"] = found["unseen_s"] = clock(iterate)[0] / iterations
     if isinstance(descent, GraphAdam):
-        unseen_s = timed(lambda: [descent.iterate() for _ in range(iterations)])[0] / iterations
+        found["unseen_s"] = clock(lambda: [descent.iterate() for _ in range(iterations)])[0] / iterations
     x = np.asarray(state.x)
-    check_s = timed(lambda: check_gradient(problem, problem.x0))[0]
-    metrics_s = timed(lambda: pooled_metrics(problem, state.x))[0]
-    domains_s = timed(lambda: outside_domains(problem, x))[0]
-    learn_s = whole(options.iterations)
+    found["check_s"] = clock(lambda: check_gradient(problem, problem.x0))[0]
+    found["metrics_s"] = clock(lambda: pooled_metrics(problem, state.x))[0]
+    found["domains_s"] = clock(lambda: outside_domains(problem, x))[0]
+    found["learn_s"] = whole(options.iterations)
     gradient: Any = wp.zeros(problem.surface.nodes.size, dtype=float, device=device)
     ranks.sum_on_device(gradient)
-    reduce_s = timed(lambda: [ranks.sum_on_device(gradient) for _ in range(20)])[0] / 20
+    found["reduce_s"] = clock(lambda: [ranks.sum_on_device(gradient) for _ in range(20)])[0] / 20
     hits = [view.render.hits for view in problem.views]
-    return {
+    return found | {
         "views_here": [int(n) for n in ranks.gather(len(hits))],
         "merged_hits": int(ranks.sum(sum(each.count for each in hits))),
         "rays": int(ranks.sum(sum(each.rays for each in hits))),
         "parameters": int(problem.x0.size),
-        "prepare_s": prepare_s,
-        "iteration_s": iteration_s,
-        "unseen_s": unseen_s,
-        "begin_s": begin_s,
-        "check_s": check_s,
-        "metrics_s": metrics_s,
-        "domains_s": domains_s,
-        "learn_s": learn_s,
         "reduced_bytes": 4 * problem.surface.nodes.size,
-        "reduce_s": reduce_s,
         "loss": state.loss,
     }
 
 
-def simulate(ranks: Any, device: Any, options: argparse.Namespace, folder: Path) -> dict[str, Any]:
-    """Images of the town at as many azimuths; what a process spends on an image, and on its file."""
+def write_town(options: argparse.Namespace, path: Path) -> None:
+    """The town as a scene file."""
     from scenes import town_scene
 
-    from warpsar.io.images import write_exr
     from warpsar.io.ply import write_ply
+
+    scene = town_scene(options.faces, (options.pixels, options.pixels), RAYS_PER_PIXEL)
+    write_ply(path.with_suffix(".ply"), scene.mesh.vertices, scene.mesh.faces, {})
+    spacing = [float(step) for step in scene.grid.spacing_m]
+    material = scene.materials["town"].model_dump(mode="json", exclude_unset=True)
+    text = [
+        f'[scene]\nmesh = "{path.stem}.ply"',
+        f'[radar]\nfrequency_hz = {scene.radar.frequency_hz}\npolarizations = ["HH"]',
+        f"[image]\nshape = [{options.pixels}, {options.pixels}]\nspacing_m = {spacing}",
+        f"[sampling]\nrays_per_pixel = {RAYS_PER_PIXEL}",
+        "[materials.default]",
+        *(f"{key} = {value}" for key, value in material.items()),
+        '[[views]]\nname = "west"\nazimuth_deg = 270.0\nincidence_deg = 45.0',
+    ]
+    path.write_text("\n".join(text) + "\n")
+
+
+def simulate(ranks: Any, device: Any, options: argparse.Namespace, folder: Path) -> dict[str, Any]:
+    """Images of the town at as many azimuths; what a process spends on an image, and on its file."""
+    from warpsar.io.images import write_exr
     from warpsar.scene.scene import Scene
     from warpsar.simulation import batch
     from warpsar.simulation.command import Simulation
@@ -134,20 +157,7 @@ def simulate(ranks: Any, device: Any, options: argparse.Namespace, folder: Path)
 
     path = folder / "town.toml"
     if ranks.first:
-        scene = town_scene(options.faces, (options.pixels, options.pixels), RAYS_PER_PIXEL)
-        write_ply(folder / "town.ply", scene.mesh.vertices, scene.mesh.faces, {})
-        spacing = [float(step) for step in scene.grid.spacing_m]
-        material = scene.materials["town"].model_dump(mode="json", exclude_unset=True)
-        text = [
-            '[scene]\nmesh = "town.ply"',
-            f'[radar]\nfrequency_hz = {scene.radar.frequency_hz}\npolarizations = ["HH"]',
-            f"[image]\nshape = [{options.pixels}, {options.pixels}]\nspacing_m = {spacing}",
-            f"[sampling]\nrays_per_pixel = {RAYS_PER_PIXEL}",
-            "[materials.default]",
-            *(f"{key} = {value}" for key, value in material.items()),
-            '[[views]]\nname = "west"\nazimuth_deg = 270.0\nincidence_deg = 45.0',
-        ]
-        path.write_text("\n".join(text) + "\n")
+        write_town(options, path)
     ranks.barrier()
 
     def images(count: int, out: Path) -> float:
@@ -196,25 +206,19 @@ def work(options: argparse.Namespace) -> None:
         (folder / "found.json").write_text(json.dumps(found))
 
 
-def table(entries: list[dict[str, Any]], iterations: int, images: int) -> str:
-    lines = [
-        "| processes | iteration, ms | speed-up | all-reduce, ms | MB | preparation, s | speed-up "
-        f"| {iterations} iterations of learn, s | speed-up "
-        f"| {images} images, s | speed-up | image, ms | its file, ms |",
-        "|---" * 13 + "|",
-    ]
-    first = entries[0]
-    for each in entries:
+def table(result: dict[str, Any]) -> str:
+    header = ["processes", "iteration, ms", "speed-up", "all-reduce, ms", "MB", "preparation, s", "speed-up"]
+    header += [f"{result['iterations']} iterations of `learn`, s", "speed-up"]
+    header += [f"{result['images']:,} images, s", "speed-up", "image, ms", "its file, ms"]
+    first, rows = result["entries"][0], []
+    for each in result["entries"]:
         one, many = each["learn"], each["simulate"]
-        gain = [first["learn"][key] / one[key] for key in ("iteration_s", "prepare_s", "learn_s")]
-        lines.append(
-            f"| {each['ranks']} | {1e3 * one['iteration_s']:.2f} | {gain[0]:.2f} | {1e3 * one['reduce_s']:.3f} "
-            f"| {one['reduced_bytes'] / 1e6:.2f} | {one['prepare_s']:.2f} | {gain[1]:.2f} "
-            f"| {one['learn_s']:.2f} | {gain[2]:.2f} | {many['wall_s']:.2f} "
-            f"| {first['simulate']['wall_s'] / many['wall_s']:.2f} | {1e3 * many['image_s']:.2f} "
-            f"| {1e3 * many['file_s']:.2f} |"
-        )
-    return "\n".join(lines)
+        gain = [f"{first['learn'][key] / one[key]:.2f}" for key in ("iteration_s", "prepare_s", "learn_s")]
+        row = [each["ranks"], f"{1e3 * one['iteration_s']:.2f}", gain[0], f"{1e3 * one['reduce_s']:.3f}"]
+        row += [f"{one['reduced_bytes'] / 1e6:.2f}", f"{one['prepare_s']:.2f}", gain[1], f"{one['learn_s']:.2f}"]
+        row += [gain[2], f"{many['wall_s']:.2f}", f"{first['simulate']['wall_s'] / many['wall_s']:.2f}"]
+        rows.append([*row, f"{1e3 * many['image_s']:.2f}", f"{1e3 * many['file_s']:.2f}"])
+    return tables.markdown(header, rows)
 
 
 PARTS = {
@@ -229,13 +233,45 @@ PARTS = {
 }
 
 
-def parts_table(entries: list[dict[str, Any]]) -> str:
-    names = [name for part in PARTS.values() for name in part.values()]
-    lines = ["| processes | " + ", ms | ".join(names) + ", ms |", "|---" * (len(names) + 1) + "|"]
-    for each in entries:
-        numbers = [f"{1e3 * each[command][key]:.2f}" for command, part in PARTS.items() for key in part]
-        lines.append(f"| {each['ranks']} | {' | '.join(numbers)} |")
-    return "\n".join(lines)
+def parts_table(result: dict[str, Any]) -> str:
+    header = ["processes", *(f"{name}, ms" for part in PARTS.values() for name in part.values())]
+    rows = [
+        [each["ranks"], *(f"{1e3 * each[command][key]:.2f}" for command, part in PARTS.items() for key in part)]
+        for each in result["entries"]
+    ]
+    return tables.markdown(header, rows)
+
+
+def bodies(result: dict[str, Any]) -> dict[str, str]:
+    one = result["entries"][0]["learn"]
+    losses = np.array([each["learn"]["loss"] for each in result["entries"]])
+    about = (
+        f"{said(result)}; {result['faces']:,} faces, {one['parameters']:,} parameters, {result['views']} views of "
+        f"{result['pixels']} x {result['pixels']} pixels, {one['rays']:,} rays, {one['merged_hits']:,} merged hits. "
+        f"Losses after {STEPS + 1} steps differ by {np.ptp(losses) / losses[0]:.1e} at most."
+    )
+    name = f"scaling.{result['device'].split(':')[0]}.{result['pixels']}px.{result['images']}images"
+    return {name: f"{about}\n\n{table(result)}\n\n{parts_table(result)}"}
+
+
+def run(options: argparse.Namespace) -> dict[str, Any]:
+    """Every number of processes, one after the other."""
+    result: dict[str, Any] = {"benchmark": "scaling", **machine(options.device), "entries": []}
+    sizes = ("faces", "pixels", "views", "iterations", "images")
+    result |= {name: getattr(options, name) for name in sizes}
+    for count in options.ranks:
+        with TemporaryDirectory() as folder:
+            safe = ["-P"] if sys.flags.safe_path else []
+            command = [sys.executable, *safe, "-m", "torch.distributed.run", "--standalone", "--no-python"]
+            command += ["--nproc-per-node", str(count), sys.executable, *safe, __file__, "--folder", folder]
+            for name in ("device", *sizes):
+                command += [f"--{name}", str(getattr(options, name))]
+            threads = {"WARPSAR_THREADS": "1"} if options.device == "cpu" else {}
+            print(f"{count} processes", file=sys.stderr)
+            subprocess.run(command, check=True, env={**os.environ, "OMP_NUM_THREADS": "1", **threads})
+            result["entries"].append(json.loads((Path(folder) / "found.json").read_text()))
+        tables.save(options.out, result)  # after every number: a later one may not end
+    return result
 
 
 def main() -> None:
@@ -247,31 +283,14 @@ def main() -> None:
     parser.add_argument("--views", type=int, default=32)
     parser.add_argument("--iterations", type=int, default=100, help="of the whole of learn")
     parser.add_argument("--images", type=int, default=1000)
-    parser.add_argument("--out", type=Path)
     parser.add_argument("--folder", help=argparse.SUPPRESS)
+    tables.add_options(parser)
     options = parser.parse_args()
     if options.folder:
         work(options)
         return
-    entries = []
-    for count in options.ranks:
-        with TemporaryDirectory() as folder:
-            safe = ["-P"] if sys.flags.safe_path else []
-            command = [sys.executable, *safe, "-m", "torch.distributed.run", "--standalone", "--no-python"]
-            command += ["--nproc-per-node", str(count), sys.executable, *safe, __file__, "--folder", folder]
-            for name in ("device", "faces", "pixels", "views", "iterations", "images"):
-                command += [f"--{name}", str(getattr(options, name))]
-            threads = {"WARPSAR_THREADS": "1"} if options.device == "cpu" else {}
-            print(f"{count} processes", file=sys.stderr)
-            subprocess.run(command, check=True, env={**os.environ, "OMP_NUM_THREADS": "1", **threads})
-            entries.append(json.loads((Path(folder) / "found.json").read_text()))
-        sizes = {name: getattr(options, name) for name in ("faces", "pixels", "views", "iterations", "images")}
-        if options.out:  # after every number: a later one may not end
-            options.out.write_text(json.dumps({"benchmark": "scaling", **sizes, "entries": entries}, indent=1) + "\n")
-    losses = np.array([each["learn"]["loss"] for each in entries])
-    print(table(entries, options.iterations, options.images))
-    print(parts_table(entries))
-    print(f"loss after {STEPS + 1} steps: largest difference {np.ptp(losses) / losses[0]:.1e} of it")
+    result = tables.stored(options.source) if options.source else run(options)
+    tables.publish(bodies(result), result, options.write)
 
 
 if __name__ == "__main__":

@@ -1,13 +1,18 @@
-"""Scenes that the benchmarks make themselves: a town of any number of faces."""
+"""Scenes that the benchmarks make themselves: a town of any number of faces, and the example with one effect."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 
+from warpsar.effects.registry import get, validate
 from warpsar.scene.scene import Scene
 from warpsar.world.mesh import Mesh
 from warpsar.world.tables import Grid, Material, Radar, Sampling, View
 
+EXAMPLE = Path(__file__).resolve().parent.parent / "data" / "example" / "scene.toml"
 SIZE_M = (173.6, 178.8)
 MATERIAL = {"eps_r": 5.0, "rms_height_m": 0.0004, "correlation_length_m": 0.005}
 FREQUENCY_HZ = 15.2e9
@@ -59,4 +64,15 @@ def town_scene(
         materials={"town": Material(**material)},
         views=[View(name="west", azimuth_deg=270.0, incidence_deg=INCIDENCE_DEG)],
         sampling=Sampling(rays_per_pixel=rays_per_pixel),
+    )
+
+
+def example_with(effect: str | None, rays_per_pixel: float) -> Scene:
+    """The committed example's first view, twice (`v0`, `v1`); with the values that an effect declares for it."""
+    scene = Scene.load(EXAMPLE)
+    return replace(
+        scene,
+        views=[scene.views[0].model_copy(update={"name": name}) for name in ("v0", "v1")],
+        sampling=scene.sampling.model_copy(update={"rays_per_pixel": rays_per_pixel}),
+        effects={} if effect is None else {effect: validate(effect, get(effect).example, f"effects.{effect}")},
     )

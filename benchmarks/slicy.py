@@ -1,15 +1,15 @@
 """The loop on an MSTAR chip: SLICY, one view, learned and diagnosed; what was found against what its header states.
 
-python benchmarks/slicy.py DATA_FOLDER -o OUT [--figures docs/figures]
+    python benchmarks/slicy.py DATA -o OUT [--figures docs/figures] [--write]
 
-DATA_FOLDER holds slicy/HB14931.015. The scene is data/slicy; its shapes were read off the chip. OUT gets slicy.json and
-slicy.md; docs/measured.md says what it means. There is no second view, so nothing here is tested on another image.
+DATA is a folder of public releases. It holds slicy/HB14931.015, of the MSTAR public release. The scene is data/slicy;
+its shapes were read off the chip. OUT gets slicy.json and slicy.md; what lies there already is not made again. There is
+no second view, so nothing here is tested on another image.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import re
 import runpy
 import sys
@@ -23,13 +23,23 @@ from warpsar.runtime import devices
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
-from measured_loop import best_width, decibels, diagnosed, effect_widths, half_power_width, kept, markdown, pixel_kernel
+import tables
+from measured_loop import (
+    best_width,
+    decibels,
+    diagnosed,
+    effect_widths,
+    half_power_width,
+    kept,
+    pixel_kernel,
+    rounded,
+    written,
+)
 
 from warpsar.diagnosis.found import DiagnoseOptions
 from warpsar.diagnosis.refit import descend
 from warpsar.evaluation import command as evaluation
 from warpsar.io.figures import new, save
-from warpsar.io.images import replacing
 from warpsar.learning.problem import FitProblem
 from warpsar.measured import formats
 from warpsar.measured.data import ImageChip
@@ -86,22 +96,14 @@ def finer(samples: np.ndarray, times: int) -> np.ndarray:
     return np.asarray(np.abs(np.fft.ifft2(np.fft.ifftshift(whole)) * times**2) ** 2)
 
 
-def of_the_chip(data: Path) -> dict[str, Any]:
-    """What the complex chip says by itself, without a model: widths of bright points, the taper in its spectrum, power
-    in shadow and grass."""
-    chip = formats.read([source(data)])
-    assert isinstance(chip, ImageChip)
-    assert chip.spacing_m is not None
-    power = np.abs(chip.samples.astype(complex)) ** 2
-    rows, cols = power.shape
-    range_m = (np.arange(rows) + 0.5 - rows / 2) * chip.spacing_m[0]
-    azimuth_m = (np.arange(cols) + 0.5 - cols / 2) * chip.spacing_m[1]
-    fine = finer(chip.samples.astype(complex), FINER)
+def point_widths(samples: np.ndarray, spacing_m: tuple[float, float]) -> list[dict[str, float]]:
+    """Half-power widths of the brightest points, on a finer grid."""
+    fine = finer(samples, FINER)
     widths = []
     for azimuth, slant in POINTS:
         at = [
             round((place / step + (n - 1) / 2) * FINER)
-            for place, step, n in zip((slant, azimuth), chip.spacing_m, power.shape, strict=True)
+            for place, step, n in zip((slant, azimuth), spacing_m, samples.shape, strict=True)
         ]
         box = fine[at[0] - FINER : at[0] + FINER, at[1] - FINER : at[1] + FINER]
         peak = np.unravel_index(int(np.argmax(box)), box.shape)
@@ -111,49 +113,72 @@ def of_the_chip(data: Path) -> dict[str, Any]:
             {
                 "azimuth_m": azimuth,
                 "slant_range_m": slant,
-                "range_width_m": half_power_width(fine[row - reach : row + reach, col], chip.spacing_m[0] / FINER),
-                "azimuth_width_m": half_power_width(fine[row, col - reach : col + reach], chip.spacing_m[1] / FINER),
+                "range_width_m": half_power_width(fine[row - reach : row + reach, col], spacing_m[0] / FINER),
+                "azimuth_width_m": half_power_width(fine[row, col - reach : col + reach], spacing_m[1] / FINER),
             }
         )
-    spectrum = np.abs(np.fft.fftshift(np.fft.fft2(chip.samples.astype(complex)))) ** 2
-    bandwidth = 1e9 * float(header(data)["Bandwidth"].split()[0])
-    cell = SPEED_OF_LIGHT / (2.0 * bandwidth)
-    tapers = {}
+    return widths
+
+
+def tapers(samples: np.ndarray, spacing_m: tuple[float, float], cell_m: float) -> dict[str, dict[str, float]]:
+    """Edge of the mean spectrum over its middle [dB], along each axis, and what tapers would have."""
+    spectrum = np.abs(np.fft.fftshift(np.fft.fft2(samples))) ** 2
+    found = {}
     for axis, label in enumerate(("range", "azimuth")):
         mean = spectrum.mean(axis=1 - axis)
         n = mean.size
-        share = chip.spacing_m[axis] / cell  # of the sampled band that is used
+        share = spacing_m[axis] / cell_m  # of the sampled band that is used
         place = (np.arange(n) - n // 2) / n / share
         inner, outer = np.abs(place) < 0.1, (np.abs(place) > 0.4) & (np.abs(place) < 0.5)
-        tapers[label] = {"edge_over_middle_db": float(10.0 * np.log10(mean[outer].mean() / mean[inner].mean()))} | {
+        found[label] = {"edge_over_middle_db": float(10.0 * np.log10(mean[outer].mean() / mean[inner].mean()))} | {
             name: float(
                 10.0 * np.log10(np.mean(taper(name, place[outer]) ** 2) / np.mean(taper(name, place[inner]) ** 2))
             )
             for name in ("none", "taylor", "hann")
         }
+    return found
+
+
+def powers(power: np.ndarray, spacing_m: tuple[float, float], cell_m: float) -> dict[str, Any]:
+    """Mean power of shadow and grass [dB], and that of a sigma0 of 1 if a pixel's power is a cross-section in m^2."""
+    rows, cols = power.shape
+    range_m = (np.arange(rows) + 0.5 - rows / 2) * spacing_m[0]
+    azimuth_m = (np.arange(cols) + 0.5 - cols / 2) * spacing_m[1]
     (left, near), (right, far) = SHADOW
     shadow = power[(range_m > near) & (range_m < far)][:, (azimuth_m > left) & (azimuth_m < right)]
     grass = power[:, np.abs(azimuth_m) > GRASS_BEYOND_M]
-    # Power that sigma0 = 1 on level ground would have, if a pixel's power is the cross-section in m^2 of what focuses
-    # there: the integral of the impulse response, in the slant plane, over the cosine to the ground's normal.
-    place = (np.arange(1000) + 0.5) / 1000 - 0.5
-    weight = taper("taylor", place)
-    area = (cell * np.mean(weight**2) / np.mean(weight) ** 2) ** 2
+    # What focuses in a pixel: the integral of the impulse response, in the slant plane, over the cosine to the normal
+    # of level ground.
+    weight = taper("taylor", (np.arange(1000) + 0.5) / 1000 - 0.5)
+    area = (cell_m * np.mean(weight**2) / np.mean(weight) ** 2) ** 2
     view = runpy.run_path(str(MAKE_SCENE))["read"]("scene.toml")["views"][0]
     unit = area / np.sin(np.radians(view["incidence_deg"]))
     return {
-        "cell_m": cell,
-        "points": widths,
-        "taylor_width_m": 1.1875 * cell,
-        "taper": tapers,
         "shadow_db": float(10.0 * np.log10(shadow.mean())),
         "shadow_pixels": int(shadow.size),
         "grass_db": float(10.0 * np.log10(grass.mean())),
         "sigma0_1_db": float(10.0 * np.log10(unit)),
+    }
+
+
+def of_the_chip(data: Path) -> dict[str, Any]:
+    """What the complex chip says by itself, without a model: widths of bright points, the taper in its spectrum, power
+    in shadow and grass."""
+    chip = formats.read([source(data)])
+    assert isinstance(chip, ImageChip)
+    assert chip.spacing_m is not None
+    samples, spacing_m = chip.samples.astype(complex), chip.spacing_m
+    cell = SPEED_OF_LIGHT / (2.0 * 1e9 * float(header(data)["Bandwidth"].split()[0]))
+    return {
+        "cell_m": cell,
+        "points": point_widths(samples, spacing_m),
+        "taylor_width_m": 1.1875 * cell,
+        "taper": tapers(samples, spacing_m, cell),
+        **powers(np.abs(samples) ** 2, spacing_m, cell),
         "point_spread_m": {
             window: [
                 best_width(pixel_kernel(cell, "taylor", spacing, 1, place), spacing, window)
-                for spacing in chip.spacing_m
+                for spacing in spacing_m
                 for place in (None, 0.0)
             ]
             for window in ("sinc", "taylor", "gaussian")
@@ -205,10 +230,12 @@ def figure(out: Path, folder: Path, device: str | None) -> None:
 def run(data: Path, out: Path, *, figure_folder: Path | None = None, device: str | None = None) -> dict[str, Any]:
     """All of it; returns what slicy.json holds."""
     out.mkdir(parents=True, exist_ok=True)
+    made = kept(out / "made.json", tables.made)
     scene = out / "scene" / "scene.toml"
     if not scene.exists():
         prepare(data, scene.parent, device)
     content = {
+        "made": made,
         "header": header(data),
         "chip": kept(out / "chip.json", lambda: of_the_chip(data)),
         "diagnosis": kept(
@@ -218,76 +245,68 @@ def run(data: Path, out: Path, *, figure_folder: Path | None = None, device: str
     content["windows"] = kept(out / "windows.json", lambda: windows(out / "diagnosis" / "scene.toml", device))
     content["point_spread_found"] = effect_widths(content["diagnosis"])
     figure(out, figure_folder or out, device)
-    for name, text in (("slicy.json", json.dumps(content, indent=1) + "\n"), ("slicy.md", tables(content))):
-        with replacing(out / name) as temporary:
-            temporary.write_text(text, encoding="utf-8", newline="\n")
+    written(out, "slicy", content, tables_of(content))
     return content
 
 
-def tables(content: dict[str, Any]) -> str:
-    """What docs/measured.md quotes."""
-    chip, diagnosis = content["chip"], content["diagnosis"]
-    parts = ["## Header\n", markdown(["field", "value"], list(content["header"].items()))]
-    parts.append("## Half-power widths\n")
+def widths(content: dict[str, Any]) -> str:
+    chip = content["chip"]
     rows: list[list[Any]] = [
-        [f"chip, point at ({p['azimuth_m']}, {p['slant_range_m']})", p["range_width_m"], p["azimuth_width_m"]]
-        for p in chip["points"]
+        ["header, resolution", content["header"]["RangeResolution"], content["header"]["CrossRangeResolution"]],
+        ["header, 3 dB width", content["header"]["Range3dBWidth"], content["header"]["CrossRange3dBWidth"]],
+        ["theory, Taylor of -35 dB over the header's band", chip["taylor_width_m"], chip["taylor_width_m"]],
     ]
-    rows.append(["theory, Taylor of -35 dB over the header's band", chip["taylor_width_m"], chip["taylor_width_m"]])
+    for point in chip["points"]:
+        place = f"({point['azimuth_m']}, {point['slant_range_m']})"
+        rows.append([f"chip, point at {place}", point["range_width_m"], point["azimuth_width_m"]])
     for window, (r_any, r_middle, a_any, a_middle) in chip["point_spread_m"].items():
-        rows.append([f"point_spread nearest to it, {window}: points anywhere in a pixel", r_any, a_any])
-        rows.append([f"point_spread nearest to it, {window}: points in pixels' middles", r_middle, a_middle])
+        rows.append([f"point_spread nearest to theory, {window}: points anywhere in a pixel", r_any, a_any])
+        rows.append([f"point_spread nearest to theory, {window}: points in pixels' middles", r_middle, a_middle])
     if content["point_spread_found"]:
-        said = [
-            f"{v['value_m']:.3g} ({v['low_m']:.3g} to {v['high_m']:.3g})"
-            for v in content["point_spread_found"].values()
-        ]
-        rows.append([f"point_spread found, {diagnosis['effects']['point_spread'].get('window', 'gaussian')}", *said])
+        window = content["diagnosis"]["effects"]["point_spread"].get("window", "gaussian")
+        values = content["point_spread_found"].values()
+        said = [f"{v['value_m']:.3g} ({v['low_m']:.3g} to {v['high_m']:.3g})" for v in values]
+        rows.append([f"point_spread found, {window}", *said])
     for window, table in content["windows"].items():
         if isinstance(table, dict):
-            label = f"fitted again with {window}: 2 ln L {-table['behind']:.0f} against the best"
+            label = f"fitted again with {window}: {table['behind']:.0f} of 2 ln L behind the best"
             rows.append([label, table["range_fwhm_m"], table["azimuth_fwhm_m"]])
-    parts.append(markdown(["", "range [m]", "azimuth [m]"], rows))
-    parts.append("## Taper: mean spectrum, outer tenth of the band over its middle [dB]\n")
-    parts.append(
-        markdown(
-            ["axis", "chip", "none", "taylor", "hann"],
-            [[a, t["edge_over_middle_db"], t["none"], t["taylor"], t["hann"]] for a, t in chip["taper"].items()],
-        )
-    )
-    parts.append("## Power [dB, of the chip's own unit, magnitude squared]\n")
-    unit = chip["sigma0_1_db"]
-    parts.append(
-        markdown(
-            ["", "chip's unit", "as sigma0, if that unit is m^2 of cross-section"],
-            [
-                ["grass", chip["grass_db"], chip["grass_db"] - unit],
-                [f"shadow, {chip['shadow_pixels']} pixels", chip["shadow_db"], chip["shadow_db"] - unit],
-            ],
-        )
-    )
-    parts.append("## Diagnosis\n")
+    return rounded(["half-power widths", "range [m]", "azimuth [m]"], rows)
+
+
+def steps(diagnosis: dict[str, Any]) -> str:
     rows = [["declared", "", "", diagnosis["before"]["train"]["deviance"]]]
-    rows += [
-        [
-            s["effect"],
-            ", ".join(f"{k} {v if isinstance(v, str) else f'{v:.3g}'}" for k, v in s["parameters"].items()),
-            s["refit_gain"],
-            s["train_deviance"],
-        ]
-        for s in diagnosis["steps"]
+    for step in diagnosis["steps"]:
+        values = [f"{k} {v if isinstance(v, str) else f'{v:.3g}'}" for k, v in step["parameters"].items()]
+        rows.append([step["effect"], ", ".join(values), step["refit_gain"], step["train_deviance"]])
+    return rounded(["added", "parameters", "2 ln L", "train deviance"], rows)
+
+
+def noise(diagnosis: dict[str, Any]) -> str:
+    """-ln p of `noise_floor` in every turn."""
+    rows = []
+    for number, turn in enumerate(diagnosis["turns"], 1):
+        floor = next(c for c in turn["candidates"] if c["effect"] == "noise_floor")
+        rows.append([number, floor["testability"].replace("_", " "), f"{floor['minus_log_p']:.1f}"])
+        rows[-1].append(f"{turn['threshold']:.1f}")
+    return rounded(["turn", "noise_floor is", "-ln p", "asked"], rows)
+
+
+def tables_of(content: dict[str, Any]) -> dict[str, str]:
+    """The tables of docs/measured.md."""
+    chip, diagnosis = content["chip"], content["diagnosis"]
+    edges = [[axis, t["edge_over_middle_db"], t["none"], t["taylor"], t["hann"]] for axis, t in chip["taper"].items()]
+    levels = [
+        ["grass", chip["grass_db"], chip["grass_db"] - chip["sigma0_1_db"]],
+        [f"shadow, {chip['shadow_pixels']} pixels", chip["shadow_db"], chip["shadow_db"] - chip["sigma0_1_db"]],
     ]
-    parts.append(markdown(["added", "parameters", "2 ln L", "train deviance"], rows))
-    floor = [next(c for c in turn["candidates"] if c["effect"] == "noise_floor") for turn in diagnosis["turns"]]
-    parts.append(
-        "noise_floor, -ln p of every turn (threshold): "
-        + ", ".join(
-            f"{c['minus_log_p']:.1f} ({t['threshold']:.1f})" for c, t in zip(floor, diagnosis["turns"], strict=True)
-        )
-        + f"; left at the end: -ln p {diagnosis['left_at_the_end']['minus_log_p']:.1f}, unexplained: "
-        + f"{diagnosis['unexplained']}\n"
-    )
-    return "\n".join(parts)
+    return {
+        "slicy.steps": steps(diagnosis),
+        "slicy.widths": widths(content),
+        "slicy.taper": rounded(["edge of the spectrum over its middle [dB]", "chip", "none", "taylor", "hann"], edges),
+        "slicy.power": rounded(["power [dB]", "chip's unit", "as sigma0, if that unit is m^2"], levels),
+        "slicy.noise": noise(diagnosis),
+    }
 
 
 def main() -> None:
@@ -296,8 +315,10 @@ def main() -> None:
     parser.add_argument("-o", "--out", type=Path, required=True)
     parser.add_argument("--figures", type=Path, help="folder of the picture; default: OUT")
     parser.add_argument("--device")
+    tables.add_write(parser)
     options = parser.parse_args()
-    print(tables(run(options.data, options.out, figure_folder=options.figures, device=options.device)))
+    content = run(options.data, options.out, figure_folder=options.figures, device=options.device)
+    tables.publish(tables_of(content), content, options.write)
 
 
 if __name__ == "__main__":
