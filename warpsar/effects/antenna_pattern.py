@@ -11,7 +11,7 @@ import warp as wp
 from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter
 from warpsar.effects.base.recorder import Recorder
-from warpsar.effects.base.trial import Context, Step, Trial
+from warpsar.effects.base.trial import Context, ScoreStep, Trial
 from warpsar.kernels.effects import antenna_pattern as kernels
 from warpsar.world.world import World
 
@@ -63,8 +63,8 @@ class AntennaPattern(Effect):
         # At the edge the square term is 0.02, the linear one with the beam turned to the edge 0.04.
         curvature = 0.02 / extent**2
         width = math.sqrt(8.0 * math.log(2.0) / curvature)
-        linear = Step("linear", 2.0 * curvature * extent, table(width, extent), table(width, -extent))
-        square = Step("square", curvature, table(width, 0.0), one_sided=True)
+        linear = ScoreStep("linear", 2.0 * curvature * extent, table(width, extent), table(width, -extent))
+        square = ScoreStep("square", curvature, table(width, 0.0), one_sided=True)
         starts = tuple(table(4.0 * extent, turned * extent) for turned in (0.0, 0.5, -0.5))
         return [Trial((linear, square), starts)]
 

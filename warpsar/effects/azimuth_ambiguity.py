@@ -8,7 +8,7 @@ from typing import Any
 from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter
 from warpsar.effects.base.recorder import Recorder
-from warpsar.effects.base.trial import Context, Step, Trial
+from warpsar.effects.base.trial import Context, ScoreStep, Trial
 from warpsar.kernels.effects import azimuth_ambiguity as kernels
 
 _NEAREST_PX = 3  # nearer copies are a point spread
@@ -36,7 +36,7 @@ class AzimuthAmbiguity(Effect):
         found = []
         for pixels in range(_NEAREST_PX, grid.shape[1]):
             at = {"level": size, "offset_m": pixels * grid.spacing_m[1]}
-            found.append(Trial((Step("level", size, at, one_sided=True),), (at,), f"offset {at['offset_m']:g} m"))
+            found.append(Trial((ScoreStep("level", size, at, one_sided=True),), (at,), f"offset {at['offset_m']:g} m"))
         return found
 
     def image(self, render: Recorder, p: Any, image: Any) -> Any:

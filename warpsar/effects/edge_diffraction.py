@@ -11,7 +11,7 @@ import warp as wp
 from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter
 from warpsar.effects.base.recorder import Recorder
-from warpsar.effects.base.trial import Context, Step, Trial
+from warpsar.effects.base.trial import Context, ScoreStep, Trial
 from warpsar.kernels import deposit
 from warpsar.kernels.effects import edge_diffraction as kernels
 from warpsar.surface.stage import POLARIZATIONS
@@ -51,7 +51,7 @@ class EdgeDiffraction(Effect):
 
     def trials(self, context: Context) -> list[Trial]:
         size = 0.1
-        return [Trial((Step("strength", size, {"strength": size}, one_sided=True),), ({"strength": size},))]
+        return [Trial((ScoreStep("strength", size, {"strength": size}, one_sided=True),), ({"strength": size},))]
 
     def paths(self, render: Recorder, p: Any, image: Any, polarization: int) -> Any:
         name = next(key for key, code in POLARIZATIONS.items() if code == polarization)

@@ -9,7 +9,7 @@ import warp as wp
 from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter
 from warpsar.effects.base.recorder import Recorder
-from warpsar.effects.base.trial import Context, Step, Trial
+from warpsar.effects.base.trial import Context, ScoreStep, Trial
 from warpsar.kernels.effects import eps_gradient as kernels
 
 
@@ -32,7 +32,7 @@ class EpsGradient(Effect):
     def trials(self, context: Context) -> list[Trial]:
         size = 0.05 / context.extent_m
         names = [p.name for p in self.parameters]
-        steps = tuple(Step(name, size, {name: size}, {name: -size}) for name in names)
+        steps = tuple(ScoreStep(name, size, {name: size}, {name: -size}) for name in names)
         return [Trial(steps, (dict.fromkeys(names, 0.0),))]
 
     def coordinates(self, render: Recorder, p: Any, zeta: Any, points: Any) -> Any:

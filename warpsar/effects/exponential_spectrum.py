@@ -10,7 +10,7 @@ import warp as wp
 from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter
 from warpsar.effects.base.recorder import Recorder
-from warpsar.effects.base.trial import Context, Step, Trial
+from warpsar.effects.base.trial import Context, ScoreStep, Trial
 from warpsar.kernels.effects import exponential_spectrum as kernels
 from warpsar.kernels.scattering import EXPONENTIAL, GAUSSIAN
 
@@ -31,7 +31,9 @@ class ExponentialSpectrum(Effect):
         if all(material.spectrum != "gaussian" for material in context.scene.materials.values()):
             return []
         size = 0.02
-        return [Trial((Step("weight", size, {"weight": size}, one_sided=True),), ({"weight": 0.3}, {"weight": 0.8}))]
+        return [
+            Trial((ScoreStep("weight", size, {"weight": size}, one_sided=True),), ({"weight": 0.3}, {"weight": 0.8}))
+        ]
 
     def scattering(self, render: Recorder, p: Any, zeta: Any, sigma: Any, polarization: int) -> Any:
         own = render.stage.spectrum.numpy()

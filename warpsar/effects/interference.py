@@ -11,7 +11,7 @@ import warp as wp
 from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter, Setting
 from warpsar.effects.base.recorder import Recorder
-from warpsar.effects.base.trial import Context, Step, Trial
+from warpsar.effects.base.trial import Context, ScoreStep, Trial
 from warpsar.kernels.effects import interference as kernels
 from warpsar.world.world import World
 
@@ -79,7 +79,7 @@ class Interference(Effect):
                 for first in range(0, scene.grid.shape[0] - height + 1, max(1, height // 2)):
                     band = [first, first + height]
                     at = {"level": {view.name: size}, "rows": {view.name: [band]}}
-                    step = Step("level", size, at, one_sided=True, views=(view.name,))
+                    step = ScoreStep("level", size, at, one_sided=True, views=(view.name,))
                     found.append(Trial((step,), (at,), f"{view.name}, rows {band[0]} to {band[1] - 1}"))
         return found
 

@@ -13,7 +13,7 @@ import warp as wp
 from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter, one_of
 from warpsar.effects.base.recorder import Recorder
-from warpsar.effects.base.trial import Context, Step, Trial
+from warpsar.effects.base.trial import Context, ScoreStep, Trial
 from warpsar.kernels import deposit
 from warpsar.kernels import merge as merging
 from warpsar.kernels.effects import multibounce as kernels
@@ -70,7 +70,7 @@ class Multibounce(Effect):
     settings = (one_of("max_bounces", 3, 2, 3, 4),)
 
     def trials(self, context: Context) -> list[Trial]:
-        step = Step("strength", 1.0, {"strength": 1.0}, one_sided=True)
+        step = ScoreStep("strength", 1.0, {"strength": 1.0}, one_sided=True)
         return [Trial((step,), tuple({"strength": s} for s in (1.0, 0.2, 5.0)))]
 
     def paths(self, render: Recorder, p: Any, image: Any, polarization: int) -> Any:

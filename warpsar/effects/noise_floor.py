@@ -7,7 +7,7 @@ from typing import Any
 from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter
 from warpsar.effects.base.recorder import Recorder
-from warpsar.effects.base.trial import Context, Step, Trial
+from warpsar.effects.base.trial import Context, ScoreStep, Trial
 from warpsar.kernels.effects import noise_floor as kernels
 
 
@@ -23,7 +23,7 @@ class NoiseFloor(Effect):
 
     def trials(self, context: Context) -> list[Trial]:
         size = 0.1 * context.level
-        return [Trial((Step("level", size, {"level": size}, one_sided=True),), ({"level": size},))]
+        return [Trial((ScoreStep("level", size, {"level": size}, one_sided=True),), ({"level": size},))]
 
     def image(self, render: Recorder, p: Any, image: Any) -> Any:
         result = render.program.array(image.shape[0])

@@ -10,7 +10,7 @@ import warp as wp
 from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter, one_of
 from warpsar.effects.base.recorder import Recorder
-from warpsar.effects.base.trial import Context, Step, Trial
+from warpsar.effects.base.trial import Context, ScoreStep, Trial
 from warpsar.kernels.effects import point_spread as kernels
 from warpsar.kernels.wide import LANES
 from warpsar.runtime.program import Program
@@ -43,7 +43,9 @@ class PointSpread(Effect):
         axes = ("range_fwhm_m", "azimuth_fwhm_m")
         spacing = dict(zip(axes, context.scene.grid.spacing_m, strict=True))
         steps = tuple(
-            Step(f"{name} squared", spacing[name] ** 2, {name: spacing[name], "window": "gaussian"}, one_sided=True)
+            ScoreStep(
+                f"{name} squared", spacing[name] ** 2, {name: spacing[name], "window": "gaussian"}, one_sided=True
+            )
             for name in axes
         )
         starts = tuple(

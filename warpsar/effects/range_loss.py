@@ -10,7 +10,7 @@ import warp as wp
 from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter
 from warpsar.effects.base.recorder import Recorder
-from warpsar.effects.base.trial import Context, Step, Trial
+from warpsar.effects.base.trial import Context, ScoreStep, Trial
 from warpsar.kernels.effects import range_loss as kernels
 from warpsar.world.world import World
 
@@ -45,7 +45,7 @@ class RangeLoss(Effect):
         key, size = "per_m", 0.02 / context.extent_m
         if all(r is not None for r in ranges):
             key, size = "exponent", size * min(r for r in ranges if r is not None)
-        return [Trial((Step(key, size, {key: size}, {key: -size}),), ({key: 0.0},))]
+        return [Trial((ScoreStep(key, size, {key: size}, {key: -size}),), ({key: 0.0},))]
 
     def gain(self, render: Recorder, p: Any, sigma: Any, points: Any) -> Any:
         geometry = render.geometry

@@ -10,7 +10,7 @@ import warp as wp
 from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter
 from warpsar.effects.base.recorder import Recorder
-from warpsar.effects.base.trial import Context, Step, Trial
+from warpsar.effects.base.trial import Context, ScoreStep, Trial
 from warpsar.kernels.effects import registration as kernels
 from warpsar.world.tables import Grid
 
@@ -44,7 +44,7 @@ class Registration(Effect):
         size = 0.25 * pixel
 
         def trial(label: str, *names: str) -> Trial:
-            steps = tuple(Step(name, size, {name: size}, {name: -size}) for name in names)
+            steps = tuple(ScoreStep(name, size, {name: size}, {name: -size}) for name in names)
             return Trial(steps, (dict.fromkeys(names, 0.0),), label, dict.fromkeys(names, 2.0 * pixel))
 
         return [trial("all views alike", "range_m", "azimuth_m"), trial("world", "east_m", "north_m", "up_m")]

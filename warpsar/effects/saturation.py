@@ -11,7 +11,7 @@ import warp as wp
 from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter, Setting
 from warpsar.effects.base.recorder import Recorder
-from warpsar.effects.base.trial import Context, Step, Trial
+from warpsar.effects.base.trial import Context, ScoreStep, Trial
 from warpsar.kernels.effects import saturation as kernels
 
 _TURNS = 4  # of eight bits each: a number's 32
@@ -38,7 +38,7 @@ class Saturation(Effect):
 
     def trials(self, context: Context) -> list[Trial]:
         size = 0.01
-        step = Step("exponent - 1", size, {"exponent": 1.0 + size}, {"exponent": 1.0 - size})
+        step = ScoreStep("exponent - 1", size, {"exponent": 1.0 + size}, {"exponent": 1.0 - size})
         return [Trial((step,), ({"exponent": 0.9}, {"exponent": 1.1}))]
 
     def image(self, render: Recorder, p: Any, image: Any) -> Any:

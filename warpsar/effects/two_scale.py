@@ -10,7 +10,7 @@ import warp as wp
 from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter
 from warpsar.effects.base.recorder import Recorder
-from warpsar.effects.base.trial import Context, Step, Trial
+from warpsar.effects.base.trial import Context, ScoreStep, Trial
 from warpsar.kernels.effects import two_scale as kernels
 
 _NODES = 5  # Gauss-Hermite points per slope: exact for a ninth-degree polynomial
@@ -33,7 +33,7 @@ class TwoScale(Effect):
         size = 5e-4
         return [
             Trial(
-                (Step("slope variance", size, {"slope_variance": size}, one_sided=True),),
+                (ScoreStep("slope variance", size, {"slope_variance": size}, one_sided=True),),
                 ({"slope_variance": 0.003}, {"slope_variance": 0.03}),
             )
         ]

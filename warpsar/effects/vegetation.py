@@ -8,7 +8,7 @@ from typing import Any
 from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter
 from warpsar.effects.base.recorder import Recorder
-from warpsar.effects.base.trial import Context, Step, Trial
+from warpsar.effects.base.trial import Context, ScoreStep, Trial
 from warpsar.kernels.effects import vegetation as kernels
 from warpsar.surface.stage import POLARIZATIONS
 
@@ -35,7 +35,7 @@ class Vegetation(Effect):
         size = 0.005
         return [
             Trial(
-                (Step("optical depth", size, {"optical_depth": size, "albedo": albedo}, one_sided=True),),
+                (ScoreStep("optical depth", size, {"optical_depth": size, "albedo": albedo}, one_sided=True),),
                 tuple({"optical_depth": depth, "albedo": albedo} for depth in (0.05, 0.3)),
                 f"albedo {albedo:g}",
             )

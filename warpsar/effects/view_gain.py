@@ -7,7 +7,7 @@ from typing import Any
 from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter
 from warpsar.effects.base.recorder import Recorder
-from warpsar.effects.base.trial import Context, Step, Trial
+from warpsar.effects.base.trial import Context, ScoreStep, Trial
 from warpsar.kernels.effects import view_gain as kernels
 
 
@@ -34,7 +34,7 @@ class ViewGain(Effect):
             return {"gain_db": {name: gain, names[-1]: -gain}}
 
         steps = tuple(
-            Step(f"gain of {name}", size, table(name, size), table(name, -size), views=(name, names[-1]))
+            ScoreStep(f"gain of {name}", size, table(name, size), table(name, -size), views=(name, names[-1]))
             for name in names[:-1]
         )
         return [Trial(steps, ({"gain_db": dict.fromkeys(names, 0.0)},))]

@@ -13,7 +13,7 @@ from warpsar.world.world import World
 
 
 @dataclass(frozen=True)
-class Step:
+class ScoreStep:
     """A finite step from neutral along one score coordinate: what a score test differences (effects.md, step 4).
 
     The template is (image(`plus`) - image(`minus`)) / (2 `size`), or (image(`plus`) - image at neutral) / `size`
@@ -39,7 +39,7 @@ class Trial:
     names parameters (linear ones) that the data may place far from there, with the first step of a search for it.
     """
 
-    steps: tuple[Step, ...]
+    steps: tuple[ScoreStep, ...]
     starts: tuple[Mapping[str, Any], ...]
     label: str = ""
     survey: Mapping[str, float] = field(default_factory=dict)
