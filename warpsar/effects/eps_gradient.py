@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import warp as wp
 
@@ -20,13 +20,15 @@ def _slope(name: str) -> Parameter:
 class EpsGradient(Effect):
     """ln(eps_r - 1) of every surface grows by `per_m_east` and `per_m_north` per metre; zero at the reference point.
 
-    It is fixed to the world, which is what tells it from an antenna's pattern, fixed to the radar.
+    It is fixed to the world. An antenna's pattern is fixed to the radar: views from two sides tell them apart.
     """
 
     name = "eps_gradient"
     stage = "surface"
     order = 10
     summary = "permittivity changing across the scene"
+    example: ClassVar[dict[str, Any]] = {"per_m_east": 0.04, "per_m_north": 0.02}
+    rate_case: ClassVar[dict[str, Any]] = {"per_m_east": 0.03, "per_m_north": -0.02}
     parameters = (_slope("per_m_east"), _slope("per_m_north"))
 
     def trials(self, context: Context) -> list[Trial]:
@@ -35,7 +37,7 @@ class EpsGradient(Effect):
         steps = tuple(ScoreStep(name, size, {name: size}, {name: -size}) for name in names)
         return [Trial(steps, (dict.fromkeys(names, 0.0),))]
 
-    def coordinates(self, render: Recorder, p: Any, zeta: Any, points: Any) -> Any:
+    def coordinates(self, render: Recorder, p: wp.array, zeta: wp.array, points: wp.array) -> wp.array:
         result = render.program.array(zeta.shape[0], wp.vec4)
         render.program.launch(kernels.slope_kernel, zeta.shape[0], [p, points, zeta], [result])
         return result

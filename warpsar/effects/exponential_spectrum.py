@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import warp as wp
@@ -16,7 +16,7 @@ from warpsar.kernels.scattering import EXPONENTIAL, GAUSSIAN
 
 
 class ExponentialSpectrum(Effect):
-    """Roughness spectrum W = (1 - w) W_gauss + w W_exp, of the same height and correlation length, with `weight` w.
+    """Roughness spectrum W = (1 - w) W_gauss + w W_exp with `weight` w, at one height and one correlation length.
 
     sigma0 is linear in W. Materials whose spectrum is not Gaussian stay as they are.
     """
@@ -25,6 +25,8 @@ class ExponentialSpectrum(Effect):
     stage = "surface"
     order = 20
     summary = "a roughness spectrum with a longer tail"
+    example: ClassVar[dict[str, Any]] = {"weight": 1.0}
+    rate_case: ClassVar[dict[str, Any]] = {"weight": 0.5}
     parameters = (Parameter("weight", "1", 0.0, 0.0, 1.0, 0.5, span=0.3),)
 
     def trials(self, context: Context) -> list[Trial]:
@@ -35,7 +37,7 @@ class ExponentialSpectrum(Effect):
             Trial((ScoreStep("weight", size, {"weight": size}, one_sided=True),), ({"weight": 0.3}, {"weight": 0.8}))
         ]
 
-    def scattering(self, render: Recorder, p: Any, zeta: Any, sigma: Any, polarization: int) -> Any:
+    def scattering(self, render: Recorder, p: wp.array, zeta: wp.array, sigma: wp.array, polarization: int) -> wp.array:
         own = render.stage.spectrum.numpy()
         own = np.where(own == int(GAUSSIAN), int(EXPONENTIAL), own)
         other = render.scatter(zeta, polarization, wp.array(own, dtype=int, device=render.program.device))
