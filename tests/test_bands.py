@@ -6,9 +6,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from effect_worlds import cases_of, with_effect
 from learning_scenes import bumpy, measured, views_at
 from worlds import SOIL, scene_of
 
+from warpsar.effects.registry import get, names, validate
 from warpsar.errors import InputError
 from warpsar.learning.command import LearnOptions, learn
 from warpsar.learning.problem import FitProblem
@@ -18,18 +20,16 @@ from warpsar.scene.scene import Scene
 from warpsar.trace.hits import BinGrid
 from warpsar.world.tables import Material
 
-EFFECTS: dict[str, dict[str, dict[str, Any]]] = {
-    "none": {},
-    # hits in bins finer than pixels, moved over the borders of bands
-    "position": {"registration": {"range_m": 0.3, "azimuth_m": 0.25}},
-    # pixels of several bands mixed after all are there
-    "image": {
-        "point_spread": {"range_fwhm_m": 0.6, "azimuth_fwhm_m": 0.9},
-        "noise_floor": {"level": 1e-3},
-        "azimuth_ambiguity": {},
-    },
-    "surface and gain": {"two_scale": {}, "view_gain": {"gain_db": {"v0": 0.5, "v1": -0.5}}},
-}
+WHOLE = [name for name in names() if get(name).needs_all_hits]
+"""Effects that start from all hits of a view."""
+
+EFFECTS: dict[str, dict[str, dict[str, Any]]] = {"none": {}}
+"""By stage: all its effects that can be rendered in bands. Those of the image mix pixels of several bands."""
+
+for name in (name for name in names() if name not in WHOLE):
+    for case in cases_of(name)[:1]:
+        if not case.radar:
+            EFFECTS.setdefault(get(name).stage, {})[name] = case.table
 
 
 def bumpy_scene(folder: Path, effects: str = "none", layout: str = "uniform") -> Scene:
@@ -40,7 +40,8 @@ def bumpy_scene(folder: Path, effects: str = "none", layout: str = "uniform") ->
     material = dict(SOIL, rms_height_m=0.0010)
     if layout == "vertex":
         material |= {"layout": "vertex", "eps_r": "eps", "rms_height_m": "h"}
-    return replace(seen, materials={"soil": Material(**material)}, effects=EFFECTS[effects])
+    tables = {name: validate(name, table, name) for name, table in EFFECTS[effects].items()}
+    return replace(seen, materials={"soil": Material(**material)}, effects=tables)
 
 
 def problems(scene: Scene, device: str, **more: Any) -> tuple[FitProblem, FitProblem]:
@@ -113,16 +114,11 @@ def test_hits_are_estimated_from_a_few_columns(tmp_path: Path) -> None:
         assert rays.most_hits(finer, view, []) > count
 
 
-@pytest.mark.parametrize("name", ["multibounce", "saturation"])
+@pytest.mark.parametrize("name", WHOLE)
 def test_effects_that_need_all_hits_are_refused(name: str, tmp_path: Path) -> None:
-    scene = replace(
-        bumpy_scene(tmp_path), effects={name: {"strength": 0.9} if name == "multibounce" else {"exponent": 0.9}}
-    )
-    from warpsar.effects.registry import validate
-
-    effects = {key: validate(key, table, key) for key, table in scene.effects.items()}
+    scene = with_effect(bumpy_scene(tmp_path), name, cases_of(name)[0].table)
     with pytest.raises(InputError, match=f"effects.{name}: starts from all hits of view v0 at once"):
-        FitProblem(replace(scene, effects=effects), devices.resolve_device("cpu"), max_memory_gib=1e-6)
+        FitProblem(scene, devices.resolve_device("cpu"), max_memory_gib=1e-6)
 
 
 def test_out_of_memory_in_a_fit_turns_to_bands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

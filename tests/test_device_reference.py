@@ -25,6 +25,7 @@ from warpsar.world.tables import Grid, Sampling
 
 HERE = Path(__file__).resolve().parent
 STORED = HERE / "data" / "cpu_reference.npz"
+# What the stored numbers were made with: an effect of each stage that works on bins, paths or pixels.
 EFFECTS = {
     "multibounce": {"strength": 0.7, "max_bounces": 3},
     "registration": {"range_m": 0.4, "azimuth_m": -0.3},

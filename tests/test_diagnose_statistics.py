@@ -10,7 +10,7 @@ from warpsar.diagnosis.evidence import Evidence
 from warpsar.diagnosis.scan import Scan
 from warpsar.diagnosis.score import Group, Projection, log_tail, minus_log_p
 from warpsar.diagnosis.templates import Template
-from warpsar.effects.base.trial import Step, Trial
+from warpsar.effects.base.trial import ScoreStep, Trial
 from warpsar.learning.observation import Observation
 
 WHITE = np.zeros((13, 13))
@@ -66,7 +66,7 @@ def test_mixture_by_hand() -> None:
 
 
 def a_group(columns: np.ndarray, covariance: np.ndarray, one_sided: tuple[bool, ...]) -> Group:
-    step = Step("x", 1.0, {})
+    step = ScoreStep("x", 1.0, {})
     template = Template("x", Trial((step,) * len(one_sided), ({},)), columns, one_sided)
     return Group([template], columns, covariance[None], np.ones(1))
 

@@ -2,14 +2,18 @@
 
 import dataclasses
 import math
+import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from worlds import BRICK, SOIL, box, ground, mesh_of, scene_of, view
+from effect_worlds import cases_of, gradients_of, refusal, render_of, street, with_effect, working
+from worlds import box, ground, mesh_of, scene_of, view
 
 import warpsar.effects
 from warpsar.effects import registry
@@ -17,68 +21,13 @@ from warpsar.effects.base.trial import Context
 from warpsar.effects.registry import check, declared, get, names, validate
 from warpsar.errors import InputError
 from warpsar.render.render import ViewRender
-from warpsar.runtime import devices
 from warpsar.scene.scene import Scene
 from warpsar.simulation.command import simulate
-from warpsar.simulation.rays import trace_view
-from warpsar.surface.stage import Stage
 
-STRIP_MAP: dict[str, Any] = {"slant_range_m": 300.0}
-
-# An effect at work, away from the kinks of piecewise linear interpolation; every continuous parameter appears.
-WORKING: list[tuple[str, dict[str, Any], dict[str, Any]]] = [
-    ("eps_gradient", {"per_m_east": 0.03, "per_m_north": -0.02}, {}),
-    ("exponential_spectrum", {"weight": 0.4}, {}),
-    ("two_scale", {"slope_variance": 0.02}, {}),
-    ("two_scale", {"slope_variance": 0.02}, STRIP_MAP),
-    ("vegetation", {"optical_depth": 0.2, "albedo": 0.1}, {}),
-    ("antenna_pattern", {"beamwidth_m": 20.0, "boresight_m": 2.0}, {}),
-    ("antenna_pattern", {"beamwidth_deg": 3.0, "boresight_deg": 0.4}, STRIP_MAP),
-    ("range_loss", {"per_m": 0.03}, {}),
-    ("range_loss", {"exponent": 3.0}, STRIP_MAP),
-    ("view_gain", {"gain_db": {"view": 2.0, "other": -2.0}}, {}),
-    ("registration", {"range_m": 0.31, "azimuth_m": -0.23}, {}),
-    ("registration", {"range_m": 0.1, "east_m": 0.37, "north_m": 0.2, "up_m": -0.3}, STRIP_MAP),
-    ("multibounce", {"strength": 0.8}, {}),
-    ("multibounce", {"strength": 0.8, "max_bounces": 4}, STRIP_MAP),
-    ("edge_diffraction", {"strength": 0.7}, {}),
-    ("point_spread", {"range_fwhm_m": 1.7, "azimuth_fwhm_m": 1.2, "window": "gaussian"}, {}),
-    ("point_spread", {"range_fwhm_m": 1.7, "azimuth_fwhm_m": 1.2, "window": "sinc"}, {}),
-    ("point_spread", {"range_fwhm_m": 1.7, "azimuth_fwhm_m": 1.2, "window": "taylor"}, {}),
-    ("azimuth_ambiguity", {"level": 0.05, "offset_m": 2.9}, {}),
-    ("noise_floor", {"level": 0.003}, {}),
-    ("interference", {"level": {"view": 0.01}, "rows": {"view": [[3, 5], [9, 10]]}}, {}),
-    ("saturation", {"exponent": 0.8}, {}),
-    ("saturation", {"exponent": 0.8, "pivot": 0.02}, {}),
-]
+ROOT = Path(__file__).resolve().parent.parent
+WORKING = working()
 IDS = [f"{name}-{'-'.join(map(str, table.values()))}"[:60] for name, table, _ in WORKING]
-
-
-def street(**radar: Any) -> Scene:
-    """A block on a plane, turned so that its walls mirror the radar's rays into the ground; 16 x 16 pixels."""
-    mesh = mesh_of(soil=ground(18.0), brick=box((-2.0, -2.5, 0.0), (3.0, 1.0, 3.0)))
-    return scene_of(
-        mesh,
-        [view(2.0, 42.0), view(80.0, 50.0, name="other")],
-        shape=(16, 16),
-        spacing_m=(0.75, 0.75),
-        rays_per_pixel=16.0,
-        materials={"soil": SOIL, "brick": BRICK},
-        polarizations=("HH", "VV"),
-        **radar,
-    )
-
-
-def with_effect(scene: Scene, name: str, table: dict[str, Any]) -> Scene:
-    return dataclasses.replace(scene, effects={**scene.effects, name: validate(name, table, f"effects.{name}")})
-
-
-def render_of(scene: Scene, *, neutral: bool = False) -> ViewRender:
-    """The first view with its effects; those at neutral too where asked."""
-    stage = Stage.of(scene, devices.resolve_device("cpu"))
-    effects = declared(scene, scene.views[0], neutral=neutral)
-    hits = trace_view(scene, stage, scene.views[0], seed=3, effects=effects)
-    return ViewRender(stage, scene.views[0], hits, scene.grid.shape, scene.radar.polarizations, effects)
+IMAGE = [(name, table) for name, table, _ in WORKING if get(name).stage == "image"]
 
 
 @pytest.mark.parametrize("name", names())
@@ -99,13 +48,42 @@ def test_says_what_it_is(name: str) -> None:
         assert p.slope(x) == pytest.approx(difference, rel=1e-6)
 
 
-def test_every_parameter_is_at_work() -> None:
-    stated = {(name, key) for name, table, _ in WORKING for key in table}
-    assert {(name, p.name) for name in names() for p in get(name).parameters} <= stated
+@pytest.mark.parametrize("name", names())
+def test_has_a_file_of_tests(name: str) -> None:
+    """tests/effects/test_<name>.py, with cases in which every continuous parameter acts, and a test of its physics."""
+    tests = find_spec(f"effects.test_{name}")
+    assert tests is not None, f"effect {name} has no tests/effects/test_{name}.py"
+    stated = {key for case in cases_of(name) for key in case.table}
+    missing = {p.name for p in get(name).parameters} - stated
+    assert not missing, f"tests/effects/test_{name}.py: WORKING has no case of {', '.join(sorted(missing))}"
+    found = [key for key in vars(import_module(tests.name)) if key.startswith("test_")]
+    assert found, f"tests/effects/test_{name}.py holds no test"
+
+
+@pytest.mark.parametrize("name", names())
+def test_has_its_tables(name: str) -> None:
+    """`example` for pictures, `rate_case` for the rates of the diagnosis: scene.toml would take both."""
+    for key, views in (("example", ("v0", "v1")), ("rate_case", ("v0", "v1", "v2", "v3"))):
+        assert hasattr(get(name), key), f"effect {name} has no {key}"
+        table = getattr(get(name), key)
+        assert validate(name, table, f"{name}.{key}", views)
+        scene = Scene.load(ROOT / "data" / "example" / "scene.toml")
+        seen = [view.model_copy(update={"name": one}) for one, view in zip(views, scene.views * 2, strict=False)]
+        scene = dataclasses.replace(scene, views=seen, effects={name: validate(name, table, name)})
+        assert any(declared(scene, view) for view in scene.views), f"{name}.{key} changes no view"
+
+
+def test_the_page_of_effects_has_a_section_for_each() -> None:
+    page = (ROOT / "docs" / "effects.md").read_text(encoding="utf-8")
+    sections = re.findall(r"^### (\w+)$", page, re.MULTILINE)
+    missing, unknown = set(names()) - set(sections), set(sections) - set(names())
+    assert not missing, f"docs/effects.md has no section {', '.join(sorted(missing))}"
+    assert not unknown, f"docs/effects.md: no effect is called {', '.join(sorted(unknown))}"
+    assert len(sections) == len(set(sections))
 
 
 @pytest.mark.parametrize(("name", "table", "radar"), WORKING, ids=IDS)
-def test_changes_the_image(name: str, table: dict[str, Any], radar: dict[str, Any]) -> None:
+def test_changes_the_image(name: str, table: dict[str, Any], radar: Mapping[str, Any]) -> None:
     scene = street(**radar)
     (plain, _), (changed, _) = simulate(scene, device="cpu"), simulate(with_effect(scene, name, table), device="cpu")
     assert not np.array_equal(plain.beta0["HH"], changed.beta0["HH"])
@@ -116,21 +94,23 @@ def test_changes_the_image(name: str, table: dict[str, Any], radar: dict[str, An
 @pytest.mark.parametrize("name", names())
 def test_neutral_changes_no_bit(name: str) -> None:
     scene = street()
-    neutral = {p.name: {} if p.per_view else p.neutral for p in get(name).parameters if not math.isnan(p.neutral)}
-    neutral = {key: value for key, value in neutral.items() if not key.endswith("_deg") and key != "exponent"}
-    declared_scene = with_effect(scene, name, neutral if neutral else {})
+    effect = get(name)
+    neutral = {p.name: {} if p.per_view else p.neutral for p in effect.parameters if not math.isnan(p.neutral)}
+    # without the parameters of another kind of scene
+    neutral = {key: value for key, value in neutral.items() if effect.check(scene, {key: value}) is None}
+    assert neutral
+    declared_scene = with_effect(scene, name, neutral)
     for before, after in zip(simulate(scene, device="cpu"), simulate(declared_scene, device="cpu"), strict=True):
         for polarization, image in before.beta0.items():
             assert np.array_equal(image, after.beta0[polarization])
 
 
 @pytest.mark.parametrize(("name", "table", "radar"), WORKING, ids=IDS)
-def test_program_at_neutral_is_the_image_without(name: str, table: dict[str, Any], radar: dict[str, Any]) -> None:
+def test_program_at_neutral_is_the_image_without(name: str, table: dict[str, Any], radar: Mapping[str, Any]) -> None:
     """On the same hits, with the effect in the program: a fit may start there, a template is taken there."""
     render = render_of(with_effect(street(**radar), name, table))
     bare = ViewRender(render.stage, render.view, render.hits, render.shape, ("HH", "VV"), [])
-    parameters = get(name).parameters
-    at = [0.0 if math.isnan(p.neutral) and p.name.startswith("bore") else p.default for p in parameters]
+    at = [p.default for p in get(name).parameters]
     render.set_parameters(render.stage.surface.nodes, {name: np.array(at)})
     for polarization, image in bare.forward().items():
         # float32: a sum in another order, or a product with 1 - 1e-7
@@ -139,16 +119,8 @@ def test_program_at_neutral_is_the_image_without(name: str, table: dict[str, Any
     assert all(np.isfinite(g).all() for g in gradients.values())
 
 
-def gradients_of(render: ViewRender, seed: np.ndarray) -> dict[str, np.ndarray]:
-    """d (sum of seed * images) to the nodes and to every effect's parameters."""
-    render.program.forward()
-    render.program.backward({image: seed.ravel().astype(np.float32) for image in render.images.values()})
-    effects = {name: values.grad.numpy().astype(float) for name, values in render.effect_values.items()}
-    return {"nodes": render.nodes.grad.numpy().astype(float), **effects}
-
-
 @pytest.mark.parametrize(("name", "table", "radar"), WORKING, ids=IDS)
-def test_derivatives_are_those_of_finite_differences(name: str, table: dict[str, Any], radar: dict[str, Any]) -> None:
+def test_derivatives_are_finite_differences(name: str, table: dict[str, Any], radar: Mapping[str, Any]) -> None:
     """Of the stated parameters, and of every surface node seen through the effect.
 
     float32 images: a sum of 500 terms is good to 1e-7 and better, over a step of 3e-3 that is 2e-5 of a derivative of
@@ -190,7 +162,7 @@ def test_derivatives_are_those_of_finite_differences(name: str, table: dict[str,
         assert gradients["nodes"][index] == pytest.approx(difference, rel=5e-3, abs=1e-4 * scale)
 
 
-@pytest.mark.parametrize(("name", "table"), [(name, table) for name, table, _ in WORKING if get(name).stage == "image"])
+@pytest.mark.parametrize(("name", "table"), IMAGE)
 def test_an_image_effect_alone_is_the_same(name: str, table: dict[str, Any]) -> None:
     render, bare = render_of(with_effect(street(), name, table)), render_of(street())
     effect = declared(with_effect(street(), name, table), render.view)[0]
@@ -220,74 +192,33 @@ def test_trials_can_be_declared(name: str) -> None:
                     assert np.array_equal(before.beta0["HH"], after.beta0["HH"])
 
 
-def test_trials_speak_of_the_kind_of_scene() -> None:
-    context = Context(street(**STRIP_MAP), 0.01)
-    assert "beamwidth_deg" in get("antenna_pattern").trials(context)[0].steps[0].plus
-    assert "exponent" in get("range_loss").trials(context)[0].steps[0].plus
-    assert get("view_gain").trials(Context(dataclasses.replace(street(), views=street().views[:1]), 0.01)) == []
-
-
-def test_linear_and_square_step_of_the_antenna_are_that() -> None:
-    """(I+ - I-) / (2 size I) is x for the linear step, (I+ - I0) / (size I0) is -x^2 for the square one."""
-    scene = street()
-    linear, square = get("antenna_pattern").trials(Context(scene, 0.01))[0].steps
-    render = render_of(scene)
-    x = render.hits.point.numpy() @ render.geometry.v
-
-    def gain(table: Any) -> np.ndarray:
-        return np.exp(-8 * math.log(2) * ((x - table["boresight_m"]) / table["beamwidth_m"]) ** 2)
-
-    # second order in the step: 0.04 at the edge
-    assert (gain(linear.plus) - gain(linear.minus)) / (2 * linear.size) == pytest.approx(x, rel=0.06, abs=1e-9)
-    assert (gain(square.plus) - 1) / square.size == pytest.approx(-(x**2), rel=0.03, abs=1e-9)
-
-
 REFUSED = [
     ("noise_floor", {"level": -1.0}, "effects.noise_floor.level: found -1.0; allowed is 0 to 1e+09 beta0"),
     ("noise_floor", {"level": True}, "allowed is a number"),
     ("noise_floor", {"level": math.inf}, "allowed is a number"),
     ("noise_floor", {"level": math.nan}, "allowed is a number"),
     ("noise_floor", {"height": 1.0}, "height: unknown key; allowed are level"),
-    ("point_spread", {"window": "hann"}, "found 'hann'; allowed is 'sinc' or 'taylor' or 'gaussian'"),
-    ("multibounce", {"max_bounces": 9}, "allowed is 2 or 3 or 4"),
-    ("multibounce", {"max_bounces": True}, "allowed is 2 or 3 or 4"),
     ("view_gain", {"gain_db": 3.0}, "allowed is a table of view names"),
-    ("view_gain", {"gain_db": {"nobody": 3.0}}, "found 'nobody'; allowed are the views view, other"),
-    ("view_gain", {"gain_db": {"view": "loud"}}, "gain_db.view: found 'loud'"),
-    ("interference", {"level": {"view": 0.1}}, "rows.view: missing"),
-    ("interference", {"level": {"view": 0.1}, "rows": {"view": [[3, 3]]}}, "first < end"),
-    ("interference", {"level": {"view": 0.1}, "rows": {"view": [[3, 99]]}}, "allowed are rows of the image, to 16"),
-    ("antenna_pattern", {"beamwidth_deg": 20.0}, "allowed there are beamwidth_m and boresight_m"),
-    ("range_loss", {"exponent": 3.0}, "allowed there is per_m"),
-    ("saturation", {"pivot": 0.0}, 'a positive beta0 or "median"'),
+    ("view_gain", {"gain_db": {"nobody": 3.0}}, "found 'nobody'; allowed are the views v0, v1"),
+    ("view_gain", {"gain_db": {"v0": "loud"}}, "gain_db.v0: found 'loud'"),
     ("glitter", {}, "found 'glitter'; allowed are eps_gradient"),
 ]
 
 
 @pytest.mark.parametrize(("name", "table", "message"), REFUSED)
 def test_refuses(name: str, table: dict[str, Any], message: str) -> None:
-    with pytest.raises(InputError) as refusal:
-        check(with_effect(street(), name, table))
-    assert message in str(refusal.value)
-    assert "\n" not in str(refusal.value)
+    assert message in refusal(name, table)
 
 
-def test_infinite_width_may_be_written() -> None:
-    scene = with_effect(street(), "antenna_pattern", {"beamwidth_m": math.inf, "boresight_m": 1.0})
-    assert declared(scene, scene.views[0]) == []
-
-
-def test_discrete_choices_are_not_learned() -> None:
-    with pytest.raises(InputError, match="window: is discrete and cannot be learned; allowed are range_fwhm_m"):
-        get("point_spread").parameter("window")
-    with pytest.raises(InputError, match="max_bounces: is discrete"):
-        get("multibounce").parameter("max_bounces")
-    assert get("point_spread").parameter("range_fwhm_m").unit == "m"
-
-
-def test_view_gains_have_no_mean() -> None:
-    scene = with_effect(street(), "view_gain", {"gain_db": {"view": 3.0}})
-    assert [declared(scene, v)[0].values[0] for v in scene.views] == [1.5, -1.5]
+@pytest.mark.parametrize("name", names())
+def test_discrete_choices_are_not_learned(name: str) -> None:
+    effect = get(name)
+    known = ", ".join(p.name for p in effect.parameters)
+    for setting in effect.settings:
+        with pytest.raises(InputError, match=f"{setting.name}: is discrete and cannot be learned; allowed are {known}"):
+            effect.parameter(setting.name)
+    for parameter in effect.parameters:
+        assert effect.parameter(parameter.name) is parameter
 
 
 DOUBLING = '''
@@ -344,23 +275,22 @@ def test_a_new_effect_is_a_file_in_the_folder(monkeypatch: pytest.MonkeyPatch, t
     monkeypatch.delitem(sys.modules, "warpsar.effects.doubling")
 
 
-def test_refinements_of_interference_move_one_end_or_add_one_band() -> None:
-    """Bands stay inside the image, apart from one another, and a band that scored joins only where there is room."""
-    scene = street()
-    rows = scene.grid.shape[0]
-    table = {"level": {"v0": 0.1}, "rows": {"v0": [[0, 2], [6, 8]]}}
-    others = [
-        {"level": {"v0": 0.2}, "rows": {"v0": [[7, 9]]}},  # overlaps
-        {"level": {"v1": 0.3}, "rows": {"v1": [[4, 5]]}},
-    ]
-    found = get("interference").refinements(scene, table, others)
-    moved = [one["rows"] for one, chosen in found if chosen == 0]
-    assert {"v0": [[0, 3], [6, 8]]} in moved
-    assert {"v0": [[0, 2], [5, 8]]} in moved
-    for bands in (rows_of["v0"] for rows_of in moved):
-        assert len(bands) == 2
-        assert all(0 <= first < end <= rows for first, end in bands)
-        assert bands[0][1] < bands[1][0]
-        assert np.count_nonzero(np.array(bands) != np.array(table["rows"]["v0"])) == 1
-    added = [one for one, chosen in found if chosen == 1]
-    assert added == [{"level": {"v1": 0.3, "v0": 0.1}, "rows": {"v0": [[0, 2], [6, 8]], "v1": [[4, 5]]}}]
+def test_effects_work_together() -> None:
+    """Gains and shifts act on further paths too; what the system does comes last."""
+    mesh = mesh_of(soil=ground(18.0), wall=box((-3, -3, 0), (3, 1, 4)))
+    scene = scene_of(mesh, view(0.0, 45.0), shape=(40, 40), rays_per_pixel=16.0)
+    scene = with_effect(scene, "multibounce", {"strength": 1.0})
+    scene = with_effect(scene, "edge_diffraction", {"strength": 1.0})
+    plain = render_of(dataclasses.replace(scene, effects={**scene.effects}))
+    plain.forward()
+    everything = with_effect(with_effect(scene, "range_loss", {"per_m": 0.1}), "noise_floor", {"level": 0.01})
+    render = render_of(everything)
+    image = render.forward()["HH"].astype(float)
+    rows = (np.arange(40) - 19.5) * 0.5
+    for name in ("beta0_2_bounces_HH", "beta0_edges_HH"):
+        before, after = (one.layers[name].numpy().astype(float).reshape(40, 40) for one in (plain, render))
+        assert before.sum() > 0
+        # a pixel's power lies within half a pixel of its middle: exp(0.1 * 0.25)
+        expected = before * np.exp(-0.1 * rows)[:, None]
+        assert after == pytest.approx(expected, rel=0.03, abs=1e-9)
+    assert image.min() == pytest.approx(0.01)

@@ -1,15 +1,14 @@
 """`warpsar.simulate`: from a scene to images, their variance and their layers."""
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from effect_worlds import with_effect, working
 from worlds import BRICK, SOIL, box, ground, mesh_of, scene_of, sigma0, view
 
 import warpsar
-from warpsar.effects.registry import validate
 from warpsar.errors import DeviceError
 from warpsar.scene.scene import Scene
 from warpsar.simulation.rays import view_seed
@@ -108,18 +107,16 @@ def test_shadow_is_only_where_something_is_hidden() -> None:
 
 def test_layers_have_the_images_shape_with_effects() -> None:
     """Also where effects want finer or wider bins than the image's."""
-    tables: dict[str, dict[str, Any]] = {
-        "registration": {"range_m": 0.3, "azimuth_m": -0.2},
-        "point_spread": {"range_fwhm_m": 0.8, "azimuth_fwhm_m": 0.8},
-    }
-    plain = warpsar.simulate(town(), device="cpu", layers=True)[0]
-    for name, table in tables.items():
-        effects = {name: validate(name, table, name)}
-        image = warpsar.simulate(replace(town(), effects=effects), device="cpu", layers=True)[0]
-        assert (image.beta0["HH"] != plain.beta0["HH"]).any()
-        for key, layer in image.layers.items():
+    scene = town(view(25, 40, name="v0"), view(115, 40, name="v1"))
+    plain = warpsar.simulate(scene, device="cpu", layers=True)[0]
+    for name, table, radar in working():
+        if radar:  # not in a plane wave
+            continue
+        image = warpsar.simulate(with_effect(scene, name, table), device="cpu", layers=True)[0]
+        assert (image.beta0["HH"] != plain.beta0["HH"]).any(), name
+        for key, layer in plain.layers.items():
             # the geometry's, whatever the effects do to the image
-            np.testing.assert_array_equal(layer, plain.layers[key], err_msg=key)
+            np.testing.assert_array_equal(image.layers[key], layer, err_msg=f"{name}: {key}")
 
 
 @pytest.mark.parametrize("variant", ["standard", "as_printed"])

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from warpsar.effects.base.trial import Context, Step, Trial
+from warpsar.effects.base.trial import Context, ScoreStep, Trial
 from warpsar.effects.registry import declared, get, names, validate
 from warpsar.learning.observation import Observation
 from warpsar.learning.problem import FitProblem
@@ -86,7 +86,7 @@ class TemplateMaker:
             done()
         return found
 
-    def _difference(self, name: str, step: Step) -> np.ndarray:
+    def _difference(self, name: str, step: ScoreStep) -> np.ndarray:
         plus = self._images(name, step.plus, step.views)
         minus = self.mu if step.minus is None else self._images(name, step.minus, step.views)
         size = step.size * (1.0 if step.minus is None else 2.0)

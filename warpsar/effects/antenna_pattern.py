@@ -1,17 +1,17 @@
-"""An antenna that looks less keenly away from its boresight."""
+"""An antenna that sends and receives less away from its boresight."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 import warp as wp
 
 from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter
 from warpsar.effects.base.recorder import Recorder
-from warpsar.effects.base.trial import Context, Step, Trial
+from warpsar.effects.base.trial import Context, ScoreStep, Trial
 from warpsar.kernels.effects import antenna_pattern as kernels
 from warpsar.world.world import World
 
@@ -28,14 +28,16 @@ def _pair(unit: str, low: float, high: float, start: float, fit_high: float) -> 
 class AntennaPattern(Effect):
     """Two-way power gain exp(-4 ln 2 (phi - phi0)^2 / B^2)^2 of a Gaussian beam of one-way 3 dB width B.
 
-    In a strip-map scene phi [deg] is the elevation angle about the direction to the reference point, larger for a
-    steeper depression. In a plane wave there is no angle: phi is the elevation coordinate X . v [m].
+    In a strip-map scene, phi [deg] is the elevation angle from the direction to the reference point; it is larger for
+    a steeper depression. A plane wave has no such angle: there phi is the elevation coordinate X . v [m].
     """
 
     name = "antenna_pattern"
     stage = "gain"
     order = 10
     summary = "two-way elevation pattern of the antenna"
+    example: ClassVar[dict[str, Any]] = {"beamwidth_m": 45.0, "boresight_m": 8.0}
+    rate_case: ClassVar[dict[str, Any]] = {"beamwidth_m": 40.0, "boresight_m": 4.0}
     parameters = (*_pair("deg", 1e-3, 90.0, 20.0, 1e3), *_pair("m", 1e-3, 1e7, 100.0, 1e7))
 
     def check(self, scene: World, table: Mapping[str, Any]) -> str | None:
@@ -48,8 +50,10 @@ class AntennaPattern(Effect):
         return None
 
     def trials(self, context: Context) -> list[Trial]:
-        """ln gain = c1 x + c2 x^2 + ...: the linear term from a beam looking to either side, the square one from a
-        beam looking at the middle."""
+        """Two steps, since ln gain = c1 x + c2 x^2 + ...
+
+        The linear term comes from a beam turned to either side, the square term from a beam on the middle.
+        """
         ranges = [context.scene.slant_range_m(view) for view in context.scene.views]
         strip = all(r is not None for r in ranges)
         extent = context.extent_m
@@ -63,12 +67,12 @@ class AntennaPattern(Effect):
         # At the edge the square term is 0.02, the linear one with the beam turned to the edge 0.04.
         curvature = 0.02 / extent**2
         width = math.sqrt(8.0 * math.log(2.0) / curvature)
-        linear = Step("linear", 2.0 * curvature * extent, table(width, extent), table(width, -extent))
-        square = Step("square", curvature, table(width, 0.0), one_sided=True)
+        linear = ScoreStep("linear", 2.0 * curvature * extent, table(width, extent), table(width, -extent))
+        square = ScoreStep("square", curvature, table(width, 0.0), one_sided=True)
         starts = tuple(table(4.0 * extent, turned * extent) for turned in (0.0, 0.5, -0.5))
         return [Trial((linear, square), starts)]
 
-    def gain(self, render: Recorder, p: Any, sigma: Any, points: Any) -> Any:
+    def gain(self, render: Recorder, p: wp.array, sigma: wp.array, points: wp.array) -> wp.array:
         geometry = render.geometry
         result = render.program.array(sigma.shape[0])
         render.program.launch(

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import warp as wp
 
 from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter
+from warpsar.effects.base.polarization import is_crossed, polarization_name
 from warpsar.effects.base.recorder import Recorder
-from warpsar.effects.base.trial import Context, Step, Trial
+from warpsar.effects.base.trial import Context, ScoreStep, Trial
 from warpsar.kernels import binning
 from warpsar.kernels.effects import edge_diffraction as kernels
-from warpsar.surface.stage import POLARIZATIONS
 from warpsar.trace.rays import ray_grid
 from warpsar.trace.target import Target
 
@@ -24,8 +24,10 @@ _PIECES_PER_BIN = 2
 
 @dataclass(frozen=True)
 class Edges:
-    """Sharp edges of a mesh: `start` and `end` [m], and `outward`, the unit vector that halves the outer angle of
-    the two faces; shape (n, 3), float64."""
+    """Sharp edges of a mesh from `start` to `end` [m]; arrays of shape (n, 3), float64.
+
+    `outward` is the unit vector that halves the outer angle between the two faces.
+    """
 
     start: np.ndarray
     end: np.ndarray
@@ -36,32 +38,35 @@ class EdgeDiffraction(Effect):
     """Every visible piece dl of a sharp edge returns strength (lambda / 2 pi) sin^2(b) dl of radar cross-section,
     b between edge and ray.
 
-    A straight edge of length L has L^2 / pi sinc^2(k L cos b) about the normal to it, which averages to
-    L lambda / (2 pi) over a radian: what edges return that are not straight to a wavelength, and the unit of
-    `strength`. It does not depend on the polarization; HV and VH get nothing. Edges lie between two faces that turn by
-    30 degrees or more; the mesh's open boundaries are no edges of matter. A piece is visible if the way to the
-    radar is free from just outside its wedge, which hides the feet of walls and inner corners.
+    A straight edge of length L has L^2 / pi sinc^2(k L cos b) about the normal to it. Over a radian this averages to
+    L lambda / (2 pi): the return of an edge that is not straight to a wavelength. A `strength` of 1 is that mean. HH
+    and VV get the same; HV and VH get nothing. An edge lies between two faces that turn by 30 degrees or more. Open
+    boundaries of the mesh are no edges. A piece is visible if nothing lies between the radar and a point just outside
+    its wedge. This hides the feet of walls and inner corners.
     """
 
     name = "edge_diffraction"
     stage = "path"
     order = 20
+    needs_all_hits = True
     summary = "lines along sharp edges"
+    example: ClassVar[dict[str, Any]] = {"strength": 3.0}
+    rate_case: ClassVar[dict[str, Any]] = {"strength": 3.0}
     parameters = (Parameter("strength", "1", 0.0, 0.0, 1e6, 1.0, scale="log", fit_low=1e-6, fit_high=1e4),)
 
     def trials(self, context: Context) -> list[Trial]:
         size = 0.1
-        return [Trial((Step("strength", size, {"strength": size}, one_sided=True),), ({"strength": size},))]
+        return [Trial((ScoreStep("strength", size, {"strength": size}, one_sided=True),), ({"strength": size},))]
 
-    def paths(self, render: Recorder, p: Any, image: Any, polarization: int) -> Any:
-        name = next(key for key, code in POLARIZATIONS.items() if code == polarization)
-        if name not in ("HH", "VV"):
+    def paths(self, render: Recorder, p: wp.array, image: wp.array, polarization: int) -> wp.array:
+        if is_crossed(polarization):
             return image
         program = render.program
         if self.name not in render.hits.kept:
             render.hits.kept[self.name] = visible_pieces(render)
         bins, weight, points = render.hits.kept[self.name]
-        share = render.layers[f"beta0_edges_{name}"] = program.array(image.shape[0], sum_into=True)
+        share = program.array(image.shape[0], sum_into=True)
+        render.layers[f"beta0_edges_{polarization_name(polarization)}"] = share
         if bins.shape[0] == 0:
             return image
         sigma = program.array(bins.shape[0])
@@ -99,8 +104,8 @@ def sharp_edges(target: Target) -> Edges:
     return Edges(start[sharp][keep], end[sharp][keep], outward[keep] / length[keep])
 
 
-def visible_pieces(render: Recorder) -> tuple[Any, Any, Any]:
-    """Bins of the hits' grid, weights and places of the pieces of sharp edges that the radar sees, on the device."""
+def visible_pieces(render: Recorder) -> tuple[wp.array, wp.array, wp.array]:
+    """Pieces of sharp edges that the radar sees, on the device: bin of the hits' grid, weight, place (vec3 [m])."""
     hits, target = render.hits, render.stage.target
     device = target.device
     edges = sharp_edges(target)
@@ -111,26 +116,21 @@ def visible_pieces(render: Recorder) -> tuple[Any, Any, Any]:
     t = ((number + 0.5) / pieces[edge])[:, None]
     place = edges.start[edge] * (1 - t) + edges.end[edge] * t
     along = ((edges.end - edges.start) / span[:, None])[edge]
-    n = edge.size
 
-    def upload(array: np.ndarray, dtype: Any) -> Any:
+    def upload(array: np.ndarray, dtype: Any) -> wp.array:
         return wp.array(np.ascontiguousarray(array, np.float32), dtype=dtype, device=device)
 
-    points = upload(place, wp.vec3)
-    bins, weight = wp.empty(n, dtype=int, device=device), wp.empty(n, dtype=float, device=device)
+    bins, weight = wp.empty(edge.size, dtype=int, device=device), wp.empty(edge.size, dtype=float, device=device)
     area = render.spacing_m[0] * render.spacing_m[1]
+    size = float(np.linalg.norm(np.ptp(target.corners, axis=0)))
+    wavelength = 2.0 * np.pi / hits.geometry.wavenumber
+    rays = ray_grid(target, hits.geometry, hits.grid, hits.rays_per_m2, 1, area)
     wp.launch(
         kernels.edge_kernel,
-        n,
+        edge.size,
         inputs=[
-            ray_grid(target, hits.geometry, hits.grid, hits.rays_per_m2, 1, area),
-            hits.grid.spacing_m[1],
-            target.bvh.id,
-            float(np.linalg.norm(np.ptp(target.corners, axis=0))),
-            2.0 * np.pi / hits.geometry.wavenumber,
-            points,
-            upload(along, wp.vec3),
-            upload(edges.outward[edge], wp.vec3),
+            *(rays, hits.grid.spacing_m[1], target.bvh.id, size, wavelength),
+            *(upload(array, wp.vec3) for array in (place, along, edges.outward[edge])),
             upload((span / pieces)[edge], float),
         ],
         outputs=[bins, weight],

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import warp as wp
 
 from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter
 from warpsar.effects.base.recorder import Recorder
-from warpsar.effects.base.trial import Context, Step, Trial
+from warpsar.effects.base.trial import Context, ScoreStep, Trial
 from warpsar.kernels.effects import eps_gradient as kernels
 
 
@@ -20,22 +20,24 @@ def _slope(name: str) -> Parameter:
 class EpsGradient(Effect):
     """ln(eps_r - 1) of every surface grows by `per_m_east` and `per_m_north` per metre; zero at the reference point.
 
-    It is fixed to the world, which is what tells it from an antenna's pattern, fixed to the radar.
+    It is fixed to the world. An antenna's pattern is fixed to the radar: views from two sides tell them apart.
     """
 
     name = "eps_gradient"
     stage = "surface"
     order = 10
     summary = "permittivity changing across the scene"
+    example: ClassVar[dict[str, Any]] = {"per_m_east": 0.04, "per_m_north": 0.02}
+    rate_case: ClassVar[dict[str, Any]] = {"per_m_east": 0.03, "per_m_north": -0.02}
     parameters = (_slope("per_m_east"), _slope("per_m_north"))
 
     def trials(self, context: Context) -> list[Trial]:
         size = 0.05 / context.extent_m
         names = [p.name for p in self.parameters]
-        steps = tuple(Step(name, size, {name: size}, {name: -size}) for name in names)
+        steps = tuple(ScoreStep(name, size, {name: size}, {name: -size}) for name in names)
         return [Trial(steps, (dict.fromkeys(names, 0.0),))]
 
-    def coordinates(self, render: Recorder, p: Any, zeta: Any, points: Any) -> Any:
+    def coordinates(self, render: Recorder, p: wp.array, zeta: wp.array, points: wp.array) -> wp.array:
         result = render.program.array(zeta.shape[0], wp.vec4)
         render.program.launch(kernels.slope_kernel, zeta.shape[0], [p, points, zeta], [result])
         return result

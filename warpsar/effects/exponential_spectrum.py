@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import warp as wp
@@ -10,13 +10,13 @@ import warp as wp
 from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter
 from warpsar.effects.base.recorder import Recorder
-from warpsar.effects.base.trial import Context, Step, Trial
+from warpsar.effects.base.trial import Context, ScoreStep, Trial
 from warpsar.kernels.codes import Spectrum
 from warpsar.kernels.effects import exponential_spectrum as kernels
 
 
 class ExponentialSpectrum(Effect):
-    """Roughness spectrum W = (1 - w) W_gauss + w W_exp, of the same height and correlation length, with `weight` w.
+    """Roughness spectrum W = (1 - w) W_gauss + w W_exp with `weight` w, at one height and one correlation length.
 
     sigma0 is linear in W. Materials whose spectrum is not Gaussian stay as they are.
     """
@@ -25,15 +25,19 @@ class ExponentialSpectrum(Effect):
     stage = "surface"
     order = 20
     summary = "a roughness spectrum with a longer tail"
+    example: ClassVar[dict[str, Any]] = {"weight": 1.0}
+    rate_case: ClassVar[dict[str, Any]] = {"weight": 0.5}
     parameters = (Parameter("weight", "1", 0.0, 0.0, 1.0, 0.5, span=0.3),)
 
     def trials(self, context: Context) -> list[Trial]:
         if all(material.spectrum != "gaussian" for material in context.scene.materials.values()):
             return []
         size = 0.02
-        return [Trial((Step("weight", size, {"weight": size}, one_sided=True),), ({"weight": 0.3}, {"weight": 0.8}))]
+        return [
+            Trial((ScoreStep("weight", size, {"weight": size}, one_sided=True),), ({"weight": 0.3}, {"weight": 0.8}))
+        ]
 
-    def scattering(self, render: Recorder, p: Any, zeta: Any, sigma: Any, polarization: int) -> Any:
+    def scattering(self, render: Recorder, p: wp.array, zeta: wp.array, sigma: wp.array, polarization: int) -> wp.array:
         own = render.stage.spectrum.numpy()
         own = np.where(own == Spectrum.GAUSSIAN, int(Spectrum.EXPONENTIAL), own)
         other = render.scatter(zeta, polarization, wp.array(own, dtype=int, device=render.program.device))

@@ -1,9 +1,9 @@
-"""Somebody else's transmitter."""
+"""Power from another transmitter."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import warp as wp
@@ -11,7 +11,7 @@ import warp as wp
 from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter, Setting
 from warpsar.effects.base.recorder import Recorder
-from warpsar.effects.base.trial import Context, Step, Trial
+from warpsar.effects.base.trial import Context, ScoreStep, Trial
 from warpsar.kernels.effects import interference as kernels
 from warpsar.world.world import World
 
@@ -34,14 +34,14 @@ def _bands(value: Any) -> bool:
 
 
 def _overlap(band: Sequence[int], others: Sequence[Sequence[int]]) -> bool:
-    """Whether a band meets one of the others, or the row beside it: then it is the other that should move."""
+    """Whether a band meets one of the others or the row beside it: then the other one should move instead."""
     return any(band[0] <= end and first <= band[1] for first, end in others)
 
 
 class Interference(Effect):
     """`level` [beta0] is added to the range lines `rows` of a view, over all of azimuth.
 
-    Both are tables of view names; rows are lists of [first, end), counted from 0, end not included.
+    Both are tables by view name. Rows are lists of [first, end], counted from 0; `end` is not included.
     """
 
     name = "interference"
@@ -50,6 +50,8 @@ class Interference(Effect):
     additive = True
     in_image = True
     summary = "lines of added power in a view"
+    example: ClassVar[dict[str, Any]] = {"level": {"v0": 0.02}, "rows": {"v0": [[40, 42], [100, 101]]}}
+    rate_case: ClassVar[dict[str, Any]] = {"level": {"v1": 0.02}, "rows": {"v1": [[30, 32]]}}
     parameters = (
         Parameter("level", "beta0", 0.0, 0.0, 1e9, 1e-3, per_view=True, scale="log", fit_low=1e-12, fit_high=1e6),
     )
@@ -69,7 +71,7 @@ class Interference(Effect):
         return None
 
     def trials(self, context: Context) -> list[Trial]:
-        """A view and a band of rows at a time; what remains beside it is found in the next turn of the loop."""
+        """One view and one band of rows each; the next turn of the diagnosis finds what remains beside it."""
         scene, size = context.scene, 0.1 * context.level
         found = []
         for view in scene.views:
@@ -79,14 +81,14 @@ class Interference(Effect):
                 for first in range(0, scene.grid.shape[0] - height + 1, max(1, height // 2)):
                     band = [first, first + height]
                     at = {"level": {view.name: size}, "rows": {view.name: [band]}}
-                    step = Step("level", size, at, one_sided=True, views=(view.name,))
+                    step = ScoreStep("level", size, at, one_sided=True, views=(view.name,))
                     found.append(Trial((step,), (at,), f"{view.name}, rows {band[0]} to {band[1] - 1}"))
         return found
 
     def refinements(
         self, scene: World, table: Mapping[str, Any], others: Sequence[Mapping[str, Any]]
     ) -> list[tuple[Mapping[str, Any], int]]:
-        """Each end of each band a little elsewhere; and another band that scored, of this view or of one more."""
+        """Each end of each band moved a little; and one more band that scored, in this view or another."""
         rows = table["rows"]
         found: list[tuple[Mapping[str, Any], int]] = []
         for view, bands in rows.items():
@@ -108,7 +110,7 @@ class Interference(Effect):
                 found.append((added, 1))
         return found
 
-    def image(self, render: Recorder, p: Any, image: Any) -> Any:
+    def image(self, render: Recorder, p: wp.array, image: wp.array) -> wp.array:
         rows, cols = render.shape
         line = np.zeros(rows, np.float32)
         for first, end in render.settings[self.name]["rows"] or ():

@@ -5,25 +5,29 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import warp as wp
 
 from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter, one_of
+from warpsar.effects.base.polarization import is_crossed, polarization_name
 from warpsar.effects.base.recorder import Recorder
-from warpsar.effects.base.trial import Context, Step, Trial
+from warpsar.effects.base.trial import Context, ScoreStep, Trial
 from warpsar.kernels import binning
 from warpsar.kernels import merge as merging
 from warpsar.kernels.effects import multibounce as kernels
 from warpsar.runtime import threads
-from warpsar.surface.stage import POLARIZATIONS
 from warpsar.trace.hits import DEFAULT_MEMORY_GIB, BinGrid, concatenate
 from warpsar.trace.rays import ray_grid
+from warpsar.trace.target import Target
 
 _RECORD_BYTES = 160  # a record, and the sort's keys and order, twice
 _SEGMENT = 64  # cells of one thread on CUDA
+
+Merged = list[wp.array]
+"""Merged paths of one number of bounces: bin, faces, second and third weights, weight and point (`PathRecords`)."""
 
 
 @dataclass
@@ -40,9 +44,9 @@ class Bounce:
 class Paths:
     """Paths of one number of bounces, merged by bin and faces; arrays of shape (n,).
 
-    `pixel` is a bin of the hits' grid; `weight` is dA_perp / cos(theta_n) over the pixel area; `point` [m] is where
-    a single bounce would have the path's range, azimuth and mean elevation; `cos_half` and `cos_tilt` of the last
-    bounce: between half vector and incoming direction, and half vector and normal.
+    `pixel` is a bin of the hits' grid. `weight` is dA_perp / cos(theta_n) over the pixel area. `point` [m] is where a
+    single bounce would have the path's range, azimuth and mean elevation. At the last bounce, `cos_half` is between
+    half vector and incoming direction, `cos_tilt` between half vector and normal.
     """
 
     bounces: list[Bounce]
@@ -54,152 +58,134 @@ class Paths:
 
 
 class Multibounce(Effect):
-    """Rays followed over up to `max_bounces` surfaces (effects.md of the specification).
+    """Rays followed over up to `max_bounces` surfaces (docs/effects.md).
 
-    Every surface but the last is a mirror with |R_p(theta)|^2 exp(-4 k^2 h^2 cos^2 theta). The last returns the ray,
-    if the way is free, with the bistatic geometric-optics coefficient of slope variance 2 h^2 / l^2 + 1e-4. R_p is
-    of the polarization in each facet's own basis; HV and VH get nothing. Range is half the path, azimuth the middle
-    of entry and exit. Power adds: both directions of a path are traced, each once.
+    Every surface but the last is a mirror with |R_p(theta)|^2 exp(-4 k^2 h^2 cos^2 theta). The last surface returns
+    the ray if nothing lies between it and the radar, with the bistatic geometric-optics coefficient of slope variance
+    2 h^2 / l^2 + 1e-4. R_p is for the polarization in each facet's own basis. HV and VH get nothing. Range is half
+    the path, azimuth the middle of entry and exit. Powers add: both directions of a path are traced, each once.
     """
 
     name = "multibounce"
     stage = "path"
     order = 10
+    needs_all_hits = True
     summary = "double and triple bounces between surfaces"
+    example: ClassVar[dict[str, Any]] = {"strength": 1.0}
+    rate_case: ClassVar[dict[str, Any]] = {"strength": 1.0}
     parameters = (Parameter("strength", "1", 0.0, 0.0, 1e6, 1.0, scale="log", fit_low=1e-6, fit_high=1e4),)
     settings = (one_of("max_bounces", 3, 2, 3, 4),)
 
     def trials(self, context: Context) -> list[Trial]:
-        step = Step("strength", 1.0, {"strength": 1.0}, one_sided=True)
+        step = ScoreStep("strength", 1.0, {"strength": 1.0}, one_sided=True)
         return [Trial((step,), tuple({"strength": s} for s in (1.0, 0.2, 5.0)))]
 
-    def paths(self, render: Recorder, p: Any, image: Any, polarization: int) -> Any:
-        name = next(key for key, code in POLARIZATIONS.items() if code == polarization)
-        if name not in ("HH", "VV"):
+    def paths(self, render: Recorder, p: wp.array, image: wp.array, polarization: int) -> wp.array:
+        if is_crossed(polarization):
             return image
-        program, stage = render.program, render.stage
         if self.name not in render.kept:
-            bounces = render.settings[self.name]["max_bounces"]
-            key = (self.name, bounces)
-            if key not in render.hits.kept:
-                render.hits.kept[key] = trace_paths(render, bounces)
-            found = render.hits.kept[key]
-            zetas = [
-                [render.coordinates(b.face, b.barycentric, b.point) for b in paths.bounces] if paths else []
-                for paths in found
-            ]
-            render.kept[self.name] = list(zip(found, zetas, strict=True))
-        for count, (paths, zeta) in enumerate(render.kept[self.name], start=2):
-            share = render.layers[f"beta0_{count}_bounces_{name}"] = program.array(image.shape[0], sum_into=True)
+            render.kept[self.name] = self._with_coordinates(render)
+        for count, (paths, zetas) in enumerate(render.kept[self.name], start=2):
+            share = render.program.array(image.shape[0], sum_into=True)
+            render.layers[f"beta0_{count}_bounces_{polarization_name(polarization)}"] = share
             if paths is None:
                 continue
-            n = paths.weight.shape[0]
-            last = paths.bounces[-1]
-            power = program.array(n)
-            program.launch(
-                kernels.return_kernel,
-                n,
-                [
-                    p,
-                    polarization,
-                    last.face,
-                    stage.face_material,
-                    stage.eps_im,
-                    paths.cos_half,
-                    paths.cos_tilt,
-                    zeta[-1],
-                ],
-                [power],
-            )
-            for bounce, z in zip(paths.bounces[:-1], zeta[:-1], strict=True):
-                left = program.array(n)
-                program.launch(
-                    kernels.mirror_kernel,
-                    n,
-                    [
-                        polarization,
-                        render.geometry.wavenumber,
-                        bounce.face,
-                        stage.face_material,
-                        stage.eps_im,
-                        bounce.cos_incidence,
-                        z,
-                        power,
-                    ],
-                    [left],
-                )
-                power = left
+            power = _power(render, p, paths, zetas, polarization)
             render.collect(power, paths.weight, paths.point, paths.pixel, share)
-            result = program.array(image.shape[0])
-            program.launch(binning.add_kernel, image.shape[0], [image, share], [result])
+            result = render.program.array(image.shape[0])
+            render.program.launch(binning.add_kernel, image.shape[0], [image, share], [result])
             image = result
         return image
 
+    def _with_coordinates(self, render: Recorder) -> list[tuple[Paths | None, list[wp.array]]]:
+        """Paths by number of bounces, traced once for all renders of the hits, and the coordinates of each bounce."""
+        bounces = render.settings[self.name]["max_bounces"]
+        key = (self.name, bounces)
+        if key not in render.hits.kept:
+            render.hits.kept[key] = trace_paths(render, bounces)
+        return [
+            (paths, [render.coordinates(b.face, b.barycentric, b.point) for b in paths.bounces] if paths else [])
+            for paths in render.hits.kept[key]
+        ]
+
+
+def _power(render: Recorder, p: wp.array, paths: Paths, zetas: list[wp.array], polarization: int) -> wp.array:
+    """Record what each path returns per unit of its weight, shape (n,): the last surface's lobe times the mirrors."""
+    program, stage = render.program, render.stage
+    n = paths.weight.shape[0]
+    material = [stage.face_material, stage.eps_im]
+    power = program.array(n)
+    lobe = [p, polarization, paths.bounces[-1].face, *material, paths.cos_half, paths.cos_tilt, zetas[-1]]
+    program.launch(kernels.return_kernel, n, lobe, [power])
+    for bounce, zeta in zip(paths.bounces[:-1], zetas[:-1], strict=True):
+        left = program.array(n)
+        mirror = [polarization, render.geometry.wavenumber, bounce.face, *material, bounce.cos_incidence, zeta, power]
+        program.launch(kernels.mirror_kernel, n, mirror, [left])
+        power = left
+    return power
+
 
 def trace_paths(render: Recorder, max_bounces: int) -> list[Paths | None]:
-    """Paths of 2, 3, ... `max_bounces` bounces, with the density and seed of the view's hits; None where there are
-    none."""
+    """Paths of 2, 3, ... `max_bounces` bounces, with the density and seed of the view's hits.
+
+    None stands where there are no paths of that number of bounces.
+    """
     hits, target = render.hits, render.stage.target
-    grid, device = hits.grid, target.device
     # Rays that enter beside the image may leave inside: as far again on both sides, and no farther than the mesh.
-    wide = BinGrid((grid.shape[0], 2 * grid.shape[1]), grid.spacing_m)
+    wide = BinGrid((hits.grid.shape[0], 2 * hits.grid.shape[1]), hits.grid.spacing_m)
     area = render.spacing_m[0] * render.spacing_m[1]
     rays = ray_grid(target, hits.geometry, wide, hits.rays_per_m2, 1, area)
     first, last = rays.first_cell, rays.end_cell
-    size = float(np.linalg.norm(np.ptp(target.corners, axis=0)))
-    segment = rays.elevation_cells if device.is_cpu else _SEGMENT
-    workers = threads.thread_count() if device.is_cpu else 1
-    room = int(DEFAULT_MEMORY_GIB * 2**30 / workers / (_RECORD_BYTES * rays.elevation_cells * (max_bounces - 1)))
-    # at least 8 bands for the threads to share
-    width = max(1, min(room, -(-(last - first) // 8) if device.is_cpu else last - first))
-
-    def band(begin: int) -> list[Any] | None:
-        dim = (min(width, last - begin), -(-rays.elevation_cells // segment))
-        capacity = max(4096, dim[0] * rays.elevation_cells // 4)
-        while True:
-            records = _records(capacity, device)
-            wp.launch(
-                kernels.path_kernel,
-                dim,
-                inputs=[
-                    rays,
-                    target.bvh.id,
-                    target.vertices,
-                    target.faces,
-                    begin,
-                    segment,
-                    hits.seed,
-                    max_bounces,
-                    size,
-                    grid.start_m[1],
-                    grid.spacing_m[1],
-                    grid.shape[1],
-                ],
-                outputs=[records],
-                device=device,
-            )
-            count = int(records.count.numpy()[0])
-            if count <= capacity:
-                break
-            capacity = count
-        return _merge(records, count, max_bounces, device) if count else None
-
-    wp.load_module(kernels, device=device)
-    tasks = [partial(band, begin) for begin in range(first, last, width)]
-    parts = [part for part in threads.ordered(tasks, device) if part is not None]
+    width = _band_width(rays, max_bounces, target.device)
+    wp.load_module(kernels, device=target.device)
+    tasks = [
+        partial(_band, render, rays, max_bounces, begin, min(width, last - begin))
+        for begin in range(first, last, width)
+    ]
+    parts = [part for part in threads.ordered(tasks, target.device) if part is not None]
     found: list[Paths | None] = []
     for index in range(max_bounces - 1):
-        mine = [part[index] for part in parts if part[index] is not None]
+        mine = [arrays for part in parts if (arrays := part[index]) is not None]
         if not mine:
             found.append(None)
             continue
         dtypes = (int, wp.vec4i, wp.vec4, wp.vec4, float, wp.vec3)
-        arrays = [concatenate([part[k] for part in mine], dtype, device) for k, dtype in enumerate(dtypes)]
+        arrays = [concatenate([one[k] for one in mine], dtype, target.device) for k, dtype in enumerate(dtypes)]
         found.append(_paths(arrays, index + 2, rays, target))
     return found
 
 
-def _records(capacity: int, device: Any) -> Any:
+def _band_width(rays: Any, max_bounces: int, device: wp.Device) -> int:
+    """Azimuth cells that are traced in one launch: as many as the memory for their records allows."""
+    cells = rays.end_cell - rays.first_cell
+    workers = threads.thread_count() if device.is_cpu else 1
+    room = int(DEFAULT_MEMORY_GIB * 2**30 / workers / (_RECORD_BYTES * rays.elevation_cells * (max_bounces - 1)))
+    # at least 8 bands for the threads to share
+    return max(1, min(room, -(-cells // 8) if device.is_cpu else cells))
+
+
+def _band(render: Recorder, rays: Any, max_bounces: int, begin: int, width: int) -> list[Merged | None] | None:
+    """Paths of `width` azimuth cells from `begin` on, merged, by number of bounces; None without any."""
+    hits, target = render.hits, render.stage.target
+    grid, device = hits.grid, target.device
+    segment = rays.elevation_cells if device.is_cpu else _SEGMENT
+    dim = (width, -(-rays.elevation_cells // segment))
+    size = float(np.linalg.norm(np.ptp(target.corners, axis=0)))
+    mesh = [target.bvh.id, target.vertices, target.faces]
+    bins = [grid.start_m[1], grid.spacing_m[1], grid.shape[1]]
+    inputs = [rays, *mesh, begin, segment, hits.seed, max_bounces, size, *bins]
+    capacity = max(4096, dim[0] * rays.elevation_cells // 4)
+    while True:
+        records = _records(capacity, device)
+        wp.launch(kernels.path_kernel, dim, inputs=inputs, outputs=[records], device=device)
+        count = int(records.count.numpy()[0])
+        if count <= capacity:
+            return _merge(records, count, max_bounces, device) if count else None
+        capacity = count
+
+
+def _records(capacity: int, device: wp.Device) -> Any:
+    """Room for `capacity` records: a `kernels.PathRecords`."""
     records = kernels.PathRecords()
     records.bin = wp.empty(capacity, dtype=int, device=device)
     records.bounces = wp.empty(capacity, dtype=int, device=device)
@@ -212,8 +198,8 @@ def _records(capacity: int, device: Any) -> Any:
     return records
 
 
-def _merge(records: Any, count: int, max_bounces: int, device: Any) -> list[Any]:
-    """Records of one bin and the same faces become one path; a list of arrays (or None) for 2, 3, ... bounces."""
+def _merge(records: Any, count: int, max_bounces: int, device: wp.Device) -> list[Merged | None]:
+    """Records of one bin and the same faces become one path; by number of bounces, 2 first, None without any."""
     order = wp.empty(2 * count, dtype=int, device=device)
     key = wp.empty(2 * count, dtype=wp.int64, device=device)
     wp.launch(merging.number_kernel, count, outputs=[order], device=device)
@@ -243,12 +229,13 @@ def _merge(records: Any, count: int, max_bounces: int, device: Any) -> list[Any]
     return [[array[int(a) : int(b)] for array in arrays] if b > a else None for a, b in pairwise(ends)]
 
 
-def _paths(arrays: list[Any], bounces: int, rays: Any, target: Any) -> Paths:
+def _paths(arrays: Merged, bounces: int, rays: Any, target: Target) -> Paths:
+    """Merged paths of one number of bounces, with the angles at their faces."""
     device = target.device
     pixel, met, second, third, weight, point = arrays
     n = pixel.shape[0]
 
-    def empty(dtype: Any) -> Any:
+    def empty(dtype: Any) -> wp.array:
         return wp.empty(n, dtype=dtype, device=device)
 
     share, cosines, cos_half, cos_tilt = empty(float), empty(wp.vec4), empty(float), empty(float)

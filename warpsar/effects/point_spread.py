@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from functools import cache
-from typing import Any
+from typing import Any, ClassVar
 
 import warp as wp
 
 from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter, one_of
 from warpsar.effects.base.recorder import Recorder
-from warpsar.effects.base.trial import Context, Step, Trial
+from warpsar.effects.base.trial import Context, ScoreStep, Trial
 from warpsar.kernels.effects import point_spread as kernels
 from warpsar.kernels.wide import LANES
 from warpsar.runtime.program import Program
@@ -25,8 +25,8 @@ def _width(name: str) -> Parameter:
 class PointSpread(Effect):
     """Convolves the power image with a separable kernel, sampled at pixel centres and normalised to one.
 
-    Full widths at half maximum; `window` is the aperture's weighting: "sinc" (none: sinc^2), "taylor" (-35 dB,
-    nbar 5) or a "gaussian" kernel. A width of 0 leaves its axis sharp.
+    Its widths are full widths at half maximum; a width of 0 leaves its axis sharp. `window` is the weighting of the
+    aperture: "sinc" (none: the kernel is sinc^2), "taylor" (-35 dB, nbar 5), or "gaussian" for a Gaussian kernel.
     """
 
     name = "point_spread"
@@ -34,16 +34,20 @@ class PointSpread(Effect):
     order = 10
     in_image = True
     summary = "finite resolution in range and azimuth"
+    example: ClassVar[dict[str, Any]] = {"range_fwhm_m": 1.2, "azimuth_fwhm_m": 1.2, "window": "sinc"}
+    rate_case: ClassVar[dict[str, Any]] = {"range_fwhm_m": 0.9, "azimuth_fwhm_m": 0.7, "window": "gaussian"}
     parameters = (_width("range_fwhm_m"), _width("azimuth_fwhm_m"))
     settings = (one_of("window", "gaussian", *WINDOWS),)
 
     def trials(self, context: Context) -> list[Trial]:
-        """Sampled at pixel centres, a narrow kernel is a delta with all its derivatives: the step is a pixel's
-        width, where the neighbours get 6 %. All windows begin with the same second moment: one is enough."""
+        """The step is one pixel's width, where the neighbours get 6 %: sampled at pixel centres, a narrower kernel is
+        1 in its own pixel and has no derivative. All windows begin with the same second moment, so one is tried."""
         axes = ("range_fwhm_m", "azimuth_fwhm_m")
         spacing = dict(zip(axes, context.scene.grid.spacing_m, strict=True))
         steps = tuple(
-            Step(f"{name} squared", spacing[name] ** 2, {name: spacing[name], "window": "gaussian"}, one_sided=True)
+            ScoreStep(
+                f"{name} squared", spacing[name] ** 2, {name: spacing[name], "window": "gaussian"}, one_sided=True
+            )
             for name in axes
         )
         starts = tuple(
@@ -51,7 +55,7 @@ class PointSpread(Effect):
         )
         return [Trial(steps, starts)]
 
-    def image(self, render: Recorder, p: Any, image: Any) -> Any:
+    def image(self, render: Recorder, p: wp.array, image: wp.array) -> wp.array:
         program, window = render.program, WINDOWS[render.settings[self.name]["window"]]
         for index, (count, spacing) in enumerate(zip(render.shape, render.spacing_m, strict=True)):
             weight, total, share = program.array(count + 1), program.array(1, sum_into=True), program.array(count + 1)
@@ -61,9 +65,14 @@ class PointSpread(Effect):
         return image
 
 
-def _blurred(program: Program, width: list[Any], weight: Any, image: Any, shape: tuple[int, int], axis: int) -> Any:
-    """Record the convolution of `image` along one axis with `weight`, by distance in pixels."""
-    (rows, cols), device = shape, image.device
+def _blurred(
+    program: Program, width: list[Any], weight: wp.array, image: wp.array, shape: tuple[int, int], axis: int
+) -> wp.array:
+    """Record the convolution of `image` along one axis with `weight`, by distance in pixels.
+
+    `width` says where the kernels read it: window, spacing [m], index in p, and p.
+    """
+    (rows, cols), device = shape, program.device
     stretch = kernels.Stretch()
     none = stretch if device.is_cpu and cols >= len(stretch) else kernels.Pixel()
     along = [cols, shape[axis], (cols, 1)[axis], none]
@@ -72,7 +81,7 @@ def _blurred(program: Program, width: list[Any], weight: Any, image: Any, shape:
     result = program.array(rows * cols)
 
     @cache
-    def commands() -> list[Any]:  # when a gradient is asked for
+    def commands() -> list[wp.Launch]:  # when a gradient is asked for
         back = (
             (kernels.blur_kernel, dim, [*width, weight, result.grad, *along, 1], image.grad),
             (

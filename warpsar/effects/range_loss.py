@@ -3,30 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 import warp as wp
 
 from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter
 from warpsar.effects.base.recorder import Recorder
-from warpsar.effects.base.trial import Context, Step, Trial
+from warpsar.effects.base.trial import Context, ScoreStep, Trial
 from warpsar.kernels.effects import range_loss as kernels
 from warpsar.world.world import World
 
 
 class RangeLoss(Effect):
-    """Power times (R / R0)^-`exponent` in a strip-map scene: 3 for a focused image, 4 for one that was not
-    compensated at all.
+    """Power times (R / R0)^-`exponent` in a strip-map scene, R0 the slant range of the reference point.
 
-    A plane wave comes from infinitely far: there it is exp(-`per_m` X . d). Over a small scene
-    exponent = per_m R0.
+    The exponent is 3 for a focused image, and 4 for one that was not compensated at all. A plane wave comes from
+    infinitely far: there the factor is exp(-`per_m` X . d). Over a small scene, exponent = per_m R0.
     """
 
     name = "range_loss"
     stage = "gain"
     order = 20
     summary = "power falling with slant range"
+    example: ClassVar[dict[str, Any]] = {"per_m": 0.05}
+    rate_case: ClassVar[dict[str, Any]] = {"per_m": 0.02}
     parameters = (
         Parameter("exponent", "1", 0.0, -20.0, 20.0, 3.0, span=5.0),
         Parameter("per_m", "1/m", 0.0, -10.0, 10.0, 0.01, span=0.02),
@@ -45,9 +46,9 @@ class RangeLoss(Effect):
         key, size = "per_m", 0.02 / context.extent_m
         if all(r is not None for r in ranges):
             key, size = "exponent", size * min(r for r in ranges if r is not None)
-        return [Trial((Step(key, size, {key: size}, {key: -size}),), ({key: 0.0},))]
+        return [Trial((ScoreStep(key, size, {key: size}, {key: -size}),), ({key: 0.0},))]
 
-    def gain(self, render: Recorder, p: Any, sigma: Any, points: Any) -> Any:
+    def gain(self, render: Recorder, p: wp.array, sigma: wp.array, points: wp.array) -> wp.array:
         geometry = render.geometry
         result = render.program.array(sigma.shape[0])
         render.program.launch(

@@ -1,8 +1,8 @@
-"""Images that lie a little beside where the scene says they should."""
+"""Images that lie beside the place where the scene puts them."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import warp as wp
@@ -10,8 +10,9 @@ import warp as wp
 from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter
 from warpsar.effects.base.recorder import Recorder
-from warpsar.effects.base.trial import Context, Step, Trial
+from warpsar.effects.base.trial import Context, ScoreStep, Trial
 from warpsar.kernels.effects import registration as kernels
+from warpsar.world.frame import ViewGeometry
 from warpsar.world.tables import Grid
 
 _REACH_M = 1e4
@@ -25,31 +26,39 @@ def _metres(name: str) -> Parameter:
 class Registration(Effect):
     """Moves the power before it is binned; it does not blur.
 
-    `range_m` and `azimuth_m` hold in every view; a shift of the world shows as d . shift in range and u . shift in
-    azimuth. They add. Power is kept, but for what leaves the image.
+    `range_m` and `azimuth_m` hold in every view. A shift of the world moves a view's image by d . shift in range and
+    u . shift in azimuth. Both add. Power is kept, except for what leaves the image.
     """
 
     name = "registration"
     stage = "position"
     order = 10
     summary = "the scene lies shifted in the images"
+    example: ClassVar[dict[str, Any]] = {"range_m": 1.5, "azimuth_m": -1.0}
+    rate_case: ClassVar[dict[str, Any]] = {"range_m": 0.15, "azimuth_m": -0.2}
     parameters = tuple(_metres(name) for name in ("range_m", "azimuth_m", "east_m", "north_m", "up_m"))
     bins_per_pixel = 4
 
     def margin_m(self, grid: Grid, values: np.ndarray) -> float:
         return float(np.abs(values[:2]).max() + np.linalg.norm(values[2:]) + _ROOM_PX * max(grid.spacing_m))
 
+    def shift_m(self, values: np.ndarray, geometry: ViewGeometry) -> np.ndarray:
+        range_m, azimuth_m, *world = values
+        return np.array([range_m + geometry.d @ np.array(world), azimuth_m + geometry.u @ np.array(world)])
+
     def trials(self, context: Context) -> list[Trial]:
         pixel = min(context.scene.grid.spacing_m)
         size = 0.25 * pixel
 
         def trial(label: str, *names: str) -> Trial:
-            steps = tuple(Step(name, size, {name: size}, {name: -size}) for name in names)
+            steps = tuple(ScoreStep(name, size, {name: size}, {name: -size}) for name in names)
             return Trial(steps, (dict.fromkeys(names, 0.0),), label, dict.fromkeys(names, 2.0 * pixel))
 
         return [trial("all views alike", "range_m", "azimuth_m"), trial("world", "east_m", "north_m", "up_m")]
 
-    def deposit(self, render: Recorder, p: Any, sigma: Any, weight: Any, bins: Any, image: Any) -> None:
+    def deposit(
+        self, render: Recorder, p: wp.array, sigma: wp.array, weight: wp.array, bins: wp.array, image: wp.array
+    ) -> None:
         shift = render.kept.get(self.name)
         if shift is None:
             shift = render.kept[self.name] = render.program.array(2)

@@ -1,4 +1,4 @@
-"""The effects by name, and what a scene declares of them. A new effect is a file in this folder, and no more."""
+"""The effects by name, and the effects that a scene declares. A file in this folder is an effect."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ from warpsar.world.world import World
 @cache
 def _files() -> frozenset[str]:
     """The modules of this folder that are effects: all but this one."""
-    found = {module.name for module in iter_modules(import_module(__package__).__path__) if not module.ispkg}
+    folder = import_module(__package__).__path__
+    found = {module.name for module in iter_modules(folder) if not module.ispkg}
     return frozenset(found - {"registry"})
 
 
@@ -38,9 +39,10 @@ def get(name: str) -> Effect:
 
 
 def validate(name: str, table: Any, where: str, views: Collection[str] | None = None) -> dict[str, Any]:
-    """The table `[effects.<name>]` with default settings filled in; `where` names file and key in the refusal.
+    """The table `[effects.<name>]` with default settings filled in.
 
-    `views` are the names that tables of per-view values may use; None leaves that to `check`. Raises InputError.
+    `where` names file and key in an error. `views` are the view names that tables of per-view values may use; None
+    leaves this to `check`. Raises InputError.
     """
     if name not in _files():
         raise InputError(f"{where}: found {name!r}; allowed are {', '.join(names())}")
@@ -66,7 +68,7 @@ def validate(name: str, table: Any, where: str, views: Collection[str] | None = 
 
 
 def _entries(at: str, value: Any, per_view: bool, views: Collection[str] | None) -> list[tuple[str, Any]]:
-    """What stands at a key, with its place: one value, or one for each view named."""
+    """The values at a key, each with its place: one value, or one for each view that is named."""
     if not per_view:
         return [(at, value)]
     if not isinstance(value, dict):
@@ -87,7 +89,7 @@ def _check_number(at: str, value: Any, p: Parameter) -> None:
 
 
 def check(scene: World) -> None:
-    """Refuse what the scene's effects ask of views that it does not have, or of another kind of scene (InputError)."""
+    """Raises InputError where an effect names views that the scene lacks, or belongs to another kind of scene."""
     views = [view.name for view in scene.views]
     for name, table in scene.effects.items():
         where = f"{scene.path or 'scene'}: effects.{name}"
@@ -100,7 +102,7 @@ def check(scene: World) -> None:
 def declared(scene: World, view: View, *, neutral: bool = False) -> list[DeclaredEffect]:
     """The scene's effects with their values in `view`, in the order in which they act.
 
-    Those at their neutral values are left out unless `neutral` asks for them (a fit may start there). Raises
+    Effects at their neutral values are left out, unless `neutral` asks for them: a fit may start there. Raises
     InputError as `check` does.
     """
     check(scene)
@@ -120,9 +122,9 @@ def declared(scene: World, view: View, *, neutral: bool = False) -> list[Declare
 
 
 def value_in(view: View, parameter: Parameter, table: Mapping[str, Any], views: Collection[View] = ()) -> float:
-    """What `table` says of a parameter in one view; its default where it says nothing.
+    """The value of a parameter in one view: from `table`, or its default where `table` says nothing.
 
-    Of a `zero_sum` parameter the mean over `views` is taken off.
+    A `zero_sum` parameter has its mean over `views` subtracted.
     """
     value = table.get(parameter.name, parameter.default)
     if not isinstance(value, Mapping):
@@ -134,6 +136,6 @@ def value_in(view: View, parameter: Parameter, table: Mapping[str, Any], views: 
 
 
 def setting_in(view: View, setting: Setting, table: Mapping[str, Any]) -> Any:
-    """What `table` says of a setting in one view; the default of a per-view setting is that of a view."""
+    """The value of a setting in one view: from `table`, or its default. None for a view that is not named."""
     value = table.get(setting.name, setting.default)
     return value.get(view.name) if setting.per_view else value

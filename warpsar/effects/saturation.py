@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import warp as wp
@@ -11,7 +11,7 @@ import warp as wp
 from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter, Setting
 from warpsar.effects.base.recorder import Recorder
-from warpsar.effects.base.trial import Context, Step, Trial
+from warpsar.effects.base.trial import Context, ScoreStep, Trial
 from warpsar.kernels.effects import saturation as kernels
 
 _TURNS = 4  # of eight bits each: a number's 32
@@ -23,25 +23,28 @@ def _pivot(value: Any) -> bool:
 
 
 class Saturation(Effect):
-    """I' = p (I / p)^`exponent` about the pivot p, below which an exponent under 1 lifts and above which it dims.
+    """I' = p (I / p)^`exponent` about the pivot p: an exponent under 1 lifts what is below p and dims what is above.
 
-    `pivot` is a beta0, or "median": that of the image's pixels which rays meet, of every image by itself, taken
-    anew whenever the parameters change, with its derivative.
+    `pivot` is a beta0 or "median". The median is over the pixels that rays meet, in each image by itself. It is taken
+    again whenever parameters change, with its derivative.
     """
 
     name = "saturation"
     stage = "image"
     order = 50
+    needs_all_hits = True
     summary = "power compressed about its median"
+    example: ClassVar[dict[str, Any]] = {"exponent": 0.6}
+    rate_case: ClassVar[dict[str, Any]] = {"exponent": 0.8}
     parameters = (Parameter("exponent", "1", 1.0, 0.01, 10.0, 0.9, fit_low=0.1, fit_high=4.0),)
     settings = (Setting("pivot", "median", _pivot, 'a positive beta0 or "median"'),)
 
     def trials(self, context: Context) -> list[Trial]:
         size = 0.01
-        step = Step("exponent - 1", size, {"exponent": 1.0 + size}, {"exponent": 1.0 - size})
+        step = ScoreStep("exponent - 1", size, {"exponent": 1.0 + size}, {"exponent": 1.0 - size})
         return [Trial((step,), ({"exponent": 0.9}, {"exponent": 1.1}))]
 
-    def image(self, render: Recorder, p: Any, image: Any) -> Any:
+    def image(self, render: Recorder, p: wp.array, image: wp.array) -> wp.array:
         chosen = render.settings[self.name]["pivot"]
         if chosen == "median":
             pivot = self._median(render, image)
@@ -51,11 +54,11 @@ class Saturation(Effect):
         render.program.launch(kernels.compress_kernel, image.shape[0], [p, pivot, image], [result])
         return result
 
-    def _median(self, render: Recorder, image: Any) -> Any:
+    def _median(self, render: Recorder, image: wp.array) -> wp.array:
         """Record the median of the pixels that rays meet: a radix selection of the two numbers in the middle."""
         program, n = render.program, image.shape[0]
         mask = lit_pixels(render)
-        lit: Any = wp.array(mask.astype(np.int32), dtype=int, device=program.device)
+        lit: wp.array = wp.array(mask.astype(np.int32), dtype=int, device=program.device)
         count = int(mask.sum())
         middle = []
         for rank in (max(0, (count - 1) // 2), count // 2):

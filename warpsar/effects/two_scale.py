@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import warp as wp
@@ -10,7 +10,7 @@ import warp as wp
 from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter
 from warpsar.effects.base.recorder import Recorder
-from warpsar.effects.base.trial import Context, Step, Trial
+from warpsar.effects.base.trial import Context, ScoreStep, Trial
 from warpsar.kernels.effects import two_scale as kernels
 
 _NODES = 5  # Gauss-Hermite points per slope: exact for a ninth-degree polynomial
@@ -19,26 +19,28 @@ _NODES = 5  # Gauss-Hermite points per slope: exact for a ninth-degree polynomia
 class TwoScale(Effect):
     """sigma0 averaged over normally distributed tilts of the facet, `slope_variance` per axis.
 
-    To first order sigma + (s^2 / 2) (sigma'' + cot(theta) sigma'); the tilts also turn the facet's basis, which
-    gives HV on level ground. Slopes are tangents; tilts that turn away from the radar return nothing.
+    To first order this is sigma + (s^2 / 2) (sigma'' + cot(theta) sigma'). The tilts also turn the facet's basis,
+    which gives HV on level ground. Slopes are tangents. Tilts that turn away from the radar return nothing.
     """
 
     name = "two_scale"
     stage = "surface"
     order = 30
     summary = "large-scale slopes under the roughness"
+    example: ClassVar[dict[str, Any]] = {"slope_variance": 0.02}
+    rate_case: ClassVar[dict[str, Any]] = {"slope_variance": 0.03}
     parameters = (Parameter("slope_variance", "1", 0.0, 0.0, 1.0, 0.005, scale="log", fit_low=1e-7, fit_high=0.3),)
 
     def trials(self, context: Context) -> list[Trial]:
         size = 5e-4
         return [
             Trial(
-                (Step("slope variance", size, {"slope_variance": size}, one_sided=True),),
+                (ScoreStep("slope variance", size, {"slope_variance": size}, one_sided=True),),
                 ({"slope_variance": 0.003}, {"slope_variance": 0.03}),
             )
         ]
 
-    def scattering(self, render: Recorder, p: Any, zeta: Any, sigma: Any, polarization: int) -> Any:
+    def scattering(self, render: Recorder, p: wp.array, zeta: wp.array, sigma: wp.array, polarization: int) -> wp.array:
         stage, hits, geometry, device = render.stage, render.shaded, render.geometry, render.program.device
         x, w = np.polynomial.hermite_e.hermegauss(_NODES)
         w = w / w.sum()

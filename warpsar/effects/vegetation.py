@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, ClassVar
+
+import warp as wp
 
 from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter
+from warpsar.effects.base.polarization import is_crossed
 from warpsar.effects.base.recorder import Recorder
-from warpsar.effects.base.trial import Context, Step, Trial
+from warpsar.effects.base.trial import Context, ScoreStep, Trial
 from warpsar.kernels.effects import vegetation as kernels
-from warpsar.surface.stage import POLARIZATIONS
 
 _ALBEDOS = (0.01, 0.03, 0.1, 0.3, 1.0)
 
@@ -18,14 +20,16 @@ _ALBEDOS = (0.01, 0.03, 0.1, 0.3, 1.0)
 class Vegetation(Effect):
     """The water-cloud model: sigma = albedo cos(theta) (1 - T) + T sigma of the surface, T = exp(-2 tau / cos(theta)).
 
-    tau is the one-way `optical_depth` along the facet's normal. The layer covers every surface, returns nothing
-    cross-polarized, and has no height of its own.
+    tau is the one-way `optical_depth` along the facet's normal. The layer covers every surface. It returns nothing in
+    HV and VH, and has no height.
     """
 
     name = "vegetation"
     stage = "surface"
     order = 40
     summary = "a layer that dims the surface and scatters by itself"
+    example: ClassVar[dict[str, Any]] = {"optical_depth": 0.3, "albedo": 0.05}
+    rate_case: ClassVar[dict[str, Any]] = {"optical_depth": 0.8, "albedo": 0.1}
     parameters = (
         Parameter("optical_depth", "1", 0.0, 0.0, 20.0, 0.2, scale="log", fit_low=1e-6, fit_high=10.0),
         Parameter("albedo", "1", math.nan, 0.0, 10.0, 0.1, scale="log", fit_low=1e-4, fit_high=5.0),
@@ -35,15 +39,15 @@ class Vegetation(Effect):
         size = 0.005
         return [
             Trial(
-                (Step("optical depth", size, {"optical_depth": size, "albedo": albedo}, one_sided=True),),
+                (ScoreStep("optical depth", size, {"optical_depth": size, "albedo": albedo}, one_sided=True),),
                 tuple({"optical_depth": depth, "albedo": albedo} for depth in (0.05, 0.3)),
                 f"albedo {albedo:g}",
             )
             for albedo in _ALBEDOS
         ]
 
-    def scattering(self, render: Recorder, p: Any, zeta: Any, sigma: Any, polarization: int) -> Any:
-        crossed = int(polarization in (POLARIZATIONS["HV"], POLARIZATIONS["VH"]))
+    def scattering(self, render: Recorder, p: wp.array, zeta: wp.array, sigma: wp.array, polarization: int) -> wp.array:
+        crossed = int(is_crossed(polarization))
         result = render.program.array(sigma.shape[0])
         render.program.launch(
             kernels.canopy_kernel, sigma.shape[0], [p, crossed, render.shaded.cos_incidence, sigma], [result]

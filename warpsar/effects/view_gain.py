@@ -2,26 +2,35 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
+
+import warp as wp
 
 from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter
 from warpsar.effects.base.recorder import Recorder
-from warpsar.effects.base.trial import Context, Step, Trial
+from warpsar.effects.base.trial import Context, ScoreStep, Trial
 from warpsar.kernels.effects import view_gain as kernels
+
+_GAIN = Parameter(
+    "gain_db", "dB", 0.0, -100.0, 100.0, 0.0, per_view=True, zero_sum=True, span=3.0, fit_low=-30.0, fit_high=30.0
+)
 
 
 class ViewGain(Effect):
-    """A gain per view, in dB. A gain that all views share is not told from rougher surfaces, so only differences
-    from the mean over the scene's views act."""
+    """A gain per view, in dB.
+
+    Rougher surfaces look like a gain that all views share. So only differences from the mean over the scene's views
+    act.
+    """
 
     name = "view_gain"
     stage = "gain"
     order = 30
     summary = "gains that differ from view to view"
-    parameters = (
-        Parameter("gain_db", "dB", 0.0, -100.0, 100.0, 0.0, True, True, span=3.0, fit_low=-30.0, fit_high=30.0),
-    )
+    example: ClassVar[dict[str, Any]] = {"gain_db": {"v0": 6.0, "v1": -6.0}}
+    rate_case: ClassVar[dict[str, Any]] = {"gain_db": {"v0": 1.2, "v1": -1.0, "v2": 0.6, "v3": -0.8}}
+    parameters = (_GAIN,)
 
     def trials(self, context: Context) -> list[Trial]:
         names = [view.name for view in context.scene.views if view.role == "train"]
@@ -34,12 +43,12 @@ class ViewGain(Effect):
             return {"gain_db": {name: gain, names[-1]: -gain}}
 
         steps = tuple(
-            Step(f"gain of {name}", size, table(name, size), table(name, -size), views=(name, names[-1]))
+            ScoreStep(f"gain of {name}", size, table(name, size), table(name, -size), views=(name, names[-1]))
             for name in names[:-1]
         )
         return [Trial(steps, ({"gain_db": dict.fromkeys(names, 0.0)},))]
 
-    def gain(self, render: Recorder, p: Any, sigma: Any, points: Any) -> Any:
+    def gain(self, render: Recorder, p: wp.array, sigma: wp.array, points: wp.array) -> wp.array:
         result = render.program.array(sigma.shape[0])
         render.program.launch(kernels.gain_kernel, sigma.shape[0], [p, sigma], [result])
         return result

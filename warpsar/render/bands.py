@@ -25,9 +25,6 @@ from warpsar.surface.stage import POLARIZATIONS, Stage
 from warpsar.trace.hits import BinGrid, Hits
 from warpsar.world.tables import View
 
-NEED_ALL_HITS = ("edge_diffraction", "multibounce", "saturation")
-"""Effects that start from the hits of a whole view."""
-
 
 def stretches(grid: BinGrid, count: int) -> list[tuple[int, int]]:
     """The columns of `grid` in at most `count` stretches of about the same number of whole pixels."""
@@ -69,7 +66,7 @@ class BandedRender:
         nodes: Any = None,
     ) -> None:
         for e in effects:
-            if e.effect.name in NEED_ALL_HITS:
+            if e.effect.needs_all_hits:
                 raise InputError(
                     f"effects.{e.effect.name}: starts from all hits of view {view.name} at once, which are more "
                     f"than the memory they may take; allowed is a larger --max-memory, fewer rays or pixels, or a "

@@ -1,1 +1,5 @@
-"""What every effect is made of."""
+"""What an effect is made of.
+
+`effect.py`: the class that each effect derives from. `parameter.py`: its parameters and settings. `recorder.py`: the
+render that it records on. `trial.py`: how a score test looks for it. `polarization.py`: polarizations by their codes.
+"""

@@ -1,4 +1,4 @@
-"""What an effect is: what it changes, where on the way from hits to image, and with which parameters."""
+"""What an effect is: what it changes, at which stage between hits and image, and by which parameters."""
 
 from __future__ import annotations
 
@@ -7,11 +7,13 @@ from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal, get_args
 
 import numpy as np
+import warp as wp
 
 from warpsar.effects.base.parameter import Parameter, Setting
 from warpsar.effects.base.recorder import Recorder
 from warpsar.effects.base.trial import Context, Trial
 from warpsar.errors import InputError
+from warpsar.world.frame import ViewGeometry
 from warpsar.world.tables import Grid
 from warpsar.world.world import World
 
@@ -21,27 +23,40 @@ STAGES: tuple[StageName, ...] = get_args(StageName)
 
 
 class Effect:
-    """One physical effect, in one file. Subclasses override the hook of their stage.
+    """One physical effect, in one file. A subclass overrides the hook of its stage.
 
-    A hook records launches on the render's program and returns the array that takes the place of the one it was
-    given; it never changes that one. `p` is the device array of the effect's continuous parameters for this view,
-    in the order of `parameters`, float32, with its own gradient. At neutral values the image is the one without
-    the effect to float32 rounding, and every gradient is finite.
+    A hook records launches on the render's program. It returns a new array in place of the one that it was given, and
+    never changes that one. `p` holds the effect's continuous parameters in this view, on the device, in the order of
+    `parameters`: float32, shape (number of parameters,), with a gradient of its own. At neutral values the image is
+    the one without the effect, to float32 rounding, and every gradient is finite.
     """
 
     name: ClassVar[str]
     stage: ClassVar[StageName]
     order: ClassVar[int]  # among the effects of its stage: smaller ones act first
     summary: ClassVar[str]
+    example: ClassVar[dict[str, Any]]
+    """Its table, strong enough to be seen in a picture of the example scene; values per view are for `v0` and `v1`."""
+    rate_case: ClassVar[dict[str, Any]]
+    """Its table where `diagnose` is counted (benchmarks/diagnosis_rates.py); values per view are for `v0` to `v3`."""
     parameters: ClassVar[tuple[Parameter, ...]] = ()
     settings: ClassVar[tuple[Setting, ...]] = ()
     additive: ClassVar[bool] = False  # puts power where the scene has none: judged on the dark pixels too
+    is_floor: ClassVar[bool] = False  # adds the same positive power to every pixel: none may measure exactly 0
     in_image: ClassVar[bool] = False  # acts at places of the image, whatever surface lies there
+    needs_all_hits: ClassVar[bool] = False  # starts from all hits of a view at once: cannot be rendered in bands
     bins_per_pixel: ClassVar[int] = 1  # how much finer than the image, per axis, the hits are binned for it
 
     def margin_m(self, grid: Grid, values: np.ndarray) -> float:
-        """How far beyond the image, on each side, hits are binned for it; `values` in the order of `parameters`."""
+        """How far beyond the image, on each side, hits are binned for it [m].
+
+        `values` are in the order of `parameters`.
+        """
         return 0.0
+
+    def shift_m(self, values: np.ndarray, geometry: ViewGeometry) -> np.ndarray:
+        """Range and azimuth [m] by which the effect moves a view's image, shape (2,); `values` as in `margin_m`."""
+        return np.zeros(2)
 
     def trials(self, context: Context) -> list[Trial]:
         """How a score test looks for the effect; empty where this scene has no place for it."""
@@ -50,13 +65,15 @@ class Effect:
     def refinements(
         self, scene: World, table: Mapping[str, Any], others: Sequence[Mapping[str, Any]]
     ) -> list[tuple[Mapping[str, Any], int]]:
-        """Tables to be tried in the place of a fitted one, which no derivative leads to: other settings near its own,
-        or more of the same; and how much each has that was chosen freely, more than the fitted one. `others` are
-        tables whose trials scored too, best first."""
+        """Tables to try in place of the fitted `table`, where no derivative leads to them.
+
+        They have other settings near its own, or more of the same. The number beside each says how many more free
+        choices it makes than `table`. `others` are the tables of the other trials that scored, best first.
+        """
         return []
 
     def check(self, scene: World, table: Mapping[str, Any]) -> str | None:
-        """What is wrong with a table, sound by itself, in this scene; None if nothing."""
+        """What is wrong with a valid table in this scene; None if nothing. The text follows `effects.<name>`."""
         return None
 
     def parameter(self, name: str) -> Parameter:
@@ -69,33 +86,37 @@ class Effect:
         what = "is discrete and cannot be learned" if discrete else "is no parameter"
         raise InputError(f"effects.{self.name}.{name}: {what}; allowed are {known}")
 
-    def coordinates(self, render: Recorder, p: Any, zeta: Any, points: Any) -> Any:
-        """Surface effects on the learned coordinates (vec4, kernels/shade.py) at `points` (vec3 [m], about the
-        reference point); arrays of one shape."""
+    def coordinates(self, render: Recorder, p: wp.array, zeta: wp.array, points: wp.array) -> wp.array:
+        """Surface effects: change the learned coordinates `zeta` (vec4, kernels/shade.py) at `points`.
+
+        `points` are vec3 [m] about the reference point. All arrays have one shape, (n,).
+        """
         return zeta
 
-    def scattering(self, render: Recorder, p: Any, zeta: Any, sigma: Any, polarization: int) -> Any:
-        """Surface effects on sigma0 of the hits, shape (hits,)."""
+    def scattering(self, render: Recorder, p: wp.array, zeta: wp.array, sigma: wp.array, polarization: int) -> wp.array:
+        """Surface effects: change sigma0 of the hits, shape (hits,)."""
         return sigma
 
-    def gain(self, render: Recorder, p: Any, sigma: Any, points: Any) -> Any:
-        """Gains on the power `sigma` that seems to come from `points` (vec3 [m], about the reference point).
+    def gain(self, render: Recorder, p: wp.array, sigma: wp.array, points: wp.array) -> wp.array:
+        """Gains: change the power `sigma` that seems to come from `points` (vec3 [m], about the reference point).
 
-        Of a hit that is where it lies; of a longer path the point on one bounce with its range, azimuth and mean
-        elevation.
+        The point of a hit is where the hit lies. A path over several surfaces has the point from which a single
+        bounce would have its range, its azimuth and its mean elevation.
         """
         return sigma
 
-    def deposit(self, render: Recorder, p: Any, sigma: Any, weight: Any, bins: Any, image: Any) -> None:
-        """Position effects: add sigma * weight of each bin of `render.hits.grid` into `image`, shape (rows * cols,)."""
+    def deposit(
+        self, render: Recorder, p: wp.array, sigma: wp.array, weight: wp.array, bins: wp.array, image: wp.array
+    ) -> None:
+        """Position effects: add sigma * weight of each bin of `render.hits.grid` to `image`, shape (rows * cols,)."""
         raise NotImplementedError
 
-    def paths(self, render: Recorder, p: Any, image: Any, polarization: int) -> Any:
-        """Further ways from radar to scene and back: a new array, `image` plus their beta0 (see `render.collect`)."""
+    def paths(self, render: Recorder, p: wp.array, image: wp.array, polarization: int) -> wp.array:
+        """Further paths from the radar to the scene and back: `image` plus their beta0 (see `Recorder.collect`)."""
         return image
 
-    def image(self, render: Recorder, p: Any, image: Any) -> Any:
-        """What the system does to the image."""
+    def image(self, render: Recorder, p: wp.array, image: wp.array) -> wp.array:
+        """What the system does to the image, beta0, shape (rows * cols,)."""
         return image
 
 

@@ -1,29 +1,27 @@
-"""What scene.toml may say of an effect: continuous parameters and discrete settings."""
+"""What scene.toml may say about an effect: continuous parameters and discrete settings."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from dataclasses import KW_ONLY, dataclass
+from typing import Any, Literal
 
 import numpy as np
-
-if TYPE_CHECKING:
-    pass
+from numpy.typing import ArrayLike
 
 
 @dataclass(frozen=True)
 class Parameter:
     """A continuous parameter of an effect, as it stands in scene.toml.
 
-    At `neutral` the effect is not there; NaN: the parameter means nothing while the others are at neutral (an
-    offset, an albedo), and is `start` where nothing is stated. `low` and `high` are what is allowed, `unit` is for
-    people. `per_view` parameters are tables of view name -> value; with `zero_sum` only their differences from the
-    mean over the scene's views act.
+    `neutral`: the value at which the effect is not there. NaN says that the parameter means nothing while the others
+    are neutral (an offset, an albedo); it is then `start` where scene.toml says nothing. `low` and `high`: the
+    smallest and largest value allowed. `unit` is for people. `per_view`: a table of view name -> value. `zero_sum`:
+    only differences from the mean over the scene's views act.
 
-    A fit moves x = ln(value / `span`) for `scale` "log", value / `span` for "linear" (`span`: what is a large step
-    for it), between the values `fit_bounds`.
+    A fit moves the coordinate x = ln(value / `span`) where `scale` is "log", and value / `span` where it is "linear".
+    `span` is a large step of the value. The fit stays inside `fit_low` and `fit_high` (default: `low` and `high`).
     """
 
     name: str
@@ -32,6 +30,7 @@ class Parameter:
     low: float
     high: float
     start: float
+    _: KW_ONLY
     per_view: bool = False
     zero_sum: bool = False
     scale: Literal["linear", "log"] = "linear"
@@ -52,16 +51,17 @@ class Parameter:
             self.high if self.fit_high is None else self.fit_high,
         )
 
-    def to_coordinate(self, value: Any) -> Any:
-        """x of a value; a value outside `fit_bounds` counts as the nearest one inside."""
+    def to_coordinate(self, value: ArrayLike) -> Any:
+        """x of a value, of its shape; a value outside `fit_bounds` counts as the nearest one inside."""
         inside = np.clip(np.asarray(value, float), *self.fit_bounds) / self.span
         return np.log(inside) if self.scale == "log" else inside
 
-    def from_coordinate(self, x: Any) -> Any:
+    def from_coordinate(self, x: ArrayLike) -> Any:
+        """The value at x, of its shape."""
         return self.span * (np.exp(x) if self.scale == "log" else np.asarray(x, float))
 
-    def slope(self, x: Any) -> Any:
-        """d value / dx at x."""
+    def slope(self, x: ArrayLike) -> Any:
+        """d value / dx at x, of its shape."""
         return self.from_coordinate(x) if self.scale == "log" else np.full(np.shape(x), self.span)
 
 
@@ -69,14 +69,15 @@ class Parameter:
 class Setting:
     """A discrete choice of an effect: never differentiated, never learned.
 
-    `accepts` says whether a value may stand in scene.toml, `allowed` says it to people. `per_view` settings are
-    tables of view name -> value.
+    `accepts` says whether a value may stand in scene.toml. `allowed` says the same in words. `per_view`: a table of
+    view name -> value.
     """
 
     name: str
     default: Any
     accepts: Callable[[Any], bool]
     allowed: str
+    _: KW_ONLY
     per_view: bool = False
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Protocol
 
+import warp as wp
+
 from warpsar.runtime.program import Program
 from warpsar.surface.stage import Stage
 from warpsar.trace.hits import Hits
@@ -12,12 +14,19 @@ from warpsar.world.frame import ViewGeometry
 
 
 class Recorder(Protocol):
-    """One view's render, while its program is being recorded. `warpsar.render.render.ViewRender` is one.
+    """One view's render, while its program is recorded. `warpsar.render.render.ViewRender` is one.
 
-    `hits` say where power falls, `shaded` what is shaded: one sample per face and pixel. `shape` (rows, cols) and
-    `spacing_m` (range, azimuth) are the image's. `settings[name]` are the settings of the effect `name` in this view.
-    `layers` takes arrays (rows * cols,) by name: shares of the beta0 that an effect tells apart. `kept` is where an
-    effect leaves what it worked out for one polarization and needs in the next.
+    | member | what it is |
+    |---|---|
+    | `program` | takes the launches, and makes their arrays |
+    | `stage` | mesh and materials on the device |
+    | `geometry` | the view's axes and slant range |
+    | `hits` | where power falls |
+    | `shaded` | what is shaded: one sample per face and pixel |
+    | `shape`, `spacing_m` | (rows, cols) and (range, azimuth) of the image |
+    | `settings[name]` | the settings of the effect `name` in this view |
+    | `layers` | by name, shares of the beta0 that an effect keeps apart, shape (rows * cols,) |
+    | `kept` | what an effect worked out for one polarization and needs for the next |
     """
 
     program: Program
@@ -31,14 +40,22 @@ class Recorder(Protocol):
     layers: dict[str, Any]
     kept: dict[str, Any]
 
-    def coordinates(self, face: Any, barycentric: Any, points: Any) -> Any:
+    def coordinates(self, face: wp.array, barycentric: wp.array, points: wp.array) -> wp.array:
         """Record the learned coordinates (vec4) at places on the mesh, with the effects that act on them."""
 
-    def scatter(self, zeta: Any, polarization: int, spectrum: Any = None) -> Any:
+    def scatter(self, zeta: wp.array, polarization: int, spectrum: wp.array | None = None) -> wp.array:
         """Record sigma0 of `shaded` for coordinates `zeta`; `spectrum` takes the place of the materials' own."""
 
-    def collect(self, sigma: Any, weight: Any, points: Any, bins: Any, image: Any, sample: Any = None) -> None:
+    def collect(
+        self,
+        sigma: wp.array,
+        weight: wp.array,
+        points: wp.array,
+        bins: wp.array,
+        image: wp.array,
+        sample: wp.array | None = None,
+    ) -> None:
         """Record the gains on `sigma` and its deposit into `image`, an array that is zeroed before each run."""
 
-    def deposit(self, sigma: Any, weight: Any, bins: Any, shift: Any, image: Any) -> None:
+    def deposit(self, sigma: wp.array, weight: wp.array, bins: wp.array, shift: wp.array, image: wp.array) -> None:
         """Record the deposit of the bins of `hits.grid` into `image`, moved by `shift` (rows, columns) pixels."""

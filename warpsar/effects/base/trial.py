@@ -13,13 +13,13 @@ from warpsar.world.world import World
 
 
 @dataclass(frozen=True)
-class Step:
-    """A finite step from neutral along one score coordinate: what a score test differences (effects.md, step 4).
+class ScoreStep:
+    """A finite step from neutral along one score coordinate (docs/diagnosis.md, "Templates").
 
-    The template is (image(`plus`) - image(`minus`)) / (2 `size`), or (image(`plus`) - image at neutral) / `size`
-    where `minus` is None; `plus` and `minus` are the effect's tables as they would stand in scene.toml.
-    `one_sided`: the coordinate is a level or a variance and cannot be negative. `views`: where the image changes at
-    all; None for everywhere.
+    `plus` and `minus` are tables of the effect as they would stand in scene.toml. A score test divides the difference
+    of their images: (image(`plus`) - image(`minus`)) / (2 `size`). Where `minus` is None it takes
+    (image(`plus`) - image at neutral) / `size`. `one_sided`: the coordinate is a level or a variance and cannot be
+    negative. `views`: the views whose image changes; None for all.
     """
 
     coordinate: str
@@ -32,14 +32,14 @@ class Step:
 
 @dataclass(frozen=True)
 class Trial:
-    """Steps that are tested together (their number is the degrees of freedom), at one choice of whatever is
-    undefined at neutral; over the trials of an effect the score is maximised.
+    """Steps that are tested together: their number is the degrees of freedom.
 
-    `starts` are tables with the parameters to be learned, and settings: where fits begin if the trial wins. `survey`
-    names parameters (linear ones) that the data may place far from there, with the first step of a search for it.
+    A parameter that means nothing at neutral has one value here. The score of an effect is the largest over its
+    trials. `starts` are the tables where fits begin if the trial wins, with settings and the parameters to learn.
+    `survey` names linear parameters that may lie far from there, with the first step of a search for each.
     """
 
-    steps: tuple[Step, ...]
+    steps: tuple[ScoreStep, ...]
     starts: tuple[Mapping[str, Any], ...]
     label: str = ""
     survey: Mapping[str, float] = field(default_factory=dict)
@@ -47,7 +47,7 @@ class Trial:
 
 @dataclass(frozen=True)
 class Context:
-    """What steps are chosen by: the scene, and the median beta0 of the declared model's lit pixels."""
+    """What an effect chooses its steps by: the scene, and `level`, the declared model's median beta0 of lit pixels."""
 
     scene: World
     level: float

@@ -5,12 +5,17 @@ from typing import Any
 import numpy as np
 import pytest
 import worlds
-from test_effects import gradients_of, render_of, with_effect
+from effect_worlds import STRIP_MAP, Case, gradients_of, refusal, render_of, with_effect
 from worlds import BRICK, SOIL, WAVENUMBER, ground, mesh_of, plate, scene_of, view
 
 from warpsar.scene.scene import Scene
 from warpsar.simulation.command import simulate
 from warpsar.world.mesh import Mesh
+
+WORKING = [
+    Case({"strength": 0.8}),
+    Case({"strength": 0.8, "max_bounces": 4}, STRIP_MAP),
+]
 
 SPACING = 0.5
 CORNER = (0.3, 0.1, 1.0)  # not on the edge of a pixel
@@ -44,7 +49,7 @@ def layers_of(scene: Scene) -> dict[str, np.ndarray]:
     return {name: a.numpy().astype(float).reshape(render.shape) for name, a in render.layers.items()}
 
 
-# ---- a path tracer in NumPy: every triangle for every ray, straight from effects.md ----
+# ---- a path tracer in NumPy: every triangle for every ray, straight from docs/effects.md ----
 
 
 def fresnel(polarization: str, cos: Any, eps: Any) -> Any:
@@ -261,3 +266,8 @@ def test_three_bounces_have_derivatives_to_all_their_surfaces() -> None:
             render.set_parameters(moved)
             ends.append(loss())
         assert gradient[index] == pytest.approx((ends[0] - ends[1]) / 0.02, rel=5e-3, abs=1e-4 * scale)
+
+
+@pytest.mark.parametrize("bounces", [9, True])
+def test_other_numbers_of_bounces_are_refused(bounces: Any) -> None:
+    assert "allowed is 2 or 3 or 4" in refusal("multibounce", {"max_bounces": bounces})

@@ -6,12 +6,22 @@ from typing import Any
 
 import numpy as np
 import pytest
+from effect_worlds import ROUNDING, Case, plane, refusal, render_of, with_effect
+from effect_worlds import pair as images_of
+from scipy.interpolate import CubicSpline
+from scipy.ndimage import gaussian_filter1d
 from scipy.optimize import brentq
 from scipy.signal.windows import taylor
 
 from warpsar.effects.point_spread import EFFECT, WINDOWS
 from warpsar.runtime import devices
 from warpsar.runtime.program import Program
+
+WORKING = [
+    Case({"range_fwhm_m": 1.7, "azimuth_fwhm_m": 1.2, "window": "gaussian"}),
+    Case({"range_fwhm_m": 1.7, "azimuth_fwhm_m": 1.2, "window": "sinc"}),
+    Case({"range_fwhm_m": 1.7, "azimuth_fwhm_m": 1.2, "window": "taylor"}),
+]
 
 SPACING = (0.5, 0.4)
 # narrower than the CPU's stretches of pixels, as wide as one, no multiple of one, several and a line
@@ -90,7 +100,7 @@ def reference(window: str, image: np.ndarray, widths: tuple[float, ...]) -> np.n
     return blurred
 
 
-def pair(shape: tuple[int, int], *, low: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+def two_images(shape: tuple[int, int], *, low: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
     rng = np.random.default_rng(7)
     first, second = (rng.uniform(low, 1.0, shape).astype(np.float32) for _ in range(2))
     return first, second
@@ -100,7 +110,7 @@ def pair(shape: tuple[int, int], *, low: float = 0.0) -> tuple[np.ndarray, np.nd
 @pytest.mark.parametrize("shape", SHAPES)
 def test_is_the_convolution_and_the_adjoint_its_own(device: str, window: str, shape: tuple[int, int]) -> None:
     """Value, gradient to the image, gradients to the widths, for every pair of widths."""
-    image, seed = pair(shape)
+    image, seed = two_images(shape)
     for widths in WIDTHS:
         spread = Spread(device, window, shape, widths)
         expected = reference(window, image, widths)
@@ -129,7 +139,7 @@ def test_is_the_convolution_and_the_adjoint_its_own(device: str, window: str, sh
 @pytest.mark.parametrize("shape", SHAPES)
 def test_adjoint_identity(device: str, window: str, shape: tuple[int, int]) -> None:
     """<A x, y> = <x, A' y>, for x and y of both signs; and two readers of an image add their gradients up."""
-    x, y = pair(shape, low=-1.0)
+    x, y = two_images(shape, low=-1.0)
     for widths in WIDTHS:
         spread = Spread(device, window, shape, widths)
         ax = spread.forward(x)
@@ -142,7 +152,7 @@ def test_adjoint_identity(device: str, window: str, shape: tuple[int, int]) -> N
 
 @pytest.mark.parametrize("window", WINDOWS)
 def test_no_width_changes_no_bit(device: str, window: str) -> None:
-    image, seed = pair((21, 37))
+    image, seed = two_images((21, 37))
     spread = Spread(device, window, image.shape, (0.0, 0.0))
     if window == "gaussian":
         assert np.array_equal(spread.forward(image), image)
@@ -156,8 +166,55 @@ def test_no_width_changes_no_bit(device: str, window: str) -> None:
 @pytest.mark.parametrize("window", WINDOWS)
 def test_cuda_is_the_cpu(window: str) -> None:
     """Stretches of pixels on one, single pixels and sums over lanes on the other; float32 in another order."""
-    image, seed = pair((150, 130))
+    image, seed = two_images((150, 130))
     one, other = (Spread(device, window, image.shape, (1.3, 2.1)) for device in ("cpu", "cuda"))
     assert one.forward(image) == pytest.approx(other.forward(image), rel=1e-5)
     for here, there in zip(one.backward(seed), other.backward(seed), strict=True):
         assert here == pytest.approx(there, rel=1e-4)
+
+
+@pytest.mark.parametrize("window", ["sinc", "taylor", "gaussian"])
+def test_point_spread_has_the_width_it_is_given_and_keeps_power(window: str) -> None:
+    scene = plane(shape=(64, 64))
+    widths = (2.6, 3.7)
+    render = render_of(
+        with_effect(
+            scene,
+            "point_spread",
+            dict(zip(("range_fwhm_m", "azimuth_fwhm_m"), widths, strict=True)) | {"window": window},
+        )
+    )
+    render.hits.weight.zero_()
+    one = int(np.argmin(np.abs(render.hits.pixel.numpy() - (32 * 64 + 32))))
+    weight = render.hits.weight.numpy()
+    weight[one] = 1.0
+    render.hits.weight.assign(weight)
+    image = render.forward()["HH"].astype(float)
+    row, col = divmod(int(render.hits.pixel.numpy()[one]), 64)
+    power = float(render.sigma["HH"].numpy()[one])
+    # Normalised over 64 pixels to each side; what lies beyond the 32 of the image is lost. Of sinc^2 that is
+    # 1 / (pi^2 x) less as much at 2 x, x in units of the sidelobes.
+    lost = sum(0.5 / (np.pi**2 * 32 * 0.5 * 0.8859 / width) for width in widths) if window == "sinc" else 0.0
+    assert image.sum() == pytest.approx(power * (1 - lost), rel=3e-3)
+    for line, width, at in ((image[:, col], widths[0], row), (image[row], widths[1], col)):
+        fine = np.linspace(0, 8, 8001)
+        # five samples and more over the width: a spline finds the half to 1e-3
+        peak = CubicSpline(np.arange(-8, 9), line[at - 8 : at + 9])(fine)
+        assert 2 * fine[np.argmax(peak < peak[0] / 2)] * 0.5 == pytest.approx(width, rel=5e-3)
+
+
+def test_gaussian_point_spread_is_scipys() -> None:
+    without, with_it = images_of(plane(), "point_spread", {"range_fwhm_m": 1.1, "azimuth_fwhm_m": 0.7})
+    deviation = [width / 0.5 / np.sqrt(8 * np.log(2)) for width in (1.1, 0.7)]
+    expected = gaussian_filter1d(
+        gaussian_filter1d(without, deviation[0], axis=0, mode="constant", truncate=9),
+        deviation[1],
+        axis=1,
+        mode="constant",
+        truncate=9,
+    )
+    assert with_it == pytest.approx(expected, rel=ROUNDING, abs=ROUNDING * without.max())
+
+
+def test_an_unknown_window_is_refused() -> None:
+    assert "found 'hann'; allowed is 'sinc' or 'taylor' or 'gaussian'" in refusal("point_spread", {"window": "hann"})
