@@ -114,7 +114,7 @@ def measure(device_name: str, rays_per_pixel: float, repeats: int) -> dict[str, 
 
     target, grid = stage.target, hits.grid
     wide = BinGrid((grid.shape[0], 2 * grid.shape[1]), grid.spacing_m)
-    rays = ray_grid(target, hits.geometry, wide, hits.rays_per_m2, 1, scene.grid.pixel_area_m2)
+    rays = ray_grid(target, hits.geometry, wide, hits.rays_per_m2, scene.grid.pixel_area_m2)
     size = float(np.linalg.norm(np.ptp(target.corners, axis=0)))
     dim = (rays.end_cell - rays.first_cell, -(-rays.elevation_cells // 64))
     for bounces in (2, 3):

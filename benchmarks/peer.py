@@ -126,7 +126,7 @@ def ours(scene: Any, device: Any, repeats: int, folder: Path) -> tuple[dict[str,
     else:
         rows["iteration"] = timed(lambda: problem.gradient(x), synchronize, repeats)
 
-    rays = ray_grid(kept["stage"].target, geometry, grid, density, 1, scene.grid.pixel_area_m2)
+    rays = ray_grid(kept["stage"].target, geometry, grid, density, scene.grid.pixel_area_m2)
     cells = rays.end_cell - rays.first_cell
     samples: Any = wp.empty(cells * rays.elevation_cells, dtype=wp.vec2, device=device)
     wp.launch(sample_kernel, cells, inputs=[rays, rays.first_cell, seed], outputs=[samples], device=device)

@@ -123,7 +123,7 @@ def visible_pieces(render: Recorder) -> tuple[Any, Any, Any]:
         kernels.edge_kernel,
         n,
         inputs=[
-            ray_grid(target, hits.geometry, hits.grid, hits.rays_per_m2, 1, area),
+            ray_grid(target, hits.geometry, hits.grid, hits.rays_per_m2, area),
             hits.grid.spacing_m[1],
             target.bvh.id,
             float(np.linalg.norm(np.ptp(target.corners, axis=0))),

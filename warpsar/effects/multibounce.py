@@ -144,7 +144,7 @@ def trace_paths(render: Recorder, max_bounces: int) -> list[Paths | None]:
     # Rays that enter beside the image may leave inside: as far again on both sides, and no farther than the mesh.
     wide = BinGrid((grid.shape[0], 2 * grid.shape[1]), grid.spacing_m)
     area = render.spacing_m[0] * render.spacing_m[1]
-    rays = ray_grid(target, hits.geometry, wide, hits.rays_per_m2, 1, area)
+    rays = ray_grid(target, hits.geometry, wide, hits.rays_per_m2, area)
     first, last = rays.first_cell, rays.end_cell
     size = float(np.linalg.norm(np.ptp(target.corners, axis=0)))
     segment = rays.elevation_cells if device.is_cpu else _SEGMENT

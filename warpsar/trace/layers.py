@@ -53,7 +53,7 @@ def launch_layers(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Visits of the lit surface per pixel (float32) and whether a hidden surface lies there (bool), (rows * cols,)."""
     device = target.device
-    rays = ray_grid(target, geometry, grid, rays_per_m2, 1, grid.pixel_area_m2)
+    rays = ray_grid(target, geometry, grid, rays_per_m2, grid.pixel_area_m2)
     first, last = rays.first_cell, rays.end_cell
     visits = wp.zeros(grid.shape[0] * grid.shape[1], dtype=float, device=device)
     hidden = wp.zeros(grid.shape[0] * grid.shape[1], dtype=int, device=device)
