@@ -81,9 +81,9 @@ class Multibounce(Effect):
         if self.name not in render.kept:
             bounces = render.settings[self.name]["max_bounces"]
             key = (self.name, bounces)
-            if key not in render.hits.kept:
-                render.hits.kept[key] = trace_paths(render, bounces)
-            found = render.hits.kept[key]
+            if key not in render.hits.derived:
+                render.hits.derived[key] = trace_paths(render, bounces)
+            found = render.hits.derived[key]
             zetas = [
                 [render.coordinates(b.face, b.barycentric, b.point) for b in paths.bounces] if paths else []
                 for paths in found

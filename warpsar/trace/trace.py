@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from functools import partial
-from typing import Protocol
+from typing import Any, Protocol
 
 import warp as wp
 
@@ -95,7 +95,7 @@ def trace(
         partial(concatenate, [part[k] for part in parts], dtype, target.device)
         for k, dtype in enumerate(_ARRAYS.values())
     ]
-    arrays = dict(zip(_ARRAYS, threads.ordered(whole, target.device), strict=True))
+    arrays: dict[str, Any] = dict(zip(_ARRAYS, threads.ordered(whole, target.device), strict=True))
     total_rays = (last - first) * rays.elevation_cells
     return Hits(grid, geometry, rays_per_m2=rays_per_m2, seed=seed, rays=total_rays, **arrays)
 
@@ -167,8 +167,8 @@ class _Bands:
             wp.launch(in_columns.hit_kernel, blocks, inputs=inputs, outputs=found, device=self.device)
         else:
             inputs = [*mesh, records, key, row, self.face_bits]
-            launched = {"device": self.device, "block_dim": kernels.BLOCK}
-            wp.launch(kernels.hit_kernel, n, inputs=inputs, outputs=found, **launched)
+            block = kernels.BLOCK
+            wp.launch(kernels.hit_kernel, n, inputs=inputs, outputs=found, device=self.device, block_dim=block)
         return found
 
     def _recorded(self, begin: int, end: int) -> tuple[kernels.Records, wp.array, wp.array]:
@@ -187,12 +187,12 @@ class _Bands:
         dim = (-(-self.rays.elevation_cells // segment), end - begin)
         mesh = [self.target.vertices, self.target.faces]
         inputs = [self.rays, *mesh, face, begin, segment, self.seed, self.deposit, self.face_bits]
-        launched = {"device": self.device, "block_dim": kernels.BLOCK}
+        device, block = self.device, kernels.BLOCK
         while True:
-            records.rows = wp.zeros((capacity, 4), dtype=wp.int64, device=self.device)
+            records.rows = wp.zeros((capacity, 4), dtype=wp.int64, device=device)
             records.merge = int(self.merge)
-            records.count = wp.zeros(2, dtype=int, device=self.device)
-            wp.launch(kernels.record_kernel, dim, inputs=inputs, outputs=[records], **launched)
+            records.count = wp.zeros(2, dtype=int, device=device)
+            wp.launch(kernels.record_kernel, dim, inputs=inputs, outputs=[records], device=device, block_dim=block)
             lost, taken, key, row = sorted_rows(records.rows, records.count, self.key_bits)
             if not lost:
                 return records, key, row
