@@ -152,7 +152,7 @@ def bounces(bench: Bench) -> None:
 
     target, grid = bench.stage.target, bench.hits.grid
     wide = BinGrid((grid.shape[0], 2 * grid.shape[1]), grid.spacing_m)
-    rays = ray_grid(target, bench.hits.geometry, wide, bench.hits.rays_per_m2, 1, bench.scene.grid.pixel_area_m2)
+    rays = ray_grid(target, bench.hits.geometry, wide, bench.hits.rays_per_m2, bench.scene.grid.pixel_area_m2)
     size = float(np.linalg.norm(np.ptp(target.corners, axis=0)))
     dim = (rays.end_cell - rays.first_cell, -(-rays.elevation_cells // 64))
     asked: Any = wp.zeros(1, dtype=int, device=bench.device)

@@ -162,7 +162,7 @@ def rays_of(scene: Any, stage: Any, device: Any, geometry: Any, grid: Any, densi
     from warpsar.kernels.raster import sample_kernel
     from warpsar.trace.rays import ray_grid
 
-    rays = ray_grid(stage.target, geometry, grid, density, 1, scene.grid.pixel_area_m2)
+    rays = ray_grid(stage.target, geometry, grid, density, scene.grid.pixel_area_m2)
     cells = rays.end_cell - rays.first_cell
     samples: Any = wp.empty(cells * rays.elevation_cells, dtype=wp.vec2, device=device)
     wp.launch(sample_kernel, cells, inputs=[rays, rays.first_cell, seed], outputs=[samples], device=device)

@@ -73,7 +73,7 @@ def measure(
     target = kept["target"]
     grid = hit_grid(scene)
     density = scene.sampling.density_per_m2(scene.grid)
-    rays = ray_grid(target, geometry, grid, density, 1, grid.pixel_area_m2)
+    rays = ray_grid(target, geometry, grid, density, grid.pixel_area_m2)
     first, last = rays.first_cell, rays.end_cell
     found["rays"] = (last - first) * rays.elevation_cells
     width = max(1, (last - first) // rays.cells_per_column // (16 if device.is_cpu else 1)) * rays.cells_per_column

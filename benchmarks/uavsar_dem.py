@@ -18,7 +18,7 @@ import numpy as np
 from warpsar import simulate
 from warpsar.errors import InputError
 from warpsar.measured import nisar
-from warpsar.measured.raster import dem_frame
+from warpsar.measured.pictures import dem_frame
 from warpsar.runtime import devices
 from warpsar.scene.scene import Scene
 from warpsar.world.mesh import read_mesh

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import click
 
-# As in warpsar.focus and warpsar.measured.formats, which import NumPy: `--help` shall not (held by tests/test_cli.py).
-WINDOWS = ("none", "hann", "taylor")
+# Copies from warpsar.measured.focus and .formats: those import NumPy, and `--help` must not. A test compares them.
+TAPERS = ("none", "hann", "taylor")
 FORMATS = ("gotcha", "cphd", "sicd", "mstar", "nisar", "geotiff", "tiff", "exr", "npy")
 
 
@@ -35,9 +35,9 @@ FORMATS = ("gotcha", "cphd", "sicd", "mstar", "nisar", "geotiff", "tiff", "exr",
 @click.option(
     "--polarization", type=click.Choice(("HH", "HV", "VH", "VV")), help="Where the file has several, or none."
 )
-@click.option("--window-range", type=click.Choice(WINDOWS), default="none", show_default=True, help="Over the band.")
+@click.option("--window-range", type=click.Choice(TAPERS), default="none", show_default=True, help="Over the band.")
 @click.option(
-    "--window-azimuth", type=click.Choice(WINDOWS), default="none", show_default=True, help="Over each sub-aperture."
+    "--window-azimuth", type=click.Choice(TAPERS), default="none", show_default=True, help="Over each sub-aperture."
 )
 @click.option(
     "--subapertures", type=click.IntRange(min=1), default=1, show_default=True, help="Focused apart, averaged in power."

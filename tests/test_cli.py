@@ -118,8 +118,8 @@ def test_simulate_hands_its_options_on(
 
 def test_import_names_the_windows_and_formats_there_are() -> None:
     from warpsar.cli import import_
-    from warpsar.measured.focus import WINDOWS
+    from warpsar.measured.focus import TAPERS
     from warpsar.measured.formats import FORMATS
 
-    assert tuple(WINDOWS) == import_.WINDOWS
+    assert tuple(TAPERS) == import_.TAPERS
     assert tuple(FORMATS) == import_.FORMATS

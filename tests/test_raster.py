@@ -39,7 +39,7 @@ def prepared(
     target = Target.upload(mesh, np.zeros(3), devices.resolve_device(device))
     geometry = replace(view_geometry(25.0, 40.0, 9.6e9), slant_range_m=slant_range_m)
     grid = BinGrid(shape, (1.0, 1.0))
-    return target, geometry, ray_grid(target, geometry, grid, rays_per_m2, 1, 1.0)
+    return target, geometry, ray_grid(target, geometry, grid, rays_per_m2, 1.0)
 
 
 def all_faces(kind: Any, target: Target, rays: Any, seed: int = 0) -> np.ndarray:

@@ -204,9 +204,7 @@ def test_finer_and_wider_bins_hold_the_same_power(slant_range_m: float | None) -
     """Effects ask for bins finer than pixels; their weights are over the image's pixel area."""
     scene = town(slant_range_m=slant_range_m)
     image = image_of(traced(scene))
-    fine = image_of(traced(scene, grid=BinGrid((168, 168), (0.125, 0.125)), cells_multiple=1, pixel_area_m2=0.25))[
-        4:-4, 4:-4
-    ]
+    fine = image_of(traced(scene, grid=BinGrid((168, 168), (0.125, 0.125)), pixel_area_m2=0.25))[4:-4, 4:-4]
     coarse = fine.reshape(40, 4, 40, 4).sum(axis=(1, 3))
     # other strata: what 64 rays leave in a pixel on an outline
     assert np.sqrt(((coarse - image) ** 2).mean()) < 0.05 * np.sqrt((image**2).mean())

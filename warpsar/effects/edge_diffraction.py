@@ -62,9 +62,9 @@ class EdgeDiffraction(Effect):
         if is_crossed(polarization):
             return image
         program = render.program
-        if self.name not in render.hits.kept:
-            render.hits.kept[self.name] = visible_pieces(render)
-        bins, weight, points = render.hits.kept[self.name]
+        if self.name not in render.hits.derived:
+            render.hits.derived[self.name] = visible_pieces(render)
+        bins, weight, points = render.hits.derived[self.name]
         share = program.array(image.shape[0], sum_into=True)
         render.layers[f"beta0_edges_{polarization_name(polarization)}"] = share
         if bins.shape[0] == 0:
@@ -124,7 +124,7 @@ def visible_pieces(render: Recorder) -> tuple[wp.array, wp.array, wp.array]:
     area = render.spacing_m[0] * render.spacing_m[1]
     size = float(np.linalg.norm(np.ptp(target.corners, axis=0)))
     wavelength = 2.0 * np.pi / hits.geometry.wavenumber
-    rays = ray_grid(target, hits.geometry, hits.grid, hits.rays_per_m2, 1, area)
+    rays = ray_grid(target, hits.geometry, hits.grid, hits.rays_per_m2, area)
     wp.launch(
         kernels.edge_kernel,
         edge.size,

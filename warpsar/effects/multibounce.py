@@ -101,11 +101,11 @@ class Multibounce(Effect):
         """Paths by number of bounces, traced once for all renders of the hits, and the coordinates of each bounce."""
         bounces = render.settings[self.name]["max_bounces"]
         key = (self.name, bounces)
-        if key not in render.hits.kept:
-            render.hits.kept[key] = trace_paths(render, bounces)
+        if key not in render.hits.derived:
+            render.hits.derived[key] = trace_paths(render, bounces)
         return [
             (paths, [render.coordinates(b.face, b.barycentric, b.point) for b in paths.bounces] if paths else [])
-            for paths in render.hits.kept[key]
+            for paths in render.hits.derived[key]
         ]
 
 
@@ -134,7 +134,7 @@ def trace_paths(render: Recorder, max_bounces: int) -> list[Paths | None]:
     # Rays that enter beside the image may leave inside: as far again on both sides, and no farther than the mesh.
     wide = BinGrid((hits.grid.shape[0], 2 * hits.grid.shape[1]), hits.grid.spacing_m)
     area = render.spacing_m[0] * render.spacing_m[1]
-    rays = ray_grid(target, hits.geometry, wide, hits.rays_per_m2, 1, area)
+    rays = ray_grid(target, hits.geometry, wide, hits.rays_per_m2, area)
     first, last = rays.first_cell, rays.end_cell
     width = _band_width(rays, max_bounces, target.device)
     wp.load_module(kernels, device=target.device)

@@ -1,1 +1,6 @@
-"""Measured radar data: one reader per format, and the way onto a view's slant-plane grid."""
+"""Measured radar data, read from its own formats and brought onto the slant-plane grid of a view.
+
+importer: `warpsar import`. formats: which reader a file needs. cphd, gotcha (with mat5), mstar, nisar, sicd, pictures:
+the readers. data: what they give. earth: where the world lies on the earth. gridding: a measurement onto a view's grid.
+focus: phase history to image. ground: where pixels lie. resample: power between pixels.
+"""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,14 +11,17 @@ from warpsar.errors import InputError
 from warpsar.measured.data import PhaseHistory, reading
 from warpsar.measured.earth import EarthFrame, Origin, ecef_to_geodetic
 
+if TYPE_CHECKING:
+    from lxml.etree import _ElementTree as ElementTree
+
 MAGIC = b"CPHD/"
 
 
 def read(path: Path, polarization: str | None, frame: EarthFrame | None) -> PhaseHistory:
     """The channel of `polarization`, or the only one. Without `frame` the world's origin is the scene's IARP.
 
-    A point's echo has the phase SGN 2 pi f dTOA (standard, section 2); SGN = +1 is conjugated. Vectors that the file
-    marks as bad (SIGNAL = 0) are left out, and frequencies outside the band FX1 to FX2 that all vectors share.
+    A point's echo has the phase SGN 2 pi f dTOA (standard, section 2); samples of SGN = +1 are conjugated. Left out are
+    vectors that the file marks as bad (SIGNAL = 0), and frequencies outside the band FX1 to FX2 of any vector.
     """
     try:
         import sarkit.cphd as sarkit_cphd
@@ -73,7 +76,7 @@ def read(path: Path, polarization: str | None, frame: EarthFrame | None) -> Phas
 
 
 def _blocks(path: Path, header: dict[str, str]) -> dict[str, int]:
-    """Sizes of the file's blocks [bytes], each of which must lie in the file: the library reads as much as they say."""
+    """Sizes of the file's blocks [bytes]. InputError for one that does not lie in the file: the library believes it."""
     size, found = path.stat().st_size, {}
     for name in ("XML", "SUPPORT", "PVP", "SIGNAL"):
         if name == "SUPPORT" and f"{name}_BLOCK_SIZE" not in header:
@@ -88,8 +91,8 @@ def _blocks(path: Path, header: dict[str, str]) -> dict[str, int]:
     return found
 
 
-def _check_arrays(path: Path, tree: Any, channel: str, blocks: dict[str, int]) -> None:
-    """Whether a channel's arrays fit into their blocks."""
+def _check_arrays(path: Path, tree: ElementTree, channel: str, blocks: dict[str, int]) -> None:
+    """Raise InputError where a channel's arrays do not fit into their blocks."""
     for node in tree.findall("{*}Data/{*}Channel"):
         if node.findtext("{*}Identifier") == channel:
             vectors, samples = (int(node.findtext(f"{{*}}{name}")) for name in ("NumVectors", "NumSamples"))
@@ -107,7 +110,7 @@ def _check_arrays(path: Path, tree: Any, channel: str, blocks: dict[str, int]) -
                 )
 
 
-def _channel(path: Path, tree: Any, wanted: str | None) -> tuple[str, str]:
+def _channel(path: Path, tree: ElementTree, wanted: str | None) -> tuple[str, str]:
     """Identifier and polarization (transmitted, received) of the channel asked for."""
     channels = {}
     for parameters in tree.findall("{*}Channel/{*}Parameters"):
@@ -134,11 +137,12 @@ def _complex(signal: np.ndarray, amplitude: np.ndarray | None) -> np.ndarray:
 
 
 def _shared_band(pvp: np.ndarray, start: np.ndarray, step: np.ndarray, count: int) -> tuple[int, int]:
+    """First sample, and the one after the last, of the band that all vectors share; all samples where it is empty."""
     low = np.ceil((pvp["FX1"] - start) / step - 0.5).max()
     high = np.floor((pvp["FX2"] - start) / step + 0.5).min()
     first, last = max(0, int(low)), min(count, int(high) + 1)
     return (first, last) if last - first > 1 else (0, count)
 
 
-def _vector(tree: Any, path: str) -> np.ndarray:
+def _vector(tree: ElementTree, path: str) -> np.ndarray:
     return np.array([float(tree.findtext(f"{path}/{{*}}{axis}")) for axis in "XYZ"])

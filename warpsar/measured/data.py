@@ -1,4 +1,4 @@
-"""What a reader hands over: `PhaseHistory` (to be focused) or `ImageChip` (to be resampled)."""
+"""What a reader gives: a `PhaseHistory`, which is focused, or an `ImageChip`, which is resampled."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from pathlib import Path
+from typing import Literal, Protocol
 
 import numpy as np
 
@@ -17,13 +18,13 @@ from warpsar.world.frame import SPEED_OF_LIGHT
 
 Quantity = Literal["complex", "amplitude", "power"]
 FARTHEST_M = 1e9
-"""Of any length in a file, as of `slant_range_m` in a scene file."""
-_BAND_HZ = (1e6, 1e13)  # as of `frequency_hz` there
+"""Bound of any length in a file: that of `slant_range_m` in a scene file."""
+_BAND_HZ = (1e6, 1e13)  # bounds of `frequency_hz` there
 
 
 @dataclass(frozen=True)
 class Facts:
-    """What a file says of how it was taken; None where it says nothing. Angles as in scene-format.md."""
+    """What a file says of how it was taken; None where it says nothing. Angles are those of a scene's view."""
 
     azimuth_deg: float | None = None
     incidence_deg: float | None = None
@@ -33,7 +34,7 @@ class Facts:
     strip_map: bool = False
 
     def checked(self, source: str) -> Facts:
-        """Itself; raises InputError, naming `source`, for numbers that can be of no radar."""
+        """Itself; raises InputError, naming `source`, for numbers that no radar can have."""
         limits = {
             "azimuth_deg": (-360.0, 360.0),
             "incidence_deg": (-180.0, 180.0),
@@ -51,9 +52,9 @@ class Facts:
 class PhaseHistory:
     """Monostatic samples exp(-j 4 pi f (|position - q| - reference_range) / c), shape (frequency, pulse), complex64.
 
-    Frequencies are `frequency_start_hz` + k `frequency_step_hz`, one pair per pulse, shape (pulse,); `position_m` is
-    (pulse, 3) [m], in the world, or earth-centred where `frame` says how the world lies on the earth;
-    `reference_range_m` (pulse,). `autofocus_range_m` [m] and `autofocus_phase` [rad], (pulse,), belong to the
+    Every pulse has its frequencies: `frequency_start_hz` + k `frequency_step_hz`, shape (pulse,) each.
+    `position_m` (pulse, 3) [m] is in the world; it is earth-centred where `frame` says how the world lies on the earth.
+    `reference_range_m` is (pulse,). `autofocus_range_m` [m] and `autofocus_phase` [rad], (pulse,), correct the
     reference range and the phase (see `with_autofocus`).
     """
 
@@ -125,12 +126,11 @@ class PhaseHistory:
         return world_m if self.frame is None else self.frame.to_ecef(world_m)
 
     def with_autofocus(self) -> PhaseHistory:
-        """The file's autofocus applied, less what only moves the picture.
+        """With the file's autofocus applied, except for what only shifts the image.
 
-        The correction multiplies the samples by exp(j phase) and lengthens the reference range (of the four sign
-        conventions the one that leaves Gotcha's phases smooth from pulse to pulse). A constant range and a phase
-        linear over the pulses shift the image and do not sharpen it; they are left out, so that it stays where the
-        antenna positions put it.
+        The correction multiplies the samples by exp(j phase) and lengthens the reference range. Of the four sign
+        conventions this one leaves Gotcha's phases smooth from pulse to pulse. A constant range and a phase linear over
+        the pulses only shift the image. They are left out, so that it stays where the antenna positions put it.
         """
         if self.autofocus_range_m is None or self.autofocus_phase is None:
             return self
@@ -149,26 +149,38 @@ class PhaseHistory:
         )
 
     def facts(self, reference_point_m: np.ndarray) -> Facts:
-        """Direction to the middle of the aperture, seen from `reference_point_m` (3,) [m, world], and the rest."""
+        """Facts as seen from `reference_point_m` (3,) [m, world]; the direction is to the middle of the aperture."""
         toward = self.position_m - self.in_frame(reference_point_m)
         distance = np.linalg.norm(toward, axis=1)
         azimuth, incidence = direction_deg((toward / distance[:, None]).mean(axis=0), self.frame, reference_point_m)
         return Facts(azimuth, incidence, self.centre_frequency_hz, self.polarization, float(distance.mean()))
 
 
+class Samples(Protocol):
+    """Pixels (rows, columns): an array, a memory map, or a file that is read only where it is sliced."""
+
+    @property
+    def shape(self) -> tuple[int, ...]: ...
+
+    @property
+    def dtype(self) -> np.dtype: ...
+
+    def __getitem__(self, window: tuple[slice, slice], /) -> np.ndarray: ...
+
+
 @dataclass(frozen=True)
 class ImageChip:
     """An image and where its pixels lie.
 
-    `samples` is anything with `shape`, `dtype` and indexing by two slices (an array, a memory map, a window reader);
-    rows along range or as the file has them. `locate` gives fractional (row, column) pixel centres, (..., 2), for
-    world points (..., 3) [m]; where it is None the image already is a slant-plane one, row 0 nearest to the radar, its
-    middle the reference point, `spacing_m` (range, azimuth) or, where the file is silent, the view's.
-    `gain` turns |samples|^2 into beta0 (only where `calibrated`), given at (row, column).
+    `locate` gives the fractional (row, column), (..., 2), of world points (..., 3) [m]; whole numbers are pixel centres.
+    Where it is None the image already is a slant-plane one: row 0 is nearest to the radar, and the reference point is in
+    the middle.
+    `spacing_m` is (range, azimuth) [m]; that of the view where the file does not say.
+    `gain` at (row, column) turns |samples|^2 into beta0; only `calibrated` images have it.
     """
 
     source: str
-    samples: Any
+    samples: Samples
     quantity: Quantity
     facts: Callable[[np.ndarray], Facts]
     spacing_m: tuple[float, float] | None = None
@@ -186,17 +198,17 @@ class ImageChip:
             raise InputError(f"{self.source}: found pixels of {steps} m; must be 1e-5 to 1e5 each")
 
 
-# SciPy, sarkit (jbpy, lxml), h5py and rasterio document few errors: these are what broken files made them raise.
+# SciPy, sarkit (jbpy, lxml), h5py and rasterio document few of their errors: broken files made them raise these.
 BROKEN: tuple[type[Exception], ...] = (ArithmeticError, AssertionError, AttributeError, EOFError, LookupError, OSError)
 BROKEN += (NameError, NotImplementedError, RecursionError, RuntimeError, SyntaxError, TypeError, ValueError)
 BROKEN += (struct.error, zlib.error)
 
 
 @contextmanager
-def reading(path: Any, what: str, *also: type[Exception]) -> Iterator[None]:
-    """Around a library: what it raises on a broken file becomes one InputError that names it, and NaN makes no noise.
+def reading(path: Path, what: str, *also: type[Exception]) -> Iterator[None]:
+    """A `with` block around a library: what it raises on a broken file becomes one InputError that names the file.
 
-    `also` are the library's errors that derive from no built-in one.
+    `also` are the library's errors that derive from no built-in one. NumPy stays silent about NaN.
     """
     try:
         with np.errstate(all="ignore"):
@@ -211,7 +223,7 @@ def reading(path: Any, what: str, *also: type[Exception]) -> Iterator[None]:
 def direction_deg(toward: np.ndarray, frame: EarthFrame | None, reference_point_m: np.ndarray) -> tuple[float, float]:
     """Azimuth, clockwise from +Y, and incidence, from +Z [degrees], of a vector (3,) from a world point to the radar.
 
-    The vector is earth-centred where `frame` is given.
+    The vector is earth-centred where `frame` is given, else in the world.
     """
     if frame is not None:
         toward = axes_at(frame, reference_point_m) @ toward

@@ -1,29 +1,42 @@
-"""The world on WGS 84: from metres about an origin to earth-centred coordinates."""
+"""The world on the WGS 84 ellipsoid: from metres about an origin to earth-centred coordinates."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
+
+from warpsar.errors import InputError
 
 _A = 6378137.0  # [m], WGS 84 semi-major axis
 _E2 = 6.69437999014e-3  # first eccentricity squared
 
 
 class EarthFrame(Protocol):
-    """How world metres lie on the earth."""
+    """How the world lies on the earth."""
 
     def to_ecef(self, world_m: np.ndarray) -> np.ndarray:
         """World points (..., 3) [m] to earth-centred, earth-fixed ones (..., 3) [m]."""
+
+
+def needed(frame: EarthFrame | None, path: Path) -> EarthFrame:
+    """`frame`; raises InputError where there is none, for a file that does not fix where the world lies."""
+    if frame is None:
+        raise InputError(
+            f"{path}: where the world lies on the earth is not said; use a mesh that is a GeoTIFF DEM, or --origin "
+            "with latitude, longitude and ellipsoidal height of the world's origin"
+        )
+    return frame
 
 
 @dataclass(frozen=True)
 class Origin:
     """World metres east and north along the ellipsoid (azimuthal equidistant), Z above the origin's height.
 
-    The origin is geodetic, in degrees, and metres above the WGS 84 ellipsoid. A DEM in longitude and latitude, read as
-    a mesh, lies the same way about its middle, at height 0.
+    The origin is geodetic: degrees, and metres above the WGS 84 ellipsoid. The mesh of a DEM in longitude and latitude
+    lies so about its middle, at height 0.
     """
 
     latitude_deg: float
@@ -31,7 +44,10 @@ class Origin:
     height_m: float = 0.0
 
     def to_ecef(self, world_m: np.ndarray) -> np.ndarray:
-        """Euler's radius of the normal section stands for the geodesic: right to millimetres within 20 km."""
+        """World points (..., 3) [m] to earth-centred ones; right to millimetres within 20 km.
+
+        The arc has Euler's radius of the normal section, in place of the geodesic.
+        """
         world = np.asarray(world_m, np.float64)
         lat = np.deg2rad(self.latitude_deg)
         prime = _A / np.sqrt(1.0 - _E2 * np.sin(lat) ** 2)
@@ -63,7 +79,7 @@ class Origin:
 
 
 def axes_at(frame: EarthFrame, point_m: np.ndarray) -> np.ndarray:
-    """Where +X, +Y, +Z of the world point at a world point: unit rows, (3, 3), earth-centred."""
+    """Directions of the world's X, Y and Z at a world point (3,) [m]: unit rows, (3, 3), earth-centred."""
     step = 1.0  # [m]: the earth's curvature turns the axes by 1e-7 over it
     ahead = frame.to_ecef(point_m + step * np.eye(3))
     behind = frame.to_ecef(point_m - step * np.eye(3))

@@ -1,8 +1,9 @@
 """Phase history to complex image: range compression by FFT, backprojection in Warp.
 
-Signal model: samples[k, p] = A exp(-j 4 pi f_k (|position_p - q| - reference_range_p) / c) for a point of amplitude A
-at q; the image is sum_p exp(+j 4 pi f dR / c) profile_p(dR), normalised so that it is A at q (Gorham and Moore, "SAR
-image formation toolbox for MATLAB", SPIE 7699, 2010). True distances: the wavefront's curvature needs no extra step.
+A point of amplitude A at q gives the samples A exp(-j 4 pi f_k (|position_p - q| - reference_range_p) / c) for
+frequency k and pulse p. The image is sum_p exp(+j 4 pi f dR / c) profile_p(dR), normalised so that it is A at q (Gorham
+and Moore, "SAR image formation toolbox for MATLAB", SPIE 7699, 2010). Distances are the true ones, so the curvature of
+the wavefront needs no extra step.
 """
 
 from __future__ import annotations
@@ -23,18 +24,18 @@ from warpsar.measured.data import PhaseHistory
 from warpsar.runtime import console, devices, threads
 from warpsar.world.frame import SPEED_OF_LIGHT
 
-WINDOWS = ("none", "hann", "taylor")
+TAPERS = ("none", "hann", "taylor")
 TAYLOR_SIDELOBE_DB = 35
-TAYLOR_NBAR = 5  # the least that keeps the sidelobes of a -35 dB design falling: nbar >= 2 A^2 + 1/2
-OVERSAMPLING = 8  # with cubic interpolation: 6e-4 of the amplitude lost at the edge of the band
+TAYLOR_NBAR = 5  # the least for which the sidelobes of a -35 dB design keep falling: nbar >= 2 A^2 + 1/2
+OVERSAMPLING = 8  # with cubic interpolation the edge of the band loses 6e-4 of its amplitude
 _PROFILE_BYTES = 256 * 2**20
 _PIXELS_PER_TASK = 1 << 14
 
 
 def taper(name: str, position: np.ndarray) -> np.ndarray:
-    """Weights of the window `name` at `position` across the aperture, -1/2 to 1/2; any shape, mean about one half.
+    """Weights of the window `name` at `position` across the aperture, -1/2 to 1/2; any shape.
 
-    "taylor" has sidelobes of -35 dB, nbar 5.
+    "taylor" has sidelobes of -35 dB and nbar 5. Raises InputError for a name that is not in `TAPERS`.
     """
     if name == "none":
         return np.ones_like(position)
@@ -43,7 +44,7 @@ def taper(name: str, position: np.ndarray) -> np.ndarray:
     if name == "taylor":
         fine = windows.taylor(4097, nbar=TAYLOR_NBAR, sll=TAYLOR_SIDELOBE_DB, norm=False)
         return np.interp(position, (np.arange(4097) + 0.5) / 4097 - 0.5, fine)
-    raise InputError(f"window {name!r}: not known; use one of {', '.join(WINDOWS)}")
+    raise InputError(f"window {name!r}: not known; use one of {', '.join(TAPERS)}")
 
 
 def cell_m(history: PhaseHistory, reference_point_m: np.ndarray) -> tuple[float, float]:
@@ -68,9 +69,9 @@ def focus(
 ) -> Iterator[np.ndarray]:
     """One complex64 image per sub-aperture (equal numbers of pulses, in azimuth order), at world points (..., 3) [m].
 
-    Windows taper the band (`window_range`) and each sub-aperture (`window_azimuth`): "none", "hann", "taylor". Points
-    outside the swath that the frequency step leaves unambiguous, c / 4 df on each side, are NaN. Raises InputError for
-    an unknown window, or more sub-apertures than pairs of pulses.
+    `window_range` tapers the band, and `window_azimuth` each sub-aperture: "none", "hann" or "taylor". The frequency
+    step df leaves a swath of c / 4 df on each side unambiguous; points outside it are NaN. Raises InputError for an
+    unknown window, and for more sub-apertures than pairs of pulses.
     """
     target = devices.resolve_device(device)
     pulses = history.position_m.shape[0]
@@ -82,7 +83,7 @@ def focus(
     cosine = _cross_range_cosine(history, reference_point_m)
     order = np.argsort(cosine, kind="stable")
     points = np.ascontiguousarray(history.in_frame(np.asarray(points_m, np.float64))).reshape(-1, 3)
-    points_d: Any = wp.array(points, dtype=wp.vec3d, device=target)
+    points_d: wp.array = wp.array(points, dtype=wp.vec3d, device=target)
 
     with console.progress(pulses, "focusing", "pulse") as bar:
         for part in np.array_split(order, subapertures):
@@ -104,14 +105,15 @@ def _add_pulses(
     chosen: np.ndarray,
     weights: np.ndarray,
     window_range: str,
-    points: Any,
-    image: Any,
-    device: Any,
+    points: wp.array,
+    image: wp.array,
+    device: wp.Device,
 ) -> None:
+    """Add the pulses `chosen` to `image` (vec2, shape (n,)) at `points` (vec3d, shape (n,))."""
     profiles, frequency, bins_per_metre = _range_profiles(history, chosen, weights, window_range)
     step = history.frequency_step_hz[chosen]
 
-    def upload(values: np.ndarray) -> Any:
+    def upload(values: np.ndarray) -> wp.array:
         return wp.array(values, dtype=wp.float64, device=device)
 
     inputs: list[Any] = [
@@ -169,7 +171,7 @@ def _cross_range_cosine(history: PhaseHistory, reference_point_m: np.ndarray) ->
 
 
 def _spread(count: int) -> float:
-    """Samples stand for intervals: the aperture is one interval wider than the distance of first and last."""
+    """Width of an aperture over the distance of its first and last sample: each sample stands for an interval."""
     return count / max(1, count - 1)
 
 

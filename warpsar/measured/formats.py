@@ -1,4 +1,4 @@
-"""Which reader a file needs: its first bytes say so, or, for pictures, its suffix."""
+"""The reader that a file needs: its first bytes tell, or its suffix where it is a picture."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from warpsar.errors import InputError
-from warpsar.measured import cphd, gotcha, mstar, nisar, raster, sicd
+from warpsar.measured import cphd, gotcha, mstar, nisar, pictures, sicd
 from warpsar.measured.data import ImageChip, PhaseHistory, Quantity
 from warpsar.measured.earth import EarthFrame
 
@@ -21,7 +21,7 @@ _MAGIC = {
 
 
 def _regular(path: Path) -> None:
-    """A pipe waits for ever, and a device never ends."""
+    """Raise InputError for what is no plain file: a pipe waits for ever, and a device never ends."""
     if not os.path.exists(path):  # Path.exists raises for names that no file can have
         raise InputError(f"{path}: no such file")
     if not os.path.isfile(path):
@@ -42,9 +42,9 @@ def detect(path: Path) -> str:
     if mstar.MAGIC in head:
         return "mstar"
     suffix = path.suffix.lower()
-    if suffix in raster.SUFFIXES:
+    if suffix in pictures.SUFFIXES:
         if suffix in (".tif", ".tiff"):
-            return "geotiff" if raster.is_map(path) else "tiff"
+            return "geotiff" if pictures.is_map(path) else "tiff"
         return suffix[1:]
     raise InputError(
         f"{path}: neither its first bytes nor its suffix name a known format; "
@@ -62,9 +62,9 @@ def read(
 ) -> PhaseHistory | ImageChip:
     """Read one measurement; only AFRL .mat files may be several.
 
-    `quantity` ("amplitude" or "power") is for pictures of real numbers only: elsewhere the format says it. `frame` says
-    where the world lies on the earth, for formats in earth coordinates. Raises InputError, one message that names the
-    file, for whatever cannot be read.
+    `quantity` ("amplitude" or "power") is for pictures of real numbers only: the other formats say it themselves.
+    `frame` says where the world lies on the earth, for formats in earth coordinates. Raises InputError, one message
+    that names the file, for whatever cannot be read.
     """
     paths = [Path(source) for source in sources]
     if not paths:
@@ -91,5 +91,5 @@ def read(
     elif name == "nisar":
         measured = nisar.read(path, polarization, frame)
     else:
-        measured = raster.read(path, quantity, polarization, frame, map_image=name == "geotiff")
+        measured = pictures.read(path, quantity, polarization, frame, map_image=name == "geotiff")
     return measured

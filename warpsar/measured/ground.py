@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import warp as wp
 
@@ -12,22 +10,27 @@ from warpsar.runtime import console, devices
 from warpsar.world.frame import ViewGeometry
 from warpsar.world.mesh import Mesh
 
-_ARC_STEPS = 64  # chords of a strip-map's circle of equal range: at 300 m their sagitta over 50 m is 0.3 mm
+_ARC_STEPS = 64  # chords along a strip-map's circle of equal range: at 300 m their sagitta over 50 m is 0.3 mm
 
 
 def pixel_centres(shape: tuple[int, int], spacing_m: tuple[float, float], looks: tuple[int, int]) -> list[np.ndarray]:
-    """Range (rows * looks[0],) and azimuth (cols * looks[1],) about the reference point [m], of each look's sample."""
+    """Range (rows * looks[0],) and azimuth (cols * looks[1],) [m] of each sample, about the reference point."""
     counts = [size * n for size, n in zip(shape, looks, strict=True)]
     steps = [step / n for step, n in zip(spacing_m, looks, strict=True)]
     return [(np.arange(count) + 0.5 - count / 2.0) * step for count, step in zip(counts, steps, strict=True)]
 
 
 def plane_points(
-    geometry: ViewGeometry, reference_point_m: Any, range_m: np.ndarray, azimuth_m: np.ndarray, height_m: Any = 0.0
+    geometry: ViewGeometry,
+    reference_point_m: np.ndarray,
+    range_m: np.ndarray,
+    azimuth_m: np.ndarray,
+    height_m: np.ndarray | float = 0.0,
 ) -> np.ndarray:
     """World points (rows, cols, 3) at the given range, azimuth and height above the reference point [m].
 
-    Plane wave: X . d = range. Strip-map: distance from the track less R0; NaN where no such point is.
+    In a plane wave the range is X . d. In a strip-map it is the distance from the track less R0. NaN where there is no
+    such point.
     """
     horizontal = geometry.d[:2]
     sine, cosine = float(np.hypot(*horizontal)), float(-geometry.d[2])
@@ -49,15 +52,16 @@ def plane_points(
 
 def mesh_points(
     geometry: ViewGeometry,
-    reference_point_m: Any,
+    reference_point_m: np.ndarray,
     range_m: np.ndarray,
     azimuth_m: np.ndarray,
     mesh: Mesh,
     device: str | None = None,
 ) -> tuple[np.ndarray, int]:
-    """The same on the mesh: of all points of equal range and azimuth, from the top down, the first on the surface.
+    """World points (rows, cols, 3) [m] on the mesh, and how many pixels meet no surface.
 
-    Also how many pixels met no surface; those lie at the reference point's height.
+    Points of equal range and azimuth lie on a curve. A pixel's point is the first one on the surface, from the top
+    down. Pixels that meet no surface lie at the reference point's height.
     """
     target = devices.resolve_device(device)
     reference = np.asarray(reference_point_m, np.float64)

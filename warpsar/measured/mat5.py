@@ -1,4 +1,4 @@
-"""MATLAB 5 files: is their structure sound? SciPy believes every count in them, and crashes on deep nesting."""
+"""Check that a MATLAB 5 file is sound: SciPy believes every count in it, and crashes on deep nesting."""
 
 from __future__ import annotations
 
@@ -11,17 +11,20 @@ from warpsar.errors import InputError
 from warpsar.measured.data import reading
 
 DEEPEST = 16
-"""Levels of cells and structures in each other."""
+"""Levels of cells and structures inside each other."""
 LARGEST_RATIO = 100
-"""Bytes of an unpacked element to those of its file: measured numbers pack by 2 or 3, zeros by 1000."""
+"""Bytes of an unpacked element to those of its file: deflate packs measured numbers 2 or 3 to 1, zeros 1000 to 1."""
 _HEADER = 128
 _MATRIX, _PACKED = 14, 15
 _CELL, _STRUCT, _OBJECT, _SPARSE, _OPAQUE = 1, 2, 3, 5, 17
 
 
 def check(path: Path) -> None:
-    """Raise InputError where an element ends after what holds it, an array has more values than bytes, or levels are
-    too many (MAT-File Format, R2024b, chapter 1)."""
+    """Raise InputError for a file that is not sound (MAT-File Format, R2024b, chapter 1).
+
+    An element may not end after the one that holds it, an array may not have more values than bytes, and levels are
+    bounded.
+    """
     with reading(path, "MATLAB file"):
         content = path.read_bytes()
     order = {b"IM": "<", b"MI": ">"}.get(content[126:128])
@@ -44,6 +47,7 @@ def check(path: Path) -> None:
 
 
 def _unpacked(path: Path, body: bytes, budget: int) -> bytes:
+    """A packed element's content, of at most `budget` bytes."""
     try:
         unpacked = zlib.decompressobj().decompress(body, budget + 1)
     except zlib.error as error:
@@ -54,7 +58,7 @@ def _unpacked(path: Path, body: bytes, budget: int) -> bytes:
 
 
 def _check_elements(path: Path, content: bytes, order: str) -> None:
-    """A packed element holds one matrix."""
+    """Check the one matrix in a packed element."""
     if len(content) < 8:
         raise InputError(f"{path}: a packed element of {len(content)} bytes; must hold a matrix")
     kind, size = struct.unpack_from(f"{order}II", content)
@@ -64,7 +68,7 @@ def _check_elements(path: Path, content: bytes, order: str) -> None:
 
 
 def _check_matrices(path: Path, content: bytes, order: str) -> None:
-    """A matrix' body and all matrices in it."""
+    """Check a matrix by its body, and all matrices in it."""
     waiting = [(0, len(content), 1)]
     while waiting:
         start, end, depth = waiting.pop()
@@ -95,7 +99,7 @@ def _elements(path: Path, content: bytes, start: int, end: int, order: str) -> l
 
 
 def _check_count(path: Path, content: bytes, elements: list[tuple[int, int, int]], room: int, order: str) -> None:
-    """Every value of an array takes a byte at least, and every cell a tag."""
+    """Check an array's shape: a value takes a byte at least, and a cell its tag of 8 bytes."""
     if not elements:  # an empty matrix
         return
     _, at, size = elements[0]

@@ -1,4 +1,4 @@
-"""MSTAR chips: a Phoenix header in text, then big-endian float32 magnitude, then phase."""
+"""MSTAR chips: a Phoenix header in text, then magnitude, then phase, in big-endian float32."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _END = b"[EndofPhoenixHeader]"
 
 
 def read(path: Path) -> ImageChip:
-    """The complex chip, turned so that the radar is on top; the target's own axes are the world's (front = north)."""
+    """The complex chip, turned so that the radar is on top. The target's front is the world's north."""
     with reading(path, "MSTAR chip"):
         content = path.read_bytes()
     start = content[:4096].find(MAGIC)

@@ -3,27 +3,31 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from warpsar.errors import InputError
 from warpsar.measured.data import Facts, ImageChip, direction_deg, reading
-from warpsar.measured.earth import EarthFrame
+from warpsar.measured.earth import EarthFrame, needed
+
+if TYPE_CHECKING:
+    import h5py
 
 MAGIC = b"\x89HDF\r\n\x1a\n"
 LARGEST_AXIS = 2**24
-"""Times, ranges, or numbers of the orbit."""
+"""Bound of times, of ranges, and of the orbit's numbers."""
 LARGEST_CHUNK = 2**26
 """Bytes that HDF5 unpacks to reach one number; NISAR's are 2 MiB."""
 LARGEST_RATIO = 1100
-"""Bytes of a data set to those that are stored of it: deflate packs 1032 to 1."""
+"""Bytes of a data set to those that the file stores: deflate packs at most 1032 to 1."""
 
 
 class _Window:
-    """One HDF5 data set, opened only where it is sliced."""
+    """One HDF5 data set, read from the file only where it is sliced."""
 
     def __init__(self, path: Path, name: str, shape: tuple[int, int]) -> None:
         self.path, self.name, self.shape, self.dtype = path, name, shape, np.dtype(np.complex64)
@@ -40,68 +44,41 @@ class _Window:
 
 
 def read(path: Path, polarization: str | None, frame: EarthFrame | None) -> ImageChip:
-    """Rows are zero-Doppler time, columns slant range. `frame` says where the world lies on the earth: a DEM's mesh, or
-    an origin given by the user; the file alone does not fix it."""
+    """The image, placed by its orbit: rows are zero-Doppler time, columns slant range.
+
+    `frame` says where the world lies on the earth (a mesh that is a DEM, or an origin given by the user): the file does
+    not fix it. Raises InputError without it.
+    """
     try:
         import h5py
     except ImportError as error:
         raise InputError(f'{path}: HDF5 needs h5py: pip install "warpsar[hdf5]"') from error
     with reading(path, "HDF5 file"), h5py.File(path) as file:
-        bases = [f"science/{band}/{kind}" for kind in ("SLC", "RSLC") for band in ("LSAR", "SSAR")]
-        base = next((name for name in bases if _find(path, file, name) is not None), None)
-        if base is None:
-            raise InputError(f"{path}: no science/LSAR/SLC (or RSLC, SSAR) in it; only such images are known")
-        name, pol = _image(path, file, f"{base}/swaths", polarization)
-        swath = name.rsplit("/", 1)[0]
-        shape = _check_image(path, file, name)
-        times = _numbers(path, file, f"{base}/swaths/zeroDopplerTime", 1)
-        ranges = _numbers(path, file, f"{swath}/slantRange", 1)
-        frequency = float(_numbers(path, file, f"{swath}/processedCenterFrequency", 0))
-        orbit = f"{base}/metadata/orbit"
-        time, position, velocity = (
-            _numbers(path, file, f"{orbit}/{key}", axes)
-            for key, axes in (("time", 1), ("position", 2), ("velocity", 2))
+        swath = _Swath.read(path, file, polarization)
+    times, ranges, track = swath.times, swath.ranges, swath.track
+    if swath.shape != (times.size, ranges.size) or min(swath.shape) < 2:
+        raise InputError(
+            f"{path}: {swath.name} has shape {swath.shape}, for {times.size} times and {ranges.size} ranges"
         )
-        track = _Track(time, position, velocity)
-    if shape != (times.size, ranges.size) or min(shape) < 2:
-        raise InputError(f"{path}: {name} has shape {shape}, for {times.size} times and {ranges.size} ranges")
     time_step, range_step = (float(axis[-1] - axis[0]) / (axis.size - 1) for axis in (times, ranges))
     if time_step == 0.0 or range_step == 0.0 or not (track.velocity**2).sum(-1).min() > 0.0:
         raise InputError(f"{path}: times, ranges and positions must change along their axes, but do not")
-    if frame is None:
-        raise InputError(
-            f"{path}: where the world lies on the earth is not said; use a mesh that is a GeoTIFF DEM, or --origin "
-            "with latitude, longitude and ellipsoidal height of the world's origin"
-        )
-    world = frame
-
-    def zero_doppler(points_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Time [s] and slant range [m] at which each point is abeam."""
-        points = world.to_ecef(points_m)
-        time = np.full(points.shape[:-1], times[times.size // 2])
-        for _ in range(20):
-            position, velocity = track.at(time)
-            offset = points - position
-            change = (offset * velocity).sum(-1) / (velocity**2).sum(-1)
-            time = time + change
-            if np.abs(change).max(initial=0.0) < 1e-3 * abs(time_step):
-                break
-        return time, np.linalg.norm(points - track.at(time)[0], axis=-1)
+    world = needed(frame, path)
 
     def locate(points_m: np.ndarray) -> np.ndarray:
-        time, distance = zero_doppler(points_m)
+        time, distance = track.abeam(world.to_ecef(points_m), times[times.size // 2], 1e-3 * abs(time_step))
         return np.stack([(time - times[0]) / time_step, (distance - ranges[0]) / range_step], axis=-1)
 
     def facts(reference_point_m: np.ndarray) -> Facts:
-        time, distance = zero_doppler(reference_point_m)
-        toward = track.at(time)[0] - world.to_ecef(reference_point_m)
-        azimuth, incidence = direction_deg(toward, world, reference_point_m)
-        return Facts(azimuth, incidence, frequency, pol, float(distance), strip_map=True)
+        point = world.to_ecef(reference_point_m)
+        time, distance = track.abeam(point, times[times.size // 2], 1e-3 * abs(time_step))
+        azimuth, incidence = direction_deg(track.at(time)[0] - point, world, reference_point_m)
+        return Facts(azimuth, incidence, swath.frequency_hz, swath.polarization, float(distance), strip_map=True)
 
     speed = float(np.linalg.norm(track.at(np.array(times.mean()))[1]))
     return ImageChip(
         source=str(path),
-        samples=_Window(path, name, shape),
+        samples=_Window(path, swath.name, swath.shape),
         quantity="complex",
         facts=facts,
         spacing_m=(speed * abs(time_step), abs(range_step)),
@@ -109,8 +86,71 @@ def read(path: Path, polarization: str | None, frame: EarthFrame | None) -> Imag
     )
 
 
-def _find(path: Path, file: Any, name: str) -> Any:
-    """What lies in the file under a name, None where nothing does. Links lead into other files, or in circles."""
+class _Track:
+    """Antenna positions and velocities between the orbit's state vectors: cubic Hermite, exact in both at each."""
+
+    def __init__(self, time: np.ndarray, position: np.ndarray, velocity: np.ndarray) -> None:
+        self.time, self.position, self.velocity = time, position, velocity
+        self._path = CubicHermiteSpline(time, position, velocity)
+        self._speed = self._path.derivative()
+
+    def at(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Position [m] and velocity [m/s], (..., 3) each, at times [s]."""
+        return self._path(time), self._speed(time)
+
+    def abeam(self, points: np.ndarray, start_s: float, tolerance_s: float) -> tuple[np.ndarray, np.ndarray]:
+        """Time [s] and slant range [m] of zero Doppler for earth-centred points (..., 3) [m], by Newton's method."""
+        time = np.full(points.shape[:-1], start_s)
+        for _ in range(20):
+            position, velocity = self.at(time)
+            offset = points - position
+            change = (offset * velocity).sum(-1) / (velocity**2).sum(-1)
+            time = time + change
+            if np.abs(change).max(initial=0.0) < tolerance_s:
+                break
+        return time, np.linalg.norm(points - self.at(time)[0], axis=-1)
+
+
+@dataclass(frozen=True)
+class _Swath:
+    """What the file says of one image."""
+
+    name: str
+    """Of the image's data set."""
+    polarization: str
+    shape: tuple[int, int]
+    times: np.ndarray
+    """Zero-Doppler time of each row [s]."""
+    ranges: np.ndarray
+    """Slant range of each column [m]."""
+    frequency_hz: float
+    track: _Track
+
+    @classmethod
+    def read(cls, path: Path, file: h5py.File, polarization: str | None) -> _Swath:
+        bases = [f"science/{band}/{kind}" for kind in ("SLC", "RSLC") for band in ("LSAR", "SSAR")]
+        base = next((name for name in bases if _find(path, file, name) is not None), None)
+        if base is None:
+            raise InputError(f"{path}: no science/LSAR/SLC (or RSLC, SSAR) in it; only such images are known")
+        name, found = _image(path, file, f"{base}/swaths", polarization)
+        folder = name.rsplit("/", 1)[0]
+        shape = _check_image(path, file, name)
+        times = _numbers(path, file, f"{base}/swaths/zeroDopplerTime", 1)
+        ranges = _numbers(path, file, f"{folder}/slantRange", 1)
+        frequency = float(_numbers(path, file, f"{folder}/processedCenterFrequency", 0))
+        orbit = f"{base}/metadata/orbit"
+        state = (
+            _numbers(path, file, f"{orbit}/{key}", axes)
+            for key, axes in (("time", 1), ("position", 2), ("velocity", 2))
+        )
+        return cls(name, found, shape, times, ranges, frequency, _Track(*state))
+
+
+def _find(path: Path, file: h5py.File, name: str) -> h5py.Group | h5py.Dataset | None:
+    """What lies in the file under a name; None where nothing does.
+
+    Raises InputError for links: they lead into other files, or in circles.
+    """
     import h5py
 
     node = file
@@ -124,8 +164,8 @@ def _find(path: Path, file: Any, name: str) -> Any:
     return node
 
 
-def _data_set(path: Path, file: Any, name: str) -> Any:
-    """A data set whose numbers are in the file itself, as many as it has bytes for, and in pieces of bounded size."""
+def _data_set(path: Path, file: h5py.File, name: str) -> h5py.Dataset:
+    """A data set; InputError unless its numbers are in the file itself, have bytes there, and are in small pieces."""
     import h5py
 
     found = _find(path, file, name)
@@ -144,8 +184,8 @@ def _data_set(path: Path, file: Any, name: str) -> Any:
     return found
 
 
-def _numbers(path: Path, file: Any, name: str, axes: int) -> np.ndarray:
-    """A data set of real numbers with so many axes, float64."""
+def _numbers(path: Path, file: h5py.File, name: str, axes: int) -> np.ndarray:
+    """A data set of real and finite numbers with so many axes, float64."""
     found = _data_set(path, file, name)
     if found.dtype.kind not in "fiu" or len(found.shape or ()) != axes or (found.size or 0) > LARGEST_AXIS:
         raise InputError(
@@ -158,7 +198,8 @@ def _numbers(path: Path, file: Any, name: str, axes: int) -> np.ndarray:
     return values
 
 
-def _check_image(path: Path, file: Any, name: str) -> tuple[int, int]:
+def _check_image(path: Path, file: h5py.File, name: str) -> tuple[int, int]:
+    """Rows and columns of a complex image."""
     found = _data_set(path, file, name)
     kind = found.dtype
     pair = kind.names is not None and len(kind.names) == 2 and all(kind[each].kind in "fiu" for each in kind.names)
@@ -167,8 +208,8 @@ def _check_image(path: Path, file: Any, name: str) -> tuple[int, int]:
     return found.shape[0], found.shape[1]
 
 
-def _image(path: Path, file: Any, swaths: str, wanted: str | None) -> tuple[str, str]:
-    """Data set and polarization: of frequency A where it is there, else of B."""
+def _image(path: Path, file: h5py.File, swaths: str, wanted: str | None) -> tuple[str, str]:
+    """Data set and polarization of the image: in frequency A where that has one, else in B."""
     for band in ("frequencyA", "frequencyB"):
         found = [pol for pol in ("HH", "HV", "VH", "VV") if _find(path, file, f"{swaths}/{band}/{pol}") is not None]
         fitting = [pol for pol in found if wanted in (None, pol)]
@@ -177,15 +218,3 @@ def _image(path: Path, file: Any, swaths: str, wanted: str | None) -> tuple[str,
         if len(fitting) > 1:
             raise InputError(f"{path}: several polarizations ({', '.join(found)}); choose one with --polarization")
     raise InputError(f"{path}: no image of polarization {wanted or 'HH, HV, VH or VV'} under {swaths}")
-
-
-class _Track:
-    """Antenna positions and velocities between the orbit's state vectors: cubic Hermite, exact in both at each."""
-
-    def __init__(self, time: np.ndarray, position: np.ndarray, velocity: np.ndarray) -> None:
-        self.time, self.position, self.velocity = time, position, velocity
-        self._path = CubicHermiteSpline(time, position, velocity)
-        self._speed = self._path.derivative()
-
-    def at(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return self._path(time), self._speed(time)

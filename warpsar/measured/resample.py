@@ -1,4 +1,4 @@
-"""Complex or detected images onto points: interpolated without aliasing, as linear power."""
+"""Linear power of a complex or detected image between its pixels, without aliasing."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from warpsar.errors import InputError
 from warpsar.io.images import LARGEST_IMAGE
 from warpsar.measured.data import ImageChip
 
-_MARGIN = 32  # [pixels] around what is needed, for the Fourier transform to run out in
-_KEPT = 8  # [pixels] of it, next to what is needed, that stay as they are
-_FINER = 3
+_MARGIN = 32  # [pixels] around the wanted ones, in which the samples fade for the Fourier transform
+_UNFADED = 8  # [pixels] of it, next to the wanted ones, that stay as they are
+_FINER = 3  # times as fine a grid for the power of complex samples
 _COINCIDENT = 1e-6  # [pixels]: grids that differ by less are the same grid
 
 
 def sample_power(chip: ImageChip, pixel: np.ndarray) -> np.ndarray:
     """Power of `chip` at fractional (row, column) pixel centres (..., 2), float64; NaN outside the image.
 
-    Squared magnitude has twice the bandwidth of a complex image: it is taken on a grid three times as fine, made by
-    zero padding the spectrum, and then interpolated by splines. Detected images are squared, or taken as they are, and
-    interpolated linearly, which keeps them positive. A point on a pixel centre is that pixel, untouched; one in the
-    outer half of a border pixel is that border.
+    The power of a complex image has twice its bandwidth. So it is taken on a grid three times as fine, made by zero
+    padding the spectrum, and is then interpolated by splines. Detected images become power first and are interpolated
+    linearly, which keeps them positive. A point on a pixel centre gets that pixel's value. A point in the outer half of
+    a border pixel gets the border's value. Raises InputError for an image without a usable pixel under the grid.
     """
     last = np.array(chip.samples.shape) - 1
     inside = (np.abs(pixel - last / 2.0) <= last / 2.0 + 0.5).all(-1)  # false for NaN
@@ -62,7 +62,7 @@ def _interpolated(samples: np.ndarray, bad: np.ndarray, at: np.ndarray, quantity
         values = np.maximum(map_coordinates(fine, _FINER * at.T, order=5, mode="mirror"), 0.0)
     else:
         values = map_coordinates(_power(samples, quantity), at.T, order=1, mode="nearest")
-    if bad.any():  # a pixel that is not known is no part of any sum
+    if bad.any():  # a pixel that is not finite spoils all values that it has a part in
         values[map_coordinates(bad.astype(np.float64), at.T, order=1, mode="nearest") > _COINCIDENT] = np.nan
     return values
 
@@ -72,12 +72,12 @@ def _power(samples: np.ndarray, quantity: str) -> np.ndarray:
 
 
 def _faded(count: int, at: np.ndarray) -> np.ndarray:
-    """One where samples are wanted, then falling to zero: a Fourier transform takes a cut edge for a step."""
+    """Weights: 1 where samples are wanted, falling to 0 outside; a cut edge is a step to a Fourier transform."""
     index = np.arange(count)
     before, after = max(int(np.floor(at.min())), 0), count - 1 - min(int(np.ceil(at.max())), count - 1)
     weight = np.ones(count)
     for margin, distance in ((before, index), (after, index[::-1])):
-        ramp = np.clip((distance + 1) / max(margin - _KEPT, 1), 0.0, 1.0)
+        ramp = np.clip((distance + 1) / max(margin - _UNFADED, 1), 0.0, 1.0)
         weight *= np.sin(np.pi / 2 * ramp) ** 2
     return weight
 

@@ -4,23 +4,28 @@ from __future__ import annotations
 
 import logging
 import os
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
 from warpsar.errors import InputError
-from warpsar.measured.data import Facts, ImageChip, Quantity, direction_deg, reading
+from warpsar.measured.data import Facts, ImageChip, direction_deg, reading
 from warpsar.measured.earth import EarthFrame, Origin, ecef_to_geodetic
 
+if TYPE_CHECKING:
+    import sarkit.sicd as sarkit_sicd
+
 _AMPLITUDE_LOOKUP = "AMP8I_PHS8I"
-logging.getLogger("jbpy").addHandler(logging.NullHandler())  # what it says of a broken file is in our message
+logging.getLogger("jbpy").addHandler(logging.NullHandler())  # our message holds what it says of a broken file
 
 
 class _Guarded:
-    """A NITF as jbpy reads it, field by field.
+    """A NITF that jbpy reads field by field; fields that would take it for ever raise ValueError.
 
-    Bands beyond 9 (NBANDS = 0, then XBANDS in five digits, up to 99,999) take it time by their square; SICD has two.
+    More than 9 bands (NBANDS = 0, then XBANDS in five digits, up to 99,999) take time by their square. SICD has two.
     """
 
     def __init__(self, file: BinaryIO) -> None:
@@ -41,7 +46,7 @@ class _Guarded:
 
 
 class _Window:
-    """The pixel array, read from the file only where it is sliced."""
+    """The pixels, read from the file only where they are sliced."""
 
     def __init__(self, path: Path, shape: tuple[int, int], lookup: np.ndarray | None) -> None:
         self.path, self.shape, self.lookup, self.dtype = path, shape, lookup, np.dtype(np.complex64)
@@ -61,8 +66,8 @@ class _Window:
             return raw.astype(np.complex64)
 
 
-def _check_pixels(path: Path, reader: Any, kinds: Any) -> None:
-    """The XML's shape against the NITF's image segments, and those against the file: the library believes the XML."""
+def _check_pixels(path: Path, reader: sarkit_sicd.NitfReader, kinds: Mapping[str, Any]) -> None:
+    """Raise InputError where XML, NITF and file differ in the number of pixels: the library believes the XML."""
     data = reader.metadata.xmltree.find("{*}ImageData")
     rows, cols = (int(data.findtext(f"{{*}}{name}")) for name in ("NumRows", "NumCols"))
     wanted = rows * cols * kinds[data.findtext("{*}PixelType")]["dtype"].itemsize
@@ -81,8 +86,8 @@ def _check_pixels(path: Path, reader: Any, kinds: Any) -> None:
 def read(path: Path, frame: EarthFrame | None) -> ImageChip:
     """The image, placed by the standard's own projection (range and range rate of each pixel) of world points.
 
-    Without `frame` the world's origin is the scene centre point. Where the header has a beta0 scale factor the image is
-    calibrated with it.
+    Without `frame` the world's origin is the scene centre point. Where the header has a beta0 scale factor, the image
+    is calibrated with it.
     """
     try:
         import sarkit.sicd as sarkit_sicd
@@ -95,31 +100,9 @@ def read(path: Path, frame: EarthFrame | None) -> ImageChip:
         xml = reader.metadata.xmltree
         _check_pixels(path, reader, sarkit_sicd.PIXEL_TYPES)
         helper = sarkit_sicd.XmlHelper(xml)
-
-    def load(name: str) -> Any:
-        return helper.load("./" + "/".join(f"{{*}}{part}" for part in name.split("/")))
-
-    def numbers(shape: tuple[int, ...], *names: str) -> np.ndarray:
-        found = np.array([load(name) for name in names], np.float64).reshape(shape)
-        if not np.isfinite(found).all():
-            raise InputError(f"{path}: the header's {', '.join(names)} must be finite numbers")
-        return found
-
     with reading(path, "SICD header", LxmlError):
-        scp, shape = numbers((3,), "GeoData/SCP/ECF"), (load("ImageData/NumRows"), load("ImageData/NumCols"))
-        world = frame or Origin(*ecef_to_geodetic(scp).tolist())
-        spacing = tuple(numbers((2,), "Grid/Row/SS", "Grid/Col/SS").tolist())
-        middle = numbers((2,), "ImageData/SCPPixel") - numbers((2,), "ImageData/FirstRow", "ImageData/FirstCol")
-        arp = numbers((3,), "SCPCOA/ARPPos")
-        pol = "".join(part[0] for part in load("ImageFormation/TxRcvPolarizationProc").split(":"))
-        band = numbers((2,), *(f"ImageFormation/TxFrequencyProc/{end}" for end in ("MinProc", "MaxProc")))
-        beta0 = load("Radiometric/BetaZeroSFPoly")
-        if beta0 is not None and (np.ndim(beta0) != 2 or not np.isfinite(beta0).all()):
-            raise InputError(f"{path}: the header's BetaZeroSFPoly must be finite coefficients of two powers")
-        pixel_type = load("ImageData/PixelType")
-        lookup = load("ImageData/AmpTable") if pixel_type == _AMPLITUDE_LOOKUP else None
-        if lookup is not None and (np.shape(lookup) != (256,) or not np.isfinite(lookup).all()):
-            raise InputError(f"{path}: the header's AmpTable must be 256 finite numbers")
+        header = _Header.read(path, helper)
+        world = frame or Origin(*ecef_to_geodetic(header.centre).tolist())
         parameters = projection.MetadataParams.from_xml(xml)
 
     def locate(points_m: np.ndarray) -> np.ndarray:
@@ -127,25 +110,72 @@ def read(path: Path, frame: EarthFrame | None) -> ImageChip:
             grid, _, converged = projection.scene_to_image(parameters, world.to_ecef(points_m))
         if not converged:
             raise InputError(f"{path}: the header's geometry does not bring the view's points into the image")
-        return grid / spacing + middle
-
-    def gain(pixel: np.ndarray) -> np.ndarray:
-        coordinates = (pixel - middle) * spacing
-        return np.polynomial.polynomial.polyval2d(coordinates[..., 0], coordinates[..., 1], beta0)
+        return grid / header.spacing_m + header.middle
 
     def facts(reference_point_m: np.ndarray) -> Facts:
-        toward = arp - world.to_ecef(reference_point_m)
+        toward = header.antenna - world.to_ecef(reference_point_m)
         azimuth, incidence = direction_deg(toward, world, reference_point_m)
-        return Facts(azimuth, incidence, float(band.mean()), pol, float(np.linalg.norm(toward)))
+        return Facts(azimuth, incidence, header.frequency_hz, header.polarization, float(np.linalg.norm(toward)))
 
-    quantity: Quantity = "complex"
     return ImageChip(
         source=str(path),
-        samples=_Window(path, shape, lookup),
-        quantity=quantity,
+        samples=_Window(path, header.shape, header.lookup),
+        quantity="complex",
         facts=facts,
-        spacing_m=spacing,
+        spacing_m=header.spacing_m,
         locate=locate,
-        calibrated=beta0 is not None,
-        gain=gain if beta0 is not None else None,
+        calibrated=header.beta0 is not None,
+        gain=header.gain if header.beta0 is not None else None,
     )
+
+
+@dataclass(frozen=True)
+class _Header:
+    """What the XML says of the image; vectors (3,) are earth-centred [m]."""
+
+    centre: np.ndarray
+    """Scene centre point."""
+    shape: tuple[int, int]
+    spacing_m: tuple[float, float]
+    """Of rows and columns."""
+    middle: np.ndarray
+    """Row and column of the scene centre point, (2,)."""
+    antenna: np.ndarray
+    """Phase centre at the centre of the aperture."""
+    polarization: str
+    frequency_hz: float
+    beta0: np.ndarray | None
+    """Coefficients of the scale factor's polynomial in the metres along rows and columns, two powers."""
+    lookup: np.ndarray | None
+    """Amplitude of each of 256 codes, where pixels are codes."""
+
+    def gain(self, pixel: np.ndarray) -> np.ndarray:
+        """The scale factor to beta0 at (row, column), (..., 2)."""
+        along = (pixel - self.middle) * self.spacing_m
+        coefficients = np.asarray(self.beta0)
+        return np.asarray(np.polynomial.polynomial.polyval2d(along[..., 0], along[..., 1], coefficients))
+
+    @classmethod
+    def read(cls, path: Path, helper: sarkit_sicd.XmlHelper) -> _Header:
+        def load(name: str) -> Any:
+            return helper.load("./" + "/".join(f"{{*}}{part}" for part in name.split("/")))
+
+        def numbers(shape: tuple[int, ...], *names: str) -> np.ndarray:
+            found = np.array([load(name) for name in names], np.float64).reshape(shape)
+            if not np.isfinite(found).all():
+                raise InputError(f"{path}: the header's {', '.join(names)} must be finite numbers")
+            return found
+
+        centre, shape = numbers((3,), "GeoData/SCP/ECF"), (load("ImageData/NumRows"), load("ImageData/NumCols"))
+        row_m, col_m = numbers((2,), "Grid/Row/SS", "Grid/Col/SS").tolist()
+        middle = numbers((2,), "ImageData/SCPPixel") - numbers((2,), "ImageData/FirstRow", "ImageData/FirstCol")
+        antenna = numbers((3,), "SCPCOA/ARPPos")
+        polarization = "".join(part[0] for part in load("ImageFormation/TxRcvPolarizationProc").split(":"))
+        band = numbers((2,), *(f"ImageFormation/TxFrequencyProc/{end}" for end in ("MinProc", "MaxProc")))
+        beta0 = load("Radiometric/BetaZeroSFPoly")
+        if beta0 is not None and (np.ndim(beta0) != 2 or not np.isfinite(beta0).all()):
+            raise InputError(f"{path}: the header's BetaZeroSFPoly must be finite coefficients of two powers")
+        lookup = load("ImageData/AmpTable") if load("ImageData/PixelType") == _AMPLITUDE_LOOKUP else None
+        if lookup is not None and (np.shape(lookup) != (256,) or not np.isfinite(lookup).all()):
+            raise InputError(f"{path}: the header's AmpTable must be 256 finite numbers")
+        return cls(centre, shape, (row_m, col_m), middle, antenna, polarization, float(band.mean()), beta0, lookup)

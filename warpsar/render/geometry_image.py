@@ -56,7 +56,7 @@ class GeometryImage:
             geometry_image_kernel,
             hits.count,
             [
-                ray_grid(target, geometry, grid, rays_per_m2, 1, grid.pixel_area_m2),
+                ray_grid(target, geometry, grid, rays_per_m2, grid.pixel_area_m2),
                 put(points @ geometry.u, float),
                 put(across, float),
                 hits.face,

@@ -1,4 +1,4 @@
-"""What stands in a scene file: its tables, and one message with everything that is wrong in them."""
+"""A scene file as it stands: its tables, and one message with everything that is wrong in them."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ from warpsar.world.tables import (
 
 LARGEST_FILE = 2**24
 """Bytes of a scene file: 50,000 views."""
-
-
 _MOST_KEY_PARTS = 100
+_MOST_SHOWN = 50  # problems in one message
 
 
-_MOST_SHOWN = 50
+class SceneTable(Table):
+    """`[scene]`: the mesh, and the point where range and azimuth are zero."""
 
-
-class _SceneTable(Table):
-    mesh: FileName
-    reference_point_m: tuple[Number, Number, Number] = (0.0, 0.0, 0.0)
+    mesh: FileName = Field(description="Mesh file: OBJ, PLY, STL, glTF, GLB, or a DEM in GeoTIFF.")
+    reference_point_m: tuple[Number, Number, Number] = Field(
+        default=(0.0, 0.0, 0.0), description="World point in the middle of every image [m]: range and azimuth are zero."
+    )
 
     @field_validator("reference_point_m")
     @classmethod
@@ -46,17 +46,23 @@ class _SceneTable(Table):
 
 
 class SceneFile(Table):
-    scene: _SceneTable
-    radar: Radar
-    image: Grid
-    sampling: Sampling = Sampling()
-    materials: Annotated[dict[str, Material], Field(min_length=1)]
-    effects: dict[str, dict[str, Any]] = Field(default_factory=dict)
-    views: Annotated[list[View], Field(min_length=1)]
+    """All tables of a scene file."""
+
+    scene: SceneTable = Field(description="The mesh and the reference point.")
+    radar: Radar = Field(description="Frequency and polarizations.")
+    image: Grid = Field(description="Pixels of every view.")
+    sampling: Sampling = Field(default=Sampling(), description="The rays.")
+    materials: Annotated[dict[str, Material], Field(min_length=1)] = Field(
+        description="The surface of each material of the mesh, under the material's name."
+    )
+    effects: dict[str, dict[str, Any]] = Field(
+        default_factory=dict, description="Effects that the model has, each with its parameters (docs/effects.md)."
+    )
+    views: Annotated[list[View], Field(min_length=1)] = Field(description="The views, at least one.")
 
 
 _TABLES: dict[str, type[Table]] = {
-    "scene": _SceneTable,
+    "scene": SceneTable,
     "radar": Radar,
     "image": Grid,
     "sampling": Sampling,
@@ -66,7 +72,7 @@ _TABLES: dict[str, type[Table]] = {
 
 
 def read(path: Path) -> tuple[str, dict[str, Any]]:
-    """A scene file's text, and its tables as they stand there; raises InputError for what is not TOML."""
+    """A scene file's text, and its tables as they stand there; raises InputError for text that is not TOML."""
     text = _read_text(path)
     lines = (line.partition("#")[0] for line in text.splitlines())
     if any(part.count(".") > _MOST_KEY_PARTS for line in lines for part in re.split(r"[=,{}\[\]]", line)):
@@ -95,6 +101,7 @@ def _read_text(path: Path) -> str:
 
 
 def parse(raw: dict[str, Any]) -> tuple[SceneFile | None, list[str]]:
+    """The checked tables, or None and what is wrong with them, a line each."""
     try:
         return SceneFile.model_validate(raw), []
     except ValidationError as error:
@@ -102,6 +109,7 @@ def parse(raw: dict[str, Any]) -> tuple[SceneFile | None, list[str]]:
 
 
 def parse_effects(raw: Mapping[str, Any], problems: list[str]) -> dict[str, dict[str, Any]]:
+    """Checked parameters of every effect in `[effects]`; what is wrong is added to `problems`."""
     effects = {}
     tables = raw.get("effects", {})
     for name, table in tables.items() if isinstance(tables, dict) else ():
@@ -114,6 +122,7 @@ def parse_effects(raw: Mapping[str, Any], problems: list[str]) -> dict[str, dict
 
 
 def refuse(path: Path, problems: list[str]) -> None:
+    """Raise one InputError for all problems; nothing where there are none."""
     if len(problems) == 1:
         raise InputError(f"{path}: {problems[0]}")
     if problems:

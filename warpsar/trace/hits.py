@@ -1,4 +1,4 @@
-"""What rays leave: hits, and the grid of bins that they fall into."""
+"""What rays find: lit points of the surface (hits), and the grid of bins that they fall into."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ DEFAULT_MEMORY_GIB = 2.0
 
 @dataclass(frozen=True)
 class BinGrid:
-    """Bins of [range, azimuth] about the reference point: shape (rows, cols), `spacing_m` (range, azimuth) [m].
+    """Bins of (range, azimuth) about the reference point: `shape` (rows, cols), `spacing_m` (range, azimuth) [m].
 
-    `bins_per_pixel` of them, per axis, make a pixel of the image; the grid may be wider than the image, by whole
-    pixels and as much on each side.
+    A pixel of the image has `bins_per_pixel` bins along each axis. The grid may be wider than the image, by whole
+    pixels and by as much on each side.
     """
 
     shape: tuple[int, int]
@@ -36,35 +36,40 @@ class BinGrid:
 
 @dataclass
 class Hits:
-    """Lit surface of one view, on a device; arrays of shape (n,).
-
-    `pixel` is row * cols + col in `grid`; `barycentric` holds the weights of the face's second and third vertex;
-    `weight` is the sum of dA_perp / cos(theta) over the rays, divided by the pixel area (scene-format.md, "Pixel
-    value"); `point` [m] is about the reference point; `cos_twist` is cos psi of the facet's basis, and
-    `cos2_azimuth` tells how the look direction lies to the facet's horizontal (for the separable spectrum alone).
-    """
+    """The lit surface of one view, on a device: one hit is one face in one bin. Every array has shape (n,)."""
 
     grid: BinGrid
     geometry: ViewGeometry
     pixel: wp.array
+    """int: row * cols + col in `grid`."""
     face: wp.array
+    """int: the face of the mesh."""
     barycentric: wp.array
+    """vec2: weights of the face's second and third vertex."""
     weight: wp.array
+    """float: sum of dA_perp / cos(incidence) over the rays, divided by the pixel area."""
     point: wp.array
+    """vec3 [m], about the reference point."""
     cos_incidence: wp.array
+    """float: cosine of the local incidence angle."""
     cos_twist: wp.array
+    """float: cosine of the angle psi between the radar's polarization basis and the facet's."""
     cos2_azimuth: wp.array
+    """float: how the look direction lies to the facet's horizontal; the separable spectrum alone needs it."""
     rays_per_m2: float
     seed: int
     rays: int
-    kept: dict[Any, Any] = field(default_factory=dict)  # what effects traced besides, for models that share the hits
+    derived: dict[Any, Any] = field(default_factory=dict)
+    """What was worked out from these hits (shading samples, an effect's paths or edges): models that share the hits
+    share it. Filled under each user's own key."""
 
     @property
     def count(self) -> int:
         return int(self.pixel.shape[0])
 
 
-def concatenate(parts: list[Any], dtype: Any, device: Any) -> Any:
+def concatenate(parts: list[wp.array], dtype: type, device: wp.Device) -> wp.array:
+    """The arrays one after the other, as a new array of `dtype`; a single one as it is."""
     if len(parts) == 1:
         return parts[0]
     whole = wp.empty(sum(p.shape[0] for p in parts), dtype=dtype, device=device)

@@ -1,4 +1,4 @@
-"""Per-pixel geometry beside the image: incidence, layover count, shadow, material."""
+"""Layers beside the image: incidence, layover count, shadow and material of every pixel."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from warpsar.world.mesh import Mesh
 
 
 def layers(target: Target, mesh: Mesh, hits: Hits, rays_per_m2: float) -> dict[str, np.ndarray]:
-    """Layers of one view, each (rows, cols) float32.
+    """Layers of one view, each float32 of shape (rows, cols).
 
-    `incidence_deg`: local incidence on the lit surface, averaged over its area, NaN where nothing is lit;
-    `layover`: how many separate stretches of lit surface fall into the pixel, averaged over its azimuth cells;
-    `shadow`: 1 where only surfaces hidden from the radar lie; `material`: index into the mesh's materials of the
-    one with the largest lit area, -1 where nothing is lit.
+    `incidence_deg`: local incidence angle on the lit surface [deg], averaged over its area; NaN where nothing is lit.
+    `layover`: how many separate stretches of lit surface fall into the pixel, averaged over its azimuth cells.
+    `shadow`: 1 where all surfaces in the pixel are hidden from the radar, else 0.
+    `material`: index into the mesh's materials of the one with the largest lit area; -1 where nothing is lit.
     """
     rows, cols = hits.grid.shape
     n = rows * cols
@@ -51,9 +51,9 @@ def layers(target: Target, mesh: Mesh, hits: Hits, rays_per_m2: float) -> dict[s
 def launch_layers(
     target: Target, geometry: ViewGeometry, grid: BinGrid, rays_per_m2: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Visits of the lit surface per pixel (float32) and whether a hidden surface lies there (bool), (rows * cols,)."""
+    """Stretches of lit surface per pixel (float32), and whether a hidden surface lies there (bool): (rows * cols,)."""
     device = target.device
-    rays = ray_grid(target, geometry, grid, rays_per_m2, 1, grid.pixel_area_m2)
+    rays = ray_grid(target, geometry, grid, rays_per_m2, grid.pixel_area_m2)
     first, last = rays.first_cell, rays.end_cell
     visits = wp.zeros(grid.shape[0] * grid.shape[1], dtype=float, device=device)
     hidden = wp.zeros(grid.shape[0] * grid.shape[1], dtype=int, device=device)

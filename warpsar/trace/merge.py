@@ -1,8 +1,6 @@
-"""What rays left: rows of a table in the order of their keys, and stretches of one value in a list."""
+"""Records of rays sorted by their keys, and where stretches of one value begin in a sorted array."""
 
 from __future__ import annotations
-
-from typing import Any
 
 import numpy as np
 import warp as wp
@@ -10,14 +8,13 @@ import warp as wp
 from warpsar.kernels import merge as kernels
 
 
-def sorted_rows(rows: wp.array, count: wp.array, key_bits: int) -> tuple[int, int, Any, Any]:
-    """(count[0], count[1], key, row) of the rows that are taken, sorted by key: what the host has to know comes in one
-    copy.
+def sorted_rows(rows: wp.array, count: wp.array, key_bits: int) -> tuple[int, int, wp.array, wp.array]:
+    """(count[0], count[1], key, row) of the rows that are taken, sorted by key.
 
-    `rows` and `count` as in `kernels.trace.Records`; `key` (int64) and `row` (int) have one element for each row
-    taken. The sort is stable: records of one key that were left one after the other stay so.
+    `rows` and `count` are those of `kernels.trace.Records`. `key` (int64) and `row` (int) have one element for each row
+    taken. The sort is stable: records of one key keep their order. All numbers reach the host in one copy.
     """
-    device: Any = rows.device
+    device = rows.device
     capacity = rows.shape[0]
     start, rank = (wp.empty(capacity, dtype=int, device=device) for _ in range(2))
     wp.launch(kernels.mark_rows_kernel, capacity, inputs=[rows], outputs=[start], device=device)
@@ -36,9 +33,9 @@ def sorted_rows(rows: wp.array, count: wp.array, key_bits: int) -> tuple[int, in
     return lost, taken, key[:n], row[:n]
 
 
-def rows_by_key(rows: wp.array, n: int, key_bits: int) -> tuple[Any, Any]:
+def rows_by_key(rows: wp.array, n: int, key_bits: int) -> tuple[wp.array, wp.array]:
     """(key, row) of the first `n` of the CPU's `rows`, as `sorted_rows` gives them."""
-    device: Any = rows.device
+    device = rows.device
     if not n:
         return wp.empty(0, dtype=wp.int64, device=device), wp.empty(0, dtype=int, device=device)
     # twice as long as they are: the sort's room
@@ -48,9 +45,12 @@ def rows_by_key(rows: wp.array, n: int, key_bits: int) -> tuple[Any, Any]:
     return key[:n], row[:n]
 
 
-def starts(values: wp.array, longest: int = 2**30, whole: int = -1) -> Any:
-    """Where stretches of one value begin, int; the longer ones in pieces, but for that of the value `whole`."""
-    device: Any = values.device
+def starts(values: wp.array, longest: int = 2**30, whole: int = -1) -> wp.array:
+    """Where stretches of one value begin in `values` (int, shape (n,)); int.
+
+    A stretch of more than `longest` elements counts as several, unless its value is `whole`.
+    """
+    device = values.device
     n = values.shape[0]
     if not n:
         return wp.empty(0, dtype=int, device=device)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
 
 import warp as wp
 
@@ -13,31 +12,25 @@ from warpsar.trace.hits import BinGrid
 from warpsar.trace.target import Target
 from warpsar.world.frame import ViewGeometry
 
-if TYPE_CHECKING:
-    pass
 
-
-def ray_count(
-    target: Target, geometry: ViewGeometry, grid: BinGrid, rays_per_m2: float, cells_multiple: int = 1
-) -> int:
+def ray_count(target: Target, geometry: ViewGeometry, grid: BinGrid, rays_per_m2: float) -> int:
     """Rays that `trace` will send: what a progress bar counts to."""
-    rays = ray_grid(target, geometry, grid, rays_per_m2, cells_multiple, grid.pixel_area_m2)
+    rays = ray_grid(target, geometry, grid, rays_per_m2, grid.pixel_area_m2)
     first, last = rays.first_cell, rays.end_cell
     return (last - first) * rays.elevation_cells
 
 
 def ray_grid(
-    target: Target,
-    geometry: ViewGeometry,
-    grid: BinGrid,
-    rays_per_m2: float,
-    cells_multiple: int,
-    pixel_area_m2: float,
-) -> Any:
-    """Cells nest in the columns of `grid`, `cells_multiple` or a multiple of it to a column, about square."""
+    target: Target, geometry: ViewGeometry, grid: BinGrid, rays_per_m2: float, pixel_area_m2: float
+) -> RayGrid:
+    """The cells of a view's rays: about square, and a whole number of them across each column of `grid`.
+
+    `rays_per_m2` [1/m^2] counts over the plane across the look direction; `pixel_area_m2` [m^2] divides the rays'
+    weights. Raises InputError where the mesh reaches the track of a strip-map.
+    """
     low, high = target.ends(geometry)
     spacing = grid.spacing_m[1]
-    per_column = max(1, round(spacing * math.sqrt(rays_per_m2) / cells_multiple)) * cells_multiple
+    per_column = max(1, round(spacing * math.sqrt(rays_per_m2)))
     step = spacing / per_column
     across_step = 1.0 / (rays_per_m2 * step)
     rays = RayGrid()

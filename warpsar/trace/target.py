@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import cached_property
 from threading import Lock
-from typing import Any
 
 import numpy as np
 import warp as wp
+from numpy.typing import ArrayLike
 
 from warpsar.kernels import raster
 from warpsar.kernels import trace as kernels
@@ -16,24 +16,29 @@ from warpsar.kernels.wide import WARP
 from warpsar.world.frame import ViewGeometry
 from warpsar.world.mesh import Mesh
 
-_KEPT_SHARE = 0.25  # of a CUDA device's memory, that a process does not hand back between views
+_KEPT_SHARE = 0.25  # of a CUDA device's memory: what a process keeps between views instead of handing it back
 
 
 @dataclass
 class Target:
-    """A mesh on a device, about its reference point."""
+    """A mesh on a device, its coordinates [m] about the reference point."""
 
-    device: Any
-    vertices: wp.array  # [m], shape (n,), vec3
-    faces: wp.array  # shape (m, 3), int32
-    corners: np.ndarray  # [m], shape (n, 3), float64, about the reference point
-    places: wp.array  # the same on the device, vec3d
+    device: wp.Device
+    vertices: wp.array
+    """vec3 [m], shape (n,)."""
+    faces: wp.array
+    """int, shape (m, 3)."""
+    corners: np.ndarray
+    """The vertices on the host: float64 [m], shape (n, 3)."""
+    places: wp.array
+    """The vertices on the device in double precision: vec3d [m], shape (n,)."""
     _ends: dict[bytes, np.ndarray] = field(default_factory=dict)
     _bvh: wp.Mesh | None = None
     _building: Lock = field(default_factory=Lock)
 
     @classmethod
-    def upload(cls, mesh: Mesh, reference_point_m: Any, device: Any) -> Target:
+    def upload(cls, mesh: Mesh, reference_point_m: ArrayLike, device: wp.Device) -> Target:
+        """Copy a mesh to a device; `reference_point_m` (3,) [m] becomes the origin."""
         corners = np.asarray(mesh.vertices, np.float64) - np.asarray(reference_point_m, np.float64)
         vertices: wp.array = wp.array(corners.astype(np.float32), dtype=wp.vec3, device=device)
         faces: wp.array = wp.array(np.ascontiguousarray(mesh.faces, np.int32), dtype=int, device=device)
@@ -44,7 +49,7 @@ class Target:
 
     @property
     def bvh(self) -> wp.Mesh:
-        """Built when a ray first asks for it: most views are traced without (`Raster`)."""
+        """The faces as a tree, built when a ray first asks for it: most views are traced without one (`Raster`)."""
         with self._building:  # bands ask for it side by side
             if self._bvh is None:
                 # Measured on CUDA (docs/benchmarks.md): cuBQL with two faces a leaf traces fastest, and is built in a
@@ -57,10 +62,10 @@ class Target:
     def ends(self, geometry: ViewGeometry) -> tuple[np.ndarray, np.ndarray]:
         """Least and largest (X . d, X . u, elevation, distance from the track) of the mesh, float64, shape (4,) each.
 
-        Elevation is X . v [m]; with a track, the angle about it [rad]. Found on the device: the host takes as long
-        for a million vertices as CUDA for all of their image. Kept: whoever counts a view's rays traces them, too.
+        Elevation is X . v [m]; with a track it is the angle about the track [rad]. The device finds them, because the
+        host takes as long for a million vertices as CUDA does for all of their image. They are stored: a view's rays
+        are counted first and traced later.
         """
-
         track = geometry.slant_range_m or 0.0
         key = np.concatenate([geometry.d, geometry.u, geometry.v, [track]]).tobytes()
         if key in self._ends:
@@ -69,8 +74,9 @@ class Target:
         threads = 1 if self.device.is_cpu else 512 * WARP
         ends = wp.empty((-(-threads // WARP), 8), dtype=wp.float64, device=self.device)
         inputs = [self.places, *axes, track, threads]
-        launched = {"device": self.device, "block_dim": kernels.BLOCK}
-        wp.launch(kernels.extent_kernel, threads, inputs=inputs, outputs=[ends], **launched)
+        wp.launch(
+            kernels.extent_kernel, threads, inputs=inputs, outputs=[ends], device=self.device, block_dim=kernels.BLOCK
+        )
         self._ends[key] = found = ends.numpy().min(axis=0)
         return found[:4], -found[4:]
 

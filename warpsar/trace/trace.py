@@ -1,10 +1,10 @@
-"""Scene + View -> Hits: the geometry of one view, traced once and kept."""
+"""A view traced once: its lit surface as hits in bins of range and azimuth."""
 
 from __future__ import annotations
 
 import math
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import warp as wp
 
@@ -12,6 +12,7 @@ from warpsar.errors import InputError
 from warpsar.kernels import hit_lanes, record_lanes
 from warpsar.kernels import trace as kernels
 from warpsar.kernels.codes import Deposit
+from warpsar.kernels.geometry import RayGrid
 from warpsar.runtime import threads
 from warpsar.trace.hits import DEFAULT_MEMORY_GIB, BinGrid, Hits, concatenate
 from warpsar.trace.merge import rows_by_key, sorted_rows
@@ -20,20 +21,29 @@ from warpsar.trace.rays import ray_grid
 from warpsar.trace.target import Target
 from warpsar.world.frame import ViewGeometry
 
-if TYPE_CHECKING:
-    pass
-
-
-_RAY_BYTES = 96  # at most: its face, what the raster keeps of it, two rows of its band's table, their marks and ranks
-
-
-_BAND_RAYS = 2**20  # of a CPU's band; smaller ones share more faces, and larger ones leave cores without
-
-
+# Bytes of a ray at most: its face, what the raster keeps of it, two rows of its band's table, their marks and ranks.
+_RAY_BYTES = 96
+_BAND_RAYS = 2**20  # of a CPU's band: smaller bands share more faces, larger ones leave cores without work
 _TILE = (4, 8)  # rays of a CUDA warp: across azimuth, along elevation
-
-
 _SEGMENT = 4  # rays of one CUDA thread when they are recorded
+_DEPOSITS = {code.name.lower(): code for code in Deposit}
+_ARRAYS = {
+    "pixel": int,
+    "face": int,
+    "barycentric": wp.vec2,
+    "weight": float,
+    "point": wp.vec3,
+    "cos_incidence": float,
+    "cos_twist": float,
+    "cos2_azimuth": float,
+}
+"""The arrays of `Hits` and their types, as the kernels write them."""
+
+
+class Progress(Protocol):
+    """What counts the rays that are done, such as a tqdm bar."""
+
+    def update(self, n: int) -> object: ...
 
 
 def trace(
@@ -45,121 +55,189 @@ def trace(
     seed: int = 0,
     deposit: str = "footprint",
     merge: bool = True,
-    cells_multiple: int = 1,
     pixel_area_m2: float | None = None,
     only_columns: tuple[int, int] | None = None,
     max_memory_gib: float = DEFAULT_MEMORY_GIB,
-    progress: Any = None,
+    progress: Progress | None = None,
 ) -> Hits:
     """Trace one view and bin it.
 
-    `rays_per_m2` counts rays over the plane across the look direction. `deposit`: a ray's power goes to the bin
-    of its sample ("nearest"), to the range bins its cell covers on the facet's plane ("footprint"), or is split
-    between the two nearest bin centres in range ("linear", differentiable). `pixel_area_m2` divides the weights
-    and is the grid's own unless the grid is finer than the image. `only_columns`: the first of the grid's and the one
-    after the last, with the rays that they would have in the whole. Memory stays near `max_memory_gib` beside the hits
-    themselves; the result does not depend on it, nor on the number of threads, nor on the order of CUDA's.
+    `rays_per_m2`: rays over the plane across the look direction [1/m^2].
+    `deposit`: where a ray's power goes. "nearest": to the bin of its sample. "footprint": to the range bins that its
+    cell covers on the facet's plane. "linear": split between the two nearest bin centres in range (differentiable).
+    `merge`: hits of one face in one bin become one.
+    `pixel_area_m2` [m^2] divides the weights. It is a bin's own area, unless the grid is finer than the image.
+    `only_columns`: trace the grid's columns from the first to the one before the second, with the rays that they have
+    in the whole grid.
+    `max_memory_gib` [GiB] bounds the memory beside the hits themselves.
+
+    The result does not depend on the memory, on the number of threads, or on the order of CUDA's threads. Raises
+    InputError where pixels and faces are too many to be numbered, or where the mesh reaches the track.
     """
-    device = target.device
-    rays = ray_grid(target, geometry, grid, rays_per_m2, cells_multiple, pixel_area_m2 or grid.pixel_area_m2)
+    rays = ray_grid(target, geometry, grid, rays_per_m2, pixel_area_m2 or grid.pixel_area_m2)
     first, last = rays.first_cell, rays.end_cell
     if only_columns is not None:
         first = max(first, only_columns[0] * rays.cells_per_column)
         last = max(first, min(last, only_columns[1] * rays.cells_per_column))
-    faces = int(target.faces.shape[0])
-    face_bits = max(1, (faces - 1).bit_length())
-    key_bits = face_bits + max(1, (grid.shape[0] * grid.shape[1] - 1).bit_length())
-    if key_bits > 62:
-        raise InputError(
-            f"[image] shape: {grid.shape[0]} x {grid.shape[1]} pixels with {faces} faces cannot be "
-            f"numbered in 62 bits; allowed are {2 ** (62 - face_bits)} pixels"
-        )
-    codes = {code.name.lower(): code for code in Deposit}
-    segment, block = rays.elevation_cells if device.is_cpu else _SEGMENT, kernels.BLOCK
-    workers = threads.thread_count() if device.is_cpu else 1
-    most = min(max_memory_gib * 2**30 / workers / _RAY_BYTES, 2**29)  # rays of a band; rows are numbered in 31 bits
+    bands = _Bands(target, rays, (first, last), rays_per_m2, seed, deposit, merge)
+    width = bands.width(max_memory_gib)
+    bands.prepare()
 
-    def rows_expected(begin: int, end: int) -> float:
-        """Rows of the table for the azimuth cells `begin` to `end`, with as many left free."""
-        expected = 2.0 * (end - begin) * rays.elevation_cells
-        if merge:
-            # As many (pixel, face) as two nets of cells cut one another into, one surface deep; more is retried.
-            pixels = grid.shape[0] * (end - begin) / rays.cells_per_column
-            lit = faces * (end - begin) / max(rays.end_cell - rays.first_cell, 1)
-            expected = min(expected, 2.0 * (math.sqrt(pixels) + math.sqrt(lit)) ** 2)
-        return expected
-
-    # whole columns of pixels, so that no two bands share one; at least 8 bands for the threads to share
-    columns = -(-(last - first) // rays.cells_per_column)
-    room = int(most / max(rays.elevation_cells, 1)) // rays.cells_per_column
-    if device.is_cpu:
-        # not by the number of threads: the bands' order is that of the hits
-        pieces = max(8, (last - first) * rays.elevation_cells // _BAND_RAYS)
-        room = min(room, -(-columns // pieces))
-    width = max(1, min(room, columns)) * rays.cells_per_column
-
-    kind: type[Raster | ParallelRaster] = Raster if device.is_cpu else ParallelRaster
-    raster = kind.where_it_pays(target, rays, first, last)
-
-    def recorded(begin: int, end: int, capacity: int) -> tuple[Any, Any, Any]:
-        """Records of a band's rays in a table of `capacity` rows, or of more where they find no room; their keys in
-        order, and their rows."""
-        face = nearest_faces(target, rays, begin, end, seed) if raster is None else raster.nearest(begin, end, seed)
-        records = kernels.Records()
-        # a ray's own weight is at least 2^29 quanta, and at grazing incidence 1e6 times as much
-        records.quanta = 2.0 ** (30 - math.floor(math.log2(1.0 / (rays_per_m2 * rays.pixel_area))))
-        if device.is_cpu and merge:
-            records.rows, taken = recorded_in_columns(
-                target, rays, face, begin, end, capacity, seed, codes[deposit], face_bits, records.quanta
-            )
-            return records, *rows_by_key(records.rows, taken, key_bits)
-        while True:
-            records.rows = wp.zeros((capacity, 4), dtype=wp.int64, device=device)
-            records.merge = int(merge)
-            records.count = wp.zeros(2, dtype=int, device=device)
-            inputs = [rays, target.vertices, target.faces, face, begin, segment, seed, int(codes[deposit]), face_bits]
-            dim = (-(-rays.elevation_cells // segment), end - begin)
-            wp.launch(kernels.record_kernel, dim, inputs=inputs, outputs=[records], device=device, block_dim=block)
-            lost, taken, key, row = sorted_rows(records.rows, records.count, key_bits)
-            if not lost:
-                return records, key, row
-            capacity = 4 * capacity if merge else taken
-
-    def band(begin: int) -> tuple[Any, ...] | None:
+    def one(begin: int) -> list[wp.array] | None:
         end = min(begin + width, last)
-        sent = (end - begin) * rays.elevation_cells
-        records, key, row = recorded(begin, end, int(rows_expected(begin, end)) + 1024)
+        found = bands.hits(begin, end)
         if progress is not None:
-            progress.update(sent)
-        n = row.shape[0]
-        if not n:
-            return None
-        found = tuple(wp.empty(n, dtype=dtype, device=device) for dtype in dtypes)
-        mesh = [rays, target.vertices, target.faces]
-        if device.is_cpu:
-            inputs = [*mesh, records.rows, records.quanta, key, row, face_bits]
-            blocks = -(-n // hit_lanes.LANES)
-            wp.launch(hit_lanes.hit_kernel, blocks, inputs=inputs, outputs=list(found), device=device)
-        else:
-            inputs = [*mesh, records, key, row, face_bits]
-            wp.launch(kernels.hit_kernel, n, inputs=inputs, outputs=list(found), device=device, block_dim=block)
+            progress.update((end - begin) * rays.elevation_cells)
         return found
 
-    names = ("pixel", "face", "barycentric", "weight", "point", "cos_incidence", "cos_twist", "cos2_azimuth")
-    dtypes = (int, int, wp.vec2, float, wp.vec3, float, float, float)
-    for module in [kernels, record_lanes, hit_lanes] if device.is_cpu else [kernels]:
-        wp.load_module(module, device=device, block_dim=block)
-    tasks = [partial(band, begin) for begin in range(first, last, width)]
-    parts = [part for part in threads.ordered(tasks, device) if part is not None]
+    tasks = [partial(one, begin) for begin in range(first, last, width)]
+    parts = [part for part in threads.ordered(tasks, target.device) if part is not None]
+    whole = [
+        partial(concatenate, [part[k] for part in parts], dtype, target.device)
+        for k, dtype in enumerate(_ARRAYS.values())
+    ]
+    arrays: dict[str, Any] = dict(zip(_ARRAYS, threads.ordered(whole, target.device), strict=True))
     total_rays = (last - first) * rays.elevation_cells
-    whole = [partial(concatenate, [part[k] for part in parts], dtype, device) for k, dtype in enumerate(dtypes)]
-    arrays: dict[str, Any] = dict(zip(names, threads.ordered(whole, device), strict=True))
     return Hits(grid, geometry, rays_per_m2=rays_per_m2, seed=seed, rays=total_rays, **arrays)
 
 
-def nearest_faces(target: Target, rays: Any, begin: int, end: int, seed: int) -> Any:
-    """The face that each ray of the azimuth cells `begin` to `end` meets first, or -1; int, shape (rays of the band,),
-    the elevation cells of one azimuth cell side by side."""
+class _Bands:
+    """The rays of a view's azimuth `cells` (from the first to the one before the second), traced band by band.
+
+    A band is a stretch of azimuth cells that has its own table of records. It holds whole columns of pixels, so that no
+    two bands share a pixel.
+    """
+
+    def __init__(
+        self,
+        target: Target,
+        rays: RayGrid,
+        cells: tuple[int, int],
+        rays_per_m2: float,
+        seed: int,
+        deposit: str,
+        merge: bool,
+    ) -> None:
+        self.target, self.rays, self.cells = target, rays, cells
+        self.seed, self.deposit, self.merge = seed, int(_DEPOSITS[deposit]), merge
+        self.device = target.device
+        self.faces = int(target.faces.shape[0])
+        self.face_bits = max(1, (self.faces - 1).bit_length())
+        self.key_bits = self.face_bits + max(1, (rays.rows * rays.cols - 1).bit_length())
+        if self.key_bits > 62:
+            raise InputError(
+                f"[image] shape: {rays.rows} x {rays.cols} pixels with {self.faces} faces cannot be "
+                f"numbered in 62 bits; allowed are {2 ** (62 - self.face_bits)} pixels"
+            )
+        # a ray's own weight is at least 2^29 quanta, and at grazing incidence 1e6 times as much
+        self.quanta = 2.0 ** (30 - math.floor(math.log2(1.0 / (rays_per_m2 * rays.pixel_area))))
+        self.raster: Raster | ParallelRaster | None = None  # None: rays go through the BVH
+
+    def width(self, max_memory_gib: float) -> int:
+        """Azimuth cells of a band: as many whole columns as the memory allows, and at least 8 bands on a CPU."""
+        rays, (first, last) = self.rays, self.cells
+        workers = threads.thread_count() if self.device.is_cpu else 1
+        # rows are numbered in 31 bits
+        most_rays = min(max_memory_gib * 2**30 / workers / _RAY_BYTES, 2**29)
+        columns = -(-(last - first) // rays.cells_per_column)
+        room = int(most_rays / max(rays.elevation_cells, 1)) // rays.cells_per_column
+        if self.device.is_cpu:
+            # not by the number of threads: the bands' order is that of the hits
+            pieces = max(8, (last - first) * rays.elevation_cells // _BAND_RAYS)
+            room = min(room, -(-columns // pieces))
+        return max(1, min(room, columns)) * rays.cells_per_column
+
+    def prepare(self) -> None:
+        """Choose how rays find their faces, and load the kernels."""
+        kind: type[Raster | ParallelRaster] = Raster if self.device.is_cpu else ParallelRaster
+        self.raster = kind.where_it_pays(self.target, self.rays, *self.cells)
+        for module in [kernels, record_lanes, hit_lanes] if self.device.is_cpu else [kernels]:
+            wp.load_module(module, device=self.device, block_dim=kernels.BLOCK)
+
+    def hits(self, begin: int, end: int) -> list[wp.array] | None:
+        """The arrays of `Hits` for the azimuth cells `begin` to `end` - 1; None where no ray meets a face."""
+        records, key, row = self._recorded(begin, end)
+        n = row.shape[0]
+        if not n:
+            return None
+        found = [wp.empty(n, dtype=dtype, device=self.device) for dtype in _ARRAYS.values()]
+        mesh = [self.rays, self.target.vertices, self.target.faces]
+        if self.device.is_cpu:
+            inputs = [*mesh, records.rows, records.quanta, key, row, self.face_bits]
+            blocks = -(-n // hit_lanes.LANES)
+            wp.launch(hit_lanes.hit_kernel, blocks, inputs=inputs, outputs=found, device=self.device)
+        else:
+            inputs = [*mesh, records, key, row, self.face_bits]
+            block = kernels.BLOCK
+            wp.launch(kernels.hit_kernel, n, inputs=inputs, outputs=found, device=self.device, block_dim=block)
+        return found
+
+    def _recorded(self, begin: int, end: int) -> tuple[kernels.Records, wp.array, wp.array]:
+        """Records of a band's rays; their keys in order (int64), and their rows (int)."""
+        if self.raster is None:
+            face = nearest_faces(self.target, self.rays, begin, end, self.seed)
+        else:
+            face = self.raster.nearest(begin, end, self.seed)
+        records = kernels.Records()
+        records.quanta = self.quanta
+        capacity = self._expected_rows(begin, end)
+        if self.device.is_cpu and self.merge:
+            records.rows, taken = self._recorded_in_columns(face, begin, end, capacity)
+            return records, *rows_by_key(records.rows, taken, self.key_bits)
+        segment = self.rays.elevation_cells if self.device.is_cpu else _SEGMENT
+        dim = (-(-self.rays.elevation_cells // segment), end - begin)
+        mesh = [self.target.vertices, self.target.faces]
+        inputs = [self.rays, *mesh, face, begin, segment, self.seed, self.deposit, self.face_bits]
+        device, block = self.device, kernels.BLOCK
+        while True:
+            records.rows = wp.zeros((capacity, 4), dtype=wp.int64, device=device)
+            records.merge = int(self.merge)
+            records.count = wp.zeros(2, dtype=int, device=device)
+            wp.launch(kernels.record_kernel, dim, inputs=inputs, outputs=[records], device=device, block_dim=block)
+            lost, taken, key, row = sorted_rows(records.rows, records.count, self.key_bits)
+            if not lost:
+                return records, key, row
+            capacity = 4 * capacity if self.merge else taken
+
+    def _expected_rows(self, begin: int, end: int) -> int:
+        """Rows of the table for the azimuth cells `begin` to `end` - 1, with as many left free."""
+        expected = 2.0 * (end - begin) * self.rays.elevation_cells
+        if self.merge:
+            # As many (pixel, face) as two nets of cells cut one another into, one surface deep; more is retried.
+            pixels = self.rays.rows * (end - begin) / self.rays.cells_per_column
+            lit = self.faces * (end - begin) / max(self.rays.end_cell - self.rays.first_cell, 1)
+            expected = min(expected, 2.0 * (math.sqrt(pixels) + math.sqrt(lit)) ** 2)
+        return int(expected) + 1024
+
+    def _recorded_in_columns(self, face: wp.array, begin: int, end: int, capacity: int) -> tuple[wp.array, int]:
+        """Merged records of the band's rays on the CPU, in the order in which their columns left them, and how many.
+
+        Rows are as in `kernels.trace.Records`, with the key itself. `capacity` of them are expected at most.
+        """
+        rays, device, columns = self.rays, self.device, (end - begin) // self.rays.cells_per_column
+        across, along = (wp.empty(face.shape[0] + record_lanes.LANES, dtype=float, device=device) for _ in range(2))
+        jitter = [rays, begin, self.seed]
+        wp.launch(record_lanes.jitter_kernel, end - begin, inputs=jitter, outputs=[across, along], device=device)
+        mesh = [self.target.vertices, self.target.faces]
+        inputs = [rays, *mesh, face, across, along, begin, self.deposit, self.face_bits, self.quanta]
+        while True:
+            taken = wp.zeros(1, dtype=int, device=device)
+            rows = wp.empty((capacity, 4), dtype=wp.int64, device=device)
+            link = wp.empty(capacity, dtype=int, device=device)
+            head = wp.empty(1 << (capacity // columns).bit_length(), dtype=int, device=device)
+            outputs = [head, link, taken, rows]
+            wp.launch(record_lanes.record_kernel, columns, inputs=inputs, outputs=outputs, device=device)
+            found = int(taken.numpy()[0])
+            if found <= capacity:
+                return rows, found
+            capacity = found
+
+
+def nearest_faces(target: Target, rays: RayGrid, begin: int, end: int, seed: int) -> wp.array:
+    """The face that each ray of the azimuth cells `begin` to `end` - 1 meets first in the BVH, or -1.
+
+    int, shape (rays of the band,): the elevation cells of one azimuth cell lie side by side.
+    """
     face = wp.empty((end - begin) * rays.elevation_cells, dtype=int, device=target.device)
     # a CPU launch walks its threads one after the other: down the columns
     tile = (1, rays.elevation_cells) if target.device.is_cpu else _TILE
@@ -167,35 +245,3 @@ def nearest_faces(target: Target, rays: Any, begin: int, end: int, seed: int) ->
     inputs = [rays, target.bvh.id, begin, end, *tile, seed]
     wp.launch(kernels.query_kernel, dim, inputs=inputs, outputs=[face], device=target.device, block_dim=kernels.BLOCK)
     return face
-
-
-def recorded_in_columns(
-    target: Target,
-    rays: Any,
-    face: Any,
-    begin: int,
-    end: int,
-    capacity: int,
-    seed: int,
-    deposit: int,
-    face_bits: int,
-    quanta: float,
-) -> tuple[Any, int]:
-    """Records of the band's rays on the CPU, merged, in the order in which their columns left them: rows as in
-    `kernels.trace.Records`, with the key itself, and how many. `capacity` of them are expected at most."""
-    device, columns = target.device, (end - begin) // rays.cells_per_column
-    across, along = (wp.empty(face.shape[0] + record_lanes.LANES, dtype=float, device=device) for _ in range(2))
-    inputs = [rays, begin, seed]
-    wp.launch(record_lanes.jitter_kernel, end - begin, inputs=inputs, outputs=[across, along], device=device)
-    while True:
-        taken = wp.zeros(1, dtype=int, device=device)
-        rows = wp.empty((capacity, 4), dtype=wp.int64, device=device)
-        link = wp.empty(capacity, dtype=int, device=device)
-        head = wp.empty(1 << (capacity // columns).bit_length(), dtype=int, device=device)
-        inputs = [rays, target.vertices, target.faces, face, across, along, begin, int(deposit), face_bits, quanta]
-        outputs = [head, link, taken, rows]
-        wp.launch(record_lanes.record_kernel, columns, inputs=inputs, outputs=outputs, device=device)
-        found = int(taken.numpy()[0])
-        if found <= capacity:
-            return rows, found
-        capacity = found

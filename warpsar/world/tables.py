@@ -1,4 +1,4 @@
-"""The tables of scene.toml: keys, units, what each may be, and defaults."""
+"""The tables of scene.toml: every key with its unit, its bounds, its default and its meaning."""
 
 from __future__ import annotations
 
@@ -18,16 +18,11 @@ from pydantic import (
 from warpsar.io.images import LARGEST_IMAGE
 
 DEFAULT_RAYS_PER_PIXEL = 64.0
-
+"""Where neither density is stated."""
 
 Polarization = Literal["HH", "HV", "VH", "VV"]
-
-
 SurfaceKey = Literal["eps_r", "rms_height_m", "correlation_length_m", "specular_fraction"]
-
-
 SURFACE_KEYS: tuple[SurfaceKey, ...] = ("eps_r", "rms_height_m", "correlation_length_m", "specular_fraction")
-
 
 LIMITS: dict[str, tuple[float, float]] = {
     "eps_r": (1.0, 1e9),
@@ -35,30 +30,15 @@ LIMITS: dict[str, tuple[float, float]] = {
     "correlation_length_m": (0.0, 1e4),
     "specular_fraction": (0.0, 1.0),
 }
-"""What a surface value may be: above the first number (specular_fraction: or equal), not above the second."""
-
+"""Bounds of a surface value: above the first number (specular_fraction: or equal to it), up to the second."""
 
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
-
-
 _Whole = Annotated[int, Field(strict=True)]
-
-
 _Positive = Annotated[Number, Field(gt=0.0)]
-
-
 _Angle = Annotated[Number, Field(gt=0.0, lt=90.0)]
-
-
 _Frequency = Annotated[Number, Field(ge=1e6, le=1e13)]
-
-
 _Count = Annotated[_Whole, Field(gt=0)]
-
-
 _Spacing = Annotated[Number, Field(ge=1e-5, le=1e5)]
-
-
 _Range = Annotated[Number, Field(gt=0.0, le=1e9)]
 
 
@@ -72,23 +52,28 @@ FileName = Annotated[Path, BeforeValidator(_file_name)]
 
 
 class Table(BaseModel):
-    """A table of scene.toml: no unknown keys, never changed in place (`model_copy` makes a new one)."""
+    """A table of scene.toml. It refuses unknown keys, and is never changed in place: `model_copy` makes a new one."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 class Radar(Table):
-    """`[radar]`: carrier frequency [Hz], polarizations, and how they meet the surface.
+    """`[radar]`: the radar's frequency and polarizations, and how they meet the surface."""
 
-    `slant_range_m` [m] makes it a strip-map, else the wave is plane. `variant = "as_printed"` takes the
-    paper's own constants (prefactor 8, its a_vv) instead of the corrected ones.
-    """
-
-    frequency_hz: _Frequency
-    polarizations: Annotated[tuple[Polarization, ...], Field(min_length=1)]
-    slant_range_m: _Range | None = None
-    polarization_basis: Literal["radar", "local"] = "radar"
-    variant: Literal["standard", "as_printed"] = "standard"
+    frequency_hz: _Frequency = Field(description="Carrier frequency [Hz].")
+    polarizations: Annotated[tuple[Polarization, ...], Field(min_length=1)] = Field(
+        description="Polarizations of the images, transmitted and received, such as HH."
+    )
+    slant_range_m: _Range | None = Field(
+        default=None, description="Range from the straight track to the reference point [m]; plane wave without it."
+    )
+    polarization_basis: Literal["radar", "local"] = Field(
+        default="radar", description="Whether polarizations are the radar's, or those of every facet's own basis."
+    )
+    variant: Literal["standard", "as_printed"] = Field(
+        default="standard",
+        description="as_printed takes the paper's own constants (prefactor 8, its a_vv), not the corrected ones.",
+    )
 
     @field_validator("polarizations")
     @classmethod
@@ -99,11 +84,13 @@ class Radar(Table):
 
 
 class Grid(Table):
-    """`[image]`: pixels (rows in range, columns in azimuth) and their spacing [m] (range, azimuth)."""
+    """`[image]`: the slant-plane pixels, rows in range and columns in azimuth."""
 
-    shape: tuple[_Count, _Count]
-    spacing_m: tuple[_Spacing, _Spacing]
-    calibrated: Annotated[bool, Field(strict=True)] = True
+    shape: tuple[_Count, _Count] = Field(description="Pixels in range (rows) and in azimuth (columns).")
+    spacing_m: tuple[_Spacing, _Spacing] = Field(description="Pixel spacing in slant range and in azimuth [m].")
+    calibrated: Annotated[bool, Field(strict=True)] = Field(
+        default=True, description="Whether measured images are beta0; false where their gain is unknown."
+    )
 
     @field_validator("shape")
     @classmethod
@@ -119,12 +106,19 @@ class Grid(Table):
 
 
 class Sampling(Table):
-    """`[sampling]`: rays over the plane across the look direction, their seed, how they fall into pixels."""
+    """`[sampling]`: how many rays are sent, their seed, and how they fall into pixels."""
 
-    rays_per_pixel: Annotated[_Positive, Field(le=1e7)] | None = None
-    rays_per_m2: Annotated[_Positive, Field(le=1e12)] | None = None
-    seed: Annotated[_Whole, Field(ge=0, lt=2**31)] = 0
-    deposit: Literal["footprint", "nearest", "linear"] = "footprint"
+    rays_per_pixel: Annotated[_Positive, Field(le=1e7)] | None = Field(
+        default=None, description="Rays per pixel area, over the plane across the look direction; 64 if none is stated."
+    )
+    rays_per_m2: Annotated[_Positive, Field(le=1e12)] | None = Field(
+        default=None, description="The same density per square metre [1/m^2], in place of rays_per_pixel."
+    )
+    seed: Annotated[_Whole, Field(ge=0, lt=2**31)] = Field(default=0, description="Seed of the rays' jitter.")
+    deposit: Literal["footprint", "nearest", "linear"] = Field(
+        default="footprint",
+        description="Range bins that get a ray's power: those its footprint covers, the nearest, or the nearest two.",
+    )
 
     @model_validator(mode="after")
     def _one_density(self) -> Sampling:
@@ -145,22 +139,32 @@ class Sampling(Table):
 
 
 class Material(Table):
-    """`[materials.NAME]`: relative permittivity, roughness and the specular share of a surface.
+    """`[materials.NAME]`: relative permittivity, roughness and specular fraction of a surface.
 
-    Each of the four values is a number, or a name: of an image (`layout = "texture"`; absolute in memory)
-    or of a scalar of the PLY's vertices (`layout = "vertex"`). `eps_r` may be (eps', -eps'') of a lossy
-    surface, `correlation_length_m` (lx, ly) with `spectrum = "separable"`. `learn` names what a fit may
-    change.
+    Each of the four values is a number, or a name: that of an image (`layout = "texture"`; an absolute path in memory)
+    or of a scalar of the PLY's vertices (`layout = "vertex"`).
     """
 
-    # First, because the values' validators look at them.
-    layout: Literal["uniform", "vertex", "texture"] = "uniform"
-    spectrum: Literal["gaussian", "exponential", "separable"] = "gaussian"
-    eps_r: float | tuple[float, float] | str
-    rms_height_m: float | str
-    correlation_length_m: float | tuple[float, float] | str
-    specular_fraction: float | str = 0.0
-    learn: tuple[SurfaceKey, ...] = ("eps_r", "rms_height_m", "correlation_length_m")
+    # The first two come first, because the values' validators look at them.
+    layout: Literal["uniform", "vertex", "texture"] = Field(
+        default="uniform", description="What a name among the values stands for: a scalar of the vertices, or an image."
+    )
+    spectrum: Literal["gaussian", "exponential", "separable"] = Field(
+        default="gaussian", description="Spectrum of the roughness; separable takes two correlation lengths."
+    )
+    eps_r: float | tuple[float, float] | str = Field(
+        description="Relative permittivity; [eps', -eps''] of a lossy surface."
+    )
+    rms_height_m: float | str = Field(description="RMS height h of the roughness [m].")
+    correlation_length_m: float | tuple[float, float] | str = Field(
+        description='Correlation length l of the roughness [m]; [lx, ly] with spectrum = "separable".'
+    )
+    specular_fraction: float | str = Field(
+        default=0.0, description="Share tau of the power that the surface reflects specularly."
+    )
+    learn: tuple[SurfaceKey, ...] = Field(
+        default=("eps_r", "rms_height_m", "correlation_length_m"), description="The values that a fit may change."
+    )
 
     @field_validator(*SURFACE_KEYS, mode="plain")
     @classmethod
@@ -197,12 +201,13 @@ def _is_number(value: object) -> bool:
 
 
 def within(key: str, value: Any) -> Any:
-    """Whether a number, or each of an array's, may stand for the surface value."""
+    """Whether a number may be the surface value `key`; of an array an array of answers."""
     low, high = LIMITS[key]
     return ((value >= low) if key == "specular_fraction" else (value > low)) & (value <= high)
 
 
 def allowed_values(key: str) -> str:
+    """What the surface value `key` may be, in words."""
     low, high = LIMITS[key]
     allowed = f"a number {'from' if key == 'specular_fraction' else 'above'} {low:g} to {high:g}"
     if key == "eps_r":
@@ -211,19 +216,36 @@ def allowed_values(key: str) -> str:
 
 
 class View(Table):
-    """`[[views]]`: from where the radar looks, and what it measured. Paths are absolute in memory."""
+    """`[[views]]`: where the radar stands, and what it measured. Paths are absolute in memory.
 
-    name: Annotated[str, Field(pattern=r"^\w[\w.+-]{0,49}$")]
-    azimuth_deg: Annotated[Number, Field(ge=-360.0, le=360.0)]
-    stated_incidence_deg: _Angle | None = Field(default=None, alias="incidence_deg")
-    depression_deg: _Angle | None = None
-    grazing_deg: _Angle | None = None
-    frequency_hz: _Frequency | None = None
-    slant_range_m: _Range | None = None
-    images: dict[Polarization, FileName] = Field(default_factory=dict)
-    mask: FileName | None = None
-    looks: Annotated[_Positive, Field(le=1e9)] | None = None
-    role: Literal["train", "test"] = "train"
+    Exactly one of `incidence_deg`, `depression_deg` and `grazing_deg` is stated.
+    """
+
+    name: Annotated[str, Field(pattern=r"^\w[\w.+-]{0,49}$")] = Field(
+        description="Name of the view; its files are named after it."
+    )
+    azimuth_deg: Annotated[Number, Field(ge=-360.0, le=360.0)] = Field(
+        description="Direction to the radar, clockwise from north (+Y) [deg]."
+    )
+    stated_incidence_deg: _Angle | None = Field(
+        default=None, alias="incidence_deg", description="Angle from the zenith to the radar [deg]."
+    )
+    depression_deg: _Angle | None = Field(default=None, description="90 - incidence_deg [deg].")
+    grazing_deg: _Angle | None = Field(default=None, description="90 - incidence_deg [deg].")
+    frequency_hz: _Frequency | None = Field(default=None, description="Carrier frequency [Hz]; else that of [radar].")
+    slant_range_m: _Range | None = Field(
+        default=None, description="Range from the track to the reference point [m]; else that of [radar]."
+    )
+    images: dict[Polarization, FileName] = Field(
+        default_factory=dict, description="Measured image of each polarization: a file of linear power (beta0)."
+    )
+    mask: FileName | None = Field(default=None, description="Image that is not zero where pixels are used.")
+    looks: Annotated[_Positive, Field(le=1e9)] | None = Field(
+        default=None, description="Equivalent number of looks of the images."
+    )
+    role: Literal["train", "test"] = Field(
+        default="train", description="train views are fitted; test views only measure how good the fit is."
+    )
 
     @model_validator(mode="after")
     def _one_angle(self) -> View:
@@ -242,7 +264,7 @@ class View(Table):
 
     @property
     def incidence_deg(self) -> float:
-        """Angle between up and the direction to the radar at the reference point [deg], in (0, 90)."""
+        """Incidence angle at the reference point, from the zenith [deg], in (0, 90)."""
         if self.stated_incidence_deg is not None:
             return self.stated_incidence_deg
         return 90.0 - (self.depression_deg if self.depression_deg is not None else self.grazing_deg or 0.0)

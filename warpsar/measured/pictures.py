@@ -1,10 +1,10 @@
-"""GeoTIFF, TIFF, EXR and NPY: pictures whose quantity only their maker knows, unless their numbers are complex."""
+"""Pictures: GeoTIFF, TIFF, EXR and NPY. Unless they are complex, only their maker knows what their numbers are."""
 
 from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,18 +12,21 @@ from warpsar.errors import InputError
 from warpsar.io import geotiff
 from warpsar.io.images import read_channel, read_npy
 from warpsar.measured.data import Facts, ImageChip, Quantity
-from warpsar.measured.earth import EarthFrame, Origin, ecef_to_geodetic, geodetic_to_ecef
+from warpsar.measured.earth import EarthFrame, Origin, ecef_to_geodetic, geodetic_to_ecef, needed
+
+if TYPE_CHECKING:
+    from rasterio.crs import CRS
 
 SUFFIXES = (".tif", ".tiff", ".exr", ".npy")
 _WGS84 = "EPSG:4326"
 LARGEST_PIECE = 2**24
-"""Pixels of a strip or tile, which are unpacked together: 64 MiB of float32."""
+"""Pixels of a strip or tile, which is unpacked as a whole: 64 MiB of float32."""
 
 
 class ProjectedFrame:
-    """World metres are a map projection's, about a point of the map; Z is the height above the ellipsoid."""
+    """World metres are those of a map projection about a point of the map; Z is the height above the ellipsoid."""
 
-    def __init__(self, crs: Any, centre: tuple[float, float]) -> None:
+    def __init__(self, crs: CRS, centre: tuple[float, float]) -> None:
         self.crs, self.centre, self.metres = crs, centre, crs.linear_units_factor[1]
 
     def to_ecef(self, world_m: np.ndarray) -> np.ndarray:
@@ -36,7 +39,7 @@ class ProjectedFrame:
 
 
 def dem_frame(path: Path) -> EarthFrame | None:
-    """Where on the earth the mesh of a GeoTIFF DEM lies (see `warpsar.mesh`); None without a coordinate system."""
+    """Where on the earth the mesh of a GeoTIFF DEM lies; None where the file has no coordinate system."""
     with geotiff.opened(path) as source:
         centre, crs = source.xy(source.height / 2, source.width / 2, offset="ul"), source.crs
         if crs is None:
@@ -49,18 +52,20 @@ def read(
 ) -> ImageChip:
     """A map-projected image (`map_image`, a GeoTIFF with a coordinate system), or a slant-plane one.
 
-    A slant-plane image has range along its rows, near range first, and the reference point in its middle; its
-    spacing is the view's, divided by the looks. Real numbers need `quantity`, "amplitude" or "power".
+    A slant-plane image has range along its rows, near range first, and the reference point in its middle. Its spacing
+    is that of the view, divided by the looks. Real numbers need `quantity`, "amplitude" or "power".
     """
     if map_image:
         return _read_map(path, quantity, polarization, frame)
     samples = _read_slant(path, polarization)
     facts = Facts(polarization=polarization)
-    return ImageChip(str(path), samples, _said(path, samples.dtype, quantity), lambda reference_point_m: facts)
+    return ImageChip(
+        str(path), samples, _stated_quantity(path, samples.dtype, quantity), lambda reference_point_m: facts
+    )
 
 
 def is_map(path: Path) -> bool:
-    """Whether a TIFF has a coordinate system; only rasterio can tell."""
+    """Whether a TIFF has a coordinate system. Without rasterio it counts as a plain TIFF."""
     try:
         with geotiff.opened(path) as source:
             return source.crs is not None
@@ -78,11 +83,7 @@ def _read_slant(path: Path, polarization: str | None) -> np.ndarray:
 
 
 def _read_map(path: Path, quantity: Quantity | None, polarization: str | None, frame: EarthFrame | None) -> ImageChip:
-    if frame is None:
-        raise InputError(
-            f"{path}: where the world lies on the earth is not said; use a mesh that is a GeoTIFF DEM, or --origin "
-            "with latitude, longitude and ellipsoidal height of the world's origin"
-        )
+    world = needed(frame, path)
     from rasterio.warp import transform
 
     with geotiff.opened(path) as source:
@@ -102,7 +103,7 @@ def _read_map(path: Path, quantity: Quantity | None, polarization: str | None, f
     band = names.index(polarization or "") + 1 if len(names) > 1 else 1
 
     def locate(points_m: np.ndarray) -> np.ndarray:
-        geodetic = ecef_to_geodetic(frame.to_ecef(points_m))
+        geodetic = ecef_to_geodetic(world.to_ecef(points_m))
         with geotiff.projecting(path):
             x, y = transform(_WGS84, crs, geodetic[..., 1].ravel(), geodetic[..., 0].ravel())
         x, y = np.asarray(x), np.asarray(y)
@@ -118,7 +119,7 @@ def _read_map(path: Path, quantity: Quantity | None, polarization: str | None, f
     return ImageChip(
         str(path),
         _Window(path, band, shape, dtype),
-        _said(path, dtype, quantity),
+        _stated_quantity(path, dtype, quantity),
         lambda reference_point_m: facts,
         spacing_m=spacing_m,
         locate=locate,
@@ -139,7 +140,7 @@ class _Window:
             return np.ma.filled(raw.astype(kind), np.nan)
 
 
-def _said(path: Path, dtype: np.dtype, quantity: Quantity | None) -> Quantity:
+def _stated_quantity(path: Path, dtype: np.dtype, quantity: Quantity | None) -> Quantity:
     if dtype.kind == "c":
         if quantity is not None:
             raise InputError(f"{path}: holds complex numbers; --quantity {quantity} is for detected images")

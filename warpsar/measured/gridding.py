@@ -1,0 +1,157 @@
+"""A measurement onto the slant-plane grid of a view: focused or resampled, and averaged in power."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, cast
+
+import numpy as np
+
+from warpsar.errors import InputError
+from warpsar.measured.data import ImageChip, PhaseHistory
+from warpsar.measured.focus import cell_m, focus
+from warpsar.measured.ground import mesh_points, pixel_centres, plane_points
+from warpsar.measured.resample import averaged, sample_power
+from warpsar.world.tables import View
+from warpsar.world.world import World, geometry_of
+
+_MOST_LOOKS = 64
+
+
+@dataclass(frozen=True)
+class Gridding:
+    """How a measurement comes onto the grid.
+
+    `samples` per pixel (range, azimuth) are averaged in power; None: as many as the resolution asks for. Pixels lie at
+    the reference point's height, or on the mesh. The windows and the sub-apertures are those of `focus`.
+    """
+
+    window_range: str = "none"
+    window_azimuth: str = "none"
+    subapertures: int = 1
+    samples: tuple[int | None, int | None] = (None, None)
+    surface: Literal["reference", "mesh"] = "reference"
+    device: str | None = None
+
+
+def power_on_grid(
+    measured: PhaseHistory | ImageChip, world: World, view: View, how: Gridding
+) -> tuple[np.ndarray, tuple[int, int], list[str]]:
+    """Linear power, float32 (rows, cols), NaN where nothing was measured; samples per pixel; and what to tell the user.
+
+    Raises InputError where no pixel of the grid lies wholly inside the image.
+    """
+    reference = np.asarray(world.reference_point_m, np.float64)
+    looks = _samples_per_pixel(measured, world, reference, how.samples)
+    messages: list[str] = []
+    range_m, azimuth_m = pixel_centres(world.grid.shape, world.grid.spacing_m, looks)
+    if isinstance(measured, ImageChip) and measured.locate is None:
+        fine = _from_slant_plane(measured, world, range_m, azimuth_m, looks)
+    else:
+        geometry = geometry_of(world, view)
+        if how.surface == "mesh":
+            points, missed = mesh_points(geometry, reference, range_m, azimuth_m, world.mesh, how.device)
+            if missed:
+                messages.append(
+                    f"{missed} of {points[..., 0].size} samples meet no mesh; taken at the reference height"
+                )
+        else:
+            points = plane_points(geometry, reference, range_m, azimuth_m)
+        if isinstance(measured, PhaseHistory):
+            fine = _focused(measured, points, reference, how)
+        else:
+            fine = sample_power(measured, _located(measured, points, reference))
+    with np.errstate(all="ignore"):  # beyond float32 is infinite, and no power
+        power = averaged(fine, looks).astype(np.float32)
+    power[~np.isfinite(power)] = np.nan
+    unseen = int((~np.isfinite(power)).sum())
+    if unseen == power.size:
+        raise InputError(f"{measured.source}: no pixel of the view's grid lies wholly inside what was measured")
+    if unseen:
+        messages.append(f"{unseen} of {power.size} pixels lie outside what was measured; they are NaN, and masked")
+    return power, looks, messages
+
+
+def _samples_per_pixel(
+    measured: PhaseHistory | ImageChip,
+    world: World,
+    reference: np.ndarray,
+    asked: tuple[int | None, int | None],
+) -> tuple[int, int]:
+    """Samples per pixel (range, azimuth): as asked, else one for each resolution cell, or each pixel of an image."""
+    if isinstance(measured, PhaseHistory):
+        step: Sequence[float] | None = cell_m(measured, reference)
+    else:
+        step = measured.spacing_m
+    counts = []
+    for axis, (name, given) in enumerate(zip(("range", "azimuth"), asked, strict=True)):
+        if given is not None and not 1 <= given <= _MOST_LOOKS:
+            raise InputError(f"--looks-{name} {given}: must be 1 to {_MOST_LOOKS}")
+        if given is None and step is not None:
+            ratio = world.grid.spacing_m[axis] / step[axis]
+            count = math.ceil(ratio - 1e-6) if isinstance(measured, PhaseHistory) else round(ratio)
+            given = min(max(1, count), _MOST_LOOKS)
+        elif given is None:
+            given = max(1, round(measured.samples.shape[axis] / world.grid.shape[axis]))
+        counts.append(given)
+    return counts[0], counts[1]
+
+
+def _from_slant_plane(
+    chip: ImageChip, world: World, range_m: np.ndarray, azimuth_m: np.ndarray, looks: tuple[int, int]
+) -> np.ndarray:
+    """Power of an image whose axes are those of the view, and whose middle is the reference point."""
+    spacing = chip.spacing_m
+    if spacing is None:
+        wanted = tuple(size * n for size, n in zip(world.grid.shape, looks, strict=True))
+        if tuple(chip.samples.shape) != wanted:
+            raise InputError(
+                f"{chip.source}: {' x '.join(map(str, chip.samples.shape))} pixels, and no spacing; image.shape "
+                f"{list(world.grid.shape)} with {looks[0]} x {looks[1]} looks needs {wanted[0]} x {wanted[1]}"
+            )
+        spacing = cast(tuple[float, float], tuple(s / n for s, n in zip(world.grid.spacing_m, looks, strict=True)))
+    rows, cols = chip.samples.shape
+    row = range_m / spacing[0] + (rows - 1) / 2.0
+    col = azimuth_m / spacing[1] + (cols - 1) / 2.0
+    return sample_power(chip, np.stack(np.meshgrid(row, col, indexing="ij"), axis=-1))
+
+
+def _focused(history: PhaseHistory, points: np.ndarray, reference: np.ndarray, how: Gridding) -> np.ndarray:
+    """Power, mean over the sub-apertures, with the file's autofocus where it has one."""
+    images = focus(
+        history.with_autofocus(),
+        points,
+        reference_point_m=reference,
+        window_range=how.window_range,
+        window_azimuth=how.window_azimuth,
+        subapertures=how.subapertures,
+        device=how.device,
+    )
+    power = np.zeros(points.shape[:-1])
+    for image in images:
+        power += image.real.astype(np.float64) ** 2 + image.imag.astype(np.float64) ** 2
+    return power / how.subapertures
+
+
+def _located(chip: ImageChip, points: np.ndarray, reference: np.ndarray) -> np.ndarray:
+    """Pixels of the chip at the points. Where none is inside, InputError says where in the world the image lies."""
+    assert chip.locate is not None
+    pixel = chip.locate(points)
+    rows, cols = chip.samples.shape
+    inside = (pixel >= 0).all(-1) & (pixel[..., 0] <= rows - 1) & (pixel[..., 1] <= cols - 1)
+    if inside.any():
+        return pixel
+    middle = np.array([(rows - 1) / 2.0, (cols - 1) / 2.0])
+    point = reference.copy()
+    for _ in range(20):  # Newton's method in east and north
+        steps = chip.locate(point + 10.0 * np.eye(3)[:2]) - chip.locate(point)
+        try:
+            point[:2] += 10.0 * np.linalg.solve(steps.T, middle - chip.locate(point))
+        except np.linalg.LinAlgError:
+            break
+    raise InputError(
+        f"{chip.source}: the view's grid lies wholly outside the image, whose middle is near the world's "
+        f"({point[0]:.0f}, {point[1]:.0f}) m at the reference point's height"
+    )

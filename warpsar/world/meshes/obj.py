@@ -1,0 +1,87 @@
+"""Wavefront OBJ."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from io import BytesIO
+from pathlib import Path
+
+from warpsar.errors import InputError, shown
+from warpsar.world.meshes.part import DEFAULT_MATERIAL, Part
+from warpsar.world.meshes.through_trimesh import load, material_name, parts
+
+
+def read(path: Path) -> list[Part]:
+    """The faces by material: `usemtl`, else the group (`o` or `g`), else "default".
+
+    trimesh knows only the names that are in the .mtl file, so it is given names and a .mtl of our own.
+    """
+    text, names = _canonical_obj(path)
+    mtl = "".join(f"newmtl m{i}\nKd 1 1 1\n" for i in range(len(names)))
+    scene = load(path, BytesIO(text), file_type="obj", resolver={"names.mtl": mtl.encode()}, validate=False)
+    # Our .mtl names the material of every face: a part without one is a point cloud.
+    found = parts(path, scene, lambda _key, geometry: names[int((material_name(geometry) or "m0")[1:])])
+    order = {name: index for index, name in enumerate(names)}
+    return sorted(found, key=lambda part: order[part.material])
+
+
+def _canonical_obj(path: Path) -> tuple[bytes, list[str]]:
+    """The OBJ with `usemtl m<index>` before each run of faces, and absolute indices; and the names."""
+    text = b"\n" + path.read_bytes() + b"\n"
+    for old, new in ((b"\r\n", b"\n"), (b"\r", b"\n"), (b"\\\n", b" "), (b"\t", b" ")):
+        text = text.replace(old, new)
+    if b"\n " in text:
+        text = re.sub(rb"\n +", b"\n", text)
+    if b"\n#" in text:
+        text = re.sub(rb"\n#[^\n]*", b"", text)
+    if b"#" in text:
+        text = re.sub(rb"\n((?:vt?n?|f) [^\n#]*)#[^\n]*", rb"\n\1", text)
+    if re.search(rb"\nf[^\n]*?[ /][-0]", text):
+        text = b"\n".join(_absolute_indices(path, text))
+    names = {DEFAULT_MATERIAL: 0}
+    pieces = [b"\nmtllib names.mtl\nusemtl m0"]
+    group = material = ""
+    end = 0
+    for match in re.finditer(rb"\n(usemtl|o|g|mtllib)(?: ([^\n]*))?(?=\n)", text):
+        pieces.append(text[end : match.start()])
+        end = match.end()
+        stated = (match[2] or b"").decode("utf-8", "replace").strip()
+        if match[1] == b"usemtl":
+            material = stated
+        elif match[1] != b"mtllib":
+            group = stated
+        name = material or group or DEFAULT_MATERIAL
+        pieces.append(b"\nusemtl m%d" % names.setdefault(name, len(names)))
+    pieces.append(text[end:])
+    text = b"".join(pieces)
+    if not text.isascii():  # the names are out, so this is nothing a mesh needs, and trimesh would guess at it
+        text = text.decode("ascii", "replace").encode("ascii", "replace")
+    return text, list(names)
+
+
+def _absolute_indices(path: Path, text: bytes) -> Iterator[bytes]:
+    """Lines with relative indices (-1: the last so far) made absolute: trimesh counts from the file's end."""
+    counts = {b"v": 0, b"vt": 0, b"vn": 0}
+
+    def absolute(part: bytes, count: int) -> bytes:
+        if not part:
+            return part
+        try:
+            index = int(part)
+        except ValueError as error:  # no whole number, or one of thousands of digits
+            raise InputError(f"{path}: a face has the index {shown(part)}; must be a whole number") from error
+        if index == 0 or index < -count:
+            raise InputError(
+                f"{path}: a face has the index {index} after {count} entries; must be 1 or more, or -1 to {-count}"
+            )
+        return b"%d" % (index if index > 0 else count + index + 1)
+
+    for line in text.split(b"\n"):
+        keyword, _, rest = line.partition(b" ")
+        if keyword in counts:
+            counts[keyword] += 1
+        elif keyword == b"f":
+            corners = [zip(corner.split(b"/"), counts.values(), strict=False) for corner in rest.split()]
+            line = b"f " + b" ".join(b"/".join(absolute(*pair) for pair in corner) for corner in corners)
+        yield line

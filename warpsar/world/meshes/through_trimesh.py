@@ -1,0 +1,81 @@
+"""Mesh files that trimesh reads: its errors become messages, and its geometries become parts."""
+
+from __future__ import annotations
+
+import logging
+import struct
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from io import BytesIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpsar.errors import InputError
+from warpsar.world.meshes.part import Part
+
+if TYPE_CHECKING:
+    import trimesh
+
+LARGEST_MESH = 2**28
+"""Vertices, and faces, of all parts of a file: nodes may show one part many times."""
+# What trimesh raises on broken files: it has no errors of its own.
+_BROKEN: tuple[type[Exception], ...] = (ArithmeticError, AssertionError, AttributeError, EOFError, ImportError)
+_BROKEN += (LookupError, NameError, NotImplementedError, OSError, RecursionError, TypeError, ValueError, struct.error)
+logging.getLogger("trimesh").addHandler(logging.NullHandler())  # our message holds what it says of a broken file
+
+
+@contextmanager
+def refusing_broken(path: Path) -> Iterator[None]:
+    """A `with` block around trimesh and its results: what it raises becomes one message, and NumPy stays silent."""
+    suffix = path.suffix.lower()
+    try:
+        with np.errstate(all="ignore"):
+            yield
+    except _BROKEN as error:
+        what = f"{type(error).__name__}: {' '.join(str(error).split())[:500]}"
+        if isinstance(error, IndexError) and suffix == ".obj":
+            what = f"a face refers to an entry that is not there: {error}"
+        elif isinstance(error, ModuleNotFoundError) and error.name == "charset_normalizer":
+            what = "truncated, or text that is not UTF-8"  # trimesh wanted to guess the encoding
+        raise InputError(f"{path}: cannot be read as {suffix[1:].upper()} ({what})") from error
+
+
+def load(path: Path, source: Path | BytesIO, **how: Any) -> trimesh.Scene:
+    """The file as trimesh reads it. Of the files that it refers to only those in `resolver` are there."""
+    import trimesh
+
+    with refusing_broken(path):
+        return trimesh.load_scene(source, process=False, **{"resolver": {}, **how})
+
+
+def parts(path: Path, scene: trimesh.Scene, name_of: Callable[[object, Any], str]) -> list[Part]:
+    """The geometries of a scene, each at its place in the world; `name_of` (key, geometry) gives the material."""
+    with refusing_broken(path):
+        return _placed(scene, name_of)
+
+
+def _placed(scene: trimesh.Scene, name_of: Callable[[object, Any], str]) -> list[Part]:
+    import trimesh
+
+    found = []
+    total = 0
+    for node in scene.graph.nodes_geometry:
+        transform, key = scene.graph[node]
+        geometry = scene.geometry[key]
+        total += max(len(geometry.vertices), len(getattr(geometry, "faces", ())))
+        if total > LARGEST_MESH:
+            raise ValueError(f"more than {LARGEST_MESH} vertices or faces in all")
+        vertices = trimesh.transform_points(np.asarray(geometry.vertices, np.float64), transform)
+        faces = np.asarray(getattr(geometry, "faces", np.zeros((0, 3))), np.int64)
+        uv = getattr(getattr(geometry, "visual", None), "uv", None)
+        if uv is not None and np.shape(uv) != (len(vertices), 2):
+            uv = None
+        found.append(Part(name_of(key, geometry), vertices, faces, uv))
+    return found
+
+
+def material_name(geometry: Any) -> str | None:
+    """The material's name of a geometry of trimesh; None without one."""
+    return getattr(getattr(getattr(geometry, "visual", None), "material", None), "name", None)
