@@ -18,6 +18,7 @@ class NoiseFloor(Effect):
     stage = "image"
     order = 30
     additive = True
+    is_floor = True
     summary = "noise of the receiver, the same in every pixel"
     parameters = (Parameter("level", "beta0", 0.0, 0.0, 1e9, 1e-3, scale="log", fit_low=1e-12, fit_high=1e6),)
 

@@ -12,6 +12,7 @@ from warpsar.effects.base.parameter import Parameter
 from warpsar.effects.base.recorder import Recorder
 from warpsar.effects.base.trial import Context, Step, Trial
 from warpsar.kernels.effects import registration as kernels
+from warpsar.world.frame import ViewGeometry
 from warpsar.world.tables import Grid
 
 _REACH_M = 1e4
@@ -38,6 +39,10 @@ class Registration(Effect):
 
     def margin_m(self, grid: Grid, values: np.ndarray) -> float:
         return float(np.abs(values[:2]).max() + np.linalg.norm(values[2:]) + _ROOM_PX * max(grid.spacing_m))
+
+    def shift_m(self, values: np.ndarray, geometry: ViewGeometry) -> np.ndarray:
+        range_m, azimuth_m, *world = values
+        return np.array([range_m + geometry.d @ np.array(world), azimuth_m + geometry.u @ np.array(world)])
 
     def trials(self, context: Context) -> list[Trial]:
         pixel = min(context.scene.grid.spacing_m)

@@ -12,6 +12,7 @@ from warpsar.effects.base.parameter import Parameter, Setting
 from warpsar.effects.base.recorder import Recorder
 from warpsar.effects.base.trial import Context, Trial
 from warpsar.errors import InputError
+from warpsar.world.frame import ViewGeometry
 from warpsar.world.tables import Grid
 from warpsar.world.world import World
 
@@ -36,12 +37,18 @@ class Effect:
     parameters: ClassVar[tuple[Parameter, ...]] = ()
     settings: ClassVar[tuple[Setting, ...]] = ()
     additive: ClassVar[bool] = False  # puts power where the scene has none: judged on the dark pixels too
+    is_floor: ClassVar[bool] = False  # adds the same positive power to every pixel: none may measure exactly 0
     in_image: ClassVar[bool] = False  # acts at places of the image, whatever surface lies there
     bins_per_pixel: ClassVar[int] = 1  # how much finer than the image, per axis, the hits are binned for it
 
     def margin_m(self, grid: Grid, values: np.ndarray) -> float:
         """How far beyond the image, on each side, hits are binned for it; `values` in the order of `parameters`."""
         return 0.0
+
+    def shift_m(self, values: np.ndarray, geometry: ViewGeometry) -> np.ndarray:
+        """Range and azimuth [m], shape (2,), by which it moves the image of a view; `values` in the order of
+        `parameters`."""
+        return np.zeros(2)
 
     def trials(self, context: Context) -> list[Trial]:
         """How a score test looks for the effect; empty where this scene has no place for it."""
