@@ -169,7 +169,7 @@ def one_run(key: tuple[str, int, str, int], options: DiagnoseOptions, device: st
         scene = measured(images, looks, correlated, seed, Path(folder))
         report = diagnose(scene, device=device, options=replace(options, seed=seed))
     found = report.diagnosis
-    spot = found.steps[-1].spot
+    spot = found.turns[-1].spot
     return {
         "case": name,
         "looks": looks,
@@ -179,8 +179,8 @@ def one_run(key: tuple[str, int, str, int], options: DiagnoseOptions, device: st
         "unexplained": found.unexplained,
         "spot": [found.evidence.observations[spot.observation].view.name, spot.row, spot.col, spot.window],
         "effects": found.final.scene.effects,
-        "scores": {c.effect: round(c.minus_log_p, 2) for c in found.steps[0].candidates if c.testability == "testable"},
-        "not_testable": [c.effect for c in found.steps[0].candidates if c.testability == "not_testable"],
+        "scores": {c.effect: round(c.minus_log_p, 2) for c in found.turns[0].candidates if c.testability == "testable"},
+        "not_testable": [c.effect for c in found.turns[0].candidates if c.testability == "not_testable"],
         "test_before": report.before["test"],
         "test_after": report.after["test"],
         "rays_per_pixel": found.density.rays_per_pixel,

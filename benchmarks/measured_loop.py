@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 import tables
 
-from warpsar.diagnosis.command import command_line, content_of, in_short
+from warpsar.diagnosis.command import command_line, in_short
+from warpsar.diagnosis.content import content_of
 from warpsar.diagnosis.found import DiagnoseOptions
 from warpsar.diagnosis.report import write_report
 from warpsar.diagnosis.result import diagnose, fitted_models, moved_parameters

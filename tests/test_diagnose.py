@@ -180,7 +180,7 @@ def test_test_views_decide_nothing(tmp_path: Path) -> None:
     assert one.diagnosis.verdict == other.diagnosis.verdict == []
     assert not one.diagnosis.unexplained
     np.testing.assert_array_equal(one.diagnosis.final.x, other.diagnosis.final.x)
-    for a, b in zip(one.diagnosis.steps[0].candidates, other.diagnosis.steps[0].candidates, strict=True):
+    for a, b in zip(one.diagnosis.turns[0].candidates, other.diagnosis.turns[0].candidates, strict=True):
         assert (a.effect, a.testability, a.p_value) == (b.effect, b.testability, b.p_value)
         np.testing.assert_equal(a.statistic, b.statistic)
     assert one.before["train"] == other.before["train"]

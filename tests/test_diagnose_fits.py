@@ -11,10 +11,10 @@ from learning_scenes import cube_scene, measured, views_at
 
 from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.carried import carried_over, is_carried
-from warpsar.diagnosis.found import Step
+from warpsar.diagnosis.found import Turn
 from warpsar.diagnosis.frozen import frozen
 from warpsar.diagnosis.left_out import LeftOut, leave_one_view_out
-from warpsar.diagnosis.procedure import _prune
+from warpsar.diagnosis.pruning import prune
 from warpsar.diagnosis.refit import Fitted, fit_model
 from warpsar.diagnosis.scan import Spot
 from warpsar.diagnosis.screening import GLANCE, Screening
@@ -155,19 +155,19 @@ def test_a_fit_far_behind_is_given_up_and_no_other(floor: tuple[Bench, Scene]) -
 def test_what_the_newest_effect_makes_needless_is_dropped(
     shifted: tuple[Bench, Scene], tmp_path_factory: pytest.TempPathFactory
 ) -> None:
-    step = Step([], "registration", Spot(0, 0, 0, 3, 0.0), 0.0, 1.0, 7.0, fit_model(*shifted, 0, 0))
+    turn = Turn([], "registration", Spot(0, 0, 0, 3, 0.0), 0.0, 1.0, 7.0, fit_model(*shifted, 0, 0))
     bench, scene = shifted
     narrow = {**BLUR, "range_fwhm_m": 0.2, "azimuth_fwhm_m": 0.2}
-    step.fitted = fitted_to(bench, scene, {**scene.effects, "point_spread": narrow, "registration": SHIFT})
-    _prune(bench, step, ["point_spread"], 1e4)
-    assert step.dropped == ["point_spread"]
-    assert set(step.fitted.scene.effects) == {"multibounce", "registration"}
+    turn.fitted = fitted_to(bench, scene, {**scene.effects, "point_spread": narrow, "registration": SHIFT})
+    prune(bench, turn, ["point_spread"], 1e4)
+    assert turn.dropped == ["point_spread"]
+    assert set(turn.fitted.scene.effects) == {"multibounce", "registration"}
 
     bench, scene = bench_of({"point_spread": BLUR, "registration": SHIFT}, tmp_path_factory.mktemp("both"))
-    step.dropped = []
-    step.fitted = fitted_to(bench, scene, {"point_spread": BLUR, "registration": SHIFT})
-    _prune(bench, step, ["point_spread"], 1e4)
-    assert step.dropped == []
+    turn.dropped = []
+    turn.fitted = fitted_to(bench, scene, {"point_spread": BLUR, "registration": SHIFT})
+    prune(bench, turn, ["point_spread"], 1e4)
+    assert turn.dropped == []
 
 
 # Views left out

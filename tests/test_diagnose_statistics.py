@@ -24,7 +24,14 @@ def observation(interior: np.ndarray, looks: float = 16.0) -> Observation:
 
 def evidence(seen: Observation, autocovariance: np.ndarray = WHITE) -> Evidence:
     n = int(seen.interior.sum())
-    return Evidence([seen], [np.ones(n)], np.zeros(n), np.full(n, np.sqrt(seen.looks)), autocovariance)
+    return Evidence(
+        [seen],
+        [np.ones(n)],
+        np.zeros(n),
+        np.full(n, np.sqrt(seen.looks)),
+        autocovariance,
+        [np.zeros(seen.interior.shape)],
+    )
 
 
 # Tails

@@ -243,7 +243,7 @@ mine = {
     "effects": last.scene.effects,
     "turns": [
         [asdict(step.spot), step.threshold, step.p_scan, step.added, [repr(c) for c in step.candidates]]
-        for step in found.steps
+        for step in found.turns
     ],
     "pixels": [seen.pixels.tolist() for view in found.bench.observations.values() for seen in view],
 }

@@ -1,4 +1,4 @@
-"""What a diagnosis found: candidates, turns, verdict."""
+"""What a diagnosis is asked for and what it found: options, candidates, turns, verdict."""
 
 from __future__ import annotations
 
@@ -19,9 +19,12 @@ from warpsar.simulation.sampling import Density
 
 @dataclass(frozen=True)
 class DiagnoseOptions:
-    """How to decide. `family_error`: chance of naming anything, or calling the rest unexplained, where nothing is
-    missing. `draws`: bootstrap size. `refits`: how many of the likeliest at a glance are fitted fully. `starts`:
-    further starts of every fit. `most_effects`: how many may be added."""
+    """How to decide.
+
+    `family_error`: chance of naming anything, or calling the rest unexplained, where nothing is missing. `draws`:
+    bootstrap size. `refits`: how many of the likeliest candidates get a full fit. `starts`: further starts of every
+    fit. `most_effects`: how many may be added. Raises InputError where the draws are too few for the error rate.
+    """
 
     family_error: float = 0.01
     draws: int = 1000
@@ -42,8 +45,11 @@ class DiagnoseOptions:
 
 @dataclass
 class Candidate:
-    """What one effect scored at one step. `eta`: share of its template that the surface cannot imitate; `minus_log_p`:
-    of its largest score, calibrated by the bootstrap; `p_value`: of the family."""
+    """What one effect scored in one turn.
+
+    `eta`: share of its template that the surface cannot imitate. `minus_log_p`: -ln p of its largest score, calibrated
+    by the bootstrap. `p_value`: that of the family.
+    """
 
     effect: str
     testability: str  # "testable", "not_testable" or "absent": the scene has no place for it
@@ -55,18 +61,22 @@ class Candidate:
     refit_gain: float | None = None  # 2 ln L over the model without it
     refit_size: int | None = None
     left_out: LeftOut | None = None
-    carried: float | None = None  # share of its gain that the surface takes from view to view
+    carried: float | None = None  # share of its gain that the surface carries from view to view
     note: str = ""
 
     @property
     def shared(self) -> bool:
-        """Whether the surface could be what it was taken for."""
+        """Whether the surface could be the cause."""
         return self.carried is not None and is_carried(self.effect, self.carried)
+
+    def remark(self, text: str) -> None:
+        """Add to the note."""
+        self.note += f"{'; ' if self.note else ''}{text}"
 
 
 @dataclass
-class Step:
-    """One turn: what was tested, what was added (None: nothing), and what earlier turns had added in its place."""
+class Turn:
+    """One turn: what was tested, what was added (None: nothing), and what was dropped of earlier turns' effects."""
 
     candidates: list[Candidate]
     added: str | None
@@ -81,13 +91,13 @@ class Step:
 
 @dataclass
 class Diagnosis:
-    """`steps` in their order, the last of which added nothing unless the limit was reached; `declared` is the model
-    of the scene file, fitted, and `final` the one with every added effect."""
+    """`turns` in their order: the last one added nothing, unless the limit was reached. `declared` is the model of the
+    scene file, fitted. `final` is the one with every added effect."""
 
     scene: Scene
     declared: Fitted
     final: Fitted
-    steps: list[Step]
+    turns: list[Turn]
     unexplained: bool
     density: Density
     bench: Bench
@@ -95,4 +105,4 @@ class Diagnosis:
 
     @property
     def verdict(self) -> list[str]:
-        return [step.added for step in self.steps if step.added in self.final.scene.effects]
+        return [turn.added for turn in self.turns if turn.added in self.final.scene.effects]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpsar.diagnosis.carried import is_carried
-from warpsar.diagnosis.found import Candidate, Step
+from warpsar.diagnosis.found import Candidate, Turn
 from warpsar.diagnosis.judge import ROLES, Judged
 from warpsar.diagnosis.place import residual_on
 from warpsar.diagnosis.result import SAME_SD, Diagnosed, Moved, why_not
@@ -45,9 +45,9 @@ def write_report(
     sections = [
         _summary(done, content),
         _pictures(done),
-        *(_turn(step, number, done, content) for number, step in enumerate(found.steps)),
+        *(_turn(turn, number, done, content) for number, turn in enumerate(found.turns)),
         _parameters(done, moves, content),
-        _not_tested(found.steps[-1]),
+        _not_tested(found.turns[-1]),
         _left(done),
         report.reproduce(
             content, command, "Beside this file: diagnosis.json (all numbers), scene.toml (the model at the end)."
@@ -156,7 +156,7 @@ def _verdict(done: Diagnosed, content: dict[str, Any]) -> list[str]:
         for turn in content["turns"]
         for name in turn["dropped"]
     ]
-    if not said and any(c.refit_gain is not None for c in found.steps[0].candidates):
+    if not said and any(c.refit_gain is not None for c in found.turns[0].candidates):
         said.append(
             "Nothing was added: none of the effects that passed the threshold held; the sections on the turns say why."
         )
@@ -170,7 +170,7 @@ def _verdict(done: Diagnosed, content: dict[str, Any]) -> list[str]:
             "Something is left that no effect of the library explains. It is not given a name; the section before the "
             "last says where it is."
         )
-    elif found.steps[-1].added is None:
+    elif found.turns[-1].added is None:
         said.append("What is left at the end looks like speckle, to the tests made here.")
     else:
         said.append("The limit of added effects was reached: whether anything is left was not asked.")
@@ -226,44 +226,44 @@ def _reach(images: Sequence[Judged]) -> float:
 # Turns
 
 
-def _turn(step: Step, number: int, done: Diagnosed, content: dict[str, Any]) -> str:
-    effects = step.base.scene.effects
+def _turn(turn: Turn, number: int, done: Diagnosed, content: dict[str, Any]) -> str:
+    effects = turn.base.scene.effects
     about = f"with {', '.join(effects)}" if effects else "as declared"
-    tested = [c for c in step.candidates if c.testability == "testable"]
+    tested = [c for c in turn.candidates if c.testability == "testable"]
     draws, error = content["options"]["draws"], 100.0 * content["options"]["family_error"]
     said = (
         f"The model {about}, fitted. Every effect's template (what it would change in the images to first order, "
         f"rendered with rays of its own) is compared with what is left, after what the fitted parameters imitate is "
         f"taken out of both. Scores are -ln p, calibrated by {draws} draws of speckle with the residual's own "
-        f"correlation; anything over {step.threshold:.1f} turns up by chance in {error:g} % of scenes, all effects "
+        f"correlation; anything over {turn.threshold:.1f} turns up by chance in {error:g} % of scenes, all effects "
         f"and the scan taken together. A score says that a template fits, not that it is the cause: the best are "
         f"refitted fully, and have to help on views left out."
     )
     blocks = [
         report.paragraph(said),
         report.row(
-            report.drawing(_bars(step, tested), f"What each effect scored in turn {number + 1}", show=False),
+            report.drawing(_bars(turn, tested), f"What each effect scored in turn {number + 1}", show=False),
             across=2,
             least_px=300,
         ),
-        _candidate_table(step, tested, content),
+        _candidate_table(turn, tested, content),
     ]
-    blocks += [report.paragraph(text) for text in _why(step, tested)]
+    blocks += [report.paragraph(text) for text in _why(turn, tested)]
     return report.section(f"Turn {number + 1}: what each effect scored", *blocks)
 
 
-def _bars(step: Step, tested: Sequence[Candidate]) -> Figure:
+def _bars(turn: Turn, tested: Sequence[Candidate]) -> Figure:
     """Calibrated scores as bars, the threshold as a line; linear below it, logarithmic above."""
-    named = [(c.effect, max(0.0, c.minus_log_p), c.effect == step.added) for c in tested]
+    named = [(c.effect, max(0.0, c.minus_log_p), c.effect == turn.added) for c in tested]
     named = sorted(named, key=lambda item: item[1])
-    named.append(("scan for anything", max(0.0, step.scan_minus_log_p), False))
+    named.append(("scan for anything", max(0.0, turn.scan_minus_log_p), False))
     figure, axis = new(6.4, 0.9 + 0.24 * len(named))
     scores = [score for _, score, _ in named]
-    colours = ["C0" if added else ("0.45" if score > step.threshold else "0.75") for _, score, added in named]
+    colours = ["C0" if added else ("0.45" if score > turn.threshold else "0.75") for _, score, added in named]
     axis.barh(range(len(named)), scores, color=colours, height=0.7)
-    axis.axvline(step.threshold, color="C3", lw=1.2)
-    axis.set_xscale("symlog", linthresh=2.0 * step.threshold, linscale=2.0)
-    most = max([*scores, 2.0 * step.threshold])
+    axis.axvline(turn.threshold, color="C3", lw=1.2)
+    axis.set_xscale("symlog", linthresh=2.0 * turn.threshold, linscale=2.0)
+    most = max([*scores, 2.0 * turn.threshold])
     axis.set_xlim(0.0, 2.2 * most)
     ticks = [0.0, 5.0, 10.0, *(10.0**k for k in range(2, 7) if 10.0**k <= 2.0 * most)]
     axis.set_xticks(ticks, [f"{t:g}" for t in ticks])
@@ -276,7 +276,7 @@ def _bars(step: Step, tested: Sequence[Candidate]) -> Figure:
     return figure
 
 
-def _candidate_table(step: Step, tested: Sequence[Candidate], content: dict[str, Any]) -> str:
+def _candidate_table(turn: Turn, tested: Sequence[Candidate], content: dict[str, Any]) -> str:
     rows = []
     for c in sorted(tested, key=lambda c: -c.minus_log_p):
         alike = c.resembles[:MOST_RESEMBLING]
@@ -295,10 +295,10 @@ def _candidate_table(step: Step, tested: Sequence[Candidate], content: dict[str,
     rows.append(
         [
             "scan for anything",
-            f"{step.scan_minus_log_p:.1f}",
-            _p(step.p_scan, content),
+            f"{turn.scan_minus_log_p:.1f}",
+            _p(turn.p_scan, content),
             *["–"] * 4,
-            f"z {step.spot.z:+.1f}",
+            f"z {turn.spot.z:+.1f}",
         ]
     )
     head = ["effect", "-ln p", "p (family)", "its own", "refit, 2 ln L", "views left out, ln L", "alike", "note"]
@@ -309,11 +309,11 @@ def _candidate_table(step: Step, tested: Sequence[Candidate], content: dict[str,
     return report.table(head, rows, caption)
 
 
-def _why(step: Step, tested: Sequence[Candidate]) -> list[str]:
+def _why(turn: Turn, tested: Sequence[Candidate]) -> list[str]:
     refitted = sorted((c for c in tested if c.refit_gain is not None), key=lambda c: -(c.refit_gain or 0.0))
     said = []
-    if step.added is not None:
-        winner = next(c for c in refitted if c.effect == step.added)
+    if turn.added is not None:
+        winner = next(c for c in refitted if c.effect == turn.added)
         others = [f"{c.effect} {c.refit_gain:+,.0f}" for c in refitted if c is not winner]
         text = f"{winner.effect} was added: fitted fully it gains {winner.refit_gain:,.0f} in 2 ln L"
         text += (
@@ -327,7 +327,7 @@ def _why(step: Step, tested: Sequence[Candidate]) -> list[str]:
         elif top is not winner:
             text += f". {top.effect} scored higher before the fit, but fits worse"
         said.append(text + ".")
-        said += [f"{name}, added before, is needless beside {winner.effect}, and was dropped." for name in step.dropped]
+        said += [f"{name}, added before, is needless beside {winner.effect}, and was dropped." for name in turn.dropped]
     elif refitted:
         said.append(
             f"Nothing was added: what passed the threshold ({', '.join(c.effect for c in refitted)}) gained less "
@@ -336,7 +336,7 @@ def _why(step: Step, tested: Sequence[Candidate]) -> list[str]:
     else:
         said.append("No effect passed the threshold: nothing was added, and the search ends here.")
     for c in refitted:
-        if c.left_out is not None and c.effect != step.added:
+        if c.left_out is not None and c.effect != turn.added:
             why = "it does not help on views left out by more than two standard errors"
             said.append(f"{c.effect} was refused: {c.note if c.left_out.passed else why}.")
     return said
@@ -380,8 +380,8 @@ def _percent(sd: float) -> str:
     return f"(± {100 * sd:.2g} %)" if np.isfinite(sd) and sd < 1.0 else "(–)"
 
 
-def _not_tested(step: Step) -> str:
-    items = [f"{c.effect}: {why_not(c)}" for c in step.candidates if c.testability != "testable"]
+def _not_tested(turn: Turn) -> str:
+    items = [f"{c.effect}: {why_not(c)}" for c in turn.candidates if c.testability != "testable"]
     said = "Not found is not absent. Of these effects nothing can be said from these views, with the model as it ended:"
     if not items:
         return report.section(
@@ -395,7 +395,7 @@ def _not_tested(step: Step) -> str:
 
 def _left(done: Diagnosed) -> str:
     found, where = done.diagnosis, done.place
-    last = found.steps[-1]
+    last = found.turns[-1]
     text = (
         f"The strongest window of {where.window} x {where.window} pixels is in {where.view} {where.polarization} at "
         f"row {where.row}, column {where.col} (range {where.range_m:+.1f} m, azimuth {where.azimuth_m:+.1f} m): "

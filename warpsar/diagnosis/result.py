@@ -42,25 +42,25 @@ class Diagnosed:
 
 
 def diagnose(scene: Scene, *, device: str | None = None, options: DiagnoseOptions | None = None) -> Diagnosed:
-    """Run the procedure of docs/diagnosis.md on the train views; then judge every step's model, once, on all views.
+    """Run the procedure of docs/diagnosis.md on the train views. Then judge every turn's model, once, on all views.
 
-    Several processes (`distributed`) share the work; all return the same. Raises InputError for scenes without measured
-    train views, or with learned fields.
+    Several processes (`distributed`) share the work, and all return the same. Raises InputError for scenes without
+    measured train views, or with learned fields.
     """
     where = devices.resolve_device(device)
     return judged(diagnose_scene(scene, where, options or DiagnoseOptions(), distributed.ranks(where)))
 
 
 def judged(found: Diagnosis) -> Diagnosed:
-    """Every step's model on all views."""
+    """Judge every turn's model on all views."""
     judge = Judge(found)
     models = [judge(fitted.scene) for fitted in fitted_models(found)]
-    return Diagnosed(found, judge, models, place(found, models[-1], found.steps[-1].spot))
+    return Diagnosed(found, judge, models, place(found, models[-1], found.turns[-1].spot))
 
 
 def fitted_models(found: Diagnosis) -> list[Fitted]:
     """The declared model and the one after every addition, fitted."""
-    return [found.declared, *(step.fitted for step in found.steps if step.fitted is not None)]
+    return [found.declared, *(turn.fitted for turn in found.turns if turn.fitted is not None)]
 
 
 @dataclass(frozen=True)

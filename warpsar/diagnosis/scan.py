@@ -1,4 +1,4 @@
-"""Is something left that no effect explains, and where: the largest mean of the residual over small windows."""
+"""Whether something is left that no effect explains, and where: the residual's largest mean over small windows."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from warpsar.learning.observation import Observation
 
-WINDOWS = (3, 5, 9)  # pixels on a side
+SIDES = (3, 5, 9)  # pixels on a side of a window
 FULL = 0.5  # share of a window that must be compared pixels
 
 
@@ -27,8 +27,8 @@ class Spot:
 class Scan:
     """Window sums over the pixels of every observation; built once, run on many residuals.
 
-    `silent`, an image per observation, holds the residual -sqrt(L) of pixels that the model lights and that measure
-    exactly 0: they count where the data are looked at, and are still in the draws.
+    `silent` (see `Evidence`) holds the residual of pixels that the model lights and that measure exactly 0. They count
+    in the data. In the draws they stay 0.
     """
 
     def __init__(
@@ -50,7 +50,7 @@ class Scan:
             self.scales.append(
                 [
                     np.where(n >= FULL * w * w, 1.0 / np.sqrt(np.maximum(n, 1.0) * inflation), 0.0)
-                    for w, n in zip(WINDOWS, counts, strict=True)
+                    for w, n in zip(SIDES, counts, strict=True)
                 ]
             )
 
@@ -70,9 +70,9 @@ class Scan:
 
     def strongest(self, parts: Sequence[np.ndarray]) -> Spot:
         """The strongest window of one residual, an array (pixels,) per observation."""
-        best = Spot(0.0, 0, 0, 0, WINDOWS[0])
+        best = Spot(0.0, 0, 0, 0, SIDES[0])
         for index, part in enumerate(parts):
-            for window, z in zip(WINDOWS, self._windows(index, part[:, None], silent=True), strict=True):
+            for window, z in zip(SIDES, self._windows(index, part[:, None], silent=True), strict=True):
                 row, col = np.unravel_index(int(np.argmax(np.abs(z[0]))), z[0].shape)
                 if abs(z[0, row, col]) > abs(best.z):
                     box = self.boxes[index]
@@ -83,11 +83,11 @@ class Scan:
 
 def _sums(grids: np.ndarray) -> list[np.ndarray]:
     """Sums over centred windows of every pixel of (draws, rows, cols), zeros outside, one array per window size."""
-    reach = max(WINDOWS) // 2
+    reach = max(SIDES) // 2
     total = np.pad(grids, ((0, 0), (reach + 1, reach), (reach + 1, reach))).cumsum(axis=1).cumsum(axis=2)
     rows, cols = grids.shape[1:]
     found = []
-    for window in WINDOWS:
+    for window in SIDES:
         low, high = reach - window // 2, reach + window // 2 + 1
         top, bottom = slice(low, low + rows), slice(high, high + rows)
         left, right = slice(low, low + cols), slice(high, high + cols)

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from math import comb
-from typing import Any
 
 import numpy as np
 from scipy.sparse import csc_array
@@ -15,7 +14,7 @@ from scipy.special import gammaincc, gammaln, logsumexp
 from warpsar.diagnosis.evidence import Evidence
 from warpsar.diagnosis.templates import Template
 
-NOT_TESTABLE = 1e-3  # share of a template's energy outside the tangent space (effects.md, step 10)
+NOT_TESTABLE = 1e-3  # share of a template's energy outside the tangent space (docs/diagnosis.md)
 # Directions of the tangent weaker than this, relative to the strongest, are rounding of float32 images.
 RANK = 1e-5
 SPARSE = 0.1  # share of pixels that a template touches, below which it is kept as a sparse column
@@ -64,13 +63,19 @@ class Group:
     scores once projected; `eta`, shape (trials,), the share of energy that the projection leaves of the best column."""
 
     templates: list[Template]
-    columns: Any
+    columns: np.ndarray | csc_array
     covariance: np.ndarray
     eta: np.ndarray
 
     @property
     def one_sided(self) -> tuple[bool, ...]:
         return self.templates[0].one_sided
+
+    def columns_of(self, trial: int) -> np.ndarray:
+        """The columns of one trial, shape (n, k), as a matrix."""
+        k = len(self.one_sided)
+        found = self.columns[:, trial * k : (trial + 1) * k]
+        return found if isinstance(found, np.ndarray) else np.asarray(found.toarray())
 
     def statistics(self, projected: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(statistic, -ln p), each of shape (trials, draws), of projected residuals, shape (n, draws).
@@ -129,7 +134,8 @@ def _covariances(columns: np.ndarray, projection: Projection, evidence: Evidence
     return covariance
 
 
-def _compact(columns: np.ndarray) -> Any:
+def _compact(columns: np.ndarray) -> np.ndarray | csc_array:
+    """Sparse where most of it is zero."""
     if np.count_nonzero(columns) < SPARSE * columns.size:
         return csc_array(columns)
     return columns

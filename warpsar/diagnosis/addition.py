@@ -1,0 +1,98 @@
+"""Which refitted candidate is added: the likeliest that holds on views left out, or that the dark pixels need."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from warpsar.diagnosis.bench import Bench
+from warpsar.diagnosis.carried import carried_over
+from warpsar.diagnosis.dark import Dark
+from warpsar.diagnosis.found import Candidate, DiagnoseOptions, Turn
+from warpsar.diagnosis.left_out import leave_one_view_out, varies_over_columns
+from warpsar.diagnosis.refit import Fitted, settle
+from warpsar.effects.registry import get
+from warpsar.runtime import console
+
+
+def add_the_best(
+    bench: Bench,
+    turn: Turn,
+    refits: Sequence[tuple[Candidate, Fitted]],
+    dark: Dark,
+    looks: float,
+    options: DiagnoseOptions,
+) -> None:
+    """Fill in `turn.added` and `turn.fitted`, or leave them None where no refit is worth its parameters and holds.
+
+    A parameter costs ln(`looks`) of 2 ln L, `looks` being the independent looks in the data.
+    """
+    base = turn.base
+    gains = []
+    for candidate, fitted in refits:
+        candidate.refit_gain = _gain(base, fitted)
+        candidate.refit_size = fitted.size - base.size
+        gains.append(candidate.refit_gain - candidate.refit_size * np.log(looks))
+    if dark.asks and _added_for_the_dark(bench, turn, refits, options):
+        return
+    for gain, (candidate, fitted) in sorted(zip(gains, refits, strict=True), key=lambda item: -item[0]):
+        if gain <= 0:
+            break
+        fitted = settle(bench, fitted, options.starts, options.seed)
+        candidate.refit_gain = _gain(base, fitted)
+        if _holds(bench, base, candidate, fitted):
+            turn.added, turn.fitted = candidate.effect, fitted
+            console.say(f"added: {candidate.effect} {fitted.scene.effects[candidate.effect]}")
+            break
+
+
+def _gain(base: Fitted, fitted: Fitted) -> float:
+    return 2.0 * (fitted.log_likelihood - base.log_likelihood)
+
+
+def _added_for_the_dark(
+    bench: Bench, turn: Turn, refits: Sequence[tuple[Candidate, Fitted]], options: DiagnoseOptions
+) -> bool:
+    """Add the likeliest effect that makes the dark pixels possible, whatever it gains in the light. Without one they
+    are impossible."""
+    able = [(candidate, fitted) for candidate, fitted in refits if get(candidate.effect).additive]
+    if not able:
+        return False
+    candidate, fitted = max(able, key=lambda pair: pair[1].whole)
+    fitted = settle(bench, fitted, options.starts, options.seed)
+    candidate.refit_gain = _gain(turn.base, fitted)
+    turn.added, turn.fitted = candidate.effect, fitted
+    console.say(f"added: {turn.added} {fitted.scene.effects[turn.added]}, which the dark pixels ask for")
+    return True
+
+
+def _holds(bench: Bench, base: Fitted, candidate: Candidate, fitted: Fitted) -> bool:
+    """Whether the effect helps on views left out, is one value for a view, and is no power that the surface may send.
+    Fills in what the candidate's record says of it."""
+    left = candidate.left_out = leave_one_view_out(bench, base, fitted, candidate.effect)
+    console.say(f"  {candidate.effect}: views left out gain {left.gain:.1f} +- {left.error:.1f}")
+    if not left.passed:
+        return False
+    if varies_over_columns(bench, base, fitted, candidate.effect):
+        candidate.note = "not one value for a view: it varies over the view's columns"
+        console.say(f"  {candidate.effect}: {candidate.note}")
+        return False
+    if get(candidate.effect).in_image:
+        candidate.carried = carried_over(bench, fitted, candidate.effect)
+    if candidate.shared:
+        candidate.remark(_shared_note(candidate))
+        console.say(f"  {candidate.effect}: {candidate.note}")
+        return not get(candidate.effect).additive
+    return True
+
+
+def _shared_note(candidate: Candidate) -> str:
+    """Why the surface may be the cause. Power added in an image may come from something that stands there. Every radar
+    blurs, so of a blur the amount alone is in doubt."""
+    share = f"the surface takes {100.0 * (candidate.carried or 0.0):.0f} % of its gain over from view to view"
+    if candidate.left_out is not None and candidate.left_out.views == 1:
+        share = "one view alone"
+    if get(candidate.effect).additive:
+        return f"{share}: it cannot be told from something that stands there"
+    return f"{share}: its size cannot be told from errors of the mesh, and is that of both"

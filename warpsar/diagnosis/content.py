@@ -1,0 +1,150 @@
+"""What diagnosis.json holds beside version, device, seed, time and hash."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any
+
+from warpsar.diagnosis.found import Candidate, DiagnoseOptions, Diagnosis, Turn
+from warpsar.diagnosis.judge import ROLES, Judged, difference, pool
+from warpsar.diagnosis.result import Diagnosed, Moved, why_not
+from warpsar.effects.registry import get
+from warpsar.learning.identify import Identified
+
+
+def content_of(
+    done: Diagnosed, moves: Sequence[Moved], identified: Identified, options: DiagnoseOptions
+) -> dict[str, Any]:
+    """JSON's types; docs/diagnosis.md explains the keys."""
+    found = done.diagnosis
+    last = found.turns[-1]
+    added = [turn for turn in found.turns if turn.fitted is not None]
+    untestable = [c for c in last.candidates if c.testability != "testable"]
+    return {
+        "options": asdict(options),
+        "verdict": found.verdict,
+        "unexplained": found.unexplained,
+        "before": done.before,
+        "after": done.after,
+        "gain": {role: _gain(done.models[0], done.models[-1], role) for role in ROLES},
+        "steps": [_addition(turn, options, done.models[k], done.models[k + 1]) for k, turn in enumerate(added)],
+        "candidates": [*map(_candidate, found.turns[0].candidates), *map(_declared, found.scene.effects)],
+        "not_testable": [c.effect for c in untestable],
+        "not_testable_because": {c.effect: why_not(c) for c in untestable},
+        "turns": [_turn(turn) for turn in found.turns],
+        "left_at_the_end": {
+            "p_value": last.p_scan,
+            "minus_log_p": last.scan_minus_log_p,
+            "threshold": last.threshold,
+            **asdict(done.place),
+        },
+        "materials": {
+            material: {m.key: _moved(m) for m in moves if m.material == material} for material in found.scene.materials
+        },
+        "effects": found.final.scene.effects,
+        "identifiability": identified.summary(),
+        "rays_per_pixel": found.density.rays_per_pixel,
+        "rays_chosen": found.density.chosen,
+        "ray_noise": found.density.noise,
+        "images": [_image(*pair) for pair in zip(done.models[0], done.models[-1], strict=True)],
+        "per_view_effects_on_test_views": _per_view_note(found),
+    }
+
+
+def _gain(before: Sequence[Judged], after: Sequence[Judged], role: str) -> dict[str, float] | None:
+    pair = difference(before, after, role)
+    return None if pair is None else {"deviance": pair[0], "error": pair[1]}
+
+
+def _candidate(c: Candidate) -> dict[str, Any]:
+    left = c.left_out
+    return {
+        "effect": c.effect,
+        "testability": c.testability,
+        "statistic": c.statistic,
+        "p_value": c.p_value if c.testability == "testable" else None,
+        "minus_log_p": c.minus_log_p,
+        "eta": c.eta,
+        "resembles": c.resembles,
+        "refit_gain": c.refit_gain,
+        "refit_size": c.refit_size,
+        "left_out": None if left is None else {**asdict(left), "passed": left.passed},
+        "carried_over": c.carried,
+        "note": c.note,
+    }
+
+
+def _declared(effect: str) -> dict[str, Any]:
+    return {"effect": effect, "testability": "declared", "statistic": None, "p_value": None}
+
+
+def _addition(
+    turn: Turn, options: DiagnoseOptions, before: Sequence[Judged], after: Sequence[Judged]
+) -> dict[str, Any]:
+    """What a turn added, and how far the models before and after it are from the images."""
+    chosen = next(c for c in turn.candidates if c.effect == turn.added)
+    assert turn.fitted is not None
+    train, test = pool(after, "train"), pool(after, "test")
+    assert train is not None
+    return {
+        **_candidate(chosen),
+        "threshold": turn.threshold,
+        "family_error": options.family_error,
+        "parameters": turn.fitted.scene.effects[chosen.effect],
+        "train_deviance": train["deviance"],
+        "train_deviance_error": train["deviance_error"],
+        "test_deviance": None if test is None else test["deviance"],
+        "test_deviance_error": None if test is None else test["deviance_error"],
+        "gain": {role: _gain(before, after, role) for role in ROLES},
+        "refitted": [c.effect for c in turn.candidates if c.refit_gain is not None],
+    }
+
+
+def _turn(turn: Turn) -> dict[str, Any]:
+    return {
+        "threshold": turn.threshold,
+        "scan": {"z": turn.spot.z, "minus_log_p": turn.scan_minus_log_p, "p_value": turn.p_scan},
+        "candidates": [_candidate(c) for c in turn.candidates],
+        "added": turn.added,
+        "dropped": turn.dropped,
+    }
+
+
+def _moved(m: Moved) -> dict[str, float]:
+    return {
+        "before": m.before,
+        "before_sd_log": m.before_sd,
+        "after": m.after,
+        "after_sd_log": m.after_sd,
+        "moved_sds": m.sds,
+    }
+
+
+def _image(before: Judged, after: Judged) -> dict[str, Any]:
+    seen = before.seen
+    return {
+        "name": seen.view.name,
+        "role": before.role,
+        "polarization": seen.polarization,
+        "looks": seen.looks,
+        "looks_estimated": seen.looks_estimated,
+        "pixels": int(seen.values.size),
+        "left_out": seen.left_out,
+        "zeros": seen.zeros,
+        "dark": int(seen.dark.sum()),
+        "gain": after.gain,
+        "deviance_before": float(before.scaled_deviance.mean()),
+        "deviance_after": float(after.scaled_deviance.mean()),
+    }
+
+
+def _per_view_note(found: Diagnosis) -> str | None:
+    """Effects with a number for each view say nothing of views that no fit has touched."""
+    mine = [name for name in found.final.scene.effects if any(p.per_view for p in get(name).parameters)]
+    if not mine or not any(v.role == "test" and v.images for v in found.scene.views):
+        return None
+    return (
+        f"{', '.join(mine)}: one number per view, which cannot come from other views; on test views it stays at its "
+        f"default, so their deviance says nothing of it"
+    )

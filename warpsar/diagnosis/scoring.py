@@ -1,0 +1,123 @@
+"""What each effect scores in one turn: its templates against the residual, calibrated by draws of speckle."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, replace
+
+import numpy as np
+
+from warpsar.diagnosis.bench import Bench
+from warpsar.diagnosis.bootstrap import Bootstrap, bootstrap
+from warpsar.diagnosis.evidence import Evidence
+from warpsar.diagnosis.found import Candidate, DiagnoseOptions, Turn
+from warpsar.diagnosis.refit import Fitted
+from warpsar.diagnosis.scan import Scan, Spot
+from warpsar.diagnosis.score import NOT_TESTABLE, Group, Projection, group
+from warpsar.diagnosis.templates import Template, TemplateMaker
+from warpsar.effects.registry import get, names
+from warpsar.runtime.distributed import Ranks
+from warpsar.scene.scene import Scene
+from warpsar.simulation.rays import Rays
+
+CLASS_COSINE = 0.9  # templates closer than this are one class: the data hardly tell them apart
+
+
+def score_effects(
+    scene: Scene,
+    bench: Bench,
+    other_rays: Rays,
+    base: Fitted,
+    at: Scene,
+    evidence: Evidence,
+    options: DiagnoseOptions,
+    number: int,
+    progress: Callable[[int], object],
+) -> tuple[Turn, dict[str, list[Template]]]:
+    """The turn with the score of every effect that is not declared and of the scan, and each effect's templates, best
+    first. `scene` is the declared one, `at` the one that `evidence` was taken at; `number` counts turns from 0."""
+    ranks = bench.ranks
+    projection, found = ranks.agree(lambda: _grouped(scene, bench, other_rays, base, at, evidence))
+    candidates = {name: _candidate(name, members) for name, members in found.items()}
+    testable = ranks.gather([c.effect for c in candidates.values() if c.testability == "testable"])[0]
+    groups = {name: found[name] for name in testable}
+    scan = Scan(evidence.observations, evidence.autocovariance, evidence.silent)
+    boot = bootstrap(evidence, projection, groups, scan, options.draws, options.seed + number, progress, ranks)
+    spot = scan.strongest(evidence.split(evidence.standardised))
+    best = _score(candidates, groups, projection(evidence.standardised), boot)
+    scanned = float(boot.tails["scan"](abs(spot.z)))
+    turn = Turn(
+        list(candidates.values()),
+        None,
+        spot,
+        scanned,
+        boot.p_family(scanned),
+        boot.threshold(options.family_error),
+        base,
+    )
+    _as_the_first(turn, ranks)
+    return turn, best
+
+
+def _grouped(
+    scene: Scene, bench: Bench, other_rays: Rays, base: Fitted, at: Scene, evidence: Evidence
+) -> tuple[Projection, dict[str, list[Group]]]:
+    """The templates of every effect that is not declared, about the scene `at`, and the tangent of what is fitted."""
+    observations = {view.view.name: view.observations for view in base.problem.views}
+    maker = TemplateMaker(at, bench.device, other_rays, observations, evidence.modelled)
+    # A fit without multiple bounces may have made the surface a poor mirror. Paths are invisible there, so their
+    # templates are taken at the declared surface too.
+    unmoved = replace(at, materials=scene.materials)
+    paths = TemplateMaker(unmoved, bench.device, other_rays, observations, evidence.modelled)
+    projection = Projection(maker.tangent(), evidence.root_looks)
+    found = {}
+    for name in names():
+        if name in base.scene.effects:
+            continue
+        templates = maker.templates(name)
+        if get(name).stage == "path":
+            templates += paths.templates(name)
+        found[name] = group(templates, projection, evidence)
+    return projection, found
+
+
+def _candidate(name: str, found: list[Group]) -> Candidate:
+    if not found:
+        return Candidate(name, "absent", note="this scene has no place for it")
+    eta = max(float(one.eta.max()) for one in found)
+    return Candidate(name, "testable" if eta >= NOT_TESTABLE else "not_testable", eta=eta)
+
+
+def _score(
+    candidates: dict[str, Candidate], groups: dict[str, list[Group]], residual: np.ndarray, boot: Bootstrap
+) -> dict[str, list[Template]]:
+    """Fill in each testable candidate's score and the effects that resemble it. Returns its templates, best first."""
+    ranked: dict[str, list[Template]] = {}
+    bases = {}
+    for name, members in groups.items():
+        candidate = candidates[name]
+        scored = []
+        for one in members:
+            statistics, minus_log_p = one.statistics(residual[:, None])
+            scored += [(float(minus_log_p[t, 0]), float(statistics[t, 0]), one, t) for t in range(len(one.templates))]
+        scored.sort(key=lambda item: -item[0])
+        ranked[name] = [one.templates[t] for _, _, one, t in scored]
+        largest, candidate.statistic, one, t = scored[0]
+        candidate.minus_log_p = float(boot.tails[name](largest))
+        candidate.p_value = boot.p_family(candidate.minus_log_p)
+        candidate.note = one.templates[t].trial.label
+        bases[name] = np.linalg.qr(one.columns_of(t))[0]
+    for name, mine in bases.items():
+        candidates[name].resembles = [
+            other
+            for other, theirs in bases.items()
+            if other != name and np.linalg.svd(mine.T @ theirs, compute_uv=False)[0] > CLASS_COSINE
+        ]
+    return ranked
+
+
+def _as_the_first(turn: Turn, ranks: Ranks) -> None:
+    """All ranks go on with the scores of the first one: last bits differ from GPU to GPU."""
+    mine = [[asdict(c) for c in turn.candidates], asdict(turn.spot), turn.scan_minus_log_p, turn.p_scan, turn.threshold]
+    candidates, spot, turn.scan_minus_log_p, turn.p_scan, turn.threshold = ranks.gather(mine)[0]
+    turn.candidates, turn.spot = [Candidate(**c) for c in candidates], Spot(**spot)

@@ -1,0 +1,72 @@
+"""Which candidates get a full fit: those that look likeliest after a few iterations."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+
+import numpy as np
+
+from warpsar.diagnosis.bench import Bench
+from warpsar.diagnosis.dark import Dark
+from warpsar.diagnosis.found import Candidate
+from warpsar.diagnosis.refit import Fitted
+from warpsar.diagnosis.screening import Screening
+from warpsar.diagnosis.survey import surveyed
+from warpsar.diagnosis.templates import Template
+from warpsar.effects.registry import get
+from warpsar.runtime import console
+from warpsar.scene.scene import Scene
+
+GLANCED = 8  # candidates that get a few iterations
+OFFERED = 40  # of an effect's best trials that its refit may try
+
+
+def refits(
+    bench: Bench,
+    base: Fitted,
+    from_scene: Scene,
+    declared: Scene,
+    passing: Sequence[Candidate],
+    templates: Mapping[str, Sequence[Template]],
+    dark: Dark,
+    most: int,
+) -> list[tuple[Candidate, Fitted]]:
+    """Fits of the `most` candidates that look likeliest at a glance.
+
+    Each may be given up where it falls far behind the best other one. Where dark pixels decide, the effects that can
+    explain them come first, and no fit is given up: lit pixels do not decide then.
+    """
+
+    def glance(effect: str) -> Screening:
+        trials = [template.trial for template in templates[effect]][:OFFERED]
+        tables = [table for trial in trials for table in surveyed(bench, from_scene, effect, trial)]
+        return Screening(bench, base, from_scene, declared, effect, tables)
+
+    screenings = bench.ranks.deal_out(
+        [partial(glance, candidate.effect) for candidate in passing[:GLANCED]],
+        told=Screening.told,
+        heard=partial(Screening.heard, bench, base, from_scene, declared),
+    )
+    order = sorted(zip(passing, screenings, strict=False), key=lambda pair: -pair[1].glanced.log_likelihood)
+    if dark.asks:
+        order.sort(key=lambda pair: not get(pair[0].effect).additive)
+
+    def lead_over(one: Screening) -> float:
+        others = (other.glanced.log_likelihood for other in screenings if other is not one)
+        return -np.inf if dark.asks else max(others, default=-np.inf)
+
+    finished = bench.ranks.deal_out(
+        [partial(screening.finish, lead_over(screening)) for _, screening in order[:most]],
+        told=lambda result: [result[0].told(), result[1]],
+        heard=lambda told: (Fitted.heard(bench, base.scene, told[0]), told[1]),
+    )
+    found = []
+    for (candidate, _), (fitted, given_up) in zip(order, finished, strict=False):
+        gain = 2.0 * (fitted.log_likelihood - base.log_likelihood)
+        said = ", given up" if given_up else ""
+        console.say(f"  refit {candidate.effect}: 2 ln L {gain:+.1f} for {fitted.size - base.size} parameters{said}")
+        if given_up:
+            candidate.remark("its fit was given up, far behind")
+        found.append((candidate, fitted))
+    return found
