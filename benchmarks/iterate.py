@@ -67,7 +67,10 @@ def measure(
     found: dict[str, Any] = {}
     if device.is_cuda:
         descent = GraphAdam(problem, state, 0.01)
-        tasks: dict[str, Callable[[], None]] = {"image": problem.run_images, "gradient": problem.run_on_device}
+        tasks: dict[str, Callable[[], None]] = {
+            "image": partial(problem.streams.run, [view.forward for view in problem.views]),
+            "gradient": problem.run_on_device,
+        }
         for name, task in tasks.items():
             with wp.ScopedCapture(device) as capture:
                 task()

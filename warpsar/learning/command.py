@@ -20,12 +20,13 @@ from warpsar.io import checkpoint
 from warpsar.io.figures import convergence
 from warpsar.io.images import replacing
 from warpsar.learning.adam import Adam, GraphAdam
+from warpsar.learning.coordinates import DeviceX
 from warpsar.learning.fields import write_field_uncertainty
 from warpsar.learning.gradcheck import GradientCheck, check_gradient
 from warpsar.learning.identify import Identified, identify
 from warpsar.learning.observation import Observation, looks_of
 from warpsar.learning.optimise import FitState, begin, levenberg_marquardt
-from warpsar.learning.problem import DeviceX, FitProblem
+from warpsar.learning.problem import FitProblem
 from warpsar.learning.results import learned_scene
 from warpsar.learning.validity import outside_domains
 from warpsar.runtime import console, devices, distributed
@@ -416,7 +417,7 @@ def run(
     if not scene.grid.calibrated:
         modelled = found.problem.modelled(found.x)
         pairs = zip(found.problem.observations, modelled, strict=True)
-        gains = {(s.view.name, s.polarization): found.problem.gain(s, mu) for s, mu in pairs}
+        gains = {(s.view.name, s.polarization): found.problem.misfit.gain(s, mu) for s, mu in pairs}
         content["gains"] = _of_all(found.problem, lambda s: gains[s.view.name, s.polarization])
     if found.identified is not None:
         content["identifiability"] = found.identified.summary()

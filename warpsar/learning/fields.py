@@ -22,7 +22,7 @@ BLIND = 1e-6
 def node_weights(problem: FitProblem, block: Block, view_index: int) -> Any:
     """Interpolation weights of a block's nodes at the view's hits: scipy CSR, shape (hits, block.size); rows of other
     materials are empty."""
-    hits = problem.views[view_index].kept.shaded
+    hits = problem.views[view_index].render.whole.shaded
     mesh = problem.scene.mesh
     face = hits.face.numpy()
     mine = np.flatnonzero(mesh.face_material[face] == problem.surface.materials.index(block.material))
@@ -51,7 +51,7 @@ def node_weights(problem: FitProblem, block: Block, view_index: int) -> Any:
 def hit_slopes(problem: FitProblem, view_index: int, polarization: str) -> np.ndarray:
     """d(sum of beta0) / d zeta of every hit at the last run, shape (hits, 4): one backward pass serves all hits, since
     each hit's power depends on its own coordinates alone. Where an image effect spreads it is left out."""
-    render = problem.views[view_index].kept
+    render = problem.views[view_index].render.whole
     image = render.images[polarization]
     render.program.zero_gradients()  # arrays have none before the first is asked for
     render.zeta.retain_grad = True  # Warp spends an array's gradient on the launch that wrote it
@@ -80,12 +80,12 @@ def write_field_uncertainty(problem: FitProblem, x: np.ndarray, folder: Path) ->
         information = np.zeros((size, len(group), len(group)))
         seen_in = np.zeros(size, int)
         for index, view in enumerate(problem.views):
-            hits = view.kept.shaded
+            hits = view.render.whole.shaded
             at_hits = node_weights(problem, group[0], index)
             lit = np.zeros(size, bool)
             for seen in view.observations:
                 slopes = hit_slopes(problem, index, seen.polarization)
-                image = view.kept.images[seen.polarization].numpy().astype(float)
+                image = view.render.whole.images[seen.polarization].numpy().astype(float)
                 used = seen.interior.ravel()
                 pixel = image_pixels(hits, problem.scene.grid.shape)
                 inside = (pixel >= 0) & used[pixel]

@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from warpsar.learning.problem import DeviceX, FitProblem
+from warpsar.learning.coordinates import DeviceX
+from warpsar.learning.problem import FitProblem
 
 LARGEST_STEP = 1.0  # of a log coordinate in one Levenberg-Marquardt step: a factor e
 

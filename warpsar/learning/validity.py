@@ -15,7 +15,7 @@ def outside_domains(problem: FitProblem, x: np.ndarray) -> dict[str, dict[str, f
     problem.modelled(x)
     names = problem.surface.materials
     cells = wp.zeros((int(kernels.PARTIALS), len(names), 4), dtype=wp.float64, device=problem.device)
-    for piece in (piece for view in problem.views for piece in view.pieces()):
+    for piece in (piece for view in problem.views for piece in view.render.pieces()):
         hits = piece.shaded
         wp.launch(
             kernels.area_kernel,

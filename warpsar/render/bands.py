@@ -95,6 +95,16 @@ class BandedRender:
         self.set_parameters(stage.surface.nodes, {e.effect.name: e.values for e in effects})
         self.program = _BandedProgram(self, self._tail.program)
 
+    keeps_hits = False
+
+    @property
+    def whole(self) -> ViewRender:
+        """Raises InputError: the hits of the whole view are not kept."""
+        raise InputError(
+            f"view {self.view.name}: its hits are needed all at once, and are more than the memory they may take; "
+            f"allowed is a larger --max-memory, or no --validity"
+        )
+
     def lit(self, polarization: str) -> np.ndarray:
         """As `ViewRender.lit`."""
         return self.light[polarization].numpy().reshape(self.shape) > 0

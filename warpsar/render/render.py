@@ -83,9 +83,22 @@ class ViewRender:
                 image = effect.image(self, p, image)
             self.images[name] = image
 
+    keeps_hits = True
+
+    @property
+    def whole(self) -> ViewRender:
+        """The render with all hits of the view: this one."""
+        return self
+
+    def pieces(self) -> list[ViewRender]:
+        """The renders that hold the view's hits: this one, after a forward run."""
+        return [self]
+
     def lit(self, polarization: str) -> np.ndarray:
-        """Pixels that single-bounce light reached in the last run, (rows, cols) bool: a blur or a noise floor lights
-        nothing."""
+        """Pixels that single-bounce light reached in the last run, (rows, cols) bool.
+
+        A blur or a noise floor lights nothing.
+        """
         return self._light[polarization].numpy().reshape(self.shape) > 0
 
     def _at(self, stage: str) -> list[tuple[Effect, Any]]:
