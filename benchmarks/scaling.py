@@ -130,6 +130,7 @@ def simulate(ranks: Any, device: Any, options: argparse.Namespace, folder: Path)
     from warpsar.scene.scene import Scene
     from warpsar.simulation import batch
     from warpsar.simulation.command import Simulation
+    from warpsar.simulation.maker import sha256
     from warpsar.surface.stage import Stage
 
     path = folder / "town.toml"
@@ -170,7 +171,7 @@ def simulate(ranks: Any, device: Any, options: argparse.Namespace, folder: Path)
     for index in range(10):
         target = folder / f"probe{ranks.rank}_{index}.exr"
         write_exr(target, image.beta0)
-        batch.sha256(target)
+        sha256(target)
     written = time.perf_counter()
     return {
         "wall_s": wall_s,

@@ -167,11 +167,6 @@ def view_render(scene: Scene, stage: Stage, view: View, hits: Hits) -> ViewRende
     return ViewRender(stage, view, hits, scene.grid.shape, scene.radar.polarizations, declared(scene, view))
 
 
-def render_view(scene: Scene, stage: Stage, view: View, hits: Hits) -> dict[str, np.ndarray]:
-    """beta0 by polarization of one traced view, with the scene's declared effects."""
-    return view_render(scene, stage, view, hits).forward()
-
-
 def channels(view: SimulatedView) -> dict[str, np.ndarray]:
     """What was asked for of a view beyond its images, by name: layers, shares and sampling variances."""
     return dict(view.layers) | {f"sampling_variance_{p}": v for p, v in view.sampling_variance.items()}
