@@ -1,4 +1,4 @@
-"""How many rays are enough for the looks of the measured images (scene-format.md, "Layouts")."""
+"""How many rays are enough for the looks of the measured images."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from warpsar.surface.stage import Stage
 from warpsar.world.tables import View
 
 FEWEST, MOST = 64.0, 4096.0  # rays per pixel
+RAY_NOISE = 0.01  # looks x relative sampling variance of a lit pixel that a fit allows
 
 
 @dataclass(frozen=True)
