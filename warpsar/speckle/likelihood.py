@@ -1,7 +1,7 @@
-"""Measured against modelled power: losses, what speckle alone leaves of them, and the metrics that are reported.
+"""Measured against modelled power: losses, their values for pure speckle, and the metrics that are reported.
 
-I: measured beta0; mu: modelled beta0; L: looks. Single-channel intensity of L looks is gamma distributed about mu
-(physics.md, section 5).
+I: measured beta0; mu: modelled beta0; L: looks. The intensity of one channel at L looks is gamma distributed about mu
+(docs/learn.md).
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def residual_sd(loss: str, looks: float) -> float:
 
 
 def loss_weight(loss: str, looks: float, mean_square: float) -> float:
-    """What a pixel's loss is multiplied by, so that each loss is about a log-likelihood.
+    """The factor that makes a pixel's loss about a log-likelihood.
 
     gamma: 1. mse (constant variance, equation 38): 1 / mean(I^2), the images' common scale. log: 1 / psi'(L), the
     variance of ln I.
@@ -74,7 +74,7 @@ def best_gain(loss: str, measured: np.ndarray, modelled: np.ndarray, looks: floa
 
 
 def loss_terms(loss: str, measured: np.ndarray, modelled: np.ndarray, looks: float) -> np.ndarray:
-    """Loss of every pixel in float64: what kernels/loss.py adds up, without the weight."""
+    """Loss of every pixel, float64, without the weight; kernels/loss.py adds up the same."""
     if loss == "mse":
         return 0.5 * (measured - modelled) ** 2
     if loss == "gamma":
