@@ -31,8 +31,8 @@ class Identified:
 
     `information` F and `covariance` have shape (p, p), in the coordinates of x. `covariance` is the sandwich
     F^-1 S F^-1; S comes from the residuals' own autocovariance, so correlated speckle counts. The variance of an
-    element is infinite where it has a part in a direction that the data do not see. `eigenvalues` of the information ascend;
-    `eigenvectors` are in columns. `words` are sentences for people.
+    element is infinite where it has a part in a direction that the data do not see. `eigenvalues` of the information
+    ascend; `eigenvectors` are in columns. `words` are sentences for people.
     """
 
     labels: list[str]
@@ -63,8 +63,8 @@ def residual_autocovariance(pairs: Sequence[tuple[Observation, np.ndarray]], ran
 
     `pairs`: an observation, and the residual of its interior pixels divided by the speckle's own standard deviation.
     The sums run over the observations of all `ranks`. The taper is flat to half the lags (Politis and Romano, 1995).
-    One that falls from the first lag on makes intervals a quarter too short where speckle is correlated over two pixels.
-    Lags below three times their sampling error are set to zero, and so are negative ones: correlation can only widen an
+    One that falls from the first lag on makes intervals a quarter too short where speckle is correlated over two
+    pixels. Lags below three times their sampling error are set to zero, and so are negative ones: correlation can only widen an
     interval.
     """
     lags, size = LAGS, 2 * LAGS + 1
