@@ -125,7 +125,7 @@ def measure(device_name: str, rays_per_pixel: float, repeats: int) -> dict[str, 
         inputs = [rays, target.bvh.id, target.vertices, target.faces, rays.first_cell, 0, bounces, size]
         run(f"{name}, mirrors alone", lambda i=inputs, a=asked: wp.launch(mirrors_kernel, dim, i, [a], device=device))
         render = images(name, effects, hits)
-        paths = [p for p, _ in render.kept["multibounce"] if p is not None]
+        paths = [p for p, _ in render.recorded["multibounce"] if p is not None]
         counts[f"{name}, paths"] = sum(p.weight.shape[0] for p in paths)
         counts[f"{name}, bounces"] = sum(p.weight.shape[0] * len(p.bounces) for p in paths)
         asked.zero_()

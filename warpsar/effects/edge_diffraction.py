@@ -58,9 +58,9 @@ class EdgeDiffraction(Effect):
         if name not in ("HH", "VV"):
             return image
         program = render.program
-        if self.name not in render.hits.kept:
-            render.hits.kept[self.name] = visible_pieces(render)
-        bins, weight, points = render.hits.kept[self.name]
+        if self.name not in render.hits.derived:
+            render.hits.derived[self.name] = visible_pieces(render)
+        bins, weight, points = render.hits.derived[self.name]
         share = render.layers[f"beta0_edges_{name}"] = program.array(image.shape[0], sum_into=True)
         if bins.shape[0] == 0:
             return image

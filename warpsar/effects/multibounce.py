@@ -78,18 +78,18 @@ class Multibounce(Effect):
         if name not in ("HH", "VV"):
             return image
         program, stage = render.program, render.stage
-        if self.name not in render.kept:
+        if self.name not in render.recorded:
             bounces = render.settings[self.name]["max_bounces"]
             key = (self.name, bounces)
-            if key not in render.hits.kept:
-                render.hits.kept[key] = trace_paths(render, bounces)
-            found = render.hits.kept[key]
+            if key not in render.hits.derived:
+                render.hits.derived[key] = trace_paths(render, bounces)
+            found = render.hits.derived[key]
             zetas = [
                 [render.coordinates(b.face, b.barycentric, b.point) for b in paths.bounces] if paths else []
                 for paths in found
             ]
-            render.kept[self.name] = list(zip(found, zetas, strict=True))
-        for count, (paths, zeta) in enumerate(render.kept[self.name], start=2):
+            render.recorded[self.name] = list(zip(found, zetas, strict=True))
+        for count, (paths, zeta) in enumerate(render.recorded[self.name], start=2):
             share = render.layers[f"beta0_{count}_bounces_{name}"] = program.array(image.shape[0], sum_into=True)
             if paths is None:
                 continue

@@ -57,7 +57,7 @@ class ViewRender:
         self.sigma: dict[str, wp.array] = {}
         self._light: dict[str, wp.array] = {}
         self.layers: dict[str, wp.array] = {}
-        self.kept: dict[str, Any] = {}  # what an effect worked out for one polarization and needs in the next
+        self.recorded: dict[str, Any] = {}  # by effect: recorded for one polarization, used again for the next
         self.shaded, self._sample = shading_samples(hits)
         fine = hits.grid.bins_per_pixel
         self.spacing_m = (hits.grid.spacing_m[0] * fine, hits.grid.spacing_m[1] * fine)
@@ -246,7 +246,7 @@ class ViewRender:
         """As `Rendered.image_with`: only that effect is recorded, on a program of its own."""
         alone = copy(self)
         alone.program = Program(self.program.device)
-        alone.settings, alone.kept, alone.layers = {effect.effect.name: effect.settings}, {}, {}
+        alone.settings, alone.recorded, alone.layers = {effect.effect.name: effect.settings}, {}, {}
         p: wp.array = wp.array(effect.values.astype(np.float32), dtype=float, device=self.program.device)
         given: wp.array = wp.array(image.astype(np.float32).ravel(), dtype=float, device=self.program.device)
         result = effect.effect.image(alone, p, given)

@@ -20,9 +20,9 @@ def shading_samples(hits: Hits) -> tuple[Hits, Any]:
     """
     if hits.grid.bins_per_pixel == 1 or not hits.count:
         return hits, None
-    if "shading" not in hits.kept:
-        hits.kept["shading"] = _merged(hits)
-    found: tuple[Hits, Any] = hits.kept["shading"]
+    if "shading" not in hits.derived:
+        hits.derived["shading"] = _merged(hits)
+    found: tuple[Hits, Any] = hits.derived["shading"]
     return found
 
 
@@ -57,7 +57,7 @@ def _merged(hits: Hits) -> tuple[Hits, Any]:
         pixel=upload((keys // faces).astype(np.int32), int),
         face=upload((keys % faces).astype(np.int32), int),
         weight=upload(total.astype(np.float32), float),
-        kept={},
+        derived={},
         **means,
     )
     return merged, upload(sample.astype(np.int32), int)

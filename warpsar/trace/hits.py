@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -57,7 +58,7 @@ class Hits:
     rays_per_m2: float
     seed: int
     rays: int
-    kept: dict[Any, Any] = field(default_factory=dict)  # what effects traced besides, for models that share the hits
+    derived: dict[Hashable, Any] = field(default_factory=dict)  # worked out once, for all that share the hits
 
     @property
     def count(self) -> int:

@@ -16,8 +16,8 @@ class Recorder(Protocol):
 
     `hits` say where power falls, `shaded` what is shaded: one sample per face and pixel. `shape` (rows, cols) and
     `spacing_m` (range, azimuth) are the image's. `settings[name]` are the settings of the effect `name` in this view.
-    `layers` takes arrays (rows * cols,) by name: shares of the beta0 that an effect tells apart. `kept` is where an
-    effect leaves what it worked out for one polarization and needs in the next.
+    `layers` takes arrays (rows * cols,) by name: shares of the beta0 that an effect tells apart. `recorded[name]` is
+    what the effect `name` recorded for one polarization and uses again for the next.
     """
 
     program: Program
@@ -29,7 +29,7 @@ class Recorder(Protocol):
     spacing_m: tuple[float, float]
     settings: dict[str, Mapping[str, Any]]
     layers: dict[str, Any]
-    kept: dict[str, Any]
+    recorded: dict[str, Any]
 
     def coordinates(self, face: Any, barycentric: Any, points: Any) -> Any:
         """Record the learned coordinates (vec4) at places on the mesh, with the effects that act on them."""
