@@ -163,7 +163,7 @@ def bounces(bench: Bench) -> None:
         mirrors = partial(wp.launch, mirrors_kernel, dim, inputs, [asked], device=bench.device)
         bench.run(f"{name}, mirrors alone", mirrors)
         render = bench.images(name, bench.effects("multibounce", strength=1.0, max_bounces=most), bench.hits)
-        paths = [p for p, _ in render.kept["multibounce"] if p is not None]
+        paths = [p for p, _ in render.recorded["multibounce"] if p is not None]
         bench.counts[f"{name}, paths"] = sum(p.weight.shape[0] for p in paths)
         bench.counts[f"{name}, bounces"] = sum(p.weight.shape[0] * len(p.bounces) for p in paths)
         asked.zero_()

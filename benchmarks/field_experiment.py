@@ -12,7 +12,8 @@ from references import DATA, KEYS, changed, clean_images, logs, measured, traine
 
 from warpsar.io.figures import new, save
 from warpsar.io.images import read_channel, write_exr
-from warpsar.learning.command import Learned, LearnOptions, learn, pooled_metrics
+from warpsar.learning.command import Learned, LearnOptions, learn
+from warpsar.learning.metrics import pooled_metrics
 from warpsar.learning.problem import FitProblem
 from warpsar.scene.scene import Scene
 from warpsar.simulation.rays import Rays

@@ -77,7 +77,10 @@ def on_cuda(problem: FitProblem, state: Any, device: Any, repeats: int) -> dict[
 
     found: dict[str, Any] = {}
     descent = GraphAdam(problem, state, 0.01)
-    for name, task in {"image": problem.run_images, "gradient": problem.run_on_device}.items():
+    for name, task in {
+        "image": partial(problem.streams.run, [view.forward for view in problem.views]),
+        "gradient": problem.run_on_device,
+    }.items():
         with wp.ScopedCapture(device) as capture:
             task()
         found[f"{name}_s"] = often(partial(wp.capture_launch, capture.graph), 50)

@@ -76,8 +76,9 @@ def learn(ranks: Any, device: Any, options: argparse.Namespace, folder: Path) ->
 
     import warpsar
     from warpsar.learning.adam import Adam, GraphAdam
-    from warpsar.learning.command import LearnOptions, pooled_metrics
+    from warpsar.learning.command import LearnOptions
     from warpsar.learning.gradcheck import check_gradient
+    from warpsar.learning.metrics import pooled_metrics
     from warpsar.learning.optimise import begin
     from warpsar.learning.problem import FitProblem
     from warpsar.learning.validity import outside_domains

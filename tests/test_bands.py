@@ -93,7 +93,7 @@ def test_learn_in_bands_ends_where_learn_does(tmp_path: Path) -> None:
 def test_some_kept_and_some_not(tmp_path: Path) -> None:
     scene = bumpy_scene(tmp_path)
     where = devices.resolve_device("cpu")
-    sizes = {v.view.name: v.kept.hits.count for v in FitProblem(scene, where).views}
+    sizes = {v.view.name: v.render.whole.hits.count for v in FitProblem(scene, where).views}
     bytes_of = {name: memory.kept_bytes(hits, 2, 0) for name, hits in sizes.items()}
     # room for one of them, with what the estimate may be off by
     problem = FitProblem(scene, where, max_memory_gib=1.5 * max(bytes_of.values()) / 2**30)
@@ -127,7 +127,7 @@ def test_out_of_memory_in_a_fit_turns_to_bands(tmp_path: Path, monkeypatch: pyte
 
     scene, where = bumpy_scene(tmp_path), devices.resolve_device("cpu")
     kept = FitProblem(scene, where)
-    limit = min(view.kept.hits.count for view in kept.views) // 6
+    limit = min(view.render.whole.hits.count for view in kept.views) // 6
     real = simulation.trace
 
     def trace(*arguments: Any, **more: Any) -> Any:

@@ -30,10 +30,14 @@ from warpsar.errors import InputError
 from warpsar.io import images
 from warpsar.io.images import read_channel
 from warpsar.runtime.background import Background
+from warpsar.runtime.distributed import ONE
 from warpsar.scene.scene import Scene
 from warpsar.scene.unwrap import write_obj
-from warpsar.simulation import batch
+from warpsar.simulation import maker
 from warpsar.simulation.command import simulate
+from warpsar.simulation.index import FIELDS, INDEX, PARTS, Index
+from warpsar.simulation.naming import angles, labels, views_at
+from warpsar.simulation.shares import shares
 
 HERE = Path(__file__).resolve().parent
 
@@ -78,7 +82,7 @@ def run(*arguments: object, expected: int = 0) -> str:
 
 
 def rows(out: Path) -> list[dict[str, str]]:
-    with (out / batch.INDEX).open(newline="") as stream:
+    with (out / INDEX).open(newline="") as stream:
         return list(csv.DictReader(stream))
 
 
@@ -90,7 +94,7 @@ def assert_whole(out: Path, names: set[str]) -> None:
         data = (out / row["file"]).read_bytes()
         assert hashlib.sha256(data).hexdigest() == row["sha256"]
     left = {path.relative_to(out).as_posix() for path in out.rglob("*") if path.is_file()}
-    assert left == {row["file"] for row in found} | {batch.INDEX, "simulate.json"}
+    assert left == {row["file"] for row in found} | {INDEX, "simulate.json"}
 
 
 def pixels(out: Path) -> dict[str, Any]:
@@ -114,7 +118,7 @@ def names_of(labels: list[str], azimuths: range, incidences: list[int]) -> set[s
     ],
 )
 def test_angles(text: str, expected: list[str]) -> None:
-    assert batch.angles(text, "--azimuths", -360.0, 360.1) == [Decimal(each) for each in expected]
+    assert angles(text, "--azimuths", -360.0, 360.1) == [Decimal(each) for each in expected]
 
 
 @pytest.mark.parametrize(
@@ -123,30 +127,30 @@ def test_angles(text: str, expected: list[str]) -> None:
 def test_angles_refused(text: str) -> None:
     found = "360" if text == "0:450:90" else repr(text)
     with pytest.raises(InputError, match=re.escape(f"--azimuths: found {found}")):
-        batch.angles(text, "--azimuths", -360.0, 360.0)
+        angles(text, "--azimuths", -360.0, 360.0)
 
 
 def test_views_at_carry_as_many_decimals_as_they_need() -> None:
-    made = batch.views_at(batch.angles("0:360:90", "a", -360, 361), batch.angles("30:31:0.25", "i", 0, 90))
+    made = views_at(angles("0:360:90", "a", -360, 361), angles("30:31:0.25", "i", 0, 90))
     names = ["az000_inc30.00", "az000_inc30.25", "az000_inc30.50", "az000_inc30.75", "az090_inc30.00"]
     assert [one.name for one in made][:5] == names
     assert (made[1].azimuth_deg, made[1].incidence_deg) == (0.0, 30.25)
 
 
 def test_labels() -> None:
-    assert batch.labels([Path("x/a.toml"), Path("y/b.toml")]) == ["a", "b"]
-    assert batch.labels([Path("/x/scene.toml"), Path("/y/scene.toml")]) == ["x", "y"]
-    assert batch.labels([Path("/x/a.toml"), Path("/x/b.toml"), Path("/y/a.toml")]) == ["x_a", "x_b", "y_a"]
+    assert labels([Path("x/a.toml"), Path("y/b.toml")]) == ["a", "b"]
+    assert labels([Path("/x/scene.toml"), Path("/y/scene.toml")]) == ["x", "y"]
+    assert labels([Path("/x/a.toml"), Path("/x/b.toml"), Path("/y/a.toml")]) == ["x_a", "x_b", "y_a"]
     with pytest.raises(InputError, match="two that have the same name"):
-        batch.labels([Path("/p/x/a.toml"), Path("/q/x/a.toml")])
+        labels([Path("/p/x/a.toml"), Path("/q/x/a.toml")])
 
 
 def test_blocks_hold_every_view_once() -> None:
     for views, ranks in (([5], 1), ([5], 2), ([1000], 4), ([3, 1, 7], 2), ([1] * 100, 3), ([40] * 64, 4)):
-        found = batch.blocks(views, ranks)
+        found = shares(views, ranks)
         held = [(b.scene, v) for b in found for v in range(b.part, views[b.scene], b.of)]
         assert Counter(held) == Counter((s, v) for s, n in enumerate(views) for v in range(n))
-    assert len(batch.blocks([40] * 64, 4)) == 64  # scenes stay whole where there are enough
+    assert len(shares([40] * 64, 4)) == 64  # scenes stay whole where there are enough
 
 
 def test_own_views_are_those_of_a_plain_run(tmp_path: Path) -> None:
@@ -196,7 +200,7 @@ def test_a_rerun_makes_only_what_is_missing(tmp_path: Path) -> None:
 
 
 def test_a_thousand_files_a_folder_and_further_channels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(batch, "PER_FOLDER", 3)
+    monkeypatch.setattr(maker, "PER_FOLDER", 3)
     path, out = scene_file(tmp_path / "a"), tmp_path / "out"
     run(path, "-o", out, "--azimuths", "0:80:10", "--incidences", "40", "--layers", "--variance")
     assert {folder.name: len(list(folder.iterdir())) for folder in (out / "scene").iterdir()} == {
@@ -277,7 +281,7 @@ def test_a_file_that_cannot_be_written_among_many(tmp_path: Path, monkeypatch: p
         write(target, channels)
 
     with monkeypatch.context() as patch:
-        patch.setattr(batch, "write_exr", refused)
+        patch.setattr(maker, "write_exr", refused)
         said = run(*asked, expected=2)
     assert "6 images" not in said
     assert "5 images: 5 made" in said
@@ -302,7 +306,7 @@ def test_the_last_file_finds_no_room(tmp_path: Path, monkeypatch: pytest.MonkeyP
         write(target, channels)
 
     with monkeypatch.context() as patch:
-        patch.setattr(batch, "write_exr", full)
+        patch.setattr(maker, "write_exr", full)
         said = run(*asked, expected=2)
     assert said.splitlines()[-1] == f"Error: {out}/scene/000/az300_inc40.exr: No space left on device"
     assert "Traceback" not in said
@@ -373,13 +377,13 @@ def test_the_kernel_refuses_the_bytes_of_an_image(tmp_path: Path) -> None:
 def test_rows_that_find_no_room(tmp_path: Path) -> None:
     """The index on a full device, which /dev/full is: an image without its row is made again."""
     path, out = scene_file(tmp_path / "a"), tmp_path / "out"
-    (out / batch.PARTS).mkdir(parents=True)
-    part = out / batch.PARTS / "0.csv"
-    index = batch.Index(out, batch.distributed.ONE)
-    (out / batch.PARTS).mkdir()
+    (out / PARTS).mkdir(parents=True)
+    part = out / PARTS / "0.csv"
+    index = Index(out, ONE)
+    (out / PARTS).mkdir()
     part.symlink_to("/dev/full")
     with pytest.raises(OSError, match="No space left"):
-        index.add(dict.fromkeys(batch.FIELDS, "x"))
+        index.add(dict.fromkeys(FIELDS, "x"))
     part.unlink()
     assert "1 images: 1 made" in run(path, "-o", out, "--azimuths", "0", "--incidences", "40")
     assert_whole(out, {"scene/az0_inc40"})
@@ -389,10 +393,10 @@ def test_half_a_row_and_half_a_file_are_as_if_never_written(tmp_path: Path) -> N
     path, out = scene_file(tmp_path / "a"), tmp_path / "out"
     asked = (path, "-o", out, "--azimuths", "0:360:60", "--incidences", "40")
     run(*asked)
-    lines = (out / batch.INDEX).read_text().splitlines(keepends=True)
-    (out / batch.INDEX).write_text("".join(lines[:4]))
-    (out / batch.PARTS).mkdir()
-    (out / batch.PARTS / "0.csv").write_text(lines[4] + lines[5][:-9])
+    lines = (out / INDEX).read_text().splitlines(keepends=True)
+    (out / INDEX).write_text("".join(lines[:4]))
+    (out / PARTS).mkdir()
+    (out / PARTS / "0.csv").write_text(lines[4] + lines[5][:-9])
     (out / "scene" / "000" / f".{'0a' * 16}.exr").write_bytes(b"half")
     assert "6 images: 2 made, 4 were there" in run(*asked)
     assert_whole(out, names_of(["scene"], range(0, 360, 60), [40]))

@@ -11,7 +11,7 @@ from scipy.special import digamma
 
 from warpsar.runtime import devices
 from warpsar.scene.scene import Scene
-from warpsar.simulation.command import render_view
+from warpsar.simulation.command import view_render
 from warpsar.simulation.rays import trace_view
 from warpsar.surface.stage import Stage
 from warpsar.world.tables import SURFACE_KEYS
@@ -53,7 +53,7 @@ def pairs(folder: Path, rays_per_pixel: float) -> tuple[float, list[Pair]]:
                 name: (np.bincount(pixel, weight * (material == i), n) / area).reshape(scene.grid.shape)
                 for i, name in enumerate(scene.mesh.materials)
             }
-        ours = render_view(scene, stage, view, hits)["HH"]
+        ours = view_render(scene, stage, view, hits).forward()["HH"]
         found.append(Pair(view.name, ours, scene.measured(view, "HH"), share))
     return float(truth["looks"]), found
 

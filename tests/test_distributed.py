@@ -226,7 +226,7 @@ from pathlib import Path
 import numpy as np
 from warpsar.diagnosis.found import DiagnoseOptions
 from warpsar.diagnosis.procedure import diagnose_scene
-from warpsar.learning.problem import FitView
+from warpsar.learning.view import FitView
 from warpsar.runtime import devices, distributed
 from warpsar.scene.scene import Scene
 

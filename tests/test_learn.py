@@ -22,8 +22,9 @@ from warpsar.io.images import read_channel, write_exr, write_tiff
 from warpsar.io.ply import write_ply
 from warpsar.learning import command as learning
 from warpsar.learning.adam import Adam, GraphAdam
-from warpsar.learning.command import LearnOptions, learn, pooled_metrics
+from warpsar.learning.command import LearnOptions, learn
 from warpsar.learning.gradcheck import TOLERANCE, _differences, check_gradient
+from warpsar.learning.metrics import pooled_metrics
 from warpsar.learning.optimise import FitState, begin, levenberg_marquardt
 from warpsar.learning.problem import FitProblem
 from warpsar.learning.validity import outside_domains
@@ -210,7 +211,7 @@ def test_the_truth_lies_in_the_intervals(loss: str, cube: Scene) -> None:
     assert found.test is not None
     # 2300 test pixels at 16 looks: the deviance's own standard deviation is 0.03
     assert found.test["deviance"] == pytest.approx(1.0, abs=0.1)
-    assert learning.pooled_metrics(found.problem, found.problem.x0)["deviance"] > 1.5
+    assert pooled_metrics(found.problem, found.problem.x0)["deviance"] > 1.5
 
 
 @pytest.mark.parametrize("loss", ["gamma", "log", "mse"])
@@ -285,7 +286,7 @@ def test_the_gradient_check_sees_a_wrong_gradient(cube: Scene, monkeypatch: pyte
     monkeypatch.setattr(problem, "gradient", wrong)
     assert not check_gradient(problem, problem.x0).passed
     assert not check_gradient(problem, at_minimum).passed
-    monkeypatch.setattr(learning.FitProblem, "gradient", lambda self, x: wrong(x))
+    monkeypatch.setattr(FitProblem, "gradient", lambda self, x: wrong(x))
     with pytest.raises(Exception, match="gradient check failed"):
         learn(cube, device="cpu")
 

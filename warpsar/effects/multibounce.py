@@ -83,9 +83,9 @@ class Multibounce(Effect):
     def paths(self, render: Recorder, p: wp.array, image: wp.array, polarization: int) -> wp.array:
         if is_crossed(polarization):
             return image
-        if self.name not in render.kept:
-            render.kept[self.name] = self._with_coordinates(render)
-        for count, (paths, zetas) in enumerate(render.kept[self.name], start=2):
+        if self.name not in render.recorded:
+            render.recorded[self.name] = self._with_coordinates(render)
+        for count, (paths, zetas) in enumerate(render.recorded[self.name], start=2):
             share = render.program.array(image.shape[0], sum_into=True)
             render.layers[f"beta0_{count}_bounces_{polarization_name(polarization)}"] = share
             if paths is None:

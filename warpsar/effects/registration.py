@@ -59,9 +59,9 @@ class Registration(Effect):
     def deposit(
         self, render: Recorder, p: wp.array, sigma: wp.array, weight: wp.array, bins: wp.array, image: wp.array
     ) -> None:
-        shift = render.kept.get(self.name)
+        shift = render.recorded.get(self.name)
         if shift is None:
-            shift = render.kept[self.name] = render.program.array(2)
+            shift = render.recorded[self.name] = render.program.array(2)
             d, u = (wp.vec3(*axis) for axis in (render.geometry.d, render.geometry.u))
             render.program.launch(kernels.shift_kernel, 1, [p, d, u, *render.spacing_m], [shift])
         render.deposit(sigma, weight, bins, shift, image)

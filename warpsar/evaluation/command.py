@@ -19,7 +19,6 @@ from warpsar.evaluation.meshview import write_learned_ply
 from warpsar.evaluation.report import residual_picture, write_report
 from warpsar.evaluation.residuals import expected_db, profiles
 from warpsar.io.images import replacing, write_exr
-from warpsar.learning.command import RAY_NOISE
 from warpsar.learning.identify import residual_autocovariance
 from warpsar.learning.observation import Observation, observe
 from warpsar.render.render import ViewRender
@@ -28,7 +27,7 @@ from warpsar.runtime.distributed import Ranks
 from warpsar.scene.scene import Scene
 from warpsar.simulation.outputs import write_json
 from warpsar.simulation.rays import hit_grid, trace_view, view_seed
-from warpsar.simulation.sampling import choose_density
+from warpsar.simulation.sampling import RAY_NOISE, choose_density
 from warpsar.speckle.likelihood import best_gain, deviance, expected_deviance, metrics
 from warpsar.speckle.looks import equivalent_looks
 from warpsar.surface.samples import image_pixels

@@ -1,1 +1,9 @@
-"""."""
+"""Which surface and effect parameters explain measured images, and how well the images determine them.
+
+options: how to fit. coordinates: what x is. observation: which measured pixels count. misfit: the loss.
+held: which views a process holds. view: one of them. streams: tasks side by side on a GPU.
+problem: views and images as one function of x. regularise: total variation. optimise, adam: one step of a fit.
+gradcheck: the gradient against differences. descent: a fit from first to last iteration. learn: the whole fit.
+identify: intervals of a few parameters. fields: intervals of maps. validity: where the models leave their domain.
+metrics: how well the images agree. results: what was learned, as a scene. command: `warpsar learn`.
+"""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import warp as wp
@@ -13,10 +12,8 @@ from warpsar.kernels import adam as kernels
 from warpsar.learning.optimise import FitState, improved
 from warpsar.learning.problem import FitProblem
 
-PLATEAU_WINDOW, PLATEAU_GAIN = 50, 1e-5  # Adam: relative gain of the best loss over so many iterations
-
-
-SETTLING = 30.0  # Adam's step shrinks after so many iterations: a constant one rattles in total variation's kinks
+PLATEAU_WINDOW, PLATEAU_GAIN = 50, 1e-5  # a smaller relative gain of the best loss over so many iterations ends a run
+SETTLING = 30.0  # iterations after which the step shrinks: a constant one rattles in total variation's kinks
 
 
 def eased(rate: float, iteration: int) -> float:
@@ -24,12 +21,26 @@ def eased(rate: float, iteration: int) -> float:
     return float(rate / np.sqrt(1.0 + iteration / SETTLING))
 
 
+def counted(state: FitState, iterations: int) -> FitState:
+    """`state` after `iterations` more: it has arrived where the best loss has reached a plateau."""
+    window = PLATEAU_WINDOW // iterations
+    recent = np.append([] if state.recent is None else state.recent, state.best_loss)[-window - 1 :]
+    gained = (recent[0] - recent[-1]) / max(abs(recent[-1]), 1e-300)
+    return replace(
+        state,
+        recent=recent,
+        iteration=state.iteration + iterations,
+        since_start=state.since_start + iterations,
+        arrived=recent.size > window and gained < PLATEAU_GAIN,
+    )
+
+
 class Adam:
-    """warp.optim.Adam on the whole of x, with bounds, from the host."""
+    """warp.optim.Adam on the whole of x, with bounds, driven from the host (Kingma and Ba, arXiv:1412.6980)."""
 
     def __init__(self, problem: FitProblem, state: FitState, rate: float) -> None:
         self.problem, self.rate = problem, rate
-        self.x: Any = wp.array(state.x.astype(np.float32), dtype=float, device=problem.device)
+        self.x: wp.array = wp.array(state.x.astype(np.float32), dtype=float, device=problem.device)
         self.gradient = wp.zeros_like(self.x)
         self.optimiser = WarpAdam([self.x], lr=rate)
         if state.first_moment is not None:
@@ -48,37 +59,33 @@ class Adam:
         low, high = problem.bounds
         moved = np.clip(self.x.numpy(), low.astype(np.float32), high.astype(np.float32))
         self.x.assign(moved)
-        state = improved(state, x, loss)
-        recent = np.append([] if state.recent is None else state.recent, state.best_loss)[-PLATEAU_WINDOW - 1 :]
-        gained = (recent[0] - recent[-1]) / max(abs(recent[-1]), 1e-300)
         return replace(
-            state,
+            counted(improved(state, x, loss), 1),
             x=moved.astype(float),
             first_moment=self.optimiser.m[0].numpy(),
             second_moment=self.optimiser.v[0].numpy(),
-            recent=recent,
-            iteration=state.iteration + 1,
-            since_start=state.since_start + 1,
-            arrived=recent.size > PLATEAU_WINDOW and gained < PLATEAU_GAIN,
         )
 
 
 class GraphAdam:
-    """Adam where nothing but the loss leaves the CUDA device: image, loss and gradients of all views and the update
-    replayed as one captured graph (of several ranks, two, with the sum of their gradients between), for `STRIDE`
-    iterations between two looks at the loss."""
+    """Adam on a CUDA device: nothing leaves it but the loss, which is looked at once in `STRIDE` iterations.
+
+    Images, loss and gradients of all views and the update are one captured graph that is replayed. With several ranks
+    there are two graphs, and the gradients of the ranks are summed between them.
+    """
 
     STRIDE = 10
 
     def __init__(self, problem: FitProblem, state: FitState, rate: float) -> None:
         self.problem, self.rate = problem, rate
         device = problem.device
+        assert problem.shared_nodes is not None
         self.nodes = problem.shared_nodes
         start = problem.nodes(np.asarray(state.x)).astype(np.float32)
         low, high = start.copy(), start.copy()
         low[problem.learned], high[problem.learned] = problem.bounds
 
-        def put(values: np.ndarray, dtype: Any = float) -> Any:
+        def put(values: np.ndarray, dtype: type = float) -> wp.array:
             return wp.array(values, dtype=dtype, device=device)
 
         self.nodes.assign(start)
@@ -117,14 +124,14 @@ class GraphAdam:
         )
 
     def iterate(self) -> None:
-        """One iteration; nothing waits for it."""
+        """One iteration; the host does not wait for it."""
         wp.capture_launch(self.graphs[0])
         for graph in self.graphs[1:]:
             self.problem.ranks.sum_on_device(self.nodes.grad)
             wp.capture_launch(graph)
 
     def step(self, state: FitState) -> FitState:
-        """`STRIDE` iterations; the loss is that of the last one."""
+        """`STRIDE` iterations; the loss is taken at the last one."""
         problem = self.problem
         for _ in range(self.STRIDE - 1):
             self.iterate()
@@ -137,16 +144,9 @@ class GraphAdam:
         state = improved(state, problem.on_device(self.seen), loss)
         if better:
             self.seen, self.spare = self.spare, self.seen
-        recent = np.append([] if state.recent is None else state.recent, state.best_loss)
-        recent = recent[-PLATEAU_WINDOW // self.STRIDE - 1 :]
-        gained = (recent[0] - recent[-1]) / max(abs(recent[-1]), 1e-300)
         return replace(
-            state,
+            counted(state, self.STRIDE),
             x=problem.on_device(self.nodes),
             first_moment=self.first,
             second_moment=self.second,
-            recent=recent,
-            iteration=state.iteration + self.STRIDE,
-            since_start=state.since_start + self.STRIDE,
-            arrived=recent.size > PLATEAU_WINDOW // self.STRIDE and gained < PLATEAU_GAIN,
         )

@@ -1,4 +1,4 @@
-"""What the data say of a parameter field: a standard deviation per node, and how often each node is seen."""
+"""What the data tell about a parameter field: each node's standard deviation, and how many views see it."""
 
 from __future__ import annotations
 
@@ -19,10 +19,12 @@ from warpsar.surface.surface import KINDS, Block
 BLIND = 1e-6
 
 
-def node_weights(problem: FitProblem, block: Block, view_index: int) -> Any:
-    """Interpolation weights of a block's nodes at the view's hits: scipy CSR, shape (hits, block.size); rows of other
-    materials are empty."""
-    hits = problem.views[view_index].kept.shaded
+def node_weights(problem: FitProblem, block: Block, view_index: int) -> csr_array:
+    """Interpolation weights of a block's nodes at the view's hits, shape (hits, block.size).
+
+    Rows of other materials are empty.
+    """
+    hits = problem.views[view_index].render.whole.shaded
     mesh = problem.scene.mesh
     face = hits.face.numpy()
     mine = np.flatnonzero(mesh.face_material[face] == problem.surface.materials.index(block.material))
@@ -49,9 +51,12 @@ def node_weights(problem: FitProblem, block: Block, view_index: int) -> Any:
 
 
 def hit_slopes(problem: FitProblem, view_index: int, polarization: str) -> np.ndarray:
-    """d(sum of beta0) / d zeta of every hit at the last run, shape (hits, 4): one backward pass serves all hits, since
-    each hit's power depends on its own coordinates alone. Where an image effect spreads it is left out."""
-    render = problem.views[view_index].kept
+    """d(sum of beta0) / d zeta of every hit at the last run, shape (hits, 4).
+
+    One backward pass serves all hits, since each hit's power depends on its own coordinates alone. It leaves out how
+    an effect of the image stage spreads this power over pixels.
+    """
+    render = problem.views[view_index].render.whole
     image = render.images[polarization]
     render.program.zero_gradients()  # arrays have none before the first is asked for
     render.zeta.retain_grad = True  # Warp spends an array's gradient on the launch that wrote it
@@ -60,11 +65,12 @@ def hit_slopes(problem: FitProblem, view_index: int, polarization: str) -> np.nd
 
 
 def write_field_uncertainty(problem: FitProblem, x: np.ndarray, folder: Path) -> dict[str, Any]:
-    """Standard deviation (in the learned coordinate) and views per node of every learned field, as EXR maps for
-    textures and NPY for vertices in `folder`; returns a summary per field.
+    """Write the standard deviation (in the learned coordinate) and the number of views of each node of each field.
 
-    Fisher information of the speckle, jointly over the parameters of one node and no others: neighbours are held, so
-    it is a lower bound; total variation is not counted. Nodes that no pixel sees have an infinite one.
+    They are EXR maps for textures and NPY files for vertices, in `folder`. Returns a summary per field.
+
+    The Fisher information of the speckle is taken jointly over the parameters of one node. Neighbours are held, so the
+    standard deviation is a lower bound; total variation is not counted. It is infinite for a node that no pixel sees.
     """
     problem.modelled(x)
     fields = [block for block in problem.surface.blocks if block.learn and block.size > 1]
@@ -80,12 +86,12 @@ def write_field_uncertainty(problem: FitProblem, x: np.ndarray, folder: Path) ->
         information = np.zeros((size, len(group), len(group)))
         seen_in = np.zeros(size, int)
         for index, view in enumerate(problem.views):
-            hits = view.kept.shaded
+            hits = view.render.whole.shaded
             at_hits = node_weights(problem, group[0], index)
             lit = np.zeros(size, bool)
             for seen in view.observations:
                 slopes = hit_slopes(problem, index, seen.polarization)
-                image = view.kept.images[seen.polarization].numpy().astype(float)
+                image = view.render.whole.images[seen.polarization].numpy().astype(float)
                 used = seen.interior.ravel()
                 pixel = image_pixels(hits, problem.scene.grid.shape)
                 inside = (pixel >= 0) & used[pixel]

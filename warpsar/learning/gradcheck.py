@@ -1,4 +1,4 @@
-"""The tape against finite differences, on the scene that is about to be fitted."""
+"""The tape's gradient against finite differences, on the scene that is about to be fitted."""
 
 from __future__ import annotations
 
@@ -15,15 +15,17 @@ STEP = 2e-2  # in the coordinates of x
 TOLERANCE = 1e-2
 SHORTEST = 2e-3  # step, where halving does not settle it
 CHECKS = 12
-# The check is made this far from x, and no derivative counts as smaller than what the curvature gives over so much: at
-# a minimum, where a run may well begin, derivatives are 0 and their differences noise.
+# The check is made this far from x, and no derivative counts as smaller than the curvature times this distance: a run
+# may begin at a minimum, where derivatives are 0 and their differences noise.
 AWAY = 0.1
 
 
 @dataclass(frozen=True)
 class GradientCheck:
-    """Largest difference between adjoint and central differences, relative to the derivative, over `directions`
-    directions."""
+    """The largest difference between adjoint and central differences over `directions` directions.
+
+    It is relative to the derivative.
+    """
 
     worst: float
     directions: int
@@ -34,8 +36,10 @@ class GradientCheck:
 
 
 def check_gradient(problem: FitProblem, x: np.ndarray) -> GradientCheck:
-    """Near x, along one random direction in each group of x (a material's parameter, an effect's parameter), or in
-    as many joined groups as `CHECKS` allows."""
+    """Compare near x, along one random direction in each group of x: a material's or an effect's parameter.
+
+    Where there are more than `CHECKS` groups, several share a direction.
+    """
     groups = _groups(problem)
     chosen = [np.concatenate(groups[number::CHECKS]) for number in range(min(CHECKS, len(groups)))]
     random = np.random.default_rng(0)
@@ -59,8 +63,8 @@ def check_gradient(problem: FitProblem, x: np.ndarray) -> GradientCheck:
 def _differences(loss: Callable[[float], float], middle: float, expected: float) -> tuple[float, float]:
     """First derivative at 0, extrapolated from central differences (Richardson), and the second one over `STEP`.
 
-    Near a bright point the nulls of a sinc, sampled at pixel centres, bend the loss over hundredths: where the first
-    derivative is not what is expected, the step is halved until halving changes no more.
+    Near a bright point the nulls of a sinc, sampled at pixel centres, bend the loss over hundredths. So the step is
+    halved, where the first derivative is not the expected one, until halving changes nothing more.
     """
     step, (up, down) = STEP, (loss(STEP), loss(-STEP))
     curvature, slope = (up - 2.0 * middle + down) / step**2, np.inf

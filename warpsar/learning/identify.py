@@ -1,4 +1,4 @@
-"""What the data can say of the parameters: Fisher information, intervals, and words (physics.md, section 3)."""
+"""What the data tell about a few parameters: Fisher information, intervals, and sentences (docs/learn.md)."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ LAGS = 6  # pixels, each way, over which neighbouring residuals are taken to be 
 class Identified:
     """Fisher information of x at a solution, and what follows.
 
-    `information`, `covariance`: shape (p, p), in the coordinates of x. `covariance` is the sandwich
-    F^-1 S F^-1 with S from the residuals' own autocovariance (correlated speckle included); the variance of an
-    element with a part in a direction that the data do not see is infinite. `eigenvalues` ascending with
-    `eigenvectors` in columns, of the information. `words`: sentences.
+    `information` F and `covariance` have shape (p, p), in the coordinates of x. `covariance` is the sandwich
+    F^-1 S F^-1; S comes from the residuals' own autocovariance, so correlated speckle counts. The variance of an
+    element is infinite where it has a part in a direction that the data do not see. `eigenvalues` of the information
+    ascend; `eigenvectors` are in columns. `words` are sentences for people.
     """
 
     labels: list[str]
@@ -58,18 +58,16 @@ class Identified:
         }
 
 
-def residual_autocovariance(
-    pairs: Sequence[tuple[Observation, np.ndarray]], lags: int = LAGS, ranks: Ranks = ONE
-) -> np.ndarray:
-    """Autocovariance of the standardised residuals, shape (2 lags + 1, 2 lags + 1).
+def residual_autocovariance(pairs: Sequence[tuple[Observation, np.ndarray]], ranks: Ranks = ONE) -> np.ndarray:
+    """Autocovariance of the standardised residuals, shape (2 LAGS + 1, 2 LAGS + 1).
 
-    `pairs`: observation and residual of its interior pixels, divided by the speckle's own standard deviation.
-    Pooled over observations, of all `ranks`. The taper is flat to half the lags (Politis and Romano, 1995): one that
-    falls from the first lag on makes intervals too short by a quarter where speckle is correlated over two pixels. Lags
-    that do not stand out of their sampling error by three are zero, negative ones too: correlation only ever widens an
+    `pairs`: an observation, and the residual of its interior pixels divided by the speckle's own standard deviation.
+    The sums run over the observations of all `ranks`. The taper is flat to half the lags (Politis and Romano, 1995).
+    One that falls from the first lag on makes intervals a quarter too short where speckle is correlated over two
+    pixels. Lags below three times their sampling error are set to zero, and so are negative ones: correlation can only widen an
     interval.
     """
-    size = 2 * lags + 1
+    lags, size = LAGS, 2 * LAGS + 1
     total, count = np.zeros((size, size)), np.zeros((size, size))
     for seen, standardised in pairs:
         grid = np.zeros(seen.measured.shape)
@@ -91,8 +89,10 @@ def residual_autocovariance(
 
 
 def score_products(scaled: np.ndarray, autocovariance: np.ndarray, seen: Observation) -> np.ndarray:
-    """Variance of sum(scaled * standardised residual), shape (p, p), for residuals of the given autocovariance;
-    `scaled` shape (pixels, p): what a residual of one standard deviation adds to the score."""
+    """Variance of sum(scaled * standardised residual), shape (p, p), for residuals of the given autocovariance.
+
+    `scaled`, shape (pixels, p), is what a residual of one standard deviation adds to the score.
+    """
     if np.count_nonzero(autocovariance) == 1:
         return autocovariance.max() * (scaled.T @ scaled)
     products = np.zeros((scaled.shape[1], scaled.shape[1]))
@@ -104,7 +104,7 @@ def score_products(scaled: np.ndarray, autocovariance: np.ndarray, seen: Observa
 
 
 def _shifted(array: np.ndarray, lag: int, axis: int) -> np.ndarray:
-    """`array` moved by `lag` along `axis`, zeros moved in."""
+    """`array` moved by `lag` along `axis`; zeros come in."""
     out = np.zeros_like(array)
     n = array.shape[axis]
     to = [slice(None)] * array.ndim
@@ -149,14 +149,14 @@ def of_information(labels: list[str], information: np.ndarray, products: np.ndar
 
 
 def _sd(combination: np.ndarray, covariance: np.ndarray, unseen: np.ndarray) -> float:
-    """Standard deviation of a sum of elements of x; infinite where it has a part in an unseen direction."""
+    """Standard deviation of a weighted sum of elements of x; infinite where it has a part in an unseen direction."""
     if np.linalg.norm(unseen @ combination) > 1e-3 * np.linalg.norm(combination):
         return float("inf")
     return float(np.sqrt(max(combination @ covariance @ combination, 0.0)))
 
 
 def _best_known(members: list[int], covariance: np.ndarray, unseen: np.ndarray) -> np.ndarray:
-    """The sum of `members` of x that is known best, as exponents of the parameters; the largest is 1."""
+    """The weighted sum of `members` of x that is known best, as exponents of the parameters; the largest is 1."""
     span = np.eye(len(covariance))[:, members]
     if len(unseen):
         _, singular, across = np.linalg.svd(unseen[:, members])
@@ -168,9 +168,9 @@ def _best_known(members: list[int], covariance: np.ndarray, unseen: np.ndarray) 
 
 
 def describe(labels: Sequence[str], covariance: np.ndarray, unseen: np.ndarray) -> list[str]:
-    """One sentence per material: what is determined, alone or in combination, and to how much.
+    """One sentence per material: what is determined, alone or in combination, and how well.
 
-    `covariance` holds on what is seen; `unseen`, shape (n, p), are unit vectors along which the data say nothing.
+    `covariance` holds in the directions that the data see; `unseen`, shape (n, p), are unit vectors of the others.
     """
     unit = np.eye(len(labels))
     groups: dict[str, list[int]] = {}

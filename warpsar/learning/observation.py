@@ -1,4 +1,4 @@
-"""Which measured pixels are compared with the model, and at how many looks (effects.md, step 2)."""
+"""Which measured pixels are compared with the model, and at how many looks (docs/diagnosis.md)."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ FAR = 6  # pixels from any lit one: from here on nothing but additive effects ca
 
 @dataclass(frozen=True)
 class Observation:
-    """One measured image, and the pixels of it that are used; all (rows, cols).
+    """One measured image, and which of its pixels are used; arrays of shape (rows, cols).
 
     `interior`: lit by the declared model with all eight neighbours, off the image's edge, unmasked, finite and
-    positive. `silent`: the same, but measuring exactly 0, which no gamma likelihood can hold. `dark`: far from
-    everything lit, off the edge, unmasked and finite; zeros stay in.
-    `least` [beta0 before any gain], if given, is how dark a model may call each pixel that is not `dark`: less than
-    what its rays can miss says nothing.
+    positive. `silent`: the same, but exactly 0, which the gamma likelihood does not allow. `dark`: far from
+    everything lit, off the edge, unmasked and finite; zeros are included.
+    `least` [beta0 before any gain], if given, is a lower bound of the modelled beta0 of each pixel that is not `dark`:
+    a model's rays can miss so much.
     """
 
     view: View
@@ -53,7 +53,7 @@ class Observation:
         return int(self.interior.size - self.interior.sum())
 
     def with_dark(self) -> Observation:
-        """The same with the positive dark pixels among those that are used: what an additive effect is fitted on."""
+        """The same with the positive dark pixels in the interior too: additive effects are fitted on them."""
         return replace(self, interior=self.interior | (self.dark & (np.nan_to_num(self.measured) > 0)))
 
     @property
@@ -63,7 +63,7 @@ class Observation:
 
     @property
     def darkest(self) -> np.ndarray:
-        """Modelled beta0 below which a pixel counts no darker, one for all or shape (n,), float32."""
+        """The lower bound of modelled beta0: one for all pixels, shape (1,), or shape (n,), float32."""
         if self.least is None:
             return np.array([DARKEST], np.float32)
         return np.maximum(np.where(self.dark, 0.0, self.least)[self.interior], DARKEST).astype(np.float32)
@@ -75,8 +75,10 @@ class Observation:
 
 
 def estimated_looks(scene: Scene, view: View, measured: np.ndarray) -> float:
-    """Looks of an image that does not declare them, NaN where it is not to be used; InputError where there is no
-    homogeneous ground to tell by."""
+    """The looks of an image that does not declare them; `measured` is NaN where it is not used.
+
+    Raises InputError where there is no homogeneous ground to estimate them on.
+    """
     looks = equivalent_looks(measured)
     if looks is None:
         raise InputError(
@@ -87,14 +89,14 @@ def estimated_looks(scene: Scene, view: View, measured: np.ndarray) -> float:
 
 
 def looks_of(scene: Scene, view: View) -> float:
-    """Declared looks of a view, or those that its first image shows."""
+    """The declared looks of a view, or an estimate from its first image."""
     if view.looks is not None:
         return view.looks
     return estimated_looks(scene, view, scene.measured(view, next(iter(view.images))))
 
 
 def observe(scene: Scene, view: View, polarization: str, lit: np.ndarray) -> Observation:
-    """The measured image of a view with its masks; `lit` (rows, cols) is where the declared model puts light.
+    """The measured image of a view with its masks; `lit`, (rows, cols) bool, is where the declared model puts light.
 
     Looks that are not declared are estimated from the image. Raises InputError where they cannot be, or where no
     pixel is left.

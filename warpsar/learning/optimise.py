@@ -1,63 +1,61 @@
-"""The two ways down: Levenberg-Marquardt for a handful of parameters, Adam for fields.
+"""Levenberg-Marquardt for a handful of parameters, and the state of a fit, which Adam (adam.py) shares.
 
-Both are written as one step from a state to the next, and the state is all there is: saved and loaded, a run goes on
+Each optimiser is one step from a state to the next. The state holds everything: a run that is saved and loaded goes on
 to the bit as if it had never stopped.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
+import warp as wp
 
-from warpsar.learning.problem import DeviceX, FitProblem
+from warpsar.learning.coordinates import DeviceX
+from warpsar.learning.problem import FitProblem
+from warpsar.runtime.distributed import Ranks
 
 LARGEST_STEP = 1.0  # of a log coordinate in one Levenberg-Marquardt step: a factor e
-
-
 FLAT = 2e-3  # predicted gain in log-likelihood at which Levenberg-Marquardt has arrived: 1/16 of a standard deviation
-
-
 HARDLY, NOTHING = 1e-3, 1e-2  # damping that counts as none; share of `flat` that no step is tried for
-
-
 SPREAD = 0.7  # standard deviation of the starts after the first, in log coordinates
-
-
 BEND_STEP = 0.1  # of a step, over which the images' second derivative along it is measured
-
-
 MOST_BEND = 0.75  # the largest correction, relative to the step, that is trusted
 
 
 @dataclass(frozen=True)
 class FitState:
-    """Where a fit stands. `start` counts starts, `iteration` iterations over all of them. Adam on a CUDA device leaves
-    what is as long as x there, in the arrays it works on: they hold until its next step, the best x until a better one
-    has been followed by another step."""
+    """Where a fit stands. `start` counts starts, `iteration` iterations over all of them.
 
-    x: Any
+    Adam on a CUDA device leaves x, best x and moments there, in the arrays that it works on. They hold until its next
+    step; the best x holds until a better one has been followed by another step.
+    """
+
+    x: Any  # np.ndarray; of Adam on a CUDA device a DeviceX
     loss: float
-    best_x: Any
+    best_x: Any  # the same
     best_loss: float
     start: int = 0
     iteration: int = 0
     since_start: int = 0
     damping: float = 1e-3
     differentiated_at: np.ndarray | None = None  # Levenberg-Marquardt: where its Jacobian was made
-    first_moment: Any = None  # Adam's
-    second_moment: Any = None
+    first_moment: np.ndarray | wp.array | None = None  # Adam's
+    second_moment: np.ndarray | wp.array | None = None
     recent: np.ndarray | None = None  # Adam: best loss after each of the last iterations
     arrived: bool = False
 
     def arrays(self) -> dict[str, np.ndarray]:
+        """The state as arrays of the host, for a checkpoint."""
         values = {f.name: v for f in fields(self) if (v := getattr(self, f.name)) is not None}
         return {name: v.numpy() if hasattr(v, "numpy") else np.asarray(v) for name, v in values.items()}
 
     @classmethod
-    def from_arrays(cls, arrays: Any) -> FitState:
-        kinds: dict[str, Any] = {"start": int, "iteration": int, "since_start": int, "arrived": bool}
+    def from_arrays(cls, arrays: Mapping[str, np.ndarray]) -> FitState:
+        """The state that `arrays` gave."""
+        kinds: dict[str, Callable[[Any], Any]] = {"start": int, "iteration": int, "since_start": int, "arrived": bool}
         kinds |= {"loss": float, "best_loss": float, "damping": float}
         names = {f.name for f in fields(cls)}
         values: dict[str, Any] = {k: kinds.get(k, np.array)(arrays[k]) for k in arrays if k in names}
@@ -77,6 +75,7 @@ def begin(problem: FitProblem, start: int, seed: int, previous: FitState | None 
 
 
 def improved(state: FitState, x: np.ndarray | DeviceX, loss: float) -> FitState:
+    """The state at x, which is the best so far where its loss is lower."""
     if loss < state.best_loss:
         return replace(state, x=x, loss=loss, best_x=x, best_loss=loss)
     return replace(state, x=x, loss=loss)
@@ -92,63 +91,30 @@ def levenberg_marquardt(
 ) -> FitState:
     """One step of Levenberg-Marquardt with geodesic acceleration (Transtrum and Sethna, arXiv:1201.5885).
 
-    Gradient from the tape, curvature from central differences of the images (Fisher scoring for the gamma
-    likelihood); these may be kept while x moves less than `kept_within` of a log coordinate, which speckle forgives and
-    the long flat valleys of noiseless images do not. The valleys are narrow and bent (eps_r
-    against h against l), so a step is corrected by the images' second derivative along it. Elements at a bound that the
-    gradient pushes outward stay there, and so do those that no pixel depends on and that `moving`, shape (p,), leaves
-    out. The fit has arrived where a Jacobian made on the spot, and a step that is hardly damped, promise less than
-    `flat` in log-likelihood.
+    The gradient comes from the tape. The curvature comes from central differences of the images (Fisher scoring for the
+    gamma likelihood). These differences are kept while x moves less than `kept_within` of a log coordinate: speckle
+    forgives that, the long flat valleys of noiseless images do not. The valleys are narrow and bent (eps_r against h
+    against l), so the images' second derivative along a step corrects it.
+
+    An element at a bound stays there while the gradient pushes it outward. Elements that no pixel depends on stay too,
+    and so do those that `moving`, shape (p,), leaves out. The fit has arrived where a Jacobian made on the spot, and a
+    step that is hardly damped, promise a gain of less than `flat` in log-likelihood.
     """
-    x = state.x
+    x = np.asarray(state.x)
     origin = state.differentiated_at
     if origin is None or np.abs(x - origin).max() > kept_within:
         origin = x
-    _, gradient = problem.gradient(x)
-    modelled = problem.modelled(x)
-    loss = problem.value(modelled) + problem.penalty()
-    curvatures, jacobians = problem.curvatures(modelled), problem.jacobian_at(origin, moving)
-    weighted = [c.weight[:, None] * j for j, c in zip(jacobians, curvatures, strict=True)]
-    hessian = np.zeros((x.size, x.size))
-    for j, w in zip(jacobians, weighted, strict=True):
-        hessian += j.T @ w
-    hessian = problem.ranks.sum(hessian)
-    low, high = problem.bounds
-    free = ~((x <= low) & (gradient > 0) | (x >= high) & (gradient < 0)) & (np.diag(hessian) > 0)
-    if moving is not None:
-        free &= moving
-    scale = np.diag(hessian) + 1e-12 * max(float(np.trace(hessian)), 1e-300)
-    damping, growth, new_x, new_loss = state.damping, 4.0, x, loss
-
-    def damped_by(factor: float) -> tuple[np.ndarray, np.ndarray, float]:
-        """The damped curvature, the step, and the gain in log-likelihood that it promises."""
-        damped = (hessian + np.diag(factor * scale))[np.ix_(free, free)]
-        step = np.zeros_like(x)
-        step[free] = -np.linalg.solve(damped, gradient[free])
-        promised = -float(gradient @ step + 0.5 * step @ hessian @ step)
-        # hosts of different kinds may round a solution differently, and none may go another way
-        promised, *whole = problem.ranks.same([promised, *step]).tolist()
-        return damped, np.array(whole), promised
-
-    there = damped_by(min(damping, HARDLY))[2] < flat
-    for _ in range(0 if there else 12):
-        damped, step, promised = damped_by(damping)
-        if promised < NOTHING * flat:
+    here = _Quadratic.about(problem, x, origin, moving)
+    damping, growth, new_x, new_loss = state.damping, 4.0, x, here.loss
+    arrived = here.step(min(damping, HARDLY)).promised < flat
+    for _ in range(0 if arrived else 12):
+        step = here.step(damping)
+        if step.promised < NOTHING * flat:
             break
-        step *= min(1.0, LARGEST_STEP / float(np.abs(step).max()))
-        ahead = problem.modelled(np.clip(x + BEND_STEP * step, low, high))
-        further = problem.modelled(np.clip(x + 2.0 * BEND_STEP * step, low, high))
-        bend = [np.log(b * m / a**2) / BEND_STEP**2 for a, b, m in zip(ahead, further, modelled, strict=True)]
-        correction = np.zeros_like(x)
-        push = np.zeros_like(x)
-        for w, b in zip(weighted, bend, strict=True):
-            push += w.T @ b
-        correction[free] = -0.5 * np.linalg.solve(damped, problem.ranks.sum(push)[free])
-        correction = problem.ranks.same(correction)
-        if 2.0 * np.linalg.norm(correction) <= MOST_BEND * np.linalg.norm(step):
-            trial = np.clip(x + step + correction, low, high)
+        trial = here.bent(problem, step)
+        if trial is not None:
             value = problem.value(problem.modelled(trial)) + problem.penalty()
-            if value <= loss:
+            if value <= here.loss:
                 new_x, new_loss, damping = trial, value, max(damping / 10.0, 1e-12)
                 break
         damping *= growth
@@ -163,3 +129,79 @@ def levenberg_marquardt(
         since_start=state.since_start + 1,
         arrived=stuck and origin is x,
     )
+
+
+@dataclass(frozen=True)
+class _Step:
+    """A damped step of the free elements, and the gain in log-likelihood that it promises; `damped` is the curvature
+    that it was solved with."""
+
+    damped: np.ndarray
+    step: np.ndarray
+    promised: float
+
+
+@dataclass(frozen=True)
+class _Quadratic:
+    """The loss about x as a quadratic: gradient and `hessian`, shapes (p,) and (p, p), and `free`, the elements that
+    may move. `weighted`: each observation's Jacobian times its weights."""
+
+    x: np.ndarray
+    loss: float
+    gradient: np.ndarray
+    hessian: np.ndarray
+    free: np.ndarray
+    modelled: list[np.ndarray]
+    weighted: list[np.ndarray]
+    bounds: tuple[np.ndarray, np.ndarray]
+    ranks: Ranks
+
+    @classmethod
+    def about(cls, problem: FitProblem, x: np.ndarray, origin: np.ndarray, moving: np.ndarray | None) -> _Quadratic:
+        """With the Jacobian of `origin`."""
+        _, gradient = problem.gradient(x)
+        modelled = problem.modelled(x)
+        loss = problem.value(modelled) + problem.penalty()
+        curvatures, jacobians = problem.curvatures(modelled), problem.jacobian_at(origin, moving)
+        weighted = [c.weight[:, None] * j for j, c in zip(jacobians, curvatures, strict=True)]
+        hessian = np.zeros((x.size, x.size))
+        for j, w in zip(jacobians, weighted, strict=True):
+            hessian += j.T @ w
+        hessian = problem.ranks.sum(hessian)
+        low, high = problem.bounds
+        free = ~((x <= low) & (gradient > 0) | (x >= high) & (gradient < 0)) & (np.diag(hessian) > 0)
+        if moving is not None:
+            free &= moving
+        return cls(x, loss, gradient, hessian, free, modelled, weighted, (low, high), problem.ranks)
+
+    def step(self, damping: float) -> _Step:
+        """The step at a damping, which is relative to the diagonal of the curvature."""
+        hessian, free = self.hessian, self.free
+        scale = np.diag(hessian) + 1e-12 * max(float(np.trace(hessian)), 1e-300)
+        damped = (hessian + np.diag(damping * scale))[np.ix_(free, free)]
+        step = np.zeros_like(self.x)
+        step[free] = -np.linalg.solve(damped, self.gradient[free])
+        promised = -float(self.gradient @ step + 0.5 * step @ hessian @ step)
+        # hosts of different kinds may round a solution differently, and all ranks must go the same way
+        promised, *whole = self.ranks.same([promised, *step]).tolist()
+        return _Step(damped, np.array(whole), promised)
+
+    def bent(self, problem: FitProblem, planned: _Step) -> np.ndarray | None:
+        """Where the step leads, shortened and corrected by the second derivative of ln mu along it.
+
+        None where the correction is too large to be trusted.
+        """
+        low, high = self.bounds
+        step = planned.step * min(1.0, LARGEST_STEP / float(np.abs(planned.step).max()))
+        ahead = problem.modelled(np.clip(self.x + BEND_STEP * step, low, high))
+        further = problem.modelled(np.clip(self.x + 2.0 * BEND_STEP * step, low, high))
+        bend = [np.log(b * m / a**2) / BEND_STEP**2 for a, b, m in zip(ahead, further, self.modelled, strict=True)]
+        push = np.zeros_like(self.x)
+        for w, b in zip(self.weighted, bend, strict=True):
+            push += w.T @ b
+        correction = np.zeros_like(self.x)
+        correction[self.free] = -0.5 * np.linalg.solve(planned.damped, self.ranks.sum(push)[self.free])
+        correction = self.ranks.same(correction)
+        if 2.0 * np.linalg.norm(correction) > MOST_BEND * np.linalg.norm(step):
+            return None
+        return np.clip(self.x + step + correction, low, high)

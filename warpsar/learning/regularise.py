@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 import warp as wp
@@ -18,8 +17,10 @@ ROUNDING = 1e-3
 
 
 def neighbours(block: Block, mesh: Mesh, material_index: int) -> np.ndarray:
-    """Pairs of neighbouring nodes of a field, shape (n, 2), counted from the block's first: texels that share a
-    side, or vertices that share an edge of a face of the material."""
+    """Pairs of neighbouring nodes of a field, shape (n, 2), counted from the block's first node.
+
+    Neighbours are texels that share a side, or vertices that share an edge of a face of the material.
+    """
     if block.layout == "texture":
         number = np.arange(block.size).reshape(block.shape)
         across = np.stack([number[:, :-1].ravel(), number[:, 1:].ravel()], 1)
@@ -31,9 +32,19 @@ def neighbours(block: Block, mesh: Mesh, material_index: int) -> np.ndarray:
 
 
 class TotalVariation:
-    """Sum over neighbours of weight * |difference| of the learned fields; a program like a view's."""
+    """Sum over neighbours of weight * |difference| of the learned fields, as a program with a gradient.
 
-    def __init__(self, surface: Surface, mesh: Mesh, weights: Mapping[str, float], device: Any, nodes: Any) -> None:
+    `nodes`: the device array that views share (CUDA); by default it has its own. `loss` are partial sums, float64.
+    """
+
+    def __init__(
+        self,
+        surface: Surface,
+        mesh: Mesh,
+        weights: Mapping[str, float],
+        device: wp.Device,
+        nodes: wp.array | None,
+    ) -> None:
         self.program = Program(device)
         self.nodes = self.program.array(surface.nodes.size) if nodes is None else nodes
         self.loss = self.program.array(int(kernels.PARTIALS), wp.float64, sum_into=True)
@@ -48,9 +59,9 @@ class TotalVariation:
         if not self.count:
             return
         ends = np.concatenate(pairs).T.astype(np.int32, order="C")
-        first: Any = wp.array(ends[0], dtype=int, device=device)
-        second: Any = wp.array(ends[1], dtype=int, device=device)
-        weight_array: Any = wp.array(np.concatenate(strength).astype(np.float32), dtype=float, device=device)
+        first: wp.array = wp.array(ends[0], dtype=int, device=device)
+        second: wp.array = wp.array(ends[1], dtype=int, device=device)
+        weight_array: wp.array = wp.array(np.concatenate(strength).astype(np.float32), dtype=float, device=device)
         self.program.launch(
             kernels.variation_kernel,
             self.count,

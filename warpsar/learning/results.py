@@ -6,7 +6,6 @@ import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -17,15 +16,17 @@ from warpsar.scene.scene import Scene
 
 
 def file_stem(materials: Sequence[str], material: str, key: str) -> str:
-    """Name of a material's map: a mesh's names may hold what a file's may not."""
+    """The name of a material's map; letters that a file name may not hold are replaced."""
     safe = re.sub(r"[^\w.+-]", "_", material)
     return f"{safe}_{key}" if safe == material else f"{safe}_{materials.index(material)}_{key}"
 
 
 def learned_scene(problem: FitProblem, x: np.ndarray, folder: Path | None = None) -> Scene:
-    """The problem's scene with x in place of what it started from; writes parameter maps (EXR) and, for vertex
-    layouts, the mesh with its scalars (PLY) into `folder`. Save it there with `Scene.save`. Without a folder, numbers
-    alone are put in place and fields stay as they were."""
+    """The problem's scene with x in place of its start; save it with `Scene.save`.
+
+    Parameter maps (EXR) and, for vertex layouts, the mesh with its scalars (PLY) are written into `folder`. Without a
+    folder only numbers are replaced, and fields stay as they were.
+    """
     scene, surface = problem.scene, problem.surface
     nodes = problem.nodes(x)
     materials = dict(scene.materials)
@@ -36,7 +37,7 @@ def learned_scene(problem: FitProblem, x: np.ndarray, folder: Path | None = None
         key = block.kind.key
         values = surface.values(block.material, key, nodes)
         declared = getattr(materials[block.material], key)
-        new: Any
+        new: str | float | tuple[float, ...]
         if block.layout == "texture" and folder is not None:
             path = folder / f"{file_stem(surface.materials, block.material, key)}.exr"
             write_exr(path, {key: values.astype(np.float32)})

@@ -10,12 +10,15 @@ from warpsar.learning.problem import FitProblem
 
 
 def outside_domains(problem: FitProblem, x: np.ndarray) -> dict[str, dict[str, float]]:
-    """Per material: share of its lit area, over all views, outside the domain of small perturbation (`spm`, where
-    tau < 1) and of geometric optics (`ka`, where tau > 0); absent where that model is not in use."""
+    """By material: the share of its lit area, over all views, that lies outside the domain of each model.
+
+    `spm`: small perturbation, where tau < 1. `ka`: geometric optics, where tau > 0. A model that is not in use is left
+    out.
+    """
     problem.modelled(x)
     names = problem.surface.materials
     cells = wp.zeros((int(kernels.PARTIALS), len(names), 4), dtype=wp.float64, device=problem.device)
-    for piece in (piece for view in problem.views for piece in view.pieces()):
+    for piece in (piece for view in problem.views for piece in view.render.pieces()):
         hits = piece.shaded
         wp.launch(
             kernels.area_kernel,

@@ -1,1 +1,7 @@
-"""."""
+"""From hits and surface to images, with gradients to every parameter.
+
+rendered: what every render offers.
+render: with a view's hits in memory.
+bands: with hits that are traced again, band by band.
+geometry_image: with gradients to the mesh's vertices.
+"""

@@ -1,8 +1,8 @@
 """Views whose hits are too many to keep: traced again, band by band, for every image and every gradient.
 
-A first pass over the bands makes the light: the image before what the system does to it. Effects of the image stage and
-the loss see that light whole, since they mix pixels of several bands; their adjoint is an image too, and a second pass
-carries it into the parameters. Hits of one band at a time are in memory.
+A first pass over the bands makes the light: the image before effects of the image stage. These effects and the loss
+mix pixels of several bands, so they act on the whole light. Their adjoint is an image too, and a second pass over the
+bands carries it into the parameters. Only the hits of one band at a time are in memory.
 """
 
 from __future__ import annotations
@@ -39,19 +39,19 @@ class _Given(Effect):
 
     name, stage = "given", "path"
 
-    def __init__(self, light: Mapping[int, Any]) -> None:
+    def __init__(self, light: Mapping[int, wp.array]) -> None:
         self.light = light
 
-    def paths(self, render: Recorder, p: Any, image: Any, polarization: int) -> Any:
+    def paths(self, render: Recorder, p: wp.array, image: wp.array, polarization: int) -> wp.array:
         return self.light[polarization]
 
 
 class BandedRender:
-    """A `ViewRender` that keeps no hits: the same images and gradients, to the order of summation.
+    """A `Rendered` that keeps no hits: the images and gradients of `ViewRender`, to the order of summation.
 
-    `trace` gives the hits of a stretch of columns of the hits' grid, and `bands` are such stretches, which together are
-    the whole; what it gives for the empty stretch (0, 0) tells the grid. Raises InputError for effects that start from
-    the hits of a whole view.
+    `trace` gives the hits of a stretch of columns of the hits' grid; for the empty stretch (0, 0) its hits tell the
+    grid. `bands` are stretches that together cover all columns. Raises InputError for effects that start from all hits
+    of a view at once.
     """
 
     def __init__(
@@ -63,7 +63,7 @@ class BandedRender:
         shape: tuple[int, int],
         polarizations: tuple[str, ...],
         effects: list[DeclaredEffect],
-        nodes: Any = None,
+        nodes: wp.array | None = None,
     ) -> None:
         for e in effects:
             if e.effect.needs_all_hits:
@@ -74,9 +74,9 @@ class BandedRender:
                 )
         self.stage, self.view, self.shape, self.bands = stage, view, shape, bands
         self._trace, self._polarizations = trace, polarizations
-        device: Any = stage.target.device
+        device: wp.Device = stage.target.device
 
-        def parameters(size: int) -> Any:
+        def parameters(size: int) -> wp.array:
             return wp.zeros(size, dtype=float, device=device, requires_grad=True)
 
         self.nodes = parameters(stage.surface.nodes.size) if nodes is None else nodes
@@ -92,12 +92,22 @@ class BandedRender:
         self.set_parameters(stage.surface.nodes, {e.effect.name: e.values for e in effects})
         self.program = _BandedProgram(self, self._tail.program)
 
+    keeps_hits = False
+
+    @property
+    def whole(self) -> ViewRender:
+        """Raises InputError: the hits of the whole view are not kept."""
+        raise InputError(
+            f"view {self.view.name}: its hits are needed all at once, and are more than the memory they may take; "
+            f"allowed is a larger --max-memory, or no --validity"
+        )
+
     def lit(self, polarization: str) -> np.ndarray:
-        """As `ViewRender.lit`."""
+        """As `Rendered.lit`."""
         return self.light[polarization].numpy().reshape(self.shape) > 0
 
     def set_parameters(self, nodes: np.ndarray | None, effects: Mapping[str, np.ndarray] | None = None) -> None:
-        """As `ViewRender.set_parameters`."""
+        """As `Rendered.set_parameters`."""
         if nodes is not None:
             self._node_values = nodes
             self.nodes.assign(np.asarray(nodes, np.float32))
@@ -106,17 +116,19 @@ class BandedRender:
                 self.effect_values[name].assign(np.asarray(values, np.float32))
 
     def forward(self) -> dict[str, np.ndarray]:
-        """As `ViewRender.forward`."""
+        """As `Rendered.forward`."""
         self.program.forward()
         return {name: image.numpy().reshape(self.shape).copy() for name, image in self.images.items()}
 
     def image_with(self, effect: DeclaredEffect, image: np.ndarray) -> np.ndarray:
-        """As `ViewRender.image_with`."""
+        """As `Rendered.image_with`."""
         return self._tail.image_with(effect, image)
 
     def pieces(self) -> Iterator[ViewRender]:
-        """The render of each band's hits at the parameters as they stand, after its forward run; its images are
-        light."""
+        """The render of each band's hits in turn, at the parameters as they stand, after its forward run.
+
+        Its images are the band's light.
+        """
         stage = replace(self.stage, surface=replace(self.stage.surface, nodes=self._node_values))
         effects = [
             replace(e, values=self.effect_values[e.effect.name].numpy()[: e.values.size].astype(float))
@@ -130,6 +142,7 @@ class BandedRender:
             yield piece
 
     def make_light(self) -> None:
+        """The first pass: the light of all bands, added up."""
         for light in self.light.values():
             light.zero_()
         for piece in self.pieces():
@@ -139,11 +152,12 @@ class BandedRender:
                 )
 
     def zero_gradients(self) -> None:
+        """Zero the gradients of the light and of the effects' parameters."""
         for array in (*self.light.values(), *self.effect_values.values()):
             array.grad.zero_()
 
     def spread(self) -> None:
-        """The gradient that stands in the light, added to those of the parameters."""
+        """The second pass: add the light's gradient, carried through each band, to those of the parameters."""
         for piece in self.pieces():
             seeds = {piece.images[name]: light.grad for name, light in self.light.items()}
             piece.program.backward(seeds, zero=False)
@@ -153,7 +167,7 @@ class BandedRender:
 
 
 class _BandedProgram:
-    """`Program` of a banded view: its launches run between the two passes over the bands."""
+    """The `rendered.Replayed` of a banded view: its launches run between the two passes over the bands."""
 
     def __init__(self, render: BandedRender, tail: Program) -> None:
         self._render, self._tail = render, tail

@@ -1,8 +1,6 @@
-"""One view's image as a function of the mesh's vertices, with its gradient: rays keep the faces they met."""
+"""One view's image as a function of the mesh's vertices, with its gradient: rays keep the faces that they met."""
 
 from __future__ import annotations
-
-from typing import Any
 
 import numpy as np
 import warp as wp
@@ -19,10 +17,10 @@ from warpsar.world.frame import ViewGeometry
 class GeometryImage:
     """beta0 from `vertices`, every ray's power split linearly between the two nearest rows ("linear" deposit).
 
-    Range, incidence, twist, area and the place on the surface follow the vertices; which face a ray meets does
-    not. So the gradient is that of surfaces moving and turning inside of their outlines: what appears, or gets
-    hidden, at a silhouette or a shadow's edge is not in it. `vertices` [m] about the reference point, shape (n,),
-    vec3, and `nodes` (learned coordinates) are device arrays with gradients.
+    Range, incidence, twist, area and the place on the surface follow the vertices; the face that a ray meets does
+    not. So the gradient is that of surfaces that move and turn inside their outlines. It does not count what appears or
+    gets hidden at a silhouette or at a shadow's edge. `vertices` [m] about the reference point, shape (n,), vec3, and
+    `nodes` (learned coordinates) are device arrays with gradients.
     """
 
     def __init__(
@@ -42,7 +40,7 @@ class GeometryImage:
         if geometry.slant_range_m is not None:
             across = np.arctan2(across, geometry.slant_range_m + points @ geometry.d)
 
-        def put(values: Any, dtype: Any) -> Any:
+        def put(values: np.ndarray, dtype: type) -> wp.array:
             return wp.array(values, dtype=dtype, device=device)
 
         self.shape = grid.shape

@@ -1,4 +1,4 @@
-"""Hits + Surface + effects -> Image, as a program that runs forward, and backward to every parameter."""
+"""Hits + surface + effects -> images: a program that runs forward, and backward to every parameter."""
 
 from __future__ import annotations
 
@@ -26,13 +26,12 @@ from warpsar.world.tables import View
 
 
 class ViewRender:
-    """One view's images as a function of the surface's nodes and the effects' parameters.
+    """One view's images as a function of the surface's nodes and the effects' parameters, with the hits in memory.
 
-    `images[pol]` is beta0, shape (rows * cols,), float32, on the device after `forward`; `nodes` and
-    `effect_values[name]` are this view's own copies of the parameters, with their gradients after
-    `program.backward`. `hits` say where power falls, `shaded`, one per face and pixel, what is shaded. Stages:
-    coordinates -> sigma0 -> gains -> deposit -> paths -> image. `spacing_m` is that of the pixels; `layers`: further
-    arrays (rows * cols,) by name that effects leave, shares of the beta0.
+    What every render offers is said in `rendered.Rendered`, what effects see of it in `effects.base.recorder.Recorder`.
+    `hits` say where power falls; `shaded`, one sample per face and pixel, what is shaded, and `zeta` are its learned
+    coordinates (vec4). The stages are coordinates -> sigma0 -> gains -> deposit -> paths -> image. `spacing_m` (range,
+    azimuth) is that of the pixels.
     """
 
     def __init__(
@@ -43,9 +42,9 @@ class ViewRender:
         shape: tuple[int, int],
         polarizations: tuple[str, ...],
         effects: list[DeclaredEffect],
-        nodes: Any = None,
+        nodes: wp.array | None = None,
     ) -> None:
-        """`nodes` shares one device array of parameters between views (CUDA); by default each view has its own."""
+        """`nodes`: one device array that several views share (CUDA); by default each view has its own."""
         self.stage, self.view, self.hits, self.shape = stage, view, hits, shape
         self.geometry: ViewGeometry = hits.geometry
         self.program = Program(stage.target.device)
@@ -54,11 +53,11 @@ class ViewRender:
         self.effect_values = {e.effect.name: self.program.array(max(1, e.values.size)) for e in effects}
         self.nodes.assign(stage.nodes)
         self.set_parameters(None, {e.effect.name: e.values for e in effects})
-        self.images: dict[str, Any] = {}
-        self.sigma: dict[str, Any] = {}
-        self._light: dict[str, Any] = {}
-        self.layers: dict[str, Any] = {}
-        self.kept: dict[str, Any] = {}  # what an effect worked out for one polarization and needs in the next
+        self.images: dict[str, wp.array] = {}
+        self.sigma: dict[str, wp.array] = {}
+        self._light: dict[str, wp.array] = {}
+        self.layers: dict[str, wp.array] = {}
+        self.recorded: dict[str, Any] = {}  # by effect: recorded for one polarization, used again for the next
         self.shaded, self._sample = shading_samples(hits)
         fine = hits.grid.bins_per_pixel
         self.spacing_m = (hits.grid.spacing_m[0] * fine, hits.grid.spacing_m[1] * fine)
@@ -83,16 +82,29 @@ class ViewRender:
                 image = effect.image(self, p, image)
             self.images[name] = image
 
+    keeps_hits = True
+
+    @property
+    def whole(self) -> ViewRender:
+        """The render with all hits of the view: this one."""
+        return self
+
+    def pieces(self) -> list[ViewRender]:
+        """The renders that hold the view's hits: this one, after a forward run."""
+        return [self]
+
     def lit(self, polarization: str) -> np.ndarray:
-        """Pixels that single-bounce light reached in the last run, (rows, cols) bool: a blur or a noise floor lights
-        nothing."""
+        """As `Rendered.lit`."""
         return self._light[polarization].numpy().reshape(self.shape) > 0
 
-    def _at(self, stage: str) -> list[tuple[Effect, Any]]:
+    def _at(self, stage: str) -> list[tuple[Effect, wp.array]]:
         return [(e.effect, self.effect_values[e.effect.name]) for e in self._effects if e.effect.stage == stage]
 
-    def coordinates(self, face: Any, barycentric: Any, points: Any) -> Any:
-        """Record the learned coordinates (vec4) at places on the mesh, with the effects that act on them."""
+    def coordinates(self, face: wp.array, barycentric: wp.array, points: wp.array) -> wp.array:
+        """Record the learned coordinates (vec4, shape (n,)) at places on the mesh, with the effects that act on them.
+
+        `face` is int, `barycentric` vec2, and `points` vec3 [m] about the reference point, all of shape (n,).
+        """
         stage, nodes = self.stage, self.nodes
         n = face.shape[0]
         gathered = self.program.array(n, wp.vec4)
@@ -102,7 +114,7 @@ class ViewRender:
         def spread() -> Launch:  # when a gradient is asked for
             return Spread(stage, face, barycentric).adding(gathered.grad, nodes.grad)
 
-        lean = face.device.is_cpu and not (stage.surface.places[:, :, 0] == LAYOUTS["texture"]).any()
+        lean = self.program.device.is_cpu and not (stage.surface.places[:, :, 0] == LAYOUTS["texture"]).any()
         self.program.launch(
             shade_lanes.gather_kernel if lean else shade.gather_kernel,
             n,
@@ -116,11 +128,19 @@ class ViewRender:
             zeta = effect.coordinates(self, p, zeta, points)
         return zeta
 
-    def collect(self, sigma: Any, weight: Any, points: Any, bins: Any, image: Any, sample: Any = None) -> None:
+    def collect(
+        self,
+        sigma: wp.array,
+        weight: wp.array,
+        points: wp.array,
+        bins: wp.array,
+        image: wp.array,
+        sample: wp.array | None = None,
+    ) -> None:
         """Record the gains on `sigma` and its deposit into `image`, an array that is zeroed before each run.
 
-        `bins` are row * cols + col of `hits.grid`, `weight` as in Hits; what a path effect finds goes the same way.
-        `sample`: which of `sigma` each bin takes, where several take one.
+        `bins` are row * cols + col of `hits.grid`, `weight` is as in Hits. The power of a path effect goes the same
+        way. `sample`: which of `sigma` each bin takes, where several take one.
         """
         for effect, p in self._at("gain"):
             sigma = effect.gain(self, p, sigma, points)
@@ -136,14 +156,14 @@ class ViewRender:
         elif not movers:
             self.deposit(sigma, weight, bins, self.program.array(2, grad=False), image)
 
-    def _deposit(self, sigma: Any, weight: Any, bins: Any, image: Any) -> None:
+    def _deposit(self, sigma: wp.array, weight: wp.array, bins: wp.array, image: wp.array) -> None:
         @cache
         def adjoint() -> Launch:
             pieces = by_elements([bins, weight, sigma.grad])
             inputs, outputs = [bins, weight, image.grad], [sigma.grad]
             return Launch(shade.deposit_adjoint_kernel, sigma.shape[0], inputs, outputs, sigma.device, pieces)
 
-        first, lanes = starts(bins), 1 if sigma.device.is_cpu else LANES
+        first, lanes = starts(bins), 1 if self.program.device.is_cpu else LANES
         self.program.launch(
             shade.deposit_kernel,
             first.shape[0] * lanes,
@@ -153,7 +173,7 @@ class ViewRender:
             pieces=by_stretches(first, bins),
         )
 
-    def deposit(self, sigma: Any, weight: Any, bins: Any, shift: Any, image: Any) -> None:
+    def deposit(self, sigma: wp.array, weight: wp.array, bins: wp.array, shift: wp.array, image: wp.array) -> None:
         """Record the deposit of bins finer or wider than the pixels, moved by `shift` (rows, columns) pixels."""
         grid = self.hits.grid
         self.program.launch(
@@ -163,10 +183,10 @@ class ViewRender:
             [image],
         )
 
-    def scatter(self, zeta: Any, polarization: int, spectrum: Any = None) -> Any:
+    def scatter(self, zeta: wp.array, polarization: int, spectrum: wp.array | None = None) -> wp.array:
         """Record sigma0 of the hits for coordinates `zeta`; `spectrum` takes the place of the materials' own."""
         hits, stage, n = self.shaded, self.stage, self.shaded.count
-        device: Any = stage.target.device
+        device: wp.Device = stage.target.device
         sigma = self.program.array(n)
         inputs = [
             polarization,
@@ -186,7 +206,7 @@ class ViewRender:
         per_hit = [hits.face, hits.cos_incidence, hits.cos_twist, hits.cos2_azimuth, zeta, sigma]
 
         @cache
-        def slopes() -> Any:  # when a gradient is asked for
+        def slopes() -> wp.array:  # when a gradient is asked for
             return wp.empty(n, dtype=wp.vec4, device=device)
 
         @cache
@@ -215,7 +235,7 @@ class ViewRender:
         return sigma
 
     def set_parameters(self, nodes: np.ndarray | None, effects: Mapping[str, np.ndarray] | None = None) -> None:
-        """Parameters of the next `forward`: nodes in learned coordinates (None: as before), effects' values by name."""
+        """As `Rendered.set_parameters`."""
         if nodes is not None:
             self.nodes.assign(np.asarray(nodes, np.float32))
         for name, values in (effects or {}).items():
@@ -223,20 +243,17 @@ class ViewRender:
                 self.effect_values[name].assign(np.asarray(values, np.float32))
 
     def image_with(self, effect: DeclaredEffect, image: np.ndarray) -> np.ndarray:
-        """What one effect of the image stage makes of a finished image, shape (rows, cols), float32.
-
-        No ray is shaded for it: a score test asks for hundreds of offsets and lines.
-        """
+        """As `Rendered.image_with`: only that effect is recorded, on a program of its own."""
         alone = copy(self)
         alone.program = Program(self.program.device)
-        alone.settings, alone.kept, alone.layers = {effect.effect.name: effect.settings}, {}, {}
-        p: Any = wp.array(effect.values.astype(np.float32), dtype=float, device=self.program.device)
-        given: Any = wp.array(image.astype(np.float32).ravel(), dtype=float, device=self.program.device)
+        alone.settings, alone.recorded, alone.layers = {effect.effect.name: effect.settings}, {}, {}
+        p: wp.array = wp.array(effect.values.astype(np.float32), dtype=float, device=self.program.device)
+        given: wp.array = wp.array(image.astype(np.float32).ravel(), dtype=float, device=self.program.device)
         result = effect.effect.image(alone, p, given)
         alone.program.forward()
         return result.numpy().reshape(self.shape).copy()
 
     def forward(self) -> dict[str, np.ndarray]:
-        """beta0 by polarization, shape (rows, cols), float32."""
+        """As `Rendered.forward`."""
         self.program.forward()
         return {name: image.numpy().reshape(self.shape).copy() for name, image in self.images.items()}

@@ -1,4 +1,4 @@
-"""Scene -> images: the forward model from end to end, and the files of `warpsar simulate`."""
+"""Scene -> images: the whole forward model, and the files of `warpsar simulate`."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ class SimulatedView:
     """One view's images.
 
     `beta0[pol]`: linear power, dimensionless, shape (rows, cols), float32, rows along slant range. `range_m` and
-    `azimuth_m`: pixel centres about the reference point [m]. `sampling_variance[pol]`: variance of beta0 that the
-    jitter of the rays leaves (two seeds). `layers`: see `warpsar.layers.layers`,
-    and by name the shares of beta0 that effects tell apart (`beta0_2_bounces_HH`), before the image stage.
+    `azimuth_m`: pixel centres about the reference point [m]. `sampling_variance[pol]`: variance of beta0 from the
+    jitter of the rays (two seeds). `layers`: see `warpsar.trace.layers.layers`; and by name the shares of beta0 that
+    effects tell apart (`beta0_2_bounces_HH`), before the image stage.
     """
 
     name: str
@@ -72,7 +72,7 @@ class Simulation:
         self.grid, self.density = hit_grid(scene), scene.sampling.density_per_m2(scene.grid)
 
     def rays(self, view: View) -> int:
-        """Rays that the view will cost."""
+        """How many rays the view takes."""
         return ray_count(self.stage.target, geometry_of(self.scene, view), self.grid, self.density) * (
             1 + self.variance
         )
@@ -105,7 +105,7 @@ class Simulation:
         return trace_view(self.scene, self.stage, view, seed=seed, effects=effects, max_memory_gib=gib, **more)
 
     def _images(self, view: View, seed: int) -> tuple[Hits | None, int, dict[str, np.ndarray], dict[str, np.ndarray]]:
-        """Hits, where they fit into memory, and their number; images; shares of them that effects tell apart."""
+        """Hits (None where they do not fit into memory), their number, images, and the effects' shares of them."""
         effects = declared(self.scene, view)
         try:
             hits = self._trace(view, seed, effects, merge=self.merge, progress=self.bar)
@@ -121,7 +121,7 @@ class Simulation:
     def _in_bands(
         self, view: View, seed: int, effects: list[DeclaredEffect], bands: int
     ) -> tuple[int, dict[str, np.ndarray]]:
-        """Number of hits, and images, with the hits of one band at a time in memory."""
+        """The number of hits, and images, with the hits of one band at a time in memory."""
         count = 0
 
         def traced(only_columns: tuple[int, int]) -> Hits:
@@ -167,18 +167,13 @@ def view_render(scene: Scene, stage: Stage, view: View, hits: Hits) -> ViewRende
     return ViewRender(stage, view, hits, scene.grid.shape, scene.radar.polarizations, declared(scene, view))
 
 
-def render_view(scene: Scene, stage: Stage, view: View, hits: Hits) -> dict[str, np.ndarray]:
-    """beta0 by polarization of one traced view, with the scene's declared effects."""
-    return view_render(scene, stage, view, hits).forward()
-
-
 def channels(view: SimulatedView) -> dict[str, np.ndarray]:
-    """What was asked for of a view beyond its images, by name: layers, shares and sampling variances."""
+    """A view's layers, shares and sampling variances by name: what was asked for beside its images."""
     return dict(view.layers) | {f"sampling_variance_{p}": v for p, v in view.sampling_variance.items()}
 
 
 def _write(out: Path, view: SimulatedView) -> dict[str, Any]:
-    """A view's files, and what simulate.json says of it."""
+    """Write a view's files; returns its entry in simulate.json."""
     files = {"image": f"{view.name}.exr", "quick_look": f"{view.name}.png"}
     write_exr(out / files["image"], view.beta0)
     first = next(iter(view.beta0.values()))
@@ -210,7 +205,7 @@ def run(
 ) -> dict[str, Any]:
     """`warpsar simulate`: images (EXR), quick looks (PNG) and simulate.json in `out`. Returns the JSON's content.
 
-    Several processes (`distributed`) share the views, dealt by their rays.
+    Several processes (`distributed`) share the views by the number of their rays.
     """
     started = time.perf_counter()
     scene = Scene.load(scene_path)

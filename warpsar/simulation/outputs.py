@@ -1,4 +1,4 @@
-"""What every command's JSON carries, and writing it whole or not at all."""
+"""What every command begins with, and the JSON that it ends with, written whole or not at all."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import warp as wp
 
 from warpsar.errors import InputError
 from warpsar.io.images import replacing
@@ -17,8 +18,8 @@ from warpsar.scene.scene import Scene
 from warpsar.version import __version__
 
 
-def opened(scene_path: Path | str, out: Path | str, device: str | None) -> tuple[Scene, Path, Any]:
-    """What a command that writes a new scene.toml begins with: the scene, its output folder, made, and the device.
+def opened(scene_path: Path | str, out: Path | str, device: str | None) -> tuple[Scene, Path, wp.Device]:
+    """The scene, its output folder and the device of a command that writes a new scene.toml; makes the folder.
 
     Raises InputError where the folder is the scene file's own, and DeviceError.
     """
@@ -37,7 +38,7 @@ def opened(scene_path: Path | str, out: Path | str, device: str | None) -> tuple
 
 
 def plain(value: Any) -> Any:
-    """JSON's own types; NaN and infinity, which JSON has not, become null."""
+    """`value` in JSON's own types; NaN and infinity, which JSON does not have, become null."""
     if isinstance(value, dict):
         return {str(k): plain(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
@@ -56,7 +57,7 @@ def _input(scene: Scene) -> dict[str, str]:
 
 
 def write_json(
-    path: Path, scene: Scene | None, device: Any, seed: int | None, started: float, content: dict[str, Any]
+    path: Path, scene: Scene | None, device: wp.Device, seed: int | None, started: float, content: dict[str, Any]
 ) -> dict[str, Any]:
     """Write `content` under the version, device, seed, wall time (since `started`, perf_counter) and input hash."""
     whole = plain(

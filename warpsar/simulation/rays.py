@@ -35,7 +35,10 @@ def trace_view(
     max_memory_gib: float = DEFAULT_MEMORY_GIB,
     **options: Any,
 ) -> Hits:
-    """Hits of one view, with the scene's sampling unless `rays_per_m2` is given, binned as its effects ask."""
+    """Hits of one view, with the scene's sampling unless `rays_per_m2` is given, binned as its effects need.
+
+    `options` go to `trace`. Raises OutOfMemoryError where even the smallest parts of the work are too large.
+    """
     geometry, grid = geometry_of(scene, view), effects_grid(scene, effects)
 
     def traced(parts: int) -> Hits:
@@ -66,7 +69,7 @@ def hit_grid(scene: Scene, bins_per_pixel: int = 1, margin_m: float = 0.0) -> Bi
 
 
 def effects_grid(scene: Scene, effects: list[DeclaredEffect]) -> BinGrid:
-    """Bins as fine and as wide as the effects ask."""
+    """Bins as fine and as wide as the effects need."""
     fine = max((e.effect.bins_per_pixel for e in effects), default=1)
     margin = max((e.effect.margin_m(scene.grid, e.values) for e in effects), default=0.0)
     return hit_grid(scene, fine, margin)
@@ -75,7 +78,7 @@ def effects_grid(scene: Scene, effects: list[DeclaredEffect]) -> BinGrid:
 class Rays:
     """One set of rays through a scene: hits of its views, traced when first asked for, and kept.
 
-    Models that differ in materials and effects alone share them, so that they are compared on the same rays.
+    Models that differ only in materials and effects share them, so that they are compared on the same rays.
     """
 
     def __init__(self, stage: Stage, rays_per_m2: float | None = None, seed: int = 0) -> None:
@@ -83,6 +86,7 @@ class Rays:
         self._kept: dict[tuple[str, BinGrid], Hits] = {}
 
     def hits(self, scene: Scene, view: View, effects: list[DeclaredEffect]) -> Hits:
+        """Hits of a view, traced when first asked for and then kept."""
         key = (view.name, effects_grid(scene, effects))
         if key not in self._kept:
             self._kept[key] = self.trace(scene, view, effects)
@@ -96,7 +100,7 @@ class Rays:
         only_columns: tuple[int, int] | None = None,
         max_memory_gib: float = DEFAULT_MEMORY_GIB,
     ) -> Hits:
-        """Hits of a view, or of a band of its columns, that are not kept here."""
+        """Hits of a view, or of a band of its columns; they are not kept here."""
         return trace_view(
             scene,
             self.stage,
@@ -114,13 +118,13 @@ class Rays:
             del self._kept[key]
 
     def most_hits(self, scene: Scene, view: View, effects: list[DeclaredEffect]) -> int:
-        """More merged hits than a view will have: two of every ray."""
+        """An upper bound of a view's merged hits: two of every ray."""
         grid, geometry = effects_grid(scene, effects), geometry_of(scene, view)
         density = self.rays_per_m2 or scene.sampling.density_per_m2(scene.grid)
         return 2 * ray_count(self.stage.target, geometry, grid, density)
 
     def expected_hits(self, scene: Scene, view: View, effects: list[DeclaredEffect]) -> int:
-        """How many merged hits a view will have, from every `cols // SAMPLED`-th column of its grid."""
+        """An estimate of a view's merged hits, from every `cols // SAMPLED`-th column of its grid."""
         columns = effects_grid(scene, effects).shape[1]
         stride = max(1, columns // SAMPLED)
         sample = range(stride // 2, columns, stride)

@@ -1,4 +1,4 @@
-"""How many rays are enough for the looks of the measured images (scene-format.md, "Layouts")."""
+"""How many rays are enough for the looks of the measured images."""
 
 from __future__ import annotations
 
@@ -17,13 +17,17 @@ from warpsar.surface.stage import Stage
 from warpsar.world.tables import View
 
 FEWEST, MOST = 64.0, 4096.0  # rays per pixel
+RAY_NOISE = 0.01  # looks x relative sampling variance of a lit pixel that a fit allows
 
 
 @dataclass(frozen=True)
 class Density:
-    """`rays_per_m2` over the plane across the look direction. `noise` is what two seeds show: the largest over the
-    views of looks x mean relative sampling variance of a lit pixel, or the sum over all lit pixels of looks x
-    relative variance (`total`); nan where the scene stated the density."""
+    """`rays_per_m2` over the plane across the look direction, and whether it was `chosen` or stated by the scene.
+
+    `noise` comes from two seeds: the largest over the views of looks x mean relative sampling variance of a lit pixel,
+    or with `total` the sum over all lit pixels of looks x relative variance. It is NaN where the scene states the
+    density.
+    """
 
     rays_per_m2: float
     rays_per_pixel: float
@@ -34,8 +38,10 @@ class Density:
 def relative_variance(
     scene: Scene, stage: Stage, view: View, rays_per_m2: float, seeds: tuple[int, int]
 ) -> tuple[float, int]:
-    """Mean relative variance of beta0 over the lit interior of one view, from two independent sets of rays, and the
-    number of pixels in it."""
+    """Mean relative variance of beta0 over the lit interior of one view, and the number of pixels in it.
+
+    It comes from two independent sets of rays.
+    """
     effects = declared(scene, view)
     pair, lit = [], []
     for seed in seeds:
@@ -60,8 +66,10 @@ def choose_density(
     total: bool = False,
     ranks: Ranks = ONE,
 ) -> Density:
-    """The scene's stated density, or the smallest power of two of rays per pixel that keeps the noise under `limit`:
-    of the noisiest view's lit pixel, or of all pixels together (`total`). `ranks` share the views."""
+    """The scene's stated density, or the smallest power of two of rays per pixel that keeps the noise under `limit`.
+
+    The noise is that of the noisiest view's lit pixel, or with `total` of all pixels together. `ranks` share the views.
+    """
     area = scene.grid.pixel_area_m2
     stated = scene.sampling.density_per_m2(scene.grid)
     if scene.sampling.stated and not total:

@@ -1,7 +1,7 @@
-"""Measured against modelled power: losses, what speckle alone leaves of them, and the metrics that are reported.
+"""Measured against modelled power: losses, their values for pure speckle, and the metrics that are reported.
 
-I: measured beta0; mu: modelled beta0; L: looks. Single-channel intensity of L looks is gamma distributed about mu
-(physics.md, section 5).
+I: measured beta0; mu: modelled beta0; L: looks. The intensity of one channel at L looks is gamma distributed about mu
+(docs/learn.md).
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def residual_sd(loss: str, looks: float) -> float:
 
 
 def loss_weight(loss: str, looks: float, mean_square: float) -> float:
-    """What a pixel's loss is multiplied by, so that each loss is about a log-likelihood.
+    """The factor that makes a pixel's loss about a log-likelihood.
 
     gamma: 1. mse (constant variance, equation 38): 1 / mean(I^2), the images' common scale. log: 1 / psi'(L), the
     variance of ln I.
@@ -74,7 +74,7 @@ def best_gain(loss: str, measured: np.ndarray, modelled: np.ndarray, looks: floa
 
 
 def loss_terms(loss: str, measured: np.ndarray, modelled: np.ndarray, looks: float) -> np.ndarray:
-    """Loss of every pixel in float64: what kernels/loss.py adds up, without the weight."""
+    """Loss of every pixel, float64, without the weight; kernels/loss.py adds up the same."""
     if loss == "mse":
         return 0.5 * (measured - modelled) ** 2
     if loss == "gamma":
@@ -82,37 +82,50 @@ def loss_terms(loss: str, measured: np.ndarray, modelled: np.ndarray, looks: flo
     return 0.5 * (np.log(measured / modelled) - log_bias(looks)) ** 2
 
 
-def metrics_of(moments: np.ndarray, pixels: int, looks: float) -> dict[str, float]:
-    """`metrics` of `pixels` pixels from the sums of kernels/metrics.py, shape (9,), float64."""
-    i, ii, mu, mumu, imu, error = moments[:6] / pixels
-    both, logarithm, excess = moments[6:]
-    spread = np.sqrt(max(ii - i**2, 0.0) * max(mumu - mu**2, 0.0))
-    rmse = float(np.sqrt(error))
-    return {
-        "rmse": rmse,
-        "nrmse": rmse / float(np.sqrt(ii)),
-        "rmse_db": float(10.0 / np.log(10.0) * np.sqrt(logarithm / both)),
-        "deviance": float(2.0 * looks * excess / both / expected_deviance(looks)),
-        "correlation": float((imu - i * mu) / spread) if spread > 0 else float("nan"),
-    }
-
-
 METRICS = ("rmse", "nrmse", "rmse_db", "deviance", "correlation")
 
 
 def metrics(measured: np.ndarray, modelled: np.ndarray, looks: float) -> dict[str, float]:
-    """rmse (beta0), nrmse = rmse / rms(I), rmse_db and deviance / E[d] over pixels where both are positive, and
-    correlation, of flat arrays of the pixels compared (scene-format.md)."""
-    error = measured - modelled
+    """How well a modelled image agrees with a measured one, both flat arrays of the pixels compared.
+
+    `rmse` [beta0]; `nrmse` = rmse / rms(I); `correlation`; and over the pixels where both are positive `rmse_db` and
+    `deviance`, the mean deviance over E[d].
+    """
     positive = (measured > 0) & (modelled > 0)
     i, mu = measured[positive], modelled[positive]
-    rmse = float(np.sqrt(np.mean(error**2)))
-    spread = measured.std() * modelled.std()
-    covariance = np.mean((measured - measured.mean()) * (modelled - modelled.mean()))
+    return _metrics(
+        error=np.mean((measured - modelled) ** 2),
+        power=np.mean(measured**2),
+        rmse_db=np.sqrt(np.mean((10.0 * np.log10(i / mu)) ** 2)),
+        deviance=np.mean(deviance(i, mu, looks)) / expected_deviance(looks),
+        covariance=np.mean((measured - measured.mean()) * (modelled - modelled.mean())),
+        spread=measured.std() * modelled.std(),
+    )
+
+
+def metrics_of(moments: np.ndarray, pixels: int, looks: float) -> dict[str, float]:
+    """`metrics` of `pixels` pixels from the sums of kernels/metrics.py, shape (9,), float64."""
+    i, ii, mu, mumu, imu, error = moments[:6] / pixels
+    both, logarithm, excess = moments[6:]
+    return _metrics(
+        error=error,
+        power=ii,
+        rmse_db=10.0 / np.log(10.0) * np.sqrt(logarithm / both),
+        deviance=2.0 * looks * excess / both / expected_deviance(looks),
+        covariance=imu - i * mu,
+        spread=np.sqrt(max(ii - i**2, 0.0) * max(mumu - mu**2, 0.0)),
+    )
+
+
+def _metrics(
+    *, error: float, power: float, rmse_db: float, deviance: float, covariance: float, spread: float
+) -> dict[str, float]:
+    """Metrics from the mean squares of the error and of I, and the product of both images' standard deviations."""
+    rmse = float(np.sqrt(error))
     return {
         "rmse": rmse,
-        "nrmse": rmse / float(np.sqrt(np.mean(measured**2))),
-        "rmse_db": float(np.sqrt(np.mean((10.0 * np.log10(i / mu)) ** 2))),
-        "deviance": float(np.mean(deviance(i, mu, looks)) / expected_deviance(looks)),
+        "nrmse": rmse / float(np.sqrt(power)),
+        "rmse_db": float(rmse_db),
+        "deviance": float(deviance),
         "correlation": float(covariance / spread) if spread > 0 else float("nan"),
     }

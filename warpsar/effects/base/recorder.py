@@ -26,7 +26,7 @@ class Recorder(Protocol):
     | `shape`, `spacing_m` | (rows, cols) and (range, azimuth) of the image |
     | `settings[name]` | the settings of the effect `name` in this view |
     | `layers` | by name, shares of the beta0 that an effect keeps apart, shape (rows * cols,) |
-    | `kept` | what an effect worked out for one polarization and needs for the next |
+    | `recorded[name]` | what an effect worked out for one polarization and needs for the next |
     """
 
     program: Program
@@ -38,7 +38,7 @@ class Recorder(Protocol):
     spacing_m: tuple[float, float]
     settings: dict[str, Mapping[str, Any]]
     layers: dict[str, Any]
-    kept: dict[str, Any]
+    recorded: dict[str, Any]
 
     def coordinates(self, face: wp.array, barycentric: wp.array, points: wp.array) -> wp.array:
         """Record the learned coordinates (vec4) at places on the mesh, with the effects that act on them."""

@@ -1,0 +1,142 @@
+"""A fit from its first iteration to its last: starts, history, checkpoints, and what ends it."""
+
+from __future__ import annotations
+
+import json
+import signal
+import time
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from warpsar.errors import WarpsarError
+from warpsar.io import checkpoint
+from warpsar.learning.adam import Adam, GraphAdam
+from warpsar.learning.metrics import pooled_metrics
+from warpsar.learning.optimise import FitState, begin, levenberg_marquardt
+from warpsar.learning.options import LearnOptions
+from warpsar.learning.problem import FitProblem
+from warpsar.runtime import console
+
+MOST_STEPS = 100  # of Levenberg-Marquardt from one start
+
+History = list[dict[str, float]]
+"""A row for each iteration: its number, the start's number, the loss, and metrics of train and test views."""
+
+
+class Course:
+    """How far a run has come, and where it is stored. `stored` is the checkpoint of an earlier part of it.
+
+    `tag` names the run (`checkpoint.write`); without a `folder` nothing is stored.
+    """
+
+    def __init__(self, folder: Path | None, tag: str, stored: dict[str, np.ndarray] | None) -> None:
+        self._folder, self._tag = folder, tag
+        stored = None if stored is None else dict(stored)
+        self.history: History = [] if stored is None else json.loads(str(stored.pop("history")))
+        spent = 0.0 if stored is None else float(stored.pop("spent_s"))
+        self.state = None if stored is None else FitState.from_arrays(stored)
+        self._started = time.perf_counter() - spent
+
+    @property
+    def seconds(self) -> float:
+        """Time spent on all parts of the run."""
+        return time.perf_counter() - self._started
+
+    def save(self) -> None:
+        """Write the checkpoint."""
+        if self._folder is not None and self.state is not None:
+            extra = {"history": np.array(json.dumps(self.history)), "spent_s": np.array(self.seconds)}
+            checkpoint.write(self._folder, {**self.state.arrays(), **extra}, self._tag)
+
+
+def descend(
+    problem: FitProblem, tests: FitProblem | None, options: LearnOptions, course: Course, *, stoppable: bool
+) -> tuple[FitState, str]:
+    """Run to the end, with checkpoints; returns the last state, and why the run stopped.
+
+    `stoppable`: a SIGTERM ends the run after a last checkpoint, by a WarpsarError.
+    """
+    ranks, history = problem.ranks, course.history
+    steps = states(problem, options, course.state)
+    bar = console.progress(options.iterations, "learn")
+    bar.update(course.state.iteration if course.state else 0)
+    stopped = "plateau"
+    with _sigterm(stoppable) as signals, closing(bar):
+        while course.state is None or course.state.iteration < options.iterations:
+            state = next(steps, None)
+            if state is None:
+                break
+            course.state = state
+            history.append(_row(problem, tests, state))
+            bar.update(state.iteration - bar.n)
+            bar.set_postfix_str(f"loss {state.loss:.6g}", refresh=False)
+            # a signal, and a second more or less, reach the ranks at different iterations
+            asked = ranks.largest(float(bool(signals)))
+            late = ranks.largest(course.seconds) > options.max_time_s
+            if asked:
+                course.save()
+                refusal = WarpsarError(f"stopped by a signal at iteration {state.iteration}; go on with --resume")
+                refusal.quiet = not ranks.first
+                raise refusal
+            if late:
+                stopped = "time"
+                break
+            if len(history) % options.checkpoint_every == 0:
+                course.save()
+        else:
+            stopped = "iterations"
+    assert course.state is not None
+    course.save()
+    return course.state, stopped
+
+
+def states(problem: FitProblem, options: LearnOptions, state: FitState | None) -> Iterator[FitState]:
+    """States of the whole run, one per iteration, from `state` on; ends when every start has arrived."""
+    kind = options.optimiser
+    if kind == "auto":
+        kind = "lm" if problem.uniform else "adam"
+    starts = options.starts if kind == "lm" else 1
+    state = state or begin(problem, 0, options.seed)
+    while True:
+        if kind == "lm":
+            while not state.arrived and state.since_start < MOST_STEPS:
+                state = levenberg_marquardt(problem, state)
+                yield state
+        else:
+            graph = problem.shared_nodes is not None and not problem.effect_coordinates and problem.keeps_hits
+            descent = (GraphAdam if graph and problem.scene.grid.calibrated else Adam)(problem, state, options.rate)
+            while not state.arrived:
+                state = descent.step(state)
+                yield state
+        if state.start + 1 >= starts:
+            return
+        state = begin(problem, state.start + 1, options.seed, state)
+
+
+def _row(problem: FitProblem, tests: FitProblem | None, state: FitState) -> dict[str, float]:
+    row = {"iteration": state.iteration, "start": state.start, "loss": state.loss}
+    row |= {f"train_{k}": v for k, v in pooled_metrics(problem, state.x).items()}
+    if tests is not None:
+        followed = tests.follow(problem, state.x)
+        row |= {f"test_{k}": v for k, v in pooled_metrics(tests, followed).items()}
+    return row
+
+
+@contextmanager
+def _sigterm(wanted: bool) -> Iterator[list[int]]:
+    """The SIGTERMs that arrive meanwhile, if `wanted`; they do not end the process."""
+    arrived: list[int] = []
+    previous = None
+    if wanted and hasattr(signal, "SIGTERM"):
+        try:
+            previous = signal.signal(signal.SIGTERM, lambda number, frame: arrived.append(number))
+        except ValueError:  # not the main thread: whoever runs it keeps the signal
+            previous = None
+    try:
+        yield arrived
+    finally:
+        if previous is not None:
+            signal.signal(signal.SIGTERM, previous)

@@ -1,0 +1,195 @@
+"""Measured images -> surface parameters: the whole fit, from a scene to what was learned."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+import warp as wp
+
+from warpsar.errors import InputError, WarpsarError
+from warpsar.io import checkpoint
+from warpsar.learning.descent import Course, History, descend
+from warpsar.learning.gradcheck import GradientCheck, check_gradient
+from warpsar.learning.identify import Identified, identify
+from warpsar.learning.metrics import pooled_metrics
+from warpsar.learning.observation import Observation, looks_of
+from warpsar.learning.options import LearnOptions, refuse_options, refuse_starts
+from warpsar.learning.problem import FitProblem
+from warpsar.learning.results import learned_scene
+from warpsar.learning.validity import outside_domains
+from warpsar.runtime import console, devices, distributed
+from warpsar.runtime.distributed import Ranks
+from warpsar.scene.scene import Scene
+from warpsar.simulation.rays import Rays
+from warpsar.simulation.sampling import RAY_NOISE, Density, choose_density
+from warpsar.surface.stage import Stage
+
+T = TypeVar("T")
+
+
+@dataclass
+class Learned:
+    """What a fit found.
+
+    `scene` holds the learned parameters, `x` the same as a vector. `domains`, by material: share of its lit area
+    outside the domain of each model. `train` and `test`: `pooled_metrics`. `identified` is None for fields (see
+    fields.py), which have too many parameters for one information matrix.
+    """
+
+    scene: Scene
+    x: np.ndarray
+    loss: float
+    labels: list[str]
+    history: History
+    stopped: str
+    gradient_check: GradientCheck
+    density: Density
+    identified: Identified | None
+    domains: dict[str, dict[str, float]]
+    train: dict[str, float]
+    test: dict[str, float] | None
+    problem: FitProblem
+
+
+def learn(
+    scene: Scene,
+    *,
+    device: str | None = None,
+    options: LearnOptions | None = None,
+    folder: Path | str | None = None,
+    resume: bool = False,
+) -> Learned:
+    """Fit the materials' learnable parameters, and the declared effects', to the `train` views.
+
+    With `folder` the run keeps a checkpoint there, and `resume` goes on from it. Each of several processes
+    (`distributed`) holds a share of the views; all return the same, and the first one writes. Raises InputError for
+    scenes that cannot be learned from, and WarpsarError where the gradient check fails.
+    """
+    options = options or LearnOptions()
+    refuse_starts(scene)
+    where = devices.resolve_device(device)
+    ranks = distributed.ranks(where)
+    folder = None if folder is None else Path(folder)
+    if folder is not None and ranks.first and distributed.restarts() == 0 and not resume:
+        checkpoint.remove(folder)  # of an earlier run: torchrun's restarts shall find this one's
+    problem, density = ranks.agree(lambda: prepare(scene, where, options, ranks))
+    if not problem.x0.size:
+        raise InputError(f"{scene.path}: materials: nothing to learn: every `learn` is empty and no effect is declared")
+    refuse_options(problem, options)
+    check = _checked(problem)
+    tests = ranks.agree(lambda: _test_problem(scene, where, options, problem, density))
+    course = _course(scene, options, folder, ranks, resume)
+    state, stopped = descend(problem, tests, options, course, stoppable=folder is not None)
+    x = np.asarray(state.best_x)
+    train = pooled_metrics(problem, x)
+    final = learned_scene(problem, x, folder if ranks.first else None)
+    return Learned(
+        scene=final,
+        x=x,
+        loss=state.best_loss,
+        labels=problem.labels if x.size < 1000 else [],
+        history=course.history,
+        stopped=stopped,
+        gradient_check=check,
+        density=density,
+        identified=identify(problem, x) if problem.uniform else None,
+        domains=outside_domains(problem, x),
+        train=train,
+        test=None if tests is None else pooled_metrics(tests, tests.follow(problem, x)),
+        problem=problem,
+    )
+
+
+def _checked(problem: FitProblem) -> GradientCheck:
+    """The gradient check at the start. Raises WarpsarError where it fails."""
+    check = check_gradient(problem, problem.x0)
+    console.say(
+        f"gradient check: adjoint against central differences agree to {check.worst:.1e} "
+        f"over {check.directions} directions"
+    )
+    if not check.passed:
+        raise WarpsarError(
+            f"{problem.scene.path}: the gradient check failed: {check.worst:.2g} off, over the allowed 2e-2; more "
+            f"rays, or a start further inside the bounds, may help"
+        )
+    return check
+
+
+def _course(scene: Scene, options: LearnOptions, folder: Path | None, ranks: Ranks, resume: bool) -> Course:
+    """The run as it stands: at its beginning, or with `resume` at its checkpoint. The first rank reads and writes."""
+    tag = _tag(scene, options)
+    source = folder if resume and ranks.first else None
+    stored = ranks.hand_out(ranks.agree(lambda: None if source is None else checkpoint.read(source, tag)))
+    if resume and stored is None:
+        console.say("--resume: there is no checkpoint; the run starts afresh")
+    return Course(folder if ranks.first else None, tag, stored)
+
+
+def prepare(
+    scene: Scene, device: wp.Device, options: LearnOptions, ranks: Ranks = distributed.ONE
+) -> tuple[FitProblem, Density]:
+    """The fit problem of the train views, with as many rays as the looks of the images ask for."""
+    stage = Stage.of(scene, device)
+    views = [v for v in scene.views if v.role == "train" and v.images]
+    density = choose_density(scene, stage, views, [looks_of(scene, v) for v in views], RAY_NOISE, ranks=ranks)
+    if density.chosen:
+        console.say(
+            f"rays: {density.rays_per_pixel:g} per pixel; looks x relative sampling variance {density.noise:.2g} "
+            f"(wanted: under {RAY_NOISE})"
+        )
+    problem = FitProblem(
+        scene,
+        device,
+        loss=options.loss,
+        rays=Rays(stage, density.rays_per_m2, scene.sampling.seed),
+        total_variation=options.total_variation,
+        validity=options.validity,
+        ranks=ranks,
+        max_memory_gib=options.max_memory_gib,
+    )
+    for name, (looks, estimated, zeros) in of_all(problem, lambda s: (s.looks, s.looks_estimated, s.zeros)).items():
+        if estimated:
+            console.say(f"looks of {name}: not declared, estimated as {looks:.1f}")
+        if zeros:
+            console.say(f"{name}: {zeros} lit pixels measure 0 and are left out")
+    return problem, density
+
+
+def of_all(problem: FitProblem, about: Callable[[Observation], T]) -> dict[str, T]:
+    """What `about` (JSON's types) gives for every observation of all ranks, by "view polarization", in order."""
+    mine = [[s.view.name, s.polarization, about(s)] for s in problem.observations]
+    order = [view.name for view in problem.chosen]
+    found = sorted((each for part in problem.ranks.gather(mine) for each in part), key=lambda one: order.index(one[0]))
+    return {f"{view} {polarization}": what for view, polarization, what in found}
+
+
+def _test_problem(
+    scene: Scene, device: wp.Device, options: LearnOptions, problem: FitProblem, density: Density
+) -> FitProblem | None:
+    """The test views, which no fit touches; None where there are none with images."""
+    if not any(v.role == "test" and v.images for v in scene.views):
+        return None
+    return FitProblem(
+        scene,
+        device,
+        loss=options.loss,
+        roles=("test",),
+        rays=Rays(problem.stage, density.rays_per_m2, scene.sampling.seed),
+        ranks=problem.ranks,
+        max_memory_gib=options.max_memory_gib,
+    )
+
+
+def _tag(scene: Scene, options: LearnOptions) -> str:
+    """What a checkpoint belongs to: the input and the options that change the result."""
+    free = ("iterations", "max_time_s", "checkpoint_every", "max_memory_gib")
+    chosen = {k: v for k, v in asdict(options).items() if k not in free}
+    # a scene made in memory has no text for the hash to hold
+    made = "" if scene.source else repr((scene.radar, scene.grid, scene.sampling, scene.materials, scene.effects))
+    return hashlib.sha256((scene.input_hash + made + json.dumps(chosen, sort_keys=True)).encode()).hexdigest()

@@ -1,0 +1,39 @@
+"""How far a modelled image is from a measured one: the loss with its weight, gain and curvature."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from warpsar.learning.observation import Observation
+from warpsar.speckle.likelihood import Curvature, best_gain, curvature, loss_terms, loss_weight
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """One loss for all images of a fit; `mean_square` is their common scale (`loss_weight`).
+
+    Where the images are not `calibrated`, each has a gain of its own, which is always at its best. `mu` is the modelled
+    beta0 of the interior pixels of `seen`, shape (n,), float64.
+    """
+
+    loss: str
+    mean_square: float
+    calibrated: bool
+
+    def weight(self, seen: Observation) -> float:
+        """What a pixel's loss is multiplied by."""
+        return loss_weight(self.loss, seen.looks, self.mean_square)
+
+    def gain(self, seen: Observation, mu: np.ndarray) -> float:
+        """The best gain; 1 for calibrated images."""
+        return 1.0 if self.calibrated else best_gain(self.loss, seen.values, mu, seen.looks)
+
+    def terms(self, seen: Observation, mu: np.ndarray) -> np.ndarray:
+        """The loss of every pixel before its weight, at the best gain, shape (n,), float64."""
+        return loss_terms(self.loss, seen.values, self.gain(seen, mu) * mu, seen.looks)
+
+    def curvature(self, seen: Observation, mu: np.ndarray) -> Curvature:
+        """Residuals and weights at the best gain."""
+        return curvature(self.loss, seen.values, self.gain(seen, mu) * mu, seen.looks, self.weight(seen))

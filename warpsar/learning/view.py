@@ -1,0 +1,120 @@
+"""One view of a fit: its render, the measured pixels on the device, and the loss between them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import warp as wp
+
+from warpsar.effects.base.effect import DeclaredEffect
+from warpsar.kernels import loss as loss_kernels
+from warpsar.kernels import metrics as metrics_kernels
+from warpsar.learning.misfit import Misfit
+from warpsar.learning.observation import Observation, observe
+from warpsar.render.rendered import Rendered
+from warpsar.scene.scene import Scene
+from warpsar.speckle.likelihood import LOSSES, log_bias
+from warpsar.world.tables import View
+
+
+class FitView:
+    """One view: its render, and on the render's program the loss of each polarization's measured pixels.
+
+    `observations` are made from the scene's images and the lit pixels of the render where none are given. `validity`
+    is the weight of the models' domains as soft constraints. `loss` and `outside` are partial sums on the device,
+    float64, of the loss and of that constraint; `gain` has one number for each observation.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        view: View,
+        render: Rendered,
+        effects: list[DeclaredEffect],
+        observations: list[Observation] | None,
+        misfit: Misfit,
+        validity: float,
+    ) -> None:
+        self.view, self.effects, self.render = view, effects, render
+        if observations is None:
+            self.forward()
+            observations = [observe(scene, view, pol, self.render.lit(pol)) for pol in view.images]
+            if any(e.effect.additive for e in self.effects):
+                observations = [seen.with_dark() for seen in observations]
+        self.observations = observations
+        device = render.program.device
+        self._pixels = [(seen.polarization, seen.pixels, seen.darkest) for seen in observations]
+        self.gain: wp.array = wp.ones(len(observations), dtype=float, device=device)
+        self.loss = self._partial_sums()
+        self._seeds = {self.loss: 1.0}
+        self.outside: wp.array = wp.zeros(1, dtype=wp.float64, device=device)
+        if validity > 0:
+            self.outside = self._partial_sums()
+            self._seeds[self.outside] = 1.0
+            self._record_validity(validity)
+        self._compared: list[list[wp.array]] = []
+        for index, seen in enumerate(observations):
+            self._record_loss(index, seen, misfit)
+
+    def _partial_sums(self) -> wp.array:
+        return self.render.program.array(int(loss_kernels.PARTIALS), wp.float64, sum_into=True)
+
+    def _record_validity(self, validity: float) -> None:
+        piece = self.render.whole
+        hits = piece.shaded
+        strength = validity / float(hits.weight.numpy().sum())
+        self.render.program.launch(
+            loss_kernels.validity_kernel,
+            hits.count,
+            [hits.geometry.wavenumber, strength, hits.weight, hits.cos_incidence, piece.zeta],
+            [self.outside],
+        )
+
+    def _record_loss(self, index: int, seen: Observation, misfit: Misfit) -> None:
+        device = self.render.program.device
+        _, pixels, darkest = self._pixels[index]
+        compared: list[wp.array] = [
+            wp.array(pixels, dtype=int, device=device),
+            wp.array(seen.values.astype(np.float32), dtype=float, device=device),
+            self.render.images[seen.polarization],
+            wp.array(darkest, dtype=float, device=device),
+        ]
+        self._compared.append(compared)
+        self.render.program.launch(
+            loss_kernels.loss_kernel,
+            pixels.size,
+            [
+                LOSSES[misfit.loss],
+                *compared,
+                self.gain,
+                index,
+                seen.looks,
+                misfit.weight(seen),
+                log_bias(seen.looks),
+            ],
+            [self.loss],
+        )
+
+    def modelled(self) -> list[np.ndarray]:
+        """beta0 of each observation's interior pixels before any gain, shape (n,), float64, after a forward run."""
+        images = self.render.images
+        return [
+            np.maximum(images[polarization].numpy()[pixels].astype(float), darkest)
+            for polarization, pixels, darkest in self._pixels
+        ]
+
+    def add_moments(self, sums: Sequence[wp.array]) -> None:
+        """Add the sums of kernels/metrics.py over each observation's pixels, as `modelled` gives them, to one array of
+        `sums` each."""
+        for compared, total in zip(self._compared, sums, strict=True):
+            size, device = compared[0].size, self.render.program.device
+            wp.launch(metrics_kernels.moments_kernel, size, inputs=compared, outputs=[total], device=device)
+
+    def forward(self, *, gradient: bool = False) -> None:
+        """Run the images and the loss; `gradient` as in `Program.forward`."""
+        self.render.program.forward(gradient=gradient)
+
+    def backward(self, *, zero: bool = True) -> None:
+        """Gradients of the loss and of the soft constraint; `zero` as in `Program.backward`."""
+        self.render.program.backward(self._seeds, zero=zero)
