@@ -27,8 +27,7 @@ import warp as wp
 from peer import Row, timed
 from simulate import machine
 
-from warpsar.kernels.geometry import RayGrid, intersect, ray_direction, ray_origin
-from warpsar.kernels.trace import azimuth_of, elevation_of, jitter_of
+from warpsar.kernels.geometry import RayGrid, azimuth_of, elevation_of, intersect, jitter_of, ray_direction, ray_origin
 
 ROOT = Path(__file__).resolve().parent.parent
 WIDTHS = {"range_fwhm_m": 1.0, "azimuth_fwhm_m": 1.0}
