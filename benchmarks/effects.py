@@ -34,8 +34,7 @@ from scenes import example_with
 from simulate import machine, said
 
 from warpsar.effects.registry import declared, names
-from warpsar.kernels.geometry import RayGrid, intersect, ray_direction, ray_origin
-from warpsar.kernels.trace import azimuth_of, elevation_of, jitter_of
+from warpsar.kernels.geometry import RayGrid, azimuth_of, elevation_of, intersect, jitter_of, ray_direction, ray_origin
 
 WIDTHS = {"range_fwhm_m": 1.0, "azimuth_fwhm_m": 1.0}
 

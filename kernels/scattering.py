@@ -6,6 +6,9 @@ come as cosines, so a hit's geometry needs no inverse trigonometry. Complex numb
 
 Every value and every derivative is finite for 0 <= cos_theta <= 1, h > 0, l > 0: at eps_im = 0, at
 specular_fraction 0 and 1, and where an exponential underflows.
+
+This is the only statement of the model: CUDA and reverse mode compile these functions, and kernels/lanes.py writes the
+CPU's vector code from them. A further model takes the same way, by a `sigma0` and a `sigma0_and_slopes` of its own.
 """
 
 from typing import Any
