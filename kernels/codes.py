@@ -11,6 +11,11 @@ class Polarization(IntEnum):
     HV = 2
     VH = 3
 
+    @property
+    def crossed(self) -> bool:
+        """Whether the radar receives the polarization that it does not send."""
+        return self in (Polarization.HV, Polarization.VH)
+
 
 class Spectrum(IntEnum):
     """Roughness spectrum of the small-perturbation term; SEPARABLE is the paper's equation (16)."""

@@ -17,8 +17,6 @@ import warp as wp
 
 from warpsar.kernels.codes import Polarization, Spectrum, Variant
 
-HH = wp.constant(int(Polarization.HH))  # by this name the effects' kernels know it
-
 # Less than 0.21 arcseconds from grazing counts as 0.21: keeps 1/cos^4 and its derivative finite in float32.
 MIN_COS_INCIDENCE = wp.constant(1.0e-6)
 

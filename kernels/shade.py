@@ -18,9 +18,6 @@ from warpsar.kernels.wide import (
     write_vec4,
 )
 
-# The effects' kernels know the learned coordinates by these names.
-EPS, HEIGHT, LENGTH, FRACTION = (wp.constant(int(coordinate)) for coordinate in Coordinate)
-
 
 @wp.func
 def texel(nodes: wp.array(dtype=float), offset: int, width: int, height: int, x: int, y: int) -> float:

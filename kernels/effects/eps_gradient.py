@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from warpsar.kernels.shade import EPS, FRACTION, HEIGHT, LENGTH
+from warpsar.kernels.codes import Coordinate
 
 
 @wp.kernel
@@ -16,5 +16,5 @@ def slope_kernel(
 ):
     i = wp.tid()
     z = zeta[i]
-    eps = z[EPS] + p[0] * point[i][0] + p[1] * point[i][1]
-    zeta_out[i] = wp.vec4(eps, z[HEIGHT], z[LENGTH], z[FRACTION])
+    eps = z[Coordinate.EPS] + p[0] * point[i][0] + p[1] * point[i][1]
+    zeta_out[i] = wp.vec4(eps, z[Coordinate.HEIGHT], z[Coordinate.LENGTH], z[Coordinate.FRACTION])

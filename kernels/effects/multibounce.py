@@ -2,9 +2,9 @@
 
 import warp as wp
 
+from warpsar.kernels.codes import Coordinate, Polarization
 from warpsar.kernels.geometry import RayGrid, intersect, look_direction, ray_direction, ray_origin, slant_range_of
-from warpsar.kernels.scattering import HH, bistatic_geometric_optics, fresnel_h, fresnel_v
-from warpsar.kernels.shade import EPS, HEIGHT, LENGTH
+from warpsar.kernels.scattering import bistatic_geometric_optics, fresnel_h, fresnel_v
 
 # Every ray of a dihedral has the range of its foot. Where that is the edge between two bins, float32 would toss a coin
 # for each: what is this share of a bin beyond an edge, or less, stays on the near side.
@@ -304,9 +304,9 @@ def return_kernel(
 ):
     """The last surface returns the ray with its bistatic lobe."""
     i = wp.tid()
-    h = wp.exp(zeta[i][HEIGHT] - zeta[i][LENGTH])
+    h = wp.exp(zeta[i][Coordinate.HEIGHT] - zeta[i][Coordinate.LENGTH])
     slope_variance = 2.0 * h * h + LEAST_SLOPE_VARIANCE
-    eps_re = 1.0 + wp.exp(zeta[i][EPS])
+    eps_re = 1.0 + wp.exp(zeta[i][Coordinate.EPS])
     power_out[i] = p[0] * bistatic_geometric_optics(
         polarization, cos_half[i], cos_tilt[i], eps_re, eps_im[face_material[face[i]]], slope_variance
     )
@@ -329,12 +329,12 @@ def mirror_kernel(
     """A surface on the way: Fresnel's reflectivity and what roughness takes from the coherent wave."""
     i = wp.tid()
     c = cos_incidence[i]
-    eps_re = 1.0 + wp.exp(zeta[i][EPS])
+    eps_re = 1.0 + wp.exp(zeta[i][Coordinate.EPS])
     loss = eps_im[face_material[face[i]]]
     reflectivity = float(0.0)
-    if polarization == HH:
+    if polarization == Polarization.HH:
         reflectivity = fresnel_h(c, eps_re, loss)
     else:
         reflectivity = fresnel_v(c, eps_re, loss)
-    phase = 2.0 * wavenumber * wp.exp(zeta[i][HEIGHT]) * c
+    phase = 2.0 * wavenumber * wp.exp(zeta[i][Coordinate.HEIGHT]) * c
     power_out[i] = power[i] * reflectivity * wp.exp(-phase * phase)

@@ -10,10 +10,10 @@ import warp as wp
 
 from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter
-from warpsar.effects.base.polarization import is_crossed, polarization_name
 from warpsar.effects.base.recorder import Recorder
 from warpsar.effects.base.trial import Context, ScoreStep, Trial
 from warpsar.kernels import binning
+from warpsar.kernels.codes import Polarization
 from warpsar.kernels.effects import edge_diffraction as kernels
 from warpsar.trace.rays import ray_grid
 from warpsar.trace.target import Target
@@ -59,14 +59,14 @@ class EdgeDiffraction(Effect):
         return [Trial((ScoreStep("strength", size, {"strength": size}, one_sided=True),), ({"strength": size},))]
 
     def paths(self, render: Recorder, p: wp.array, image: wp.array, polarization: int) -> wp.array:
-        if is_crossed(polarization):
+        if Polarization(polarization).crossed:
             return image
         program = render.program
         if self.name not in render.hits.derived:
             render.hits.derived[self.name] = visible_pieces(render)
         bins, weight, points = render.hits.derived[self.name]
         share = program.array(image.shape[0], sum_into=True)
-        render.layers[f"beta0_edges_{polarization_name(polarization)}"] = share
+        render.layers[f"beta0_edges_{Polarization(polarization).name}"] = share
         if bins.shape[0] == 0:
             return image
         sigma = program.array(bins.shape[0])

@@ -12,11 +12,11 @@ import warp as wp
 
 from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter, one_of
-from warpsar.effects.base.polarization import is_crossed, polarization_name
 from warpsar.effects.base.recorder import Recorder
 from warpsar.effects.base.trial import Context, ScoreStep, Trial
 from warpsar.kernels import binning
 from warpsar.kernels import merge as merging
+from warpsar.kernels.codes import Polarization
 from warpsar.kernels.effects import multibounce as kernels
 from warpsar.runtime import threads
 from warpsar.trace.hits import DEFAULT_MEMORY_GIB, BinGrid, concatenate
@@ -81,13 +81,13 @@ class Multibounce(Effect):
         return [Trial((step,), tuple({"strength": s} for s in (1.0, 0.2, 5.0)))]
 
     def paths(self, render: Recorder, p: wp.array, image: wp.array, polarization: int) -> wp.array:
-        if is_crossed(polarization):
+        if Polarization(polarization).crossed:
             return image
         if self.name not in render.recorded:
             render.recorded[self.name] = self._with_coordinates(render)
         for count, (paths, zetas) in enumerate(render.recorded[self.name], start=2):
             share = render.program.array(image.shape[0], sum_into=True)
-            render.layers[f"beta0_{count}_bounces_{polarization_name(polarization)}"] = share
+            render.layers[f"beta0_{count}_bounces_{Polarization(polarization).name}"] = share
             if paths is None:
                 continue
             power = _power(render, p, paths, zetas, polarization)

@@ -9,9 +9,9 @@ import warp as wp
 
 from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter
-from warpsar.effects.base.polarization import is_crossed
 from warpsar.effects.base.recorder import Recorder
 from warpsar.effects.base.trial import Context, ScoreStep, Trial
+from warpsar.kernels.codes import Polarization
 from warpsar.kernels.effects import vegetation as kernels
 
 _ALBEDOS = (0.01, 0.03, 0.1, 0.3, 1.0)
@@ -47,7 +47,7 @@ class Vegetation(Effect):
         ]
 
     def scattering(self, render: Recorder, p: wp.array, zeta: wp.array, sigma: wp.array, polarization: int) -> wp.array:
-        crossed = int(is_crossed(polarization))
+        crossed = int(Polarization(polarization).crossed)
         result = render.program.array(sigma.shape[0])
         render.program.launch(
             kernels.canopy_kernel, sigma.shape[0], [p, crossed, render.shaded.cos_incidence, sigma], [result]

@@ -64,8 +64,8 @@ def residual_autocovariance(pairs: Sequence[tuple[Observation, np.ndarray]], ran
     `pairs`: an observation, and the residual of its interior pixels divided by the speckle's own standard deviation.
     The sums run over the observations of all `ranks`. The taper is flat to half the lags (Politis and Romano, 1995).
     One that falls from the first lag on makes intervals a quarter too short where speckle is correlated over two
-    pixels. Lags below three times their sampling error are set to zero, and so are negative ones: correlation can only widen an
-    interval.
+    pixels. Lags below three times their sampling error are set to zero, and so are negative ones: correlation can
+    only widen an interval.
     """
     lags, size = LAGS, 2 * LAGS + 1
     total, count = np.zeros((size, size)), np.zeros((size, size))

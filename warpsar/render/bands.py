@@ -19,9 +19,10 @@ from warpsar.effects.base.effect import DeclaredEffect, Effect
 from warpsar.effects.base.recorder import Recorder
 from warpsar.errors import InputError
 from warpsar.kernels import bands as kernels
+from warpsar.kernels.codes import Polarization
 from warpsar.render.render import ViewRender
 from warpsar.runtime.program import Program
-from warpsar.surface.stage import POLARIZATIONS, Stage
+from warpsar.surface.stage import Stage
 from warpsar.trace.hits import BinGrid, Hits
 from warpsar.world.tables import View
 
@@ -81,7 +82,7 @@ class BandedRender:
 
         self.nodes = parameters(stage.surface.nodes.size) if nodes is None else nodes
         self.light = {pol: parameters(shape[0] * shape[1]) for pol in polarizations}
-        given = DeclaredEffect(_Given({POLARIZATIONS[pol]: light for pol, light in self.light.items()}), np.zeros(0))
+        given = DeclaredEffect(_Given({Polarization[pol]: light for pol, light in self.light.items()}), np.zeros(0))
         after = [e for e in effects if e.effect.stage == "image"]
         self._tail = ViewRender(stage, view, trace((0, 0)), shape, polarizations, [given, *after], nodes=self.nodes)
         self.images = self._tail.images

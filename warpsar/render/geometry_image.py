@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
+from warpsar.kernels.codes import Polarization
 from warpsar.kernels.geometry_image import geometry_image_kernel
 from warpsar.runtime.program import Program
-from warpsar.surface.stage import POLARIZATIONS, Stage
+from warpsar.surface.stage import Stage
 from warpsar.trace.hits import BinGrid
 from warpsar.trace.rays import ray_grid
 from warpsar.trace.trace import trace
@@ -65,7 +66,7 @@ class GeometryImage:
                 stage.uv,
                 stage.places,
                 self.nodes,
-                POLARIZATIONS[polarization],
+                Polarization[polarization],
                 stage.variant,
                 geometry.wavenumber,
                 int(stage.local_basis),

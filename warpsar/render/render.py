@@ -12,13 +12,13 @@ import warp as wp
 
 from warpsar.effects.base.effect import DeclaredEffect, Effect
 from warpsar.kernels import binning, shade, shade_lanes
+from warpsar.kernels.codes import Layout, Polarization
 from warpsar.kernels.wide import LANES
 from warpsar.runtime.launches import Launch, by_elements, by_stretches
 from warpsar.runtime.program import Program
 from warpsar.surface.samples import shading_samples
 from warpsar.surface.spread import Spread
-from warpsar.surface.stage import POLARIZATIONS, Stage
-from warpsar.surface.surface import LAYOUTS
+from warpsar.surface.stage import Stage
 from warpsar.trace.hits import Hits
 from warpsar.trace.merge import starts
 from warpsar.world.frame import ViewGeometry
@@ -68,7 +68,7 @@ class ViewRender:
         zeta = self.coordinates(shaded.face, shaded.barycentric, shaded.point)
         self.zeta = zeta
         for name in polarizations:
-            code = POLARIZATIONS[name]
+            code = Polarization[name]
             sigma = self.scatter(zeta, code)
             for effect, p in at("surface"):
                 sigma = effect.scattering(self, p, zeta, sigma, code)
@@ -114,7 +114,7 @@ class ViewRender:
         def spread() -> Launch:  # when a gradient is asked for
             return Spread(stage, face, barycentric).adding(gathered.grad, nodes.grad)
 
-        lean = self.program.device.is_cpu and not (stage.surface.places[:, :, 0] == LAYOUTS["texture"]).any()
+        lean = self.program.device.is_cpu and not (stage.surface.places[:, :, 0] == Layout.TEXTURE).any()
         self.program.launch(
             shade_lanes.gather_kernel if lean else shade.gather_kernel,
             n,

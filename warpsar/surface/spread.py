@@ -8,14 +8,14 @@ import numpy as np
 import warp as wp
 
 from warpsar.kernels import shade, shade_lanes
+from warpsar.kernels.codes import Layout
 from warpsar.kernels.wide import NODE_LANES
 from warpsar.runtime.launches import Launch, by_stretches
 from warpsar.surface.stage import Stage
-from warpsar.surface.surface import HELD, LAYOUTS
 from warpsar.trace.merge import starts
 
 _LONGEST = 64  # entries that one thread adds up
-_NODES = {LAYOUTS["uniform"]: 1, LAYOUTS["vertex"]: 3, LAYOUTS["texture"]: 4}  # that a value mixes
+_NODES: dict[int, int] = {Layout.UNIFORM: 1, Layout.VERTEX: 3, Layout.TEXTURE: 4}  # that a value mixes
 
 
 class Spread:
@@ -74,7 +74,7 @@ def _terms(places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     for m, kinds in enumerate(places):
         found.append([])
         for k, (layout, _, *shape) in enumerate(kinds):
-            if layout == HELD:
+            if layout == Layout.HELD:
                 continue
             alike = [j for j in range(k) if leader[m, j] == j and [kinds[j][0], *kinds[j][2:]] == [layout, *shape]]
             leader[m, k] = alike[0] if alike else k

@@ -9,15 +9,11 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from warpsar.kernels.codes import Variant
 from warpsar.runtime import devices
 from warpsar.surface.surface import Surface
 from warpsar.trace.target import Target
 from warpsar.world.world import World
-
-POLARIZATIONS = {"HH": 0, "VV": 1, "HV": 2, "VH": 3}
-
-
-VARIANTS = {"standard": 0, "as_printed": 1}
 
 
 @dataclass
@@ -44,7 +40,7 @@ class Stage:
         return cls(
             target=Target.upload(scene.mesh, scene.reference_point_m, device),
             surface=surface,
-            variant=VARIANTS[scene.radar.variant],
+            variant=Variant[scene.radar.variant.upper()],
             local_basis=scene.radar.polarization_basis == "local",
             face_material=wp.array(scene.mesh.face_material, dtype=int, device=device),
             uv=wp.array(uv, dtype=wp.vec2, device=device),

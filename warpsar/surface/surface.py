@@ -13,9 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from warpsar.kernels.codes import FRACTION_LIMIT, Layout, Spectrum
 from warpsar.world.world import World
-
-FRACTION_LIMIT = 40.0  # kernels/shade.py: beyond it tau is 0 or 1 to the bit
 
 
 def _logit(tau: Any) -> Any:
@@ -54,9 +53,6 @@ KINDS = (
     Kind("specular_fraction", "tau", "logit tau", _logit, _sigmoid, 1e-6, 1.0 - 1e-6),
 )
 KEYS = tuple(kind.key for kind in KINDS)
-SPECTRA = {"gaussian": 0, "exponential": 1, "separable": 2}
-LAYOUTS = {"uniform": 0, "vertex": 1, "texture": 2}  # codes of kernels/shade.py
-HELD = 3  # there: uniform, and not learned
 
 
 @dataclass(frozen=True)
@@ -109,7 +105,7 @@ class Surface:
         start = 0
         for m, name in enumerate(names):
             material = scene.materials[name]
-            spectrum[m] = SPECTRA[material.spectrum]
+            spectrum[m] = Spectrum[material.spectrum.upper()]
             ends: tuple[int, int] | None = None  # the first and the last vertex of its faces
             for k, kind in enumerate(KINDS):
                 declared = getattr(material, kind.key)
@@ -133,7 +129,7 @@ class Surface:
                     value = value[first_vertex : ends[1] + 1]
                 height, width = value.shape if layout == "texture" else (0, 0)
                 held = layout == "uniform" and kind.key not in material.learn
-                code = HELD if held else LAYOUTS[layout]
+                code = Layout.HELD if held else Layout[layout.upper()]
                 places[m, k] = (code, start - first_vertex, width, height)
                 blocks.append(Block(name, kind, layout, start, value.shape, kind.key in material.learn, first_vertex))
                 values.append(kind.to_coordinate(value).ravel())
