@@ -10,7 +10,7 @@ from types import ModuleType
 import pytest
 from conftest import ROOT
 
-from warpsar.effects.registry import NAMES, declared, get, validate
+from warpsar.effects.registry import declared, get, names, validate
 
 PAGE = """# A page
 
@@ -202,7 +202,7 @@ def test_the_tables_of_this_checkout_can_be_read() -> None:
 # ---- what the pictures and the rates of the docs ask of an effect ----
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", names())
 @pytest.mark.parametrize(("table", "views"), [("example", 2), ("rate_case", 4)])
 def test_every_effect_declares_a_sound_table_that_does_something(name: str, table: str, views: int) -> None:
     values = getattr(get(name), table)
