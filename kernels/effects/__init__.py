@@ -1,1 +1,1 @@
-"""Kernels of the effects: one file each, beside `warpsar.effects`."""
+"""Kernels of the effects: the file `<name>.py` belongs to `warpsar/effects/<name>.py`."""

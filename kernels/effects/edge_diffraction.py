@@ -1,4 +1,4 @@
-"""Sharp edges that shine by themselves."""
+"""Power that sharp edges return."""
 
 import warp as wp
 
@@ -21,7 +21,7 @@ def edge_kernel(
     bin_out: wp.array(dtype=int),  # -1 where it is hidden or beside the image
     weight_out: wp.array(dtype=float),
 ):
-    """A short piece of edge: whether the radar sees it, and lambda / (2 pi) sin^2(b) of its length."""
+    """For a short piece of edge: its bin if the radar sees it, and its length times lambda / (2 pi) sin^2(b)."""
     i = wp.tid()
     direction = look_direction(grid, place[i])
     across = wp.cross(along[i], direction)

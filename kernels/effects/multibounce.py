@@ -1,4 +1,4 @@
-"""Ways of a ray over several surfaces: traced and merged once, then power as a function of the surfaces met."""
+"""Paths of rays over several surfaces: traced and merged once; then their power, by the surfaces that they meet."""
 
 import warp as wp
 
@@ -6,17 +6,20 @@ from warpsar.kernels.codes import Coordinate, Polarization
 from warpsar.kernels.geometry import RayGrid, intersect, look_direction, ray_direction, ray_origin, slant_range_of
 from warpsar.kernels.scattering import bistatic_geometric_optics, fresnel_h, fresnel_v
 
-# Every ray of a dihedral has the range of its foot. Where that is the edge between two bins, float32 would toss a coin
-# for each: what is this share of a bin beyond an edge, or less, stays on the near side.
+# Every ray of a dihedral has the range of its foot. Where this is the edge between two bins, rounding in float32 would
+# choose the bin of each ray. So a range beyond an edge by this share of a bin, or less, stays on the near side.
 EDGE = wp.constant(1.0e-3)
 
-# Slope variance that even a smooth surface has: keeps the lobe of a mirror wide enough for a mesh's facets.
+# Slope variance that even a smooth surface has: it keeps the lobe of a mirror wide enough for a mesh's facets.
 LEAST_SLOPE_VARIANCE = wp.constant(1.0e-4)
 
 
 @wp.struct
 class PathRecords:
-    """One per ray and return to the radar, in any order; `count` may exceed the arrays' length (then: again)."""
+    """One record per ray and return to the radar, in any order.
+
+    `count` may exceed the length of the arrays: then the rays are traced again with more room.
+    """
 
     bin: wp.array(dtype=int)
     bounces: wp.array(dtype=int)
@@ -30,7 +33,7 @@ class PathRecords:
 
 @wp.func
 def apparent_point(grid: RayGrid, entry: wp.vec3, exit: wp.vec3, between: float) -> wp.vec3:
-    """Half the whole path is the range, the middle of entry and exit the azimuth and the elevation."""
+    """Range is half the whole path; azimuth and elevation are those of the middle between entry and exit."""
     along = 0.5 * (slant_range_of(grid, entry) + slant_range_of(grid, exit) + between)
     across = 0.5 * (wp.dot(entry, grid.v) + wp.dot(exit, grid.v))
     azimuth = 0.5 * (wp.dot(entry, grid.u) + wp.dot(exit, grid.u))
@@ -44,6 +47,7 @@ def apparent_point(grid: RayGrid, entry: wp.vec3, exit: wp.vec3, between: float)
     return along * grid.d + azimuth * grid.u + across * grid.v
 
 
+# Long because one thread walks its rays from entry to return: what is cut out would be handed twelve values and back.
 @wp.kernel(enable_backward=False)
 def path_kernel(
     # In:
@@ -62,10 +66,10 @@ def path_kernel(
     # Out:
     records: PathRecords,
 ):
-    """One thread walks `segment` cells of one azimuth cell's column; every surface but the last is a mirror.
+    """One thread walks `segment` cells in the column of one azimuth cell. Every surface but the last is a mirror.
 
-    The BVH is asked from just off the surface, so as not to find it again; the place met is then worked out from the
-    surface itself.
+    A BVH query starts just off the surface, so that it does not find the same surface again. The point that the ray
+    meets is then computed from the surface itself.
     """
     i, j = wp.tid()
     cell = first_cell + i
@@ -112,7 +116,7 @@ def path_kernel(
             else:
                 between += wp.length(point - before)
                 if wp.dot(side, home) > 0.0:
-                    # a bin first, for a way back is dear
+                    # the bin first: a ray back to the radar costs more
                     seen = apparent_point(grid, entry, point, between)
                     row = int(wp.floor((slant_range_of(grid, seen) - grid.range_start) / grid.range_spacing - EDGE))
                     col = int(wp.floor((wp.dot(seen, grid.u) - azimuth_start) / azimuth_spacing))
@@ -245,7 +249,7 @@ def path_geometry_kernel(
     cos_half_out: wp.array(dtype=float),
     cos_tilt_out: wp.array(dtype=float),
 ):
-    """Angles along the path, from where it begins and the faces it meets."""
+    """Angles along the path, from its first point and the faces that it meets."""
     i = wp.tid()
     direction = look_direction(grid, place_on(vertices, faces, met[i][0] - 1, second[i][0], third[i][0]))
     cosines = wp.vec4(1.0, 1.0, 1.0, 1.0)
@@ -326,7 +330,7 @@ def mirror_kernel(
     # Out:
     power_out: wp.array(dtype=float),
 ):
-    """A surface on the way: Fresnel's reflectivity and what roughness takes from the coherent wave."""
+    """A surface before the last: Fresnel's reflectivity, less what roughness takes from the coherent wave."""
     i = wp.tid()
     c = cos_incidence[i]
     eps_re = 1.0 + wp.exp(zeta[i][Coordinate.EPS])

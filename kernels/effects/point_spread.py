@@ -87,7 +87,7 @@ def sample_kernel(
     weight_out: wp.array(dtype=float),  # by distance in pixels
     total_out: wp.array(dtype=float),  # of both sides
 ):
-    """The kernel at pixel centres."""
+    """The point spread at pixel centres, and its sum."""
     k = wp.tid()
     width = wp.max(p[index] / spacing, NARROWEST)
     w = power(window, float(k) / width)
@@ -112,7 +112,7 @@ def normalise_kernel(
 
 @wp.func
 def reach_of(window: int, width: float, count: int) -> int:
-    """Pixels to each side that the kernel has weights for."""
+    """Number of pixels to each side that get a weight."""
     reach = count - 1
     if window == GAUSSIAN:
         # exp(-4 ln 2 * 9) = 1.5e-11 is left out
@@ -137,8 +137,10 @@ def blur_kernel(
     # Out:
     image_out: wp.array(dtype=float),
 ):
-    """One axis. Outside the image there is nothing; what is spread there is lost. It is its own adjoint to `image`,
-    which `add` adds to what is there."""
+    """Convolution along one axis. The image is 0 outside its borders, and power that is spread there is lost.
+
+    The kernel is symmetric, so this is also its own adjoint to `image`; `add` then adds to the gradient that is there.
+    """
     row, part = wp.tid()
     n = len(none)
     begin = part * n

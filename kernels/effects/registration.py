@@ -1,4 +1,4 @@
-"""How far a view's bins move before they fall into pixels."""
+"""The shift of a view's bins before they are dealt to pixels."""
 
 import warp as wp
 

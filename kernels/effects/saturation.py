@@ -1,4 +1,4 @@
-"""A receiver that is not linear, about the median of what it sees."""
+"""A receiver that compresses power about the median of its image."""
 
 import warp as wp
 
@@ -7,7 +7,7 @@ DIGITS = wp.constant(256)
 
 @wp.func
 def digits(value: float) -> int:
-    """The bits of a number that is not negative: as whole numbers they are in the numbers' order."""
+    """The bits of a number that is not negative, as an integer: integers have the order of their numbers."""
     return wp.cast(wp.max(value, 0.0), wp.int32)
 
 

@@ -5,10 +5,11 @@ import warp as wp
 from warpsar.kernels.geometry import cos2_azimuth_of, cos_twist_of
 from warpsar.kernels.shade import sigma0_of
 
-# Added to the slope variance: 1e-4 of tilt, at which its square root still has a slope.
+# Added to the slope variance, a tilt of 1e-4: its square root has no derivative at 0.
 LEAST_VARIANCE = wp.constant(1.0e-8)
 
 
+# Long because of its arguments: sigma0 depends on all of them.
 @wp.kernel
 def tilt_kernel(
     # In:
@@ -36,7 +37,7 @@ def tilt_kernel(
     # Out:
     sigma_out: wp.array(dtype=float),
 ):
-    """What tilting adds to sigma0: Gauss-Hermite quadrature over both slopes."""
+    """`sigma` plus the change of sigma0 by the tilts, a Gauss-Hermite quadrature over both slopes."""
     i = wp.tid()
     f = face[i]
     material = face_material[f]

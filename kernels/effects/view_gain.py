@@ -1,4 +1,4 @@
-"""One factor on everything a view receives."""
+"""One factor on all the power of a view."""
 
 import warp as wp
 

@@ -8,6 +8,7 @@ import worlds
 from effect_worlds import ROUNDING, STRIP_MAP, Case, pair, plane, render_of, with_effect
 from worlds import ground, mesh_of, scene_of, view
 
+from warpsar.effects.registry import get
 from warpsar.render.render import ViewRender
 from warpsar.scene.scene import Scene
 
@@ -64,6 +65,19 @@ def test_registration_of_the_world_is_seen_along_the_axes() -> None:
     step = np.array([east, 0.0, up])
     render.set_parameters(render.stage.surface.nodes, {"registration": np.array([d @ step, u @ step, 0, 0, 0])})
     assert world == pytest.approx(render.forward()["HH"], rel=1e-4, abs=1e-6)
+
+
+def test_shift_of_the_image_is_that_of_the_bins() -> None:
+    """What others are told of the shift, against axes written out in angles, and against what the render does."""
+    table = {"range_m": 0.31, "azimuth_m": -0.23, "east_m": 0.75, "north_m": 0.2, "up_m": -0.5}
+    render, _ = unmoved(plane(), table)
+    d, u, _ = worlds.axes(20.0, 40.0)
+    world = np.array([0.75, 0.2, -0.5])
+    shift = get("registration").shift_m(np.array(list(table.values())), render.geometry)
+    assert shift == pytest.approx([0.31 + d @ world, -0.23 + u @ world], abs=1e-12)
+    both = render.forward()["HH"]
+    render.set_parameters(render.stage.surface.nodes, {"registration": np.array([*shift, 0, 0, 0])})
+    assert both == pytest.approx(render.forward()["HH"], rel=1e-4, abs=1e-6)
 
 
 def test_registration_brings_in_what_lay_beside_the_image() -> None:

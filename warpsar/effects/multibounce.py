@@ -18,6 +18,7 @@ from warpsar.kernels import binning
 from warpsar.kernels import merge as merging
 from warpsar.kernels.codes import Polarization
 from warpsar.kernels.effects import multibounce as kernels
+from warpsar.kernels.geometry import RayGrid
 from warpsar.runtime import threads
 from warpsar.trace.hits import DEFAULT_MEMORY_GIB, BinGrid, concatenate
 from warpsar.trace.rays import ray_grid
@@ -155,7 +156,7 @@ def trace_paths(render: Recorder, max_bounces: int) -> list[Paths | None]:
     return found
 
 
-def _band_width(rays: Any, max_bounces: int, device: wp.Device) -> int:
+def _band_width(rays: RayGrid, max_bounces: int, device: wp.Device) -> int:
     """Azimuth cells that are traced in one launch: as many as the memory for their records allows."""
     cells = rays.end_cell - rays.first_cell
     workers = threads.thread_count() if device.is_cpu else 1
@@ -164,7 +165,7 @@ def _band_width(rays: Any, max_bounces: int, device: wp.Device) -> int:
     return max(1, min(room, -(-cells // 8) if device.is_cpu else cells))
 
 
-def _band(render: Recorder, rays: Any, max_bounces: int, begin: int, width: int) -> list[Merged | None] | None:
+def _band(render: Recorder, rays: RayGrid, max_bounces: int, begin: int, width: int) -> list[Merged | None] | None:
     """Paths of `width` azimuth cells from `begin` on, merged, by number of bounces; None without any."""
     hits, target = render.hits, render.stage.target
     grid, device = hits.grid, target.device
@@ -184,7 +185,7 @@ def _band(render: Recorder, rays: Any, max_bounces: int, begin: int, width: int)
         capacity = count
 
 
-def _records(capacity: int, device: wp.Device) -> Any:
+def _records(capacity: int, device: wp.Device) -> kernels.PathRecords:
     """Room for `capacity` records: a `kernels.PathRecords`."""
     records = kernels.PathRecords()
     records.bin = wp.empty(capacity, dtype=int, device=device)
@@ -198,7 +199,7 @@ def _records(capacity: int, device: wp.Device) -> Any:
     return records
 
 
-def _merge(records: Any, count: int, max_bounces: int, device: wp.Device) -> list[Merged | None]:
+def _merge(records: kernels.PathRecords, count: int, max_bounces: int, device: wp.Device) -> list[Merged | None]:
     """Records of one bin and the same faces become one path; by number of bounces, 2 first, None without any."""
     order = wp.empty(2 * count, dtype=int, device=device)
     key = wp.empty(2 * count, dtype=wp.int64, device=device)
@@ -229,7 +230,7 @@ def _merge(records: Any, count: int, max_bounces: int, device: wp.Device) -> lis
     return [[array[int(a) : int(b)] for array in arrays] if b > a else None for a, b in pairwise(ends)]
 
 
-def _paths(arrays: Merged, bounces: int, rays: Any, target: Target) -> Paths:
+def _paths(arrays: Merged, bounces: int, rays: RayGrid, target: Target) -> Paths:
     """Merged paths of one number of bounces, with the angles at their faces."""
     device = target.device
     pixel, met, second, third, weight, point = arrays
