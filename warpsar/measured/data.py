@@ -172,9 +172,9 @@ class Samples(Protocol):
 class ImageChip:
     """An image and where its pixels lie.
 
-    `locate` gives the fractional (row, column), (..., 2), of world points (..., 3) [m]; whole numbers are pixel centres.
-    Where it is None the image already is a slant-plane one: row 0 is nearest to the radar, and the reference point is in
-    the middle.
+    `locate` gives the fractional (row, column), (..., 2), of world points (..., 3) [m]; pixel centres are whole.
+    Where it is None the image already is a slant-plane one: row 0 is nearest to the radar, and the reference point is
+    in the middle.
     `spacing_m` is (range, azimuth) [m]; that of the view where the file does not say.
     `gain` at (row, column) turns |samples|^2 into beta0; only `calibrated` images have it.
     """
