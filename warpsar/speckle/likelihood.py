@@ -1,7 +1,6 @@
-"""Measured against modelled power: losses, what speckle alone leaves of them, and the metrics that are reported.
+"""Losses and metrics between measured and modelled power, and the values that speckle alone gives them.
 
-I: measured beta0; mu: modelled beta0; L: looks. Single-channel intensity of L looks is gamma distributed about mu
-(physics.md, section 5).
+I: measured beta0; mu: modelled beta0; L: looks. Intensity of L looks is gamma distributed about mu (docs/physics.md).
 """
 
 from __future__ import annotations
@@ -32,8 +31,10 @@ def deviance(measured: np.ndarray, modelled: np.ndarray, looks: float) -> np.nda
 
 @dataclass(frozen=True)
 class Curvature:
-    """A loss as weighted least squares in ln mu: gradient -sum(weight * residual * d ln mu), Hessian near
-    sum(weight * d ln mu * d ln mu); both arrays per pixel."""
+    """A loss as weighted least squares in ln mu; both arrays have a value for each pixel.
+
+    Its gradient is -sum(weight * residual * d ln mu), and its Hessian is near sum(weight * d ln mu * d ln mu).
+    """
 
     residual: np.ndarray
     weight: np.ndarray
@@ -54,7 +55,7 @@ def residual_sd(loss: str, looks: float) -> float:
 
 
 def loss_weight(loss: str, looks: float, mean_square: float) -> float:
-    """What a pixel's loss is multiplied by, so that each loss is about a log-likelihood.
+    """The factor on a pixel's loss that makes it about a negative log-likelihood.
 
     gamma: 1. mse (constant variance, equation 38): 1 / mean(I^2), the images' common scale. log: 1 / psi'(L), the
     variance of ln I.
@@ -102,7 +103,7 @@ METRICS = ("rmse", "nrmse", "rmse_db", "deviance", "correlation")
 
 def metrics(measured: np.ndarray, modelled: np.ndarray, looks: float) -> dict[str, float]:
     """rmse (beta0), nrmse = rmse / rms(I), rmse_db and deviance / E[d] over pixels where both are positive, and
-    correlation, of flat arrays of the pixels compared (scene-format.md)."""
+    correlation, of flat arrays of the pixels that are compared (docs/evaluate.md)."""
     error = measured - modelled
     positive = (measured > 0) & (modelled > 0)
     i, mu = measured[positive], modelled[positive]
