@@ -1,4 +1,4 @@
-"""`warpsar diagnose`: which effect the measured images hold and the scene does not declare."""
+"""`warpsar diagnose`: the effects that the measured images show and the scene does not declare."""
 
 from __future__ import annotations
 
@@ -24,12 +24,20 @@ from warpsar.cli import options
     type=click.FloatRange(min=0, max=1, min_open=True, max_open=True),
     default=0.01,
     show_default=True,
-    help="Chance of any false alarm in a turn.",
+    help="Chance of any false alarm each time that effects are tested.",
 )
-@click.option("--draws", type=click.IntRange(min=1), default=1000, show_default=True, help="Of the bootstrap.")
+@click.option("--draws", type=click.IntRange(min=1), default=1000, show_default=True, help="Draws of the bootstrap.")
 @click.option("--starts", type=click.IntRange(min=0), default=2, show_default=True, help="Further starts of every fit.")
-@click.option("--most-effects", type=click.IntRange(min=0), default=4, show_default=True, help="How many may be added.")
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the bootstrap and starts.")
+@click.option(
+    "--most-effects",
+    type=click.IntRange(min=0),
+    default=4,
+    show_default=True,
+    help="Effects that may be added, at most.",
+)
+@click.option(
+    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the bootstrap and the starts."
+)
 def command(
     scene: Path,
     out: Path,
@@ -40,9 +48,9 @@ def command(
     most_effects: int,
     seed: int,
 ) -> None:
-    """Fit SCENE to its train views, find what its model lacks, add that and fit again.
+    """Fit SCENE to its train views, find the effect that its model lacks, add it and fit again.
 
-    Views with role test decide nothing; the error on them is reported before and after.
+    Views with the role test decide nothing. The error on them is reported before and after.
     """
     from warpsar.diagnosis import command as diagnosis
     from warpsar.diagnosis.found import DiagnoseOptions

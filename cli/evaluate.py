@@ -19,9 +19,9 @@ from warpsar.cli import options
     help="Folder for evaluate.json, report.html, residual images and learned.ply; made if missing.",
 )
 @options.device
-@click.option("--seed", type=click.IntRange(min=0), help="Of the rays' jitter; default: the scene's.")
+@click.option("--seed", type=click.IntRange(min=0), help="Seed of the rays' jitter. Default: the scene's own.")
 def command(scene: Path, out: Path, device: str | None, seed: int | None) -> None:
-    """Compare the measured images of SCENE, train and test views alike, with what its model gives."""
+    """Compare the measured images of SCENE, of train and test views, with the images of its model."""
     from warpsar.evaluation.command import run
 
     run(scene, out, device=device, seed=seed)

@@ -1,10 +1,12 @@
-"""`warpsar import`: a measured image onto a view's grid, and into the scene file."""
+"""`warpsar import`: a measured image onto the grid of a view, and into the scene file."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import click
+
+from warpsar.cli import options
 
 # Copies from warpsar.measured.focus and .formats: those import NumPy, and `--help` must not. A test compares them.
 TAPERS = ("none", "hann", "taylor")
@@ -25,35 +27,56 @@ FORMATS = ("gotcha", "cphd", "sicd", "mstar", "nisar", "geotiff", "tiff", "exr",
     type=click.Path(exists=True, dir_okay=False, path_type=Path),
     help="The scene.toml to edit.",
 )
-@click.option("--view", required=True, help="Name of the view; made from the file's own geometry if it is not there.")
-@click.option("--format", "file_format", type=click.Choice(("auto", *FORMATS)), default="auto", show_default=True)
+@click.option(
+    "--view", required=True, help="Name of the view. If it is missing, it is made from the file's own geometry."
+)
+@click.option(
+    "--format",
+    "file_format",
+    type=click.Choice(("auto", *FORMATS)),
+    default="auto",
+    show_default=True,
+    help="Format of SOURCE.",
+)
 @click.option(
     "--quantity",
     type=click.Choice(("amplitude", "power")),
-    help="What the numbers of a GeoTIFF, TIFF, EXR or NPY are; it is never guessed.",
+    help="What the real numbers of a GeoTIFF, TIFF, EXR or NPY are; it is never guessed.",
 )
 @click.option(
-    "--polarization", type=click.Choice(("HH", "HV", "VH", "VV")), help="Where the file has several, or none."
-)
-@click.option("--window-range", type=click.Choice(TAPERS), default="none", show_default=True, help="Over the band.")
-@click.option(
-    "--window-azimuth", type=click.Choice(TAPERS), default="none", show_default=True, help="Over each sub-aperture."
+    "--polarization",
+    type=click.Choice(("HH", "HV", "VH", "VV")),
+    help="Needed where the file has several polarizations, or names none.",
 )
 @click.option(
-    "--subapertures", type=click.IntRange(min=1), default=1, show_default=True, help="Focused apart, averaged in power."
+    "--window-range", type=click.Choice(TAPERS), default="none", show_default=True, help="Window over the band."
+)
+@click.option(
+    "--window-azimuth",
+    type=click.Choice(TAPERS),
+    default="none",
+    show_default=True,
+    help="Window over each sub-aperture.",
+)
+@click.option(
+    "--subapertures",
+    type=click.IntRange(min=1),
+    default=1,
+    show_default=True,
+    help="Sub-apertures: each is focused by itself, and their power is averaged.",
 )
 @click.option(
     "--looks-range",
     type=click.IntRange(min=1),
-    help="Samples per pixel averaged in power; default: as resolution asks.",
+    help="Samples per pixel in range, averaged in power. Default: set by the resolution.",
 )
-@click.option("--looks-azimuth", type=click.IntRange(min=1), help="The same along azimuth.")
+@click.option("--looks-azimuth", type=click.IntRange(min=1), help="The same in azimuth.")
 @click.option(
     "--surface",
     type=click.Choice(("reference", "mesh")),
     default="reference",
     show_default=True,
-    help="Pixels lie at the reference point's height, or on the mesh.",
+    help="Where pixels lie: at the height of the reference point, or on the mesh.",
 )
 @click.option(
     "--origin",
@@ -62,9 +85,7 @@ FORMATS = ("gotcha", "cphd", "sicd", "mstar", "nisar", "geotiff", "tiff", "exr",
     metavar="LAT LON HEIGHT",
     help="Where the world's origin lies on the earth (degrees, metres above the ellipsoid).",
 )
-@click.option(
-    "--device", metavar="cpu|cuda|cuda:N", help="Default: the first CUDA device if there is one, else the CPU."
-)
+@options.device
 def command(
     sources: tuple[Path, ...],
     scene: Path,
@@ -83,9 +104,9 @@ def command(
 ) -> None:
     """Bring the measurement SOURCE onto the grid of a view, and declare it in the scene file.
 
-    Phase history (AFRL .mat files, several may be given; CPHD) is focused by backprojection; complex and detected
-    images (SICD, MSTAR, NISAR-style HDF5, GeoTIFF, TIFF, EXR, NPY) are resampled. The image is written beside the
-    scene file as float32 linear power.
+    Phase history (CPHD, or one or several AFRL .mat files) is focused by backprojection. Complex and detected images
+    (SICD, MSTAR, NISAR-style HDF5, GeoTIFF, TIFF, EXR, NPY) are resampled. The image is written beside the scene
+    file, as float32 linear power.
     """
     from warpsar.measured.importer import import_measured
 

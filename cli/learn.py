@@ -1,4 +1,4 @@
-"""`warpsar learn`: measured images in, a scene with learned parameters out."""
+"""`warpsar learn`: from measured images to a scene with learned surface parameters."""
 
 from __future__ import annotations
 
@@ -16,36 +16,57 @@ from warpsar.cli import options
     "--out",
     required=True,
     type=click.Path(file_okay=False, path_type=Path),
-    help="Folder for scene.toml with what was learned, learn.json, history.csv and figures; made if missing.",
+    help="Folder for scene.toml with the learned values, learn.json, history.csv and figures; made if missing.",
 )
 @options.device
-@click.option("--loss", default="gamma", show_default=True, help="gamma, mse or log.")
-@click.option("--optimiser", default="auto", show_default=True, help="auto, lm or adam.")
-@click.option("--starts", type=click.IntRange(min=1), default=3, show_default=True, help="Starts for lm.")
+@click.option("--loss", default="gamma", show_default=True, help="Loss: gamma, mse or log.")
+@click.option("--optimiser", default="auto", show_default=True, help="Optimiser: auto, lm or adam.")
+@click.option("--starts", type=click.IntRange(min=1), default=3, show_default=True, help="Starting points for lm.")
 @click.option(
-    "--iterations", type=click.IntRange(min=1), default=500, show_default=True, help="At most, over all starts."
+    "--iterations",
+    type=click.IntRange(min=1),
+    default=500,
+    show_default=True,
+    help="Iterations at most, over all starts.",
 )
 @click.option(
-    "--max-time", type=click.FloatRange(min=0, min_open=True), metavar="SECONDS", help="Stop after this long."
+    "--max-time", type=click.FloatRange(min=0, min_open=True), metavar="SECONDS", help="Stop after this time."
 )
 @click.option(
-    "--rate", type=click.FloatRange(min=0, min_open=True), default=0.05, show_default=True, help="Adam's first step."
+    "--rate",
+    type=click.FloatRange(min=0, min_open=True),
+    default=0.05,
+    show_default=True,
+    help="Adam's first learning rate.",
 )
 @click.option(
-    "--tv", multiple=True, metavar="KEY=WEIGHT", help="Total variation of a field, such as eps_r=5; repeatable."
+    "--tv",
+    multiple=True,
+    metavar="KEY=WEIGHT",
+    help="Weight of the total variation of a field, such as eps_r=5. Can be repeated.",
 )
 @click.option(
-    "--validity", type=click.FloatRange(min=0), default=0.0, show_default=True, help="Weight of the models' domains."
+    "--validity",
+    type=click.FloatRange(min=0),
+    default=0.0,
+    show_default=True,
+    help="Weight of a penalty outside the model's domain of validity.",
 )
-@click.option("--checkpoint-every", type=click.IntRange(min=1), default=10, show_default=True, help="Iterations.")
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the further starts.")
+@click.option(
+    "--checkpoint-every",
+    type=click.IntRange(min=1),
+    default=10,
+    show_default=True,
+    help="Iterations between checkpoints.",
+)
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the further starts.")
 @click.option(
     "--max-memory",
     type=click.FloatRange(min=0, min_open=True),
     metavar="GIB",
-    help="Bound on kept hits; views beyond it are traced again in every iteration. Default: 60 % of the memory.",
+    help="Memory for hits. Views that do not fit are traced again in every iteration. Default: 60 % of the memory.",
 )
-@click.option("--resume", is_flag=True, help="Go on from the checkpoint in the output folder.")
+@click.option("--resume", is_flag=True, help="Continue from the checkpoint in the output folder.")
 def command(
     scene: Path,
     out: Path,
@@ -63,7 +84,7 @@ def command(
     max_memory: float | None,
     resume: bool,
 ) -> None:
-    """Learn what the surfaces of SCENE are made of, from its measured `train` views."""
+    """Learn the surface parameters of SCENE from its measured views with the role train."""
     from warpsar.learning import command as learning
 
     weights = {}

@@ -1,4 +1,4 @@
-"""The command `warpsar`: subcommands are imported when asked for, and a refusal becomes one message."""
+"""The command `warpsar`: it imports a subcommand only when it is needed, and turns an error into one message."""
 
 from __future__ import annotations
 
@@ -57,8 +57,8 @@ def _refuse(ctx: click.Context, message: str, exit_code: int) -> NoReturn:
 @click.group(name="warpsar", cls=LazyGroup)
 @click.version_option(package_name="warpsar", prog_name="warpsar", message="%(prog)s %(version)s")
 def main() -> None:
-    """SAR images of triangle meshes by ray tracing: a scene file in, calibrated images out.
+    """Ray-trace calibrated SAR images of triangle meshes, and learn surface parameters from measured ones.
 
-    Exit status: 0 done; 1 it ran, and the result is a failure; 2 bad input or usage; 3 the device asked
-    for is not there. Results go to stdout and to files, messages and progress to stderr.
+    Exit status: 0 done; 1 the command ran, and its result is a failure; 2 bad input or usage; 3 the device is
+    not there. Results go to stdout and to files. Messages and progress go to stderr.
     """

@@ -7,5 +7,6 @@ import click
 device = click.option(
     "--device",
     metavar="cpu|cuda|cuda:N",
-    help="Default: the first CUDA device if there is one (under torchrun, the process's own), else the CPU.",
+    help="Device to work on. Default: the first CUDA device if there is one (with torchrun, the process's own), "
+    "else the CPU.",
 )

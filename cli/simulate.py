@@ -1,4 +1,4 @@
-"""`warpsar simulate`: scene files in, one calibrated image per view out."""
+"""`warpsar simulate`: from scene files to one calibrated image for each view."""
 
 from __future__ import annotations
 
@@ -19,23 +19,29 @@ from warpsar.cli import options
     help="Folder for images (EXR, beta0), quick looks (PNG, dB) and simulate.json; made if missing.",
 )
 @click.option(
-    "--azimuths", metavar="START:STOP:STEP", help="Views at these angles [deg], in place of the file's; or A,B,C."
+    "--azimuths", metavar="START:STOP:STEP", help="Azimuths of the views [deg], in place of the file's views; or A,B,C."
 )
-@click.option("--incidences", metavar="START:STOP:STEP", help="With --azimuths: a view at every pair of angles.")
+@click.option(
+    "--incidences", metavar="START:STOP:STEP", help="Incidences [deg]. With --azimuths: a view at every pair of angles."
+)
 @options.device
-@click.option("--seed", type=click.IntRange(min=0), help="Of the rays' jitter; the same seed gives the same image.")
-@click.option("--layers", is_flag=True, help="Also incidence angle, layover count, shadow mask and material per pixel.")
-@click.option("--variance", is_flag=True, help="Also the sampling variance of every pixel, from a second seed.")
+@click.option(
+    "--seed", type=click.IntRange(min=0), help="Seed of the rays' jitter. The same seed gives the same image."
+)
+@click.option(
+    "--layers", is_flag=True, help="Also write incidence, layover count, shadow mask and material of each pixel."
+)
+@click.option("--variance", is_flag=True, help="Also write the sampling variance of each pixel, from a second seed.")
 @click.option(
     "--per-ray",
     is_flag=True,
-    help="Keep every ray's hit; by default hits of one face in one pixel are merged.",
+    help="Keep the hit of every ray. By default hits of one face in one pixel are merged.",
 )
 @click.option(
     "--max-memory",
     type=click.FloatRange(min=0, min_open=True),
     metavar="GIB",
-    help="Bound on the memory for rays and hits; a smaller one only takes longer.",
+    help="Memory for rays and hits. Less memory only takes longer.",
 )
 def command(
     scenes: tuple[Path, ...],
@@ -51,8 +57,8 @@ def command(
 ) -> None:
     """Simulate every view of SCENES, each a scene.toml beside its mesh.
 
-    Of several scenes, or with --azimuths, images go to folders of a thousand, index.csv lists them, and those that are
-    there already are kept.
+    With several scenes, or with --azimuths or --incidences, images go to folders of a thousand each, and index.csv
+    lists them. Images that are there already are kept.
     """
     if len(scenes) > 1 or azimuths is not None or incidences is not None:
         from warpsar.simulation import batch

@@ -1,4 +1,4 @@
-"""`warpsar uv`: a scene whose mesh has no UV in, one that can hold textures out."""
+"""`warpsar uv`: texture coordinates for a mesh that has none, so that it can hold textures."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ import click
     "--out",
     required=True,
     type=click.Path(file_okay=False, path_type=Path),
-    help="Folder for mesh.obj with UV and a scene.toml that refers to it; made if missing.",
+    help="Folder for mesh.obj with UV, and for a scene.toml that names it; made if missing.",
 )
 def command(scene: Path, out: Path) -> None:
-    """Give the mesh of SCENE texture coordinates (extra `uv`), each material its own square."""
+    """Give the mesh of SCENE texture coordinates, a square for each material (needs the extra `uv`)."""
     from warpsar.scene import unwrap
 
     unwrap.run(scene, out)

@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from affine import AffineError
@@ -15,10 +15,13 @@ from affine import AffineError
 from warpsar.errors import InputError
 from warpsar.io import tiff
 
+if TYPE_CHECKING:
+    from rasterio import DatasetReader
+
 
 @contextmanager
 def projecting(path: Path) -> Iterator[None]:
-    """Around any use of rasterio on what `path` says: what it raises becomes one message, nonsense makes no noise."""
+    """A `with` block around rasterio and its results: what it raises becomes one message, and warnings are silent."""
     os.environ.setdefault("PROJ_DEBUG", "0")  # else PROJ writes to stderr what it finds wrong in a coordinate system
     try:
         import rasterio
@@ -39,8 +42,8 @@ def projecting(path: Path) -> Iterator[None]:
 
 
 @contextmanager
-def opened(path: Path) -> Iterator[Any]:
-    """A rasterio data set. GDAL's GTiff driver alone: others know files that refer to files, or to the network."""
+def opened(path: Path) -> Iterator[DatasetReader]:
+    """A rasterio data set. Only GDAL's GTiff driver opens it: others read files that name files, or the network."""
     with projecting(path):
         import rasterio
 

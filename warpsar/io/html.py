@@ -1,4 +1,4 @@
-"""Building blocks of a report that stands alone: one HTML file, pictures inside it, nothing fetched."""
+"""Parts of a report that stands alone: one HTML file with its pictures inside."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def command(line: str) -> str:
     return f"<pre>{escape(line)}</pre>"
 
 
-def table(columns: Sequence[str], rows: Sequence[Sequence[Any]], caption: str = "") -> str:
+def table(columns: Sequence[str], rows: Sequence[Sequence[object]], caption: str = "") -> str:
     """Cells are plain text, the first column left, the others right; scrolls by itself where it is too wide."""
     head = "".join(f'<th scope="col">{escape(c)}</th>' for c in columns)
     body = "".join("<tr>" + "".join(f"<td>{escape(str(cell))}</td>" for cell in row) + "</tr>" for row in rows)
@@ -104,8 +104,10 @@ def facts(pairs: Sequence[tuple[str, str]]) -> str:
 
 
 def row(*cells: str, across: int = 4, least_px: int = 158) -> str:
-    """Cells side by side, at most `across` of them, fewer where each would be narrower than `least_px`; two of 158
-    stand beside each other on a phone."""
+    """Cells side by side: at most `across`, and fewer where each would be narrower than `least_px`.
+
+    Two of 158 pixels fit side by side on a phone.
+    """
     return f'<div class="row" style="--across: {across}; --least: {least_px}px">' + "".join(cells) + "</div>"
 
 
@@ -114,7 +116,7 @@ def cell(*blocks: str) -> str:
 
 
 def picture(png: bytes, caption: str, *, aspect: float | None = None) -> str:
-    """A picture; `aspect`, of an image of measurements, is its width / height in metres, and its pixels stay sharp."""
+    """A picture. `aspect` makes it an image of measurements: width / height in metres, with sharp pixels."""
     sharp = "" if aspect is None else f' class="pixels" style="aspect-ratio: {aspect:.6g}"'
     return _figure(data_uri(png, "image/png"), caption, sharp)
 
@@ -170,7 +172,7 @@ def png(rgb: np.ndarray) -> bytes:
 
 
 def reproduce(content: dict[str, Any], words: Sequence[str], beside: str) -> str:
-    """The closing section: the command, and what it ran with, from a command's JSON; `beside` names the other files."""
+    """The closing section: the command and what it ran with. `content` is its JSON; `beside` names the other files."""
     packages = ("warp-lang", "numpy", "scipy", "trimesh", "OpenImageIO", "matplotlib")
     made_with = ", ".join([f"Python {platform.python_version()}", *(f"{name} {version(name)}" for name in packages)])
     return section(

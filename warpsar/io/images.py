@@ -32,7 +32,7 @@ _PNG = b"\x89PNG"
 
 @contextmanager
 def replacing(path: str | Path) -> Iterator[Path]:
-    """A temporary name beside `path`, of its suffix, that becomes `path` when the block ends well."""
+    """A temporary file name beside `path`, with its suffix; when the block ends well the file is renamed to `path`."""
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{uuid4().hex}{path.suffix}")
@@ -40,7 +40,7 @@ def replacing(path: str | Path) -> Iterator[Path]:
         yield temporary
         os.replace(temporary, path)
     except OSError as error:
-        if error.errno is not None:  # of the file that was wanted, which nobody calls by its temporary name
+        if error.errno is not None:  # name the file that was wanted, not the temporary one
             error.filename, error.filename2 = str(path), None
         raise
     finally:
@@ -49,7 +49,7 @@ def replacing(path: str | Path) -> Iterator[Path]:
 
 @dataclass(frozen=True)
 class _Picture:
-    """An image file whose header is read, and its pixels not yet."""
+    """An image file: its header is read, its pixels are not yet."""
 
     names: tuple[str, ...]
     """Its channels."""
@@ -61,7 +61,7 @@ class _Picture:
 
 @contextmanager
 def _opened(path: Path, shape: tuple[int, int] | None) -> Iterator[_Picture]:
-    """An image or a NumPy file; its size is held against `shape` and its own bytes before any pixel is read."""
+    """An image or a NumPy file. Its size is checked against `shape` and its bytes before any pixel is read."""
     if not os.path.isfile(path):  # Path.is_file raises for names that no file can have
         raise InputError(f"{path}: no such image file")
     if path.suffix.lower() == ".npy":
@@ -136,7 +136,7 @@ def _reason(error: Callable[[], str]) -> str:
 
 @contextmanager
 def _open_png(path: Path, shape: tuple[int, int] | None) -> Iterator[_Picture]:
-    """With Pillow: OpenImageIO's reader writes to stderr what it finds broken."""
+    """Open with Pillow: OpenImageIO's reader of PNG writes to stderr about broken files."""
     from PIL.PngImagePlugin import PngImageFile
 
     def broken(error: Exception) -> InputError:
@@ -166,7 +166,7 @@ _PNG_ERRORS = (OSError, SyntaxError, ValueError, EOFError, struct.error, zlib.er
 
 
 def read_npy(path: Path) -> NDArray[Any]:
-    """The array in a NumPy file, mapped: as large as the file at most, and never a pickle; raises InputError."""
+    """The array in a NumPy file, memory-mapped: no larger than the file, and never a pickle. Raises InputError."""
     try:
         # NumPy multiplies a shape's numbers, and finds headers of Python 2.
         with np.errstate(all="ignore"), warnings.catch_warnings():
@@ -215,8 +215,8 @@ def read_channel(
 ) -> NDArray[np.float32]:
     """One channel, shape (rows, cols): the only one, or the one called `name`.
 
-    Raises `InputError` as `read_image` does, where there are several channels and none has the name, and where the
-    image has not the `shape` that is asked for.
+    Raises `InputError` as `read_image` does. Also where none of several channels has the name, and where the image does
+    not have the `shape` (rows, cols).
     """
     path = Path(path)
     with _opened(path, shape) as picture:
@@ -274,7 +274,7 @@ def quick_look(
 
 @cache
 def _share_cores() -> None:
-    """Have OpenEXR pack on the cores that are this process's: it would take all of the host's in each."""
+    """Let OpenEXR pack on this process's cores: by default every process takes all cores of the host."""
     import OpenImageIO as oiio  # noqa: N813
 
     oiio.attribute("exr_threads", threads.thread_count())

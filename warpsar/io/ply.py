@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.lib.recfunctions import unstructured_to_structured
 
 from warpsar.io.images import replacing
-
-if TYPE_CHECKING:
-    pass
 
 
 def write_ply(path: Path, vertices: np.ndarray, faces: np.ndarray, scalars: dict[str, np.ndarray]) -> None:

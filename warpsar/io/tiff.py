@@ -1,4 +1,4 @@
-"""TIFF directories: do they fit into their file? libtiff makes room for what a directory claims before it reads it."""
+"""Check that TIFF directories fit into their file: libtiff makes room for what they claim before it reads them."""
 
 from __future__ import annotations
 

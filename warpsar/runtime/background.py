@@ -1,4 +1,4 @@
-"""What is done beside the work that asks for it: files written while the next image is made."""
+"""Tasks done beside the main work, such as files written while the next image is made."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from queue import Queue
 
 
 class Background:
-    """Tasks done one after the other, in their order, in a thread of their own; of use for what releases Python's lock.
+    """A thread that does tasks one after the other, in their order. It helps with what releases Python's lock.
 
-    `ahead` tasks may wait; who brings one more waits too. After a task that fails no further one is begun, and its
-    exception is raised by the next `put`, or at the end of the `with` block, which ends when all tasks are done.
+    Up to `ahead` tasks wait; `put` blocks until there is room. After a task fails, no further one begins. Its exception
+    is raised by the next `put`, or at the end of the `with` block, which waits for all tasks.
     """
 
     def __init__(self, ahead: int) -> None:
@@ -25,10 +25,11 @@ class Background:
             if self._failure is None:
                 try:
                     task()
-                except BaseException as error:  # whatever it is, it is raised where the task came from
+                except BaseException as error:  # raised again where the task came from
                     self._failure = error
 
     def put(self, task: Callable[[], None]) -> None:
+        """Add a task; raises the exception of one that failed."""
         self._refuse()
         self._tasks.put(task)
 

@@ -1,25 +1,25 @@
-"""Device and threads: the only place that knows that a CPU launch of Warp is serial."""
+"""The Warp device of a name, and the kernels loaded for it."""
 
 from __future__ import annotations
 
 import ctypes
 from functools import cache, partial
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from warpsar.errors import DeviceError
 from warpsar.runtime.threads import in_threads
-from warpsar.runtime.torchrun import of_torchrun as of_torchrun
+from warpsar.runtime.torchrun import of_torchrun
 
 if TYPE_CHECKING:
     import warp as wp
 
 
 def resolve_device(name: str | None = None) -> wp.Device:
-    """The Warp device called `name` ("cpu", "cuda", "cuda:1"); None takes CUDA if there is one, else the CPU. "cuda" is
-    the first, or that of this process's LOCAL_RANK where torchrun started several.
+    """The Warp device called `name`: "cpu", "cuda" or "cuda:1". None takes CUDA if there is one, else the CPU.
 
-    Raises DeviceError (exit 3) for a device that is not there.
+    "cuda" is the first CUDA device; where torchrun started several processes, it is that of the process's LOCAL_RANK.
+    Raises DeviceError (exit status 3) for a device that is not there.
     """
     import warp as wp
 
@@ -28,7 +28,7 @@ def resolve_device(name: str | None = None) -> wp.Device:
     if name is None:
         name = "cuda" if wp.get_cuda_device_count() else "cpu"
     known = ["cpu"] + [d.alias for d in wp.get_cuda_devices()]
-    # one process a GPU; under SLURM each may see its own alone, as cuda:0
+    # one process for each GPU; under SLURM a process may see only its own, as cuda:0
     own = of_torchrun("LOCAL_RANK", 0) % max(len(known) - 1, 1)
     wanted = f"cuda:{own}" if name == "cuda" else name
     if wanted not in known:
@@ -40,8 +40,11 @@ def resolve_device(name: str | None = None) -> wp.Device:
 
 @cache
 def _keep_memory() -> None:
-    """Have glibc keep up to 1 GiB of what is freed. It would hand large arrays back to the kernel at once, and to be
-    given the same pages again, zeroed one by one, takes as long as half of an image."""
+    """Let glibc keep up to 1 GiB of freed memory.
+
+    It would hand large arrays back to the kernel at once. To get the same pages again, zeroed one by one, takes half as
+    long as an image.
+    """
     try:
         adjust = ctypes.CDLL(None).mallopt
     except (AttributeError, OSError, TypeError):  # another C library
@@ -50,11 +53,11 @@ def _keep_memory() -> None:
         adjust(parameter, 2**30)
 
 
-def load_kernels(device: Any, *names: str) -> None:
-    """Compile the named modules of `warpsar.kernels`, or load what Warp's cache has of them, side by side.
+def load_kernels(device: wp.Device, *names: str) -> None:
+    """Compile the named modules of `warpsar.kernels` side by side, or load them from Warp's cache.
 
-    Left to their first launches they would come one after the other. A module's `BLOCK` is the block size of its
-    launches, where that is not Warp's own: on CUDA each size is compiled for itself.
+    At their first launches they would be compiled one after the other. A module's `BLOCK` is the block size of its
+    launches, where that is not Warp's default: on CUDA each size is compiled by itself.
     """
     import warp as wp
 

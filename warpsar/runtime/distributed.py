@@ -1,7 +1,7 @@
-"""The processes of one run, as torchrun starts them: sums, decisions and lists shared over torch.distributed.
+"""The processes of one run that torchrun starts: they share sums, decisions and lists through torch.distributed.
 
-Host numbers travel over gloo, device arrays over NCCL where they are on CUDA. torch is not imported unless WORLD_SIZE
-says that there is more than one process. Objects travel as JSON or as plain arrays: no pickle is ever read.
+Host numbers travel over gloo, and arrays on CUDA over NCCL. torch is imported only where WORLD_SIZE says that there is
+more than one process. Objects travel as JSON or as plain arrays: no pickle is ever read.
 """
 
 from __future__ import annotations
@@ -12,14 +12,18 @@ import json
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from datetime import timedelta
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from warpsar.errors import DeviceError, InputError, WarpsarError
 
-# A process that dies is noticed by torchrun at once; this is for hosts that fall silent. It has to outlast what one
-# rank may do while the others wait.
+if TYPE_CHECKING:
+    import warp as wp
+
+# torchrun notices at once when a process dies; this is for hosts that fall silent. It must be longer than what one rank
+# may do while the others wait.
 SILENCE = timedelta(hours=2)
 
 T = TypeVar("T")
@@ -34,29 +38,29 @@ def _in_order(tasks: Iterable[Callable[[], T]]) -> Iterable[T]:
 
 
 class Ranks:
-    """The one process of a run without others; also what `Processes` has to offer."""
+    """The single process of a run; its methods are also those of `Processes`."""
 
     rank = 0
     size = 1
 
     @property
     def first(self) -> bool:
-        """Whether this rank writes what there is to be only one of."""
+        """Whether this rank writes the files of which there is only one."""
         return self.rank == 0
 
-    def sum(self, array: Any) -> np.ndarray:
+    def sum(self, array: ArrayLike) -> np.ndarray:
         """Sum over the ranks of a host array, float64, the same to the bit on each."""
         return np.asarray(array, float)
 
-    def sum_on_device(self, array: Any) -> None:
+    def sum_on_device(self, array: wp.array) -> None:
         """Sum a Warp array over the ranks, in place, on its device and in its stream."""
 
     def largest(self, value: float) -> float:
         """The largest of the ranks' values."""
         return value
 
-    def same(self, array: Any) -> np.ndarray:
-        """The first rank's array, float64: what it decides holds for all."""
+    def same(self, array: ArrayLike) -> np.ndarray:
+        """The first rank's array, float64: the first rank decides for all."""
         return np.array(array, float)
 
     def gather(self, value: Any) -> list[Any]:
@@ -72,7 +76,7 @@ class Ranks:
         return None if arrays is None else dict(arrays)
 
     def counter(self) -> Callable[[int], int]:
-        """A count of all ranks together, from 0: takes what is to be added, gives what it was."""
+        """A counter that all ranks share, from 0: it adds its argument and returns the count before."""
         total = 0
 
         def add(number: int) -> int:
@@ -86,9 +90,10 @@ class Ranks:
         """Wait until every rank is here."""
         self.sum(0.0)
 
-    def agree(self, task: Callable[[], Any]) -> Any:
+    def agree(self, task: Callable[[], T]) -> T:
         """Run `task` on every rank; a refusal on one of them is raised on all."""
-        problem, result = None, None
+        problem: WarpsarError | None = None
+        result: T | None = None
         try:
             result = task()
         except WarpsarError as error:
@@ -96,7 +101,7 @@ class Ranks:
         refusals = self.gather(None if problem is None else [problem.exit_code, str(problem)])
         first = next((rank for rank, refusal in enumerate(refusals) if refusal), None)
         if first is None:
-            return result
+            return cast(T, result)
         code, text = refusals[first]
         if problem is None:
             problem = {each.exit_code: each for each in (InputError, DeviceError)}.get(code, WarpsarError)(text)
@@ -112,8 +117,9 @@ class Ranks:
     ) -> list[T]:
         """Results of independent tasks, in their order, on every rank: each runs its share and tells the others.
 
-        `told` makes JSON's types of a result, and `heard` a result of those; a rank's own stay as they are. `run` gives
-        the results of tasks in their order. A task may ask nothing of the ranks; a refusal on one is raised on all.
+        `told` turns a result into JSON's types, and `heard` turns those into a result; a rank's own results stay as
+        they are. `run` gives the results of tasks in their order. A task may not use the ranks. A refusal on one is
+        raised on all.
         """
         mine = self.agree(lambda: list(run(tasks[self.rank :: self.size])))
         parts = self.gather([told(result) for result in mine])
@@ -127,9 +133,9 @@ ONE = Ranks()
 
 
 class Processes(Ranks):
-    """One of several processes, which call the same methods in the same order."""
+    """One of several processes. All of them call the same methods in the same order."""
 
-    def __init__(self, device: Any) -> None:
+    def __init__(self, device: wp.Device) -> None:
         try:
             import torch
             import torch.distributed as dist
@@ -144,7 +150,7 @@ class Processes(Ranks):
         backend = "cpu:gloo,cuda:nccl" if device.is_cuda else "gloo"
         store, self.rank, self.size = next(iter(dist.rendezvous("env://", timeout=SILENCE)))
         if os.environ.get("TORCHELASTIC_USE_AGENT_STORE") == "True":
-            # it outlives a restart, and what the dead have left in it must not be taken for news
+            # the store outlives a restart: what ended processes left in it must not be read again
             store = dist.PrefixStore(f"attempt {restarts() or 0}", store)
         self._lost = False
         world = {"store": store, "rank": self.rank, "world_size": self.size, "timeout": SILENCE}
@@ -161,7 +167,7 @@ class Processes(Ranks):
             raise refusal
 
     def _leave(self) -> None:
-        if not self._lost:  # with a peer gone it would wait for it
+        if not self._lost:  # it would wait for a process that is gone
             self._dist.destroy_process_group()
 
     def _call(self, collective: Callable[..., Any], *arguments: Any, **more: Any) -> Any:
@@ -174,21 +180,23 @@ class Processes(Ranks):
                 f"rank {self.rank} of {self.size}: the others cannot be reached, or one is gone ({reason[0][:200]})"
             ) from error
 
-    def sum(self, array: Any) -> np.ndarray:
+    def sum(self, array: ArrayLike) -> np.ndarray:
         total = np.array(array, float)  # a copy of its own, which torch adds into
         self._call(self._dist.all_reduce, self._torch.from_numpy(total.reshape(-1)))
         return total
 
-    def sum_on_device(self, array: Any) -> None:
+    def sum_on_device(self, array: wp.array) -> None:
         import warp as wp
 
         if not array.size:
             return
         tensor = wp.to_torch(array.flatten(), requires_grad=False)
-        if not array.device.is_cuda:
+        device = array.device
+        assert device is not None
+        if not device.is_cuda:
             self._call(self._dist.all_reduce, tensor)
             return
-        with self._torch.cuda.stream(wp.stream_to_torch(array.device)):
+        with self._torch.cuda.stream(wp.stream_to_torch(device)):
             self._call(self._dist.all_reduce, tensor)
 
     def largest(self, value: float) -> float:
@@ -196,7 +204,7 @@ class Processes(Ranks):
         self._call(self._dist.all_reduce, tensor, op=self._dist.ReduceOp.MAX)
         return float(tensor[0])
 
-    def same(self, array: Any) -> np.ndarray:
+    def same(self, array: ArrayLike) -> np.ndarray:
         mine = np.array(array, float)
         self._call(self._dist.broadcast, self._torch.from_numpy(mine.reshape(-1)), src=0)
         return mine
@@ -256,7 +264,7 @@ def _unpacked(data: bytes) -> dict[str, np.ndarray]:
 _here: Ranks | None = None
 
 
-def ranks(device: Any) -> Ranks:
+def ranks(device: wp.Device) -> Ranks:
     """The processes that this one belongs to, joined at the first call; `device` is the one it works on.
 
     Raises InputError where WORLD_SIZE is there and the rest of torchrun's environment, or torch, is not.
@@ -282,14 +290,16 @@ def _asked_for() -> bool:
 
 
 def restarts() -> int | None:
-    """How often torchrun started this process again, after one of the run had died; None where it did not start it."""
+    """How often torchrun restarted this process after one had died; None where torchrun did not start it."""
     found = os.environ.get("TORCHELASTIC_RESTART_COUNT", "")
     return int(found) if found.isdigit() else None
 
 
 def deal(costs: Sequence[float], ranks: int) -> list[list[int]]:
-    """Indices of `costs`, ascending, for each rank: the longest first, to whoever has least (Graham, 1969: within 4/3
-    of the best)."""
+    """Indices of `costs`, ascending, for each rank.
+
+    The longest task goes first, to the rank with the least load (Graham, 1969: within 4/3 of the best).
+    """
     hands: list[list[int]] = [[] for _ in range(ranks)]
     load = [0.0] * ranks
     for index in sorted(range(len(costs)), key=lambda i: -costs[i]):

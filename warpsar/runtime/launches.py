@@ -1,6 +1,6 @@
-"""Launches recorded once and replayed, on the CPU in pieces: what lets all cores work on one view.
+"""Launches that are recorded once and replayed; on the CPU in pieces, so that all cores work on one view.
 
-A launch is cut only where no sum crosses the cut, so that results are the same to the bit however many the cores.
+A launch is cut only where no sum crosses the cut. So results are the same to the bit for any number of cores.
 """
 
 from __future__ import annotations
@@ -14,15 +14,15 @@ import warp as wp
 
 from warpsar.runtime import threads
 
-_LEAST = 2**14  # elements of a piece: handing one to another core costs as much as some thousands of them
+_LEAST = 2**14  # elements of a piece: to hand a piece to another core costs as much as some thousands of elements
 
 
 @dataclass(frozen=True)
 class Piece:
-    """Some threads of a launch, and by `id` of the arrays that they do not see whole what they see of them."""
+    """Some threads of a launch. `views` holds what they see of an array, under its `id`, where that is not all."""
 
     threads: int
-    views: dict[int, Any]
+    views: dict[int, wp.array]
 
 
 class Launch:
@@ -30,14 +30,14 @@ class Launch:
 
     def __init__(
         self,
-        kernel: Any,
-        dim: Any,
+        kernel: wp.Kernel,
+        dim: int | tuple[int, ...],
         inputs: Sequence[Any],
         outputs: Sequence[Any],
-        device: Any,
+        device: wp.Device,
         pieces: Sequence[Piece] = (),
     ) -> None:
-        def recorded(dim: Any, views: dict[int, Any]) -> Any:
+        def recorded(dim: int | tuple[int, ...], views: dict[int, wp.array]) -> wp.Launch | None:
             given, found = ([views.get(id(a), a) for a in arrays] for arrays in (inputs, outputs))
             return wp.launch(
                 kernel, dim, inputs=given, outputs=found, device=device, record_tape=False, record_cmd=True
@@ -56,7 +56,7 @@ class Launch:
 
 
 def by_elements(arrays: Sequence[wp.array], per_thread: int = 1) -> list[Piece]:
-    """Pieces of a launch whose thread i sees the elements i * per_thread to (i + 1) * per_thread of `arrays` alone."""
+    """Pieces of a launch whose thread i sees only `per_thread` elements of `arrays`, from i * per_thread on."""
     n = arrays[0].shape[0]
     count = _count(arrays[0])
     if count < 2:
@@ -67,9 +67,9 @@ def by_elements(arrays: Sequence[wp.array], per_thread: int = 1) -> list[Piece]:
 
 
 def by_stretches(first: wp.array, values: wp.array, each: Sequence[wp.array] = ()) -> list[Piece]:
-    """Pieces of a launch whose thread i adds up `values` from first[i] to first[i + 1], or to their end.
+    """Pieces of a launch whose thread i adds up `values` from first[i] to first[i + 1] - 1, or to their end.
 
-    Of the arrays `each` it sees element i; threads with the same element there add to one sum and stay together.
+    Of the arrays `each` it sees element i. Threads with equal elements there add to one sum: they stay in one piece.
     """
     count = _count(values)
     if count < 2:
@@ -89,6 +89,7 @@ def by_stretches(first: wp.array, values: wp.array, each: Sequence[wp.array] = (
 
 
 def _count(array: wp.array) -> int:
-    """Into how many pieces a launch over all elements is cut: none on CUDA."""
-    device: Any = array.device
+    """Number of pieces for a launch over all elements; 1 on CUDA."""
+    device = array.device
+    assert device is not None
     return min(2 * threads.thread_count(), array.shape[0] // _LEAST) if device.is_cpu else 1

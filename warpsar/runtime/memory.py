@@ -1,21 +1,24 @@
-"""How much memory hits take, how much they may, and what is done where a device has no more."""
+"""How much memory hits take and may take, and smaller parts of work where memory runs out."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from warpsar.errors import WarpsarError
 from warpsar.runtime import console, torchrun
 
+if TYPE_CHECKING:
+    import warp as wp
+
 T = TypeVar("T")
 
-SHARE = 0.6  # of a device's memory that kept hits may take: the mesh, its BVH and tracing need the rest
-PARTS = (1, 4, 16, 64, 256)  # into how many parts work is cut, one number after the other, where memory runs out
+SHARE = 0.6  # of a device's memory for the hits of a fit: the mesh, its BVH and tracing need the rest
+PARTS = (1, 4, 16, 64, 256)  # numbers of parts that work is cut into, one after the other, while memory runs out
 _HIT = 44 + 32  # bytes: trace.Hits; the learned coordinates and their gradients
-_SIGMA = 8  # bytes: sigma0 and its gradient, for each polarization and each effect that acts on it
-_SLOPES = 16  # bytes: sigma0's slopes to the coordinates, for each polarization
+_SIGMA = 8  # bytes: sigma0 and its gradient, for each polarization and each effect that changes it
+_SLOPES = 16  # bytes: derivatives of sigma0 by the learned coordinates, for each polarization
 
 
 class OutOfMemoryError(WarpsarError):
@@ -27,11 +30,13 @@ def kept_bytes(hits: int, polarizations: int, effects: int) -> int:
     return hits * (_HIT + polarizations * (_SIGMA * (1 + effects) + _SLOPES))
 
 
-def default_gib(device: Any) -> float:
-    """The bound on kept hits where the user gives none: `SHARE` of the device's memory, or of this process's part of
-    the host's."""
+def default_gib(device: wp.Device) -> float:
+    """The default bound on the hits of a fit [GiB].
+
+    It is `SHARE` of the device's memory, or of this process's part of the host's memory.
+    """
     if device.is_cuda:
-        total = device.total_memory
+        total = float(device.total_memory)
     else:
         total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") if hasattr(os, "sysconf") else 2**33
         total /= torchrun.processes_here()
@@ -44,7 +49,7 @@ def ran_out(error: BaseException) -> bool:
 
 
 def in_parts(task: Callable[[int], T], what: str, parts: Sequence[int] = PARTS) -> T:
-    """`task(1)`; where memory runs out, `task(4)` and so on: the number of parts that it is to do its work in.
+    """The result of `task(1)`; where memory runs out, of `task(4)` and so on. `task` gets the number of parts to use.
 
     Raises OutOfMemoryError where the smallest parts are too large.
     """

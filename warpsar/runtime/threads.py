@@ -8,17 +8,14 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache, partial
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from warpsar.runtime.torchrun import processes_here
 
 if TYPE_CHECKING:
-    pass
-
+    import warp as wp
 
 T = TypeVar("T")
-
-
 _worker = threading.local()
 
 
@@ -32,7 +29,7 @@ def thread_count() -> int:
     return max(1, cores // processes_here())
 
 
-def ordered(tasks: Iterable[Callable[[], T]], device: Any) -> Iterator[T]:
+def ordered(tasks: Iterable[Callable[[], T]], device: wp.Device) -> Iterator[T]:
     """Results of independent `tasks`, in their order: on all cores for the CPU, one after the other for CUDA.
 
     Each task must own every array it writes: two CPU launches that add into one array lose sums.

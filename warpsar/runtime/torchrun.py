@@ -1,16 +1,12 @@
-"""What torchrun tells this process of the others."""
+"""What torchrun tells this process about the others."""
 
 from __future__ import annotations
 
 import os
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    pass
 
 
 def of_torchrun(name: str, alone: int) -> int:
-    """A number of torchrun's environment; `alone` where there is one process, or none of it."""
+    """The number `name` of torchrun's environment; `alone` where there is one process, or no such number."""
     if os.environ.get("WORLD_SIZE", "1") == "1":
         return alone
     value = os.environ.get(name, "")

@@ -1,4 +1,4 @@
-"""What a scene file refers to, read and checked."""
+"""The files that a scene file names, read and checked."""
 
 from __future__ import annotations
 
@@ -23,7 +23,10 @@ from warpsar.world.tables import (
 
 
 def contents(path: Path) -> dict[str, Any]:
-    """The fields of the `World` that a scene file describes. Effects are checked each by itself. Raises InputError."""
+    """The fields of the `World` that a scene file describes. Raises InputError.
+
+    Every effect is checked by itself; whether effects go together is not checked here.
+    """
     text, raw = read(path)
     path = path.parent.resolve() / path.name
     file, problems = parse(raw)
@@ -38,7 +41,7 @@ def _has_uv(mesh: Mesh, corners: NDArray[np.int32]) -> bool:
 
 
 class _Loader:
-    """What a sound `SceneFile` refers to; collects everything that is wrong with the files it names."""
+    """Reads what a sound `SceneFile` names, and collects everything that is wrong with it."""
 
     def __init__(self, path: Path, text: str, file: SceneFile, effects: dict[str, dict[str, Any]]) -> None:
         self.path, self.text, self.file, self.effects = path, text, file, effects
@@ -136,7 +139,7 @@ class _Loader:
             self.problems.append(f"{key}: {path}: every pixel is 0; must be nonzero where pixels are used")
 
     def material(self, name: str, material: Material, mesh: Mesh | None) -> Material:
-        """Check what the names in a material stand for; a texture's become absolute paths."""
+        """Check the fields that a material names; names of textures become absolute paths."""
         key = f"materials.{name}"
         changed: dict[str, Any] = {}
         corners = np.zeros(0, np.int32)

@@ -1,4 +1,4 @@
-"""The scene file and all that it refers to, checked once, at the door."""
+"""`Scene`: a scene file and all that it names, checked when it is loaded."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ class Scene(World):
     def load(cls, path: str | Path) -> Scene:
         """Read and check a scene file, its mesh, images, masks and maps.
 
-        Raises `InputError`, one message with everything that is wrong: first of the file itself, and, where
-        that is sound, of all that it refers to.
+        Raises `InputError`, one message with everything that is wrong: in the file itself, or, where that is sound, in
+        the files that it names.
         """
         scene = cls(**contents(Path(path)))
         check(scene)
@@ -29,7 +29,7 @@ class Scene(World):
     def save(self, path: str | Path) -> None:
         """Write the scene file, atomically, with the comments of the one it was loaded from.
 
-        Only what was stated or changed is written. File names are relative to the new place and the files
-        stay where they are. Needs `mesh_path`.
+        Only what was stated or changed is written. File names become relative to the new place; the files stay where
+        they are. Needs `mesh_path`.
         """
         save(self, Path(path))

@@ -1,4 +1,4 @@
-"""UV for meshes that have none, which texture layouts need: `warpsar uv`."""
+"""`warpsar uv`: texture coordinates for meshes that have none. Texture layouts need them."""
 
 from __future__ import annotations
 
@@ -19,11 +19,10 @@ PADDING = 8
 
 
 def unwrap(mesh: Mesh) -> Mesh:
-    """The mesh with UV in every material: those without get charts of their own that fill [0, 1] x [0, 1] and do not
-    overlap, through xatlas (extra `uv`).
+    """The mesh with UV in every material, made by xatlas (extra `uv`).
 
-    Faces and materials stay as they are; a vertex on the edge of a chart is split, and its scalars with it. Raises
-    InputError where xatlas is missing.
+    A material without UV gets charts that fill [0, 1] x [0, 1] and do not overlap. Faces and materials stay as they
+    are. A vertex on the edge of a chart is split, and its scalars with it. Raises InputError where xatlas is missing.
     """
     try:
         import xatlas

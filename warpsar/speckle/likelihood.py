@@ -32,8 +32,10 @@ def deviance(measured: np.ndarray, modelled: np.ndarray, looks: float) -> np.nda
 
 @dataclass(frozen=True)
 class Curvature:
-    """A loss as weighted least squares in ln mu: gradient -sum(weight * residual * d ln mu), Hessian near
-    sum(weight * d ln mu * d ln mu); both arrays per pixel."""
+    """A loss as weighted least squares in ln mu; both arrays have a value for each pixel.
+
+    Its gradient is -sum(weight * residual * d ln mu), and its Hessian is near sum(weight * d ln mu * d ln mu).
+    """
 
     residual: np.ndarray
     weight: np.ndarray

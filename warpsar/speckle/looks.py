@@ -8,17 +8,17 @@ from numpy.lib.stride_tricks import sliding_window_view
 WINDOW = 9  # [pixels] on a side: 81 samples, and still small beside a field or a car park
 _FEWEST_WINDOWS = 16
 _LAGS = 4
-_MOST_MADE = 32  # looks of the made speckle; beyond, speckle is Gaussian and the factor constant
+_MOST_MADE = 32  # looks of the simulated speckle; beyond it speckle is Gaussian, and the factor constant
 _MOST_PATCHES = 400
 
 
 def equivalent_looks(power: np.ndarray) -> float | None:
-    """Mean^2 / variance of speckle, from the mode over local windows of an image in linear power, shape (rows, cols).
+    """Mean^2 / variance of speckle in an image of linear power, shape (rows, cols).
 
-    Texture and targets only lower the ratio, so the most common value over 9 x 9 windows is homogeneous ground's.
-    Small, skewed and correlated samples bias it (neighbours share speckle, which a window's variance does not see): the
-    same measurement on made speckle, of a known number of looks and the correlation found around the mode, gives the
-    factor. None where fewer than 16 windows are whole and not zero.
+    Texture and targets only lower the ratio. So its most common value over 9 x 9 windows is that of homogeneous ground.
+    Small, skewed and correlated samples bias this value: neighbours share speckle, which a window's variance does not
+    see. The same measurement on simulated speckle, with known looks and the correlation found around the mode, gives
+    the correction factor. None where fewer than 16 windows are whole and not zero.
     """
     found = _mode(power)
     if found is None:

@@ -1,4 +1,4 @@
-"""What is shaded where hits are binned finer than the image: one sample per face and pixel serves all of its bins."""
+"""Shading samples: where bins are finer than pixels, one sample for each face and pixel serves all of its bins."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ import warp as wp
 from warpsar.trace.hits import Hits
 
 
-def shading_samples(hits: Hits) -> tuple[Hits, Any]:
-    """Hits merged to one per face and pixel, and for each of `hits` which of them it belongs to, shape (n,), int, on
-    the device; (`hits`, None) where they are that already.
+def shading_samples(hits: Hits) -> tuple[Hits, wp.array | None]:
+    """Hits merged to one for each face and pixel, and the merged hit that each of `hits` belongs to.
 
-    Like the merging of rays this takes a face's parameters at the mean of its places in the pixel; where the power
-    falls inside the pixel stays with the finer hits.
+    The second is int, shape (n,), on the device; it is None where the hits are merged already. As with the merging of
+    rays, a face's parameters are taken at the mean of its places in the pixel. The finer hits still say where in the
+    pixel the power falls.
     """
     if hits.grid.bins_per_pixel == 1 or not hits.count:
         return hits, None
     if "shading" not in hits.derived:
         hits.derived["shading"] = _merged(hits)
-    found: tuple[Hits, Any] = hits.derived["shading"]
+    found: tuple[Hits, wp.array | None] = hits.derived["shading"]
     return found
 
 
-def _merged(hits: Hits) -> tuple[Hits, Any]:
+def _merged(hits: Hits) -> tuple[Hits, wp.array]:
     grid, fine = hits.grid, hits.grid.bins_per_pixel
     coarse = replace(
         grid,
@@ -41,16 +41,16 @@ def _merged(hits: Hits) -> tuple[Hits, Any]:
     weight = hits.weight.numpy().astype(float)
     total = np.bincount(sample, weight, keys.size)
 
-    def mean(name: str) -> Any:
+    def mean(name: str) -> wp.array:
         array = getattr(hits, name)
         columns = array.numpy().reshape(sample.size, -1).T
         means = np.stack([np.bincount(sample, weight * c, keys.size) / total for c in columns], axis=1)
         return upload(means.astype(np.float32).reshape(keys.size, *array.numpy().shape[1:]), array.dtype)
 
-    def upload(array: np.ndarray, dtype: Any) -> Any:
+    def upload(array: np.ndarray, dtype: type) -> wp.array:
         return wp.array(array, dtype=dtype, device=hits.pixel.device)
 
-    means = {n: mean(n) for n in ("barycentric", "point", "cos_incidence", "cos_twist", "cos2_azimuth")}
+    means: dict[str, Any] = {n: mean(n) for n in ("barycentric", "point", "cos_incidence", "cos_twist", "cos2_azimuth")}
     merged = replace(
         hits,
         grid=coarse,
@@ -64,8 +64,10 @@ def _merged(hits: Hits) -> tuple[Hits, Any]:
 
 
 def image_pixels(shaded: Hits, shape: tuple[int, int]) -> np.ndarray:
-    """The pixel (row * cols + col) of an image of `shape` that each shading sample lies in, shape (n,); -1 outside.
-    Effects may have light binned beyond the image's edges."""
+    """The pixel (row * cols + col) of an image of `shape` in which each shading sample lies, shape (n,).
+
+    It is -1 outside of the image: effects may put power into bins beyond the image's edges.
+    """
     row, col = np.divmod(shaded.pixel.numpy(), shaded.grid.shape[1])
     row -= (shaded.grid.shape[0] - shape[0]) // 2
     col -= (shaded.grid.shape[1] - shape[1]) // 2

@@ -1,8 +1,6 @@
-"""The way back from the hits' coordinates to the nodes: every node with the hits that it has a share in."""
+"""From gradients of the hits' coordinates to gradients of the nodes."""
 
 from __future__ import annotations
-
-from typing import Any
 
 import numpy as np
 import warp as wp
@@ -21,20 +19,20 @@ _NODES: dict[int, int] = {Layout.UNIFORM: 1, Layout.VERTEX: 3, Layout.TEXTURE: 4
 class Spread:
     """The adjoint of `gather_kernel` to the nodes: `nodes_gradient` += A^T `zeta_gradient`, for zeta = A nodes.
 
-    Hits know their nodes, so the adjoint that Warp makes adds nine numbers a hit to addresses which others add to,
-    too. Here A is kept by its columns, sorted once: (hit, share) of each node side by side, read in order and added up
-    in registers. Parameters laid out alike have one column for all of them.
+    A hit knows its nodes. So Warp's own adjoint adds nine numbers a hit to addresses to which other hits add too. Here
+    A is stored by its columns, sorted once: the (hit, share) of a node lie side by side, are read in order and added up
+    in registers. Parameters that are laid out alike share one column.
     """
 
-    def __init__(self, stage: Stage, face: Any, barycentric: Any) -> None:
-        device: Any = face.device
+    def __init__(self, stage: Stage, face: wp.array, barycentric: wp.array) -> None:
+        device = face.device
         terms, leader = _terms(stage.surface.places)
         entries = face.shape[0] * terms.shape[1]
         none = stage.surface.nodes.size
-        table: Any = wp.array(terms, dtype=wp.vec2i, device=device)
+        table: wp.array = wp.array(terms, dtype=wp.vec2i, device=device)
         mesh = [stage.target.faces, stage.face_material, stage.uv, stage.places, table]
 
-        def empty(n: int, dtype: Any = int) -> Any:
+        def empty(n: int, dtype: type = int) -> wp.array:
             return wp.empty(n, dtype=dtype, device=device)
 
         # twice as long as they are: the sort's room
@@ -56,9 +54,10 @@ class Spread:
         inputs.append(wp.array(leader, dtype=int, device=device))
         wp.launch(shade.target_kernel, stretches, inputs=inputs, outputs=[self.target], device=device)
 
-    def adding(self, zeta_gradient: Any, nodes_gradient: Any) -> Launch:
+    def adding(self, zeta_gradient: wp.array, nodes_gradient: wp.array) -> Launch:
         """The launch that adds to `nodes_gradient`."""
         device, stretches = zeta_gradient.device, self.first.shape[0]
+        assert device is not None
         inputs, outputs = [self.first, self.target, self.part, zeta_gradient], [nodes_gradient]
         if device.is_cpu:
             pieces = by_stretches(self.first, self.part, [self.target])
@@ -67,8 +66,11 @@ class Spread:
 
 
 def _terms(places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(material, term) -> (kind, number of its node), kind -1 for none, shape (materials, n, 2); and the kind that each
-    parameter goes with, the first that is laid out as it is, -1 where it is held: (materials, kinds). int32."""
+    """The nodes of each material's values, and which kinds of parameter share them; int32.
+
+    First (kind, number of the node) of each term, shape (materials, terms, 2), kind -1 for none. Second, for each kind,
+    the first kind that is laid out alike, -1 where it is held: shape (materials, kinds).
+    """
     leader = np.full(places.shape[:2], -1, np.int32)
     found: list[list[tuple[int, int]]] = []
     for m, kinds in enumerate(places):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import warp as wp
@@ -18,21 +17,28 @@ from warpsar.world.world import World
 
 @dataclass
 class Stage:
-    """What every view of a scene shares on a device: mesh, materials, and the equations' variant."""
+    """Mesh, materials, and the variant of the equations, on a device; all views of a scene share them."""
 
     target: Target
     surface: Surface
     variant: int
     local_basis: bool
-    face_material: Any
-    uv: Any
-    places: Any
-    spectrum: Any
-    eps_im: Any
-    aspect: Any
+    face_material: wp.array
+    """int, (faces,)"""
+    uv: wp.array
+    """vec2, (vertices,), or empty"""
+    places: wp.array
+    """vec4i, (materials, 4)"""
+    spectrum: wp.array
+    """int, (materials,)"""
+    eps_im: wp.array
+    """float, (materials,)"""
+    aspect: wp.array
+    """float, (materials,)"""
 
     @classmethod
-    def of(cls, scene: World, device: Any) -> Stage:
+    def of(cls, scene: World, device: wp.Device) -> Stage:
+        """Load the kernels, and copy the scene's mesh and surface to the device."""
         own = ["shade_lanes", "raster_lanes", "record_lanes", "hit_lanes"] if device.is_cpu else []
         devices.load_kernels(device, "trace", "merge", "shade", "raster", *own)
         surface = Surface.of(scene)
@@ -51,6 +57,6 @@ class Stage:
         )
 
     @cached_property
-    def nodes(self) -> Any:
+    def nodes(self) -> wp.array:
         """The surface's nodes on the device, float32."""
         return wp.array(self.surface.nodes.astype(np.float32), dtype=float, device=self.target.device)

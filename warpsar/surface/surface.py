@@ -1,56 +1,55 @@
-"""What is learned: the surface parameters of every material, as one vector of nodes behind one interface.
+"""The surface parameters of all materials as one vector of nodes: what a fit changes.
 
-A node is a number in the coordinate in which it is learned: ln(eps_r - 1), ln h, ln l, logit tau. A material has
-one node per parameter (`uniform`), one per vertex, or one per texel of a texture; kernels look all of them up
-through the same table.
+A node is a number in the learned coordinate of its parameter: ln(eps_r - 1), ln h, ln l or logit tau. A parameter of a
+material has one node (`uniform`), one for each vertex, or one for each texel of a texture. Kernels find all of them
+through one table.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from warpsar.kernels.codes import FRACTION_LIMIT, Layout, Spectrum
 from warpsar.world.world import World
 
 
-def _logit(tau: Any) -> Any:
+def _logit(tau: ArrayLike) -> np.ndarray:
     with np.errstate(divide="ignore"):
         return np.clip(np.log(tau) - np.log1p(-np.asarray(tau)), -FRACTION_LIMIT, FRACTION_LIMIT)
 
 
-def _sigmoid(x: Any) -> Any:
-    x = np.asarray(x, float)
+def _sigmoid(coordinate: ArrayLike) -> np.ndarray:
+    x = np.asarray(coordinate, float)
     tau = 1.0 / (1.0 + np.exp(-x))
     return np.where(x <= -FRACTION_LIMIT, 0.0, np.where(x >= FRACTION_LIMIT, 1.0, tau))
 
 
-def _log_contrast(eps_r: Any) -> Any:
+def _log_contrast(eps_r: ArrayLike) -> np.ndarray:
     with np.errstate(divide="ignore"):
         return np.log(np.asarray(eps_r, float) - 1.0)
 
 
 @dataclass(frozen=True)
 class Kind:
-    """A surface parameter: its key in scene.toml, its learned coordinate and back, and how far a fit may go (SI)."""
+    """A surface parameter: its key in scene.toml, its symbol, its learned coordinate, and how far a fit may go (SI)."""
 
     key: str
     symbol: str
-    coordinate_name: str
-    to_coordinate: Callable[[Any], Any]
-    from_coordinate: Callable[[Any], Any]
+    to_coordinate: Callable[[ArrayLike], np.ndarray]
+    from_coordinate: Callable[[ArrayLike], np.ndarray]
     low: float
     high: float
 
 
 KINDS = (
-    Kind("eps_r", "eps_r", "ln(eps_r - 1)", _log_contrast, lambda z: 1.0 + np.exp(z), 1.01, 300.0),
-    Kind("rms_height_m", "h", "ln h", np.log, np.exp, 1e-6, 10.0),
-    Kind("correlation_length_m", "l", "ln l", np.log, np.exp, 1e-5, 100.0),
-    Kind("specular_fraction", "tau", "logit tau", _logit, _sigmoid, 1e-6, 1.0 - 1e-6),
+    Kind("eps_r", "eps_r", _log_contrast, lambda z: 1.0 + np.exp(np.asarray(z)), 1.01, 300.0),
+    Kind("rms_height_m", "h", np.log, np.exp, 1e-6, 10.0),
+    Kind("correlation_length_m", "l", np.log, np.exp, 1e-5, 100.0),
+    Kind("specular_fraction", "tau", _logit, _sigmoid, 1e-6, 1.0 - 1e-6),
 )
 KEYS = tuple(kind.key for kind in KINDS)
 
@@ -78,10 +77,11 @@ class Block:
 
 @dataclass
 class Surface:
-    """All materials' parameters: `nodes`, shape (n,), float64, in the learned coordinates, and what they mean.
+    """The parameters of all materials, and what each node means.
 
-    `places`, shape (materials, 4, 4) int32, is the kernels' table of (layout, offset, width, height).
-    `spectrum` (int), `eps_im` and `aspect` (l_y / l_x), shape (materials,), are never learned.
+    `nodes`, float64 (n,), are in the learned coordinates. `places`, int32 (materials, 4, 4), is the kernels' table of
+    (layout, offset, width, height) for each parameter. `spectrum` (int), `eps_im` and `aspect` (l_y / l_x),
+    (materials,), are never learned.
     """
 
     materials: tuple[str, ...]
@@ -137,10 +137,11 @@ class Surface:
         return cls(names, tuple(blocks), np.concatenate(values), places, spectrum, eps_im, aspect)
 
     def block(self, material: str, key: str) -> Block:
+        """The nodes of one parameter of a material."""
         return next(b for b in self.blocks if b.material == material and b.kind.key == key)
 
     def values(self, material: str, key: str, nodes: np.ndarray | None = None) -> np.ndarray:
-        """The parameter in SI units, in its block's shape; of `nodes` where given."""
+        """One parameter of a material in SI units, in its block's shape; by default of the surface's own nodes."""
         block = self.block(material, key)
         source = self.nodes if nodes is None else nodes
         return np.asarray(block.kind.from_coordinate(source[block.start : block.stop])).reshape(block.shape)

@@ -1,1 +1,5 @@
-"""."""
+"""What is looked at: the mesh, its materials, and the views of it.
+
+world: all data of a scene. tables: the tables of a scene file. mesh: triangles, and `read_mesh`. meshes/: a reader for
+each mesh format. frame: the axes of a view.
+"""

@@ -1,15 +1,10 @@
-"""A view's axes: where range, azimuth and elevation point (scene-format.md, "Frame")."""
+"""The axes of a view: where range, azimuth and elevation point."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
-
-if TYPE_CHECKING:
-    pass
-
 
 SPEED_OF_LIGHT = 299792458.0
 
@@ -18,9 +13,9 @@ SPEED_OF_LIGHT = 299792458.0
 class ViewGeometry:
     """Axes of one view, all unit vectors of shape (3,), float64, in world coordinates (X east, Y north, Z up).
 
-    `s` points from the scene to the radar, `d` = -`s` is slant range, `u` azimuth, `v` elevation (down and back
-    toward the radar). `wavenumber` is 2 pi f / c [rad/m]; `slant_range_m` is None for a plane wave, else the
-    distance R0 from the straight track to the reference point (strip-map).
+    `s` points from the scene to the radar. `d` = -`s` is the direction of slant range, `u` that of azimuth, and `v`
+    that of elevation (down and back toward the radar). `wavenumber` is 2 pi f / c [rad/m]. `slant_range_m` is the
+    distance R0 from the straight track to the reference point in a strip-map; None for a plane wave.
     """
 
     s: np.ndarray

@@ -1,4 +1,4 @@
-"""What is looked at: a mesh, its materials, the views of it, and what they measured."""
+"""All data of a scene: a mesh, its materials, the views of it, and the measured images."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from warpsar.world.tables import SURFACE_KEYS, Grid, Material, Radar, Sampling, 
 class World:
     """A scene with all that its files hold, checked; `dataclasses.replace` makes a changed one.
 
-    Effects, rays and surfaces need no more than this; `warpsar.scene.Scene` adds the way from and to a file.
+    Effects, rays and surfaces need no more. `warpsar.scene.scene.Scene` adds load and save.
     """
 
     mesh: Mesh
@@ -66,10 +66,10 @@ class World:
         return None if view.mask is None else read_mask(view.mask, shape=self.grid.shape)
 
     def field(self, material: str, key: str) -> NDArray[np.float32] | NDArray[np.float64]:
-        """The values that a name stands for.
+        """The values of the field that a material's value `key` names.
 
-        A texture, shape (rows, cols), row 0 at v = 1, float32; or the scalar of all of the mesh's vertices,
-        shape (n,), float64.
+        A texture is float32, (rows, cols), with row 0 at v = 1. A scalar of the mesh's vertices is float64, (n,).
+        Raises InputError where the value is a number.
         """
         table = self.materials[material]
         name = getattr(table, key)
@@ -91,7 +91,7 @@ class World:
 
     @cached_property
     def input_hash(self) -> str:
-        """SHA-256 of the scene file, the mesh as read and every file referred to, wherever they lie."""
+        """SHA-256 of the scene file, the mesh as read, and every file that the scene names; paths do not count."""
         total = hashlib.sha256(self.source.encode())
         mesh = self.mesh
         scalars = dict(sorted(mesh.vertex_scalars.items()))
@@ -106,6 +106,6 @@ class World:
 
 
 def geometry_of(world: World, view: View) -> ViewGeometry:
-    """Axes of one of the views, with the frequency and slant range that hold there."""
+    """Axes of a view, with its own frequency and slant range or those of [radar]."""
     frequency_hz = view.frequency_hz or world.radar.frequency_hz
     return view_geometry(view.azimuth_deg, view.incidence_deg, frequency_hz, world.slant_range_m(view))

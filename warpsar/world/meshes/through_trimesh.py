@@ -37,8 +37,6 @@ def refusing_broken(path: Path) -> Iterator[None]:
         what = f"{type(error).__name__}: {' '.join(str(error).split())[:500]}"
         if isinstance(error, IndexError) and suffix == ".obj":
             what = f"a face refers to an entry that is not there: {error}"
-        elif isinstance(error, ModuleNotFoundError) and error.name == "charset_normalizer":
-            what = "truncated, or text that is not UTF-8"  # trimesh wanted to guess the encoding
         raise InputError(f"{path}: cannot be read as {suffix[1:].upper()} ({what})") from error
 
 
