@@ -213,12 +213,12 @@ def test_a_bright_spot_is_unexplained_and_put_on_the_ground(tmp_path: Path) -> N
     assert largest.material == "ground"
     # within the window, whose three pixels of 0.5 m in slant range are 2 m on the ground
     np.testing.assert_allclose(largest.centre_m, world, atol=1.5)
-    in_view = {v["image"]: v for v in where.views}
-    assert abs(in_view["v1 HH"]["row"] - where.row) <= 1
+    in_view = {v.image: v for v in where.views}
+    assert abs(in_view["v1 HH"].row - where.row) <= 1
     d, u, _ = axes(*ANGLES[2][:2])
-    assert in_view["v2 HH"]["row"] == int(np.floor(np.array(largest.centre_m) @ d / 0.5 + SIZE / 2))
-    assert in_view["v2 HH"]["col"] == int(np.floor(np.array(largest.centre_m) @ u / 0.5 + SIZE / 2))
-    assert abs(in_view["v2 HH"]["ratio_db"]) < 2.0
+    assert in_view["v2 HH"].row == int(np.floor(np.array(largest.centre_m) @ d / 0.5 + SIZE / 2))
+    assert in_view["v2 HH"].col == int(np.floor(np.array(largest.centre_m) @ u / 0.5 + SIZE / 2))
+    assert abs(in_view["v2 HH"].ratio_db) < 2.0
 
 
 # Numbers of the report

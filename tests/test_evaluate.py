@@ -14,9 +14,10 @@ from scipy import integrate, special, stats
 from worlds import box, ground, mesh_of, scene_of, view
 
 from warpsar.cli.main import main
-from warpsar.evaluation.command import evaluate, mean_deviance, nuisance_floor, pool, run
+from warpsar.evaluation.command import evaluate, run
 from warpsar.evaluation.image import EvaluatedImage
 from warpsar.evaluation.meshview import RAYS, look, write_learned_ply
+from warpsar.evaluation.metrics import mean_deviance, nuisance_floor, pool
 from warpsar.evaluation.residuals import expected_db, profiles, residual_db
 from warpsar.io.images import read_channel, write_tiff
 from warpsar.io.ply import write_ply
@@ -55,6 +56,7 @@ def synthetic(
         range_m=np.arange(shape[0]) * 0.5,
         azimuth_m=np.arange(shape[1]) * 0.5,
         sampling_noise=0.0,
+        metrics={},
     )
 
 

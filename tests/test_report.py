@@ -13,7 +13,7 @@ from matplotlib.image import imread
 from worlds import view
 
 from warpsar.evaluation.command import run
-from warpsar.evaluation.report import reduced
+from warpsar.evaluation.report_images import reduced
 from warpsar.io import html as report
 from warpsar.io.figures import new
 

@@ -1,17 +1,33 @@
-"""From residual to missing effect: the procedure of `warpsar diagnose`, one question a file.
+"""Which effect the images hold and the scene does not declare: `warpsar diagnose`, from residual to verdict.
 
-evidence.py   what is left of the measured images, and how it is correlated
-templates.py  what each effect would leave, from rays of its own
-score.py      how well a template fits what is left, beyond what the surface can absorb
-bootstrap.py  how large the largest score gets by speckle alone
-scan.py       whether something is left that no effect explains, and where
-refit.py      full fits of a model, and the pixels and rays that all models share
-survey.py     where a fit begins that no derivative leads to
-screening.py  which candidates are worth a full fit
-left_out.py   what views that an effect's parameters have not seen say of it
-carried.py    whether the surface could be what an effect of the image was taken for
-procedure.py  the steps, in their order
-judge.py      how far models are from all images, test views among them
-place.py      where on the surface something is left
-command.py, report.py  what is written, and the page that a reviewer reads
+command.py         the command
+result.py          `diagnose`, and its result on all views
+procedure.py       the loop: score, refit, add, repeat
+found.py           options, candidates, turns and the verdict
+bench.py           rays and pixels that all fits share
+frozen.py          which pixels are compared
+evidence.py        what is left of the measured images, and how it is correlated
+templates.py       what each effect would leave, from rays of its own
+score.py           how well a template fits the residual, beyond what the surface can absorb
+bootstrap.py       how large the largest score gets by speckle alone
+scan.py            whether something is left that no effect explains, and where
+scoring.py         what each effect scores in one turn
+dark.py            what dark pixels say
+shortlist.py       which candidates get a full fit
+screening.py       short fits of one candidate, given up where they fall far behind
+survey.py          where a fit begins that no derivative leads to
+refit.py           full fits of a model
+addition.py        which refitted candidate is added
+left_out.py        what views left out say of an effect
+carried.py         whether the surface could be the cause
+pruning.py         which earlier effects the newest one has made needless
+judge.py           how far models are from all images, test views among them
+place.py           where on the surface something is left
+projection.py      where a place of the world lies in an image
+content.py         what diagnosis.json holds
+report.py          the report's page
+report_summary.py  its answer
+report_turns.py    its turns
+report_surface.py  its parameters
+report_left.py     what is left
 """

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+
+import warp as wp
 
 from warpsar.effects.registry import get
 from warpsar.learning.observation import Observation
@@ -21,7 +22,7 @@ class Bench:
     Every one of the `ranks` holds all views, and fits whole models by itself.
     """
 
-    device: Any
+    device: wp.Device
     rays: Rays
     observations: Mapping[str, list[Observation]]
     ranks: Ranks = ONE

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from scipy.stats import gamma, norm
 
 from warpsar.diagnosis.evidence import LARGEST, Evidence
@@ -36,7 +36,7 @@ class Tail:
         excess = body[body > edge] - edge
         return cls(body, edge, max(float(excess.mean()) if excess.size else 0.0, 1e-6))
 
-    def __call__(self, values: Any) -> np.ndarray:
+    def __call__(self, values: npt.ArrayLike) -> np.ndarray:
         values = np.asarray(values, float)
         above = self.body.size - np.searchsorted(self.body, values, side="left")
         empirical = -np.log(np.maximum((above + 1.0) / (self.body.size + 1.0), TAIL))
@@ -68,7 +68,7 @@ def bootstrap(
     scan: Scan,
     draws: int,
     seed: int,
-    progress: Callable[[int], Any] | None = None,
+    progress: Callable[[int], object] | None = None,
     ranks: Ranks = ONE,
 ) -> Bootstrap:
     """Draw speckle with the residual's own correlation and take it through the projection, every score and the scan.

@@ -17,26 +17,27 @@ from warpsar.scene.scene import Scene
 from warpsar.speckle.likelihood import loss_terms
 from warpsar.world.tables import View
 
-# Of an effect's gain: from here on the surface may be what it was taken for. What is the same in all views comes over
-# in part by itself, such as copies on both sides to a view from the other side (0.4 seen); what each view has for
-# itself does not, and of a thin line of the world much is lost at the pixels' corners (0.3 left).
+# Shares of an effect's gain, from which on the surface may be the cause. An effect that is the same in all views gains
+# a part in any case: copies on both sides show in a view from the other side (0.4 seen). An effect of single views
+# gains nothing so. A thin line of the world loses much at the corners of pixels (0.3 left).
 CARRIED, CARRIED_ALONE = 0.5, 0.25
 
 
 def is_carried(effect: str, share: float) -> bool:
-    """Whether so much of its gain comes over that the effect cannot be told from something on the surface."""
+    """Whether the effect cannot be told from something on the surface; `share` as `carried_over` gives it."""
     alone = all(parameter.per_view for parameter in get(effect).parameters)
     return share > (CARRIED_ALONE if alone else CARRIED)
 
 
 def carried_over(bench: Bench, fitted: Fitted, effect: str) -> float:
-    """How much of what an effect gains is gained as well by its changes in every view as the surface takes them over
-    from the other views: a share of log-likelihood; 1 for a single view, which can tell nothing of the kind.
+    """Share of an effect's gain that remains when the surface carries its changes from the other views to each view.
 
-    What the radar or the processing does lies in the image, and another view has it elsewhere on the surface. What the
-    mesh lacks, a strip of bright ground or the far side of a car, lies on the surface. Views that look the same way
-    cannot tell one from the other, nor can views left out. Compared on the pixels that show surface which another view
-    sees too, with the model's other parameters held.
+    A share of log-likelihood. It is 1 for a single view, which cannot tell.
+
+    An effect of the radar or the processing lies in the image: another view has it elsewhere on the surface. What the
+    mesh lacks lies on the surface, such as a strip of bright ground or the far side of a car. Views that look the same
+    way cannot tell one from the other, nor can views left out. The comparison uses pixels that show surface which
+    another view sees too. The model's other parameters are held.
     """
     names = [view.view.name for view in fitted.problem.views]
     if len(names) < 2:

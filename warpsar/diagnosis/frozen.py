@@ -12,10 +12,13 @@ SLIVER = 0.25  # of a ray's share of a pixel: darker than this no pixel is calle
 
 
 def frozen(one: Bench, other: Bench, scene: Scene) -> dict[str, list[Observation]]:
-    """Masks from the declared model, the same for all that follows. A pixel counts as lit if both sets of rays light
-    it and its neighbours: where one of them misses, its share of light is sampling noise. Where an effect has moved
-    the light, a pixel may hold a sliver that no ray meets: it counts as `SLIVER` of a ray's share of what it was
-    declared to have, at least; a share of any brighter pixel would take dim surfaces for dark."""
+    """Masks from the declared model, the same for all that follows; by view name.
+
+    A pixel counts as lit if both sets of rays light it and its neighbours. Where one of them misses, the pixel's share
+    of light is sampling noise. Where an effect has moved the light, a pixel may hold a sliver that no ray meets. Its
+    model is then at least `SLIVER` of one ray's share of its declared beta0. A share of any brighter pixel would take
+    dim surfaces for dark.
+    """
     ranks = one.ranks
     problems = ranks.agree(lambda: [bench.problem(scene, dark=False) for bench in (one, other)])
     problems[0].modelled_as_declared()

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import cast
 
 import numpy as np
 
 from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.found import Diagnosis
 from warpsar.diagnosis.frozen import frozen
-from warpsar.evaluation.command import mean_deviance
+from warpsar.evaluation.image import Metrics
+from warpsar.evaluation.metrics import mean_deviance
 from warpsar.learning.identify import residual_autocovariance
 from warpsar.learning.observation import Observation
 from warpsar.scene.scene import Scene
@@ -77,14 +78,19 @@ def _turned(scene: Scene) -> Scene:
     return replace(scene, views=[v.model_copy(update={"role": other[v.role]}) for v in scene.views])
 
 
-def pool(images: Sequence[Judged], role: str) -> dict[str, Any] | None:
-    """Metrics of scene-format.md over the compared pixels of all images of a role together, and the standard error of
-    the deviance (correlated speckle included); None where there are none."""
+class JudgedMetrics(Metrics):
+    """Of the compared pixels of several images together; the error includes correlated speckle."""
+
+    images: int
+
+
+def pool(images: Sequence[Judged], role: str) -> JudgedMetrics | None:
+    """Metrics over the compared pixels of all images of a role together; None where there are none."""
     mine = [image for image in images if image.role == role]
     if not mine:
         return None
     measured = np.concatenate([image.seen.values for image in mine])
-    found: dict[str, Any] = metrics(measured, np.concatenate([i.modelled[i.seen.interior] for i in mine]), 1.0)
+    found = metrics(measured, np.concatenate([i.modelled[i.seen.interior] for i in mine]), 1.0)
     shares = np.array([image.seen.values.size for image in mine]) / measured.size
     means = np.array([mean_deviance(image.seen, image.modelled, image.seen.interior) for image in mine])
     found["deviance"] = float(shares @ means[:, 0])
@@ -92,7 +98,7 @@ def pool(images: Sequence[Judged], role: str) -> dict[str, Any] | None:
     found["pixels"] = int(measured.size)
     found["left_out"] = sum(image.seen.left_out for image in mine)
     found["zeros"] = sum(image.seen.zeros for image in mine)
-    return found | {"images": len(mine)}
+    return cast(JudgedMetrics, found | {"images": len(mine)})
 
 
 def difference(before: Sequence[Judged], after: Sequence[Judged], role: str) -> tuple[float, float] | None:

@@ -18,8 +18,8 @@ from warpsar.speckle.likelihood import loss_terms
 
 BLOCK = 8  # columns: what a view's own parameters are fitted on and judged on alternates
 VARIES = 0.5  # of a gain, that may be gained again by letting a view's own parameter vary over its columns
-# Log-likelihood of one pixel beyond which a difference counts no more: a few bright pixels would else be all of the
-# sum, and all of its error.
+# Log-likelihood at which one pixel's difference is cut off. Otherwise a few bright pixels are all of the sum, and all of
+# its error.
 LARGEST_DIFFERENCE = 20.0
 
 
@@ -38,14 +38,15 @@ class LeftOut:
 
 
 def leave_one_view_out(bench: Bench, base: Fitted, fitted: Fitted, effect: str) -> LeftOut:
-    """Each training view in turn is explained by both models, with parameters of `effect` that come from the others;
-    pixels are compared in pairs, a pixel counting `LARGEST_DIFFERENCE` at most. The error is what correlated speckle
-    leaves open about the sum, and what it depends on which pixels there are: a few that gain much are no proof.
+    """Explain each training view by both models, with the parameters of `effect` taken from the other views.
 
-    The surface, and whatever else both models have, is a nuisance, fitted to all views in both: one that has never seen
-    a view's incidence extrapolates so badly that little else decides. Parameters of the one view (its gain, its
-    interference) cannot come from the others: they are fitted on every other block of its columns, as all else is in
-    both models, and judged on the blocks between.
+    Pixels are compared in pairs; each counts `LARGEST_DIFFERENCE` at most. The error has two parts: correlated speckle,
+    and the choice of pixels. A few pixels that gain much are no proof.
+
+    Everything else in both models is a nuisance and is fitted to all views. A surface that has never seen a view's
+    incidence extrapolates badly, and that error would decide. Parameters of a single view (its gain, its interference)
+    cannot come from the others. Both models are then fitted on every other block of the view's columns, and judged on
+    the blocks between.
     """
     names = [view.view.name for view in fitted.problem.views]
     if len(names) < 2:
@@ -116,9 +117,11 @@ def _by_halves(bench: Bench, model: Fitted, name: str) -> list[np.ndarray]:
 
 
 def varies_over_columns(bench: Bench, base: Fitted, fitted: Fitted, name: str) -> bool:
-    """Whether what an effect holds for each view by itself is no property of the view: fitted anew to each block of the
-    view's columns, it gains half as much again as it did by being one for all of them. So does something that lies in
-    a few columns, such as a mover's smear along a range line."""
+    """Whether an effect's values for single views are no properties of those views.
+
+    Fitted anew to each block of a view's columns, such an effect gains half as much again as one value for the view
+    does. Something that lies in a few columns does so, such as a mover's smear along a range line.
+    """
     views = dict.fromkeys(c.view for c in fitted.problem.effect_coordinates if c.effect == name and c.view is not None)
 
     def gained(view: str) -> float:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.ndimage import uniform_filter
@@ -34,9 +33,24 @@ class Part:
 
 
 @dataclass(frozen=True)
+class InView:
+    """The place in one image, seen there or not: the pixel, and measured over modelled power about it [dB]."""
+
+    image: str
+    role: str
+    row: int
+    col: int
+    ratio_db: float
+
+
+@dataclass(frozen=True)
 class Place:
-    """The strongest window on the surface. `range_m`, `azimuth_m`: its middle, about the reference point; `ratio_db`:
-    measured over modelled power in it [dB]; `parts`, largest first: none where nothing lit lies in it."""
+    """The strongest window on the surface.
+
+    `range_m`, `azimuth_m`: its middle, about the reference point. `ratio_db`: measured over modelled power in it [dB].
+    `parts`: what is lit in it, largest first; none where nothing is. `views`: the middle of the largest part in every
+    image.
+    """
 
     view: str
     polarization: str
@@ -48,12 +62,11 @@ class Place:
     range_m: float
     azimuth_m: float
     parts: list[Part]
-    views: list[dict[str, Any]]
+    views: list[InView]
 
 
 def place(found: Diagnosis, images: Sequence[Judged], spot: Spot) -> Place:
-    """Back-project the spot. `images` are the final model's; `views` says what every image measures over its model
-    about the middle of the largest part, seen there or not."""
+    """Back-project the spot; `images` are the final model's."""
     scene = found.final.scene
     seen = found.evidence.observations[spot.observation]
     train = [image for image in images if image.role == "train"]
@@ -109,18 +122,12 @@ def _parts(scene: Scene, hits: Hits, inside: np.ndarray) -> list[Part]:
     return sorted(found, key=lambda part: -part.share)
 
 
-def _in_view(found: Diagnosis, image: Judged, world: np.ndarray, half: int) -> dict[str, Any]:
+def _in_view(found: Diagnosis, image: Judged, world: np.ndarray, half: int) -> InView:
     scene = found.final.scene
     row, col = (
         int(np.floor(at[0])) for at in pixel_of(scene, image.seen.view, (world - scene.reference_point_m)[None])
     )
-    return {
-        "image": image.name,
-        "role": image.role,
-        "row": row,
-        "col": col,
-        "ratio_db": _window_db(image, row, col, half),
-    }
+    return InView(image.name, image.role, row, col, _window_db(image, row, col, half))
 
 
 def _window_db(image: Judged, row: int, col: int, half: int) -> float:

@@ -22,23 +22,15 @@ from warpsar.scene.scene import Scene
 from warpsar.surface.surface import KEYS, Surface
 
 MOST_ITERATIONS = 40  # of one start
-
-
 # Where models are only ranked, or start where they belong: iterations of one start, and the promised log-likelihood at
 # which it has arrived; verdicts turn on several units.
 QUICK_ITERATIONS, QUICK_FLAT = 12, 0.05
-
-
 KEPT_WITHIN = 0.2  # of a log coordinate, that a fit moves before its images are differentiated again
-
-
 ROBUST_TURNS = 4
-
-
 MOST_LEFT_OUT = 0.2  # of all pixels
-
-
-HOPELESS = 100.0  # log-likelihood behind the best start, after the quick iterations, at which a start is given up
+# Log-likelihood behind the best, at which a fit is given up: of starts of one model after the quick iterations, and of
+# candidates at their present pace.
+HOPELESS = 100.0
 
 
 @dataclass(frozen=True)

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from warpsar.diagnosis.found import Candidate, DiagnoseOptions, Diagnosis
-from warpsar.diagnosis.judge import ROLES, Judge, Judged, pool
+from warpsar.diagnosis.judge import ROLES, Judge, Judged, JudgedMetrics, pool
 from warpsar.diagnosis.place import Place, place
 from warpsar.diagnosis.procedure import diagnose_scene
 from warpsar.diagnosis.refit import Fitted
@@ -31,12 +30,12 @@ class Diagnosed:
     place: Place
 
     @property
-    def before(self) -> dict[str, dict[str, Any] | None]:
+    def before(self) -> dict[str, JudgedMetrics | None]:
         """Metrics of the declared model, fitted, on `train` and `test`."""
         return {role: pool(self.models[0], role) for role in ROLES}
 
     @property
-    def after(self) -> dict[str, dict[str, Any] | None]:
+    def after(self) -> dict[str, JudgedMetrics | None]:
         """The same of the model with every added effect."""
         return {role: pool(self.models[-1], role) for role in ROLES}
 

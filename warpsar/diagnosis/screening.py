@@ -10,6 +10,7 @@ import numpy as np
 
 from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.refit import (
+    HOPELESS,
     KEPT_WITHIN,
     QUICK_FLAT,
     QUICK_ITERATIONS,
@@ -28,7 +29,6 @@ from warpsar.scene.scene import Scene
 
 STARTS = 4  # of the tables that an effect's best trials offer, how many are fitted
 GLANCE = 4  # iterations after which candidates are compared for the first time
-HOPELESS = 100.0  # log-likelihood by which a fit, at its present pace, would miss the best of the others
 CLIMB = 10.0  # times what an effect has gained, that refinements may bring
 WORTH = 2.0  # log-likelihood that another setting has to gain; five times as much if it adds something
 

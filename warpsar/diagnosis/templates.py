@@ -6,12 +6,13 @@ and the two agree where nothing is missing; so templates come from an independen
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
 import numpy as np
+import warp as wp
 
 from warpsar.effects.base.trial import Context, ScoreStep, Trial
 from warpsar.effects.registry import declared, get, names, validate
@@ -43,7 +44,7 @@ class TemplateMaker:
     def __init__(
         self,
         scene: Scene,
-        device: Any,
+        device: wp.Device,
         rays: Rays,
         observations: Mapping[str, list[Observation]],
         modelled: Sequence[np.ndarray],
@@ -73,17 +74,12 @@ class TemplateMaker:
             gains[end - size : end, k] = 1.0
         return np.hstack([jacobian, gains])
 
-    def trials(self, name: str) -> list[Trial]:
-        return get(name).trials(self.context)
-
-    def templates(self, name: str, done: Callable[[], Any] | None = None) -> list[Template]:
+    def templates(self, name: str) -> list[Template]:
         """Every trial of an effect that has a place in this scene."""
         found = []
-        for trial in self.trials(name):
+        for trial in get(name).trials(self.context):
             columns = np.stack([self._difference(name, step) for step in trial.steps], axis=1)
             found.append(Template(name, trial, columns, tuple(step.one_sided for step in trial.steps)))
-        if done is not None:
-            done()
         return found
 
     def _difference(self, name: str, step: ScoreStep) -> np.ndarray:

@@ -4,23 +4,24 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.optimize import minimize_scalar
+import warp as wp
 
 from warpsar.effects.registry import declared, get
 from warpsar.errors import InputError
+from warpsar.evaluation.collected import collected
 from warpsar.evaluation.image import EvaluatedImage, Evaluation
 from warpsar.evaluation.meshview import write_learned_ply
-from warpsar.evaluation.report import residual_picture, write_report
+from warpsar.evaluation.metrics import image_metrics, nuisance_floor, pool
+from warpsar.evaluation.report import write_report
+from warpsar.evaluation.report_images import residual_picture
 from warpsar.evaluation.residuals import expected_db, profiles
 from warpsar.io.images import replacing, write_exr
-from warpsar.learning.identify import residual_autocovariance
-from warpsar.learning.observation import Observation, observe
+from warpsar.learning.observation import looks_of, observe
 from warpsar.render.render import ViewRender
 from warpsar.runtime import console, devices, distributed
 from warpsar.runtime.distributed import Ranks
@@ -28,8 +29,7 @@ from warpsar.scene.scene import Scene
 from warpsar.simulation.outputs import write_json
 from warpsar.simulation.rays import hit_grid, trace_view, view_seed
 from warpsar.simulation.sampling import RAY_NOISE, choose_density
-from warpsar.speckle.likelihood import best_gain, deviance, expected_deviance, metrics
-from warpsar.speckle.looks import equivalent_looks
+from warpsar.speckle.likelihood import best_gain
 from warpsar.surface.samples import image_pixels
 from warpsar.surface.stage import Stage
 from warpsar.trace.rays import ray_count
@@ -50,7 +50,7 @@ def evaluate(scene: Scene, *, device: str | None = None, seed: int | None = None
     return _joined(scene, *_evaluated(scene, where, scene.sampling.seed if seed is None else seed, ranks), ranks)
 
 
-def _evaluated(scene: Scene, device: Any, seed: int, ranks: Ranks) -> tuple[list[EvaluatedImage], float]:
+def _evaluated(scene: Scene, device: wp.Device, seed: int, ranks: Ranks) -> tuple[list[EvaluatedImage], float]:
     """This rank's images, dealt by their rays, and the rays per square metre."""
     views = [(index, view) for index, view in enumerate(scene.views) if view.images]
     if not views:
@@ -58,7 +58,7 @@ def _evaluated(scene: Scene, device: Any, seed: int, ranks: Ranks) -> tuple[list
     stage = Stage.of(scene, device)
     # Image effects only lower the noise of what is lit, but spread light where next to none is left to measure it on.
     plain = replace(scene, effects={name: t for name, t in scene.effects.items() if get(name).stage != "image"})
-    looks = [_looks(scene, view) for _, view in views]
+    looks = [looks_of(scene, view) for _, view in views]
     density = ranks.agree(
         lambda: choose_density(plain, stage, [view for _, view in views], looks, RAY_NOISE, ranks=ranks)
     ).rays_per_m2
@@ -82,58 +82,9 @@ def _evaluated(scene: Scene, device: Any, seed: int, ranks: Ranks) -> tuple[list
 def _joined(scene: Scene, images: list[EvaluatedImage], density: float, ranks: Ranks) -> Evaluation:
     """The images of all ranks in the order of the views, with what they give together; on the first rank alone."""
     if ranks.size > 1:
-        images = _collected(scene, images, ranks)
+        images = collected(scene, images, ranks)
     pooled = {role: pool([i for i in images if i.view.role == role]) for role in ("train", "test")}
     return Evaluation(images, pooled["train"], pooled["test"], density)
-
-
-_OF_IMAGE = ("simulated", "valid", "incidence_deg", "material", "range_m", "azimuth_m")
-
-
-_OF_OBSERVATION = ("measured", "interior", "silent", "dark")
-
-
-def _collected(scene: Scene, images: list[EvaluatedImage], ranks: Ranks) -> list[EvaluatedImage]:
-    arrays: dict[str, np.ndarray] = {}
-    said = []
-    for number, image in enumerate(images):
-        arrays |= {f"{number} {name}": getattr(image, name) for name in _OF_IMAGE}
-        arrays |= {f"{number} {name}": getattr(image.observation, name) for name in _OF_OBSERVATION}
-        seen = image.observation
-        said.append(
-            {
-                "observation": [image.view.name, seen.polarization, seen.looks, seen.looks_estimated],
-                "image": {"gain": image.gain, "floor": image.floor, "sampling_noise": image.sampling_noise},
-                "metrics": image.metrics,
-            }
-        )
-    order = [view.name for view in scene.views]
-    found = []
-    for about, stored in zip(ranks.gather(said), ranks.collect(arrays), strict=False):
-        for number, one in enumerate(about):
-            view, polarization, looks, estimated = one["observation"]
-            of: dict[str, Any] = {name: stored[f"{number} {name}"] for name in (*_OF_IMAGE, *_OF_OBSERVATION)}
-            observation = Observation(
-                view=scene.views[order.index(view)],
-                polarization=polarization,
-                looks=looks,
-                looks_estimated=estimated,
-                **{name: of[name] for name in _OF_OBSERVATION},
-            )
-            found.append(
-                EvaluatedImage(
-                    observation=observation,
-                    metrics=one["metrics"],
-                    **one["image"],
-                    **{name: of[name] for name in _OF_IMAGE},
-                )
-            )
-    return sorted(found, key=lambda image: order.index(image.view.name))
-
-
-def _looks(scene: Scene, view: View) -> float:
-    """Looks for the choice of the rays: declared, or the largest estimate of the view's images."""
-    return view.looks or max(equivalent_looks(scene.measured(view, p)) or 1.0 for p in view.images)
 
 
 def _evaluate_view(
@@ -167,19 +118,21 @@ def _evaluate_view(
         if mask is not None:
             valid &= mask
         incidence, material = _surface_in_pixels(scene, render, pol)
+        floor = nuisance_floor(seen.measured[valid].astype(float), gain * mean[valid])
         image = EvaluatedImage(
             observation=seen,
             simulated=gain * mean,
             valid=valid,
             gain=gain,
-            floor=nuisance_floor(seen.measured[valid].astype(float), gain * mean[valid]),
+            floor=floor,
             incidence_deg=incidence,
             material=material,
             range_m=axes[0],
             azimuth_m=axes[1],
             sampling_noise=noise,
+            metrics=image_metrics(seen, gain * mean, valid, floor),
         )
-        found.append(replace(image, metrics=_metrics(image)))
+        found.append(image)
     return found
 
 
@@ -202,70 +155,41 @@ def _surface_in_pixels(scene: Scene, render: ViewRender, polarization: str) -> t
     return incidence.reshape(rows, cols), material.reshape(rows, cols)
 
 
-def nuisance_floor(measured: np.ndarray, modelled: np.ndarray) -> float:
-    """The level N >= 0 that maximises the gamma likelihood of `measured` about `modelled` + N; flat arrays of the
-    positive pixels. The number of looks does not move it."""
-
-    def loss(log_level: float) -> float:
-        mean = modelled + np.exp(log_level)
-        return float(np.mean(measured / mean + np.log(mean)))
-
-    # 14 decades below the brightest pixel a floor is none to float32
-    grid = np.log(measured.max()) - np.linspace(32.0, 0.0, 33)
-    at = int(np.argmin([loss(g) for g in grid]))
-    best = minimize_scalar(
-        loss, bounds=(grid[max(at - 1, 0)], grid[min(at + 1, 32)]), method="bounded", options={"xatol": 1e-6}
-    )
-    if modelled.min() > 0 and np.mean(measured / modelled + np.log(modelled)) <= best.fun:
-        return 0.0
-    return float(np.exp(best.x))
-
-
-def mean_deviance(seen: Observation, modelled: np.ndarray, mask: np.ndarray) -> tuple[float, float]:
-    """Mean of d / E[d] over the pixels of `mask`, and its standard error; `modelled` is beta0, shape (rows, cols).
-
-    The error is sqrt(variance / n) with the residual's own autocovariance: speckle is correlated from pixel to pixel.
-    """
-    d = deviance(seen.measured[mask].astype(float), modelled[mask], seen.looks) / expected_deviance(seen.looks)
-    mean = float(d.mean())
-    covariance = residual_autocovariance([(replace(seen, interior=mask), d - mean)])
-    return mean, float(np.sqrt(covariance.sum() / d.size))
-
-
-def _metrics(image: EvaluatedImage) -> dict[str, Any]:
-    seen = image.observation
-    found: dict[str, Any] = metrics(seen.values, image.simulated[seen.interior], seen.looks)
-    found["deviance"], found["deviance_error"] = mean_deviance(seen, image.simulated, seen.interior)
-    whole = mean_deviance(seen, image.simulated + image.floor, image.valid)
-    found["deviance_all"], found["deviance_all_error"] = whole
-    count, count_all = int(seen.interior.sum()), int(image.valid.sum())
-    return found | {
-        "floor": image.floor,
-        "pixels": count,
-        "left_out": seen.measured.size - count,
-        "zeros": seen.zeros,
-        "pixels_all": count_all,
-        "left_out_all": seen.measured.size - count_all,
-    }
-
-
-def pool(images: Sequence[EvaluatedImage]) -> dict[str, Any] | None:
-    """Metrics over the pixels of several images together; None where there are none."""
-    if not images:
-        return None
-    measured = np.concatenate([i.observation.values for i in images])
-    found: dict[str, Any] = metrics(measured, np.concatenate([i.simulated[i.interior] for i in images]), 1.0)
-    counts = ("pixels", "left_out", "zeros", "pixels_all", "left_out_all")
-    found |= {key: sum(i.metrics[key] for i in images) for key in counts}
-    for key, n in (("deviance", "pixels"), ("deviance_all", "pixels_all")):
-        weights = np.array([i.metrics[n] for i in images]) / found[n]
-        found[key] = float(weights @ [i.metrics[key] for i in images])
-        found[f"{key}_error"] = float(np.linalg.norm(weights * [i.metrics[f"{key}_error"] for i in images]))
-    return found | {"images": len(images)}
-
-
 def _stem(image: EvaluatedImage) -> str:
     return f"{image.view.name}_{image.polarization}_residual"
+
+
+def _write_residual(out: Path, image: EvaluatedImage) -> None:
+    """EXR and PNG of one image's residual."""
+    planes = {"measured": image.measured, "simulated": image.simulated, "ratio_db": image.ratio_db}
+    write_exr(out / f"{_stem(image)}.exr", planes)
+    with replacing(out / f"{_stem(image)}.png") as temporary:
+        temporary.write_bytes(residual_picture(image))
+
+
+def _say_what_was_fitted(image: EvaluatedImage, calibrated: bool) -> None:
+    seen = image.observation
+    if seen.looks_estimated:
+        console.say(f"looks of {image.view.name} {image.polarization}: not declared, estimated as {seen.looks:.1f}")
+    if not calibrated:
+        console.say(f"gain of {image.view.name} {image.polarization}: not calibrated, fitted as {image.gain:.4g}")
+
+
+def _view(image: EvaluatedImage, calibrated: bool) -> dict[str, Any]:
+    """One image's entry in evaluate.json."""
+    seen, stem = image.observation, _stem(image)
+    return {
+        "name": image.view.name,
+        "role": image.view.role,
+        "polarization": image.polarization,
+        **image.metrics,
+        "looks": seen.looks,
+        "looks_estimated": seen.looks_estimated,
+        "gain": image.gain,
+        "gain_fitted": not calibrated,
+        "sampling_noise": image.sampling_noise,
+        "files": {"exr": f"{stem}.exr", "png": f"{stem}.png"},
+    }
 
 
 def run(
@@ -286,42 +210,19 @@ def run(
     seed = scene.sampling.seed if seed is None else seed
     mine, density = _evaluated(scene, where, seed, ranks)
     for image in mine:
-        stem = _stem(image)
-        planes = {"measured": image.measured, "simulated": image.simulated, "ratio_db": image.ratio_db}
-        write_exr(out / f"{stem}.exr", planes)
-        with replacing(out / f"{stem}.png") as temporary:
-            temporary.write_bytes(residual_picture(image))
+        _write_residual(out, image)
     found = _joined(scene, mine, density, ranks)
     if not ranks.first:
         return {}
-    views = []
     for image in found.images:
-        seen, stem = image.observation, _stem(image)
-        if seen.looks_estimated:
-            console.say(f"looks of {image.view.name} {image.polarization}: not declared, estimated as {seen.looks:.1f}")
-        if not scene.grid.calibrated:
-            console.say(f"gain of {image.view.name} {image.polarization}: not calibrated, fitted as {image.gain:.4g}")
-        views.append(
-            {
-                "name": image.view.name,
-                "role": image.view.role,
-                "polarization": image.polarization,
-                **image.metrics,
-                "looks": seen.looks,
-                "looks_estimated": seen.looks_estimated,
-                "gain": image.gain,
-                "gain_fitted": not scene.grid.calibrated,
-                "sampling_noise": image.sampling_noise,
-                "files": {"exr": f"{stem}.exr", "png": f"{stem}.png"},
-            }
-        )
+        _say_what_was_fitted(image, scene.grid.calibrated)
     write_learned_ply(out / "learned.ply", scene)
     by_factor = profiles(found.images, scene.mesh.materials)
     content = {
         "rays_per_pixel": found.rays_per_m2 * scene.grid.pixel_area_m2,
         "calibrated": scene.grid.calibrated,
         "processes": ranks.size,
-        "views": views,
+        "views": [_view(image, scene.grid.calibrated) for image in found.images],
         "train": found.train,
         "test": found.test,
         "residuals_db": {name: profile.rows for name, profile in by_factor.items()},

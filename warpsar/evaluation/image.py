@@ -2,13 +2,51 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
+from typing import TypedDict
 
 import numpy as np
 
 from warpsar.learning.observation import Observation
 from warpsar.world.tables import View
+
+
+class Metrics(TypedDict):
+    """How far compared pixels are from the model, as in the JSON files (docs/evaluate.md).
+
+    `rmse` is in beta0, `deviance` in units of its mean under speckle, with its standard error.
+    """
+
+    rmse: float
+    nrmse: float
+    rmse_db: float
+    deviance: float
+    correlation: float
+    deviance_error: float
+    pixels: int
+    left_out: int
+    zeros: int
+
+
+class WholeMetrics(Metrics):
+    """The same, and the deviance over all valid pixels, with a nuisance level added to the model."""
+
+    deviance_all: float
+    deviance_all_error: float
+    pixels_all: int
+    left_out_all: int
+
+
+class ImageMetrics(WholeMetrics):
+    """Of one image; `floor` is the nuisance level [beta0]."""
+
+    floor: float
+
+
+class PooledMetrics(WholeMetrics):
+    """Of the pixels of several images together."""
+
+    images: int
 
 
 @dataclass(frozen=True)
@@ -33,7 +71,7 @@ class EvaluatedImage:
     range_m: np.ndarray
     azimuth_m: np.ndarray
     sampling_noise: float
-    metrics: dict[str, Any] = field(default_factory=dict)
+    metrics: ImageMetrics
 
     @property
     def view(self) -> View:
@@ -64,8 +102,8 @@ class Evaluation:
     """All images of a scene, and the metrics pooled over the pixels of each role; None for a role without images."""
 
     images: list[EvaluatedImage]
-    train: dict[str, Any] | None
-    test: dict[str, Any] | None
+    train: PooledMetrics | None
+    test: PooledMetrics | None
     rays_per_m2: float
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import warp as wp
@@ -23,11 +22,11 @@ RAYS = 3  # per picture pixel and axis: edges of 10 shades
 TALLEST = 0.75  # of its width: a picture of a tall mesh is made narrower instead
 
 
-def parameters_at(stage: Stage, face: Any, barycentric: Any) -> dict[str, np.ndarray]:
+def parameters_at(stage: Stage, face: wp.array, barycentric: wp.array) -> dict[str, np.ndarray]:
     """Surface parameters (SI) at places on the mesh, whatever their layout: `face` (n,) int32, `barycentric` (n,) vec2,
     device arrays. By key, each of shape (n,)."""
     device = stage.target.device
-    nodes: Any = wp.array(stage.surface.nodes.astype(np.float32), dtype=float, device=device)
+    nodes: wp.array = wp.array(stage.surface.nodes.astype(np.float32), dtype=float, device=device)
     zeta = wp.empty(face.shape[0], dtype=wp.vec4, device=device)
     wp.launch(
         shade.gather_kernel,

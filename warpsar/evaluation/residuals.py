@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -56,7 +56,7 @@ def profiles(images: Sequence[EvaluatedImage], materials: Sequence[str]) -> dict
     """The residual of all images' interiors against each factor; bins of fewer than 30 pixels are left out."""
     residual = np.concatenate([residual_db(i) for i in images])
 
-    def gather(plane: Any) -> np.ndarray:
+    def gather(plane: Callable[[EvaluatedImage], np.ndarray]) -> np.ndarray:
         return np.concatenate([np.broadcast_to(plane(i), i.interior.shape)[i.interior] for i in images])
 
     brightness = 10.0 * np.log10(gather(lambda i: i.simulated))

@@ -161,7 +161,7 @@ class ViewRender:
         def adjoint() -> Launch:
             pieces = by_elements([bins, weight, sigma.grad])
             inputs, outputs = [bins, weight, image.grad], [sigma.grad]
-            return Launch(shade.deposit_adjoint_kernel, sigma.shape[0], inputs, outputs, sigma.device, pieces)
+            return Launch(shade.deposit_adjoint_kernel, sigma.shape[0], inputs, outputs, self.program.device, pieces)
 
         first, lanes = starts(bins), 1 if self.program.device.is_cpu else LANES
         self.program.launch(

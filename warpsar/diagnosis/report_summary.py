@@ -1,0 +1,106 @@
+"""The answer in diagnose's report: what was added, why, and how far the model is from the images before and after."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from warpsar.diagnosis.carried import is_carried
+from warpsar.diagnosis.judge import ROLES
+from warpsar.diagnosis.report_surface import effect_table
+from warpsar.diagnosis.result import Diagnosed
+from warpsar.effects.registry import get
+from warpsar.evaluation.report_parts import plus_minus
+from warpsar.io import html as report
+
+ROLE_WORDS = {"train": "train", "test": "test (decided nothing)"}
+
+
+def summary_section(done: Diagnosed, content: dict[str, Any]) -> str:
+    found = done.diagnosis
+    rows = []
+    for role in ROLES:
+        before, after, gain = done.before[role], done.after[role], content["gain"][role]
+        if before is None or after is None or gain is None:
+            continue
+        rows.append(
+            [
+                ROLE_WORDS[role],
+                str(before["images"]),
+                f"{before['pixels']:,}",
+                plus_minus(before["deviance"], before["deviance_error"]),
+                plus_minus(after["deviance"], after["deviance_error"]),
+                plus_minus(gain["deviance"], gain["error"]) if found.verdict else "–",
+                f"{before['rmse_db']:.2f} → {after['rmse_db']:.2f}",
+                f"{before['correlation']:.3f} → {after['correlation']:.3f}",
+            ]
+        )
+    head = ["views", "images", "pixels", "deviance before", "deviance after", "difference", "rmse [dB]", "correlation"]
+    explained = (
+        "Deviance is the mean of 2 L (I/mu - 1 - ln(I/mu)) over what speckle alone would leave: 1 is a perfect model. "
+        "Before: the declared model at its best fit. After: with everything that was added, all parameters fitted "
+        "again. Both on the same pixels, frozen from the declared model before the first fit: lit with all eight "
+        "neighbours, off the image's edge. ± is one standard error, with the correlation of neighbouring pixels; that "
+        "of the difference is smaller, because both models meet the same speckle. Test views were looked at once, "
+        f"after the last decision. Rays: {content['rays_per_pixel']:g} per pixel; looks x pixels x relative sampling "
+        f"variance of the model is {content['ray_noise']:.2g} over all train pixels: about what rays add to 2 ln L."
+    )
+    words = [report.paragraph(text) for text in _verdict(done, content)]
+    if content["per_view_effects_on_test_views"]:
+        words.append(report.paragraph(content["per_view_effects_on_test_views"]))
+    zeros = sum(image["zeros"] for image in content["images"])
+    if zeros:
+        words.append(
+            report.paragraph(
+                f"{zeros} lit pixels measure exactly 0, which no speckle makes; they are left out of all this."
+            )
+        )
+    if any(image["looks_estimated"] for image in content["images"]):
+        words.append(report.paragraph("The looks of the images were not declared; they were estimated."))
+    if not found.scene.grid.calibrated:
+        words.append(
+            report.paragraph("The images are not calibrated: each has a gain of its own, fitted, on test views too.")
+        )
+    return report.section("In short", *words, report.table(head, rows), report.paragraph(explained, quiet=True))
+
+
+def _verdict(done: Diagnosed, content: dict[str, Any]) -> list[str]:
+    found = done.diagnosis
+    error = 100.0 * content["options"]["family_error"]
+    said = []
+    for step in content["steps"]:
+        left = step["left_out"]
+        held = ""
+        if left is not None:
+            held = (
+                f" Each of {left['views']} train views was predicted from the others: with it ln L is higher by "
+                f"{plus_minus(left['gain'], left['error'])}, all views together."
+                if left["views"] > 1
+                else " There is one train view: none could be left out to ask."
+            )
+        tables = effect_table(step["parameters"])
+        doubt = f" But {step['note']}." if is_carried(step["effect"], step["carried_over"] or 0.0) else ""
+        said.append(f"Added: {step['effect']} ({get(step['effect']).summary}), with {tables}.{held}{doubt}")
+    said += [
+        f"Dropped again, being needless beside {turn['added']}: {name}."
+        for turn in content["turns"]
+        for name in turn["dropped"]
+    ]
+    if not said and any(c.refit_gain is not None for c in found.turns[0].candidates):
+        said.append(
+            "Nothing was added: none of the effects that passed the threshold held; the sections on the turns say why."
+        )
+    elif not said:
+        said.append(
+            "Nothing was added: no effect of the library explains what is left better than chance would, at a family "
+            f"error rate of {error:g} %."
+        )
+    if found.unexplained:
+        said.append(
+            "Something is left that no effect of the library explains. It is not given a name; the section before the "
+            "last says where it is."
+        )
+    elif found.turns[-1].added is None:
+        said.append("What is left at the end looks like speckle, to the tests made here.")
+    else:
+        said.append("The limit of added effects was reached: whether anything is left was not asked.")
+    return said

@@ -1,0 +1,89 @@
+"""Pictures in evaluate's report: every measured image beside its simulation and the residual."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from warpsar.evaluation.image import EvaluatedImage, Evaluation, ratio_db
+from warpsar.evaluation.report_numbers import METRICS, metric_cells
+from warpsar.evaluation.report_parts import plus_minus, reach_db, residual_rgb, residual_scale
+from warpsar.io import html as report
+from warpsar.scene.scene import Scene
+
+PICTURE_PIXELS = 1.5e6  # of all pictures of images together: the file stays under some 5 MB
+
+
+def residual_picture(image: EvaluatedImage) -> bytes:
+    """PNG of the residual [dB] on the compared pixels, grey elsewhere; red: the measured image is brighter."""
+    residual = np.where(image.interior, image.ratio_db, np.nan)
+    return report.png(residual_rgb(residual, _reach([image])))
+
+
+def _reach(images: Sequence[EvaluatedImage]) -> float:
+    return reach_db([image.ratio_db[image.interior] for image in images], 90.0)
+
+
+def reduced(power: np.ndarray, mask: np.ndarray, factor: int) -> np.ndarray:
+    """Mean of linear `power` over the `mask`ed pixels of factor x factor blocks; NaN where there are none. The last
+    rows and columns that fill no block are dropped."""
+    rows, cols = (n // factor * factor for n in power.shape)
+
+    def blocks(a: np.ndarray) -> np.ndarray:
+        return a[:rows, :cols].reshape(rows // factor, factor, cols // factor, factor).sum(axis=(1, 3))
+
+    with np.errstate(invalid="ignore"):
+        return np.asarray(blocks(np.where(mask, power, 0.0)) / blocks(mask.astype(float)))
+
+
+def images_section(scene: Scene, found: Evaluation) -> str:
+    rows, cols = scene.grid.shape
+    height, width = (n * s for n, s in zip(scene.grid.shape, scene.grid.spacing_m, strict=True))
+    factor = max(1, int(np.ceil(np.sqrt(3 * len(found.images) * rows * cols / PICTURE_PIXELS))))
+    factor = min(factor, rows, cols)
+    reach = _reach(found.images)
+    blocks = [
+        report.paragraph(
+            f"The radar is at the top: range runs down ({height:g} m), azimuth across ({width:g} m). Measured and "
+            f"simulated share one dB scale in each row. Residual: measured over simulated, on the pixels that are "
+            f"compared; grey elsewhere." + (f" Shown averaged over {factor} x {factor} pixels." if factor > 1 else "")
+        ),
+        residual_scale(reach, "residual: measured / simulated"),
+    ]
+    for image in found.images:
+        everywhere = np.isfinite(image.measured)
+        measured, simulated = (reduced(p, everywhere, factor) for p in (image.measured, image.simulated))
+        inner = [reduced(p, image.interior, factor) for p in (image.measured, image.simulated)]
+        shown = np.concatenate([10.0 * np.log10(p[image.interior]) for p in (image.measured, image.simulated)])
+        low, high = (int(f(np.percentile(shown, q))) for f, q in ((np.floor, 1.0), (np.ceil, 99.7)))
+        panels = []
+        for name, power in (("measured", measured), ("simulated", simulated)):
+            with np.errstate(divide="ignore", invalid="ignore"):
+                db = np.where(np.isnan(power), np.nan, 10.0 * np.log10(np.maximum(power, 1e-30)))
+            panels.append((name, report.png(report.colour(db, "gray", low, high))))
+        residual = residual_rgb(ratio_db(*inner), reach)
+        panels.append(("residual", report.png(residual)))
+        v, m = image.view, image.metrics
+        blocks.append(report.heading(f"{v.name} · {image.polarization} · {v.role}"))
+        looks = f"{image.observation.looks:.3g}" + (" (estimated)" if image.observation.looks_estimated else "")
+        said = [
+            ("azimuth", f"{v.azimuth_deg:g}°"),
+            ("incidence", f"{v.incidence_deg:g}°"),
+            ("looks", looks),
+            ("deviance", plus_minus(m["deviance"], m["deviance_error"])),
+            ("all pixels", plus_minus(m["deviance_all"], m["deviance_all_error"])),
+            ("rmse", f"{m['rmse_db']:.2f} dB"),
+            ("correlation", f"{m['correlation']:.3f}"),
+            ("pixels", f"{m['pixels']:,}"),
+            ("left out", f"{m['left_out']:,}"),
+        ]
+        if not scene.grid.calibrated:
+            said.append(("fitted gain", f"{10.0 * np.log10(image.gain):.2f} dB"))
+        key = report.scale("gray", [f"{low}", f"{high} dB"], "beta0")
+        pictures = [report.picture(data, name, aspect=width / height) for name, data in panels]
+        blocks.append(report.row(*pictures, report.cell(key, report.facts(said))))
+    table = [[f"{i.view.name} {i.polarization}", i.view.role, *metric_cells(i.metrics)] for i in found.images]
+    blocks.append(report.heading("Every image"))
+    blocks.append(report.table(["image", "role", *METRICS], table))
+    return report.section("Measured, simulated, residual", *blocks)

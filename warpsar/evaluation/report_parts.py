@@ -1,0 +1,47 @@
+"""What the reports of evaluate and diagnose share: residual pictures, names of parameters, numbers with errors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from warpsar.evaluation.meshview import MeshView, look
+from warpsar.io import html as report
+from warpsar.surface.stage import Stage
+
+RESIDUAL_COLOURS = "RdBu_r"  # red: the measured image is brighter
+AZIMUTHS_DEG = (205.0, 25.0)  # of the two looks at the mesh: askew to the compass
+_NAMES = {"eps_r": ("eps_r", 1.0), "rms_height_m": ("h [mm]", 1e3), "correlation_length_m": ("l [mm]", 1e3)}
+
+
+def plus_minus(value: float, error: float) -> str:
+    """A value and its standard error, to the digits that mean something."""
+    digits = int(np.clip(1 - np.floor(np.log10(max(abs(error), 1e-6))), 0, 4))
+    return f"{value:.{digits}f} ±\u00a0{error:.{digits}f}"
+
+
+def shown_as(key: str) -> tuple[str, float]:
+    """A surface parameter's name with its unit, and the factor from SI to that unit."""
+    return _NAMES.get(key, ("tau", 1.0))
+
+
+def reach_db(residuals: Sequence[np.ndarray], percent: float) -> float:
+    """End of a residual's colour scale [dB]: `percent` of the compared pixels are inside, whole dB, 3 to 30."""
+    residual = np.concatenate([np.abs(one) for one in residuals])
+    return float(np.clip(np.ceil(np.percentile(residual, percent)), 3.0, 30.0))
+
+
+def residual_rgb(residual_db: np.ndarray, reach: float) -> np.ndarray:
+    """Colours of a residual [dB], 0 to 1, shape (*residual_db.shape, 3); NaN is grey."""
+    return report.colour(residual_db, RESIDUAL_COLOURS, -reach, reach)
+
+
+def residual_scale(reach: float, label: str) -> str:
+    """The key of `residual_rgb`."""
+    return report.scale(RESIDUAL_COLOURS, [f"-{reach:g}", "0", f"+{reach:g} dB"], label)
+
+
+def both_sides(stage: Stage, incidence_deg: float) -> list[tuple[float, MeshView]]:
+    """The mesh from two opposite sides, each with its azimuth [deg]."""
+    return [(azimuth, look(stage, azimuth, incidence_deg)) for azimuth in AZIMUTHS_DEG]
