@@ -141,15 +141,15 @@ def _checkpoint(folder: Path) -> None:
 
 
 def _history(folder: Path) -> None:
-    from warpsar.evaluation import report as evaluation_report
+    from warpsar.evaluation.report_convergence import convergence_sections
 
-    evaluation_report._convergence(folder)
+    convergence_sections(folder)
 
 
 def _fields(folder: Path) -> None:
-    from warpsar.evaluation import report as evaluation_report
+    from warpsar.evaluation.report_surface import field_words
 
-    evaluation_report._field_words(folder)
+    field_words(folder)
 
 
 @cache

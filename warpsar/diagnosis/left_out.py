@@ -18,7 +18,7 @@ from warpsar.speckle.likelihood import loss_terms
 
 BLOCK = 8  # columns: what a view's own parameters are fitted on and judged on alternates
 VARIES = 0.5  # of a gain, that may be gained again by letting a view's own parameter vary over its columns
-# Log-likelihood at which one pixel's difference is cut off. Otherwise a few bright pixels are all of the sum, and all of
+# Log-likelihood at which one pixel's difference is cut off. Otherwise a few bright pixels are all of the sum and of
 # its error.
 LARGEST_DIFFERENCE = 20.0
 

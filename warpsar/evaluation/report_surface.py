@@ -29,7 +29,7 @@ def identified_words(scene: Scene, stage: Stage, rays_per_m2: float) -> tuple[Id
         said = "Nothing is to be learned here, or there is no train view to learn from."
         return None, [report.paragraph(said)]
     if any(block.learn and block.size > 1 for block in stage.surface.blocks):
-        return None, _field_words(Path(scene.path).parent if scene.path else None)
+        return None, field_words(Path(scene.path).parent if scene.path else None)
     try:
         problem = FitProblem(scene, stage.target.device, rays=Rays(stage, rays_per_m2, scene.sampling.seed))
     except InputError as error:  # a value at a dead point (eps_r = 1) can be simulated, but not differentiated
@@ -42,7 +42,7 @@ def identified_words(scene: Scene, stage: Stage, rays_per_m2: float) -> tuple[Id
     return identified, [report.bullets(identified.words), report.paragraph(said, quiet=True)]
 
 
-def _field_words(folder: Path | None) -> list[str]:
+def field_words(folder: Path | None) -> list[str]:
     """What learn.json beside the scene says of fields, which are too large for one information matrix."""
     path = folder / "learn.json" if folder else None
     try:
