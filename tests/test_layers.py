@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ast
 import re
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -40,8 +41,10 @@ ROOMS = (
 )
 """From the ground up: a room imports its own files and those of rooms below. docs/design.md says what lives in each."""
 
-HEAVY = {"warp", "matplotlib", "rasterio", "torch", "trimesh", "OpenImageIO", "PIL", "h5py", "sarkit", "lxml", "xatlas"}
-"""Slow to import, or an extra that may be missing: they alone may be imported inside a function."""
+SLOW = {"warp", "matplotlib", "trimesh", "OpenImageIO", "PIL"}
+EXTRAS = {"rasterio", "affine", "torch", "h5py", "sarkit", "lxml", "xatlas"}
+HEAVY = SLOW | EXTRAS
+"""Slow to import, or in an extra that may be missing: they alone may be imported inside a function."""
 
 
 @dataclass(frozen=True)
@@ -164,6 +167,13 @@ def test_lazy_imports_are_of_heavy_libraries() -> None:
     by_string = {"warpsar", "warpsar.effects.registry", "warpsar.runtime.devices"}
     lazy = [a for a in arrows(ROOT) if a.lazy and room(a.importer) != "cli" and a.importer not in by_string]
     assert [f"{a.importer} -> {a.imported}" for a in lazy if a.imported.split(".")[0] not in HEAVY] == []
+
+
+def test_extras_are_never_imported_at_the_top() -> None:
+    """A plain installation has none of them; and nothing is imported that pyproject.toml does not ask for."""
+    asked = {"click", "numpy", "pydantic", "scipy", "tomlkit", "tqdm", "warpsar"} | SLOW | set(sys.stdlib_module_names)
+    top = [a for a in arrows(ROOT) if not a.lazy]
+    assert [f"{a.importer} -> {a.imported}" for a in top if a.imported.split(".")[0] not in asked] == []
 
 
 @pytest.fixture

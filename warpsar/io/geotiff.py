@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from affine import AffineError
 
 from warpsar.errors import InputError
 from warpsar.io import tiff
@@ -25,6 +24,7 @@ def projecting(path: Path) -> Iterator[None]:
     os.environ.setdefault("PROJ_DEBUG", "0")  # else PROJ writes to stderr what it finds wrong in a coordinate system
     try:
         import rasterio
+        from affine import AffineError
         from rasterio._err import CPLE_BaseError  # GDAL's own errors, which rasterio.warp lets through
         from rasterio.errors import NotGeoreferencedWarning, RasterioError
     except ImportError as error:
