@@ -5,7 +5,7 @@ import warp as wp
 
 @wp.struct
 class RayGrid:
-    """Where the rays of one view start and which bins they fall into (scene-format.md).
+    """Where the rays of one view start and which bins they fall into.
 
     Rays are cells of a regular (azimuth, elevation) grid, one jittered sample in each. In a plane wave the
     elevation coordinate is X . v [m]; in strip-map it is the angle about the track [rad].

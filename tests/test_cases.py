@@ -95,7 +95,7 @@ def test_materials_are_as_bright_as_they_should_be(independent_cases: Path) -> N
 
 
 def deviance(view: Pair, looks: float) -> np.ndarray:
-    """d / E[d] of scene-format over the lit interior: 1 on average where the model is right."""
+    """d / E[d] (docs/evaluate.md) over the lit interior: 1 on average where the model is right."""
     pixels = whole_neighbourhood(view.ours > 0) & (view.theirs > 0)
     ratio = view.theirs[pixels].astype(float) / view.ours[pixels]
     return (ratio - 1 - np.log(ratio)) / (np.log(looks) - digamma(looks))

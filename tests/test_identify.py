@@ -44,7 +44,7 @@ def per_unit_looks(problem: FitProblem) -> np.ndarray:
     return sum(np.outer(s, s) for s in slopes)
 
 
-# Eigenvalues and standard deviations (1000 looks per channel) as physics.md, section 3, prints them: two or three
+# Eigenvalues and standard deviations (1000 looks per channel) as docs/physics.md prints them: two or three
 # digits, so 5 %; nan where it prints none.
 NAN, INF = float("nan"), float("inf")
 TABLE = [

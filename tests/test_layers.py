@@ -161,6 +161,15 @@ def test_every_room_has_its_place() -> None:
     assert {room(module) for module in sources(ROOT)} == set(ROOMS)
 
 
+def test_the_design_page_lists_the_rooms_in_their_order() -> None:
+    page = (ROOT / "docs" / "design.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| (`\S+?`(?:, `\S+?`)*) \|", page, re.MULTILINE)
+    named = [name.removesuffix("/").removesuffix(".py") for row in rows for name in re.findall(r"`(\S+?)`", row)]
+    assert [name for name in named if name in ROOMS] == [
+        r for r in ("errors", "version", *ROOMS[2:]) if not r.startswith("__")
+    ]
+
+
 def test_lazy_imports_are_of_heavy_libraries() -> None:
     """cli/ apart, whose commands import their work when they are called: help needs no engine; and the faces of the
     package, which name by string what is imported when it is asked for."""

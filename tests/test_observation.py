@@ -1,4 +1,4 @@
-"""Which pixels a fit uses (effects.md, step 2), against the rule written out pixel by pixel."""
+"""Which pixels a fit uses (docs/diagnosis.md), against the rule written out pixel by pixel."""
 
 from dataclasses import replace
 from pathlib import Path

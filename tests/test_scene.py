@@ -114,7 +114,7 @@ def test_what_is_read(folder: Path) -> None:
     assert (first.role, second.role) == ("train", "test")
     assert scene.slant_range_m(first) is None
     assert scene.slant_range_m(second) == 350.0
-    # k of X band (physics.md, section 2: f = 9.6 GHz).
+    # k of X band (f = 9.6 GHz).
     assert scene.wavenumber(first) == pytest.approx(201.2011, abs=5e-5)
     assert scene.wavenumber(second) == pytest.approx(2 * math.pi * 1e10 / 299792458.0)
     hh, vv = scene.measured(first, "HH"), scene.measured(first, "VV")
