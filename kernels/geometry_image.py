@@ -17,6 +17,7 @@ from warpsar.kernels.geometry import (
 from warpsar.kernels.shade import coordinates_at, sigma0_of
 
 
+# Long because of its arguments: sigma0 depends on all of them.
 @wp.kernel
 def geometry_image_kernel(
     # In:
