@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from warpsar.world.pixels import Pixels
 from warpsar.world.world import World
 
 FRACTION_LIMIT = 40.0  # kernels/shade.py: beyond it tau is 0 or 1 to the bit
@@ -113,7 +114,7 @@ class Surface:
             ends: tuple[int, int] | None = None  # the first and the last vertex of its faces
             for k, kind in enumerate(KINDS):
                 declared = getattr(material, kind.key)
-                if isinstance(declared, str):
+                if isinstance(declared, str | Pixels):
                     value = np.asarray(scene.field(name, kind.key), float)
                     layout = material.layout
                 elif isinstance(declared, tuple):

@@ -9,7 +9,7 @@ import re
 import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from io import BytesIO
 from pathlib import Path
@@ -21,19 +21,17 @@ from numpy.typing import NDArray
 from warpsar.errors import InputError, shown
 from warpsar.io import geotiff
 from warpsar.runtime import threads
+from warpsar.world.mesh_door import LARGEST_COORDINATE_M, LARGEST_MESH, checked
+from warpsar.world.mesh_memory import arrays_of
 
 SUFFIXES = (".obj", ".ply", ".stl", ".gltf", ".glb", ".tif", ".tiff")
 DEFAULT_MATERIAL = "default"
 # A radar scene of more than 5 km that is not a DEM is far more often a building in millimetres.
 SUSPICIOUS_EXTENT_M = 5e3
-# float32 kernels keep no metre apart beyond this, and no radar scene is this large.
-LARGEST_COORDINATE_M = 1e8
 LARGEST_PER_BYTE = 1032
 """Heights of a DEM to a byte of its file: what deflate packs at most."""
 LARGEST_DEM = 2**25
 """Pixels of a DEM: 67 million faces."""
-LARGEST_MESH = 2**28
-"""Vertices, and faces, of all parts of a file: nodes may show one part many times."""
 # What trimesh, which has no errors of its own, raises on broken files: it stumbles over them.
 _BROKEN: tuple[type[Exception], ...] = (ArithmeticError, AssertionError, AttributeError, EOFError, ImportError)
 _BROKEN += (LookupError, NameError, NotImplementedError, OSError, RecursionError, TypeError, ValueError, struct.error)
@@ -49,7 +47,8 @@ _PLY_RESERVED = frozenset(
 class Mesh:
     """Triangles of the world.
 
-    Coordinates are metres, right-handed, Z up, X east, Y north.
+    Coordinates are metres, right-handed, Z up, X east, Y north. Lists and arrays of other types are taken as well.
+    Raises InputError for shapes and types that are no mesh, NaN or infinite vertices, and indices out of range.
     """
 
     vertices: NDArray[np.float64]
@@ -68,6 +67,38 @@ class Mesh:
     """Faces of zero area that were left out."""
     warnings: tuple[str, ...] = ()
     """What a user should know about the file, one sentence each."""
+
+    def __post_init__(self) -> None:
+        given = (self.vertices, self.faces, self.face_material, self.materials, self.uv, self.vertex_scalars)
+        for name, value in checked(*given).items():
+            object.__setattr__(self, name, value)
+
+    @classmethod
+    def of(cls, source: Any, faces: Any = None, **more: Any) -> Mesh:
+        """A mesh made in memory, checked as one from a file is: faces of zero area are left out.
+
+        `source` is one of: a `trimesh.Trimesh`; a `trimesh.Scene`, whose geometries' names become the materials; a
+        dict of material names with a Trimesh or a pair (vertices, faces) each; or vertices, shape (n, 3) [m], with
+        `faces`, shape (m, 3). `more` are fields of `Mesh` to be set besides: `vertex_scalars`, `uv`, or `materials`
+        with `face_material`. Without names the one material is "default". Raises InputError.
+        """
+        mesh = cls(**{**arrays_of(source, faces, DEFAULT_MATERIAL), **more})
+        lit = ~_zero_area(mesh.vertices, mesh.faces)
+        if not lit.any():
+            raise InputError(f"mesh.faces: all {len(lit)} faces have zero area; must hold triangles")
+        dropped, warnings = int(len(lit) - lit.sum()), _extent_warnings(mesh.vertices)
+        if not dropped:
+            return replace(mesh, warnings=warnings)
+        warnings = (f"{dropped} of {len(lit)} faces have zero area and were dropped", *warnings)
+        kept = {"faces": mesh.faces[lit], "face_material": mesh.face_material[lit]}
+        return replace(mesh, **kept, dropped_faces=dropped, warnings=warnings)
+
+
+def _extent_warnings(vertices: NDArray[np.float64]) -> tuple[str, ...]:
+    extent = float(np.ptp(vertices, axis=0).max())
+    if extent <= SUSPICIOUS_EXTENT_M:
+        return ()
+    return (f"the mesh is {extent:g} m across: are its units millimetres? They must be metres",)
 
 
 @dataclass(frozen=True)
@@ -182,9 +213,8 @@ def _join(path: Path, parts: list[_Part], scalars: dict[str, Any], warnings: lis
     if dropped:
         faces, face_material = faces[lit], face_material[lit]
         warnings.append(f"{dropped} of {len(lit)} faces have zero area and were dropped")
-    extent = float(np.ptp(vertices, axis=0).max())
-    if extent > SUSPICIOUS_EXTENT_M and path.suffix.lower() not in (".tif", ".tiff"):
-        warnings.append(f"the mesh is {extent:g} m across: are its units millimetres? They must be metres")
+    if path.suffix.lower() not in (".tif", ".tiff"):
+        warnings += _extent_warnings(vertices)
     uv = None
     if any(part.uv is not None for part in parts):
         with np.errstate(over="ignore"):  # beyond float32 is no place on a texture

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import (
     BaseModel,
@@ -11,11 +11,14 @@ from pydantic import (
     ConfigDict,
     Field,
     ValidationInfo,
+    WrapValidator,
     field_validator,
     model_validator,
 )
 
+from warpsar.errors import InputError
 from warpsar.io.images import LARGEST_IMAGE
+from warpsar.world import pixels
 
 DEFAULT_RAYS_PER_PIXEL = 64.0
 
@@ -69,6 +72,15 @@ def _file_name(value: object) -> object:
 
 
 FileName = Annotated[Path, BeforeValidator(_file_name)]
+
+
+# A file's name, or in memory an array, which becomes `Pixels`. To a type checker whatever NumPy can make an array of.
+if TYPE_CHECKING:
+    MeasuredImage = Mask = Texture = Any
+else:
+    MeasuredImage = Annotated[FileName, WrapValidator(pixels.measured)]
+    Mask = Annotated[FileName, WrapValidator(pixels.mask)]
+    Texture = str
 
 
 class Table(BaseModel):
@@ -148,7 +160,8 @@ class Material(Table):
     """`[materials.NAME]`: relative permittivity, roughness and the specular share of a surface.
 
     Each of the four values is a number, or a name: of an image (`layout = "texture"`; absolute in memory)
-    or of a scalar of the PLY's vertices (`layout = "vertex"`). `eps_r` may be (eps', -eps'') of a lossy
+    or of a scalar of the mesh's vertices (`layout = "vertex"`). In memory a texture may be an array of shape
+    (rows, cols), row 0 at v = 1, which becomes `Pixels`. `eps_r` may be (eps', -eps'') of a lossy
     surface, `correlation_length_m` (lx, ly) with `spectrum = "separable"`. `learn` names what a fit may
     change.
     """
@@ -156,16 +169,18 @@ class Material(Table):
     # First, because the values' validators look at them.
     layout: Literal["uniform", "vertex", "texture"] = "uniform"
     spectrum: Literal["gaussian", "exponential", "separable"] = "gaussian"
-    eps_r: float | tuple[float, float] | str
-    rms_height_m: float | str
-    correlation_length_m: float | tuple[float, float] | str
-    specular_fraction: float | str = 0.0
+    eps_r: float | tuple[float, float] | str | Texture
+    rms_height_m: float | str | Texture
+    correlation_length_m: float | tuple[float, float] | str | Texture
+    specular_fraction: float | str | Texture = 0.0
     learn: tuple[SurfaceKey, ...] = ("eps_r", "rms_height_m", "correlation_length_m")
 
     @field_validator(*SURFACE_KEYS, mode="plain")
     @classmethod
-    def _value(cls, value: Any, info: ValidationInfo) -> float | tuple[float, float] | str:
+    def _value(cls, value: Any, info: ValidationInfo) -> float | tuple[float, float] | str | Texture:
         key = str(info.field_name)
+        if pixels.in_memory(value):
+            return _texture(key, value, info.data.get("layout"))
         if isinstance(value, str):
             if info.data.get("layout") == "uniform":
                 raise ValueError('a name needs layout = "texture" (of a file) or "vertex" (of a PLY\'s scalar)')
@@ -196,6 +211,18 @@ def _is_number(value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
+def _texture(key: str, value: Any, layout: Any) -> pixels.Pixels:
+    if layout != "texture":
+        raise InputError(f'{key}: found an array in memory and layout = "{layout}"; an array needs layout = "texture"')
+    texture = value if isinstance(value, pixels.Pixels) else pixels.Pixels(value)
+    if (bad := ~within(key, texture.values)).any():  # NaN is within nothing
+        raise InputError(
+            f"{key}: {int(bad.sum())} of {bad.size} values are out of range (one is {texture.values[bad][0]:g}); "
+            f"each must be {allowed_values(key)}"
+        )
+    return texture
+
+
 def within(key: str, value: Any) -> Any:
     """Whether a number, or each of an array's, may stand for the surface value."""
     low, high = LIMITS[key]
@@ -211,7 +238,11 @@ def allowed_values(key: str) -> str:
 
 
 class View(Table):
-    """`[[views]]`: from where the radar looks, and what it measured. Paths are absolute in memory."""
+    """`[[views]]`: from where the radar looks, and what it measured. Paths are absolute in memory.
+
+    In memory an image (linear power) and the mask (nonzero where pixels are used) may be arrays of shape (rows, cols)
+    instead of files; they become `Pixels`. Raises InputError for an array that is no such image.
+    """
 
     name: Annotated[str, Field(pattern=r"^\w[\w.+-]{0,49}$")]
     azimuth_deg: Annotated[Number, Field(ge=-360.0, le=360.0)]
@@ -220,8 +251,8 @@ class View(Table):
     grazing_deg: _Angle | None = None
     frequency_hz: _Frequency | None = None
     slant_range_m: _Range | None = None
-    images: dict[Polarization, FileName] = Field(default_factory=dict)
-    mask: FileName | None = None
+    images: dict[Polarization, MeasuredImage] = Field(default_factory=dict)
+    mask: Mask | None = None
     looks: Annotated[_Positive, Field(le=1e9)] | None = None
     role: Literal["train", "test"] = "train"
 
