@@ -31,6 +31,7 @@ ROOMS = (
     "measured",
     "render",
     "simulation",
+    "differentiable",
     "learning",
     "evaluation",
     "diagnosis",
@@ -40,7 +41,20 @@ ROOMS = (
 )
 """From the ground up: a room imports its own files and those of rooms below. docs/design.md says what lives in each."""
 
-HEAVY = {"warp", "matplotlib", "rasterio", "torch", "trimesh", "OpenImageIO", "PIL", "h5py", "sarkit", "lxml", "xatlas"}
+HEAVY = {
+    "warp",
+    "matplotlib",
+    "rasterio",
+    "torch",
+    "trimesh",
+    "OpenImageIO",
+    "PIL",
+    "h5py",
+    "sarkit",
+    "lxml",
+    "xatlas",
+    "jax",
+}
 """Slow to import, or an extra that may be missing: they alone may be imported inside a function."""
 
 

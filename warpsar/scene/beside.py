@@ -37,7 +37,7 @@ def written_beside(scene: W, path: Path) -> W:
 
     def material(name: str, one: Material) -> Material:
         maps = {key: getattr(one, key) for key in SURFACE_KEYS}
-        found = {
+        found: dict[str, Any] = {
             key: str(file(value, file_stem(scene.mesh.materials, name, key)))
             for key, value in maps.items()
             if isinstance(value, Pixels)

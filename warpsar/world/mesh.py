@@ -90,8 +90,8 @@ class Mesh:
         if not dropped:
             return replace(mesh, warnings=warnings)
         warnings = (f"{dropped} of {len(lit)} faces have zero area and were dropped", *warnings)
-        kept = {"faces": mesh.faces[lit], "face_material": mesh.face_material[lit]}
-        return replace(mesh, **kept, dropped_faces=dropped, warnings=warnings)
+        faces, face_material = mesh.faces[lit], mesh.face_material[lit]
+        return replace(mesh, faces=faces, face_material=face_material, dropped_faces=dropped, warnings=warnings)
 
 
 def _extent_warnings(vertices: NDArray[np.float64]) -> tuple[str, ...]:

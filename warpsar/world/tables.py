@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 from pydantic import (
     BaseModel,
@@ -76,7 +76,9 @@ FileName = Annotated[Path, BeforeValidator(_file_name)]
 
 # A file's name, or in memory an array, which becomes `Pixels`. To a type checker whatever NumPy can make an array of.
 if TYPE_CHECKING:
-    MeasuredImage = Mask = Texture = Any
+    MeasuredImage: TypeAlias = Any
+    Mask: TypeAlias = Any
+    Texture: TypeAlias = Any
 else:
     MeasuredImage = Annotated[FileName, WrapValidator(pixels.measured)]
     Mask = Annotated[FileName, WrapValidator(pixels.mask)]
