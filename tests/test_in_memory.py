@@ -261,3 +261,20 @@ def test_a_vertex_material_without_faces_is_refused() -> None:
     mesh = replace(Mesh.of(*GROUND, vertex_scalars={"wet": [4.0] * 4}), materials=("a", "b"))
     (problem,) = fields("b", Material(**{**SOIL, "eps_r": "wet"}, layout="vertex"), mesh)
     assert "no face of that material" in problem
+
+
+@pytest.mark.parametrize("layout", ["texture", "vertex"])
+def test_learned_fields_stay_in_memory(layout: str, tmp_path: Path) -> None:
+    mesh = Mesh.of(*GROUND, uv=[(0, 0), (1, 0), (1, 1), (0, 1)], vertex_scalars={"rough": [0.0011] * 4})
+    rough = np.full((2, 2), 0.0011) if layout == "texture" else "rough"
+    material = Material(**{**SOIL, "rms_height_m": rough}, layout=layout, learn=("rms_height_m",))
+    scene = scene_of(mesh, materials={"default": Material(**SOIL)})
+    images = {one.name: one.beta0 for one in warpsar.simulate(scene, device="cpu")}
+    views = [view.model_copy(update={"images": images[view.name], "looks": 1e3}) for view in scene.views]
+    seen = replace(scene, views=views, materials={"default": material})
+    learned = warpsar.learn(seen, device="cpu", options=warpsar.LearnOptions(iterations=40)).scene
+    np.testing.assert_allclose(learned.field("default", "rms_height_m"), 0.0012, rtol=0.02)
+    if layout == "texture":
+        learned.save(tmp_path / "scene.toml")
+        again = Scene.load(tmp_path / "scene.toml").field("default", "rms_height_m")
+        np.testing.assert_array_equal(again, learned.field("default", "rms_height_m"))
