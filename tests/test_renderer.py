@@ -98,7 +98,10 @@ def test_images_are_those_of_simulate(of: Any, name: str, device: str) -> None:
     images = render()
     for one in warpsar.simulate(render.scene, device=device):
         for p, beta0 in one.beta0.items():
-            np.testing.assert_array_equal(images[one.name][p], beta0)
+            if device == "cpu":
+                np.testing.assert_array_equal(images[one.name][p], beta0)
+            else:  # CUDA's hits come in any order, and so do sums of float32
+                np.testing.assert_allclose(images[one.name][p], beta0, rtol=1e-5)
             assert images[one.name][p].dtype == np.float32
     changed = render(moved(render))
     assert product(changed, changed) != product(images, images)

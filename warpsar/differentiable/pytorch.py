@@ -84,11 +84,13 @@ class TorchRenderer:
 
     @contextmanager
     def _on_its_stream(self) -> Iterator[None]:
-        """On CUDA Warp's work goes where PyTorch's does, so that either waits for the other."""
+        """On CUDA Warp's work goes onto PyTorch's stream, which waits for Warp's own, and Warp's own for it at the
+        end: the renderer's call with NumPy may stand between two of these."""
         if self.device.type != "cuda":
             yield
             return
-        with wp.ScopedStream(wp.stream_from_torch(self._torch.cuda.current_stream(self.device)), sync_enter=False):
+        stream = wp.stream_from_torch(self._torch.cuda.current_stream(self.device))
+        with wp.ScopedStream(stream, sync_enter=True, sync_exit=True):
             yield
 
     def _run(self, nodes: Any, effects: tuple[Any, ...]) -> object:
@@ -106,8 +108,7 @@ class TorchRenderer:
                 given: Any = wp.from_torch(tensor.detach().contiguous())
                 wp.copy(array, given)
 
-        with self._on_its_stream():
-            return self._renderer.run(set_parameters, gradient=True)
+        return self._renderer.run(set_parameters, gradient=True)
 
     def _images(self) -> tuple[Any, ...]:
         """Copies, on the device: the next run writes over the programs' own arrays."""
@@ -124,11 +125,10 @@ class TorchRenderer:
         for (view, p), cotangent in zip(self._order, cotangents, strict=True):
             flat = cotangent.detach().to(self._torch.float32).contiguous().reshape(-1)
             seeds[view][renders[view].images[p]] = wp.from_torch(flat)
-        with self._on_its_stream():
-            self._renderer.backward(seeds)
+        self._renderer.backward(seeds)
         nodes = sum(wp.to_torch(render.nodes.grad) for render in renders.values())
         effects = [wp.to_torch(values.grad).clone() for r in renders.values() for values in r.effect_values.values()]
-        return (nodes.clone() if len(renders) == 1 else nodes, *effects)
+        return (nodes, *effects)
 
     @cached_property
     def _function(self) -> Any:
@@ -138,16 +138,18 @@ class TorchRenderer:
             @staticmethod
             def forward(ctx: Any, nodes: Any, *effects: Any) -> Any:
                 ctx.save_for_backward(nodes, *effects)
-                ctx.run = outer._run(nodes, effects)
-                return outer._images()
+                with outer._on_its_stream():
+                    ctx.run = outer._run(nodes, effects)
+                    return outer._images()
 
             @staticmethod
             def backward(ctx: Any, *cotangents: Any) -> Any:
                 if torch.is_grad_enabled():  # create_graph: a second derivative would lack the renderer's part
                     raise InputError("renderer.torch: has no second derivative; create_graph must be False")
-                if outer._renderer.last_run is not ctx.run:  # another call has run since
-                    nodes, *effects = ctx.saved_tensors
-                    outer._run(nodes, tuple(effects))
-                return outer._gradients(cotangents)
+                with outer._on_its_stream():
+                    if outer._renderer.last_run is not ctx.run:  # another call has run since
+                        nodes, *effects = ctx.saved_tensors
+                        outer._run(nodes, tuple(effects))
+                    return outer._gradients(cotangents)
 
         return Render

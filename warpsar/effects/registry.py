@@ -90,7 +90,7 @@ def check(scene: World) -> None:
     """Refuse what the scene's effects ask of views that it does not have, or of another kind of scene (InputError)."""
     views = [view.name for view in scene.views]
     for name, table in scene.effects.items():
-        where = f"{scene.path or 'scene'}: effects.{name}"
+        where = f"{scene.name}: effects.{name}"
         validate(name, table, where, views)
         problem = get(name).check(scene, table)
         if problem is not None:

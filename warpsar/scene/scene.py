@@ -32,7 +32,7 @@ class Scene(World):
             problems += checks.pixels(key, view, self.grid)
         for name, material in self.materials.items():
             problems += checks.fields(name, material, self.mesh)
-        refuse(self.path or Path("scene in memory"), problems)
+        refuse(Path(self.name), problems)
         object.__setattr__(self, "materials", {name: self.materials[name] for name in self.mesh.materials})
 
     @classmethod

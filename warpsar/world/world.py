@@ -49,6 +49,11 @@ class World:
     source: str = dataclass_field(default="", repr=False)
     """The scene file's text: `save` keeps its comments."""
 
+    @property
+    def name(self) -> str:
+        """What a message calls it: the scene file, or "scene in memory"."""
+        return str(self.path or "scene in memory")
+
     def wavenumber(self, view: View) -> float:
         """2 pi f / c [rad/m] of a view."""
         return 2.0 * math.pi * (view.frequency_hz or self.radar.frequency_hz) / SPEED_OF_LIGHT
