@@ -93,7 +93,7 @@ class Derivatives:
         """How the images change along `tangents` (by parameter, in its unit): central differences of two renders.
 
         The program has no forward mode. The step is 0.01 of the learned coordinate (ln h, ln(eps_r - 1) and so on; of
-        an effect's parameter 0.01 of its own scale) that moves most, and its error about 1e-4 of the derivative, half
+        an effect's parameter 0.01 of its own scale) that moves most, and its error about 2e-4 of the derivative, part
         of it float32 rounding. Raises InputError as a call does, for tangents that are all 0, and where a step would
         leave what a parameter may be: there it cannot be taken.
         """
