@@ -79,6 +79,7 @@ def test_uv_that_is_there_stays() -> None:
         mesh,
         materials=("soil", "wall"),
         face_material=(np.arange(len(mesh.faces)) % 2).astype(np.int32),
+        vertex_scalars={},
     )
     lacking = np.unique(half.faces[half.face_material == 1])
     kept = np.setdiff1d(np.arange(len(half.vertices)), lacking)
@@ -89,7 +90,7 @@ def test_uv_that_is_there_stays() -> None:
     )
     faces = only_soil.faces.copy()
     faces[half.face_material == 1] += len(half.vertices)
-    found = unwrap(replace(only_soil, faces=faces, vertex_scalars={}))
+    found = unwrap(replace(only_soil, faces=faces))
     assert found.uv is not None
     assert np.isfinite(found.uv).all()
     mine = found.face_material == 0

@@ -1,5 +1,6 @@
 """What a user installs: the wheel holds every module, imports light, and README's commands are what the gate runs."""
 
+import os
 import shutil
 import subprocess
 import sys
@@ -62,6 +63,65 @@ def test_wheel_puts_nothing_but_warpsar_on_the_import_path(installed: Path) -> N
 def test_wheel_runs_as_a_module(installed: Path, tmp_path: Path) -> None:
     code = "import runpy; sys.argv[0] = 'warpsar'; runpy.run_module('warpsar', run_name='__main__')"
     assert run_python(code, "--version", cwd=tmp_path, path=installed) == "warpsar 0.1.0\n"
+
+
+USER = """
+from typing import Any
+import numpy as np
+import warpsar
+
+mesh = warpsar.Mesh.of({"lawn": (np.zeros((3, 3)), np.zeros((1, 3), int))})
+image = np.ones((8, 8), np.float32)
+scene = warpsar.Scene(
+    mesh=mesh,
+    radar=warpsar.Radar(frequency_hz=9.6e9, polarizations=("HH",)),
+    grid=warpsar.Grid(shape=(8, 8), spacing_m=(0.5, 0.5)),
+    materials={"lawn": warpsar.Material(eps_r=6.0, rms_height_m=1e-3, correlation_length_m=1e-2)},
+    views=[warpsar.View(name="a", azimuth_deg=0.0, incidence_deg=40.0, images={"HH": image}, mask=image > 0)],
+    sampling=warpsar.Sampling(rays_per_pixel=64.0),
+)
+reveal_type(scene)
+reveal_type(warpsar.simulate(scene))
+reveal_type(warpsar.learn(scene, options=warpsar.LearnOptions(starts=1)).loss)
+reveal_type(warpsar.diagnose(scene, options=warpsar.DiagnoseOptions(starts=1)))
+reveal_type(warpsar.evaluate(scene))
+reveal_type(warpsar.renderer(scene).vjp)
+warpsar.simulate("scene.toml")
+warpsar.imagine(scene)
+"""
+MYPY = """
+"warpsar.scene.scene.Scene"
+"list[warpsar.simulation.command.SimulatedView]"
+"float"
+"warpsar.diagnosis.result.Diagnosed"
+"warpsar.evaluation.image.Evaluation"
+"def (values: Mapping[str, Any] | None, cotangents:
+error: Argument 1 to "simulate" has incompatible type "str"; expected "Scene"
+error: Module has no attribute "imagine"
+"""
+
+
+def test_wheel_is_typed_for_its_users(installed: Path, tmp_path: Path) -> None:
+    pytest.importorskip("mypy", reason="mypy is not installed: pip install 'warpsar[dev]'")
+    (tmp_path / "user.py").write_text(USER, encoding="utf-8")
+    mypy = [sys.executable, "-m", "mypy", "--follow-imports=silent", "--cache-dir=/dev/null", "user.py"]
+    env = {**os.environ, "MYPYPATH": str(installed)}
+    said = subprocess.run(mypy, cwd=tmp_path, env=env, capture_output=True, text=True).stdout
+    lines = [line for line in said.splitlines()[:-1] if ": note: See " not in line]
+    for expected, line in zip(MYPY.strip().splitlines(), lines, strict=True):
+        assert expected in line.replace("typing.", "").replace("builtins.", "").replace("*", ""), said
+
+
+def test_names_are_there_for_help_and_completion(tmp_path: Path) -> None:
+    code = """
+import sys, pydoc, warpsar
+names = set(dir(warpsar))
+print(sorted(set(warpsar.__all__) - names), {"warp", "numpy", "pydantic", "scipy"} & set(sys.modules))
+for name in warpsar.__all__: getattr(warpsar, name)
+text = pydoc.plain(pydoc.render_doc(warpsar.simulate)) + pydoc.plain(pydoc.render_doc(warpsar))
+print("simulate(scene: " in text, "Images of every view" in text, "renderer(scene: " in text, "class Mesh" in text)
+"""
+    assert run_python(code, cwd=tmp_path).splitlines() == ["[] set()", "True True True True"]
 
 
 @pytest.mark.parametrize("arguments", [[], *([name] for name in COMMANDS)], ids=lambda names: names[-1:] or "warpsar")

@@ -7,32 +7,68 @@ images = warpsar.simulate(scene)
 from __future__ import annotations
 
 from importlib import import_module
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from warpsar.errors import DeviceError, InputError, WarpsarError
 from warpsar.version import __version__
 
+if TYPE_CHECKING:
+    from warpsar.diagnosis.found import DiagnoseOptions
+    from warpsar.diagnosis.result import diagnose
+    from warpsar.differentiable.renderer import renderer
+    from warpsar.evaluation.command import evaluate
+    from warpsar.learning.command import LearnOptions, learn
+    from warpsar.scene.scene import Scene
+    from warpsar.simulation.command import simulate
+    from warpsar.world.mesh import Mesh
+    from warpsar.world.tables import Grid, Material, Radar, Sampling, View
+
+# Imported when first asked for: `import warpsar` and `warpsar --help` need no engine. A type checker reads the above.
 _LAZY = {
+    "DiagnoseOptions": "warpsar.diagnosis.found",
+    "Grid": "warpsar.world.tables",
+    "LearnOptions": "warpsar.learning.command",
+    "Material": "warpsar.world.tables",
+    "Mesh": "warpsar.world.mesh",
+    "Radar": "warpsar.world.tables",
+    "Sampling": "warpsar.world.tables",
     "Scene": "warpsar.scene.scene",
+    "View": "warpsar.world.tables",
     "diagnose": "warpsar.diagnosis.result",
     "evaluate": "warpsar.evaluation.command",
     "learn": "warpsar.learning.command",
+    "renderer": "warpsar.differentiable.renderer",
     "simulate": "warpsar.simulation.command",
 }
 __all__ = [
     "DeviceError",
+    "DiagnoseOptions",
+    "Grid",
     "InputError",
+    "LearnOptions",
+    "Material",
+    "Mesh",
+    "Radar",
+    "Sampling",
     "Scene",
+    "View",
     "WarpsarError",
     "__version__",
     "diagnose",
     "evaluate",
     "learn",
+    "renderer",
     "simulate",
 ]
 
 
-def __getattr__(name: str) -> Any:
-    if name in _LAZY:
-        return getattr(import_module(_LAZY[name]), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+if not TYPE_CHECKING:  # to a type checker every name that is not above is a mistake
+
+    def __getattr__(name: str) -> Any:
+        if name in _LAZY:
+            return getattr(import_module(_LAZY[name]), name)
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

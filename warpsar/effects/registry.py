@@ -92,7 +92,7 @@ def check(scene: World) -> None:
     """Raises InputError where an effect names views that the scene lacks, or belongs to another kind of scene."""
     views = [view.name for view in scene.views]
     for name, table in scene.effects.items():
-        where = f"{scene.path or 'scene'}: effects.{name}"
+        where = f"{scene.name}: effects.{name}"
         validate(name, table, where, views)
         problem = get(name).check(scene, table)
         if problem is not None:

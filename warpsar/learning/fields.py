@@ -10,8 +10,8 @@ from scipy.sparse import csr_array
 
 from warpsar.io.images import replacing, write_exr
 from warpsar.learning.problem import FitProblem
-from warpsar.learning.results import file_stem
 from warpsar.runtime import console
+from warpsar.scene.beside import file_stem
 from warpsar.surface.samples import image_pixels
 from warpsar.surface.surface import KINDS, Block
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,33 +10,32 @@ import numpy as np
 from warpsar.io.images import write_exr
 from warpsar.io.ply import write_ply
 from warpsar.learning.problem import FitProblem
+from warpsar.scene.beside import file_stem
 from warpsar.scene.scene import Scene
-
-
-def file_stem(materials: Sequence[str], material: str, key: str) -> str:
-    """The name of a material's map; letters that a file name may not hold are replaced."""
-    safe = re.sub(r"[^\w.+-]", "_", material)
-    return f"{safe}_{key}" if safe == material else f"{safe}_{materials.index(material)}_{key}"
+from warpsar.world.mesh import DEFAULT_MATERIAL
+from warpsar.world.pixels import Pixels
 
 
 def learned_scene(problem: FitProblem, x: np.ndarray, folder: Path | None = None) -> Scene:
     """The problem's scene with x in place of its start; save it with `Scene.save`.
 
     Parameter maps (EXR) and, for vertex layouts, the mesh with its scalars (PLY) are written into `folder`. Without a
-    folder only numbers are replaced, and fields stay as they were.
+    folder the fields lie in memory, and so do those of a mesh with names that a PLY cannot hold.
     """
     scene, surface = problem.scene, problem.surface
     nodes = problem.nodes(x)
     materials = dict(scene.materials)
     scalars: dict[str, np.ndarray] = {}
     for block in surface.blocks:
-        if not block.learn or (folder is None and block.size > 1):
+        if not block.learn:
             continue
         key = block.kind.key
         values = surface.values(block.material, key, nodes)
         declared = getattr(materials[block.material], key)
-        new: str | float | tuple[float, ...]
-        if block.layout == "texture" and folder is not None:
+        new: str | float | tuple[float, ...] | Pixels
+        if block.layout == "texture" and folder is None:
+            new = Pixels(values)
+        elif block.layout == "texture" and folder is not None:
             path = folder / f"{file_stem(surface.materials, block.material, key)}.exr"
             write_exr(path, {key: values.astype(np.float32)})
             new = str(path.resolve())
@@ -53,9 +50,11 @@ def learned_scene(problem: FitProblem, x: np.ndarray, folder: Path | None = None
                 new = (number, number * declared[1] / declared[0])
         materials[block.material] = materials[block.material].model_copy(update={key: new})
     changed = replace(scene, materials=materials, effects=problem.effect_tables(x))
-    if scalars and folder is not None:
+    if scalars:
         mesh = replace(scene.mesh, vertex_scalars={**scene.mesh.vertex_scalars, **scalars})
-        path = folder / "mesh.ply"
-        write_ply(path, mesh.vertices, mesh.faces, mesh.vertex_scalars)
-        changed = replace(changed, mesh=mesh, mesh_path=path.resolve())
+        changed = replace(changed, mesh=mesh, mesh_path=None)
+        if folder is not None and mesh.materials == (DEFAULT_MATERIAL,):
+            path = folder / "mesh.ply"
+            write_ply(path, mesh.vertices, mesh.faces, mesh.vertex_scalars)
+            changed = replace(changed, mesh_path=path.resolve())
     return changed

@@ -1,5 +1,6 @@
 """The scene file: read, checked and written.
 
 scene: `Scene`, with load and save. file: the tables, and one message for all that is wrong. loader: the files that it
-names. writer: a scene as text. unwrap: `warpsar uv`.
+names. checks: what must fit together. writer: a scene as text. beside: what lies in memory, written to files. unwrap:
+`warpsar uv`.
 """

@@ -7,18 +7,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from warpsar.errors import InputError
 from warpsar.io.images import read_channel, read_mask
+from warpsar.scene import checks
 from warpsar.scene.file import SceneFile, parse, parse_effects, read, refuse
 from warpsar.world.mesh import Mesh, read_mesh
 from warpsar.world.tables import (
     SURFACE_KEYS,
     Material,
     View,
-    allowed_values,
-    within,
 )
 
 
@@ -34,10 +32,6 @@ def contents(path: Path) -> dict[str, Any]:
     refuse(path, problems)
     assert file is not None
     return _Loader(path, text, file, effects).contents()
-
-
-def _has_uv(mesh: Mesh, corners: NDArray[np.int32]) -> bool:
-    return mesh.uv is not None and not np.isnan(mesh.uv[corners]).any()
 
 
 class _Loader:
@@ -57,13 +51,10 @@ class _Loader:
         except InputError as error:
             self.problems.append(f"scene.mesh: {error}")
         views = [self.view(index, view) for index, view in enumerate(file.views)]
-        self.unique_names(views)
+        self.problems += checks.view_names(views)
         materials = {name: self.material(name, table, mesh) for name, table in file.materials.items()}
-        if mesh is not None and set(materials) != set(mesh.materials):
-            self.problems.append(
-                f"materials: found {', '.join(materials)}; must be those of the mesh {mesh_path}: "
-                f"{', '.join(mesh.materials)}"
-            )
+        if mesh is not None:
+            self.problems += checks.material_names(list(materials), mesh, f"the mesh {mesh_path}")
         refuse(self.path, self.problems)
         assert mesh is not None
         return {
@@ -85,25 +76,11 @@ class _Loader:
         path = self.path.parent / name
         return Path(os.path.realpath(path.parent)) / path.name
 
-    def unique_names(self, views: list[View]) -> None:
-        # Files are named after views, and file systems may not tell upper from lower case.
-        seen: dict[str, int] = {}
-        for index, view in enumerate(views):
-            first = seen.setdefault(view.name.casefold(), index)
-            if first != index:
-                self.problems.append(
-                    f"views[{index}].name: found {view.name!r} again; must differ from views[{first}]'s"
-                )
-
     def view(self, index: int, view: View) -> View:
         key = f"views[{index}] ({view.name})"
         images = {polarization: self.absolute(name) for polarization, name in view.images.items()}
+        self.problems += checks.polarizations(key, view, self.file.radar.polarizations)
         for polarization, path in images.items():
-            if polarization not in self.file.radar.polarizations:
-                self.problems.append(
-                    f"{key}.images: found {polarization}; must be one of radar.polarizations, "
-                    f"{', '.join(self.file.radar.polarizations)}"
-                )
             self.check_image(f"{key}.images.{polarization}", path, polarization)
         changed: dict[str, Any] = {"images": images} if images else {}
         if view.mask is not None:
@@ -140,38 +117,17 @@ class _Loader:
 
     def material(self, name: str, material: Material, mesh: Mesh | None) -> Material:
         """Check the fields that a material names; names of textures become absolute paths."""
-        key = f"materials.{name}"
         changed: dict[str, Any] = {}
-        corners = np.zeros(0, np.int32)
-        if mesh is not None and name in mesh.materials:
-            corners = mesh.faces[mesh.face_material == mesh.materials.index(name)]
-        if material.layout == "texture" and mesh is not None and not _has_uv(mesh, corners):
-            self.problems.append(f'{key}.layout: found "texture"; its faces must have UV in the mesh')
-        for field_key in SURFACE_KEYS:
-            value = getattr(material, field_key)
+        if mesh is not None:
+            self.problems += checks.fields(name, material, mesh)
+        for key in SURFACE_KEYS if material.layout == "texture" else ():
+            value = getattr(material, key)
             if not isinstance(value, str):
                 continue
-            where = f"{key}.{field_key}"
-            if material.layout == "texture":
-                path = self.absolute(value)
-                changed[field_key] = str(path)
-                try:
-                    self.check_values(f"{where}: {path}", field_key, read_channel(path, field_key))
-                except InputError as error:
-                    self.problems.append(f"{where}: {error}")
-            elif mesh is not None:
-                if value in mesh.vertex_scalars:
-                    values = mesh.vertex_scalars[value][np.unique(corners)]
-                    self.check_values(f"{where}: scalar {value!r}", field_key, values)
-                else:
-                    known = ", ".join(mesh.vertex_scalars) or "it has none"
-                    self.problems.append(f"{where}: found {value!r}; must be a vertex scalar of the mesh ({known})")
+            path, where = self.absolute(value), f"materials.{name}.{key}"
+            changed[key] = str(path)
+            try:
+                self.problems += checks.values(f"{where}: {path}", key, read_channel(path, key))
+            except InputError as error:
+                self.problems.append(f"{where}: {error}")
         return material.model_copy(update=changed)
-
-    def check_values(self, where: str, key: str, values: NDArray[Any]) -> None:
-        bad = ~within(key, values)  # NaN is within nothing
-        if bad.any():
-            self.problems.append(
-                f"{where}: {int(bad.sum())} of {values.size} values are out of range "
-                f"(one is {float(values[bad][0]):g}); each must be {allowed_values(key)}"
-            )

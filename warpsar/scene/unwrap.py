@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from warpsar.errors import InputError
-from warpsar.io.images import replacing
 from warpsar.runtime import console
 from warpsar.scene.scene import Scene
 from warpsar.world.mesh import Mesh
+from warpsar.world.obj import write_obj
 
 # Room between charts, in texels of xatlas's own atlas of about 1024: two of a texture of 256, so that bilinear
 # interpolation does not mix them.
@@ -59,23 +59,6 @@ def unwrap(mesh: Mesh) -> Mesh:
         uv=np.concatenate(uvs).astype(np.float32),
         vertex_scalars=scalars,
     )
-
-
-def write_obj(path: Path, mesh: Mesh) -> None:
-    """Wavefront OBJ with a `usemtl` for every material, and UV where the mesh has them; coordinates to the bit."""
-    lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in mesh.vertices.tolist()]
-    form = "f {0} {1} {2}"
-    if mesh.uv is not None:
-        lines += [f"vt {u!r} {v!r}" for u, v in np.nan_to_num(mesh.uv).tolist()]
-        form = "f {0}/{0} {1}/{1} {2}/{2}"
-    last = -1
-    for face, material in zip(mesh.faces + 1, mesh.face_material, strict=True):
-        if material != last:
-            lines.append(f"usemtl {mesh.materials[material]}")
-            last = material
-        lines.append(form.format(*face))
-    with replacing(path) as temporary:
-        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def run(scene_path: Path | str, out: Path | str) -> Scene:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from warpsar.kernels.codes import FRACTION_LIMIT, Layout, Spectrum
+from warpsar.world.pixels import Pixels
 from warpsar.world.world import World
 
 
@@ -109,7 +110,7 @@ class Surface:
             ends: tuple[int, int] | None = None  # the first and the last vertex of its faces
             for k, kind in enumerate(KINDS):
                 declared = getattr(material, kind.key)
-                if isinstance(declared, str):
+                if isinstance(declared, str | Pixels):
                     value = np.asarray(scene.field(name, kind.key), float)
                     layout = material.layout
                 elif isinstance(declared, tuple):

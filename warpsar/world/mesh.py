@@ -3,29 +3,34 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from warpsar.errors import InputError
 from warpsar.runtime import threads
+from warpsar.world.mesh_door import LARGEST_COORDINATE_M, checked
+from warpsar.world.mesh_memory import arrays_of
 from warpsar.world.meshes import dem, gltf, obj, ply, stl
 from warpsar.world.meshes.part import DEFAULT_MATERIAL, Part
 
 SUFFIXES = (".obj", ".ply", ".stl", ".gltf", ".glb", *dem.SUFFIXES)
 # A radar scene of more than 5 km that is not a DEM is far more often a building in millimetres.
 SUSPICIOUS_EXTENT_M = 5e3
-# Beyond this, float32 kernels cannot tell one metre from the next. No radar scene is so large.
-LARGEST_COORDINATE_M = 1e8
 _TOGETHER = 1 << 16  # faces that a core looks at: some 20 arrays of three numbers each stay in its cache
 
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """Triangles of the world, in metres: right-handed, X east, Y north, Z up."""
+    """Triangles of the world, in metres: right-handed, X east, Y north, Z up.
+
+    Lists and arrays of other types are taken as well. Raises InputError for shapes and types that are no mesh, for NaN
+    or infinite vertices, and for indices out of range.
+    """
 
     vertices: NDArray[np.float64]
     """World coordinates [m], shape (n, 3)."""
@@ -41,6 +46,38 @@ class Mesh:
     """Named scalars of a PLY's vertices, each of shape (n,)."""
     warnings: tuple[str, ...] = ()
     """What a user should know about the file, one sentence each."""
+
+    def __post_init__(self) -> None:
+        given = (self.vertices, self.faces, self.face_material, self.materials, self.uv, self.vertex_scalars)
+        for name, value in checked(*given).items():
+            object.__setattr__(self, name, value)
+
+    @classmethod
+    def of(cls, source: Any, faces: Any = None, **more: Any) -> Mesh:
+        """A mesh made in memory, checked as one from a file is: faces of zero area are left out.
+
+        `source` is one of: a `trimesh.Trimesh`; a `trimesh.Scene`, whose geometries' names become the materials; a
+        dict of material names with a Trimesh or a pair (vertices, faces) each; or vertices, shape (n, 3) [m], with
+        `faces`, shape (m, 3). `more` are fields of `Mesh` to be set besides: `vertex_scalars`, `uv`, or `materials`
+        with `face_material`. Without names the one material is "default". Raises InputError.
+        """
+        mesh = cls(**{**arrays_of(source, faces, DEFAULT_MATERIAL), **more})
+        lit = ~_zero_area(mesh.vertices, mesh.faces)
+        if not lit.any():
+            raise InputError(f"mesh.faces: all {len(lit)} faces have zero area; must hold triangles")
+        warnings = _extent_warnings(mesh.vertices)
+        if lit.all():
+            return replace(mesh, warnings=warnings)
+        dropped = f"{len(lit) - int(lit.sum())} of {len(lit)} faces have zero area and were dropped"
+        faces, face_material = mesh.faces[lit], mesh.face_material[lit]
+        return replace(mesh, faces=faces, face_material=face_material, warnings=(dropped, *warnings))
+
+
+def _extent_warnings(vertices: NDArray[np.float64]) -> tuple[str, ...]:
+    extent = float(np.ptp(vertices, axis=0).max())
+    if extent <= SUSPICIOUS_EXTENT_M:
+        return ()
+    return (f"the mesh is {extent:g} m across: are its units millimetres? They must be metres",)
 
 
 def read_mesh(path: str | Path) -> Mesh:
@@ -104,9 +141,8 @@ def _join(path: Path, parts: list[Part], scalars: dict[str, NDArray[np.float64]]
     if not lit.all():
         faces, face_material = faces[lit], face_material[lit]
         warnings.append(f"{len(lit) - int(lit.sum())} of {len(lit)} faces have zero area and were dropped")
-    extent = float(np.ptp(vertices, axis=0).max())
-    if extent > SUSPICIOUS_EXTENT_M and path.suffix.lower() not in dem.SUFFIXES:
-        warnings.append(f"the mesh is {extent:g} m across: are its units millimetres? They must be metres")
+    if path.suffix.lower() not in dem.SUFFIXES:
+        warnings += _extent_warnings(vertices)
     return Mesh(vertices, faces, face_material, names, _joined_uv(parts), scalars, tuple(warnings))
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 from pydantic import (
     BaseModel,
@@ -11,11 +11,14 @@ from pydantic import (
     ConfigDict,
     Field,
     ValidationInfo,
+    WrapValidator,
     field_validator,
     model_validator,
 )
 
+from warpsar.errors import InputError
 from warpsar.io.images import LARGEST_IMAGE
+from warpsar.world import pixels
 
 DEFAULT_RAYS_PER_PIXEL = 64.0
 """Where neither density is stated."""
@@ -49,6 +52,17 @@ def _file_name(value: object) -> object:
 
 
 FileName = Annotated[Path, BeforeValidator(_file_name)]
+
+
+# A file's name, or in memory an array, which becomes `Pixels`. To a type checker whatever NumPy can make an array of.
+if TYPE_CHECKING:
+    MeasuredImage: TypeAlias = Any
+    Mask: TypeAlias = Any
+    Texture: TypeAlias = Any
+else:
+    MeasuredImage = Annotated[FileName, WrapValidator(pixels.measured)]
+    Mask = Annotated[FileName, WrapValidator(pixels.mask)]
+    Texture = str
 
 
 class Table(BaseModel):
@@ -142,7 +156,8 @@ class Material(Table):
     """`[materials.NAME]`: relative permittivity, roughness and specular fraction of a surface.
 
     Each of the four values is a number, or a name: that of an image (`layout = "texture"`; an absolute path in memory)
-    or of a scalar of the PLY's vertices (`layout = "vertex"`).
+    or of a scalar of the mesh's vertices (`layout = "vertex"`). In memory a texture may be an array of shape (rows,
+    cols), row 0 at v = 1, which becomes `Pixels`.
     """
 
     # The first two come first, because the values' validators look at them.
@@ -152,14 +167,14 @@ class Material(Table):
     spectrum: Literal["gaussian", "exponential", "separable"] = Field(
         default="gaussian", description="Spectrum of the roughness; separable takes two correlation lengths."
     )
-    eps_r: float | tuple[float, float] | str = Field(
+    eps_r: float | tuple[float, float] | str | Texture = Field(
         description="Relative permittivity; [eps', -eps''] of a lossy surface."
     )
-    rms_height_m: float | str = Field(description="RMS height h of the roughness [m].")
-    correlation_length_m: float | tuple[float, float] | str = Field(
+    rms_height_m: float | str | Texture = Field(description="RMS height h of the roughness [m].")
+    correlation_length_m: float | tuple[float, float] | str | Texture = Field(
         description='Correlation length l of the roughness [m]; [lx, ly] with spectrum = "separable".'
     )
-    specular_fraction: float | str = Field(
+    specular_fraction: float | str | Texture = Field(
         default=0.0, description="Share tau of the power that the surface reflects specularly."
     )
     learn: tuple[SurfaceKey, ...] = Field(
@@ -168,8 +183,10 @@ class Material(Table):
 
     @field_validator(*SURFACE_KEYS, mode="plain")
     @classmethod
-    def _value(cls, value: Any, info: ValidationInfo) -> float | tuple[float, float] | str:
+    def _value(cls, value: Any, info: ValidationInfo) -> float | tuple[float, float] | str | Texture:
         key = str(info.field_name)
+        if pixels.in_memory(value):
+            return _texture(key, value, info.data.get("layout"))
         if isinstance(value, str):
             if info.data.get("layout") == "uniform":
                 raise ValueError('a name needs layout = "texture" (of a file) or "vertex" (of a PLY\'s scalar)')
@@ -200,6 +217,18 @@ def _is_number(value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
+def _texture(key: str, value: Any, layout: Any) -> pixels.Pixels:
+    if layout != "texture":
+        raise InputError(f'{key}: found an array in memory and layout = "{layout}"; an array needs layout = "texture"')
+    texture = value if isinstance(value, pixels.Pixels) else pixels.Pixels(value)
+    if (bad := ~within(key, texture.values)).any():  # NaN is within nothing
+        raise InputError(
+            f"{key}: {int(bad.sum())} of {bad.size} values are out of range (one is {texture.values[bad][0]:g}); "
+            f"each must be {allowed_values(key)}"
+        )
+    return texture
+
+
 def within(key: str, value: Any) -> Any:
     """Whether a number may be the surface value `key`; of an array an array of answers."""
     low, high = LIMITS[key]
@@ -217,6 +246,9 @@ def allowed_values(key: str) -> str:
 
 class View(Table):
     """`[[views]]`: where the radar stands, and what it measured. Paths are absolute in memory.
+
+    In memory an image (linear power) and the mask (nonzero where pixels are used) may be arrays of shape (rows, cols).
+    They become `Pixels`. Raises InputError for an array that is no such image.
 
     Exactly one of `incidence_deg`, `depression_deg` and `grazing_deg` is stated.
     """
@@ -236,10 +268,10 @@ class View(Table):
     slant_range_m: _Range | None = Field(
         default=None, description="Range from the track to the reference point [m]; else that of [radar]."
     )
-    images: dict[Polarization, FileName] = Field(
+    images: dict[Polarization, MeasuredImage] = Field(
         default_factory=dict, description="Measured image of each polarization: a file of linear power (beta0)."
     )
-    mask: FileName | None = Field(default=None, description="Image that is not zero where pixels are used.")
+    mask: Mask | None = Field(default=None, description="Image that is not zero where pixels are used.")
     looks: Annotated[_Positive, Field(le=1e9)] | None = Field(
         default=None, description="Equivalent number of looks of the images."
     )

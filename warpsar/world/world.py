@@ -18,6 +18,7 @@ from warpsar.errors import InputError
 from warpsar.io.images import read_channel, read_mask
 from warpsar.world.frame import SPEED_OF_LIGHT, ViewGeometry, view_geometry
 from warpsar.world.mesh import Mesh
+from warpsar.world.pixels import Pixels
 from warpsar.world.tables import SURFACE_KEYS, Grid, Material, Radar, Sampling, View
 
 
@@ -48,6 +49,11 @@ class World:
     source: str = dataclass_field(default="", repr=False)
     """The scene file's text: `save` keeps its comments."""
 
+    @property
+    def name(self) -> str:
+        """What a message calls it: the scene file, or "scene in memory"."""
+        return str(self.path or "scene in memory")
+
     def wavenumber(self, view: View) -> float:
         """2 pi f / c [rad/m] of a view."""
         return 2.0 * math.pi * (view.frequency_hz or self.radar.frequency_hz) / SPEED_OF_LIGHT
@@ -58,11 +64,14 @@ class World:
 
     def measured(self, view: View, polarization: str) -> NDArray[np.float32]:
         """The measured image: beta0, linear power, shape (rows, cols); NaN where it is not finite."""
-        image = read_channel(view.images[polarization], polarization, shape=self.grid.shape)  # type: ignore[index]
+        given = view.images[polarization]  # type: ignore[index]
+        image = given.values if isinstance(given, Pixels) else read_channel(given, polarization, self.grid.shape)
         return np.where(np.isfinite(image), image, np.float32(np.nan))
 
     def mask(self, view: View) -> NDArray[np.bool_] | None:
         """The pixels that the view's mask lets through, shape (rows, cols); None without a mask."""
+        if isinstance(view.mask, Pixels):
+            return view.mask.values
         return None if view.mask is None else read_mask(view.mask, shape=self.grid.shape)
 
     def field(self, material: str, key: str) -> NDArray[np.float32] | NDArray[np.float64]:
@@ -73,16 +82,20 @@ class World:
         """
         table = self.materials[material]
         name = getattr(table, key)
+        if isinstance(name, Pixels):
+            return name.values
         if not isinstance(name, str):
             raise InputError(f"materials.{material}.{key} is the number {name}, not the name of a field")
         return read_channel(name, key) if table.layout == "texture" else self.mesh.vertex_scalars[name]
 
-    def files(self) -> Iterator[Path]:
+    def rasters(self) -> Iterator[Path | Pixels]:
         """Every image, mask and map that the scene refers to, in a fixed order."""
         for material in self.materials.values():
             for key in SURFACE_KEYS:
                 value = getattr(material, key)
-                if isinstance(value, str) and material.layout == "texture":
+                if isinstance(value, Pixels):
+                    yield value
+                elif isinstance(value, str) and material.layout == "texture":
                     yield Path(value)
         for view in self.views:
             yield from (view.images[key] for key in sorted(view.images))
@@ -91,18 +104,36 @@ class World:
 
     @cached_property
     def input_hash(self) -> str:
-        """SHA-256 of the scene file, the mesh as read, and every file that the scene names; paths do not count."""
-        total = hashlib.sha256(self.source.encode())
+        """SHA-256 of the scene file, the mesh as read, and every image that the scene names; paths do not count.
+
+        A scene made in memory has no file: its tables stand for it.
+        """
+        total = hashlib.sha256((self.source or self._tables()).encode())
         mesh = self.mesh
         scalars = dict(sorted(mesh.vertex_scalars.items()))
         total.update(repr((mesh.materials, mesh.vertices.shape, mesh.faces.shape, list(scalars))).encode())
         for array in (mesh.vertices, mesh.faces, mesh.face_material, mesh.uv, *scalars.values()):
             if array is not None:
                 total.update(np.ascontiguousarray(array).data)
-        for path in self.files():
-            with path.open("rb") as stream:
+        for raster in self.rasters():
+            if isinstance(raster, Pixels):
+                total.update(raster.sha256.encode())
+                continue
+            with raster.open("rb") as stream:
                 total.update(hashlib.file_digest(stream, "sha256").digest())
         return total.hexdigest()
+
+    def _tables(self) -> str:
+        """The tables as text, without what names a file."""
+        plain: list[Any] = [self.radar, self.grid, self.sampling, self.effects, self.reference_point_m]
+        for name, material in self.materials.items():
+            given = {
+                key: value for key, value in material if material.layout != "texture" or not isinstance(value, str)
+            }
+            plain.append((name, material.layout, material.spectrum, given))
+        for view in self.views:
+            plain.append([(key, sorted(value) if key == "images" else value) for key, value in view if key != "mask"])
+        return repr(plain)
 
 
 def geometry_of(world: World, view: View) -> ViewGeometry:

@@ -1,0 +1,45 @@
+"""`warpsar.renderer`: the images of a scene for gradients, in NumPy, PyTorch and JAX."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+from warpsar.differentiable.derivatives import Derivatives
+from warpsar.differentiable.jax_callback import JaxRenderer
+from warpsar.differentiable.pytorch import TorchRenderer
+from warpsar.runtime import devices
+from warpsar.scene.scene import Scene
+from warpsar.trace.hits import DEFAULT_MEMORY_GIB
+
+
+class Renderer(Derivatives):
+    """`Derivatives`, and the same as a function of PyTorch tensors and of JAX arrays."""
+
+    @cached_property
+    def torch(self) -> TorchRenderer:
+        """The renderer as a function of PyTorch tensors (extra `torch`)."""
+        return TorchRenderer(self)
+
+    @cached_property
+    def jax(self) -> JaxRenderer:
+        """The renderer as a function of JAX arrays (extra `jax`)."""
+        return JaxRenderer(self)
+
+
+def renderer(
+    scene: Scene, *, device: str | None = None, seed: int | None = None, max_memory_gib: float = DEFAULT_MEMORY_GIB
+) -> Renderer:
+    """The scene's images as a differentiable function of its parameters.
+
+    >>> render = warpsar.renderer(scene)
+    >>> images = render({"ground.eps_r": 5.0})                 # {view: {polarization: (rows, cols) float32}}
+    >>> gradients = render.vjp({"ground.eps_r": 5.0}, images)  # {parameter: array}, of half the sum of squares
+    >>> moved = render.jvp({}, {"ground.eps_r": 1.0})          # {view: {polarization: d image / d eps_r}}
+
+    Parameters are what the materials' `learn` names and what the declared effects state (`Renderer.parameters`).
+    `render.torch` and `render.jax` are the same for PyTorch and JAX. The images are those of `simulate`, with the
+    scene's sampling; the hits of all views are kept in memory. `seed` overrides the scene's. Raises DeviceError for a
+    device that is not there, and InputError where no view can be rendered.
+    """
+    where = devices.resolve_device(device)
+    return Renderer(scene, where, scene.sampling.seed if seed is None else seed, max_memory_gib)

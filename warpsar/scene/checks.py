@@ -1,0 +1,92 @@
+"""What must fit together in a scene, be it read from a file or made in memory. Each gives a list of what is wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from warpsar.world.mesh import Mesh
+from warpsar.world.pixels import Pixels, in_memory, mask, measured
+from warpsar.world.tables import SURFACE_KEYS, Grid, Material, View, allowed_values, within
+
+
+def view_names(views: Sequence[View]) -> list[str]:
+    """Files are named after views, and file systems may not tell upper from lower case."""
+    seen: dict[str, int] = {}
+    problems = []
+    for index, view in enumerate(views):
+        first = seen.setdefault(view.name.casefold(), index)
+        if first != index:
+            problems.append(f"views[{index}].name: found {view.name!r} again; must differ from views[{first}]'s")
+    return problems
+
+
+def polarizations(key: str, view: View, known: Sequence[str]) -> list[str]:
+    return [
+        f"{key}.images: found {one}; must be one of radar.polarizations, {', '.join(known)}"
+        for one in view.images
+        if one not in known
+    ]
+
+
+def with_pixels(view: View) -> View:
+    """The view with arrays that `model_copy` has put into it checked and copied, as `View` does. Raises InputError."""
+    raw = {key: image for key, image in view.images.items() if in_memory(image) and not isinstance(image, Pixels)}
+    changed = {"images": {**view.images, **{key: measured(image, Path) for key, image in raw.items()}}} if raw else {}
+    if in_memory(view.mask) and not isinstance(view.mask, Pixels):
+        changed["mask"] = mask(view.mask, Path)
+    return view.model_copy(update=changed) if changed else view
+
+
+def pixels(key: str, view: View, grid: Grid) -> list[str]:
+    """Images and masks in memory: those in files are read with the shape that they must have."""
+    given = {**{f"{key}.images.{name}": image for name, image in view.images.items()}, f"{key}.mask": view.mask}
+    return [
+        f"{where}: found {one.shape[0]} x {one.shape[1]} pixels; must be {grid.shape[0]} x {grid.shape[1]} (grid.shape)"
+        for where, one in given.items()
+        if isinstance(one, Pixels) and one.shape != tuple(grid.shape)
+    ]
+
+
+def material_names(given: Sequence[str], mesh: Mesh, where: str) -> list[str]:
+    if set(given) == set(mesh.materials):
+        return []
+    found = ", ".join(given) or "none"
+    return [f"materials: found {found}; must be those of {where}: {', '.join(mesh.materials)}"]
+
+
+def fields(name: str, material: Material, mesh: Mesh) -> list[str]:
+    """What a material that is not uniform needs of its mesh: UV, or the scalars that it names."""
+    if material.layout == "uniform" or name not in mesh.materials:
+        return []
+    key = f"materials.{name}"
+    corners = mesh.faces[mesh.face_material == mesh.materials.index(name)]
+    if material.layout == "texture":
+        placed = mesh.uv is not None and not np.isnan(mesh.uv[corners]).any()
+        return [] if placed else [f'{key}.layout: found "texture"; its faces must have UV in the mesh']
+    problems = [] if corners.size else [f'{key}.layout: found "vertex", and no face of that material; must have one']
+    for field_key in SURFACE_KEYS:
+        value = getattr(material, field_key)
+        if not isinstance(value, str):
+            continue
+        if value in mesh.vertex_scalars:
+            used = mesh.vertex_scalars[value][np.unique(corners)]
+            problems += values(f"{key}.{field_key}: scalar {value!r}", field_key, used)
+        else:
+            known = ", ".join(mesh.vertex_scalars) or "it has none"
+            problems.append(f"{key}.{field_key}: found {value!r}; must be a vertex scalar of the mesh ({known})")
+    return problems
+
+
+def values(where: str, key: str, given: NDArray[Any]) -> list[str]:
+    bad = ~within(key, given)  # NaN is within nothing
+    if not bad.any():
+        return []
+    return [
+        f"{where}: {int(bad.sum())} of {given.size} values are out of range "
+        f"(one is {float(given[bad][0]):g}); each must be {allowed_values(key)}"
+    ]
