@@ -73,12 +73,12 @@ def _training(scene: Scene, device: wp.Device) -> tuple[Stage, list[View], list[
     stage = Stage.of(scene, device)
     if any(block.learn and block.size > 1 for block in stage.surface.blocks):
         raise InputError(
-            f"{scene.path}: materials: found a learned field (layout vertex or texture); diagnose tests scenes of "
+            f"{scene.name}: materials: found a learned field (layout vertex or texture); diagnose tests scenes of "
             f"uniform materials, because a field can imitate most effects"
         )
     views = [view for view in scene.views if view.role == "train" and view.images]
     if not views:
-        raise InputError(f"{scene.path}: views: none with role train has measured images")
+        raise InputError(f"{scene.name}: views: none with role train has measured images")
     return stage, views, [looks_of(scene, view) for view in views]
 
 

@@ -54,7 +54,7 @@ def _evaluated(scene: Scene, device: wp.Device, seed: int, ranks: Ranks) -> tupl
     """This rank's images, dealt by their rays, and the rays per square metre."""
     views = [(index, view) for index, view in enumerate(scene.views) if view.images]
     if not views:
-        raise InputError(f"{scene.path}: views: found none with measured images; evaluate needs `images` in a view")
+        raise InputError(f"{scene.name}: views: found none with measured images; evaluate needs `images` in a view")
     stage = Stage.of(scene, device)
     # Image effects only lower the noise of what is lit, but spread light where next to none is left to measure it on.
     plain = replace(scene, effects={name: t for name, t in scene.effects.items() if get(name).stage != "image"})

@@ -69,7 +69,7 @@ class SceneCoordinates:
         if not np.isfinite(self.x0).all():
             bad = [self.labels[i] for i in np.flatnonzero(~np.isfinite(self.x0))[:5]]
             raise InputError(
-                f"{scene.path}: {', '.join(bad)}: found a dead start (eps_r = 1: no reflection, and every derivative "
+                f"{scene.name}: {', '.join(bad)}: found a dead start (eps_r = 1: no reflection, and every derivative "
                 f"is exactly 0); allowed is eps_r >= {KINDS[0].low:g}"
             )
 

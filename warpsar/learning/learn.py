@@ -80,7 +80,7 @@ def learn(
         checkpoint.remove(folder)  # of an earlier run: torchrun's restarts shall find this one's
     problem, density = ranks.agree(lambda: prepare(scene, where, options, ranks))
     if not problem.x0.size:
-        raise InputError(f"{scene.path}: materials: nothing to learn: every `learn` is empty and no effect is declared")
+        raise InputError(f"{scene.name}: materials: nothing to learn: every `learn` is empty and no effect is declared")
     refuse_options(problem, options)
     check = _checked(problem)
     tests = ranks.agree(lambda: _test_problem(scene, where, options, problem, density))

@@ -82,7 +82,7 @@ def estimated_looks(scene: Scene, view: View, measured: np.ndarray) -> float:
     looks = equivalent_looks(measured)
     if looks is None:
         raise InputError(
-            f"{scene.path}: views {view.name}: looks are not given, and no homogeneous ground was found to estimate "
+            f"{scene.name}: views {view.name}: looks are not given, and no homogeneous ground was found to estimate "
             f"them on; give `looks`"
         )
     return float(looks)
@@ -113,7 +113,7 @@ def observe(scene: Scene, view: View, polarization: str, lit: np.ndarray) -> Obs
     interior = usable & inner & positive
     if not interior.any():
         raise InputError(
-            f"{scene.path}: views {view.name}: no pixel of {polarization} is lit by the model, unmasked and "
+            f"{scene.name}: views {view.name}: no pixel of {polarization} is lit by the model, unmasked and "
             f"positive at once; the image and the mesh do not meet, or sigma0 is 0 at the declared parameters"
         )
     distance = distance_transform_edt(~lit) if lit.any() else np.full(lit.shape, np.inf)

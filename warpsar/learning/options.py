@@ -61,7 +61,7 @@ def refuse_starts(scene: Scene) -> None:
             "specular_fraction": "; at 0 and 1 its logit is infinite, and every derivative to it 0",
         }.get(kind.key, "")
         raise InputError(
-            f"{scene.path}: materials.{block.material}.{kind.key}: found a start at {bad[0]:g}; to be learned it must "
+            f"{scene.name}: materials.{block.material}.{kind.key}: found a start at {bad[0]:g}; to be learned it must "
             f"be from {kind.low:g} to {kind.high:g}{why}"
         )
 

@@ -70,7 +70,7 @@ class FitProblem(SceneCoordinates):
     ) -> None:
         chosen = [v for v in scene.views if v.role in roles and v.images and (views is None or v.name in views)]
         if not chosen:
-            raise InputError(f"{scene.path}: views: none with role {' or '.join(roles)} has measured images")
+            raise InputError(f"{scene.name}: views: none with role {' or '.join(roles)} has measured images")
         super().__init__(scene, chosen)
         self.device, self.loss, self.ranks = device, loss, ranks
         rays = rays or Rays(Stage.of(scene, device), seed=scene.sampling.seed)
