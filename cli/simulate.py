@@ -23,7 +23,22 @@ from warpsar.cli import options
 )
 @click.option("--incidences", metavar="START:STOP:STEP", help="With --azimuths: a view at every pair of angles.")
 @options.device
-@click.option("--seed", type=click.IntRange(min=0), help="Of the rays' jitter; the same seed gives the same image.")
+@click.option(
+    "--seed",
+    type=click.IntRange(min=0),
+    help="Of the rays' jitter and of speckle; the same seed, the same images.",
+)
+@click.option(
+    "--looks",
+    type=click.FloatRange(min=0, min_open=True, max=1e9),
+    metavar="L",
+    help="Also write VIEW_looksL.exr: the image with speckle of L looks. VIEW.exr stays free of it.",
+)
+@click.option(
+    "--declare",
+    is_flag=True,
+    help="With --looks: also write scene.toml, which names the speckled images as measured, for `warpsar learn`.",
+)
 @click.option("--layers", is_flag=True, help="Also incidence angle, layover count, shadow mask and material per pixel.")
 @click.option("--variance", is_flag=True, help="Also the sampling variance of every pixel, from a second seed.")
 @click.option(
@@ -48,6 +63,8 @@ def command(
     variance: bool,
     per_ray: bool,
     max_memory: float | None,
+    looks: float | None,
+    declare: bool,
 ) -> None:
     """Simulate every view of SCENES, each a scene.toml beside its mesh.
 
@@ -57,6 +74,8 @@ def command(
     if len(scenes) > 1 or azimuths is not None or incidences is not None:
         from warpsar.simulation import batch
 
+        if looks is not None or declare:
+            raise click.UsageError("--looks and --declare are for one scene, with the views that its file has")
         batch.run(
             scenes,
             out,
@@ -81,4 +100,6 @@ def command(
         variance=variance,
         per_ray=per_ray,
         max_memory_gib=max_memory,
+        looks=looks,
+        declare=declare,
     )

@@ -31,8 +31,9 @@ from warpsar.runtime import console, devices, distributed
 from warpsar.runtime.background import Background
 from warpsar.runtime.distributed import Ranks
 from warpsar.scene.scene import Scene
-from warpsar.simulation.command import Simulation, channels
-from warpsar.simulation.outputs import write_json
+from warpsar.simulation.command import Simulation
+from warpsar.simulation.outputs import make_folder, write_json
+from warpsar.simulation.view import SimulatedView
 from warpsar.surface.stage import Stage
 from warpsar.trace.hits import DEFAULT_MEMORY_GIB
 from warpsar.version import __version__
@@ -229,7 +230,7 @@ def run(
     out = Path(out)
     where = devices.resolve_device(device)
     ranks = distributed.ranks(where)
-    out.mkdir(parents=True, exist_ok=True)
+    make_folder(out)
     console.say_device(where)
     index = Index(out, ranks)
     options: dict[str, Any] = {"seed": seed, "layers": layers, "variance": variance, "merge": not per_ray}
@@ -372,15 +373,13 @@ class _Maker:
         """Number of the view whose jitter it has: a view made on the fly keeps its own in a longer list of angles."""
         return zlib.crc32(self.views[number].name.encode()) if self.fresh else number
 
-    def _make(self, view: View, number: int) -> dict[str, Any]:
-        """The image's channels by name."""
+    def _make(self, view: View, number: int) -> SimulatedView:
         scene = replace(self.scene, views=[view]) if self.fresh else self.scene
-        one = Simulation(scene, self.stage, **self.options).view(view, self._seed(number))
-        return one.beta0 | channels(one)
+        return Simulation(scene, self.stage, **self.options).view(view, self._seed(number))
 
-    def _write(self, image: dict[str, Any], row: Row) -> None:
+    def _write(self, image: SimulatedView, row: Row) -> None:
         path = self.index.out / row["file"]
-        write_exr(path, image)
+        write_exr(path, image.beta0 | image.channels(), image.metadata)
         self.index.add({**row, "sha256": sha256(path) or ""})
 
 

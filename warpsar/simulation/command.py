@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
+from collections.abc import Iterable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -12,40 +12,24 @@ import numpy as np
 
 from warpsar.effects.base.effect import DeclaredEffect
 from warpsar.effects.registry import declared
-from warpsar.io.images import quick_look, write_exr
 from warpsar.render.bands import BandedRender, stretches
 from warpsar.render.render import ViewRender
 from warpsar.runtime import console, devices, distributed
 from warpsar.runtime.memory import PARTS, OutOfMemoryError, in_parts, ran_out
 from warpsar.scene.scene import Scene
-from warpsar.simulation.outputs import write_json
+from warpsar.simulation.files import Output
+from warpsar.simulation.metadata import metadata
+from warpsar.simulation.outputs import make_folder, write_json
 from warpsar.simulation.rays import effects_grid, hit_grid, trace_view, view_seed
+from warpsar.simulation.speckle import declare as declare_speckled
+from warpsar.simulation.speckle import refuse_declaring
+from warpsar.simulation.view import SimulatedView
 from warpsar.surface.stage import Stage
 from warpsar.trace.hits import DEFAULT_MEMORY_GIB, Hits
 from warpsar.trace.layers import layers as layers_of
 from warpsar.trace.rays import ray_count
 from warpsar.world.tables import View
 from warpsar.world.world import geometry_of
-
-
-@dataclass
-class SimulatedView:
-    """One view's images.
-
-    `beta0[pol]`: linear power, dimensionless, shape (rows, cols), float32, rows along slant range. `range_m` and
-    `azimuth_m`: pixel centres about the reference point [m]. `sampling_variance[pol]`: variance of beta0 that the
-    jitter of the rays leaves (two seeds). `layers`: see `warpsar.layers.layers`,
-    and by name the shares of beta0 that effects tell apart (`beta0_2_bounces_HH`), before the image stage.
-    """
-
-    name: str
-    beta0: dict[str, np.ndarray]
-    range_m: np.ndarray
-    azimuth_m: np.ndarray
-    rays: int
-    hits: int
-    sampling_variance: dict[str, np.ndarray] = field(default_factory=dict)
-    layers: dict[str, np.ndarray] = field(default_factory=dict)
 
 
 class Simulation:
@@ -83,13 +67,14 @@ class Simulation:
         Raises OutOfMemoryError where the device cannot hold the hits of 1/256 of it.
         """
         scene, stage, grid = self.scene, self.stage, self.grid
-        hits, count, beta0, shares = self._images(view, view_seed(self.seed, index))
+        hits, count, beta0, shares, lit = self._images(view, view_seed(self.seed, index))
         axes = [
             start + (np.arange(n) + 0.5) * step
             for start, n, step in zip(grid.start_m, grid.shape, grid.spacing_m, strict=True)
         ]
         rays = self.rays(view) // (1 + self.variance) if hits is None else hits.rays
-        one = SimulatedView(view.name, beta0, axes[0], axes[1], rays, count)
+        one = SimulatedView(view.name, beta0, axes[0], axes[1], rays, count, metadata=metadata(scene, view))
+        one.lit_fraction = float(lit.mean())
         if self.variance:
             # half the squared difference of two independent images is each one's variance
             other = self._images(view, view_seed(self.seed + 1, index + len(scene.views)))[2]
@@ -104,24 +89,28 @@ class Simulation:
         gib = self.max_memory_gib
         return trace_view(self.scene, self.stage, view, seed=seed, effects=effects, max_memory_gib=gib, **more)
 
-    def _images(self, view: View, seed: int) -> tuple[Hits | None, int, dict[str, np.ndarray], dict[str, np.ndarray]]:
-        """Hits, where they fit into memory, and their number; images; shares of them that effects tell apart."""
+    def _images(
+        self, view: View, seed: int
+    ) -> tuple[Hits | None, int, dict[str, np.ndarray], dict[str, np.ndarray], np.ndarray]:
+        """Hits, where they fit into memory, and their number; images; shares of them that effects tell apart; the
+        pixels that single-bounce light reaches."""
         effects = declared(self.scene, view)
         try:
             hits = self._trace(view, seed, effects, merge=self.merge, progress=self.bar)
             render = view_render(self.scene, self.stage, view, hits)
             beta0 = render.forward()
-            return hits, hits.count, beta0, {n: a.numpy().reshape(render.shape) for n, a in render.layers.items()}
+            shares = {n: a.numpy().reshape(render.shape) for n, a in render.layers.items()}
+            return hits, hits.count, beta0, shares, _lit(render, beta0)
         except (MemoryError, RuntimeError, OutOfMemoryError) as error:
             if not ran_out(error):
                 raise
-        count, beta0 = in_parts(partial(self._in_bands, view, seed, effects), f"view {view.name}", PARTS[1:])
-        return None, count, beta0, {}
+        count, beta0, lit = in_parts(partial(self._in_bands, view, seed, effects), f"view {view.name}", PARTS[1:])
+        return None, count, beta0, {}, lit
 
     def _in_bands(
         self, view: View, seed: int, effects: list[DeclaredEffect], bands: int
-    ) -> tuple[int, dict[str, np.ndarray]]:
-        """Number of hits, and images, with the hits of one band at a time in memory."""
+    ) -> tuple[int, dict[str, np.ndarray], np.ndarray]:
+        """Number of hits, images, and their lit pixels, with the hits of one band at a time in memory."""
         count = 0
 
         def traced(only_columns: tuple[int, int]) -> Hits:
@@ -134,7 +123,13 @@ class Simulation:
         polarizations = self.scene.radar.polarizations
         render = BandedRender(self.stage, view, traced, columns, self.scene.grid.shape, polarizations, effects)
         beta0 = render.forward()
-        return count, beta0
+        return count, beta0, _lit(render, beta0)
+
+
+def _lit(render: ViewRender | BandedRender, polarizations: Iterable[str]) -> np.ndarray:
+    """Pixels that single-bounce light reaches in any of the polarizations, shape (rows, cols), bool."""
+    lit: np.ndarray = np.logical_or.reduce([render.lit(name) for name in polarizations])
+    return lit
 
 
 def simulate(
@@ -172,31 +167,6 @@ def render_view(scene: Scene, stage: Stage, view: View, hits: Hits) -> dict[str,
     return view_render(scene, stage, view, hits).forward()
 
 
-def channels(view: SimulatedView) -> dict[str, np.ndarray]:
-    """What was asked for of a view beyond its images, by name: layers, shares and sampling variances."""
-    return dict(view.layers) | {f"sampling_variance_{p}": v for p, v in view.sampling_variance.items()}
-
-
-def _write(out: Path, view: SimulatedView) -> dict[str, Any]:
-    """A view's files, and what simulate.json says of it."""
-    files = {"image": f"{view.name}.exr", "quick_look": f"{view.name}.png"}
-    write_exr(out / files["image"], view.beta0)
-    first = next(iter(view.beta0.values()))
-    quick_look(out / files["quick_look"], first)
-    extra = channels(view)
-    if extra:
-        files["layers"] = f"{view.name}_layers.exr"
-        write_exr(out / files["layers"], extra)
-    return {
-        "name": view.name,
-        "files": files,
-        "rays": view.rays,
-        "hits": view.hits,
-        "lit_fraction": float((first > 0).mean()),
-        "mean_beta0": {p: float(image.mean(dtype=float)) for p, image in view.beta0.items()},
-    }
-
-
 def run(
     scene_path: Path | str,
     out: Path | str,
@@ -207,17 +177,22 @@ def run(
     variance: bool = False,
     per_ray: bool = False,
     max_memory_gib: float | None = None,
+    looks: float | None = None,
+    declare: bool = False,
 ) -> dict[str, Any]:
     """`warpsar simulate`: images (EXR), quick looks (PNG) and simulate.json in `out`. Returns the JSON's content.
 
+    `looks` adds images with speckle; `declare` a scene.toml that names them as measured.
     Several processes (`distributed`) share the views, dealt by their rays.
     """
     started = time.perf_counter()
     scene = Scene.load(scene_path)
     out = Path(out)
+    if declare:
+        refuse_declaring(scene, out, looks)
     where = devices.resolve_device(device)
     ranks = distributed.ranks(where)
-    out.mkdir(parents=True, exist_ok=True)  # refused now rather than after the work
+    make_folder(out)  # refused now rather than after the work
     console.say_device(where)
     for warning in scene.warnings:
         console.say(f"warning: {warning}")
@@ -233,7 +208,8 @@ def run(
     costs = [made.rays(view) for view in scene.views]
     mine = distributed.deal(costs, ranks.size)[ranks.rank]
     made.bar = console.progress(sum(costs[index] for index in mine), "rays", "ray")
-    summary = [[index, _write(out, made.view(scene.views[index], index))] for index in mine]
+    output = Output(out, made.seed, looks)
+    summary = [[index, output.write(made.view(scene.views[index], index), index)] for index in mine]
     made.bar.close()
     summary = sorted(each for part in ranks.gather(summary) for each in part)
     content = {
@@ -244,4 +220,6 @@ def run(
     }
     if not ranks.first:
         return content
+    if declare and looks is not None:
+        content["scene"] = declare_speckled(scene, out, looks)
     return write_json(out / "simulate.json", scene, where, made.seed, started, content)
