@@ -31,6 +31,7 @@ from warpsar.runtime import console, devices, distributed
 from warpsar.runtime.background import Background
 from warpsar.runtime.distributed import Ranks
 from warpsar.scene.scene import Scene
+from warpsar.simulation.checks import grid_warnings
 from warpsar.simulation.command import Simulation
 from warpsar.simulation.outputs import make_folder, write_json
 from warpsar.simulation.view import SimulatedView
@@ -325,6 +326,7 @@ class _Maker:
         self.scene = Scene.load(path)
         for warning in self.scene.warnings:
             console.say(f"warning: {warning}")
+        self._told = False
         self.fresh = made is not None
         self.views = self.scene.views if made is None else made
         for name, table in self.scene.effects.items():
@@ -375,7 +377,13 @@ class _Maker:
 
     def _make(self, view: View, number: int) -> SimulatedView:
         scene = replace(self.scene, views=[view]) if self.fresh else self.scene
-        return Simulation(scene, self.stage, **self.options).view(view, self._seed(number))
+        simulation = Simulation(scene, self.stage, **self.options)
+        made = simulation.view(view, self._seed(number))
+        if not self._told:  # of the first image of a scene: the others would say the same
+            self._told = True
+            for warning in grid_warnings(scene, self.stage, [view]) + simulation.findings.warnings(scene):
+                console.say(f"warning: {self.path}: {warning}")
+        return made
 
     def _write(self, image: SimulatedView, row: Row) -> None:
         path = self.index.out / row["file"]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,9 +15,12 @@ from warpsar.effects.registry import declared
 from warpsar.render.bands import BandedRender, stretches
 from warpsar.render.render import ViewRender
 from warpsar.runtime import console, devices, distributed
+from warpsar.runtime.busy import busy
 from warpsar.runtime.memory import PARTS, OutOfMemoryError, in_parts, ran_out
 from warpsar.scene.scene import Scene
-from warpsar.simulation.files import Output
+from warpsar.simulation.checks import Findings, grid_warnings
+from warpsar.simulation.estimate import Estimate, estimate
+from warpsar.simulation.files import Output, written
 from warpsar.simulation.metadata import metadata
 from warpsar.simulation.outputs import make_folder, write_json
 from warpsar.simulation.rays import effects_grid, hit_grid, trace_view, view_seed
@@ -53,6 +56,7 @@ class Simulation:
         self.scene, self.stage, self.bar = scene, stage, bar
         self.seed = scene.sampling.seed if seed is None else seed
         self.layers, self.variance, self.merge, self.max_memory_gib = layers, variance, merge, max_memory_gib
+        self.findings = Findings()
         self.grid, self.density = hit_grid(scene), scene.sampling.density_per_m2(scene.grid)
 
     def rays(self, view: View) -> int:
@@ -82,8 +86,23 @@ class Simulation:
         if self.layers:
             if hits is None or hits.grid != grid:  # binned for an effect
                 hits = self._trace(view, view_seed(self.seed, index), [])
-            one.layers = layers_of(stage.target, scene.mesh, hits, self.density) | shares
+            with busy(f"{view.name}: layers"):
+                one.layers = layers_of(stage.target, scene.mesh, hits, self.density) | shares
         return one
+
+    def estimate(self, views: Sequence[View]) -> Estimate | None:
+        """What the images of `views` will take; None where they are there in a moment."""
+        costs = [self.rays(view) for view in views]
+        if not costs:
+            return None
+        dearest = views[int(np.argmax(costs))]
+
+        def traced(begin: int, end: int, share: float) -> Hits:
+            some = {"only_columns": (begin, end), "rays_per_m2": share * self.density}
+            return self._trace(dearest, self.seed, [], merge=self.merge, **some)
+
+        pixels = self.grid.shape[0] * self.grid.shape[1]
+        return estimate(costs, pixels, self.grid.shape[1], len(self.scene.radar.polarizations), traced)
 
     def _trace(self, view: View, seed: int, effects: list[DeclaredEffect], **more: Any) -> Hits:
         gib = self.max_memory_gib
@@ -97,14 +116,18 @@ class Simulation:
         effects = declared(self.scene, view)
         try:
             hits = self._trace(view, seed, effects, merge=self.merge, progress=self.bar)
-            render = view_render(self.scene, self.stage, view, hits)
-            beta0 = render.forward()
+            with busy(f"{view.name}: surfaces and pixels"):
+                render = view_render(self.scene, self.stage, view, hits)
+                beta0 = render.forward()
+            lit = _lit(render, beta0)
+            self.findings.add(self.stage, render, beta0, lit)
             shares = {n: a.numpy().reshape(render.shape) for n, a in render.layers.items()}
-            return hits, hits.count, beta0, shares, _lit(render, beta0)
+            return hits, hits.count, beta0, shares, lit
         except (MemoryError, RuntimeError, OutOfMemoryError) as error:
             if not ran_out(error):
                 raise
-        count, beta0, lit = in_parts(partial(self._in_bands, view, seed, effects), f"view {view.name}", PARTS[1:])
+        with busy(f"{view.name}: in bands"):
+            count, beta0, lit = in_parts(partial(self._in_bands, view, seed, effects), f"view {view.name}", PARTS[1:])
         return None, count, beta0, {}, lit
 
     def _in_bands(
@@ -151,10 +174,17 @@ def simulate(
     made = Simulation(
         scene, stage, seed=seed, layers=layers, variance=variance, merge=merge, max_memory_gib=max_memory_gib
     )
+    _say_warnings(grid_warnings(scene, stage, scene.views))
     made.bar = console.progress(sum(map(made.rays, scene.views)), "rays", "ray")
     found = [made.view(view, index) for index, view in enumerate(scene.views)]
     made.bar.close()
+    _say_warnings(made.findings.warnings(scene))
     return found
+
+
+def _say_warnings(warnings: Sequence[str]) -> None:
+    for warning in warnings:
+        console.say(f"warning: {warning}")
 
 
 def view_render(scene: Scene, stage: Stage, view: View, hits: Hits) -> ViewRender:
@@ -186,7 +216,8 @@ def run(
     Several processes (`distributed`) share the views, dealt by their rays.
     """
     started = time.perf_counter()
-    scene = Scene.load(scene_path)
+    with busy("reading the scene"):
+        scene = Scene.load(scene_path)
     out = Path(out)
     if declare:
         refuse_declaring(scene, out, looks)
@@ -194,11 +225,13 @@ def run(
     ranks = distributed.ranks(where)
     make_folder(out)  # refused now rather than after the work
     console.say_device(where)
-    for warning in scene.warnings:
-        console.say(f"warning: {warning}")
+    with busy("loading the mesh onto the device"):
+        stage = Stage.of(scene, where)
+    warnings = [*scene.warnings, *grid_warnings(scene, stage, scene.views)]
+    _say_warnings(warnings)
     made = Simulation(
         scene,
-        Stage.of(scene, where),
+        stage,
         seed=seed,
         layers=layers,
         variance=variance,
@@ -207,19 +240,27 @@ def run(
     )
     costs = [made.rays(view) for view in scene.views]
     mine = distributed.deal(costs, ranks.size)[ranks.rank]
+    if (expected := made.estimate([scene.views[index] for index in mine])) is not None:
+        console.say(str(expected))
     made.bar = console.progress(sum(costs[index] for index in mine), "rays", "ray")
     output = Output(out, made.seed, looks)
     summary = [[index, output.write(made.view(scene.views[index], index), index)] for index in mine]
     made.bar.close()
-    summary = sorted(each for part in ranks.gather(summary) for each in part)
+    everything = ranks.gather([summary, made.findings.plain()])
+    summary = sorted(each for part, _ in everything for each in part)
+    found = Findings.together([findings for _, findings in everything]).warnings(scene)
+    _say_warnings(found)
     content = {
         "rays_per_m2": made.density,
         "materials": list(scene.mesh.materials),
         "processes": ranks.size,
+        "warnings": warnings + found,
         "views": [entry for _, entry in summary],
     }
     if not ranks.first:
         return content
     if declare and looks is not None:
         content["scene"] = declare_speckled(scene, out, looks)
-    return write_json(out / "simulate.json", scene, where, made.seed, started, content)
+    content = write_json(out / "simulate.json", scene, where, made.seed, started, content)
+    console.say(written(out, content))
+    return content
