@@ -8,6 +8,9 @@ import click
 
 from warpsar.cli import options
 
+# As in warpsar.simulation.files, which imports NumPy: `--help` shall not.
+FORMATS = ("exr", "netcdf", "zarr")
+
 
 @click.command(name="simulate")
 @click.argument("scenes", nargs=-1, required=True, type=click.Path(exists=True, dir_okay=False, path_type=Path))
@@ -16,7 +19,16 @@ from warpsar.cli import options
     "--out",
     required=True,
     type=click.Path(file_okay=False, path_type=Path),
-    help="Folder for images (EXR, beta0), quick looks (PNG, dB) and simulate.json; made if missing.",
+    help="Folder for images (beta0), quick looks (PNG, dB) and simulate.json; made if missing.",
+)
+@click.option(
+    "--format",
+    "formats",
+    type=click.Choice(FORMATS),
+    multiple=True,
+    default=("exr",),
+    show_default=True,
+    help="Of the images; say it again for several. netcdf and zarr need warpsar[xarray].",
 )
 @click.option(
     "--azimuths", metavar="START:STOP:STEP", help="Views at these angles [deg], in place of the file's; or A,B,C."
@@ -55,6 +67,7 @@ from warpsar.cli import options
 def command(
     scenes: tuple[Path, ...],
     out: Path,
+    formats: tuple[str, ...],
     azimuths: str | None,
     incidences: str | None,
     device: str | None,
@@ -74,8 +87,11 @@ def command(
     if len(scenes) > 1 or azimuths is not None or incidences is not None:
         from warpsar.simulation import batch
 
-        if looks is not None or declare:
-            raise click.UsageError("--looks and --declare are for one scene, with the views that its file has")
+        if looks is not None or declare or formats != ("exr",):
+            raise click.UsageError(
+                "--format, --looks and --declare are for one scene, with the views that its file has; several scenes, "
+                "or --azimuths, make EXR without speckle"
+            )
         batch.run(
             scenes,
             out,
@@ -100,6 +116,7 @@ def command(
         variance=variance,
         per_ray=per_ray,
         max_memory_gib=max_memory,
+        formats=formats,
         looks=looks,
         declare=declare,
     )

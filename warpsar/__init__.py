@@ -18,6 +18,7 @@ _LAZY = {
     "evaluate": "warpsar.evaluation.command",
     "learn": "warpsar.learning.command",
     "simulate": "warpsar.simulation.command",
+    "to_xarray": "warpsar.simulation.dataset",
 }
 __all__ = [
     "DeviceError",
@@ -29,6 +30,7 @@ __all__ = [
     "evaluate",
     "learn",
     "simulate",
+    "to_xarray",
 ]
 
 

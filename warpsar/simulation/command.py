@@ -20,7 +20,7 @@ from warpsar.runtime.memory import PARTS, OutOfMemoryError, in_parts, ran_out
 from warpsar.scene.scene import Scene
 from warpsar.simulation.checks import Findings, grid_warnings
 from warpsar.simulation.estimate import Estimate, estimate
-from warpsar.simulation.files import Output, written
+from warpsar.simulation.files import Output, refuse_formats, written
 from warpsar.simulation.metadata import metadata
 from warpsar.simulation.outputs import make_folder, write_json
 from warpsar.simulation.rays import effects_grid, hit_grid, trace_view, view_seed
@@ -209,13 +209,15 @@ def run(
     max_memory_gib: float | None = None,
     looks: float | None = None,
     declare: bool = False,
+    formats: Sequence[str] = ("exr",),
 ) -> dict[str, Any]:
     """`warpsar simulate`: images (EXR), quick looks (PNG) and simulate.json in `out`. Returns the JSON's content.
 
-    `looks` adds images with speckle; `declare` a scene.toml that names them as measured.
-    Several processes (`distributed`) share the views, dealt by their rays.
+    `formats`: of the images, any of `files.FORMATS`. `looks` adds images with speckle; `declare` a scene.toml that
+    names them as measured. Several processes (`distributed`) share the views, dealt by their rays.
     """
     started = time.perf_counter()
+    refuse_formats(formats)
     with busy("reading the scene"):
         scene = Scene.load(scene_path)
     out = Path(out)
@@ -243,7 +245,7 @@ def run(
     if (expected := made.estimate([scene.views[index] for index in mine])) is not None:
         console.say(str(expected))
     made.bar = console.progress(sum(costs[index] for index in mine), "rays", "ray")
-    output = Output(out, made.seed, looks)
+    output = Output(out, made.seed, looks, tuple(dict.fromkeys(formats)), exr_speckle=declare)
     summary = [[index, output.write(made.view(scene.views[index], index), index)] for index in mine]
     made.bar.close()
     everything = ranks.gather([summary, made.findings.plain()])

@@ -2,23 +2,45 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+from warpsar.errors import InputError
 from warpsar.io.images import quick_look, write_exr
 from warpsar.runtime.busy import busy
+from warpsar.simulation.dataset import write_netcdf, write_zarr
 from warpsar.simulation.speckle import speckled, suffix
 from warpsar.simulation.view import SimulatedView
+
+FORMATS = ("exr", "netcdf", "zarr")
+NEEDS = {"netcdf": ("xarray", "h5netcdf"), "zarr": ("xarray", "zarr")}
+"""Libraries of a format, which its extra `xarray` brings."""
+
+
+def refuse_formats(formats: Sequence[str]) -> None:
+    """Raise InputError where a library that a format needs is not there, before any work."""
+    for name in formats:
+        for library in NEEDS.get(name, ()):
+            if find_spec(library) is None:
+                raise InputError(f'--format {name}: needs {library}: pip install "warpsar[xarray]"')
 
 
 @dataclass(frozen=True)
 class Output:
-    """What is written of each view into the folder `out`; `seed` is that of the speckle."""
+    """What is written of each view into the folder `out`; `seed` is that of the speckle.
+
+    `formats`: of `FORMATS`; `exr_speckle` writes EXR of a speckled image anyway.
+    """
 
     out: Path
     seed: int
     looks: float | None = None
+    formats: tuple[str, ...] = ("exr",)
+    exr_speckle: bool = False
 
     def write(self, view: SimulatedView, index: int) -> dict[str, Any]:
         """The files of the scene's view number `index`, and what simulate.json says of it."""
@@ -26,10 +48,6 @@ class Output:
         with busy(f"{view.name}: writing {files['quick_look']}"):
             quick_look(self.out / files["quick_look"], next(iter(view.beta0.values())))
         files |= self._image(view, view.name, "image")
-        extra = view.channels()
-        if extra:
-            files["layers"] = f"{view.name}_layers.exr"
-            write_exr(self.out / files["layers"], extra, view.metadata)
         said = {
             "name": view.name,
             "files": files,
@@ -47,9 +65,29 @@ class Output:
         return said
 
     def _image(self, view: SimulatedView, name: str, key: str) -> dict[str, str]:
-        with busy(f"{view.name}: writing {name}.exr"):
-            write_exr(self.out / f"{name}.exr", view.beta0, view.metadata)
-        return {key: f"{name}.exr"}
+        """A view's files in every format asked for, by what simulate.json calls them: the first is `key` itself."""
+        formats = self.formats
+        if key == "speckled" and self.exr_speckle and "exr" not in formats:
+            formats = (*formats, "exr")
+        files: dict[str, str] = {}
+        for each in formats:
+            for what, file, write in self._parts(each, view, name):
+                with busy(f"{view.name}: writing {file}"):
+                    write(self.out / file)
+                files[what or (f"{key}_{each}" if key in files else key)] = file
+        return files
+
+    def _parts(self, kind: str, view: SimulatedView, name: str) -> Iterator[tuple[str, str, Callable[[Path], None]]]:
+        """Files of one format: what each is ("" for the image itself), its name, and how it is written."""
+        extra = view.channels()
+        if kind == "netcdf":
+            yield "", f"{name}.nc", partial(write_netcdf, view=view)
+        elif kind == "zarr":
+            yield "", f"{name}.zarr", partial(write_zarr, view=view)
+        else:
+            yield "", f"{name}.exr", partial(write_exr, channels=view.beta0, header=view.metadata)
+            if extra:
+                yield "layers", f"{name}_layers.exr", partial(write_exr, channels=extra, header=view.metadata)
 
     def _with_speckle(self, view: SimulatedView, index: int, looks: float) -> SimulatedView:
         beta0 = {
@@ -78,6 +116,7 @@ def written(out: Path, content: dict[str, Any]) -> str:
     lines = [f"{out}:"]
     for kind, files in names.items():
         shown = ", ".join(files[:2]) + (f" and {len(files) - 2} more" if len(files) > 2 else "")
-        lines.append(f"  {KINDS[kind]}: {shown}")
+        plain, _, form = kind.partition("_") if kind not in KINDS else (kind, "", "")
+        lines.append(f"  {KINDS[plain]}{' as ' + form if form else ''}: {shown}")
     lines.append(f"  facts: simulate.json{', ' + content['scene'] if 'scene' in content else ''}")
     return "\n".join(lines)
