@@ -9,7 +9,7 @@ import click
 from warpsar.cli import options
 
 # As in warpsar.simulation.files, which imports NumPy: `--help` shall not.
-FORMATS = ("exr", "netcdf", "zarr")
+FORMATS = ("exr", "geotiff", "netcdf", "zarr")
 
 
 @click.command(name="simulate")
@@ -28,7 +28,7 @@ FORMATS = ("exr", "netcdf", "zarr")
     multiple=True,
     default=("exr",),
     show_default=True,
-    help="Of the images; say it again for several. netcdf and zarr need warpsar[xarray].",
+    help="Of the images; say it again for several. geotiff needs warpsar[geo], the last two warpsar[xarray].",
 )
 @click.option(
     "--azimuths", metavar="START:STOP:STEP", help="Views at these angles [deg], in place of the file's; or A,B,C."

@@ -41,7 +41,7 @@ ROOMS = (
 """From the ground up: a room imports its own files and those of rooms below. docs/design.md says what lives in each."""
 
 HEAVY = {"warp", "matplotlib", "rasterio", "torch", "trimesh", "OpenImageIO", "PIL", "h5py", "sarkit", "lxml", "xatlas"}
-HEAVY |= {"xarray", "h5netcdf", "zarr"}
+HEAVY |= {"xarray", "h5netcdf", "zarr", "affine"}
 """Slow to import, or an extra that may be missing: they alone may be imported inside a function."""
 
 

@@ -17,6 +17,7 @@ from warpsar.world.tables import (
     Grid,
     Material,
     Number,
+    Origin,
     Radar,
     Sampling,
     Table,
@@ -36,6 +37,7 @@ _MOST_SHOWN = 50
 class _SceneTable(Table):
     mesh: FileName
     reference_point_m: tuple[Number, Number, Number] = (0.0, 0.0, 0.0)
+    origin: Origin | None = None
 
     @field_validator("reference_point_m")
     @classmethod
@@ -131,6 +133,7 @@ def _problem(details: Mapping[str, Any], raw: dict[str, Any]) -> str:
         return f"{key}: missing"
     if kind == "extra_forbidden":
         model = _TABLES[str(place[0])] if len(place) > 1 else SceneFile
+        model = Origin if place[:2] == ("scene", "origin") and len(place) > 2 else model
         known = [info.alias or name for name, info in model.model_fields.items()]
         return f"{key}: unknown key; must be one of {', '.join(known)}"
     message = re.sub(r"^(Value error, |Input )", "", details["msg"]).replace("should", "must")

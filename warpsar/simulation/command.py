@@ -21,6 +21,7 @@ from warpsar.scene.scene import Scene
 from warpsar.simulation.checks import Findings, grid_warnings
 from warpsar.simulation.estimate import Estimate, estimate
 from warpsar.simulation.files import Output, refuse_formats, written
+from warpsar.simulation.ground import Ground
 from warpsar.simulation.metadata import metadata
 from warpsar.simulation.outputs import make_folder, write_json
 from warpsar.simulation.rays import effects_grid, hit_grid, trace_view, view_seed
@@ -245,7 +246,10 @@ def run(
     if (expected := made.estimate([scene.views[index] for index in mine])) is not None:
         console.say(str(expected))
     made.bar = console.progress(sum(costs[index] for index in mine), "rays", "ray")
-    output = Output(out, made.seed, looks, tuple(dict.fromkeys(formats)), exr_speckle=declare)
+    ground = Ground.of(scene, stage) if "geotiff" in formats else None
+    if "geotiff" in formats and ground is None:
+        console.say("note: [scene] has no origin, so GeoTIFF is in slant range alone")
+    output = Output(out, made.seed, looks, tuple(dict.fromkeys(formats)), exr_speckle=declare, ground=ground)
     summary = [[index, output.write(made.view(scene.views[index], index), index)] for index in mine]
     made.bar.close()
     everything = ranks.gather([summary, made.findings.plain()])

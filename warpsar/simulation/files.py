@@ -10,15 +10,17 @@ from pathlib import Path
 from typing import Any
 
 from warpsar.errors import InputError
+from warpsar.io.geotiff import write_cog
 from warpsar.io.images import quick_look, write_exr
 from warpsar.runtime.busy import busy
 from warpsar.simulation.dataset import write_netcdf, write_zarr
+from warpsar.simulation.ground import Ground
 from warpsar.simulation.speckle import speckled, suffix
 from warpsar.simulation.view import SimulatedView
 
-FORMATS = ("exr", "netcdf", "zarr")
-NEEDS = {"netcdf": ("xarray", "h5netcdf"), "zarr": ("xarray", "zarr")}
-"""Libraries of a format, which its extra `xarray` brings."""
+FORMATS = ("exr", "geotiff", "netcdf", "zarr")
+NEEDS = {"geotiff": ("rasterio",), "netcdf": ("xarray", "h5netcdf"), "zarr": ("xarray", "zarr")}
+"""Libraries of a format, which its extra brings."""
 
 
 def refuse_formats(formats: Sequence[str]) -> None:
@@ -26,14 +28,16 @@ def refuse_formats(formats: Sequence[str]) -> None:
     for name in formats:
         for library in NEEDS.get(name, ()):
             if find_spec(library) is None:
-                raise InputError(f'--format {name}: needs {library}: pip install "warpsar[xarray]"')
+                extra = "geo" if library == "rasterio" else "xarray"
+                raise InputError(f'--format {name}: needs {library}: pip install "warpsar[{extra}]"')
 
 
 @dataclass(frozen=True)
 class Output:
     """What is written of each view into the folder `out`; `seed` is that of the speckle.
 
-    `formats`: of `FORMATS`; `exr_speckle` writes EXR of a speckled image anyway.
+    `formats`: of `FORMATS`; `exr_speckle` writes EXR of a speckled image anyway. `ground`: where GeoTIFF lies on the
+    earth; without it only the slant-range one is written.
     """
 
     out: Path
@@ -41,6 +45,7 @@ class Output:
     looks: float | None = None
     formats: tuple[str, ...] = ("exr",)
     exr_speckle: bool = False
+    ground: Ground | None = None
 
     def write(self, view: SimulatedView, index: int) -> dict[str, Any]:
         """The files of the scene's view number `index`, and what simulate.json says of it."""
@@ -74,6 +79,8 @@ class Output:
             for what, file, write in self._parts(each, view, name):
                 with busy(f"{view.name}: writing {file}"):
                     write(self.out / file)
+                if what and key == "speckled":
+                    what = f"{key}_{what}"
                 files[what or (f"{key}_{each}" if key in files else key)] = file
         return files
 
@@ -84,10 +91,22 @@ class Output:
             yield "", f"{name}.nc", partial(write_netcdf, view=view)
         elif kind == "zarr":
             yield "", f"{name}.zarr", partial(write_zarr, view=view)
+        elif kind == "geotiff":
+            yield "", f"{name}.tif", partial(write_cog, bands=view.beta0, tags=view.metadata)
+            if extra:
+                yield "layers_geotiff", f"{name}_layers.tif", partial(write_cog, bands=extra, tags=view.metadata)
+            if self.ground is not None:
+                yield "ground", f"{name}_ground.tif", partial(self._write_ground, view=view, ground=self.ground)
         else:
             yield "", f"{name}.exr", partial(write_exr, channels=view.beta0, header=view.metadata)
             if extra:
                 yield "layers", f"{name}_layers.exr", partial(write_exr, channels=extra, header=view.metadata)
+
+    def _write_ground(self, path: Path, view: SimulatedView, ground: Ground) -> None:
+        named = next(each for each in ground.scene.views if each.name == view.name)
+        bands, place = ground.project(named, view.beta0)
+        axes = "north up; slant range along range_axis and azimuth along azimuth_axis are projected onto the mesh"
+        write_cog(path, bands, {**view.metadata, "axes": axes}, place)
 
     def _with_speckle(self, view: SimulatedView, index: int, looks: float) -> SimulatedView:
         beta0 = {
@@ -102,7 +121,9 @@ KINDS = {
     "image": "beta0",
     "quick_look": "quick look, dB",
     "layers": "layers",
+    "ground": "beta0 on the ground",
     "speckled": "beta0 with speckle",
+    "speckled_ground": "beta0 with speckle on the ground",
 }
 """What simulate.json calls a view's files, and what they are."""
 

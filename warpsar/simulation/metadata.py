@@ -35,6 +35,8 @@ def metadata(scene: World, view: View) -> dict[str, Any]:
         "polarization_basis": scene.radar.polarization_basis,
         "software": f"warpsar {__version__}",
     }
+    if scene.origin is not None:
+        facts |= {f"origin_{name}": value for name, value in scene.origin.model_dump().items()}
     if geometry.slant_range_m is not None:
         facts["slant_range_m"] = geometry.slant_range_m
     return facts
