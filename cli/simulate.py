@@ -8,6 +8,9 @@ import click
 
 from warpsar.cli import options
 
+# As in warpsar.simulation.files, which imports NumPy: `--help` shall not.
+FORMATS = ("exr", "geotiff", "netcdf", "zarr")
+
 
 @click.command(name="simulate")
 @click.argument("scenes", nargs=-1, required=True, type=click.Path(exists=True, dir_okay=False, path_type=Path))
@@ -16,7 +19,16 @@ from warpsar.cli import options
     "--out",
     required=True,
     type=click.Path(file_okay=False, path_type=Path),
-    help="Folder for images (EXR, beta0), quick looks (PNG, dB) and simulate.json; made if missing.",
+    help="Folder for images (beta0), quick looks (PNG, dB) and simulate.json; made if missing.",
+)
+@click.option(
+    "--format",
+    "formats",
+    type=click.Choice(FORMATS),
+    multiple=True,
+    default=("exr",),
+    show_default=True,
+    help="Of the images; say it again for several. geotiff needs warpsar[geo], the last two warpsar[xarray].",
 )
 @click.option(
     "--azimuths", metavar="START:STOP:STEP", help="Azimuths of the views [deg], in place of the file's views; or A,B,C."
@@ -26,7 +38,20 @@ from warpsar.cli import options
 )
 @options.device
 @click.option(
-    "--seed", type=click.IntRange(min=0), help="Seed of the rays' jitter. The same seed gives the same image."
+    "--seed",
+    type=click.IntRange(min=0),
+    help="Seed of the rays' jitter and of speckle. The same seed gives the same images.",
+)
+@click.option(
+    "--looks",
+    type=click.FloatRange(min=0, min_open=True, max=1e9),
+    metavar="L",
+    help="Also write VIEW_looksL.exr: the image with speckle of L looks. VIEW.exr stays free of it.",
+)
+@click.option(
+    "--declare",
+    is_flag=True,
+    help="With --looks: also write scene.toml, which names the speckled images as measured, for `warpsar learn`.",
 )
 @click.option(
     "--layers", is_flag=True, help="Also write incidence, layover count, shadow mask and material of each pixel."
@@ -46,6 +71,7 @@ from warpsar.cli import options
 def command(
     scenes: tuple[Path, ...],
     out: Path,
+    formats: tuple[str, ...],
     azimuths: str | None,
     incidences: str | None,
     device: str | None,
@@ -54,6 +80,8 @@ def command(
     variance: bool,
     per_ray: bool,
     max_memory: float | None,
+    looks: float | None,
+    declare: bool,
 ) -> None:
     """Simulate every view of SCENES, each a scene.toml beside its mesh.
 
@@ -63,6 +91,11 @@ def command(
     if len(scenes) > 1 or azimuths is not None or incidences is not None:
         from warpsar.simulation import batch
 
+        if looks is not None or declare or formats != ("exr",):
+            raise click.UsageError(
+                "--format, --looks and --declare are for one scene, with the views that its file has; several scenes, "
+                "or --azimuths, make EXR without speckle"
+            )
         batch.run(
             scenes,
             out,
@@ -87,4 +120,7 @@ def command(
         variance=variance,
         per_ray=per_ray,
         max_memory_gib=max_memory,
+        formats=formats,
+        looks=looks,
+        declare=declare,
     )

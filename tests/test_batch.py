@@ -275,10 +275,10 @@ def test_a_file_that_cannot_be_written_among_many(tmp_path: Path, monkeypatch: p
     asked = (path, "-o", out, "--azimuths", "0:360:60", "--incidences", "40")
     write = images.write_exr
 
-    def refused(target: Path, channels: Any) -> None:
+    def refused(target: Path, channels: Any, header: Any) -> None:
         if target.name == "az120_inc40.exr":
             raise InputError(f"{target}: cannot be written (so it is said)")
-        write(target, channels)
+        write(target, channels, header)
 
     with monkeypatch.context() as patch:
         patch.setattr(maker, "write_exr", refused)
@@ -299,11 +299,11 @@ def test_the_last_file_finds_no_room(tmp_path: Path, monkeypatch: pytest.MonkeyP
     asked = (path, "-o", out, "--azimuths", "0:360:60", "--incidences", "40")
     write = images.write_exr
 
-    def full(target: Path, channels: Any) -> None:
+    def full(target: Path, channels: Any, header: Any) -> None:
         if target.name == "az300_inc40.exr":
             time.sleep(0.2)  # the other thread has ended by then
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(target))
-        write(target, channels)
+        write(target, channels, header)
 
     with monkeypatch.context() as patch:
         patch.setattr(maker, "write_exr", full)

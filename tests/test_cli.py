@@ -84,10 +84,16 @@ def test_wrong_usage_is_exit_2(arguments: list[str], tmp_path: Path, monkeypatch
                 "variance": False,
                 "per_ray": False,
                 "max_memory_gib": None,
+                "formats": ("exr",),
+                "looks": None,
+                "declare": False,
             },
         ),
         (
-            ["--device", "cuda:1", "--seed", "7", "--layers", "--variance", "--per-ray", "--max-memory", "1.5"],
+            [
+                *("--device", "cuda:1", "--seed", "7", "--layers", "--variance", "--per-ray", "--max-memory", "1.5"),
+                *("--format", "geotiff", "--format", "zarr", "--looks", "4", "--declare"),
+            ],
             {
                 "device": "cuda:1",
                 "seed": 7,
@@ -95,6 +101,9 @@ def test_wrong_usage_is_exit_2(arguments: list[str], tmp_path: Path, monkeypatch
                 "variance": True,
                 "per_ray": True,
                 "max_memory_gib": 1.5,
+                "formats": ("geotiff", "zarr"),
+                "looks": 4.0,
+                "declare": True,
             },
         ),
     ],

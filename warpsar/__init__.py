@@ -39,6 +39,7 @@ _LAZY = {
     "learn": "warpsar.learning.command",
     "renderer": "warpsar.differentiable.renderer",
     "simulate": "warpsar.simulation.command",
+    "to_xarray": "warpsar.simulation.dataset",
 }
 __all__ = [
     "DeviceError",
@@ -59,6 +60,7 @@ __all__ = [
     "learn",
     "renderer",
     "simulate",
+    "to_xarray",
 ]
 
 

@@ -44,9 +44,24 @@ def scene_tables() -> str:
         title = f"[{name}.NAME]" if name == "materials" else title
         needed = "Required." if name in schema["required"] else "Optional."
         purpose = model.get("description", "").removeprefix(f"`{title}`: ").strip()
-        rows = [_row(key, each, key in model.get("required", ())) for key, each in model["properties"].items()]
+        rows = []
+        for key, each in model["properties"].items():
+            inner = _inner(schema, each)
+            rows += [_row(key, each, key in model.get("required", ()))] if inner is None else _inner_rows(key, inner)
         parts += [f"## `{title}`", "", f"{needed} {purpose[:1].upper()}{purpose[1:]}", "", *HEADER, *rows, ""]
     return "\n".join(parts)
+
+
+def _inner(schema: dict[str, Any], field: dict[str, Any]) -> dict[str, Any] | None:
+    """The model of a key that is a table itself."""
+    named = [each["$ref"] for each in field.get("anyOf", ()) if "$ref" in each]
+    return schema["$defs"][named[0].rpartition("/")[2]] if named else None
+
+
+def _inner_rows(name: str, model: dict[str, Any]) -> list[str]:
+    """Rows of a table that stands at an optional key: what is required is so where the table is there."""
+    required = model.get("required", ())
+    return [_row(f"{name}.{key}", each, key in required) for key, each in model["properties"].items()]
 
 
 def _reference(place: dict[str, Any]) -> str:

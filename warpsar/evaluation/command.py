@@ -26,7 +26,7 @@ from warpsar.render.render import ViewRender
 from warpsar.runtime import console, devices, distributed
 from warpsar.runtime.distributed import Ranks
 from warpsar.scene.scene import Scene
-from warpsar.simulation.outputs import write_json
+from warpsar.simulation.outputs import make_folder, write_json
 from warpsar.simulation.rays import hit_grid, trace_view, view_seed
 from warpsar.simulation.sampling import RAY_NOISE, choose_density
 from warpsar.speckle.likelihood import best_gain
@@ -201,7 +201,7 @@ def run(
     started = time.perf_counter()
     scene = Scene.load(scene_path)
     out = Path(out)
-    out.mkdir(parents=True, exist_ok=True)
+    make_folder(out)
     where = devices.resolve_device(device)
     ranks = distributed.ranks(where)
     console.say_device(where)

@@ -2,17 +2,32 @@
 
 from __future__ import annotations
 
+import json
 import os
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from warpsar.errors import InputError
 from warpsar.io import tiff
+from warpsar.io.images import replacing
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a raster, north up, lies on a map: `crs` is rasterio's; the rest is in its units."""
+
+    crs: Any
+    left: float
+    top: float
+    pixel: float
+
 
 if TYPE_CHECKING:
     from rasterio import DatasetReader
@@ -50,3 +65,42 @@ def opened(path: Path) -> Iterator[DatasetReader]:
         tiff.check(path)
         with rasterio.open(path, driver="GTiff") as source:
             yield source
+
+
+def write_cog(
+    path: Path, bands: Mapping[str, NDArray[Any]], tags: Mapping[str, Any], place: Place | None = None
+) -> None:
+    """A cloud-optimized GeoTIFF of float32 bands of one shape, named by their descriptions; whole or not at all.
+
+    Tiles, overviews (means) and directories in the order of the format's standard are GDAL's COG driver's. `tags` are
+    texts, numbers, or lists of them, which become JSON. NaN is no data. Without `place` the image lies nowhere.
+    """
+    first = next(iter(bands.values()))
+    profile: dict[str, Any] = {
+        "driver": "COG",
+        "count": len(bands),
+        "height": first.shape[0],
+        "width": first.shape[1],
+        "dtype": "float32",
+        "nodata": float("nan"),
+        "compress": "DEFLATE",
+        "predictor": "YES",
+        "overview_resampling": "AVERAGE",
+        "bigtiff": "IF_SAFER",
+    }
+    with replacing(path) as temporary, warnings.catch_warnings():
+        import rasterio
+        from rasterio.errors import NotGeoreferencedWarning, RasterioError
+        from rasterio.transform import from_origin
+
+        if place is not None:
+            profile |= {"crs": place.crs, "transform": from_origin(place.left, place.top, place.pixel, place.pixel)}
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        try:
+            with rasterio.Env(), rasterio.open(temporary, "w", **profile) as target:
+                target.update_tags(**{k: json.dumps(v) if isinstance(v, list) else str(v) for k, v in tags.items()})
+                target.descriptions = tuple(bands)
+                for number, band in enumerate(bands.values(), start=1):
+                    target.write(np.asarray(band, np.float32), number)
+        except RasterioError as error:
+            raise OSError(f"{path}: cannot be written ({error})") from error

@@ -238,11 +238,14 @@ def read_mask(path: str | Path, shape: tuple[int, int] | None = None) -> NDArray
     return (np.nan_to_num(pixels, nan=0.0) != 0).any(axis=2)
 
 
-def write_exr(path: str | Path, channels: Mapping[str, ArrayLike]) -> None:
-    """Write float32 channels, each of shape (rows, cols), under their names, atomically."""
+def write_exr(path: str | Path, channels: Mapping[str, ArrayLike], header: Mapping[str, Any] | None = None) -> None:
+    """Write float32 channels, each of shape (rows, cols), under their names, atomically.
+
+    `header`: attributes by name, each a text, a number, or a list of either; numbers are float32 there.
+    """
     arrays = [np.asarray(array, np.float32) for array in channels.values()]
     whole = np.stack(arrays, axis=2) if len(arrays) > 1 else arrays[0][:, :, None]
-    _write(Path(path), whole, names=tuple(channels), compression="zip")
+    _write(Path(path), whole, names=tuple(channels), compression="zip", header=header)
 
 
 def write_tiff(path: str | Path, image: ArrayLike) -> None:
@@ -286,6 +289,7 @@ def _write(
     names: tuple[str, ...] = (),
     compression: str | None = None,
     description: str | None = None,
+    header: Mapping[str, Any] | None = None,
 ) -> None:
     """Write pixels of shape (rows, cols, channels) in their own type, in the format of the suffix."""
     import OpenImageIO as oiio  # noqa: N813
@@ -299,6 +303,13 @@ def _write(
         spec.attribute("compression", compression)
     if description:
         spec.attribute("ImageDescription", description)
+    for name, value in (header or {}).items():
+        if not isinstance(value, list):
+            spec.attribute(name, value)
+        elif isinstance(value[0], str):
+            spec.attribute(name, ", ".join(value))
+        else:
+            spec.attribute(name, oiio.TypeDesc(f"float[{len(value)}]"), tuple(value))
     with replacing(path) as temporary:
         target = oiio.ImageOutput.create(str(temporary))
         if target is None:

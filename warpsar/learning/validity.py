@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import warp as wp
 
-from warpsar.kernels import domains as kernels
 from warpsar.learning.problem import FitProblem
+from warpsar.render.domains import lit_areas
 
 
 def outside_domains(problem: FitProblem, x: np.ndarray) -> dict[str, dict[str, float]]:
@@ -16,30 +15,13 @@ def outside_domains(problem: FitProblem, x: np.ndarray) -> dict[str, dict[str, f
     out.
     """
     problem.modelled(x)
-    names = problem.surface.materials
-    cells = wp.zeros((int(kernels.PARTIALS), len(names), 4), dtype=wp.float64, device=problem.device)
-    for piece in (piece for view in problem.views for piece in view.render.pieces()):
-        hits = piece.shaded
-        wp.launch(
-            kernels.area_kernel,
-            hits.count,
-            inputs=[
-                hits.geometry.wavenumber,
-                hits.face,
-                problem.stage.face_material,
-                hits.weight,
-                hits.cos_incidence,
-                piece.zeta,
-            ],
-            outputs=[cells],
-            device=problem.device,
-        )
-    area = problem.ranks.sum(cells.numpy().sum(axis=0))  # lit and outside, for SPM and KA
+    pieces = (piece for view in problem.views for piece in view.render.pieces())
+    area = problem.ranks.sum(lit_areas(problem.stage, pieces))  # lit and outside, for SPM and KA
     return {
         name: {
             model: float(area[m, column + 2] / area[m, column])
             for column, model in ((0, "spm"), (1, "ka"))
             if area[m, column] > 0
         }
-        for m, name in enumerate(names)
+        for m, name in enumerate(problem.surface.materials)
     }

@@ -13,10 +13,11 @@ import tomlkit
 
 from warpsar.errors import InputError
 from warpsar.io.images import replacing, write_exr
-from warpsar.measured import formats, pictures
+from warpsar.measured import formats
 from warpsar.measured.data import Facts, ImageChip, Quantity
 from warpsar.measured.earth import EarthFrame, Origin
 from warpsar.measured.gridding import Gridding, power_on_grid
+from warpsar.measured.placed import frame_of
 from warpsar.scene import file as scenefile
 from warpsar.scene.scene import Scene
 from warpsar.speckle.looks import equivalent_looks
@@ -95,7 +96,7 @@ def import_measured(
 
     image_path = scene_path.parent / f"{view_name}_{pol}.exr"
     write_exr(image_path, {pol: power})
-    _declare(scene_path, view, exists, pol, image_path.name, looks)
+    _declare(scene_path, view, exists, pol, image_path.name, looks, origin)
     return Imported(image_path, power, pol, looks, facts, per_pixel, tuple(messages))
 
 
@@ -122,13 +123,14 @@ def _load(path: Path, view_name: str) -> tuple[Scene, bool]:
 
 
 def _frame(scene: Scene, origin: tuple[float, float, float] | None) -> EarthFrame | None:
-    """Where the world lies on the earth: a DEM says it itself, else `origin`; None where neither does."""
-    is_dem = scene.mesh_path is not None and scene.mesh_path.suffix.lower() in (".tif", ".tiff")
-    frame = pictures.dem_frame(cast(Path, scene.mesh_path)) if is_dem else None
-    if frame is not None and origin is not None:
-        raise InputError(f"--origin: the mesh {scene.mesh_path} is a DEM that says itself where it lies; leave it out")
+    """Where the world lies on the earth: a DEM or the scene file says it, else `origin`; None where none does."""
+    frame = frame_of(scene)
     if origin is None:
         return frame
+    if frame is not None and scene.origin is None:
+        raise InputError(f"--origin: the mesh {scene.mesh_path} is a DEM that says itself where it lies; leave it out")
+    if frame is not None and frame != Origin(*origin):
+        raise InputError(f"--origin {origin}: the scene file says {frame}; leave it out, or make them the same")
     if not (-90.0 <= origin[0] <= 90.0 and -360.0 <= origin[1] <= 360.0 and abs(origin[2]) < 1e5):
         raise InputError(f"--origin {origin}: latitude, longitude [degrees] and height [m] are needed")
     return Origin(*origin)
@@ -202,9 +204,20 @@ def _new_view(source: str, facts: Facts, scene: Scene, view: View) -> View:
     return type(view).model_validate(stated)
 
 
-def _declare(path: Path, view: View, exists: bool, pol: str, image: str, looks: float | None) -> None:
-    """Write `images` and `looks` into the scene file; its comments and all else stay as they are."""
+def _declare(
+    path: Path,
+    view: View,
+    exists: bool,
+    pol: str,
+    image: str,
+    looks: float | None,
+    origin: tuple[float, float, float] | None,
+) -> None:
+    """Write `images`, `looks` and the origin given into the scene file, its comments and all else as they were."""
     document: Any = tomlkit.parse(path.read_text(encoding="utf-8-sig"))
+    if origin is not None and "origin" not in document["scene"]:
+        document["scene"]["origin"] = tomlkit.inline_table()
+        document["scene"]["origin"].update(zip(("latitude_deg", "longitude_deg", "height_m"), origin, strict=True))
     if not exists:
         if "views" not in document:
             document.append("views", tomlkit.aot())

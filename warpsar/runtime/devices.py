@@ -8,6 +8,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 from warpsar.errors import DeviceError
+from warpsar.runtime.driver import no_driver_warning
 from warpsar.runtime.threads import in_threads
 from warpsar.runtime.torchrun import of_torchrun
 
@@ -24,7 +25,8 @@ def resolve_device(name: str | None = None) -> wp.Device:
     import warp as wp
 
     wp.config.log_level = max(wp.config.log_level, wp.LOG_WARNING)
-    wp.init()
+    with no_driver_warning():
+        wp.init()
     if name is None:
         name = "cuda" if wp.get_cuda_device_count() else "cpu"
     known = ["cpu"] + [d.alias for d in wp.get_cuda_devices()]

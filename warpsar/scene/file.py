@@ -17,6 +17,7 @@ from warpsar.world.tables import (
     Grid,
     Material,
     Number,
+    Origin,
     Radar,
     Sampling,
     Table,
@@ -35,6 +36,9 @@ class SceneTable(Table):
     mesh: FileName = Field(description="Mesh file: OBJ, PLY, STL, glTF, GLB, or a DEM in GeoTIFF.")
     reference_point_m: tuple[Number, Number, Number] = Field(
         default=(0.0, 0.0, 0.0), description="World point in the middle of every image [m]: range and azimuth are zero."
+    )
+    origin: Origin | None = Field(
+        default=None, description="Where the world's zero lies on the earth; not for a DEM, which says it itself."
     )
 
     @field_validator("reference_point_m")
@@ -140,6 +144,7 @@ def _problem(details: Mapping[str, Any], raw: dict[str, Any]) -> str:
         return f"{key}: missing"
     if kind == "extra_forbidden":
         model = _TABLES[str(place[0])] if len(place) > 1 else SceneFile
+        model = Origin if place[:2] == ("scene", "origin") and len(place) > 2 else model
         known = [info.alias or name for name, info in model.model_fields.items()]
         return f"{key}: unknown key; must be one of {', '.join(known)}"
     message = re.sub(r"^(Value error, |Input )", "", details["msg"]).replace("should", "must")

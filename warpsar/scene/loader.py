@@ -66,6 +66,7 @@ class _Loader:
             "sampling": file.sampling,
             "effects": self.effects,
             "reference_point_m": file.scene.reference_point_m,
+            "origin": file.scene.origin,
             "path": self.path,
             "mesh_path": mesh_path,
             "warnings": (*(f"{mesh_path}: {warning}" for warning in mesh.warnings), *self.warnings),

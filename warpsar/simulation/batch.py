@@ -22,7 +22,7 @@ from warpsar.runtime.distributed import Ranks
 from warpsar.simulation.index import INDEX, Index
 from warpsar.simulation.maker import OUTCOMES, ImageOptions, Maker
 from warpsar.simulation.naming import angles, labels, views_at
-from warpsar.simulation.outputs import write_json
+from warpsar.simulation.outputs import make_folder, write_json
 from warpsar.simulation.shares import shares
 from warpsar.trace.hits import DEFAULT_MEMORY_GIB
 from warpsar.world.tables import View
@@ -81,7 +81,7 @@ def run(
     out = Path(out)
     where = devices.resolve_device(device)
     ranks = distributed.ranks(where)
-    out.mkdir(parents=True, exist_ok=True)
+    make_folder(out)
     console.say_device(where)
     index = Index(out, ranks)
     options = ImageOptions(seed, layers, variance, not per_ray, max_memory_gib or DEFAULT_MEMORY_GIB)

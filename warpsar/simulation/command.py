@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -12,40 +12,28 @@ import numpy as np
 
 from warpsar.effects.base.effect import DeclaredEffect
 from warpsar.effects.registry import declared
-from warpsar.io.images import quick_look, write_exr
 from warpsar.render.bands import BandedRender, stretches
 from warpsar.render.render import ViewRender
 from warpsar.runtime import console, devices, distributed
+from warpsar.runtime.busy import busy
 from warpsar.runtime.memory import PARTS, OutOfMemoryError, in_parts, ran_out
 from warpsar.scene.scene import Scene
-from warpsar.simulation.outputs import write_json
+from warpsar.simulation.checks import Findings, grid_warnings
+from warpsar.simulation.estimate import Estimate, estimate
+from warpsar.simulation.files import Output, refuse_formats, written
+from warpsar.simulation.ground import Ground
+from warpsar.simulation.metadata import metadata
+from warpsar.simulation.outputs import make_folder, write_json
 from warpsar.simulation.rays import effects_grid, hit_grid, trace_view, view_seed
+from warpsar.simulation.speckle import declare as declare_speckled
+from warpsar.simulation.speckle import refuse_declaring
+from warpsar.simulation.view import SimulatedView
 from warpsar.surface.stage import Stage
 from warpsar.trace.hits import DEFAULT_MEMORY_GIB, Hits
 from warpsar.trace.layers import layers as layers_of
 from warpsar.trace.rays import ray_count
 from warpsar.world.tables import View
 from warpsar.world.world import geometry_of
-
-
-@dataclass
-class SimulatedView:
-    """One view's images.
-
-    `beta0[pol]`: linear power, dimensionless, shape (rows, cols), float32, rows along slant range. `range_m` and
-    `azimuth_m`: pixel centres about the reference point [m]. `sampling_variance[pol]`: variance of beta0 from the
-    jitter of the rays (two seeds). `layers`: see `warpsar.trace.layers.layers`; and by name the shares of beta0 that
-    effects tell apart (`beta0_2_bounces_HH`), before the image stage.
-    """
-
-    name: str
-    beta0: dict[str, np.ndarray]
-    range_m: np.ndarray
-    azimuth_m: np.ndarray
-    rays: int
-    hits: int
-    sampling_variance: dict[str, np.ndarray] = field(default_factory=dict)
-    layers: dict[str, np.ndarray] = field(default_factory=dict)
 
 
 class Simulation:
@@ -69,6 +57,7 @@ class Simulation:
         self.scene, self.stage, self.bar = scene, stage, bar
         self.seed = scene.sampling.seed if seed is None else seed
         self.layers, self.variance, self.merge, self.max_memory_gib = layers, variance, merge, max_memory_gib
+        self.findings = Findings()
         self.grid, self.density = hit_grid(scene), scene.sampling.density_per_m2(scene.grid)
 
     def rays(self, view: View) -> int:
@@ -83,13 +72,14 @@ class Simulation:
         Raises OutOfMemoryError where the device cannot hold the hits of 1/256 of it.
         """
         scene, stage, grid = self.scene, self.stage, self.grid
-        hits, count, beta0, shares = self._images(view, view_seed(self.seed, index))
+        hits, count, beta0, shares, lit = self._images(view, view_seed(self.seed, index))
         axes = [
             start + (np.arange(n) + 0.5) * step
             for start, n, step in zip(grid.start_m, grid.shape, grid.spacing_m, strict=True)
         ]
         rays = self.rays(view) // (1 + self.variance) if hits is None else hits.rays
-        one = SimulatedView(view.name, beta0, axes[0], axes[1], rays, count)
+        one = SimulatedView(view.name, beta0, axes[0], axes[1], rays, count, metadata=metadata(scene, view))
+        one.lit_fraction = float(lit.mean())
         if self.variance:
             # half the squared difference of two independent images is each one's variance
             other = self._images(view, view_seed(self.seed + 1, index + len(scene.views)))[2]
@@ -97,31 +87,54 @@ class Simulation:
         if self.layers:
             if hits is None or hits.grid != grid:  # binned for an effect
                 hits = self._trace(view, view_seed(self.seed, index), [])
-            one.layers = layers_of(stage.target, scene.mesh, hits, self.density) | shares
+            with busy(f"{view.name}: layers"):
+                one.layers = layers_of(stage.target, scene.mesh, hits, self.density) | shares
         return one
+
+    def estimate(self, views: Sequence[View]) -> Estimate | None:
+        """What the images of `views` will take; None where they are there in a moment."""
+        costs = [self.rays(view) for view in views]
+        if not costs:
+            return None
+        dearest = views[int(np.argmax(costs))]
+
+        def traced(begin: int, end: int, share: float) -> Hits:
+            some = {"only_columns": (begin, end), "rays_per_m2": share * self.density}
+            return self._trace(dearest, self.seed, [], merge=self.merge, **some)
+
+        pixels = self.grid.shape[0] * self.grid.shape[1]
+        return estimate(costs, pixels, self.grid.shape[1], len(self.scene.radar.polarizations), traced)
 
     def _trace(self, view: View, seed: int, effects: list[DeclaredEffect], **more: Any) -> Hits:
         gib = self.max_memory_gib
         return trace_view(self.scene, self.stage, view, seed=seed, effects=effects, max_memory_gib=gib, **more)
 
-    def _images(self, view: View, seed: int) -> tuple[Hits | None, int, dict[str, np.ndarray], dict[str, np.ndarray]]:
-        """Hits (None where they do not fit into memory), their number, images, and the effects' shares of them."""
+    def _images(
+        self, view: View, seed: int
+    ) -> tuple[Hits | None, int, dict[str, np.ndarray], dict[str, np.ndarray], np.ndarray]:
+        """Hits, where they fit into memory, and their number; images; shares of them that effects tell apart; the
+        pixels that single-bounce light reaches."""
         effects = declared(self.scene, view)
         try:
             hits = self._trace(view, seed, effects, merge=self.merge, progress=self.bar)
-            render = view_render(self.scene, self.stage, view, hits)
-            beta0 = render.forward()
-            return hits, hits.count, beta0, {n: a.numpy().reshape(render.shape) for n, a in render.layers.items()}
+            with busy(f"{view.name}: surfaces and pixels"):
+                render = view_render(self.scene, self.stage, view, hits)
+                beta0 = render.forward()
+            lit = _lit(render, beta0)
+            self.findings.add(self.stage, render, beta0, lit)
+            shares = {n: a.numpy().reshape(render.shape) for n, a in render.layers.items()}
+            return hits, hits.count, beta0, shares, lit
         except (MemoryError, RuntimeError, OutOfMemoryError) as error:
             if not ran_out(error):
                 raise
-        count, beta0 = in_parts(partial(self._in_bands, view, seed, effects), f"view {view.name}", PARTS[1:])
-        return None, count, beta0, {}
+        with busy(f"{view.name}: in bands"):
+            count, beta0, lit = in_parts(partial(self._in_bands, view, seed, effects), f"view {view.name}", PARTS[1:])
+        return None, count, beta0, {}, lit
 
     def _in_bands(
         self, view: View, seed: int, effects: list[DeclaredEffect], bands: int
-    ) -> tuple[int, dict[str, np.ndarray]]:
-        """The number of hits, and images, with the hits of one band at a time in memory."""
+    ) -> tuple[int, dict[str, np.ndarray], np.ndarray]:
+        """Number of hits, images, and their lit pixels, with the hits of one band at a time in memory."""
         count = 0
 
         def traced(only_columns: tuple[int, int]) -> Hits:
@@ -134,7 +147,13 @@ class Simulation:
         polarizations = self.scene.radar.polarizations
         render = BandedRender(self.stage, view, traced, columns, self.scene.grid.shape, polarizations, effects)
         beta0 = render.forward()
-        return count, beta0
+        return count, beta0, _lit(render, beta0)
+
+
+def _lit(render: ViewRender | BandedRender, polarizations: Iterable[str]) -> np.ndarray:
+    """Pixels that single-bounce light reaches in any of the polarizations, shape (rows, cols), bool."""
+    lit: np.ndarray = np.logical_or.reduce([render.lit(name) for name in polarizations])
+    return lit
 
 
 def simulate(
@@ -156,40 +175,22 @@ def simulate(
     made = Simulation(
         scene, stage, seed=seed, layers=layers, variance=variance, merge=merge, max_memory_gib=max_memory_gib
     )
+    _say_warnings(grid_warnings(scene, stage, scene.views))
     made.bar = console.progress(sum(map(made.rays, scene.views)), "rays", "ray")
     found = [made.view(view, index) for index, view in enumerate(scene.views)]
     made.bar.close()
+    _say_warnings(made.findings.warnings(scene))
     return found
+
+
+def _say_warnings(warnings: Sequence[str]) -> None:
+    for warning in warnings:
+        console.say(f"warning: {warning}")
 
 
 def view_render(scene: Scene, stage: Stage, view: View, hits: Hits) -> ViewRender:
     """One traced view with the scene's declared effects, ready to run."""
     return ViewRender(stage, view, hits, scene.grid.shape, scene.radar.polarizations, declared(scene, view))
-
-
-def channels(view: SimulatedView) -> dict[str, np.ndarray]:
-    """A view's layers, shares and sampling variances by name: what was asked for beside its images."""
-    return dict(view.layers) | {f"sampling_variance_{p}": v for p, v in view.sampling_variance.items()}
-
-
-def _write(out: Path, view: SimulatedView) -> dict[str, Any]:
-    """Write a view's files; returns its entry in simulate.json."""
-    files = {"image": f"{view.name}.exr", "quick_look": f"{view.name}.png"}
-    write_exr(out / files["image"], view.beta0)
-    first = next(iter(view.beta0.values()))
-    quick_look(out / files["quick_look"], first)
-    extra = channels(view)
-    if extra:
-        files["layers"] = f"{view.name}_layers.exr"
-        write_exr(out / files["layers"], extra)
-    return {
-        "name": view.name,
-        "files": files,
-        "rays": view.rays,
-        "hits": view.hits,
-        "lit_fraction": float((first > 0).mean()),
-        "mean_beta0": {p: float(image.mean(dtype=float)) for p, image in view.beta0.items()},
-    }
 
 
 def run(
@@ -202,23 +203,33 @@ def run(
     variance: bool = False,
     per_ray: bool = False,
     max_memory_gib: float | None = None,
+    looks: float | None = None,
+    declare: bool = False,
+    formats: Sequence[str] = ("exr",),
 ) -> dict[str, Any]:
     """`warpsar simulate`: images (EXR), quick looks (PNG) and simulate.json in `out`. Returns the JSON's content.
 
-    Several processes (`distributed`) share the views by the number of their rays.
+    `formats`: of the images, any of `files.FORMATS`. `looks` adds images with speckle; `declare` a scene.toml that
+    names them as measured. Several processes (`distributed`) share the views by the number of their rays.
     """
     started = time.perf_counter()
-    scene = Scene.load(scene_path)
+    refuse_formats(formats)
+    with busy("reading the scene"):
+        scene = Scene.load(scene_path)
     out = Path(out)
+    if declare:
+        refuse_declaring(scene, out, looks)
     where = devices.resolve_device(device)
     ranks = distributed.ranks(where)
-    out.mkdir(parents=True, exist_ok=True)  # refused now rather than after the work
+    make_folder(out)  # refused now rather than after the work
     console.say_device(where)
-    for warning in scene.warnings:
-        console.say(f"warning: {warning}")
+    with busy("loading the mesh onto the device"):
+        stage = Stage.of(scene, where)
+    warnings = [*scene.warnings, *grid_warnings(scene, stage, scene.views)]
+    _say_warnings(warnings)
     made = Simulation(
         scene,
-        Stage.of(scene, where),
+        stage,
         seed=seed,
         layers=layers,
         variance=variance,
@@ -227,16 +238,30 @@ def run(
     )
     costs = [made.rays(view) for view in scene.views]
     mine = distributed.deal(costs, ranks.size)[ranks.rank]
+    if (expected := made.estimate([scene.views[index] for index in mine])) is not None:
+        console.say(str(expected))
     made.bar = console.progress(sum(costs[index] for index in mine), "rays", "ray")
-    summary = [[index, _write(out, made.view(scene.views[index], index))] for index in mine]
+    ground = Ground.of(scene, stage) if "geotiff" in formats else None
+    if "geotiff" in formats and ground is None:
+        console.say("note: [scene] has no origin, so GeoTIFF is in slant range alone")
+    output = Output(out, made.seed, looks, tuple(dict.fromkeys(formats)), exr_speckle=declare, ground=ground)
+    summary = [[index, output.write(made.view(scene.views[index], index), index)] for index in mine]
     made.bar.close()
-    summary = sorted(each for part in ranks.gather(summary) for each in part)
+    everything = ranks.gather([summary, made.findings.plain()])
+    summary = sorted(each for part, _ in everything for each in part)
+    found = Findings.together([findings for _, findings in everything]).warnings(scene)
+    _say_warnings(found)
     content = {
         "rays_per_m2": made.density,
         "materials": list(scene.mesh.materials),
         "processes": ranks.size,
+        "warnings": warnings + found,
         "views": [entry for _, entry in summary],
     }
     if not ranks.first:
         return content
-    return write_json(out / "simulate.json", scene, where, made.seed, started, content)
+    if declare and looks is not None:
+        content["scene"] = declare_speckled(scene, out, looks)
+    content = write_json(out / "simulate.json", scene, where, made.seed, started, content)
+    console.say(written(out, content))
+    return content

@@ -9,7 +9,6 @@ from dataclasses import asdict, dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
 
-import numpy as np
 import warp as wp
 
 from warpsar.effects.registry import get
@@ -17,8 +16,10 @@ from warpsar.errors import InputError
 from warpsar.io.images import write_exr
 from warpsar.runtime import console
 from warpsar.scene.scene import Scene
-from warpsar.simulation.command import Simulation, channels
+from warpsar.simulation.checks import grid_warnings
+from warpsar.simulation.command import Simulation
 from warpsar.simulation.index import Index, Row
+from warpsar.simulation.view import SimulatedView
 from warpsar.surface.stage import Stage
 from warpsar.version import __version__
 from warpsar.world.tables import View
@@ -56,6 +57,7 @@ class Maker:
         self.scene = Scene.load(path)
         for warning in self.scene.warnings:
             console.say(f"warning: {warning}")
+        self._told = False
         self.fresh = made is not None
         self.views = self.scene.views if made is None else made
         if self.fresh:
@@ -113,15 +115,19 @@ class Maker:
         """
         return zlib.crc32(self.views[number].name.encode()) if self.fresh else number
 
-    def _make(self, view: View, number: int) -> dict[str, np.ndarray]:
-        """The image's channels by name."""
+    def _make(self, view: View, number: int) -> SimulatedView:
         scene = replace(self.scene, views=[view]) if self.fresh else self.scene
-        one = Simulation(scene, self.stage, **asdict(self.options)).view(view, self._seed(number))
-        return one.beta0 | channels(one)
+        simulation = Simulation(scene, self.stage, **asdict(self.options))
+        made = simulation.view(view, self._seed(number))
+        if not self._told:  # of the first image of a scene: the others would say the same
+            self._told = True
+            for warning in grid_warnings(scene, self.stage, [view]) + simulation.findings.warnings(scene):
+                console.say(f"warning: {self.path}: {warning}")
+        return made
 
-    def _write(self, image: dict[str, np.ndarray], row: Row) -> None:
+    def _write(self, image: SimulatedView, row: Row) -> None:
         path = self.index.out / row["file"]
-        write_exr(path, image)
+        write_exr(path, image.beta0 | image.channels(), image.metadata)
         self.index.add({**row, "sha256": sha256(path) or ""})
 
 

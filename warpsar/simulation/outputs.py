@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import tempfile
 import time
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,22 @@ from warpsar.scene.scene import Scene
 from warpsar.version import __version__
 
 
+def make_folder(out: Path) -> None:
+    """Make a command's output folder, and the folders above it.
+
+    Raises InputError where that cannot be, or where nothing can be written into it.
+    """
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=out):
+            pass
+    except OSError as error:
+        raise InputError(
+            f"--out: found {out}; nothing can be written there ({error.strerror}); allowed is a folder, there or new, "
+            f"that can be written to"
+        ) from error
+
+
 def opened(scene_path: Path | str, out: Path | str, device: str | None) -> tuple[Scene, Path, wp.Device]:
     """The scene, its output folder and the device of a command that writes a new scene.toml; makes the folder.
 
@@ -29,7 +46,7 @@ def opened(scene_path: Path | str, out: Path | str, device: str | None) -> tuple
         raise InputError(
             f"--out: found {out}, where the scene file itself lies and would be replaced; allowed is another"
         )
-    out.mkdir(parents=True, exist_ok=True)
+    make_folder(out)
     where = devices.resolve_device(device)
     console.say_device(where)
     for warning in scene.warnings:

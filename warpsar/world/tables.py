@@ -97,6 +97,14 @@ class Radar(Table):
         return value
 
 
+class Origin(Table):
+    """`[scene] origin`: where the world's origin lies on WGS 84, in degrees, and metres above the ellipsoid."""
+
+    latitude_deg: Annotated[Number, Field(ge=-90.0, le=90.0)]
+    longitude_deg: Annotated[Number, Field(ge=-360.0, le=360.0)]
+    height_m: Annotated[Number, Field(gt=-1e5, lt=1e5)] = 0.0
+
+
 class Grid(Table):
     """`[image]`: the slant-plane pixels, rows in range and columns in azimuth."""
 

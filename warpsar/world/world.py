@@ -19,7 +19,7 @@ from warpsar.io.images import read_channel, read_mask
 from warpsar.world.frame import SPEED_OF_LIGHT, ViewGeometry, view_geometry
 from warpsar.world.mesh import Mesh
 from warpsar.world.pixels import Pixels
-from warpsar.world.tables import SURFACE_KEYS, Grid, Material, Radar, Sampling, View
+from warpsar.world.tables import SURFACE_KEYS, Grid, Material, Origin, Radar, Sampling, View
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +40,8 @@ class World:
     """Parameters of the declared effects, as `warpsar.effects.registry.validate` gives them."""
     reference_point_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Where range and azimuth are zero [m], world."""
+    origin: Origin | None = None
+    """Where the world lies on the earth; None where it is not said, or said by a DEM."""
     path: Path | None = None
     """The scene file, absolute; None for a scene made in memory."""
     mesh_path: Path | None = None

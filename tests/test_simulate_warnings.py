@@ -1,0 +1,194 @@
+"""What `simulate` says in time: domains, grids that miss, units, empty polarizations, long work, and signs of life."""
+
+import io
+import json
+import os
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from test_cli_simulate import MESH, SCENE, warpsar
+from worlds import ground, mesh_of, scene_of, view
+
+from warpsar.runtime import busy as busy_module
+from warpsar.runtime.busy import busy
+from warpsar.runtime.devices import resolve_device
+from warpsar.runtime.driver import no_driver_warning
+from warpsar.scene.scene import Scene
+from warpsar.simulation import estimate as estimating
+from warpsar.simulation.checks import Findings, grid_warnings
+from warpsar.simulation.command import Simulation, simulate
+from warpsar.surface.stage import Stage
+
+OPTICS = {"eps_r": 6.0, "rms_height_m": 0.02, "correlation_length_m": 0.2, "specular_fraction": 1.0}
+
+
+def stage_of(scene: Scene) -> Stage:
+    return Stage.of(scene, resolve_device("cpu"))
+
+
+def found(**material: Any) -> list[str]:
+    """Warnings of level ground of one material, at 9.6 GHz and 40 degrees."""
+    soil = {"eps_r": 6.0, "rms_height_m": 0.0012, "correlation_length_m": 0.010, **material}
+    scene = scene_of(mesh_of(soil=ground(30)), view(0, 40), rays_per_pixel=4.0, materials={"soil": soil})
+    made = Simulation(scene, stage_of(scene))
+    made.view(scene.views[0], 0)
+    return made.findings.warnings(scene)
+
+
+def test_a_surface_outside_its_models_domain() -> None:
+    """h = 5 cm at X band once gave a beta0 of 73 without a word."""
+    assert found() == []
+    (said,) = found(rms_height_m=0.05)
+    assert said.startswith("materials.soil: 100 % of its lit area lies outside the domain of small perturbation")
+    assert "kh = 10.1, kl = 2.01" in said
+    assert found(**OPTICS) == []
+    (said,) = found(**{**OPTICS, "correlation_length_m": 0.01})
+    assert "outside the domain of geometric optics" in said
+    assert found(**{**OPTICS, "specular_fraction": 0.5}) == []  # its two domains cannot both hold
+    (said,) = found(rms_height_m=0.003, specular_fraction=0.5)
+    assert "outside the domain of both" in said
+
+
+def test_domains_hold_at_the_incidences_seen() -> None:
+    """kh cos(theta) > 1.58 fails where the ground is seen at grazing."""
+    rough = {**OPTICS, "rms_height_m": 0.01, "correlation_length_m": 0.1}  # kh = 2.01: to 38 degrees
+
+    def at(incidence: float) -> list[str]:
+        scene = scene_of(mesh_of(soil=ground(30)), view(0, incidence), rays_per_pixel=4.0, materials={"soil": rough})
+        made = Simulation(scene, stage_of(scene))
+        made.view(scene.views[0], 0)
+        return made.findings.warnings(scene)
+
+    assert at(30.0) == []
+    assert len(at(50.0)) == 1
+
+
+def test_cross_polarization_of_level_ground() -> None:
+    scene = scene_of(mesh_of(soil=ground(30)), view(0, 40), polarizations=("HH", "HV"), rays_per_pixel=4.0)
+    made = Simulation(scene, stage_of(scene))
+    made.view(scene.views[0], 0)
+    (said,) = made.findings.warnings(scene)
+    assert said.startswith("view view: HV is exactly 0 in 100 % of the lit pixels: level ground")
+    wall = scene_of(mesh_of(soil=ground(30)), view(0, 40), polarizations=("HH",), rays_per_pixel=4.0)
+    made = Simulation(wall, stage_of(wall))
+    made.view(wall.views[0], 0)
+    assert made.findings.warnings(wall) == []
+
+
+@pytest.mark.parametrize(
+    ("size", "reference", "expected"),
+    [
+        (30.0, (0.0, 0.0, 0.0), None),
+        (8.0, (0.0, 0.0, 0.0), None),  # all of it, in the middle
+        (400.0, (0.0, 0.0, 0.0), None),  # a part of it fills the image
+        (30.0, (900.0, 0.0, 0.0), "misses the mesh, which lies at range 0"),
+        (30.0, (24.0, 0.0, 0.0), "misses most of the mesh"),
+        (30e3, (0.0, 0.0, 0.0), "is the mesh in metres"),
+        (30e-3, (0.0, 0.0, 0.0), "is the mesh in metres"),
+    ],
+)
+@pytest.mark.parametrize("slant_range_m", [None, 5e5])
+def test_a_grid_that_does_not_fit_the_mesh(
+    size: float, reference: tuple[float, float, float], expected: str | None, slant_range_m: float | None
+) -> None:
+    flat = scene_of(mesh_of(soil=ground(size)), view(0, 40), slant_range_m=slant_range_m)
+    scene = replace(flat, reference_point_m=reference)
+    said = grid_warnings(scene, stage_of(scene), scene.views)
+    if expected is None:
+        assert said == []
+    else:
+        (one,) = said
+        assert one.startswith("view view: the image covers 20 x 20 m")
+        assert expected.partition(" 0")[0] in one
+
+
+def test_views_of_one_warning_are_named_together() -> None:
+    views = [view(10.0 * i, 40, name=f"v{i}") for i in range(5)]
+    scene = scene_of(mesh_of(soil=ground(30e3)), views)
+    (said,) = grid_warnings(scene, stage_of(scene), scene.views)
+    assert said.startswith("views v0, v1, v2 and 2 more: ")
+
+
+def test_findings_of_several_processes_are_one() -> None:
+    parts = [
+        {"areas": [[2.0, 0.0, 2.0, 0.0]], "dark": {"HV": {"a": 1.0}}},
+        {"areas": [[2.0, 0.0, 0.0, 0.0]], "dark": {"HV": {"b": 0.8}}},
+        {"areas": 0.0, "dark": {}},
+    ]
+    scene = scene_of(mesh_of(soil=ground(30)), view(0, 40))
+    domain, dark = Findings.together(parts).warnings(scene)
+    assert "50 % of its lit area" in domain
+    assert dark.startswith("views a, b: HV")
+
+
+def test_warnings_stand_on_stderr_and_in_the_json(tmp_path: Path) -> None:
+    (tmp_path / "scene.obj").write_text(MESH)
+    (tmp_path / "scene.toml").write_text(SCENE.replace("0.0012", "0.05"))
+    done = warpsar("simulate", tmp_path / "scene.toml", "-o", tmp_path / "out", "--device", "cpu")
+    assert done.returncode == 0
+    (said,) = json.loads((tmp_path / "out" / "simulate.json").read_text())["warnings"]
+    assert said.startswith("materials.soil")
+    assert f"warning: {said}\n" in done.stderr
+
+
+def test_a_batch_says_them_once(tmp_path: Path) -> None:
+    (tmp_path / "scene.obj").write_text(MESH)
+    (tmp_path / "scene.toml").write_text(SCENE.replace("0.0012", "0.05"))
+    angles = ("--azimuths", "0:30:10", "--incidences", "40")
+    done = warpsar("simulate", tmp_path / "scene.toml", "-o", tmp_path / "out", "--device", "cpu", *angles)
+    assert done.returncode == 0
+    assert done.stderr.count("warning: ") == 1
+    assert "materials.soil" in done.stderr
+
+
+def test_from_python_they_stand_on_stderr(capsys: pytest.CaptureFixture[str]) -> None:
+    rough = {"eps_r": 6.0, "rms_height_m": 0.05, "correlation_length_m": 0.010}
+    simulate(scene_of(mesh_of(soil=ground(30)), view(0, 40), materials={"soil": rough}), device="cpu")
+    assert "warning: materials.soil: 100 %" in capsys.readouterr().err
+
+
+def test_long_work_is_estimated(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rays and pixels are counted, and the time is that of the rays to a factor of three."""
+    short = scene_of(mesh_of(soil=ground(30)), view(0, 40))
+    assert Simulation(short, stage_of(short)).estimate(short.views) is None
+    scene = scene_of(mesh_of(soil=ground(30)), view(0, 40), rays_per_pixel=20000.0)
+    monkeypatch.setattr(estimating, "LONG_S", 0.0)
+    made = Simulation(scene, stage_of(scene))
+    said = made.estimate(scene.views)
+    assert said is not None
+    started = time.perf_counter()
+    image = made.view(scene.views[0], 0)
+    took = time.perf_counter() - started
+    assert (said.views, said.pixels, said.rays) == (1, 1600, image.rays)
+    assert took / 4 < said.seconds < took * 4
+    assert f"about {said.seconds:.0f} s" in str(said)
+
+
+def test_a_sign_of_life(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a terminal, and after a while; nothing elsewhere."""
+
+    class Terminal(io.StringIO):
+        def isatty(self) -> bool:
+            return True
+
+    monkeypatch.setattr(busy_module, "TICK_S", 0.05)
+    for stream, expected in ((Terminal(), True), (io.StringIO(), False)):
+        monkeypatch.setattr(sys, "stderr", stream)
+        with busy("writing north.exr"):
+            time.sleep(0.3)
+        assert ("writing north.exr [00:00]" in stream.getvalue()) == expected
+    monkeypatch.setattr(sys, "stderr", stream := Terminal())
+    with busy("short"):
+        pass
+    assert "short" not in stream.getvalue()
+
+
+def test_the_driver_warning_is_not_shown_and_all_else_is(capfd: pytest.CaptureFixture[str]) -> None:
+    with no_driver_warning():
+        os.write(2, b"Warp CUDA warning: Could not find or load the NVIDIA CUDA driver. GPU execution will not be.\n")
+        os.write(2, b"Warp CUDA error: something else\n")
+    assert capfd.readouterr().err == "Warp CUDA error: something else\n"

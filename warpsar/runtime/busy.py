@@ -1,0 +1,45 @@
+"""A sign of life for work that cannot say how far it is."""
+
+from __future__ import annotations
+
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from tqdm import tqdm
+
+from warpsar.runtime.torchrun import of_torchrun
+
+TICK_S = 1.0
+
+
+@contextmanager
+def busy(what: str) -> Iterator[None]:
+    """While the block runs, from its second second on: `what` and the time it has taken, on stderr where that is a
+    terminal."""
+    bar = tqdm(
+        desc=what,
+        bar_format="{desc} [{elapsed}]",
+        file=sys.stderr,
+        disable=True if of_torchrun("RANK", 0) else None,
+        delay=TICK_S,
+        leave=False,
+    )
+    if bar.disable:
+        yield
+        return
+    done = threading.Event()
+
+    def tick() -> None:
+        while not done.wait(TICK_S):
+            bar.refresh()
+
+    thread = threading.Thread(target=tick, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        done.set()
+        thread.join()
+        bar.close()

@@ -1,0 +1,149 @@
+"""What a user should be told of a simulation: a grid that misses the mesh, units, domains, and empty polarizations."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from warpsar.render.domains import lit_areas
+from warpsar.render.render import ViewRender
+from warpsar.surface.stage import Stage
+from warpsar.world.frame import ViewGeometry
+from warpsar.world.tables import View
+from warpsar.world.world import World, geometry_of
+
+OVERLAP = 0.1  # of the smaller of image and mesh: less is a grid that misses
+UNITS = 300.0  # times larger or smaller than the image: more is a mesh in other units
+SHARE = 0.1  # of the lit area outside its model's domain, before it is said
+DARK = 0.5  # of the lit pixels that are 0 in HV or VH, before it is said
+_NAMED = 3  # views, by name
+
+
+def grid_warnings(scene: World, stage: Stage, views: Sequence[View]) -> list[str]:
+    """One sentence for each way in which the image's grid does not fit the mesh, before any ray is sent."""
+    image = np.array([n * step for n, step in zip(scene.grid.shape, scene.grid.spacing_m, strict=True)])
+    covers = f"the image covers {image[0]:g} x {image[1]:g} m (range x azimuth)"
+    missed: dict[str, str] = {}
+    units: dict[str, str] = {}
+    for view in views:
+        first, last = _extent(stage, geometry_of(scene, view))
+        size = last - first
+        ratio = float(size.max() / image.max())
+        inside = np.clip(np.minimum(last, image / 2) - np.maximum(first, -image / 2), 0, None)
+        share = float(np.prod(inside / np.minimum(np.maximum(size, 1e-9), image)))
+        if not 1 / UNITS < ratio < UNITS:
+            units[view.name] = (
+                f"{covers}, and the mesh {size[0]:.3g} x {size[1]:.3g} m: is the mesh in metres, or its size a mistake?"
+            )
+        elif share < OVERLAP:
+            how = "the mesh" if share == 0 else "most of the mesh"
+            missed[view.name] = (
+                f"{covers} about the reference point and misses {how}, which lies at range {first[0]:.4g} to "
+                f"{last[0]:.4g} m and azimuth {first[1]:.4g} to {last[1]:.4g} m; see reference_point_m of [scene], and "
+                f"[image]"
+            )
+    return [f"{_views(found)}: {next(iter(found.values()))}" for found in (missed, units) if found]
+
+
+def _extent(stage: Stage, geometry: ViewGeometry) -> tuple[np.ndarray, np.ndarray]:
+    """Least and largest (range, azimuth) of the mesh about the reference point [m], shape (2,) each."""
+    low, high = stage.target.ends(geometry)
+    if geometry.slant_range_m is None:
+        return low[:2], high[:2]
+    track = np.array([geometry.slant_range_m, 0.0])
+    return low[[3, 1]] - track, high[[3, 1]] - track
+
+
+@dataclass
+class Findings:
+    """What images showed. `areas`: as `lit_areas`, summed over views; `dark`: polarization -> view -> share of its lit
+    pixels that are exactly 0."""
+
+    areas: Any = 0.0
+    dark: dict[str, dict[str, float]] = field(default_factory=dict)
+
+    def add(self, stage: Stage, render: ViewRender, beta0: dict[str, np.ndarray], lit: np.ndarray) -> None:
+        """Of one view whose render has run."""
+        if not _surely_small(stage, render.geometry.wavenumber):
+            self.areas = self.areas + lit_areas(stage, [render])
+        for polarization in beta0.keys() & {"HV", "VH"}:
+            seen = beta0[polarization][lit] if lit.any() else np.zeros(min(render.hits.count, 1))
+            share = float((seen == 0).mean()) if seen.size else 0.0
+            if share > DARK:
+                self.dark.setdefault(polarization, {})[render.view.name] = share
+
+    def plain(self) -> dict[str, Any]:
+        """As JSON's own types, which travel between processes."""
+        return {"areas": np.asarray(self.areas).tolist(), "dark": self.dark}
+
+    @classmethod
+    def together(cls, parts: Sequence[dict[str, Any]]) -> Findings:
+        whole = cls()
+        for part in parts:
+            whole.areas = whole.areas + np.asarray(part["areas"])
+            for polarization, views in part["dark"].items():
+                whole.dark.setdefault(polarization, {}).update(views)
+        return whole
+
+    def warnings(self, scene: World) -> list[str]:
+        """One sentence for each thing that is to be told."""
+        found = _domain_warnings(scene, self.areas) if np.ndim(self.areas) else []
+        for polarization, views in sorted(self.dark.items()):
+            found.append(
+                f"{_views(views)}: {polarization} is exactly 0 in {100 * max(views.values()):.3g} % of the lit pixels: "
+                f"level ground, and whatever is not tilted across the look direction, scatters no {polarization} in "
+                f"this model"
+            )
+        return found
+
+
+SMALL = "small perturbation (kh < 0.3 and sqrt(2) h / l < 0.3)"
+OPTICS = "geometric optics (kh cos(theta) > 1.58, kl > 6 and l^2 > 2.76 h lambda)"
+
+
+def _domain_warnings(scene: World, areas: np.ndarray) -> list[str]:
+    found = []
+    for name, (small, optics, small_out, optics_out) in zip(scene.mesh.materials, areas, strict=True):
+        if small and optics:  # no h and l lie in both domains: what is in neither is what is left
+            model, share = f"both {SMALL} and {OPTICS}", (small_out + optics_out) / small - 1
+        elif small:
+            model, share = SMALL, small_out / small
+        else:
+            model, share = OPTICS, optics_out / optics if optics else 0.0
+        if share > SHARE:
+            found.append(
+                f"materials.{name}: {100 * share:.3g} % of its lit area lies outside the domain of {model}"
+                f"{_measures(scene, name)}: its beta0 may be far from the truth"
+            )
+    return found
+
+
+def _measures(scene: World, material: str) -> str:
+    h, length = scene.materials[material].rms_height_m, scene.materials[material].correlation_length_m
+    if not isinstance(h, float) or not isinstance(length, float):
+        return ""
+    k = scene.wavenumber(scene.views[0])
+    return f"; here kh = {k * h:.3g}, kl = {k * length:.3g}"
+
+
+def _surely_small(stage: Stage, wavenumber: float) -> bool:
+    """Whether every material is small perturbation alone and inside its domain, whatever is lit."""
+    surface = stage.surface
+    for name in surface.materials:
+        h, length, tau = (
+            surface.values(name, key) for key in ("rms_height_m", "correlation_length_m", "specular_fraction")
+        )
+        if tau.max() > 0 or wavenumber * h.max() >= 0.3 or np.sqrt(2.0) * h.max() / length.min() >= 0.3:
+            return False
+    return True
+
+
+def _views(names: Any) -> str:
+    """ "view north", or "views a, b, c and 5 more"."""
+    names = list(names)
+    shown = ", ".join(names[:_NAMED])
+    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+    return f"view{'s' if len(names) > 1 else ''} {shown}{more}"

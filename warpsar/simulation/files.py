@@ -1,0 +1,143 @@
+"""The files of `warpsar simulate`: of each view, in the formats asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from warpsar.errors import InputError
+from warpsar.io.geotiff import write_cog
+from warpsar.io.images import quick_look, write_exr
+from warpsar.runtime.busy import busy
+from warpsar.simulation.dataset import write_netcdf, write_zarr
+from warpsar.simulation.ground import Ground
+from warpsar.simulation.speckle import speckled, suffix
+from warpsar.simulation.view import SimulatedView
+
+FORMATS = ("exr", "geotiff", "netcdf", "zarr")
+NEEDS = {"geotiff": ("rasterio",), "netcdf": ("xarray", "h5netcdf"), "zarr": ("xarray", "zarr")}
+"""Libraries of a format, which its extra brings."""
+
+
+def refuse_formats(formats: Sequence[str]) -> None:
+    """Raise InputError where a library that a format needs is not there, before any work."""
+    for name in formats:
+        for library in NEEDS.get(name, ()):
+            if find_spec(library) is None:
+                extra = "geo" if library == "rasterio" else "xarray"
+                raise InputError(f'--format {name}: needs {library}: pip install "warpsar[{extra}]"')
+
+
+@dataclass(frozen=True)
+class Output:
+    """What is written of each view into the folder `out`; `seed` is that of the speckle.
+
+    `formats`: of `FORMATS`; `exr_speckle` writes EXR of a speckled image anyway. `ground`: where GeoTIFF lies on the
+    earth; without it only the slant-range one is written.
+    """
+
+    out: Path
+    seed: int
+    looks: float | None = None
+    formats: tuple[str, ...] = ("exr",)
+    exr_speckle: bool = False
+    ground: Ground | None = None
+
+    def write(self, view: SimulatedView, index: int) -> dict[str, Any]:
+        """The files of the scene's view number `index`, and what simulate.json says of it."""
+        files = {"quick_look": f"{view.name}.png"}
+        with busy(f"{view.name}: writing {files['quick_look']}"):
+            quick_look(self.out / files["quick_look"], next(iter(view.beta0.values())))
+        files |= self._image(view, view.name, "image")
+        said = {
+            "name": view.name,
+            "files": files,
+            "rays": view.rays,
+            "hits": view.hits,
+            "lit_fraction": view.lit_fraction,
+            "mean_beta0": {p: float(image.mean(dtype=float)) for p, image in view.beta0.items()},
+            **view.metadata,
+        }
+        if self.looks is not None:
+            files |= self._image(
+                self._with_speckle(view, index, self.looks), view.name + suffix(self.looks), "speckled"
+            )
+            said["looks"] = self.looks
+        return said
+
+    def _image(self, view: SimulatedView, name: str, key: str) -> dict[str, str]:
+        """A view's files in every format asked for, by what simulate.json calls them: the first is `key` itself."""
+        formats = self.formats
+        if key == "speckled" and self.exr_speckle and "exr" not in formats:
+            formats = (*formats, "exr")
+        files: dict[str, str] = {}
+        for each in formats:
+            for what, file, write in self._parts(each, view, name):
+                with busy(f"{view.name}: writing {file}"):
+                    write(self.out / file)
+                if what and key == "speckled":
+                    what = f"{key}_{what}"
+                files[what or (f"{key}_{each}" if key in files else key)] = file
+        return files
+
+    def _parts(self, kind: str, view: SimulatedView, name: str) -> Iterator[tuple[str, str, Callable[[Path], None]]]:
+        """Files of one format: what each is ("" for the image itself), its name, and how it is written."""
+        extra = view.channels()
+        if kind == "netcdf":
+            yield "", f"{name}.nc", partial(write_netcdf, view=view)
+        elif kind == "zarr":
+            yield "", f"{name}.zarr", partial(write_zarr, view=view)
+        elif kind == "geotiff":
+            yield "", f"{name}.tif", partial(write_cog, bands=view.beta0, tags=view.metadata)
+            if extra:
+                yield "layers_geotiff", f"{name}_layers.tif", partial(write_cog, bands=extra, tags=view.metadata)
+            if self.ground is not None:
+                yield "ground", f"{name}_ground.tif", partial(self._write_ground, view=view, ground=self.ground)
+        else:
+            yield "", f"{name}.exr", partial(write_exr, channels=view.beta0, header=view.metadata)
+            if extra:
+                yield "layers", f"{name}_layers.exr", partial(write_exr, channels=extra, header=view.metadata)
+
+    def _write_ground(self, path: Path, view: SimulatedView, ground: Ground) -> None:
+        named = next(each for each in ground.scene.views if each.name == view.name)
+        bands, place = ground.project(named, view.beta0)
+        axes = "north up; slant range along range_axis and azimuth along azimuth_axis are projected onto the mesh"
+        write_cog(path, bands, {**view.metadata, "axes": axes}, place)
+
+    def _with_speckle(self, view: SimulatedView, index: int, looks: float) -> SimulatedView:
+        beta0 = {
+            pol: speckled(image, looks, seed=self.seed, view=index, polarization=pol)
+            for pol, image in view.beta0.items()
+        }
+        metadata = {**view.metadata, "looks": looks, "speckle_seed": self.seed}
+        return replace(view, beta0=beta0, looks=looks, metadata=metadata, layers={}, sampling_variance={})
+
+
+KINDS = {
+    "image": "beta0",
+    "quick_look": "quick look, dB",
+    "layers": "layers",
+    "ground": "beta0 on the ground",
+    "speckled": "beta0 with speckle",
+    "speckled_ground": "beta0 with speckle on the ground",
+}
+"""What simulate.json calls a view's files, and what they are."""
+
+
+def written(out: Path, content: dict[str, Any]) -> str:
+    """What lies in `out` now, a line for each kind of file, from the content of simulate.json."""
+    names: dict[str, list[str]] = {}
+    for view in content["views"]:
+        for kind, name in view["files"].items():
+            names.setdefault(kind, []).append(name)
+    lines = [f"{out}:"]
+    for kind, files in names.items():
+        shown = ", ".join(files[:2]) + (f" and {len(files) - 2} more" if len(files) > 2 else "")
+        plain, _, form = kind.partition("_") if kind not in KINDS else (kind, "", "")
+        lines.append(f"  {KINDS[plain]}{' as ' + form if form else ''}: {shown}")
+    lines.append(f"  facts: simulate.json{', ' + content['scene'] if 'scene' in content else ''}")
+    return "\n".join(lines)
