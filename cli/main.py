@@ -19,6 +19,7 @@ COMMANDS = {
     "uv": "warpsar.cli.uv:command",
     "evaluate": "warpsar.cli.evaluate:command",
     "diagnose": "warpsar.cli.diagnose:command",
+    "schema": "warpsar.cli.schema:command",
 }
 
 

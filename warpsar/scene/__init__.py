@@ -1,5 +1,6 @@
 """The scene file: read, checked and written.
 
 scene: `Scene`, with load and save. file: the tables, and one message for all that is wrong. loader: the files that it
-names. writer: a scene as text. new: `warpsar new`. fitted_grid: its pixels. schema: `warpsar schema`. unwrap: `warpsar uv`.
+names. writer: a scene as text. new: `warpsar new`; fitted_grid: its pixels. schema: `warpsar schema`. unwrap:
+`warpsar uv`.
 """
