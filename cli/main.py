@@ -13,12 +13,14 @@ from warpsar.errors import InputError, WarpsarError
 INTERRUPTED = 130  # 128 + SIGINT, as shells report it
 
 COMMANDS = {
+    "new": "warpsar.cli.new:command",
     "simulate": "warpsar.cli.simulate:command",
     "import": "warpsar.cli.import_:command",
     "learn": "warpsar.cli.learn:command",
     "uv": "warpsar.cli.uv:command",
     "evaluate": "warpsar.cli.evaluate:command",
     "diagnose": "warpsar.cli.diagnose:command",
+    "schema": "warpsar.cli.schema:command",
 }
 
 

@@ -237,7 +237,7 @@ class Doubling(Effect):
     stage = "gain"
     order = 99
     summary = "as much again"
-    parameters = (Parameter("gain_db", "dB", 0.0, -10.0, 10.0, 1.0),)
+    parameters = (Parameter("gain_db", "dB", 0.0, -10.0, 10.0, 1.0, description="Gain."),)
 
     def gain(self, render: Recorder, p: Any, sigma: Any, points: Any) -> Any:
         result = render.program.array(sigma.shape[0])

@@ -17,11 +17,32 @@ from warpsar.world.world import World
 
 
 def _pair(unit: str, low: float, high: float, start: float, fit_high: float) -> tuple[Parameter, Parameter]:
+    where = "for a strip-map" if unit == "deg" else "for a plane wave"
     return (
         Parameter(
-            f"beamwidth_{unit}", unit, math.inf, low, math.inf, start, scale="log", fit_low=low, fit_high=fit_high
+            f"beamwidth_{unit}",
+            unit,
+            math.inf,
+            low,
+            math.inf,
+            start,
+            description=f"One-way 3 dB width of the beam, {where}.",
+            scale="log",
+            fit_low=low,
+            fit_high=fit_high,
         ),
-        Parameter(f"boresight_{unit}", unit, math.nan, -high, high, 0.0, span=start / 4, fit_low=-high, fit_high=high),
+        Parameter(
+            f"boresight_{unit}",
+            unit,
+            math.nan,
+            -high,
+            high,
+            0.0,
+            description=f"Middle of the beam, {where}.",
+            span=start / 4,
+            fit_low=-high,
+            fit_high=high,
+        ),
     )
 
 

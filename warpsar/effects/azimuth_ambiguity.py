@@ -31,8 +31,19 @@ class AzimuthAmbiguity(Effect):
     example: ClassVar[dict[str, Any]] = {"level": 0.05, "offset_m": 22.0}
     rate_case: ClassVar[dict[str, Any]] = {"level": 0.05, "offset_m": 9.0}
     parameters = (
-        Parameter("level", "1", 0.0, 0.0, 1.0, 0.01, scale="log", fit_low=1e-9, fit_high=1.0),
-        Parameter("offset_m", "m", math.nan, 0.0, 1e6, 10.0),
+        Parameter(
+            "level",
+            "1",
+            0.0,
+            0.0,
+            1.0,
+            0.01,
+            scale="log",
+            fit_low=1e-9,
+            fit_high=1.0,
+            description="Power of each copy, as a share of the image.",
+        ),
+        Parameter("offset_m", "m", math.nan, 0.0, 1e6, 10.0, description="Distance of the copies in azimuth."),
     )
 
     def trials(self, context: Context) -> list[Trial]:

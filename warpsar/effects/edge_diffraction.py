@@ -52,7 +52,20 @@ class EdgeDiffraction(Effect):
     summary = "lines along sharp edges"
     example: ClassVar[dict[str, Any]] = {"strength": 3.0}
     rate_case: ClassVar[dict[str, Any]] = {"strength": 3.0}
-    parameters = (Parameter("strength", "1", 0.0, 0.0, 1e6, 1.0, scale="log", fit_low=1e-6, fit_high=1e4),)
+    parameters = (
+        Parameter(
+            "strength",
+            "1",
+            0.0,
+            0.0,
+            1e6,
+            1.0,
+            scale="log",
+            fit_low=1e-6,
+            fit_high=1e4,
+            description="Cross-section of an edge, in units of lambda / (2 pi) per metre.",
+        ),
+    )
 
     def trials(self, context: Context) -> list[Trial]:
         size = 0.1

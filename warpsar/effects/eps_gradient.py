@@ -14,7 +14,9 @@ from warpsar.kernels.effects import eps_gradient as kernels
 
 
 def _slope(name: str) -> Parameter:
-    return Parameter(name, "1/m", 0.0, -10.0, 10.0, 0.0, span=0.05)
+    toward = name.removeprefix("per_m_")
+    meaning = f"Growth of ln(eps_r - 1) per metre {toward}."
+    return Parameter(name, "1/m", 0.0, -10.0, 10.0, 0.0, span=0.05, description=meaning)
 
 
 class EpsGradient(Effect):

@@ -27,7 +27,9 @@ class ExponentialSpectrum(Effect):
     summary = "a roughness spectrum with a longer tail"
     example: ClassVar[dict[str, Any]] = {"weight": 1.0}
     rate_case: ClassVar[dict[str, Any]] = {"weight": 0.5}
-    parameters = (Parameter("weight", "1", 0.0, 0.0, 1.0, 0.5, span=0.3),)
+    parameters = (
+        Parameter("weight", "1", 0.0, 0.0, 1.0, 0.5, span=0.3, description="Share of the exponential spectrum."),
+    )
 
     def trials(self, context: Context) -> list[Trial]:
         if all(material.spectrum != "gaussian" for material in context.scene.materials.values()):

@@ -38,6 +38,12 @@ def _overlap(band: Sequence[int], others: Sequence[Sequence[int]]) -> bool:
     return any(band[0] <= end and first <= band[1] for first, end in others)
 
 
+_BANDS = {
+    "type": "array",
+    "items": {"type": "array", "items": {"type": "integer", "minimum": 0}, "minItems": 2, "maxItems": 2},
+}
+
+
 class Interference(Effect):
     """`level` [beta0] is added to the range lines `rows` of a view, over all of azimuth.
 
@@ -53,9 +59,31 @@ class Interference(Effect):
     example: ClassVar[dict[str, Any]] = {"level": {"v0": 0.02}, "rows": {"v0": [[40, 42], [100, 101]]}}
     rate_case: ClassVar[dict[str, Any]] = {"level": {"v1": 0.02}, "rows": {"v1": [[30, 32]]}}
     parameters = (
-        Parameter("level", "beta0", 0.0, 0.0, 1e9, 1e-3, per_view=True, scale="log", fit_low=1e-12, fit_high=1e6),
+        Parameter(
+            "level",
+            "beta0",
+            0.0,
+            0.0,
+            1e9,
+            1e-3,
+            per_view=True,
+            scale="log",
+            fit_low=1e-12,
+            fit_high=1e6,
+            description="Power added to the rows of a view.",
+        ),
     )
-    settings = (Setting("rows", {}, _bands, "a list of [first, end] rows, first < end", per_view=True),)
+    settings = (
+        Setting(
+            "rows",
+            {},
+            _bands,
+            "a list of [first, end] rows, first < end",
+            per_view=True,
+            description="Bands of rows: the first row, and the first one after the band.",
+            schema=_BANDS,
+        ),
+    )
 
     def check(self, scene: World, table: Mapping[str, Any]) -> str | None:
         rows = table.get("rows", {})

@@ -74,8 +74,21 @@ class Multibounce(Effect):
     summary = "double and triple bounces between surfaces"
     example: ClassVar[dict[str, Any]] = {"strength": 1.0}
     rate_case: ClassVar[dict[str, Any]] = {"strength": 1.0}
-    parameters = (Parameter("strength", "1", 0.0, 0.0, 1e6, 1.0, scale="log", fit_low=1e-6, fit_high=1e4),)
-    settings = (one_of("max_bounces", 3, 2, 3, 4),)
+    parameters = (
+        Parameter(
+            "strength",
+            "1",
+            0.0,
+            0.0,
+            1e6,
+            1.0,
+            scale="log",
+            fit_low=1e-6,
+            fit_high=1e4,
+            description="Factor on the power of the paths: 1 is all of it.",
+        ),
+    )
+    settings = (one_of("max_bounces", 3, 2, 3, 4, description="Most surfaces on a path."),)
 
     def trials(self, context: Context) -> list[Trial]:
         step = ScoreStep("strength", 1.0, {"strength": 1.0}, one_sided=True)

@@ -24,7 +24,20 @@ class NoiseFloor(Effect):
     summary = "noise of the receiver, the same in every pixel"
     example: ClassVar[dict[str, Any]] = {"level": 0.002}
     rate_case: ClassVar[dict[str, Any]] = {"level": 0.004}
-    parameters = (Parameter("level", "beta0", 0.0, 0.0, 1e9, 1e-3, scale="log", fit_low=1e-12, fit_high=1e6),)
+    parameters = (
+        Parameter(
+            "level",
+            "beta0",
+            0.0,
+            0.0,
+            1e9,
+            1e-3,
+            scale="log",
+            fit_low=1e-12,
+            fit_high=1e6,
+            description="Power added to every pixel.",
+        ),
+    )
 
     def trials(self, context: Context) -> list[Trial]:
         size = 0.1 * context.level

@@ -19,7 +19,9 @@ WINDOWS = {"sinc": 0, "taylor": 1, "gaussian": 2}  # kernels/effects/point_sprea
 
 
 def _width(name: str) -> Parameter:
-    return Parameter(name, "m", 0.0, 0.0, 1e4, 1.0, scale="log", fit_low=1e-3, fit_high=1e4)
+    axis = name.removesuffix("_fwhm_m")
+    meaning = f"Full width of the kernel in {axis}, at half its maximum."
+    return Parameter(name, "m", 0.0, 0.0, 1e4, 1.0, description=meaning, scale="log", fit_low=1e-3, fit_high=1e4)
 
 
 class PointSpread(Effect):
@@ -37,7 +39,7 @@ class PointSpread(Effect):
     example: ClassVar[dict[str, Any]] = {"range_fwhm_m": 1.2, "azimuth_fwhm_m": 1.2, "window": "sinc"}
     rate_case: ClassVar[dict[str, Any]] = {"range_fwhm_m": 0.9, "azimuth_fwhm_m": 0.7, "window": "gaussian"}
     parameters = (_width("range_fwhm_m"), _width("azimuth_fwhm_m"))
-    settings = (one_of("window", "gaussian", *WINDOWS),)
+    settings = (one_of("window", "gaussian", *WINDOWS, description="Window of the aperture, which shapes the kernel."),)
 
     def trials(self, context: Context) -> list[Trial]:
         """The step is one pixel's width, where the neighbours get 6 %: sampled at pixel centres, a narrower kernel is

@@ -29,8 +29,10 @@ class RangeLoss(Effect):
     example: ClassVar[dict[str, Any]] = {"per_m": 0.05}
     rate_case: ClassVar[dict[str, Any]] = {"per_m": 0.02}
     parameters = (
-        Parameter("exponent", "1", 0.0, -20.0, 20.0, 3.0, span=5.0),
-        Parameter("per_m", "1/m", 0.0, -10.0, 10.0, 0.01, span=0.02),
+        Parameter("exponent", "1", 0.0, -20.0, 20.0, 3.0, span=5.0, description="Power of R / R0, for a strip-map."),
+        Parameter(
+            "per_m", "1/m", 0.0, -10.0, 10.0, 0.01, span=0.02, description="Decay per metre of range, for a plane wave."
+        ),
     )
 
     def check(self, scene: World, table: Mapping[str, Any]) -> str | None:

@@ -20,7 +20,9 @@ _ROOM_PX = 4  # pixels beyond the shift that is declared: as far as a fit may go
 
 
 def _metres(name: str) -> Parameter:
-    return Parameter(name, "m", 0.0, -_REACH_M, _REACH_M, 0.0, fit_low=-100.0, fit_high=100.0)
+    axis, image = name.removesuffix("_m"), name in ("range_m", "azimuth_m")
+    meaning = f"Shift in {axis}, in every view." if image else f"Shift of the world {axis}."
+    return Parameter(name, "m", 0.0, -_REACH_M, _REACH_M, 0.0, description=meaning, fit_low=-100.0, fit_high=100.0)
 
 
 class Registration(Effect):

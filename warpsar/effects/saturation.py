@@ -22,6 +22,9 @@ def _pivot(value: Any) -> bool:
     return value == "median" or (number and value > 0.0 and math.isfinite(value))
 
 
+_PIVOT = {"anyOf": [{"type": "number", "exclusiveMinimum": 0.0}, {"enum": ["median"]}]}
+
+
 class Saturation(Effect):
     """I' = p (I / p)^`exponent` about the pivot p: an exponent under 1 lifts what is below p and dims what is above.
 
@@ -36,8 +39,21 @@ class Saturation(Effect):
     summary = "power compressed about its median"
     example: ClassVar[dict[str, Any]] = {"exponent": 0.6}
     rate_case: ClassVar[dict[str, Any]] = {"exponent": 0.8}
-    parameters = (Parameter("exponent", "1", 1.0, 0.01, 10.0, 0.9, fit_low=0.1, fit_high=4.0),)
-    settings = (Setting("pivot", "median", _pivot, 'a positive beta0 or "median"'),)
+    parameters = (
+        Parameter(
+            "exponent", "1", 1.0, 0.01, 10.0, 0.9, fit_low=0.1, fit_high=4.0, description="Exponent of the compression."
+        ),
+    )
+    settings = (
+        Setting(
+            "pivot",
+            "median",
+            _pivot,
+            'a positive beta0 or "median"',
+            description="Power that stays as it is; the median of the image by default.",
+            schema=_PIVOT,
+        ),
+    )
 
     def trials(self, context: Context) -> list[Trial]:
         size = 0.01

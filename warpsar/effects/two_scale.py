@@ -29,7 +29,20 @@ class TwoScale(Effect):
     summary = "large-scale slopes under the roughness"
     example: ClassVar[dict[str, Any]] = {"slope_variance": 0.02}
     rate_case: ClassVar[dict[str, Any]] = {"slope_variance": 0.03}
-    parameters = (Parameter("slope_variance", "1", 0.0, 0.0, 1.0, 0.005, scale="log", fit_low=1e-7, fit_high=0.3),)
+    parameters = (
+        Parameter(
+            "slope_variance",
+            "1",
+            0.0,
+            0.0,
+            1.0,
+            0.005,
+            scale="log",
+            fit_low=1e-7,
+            fit_high=0.3,
+            description="Slope variance per axis.",
+        ),
+    )
 
     def trials(self, context: Context) -> list[Trial]:
         size = 5e-4

@@ -31,8 +31,30 @@ class Vegetation(Effect):
     example: ClassVar[dict[str, Any]] = {"optical_depth": 0.3, "albedo": 0.05}
     rate_case: ClassVar[dict[str, Any]] = {"optical_depth": 0.8, "albedo": 0.1}
     parameters = (
-        Parameter("optical_depth", "1", 0.0, 0.0, 20.0, 0.2, scale="log", fit_low=1e-6, fit_high=10.0),
-        Parameter("albedo", "1", math.nan, 0.0, 10.0, 0.1, scale="log", fit_low=1e-4, fit_high=5.0),
+        Parameter(
+            "optical_depth",
+            "1",
+            0.0,
+            0.0,
+            20.0,
+            0.2,
+            scale="log",
+            fit_low=1e-6,
+            fit_high=10.0,
+            description="One-way optical depth.",
+        ),
+        Parameter(
+            "albedo",
+            "1",
+            math.nan,
+            0.0,
+            10.0,
+            0.1,
+            scale="log",
+            fit_low=1e-4,
+            fit_high=5.0,
+            description="Brightness of the layer itself.",
+        ),
     )
 
     def trials(self, context: Context) -> list[Trial]:

@@ -13,7 +13,18 @@ from warpsar.effects.base.trial import Context, ScoreStep, Trial
 from warpsar.kernels.effects import view_gain as kernels
 
 _GAIN = Parameter(
-    "gain_db", "dB", 0.0, -100.0, 100.0, 0.0, per_view=True, zero_sum=True, span=3.0, fit_low=-30.0, fit_high=30.0
+    "gain_db",
+    "dB",
+    0.0,
+    -100.0,
+    100.0,
+    0.0,
+    description="Gain of each view; the mean over the views is taken off.",
+    per_view=True,
+    zero_sum=True,
+    span=3.0,
+    fit_low=-30.0,
+    fit_high=30.0,
 )
 
 

@@ -1,6 +1,7 @@
 """The scene file: read, checked and written.
 
 scene: `Scene`, with load and save. file: the tables, and one message for all that is wrong. loader: the files that it
-names. checks: what must fit together. writer: a scene as text. beside: what lies in memory, written to files. unwrap:
+names. checks: what must fit together. writer: a scene as text. beside: what lies in memory, written to files. new:
+`warpsar new`; fitted_grid: its pixels. schema: `warpsar schema`. unwrap:
 `warpsar uv`.
 """

@@ -33,12 +33,18 @@ _MOST_SHOWN = 50  # problems in one message
 class SceneTable(Table):
     """`[scene]`: the mesh, and the point where range and azimuth are zero."""
 
-    mesh: FileName = Field(description="Mesh file: OBJ, PLY, STL, glTF, GLB, or a DEM in GeoTIFF.")
+    mesh: FileName = Field(
+        description="Mesh file: OBJ, PLY, STL, glTF, GLB, or a DEM in GeoTIFF.", examples=["scene.obj"]
+    )
     reference_point_m: tuple[Number, Number, Number] = Field(
-        default=(0.0, 0.0, 0.0), description="World point in the middle of every image [m]: range and azimuth are zero."
+        default=(0.0, 0.0, 0.0),
+        description="World point in the middle of every image [m]: range and azimuth are zero.",
+        examples=[[0.0, 0.0, 9.0]],
     )
     origin: Origin | None = Field(
-        default=None, description="Where the world's zero lies on the earth; not for a DEM, which says it itself."
+        default=None,
+        description="Where the world's zero lies on the earth; not for a DEM, which says it itself.",
+        examples=[{"latitude_deg": 48.137, "longitude_deg": 11.575, "height_m": 565.0}],
     )
 
     @field_validator("reference_point_m")

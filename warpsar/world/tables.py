@@ -74,19 +74,24 @@ class Table(BaseModel):
 class Radar(Table):
     """`[radar]`: the radar's frequency and polarizations, and how they meet the surface."""
 
-    frequency_hz: _Frequency = Field(description="Carrier frequency [Hz].")
+    frequency_hz: _Frequency = Field(description="Carrier frequency [Hz].", examples=[9.6e9])
     polarizations: Annotated[tuple[Polarization, ...], Field(min_length=1)] = Field(
-        description="Polarizations of the images, transmitted and received, such as HH."
+        description="Polarizations of the images, transmitted and received, such as HH.", examples=[["HH", "VV"]]
     )
     slant_range_m: _Range | None = Field(
-        default=None, description="Range from the straight track to the reference point [m]; plane wave without it."
+        default=None,
+        description="Range from the straight track to the reference point [m]; plane wave without it.",
+        examples=[850e3],
     )
     polarization_basis: Literal["radar", "local"] = Field(
-        default="radar", description="Whether polarizations are the radar's, or those of every facet's own basis."
+        default="radar",
+        description="Whether polarizations are the radar's, or those of every facet's own basis.",
+        examples=["local"],
     )
     variant: Literal["standard", "as_printed"] = Field(
         default="standard",
         description="as_printed takes the paper's own constants (prefactor 8, its a_vv), not the corrected ones.",
+        examples=["as_printed"],
     )
 
     @field_validator("polarizations")
@@ -100,18 +105,30 @@ class Radar(Table):
 class Origin(Table):
     """`[scene] origin`: where the world's origin lies on WGS 84, in degrees, and metres above the ellipsoid."""
 
-    latitude_deg: Annotated[Number, Field(ge=-90.0, le=90.0)]
-    longitude_deg: Annotated[Number, Field(ge=-360.0, le=360.0)]
-    height_m: Annotated[Number, Field(gt=-1e5, lt=1e5)] = 0.0
+    latitude_deg: Annotated[Number, Field(ge=-90.0, le=90.0)] = Field(
+        description="Geodetic latitude, north positive [deg].", examples=[48.137]
+    )
+    longitude_deg: Annotated[Number, Field(ge=-360.0, le=360.0)] = Field(
+        description="Longitude, east positive [deg].", examples=[11.575]
+    )
+    height_m: Annotated[Number, Field(gt=-1e5, lt=1e5)] = Field(
+        default=0.0, description="Height above the ellipsoid [m].", examples=[565.0]
+    )
 
 
 class Grid(Table):
     """`[image]`: the slant-plane pixels, rows in range and columns in azimuth."""
 
-    shape: tuple[_Count, _Count] = Field(description="Pixels in range (rows) and in azimuth (columns).")
-    spacing_m: tuple[_Spacing, _Spacing] = Field(description="Pixel spacing in slant range and in azimuth [m].")
+    shape: tuple[_Count, _Count] = Field(
+        description="Pixels in range (rows) and in azimuth (columns).", examples=[[160, 200]]
+    )
+    spacing_m: tuple[_Spacing, _Spacing] = Field(
+        description="Pixel spacing in slant range and in azimuth [m].", examples=[[0.45, 0.5]]
+    )
     calibrated: Annotated[bool, Field(strict=True)] = Field(
-        default=True, description="Whether measured images are beta0; false where their gain is unknown."
+        default=True,
+        description="Whether measured images are beta0; false where their gain is unknown.",
+        examples=[False],
     )
 
     @field_validator("shape")
@@ -131,15 +148,22 @@ class Sampling(Table):
     """`[sampling]`: how many rays are sent, their seed, and how they fall into pixels."""
 
     rays_per_pixel: Annotated[_Positive, Field(le=1e7)] | None = Field(
-        default=None, description="Rays per pixel area, over the plane across the look direction; 64 if none is stated."
+        default=None,
+        description="Rays per pixel area, over the plane across the look direction; 64 if none is stated.",
+        examples=[256.0],
     )
     rays_per_m2: Annotated[_Positive, Field(le=1e12)] | None = Field(
-        default=None, description="The same density per square metre [1/m^2], in place of rays_per_pixel."
+        default=None,
+        description="The same density per square metre [1/m^2], in place of rays_per_pixel.",
+        examples=[1000.0],
     )
-    seed: Annotated[_Whole, Field(ge=0, lt=2**31)] = Field(default=0, description="Seed of the rays' jitter.")
+    seed: Annotated[_Whole, Field(ge=0, lt=2**31)] = Field(
+        default=0, description="Seed of the rays' jitter.", examples=[7]
+    )
     deposit: Literal["footprint", "nearest", "linear"] = Field(
         default="footprint",
         description="Range bins that get a ray's power: those its footprint covers, the nearest, or the nearest two.",
+        examples=["nearest"],
     )
 
     @model_validator(mode="after")
@@ -170,23 +194,33 @@ class Material(Table):
 
     # The first two come first, because the values' validators look at them.
     layout: Literal["uniform", "vertex", "texture"] = Field(
-        default="uniform", description="What a name among the values stands for: a scalar of the vertices, or an image."
+        default="uniform",
+        description="What a name among the values stands for: a scalar of the vertices, or an image.",
+        examples=["texture"],
     )
     spectrum: Literal["gaussian", "exponential", "separable"] = Field(
-        default="gaussian", description="Spectrum of the roughness; separable takes two correlation lengths."
+        default="gaussian",
+        description="Spectrum of the roughness; separable takes two correlation lengths.",
+        examples=["exponential"],
     )
     eps_r: float | tuple[float, float] | str | Texture = Field(
-        description="Relative permittivity; [eps', -eps''] of a lossy surface."
+        description="Relative permittivity; [eps', -eps''] of a lossy surface.",
+        examples=[6.0, [80.0, -20.0], "eps_r.exr"],
     )
-    rms_height_m: float | str | Texture = Field(description="RMS height h of the roughness [m].")
+    rms_height_m: float | str | Texture = Field(
+        description="RMS height h of the roughness [m].", examples=[0.0012, "h.exr"]
+    )
     correlation_length_m: float | tuple[float, float] | str | Texture = Field(
-        description='Correlation length l of the roughness [m]; [lx, ly] with spectrum = "separable".'
+        description='Correlation length l of the roughness [m]; [lx, ly] with spectrum = "separable".',
+        examples=[0.006, [0.02, 0.005]],
     )
     specular_fraction: float | str | Texture = Field(
-        default=0.0, description="Share tau of the power that the surface reflects specularly."
+        default=0.0, description="Share tau of the power that the surface reflects specularly.", examples=[0.1]
     )
     learn: tuple[SurfaceKey, ...] = Field(
-        default=("eps_r", "rms_height_m", "correlation_length_m"), description="The values that a fit may change."
+        default=("eps_r", "rms_height_m", "correlation_length_m"),
+        description="The values that a fit may change.",
+        examples=[["eps_r"]],
     )
 
     @field_validator(*SURFACE_KEYS, mode="plain")
@@ -262,29 +296,39 @@ class View(Table):
     """
 
     name: Annotated[str, Field(pattern=r"^\w[\w.+-]{0,49}$")] = Field(
-        description="Name of the view; its files are named after it."
+        description="Name of the view and of its files: up to 50 letters, digits, _, -, + and .", examples=["north"]
     )
     azimuth_deg: Annotated[Number, Field(ge=-360.0, le=360.0)] = Field(
-        description="Direction to the radar, clockwise from north (+Y) [deg]."
+        description="Direction to the radar, clockwise from north (+Y) [deg].", examples=[25.0]
     )
     stated_incidence_deg: _Angle | None = Field(
-        default=None, alias="incidence_deg", description="Angle from the zenith to the radar [deg]."
+        default=None, alias="incidence_deg", description="Angle from the zenith to the radar [deg].", examples=[42.0]
     )
-    depression_deg: _Angle | None = Field(default=None, description="90 - incidence_deg [deg].")
-    grazing_deg: _Angle | None = Field(default=None, description="90 - incidence_deg [deg].")
-    frequency_hz: _Frequency | None = Field(default=None, description="Carrier frequency [Hz]; else that of [radar].")
+    depression_deg: _Angle | None = Field(default=None, description="90 - incidence_deg [deg].", examples=[48.0])
+    grazing_deg: _Angle | None = Field(default=None, description="90 - incidence_deg [deg].", examples=[48.0])
+    frequency_hz: _Frequency | None = Field(
+        default=None, description="Carrier frequency [Hz]; else that of [radar].", examples=[5.4e9]
+    )
     slant_range_m: _Range | None = Field(
-        default=None, description="Range from the track to the reference point [m]; else that of [radar]."
+        default=None,
+        description="Range from the track to the reference point [m]; else that of [radar].",
+        examples=[850e3],
     )
     images: dict[Polarization, MeasuredImage] = Field(
-        default_factory=dict, description="Measured image of each polarization: a file of linear power (beta0)."
+        default_factory=dict,
+        description="Measured image of each polarization: a file of linear power (beta0).",
+        examples=[{"HH": "north.tif"}],
     )
-    mask: Mask | None = Field(default=None, description="Image that is not zero where pixels are used.")
+    mask: Mask | None = Field(
+        default=None, description="Image that is not zero where pixels are used.", examples=["north_mask.png"]
+    )
     looks: Annotated[_Positive, Field(le=1e9)] | None = Field(
-        default=None, description="Equivalent number of looks of the images."
+        default=None, description="Equivalent number of looks of the images.", examples=[4.0]
     )
     role: Literal["train", "test"] = Field(
-        default="train", description="train views are fitted; test views only measure how good the fit is."
+        default="train",
+        description="train views are fitted; test views only measure how good the fit is.",
+        examples=["test"],
     )
 
     @model_validator(mode="after")

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import KW_ONLY, dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import KW_ONLY, dataclass, field
 from typing import Any, Literal
 
 import numpy as np
@@ -17,8 +17,8 @@ class Parameter:
 
     `neutral`: the value at which the effect is not there. NaN says that the parameter means nothing while the others
     are neutral (an offset, an albedo); it is then `start` where scene.toml says nothing. `low` and `high`: the
-    smallest and largest value allowed. `unit` is for people. `per_view`: a table of view name -> value. `zero_sum`:
-    only differences from the mean over the scene's views act.
+    smallest and largest value allowed. `unit` and `description`, a sentence, are for people. `per_view`: a table of
+    view name -> value. `zero_sum`: only differences from the mean over the scene's views act.
 
     A fit moves the coordinate x = ln(value / `span`) where `scale` is "log", and value / `span` where it is "linear".
     `span` is a large step of the value. The fit stays inside `fit_low` and `fit_high` (default: `low` and `high`).
@@ -31,6 +31,7 @@ class Parameter:
     high: float
     start: float
     _: KW_ONLY
+    description: str
     per_view: bool = False
     zero_sum: bool = False
     scale: Literal["linear", "log"] = "linear"
@@ -69,8 +70,8 @@ class Parameter:
 class Setting:
     """A discrete choice of an effect: never differentiated, never learned.
 
-    `accepts` says whether a value may stand in scene.toml. `allowed` says the same in words. `per_view`: a table of
-    view name -> value.
+    `accepts` says whether a value may stand in scene.toml. `allowed` says the same in words, and `schema` as the JSON
+    schema of a value. `description`, a sentence, says what it means. `per_view`: a table of view name -> value.
     """
 
     name: str
@@ -78,14 +79,18 @@ class Setting:
     accepts: Callable[[Any], bool]
     allowed: str
     _: KW_ONLY
+    description: str
+    schema: Mapping[str, Any] = field(compare=False)
     per_view: bool = False
 
 
-def one_of(name: str, default: Any, *choices: Any) -> Setting:
+def one_of(name: str, default: Any, *choices: Any, description: str) -> Setting:
     """A setting with a few possible values."""
     return Setting(
         name,
         default,
         lambda value: any(type(value) is type(choice) and value == choice for choice in choices),
         " or ".join(repr(choice) for choice in choices),
+        description=description,
+        schema={"enum": list(choices)},
     )

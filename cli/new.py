@@ -1,0 +1,25 @@
+"""`warpsar new`: a first scene file for a mesh."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+UNITS = ("m", "cm", "mm", "in", "ft")  # a copy from warpsar.scene.new, which imports NumPy; a test compares them
+
+
+@click.command(name="new")
+@click.argument("folder", type=click.Path(file_okay=False, path_type=Path))
+@click.argument("mesh", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.option("--units", type=click.Choice(UNITS), help="Unit of the mesh's coordinates. Default: guessed, and said.")
+@click.option("--force", is_flag=True, help="Replace a scene.toml that is there.")
+def command(folder: Path, mesh: Path, units: str | None, force: bool) -> None:
+    """Write a commented scene.toml for MESH into FOLDER.
+
+    It has a grid that holds the whole mesh, three X-band views, and a table with starting values for each material.
+    It refers to MESH where it lies. If the unit of MESH is not the metre, FOLDER gets a copy in metres.
+    """
+    from warpsar.scene.new import run
+
+    click.echo(run(folder, mesh, units=units, force=force))

@@ -1,0 +1,140 @@
+"""`warpsar new`: a scene for a mesh, which simulates as it is and holds the whole mesh."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from click.testing import CliRunner, Result
+
+from warpsar.cli import new as command
+from warpsar.cli.main import main
+from warpsar.io.images import read_channel
+from warpsar.io.ply import write_ply
+from warpsar.scene.new import UNITS
+from warpsar.scene.scene import Scene
+from warpsar.world.mesh import read_mesh
+from warpsar.world.world import geometry_of
+
+
+def house(scale: float = 1.0) -> trimesh.Trimesh:
+    """A box of 8 x 6 x 7 m on a plate of 40 x 30 m, times `scale`; away from the origin."""
+    ground, box = trimesh.creation.box((40, 30, 0.2)), trimesh.creation.box((8, 6, 7))
+    box.apply_translation((3, -2, 3.5))
+    both = trimesh.util.concatenate([ground, box])
+    both.apply_translation((100, 50, 20))
+    both.apply_scale(scale)
+    return both
+
+
+def dem(path: Path) -> None:
+    rasterio = pytest.importorskip("rasterio")
+    y, x = np.mgrid[:40, :60]
+    heights = 200 * np.exp(-((x - 30) ** 2 + (y - 20) ** 2) / 80)
+    how = {"driver": "GTiff", "height": 40, "width": 60, "count": 1, "dtype": "float32", "crs": "EPSG:32633"}
+    with rasterio.open(path, "w", transform=rasterio.Affine(30, 0, 500000, 0, -30, 5e6), **how) as file:
+        file.write(heights.astype("float32"), 1)
+
+
+def warpsar(*arguments: object, status: int = 0) -> Result:
+    done = CliRunner().invoke(main, [str(each) for each in arguments])
+    assert done.exit_code == status, done.output
+    return done
+
+
+def sizes_m(path: Path) -> np.ndarray:
+    return np.ptp(Scene.load(path).mesh.vertices, axis=0)
+
+
+@pytest.mark.parametrize("name", ["mm.obj", "m.glb", "m.stl", "mm.stl", "m.ply", "dem.tif"])
+def test_new_scene_simulates_as_it_is(name: str, tmp_path: Path) -> None:
+    mesh = tmp_path / name
+    dem(mesh) if name == "dem.tif" else house(1000.0 if name.startswith("mm") else 1.0).export(mesh)
+    out = tmp_path / "out"
+    warpsar("new", out, mesh)
+    warpsar("simulate", out / "scene.toml", "-o", out / "images", "--device", "cpu")
+    scene = Scene.load(out / "scene.toml")
+    assert len(scene.views) == 3
+    assert max(scene.grid.shape) <= 512
+    if name != "dem.tif":
+        assert sizes_m(out / "scene.toml") == pytest.approx([40, 30, 7.1])
+    for view in scene.views:
+        image = read_channel(out / "images" / f"{view.name}.exr", "HH")
+        assert np.isfinite(image).all()
+        lit = image > 0
+        assert lit.mean() > 0.2
+        assert not np.concatenate([lit[[0, -1]].ravel(), lit[:, [0, -1]].ravel()]).any()  # nothing is cut off
+
+
+def test_grid_holds_layover_and_shadow(tmp_path: Path) -> None:
+    """A mast without ground: its top comes nearest, and its shadow would fall far behind its foot."""
+    mast = trimesh.creation.box((1, 1, 100))
+    mast.apply_translation((0, 0, 50))
+    mast.export(tmp_path / "mast.stl")
+    warpsar("new", tmp_path, tmp_path / "mast.stl")
+    scene = Scene.load(tmp_path / "scene.toml")
+    rows, columns = (n * step / 2 for n, step in zip(scene.grid.shape, scene.grid.spacing_m, strict=True))
+    top = np.array([0.0, 0.0, 100.0]) - scene.reference_point_m
+    for view in scene.views:
+        look = geometry_of(scene, view)
+        assert -rows < top @ look.d
+        assert top @ look.d + 100 / np.cos(np.deg2rad(40)) < rows  # where its ray meets the ground
+        assert np.abs((scene.mesh.vertices - scene.reference_point_m) @ look.u).max() < columns
+
+
+def test_materials_are_those_of_the_mesh(tmp_path: Path) -> None:
+    text = 'v 0 0 0\nv 9 0 0\nv 9 9 0\nv 0 9 1\nusemtl red "tile"\nf 1 2 3\nusemtl grüner Rasen\nf 1 3 4\n'
+    (tmp_path / "roof.obj").write_text(text, encoding="utf-8")
+    warpsar("new", tmp_path / "a", tmp_path / "roof.obj")
+    scene = Scene.load(tmp_path / "a" / "scene.toml")
+    assert list(scene.materials) == ['red "tile"', "grüner Rasen"]
+    assert scene.mesh_path == (tmp_path / "roof.obj").resolve()  # referred to where it lies
+    warpsar("new", tmp_path / "b", tmp_path / "roof.obj", "--units", "ft")
+    scene = Scene.load(tmp_path / "b" / "scene.toml")
+    assert list(scene.materials) == ['red "tile"', "grüner Rasen"]
+    assert sizes_m(tmp_path / "b" / "scene.toml") == pytest.approx([9 * 0.3048, 9 * 0.3048, 0.3048])
+
+
+def test_unit_is_guessed_and_said(tmp_path: Path) -> None:
+    house(1000.0).export(tmp_path / "mm.obj")
+    said = warpsar("new", tmp_path / "a", tmp_path / "mm.obj").stderr
+    assert "taken as mm, a guess. If it is wrong: --units with m, cm, in, ft" in said
+    assert "mm_in_metres.obj" in said
+    said = warpsar("new", tmp_path / "b", tmp_path / "mm.obj", "--units", "cm").stderr
+    assert "a guess" not in said
+    assert sizes_m(tmp_path / "b" / "scene.toml") == pytest.approx([400, 300, 71])
+    house().export(tmp_path / "m.stl")
+    assert "taken as m, a guess" in warpsar("new", tmp_path / "c", tmp_path / "m.stl").stderr
+    house(1000.0).export(tmp_path / "large.glb")
+    assert "a guess" not in warpsar("new", tmp_path / "d", tmp_path / "large.glb").stderr  # metres, by its standard
+
+
+def test_scalars_of_a_ply_are_kept_in_metres(tmp_path: Path) -> None:
+    mesh = house(1000.0)
+    wet = np.linspace(0, 1, len(mesh.vertices))
+    write_ply(tmp_path / "mm.ply", mesh.vertices, mesh.faces, {"wet": wet})
+    warpsar("new", tmp_path / "a", tmp_path / "mm.ply")
+    written = read_mesh(tmp_path / "a" / "mm_in_metres.ply")
+    assert np.array_equal(written.vertex_scalars["wet"], wet)
+    assert np.ptp(written.vertices, axis=0) == pytest.approx([40, 30, 7.1])
+
+
+def test_scene_file_that_is_there_is_kept(tmp_path: Path) -> None:
+    house().export(tmp_path / "m.stl")
+    (tmp_path / "scene.toml").write_text("mine")
+    assert "--force" in warpsar("new", tmp_path, tmp_path / "m.stl", status=2).stderr
+    assert (tmp_path / "scene.toml").read_text() == "mine"
+    warpsar("new", tmp_path, tmp_path / "m.stl", "--force")
+    assert Scene.load(tmp_path / "scene.toml").mesh.materials == ("default",)
+
+
+def test_elevation_model_states_its_own_unit(tmp_path: Path) -> None:
+    dem(tmp_path / "dem.tif")
+    assert "--units" in warpsar("new", tmp_path / "a", tmp_path / "dem.tif", "--units", "ft", status=2).stderr
+    assert not (tmp_path / "a").exists()
+
+
+def test_options_name_every_unit() -> None:
+    assert tuple(UNITS) == command.UNITS

@@ -1,0 +1,199 @@
+"""`warpsar schema`: what editors are told of a scene file is what the reader accepts."""
+
+from __future__ import annotations
+
+import copy
+import json
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner
+
+from warpsar.cli.main import main
+from warpsar.effects.registry import get, names
+from warpsar.scene.file import parse, parse_effects
+from warpsar.scene.schema import scene_schema
+
+jsonschema = pytest.importorskip("jsonschema")
+
+ROOT = Path(__file__).resolve().parent.parent
+SCENES = sorted(path for path in (ROOT / "data").glob("*/*.toml") if "[radar]" in path.read_text(encoding="utf-8"))
+EXAMPLE = tomllib.loads((ROOT / "data" / "example" / "scene.toml").read_text(encoding="utf-8"))
+EFFECTS = {
+    "point_spread": {"range_fwhm_m": 1.0, "window": "taylor"},
+    "interference": {"level": {"north": 0.1}, "rows": {"north": [[3, 5]]}},
+    "saturation": {"exponent": 0.9, "pivot": 0.2},
+    "antenna_pattern": {"beamwidth_m": float("inf")},
+    "multibounce": {"max_bounces": 4},
+}
+
+
+def accepted(scene: dict[str, Any]) -> bool:
+    """By the schema."""
+    return bool(jsonschema.Draft7Validator(scene_schema()).is_valid(scene))
+
+
+def read(scene: dict[str, Any]) -> bool:
+    """Whether the reader takes the scene; without the files that it names."""
+    file, problems = parse(scene)
+    parse_effects(scene, problems)
+    return file is not None and not problems
+
+
+def changed(place: str, value: Any) -> dict[str, Any]:
+    """The example with other effects, and with `value` at a dotted place; None takes the key away."""
+    scene: Any = {**copy.deepcopy(EXAMPLE), "effects": copy.deepcopy(EFFECTS)}
+    *path, last = [int(part) if part.isdigit() else part for part in place.split(".")]
+    table = scene
+    for part in path:
+        table = table[part]
+    if value is None:
+        del table[last]
+    else:
+        table[last] = value
+    return scene
+
+
+def test_schema_is_a_schema() -> None:
+    jsonschema.Draft7Validator.check_schema(scene_schema())
+
+
+@pytest.mark.parametrize("path", SCENES, ids=lambda path: f"{path.parent.name}/{path.name}")
+def test_scenes_of_the_project_fit(path: Path) -> None:
+    scene = tomllib.loads(path.read_text(encoding="utf-8"))
+    assert accepted(scene)
+    assert read(scene)
+
+
+@pytest.mark.parametrize(
+    ("place", "value"),
+    [
+        ("scene.reference_point_m", [0, 0.5, 1]),
+        ("materials.lawn.eps_r", [5.0, -1.0]),
+        ("materials.lawn.eps_r", 2),
+        ("materials.lawn", {"layout": "vertex", "eps_r": "e", "rms_height_m": "h", "correlation_length_m": 0.1}),
+        ("sampling", {}),
+        ("sampling", {"rays_per_m2": 3.0, "deposit": "linear"}),
+        ("views.0", {"name": "a", "azimuth_deg": -3.0, "grazing_deg": 20.0, "images": {"HH": "a.tif"}, "looks": 2.0}),
+        ("effects.vegetation", {}),
+    ],
+)
+def test_sound_scenes_are_accepted(place: str, value: Any) -> None:
+    scene = changed(place, value)
+    assert read(scene)
+    assert accepted(scene)
+
+
+BROKEN: list[tuple[str, Any]] = [
+    ("radar", None),
+    ("scene.mesh", None),
+    ("scene.mesh", ""),
+    ("scene.reference_point_m", [0.0, 0.0]),
+    ("scene.origin_of_nothing", 1),
+    ("radar.frequency", 9.6e9),
+    ("radar.frequency_hz", 1e14),
+    ("radar.frequency_hz", "9.6 GHz"),
+    ("radar.polarizations", []),
+    ("radar.polarizations", ["HX"]),
+    ("radar.slant_range_m", 0.0),
+    ("image.shape", [160]),
+    ("image.shape", [160, 1.5]),
+    ("image.spacing_m", [0.5, 0.0]),
+    ("image.calibrated", 1),
+    ("sampling", {"rays_per_pixel": 1.0, "rays_per_m2": 1.0}),
+    ("sampling.seed", -1),
+    ("sampling.deposit", "far"),
+    ("materials", {}),
+    ("materials.lawn.eps_r", None),
+    ("materials.lawn.eps_r", 1.0),
+    ("materials.lawn.eps_r", [5.0, 1.0]),
+    ("materials.lawn.eps_r", True),
+    ("materials.lawn.rms_height_m", 0),
+    ("materials.lawn.rms_height_m", [0.1, 0.1]),
+    ("materials.lawn.specular_fraction", 1.1),
+    ("materials.lawn.layout", "wild"),
+    ("materials.lawn.learn", ["eps"]),
+    ("materials.lawn.colour", "green"),
+    ("views", []),
+    ("views.0.name", "a/b"),
+    ("views.0.name", None),
+    ("views.0.azimuth_deg", 361.0),
+    ("views.0.incidence_deg", None),
+    ("views.0.incidence_deg", 90.0),
+    ("views.0.grazing_deg", 48.0),
+    ("views.0.images", {"XX": "a.tif"}),
+    ("views.0.images", "a.tif"),
+    ("views.0.looks", 0.0),
+    ("views.0.role", "exam"),
+    ("effects.fog", {}),
+    ("effects.vegetation", 3),
+    ("effects.vegetation", {"depth": 3.0}),
+    ("effects.vegetation", {"optical_depth": -1.0}),
+    ("effects.vegetation", {"optical_depth": "deep"}),
+    ("effects.point_spread.window", "hann"),
+    ("effects.multibounce.max_bounces", 5),
+    ("effects.interference.level", 0.1),
+    ("effects.interference.level", {"north": -0.1}),
+    ("effects.interference.rows", {"north": [[3]]}),
+    ("effects.saturation.pivot", "mean"),
+    ("effects.saturation.pivot", 0.0),
+    ("effects.antenna_pattern.beamwidth_m", 0.0),
+]
+
+
+@pytest.mark.parametrize(("place", "value"), BROKEN)
+def test_broken_scenes_are_refused_by_both(place: str, value: Any) -> None:
+    scene = changed(place, value)
+    assert not read(scene)
+    assert not accepted(scene)
+
+
+def test_examples_and_defaults_of_every_key_fit() -> None:
+    for name, table in tables():
+        for key, field in table["properties"].items():
+            assert field["description"].endswith("."), f"{name}.{key}"
+            assert field["examples"], f"{name}.{key}: no example"
+            for value in (*field["examples"], *([field["default"]] if "default" in field else [])):
+                jsonschema.validate(value, field, jsonschema.Draft7Validator)
+
+
+def tables() -> Iterator[tuple[str, dict[str, Any]]]:
+    """The tables of the file that have keys of their own, the effects apart."""
+    tables = dict(scene_schema()["properties"])
+    del tables["effects"]
+    tables |= {"materials": tables["materials"]["additionalProperties"], "views": tables["views"]["items"]}
+    yield from tables.items()
+
+
+@pytest.mark.parametrize("name", names())
+def test_effects_are_as_they_are_declared(name: str) -> None:
+    effect, table = get(name), scene_schema()["properties"]["effects"]["properties"][name]
+    assert list(table["properties"]) == [each.name for each in (*effect.parameters, *effect.settings)]
+    jsonschema.validate(effect.example, table, jsonschema.Draft7Validator)
+    for each in (*effect.parameters, *effect.settings):
+        field = table["properties"][each.name]
+        assert each.description.endswith(".")
+        assert each.description.rstrip(".") in field["description"]
+        if not each.per_view and "default" in field:
+            assert field["default"] == each.default
+            jsonschema.validate(each.default, field, jsonschema.Draft7Validator)
+
+
+def test_schema_is_strict_json_without_references() -> None:
+    text = json.dumps(scene_schema(), allow_nan=False)
+    assert "$ref" not in text
+    assert "null" not in text
+    assert text.count('"additionalProperties": false') == 7 + 1 + len(names())
+
+
+def test_command_prints_what_it_writes(tmp_path: Path) -> None:
+    runner = CliRunner()
+    printed = runner.invoke(main, ["schema"])
+    written = runner.invoke(main, ["schema", "-o", str(tmp_path / "made" / "scene.schema.json")])
+    assert (printed.exit_code, written.exit_code, written.stdout) == (0, 0, "")
+    text = (tmp_path / "made" / "scene.schema.json").read_text(encoding="utf-8")
+    assert text == printed.stdout
+    assert json.loads(text) == scene_schema()

@@ -1,0 +1,159 @@
+"""`warpsar new`: a first scene file for a mesh, with comments, that simulates as it is."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import tomlkit
+
+from warpsar.errors import InputError
+from warpsar.io.images import replacing
+from warpsar.io.ply import write_ply
+from warpsar.runtime import console
+from warpsar.scene.fitted_grid import fitted_grid
+from warpsar.scene.unwrap import write_obj
+from warpsar.world.frame import view_geometry
+from warpsar.world.mesh import Mesh, read_mesh
+from warpsar.world.meshes import dem
+from warpsar.world.tables import Grid
+
+UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
+"""Metres in each unit of length that a mesh may have."""
+MILLIMETRES_FROM = 1000.0
+"""Larger meshes whose format states no unit are taken as millimetres."""
+_IN_METRES = (".gltf", ".glb", *dem.SUFFIXES)  # by their standard, or turned into metres by their reader
+
+FREQUENCY_HZ = 9.6e9
+INCIDENCE_DEG = 40.0
+AZIMUTHS_DEG = (20.0, 140.0, 260.0)  # no side of a building that faces north lies straight across
+
+_HEAD = """\
+# Made from {source}. Lengths are in metres, angles in degrees.
+
+[scene]
+mesh = {mesh}
+reference_point_m = {reference}  # the world point in the middle of every image
+
+[radar]
+frequency_hz = {frequency}
+polarizations = ["HH"]      # any of HH, HV, VH, VV
+
+[image]
+shape = {shape:<18}  # pixels along slant range (down) and azimuth (across)
+spacing_m = {spacing:<14}  # of a pixel, likewise; the whole mesh lies inside in every view
+
+[sampling]
+rays_per_pixel = 64.0       # more rays: less sampling noise, more time; the mean does not change
+
+# One table for each material of the mesh. The surface is a half space of relative permittivity eps_r, with small
+# random heights (standard deviation rms_height_m) that stay alike over correlation_length_m. The values below are
+# those of dry, fairly smooth ground, for every material: replace them by what you know.
+"""
+
+_MATERIAL = """
+[materials.{name}]
+eps_r = 5.0
+rms_height_m = 0.001
+correlation_length_m = 0.006
+"""
+
+_VIEWS = """
+# Where the radar stands: azimuth_deg clockwise from north (+Y), incidence_deg from the zenith (+Z). A measured image
+# stands in its view as `images = { HH = "FILE" }`; `warpsar import` brings one in.
+"""
+
+_VIEW = """
+[[views]]
+name = "{name}"
+azimuth_deg = {azimuth}
+incidence_deg = {incidence}
+"""
+
+
+def run(folder: Path | str, mesh_path: Path | str, *, units: str | None = None, force: bool = False) -> Path:
+    """`warpsar new`: `scene.toml` in `folder`, which is made if missing. Returns its path.
+
+    The scene refers to the mesh where it lies. Where its unit is not the metre, a copy in metres is written into
+    `folder`, and the scene refers to that. `units` is a key of `UNITS`; it is guessed where it is None, and what was
+    guessed is said.
+
+    Raises InputError where a scene file is there and `force` is false, and for a mesh that cannot be read.
+    """
+    folder, mesh_path = Path(folder), Path(mesh_path)
+    path = folder / "scene.toml"
+    if path.exists() and not force:
+        raise InputError(f"{path}: found a scene file there already; --force replaces it")
+    mesh = read_mesh(mesh_path)
+    if units is not None and mesh_path.suffix.lower() in dem.SUFFIXES:
+        raise InputError(f"--units: found {units}; an elevation model states its own unit, leave it out")
+    unit = units or _guessed_unit(mesh_path, mesh)
+    folder.mkdir(parents=True, exist_ok=True)
+    source = mesh_path
+    if unit != "m":
+        mesh_path, mesh = _in_metres(folder, mesh_path, mesh, UNITS[unit])
+        console.say(f"{mesh_path}: the mesh in metres; the scene refers to it")
+    grid, text = _scene(mesh, _relative(mesh_path, folder), source.name if unit == "m" else f"{source.name} in {unit}")
+    with replacing(path) as temporary:
+        temporary.write_text(text, encoding="utf-8", newline="\n")
+    size = " x ".join(map(str, grid.shape))
+    console.say(f"{path}: {len(AZIMUTHS_DEG)} views of {size} pixels of {grid.spacing_m[0]:g} m")
+    return path
+
+
+def _guessed_unit(path: Path, mesh: Mesh) -> str:
+    """The likely unit of the mesh's coordinates; says what was guessed, and how to change it."""
+    if path.suffix.lower() in _IN_METRES:
+        return "m"
+    size = np.ptp(mesh.vertices, axis=0)
+    unit = "mm" if size.max() > MILLIMETRES_FROM else "m"
+    across = " x ".join(f"{each:.4g}" for each in size)
+    others = ", ".join(each for each in UNITS if each != unit)
+    console.say(f"{path}: {across} units across; taken as {unit}, a guess. If it is wrong: --units with {others}")
+    return unit
+
+
+def _in_metres(folder: Path, path: Path, mesh: Mesh, metres: float) -> tuple[Path, Mesh]:
+    """A copy of the mesh in metres: a PLY where it has scalars, else an OBJ; its path, and the mesh as written."""
+    names = [" ".join(name.split()) for name in mesh.materials]  # a line of an OBJ holds a name
+    mesh = replace(mesh, vertices=mesh.vertices * metres, materials=tuple(names))
+    written = folder / f"{path.stem}_in_metres{'.ply' if mesh.vertex_scalars else '.obj'}"
+    if mesh.vertex_scalars:
+        write_ply(written, mesh.vertices, mesh.faces, mesh.vertex_scalars)
+    else:
+        write_obj(written, mesh)
+    return written, mesh
+
+
+def _relative(path: Path, folder: Path) -> str:
+    try:
+        return Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix()
+    except ValueError:  # another drive
+        return path.resolve().as_posix()
+
+
+def _scene(mesh: Mesh, mesh_name: str, source: str) -> tuple[Grid, str]:
+    """The grid that fits, and the text of the scene file."""
+    corners = mesh.vertices[np.unique(mesh.faces)]
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    # Rounded to a hundredth of the mesh: a point to read, and still in the middle.
+    decimals = 2 - int(np.floor(np.log10((high - low).max())))
+    reference = np.round((low + high) / 2.0, decimals) + 0.0  # + 0.0: no -0
+    looks = [view_geometry(azimuth, INCIDENCE_DEG, FREQUENCY_HZ) for azimuth in AZIMUTHS_DEG]
+    grid = fitted_grid(corners, reference, looks)
+    head = _HEAD.format(
+        source="".join(letter if letter.isprintable() else "?" for letter in source),
+        mesh=tomlkit.item(mesh_name).as_string(),
+        reference=reference.tolist(),
+        frequency=f"{FREQUENCY_HZ / 1e9:g}e9",
+        shape=str(list(grid.shape)),
+        spacing=str(list(grid.spacing_m)),
+    )
+    names = dict.fromkeys(mesh.materials)
+    materials = "".join(_MATERIAL.format(name=tomlkit.key(name).as_string()) for name in names)
+    views = "".join(
+        _VIEW.format(name=f"az{azimuth:03.0f}", azimuth=azimuth, incidence=INCIDENCE_DEG) for azimuth in AZIMUTHS_DEG
+    )
+    return grid, head + materials + _VIEWS + views

@@ -1,0 +1,122 @@
+"""`warpsar schema`: the JSON schema of a scene file, from the models that read it and the effects' declarations."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any, get_args
+
+from pydantic.json_schema import GenerateJsonSchema
+
+from warpsar.effects.base.parameter import Parameter, Setting
+from warpsar.effects.registry import get, names
+from warpsar.io.images import replacing
+from warpsar.scene.file import SceneFile
+from warpsar.world.tables import LIMITS, SURFACE_KEYS, Polarization, SurfaceKey
+
+DRAFT = "http://json-schema.org/draft-07/schema#"  # what editors' TOML plug-ins know
+_NAME = {"type": "string", "minLength": 1}
+_FILE = {**_NAME, "format": "path"}
+_Json = dict[str, Any]
+
+
+class _Generator(GenerateJsonSchema):
+    """A surface value has a check of its own, of which pydantic (to 2.9) can make no schema: `_surface` does."""
+
+    def handle_invalid_for_json_schema(self, schema: Any, error_info: str) -> _Json:
+        return {}
+
+
+def run(path: Path | str | None = None) -> str:
+    """`warpsar schema`: the schema as text, written to `path` unless that is None."""
+    text = json.dumps(scene_schema(), indent=2, ensure_ascii=False) + "\n"
+    if path is not None:
+        with replacing(path) as temporary:
+            temporary.write_text(text, encoding="utf-8", newline="\n")
+    return text
+
+
+def scene_schema() -> _Json:
+    """JSON schema (draft 7) of a scene file. It has no references.
+
+    It holds each key by itself, and of rules between keys those that choose one of several. It does not look into the
+    files that a scene names.
+    """
+    made = SceneFile.model_json_schema(by_alias=True, schema_generator=_Generator)
+    scene = _plain(made, made.pop("$defs"))
+    tables = scene["properties"]
+    for key in SURFACE_KEYS:
+        tables["materials"]["additionalProperties"]["properties"][key].update(_surface(key))
+    view = tables["views"]["items"]
+    view["oneOf"] = [{"required": [key]} for key in ("incidence_deg", "depression_deg", "grazing_deg")]
+    view["properties"]["images"].update(propertyNames={"enum": list(get_args(Polarization))})
+    tables["sampling"]["not"] = {"required": ["rays_per_pixel", "rays_per_m2"]}
+    about = tables["effects"]["description"]
+    tables["effects"] = _table({name: _effect(name) for name in names()}, about)
+    return {"$schema": DRAFT, "title": "warpsar scene file", **scene}
+
+
+def _plain(node: _Json, models: dict[str, _Json]) -> _Json:
+    """pydantic's schema in the words of draft 7, each table in its place; TOML has no null."""
+    (reference,) = node.get("allOf", [node])  # pydantic 2.7 wraps a reference that has company
+    if "$ref" in reference:
+        return _plain(models[reference["$ref"].rpartition("/")[2]], models)
+    node = {key: value for key, value in node.items() if key != "title"}
+    if "anyOf" in node:
+        kinds = [_plain(each, models) for each in node.pop("anyOf") if each.get("type") != "null"]
+        node = {**(kinds[0] if len(kinds) == 1 else {"anyOf": kinds}), **node}
+    if "prefixItems" in node:  # a pair or triple, mostly of one kind
+        first, *others = node.pop("prefixItems")
+        node["items"] = first if all(each == first for each in others) else [first, *others]
+    if node.get("default", "") is None:
+        del node["default"]
+    if node.get("format") == "path":
+        node.update(_FILE)
+    for key in ("items", "additionalProperties"):
+        if isinstance(node.get(key), dict):
+            node[key] = _plain(node[key], models)
+    if "properties" in node:
+        node["properties"] = {key: _plain(each, models) for key, each in node["properties"].items()}
+    return node
+
+
+def _surface(key: SurfaceKey) -> _Json:
+    """What a surface value may be: a number, a pair for some keys, or the name of an image or a scalar."""
+    low, high = LIMITS[key]
+    least = "minimum" if key == "specular_fraction" else "exclusiveMinimum"
+    number = {"type": "number", least: low, "maximum": high}
+    second = {"eps_r": {"type": "number", "minimum": -high, "maximum": 0.0}, "correlation_length_m": number}.get(key)
+    pair = {"type": "array", "items": [number, second], "minItems": 2, "maxItems": 2}
+    return {"anyOf": [number, *([pair] if second else []), _NAME]}
+
+
+def _effect(name: str) -> _Json:
+    effect = get(name)
+    keys = {each.name: _key(each, _number(each)) for each in effect.parameters}
+    keys |= {each.name: _key(each, {**each.schema, "default": each.default}) for each in effect.settings}
+    return _table(keys, f"{effect.summary[:1].upper()}{effect.summary[1:]}.")
+
+
+def _number(parameter: Parameter) -> _Json:
+    """Its bounds and default; JSON has no infinity, and an infinite bound is none."""
+    stated = {"minimum": parameter.low, "maximum": parameter.high, "default": parameter.default}
+    return {"type": "number", **{key: value for key, value in stated.items() if math.isfinite(value)}}
+
+
+def _key(declared: Parameter | Setting, value: _Json) -> _Json:
+    """The schema of a key: of one value, or of a table of a value for each view."""
+    unit = getattr(declared, "unit", "1")
+    about = declared.description if unit == "1" else f"{declared.description.rstrip('.')} [{unit}]."
+    if not declared.per_view:
+        return {"description": about, **value}
+    value.pop("default", None)  # of a view that is not named
+    return {
+        "description": f"{about} A table of view names and values.",
+        "type": "object",
+        "additionalProperties": value,
+    }
+
+
+def _table(keys: dict[str, _Json], about: str) -> _Json:
+    return {"type": "object", "description": about, "properties": keys, "additionalProperties": False}
