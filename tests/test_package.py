@@ -91,7 +91,7 @@ warpsar.imagine(scene)
 """
 MYPY = """
 "warpsar.scene.scene.Scene"
-"list[warpsar.simulation.command.SimulatedView]"
+"list[warpsar.simulation.view.SimulatedView]"
 "float"
 "warpsar.diagnosis.result.Diagnosed"
 "warpsar.evaluation.image.Evaluation"

@@ -186,7 +186,9 @@ def test_schema_is_strict_json_without_references() -> None:
     text = json.dumps(scene_schema(), allow_nan=False)
     assert "$ref" not in text
     assert "null" not in text
-    assert text.count('"additionalProperties": false') == 7 + 1 + len(names())
+    assert text.count('"additionalProperties": false') == 8 + 1 + len(
+        names()
+    )  # tables of the file, scene.origin among them; effects; each effect
 
 
 def test_command_prints_what_it_writes(tmp_path: Path) -> None:
