@@ -65,7 +65,7 @@ def learn(
     folder: Path | str | None = None,
     resume: bool = False,
 ) -> Learned:
-    """Fit the materials' learnable parameters, and the declared effects', to the `train` views.
+    """Fit the materials' learnable parameters, and the declared effects' unless they are held, to the `train` views.
 
     With `folder` the run keeps a checkpoint there, and `resume` goes on from it. Each of several processes
     (`distributed`) holds a share of the views; all return the same, and the first one writes. Raises InputError for
@@ -80,7 +80,9 @@ def learn(
         checkpoint.remove(folder)  # of an earlier run: torchrun's restarts shall find this one's
     problem, density = ranks.agree(lambda: prepare(scene, where, options, ranks))
     if not problem.x0.size:
-        raise InputError(f"{scene.path}: materials: nothing to learn: every `learn` is empty and no effect is declared")
+        raise InputError(
+            f"{scene.path}: materials: nothing to learn: every `learn` is empty, and no effect's parameter is fitted"
+        )
     refuse_options(problem, options)
     check = _checked(problem)
     tests = ranks.agree(lambda: _test_problem(scene, where, options, problem, density))
