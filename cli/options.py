@@ -36,7 +36,8 @@ def resumable(out: Path) -> Iterator[None]:
 
 def _resuming(context: click.Context) -> list[str]:
     """The words of this command with --resume: scene and folder, then every other option that was given."""
-    needed, given = [], []
+    needed: list[str] = []
+    given: list[str] = []
     for parameter in context.command.params:
         name = str(parameter.name)
         if name == "resume" or context.get_parameter_source(name) is not ParameterSource.COMMANDLINE:

@@ -21,6 +21,7 @@ addition.py        which refitted candidate is added
 left_out.py        what views left out say of an effect
 carried.py         whether the surface could be the cause
 pruning.py         which earlier effects the newest one has made needless
+outcome.py         what became of every effect in a turn, in words
 judge.py           how far models are from all images, test views among them
 place.py           where on the surface something is left
 projection.py      where a place of the world lies in an image

@@ -62,6 +62,7 @@ class Candidate:
     refit_size: int | None = None
     left_out: LeftOut | None = None
     carried: float | None = None  # share of its gain that the surface carries from view to view
+    refused: str = ""  # why it was not added, where it was fitted or could not be
     note: str = ""
 
     @property

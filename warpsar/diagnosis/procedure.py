@@ -14,6 +14,7 @@ from warpsar.diagnosis.dark import Dark, worth_a_refit
 from warpsar.diagnosis.evidence import Evidence
 from warpsar.diagnosis.found import Candidate, DiagnoseOptions, Diagnosis, Turn
 from warpsar.diagnosis.frozen import frozen
+from warpsar.diagnosis.outcome import score_text, turn_lines
 from warpsar.diagnosis.pruning import prune
 from warpsar.diagnosis.refit import Fitted, fit_model, fit_robustly, narrow
 from warpsar.diagnosis.scoring import score_effects
@@ -56,9 +57,11 @@ def diagnose_scene(scene: Scene, device: wp.Device, options: DiagnoseOptions, ra
     while True:
         turn, evidence = _turn(scene, narrowed, other_rays, base, options, len(turns), bar.update)
         turns.append(turn)
+        if turn.fitted is not None:
+            prune(narrowed, turn, [t.added for t in turns[:-1] if t.added], _effective_looks(evidence, ranks))
+        console.say("\n".join(turn_lines(turn, len(turns) - 1)))
         if turn.fitted is None or len(turns) > options.most_effects:
             break
-        prune(narrowed, turn, [t.added for t in turns[:-1] if t.added], _effective_looks(evidence, ranks))
         narrowed, base = narrow(narrowed, turn.fitted)
     bar.close()
     last = turns[-1]
@@ -112,8 +115,8 @@ def _effective_looks(evidence: Evidence, ranks: Ranks) -> float:
 
 
 def _say(turn: Turn, number: int, passing: Sequence[Candidate]) -> None:
-    names = ", ".join(f"{c.effect} ({c.minus_log_p:.0f})" for c in passing[:6]) or "none"
+    scores = ", ".join(f"{c.effect} {score_text(c.minus_log_p)}" for c in passing) or "none"
     console.say(
-        f"step {number + 1}: -ln p over {turn.threshold:.1f}: {names}; "
-        f"scan {turn.scan_minus_log_p:.1f} (z {turn.spot.z:+.1f})"
+        f"turn {number + 1}: worth a fit, by score (-ln p, threshold {turn.threshold:.1f}): {scores}; "
+        f"scan {score_text(turn.scan_minus_log_p)} (z {turn.spot.z:+.1f})"
     )
