@@ -3,6 +3,7 @@
 command.py         the command
 result.py          `diagnose`, and its result on all views
 procedure.py       the loop: score, refit, add, repeat
+course.py          how far a run has come, and its checkpoint
 found.py           options, candidates, turns and the verdict
 bench.py           rays and pixels that all fits share
 frozen.py          which pixels are compared

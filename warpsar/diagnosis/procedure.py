@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import warp as wp
 
 from warpsar.diagnosis.addition import add_the_best
 from warpsar.diagnosis.bench import Bench
+from warpsar.diagnosis.course import Course
 from warpsar.diagnosis.dark import Dark, worth_a_refit
 from warpsar.diagnosis.evidence import Evidence
 from warpsar.diagnosis.found import Candidate, DiagnoseOptions, Diagnosis, Turn
@@ -32,11 +34,14 @@ from warpsar.world.tables import View
 MU_NOISE = 10.0  # looks x pixels x relative sampling variance of mu: the gain in 2 ln L that denoising mu could bring
 
 
-def diagnose_scene(scene: Scene, device: wp.Device, options: DiagnoseOptions, ranks: Ranks = ONE) -> Diagnosis:
+def diagnose_scene(
+    scene: Scene, device: wp.Device, options: DiagnoseOptions, ranks: Ranks = ONE, course: Course | None = None
+) -> Diagnosis:
     """Run the procedure on the training views of a scene with uniform materials.
 
     All `ranks` go through the whole procedure. They share the fits, folds and draws, and decide as the first one does.
-    Raises InputError for scenes without measured training views, or with learned fields.
+    What the `course` holds of an earlier part of the run is not done again. Raises InputError for scenes without
+    measured training views, or with learned fields.
     """
     stage, views, looks = ranks.agree(lambda: _training(scene, device))
     density = choose_density(scene, stage, views, looks, MU_NOISE, total=True, ranks=ranks)
@@ -51,15 +56,15 @@ def diagnose_scene(scene: Scene, device: wp.Device, options: DiagnoseOptions, ra
 
     bar = console.progress(2 * options.draws, "diagnose", "")
     console.say("fit of the declared model")
-    base = declared = fit_model(bench, scene, options.starts, options.seed)
+    course = course or Course()
+    base = declared = course.declared(bench, scene, partial(fit_model, bench, scene, options.starts, options.seed))
     turns: list[Turn] = []
     narrowed = bench  # fewer pixels where an added effect has moved the light
     while True:
-        turn, evidence = _turn(scene, narrowed, other_rays, base, options, len(turns), bar.update)
+        run = partial(_turn, scene, narrowed, other_rays, base, options, turns, bar.update)
+        turn = course.turn(len(turns), narrowed, base, run)
+        console.say("\n".join(turn_lines(turn, len(turns))))
         turns.append(turn)
-        if turn.fitted is not None:
-            prune(narrowed, turn, [t.added for t in turns[:-1] if t.added], _effective_looks(evidence, ranks))
-        console.say("\n".join(turn_lines(turn, len(turns) - 1)))
         if turn.fitted is None or len(turns) > options.most_effects:
             break
         narrowed, base = narrow(narrowed, turn.fitted)
@@ -68,7 +73,7 @@ def diagnose_scene(scene: Scene, device: wp.Device, options: DiagnoseOptions, ra
     # an effect that was refused because something may stand there is left over, whatever the scan says
     left = last.scan_minus_log_p > last.threshold or any(c.shared for c in last.candidates)
     unexplained = last.added is None and left
-    return Diagnosis(scene, declared, base, turns, unexplained, density, bench, evidence)
+    return Diagnosis(scene, declared, base, turns, unexplained, density, bench)
 
 
 def _training(scene: Scene, device: wp.Device) -> tuple[Stage, list[View], list[float]]:
@@ -91,10 +96,12 @@ def _turn(
     other_rays: Rays,
     base: Fitted,
     options: DiagnoseOptions,
-    number: int,
+    earlier: Sequence[Turn],
     progress: Callable[[int], object],
-) -> tuple[Turn, Evidence]:
-    """Score every effect that is not declared, refit the best, and add the one that holds on views left out."""
+) -> Turn:
+    """Score every effect that is not declared, refit the best, and add the one that holds on views left out. Drop
+    those of `earlier` turns that it makes needless."""
+    number = len(earlier)
     point = fit_robustly(base, scene, bench)
     evidence = Evidence.of(base.problem, point.x, bench.ranks)
     turn, templates = score_effects(scene, bench, other_rays, base, point.scene, evidence, options, number, progress)
@@ -105,7 +112,9 @@ def _turn(
         looks = _effective_looks(evidence, bench.ranks)
         fitted = refits(bench, base, point.scene, scene, passing, templates, dark, options.refits)
         add_the_best(bench, turn, fitted, dark, looks, options)
-    return turn, evidence
+        if turn.fitted is not None:
+            prune(bench, turn, [t.added for t in earlier if t.added], looks)
+    return turn
 
 
 def _effective_looks(evidence: Evidence, ranks: Ranks) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TypeVar
@@ -191,7 +191,11 @@ def _test_problem(
 def _tag(scene: Scene, options: LearnOptions) -> str:
     """What a checkpoint belongs to: the input and the options that change the result."""
     free = ("iterations", "max_time_s", "checkpoint_every", "max_memory_gib")
-    chosen = {k: v for k, v in asdict(options).items() if k not in free}
+    return tag_of(scene, {k: v for k, v in asdict(options).items() if k not in free})
+
+
+def tag_of(scene: Scene, chosen: Mapping[str, object]) -> str:
+    """What a checkpoint belongs to: the input, and what was `chosen` and changes the result (JSON's types)."""
     # a scene made in memory has no text for the hash to hold
     made = "" if scene.source else repr((scene.radar, scene.grid, scene.sampling, scene.materials, scene.effects))
     return hashlib.sha256((scene.input_hash + made + json.dumps(chosen, sort_keys=True)).encode()).hexdigest()
