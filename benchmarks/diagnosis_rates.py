@@ -177,7 +177,7 @@ def one_run(key: tuple[str, int, str, int], options: DiagnoseOptions, device: st
         "seed": seed,
         "verdict": found.verdict,
         "unexplained": found.unexplained,
-        "spot": [found.evidence.observations[spot.observation].view.name, spot.row, spot.col, spot.window],
+        "spot": [found.observations[spot.observation].view.name, spot.row, spot.col, spot.window],
         "effects": found.final.scene.effects,
         "scores": {c.effect: round(c.minus_log_p, 2) for c in found.turns[0].candidates if c.testability == "testable"},
         "not_testable": [c.effect for c in found.turns[0].candidates if c.testability == "not_testable"],

@@ -38,6 +38,7 @@ from warpsar.cli import options
 @click.option(
     "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the bootstrap and the starts."
 )
+@options.resume
 def command(
     scene: Path,
     out: Path,
@@ -47,6 +48,7 @@ def command(
     starts: int,
     most_effects: int,
     seed: int,
+    resume: bool,
 ) -> None:
     """Fit SCENE to its train views, find the effect that its model lacks, add it and fit again.
 
@@ -58,4 +60,5 @@ def command(
     chosen = DiagnoseOptions(
         family_error=family_error, draws=draws, starts=starts, most_effects=most_effects, seed=seed
     )
-    diagnosis.run(scene, out, device=device, options=chosen)
+    with options.resumable(out):
+        diagnosis.run(scene, out, device=device, options=chosen, resume=resume)

@@ -66,7 +66,7 @@ from warpsar.cli import options
     metavar="GIB",
     help="Memory for hits. Views that do not fit are traced again in every iteration. Default: 60 % of the memory.",
 )
-@click.option("--resume", is_flag=True, help="Continue from the checkpoint in the output folder.")
+@options.resume
 def command(
     scene: Path,
     out: Path,
@@ -107,4 +107,5 @@ def command(
         seed=seed,
         max_memory_gib=max_memory,
     )
-    learning.run(scene, out, device=device, options=chosen, resume=resume)
+    with options.resumable(out):
+        learning.run(scene, out, device=device, options=chosen, resume=resume)

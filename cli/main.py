@@ -49,8 +49,8 @@ class LazyGroup(click.Group):
         except OSError as error:  # a folder that cannot be written, a full disk
             message = f"{error.filename}: {error.strerror}" if error.filename else str(error)
             _refuse(ctx, message, InputError.exit_code)
-        except KeyboardInterrupt:
-            _refuse(ctx, "interrupted", INTERRUPTED)
+        except KeyboardInterrupt as interrupt:  # with words of its own where a run can be resumed
+            _refuse(ctx, str(interrupt) or "interrupted", INTERRUPTED)
 
 
 def _refuse(ctx: click.Context, message: str, exit_code: int) -> NoReturn:

@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
+import shlex
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
 import click
+from click.core import ParameterSource
 
 device = click.option(
     "--device",
@@ -10,3 +16,33 @@ device = click.option(
     help="Device to work on. Default: the first CUDA device if there is one (with torchrun, the process's own), "
     "else the CPU.",
 )
+
+resume = click.option("--resume", is_flag=True, help="Continue from the checkpoint in the output folder.")
+
+
+@contextmanager
+def resumable(out: Path) -> Iterator[None]:
+    """A run that keeps a checkpoint in the folder `out`: where Ctrl-C ends it, the message says how to go on."""
+    from warpsar.io.checkpoint import NAME
+
+    try:
+        yield
+    except KeyboardInterrupt:
+        if not (out / NAME).exists():
+            raise KeyboardInterrupt("interrupted before the first checkpoint") from None
+        words = shlex.join(_resuming(click.get_current_context()))
+        raise KeyboardInterrupt(f"interrupted; go on with: {words}") from None
+
+
+def _resuming(context: click.Context) -> list[str]:
+    """The words of this command with --resume: scene and folder, then every other option that was given."""
+    needed: list[str] = []
+    given: list[str] = []
+    for parameter in context.command.params:
+        name = str(parameter.name)
+        if name == "resume" or context.get_parameter_source(name) is not ParameterSource.COMMANDLINE:
+            continue
+        values = context.params[name] if parameter.multiple else (context.params[name],)
+        option = [] if isinstance(parameter, click.Argument) else [parameter.opts[0]]
+        (needed if parameter.required else given).extend(word for value in values for word in (*option, str(value)))
+    return ["warpsar", str(context.info_name), *needed, "--resume", *given]

@@ -15,7 +15,9 @@ first=$(scontrol show hostnames "$SLURM_JOB_NODELIST" | sed -n 1p)
 # A store of its own for every restart: restarts of one host are not counted by the others.
 export TORCH_DISABLE_SHARE_RDZV_TCP_STORE=1
 # Put back into the queue: go on from the checkpoint. (A batch of images makes what is missing by itself.)
-if [ "${SLURM_RESTART_COUNT:-0}" -gt 0 ] && [ "$1" = learn ]; then set -- "$@" --resume; fi
+case "$1" in
+    learn | diagnose) if [ "${SLURM_RESTART_COUNT:-0}" -gt 0 ]; then set -- "$@" --resume; fi ;;
+esac
 
 srun torchrun \
     --nnodes "$SLURM_NNODES" --nproc-per-node "${SLURM_GPUS_ON_NODE:-1}" --max-restarts 3 \

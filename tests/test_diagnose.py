@@ -1,6 +1,7 @@
 """`warpsar diagnose` on small scenes of our own: what is found, what is written, and that test views decide nothing."""
 
 import json
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -123,6 +124,49 @@ def test_stdout_is_one_line_of_results(graded: Ran) -> None:
     (line,) = graded.stdout.splitlines()
     assert line.startswith("eps_gradient; test deviance ")
     assert "added: eps_gradient" in graded.stderr
+
+
+def test_console_json_and_report_say_the_same_of_every_turn(graded: Ran) -> None:
+    """What was added comes first, with its gain; then what was not, and why. The numbers are those of the JSON."""
+    lines = graded.stderr.splitlines()
+    text = assert_alone((graded.out / "report.html").read_text(encoding="utf-8")).text
+    heads = ["turn 1: added: eps_gradient", "turn 2: nothing was added"]
+    starts = [*(lines.index(head) for head in heads), len(lines)]
+    for number, turn in enumerate(graded.content["turns"]):
+        block = lines[starts[number] : starts[number + 1]]
+        under, listed = [], " ".join(block)
+        for candidate in turn["candidates"]:
+            name, said = candidate["effect"], candidate["outcome"]
+            if candidate["testability"] != "testable":
+                assert name in next(line for line in block if line.startswith("  not testable: "))
+                continue
+            score = f"{max(0.0, candidate['minus_log_p']):.1f}"
+            assert score in text
+            if candidate["refit_gain"] is None and candidate["minus_log_p"] <= turn["threshold"]:
+                under.append(f"{name} {score}")
+                assert said == f"-ln p {score} is not over the threshold of {turn['threshold']:.1f}"
+                continue
+            added = name == turn["added"]
+            assert f"  {name}: {said}" in block if added else f"  not added: {name}: {said}" in block
+            assert f"{name} {'was' if added else 'was not'} added: {said}." in text
+            if candidate["refit_gain"] is not None:
+                assert said.startswith(
+                    f"2 ln L {candidate['refit_gain']:+,.1f} for {candidate['refit_size']} parameter"
+                )
+                assert f"{candidate['refit_gain']:+,.1f} ({candidate['refit_size']})" in text
+            if candidate["left_out"] is not None:
+                gain, error = re.search(r"views left out gain (\S+) \+- (\S+) in ln L", said).groups()  # type: ignore[union-attr]
+                assert float(gain) == pytest.approx(candidate["left_out"]["gain"], abs=0.5)
+                assert float(error) == pytest.approx(candidate["left_out"]["error"], rel=0.1)
+                assert f"{gain} ±\u00a0{error}" in text
+        assert block[1].startswith(f"  {turn['added']}: 2 ln L +" if turn["added"] else "  not ")
+        for entry in under:
+            assert entry in listed
+    # no other gains are said, such as those of fits that had not ended
+    gains = {
+        f"{c['refit_gain']:+,.1f}" for turn in graded.content["turns"] for c in turn["candidates"] if c["refit_gain"]
+    }
+    assert set(re.findall(r"2 ln L (\S+)", graded.stderr)) == gains
 
 
 def test_scene_that_comes_out_simulates_evaluates_and_is_sound(graded: Ran, tmp_path: Path) -> None:

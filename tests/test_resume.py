@@ -2,6 +2,7 @@
 
 import json
 import os
+import shlex
 import signal
 import subprocess
 import sys
@@ -13,13 +14,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from learning_scenes import bumpy, measured, views_at
 from worlds import SOIL, scene_of
 
+from warpsar.cli.main import main
 from warpsar.errors import InputError
 from warpsar.io import checkpoint
 from warpsar.io.images import read_image, write_exr
+from warpsar.learning import descent
 from warpsar.learning.command import LearnOptions, learn
+from warpsar.learning.optimise import FitState, levenberg_marquardt
+from warpsar.learning.problem import FitProblem
 from warpsar.scene.scene import Scene
 from warpsar.scene.unwrap import write_obj
 from warpsar.world.tables import Material
@@ -153,6 +159,55 @@ def test_sigterm_writes_a_checkpoint_and_exits_1(whole: Whole) -> None:
         assert int(stored["iteration"]) == iteration
     finish(start(scene, out, "adam", "--resume"))
     assert outcome(out) == outcome(expected)
+
+
+@pytest.mark.parametrize("optimiser", ["adam", "lm"])
+def test_ctrl_c_says_how_to_go_on(optimiser: str, whole: Whole) -> None:
+    """The words that it says are run as they stand, and end where the uninterrupted run ends."""
+    scene, expected = whole(optimiser)
+    out = expected.parent / f"{optimiser} interrupted"
+    run = start(scene, out, optimiser)
+    interrupt(run, out, signal.SIGINT, 0.02)
+    stdout, stderr = run.communicate(timeout=60)
+    assert run.returncode == 130
+    assert stdout == ""
+    assert "Traceback" not in stderr
+    (message,) = [line for line in stderr.splitlines() if line.startswith("Error:")]
+    said = message.removeprefix("Error: interrupted; go on with: ")
+    words = shlex.split(said)
+    assert words[:6] == ["warpsar", "learn", str(scene), "-o", str(out), "--resume"]
+    given = ["--device", "cpu", "--optimiser", optimiser, *OPTIONS[optimiser]]
+    assert sorted(words[6:]) == sorted(given)
+    finish(subprocess.Popen([sys.executable, "-m", *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True))
+    assert outcome(out) == outcome(expected)
+
+
+def test_ctrl_c_before_the_first_checkpoint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def pressed(*arguments: object, **options: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("warpsar.learning.command.run", pressed)
+    scene = small_scene(tmp_path / "scene", "lm")
+    done = CliRunner().invoke(main, ["learn", str(scene), "-o", str(tmp_path / "out")])
+    assert done.exit_code == 130
+    assert done.stderr == "Error: interrupted before the first checkpoint\n"
+
+
+def test_ctrl_c_in_one_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first ends the run after its iteration, with a checkpoint; the handler is then Python's own again."""
+    scene = Scene.load(small_scene(tmp_path / "scene", "lm"))
+    options = LearnOptions(starts=1, iterations=5)
+
+    def pressed(problem: FitProblem, state: FitState) -> FitState:
+        os.kill(os.getpid(), signal.SIGINT)
+        return levenberg_marquardt(problem, state)
+
+    monkeypatch.setattr(descent, "levenberg_marquardt", pressed)
+    with pytest.raises(KeyboardInterrupt):
+        learn(scene, device="cpu", options=options, folder=tmp_path / "out")
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    with np.load(tmp_path / "out" / checkpoint.NAME) as stored:
+        assert int(stored["iteration"]) == 1
 
 
 @pytest.mark.parametrize("optimiser", ["adam", "lm"])

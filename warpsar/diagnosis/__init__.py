@@ -3,6 +3,7 @@
 command.py         the command
 result.py          `diagnose`, and its result on all views
 procedure.py       the loop: score, refit, add, repeat
+course.py          how far a run has come, and its checkpoint
 found.py           options, candidates, turns and the verdict
 bench.py           rays and pixels that all fits share
 frozen.py          which pixels are compared
@@ -21,6 +22,7 @@ addition.py        which refitted candidate is added
 left_out.py        what views left out say of an effect
 carried.py         whether the surface could be the cause
 pruning.py         which earlier effects the newest one has made needless
+outcome.py         what became of every effect in a turn, in words
 judge.py           how far models are from all images, test views among them
 place.py           where on the surface something is left
 projection.py      where a place of the world lies in an image

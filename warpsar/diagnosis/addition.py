@@ -13,7 +13,6 @@ from warpsar.diagnosis.found import Candidate, DiagnoseOptions, Turn
 from warpsar.diagnosis.left_out import leave_one_view_out, varies_over_columns
 from warpsar.diagnosis.refit import Fitted, settle
 from warpsar.effects.registry import get
-from warpsar.runtime import console
 
 
 def add_the_best(
@@ -37,14 +36,16 @@ def add_the_best(
     if dark.asks and _added_for_the_dark(bench, turn, refits, options):
         return
     for gain, (candidate, fitted) in sorted(zip(gains, refits, strict=True), key=lambda item: -item[0]):
+        if turn.added is not None:
+            candidate.refused = f"{turn.added} is likelier"
+            continue
         if gain <= 0:
-            break
+            candidate.refused = "it gains less than its parameters cost"
+            continue
         fitted = settle(bench, fitted, options.starts, options.seed)
         candidate.refit_gain = _gain(base, fitted)
         if _holds(bench, base, candidate, fitted):
             turn.added, turn.fitted = candidate.effect, fitted
-            console.say(f"added: {candidate.effect} {fitted.scene.effects[candidate.effect]}")
-            break
 
 
 def _gain(base: Fitted, fitted: Fitted) -> float:
@@ -63,7 +64,9 @@ def _added_for_the_dark(
     fitted = settle(bench, fitted, options.starts, options.seed)
     candidate.refit_gain = _gain(turn.base, fitted)
     turn.added, turn.fitted = candidate.effect, fitted
-    console.say(f"added: {turn.added} {fitted.scene.effects[turn.added]}, which the dark pixels ask for")
+    for other, _ in refits:
+        if other is not candidate:
+            other.refused = f"the dark pixels need {turn.added}"
     return True
 
 
@@ -71,19 +74,20 @@ def _holds(bench: Bench, base: Fitted, candidate: Candidate, fitted: Fitted) -> 
     """Whether the effect helps on views left out, is one value for a view, and is no power that the surface may send.
     Fills in what the candidate's record says of it."""
     left = candidate.left_out = leave_one_view_out(bench, base, fitted, candidate.effect)
-    console.say(f"  {candidate.effect}: views left out gain {left.gain:.1f} +- {left.error:.1f}")
     if not left.passed:
+        candidate.refused = "it does not help on views left out by more than two standard errors"
         return False
     if varies_over_columns(bench, base, fitted, candidate.effect):
-        candidate.note = "not one value for a view: it varies over the view's columns"
-        console.say(f"  {candidate.effect}: {candidate.note}")
+        candidate.refused = candidate.note = "not one value for a view: it varies over the view's columns"
         return False
     if get(candidate.effect).in_image:
         candidate.carried = carried_over(bench, fitted, candidate.effect)
     if candidate.shared:
-        candidate.remark(_shared_note(candidate))
-        console.say(f"  {candidate.effect}: {candidate.note}")
-        return not get(candidate.effect).additive
+        shared = _shared_note(candidate)
+        candidate.remark(shared)
+        if get(candidate.effect).additive:
+            candidate.refused = shared
+            return False
     return True
 
 

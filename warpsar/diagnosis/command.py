@@ -8,28 +8,37 @@ from pathlib import Path
 from typing import Any
 
 from warpsar.diagnosis.content import content_of
+from warpsar.diagnosis.course import begun
 from warpsar.diagnosis.found import DiagnoseOptions
 from warpsar.diagnosis.judge import ROLES
 from warpsar.diagnosis.procedure import diagnose_scene
 from warpsar.diagnosis.report import write_report
 from warpsar.diagnosis.result import Diagnosed, judged, moved_parameters
+from warpsar.io import checkpoint
 from warpsar.runtime import distributed
 from warpsar.simulation.outputs import opened, write_json
 
 
 def run(
-    scene_path: Path | str, out: Path | str, *, device: str | None = None, options: DiagnoseOptions | None = None
+    scene_path: Path | str,
+    out: Path | str,
+    *,
+    device: str | None = None,
+    options: DiagnoseOptions | None = None,
+    resume: bool = False,
 ) -> dict[str, Any]:
     """`warpsar diagnose`: write diagnosis.json, scene.toml with the added effects, and report.html into `out`.
 
-    Returns the JSON's content. Of several processes, the first one judges and writes. The others return nothing.
-    Raises InputError as `diagnose` does.
+    A checkpoint is kept there while it runs, and `resume` goes on from it. Returns the JSON's content. Of several
+    processes, the first one judges and writes. The others return nothing. Raises InputError as `diagnose` and `begun`
+    do.
     """
     started = time.perf_counter()
     options = options or DiagnoseOptions()
     scene, out, where = opened(scene_path, out, device)
     ranks = distributed.ranks(where)
-    found = diagnose_scene(scene, where, options, ranks)
+    course = begun(scene, options, out, ranks, resume or bool(distributed.restarts()))
+    found = diagnose_scene(scene, where, options, ranks, course)
 
     def written() -> dict[str, Any]:
         if not ranks.first:
@@ -40,6 +49,7 @@ def run(
         content = content_of(done, moves, identified, options) | {"processes": ranks.size}
         content = write_json(out / "diagnosis.json", scene, where, options.seed, started, content)
         write_report(out / "report.html", done, moves, content, command_line(scene_path, out, where.alias, options))
+        checkpoint.remove(out)
         print(in_short(done), file=sys.stdout)
         return content
 

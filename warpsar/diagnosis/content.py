@@ -8,6 +8,7 @@ from typing import Any
 
 from warpsar.diagnosis.found import Candidate, DiagnoseOptions, Diagnosis, Turn
 from warpsar.diagnosis.judge import ROLES, Judged, difference, pool
+from warpsar.diagnosis.outcome import outcome
 from warpsar.diagnosis.result import Diagnosed, Moved, why_not
 from warpsar.effects.registry import get
 from warpsar.learning.identify import Identified
@@ -29,7 +30,10 @@ def content_of(
         "after": done.after,
         "gain": {role: _gain(done.models[0], done.models[-1], role) for role in ROLES},
         "steps": [_addition(turn, options, done.models[k], done.models[k + 1]) for k, turn in enumerate(added)],
-        "candidates": [*map(_candidate, found.turns[0].candidates), *map(_declared, found.scene.effects)],
+        "candidates": [
+            *(_candidate(c, found.turns[0]) for c in found.turns[0].candidates),
+            *map(_declared, found.scene.effects),
+        ],
         "not_testable": [c.effect for c in untestable],
         "not_testable_because": {c.effect: why_not(c) for c in untestable},
         "turns": [_turn(turn) for turn in found.turns],
@@ -57,7 +61,7 @@ def _gain(before: Sequence[Judged], after: Sequence[Judged], role: str) -> dict[
     return None if pair is None else {"deviance": pair[0], "error": pair[1]}
 
 
-def _candidate(c: Candidate) -> dict[str, Any]:
+def _candidate(c: Candidate, turn: Turn) -> dict[str, Any]:
     left = c.left_out
     return {
         "effect": c.effect,
@@ -72,6 +76,7 @@ def _candidate(c: Candidate) -> dict[str, Any]:
         "left_out": None if left is None else {**asdict(left), "passed": left.passed},
         "carried_over": c.carried,
         "note": c.note,
+        "outcome": outcome(c, turn),
     }
 
 
@@ -88,7 +93,7 @@ def _addition(
     train, test = pool(after, "train"), pool(after, "test")
     assert train is not None
     return {
-        **_candidate(chosen),
+        **_candidate(chosen, turn),
         "threshold": turn.threshold,
         "family_error": options.family_error,
         "parameters": turn.fitted.scene.effects[chosen.effect],
@@ -105,7 +110,7 @@ def _turn(turn: Turn) -> dict[str, Any]:
     return {
         "threshold": turn.threshold,
         "scan": {"z": turn.spot.z, "minus_log_p": turn.scan_minus_log_p, "p_value": turn.p_scan},
-        "candidates": [_candidate(c) for c in turn.candidates],
+        "candidates": [_candidate(c, turn) for c in turn.candidates],
         "added": turn.added,
         "dropped": turn.dropped,
     }

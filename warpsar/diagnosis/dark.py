@@ -53,7 +53,8 @@ def worth_a_refit(candidates: Sequence[Candidate], threshold: float, dark: Dark)
     if dark.refuses_a_floor:
         for candidate in found:
             if get(candidate.effect).is_floor:
-                candidate.note = f"{dark.pixels - dark.positive} of {dark.pixels} dark pixels measure exactly 0"
+                candidate.refused = f"{dark.pixels - dark.positive} of {dark.pixels} dark pixels measure exactly 0"
+                candidate.note = candidate.refused
         found = [c for c in found if not get(c.effect).is_floor]
     if dark.asks:
         additive = [c for c in order if c.testability == "testable" and get(c.effect).additive]

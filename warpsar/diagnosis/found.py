@@ -8,11 +8,11 @@ import numpy as np
 
 from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.carried import is_carried
-from warpsar.diagnosis.evidence import Evidence
 from warpsar.diagnosis.left_out import LeftOut
 from warpsar.diagnosis.refit import Fitted
 from warpsar.diagnosis.scan import Spot
 from warpsar.errors import InputError
+from warpsar.learning.observation import Observation
 from warpsar.scene.scene import Scene
 from warpsar.simulation.sampling import Density
 
@@ -62,6 +62,7 @@ class Candidate:
     refit_size: int | None = None
     left_out: LeftOut | None = None
     carried: float | None = None  # share of its gain that the surface carries from view to view
+    refused: str = ""  # why it was not added, where it was fitted or could not be
     note: str = ""
 
     @property
@@ -101,7 +102,11 @@ class Diagnosis:
     unexplained: bool
     density: Density
     bench: Bench
-    evidence: Evidence
+
+    @property
+    def observations(self) -> list[Observation]:
+        """What the last turn scanned, in the order that its spot counts them."""
+        return self.turns[-1].base.problem.observations
 
     @property
     def verdict(self) -> list[str]:

@@ -68,7 +68,7 @@ class Place:
 def place(found: Diagnosis, images: Sequence[Judged], spot: Spot) -> Place:
     """Back-project the spot; `images` are the final model's."""
     scene = found.final.scene
-    seen = found.evidence.observations[spot.observation]
+    seen = found.observations[spot.observation]
     train = [image for image in images if image.role == "train"]
     rows, cols = scene.grid.shape
     hits = _hits(found, seen.view)

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import warp as wp
 
 from warpsar.diagnosis.addition import add_the_best
 from warpsar.diagnosis.bench import Bench
+from warpsar.diagnosis.course import Course
 from warpsar.diagnosis.dark import Dark, worth_a_refit
 from warpsar.diagnosis.evidence import Evidence
 from warpsar.diagnosis.found import Candidate, DiagnoseOptions, Diagnosis, Turn
 from warpsar.diagnosis.frozen import frozen
+from warpsar.diagnosis.outcome import score_text, turn_lines
 from warpsar.diagnosis.pruning import prune
 from warpsar.diagnosis.refit import Fitted, fit_model, fit_robustly, narrow
 from warpsar.diagnosis.scoring import score_effects
@@ -31,11 +34,14 @@ from warpsar.world.tables import View
 MU_NOISE = 10.0  # looks x pixels x relative sampling variance of mu: the gain in 2 ln L that denoising mu could bring
 
 
-def diagnose_scene(scene: Scene, device: wp.Device, options: DiagnoseOptions, ranks: Ranks = ONE) -> Diagnosis:
+def diagnose_scene(
+    scene: Scene, device: wp.Device, options: DiagnoseOptions, ranks: Ranks = ONE, course: Course | None = None
+) -> Diagnosis:
     """Run the procedure on the training views of a scene with uniform materials.
 
     All `ranks` go through the whole procedure. They share the fits, folds and draws, and decide as the first one does.
-    Raises InputError for scenes without measured training views, or with learned fields.
+    What the `course` holds of an earlier part of the run is not done again. Raises InputError for scenes without
+    measured training views, or with learned fields.
     """
     stage, views, looks = ranks.agree(lambda: _training(scene, device))
     density = choose_density(scene, stage, views, looks, MU_NOISE, total=True, ranks=ranks)
@@ -50,22 +56,24 @@ def diagnose_scene(scene: Scene, device: wp.Device, options: DiagnoseOptions, ra
 
     bar = console.progress(2 * options.draws, "diagnose", "")
     console.say("fit of the declared model")
-    base = declared = fit_model(bench, scene, options.starts, options.seed)
+    course = course or Course()
+    base = declared = course.declared(bench, scene, partial(fit_model, bench, scene, options.starts, options.seed))
     turns: list[Turn] = []
     narrowed = bench  # fewer pixels where an added effect has moved the light
     while True:
-        turn, evidence = _turn(scene, narrowed, other_rays, base, options, len(turns), bar.update)
+        run = partial(_turn, scene, narrowed, other_rays, base, options, turns, bar.update)
+        turn = course.turn(len(turns), narrowed, base, run)
+        console.say("\n".join(turn_lines(turn, len(turns))))
         turns.append(turn)
         if turn.fitted is None or len(turns) > options.most_effects:
             break
-        prune(narrowed, turn, [t.added for t in turns[:-1] if t.added], _effective_looks(evidence, ranks))
         narrowed, base = narrow(narrowed, turn.fitted)
     bar.close()
     last = turns[-1]
     # an effect that was refused because something may stand there is left over, whatever the scan says
     left = last.scan_minus_log_p > last.threshold or any(c.shared for c in last.candidates)
     unexplained = last.added is None and left
-    return Diagnosis(scene, declared, base, turns, unexplained, density, bench, evidence)
+    return Diagnosis(scene, declared, base, turns, unexplained, density, bench)
 
 
 def _training(scene: Scene, device: wp.Device) -> tuple[Stage, list[View], list[float]]:
@@ -88,10 +96,12 @@ def _turn(
     other_rays: Rays,
     base: Fitted,
     options: DiagnoseOptions,
-    number: int,
+    earlier: Sequence[Turn],
     progress: Callable[[int], object],
-) -> tuple[Turn, Evidence]:
-    """Score every effect that is not declared, refit the best, and add the one that holds on views left out."""
+) -> Turn:
+    """Score every effect that is not declared, refit the best, and add the one that holds on views left out. Drop
+    those of `earlier` turns that it makes needless."""
+    number = len(earlier)
     point = fit_robustly(base, scene, bench)
     evidence = Evidence.of(base.problem, point.x, bench.ranks)
     turn, templates = score_effects(scene, bench, other_rays, base, point.scene, evidence, options, number, progress)
@@ -102,7 +112,9 @@ def _turn(
         looks = _effective_looks(evidence, bench.ranks)
         fitted = refits(bench, base, point.scene, scene, passing, templates, dark, options.refits)
         add_the_best(bench, turn, fitted, dark, looks, options)
-    return turn, evidence
+        if turn.fitted is not None:
+            prune(bench, turn, [t.added for t in earlier if t.added], looks)
+    return turn
 
 
 def _effective_looks(evidence: Evidence, ranks: Ranks) -> float:
@@ -112,8 +124,8 @@ def _effective_looks(evidence: Evidence, ranks: Ranks) -> float:
 
 
 def _say(turn: Turn, number: int, passing: Sequence[Candidate]) -> None:
-    names = ", ".join(f"{c.effect} ({c.minus_log_p:.0f})" for c in passing[:6]) or "none"
+    scores = ", ".join(f"{c.effect} {score_text(c.minus_log_p)}" for c in passing) or "none"
     console.say(
-        f"step {number + 1}: -ln p over {turn.threshold:.1f}: {names}; "
-        f"scan {turn.scan_minus_log_p:.1f} (z {turn.spot.z:+.1f})"
+        f"turn {number + 1}: worth a fit, by score (-ln p, threshold {turn.threshold:.1f}): {scores}; "
+        f"scan {score_text(turn.scan_minus_log_p)} (z {turn.spot.z:+.1f})"
     )

@@ -10,7 +10,6 @@ from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.found import Turn
 from warpsar.diagnosis.refit import refit_without
 from warpsar.effects.registry import get
-from warpsar.runtime import console
 
 
 def prune(bench: Bench, turn: Turn, earlier: Sequence[str], looks: float) -> None:
@@ -25,4 +24,3 @@ def prune(bench: Bench, turn: Turn, earlier: Sequence[str], looks: float) -> Non
         if lost < (turn.fitted.size - without.size) * np.log(looks):
             turn.dropped.append(name)
             turn.fitted = without
-            console.say(f"dropped: {name}, needless with {turn.added} (2 ln L {-lost:+.1f})")

@@ -67,12 +67,12 @@ class Fitted:
     @classmethod
     def heard(cls, bench: Bench, scene: Scene, told: Mapping[str, Any]) -> Fitted:
         """The model that another rank has `told` of; `scene` is of the same mesh and views."""
-        materials = {
-            name: material.model_copy(
-                update={k: tuple(v) if isinstance(v, list) else v for k, v in told["materials"][name].items()}
-            )
-            for name, material in scene.materials.items()
-        }
+        materials = {}
+        for name, material in scene.materials.items():
+            values = {k: tuple(v) if isinstance(v, list) else v for k, v in told["materials"][name].items()}
+            # what stands at its default stays unstated
+            changed = {k: v for k, v in values.items() if v != getattr(material, k)}
+            materials[name] = material.model_copy(update=changed)
         problem, x = bench.problem(replace(scene, materials=materials, effects=told["effects"])), np.array(told["x"])
         return cls(learned_scene(problem, x), problem, x, told["log_likelihood"], told["whole"], told["iterations"])
 

@@ -6,7 +6,7 @@ from typing import Any
 
 from warpsar.diagnosis.carried import is_carried
 from warpsar.diagnosis.judge import ROLES
-from warpsar.diagnosis.report_surface import effect_table
+from warpsar.diagnosis.outcome import effect_table
 from warpsar.diagnosis.result import Diagnosed
 from warpsar.effects.registry import get
 from warpsar.evaluation.report_parts import plus_minus

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from warpsar.diagnosis.outcome import effect_table
 from warpsar.diagnosis.result import SAME_SD, Diagnosed, Moved
 from warpsar.evaluation.report_parts import shown_as
 from warpsar.io import html as report
@@ -29,7 +30,7 @@ def parameters_section(done: Diagnosed, moves: Sequence[Moved], content: dict[st
     blocks = []
     if done.diagnosis.final.scene.effects:
         tables = [[name, effect_table(table)] for name, table in done.diagnosis.final.scene.effects.items()]
-        blocks.append(report.table(["effect", "parameters, fitted"], tables))
+        blocks.append(report.table(["effect", "parameters at the end"], tables))
     blocks.append(report.table(head, rows, caption))
     far = [m for m in moves if np.isfinite(m.sds) and abs(m.sds) > SAME_SD]
     if done.diagnosis.verdict:
@@ -49,10 +50,3 @@ def _percent(sd: float) -> str:
 
 def _number(value: float) -> str:
     return f"{value:.3g}" if np.isfinite(value) else "–"
-
-
-def effect_table(table: Any) -> str:
-    """An effect's table in one line, numbers to four digits."""
-    if isinstance(table, dict):
-        return ", ".join(f"{key} {effect_table(value)}" for key, value in table.items())
-    return f"{table:.4g}" if isinstance(table, float) else str(table)

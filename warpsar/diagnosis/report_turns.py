@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from warpsar.diagnosis.found import Candidate, Turn
+from warpsar.diagnosis.outcome import by_score, gain_text, outcome, passed, score_text
 from warpsar.diagnosis.result import Diagnosed
 from warpsar.evaluation.report_parts import plus_minus
 from warpsar.io import html as report
@@ -39,7 +40,7 @@ def turn_section(turn: Turn, number: int, done: Diagnosed, content: dict[str, An
         ),
         _candidate_table(turn, tested, content),
     ]
-    blocks += [report.paragraph(text) for text in _why(turn, tested)]
+    blocks += [report.paragraph(text) for text in _why(turn)]
     return report.section(f"Turn {number + 1}: what each effect scored", *blocks)
 
 
@@ -74,10 +75,10 @@ def _candidate_table(turn: Turn, tested: Sequence[Candidate], content: dict[str,
         rows.append(
             [
                 c.effect,
-                f"{max(0.0, c.minus_log_p):.1f}",
+                score_text(c.minus_log_p),
                 _p(c.p_value, content),
                 f"{100 * c.eta:.3g} %",
-                "–" if c.refit_gain is None else f"{c.refit_gain:+,.0f} ({c.refit_size})",
+                "–" if c.refit_gain is None else f"{gain_text(c)} ({c.refit_size})",
                 "–" if c.left_out is None else plus_minus(c.left_out.gain, c.left_out.error),
                 ", ".join(alike) or "–",
                 c.note or "–",
@@ -86,7 +87,7 @@ def _candidate_table(turn: Turn, tested: Sequence[Candidate], content: dict[str,
     rows.append(
         [
             "scan for anything",
-            f"{turn.scan_minus_log_p:.1f}",
+            score_text(turn.scan_minus_log_p),
             _p(turn.p_scan, content),
             *["–"] * 4,
             f"z {turn.spot.z:+.1f}",
@@ -100,37 +101,13 @@ def _candidate_table(turn: Turn, tested: Sequence[Candidate], content: dict[str,
     return report.table(head, rows, caption)
 
 
-def _why(turn: Turn, tested: Sequence[Candidate]) -> list[str]:
-    refitted = sorted((c for c in tested if c.refit_gain is not None), key=lambda c: -(c.refit_gain or 0.0))
-    said = []
-    if turn.added is not None:
-        winner = next(c for c in refitted if c.effect == turn.added)
-        others = [f"{c.effect} {c.refit_gain:+,.0f}" for c in refitted if c is not winner]
-        text = f"{winner.effect} was added: fitted fully it gains {winner.refit_gain:,.0f} in 2 ln L"
-        text += (
-            f", the others that were fitted {', '.join(others)}"
-            if others
-            else "; no other effect came near the threshold"
-        )
-        top = max(tested, key=lambda c: c.minus_log_p)
-        if winner.left_out is None:
-            text += f". {winner.note}, which no model without such an effect can hold, so that nothing else was asked"
-        elif top is not winner:
-            text += f". {top.effect} scored higher before the fit, but fits worse"
-        said.append(text + ".")
-        said += [f"{name}, added before, is needless beside {winner.effect}, and was dropped." for name in turn.dropped]
-    elif refitted:
-        said.append(
-            f"Nothing was added: what passed the threshold ({', '.join(c.effect for c in refitted)}) gained less "
-            f"likelihood than its parameters cost, or was refused."
-        )
-    else:
-        said.append("No effect passed the threshold: nothing was added, and the search ends here.")
-    for c in refitted:
-        if c.left_out is not None and c.effect != turn.added:
-            why = "it does not help on views left out by more than two standard errors"
-            said.append(f"{c.effect} was refused: {c.note if c.left_out.passed else why}.")
-    return said
+def _why(turn: Turn) -> list[str]:
+    """A sentence for every effect that passed: why it was added, or was not."""
+    chosen = [c for c in by_score(turn) if passed(c, turn)]
+    if not chosen:
+        return ["No effect passed the threshold: nothing was added, and the search ends here."]
+    said = [f"{c.effect} {'was' if c.effect == turn.added else 'was not'} added: {outcome(c, turn)}." for c in chosen]
+    return said + [f"{name}, added before, is needless beside {turn.added}, and was dropped." for name in turn.dropped]
 
 
 def _p(value: float, content: dict[str, Any]) -> str:

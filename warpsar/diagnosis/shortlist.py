@@ -15,7 +15,6 @@ from warpsar.diagnosis.screening import Screening
 from warpsar.diagnosis.survey import surveyed
 from warpsar.diagnosis.templates import Template
 from warpsar.effects.registry import get
-from warpsar.runtime import console
 from warpsar.scene.scene import Scene
 
 GLANCED = 8  # candidates that get a few iterations
@@ -63,9 +62,6 @@ def refits(
     )
     found = []
     for (candidate, _), (fitted, given_up) in zip(order, finished, strict=False):
-        gain = 2.0 * (fitted.log_likelihood - base.log_likelihood)
-        said = ", given up" if given_up else ""
-        console.say(f"  refit {candidate.effect}: 2 ln L {gain:+.1f} for {fitted.size - base.size} parameters{said}")
         if given_up:
             candidate.remark("its fit was given up, far behind")
         found.append((candidate, fitted))

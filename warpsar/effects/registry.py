@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from warpsar.effects.base.effect import STAGES, DeclaredEffect, Effect
+from warpsar.effects.base.fitted import FITTED_KEYS, refuse_fitted_keys
 from warpsar.effects.base.parameter import Parameter, Setting
 from warpsar.errors import InputError, shown
 from warpsar.world.tables import View
@@ -61,9 +62,11 @@ def validate(name: str, table: Any, where: str, views: Collection[str] | None = 
             for place, one in _entries(at, value, setting.per_view, views):
                 if not setting.accepts(one):
                     raise InputError(f"{place}: found {shown(one)}; allowed is {setting.allowed}")
-        else:
-            raise InputError(f"{at}: unknown key; allowed are {', '.join([*parameters, *settings])}")
-    # Parameters stay as stated: a fit moves those and no others. Settings get their defaults.
+        elif key not in FITTED_KEYS:
+            allowed = ", ".join([*parameters, *settings, *FITTED_KEYS])
+            raise InputError(f"{at}: unknown key; allowed are {allowed}")
+    refuse_fitted_keys(table, parameters, where)
+    # Parameters stay as stated: a fit moves those and no others (`is_fitted`). Settings get their defaults.
     return {**table, **{s.name: table.get(s.name, s.default) for s in effect.settings}}
 
 

@@ -24,16 +24,18 @@ INCIDENCE_DEG = 55.0  # of the two looks at the mesh
 
 def identified_words(scene: Scene, stage: Stage, rays_per_m2: float) -> tuple[Identified | None, list[str]]:
     """What the train views can say of the parameters, and the words for it."""
+    nothing = [report.paragraph("Nothing is to be learned here, or there is no train view to learn from.")]
     learns = any(block.learn for block in stage.surface.blocks) or bool(scene.effects)
     if not learns or not any(v.role == "train" and v.images for v in scene.views):
-        said = "Nothing is to be learned here, or there is no train view to learn from."
-        return None, [report.paragraph(said)]
+        return None, nothing
     if any(block.learn and block.size > 1 for block in stage.surface.blocks):
         return None, field_words(Path(scene.path).parent if scene.path else None)
     try:
         problem = FitProblem(scene, stage.target.device, rays=Rays(stage, rays_per_m2, scene.sampling.seed))
     except InputError as error:  # a value at a dead point (eps_r = 1) can be simulated, but not differentiated
         return None, [report.paragraph(f"Not known: {error}")]
+    if not problem.x0.size:  # effects alone, and all that they state is held
+        return None, nothing
     identified = identify(problem, problem.x0)
     said = (
         "From the Fisher information of the train views' speckle at these parameters: relative standard deviations, "

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from warpsar.effects.base.fitted import is_fitted
 from warpsar.effects.base.parameter import Parameter
 from warpsar.effects.registry import get
 from warpsar.errors import InputError
@@ -51,8 +52,8 @@ class SceneCoordinates:
     """The parameters of a scene that may change, as one vector x.
 
     x holds, in this order, the learned surface nodes (ln(eps_r - 1), ln h, ln l, logit tau) and the fit coordinates of
-    the declared effects' parameters, per view for the views `chosen`. `x0` is x as the scene declares it, shape (p,),
-    float64. Raises InputError for a start at which every derivative is 0.
+    the declared effects' fitted parameters, per view for the views `chosen`. `x0` is x as the scene declares it, shape
+    (p,), float64. Raises InputError for a start at which every derivative is 0.
     """
 
     def __init__(self, scene: Scene, chosen: Sequence[View]) -> None:
@@ -160,7 +161,7 @@ class SceneCoordinates:
         found = []
         for name, table in self.scene.effects.items():
             for index, parameter in enumerate(get(name).parameters):
-                if parameter.name not in table:
+                if not is_fitted(parameter.name, table):
                     continue
                 if parameter.per_view:
                     names = [v.name for v in self.chosen if v.name in table[parameter.name]]

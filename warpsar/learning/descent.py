@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import signal
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
@@ -57,14 +58,15 @@ def descend(
 ) -> tuple[FitState, str]:
     """Run to the end, with checkpoints; returns the last state, and why the run stopped.
 
-    `stoppable`: a SIGTERM ends the run after a last checkpoint, by a WarpsarError.
+    `stoppable`: a SIGTERM ends the run after a last checkpoint, by a WarpsarError, and so does a Ctrl-C, by a
+    KeyboardInterrupt. A second Ctrl-C ends it at once.
     """
     ranks, history = problem.ranks, course.history
     steps = states(problem, options, course.state)
     bar = console.progress(options.iterations, "learn")
     bar.update(course.state.iteration if course.state else 0)
     stopped = "plateau"
-    with _sigterm(stoppable) as signals, closing(bar):
+    with _caught(stoppable) as signals, closing(bar):
         while course.state is None or course.state.iteration < options.iterations:
             state = next(steps, None)
             if state is None:
@@ -74,10 +76,12 @@ def descend(
             bar.update(state.iteration - bar.n)
             bar.set_postfix_str(f"loss {state.loss:.6g}", refresh=False)
             # a signal, and a second more or less, reach the ranks at different iterations
-            asked = ranks.largest(float(bool(signals)))
+            asked = ranks.largest(max(signals, default=0))
             late = ranks.largest(course.seconds) > options.max_time_s
             if asked:
                 course.save()
+                if asked == signal.SIGINT:
+                    raise KeyboardInterrupt
                 refusal = WarpsarError(f"stopped by a signal at iteration {state.iteration}; go on with --resume")
                 refusal.quiet = not ranks.first
                 raise refusal
@@ -126,17 +130,27 @@ def _row(problem: FitProblem, tests: FitProblem | None, state: FitState) -> dict
 
 
 @contextmanager
-def _sigterm(wanted: bool) -> Iterator[list[int]]:
-    """The SIGTERMs that arrive meanwhile, if `wanted`; they do not end the process."""
+def _caught(wanted: bool) -> Iterator[list[int]]:
+    """The SIGTERMs and the SIGINT (Ctrl-C) that arrive meanwhile, if `wanted`; they do not end the process.
+
+    A second SIGINT does. A SIGINT that the process ignores, or handles in its own way, is left alone.
+    """
     arrived: list[int] = []
-    previous = None
-    if wanted and hasattr(signal, "SIGTERM"):
-        try:
-            previous = signal.signal(signal.SIGTERM, lambda number, frame: arrived.append(number))
-        except ValueError:  # not the main thread: whoever runs it keeps the signal
-            previous = None
+
+    def note(number: int, frame: object) -> None:
+        arrived.append(number)
+        if number == signal.SIGINT:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+
+    numbers = [signal.SIGTERM]
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        numbers.append(signal.SIGINT)
+    # signals belong to the main thread: in another one, whoever runs it keeps them
+    wanted = wanted and threading.current_thread() is threading.main_thread()
+    previous = {number: signal.signal(number, note) for number in numbers if wanted}
     try:
         yield arrived
     finally:
-        if previous is not None:
-            signal.signal(signal.SIGTERM, previous)
+        for number, handler in previous.items():
+            if handler is not None:
+                signal.signal(number, handler)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TypeVar
@@ -65,7 +65,7 @@ def learn(
     folder: Path | str | None = None,
     resume: bool = False,
 ) -> Learned:
-    """Fit the materials' learnable parameters, and the declared effects', to the `train` views.
+    """Fit the materials' learnable parameters, and the declared effects' unless they are held, to the `train` views.
 
     With `folder` the run keeps a checkpoint there, and `resume` goes on from it. Each of several processes
     (`distributed`) holds a share of the views; all return the same, and the first one writes. Raises InputError for
@@ -80,7 +80,9 @@ def learn(
         checkpoint.remove(folder)  # of an earlier run: torchrun's restarts shall find this one's
     problem, density = ranks.agree(lambda: prepare(scene, where, options, ranks))
     if not problem.x0.size:
-        raise InputError(f"{scene.name}: materials: nothing to learn: every `learn` is empty and no effect is declared")
+        raise InputError(
+            f"{scene.name}: materials: nothing to learn: every `learn` is empty, and no effect's parameter is fitted"
+        )
     refuse_options(problem, options)
     check = _checked(problem)
     tests = ranks.agree(lambda: _test_problem(scene, where, options, problem, density))
@@ -189,7 +191,11 @@ def _test_problem(
 def _tag(scene: Scene, options: LearnOptions) -> str:
     """What a checkpoint belongs to: the input and the options that change the result."""
     free = ("iterations", "max_time_s", "checkpoint_every", "max_memory_gib")
-    chosen = {k: v for k, v in asdict(options).items() if k not in free}
+    return tag_of(scene, {k: v for k, v in asdict(options).items() if k not in free})
+
+
+def tag_of(scene: Scene, chosen: Mapping[str, object]) -> str:
+    """What a checkpoint belongs to: the input, and what was `chosen` and changes the result (JSON's types)."""
     # a scene made in memory has no text for the hash to hold
     made = "" if scene.source else repr((scene.radar, scene.grid, scene.sampling, scene.materials, scene.effects))
     return hashlib.sha256((scene.input_hash + made + json.dumps(chosen, sort_keys=True)).encode()).hexdigest()

@@ -338,7 +338,8 @@ class FitProblem(SceneCoordinates):
             above, below = self.modelled(up), self.modelled(down)
             for part, a, b in zip(parts, above, below, strict=True):
                 part.append(np.log(a / b) / (up[column] - down[column]))
-        found = [np.stack(part, axis=1) if part else np.zeros((0, 0)) for part in parts]
+        pairs = zip(self.observations, parts, strict=True)
+        found = [np.stack(part, axis=1) if part else np.zeros((seen.values.size, 0)) for seen, part in pairs]
         if not self.scene.grid.calibrated:
             weights = [c.weight for c in self.curvatures(self.modelled(x))]
             found = [j - np.average(j, axis=0, weights=w) for j, w in zip(found, weights, strict=True)]

@@ -1,5 +1,6 @@
 """What an effect is made of.
 
-`effect.py`: the class that each effect derives from. `parameter.py`: its parameters and settings. `recorder.py`: the
-render that it records on. `trial.py`: how a score test looks for it. `polarization.py`: polarizations by their codes.
+`effect.py`: the class that each effect derives from. `parameter.py`: its parameters and settings. `fitted.py`: which
+of them a fit moves. `recorder.py`: the render that it records on. `trial.py`: how a score test looks for it.
+`polarization.py`: polarizations by their codes.
 """

@@ -1,0 +1,108 @@
+"""How far a diagnosis has come, and its checkpoint: the declared model's fit, then turn after turn."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from warpsar.diagnosis.bench import Bench
+from warpsar.diagnosis.found import Candidate, DiagnoseOptions, Turn
+from warpsar.diagnosis.left_out import LeftOut
+from warpsar.diagnosis.refit import Fitted
+from warpsar.diagnosis.scan import Spot
+from warpsar.errors import InputError
+from warpsar.io import checkpoint
+from warpsar.learning.learn import tag_of
+from warpsar.runtime import console, distributed
+from warpsar.runtime.distributed import Ranks
+from warpsar.scene.scene import Scene
+from warpsar.version import __version__
+
+
+class Course:
+    """What is fitted and decided so far. `stored` is the checkpoint of an earlier part of the run.
+
+    `tag` names the run (`checkpoint.write`); without a `folder` nothing is stored. What a resumed run takes from the
+    checkpoint is what it would find again, to the bit on the CPU: JSON keeps every digit.
+    """
+
+    def __init__(
+        self, folder: Path | None = None, tag: str = "", stored: Mapping[str, np.ndarray] | None = None
+    ) -> None:
+        self._folder, self._tag = folder, tag
+        self._told: list[Any] = [] if stored is None else json.loads(str(stored["told"]))
+
+    def declared(self, bench: Bench, scene: Scene, fit: Callable[[], Fitted]) -> Fitted:
+        """The declared model, fitted: as stored, or by `fit`."""
+        if self._told:
+            return Fitted.heard(bench, scene, self._told[0])
+        fitted = fit()
+        self._keep(fitted.told())
+        return fitted
+
+    def turn(self, number: int, bench: Bench, base: Fitted, run: Callable[[], Turn]) -> Turn:
+        """Turn `number`, counted from 0, about the model `base`: as stored, or by `run`."""
+        if number + 1 < len(self._told):
+            return _heard(self._told[number + 1], bench, base)
+        turn = run()
+        self._keep(_told(turn))
+        return turn
+
+    def _keep(self, told: dict[str, Any]) -> None:
+        self._told.append(told)
+        if self._folder is not None:
+            checkpoint.write(self._folder, {"told": np.array(json.dumps(self._told))}, self._tag)
+
+
+def begun(scene: Scene, options: DiagnoseOptions, folder: Path, ranks: Ranks, resume: bool) -> Course:
+    """The run as it stands: at its beginning, or with `resume` at the checkpoint in `folder`.
+
+    The first rank reads and writes. Raises InputError where there is nothing to resume, or what is there belongs to
+    another scene, other options or another version. Under torchrun, a job that is started again before its first
+    checkpoint begins anew.
+    """
+    tag = tag_of(scene, {"command": "diagnose", "version": __version__, **asdict(options)})
+    restarts = distributed.restarts()
+    if ranks.first and restarts == 0 and not resume:
+        checkpoint.remove(folder)  # of an earlier run: torchrun's restarts shall find this one's
+
+    def read() -> dict[str, np.ndarray] | None:
+        found = checkpoint.read(folder, tag) if resume and ranks.first else None
+        if resume and ranks.first and found is None and restarts is None:
+            raise InputError(f"--resume: found no checkpoint in {folder}; allowed is a folder with one of this run")
+        return found
+
+    stored = ranks.hand_out(ranks.agree(read))
+    if resume and stored is None:
+        console.say("--resume: there is no checkpoint; the run starts afresh")
+    return Course(folder if ranks.first else None, tag, stored)
+
+
+def _told(turn: Turn) -> dict[str, Any]:
+    """A turn in JSON's types; its base is the model that the turn before ended with."""
+    return {
+        "candidates": [asdict(candidate) for candidate in turn.candidates],
+        "added": turn.added,
+        "spot": asdict(turn.spot),
+        "scan_minus_log_p": turn.scan_minus_log_p,
+        "p_scan": turn.p_scan,
+        "threshold": turn.threshold,
+        "fitted": None if turn.fitted is None else turn.fitted.told(),
+        "dropped": turn.dropped,
+    }
+
+
+def _heard(told: Mapping[str, Any], bench: Bench, base: Fitted) -> Turn:
+    """The turn that `_told` gave."""
+    candidates = []
+    for each in told["candidates"]:
+        left = each["left_out"]
+        candidates.append(Candidate(**{**each, "left_out": None if left is None else LeftOut(**left)}))
+    fitted = None if told["fitted"] is None else Fitted.heard(bench, base.scene, told["fitted"])
+    about = {**told, "candidates": candidates, "spot": Spot(**told["spot"]), "fitted": fitted}
+    return Turn(**about, base=base)
