@@ -18,6 +18,7 @@ from warpsar.diagnosis.pruning import prune
 from warpsar.diagnosis.refit import Fitted, fit_model
 from warpsar.diagnosis.scan import Spot
 from warpsar.diagnosis.screening import GLANCE, Screening
+from warpsar.diagnosis.shortlist import refit_words
 from warpsar.diagnosis.survey import surveyed
 from warpsar.diagnosis.templates import with_effect
 from warpsar.effects.base.trial import Context
@@ -257,3 +258,11 @@ def test_a_single_view_tells_nothing_of_the_surface(tmp_path: Path) -> None:
     base, fitted = (fitted_to(bench, scene, effects) for effects in ({}, {"point_spread": BLUR}))
     assert leave_one_view_out(bench, base, fitted, "point_spread") == LeftOut(0.0, 0.0, 1)
     assert carried_over(bench, fitted, "point_spread") == 1.0
+
+
+@pytest.mark.parametrize(
+    ("parameters", "given_up", "end"),
+    [(1, False, " for 1 parameter"), (2, False, " for 2 parameters"), (1, True, " for 1 parameter, given up")],
+)
+def test_one_parameter_is_not_parameters(parameters: int, given_up: bool, end: str) -> None:
+    assert refit_words("noise_floor", 12.34, parameters, given_up) == f"  refit noise_floor: 2 ln L +12.3{end}"

@@ -64,9 +64,14 @@ def refits(
     found = []
     for (candidate, _), (fitted, given_up) in zip(order, finished, strict=False):
         gain = 2.0 * (fitted.log_likelihood - base.log_likelihood)
-        said = ", given up" if given_up else ""
-        console.say(f"  refit {candidate.effect}: 2 ln L {gain:+.1f} for {fitted.size - base.size} parameters{said}")
+        console.say(refit_words(candidate.effect, gain, fitted.size - base.size, given_up))
         if given_up:
             candidate.remark("its fit was given up, far behind")
         found.append((candidate, fitted))
     return found
+
+
+def refit_words(effect: str, gain: float, parameters: int, given_up: bool) -> str:
+    """What the console says of one refit; `gain` is that of 2 ln L."""
+    number = f"{parameters} parameter{'' if parameters == 1 else 's'}"
+    return f"  refit {effect}: 2 ln L {gain:+.1f} for {number}{', given up' if given_up else ''}"

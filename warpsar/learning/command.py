@@ -113,9 +113,7 @@ def _material_summary(found: Learned) -> dict[str, dict[str, Any]]:
         if block.learn:
             if found.identified is not None:
                 sd = float(found.identified.sd[at])
-                centre = float(nodes[block.start])
-                ends = block.kind.from_coordinate(np.array([centre - 1.96 * sd, centre + 1.96 * sd]))
-                entry["interval_95"] = [float(e) for e in ends]
+                entry["interval_95"] = block.kind.interval_95(float(nodes[block.start]), sd).tolist()
                 entry["sd_log"] = sd
             at += block.size
         summary.setdefault(block.material, {})[block.kind.key] = entry

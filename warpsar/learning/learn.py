@@ -137,6 +137,8 @@ def prepare(
     """The fit problem of the train views, with as many rays as the looks of the images ask for."""
     stage = Stage.of(scene, device)
     views = [v for v in scene.views if v.role == "train" and v.images]
+    if not views:
+        raise InputError(f"{scene.path}: views: none with role train has measured images")
     density = choose_density(scene, stage, views, [looks_of(scene, v) for v in views], RAY_NOISE, ranks=ranks)
     if density.chosen:
         console.say(
