@@ -16,7 +16,6 @@ from warpsar.diagnosis.frozen import frozen
 from warpsar.diagnosis.left_out import LeftOut, leave_one_view_out
 from warpsar.diagnosis.pruning import prune
 from warpsar.diagnosis.refit import Fitted, fit_model
-from warpsar.diagnosis.scan import Spot
 from warpsar.diagnosis.screening import GLANCE, Screening
 from warpsar.diagnosis.survey import surveyed
 from warpsar.diagnosis.templates import with_effect
@@ -25,6 +24,7 @@ from warpsar.effects.registry import get
 from warpsar.runtime import devices
 from warpsar.scene.scene import Scene
 from warpsar.simulation.rays import Rays
+from warpsar.speckle.scan import Spot
 from warpsar.surface.stage import Stage
 
 SHIFT = {"range_m": 0.33, "azimuth_m": -0.41}  # of pixels of 0.5 m

@@ -9,7 +9,7 @@ import pytest
 from warpsar.diagnosis.found import Candidate, Turn
 from warpsar.diagnosis.left_out import LeftOut
 from warpsar.diagnosis.outcome import outcome, turn_lines
-from warpsar.diagnosis.scan import Spot
+from warpsar.speckle.scan import Spot
 
 FITTED = Candidate("point_spread", "testable", minus_log_p=50.0, refit_gain=1234.56, refit_size=2)
 

@@ -5,13 +5,14 @@ import pytest
 from scipy import optimize, special, stats
 from worlds import view
 
-from warpsar.diagnosis.bootstrap import Bootstrap, Speckle, Tail
-from warpsar.diagnosis.evidence import Evidence
-from warpsar.diagnosis.scan import Scan
+from warpsar.diagnosis.bootstrap import Bootstrap
 from warpsar.diagnosis.score import Group, Projection, log_tail, minus_log_p
 from warpsar.diagnosis.templates import Template
 from warpsar.effects.base.trial import ScoreStep, Trial
 from warpsar.learning.observation import Observation
+from warpsar.speckle.draws import Speckle
+from warpsar.speckle.scan import Scan
+from warpsar.speckle.tail import Tail
 
 WHITE = np.zeros((13, 13))
 WHITE[6, 6] = 1.0
@@ -20,18 +21,6 @@ WHITE[6, 6] = 1.0
 def observation(interior: np.ndarray, looks: float = 16.0) -> Observation:
     nowhere = np.zeros_like(interior)
     return Observation(view(0, 40), "HH", np.ones(interior.shape), interior, nowhere, nowhere, looks, False)
-
-
-def evidence(seen: Observation, autocovariance: np.ndarray = WHITE) -> Evidence:
-    n = int(seen.interior.sum())
-    return Evidence(
-        [seen],
-        [np.ones(n)],
-        np.zeros(n),
-        np.full(n, np.sqrt(seen.looks)),
-        autocovariance,
-        [np.zeros(seen.interior.shape)],
-    )
 
 
 # Tails
@@ -154,7 +143,7 @@ def test_threshold_is_passed_at_the_family_error() -> None:
 @pytest.mark.parametrize("looks", [1.0, 4.0, 16.0])
 def test_white_speckle_is_gamma(looks: float) -> None:
     seen = observation(np.ones((20, 20), bool), looks)
-    draws = Speckle(evidence(seen))(np.random.default_rng(0), 50)
+    draws = Speckle([seen], WHITE)(np.random.default_rng(0), 50)
     assert draws.shape == (400, 50)
     power = draws.ravel() / np.sqrt(looks) + 1.0
     assert stats.kstest(power, stats.gamma(looks, scale=1 / looks).cdf).pvalue > 1e-3
@@ -170,7 +159,7 @@ def test_correlated_speckle_has_the_asked_autocovariance(looks: float) -> None:
     interior = np.ones((40, 40), bool)
     interior[10:14, 20:30] = False
     seen = observation(interior, looks)
-    draws = Speckle(evidence(seen, asked))(np.random.default_rng(0), 200)
+    draws = Speckle([seen], asked)(np.random.default_rng(0), 200)
     assert draws.shape == (interior.sum(), 200)
     power = draws[::37].ravel() / np.sqrt(looks) + 1.0
     assert stats.kstest(power, stats.gamma(looks, scale=1 / looks).cdf).pvalue > 1e-3
@@ -185,9 +174,9 @@ def test_correlated_speckle_has_the_asked_autocovariance(looks: float) -> None:
 
 def test_residual_that_varies_more_than_speckle_makes_draws_that_do() -> None:
     seen = observation(np.ones((30, 30), bool))
-    draws = Speckle(evidence(seen, 2.25 * WHITE))(np.random.default_rng(0), 40)
+    draws = Speckle([seen], 2.25 * WHITE)(np.random.default_rng(0), 40)
     assert draws.std() == pytest.approx(1.5, rel=0.03)
-    calm = Speckle(evidence(seen, 0.5 * WHITE))(np.random.default_rng(0), 40)
+    calm = Speckle([seen], 0.5 * WHITE)(np.random.default_rng(0), 40)
     assert calm.std() == pytest.approx(1.0, rel=0.03)
 
 

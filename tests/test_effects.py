@@ -194,7 +194,9 @@ def test_trials_can_be_declared(name: str) -> None:
 
 REFUSED = [
     ("noise_floor", {"level": -1.0}, "effects.noise_floor.level: found -1.0; allowed is 0 to 1e+09 beta0"),
-    ("noise_floor", {"level": True}, "allowed is a number"),
+    ("multibounce", {"strength": -1.0}, "allowed is 0 to 1e+06\n"),
+    ("multibounce", {"strength": True}, "allowed is a number\n"),
+    ("noise_floor", {"level": True}, "allowed is a number [beta0]\n"),
     ("noise_floor", {"level": math.inf}, "allowed is a number"),
     ("noise_floor", {"level": math.nan}, "allowed is a number"),
     ("noise_floor", {"height": 1.0}, "height: unknown key; allowed are level"),
@@ -207,7 +209,7 @@ REFUSED = [
 
 @pytest.mark.parametrize(("name", "table", "message"), REFUSED)
 def test_refuses(name: str, table: dict[str, Any], message: str) -> None:
-    assert message in refusal(name, table)
+    assert message in f"{refusal(name, table)}\n"
 
 
 @pytest.mark.parametrize("name", names())

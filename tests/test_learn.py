@@ -110,6 +110,9 @@ def test_no_train_images_are_refused(cube: Scene) -> None:
     bare = [v.model_copy(update={"images": {}}) for v in cube.views]
     with pytest.raises(InputError, match="none with role train has measured images"):
         learn(replace(cube, views=bare), device="cpu")
+    # before rays are chosen by the looks of no image
+    with pytest.raises(InputError, match="none with role train has measured images"):
+        learn(replace(cube, views=bare, sampling=Sampling()), device="cpu")
 
 
 @pytest.mark.parametrize("key", ["eps", "noise_floor", "max_bounces", "looks", ""])
@@ -212,6 +215,17 @@ def test_the_truth_lies_in_the_intervals(loss: str, cube: Scene) -> None:
     # 2300 test pixels at 16 looks: the deviance's own standard deviation is 0.03
     assert found.test["deviance"] == pytest.approx(1.0, abs=0.1)
     assert pooled_metrics(found.problem, found.problem.x0)["deviance"] > 1.5
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+@pytest.mark.parametrize("kind", KINDS, ids=KEYS)
+def test_an_interval_of_what_is_hardly_known_is_wide(kind: Any) -> None:
+    """With an unknown gain the deviation of eps_r may be thousands of log units: no float64 holds the end."""
+    low, high = kind.interval_95(0.5, 1e4)
+    assert low <= kind.low
+    assert high >= kind.high
+    low, high = kind.interval_95(0.5, 0.1)
+    assert low < float(kind.from_coordinate(0.5)) < high
 
 
 @pytest.mark.parametrize("loss", ["gamma", "log", "mse"])

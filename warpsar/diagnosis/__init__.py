@@ -11,7 +11,6 @@ evidence.py        what is left of the measured images, and how it is correlated
 templates.py       what each effect would leave, from rays of its own
 score.py           how well a template fits the residual, beyond what the surface can absorb
 bootstrap.py       how large the largest score gets by speckle alone
-scan.py            whether something is left that no effect explains, and where
 scoring.py         what each effect scores in one turn
 dark.py            what dark pixels say
 shortlist.py       which candidates get a full fit

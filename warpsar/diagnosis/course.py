@@ -14,13 +14,13 @@ from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.found import Candidate, DiagnoseOptions, Turn
 from warpsar.diagnosis.left_out import LeftOut
 from warpsar.diagnosis.refit import Fitted
-from warpsar.diagnosis.scan import Spot
 from warpsar.errors import InputError
 from warpsar.io import checkpoint
 from warpsar.learning.learn import tag_of
 from warpsar.runtime import console, distributed
 from warpsar.runtime.distributed import Ranks
 from warpsar.scene.scene import Scene
+from warpsar.speckle.scan import Spot
 from warpsar.version import __version__
 
 

@@ -10,12 +10,12 @@ import numpy as np
 from warpsar.learning.identify import residual_autocovariance, score_products
 from warpsar.learning.observation import Observation
 from warpsar.learning.problem import FitProblem
+from warpsar.learning.verdict import TRACE
 from warpsar.runtime.distributed import ONE, Ranks
 
 # Standard deviations at which a residual is cut off. Speckle hardly ever goes further (e^-9 at one look). Without the
 # cut, a few pixels of what is missing would decide every score and the correlation of speckle.
 LARGEST = 8.0
-TRACE = 0.1  # of the median beta0: less is a border pixel's share of light
 
 
 @dataclass(frozen=True)

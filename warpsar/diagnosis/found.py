@@ -10,11 +10,11 @@ from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.carried import is_carried
 from warpsar.diagnosis.left_out import LeftOut
 from warpsar.diagnosis.refit import Fitted
-from warpsar.diagnosis.scan import Spot
 from warpsar.errors import InputError
 from warpsar.learning.observation import Observation
 from warpsar.scene.scene import Scene
 from warpsar.simulation.sampling import Density
+from warpsar.speckle.scan import Spot
 
 
 @dataclass(frozen=True)

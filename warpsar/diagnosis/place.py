@@ -11,9 +11,9 @@ from scipy.ndimage import uniform_filter
 from warpsar.diagnosis.found import Diagnosis
 from warpsar.diagnosis.judge import Judged
 from warpsar.diagnosis.projection import pixel_of, shift_px
-from warpsar.diagnosis.scan import Spot
 from warpsar.evaluation.meshview import MeshView
 from warpsar.scene.scene import Scene
+from warpsar.speckle.scan import Spot
 from warpsar.trace.hits import Hits
 from warpsar.world.tables import View
 

@@ -12,13 +12,13 @@ from warpsar.diagnosis.bootstrap import Bootstrap, bootstrap
 from warpsar.diagnosis.evidence import Evidence
 from warpsar.diagnosis.found import Candidate, DiagnoseOptions, Turn
 from warpsar.diagnosis.refit import Fitted
-from warpsar.diagnosis.scan import Scan, Spot
 from warpsar.diagnosis.score import NOT_TESTABLE, Group, Projection, group
 from warpsar.diagnosis.templates import Template, TemplateMaker
 from warpsar.effects.registry import get, names
 from warpsar.runtime.distributed import Ranks
 from warpsar.scene.scene import Scene
 from warpsar.simulation.rays import Rays
+from warpsar.speckle.scan import Scan, Spot
 
 CLASS_COSINE = 0.9  # templates closer than this are one class: the data hardly tell them apart
 

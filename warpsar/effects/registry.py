@@ -83,12 +83,13 @@ def _entries(at: str, value: Any, per_view: bool, views: Collection[str] | None)
 
 
 def _check_number(at: str, value: Any, p: Parameter) -> None:
+    unit = "" if p.unit == "1" else f" {p.unit}"
     number = isinstance(value, int | float) and not isinstance(value, bool)
     # abs, not isfinite: a whole number may be too long for a float.
     if not number or not (abs(value) < math.inf or value == p.neutral):
-        raise InputError(f"{at}: found {shown(value)}; allowed is a number [{p.unit}]")
+        raise InputError(f"{at}: found {shown(value)}; allowed is a number{f' [{p.unit}]' if unit else ''}")
     if not p.low <= value <= p.high:
-        raise InputError(f"{at}: found {shown(value)}; allowed is {p.low:g} to {p.high:g} {p.unit}")
+        raise InputError(f"{at}: found {shown(value)}; allowed is {p.low:g} to {p.high:g}{unit}")
 
 
 def check(scene: World) -> None:

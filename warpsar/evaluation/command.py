@@ -22,6 +22,7 @@ from warpsar.evaluation.report_images import residual_picture
 from warpsar.evaluation.residuals import expected_db, profiles
 from warpsar.io.images import replacing, write_exr
 from warpsar.learning.observation import looks_of, observe
+from warpsar.learning.verdict import Verdict, verdict
 from warpsar.render.render import ViewRender
 from warpsar.runtime import console, devices, distributed
 from warpsar.runtime.distributed import Ranks
@@ -84,7 +85,18 @@ def _joined(scene: Scene, images: list[EvaluatedImage], density: float, ranks: R
     if ranks.size > 1:
         images = collected(scene, images, ranks)
     pooled = {role: pool([i for i in images if i.view.role == role]) for role in ("train", "test")}
-    return Evaluation(images, pooled["train"], pooled["test"], density)
+    return Evaluation(images, pooled["train"], pooled["test"], density, _verdicts(scene, images))
+
+
+def _verdicts(scene: Scene, images: list[EvaluatedImage]) -> dict[str, Verdict]:
+    """Whether anything is left beside speckle, by role."""
+    found = {}
+    for role in ("train", "test"):
+        mine = [image for image in images if image.view.role == role]
+        if mine:
+            noise = max(image.sampling_noise for image in mine)
+            found[role] = verdict(scene, [(image.observation, image.simulated) for image in mine], noise)
+    return found
 
 
 def _evaluate_view(
@@ -175,6 +187,13 @@ def _say_what_was_fitted(image: EvaluatedImage, calibrated: bool) -> None:
         console.say(f"gain of {image.view.name} {image.polarization}: not calibrated, fitted as {image.gain:.4g}")
 
 
+def _say_verdicts(verdicts: dict[str, Verdict], scene_path: Path | str) -> None:
+    for role, one in verdicts.items():
+        console.say(f"{role} views: {one.words}")
+    if any(one.wrong for one in verdicts.values()):
+        console.say(f"next: warpsar diagnose {scene_path} -o diagnosed/ names what the model lacks")
+
+
 def _view(image: EvaluatedImage, calibrated: bool) -> dict[str, Any]:
     """One image's entry in evaluate.json."""
     seen, stem = image.observation, _stem(image)
@@ -214,11 +233,13 @@ def run(
     found = _joined(scene, mine, density, ranks)
     if not ranks.first:
         return {}
+    _say_verdicts(found.verdicts, scene_path)
     for image in found.images:
         _say_what_was_fitted(image, scene.grid.calibrated)
     write_learned_ply(out / "learned.ply", scene)
     by_factor = profiles(found.images, scene.mesh.materials)
     content = {
+        "verdict": {role: one.content() for role, one in found.verdicts.items()},
         "rays_per_pixel": found.rays_per_m2 * scene.grid.pixel_area_m2,
         "calibrated": scene.grid.calibrated,
         "processes": ranks.size,

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TypedDict
 
 import numpy as np
 
 from warpsar.learning.observation import Observation
+from warpsar.learning.verdict import Verdict
 from warpsar.world.tables import View
 
 
@@ -99,12 +100,16 @@ class EvaluatedImage:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """All images of a scene, and the metrics pooled over the pixels of each role; None for a role without images."""
+    """All images of a scene, and the metrics pooled over the pixels of each role; None for a role without images.
+
+    `verdicts`, by role: whether anything is left beside speckle.
+    """
 
     images: list[EvaluatedImage]
     train: PooledMetrics | None
     test: PooledMetrics | None
     rays_per_m2: float
+    verdicts: dict[str, Verdict] = field(default_factory=dict)
 
 
 def ratio_db(measured: np.ndarray, simulated: np.ndarray) -> np.ndarray:

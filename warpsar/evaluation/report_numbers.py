@@ -5,6 +5,7 @@ from __future__ import annotations
 from warpsar.evaluation.image import Evaluation, ImageMetrics, PooledMetrics
 from warpsar.evaluation.report_parts import plus_minus
 from warpsar.io import html as report
+from warpsar.learning.verdict import ERROR_RATE, Verdict
 from warpsar.scene.scene import Scene
 
 METRICS = (
@@ -39,13 +40,17 @@ def metric_cells(m: ImageMetrics | PooledMetrics) -> list[str]:
 
 def summary_section(scene: Scene, found: Evaluation) -> str:
     rows = [[role, str(m["images"]), *metric_cells(m)] for role, m in _roles(found)]
-    blocks = [report.table(["views", "images", *METRICS], rows)]
-    blocks += [report.paragraph(_verdict(role, m)) for role, m in _roles(found)]
+    blocks = [report.paragraph(_verdict(role, one)) for role, one in found.verdicts.items()]
+    if any(one.wrong for one in found.verdicts.values()):
+        blocks.append(report.paragraph("The next step is warpsar diagnose, which names what the model lacks."))
+    blocks.append(report.table(["views", "images", *METRICS], rows))
     explained = (
         "Deviance is the mean of 2 L (I/mu - 1 - ln(I/mu)) over what speckle alone would leave: 1 is a perfect model. "
         "It is taken over the lit interior: pixels whose 3 x 3 neighbours the model lights, off the image's edge. "
         "The second one takes every valid pixel, shadows too, with a level added to the model that is fitted to each "
-        "image. ± is one standard error, with the correlation of neighbouring pixels."
+        "image. ± is one standard error from the spread of the pixels, with the correlation of neighbours. A few "
+        "bright pixels make it large, so the verdict does not use it: there, the error is that of speckle and of the "
+        f"looks. A model that is right gets another verdict than speckle in {100.0 * ERROR_RATE:g} % of all cases."
     )
     if not scene.grid.calibrated:
         explained += (
@@ -63,11 +68,6 @@ def _roles(found: Evaluation) -> list[tuple[str, PooledMetrics]]:
     return [(role, m) for role, m in (("train", found.train), ("test", found.test)) if m is not None]
 
 
-def _verdict(role: str, m: PooledMetrics) -> str:
+def _verdict(role: str, one: Verdict) -> str:
     name = {"train": "On the train views", "test": "On the test views, which no fit has touched"}[role]
-    away = (m["deviance"] - 1.0) / m["deviance_error"]
-    if abs(away) <= 3.0:
-        return f"{name}, the model leaves no more than speckle: deviance {_pm(m)}."
-    if away < 0:
-        return f"{name}, less is left than speckle of these looks leaves: deviance {_pm(m)}; check `looks`."
-    return f"{name}, something is left beside speckle: deviance {_pm(m)}, {away:.0f} standard errors above the floor."
+    return f"{name}, {one.words}."

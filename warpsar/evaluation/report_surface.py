@@ -85,7 +85,7 @@ def parameters_section(scene: Scene, stage: Stage, identified: Identified | None
             spread = sd.get(f"{name}.{kind.key}")
             if spread is not None and np.isfinite(spread) and spread < 3.0:
                 node = float(surface.nodes[block.start])
-                ends = kind.from_coordinate(np.array([node - 1.96 * spread, node + 1.96 * spread])) * factor
+                ends = kind.interval_95(node, spread) * factor
                 text += f" ({_number(ends[0])} to {_number(ends[1])})"
             elif spread is not None:
                 text += " (not determined)"

@@ -42,6 +42,7 @@ def run(
         _write_history(out / "history.csv", found.history)
         convergence(out / "convergence.png", found.history)
     content = _summary(found, options)
+    _say_doubts(found, scene_path)
     if found.identified is not None:
         content["identifiability"] = found.identified.summary()
         for sentence in found.identified.words:
@@ -61,6 +62,21 @@ def run(
     return content
 
 
+def _say_doubts(found: Learned, scene_path: Path | str) -> None:
+    """What a reader must know before any number."""
+    for role, one in found.verdicts.items():
+        if one.finding == "cannot be told":
+            console.say(f"{role} views: {one.words}")
+    if not found.doubts:
+        return
+    console.say("the intervals do not hold:")
+    for reason in found.doubts:
+        console.say(f"  {reason}")
+    if found.problem.uniform:
+        console.say(f"next: warpsar diagnose {scene_path} -o diagnosed/ names what the model lacks")
+    console.say("if the model were right:")
+
+
 def _write_history(path: Path, history: History) -> None:
     with replacing(path) as temporary, temporary.open("w", newline="") as stream:
         writer = csv.DictWriter(stream, list(history[0]))
@@ -71,7 +87,10 @@ def _write_history(path: Path, history: History) -> None:
 def _summary(found: Learned, options: LearnOptions) -> dict[str, Any]:
     """What learn.json says of every fit; all ranks call this."""
     problem = found.problem
-    content = {
+    content: dict[str, Any] = {
+        "intervals_hold": not found.doubts,
+        "reasons": found.doubts,
+        "verdict": {role: one.content() for role, one in found.verdicts.items()},
         "options": asdict(options),
         "rays_per_pixel": found.density.rays_per_pixel,
         "rays_chosen": found.density.chosen,
@@ -113,9 +132,8 @@ def _material_summary(found: Learned) -> dict[str, dict[str, Any]]:
         if block.learn:
             if found.identified is not None:
                 sd = float(found.identified.sd[at])
-                centre = float(nodes[block.start])
-                ends = block.kind.from_coordinate(np.array([centre - 1.96 * sd, centre + 1.96 * sd]))
-                entry["interval_95"] = [float(e) for e in ends]
+                entry["interval_95"] = block.kind.interval_95(float(nodes[block.start]), sd).tolist()
+                entry["interval_holds"] = not found.doubts
                 entry["sd_log"] = sd
             at += block.size
         summary.setdefault(block.material, {})[block.kind.key] = entry

@@ -14,6 +14,7 @@ from warpsar.learning.observation import Observation
 from warpsar.learning.problem import FitProblem
 from warpsar.runtime.distributed import ONE, Ranks
 from warpsar.speckle.likelihood import residual_sd
+from warpsar.speckle.own import LAGS, TAPER
 from warpsar.surface.surface import KINDS
 
 # A log coordinate known to worse than this (a factor e either way within two standard deviations) is not determined.
@@ -22,7 +23,6 @@ UNDETERMINED_SD = 0.5
 BETTER = 3.0
 # Eigenvalues below this share of the largest, in a matrix scaled to a unit diagonal, are zero to float32 images.
 RANK_TOLERANCE = 1e-9
-LAGS = 6  # pixels, each way, over which neighbouring residuals are taken to be correlated
 
 
 @dataclass
@@ -84,8 +84,7 @@ def residual_autocovariance(pairs: Sequence[tuple[Observation, np.ndarray]], ran
     variance = covariance[lags, lags]
     noise = covariance < 3.0 * variance / np.sqrt(np.maximum(count, 1.0))
     noise[lags, lags] = False
-    taper = np.minimum(1.0, 2.0 - 2.0 * np.abs(np.arange(-lags, lags + 1)) / (lags + 1.0))
-    return np.where(noise, 0.0, covariance) * np.outer(taper, taper)
+    return np.where(noise, 0.0, covariance) * TAPER
 
 
 def score_products(scaled: np.ndarray, autocovariance: np.ndarray, seen: Observation) -> np.ndarray:

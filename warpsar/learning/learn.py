@@ -22,7 +22,9 @@ from warpsar.learning.observation import Observation, looks_of
 from warpsar.learning.options import LearnOptions, refuse_options, refuse_starts
 from warpsar.learning.problem import FitProblem
 from warpsar.learning.results import learned_scene
+from warpsar.learning.trust import doubts, fit_verdict
 from warpsar.learning.validity import outside_domains
+from warpsar.learning.verdict import Verdict
 from warpsar.runtime import console, devices, distributed
 from warpsar.runtime.distributed import Ranks
 from warpsar.scene.scene import Scene
@@ -39,7 +41,8 @@ class Learned:
 
     `scene` holds the learned parameters, `x` the same as a vector. `domains`, by material: share of its lit area
     outside the domain of each model. `train` and `test`: `pooled_metrics`. `identified` is None for fields (see
-    fields.py), which have too many parameters for one information matrix.
+    fields.py), which have too many parameters for one information matrix. `verdicts`, by role: whether anything is
+    left beside speckle. `doubts`: why the intervals do not hold; empty where nothing speaks against them.
     """
 
     scene: Scene
@@ -54,6 +57,8 @@ class Learned:
     domains: dict[str, dict[str, float]]
     train: dict[str, float]
     test: dict[str, float] | None
+    verdicts: dict[str, Verdict]
+    doubts: list[str]
     problem: FitProblem
 
 
@@ -91,6 +96,11 @@ def learn(
     x = np.asarray(state.best_x)
     train = pooled_metrics(problem, x)
     final = learned_scene(problem, x, folder if ranks.first else None)
+    test = None if tests is None else pooled_metrics(tests, tests.follow(problem, x))
+    verdicts = {"train": fit_verdict(problem, x, density.noise)}
+    if tests is not None:
+        verdicts["test"] = fit_verdict(tests, np.asarray(tests.follow(problem, x)), density.noise)
+    domains = outside_domains(problem, x)
     return Learned(
         scene=final,
         x=x,
@@ -101,9 +111,11 @@ def learn(
         gradient_check=check,
         density=density,
         identified=identify(problem, x) if problem.uniform else None,
-        domains=outside_domains(problem, x),
+        domains=domains,
         train=train,
-        test=None if tests is None else pooled_metrics(tests, tests.follow(problem, x)),
+        test=test,
+        verdicts=verdicts,
+        doubts=doubts(problem, x, verdicts, domains),
         problem=problem,
     )
 
@@ -139,6 +151,8 @@ def prepare(
     """The fit problem of the train views, with as many rays as the looks of the images ask for."""
     stage = Stage.of(scene, device)
     views = [v for v in scene.views if v.role == "train" and v.images]
+    if not views:
+        raise InputError(f"{scene.path}: views: none with role train has measured images")
     density = choose_density(scene, stage, views, [looks_of(scene, v) for v in views], RAY_NOISE, ranks=ranks)
     if density.chosen:
         console.say(

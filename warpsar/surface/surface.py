@@ -45,6 +45,11 @@ class Kind:
     low: float
     high: float
 
+    def interval_95(self, node: float, sd: float) -> np.ndarray:
+        """Both ends (SI), shape (2,), of node +- 1.96 sd, where `sd` may be anything up to infinity."""
+        with np.errstate(over="ignore"):  # hundreds of log units end at infinity
+            return np.asarray(self.from_coordinate(np.array([node - 1.96 * sd, node + 1.96 * sd])))
+
 
 KINDS = (
     Kind("eps_r", "eps_r", _log_contrast, lambda z: 1.0 + np.exp(np.asarray(z)), 1.01, 300.0),

@@ -1,4 +1,4 @@
-"""Whether something is left that no effect explains, and where: the residual's largest mean over small windows."""
+"""Whether something is left beside speckle, and where: the residual's largest mean over small windows."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from warpsar.learning.observation import Observation
+from warpsar.speckle.compared import Compared
 
 SIDES = (3, 5, 9)  # pixels on a side of a window
 FULL = 0.5  # share of a window that must be compared pixels
@@ -25,7 +25,7 @@ class Spot:
 
 
 class Scan:
-    """Window sums over the pixels of every observation; built once, run on many residuals.
+    """Window sums over the pixels of every observation; built once, run on many residuals. `sides`: of the windows.
 
     `silent` (see `Evidence`) holds the residual of pixels that the model lights and that measure exactly 0. They count
     in the data. In the draws they stay 0.
@@ -33,10 +33,12 @@ class Scan:
 
     def __init__(
         self,
-        observations: Sequence[Observation],
+        observations: Sequence[Compared],
         autocovariance: np.ndarray,
         silent: Sequence[np.ndarray] | None = None,
+        sides: Sequence[int] = SIDES,
     ) -> None:
+        self.sides = tuple(sides)
         self.masks = [seen.interior for seen in observations]
         self.silent = [np.zeros(mask.shape) for mask in self.masks] if silent is None else silent
         self.boxes, self.scales = [], []
@@ -45,12 +47,12 @@ class Scan:
             every = mask | (zeros != 0)
             rows, cols = np.nonzero(every)
             box = (slice(rows.min(), rows.max() + 1), slice(cols.min(), cols.max() + 1))
-            counts = _sums(every[box][None].astype(float))
+            counts = _sums(every[box][None].astype(float), self.sides)
             self.boxes.append(box)
             self.scales.append(
                 [
                     np.where(n >= FULL * w * w, 1.0 / np.sqrt(np.maximum(n, 1.0) * inflation), 0.0)
-                    for w, n in zip(SIDES, counts, strict=True)
+                    for w, n in zip(self.sides, counts, strict=True)
                 ]
             )
 
@@ -61,7 +63,7 @@ class Scan:
         grid[:, mask[box]] = residuals.T
         if silent:
             grid += self.silent[index][box]
-        return [total * scale for total, scale in zip(_sums(grid), self.scales[index], strict=True)]
+        return [total * scale for total, scale in zip(_sums(grid, self.sides), self.scales[index], strict=True)]
 
     def largest(self, parts: Sequence[np.ndarray]) -> np.ndarray:
         """Largest |z| over all windows of each draw, shape (draws,); `parts`: (pixels, draws) per observation."""
@@ -70,9 +72,9 @@ class Scan:
 
     def strongest(self, parts: Sequence[np.ndarray]) -> Spot:
         """The strongest window of one residual, an array (pixels,) per observation."""
-        best = Spot(0.0, 0, 0, 0, SIDES[0])
+        best = Spot(0.0, 0, 0, 0, self.sides[0])
         for index, part in enumerate(parts):
-            for window, z in zip(SIDES, self._windows(index, part[:, None], silent=True), strict=True):
+            for window, z in zip(self.sides, self._windows(index, part[:, None], silent=True), strict=True):
                 row, col = np.unravel_index(int(np.argmax(np.abs(z[0]))), z[0].shape)
                 if abs(z[0, row, col]) > abs(best.z):
                     box = self.boxes[index]
@@ -81,13 +83,13 @@ class Scan:
         return best
 
 
-def _sums(grids: np.ndarray) -> list[np.ndarray]:
+def _sums(grids: np.ndarray, sides: Sequence[int]) -> list[np.ndarray]:
     """Sums over centred windows of every pixel of (draws, rows, cols), zeros outside, one array per window size."""
-    reach = max(SIDES) // 2
+    reach = max(sides) // 2
     total = np.pad(grids, ((0, 0), (reach + 1, reach), (reach + 1, reach))).cumsum(axis=1).cumsum(axis=2)
     rows, cols = grids.shape[1:]
     found = []
-    for window in SIDES:
+    for window in sides:
         low, high = reach - window // 2, reach + window // 2 + 1
         top, bottom = slice(low, low + rows), slice(high, high + rows)
         left, right = slice(low, low + cols), slice(high, high + cols)
