@@ -14,12 +14,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from learning_scenes import bumpy, cube_scene, measured, starting, views_at
 from test_diagnose import saved
 from test_resume import outcome, small_scene, written
 from torchrun import ENVIRONMENT, finish, start, strike
 from worlds import SOIL, scene_of
 
+from warpsar.cli.main import main
 from warpsar.effects import registry as effects
 from warpsar.errors import InputError
 from warpsar.io import checkpoint
@@ -217,6 +219,36 @@ def test_diagnose_on_two_ranks_is_diagnose_on_one(shifted: Path, tmp_path: Path)
     for name in ("scene.toml", "report.html"):
         assert (tmp_path / "2" / name).exists()
     assert (tmp_path / "2" / "scene.toml").read_text() == (tmp_path / "1" / "scene.toml").read_text()
+
+
+@needs_torch
+def test_a_diagnosis_goes_on_with_other_processes(
+    shifted: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Interrupted after its first turn in one process, it goes on in two: the first reads the checkpoint for both."""
+    options = ["--device", "cpu", "--draws", "400", "--starts", "0", "--most-effects", "1"]
+    words = ["diagnose", str(shifted), "-o"]
+    assert CliRunner().invoke(main, [*words, str(tmp_path / "whole"), *options]).exit_code == 0
+    written: list[Path] = []
+
+    def interrupted(folder: Path, *about: Any) -> None:
+        write(folder, *about)
+        written.append(folder)
+        if len(written) == 2:
+            raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        write = checkpoint.write
+        patch.setattr(checkpoint, "write", interrupted)
+        assert CliRunner().invoke(main, [*words, str(tmp_path / "parts"), *options]).exit_code == 130
+    finish(start(2, "-m", "warpsar", *words, tmp_path / "parts", *options, "--resume"))
+    whole, parts = (json.loads((tmp_path / name / "diagnosis.json").read_text()) for name in ("whole", "parts"))
+    assert (whole.pop("processes"), parts.pop("processes")) == (1, 2)
+    assert parts.pop("ray_noise") == pytest.approx(whole.pop("ray_noise"), rel=1e-12)
+    assert whole.pop("wall_time_s") > 0
+    assert parts.pop("wall_time_s") > 0
+    assert parts == whole
+    assert not (tmp_path / "parts" / checkpoint.NAME).exists()
 
 
 NOISY = """
