@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import importlib.util
+from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import pytest
 
@@ -34,11 +36,17 @@ def rows(text: str) -> list[list[str]]:
     return cells
 
 
+def keys_of(table: dict[str, Any]) -> Iterator[str]:
+    """Keys of a table; of a table in it, with its name before."""
+    for key, each in table["properties"].items():
+        yield from (f"{key}.{inner}" for inner in each["properties"]) if "properties" in each else (key,)
+
+
 def test_every_key_has_value_default_example_and_meaning(extension: ModuleType) -> None:
     tables = dict(scene_schema()["properties"])
     del tables["effects"]
     tables |= {"materials": tables["materials"]["additionalProperties"], "views": tables["views"]["items"]}
-    keys = [f"`{key}`" for table in tables.values() for key in table["properties"]]
+    keys = [f"`{key}`" for table in tables.values() for key in keys_of(table)]
     found = rows(extension.scene_tables())
     assert [row[0] for row in found] == keys
     assert all(len(row) == 5 and all(row) for row in found)

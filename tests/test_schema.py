@@ -13,6 +13,7 @@ import pytest
 from click.testing import CliRunner
 
 from warpsar.cli.main import main
+from warpsar.effects.base.fitted import FITTED_KEYS
 from warpsar.effects.registry import get, names
 from warpsar.scene.file import parse, parse_effects
 from warpsar.scene.schema import scene_schema
@@ -171,7 +172,8 @@ def tables() -> Iterator[tuple[str, dict[str, Any]]]:
 @pytest.mark.parametrize("name", names())
 def test_effects_are_as_they_are_declared(name: str) -> None:
     effect, table = get(name), scene_schema()["properties"]["effects"]["properties"][name]
-    assert list(table["properties"]) == [each.name for each in (*effect.parameters, *effect.settings)]
+    declared = [each.name for each in (*effect.parameters, *effect.settings)]
+    assert list(table["properties"]) == [*declared, *FITTED_KEYS]
     jsonschema.validate(effect.example, table, jsonschema.Draft7Validator)
     for each in (*effect.parameters, *effect.settings):
         field = table["properties"][each.name]

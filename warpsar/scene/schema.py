@@ -95,6 +95,13 @@ def _effect(name: str) -> _Json:
     effect = get(name)
     keys = {each.name: _key(each, _number(each)) for each in effect.parameters}
     keys |= {each.name: _key(each, {**each.schema, "default": each.default}) for each in effect.settings}
+    some = {"type": "array", "items": {"enum": [each.name for each in effect.parameters]}, "uniqueItems": True}
+    keys["fixed"] = {
+        "description": "Whether a fit leaves the whole table as it is.",
+        "type": "boolean",
+        "default": False,
+    }
+    keys["learn"] = {"description": "Parameters of this table that a fit may change; all that it states.", **some}
     return _table(keys, f"{effect.summary[:1].upper()}{effect.summary[1:]}.")
 
 
