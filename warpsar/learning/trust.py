@@ -29,9 +29,9 @@ def _all_images(problem: FitProblem, x: np.ndarray) -> list[tuple[Observation, n
     ranks = problem.ranks
     gains = iter(problem.gains(problem.modelled(x)))
     mine = []
-    for view in problem.views:
-        for seen in view.observations:
-            image = view.render.images[seen.polarization].numpy().reshape(seen.measured.shape).astype(float)
+    for one in problem.views:
+        for seen in one.observations:
+            image = one.render.images[seen.polarization].numpy().reshape(seen.measured.shape).astype(float)
             image[seen.interior] = np.maximum(image[seen.interior], seen.darkest)
             mine.append((seen, float(next(gains)) * image))
     if ranks.size == 1:
@@ -44,8 +44,9 @@ def _all_images(problem: FitProblem, x: np.ndarray) -> list[tuple[Observation, n
     found = []
     for about, stored in zip(said, ranks.collect(arrays), strict=False):
         for k, (name, polarization, looks, estimated) in enumerate(about):
-            masks = (stored[f"{k} {part}"] for part in parts)
-            seen = Observation(problem.chosen[order.index(name)], polarization, *masks, looks, estimated)
+            measured, interior, silent, dark = (stored[f"{k} {part}"] for part in parts)
+            view = problem.chosen[order.index(name)]
+            seen = Observation(view, polarization, measured, interior, silent, dark, looks, estimated)
             found.append((seen, stored[f"{k} modelled"]))
     return sorted(found, key=lambda one: order.index(one[0].view.name))
 
