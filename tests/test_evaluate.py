@@ -203,6 +203,29 @@ def test_true_parameters_leave_speckle_alone(independent_cases: Path) -> None:
     assert max(i.sampling_noise for i in found.images) < 0.01
 
 
+CASES = (
+    "antenna_pattern",
+    "missing_object",
+    "moved_object",
+    "multibounce",
+    "point_spread",
+    "registration",
+    "three_at_once",
+)
+
+
+@pytest.mark.parametrize("case", ["none", "noise_floor", *(pytest.param(c, marks=pytest.mark.slow) for c in CASES)])
+def test_verdict_on_images_of_another_renderer(case: str, independent_cases: Path) -> None:
+    """With its true materials, and what the scene file does not declare: speckle where nothing is missing, and
+    nowhere else."""
+    found = evaluate(with_truth(independent_cases / case, tuple(range(8))), device="cpu")
+    verdicts = {role: one.finding for role, one in found.verdicts.items()}
+    if case == "none":
+        assert verdicts == {"train": "speckle", "test": "speckle"}
+    else:
+        assert set(verdicts.values()) <= {"structure", "level"}
+
+
 def test_nuisance_floor_is_the_one_that_was_added(independent_cases: Path) -> None:
     """The case's images have 0.004 added everywhere, which its scene does not declare."""
     scene = with_truth(independent_cases / "noise_floor", (0,))
@@ -301,11 +324,17 @@ def test_files_are_those_of_the_contract(cube: Scene, tmp_path: Path, capsys: py
     assert out.startswith("train deviance ")
     assert out.count("\n") == 1
     assert "device: cpu" in err
+    # the verdict comes before any other finding
+    said = [line for line in err.splitlines() if "views: " in line or "deviance" in line]
+    assert said[0].startswith("train views: ")
+    assert said[1].startswith("test views: ")
     content = json.loads((tmp_path / "out" / "evaluate.json").read_text())
     assert content == written
     for key in ("version", "device", "wall_time_s", "input"):
         assert content[key]
     assert content["seed"] == 3
+    assert {role: one["finding"] for role, one in content["verdict"].items()} == {"train": "speckle", "test": "speckle"}
+    assert "nothing but speckle is found" in (tmp_path / "out" / "report.html").read_text()
     assert [(v["name"], v["role"], v["polarization"]) for v in content["views"]] == [
         ("v0", "train", "HH"), ("v0", "train", "VV"), ("judge", "test", "HH"), ("judge", "test", "VV"),
     ]  # fmt: skip

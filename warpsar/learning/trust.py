@@ -29,9 +29,9 @@ def _all_images(problem: FitProblem, x: np.ndarray) -> list[tuple[Observation, n
     ranks = problem.ranks
     gains = iter(problem.gains(problem.modelled(x)))
     mine = []
-    for view in problem.views:
-        for seen in view.observations:
-            image = view.render.images[seen.polarization].numpy().reshape(seen.measured.shape).astype(float)
+    for one in problem.views:
+        for seen in one.observations:
+            image = one.render.images[seen.polarization].numpy().reshape(seen.measured.shape).astype(float)
             image[seen.interior] = np.maximum(image[seen.interior], seen.darkest)
             mine.append((seen, float(next(gains)) * image))
     if ranks.size == 1:

@@ -81,9 +81,10 @@ class Verdict:
         w = self.window
         level = f"deviance {self.deviance:.3f}, where speckle leaves 1 +- {self.deviance_error:.3f}"
         if self.finding == "structure":
+            size = "is one pixel" if w.pixels == 1 else f"has {w.pixels} x {w.pixels} pixels"
             return (
-                f"structure is left ({_p(self.p_structure)}): the strongest window has {w.pixels} x {w.pixels} pixels, "
-                f"in {w.view} {w.polarization} at range {w.range_m:.1f} m, azimuth {w.azimuth_m:.1f} m, "
+                f"structure is left ({_p(self.p_structure)}): the strongest window {size}, in "
+                f"{w.view} {w.polarization} at range {w.range_m:.1f} m, azimuth {w.azimuth_m:.1f} m, "
                 f"{w.ratio_db:+.1f} dB; {level}"
             )
         if self.finding == "level":
