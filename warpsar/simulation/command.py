@@ -16,6 +16,7 @@ from warpsar.render.bands import BandedRender, stretches
 from warpsar.render.render import ViewRender
 from warpsar.runtime import console, devices, distributed
 from warpsar.runtime.busy import busy
+from warpsar.runtime.distributed import Ranks
 from warpsar.runtime.memory import PARTS, OutOfMemoryError, in_parts, ran_out
 from warpsar.scene.scene import Scene
 from warpsar.simulation.checks import Findings, grid_warnings
@@ -193,6 +194,23 @@ def view_render(scene: Scene, stage: Stage, view: View, hits: Hits) -> ViewRende
     return ViewRender(stage, view, hits, scene.grid.shape, scene.radar.polarizations, declared(scene, view))
 
 
+def _written_views(made: Simulation, output: Output, ranks: Ranks) -> tuple[list[dict[str, Any]], list[str]]:
+    """Make this rank's share of the views and write them. Returns the entries of all views, and what to warn of."""
+    scene = made.scene
+    costs = [made.rays(view) for view in scene.views]
+    mine = distributed.deal(costs, ranks.size)[ranks.rank]
+    if (expected := made.estimate([scene.views[index] for index in mine])) is not None:
+        console.say(str(expected))
+    made.bar = console.progress(sum(costs[index] for index in mine), "rays", "ray")
+    summary = [[index, output.write(made.view(scene.views[index], index), index)] for index in mine]
+    made.bar.close()
+    everything = ranks.gather([summary, made.findings.plain()])
+    entries = sorted(each for part, _ in everything for each in part)
+    found = Findings.together([findings for _, findings in everything]).warnings(scene)
+    _say_warnings(found)
+    return [entry for _, entry in entries], found
+
+
 def run(
     scene_path: Path | str,
     out: Path | str,
@@ -236,27 +254,17 @@ def run(
         merge=not per_ray,
         max_memory_gib=max_memory_gib or DEFAULT_MEMORY_GIB,
     )
-    costs = [made.rays(view) for view in scene.views]
-    mine = distributed.deal(costs, ranks.size)[ranks.rank]
-    if (expected := made.estimate([scene.views[index] for index in mine])) is not None:
-        console.say(str(expected))
-    made.bar = console.progress(sum(costs[index] for index in mine), "rays", "ray")
     ground = Ground.of(scene, stage) if "geotiff" in formats else None
     if "geotiff" in formats and ground is None:
         console.say("note: [scene] has no origin, so GeoTIFF is in slant range alone")
     output = Output(out, made.seed, looks, tuple(dict.fromkeys(formats)), exr_speckle=declare, ground=ground)
-    summary = [[index, output.write(made.view(scene.views[index], index), index)] for index in mine]
-    made.bar.close()
-    everything = ranks.gather([summary, made.findings.plain()])
-    summary = sorted(each for part, _ in everything for each in part)
-    found = Findings.together([findings for _, findings in everything]).warnings(scene)
-    _say_warnings(found)
+    entries, found = _written_views(made, output, ranks)
     content = {
         "rays_per_m2": made.density,
         "materials": list(scene.mesh.materials),
         "processes": ranks.size,
         "warnings": warnings + found,
-        "views": [entry for _, entry in summary],
+        "views": entries,
     }
     if not ranks.first:
         return content
