@@ -178,6 +178,16 @@ class SceneCoordinates:
             values.append(c.parameter.to_coordinate(value[c.view] if c.view else value))
         return np.array(values, float)
 
+    @property
+    def zero_sum_means(self) -> np.ndarray:
+        """Directions in x that change nothing by definition, shape (n, p): the mean of values that sum to zero."""
+        first = self.learned.size
+        rows = np.zeros((len(self._zero_sums()), first + len(self.effect_coordinates)))
+        for row, key in zip(rows, self._zero_sums(), strict=True):
+            mine = [(c.effect, c.parameter.name) == key for c in self.effect_coordinates]
+            row[first:] = np.array(mine, float) / np.sqrt(sum(mine))
+        return rows
+
     def _zero_sums(self) -> dict[tuple[str, str], list[str]]:
         """The fitted views of every per-view parameter whose values sum to zero.
 

@@ -129,14 +129,23 @@ def identify(problem: FitProblem, x: np.ndarray) -> Identified:
         weighted = c.weight[:, None] * j
         information += j.T @ weighted
         products += score_products(spread * weighted, autocovariance, seen)
-    return of_information(problem.labels, problem.ranks.sum(information), problem.ranks.sum(products))
+    total, products = problem.ranks.sum(information), problem.ranks.sum(products)
+    return of_information(problem.labels, total, products, problem.zero_sum_means)
 
 
-def of_information(labels: list[str], information: np.ndarray, products: np.ndarray) -> Identified:
-    """Eigenvalues, covariance and words from F and S."""
+def of_information(
+    labels: list[str], information: np.ndarray, products: np.ndarray, known: np.ndarray | None = None
+) -> Identified:
+    """Eigenvalues, covariance and words from F and S.
+
+    `known`, shape (n, p): unit vectors along which x is known without data, such as the mean of values that sum to
+    zero. The data see nothing there, and rounding alone would decide whether that counts as undetermined.
+    """
     values, vectors = np.linalg.eigh(information)
     scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
-    unit_values, unit_vectors = np.linalg.eigh(information / np.outer(scale, scale))
+    held = np.zeros((0, len(labels))) if known is None else known
+    stated = sum((np.outer(row, row) * (row**2 @ np.diag(information)) for row in held), np.zeros_like(information))
+    unit_values, unit_vectors = np.linalg.eigh((information + stated) / np.outer(scale, scale))
     seen = unit_values > RANK_TOLERANCE * unit_values.max()
     inverse = (unit_vectors[:, seen] / unit_values[seen]) @ unit_vectors[:, seen].T / np.outer(scale, scale)
     covariance = inverse @ products @ inverse
