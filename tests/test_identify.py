@@ -243,11 +243,11 @@ def test_intervals_hold_the_truth_under_correlated_speckle() -> None:
 
 
 def test_values_that_sum_to_zero_are_known_by_their_differences() -> None:
-    """Of three gains the data see two differences: each deviation is that of gain less mean, whatever rounding leaves."""
+    """Of three gains the data see two differences: each deviation is that of gain less mean, whatever is rounded."""
+    labels = [f"view_gain.gain_db[v{i}]" for i in range(3)]
     differences = np.eye(3) - 1.0 / 3.0
     mean = np.full((1, 3), 1.0 / np.sqrt(3.0))
     for left in (0.0, 1e-13, 1e-7):  # what rounding leaves of the information on the mean
-        information = 100.0 * differences + left * mean.T @ mean
-        found = of_information(["a", "b", "c"], information, 100.0 * differences, mean)
+        found = of_information(labels, 100.0 * differences + left * mean.T @ mean, 100.0 * differences, mean)
         assert found.sd == pytest.approx(np.sqrt(np.diag(differences) / 100.0), rel=1e-6)
-    assert not np.isfinite(of_information(["a", "b", "c"], 100.0 * differences, 100.0 * differences).sd).any()
+    assert not np.isfinite(of_information(labels, 100.0 * differences, 100.0 * differences).sd).any()
