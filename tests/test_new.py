@@ -99,16 +99,16 @@ def test_materials_are_those_of_the_mesh(tmp_path: Path) -> None:
 
 def test_unit_is_guessed_and_said(tmp_path: Path) -> None:
     house(1000.0).export(tmp_path / "mm.obj")
-    said = warpsar("new", tmp_path / "a", tmp_path / "mm.obj").stderr
+    said = warpsar("new", tmp_path / "a", tmp_path / "mm.obj").output
     assert "taken as mm, a guess. If it is wrong: --units with m, cm, in, ft" in said
     assert "mm_in_metres.obj" in said
-    said = warpsar("new", tmp_path / "b", tmp_path / "mm.obj", "--units", "cm").stderr
+    said = warpsar("new", tmp_path / "b", tmp_path / "mm.obj", "--units", "cm").output
     assert "a guess" not in said
     assert sizes_m(tmp_path / "b" / "scene.toml") == pytest.approx([400, 300, 71])
     house().export(tmp_path / "m.stl")
-    assert "taken as m, a guess" in warpsar("new", tmp_path / "c", tmp_path / "m.stl").stderr
+    assert "taken as m, a guess" in warpsar("new", tmp_path / "c", tmp_path / "m.stl").output
     house(1000.0).export(tmp_path / "large.glb")
-    assert "a guess" not in warpsar("new", tmp_path / "d", tmp_path / "large.glb").stderr  # metres, by its standard
+    assert "a guess" not in warpsar("new", tmp_path / "d", tmp_path / "large.glb").output  # metres, by its standard
 
 
 def test_scalars_of_a_ply_are_kept_in_metres(tmp_path: Path) -> None:
@@ -124,7 +124,7 @@ def test_scalars_of_a_ply_are_kept_in_metres(tmp_path: Path) -> None:
 def test_scene_file_that_is_there_is_kept(tmp_path: Path) -> None:
     house().export(tmp_path / "m.stl")
     (tmp_path / "scene.toml").write_text("mine")
-    assert "--force" in warpsar("new", tmp_path, tmp_path / "m.stl", status=2).stderr
+    assert "--force" in warpsar("new", tmp_path, tmp_path / "m.stl", status=2).output
     assert (tmp_path / "scene.toml").read_text() == "mine"
     warpsar("new", tmp_path, tmp_path / "m.stl", "--force")
     assert Scene.load(tmp_path / "scene.toml").mesh.materials == ("default",)
@@ -132,7 +132,7 @@ def test_scene_file_that_is_there_is_kept(tmp_path: Path) -> None:
 
 def test_elevation_model_states_its_own_unit(tmp_path: Path) -> None:
     dem(tmp_path / "dem.tif")
-    assert "--units" in warpsar("new", tmp_path / "a", tmp_path / "dem.tif", "--units", "ft", status=2).stderr
+    assert "--units" in warpsar("new", tmp_path / "a", tmp_path / "dem.tif", "--units", "ft", status=2).output
     assert not (tmp_path / "a").exists()
 
 
