@@ -224,8 +224,7 @@ def run(
     where = devices.resolve_device(device)
     ranks = distributed.ranks(where)
     console.say_device(where)
-    for warning in scene.warnings:
-        console.say(f"warning: {warning}")
+    console.warn(scene.warnings)
     seed = scene.sampling.seed if seed is None else seed
     mine, density = _evaluated(scene, where, seed, ranks)
     for image in mine:

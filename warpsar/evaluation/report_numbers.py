@@ -50,7 +50,8 @@ def summary_section(scene: Scene, found: Evaluation) -> str:
         "The second one takes every valid pixel, shadows too, with a level added to the model that is fitted to each "
         "image. ± is one standard error from the spread of the pixels, with the correlation of neighbours. A few "
         "bright pixels make it large, so the verdict does not use it: there, the error is that of speckle and of the "
-        f"looks. A model that is right gets another verdict than speckle in {100.0 * ERROR_RATE:g} % of all cases."
+        f"looks. The tests are set so that a model that is right gets another verdict than speckle in "
+        f"{100.0 * ERROR_RATE:g} % of all cases; under correlated speckle about twice as many do."
     )
     if not scene.grid.calibrated:
         explained += (

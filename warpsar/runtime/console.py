@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, NoReturn
 
 from tqdm import tqdm
@@ -18,6 +19,12 @@ def say(message: str) -> None:
     """Print a message on stderr: stdout carries results only. Of several processes the first one speaks."""
     if of_torchrun("RANK", 0) == 0:
         print(message, file=sys.stderr)
+
+
+def warn(warnings: Iterable[str]) -> None:
+    """Say each warning on a line of its own, on stderr."""
+    for warning in warnings:
+        say(f"warning: {warning}")
 
 
 def say_device(device: wp.Device) -> None:

@@ -176,17 +176,12 @@ def simulate(
     made = Simulation(
         scene, stage, seed=seed, layers=layers, variance=variance, merge=merge, max_memory_gib=max_memory_gib
     )
-    _say_warnings(grid_warnings(scene, stage, scene.views))
+    console.warn(grid_warnings(scene, stage, scene.views))
     made.bar = console.progress(sum(map(made.rays, scene.views)), "rays", "ray")
     found = [made.view(view, index) for index, view in enumerate(scene.views)]
     made.bar.close()
-    _say_warnings(made.findings.warnings(scene))
+    console.warn(made.findings.warnings(scene))
     return found
-
-
-def _say_warnings(warnings: Sequence[str]) -> None:
-    for warning in warnings:
-        console.say(f"warning: {warning}")
 
 
 def view_render(scene: Scene, stage: Stage, view: View, hits: Hits) -> ViewRender:
@@ -207,7 +202,7 @@ def _written_views(made: Simulation, output: Output, ranks: Ranks) -> tuple[list
     everything = ranks.gather([summary, made.findings.plain()])
     entries = sorted(each for part, _ in everything for each in part)
     found = Findings.together([findings for _, findings in everything]).warnings(scene)
-    _say_warnings(found)
+    console.warn(found)
     return [entry for _, entry in entries], found
 
 
@@ -244,7 +239,7 @@ def run(
     with busy("loading the mesh onto the device"):
         stage = Stage.of(scene, where)
     warnings = [*scene.warnings, *grid_warnings(scene, stage, scene.views)]
-    _say_warnings(warnings)
+    console.warn(warnings)
     made = Simulation(
         scene,
         stage,

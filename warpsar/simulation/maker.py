@@ -55,8 +55,7 @@ class Maker:
     ) -> None:
         self.path, self.label, self.device, self.options, self.index = path, label, device, options, index
         self.scene = Scene.load(path)
-        for warning in self.scene.warnings:
-            console.say(f"warning: {warning}")
+        console.warn(self.scene.warnings)
         self._told = False
         self.fresh = made is not None
         self.views = self.scene.views if made is None else made
@@ -121,8 +120,8 @@ class Maker:
         made = simulation.view(view, self._seed(number))
         if not self._told:  # of the first image of a scene: the others would say the same
             self._told = True
-            for warning in grid_warnings(scene, self.stage, [view]) + simulation.findings.warnings(scene):
-                console.say(f"warning: {self.path}: {warning}")
+            found = grid_warnings(scene, self.stage, [view]) + simulation.findings.warnings(scene)
+            console.warn(f"{self.path}: {warning}" for warning in found)
         return made
 
     def _write(self, image: SimulatedView, row: Row) -> None:

@@ -49,8 +49,7 @@ def opened(scene_path: Path | str, out: Path | str, device: str | None) -> tuple
     make_folder(out)
     where = devices.resolve_device(device)
     console.say_device(where)
-    for warning in scene.warnings:
-        console.say(f"warning: {warning}")
+    console.warn(scene.warnings)
     return scene, out, where
 
 
