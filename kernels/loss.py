@@ -29,12 +29,14 @@ def loss_kernel(
     looks: float,
     weight: float,
     bias: float,
+    bound: float,
     # Out:
     loss_out: wp.array(dtype=wp.float64),
 ):
     """GAMMA: L (I / mu - 1 - ln(I / mu)), half the deviance; MSE: (I - mu)^2 / 2 (equation 38);
-    LOG: (ln I - ln mu - bias)^2 / 2, bias = psi(L) - ln L. Each times `weight`. mu is the image, no darker than
-    `darkest` (one a pixel, or one for all), times the gain."""
+    LOG: (ln I - ln mu - bias)^2 / 2, bias = psi(L) - ln L. A `bound` b over 0 turns a value t of GAMMA into
+    b ln(1 + t / b). Each times `weight`. mu is the image, no darker than `darkest` (one a pixel, or one for all), times
+    the gain."""
     i = wp.tid()
     mu = gain[gain_index] * wp.max(image[pixel[i]], darkest[wp.min(i, darkest.shape[0] - 1)])
     observed = measured[i]
@@ -42,6 +44,8 @@ def loss_kernel(
     if kind == GAMMA:
         ratio = observed / mu
         value = looks * (ratio - 1.0 - wp.log(ratio))
+        if bound > 0.0:
+            value = bound * wp.log(1.0 + value / bound)
     elif kind == MSE:
         value = 0.5 * (observed - mu) * (observed - mu)
     else:

@@ -19,13 +19,15 @@ from warpsar.simulation.rays import Rays
 class Bench:
     """Rays and frozen pixels that all models are compared on. `observations` by view name.
 
-    Every one of the `ranks` holds all views, and fits whole models by itself.
+    `bound` is that of the gamma loss in every fit (`speckle.likelihood.bounded`); 0 for none. Every one of the `ranks`
+    holds all views, and fits whole models by itself.
     """
 
     device: wp.Device
     rays: Rays
     observations: Mapping[str, list[Observation]]
     ranks: Ranks = ONE
+    bound: float = 0.0
 
     def problem(self, scene: Scene, views: Sequence[str] | None = None, *, dark: bool | None = None) -> FitProblem:
         """The scene's fit problem; its dark pixels are used where it has an additive effect, or as `dark` says."""
@@ -34,4 +36,4 @@ class Bench:
         seen = self.observations
         if dark:
             seen = {name: [one.with_dark() for one in found] for name, found in seen.items()}
-        return FitProblem(scene, self.device, views=views, rays=self.rays, observations=seen)
+        return FitProblem(scene, self.device, views=views, rays=self.rays, observations=seen, bound=self.bound)

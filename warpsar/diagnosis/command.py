@@ -44,8 +44,8 @@ def run(
         if not ranks.first:
             return {}
         done = judged(found)
-        moves, identified = moved_parameters(found)
-        found.final.scene.save(out / "scene.toml")
+        moves, identified = moved_parameters(done.diagnosis)
+        done.diagnosis.final.scene.save(out / "scene.toml")
         content = content_of(done, moves, identified, options) | {"processes": ranks.size}
         content = write_json(out / "diagnosis.json", scene, where, options.seed, started, content)
         write_report(out / "report.html", done, moves, content, command_line(scene_path, out, where.alias, options))

@@ -6,12 +6,13 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
-from warpsar.diagnosis.found import Candidate, DiagnoseOptions, Diagnosis, Turn
+from warpsar.diagnosis.found import Candidate, DiagnoseOptions, Diagnosis, Rival, Turn
 from warpsar.diagnosis.judge import ROLES, Judged, difference, pool
 from warpsar.diagnosis.outcome import outcome
 from warpsar.diagnosis.result import Diagnosed, Moved, why_not
 from warpsar.effects.registry import get
 from warpsar.learning.identify import Identified
+from warpsar.scene.scene import Scene
 
 
 def content_of(
@@ -20,16 +21,28 @@ def content_of(
     """JSON's types; docs/diagnosis.md explains the keys."""
     found = done.diagnosis
     last = found.turns[-1]
-    added = [turn for turn in found.turns if turn.fitted is not None]
+    added = list(enumerate(turn for turn in found.turns if turn.fitted is not None))
+    held = {turn.added: (k, turn) for k, turn in added if turn.added in found.verdict}  # the last time counts
     untestable = [c for c in last.candidates if c.testability != "testable"]
     return {
         "options": asdict(options),
         "verdict": found.verdict,
         "unexplained": found.unexplained,
+        "alternatives": [[one.effect, one.other] for one in _undecided(found)],
+        "alternatives_because": [_rival(one) for one in _undecided(found)],
         "before": done.before,
         "after": done.after,
         "gain": {role: _gain(done.models[0], done.models[-1], role) for role in ROLES},
-        "steps": [_addition(turn, options, done.models[k], done.models[k + 1]) for k, turn in enumerate(added)],
+        "steps": [
+            _addition(turn, options, done.models[k], done.models[k + 1], found.final.scene) for k, turn in held.values()
+        ],
+        "taken_back": {
+            turn.added: candidate.refused
+            for _, turn in added
+            for candidate in turn.candidates
+            if candidate.effect == turn.added and turn.added not in found.verdict
+        },
+        "withdrawn": found.withdrawn,
         "candidates": [
             *(_candidate(c, found.turns[0]) for c in found.turns[0].candidates),
             *map(_declared, found.scene.effects),
@@ -54,6 +67,14 @@ def content_of(
         "images": [_image(*pair) for pair in zip(done.models[0], done.models[-1], strict=True)],
         "per_view_effects_on_test_views": _per_view_note(found),
     }
+
+
+def _undecided(found: Diagnosis) -> list[Rival]:
+    return [one for one in found.rivals if one.undecided and one.effect in found.verdict]
+
+
+def _rival(one: Rival) -> dict[str, Any]:
+    return {"effect": one.effect, "other": one.other, "gain": one.gain, "distance": one.distance, "z": one.z}
 
 
 def _gain(before: Sequence[Judged], after: Sequence[Judged], role: str) -> dict[str, float] | None:
@@ -85,18 +106,18 @@ def _declared(effect: str) -> dict[str, Any]:
 
 
 def _addition(
-    turn: Turn, options: DiagnoseOptions, before: Sequence[Judged], after: Sequence[Judged]
+    turn: Turn, options: DiagnoseOptions, before: Sequence[Judged], after: Sequence[Judged], final: Scene
 ) -> dict[str, Any]:
-    """What a turn added, and how far the models before and after it are from the images."""
+    """What a turn added, as the `final` model has it, and how far the models before and after it are from the
+    images."""
     chosen = next(c for c in turn.candidates if c.effect == turn.added)
-    assert turn.fitted is not None
     train, test = pool(after, "train"), pool(after, "test")
     assert train is not None
     return {
         **_candidate(chosen, turn),
         "threshold": turn.threshold,
         "family_error": options.family_error,
-        "parameters": turn.fitted.scene.effects[chosen.effect],
+        "parameters": final.effects[chosen.effect],
         "train_deviance": train["deviance"],
         "train_deviance_error": train["deviance_error"],
         "test_deviance": None if test is None else test["deviance"],

@@ -1,17 +1,18 @@
-"""How far a diagnosis has come, and its checkpoint: the declared model's fit, then turn after turn."""
+"""How far a diagnosis has come, and its checkpoint: the declared model's fit, then turns and confirmations."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from warpsar.diagnosis.bench import Bench
-from warpsar.diagnosis.found import Candidate, DiagnoseOptions, Turn
+from warpsar.diagnosis.confirmation import Confirmation
+from warpsar.diagnosis.found import Candidate, Confirmed, DiagnoseOptions, Turn
 from warpsar.diagnosis.left_out import LeftOut
 from warpsar.diagnosis.refit import Fitted
 from warpsar.errors import InputError
@@ -45,13 +46,23 @@ class Course:
         self._keep(fitted.told())
         return fitted
 
-    def turn(self, number: int, bench: Bench, base: Fitted, run: Callable[[], Turn]) -> Turn:
-        """Turn `number`, counted from 0, about the model `base`: as stored, or by `run`."""
-        if number + 1 < len(self._told):
-            return _heard(self._told[number + 1], bench, base)
+    def turn(self, stage: int, bench: Bench, base: Fitted, run: Callable[[], Turn]) -> Turn:
+        """The turn that is stage `stage`, counted from 0, about the model `base`: as stored, or by `run`."""
+        if stage + 1 < len(self._told):
+            return _heard(self._told[stage + 1], bench, base)
         turn = run()
         self._keep(_told(turn))
         return turn
+
+    def confirmation(self, stage: int, bench: Bench, base: Fitted, run: Callable[[], Confirmation]) -> Confirmation:
+        """The confirmation that is stage `stage`, counted with the turns: as stored, or by `run`."""
+        if stage + 1 < len(self._told):
+            told = self._told[stage + 1]
+            asked = [Confirmed(**{**one, "left_out": _left_out(one)}) for one in told["asked"]]
+            return Confirmation(_fitted(told["fitted"], bench, base), asked)
+        found = run()
+        self._keep({"fitted": _fitted_told(found.fitted), "asked": [asdict(one) for one in found.asked]})
+        return found
 
     def _keep(self, told: dict[str, Any]) -> None:
         self._told.append(told)
@@ -92,17 +103,27 @@ def _told(turn: Turn) -> dict[str, Any]:
         "scan_minus_log_p": turn.scan_minus_log_p,
         "p_scan": turn.p_scan,
         "threshold": turn.threshold,
-        "fitted": None if turn.fitted is None else turn.fitted.told(),
+        "fitted": None if turn.fitted is None else _fitted_told(turn.fitted),
         "dropped": turn.dropped,
     }
 
 
 def _heard(told: Mapping[str, Any], bench: Bench, base: Fitted) -> Turn:
     """The turn that `_told` gave."""
-    candidates = []
-    for each in told["candidates"]:
-        left = each["left_out"]
-        candidates.append(Candidate(**{**each, "left_out": None if left is None else LeftOut(**left)}))
-    fitted = None if told["fitted"] is None else Fitted.heard(bench, base.scene, told["fitted"])
+    candidates = [Candidate(**{**each, "left_out": _left_out(each)}) for each in told["candidates"]]
+    fitted = None if told["fitted"] is None else _fitted(told["fitted"], bench, base)
     about = {**told, "candidates": candidates, "spot": Spot(**told["spot"]), "fitted": fitted}
     return Turn(**about, base=base)
+
+
+def _left_out(told: Mapping[str, Any]) -> LeftOut | None:
+    return None if told["left_out"] is None else LeftOut(**told["left_out"])
+
+
+def _fitted_told(fitted: Fitted) -> dict[str, Any]:
+    return fitted.told() | {"bound": fitted.problem.misfit.bound}
+
+
+def _fitted(told: Mapping[str, Any], bench: Bench, base: Fitted) -> Fitted:
+    """The model that `_fitted_told` gave, on a bench of the same bound."""
+    return Fitted.heard(replace(bench, bound=told["bound"]), base.scene, told)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -23,14 +24,15 @@ class DiagnoseOptions:
 
     `family_error`: chance of naming anything, or calling the rest unexplained, where nothing is missing. `draws`:
     bootstrap size. `refits`: how many of the likeliest candidates get a full fit. `starts`: further starts of every
-    fit. `most_effects`: how many may be added. Raises InputError where the draws are too few for the error rate.
+    fit. `most_effects`: how many may be added; by default as many as there are. Raises InputError where the draws are
+    too few for the error rate.
     """
 
     family_error: float = 0.01
     draws: int = 1000
     refits: int = 4
     starts: int = 2
-    most_effects: int = 4
+    most_effects: int = 15
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -44,8 +46,26 @@ class DiagnoseOptions:
 
 
 @dataclass
+class Confirmed:
+    """What was asked of one added effect beside all others, and answered.
+
+    `gain`: 2 ln L over the best model without it, for `size` parameters. `left_out`, `carried`: as `Candidate` has
+    them; None where it was not asked. `refused`: why it was taken back; empty where it holds.
+    """
+
+    effect: str
+    gain: float
+    size: int
+    left_out: LeftOut | None = None
+    carried: float | None = None
+    refused: str = ""
+    notes: list[str] = field(default_factory=list)
+
+
+@dataclass
 class Candidate:
-    """What one effect scored in one turn.
+    """What one effect scored in one turn. Of one that was added, the gain and what follows are those beside all others
+    at the end (`answered`).
 
     `eta`: share of its template that the surface cannot imitate. `minus_log_p`: -ln p of its largest score, calibrated
     by the bootstrap. `p_value`: that of the family.
@@ -64,6 +84,7 @@ class Candidate:
     carried: float | None = None  # share of its gain that the surface carries from view to view
     refused: str = ""  # why it was not added, where it was fitted or could not be
     note: str = ""
+    table: dict[str, Any] | None = None  # the effect's table as its fit in the turn left it
 
     @property
     def shared(self) -> bool:
@@ -74,10 +95,18 @@ class Candidate:
         """Add to the note."""
         self.note += f"{'; ' if self.note else ''}{text}"
 
+    def answered(self, one: Confirmed) -> None:
+        """Take over what was found of the effect beside all others."""
+        self.refit_gain, self.refit_size = one.gain, one.size
+        self.left_out, self.carried, self.refused = one.left_out, one.carried, one.refused
+        for note in one.notes:
+            self.remark(note)
+
 
 @dataclass
 class Turn:
-    """One turn: what was tested, what was added (None: nothing), and what was dropped of earlier turns' effects."""
+    """One turn: what was tested, what was added on trial (None: nothing), and what was dropped of earlier turns'
+    effects."""
 
     candidates: list[Candidate]
     added: str | None
@@ -90,10 +119,36 @@ class Turn:
     dropped: list[str] = field(default_factory=list)
 
 
+# Standard deviations beyond which a rival would not leave what was measured, were it the cause: 1 %, one-sided.
+REFUSES = 2.33
+
+
+@dataclass(frozen=True)
+class Rival:
+    """`other` in the place of `effect`: `gain` is 2 ln L of `effect` over it.
+
+    `distance`: sum of L (ln mu - ln mu')^2 over the pixels. The gain is that on average were `effect` the cause, and
+    minus that were `other`. `z`: how many standard deviations the gain lies from what it would be were `other` the
+    cause (Cox, Proc. 4th Berkeley Symposium 1, 1961, for models whose parameters are known better than they differ).
+    """
+
+    effect: str
+    other: str
+    gain: float
+    distance: float
+    z: float
+
+    @property
+    def undecided(self) -> bool:
+        """Whether `other` could as well be the cause."""
+        return self.z < REFUSES
+
+
 @dataclass
 class Diagnosis:
     """`turns` in their order: the last one added nothing, unless the limit was reached. `declared` is the model of the
-    scene file, fitted. `final` is the one with every added effect."""
+    scene file, fitted. `final` is the one with every added effect that holds. `rivals`: other effects in the place of these. `withdrawn`: effects that held on the
+    train views, but made the error on test views larger; `final` is then `declared` again."""
 
     scene: Scene
     declared: Fitted
@@ -102,6 +157,8 @@ class Diagnosis:
     unexplained: bool
     density: Density
     bench: Bench
+    rivals: list[Rival] = field(default_factory=list)
+    withdrawn: list[str] = field(default_factory=list)
 
     @property
     def observations(self) -> list[Observation]:
@@ -110,4 +167,5 @@ class Diagnosis:
 
     @property
     def verdict(self) -> list[str]:
-        return [turn.added for turn in self.turns if turn.added in self.final.scene.effects]
+        added = (turn.added for turn in self.turns)
+        return list(dict.fromkeys(name for name in added if name in self.final.scene.effects))

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
+from warpsar.diagnosis.confirmation import Confirmation
 from warpsar.diagnosis.found import Candidate, Turn
+from warpsar.diagnosis.left_out import LeftOut
 from warpsar.evaluation.report_parts import plus_minus
 
 
@@ -49,14 +51,30 @@ def outcome(candidate: Candidate, turn: Turn) -> str:
         count = f"{candidate.refit_size} parameter{'' if candidate.refit_size == 1 else 's'}"
         said.append(f"2 ln L {gain_text(candidate)} for {count}")
     if candidate.left_out is not None and candidate.left_out.views > 1:
-        gain = plus_minus(candidate.left_out.gain, candidate.left_out.error).replace("±\u00a0", "+- ")
-        said.append(f"views left out gain {gain} in ln L")
+        said.append(f"views left out gain {_plus_minus(candidate.left_out)} in ln L")
     if candidate.effect != turn.added:
         said.append(candidate.refused or _not_fitted(turn))
+    elif candidate.refused:
+        said.append(f"taken back at the end: {candidate.refused}")
     said += [note for note in candidate.note.split("; ") if note and note not in said]
-    if candidate.effect == turn.added and candidate.left_out is None:
-        said.append("no model without such an effect can hold that, so nothing else was asked")
     return "; ".join(said)
+
+
+def confirmation_lines(found: Confirmation) -> list[str]:
+    """What was asked of the added effects beside each other, for the console."""
+    lines = ["every added effect beside all the others:"]
+    for one in found.asked:
+        said = [f"2 ln L {one.gain:+,.1f} for {one.size} parameter{'' if one.size == 1 else 's'}"]
+        if one.left_out is not None and one.left_out.views > 1:
+            said.append(f"views left out gain {_plus_minus(one.left_out)} in ln L")
+        said += [one.refused] if one.refused else []
+        said += [note for note in one.notes if note != one.refused]
+        lines.append(f"  {'taken back' if one.refused else 'holds'}: {one.effect}: {'; '.join(said)}")
+    return lines
+
+
+def _plus_minus(left: LeftOut) -> str:
+    return plus_minus(left.gain, left.error).replace("±\u00a0", "+- ")
 
 
 def _not_fitted(turn: Turn) -> str:

@@ -1,26 +1,18 @@
-"""The procedure: fit, look at what is left, add the effect that explains it, and repeat until nothing is left."""
+"""The procedure: how many rays, which pixels, the declared model's fit, and then the search for what is missing."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 
-import numpy as np
 import warp as wp
 
-from warpsar.diagnosis.addition import add_the_best
 from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.course import Course
-from warpsar.diagnosis.dark import Dark, worth_a_refit
-from warpsar.diagnosis.evidence import Evidence
-from warpsar.diagnosis.found import Candidate, DiagnoseOptions, Diagnosis, Turn
+from warpsar.diagnosis.found import DiagnoseOptions, Diagnosis
 from warpsar.diagnosis.frozen import frozen
-from warpsar.diagnosis.outcome import score_text, turn_lines
-from warpsar.diagnosis.pruning import prune
-from warpsar.diagnosis.refit import Fitted, fit_model, fit_robustly, narrow
-from warpsar.diagnosis.scoring import score_effects
-from warpsar.diagnosis.shortlist import refits
+from warpsar.diagnosis.refit import fit_model
+from warpsar.diagnosis.search import Search
 from warpsar.errors import InputError
 from warpsar.learning.observation import looks_of
 from warpsar.runtime import console
@@ -57,23 +49,11 @@ def diagnose_scene(
     bar = console.progress(2 * options.draws, "diagnose", "")
     console.say("fit of the declared model")
     course = course or Course()
-    base = declared = course.declared(bench, scene, partial(fit_model, bench, scene, options.starts, options.seed))
-    turns: list[Turn] = []
-    narrowed = bench  # fewer pixels where an added effect has moved the light
-    while True:
-        run = partial(_turn, scene, narrowed, other_rays, base, options, turns, bar.update)
-        turn = course.turn(len(turns), narrowed, base, run)
-        console.say("\n".join(turn_lines(turn, len(turns))))
-        turns.append(turn)
-        if turn.fitted is None or len(turns) > options.most_effects:
-            break
-        narrowed, base = narrow(narrowed, turn.fitted)
+    declared = course.declared(bench, scene, partial(fit_model, bench, scene, options.starts, options.seed))
+    search = Search(scene, bench, other_rays, declared, options, course, bar.update)
+    search.run()
     bar.close()
-    last = turns[-1]
-    # an effect that was refused because something may stand there is left over, whatever the scan says
-    left = last.scan_minus_log_p > last.threshold or any(c.shared for c in last.candidates)
-    unexplained = last.added is None and left
-    return Diagnosis(scene, declared, base, turns, unexplained, density, bench)
+    return Diagnosis(scene, declared, search.final(), search.turns, search.unexplained, density, bench, search.rivals())
 
 
 def _training(scene: Scene, device: wp.Device) -> tuple[Stage, list[View], list[float]]:
@@ -88,44 +68,3 @@ def _training(scene: Scene, device: wp.Device) -> tuple[Stage, list[View], list[
     if not views:
         raise InputError(f"{scene.name}: views: none with role train has measured images")
     return stage, views, [looks_of(scene, view) for view in views]
-
-
-def _turn(
-    scene: Scene,
-    bench: Bench,
-    other_rays: Rays,
-    base: Fitted,
-    options: DiagnoseOptions,
-    earlier: Sequence[Turn],
-    progress: Callable[[int], object],
-) -> Turn:
-    """Score every effect that is not declared, refit the best, and add the one that holds on views left out. Drop
-    those of `earlier` turns that it makes needless."""
-    number = len(earlier)
-    point = fit_robustly(base, scene, bench)
-    evidence = Evidence.of(base.problem, point.x, bench.ranks)
-    turn, templates = score_effects(scene, bench, other_rays, base, point.scene, evidence, options, number, progress)
-    dark = Dark.of(base)
-    passing = worth_a_refit(turn.candidates, turn.threshold, dark)
-    _say(turn, number, passing)
-    if number < options.most_effects:
-        looks = _effective_looks(evidence, bench.ranks)
-        fitted = refits(bench, base, point.scene, scene, passing, templates, dark, options.refits)
-        add_the_best(bench, turn, fitted, dark, looks, options)
-        if turn.fitted is not None:
-            prune(bench, turn, [t.added for t in earlier if t.added], looks)
-    return turn
-
-
-def _effective_looks(evidence: Evidence, ranks: Ranks) -> float:
-    """Independent looks in the data: pixels over the correlation area, times looks."""
-    area = max(float(evidence.autocovariance.sum() / evidence.autocovariance.max()), 1.0)
-    return float(ranks.same(np.sum(evidence.root_looks**2) / area))
-
-
-def _say(turn: Turn, number: int, passing: Sequence[Candidate]) -> None:
-    scores = ", ".join(f"{c.effect} {score_text(c.minus_log_p)}" for c in passing) or "none"
-    console.say(
-        f"turn {number + 1}: worth a fit, by score (-ln p, threshold {turn.threshold:.1f}): {scores}; "
-        f"scan {score_text(turn.scan_minus_log_p)} (z {turn.spot.z:+.1f})"
-    )

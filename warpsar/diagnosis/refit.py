@@ -11,7 +11,6 @@ import numpy as np
 from scipy.ndimage import minimum_filter
 
 from warpsar.diagnosis.bench import Bench
-from warpsar.diagnosis.evidence import LARGEST
 from warpsar.effects.registry import get
 from warpsar.learning.observation import Observation
 from warpsar.learning.optimise import FLAT, FitState, begin, levenberg_marquardt
@@ -19,6 +18,7 @@ from warpsar.learning.problem import FitProblem
 from warpsar.learning.results import learned_scene
 from warpsar.runtime.distributed import ONE, Ranks
 from warpsar.scene.scene import Scene
+from warpsar.speckle.likelihood import deviance
 from warpsar.surface.surface import KEYS, Surface
 
 MOST_ITERATIONS = 40  # of one start
@@ -26,8 +26,8 @@ MOST_ITERATIONS = 40  # of one start
 # which it has arrived; verdicts turn on several units.
 QUICK_ITERATIONS, QUICK_FLAT = 12, 0.05
 KEPT_WITHIN = 0.2  # of a log coordinate, that a fit moves before its images are differentiated again
-ROBUST_TURNS = 4
-MOST_LEFT_OUT = 0.2  # of all pixels
+# Log-likelihood from which on a pixel's cost is bounded where candidates are compared: a pixel of speckle costs 1.
+BOUND = 20.0
 # Log-likelihood behind the best, at which a fit is given up: of starts of one model after the quick iterations, and of
 # candidates at their present pace.
 HOPELESS = 100.0
@@ -37,7 +37,7 @@ HOPELESS = 100.0
 class Fitted:
     """A model at its best: `scene` holds what was learned; `log_likelihood` over the lit interior alone, up to a
     constant that all models share, and `whole` over all pixels that were fitted; `size`, the number of fitted
-    parameters."""
+    parameters. Both are bounded as the bench's losses are, on which the model was fitted."""
 
     scene: Scene
     problem: FitProblem
@@ -126,45 +126,41 @@ def _fit(bench: Bench, problem: FitProblem, starts: Iterable[np.ndarray], *, qui
     return fitted_at(bench, problem, *best, bench.ranks)
 
 
-def fit_robustly(base: Fitted, declared: Scene, bench: Bench) -> Fitted:
-    """Where scores are taken: `base` fitted again without the pixels that it misses by more than `LARGEST` standard
-    deviations, until none comes or goes. A few pixels a thousand times too bright would else drag the surface to where
-    the effect that made them leaves no trace. `base` itself where nothing stands out, or a fifth of everything does.
+def on_bounded_ground(bench: Bench, base: Fitted, declared: Scene) -> tuple[Bench, Fitted]:
+    """Where scores are taken and candidates are compared: the bench that bounds what a pixel can cost, and `base`
+    fitted again on it.
+
+    A few pixels a thousand times too bright would else drag the surface to where the effect that made them leaves no
+    trace, and would hide every other effect that is missing. Where no pixel stands out, speckle alone makes the losses,
+    nothing is bounded, and this is `bench` with `base` as it is.
     """
-    problem, x, pixels = base.problem, base.x, base.problem.observations
-    kept: list[np.ndarray] = []
-    for _ in range(ROBUST_TURNS):
-        modelled = base.problem.modelled(x)
-        now = []
-        for seen, mu, gain in zip(pixels, modelled, base.problem.gains(modelled), strict=True):
-            interior = seen.interior.copy()
-            interior[seen.interior] = np.abs(np.sqrt(seen.looks) * (seen.values / (gain * mu) - 1.0)) <= LARGEST
-            now.append(interior)
-        left = sum(int(k.sum()) for k in now)
-        every = sum(int(seen.interior.sum()) for seen in pixels)
-        if left == every or left < (1.0 - MOST_LEFT_OUT) * every:
-            break
-        if kept and all((a == b).all() for a, b in zip(kept, now, strict=True)):
-            break
-        kept = now
-        reduced: dict[str, list[Observation]] = {}
-        for seen, keep in zip(pixels, kept, strict=True):
-            reduced.setdefault(seen.view.name, []).append(replace(seen, interior=keep))
-        problem = replace(bench, observations=reduced).problem(base.scene, dark=False)
-        start = problem.x0.copy()
-        start[: problem.learned.size] = Surface.of(declared).nodes[problem.learned]
-        x, _, _ = descend(problem, [x, start], quick=True)
-    x = bench.ranks.same(x)
-    return base if (x == base.x).all() else replace(base, scene=learned_scene(problem, x), x=x)
+    plain = replace(bench, bound=0.0)
+    if not bench.ranks.same(float(_stands_out(base))):
+        if base.problem.misfit.bound == 0.0:
+            return plain, base
+        return plain, _fit(plain, plain.problem(base.scene), [base.x], quick=True)
+    bounded = replace(bench, bound=BOUND)
+    problem = bounded.problem(base.scene)
+    start = base.x.copy()  # the surface as the scene file has it: what is missing may have dragged the fitted one away
+    start[: problem.learned.size] = Surface.of(declared).nodes[problem.learned]
+    return bounded, _fit(bounded, problem, [base.x, start], quick=True)
+
+
+def _stands_out(base: Fitted) -> bool:
+    """Whether the model misses any pixel by more than `BOUND`: at any number of looks, speckle does so once in 1e8."""
+    problem = base.problem
+    modelled = problem.modelled(base.x)
+    pairs = zip(problem.observations, modelled, problem.gains(modelled), strict=True)
+    return any((deviance(seen.values, gain * mu, seen.looks) > 2.0 * BOUND).any() for seen, mu, gain in pairs)
 
 
 def settle(bench: Bench, screened: Fitted, further_starts: int, seed: int) -> Fitted:
     """The screened model at its best: on from where it stands, and from surfaces drawn anew about it."""
-    problem = screened.problem
-    starts = [screened.x]
+    problem = bench.problem(screened.scene)
+    starts = [problem.x0]
     for k in range(1, further_starts + 1):
         start = begin(problem, k, seed).x
-        start[problem.learned.size :] = screened.x[problem.learned.size :]  # the effect stays where it was found
+        start[problem.learned.size :] = problem.x0[problem.learned.size :]  # the effects stay where they were found
         starts.append(start)
     return _fit(bench, problem, starts)
 
@@ -172,7 +168,12 @@ def settle(bench: Bench, screened: Fitted, further_starts: int, seed: int) -> Fi
 def refit_without(bench: Bench, fitted: Fitted, name: str) -> Fitted:
     """The model without one of its effects, fitted on from where it stands."""
     effects = {other: table for other, table in fitted.scene.effects.items() if other != name}
-    problem = bench.problem(replace(fitted.scene, effects=effects))
+    return refit_as(bench, replace(fitted.scene, effects=effects))
+
+
+def refit_as(bench: Bench, scene: Scene) -> Fitted:
+    """The model that starts as the scene stands, fitted on from there."""
+    problem = bench.problem(scene)
     return _fit(bench, problem, [problem.x0], quick=True)
 
 
@@ -194,8 +195,7 @@ def narrow(bench: Bench, fitted: Fitted) -> tuple[Bench, Fitted]:
     if all((a.interior == b.interior).all() for a, b in pairs):
         return bench, fitted
     narrowed = replace(bench, observations=observations)
-    problem = narrowed.problem(fitted.scene)
-    return narrowed, _fit(narrowed, problem, [problem.x0], quick=True)
+    return narrowed, refit_as(replace(narrowed, bound=fitted.problem.misfit.bound), fitted.scene)
 
 
 def fitted_at(

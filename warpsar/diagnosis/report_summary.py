@@ -80,6 +80,16 @@ def _verdict(done: Diagnosed, content: dict[str, Any]) -> list[str]:
         tables = effect_table(step["parameters"])
         doubt = f" But {step['note']}." if is_carried(step["effect"], step["carried_over"] or 0.0) else ""
         said.append(f"Added: {step['effect']} ({get(step['effect']).summary}), with {tables}.{held}{doubt}")
+    if found.withdrawn:
+        said.append(
+            f"Tried, and not the answer: {', '.join(found.withdrawn)}. Added, it holds on the train views, but it made "
+            "the error on test views larger. So the declared model stands."
+        )
+    said += [
+        f"Tried, and taken back: {name}. {why[0].upper()}{why[1:]}."
+        for name, why in content["taken_back"].items()
+        if why
+    ]
     said += [
         f"Dropped again, being needless beside {turn['added']}: {name}."
         for turn in content["turns"]

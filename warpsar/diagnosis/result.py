@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from warpsar.diagnosis.found import Candidate, DiagnoseOptions, Diagnosis
-from warpsar.diagnosis.judge import ROLES, Judge, Judged, JudgedMetrics, pool
+from warpsar.diagnosis.judge import ROLES, Judge, Judged, JudgedMetrics, difference, pool
 from warpsar.diagnosis.place import Place, place
 from warpsar.diagnosis.procedure import diagnose_scene
 from warpsar.diagnosis.refit import Fitted
 from warpsar.diagnosis.score import NOT_TESTABLE
+from warpsar.effects.registry import get
 from warpsar.learning.identify import Identified, identify
 from warpsar.runtime import devices, distributed
 from warpsar.scene.scene import Scene
@@ -51,15 +53,37 @@ def diagnose(scene: Scene, *, device: str | None = None, options: DiagnoseOption
 
 
 def judged(found: Diagnosis) -> Diagnosed:
-    """Judge every turn's model on all views."""
+    """Judge every turn's model on all views.
+
+    A model that is farther from the test views than the declared one is never the answer: the declared model stands
+    then, what was found is `withdrawn`, and what it was to explain is left unexplained.
+    """
     judge = Judge(found)
     models = [judge(fitted.scene) for fitted in fitted_models(found)]
+    if found.verdict and _worse(found.verdict, models[0], models[-1]):
+        withdrawn = found.verdict
+        found = replace(found, final=found.declared, withdrawn=withdrawn, unexplained=True)
+        models.append(models[0])
     return Diagnosed(found, judge, models, place(found, models[-1], found.turns[-1].spot))
 
 
+def _worse(verdict: Sequence[str], before: Sequence[Judged], after: Sequence[Judged]) -> bool:
+    """Whether the mean deviance of the test views rose.
+
+    Effects with one number per view are not there in test views. Their images then differ by how the surface moved
+    alone, to either side, and only a rise by more than its standard error counts.
+    """
+    gained = difference(before, after, "test")
+    if gained is None:
+        return False
+    alone = all(parameter.per_view for name in verdict for parameter in get(name).parameters)
+    return gained[0] < (-gained[1] if alone else 0.0)
+
+
 def fitted_models(found: Diagnosis) -> list[Fitted]:
-    """The declared model and the one after every addition, fitted."""
-    return [found.declared, *(turn.fitted for turn in found.turns if turn.fitted is not None)]
+    """The declared model, the one after every addition, and the final one, fitted."""
+    models = [found.declared, *(turn.fitted for turn in found.turns if turn.fitted is not None)]
+    return models if models[-1] is found.final else [*models, found.final]
 
 
 @dataclass(frozen=True)

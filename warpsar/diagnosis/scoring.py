@@ -28,16 +28,15 @@ def score_effects(
     bench: Bench,
     other_rays: Rays,
     base: Fitted,
-    at: Scene,
     evidence: Evidence,
     options: DiagnoseOptions,
     number: int,
     progress: Callable[[int], object],
 ) -> tuple[Turn, dict[str, list[Template]]]:
     """The turn with the score of every effect that is not declared and of the scan, and each effect's templates, best
-    first. `scene` is the declared one, `at` the one that `evidence` was taken at; `number` counts turns from 0."""
+    first. `scene` is the declared one, `base` the model that `evidence` was taken at; `number` counts turns from 0."""
     ranks = bench.ranks
-    projection, found = ranks.agree(lambda: _grouped(scene, bench, other_rays, base, at, evidence))
+    projection, found = ranks.agree(lambda: _grouped(scene, bench, other_rays, base, evidence))
     candidates = {name: _candidate(name, members) for name, members in found.items()}
     testable = ranks.gather([c.effect for c in candidates.values() if c.testability == "testable"])[0]
     groups = {name: found[name] for name in testable}
@@ -60,14 +59,14 @@ def score_effects(
 
 
 def _grouped(
-    scene: Scene, bench: Bench, other_rays: Rays, base: Fitted, at: Scene, evidence: Evidence
+    scene: Scene, bench: Bench, other_rays: Rays, base: Fitted, evidence: Evidence
 ) -> tuple[Projection, dict[str, list[Group]]]:
-    """The templates of every effect that is not declared, about the scene `at`, and the tangent of what is fitted."""
+    """The templates of every effect that is not in the model `base`, about it, and the tangent of what is fitted."""
     observations = {view.view.name: view.observations for view in base.problem.views}
-    maker = TemplateMaker(at, bench.device, other_rays, observations, evidence.modelled)
+    maker = TemplateMaker(base.scene, bench.device, other_rays, observations, evidence.modelled)
     # A fit without multiple bounces may have made the surface a poor mirror. Paths are invisible there, so their
     # templates are taken at the declared surface too.
-    unmoved = replace(at, materials=scene.materials)
+    unmoved = replace(base.scene, materials=scene.materials)
     paths = TemplateMaker(unmoved, bench.device, other_rays, observations, evidence.modelled)
     projection = Projection(maker.tangent(), evidence.root_looks)
     found = {}

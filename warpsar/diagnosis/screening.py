@@ -21,6 +21,7 @@ from warpsar.diagnosis.refit import (
     state_told,
 )
 from warpsar.diagnosis.templates import with_effect
+from warpsar.effects.base.parameter import Parameter
 from warpsar.effects.registry import get
 from warpsar.learning.optimise import FitState, levenberg_marquardt
 from warpsar.learning.problem import FitProblem
@@ -28,6 +29,7 @@ from warpsar.learning.results import learned_scene
 from warpsar.scene.scene import Scene
 
 STARTS = 4  # of the tables that an effect's best trials offer, how many are fitted
+NEARER = (0.3, 0.1)  # shares of a first table's way from neutral, at which a fit begins again
 GLANCE = 4  # iterations after which candidates are compared for the first time
 CLIMB = 10.0  # times what an effect has gained, that refinements may bring
 WORTH = 2.0  # log-likelihood that another setting has to gain; five times as much if it adds something
@@ -46,52 +48,58 @@ class Glance:
 class Screening:
     """`base` and one effect more, everything refitted, from each of the effect's best `STARTS` tables.
 
-    The surface starts as `from_scene` has it, and as the scene file does: a strong effect that is missing can pull the
-    fitted surface so far that no descent leads back. At first only a glance, which may be another rank's.
+    The surface starts as `base` has it. Where losses are bounded, it starts as the scene file has it too: a strong
+    effect that is missing can pull the fitted surface so far that no descent leads back. A fit that is worse than none
+    begins again nearer to neutral. At first only a glance, which may be another rank's.
     """
 
     def __init__(
         self,
         bench: Bench,
         base: Fitted,
-        from_scene: Scene,
         declared: Scene,
         name: str,
         tables: Sequence[Mapping[str, Any]],
         glanced: Glance | None = None,
     ) -> None:
         self.bench, self.base, self.name, self.tables = bench, base, name, tables
-        surfaces = [from_scene, replace(base.scene, materials=declared.materials)]
+        surfaces = [base.scene]
+        if bench.bound > 0:
+            surfaces.append(replace(base.scene, materials=declared.materials))
         self._problem: FitProblem | None = None
-        if glanced is None:
-            runs = []
-            for surface in surfaces:
-                problem = bench.problem(with_effect(surface, name, tables[0]))
-                runs.append((problem, self._run(problem, standing_at(problem, problem.x0), GLANCE)))
-            best = min(range(len(runs)), key=lambda k: runs[k][1].best_loss)
-            self._problem, state = runs[best]
-            fitted = _fitted(bench, self._problem, state)
-            glanced = Glance(best, state, fitted.log_likelihood, fitted.whole)
-        self.glanced = glanced
-        self._surface = surfaces[glanced.surface]  # the other tables need not try both
+        self.glanced = glanced or self._glance(surfaces)
+        self._surface = surfaces[self.glanced.surface]  # the other tables need not try both
+
+    def _glance(self, surfaces: Sequence[Scene]) -> Glance:
+        best: Glance | None = None
+        for share in (1.0, *NEARER):
+            if best is not None and best.log_likelihood > self.base.log_likelihood:
+                break
+            table = toward_neutral(self.name, self.tables[0], share)
+            for number, surface in enumerate(surfaces):
+                problem = self.bench.problem(with_effect(surface, self.name, table))
+                state = self._run(problem, standing_at(problem, problem.x0), GLANCE)
+                fitted = _fitted(self.bench, problem, state)
+                if best is None or fitted.whole > best.whole:
+                    self._problem, best = problem, Glance(number, state, fitted.log_likelihood, fitted.whole)
+        assert best is not None
+        return best
 
     def told(self) -> dict[str, Any]:
         """For other ranks (JSON's types): what the glance found."""
         return {"name": self.name, "tables": self.tables, **vars(self.glanced), "state": state_told(self.glanced.state)}
 
     @classmethod
-    def heard(
-        cls, bench: Bench, base: Fitted, from_scene: Scene, declared: Scene, told: Mapping[str, Any]
-    ) -> Screening:
+    def heard(cls, bench: Bench, base: Fitted, declared: Scene, told: Mapping[str, Any]) -> Screening:
         """The screening that another rank has `told` of."""
         about = dict(told)
         name, tables, state = about.pop("name"), about.pop("tables"), FitState.from_arrays(about.pop("state"))
-        return cls(bench, base, from_scene, declared, name, tables, Glance(state=state, **about))
+        return cls(bench, base, declared, name, tables, Glance(state=state, **about))
 
-    def finish(self, lead: float) -> tuple[Fitted, bool]:
-        """The best of all tables, refined by them (`Effect.refinements`), and whether its fit was given up; `lead` is
-        the log-likelihood of the best other candidate. Best by likelihood, less half a ln(pixels) for each parameter:
-        three that shift the world are not taken for what two explain."""
+    def finish(self, lead: float, *, refine: bool = True) -> tuple[Fitted, bool]:
+        """The best of all tables, refined by them (`refined`), and whether its fit was given up; `lead` is the
+        log-likelihood of the best other candidate. Best by likelihood, less half a ln(pixels) for each parameter: three
+        that shift the world are not taken for what two explain."""
         problem = self._problem or self.bench.problem(with_effect(self._surface, self.name, self.tables[0]))
         state = self.glanced.state
         # dark pixels, if any, cost the effect what they cost it now
@@ -112,10 +120,10 @@ class Screening:
         price = 0.5 * np.log(sum(int(seen.interior.sum()) for seen in problem.observations))
         best = max(range(len(found)), key=lambda k: found[k].log_likelihood - price * found[k].size)
         before = self.base.log_likelihood
-        if CLIMB * (found[best].log_likelihood - before) < lead - before:
+        if not refine or CLIMB * (found[best].log_likelihood - before) < lead - before:
             return found[best], given_up[best]
-        refined = _refined(self.bench, found[best], self.name, self.tables)
-        return refined, given_up[best] and refined.log_likelihood < lead
+        climbed = refined(self.bench, found[best], self.name, self.tables)
+        return climbed, given_up[best] and climbed.log_likelihood < lead
 
     def _run(self, problem: FitProblem, state: FitState, until: int, limit: float = -np.inf) -> FitState:
         """On to iteration `until`, or to where the log-likelihood `limit` is out of reach."""
@@ -132,8 +140,28 @@ def _fitted(bench: Bench, problem: FitProblem, state: FitState) -> Fitted:
     return fitted_at(bench, problem, state.best_x, state.best_loss, state.iteration)
 
 
-def _refined(bench: Bench, fitted: Fitted, name: str, others: Sequence[Mapping[str, Any]]) -> Fitted:
-    """Uphill through the effect's refinements, its own parameters fitted at each, and everything at the end."""
+def toward_neutral(name: str, table: Mapping[str, Any], share: float) -> dict[str, Any]:
+    """The effect's table with a `share` of what each parameter with a neutral value is away from it."""
+
+    def nearer(parameter: Parameter, value: float) -> float:
+        neutral = parameter.neutral
+        if np.isnan(neutral):
+            return value
+        return neutral + share * (value - neutral) if np.isfinite(neutral) else value / share
+
+    found = dict(table)
+    for parameter in get(name).parameters:
+        value = table.get(parameter.name)
+        if isinstance(value, Mapping):
+            found[parameter.name] = {view: nearer(parameter, one) for view, one in value.items()}
+        elif value is not None:
+            found[parameter.name] = nearer(parameter, value)
+    return found
+
+
+def refined(bench: Bench, fitted: Fitted, name: str, others: Sequence[Mapping[str, Any]]) -> Fitted:
+    """Uphill through the effect's refinements, its own parameters fitted at each, and everything at the end. `others`
+    are tables of its best trials."""
     scene = fitted.scene
     climbing = True
     while climbing:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -21,48 +23,57 @@ GLANCED = 8  # candidates that get a few iterations
 OFFERED = 40  # of an effect's best trials that its refit may try
 
 
+@dataclass(frozen=True)
+class Refit:
+    """A candidate's fit, and the tables that it began from and that may refine it."""
+
+    candidate: Candidate
+    fitted: Fitted
+    tables: Sequence[Mapping[str, Any]]
+
+
 def refits(
     bench: Bench,
     base: Fitted,
-    from_scene: Scene,
     declared: Scene,
     passing: Sequence[Candidate],
     templates: Mapping[str, Sequence[Template]],
     dark: Dark,
     most: int,
-) -> list[tuple[Candidate, Fitted]]:
+) -> list[Refit]:
     """Fits of the `most` candidates that look likeliest at a glance.
 
-    Each may be given up where it falls far behind the best other one. Where dark pixels decide, the effects that can
-    explain them come first, and no fit is given up: lit pixels do not decide then.
+    Each may be given up where it falls far behind the best other one; the next turn tries it again. Where dark pixels
+    decide, effects that can explain them are fitted alone, without refinements, and none is given up: lit pixels do not
+    decide then.
     """
+    if dark.asks:
+        passing = [candidate for candidate in passing if get(candidate.effect).additive]
 
     def glance(effect: str) -> Screening:
         trials = [template.trial for template in templates[effect]][:OFFERED]
-        tables = [table for trial in trials for table in surveyed(bench, from_scene, effect, trial)]
-        return Screening(bench, base, from_scene, declared, effect, tables)
+        tables = [table for trial in trials for table in surveyed(bench, base.scene, effect, trial)]
+        return Screening(bench, base, declared, effect, tables)
 
     screenings = bench.ranks.deal_out(
         [partial(glance, candidate.effect) for candidate in passing[:GLANCED]],
         told=Screening.told,
-        heard=partial(Screening.heard, bench, base, from_scene, declared),
+        heard=partial(Screening.heard, bench, base, declared),
     )
     order = sorted(zip(passing, screenings, strict=False), key=lambda pair: -pair[1].glanced.log_likelihood)
-    if dark.asks:
-        order.sort(key=lambda pair: not get(pair[0].effect).additive)
 
     def lead_over(one: Screening) -> float:
         others = (other.glanced.log_likelihood for other in screenings if other is not one)
         return -np.inf if dark.asks else max(others, default=-np.inf)
 
     finished = bench.ranks.deal_out(
-        [partial(screening.finish, lead_over(screening)) for _, screening in order[:most]],
+        [partial(screening.finish, lead_over(screening), refine=not dark.asks) for _, screening in order[:most]],
         told=lambda result: [result[0].told(), result[1]],
         heard=lambda told: (Fitted.heard(bench, base.scene, told[0]), told[1]),
     )
     found = []
-    for (candidate, _), (fitted, given_up) in zip(order, finished, strict=False):
+    for (candidate, screening), (fitted, given_up) in zip(order, finished, strict=False):
         if given_up:
             candidate.remark("its fit was given up, far behind")
-        found.append((candidate, fitted))
+        found.append(Refit(candidate, fitted, screening.tables))
     return found

@@ -15,12 +15,13 @@ class Misfit:
     """One loss for all images of a fit; `mean_square` is their common scale (`loss_weight`).
 
     Where the images are not `calibrated`, each has a gain of its own, which is always at its best. `mu` is the modelled
-    beta0 of the interior pixels of `seen`, shape (n,), float64.
+    beta0 of the interior pixels of `seen`, shape (n,), float64. `bound`: of the gamma loss, see `bounded`; 0 for none.
     """
 
     loss: str
     mean_square: float
     calibrated: bool
+    bound: float = 0.0
 
     def weight(self, seen: Observation) -> float:
         """What a pixel's loss is multiplied by."""
@@ -28,12 +29,14 @@ class Misfit:
 
     def gain(self, seen: Observation, mu: np.ndarray) -> float:
         """The best gain; 1 for calibrated images."""
-        return 1.0 if self.calibrated else best_gain(self.loss, seen.values, mu, seen.looks)
+        if self.calibrated:
+            return 1.0
+        return best_gain(self.loss, seen.values, mu, seen.looks, self.bound)
 
     def terms(self, seen: Observation, mu: np.ndarray) -> np.ndarray:
         """The loss of every pixel before its weight, at the best gain, shape (n,), float64."""
-        return loss_terms(self.loss, seen.values, self.gain(seen, mu) * mu, seen.looks)
+        return loss_terms(self.loss, seen.values, self.gain(seen, mu) * mu, seen.looks, self.bound)
 
     def curvature(self, seen: Observation, mu: np.ndarray) -> Curvature:
         """Residuals and weights at the best gain."""
-        return curvature(self.loss, seen.values, self.gain(seen, mu) * mu, seen.looks, self.weight(seen))
+        return curvature(self.loss, seen.values, self.gain(seen, mu) * mu, seen.looks, self.weight(seen), self.bound)

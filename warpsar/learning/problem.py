@@ -49,6 +49,7 @@ class FitProblem(SceneCoordinates):
 
     Each of several `ranks` holds its own share of the views. `views`, `observations`, `modelled` and whatever is per
     observation belong to this rank alone; sums and x belong to all views (`chosen`).
+    `bound` is that of the gamma loss (`speckle.likelihood.bounded`).
     `max_memory_gib` bounds what the hits of this rank's views take (by default `memory.default_gib`). Views beyond it
     are traced again, in bands, whenever their image is needed; `bands` has their number by view name.
     """
@@ -67,6 +68,7 @@ class FitProblem(SceneCoordinates):
         observations: Mapping[str, list[Observation]] | None = None,
         ranks: Ranks = ONE,
         max_memory_gib: float | None = None,
+        bound: float = 0.0,
     ) -> None:
         chosen = [v for v in scene.views if v.role in roles and v.images and (views is None or v.name in views)]
         if not chosen:
@@ -76,7 +78,7 @@ class FitProblem(SceneCoordinates):
         rays = rays or Rays(Stage.of(scene, device), seed=scene.sampling.seed)
         self.stage = replace(rays.stage, surface=self.surface)
         mine, self.bands = views_held(scene, chosen, rays, ranks, max_memory_gib)
-        self.misfit = Misfit(loss, self._mean_square(mine), scene.grid.calibrated)
+        self.misfit = Misfit(loss, self._mean_square(mine), scene.grid.calibrated, bound)
         # CUDA: all views read and differentiate one array; CPU: a copy each, so that threads never share a gradient
         self.shared_nodes: wp.array | None = (
             None if device.is_cpu else wp.zeros(self.surface.nodes.size, dtype=float, device=device, requires_grad=True)

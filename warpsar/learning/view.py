@@ -92,6 +92,7 @@ class FitView:
                 seen.looks,
                 misfit.weight(seen),
                 log_bias(seen.looks),
+                misfit.bound,
             ],
             [self.loss],
         )

@@ -41,10 +41,32 @@ class Curvature:
     weight: np.ndarray
 
 
-def curvature(loss: str, measured: np.ndarray, modelled: np.ndarray, looks: float, weight: float) -> Curvature:
-    """Fisher scoring for the gamma likelihood, Gauss-Newton for the other two; `weight` as in `loss_weight`."""
+def bounded(terms: np.ndarray, bound: float) -> np.ndarray:
+    """b ln(1 + t / b) of gamma losses t (half deviances), any shape; t itself where the bound b is 0.
+
+    A pixel that the model misses a thousandfold costs thousands. A few such pixels decide where everything else lies.
+    The logarithm takes that from them, and its slope still says which way is better: Cauchy's function of the deviance
+    residual sqrt(2 t) (Holland and Welsch, Communications in Statistics A6, 1977). It moves the estimate of pure
+    speckle's mean in second order of 1 / b alone, since E[(r - 1) (r - 1 - ln r)] = 0 for r of the gamma distribution.
+    """
+    return bound * np.log1p(terms / bound) if bound > 0 else terms
+
+
+def _shares(terms: np.ndarray, bound: float) -> np.ndarray:
+    """What `bounded` leaves of every pixel's slope: 1 / (1 + t / b)."""
+    return 1.0 / (1.0 + terms / bound) if bound > 0 else np.ones(terms.shape)
+
+
+def curvature(
+    loss: str, measured: np.ndarray, modelled: np.ndarray, looks: float, weight: float, bound: float = 0.0
+) -> Curvature:
+    """Fisher scoring for the gamma likelihood, Gauss-Newton for the other two; `weight` as in `loss_weight`.
+
+    Where the gamma loss has a `bound`, every pixel's weight is its share of the slope (reweighted least squares).
+    """
     if loss == "gamma":
-        return Curvature(measured / modelled - 1.0, np.full(measured.shape, weight * looks))
+        shares = _shares(0.5 * deviance(measured, modelled, looks), bound)
+        return Curvature(measured / modelled - 1.0, weight * looks * shares)
     if loss == "mse":
         return Curvature(measured / modelled - 1.0, weight * modelled**2)
     return Curvature(np.log(measured / modelled) - log_bias(looks), np.full(measured.shape, weight))
@@ -66,21 +88,30 @@ def loss_weight(loss: str, looks: float, mean_square: float) -> float:
     return 1.0 if loss == "gamma" else float(1.0 / polygamma(1, looks))
 
 
-def best_gain(loss: str, measured: np.ndarray, modelled: np.ndarray, looks: float) -> float:
-    """The factor on `modelled` that minimises the loss, in closed form."""
+GAIN_TURNS = 30  # of the reweighted mean: each brings the gain several times nearer
+
+
+def best_gain(loss: str, measured: np.ndarray, modelled: np.ndarray, looks: float, bound: float = 0.0) -> float:
+    """The factor on `modelled` that minimises the loss, in closed form; with a `bound` by reweighted means."""
     if loss == "gamma":
-        return float(np.mean(measured / modelled))
+        ratio = measured / modelled
+        if bound <= 0:
+            return float(np.mean(ratio))
+        gain = float(np.median(ratio))
+        for _ in range(GAIN_TURNS):
+            gain = float(np.average(ratio, weights=_shares(0.5 * deviance(ratio, np.array(gain), looks), bound)))
+        return gain
     if loss == "mse":
         return float(np.sum(measured * modelled) / np.sum(modelled**2))
     return float(np.exp(np.mean(np.log(measured / modelled)) - log_bias(looks)))
 
 
-def loss_terms(loss: str, measured: np.ndarray, modelled: np.ndarray, looks: float) -> np.ndarray:
+def loss_terms(loss: str, measured: np.ndarray, modelled: np.ndarray, looks: float, bound: float = 0.0) -> np.ndarray:
     """Loss of every pixel, float64, without the weight; kernels/loss.py adds up the same."""
     if loss == "mse":
         return 0.5 * (measured - modelled) ** 2
     if loss == "gamma":
-        return 0.5 * deviance(measured, modelled, looks)
+        return bounded(0.5 * deviance(measured, modelled, looks), bound)
     return 0.5 * (np.log(measured / modelled) - log_bias(looks)) ** 2
 
 

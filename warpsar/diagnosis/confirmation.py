@@ -1,0 +1,99 @@
+"""Which of the added effects hold, each asked beside all the others.
+
+Effects were added one after the other, on trial. What is asked of one of them depends on what else is in the model:
+without a blur that is missing, the bright lines of a second bounce look wrong in views left out. So nothing is asked
+before all are found. Then the worst is taken back, and the rest is asked again (backward elimination).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from warpsar.diagnosis.addition import TOO_LITTLE
+from warpsar.diagnosis.bench import Bench
+from warpsar.diagnosis.carried import carried_over, is_carried
+from warpsar.diagnosis.found import Confirmed
+from warpsar.diagnosis.left_out import LeftOut, leave_one_view_out, varies_over_columns
+from warpsar.diagnosis.refit import Fitted, refit_without
+from warpsar.effects.registry import get
+
+
+@dataclass
+class Confirmation:
+    """The model with those effects that hold, and what was `asked` of each, the refused ones first."""
+
+    fitted: Fitted
+    asked: list[Confirmed]
+
+
+def confirm(
+    bench: Bench, fitted: Fitted, added: Sequence[str], needed: Callable[[Fitted], bool], price: float
+) -> Confirmation:
+    """Which of the `added` effects hold.
+
+    A parameter costs `price` of 2 ln L. `needed` says of a model whether the dark pixels ask it for an effect that adds
+    power: such an effect stays, whatever it gains in the light.
+    """
+    refused: list[Confirmed] = []
+    while True:
+        left = [name for name in added if name in fitted.scene.effects]
+        without = {name: refit_without(bench, fitted, name) for name in left}
+        dark = {name for name in left if get(name).additive and needed(without[name])}
+        asked = {name: _gained(fitted, without[name], name) for name in left}
+        poor = [one for one in asked.values() if one.effect not in dark and one.gain <= one.size * price]
+        if poor:
+            worst = min(poor, key=lambda one: one.gain - one.size * price)
+            worst.refused = TOO_LITTLE
+        else:
+            for name in left:
+                if name not in dark:
+                    _ask(bench, fitted, without[name], asked[name])
+            failing = [one for one in asked.values() if one.refused]
+            if not failing:
+                return Confirmation(fitted, [*refused, *asked.values()])
+            worst = min(failing, key=_strength)
+        fitted = without[worst.effect]
+        refused.append(worst)
+
+
+def _gained(fitted: Fitted, without: Fitted, name: str) -> Confirmed:
+    gain = 2.0 * (fitted.log_likelihood - without.log_likelihood)
+    return Confirmed(name, gain, fitted.size - without.size)
+
+
+def _strength(one: Confirmed) -> float:
+    """How clearly views left out speak for an effect, in standard errors."""
+    left = one.left_out
+    return 0.0 if left is None or left.error <= 0 else left.gain / left.error
+
+
+def _ask(bench: Bench, fitted: Fitted, without: Fitted, one: Confirmed) -> None:
+    """Whether the effect helps on views left out, is one value for a view, and is no power that the surface may send.
+    Fills in the answers."""
+    name = one.effect
+    one.left_out = leave_one_view_out(bench, without, fitted, name)
+    if not one.left_out.passed:
+        one.refused = "it does not help on views left out by more than two standard errors"
+        return
+    if varies_over_columns(bench, without, fitted, name):
+        one.refused = "not one value for a view: it varies over the view's columns"
+        return
+    if get(name).in_image:
+        one.carried = carried_over(bench, fitted, name)
+        if is_carried(name, one.carried):
+            shared = _shared_note(name, one.carried, one.left_out)
+            one.notes.append(shared)
+            if get(name).additive:
+                one.refused = shared
+
+
+def _shared_note(name: str, carried: float, left: LeftOut) -> str:
+    """Why the surface may be the cause. Power added in an image may come from something that stands there. Every radar
+    blurs, so of a blur the amount alone is in doubt."""
+    share = f"the surface takes {100.0 * carried:.0f} % of its gain over from view to view"
+    if left.views == 1:
+        share = "one view alone"
+    if get(name).additive:
+        return f"{share}: it cannot be told from something that stands there"
+    return f"{share}: its size cannot be told from errors of the mesh, and is that of both"

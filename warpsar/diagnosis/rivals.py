@@ -1,0 +1,73 @@
+"""Which other effect would have done as well: names that the data cannot decide between."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from warpsar.diagnosis.bench import Bench
+from warpsar.diagnosis.evidence import Evidence
+from warpsar.diagnosis.found import Candidate, Rival, Turn
+from warpsar.diagnosis.refit import Fitted, refit_as
+from warpsar.diagnosis.templates import with_effect
+from warpsar.effects.base.trial import Context
+from warpsar.effects.registry import get
+
+ASKED = 3  # rivals of one effect, the best by score
+NEAR = 0.5  # of an effect's score (-ln p), from which on another one is a rival
+MOST_TABLES = 4  # of a rival that had no fit in the turn
+
+
+def rivals_of(bench: Bench, fitted: Fitted, names: Sequence[str], turns: Sequence[Turn]) -> list[Rival]:
+    """Every effect of `names` in the model `fitted` against the effects that scored nearly as well in its turn, each
+    fitted in its place."""
+    tasks = []
+    for name in names:
+        turn = next(turn for turn in reversed(turns) if turn.added == name)
+        mine = next(c for c in turn.candidates if c.effect == name)
+        for other in _near(mine, turn, fitted):
+            tasks.append(partial(_against, bench, fitted, name, other))
+    return [found for found in (task() for task in tasks) if found is not None]
+
+
+def _near(mine: Candidate, turn: Turn, fitted: Fitted) -> list[Candidate]:
+    able = [c for c in turn.candidates if c.testability == "testable" and c.effect not in fitted.scene.effects]
+    near = [c for c in able if c.minus_log_p > NEAR * mine.minus_log_p or c.effect in mine.resembles]
+    return sorted(near, key=lambda c: -c.minus_log_p)[:ASKED]
+
+
+def _against(bench: Bench, fitted: Fitted, name: str, other: Candidate) -> Rival | None:
+    """None where the other effect has no start here."""
+    without = replace(fitted.scene, effects={n: table for n, table in fitted.scene.effects.items() if n != name})
+    modelled = fitted.problem.modelled(fitted.x)
+    if other.table is None:
+        level = float(np.median(np.concatenate(modelled)))
+        trials = get(other.effect).trials(Context(without, level))
+        tables = [trial.starts[0] for trial in trials[:MOST_TABLES]]
+    else:
+        tables = [other.table]
+    if not tables:
+        return None
+    fits = [refit_as(bench, with_effect(without, other.effect, table)) for table in tables]
+    theirs = max(fits, key=lambda one: one.log_likelihood)
+    evidence = Evidence.of(fitted.problem, fitted.x, bench.ranks)
+    area = max(float(evidence.autocovariance.sum() / evidence.autocovariance.max()), 1.0)
+    gain = 2.0 * (fitted.log_likelihood - theirs.log_likelihood)
+    expected = fitted.size - theirs.size  # that further parameters gain by chance
+    ours, others = (_interior(bench, one) for one in (fitted, theirs))
+    distance = float(
+        bench.ranks.same(sum(looks * float(np.sum(np.log(a / b) ** 2)) for (a, looks), (b, _) in zip(ours, others)))
+    )
+    z = (gain - expected + distance) / (2.0 * np.sqrt(max(distance * area, 1e-12)))
+    return Rival(name, other.effect, gain, distance, float(z))
+
+
+def _interior(bench: Bench, fitted: Fitted) -> list[tuple[np.ndarray, float]]:
+    """beta0 of every lit interior pixel of each observation, with its gain, and the looks."""
+    problem = bench.problem(fitted.scene, dark=False)
+    modelled = problem.modelled_as_declared()
+    pairs = zip(problem.observations, modelled, problem.gains(modelled), strict=True)
+    return [(gain * mu, seen.looks) for seen, mu, gain in pairs]

@@ -1,0 +1,158 @@
+"""The search for what is missing: add on trial until nothing more is found, then take back what does not hold."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from warpsar.diagnosis.addition import add_the_best
+from warpsar.diagnosis.bench import Bench
+from warpsar.diagnosis.confirmation import Confirmation, confirm
+from warpsar.diagnosis.course import Course
+from warpsar.diagnosis.dark import Dark, worth_a_refit
+from warpsar.diagnosis.evidence import Evidence
+from warpsar.diagnosis.found import Candidate, DiagnoseOptions, Rival, Turn
+from warpsar.diagnosis.outcome import confirmation_lines, score_text, turn_lines
+from warpsar.diagnosis.pruning import prune
+from warpsar.diagnosis.refit import Fitted, narrow, on_bounded_ground, settle
+from warpsar.diagnosis.rivals import rivals_of
+from warpsar.diagnosis.scoring import score_effects
+from warpsar.diagnosis.shortlist import refits
+from warpsar.runtime import console
+from warpsar.runtime.distributed import Ranks
+from warpsar.scene.scene import Scene
+from warpsar.simulation.rays import Rays
+
+CHANCES = 2  # how often one effect may be added: what is taken back may hold once something else was found
+
+
+class Search:
+    """Turns of adding on trial (stepwise forward), and their confirmation (stepwise backward), until both agree.
+
+    `turns` in their order; the last one adds nothing. No order of additions decides: what is asked of an effect is
+    asked beside all others, and an effect that was taken back has another chance once something else was found.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        bench: Bench,
+        other_rays: Rays,
+        declared: Fitted,
+        options: DiagnoseOptions,
+        course: Course,
+        progress: Callable[[int], object],
+    ) -> None:
+        self.scene, self.options, self.turns = scene, options, list[Turn]()
+        self._bench = bench  # fewer pixels where an added effect has moved the light
+        self._other_rays, self._declared, self._course, self._progress = other_rays, declared, course, progress
+        self._base = declared
+        self._barred: set[str] = set()  # taken back, with nothing else found since
+        self._times: Counter[str] = Counter()  # that an effect was added
+        self._stage = 0
+
+    def run(self) -> None:
+        """Search to the end."""
+        while self._forward():
+            if not self._confirmed():
+                break
+
+    def final(self) -> Fitted:
+        """The model that the search ended with, at its best; nothing that a pixel can cost is bounded."""
+        if not self._added(self._base):
+            return self._declared
+        if self._base.problem.misfit.bound > 0:
+            return settle(replace(self._bench, bound=0.0), self._base, self.options.starts, self.options.seed)
+        return self._base
+
+    def rivals(self) -> list[Rival]:
+        """Other effects in the place of those that hold."""
+        bench, here = on_bounded_ground(self._bench, self._base, self.scene)
+        return rivals_of(bench, here, self._added(here), self.turns)
+
+    @property
+    def unexplained(self) -> bool:
+        """Whether the last scan passed, or an effect was refused because something may stand there."""
+        last = self.turns[-1]
+        final = self._base.scene.effects
+        shared = any(c.shared and c.effect not in final for turn in self.turns for c in turn.candidates)
+        return last.scan_minus_log_p > last.threshold or shared
+
+    def _added(self, fitted: Fitted) -> list[str]:
+        """Effects of a model that the scene does not declare."""
+        return [name for name in fitted.scene.effects if name not in self.scene.effects]
+
+    def _forward(self) -> bool:
+        """Turns until one adds nothing; whether any added something."""
+        found = False
+        while True:
+            turn = self._course.turn(self._stage, self._bench, self._base, self._turn)
+            self._stage += 1
+            console.say("\n".join(turn_lines(turn, len(self.turns))))
+            self.turns.append(turn)
+            if turn.fitted is None or turn.added is None:
+                return found
+            self._times[turn.added] += 1
+            self._barred = {name for name in self._barred if self._times[name] >= CHANCES}
+            found = True
+            self._bench, self._base = narrow(self._bench, turn.fitted)
+
+    def _turn(self) -> Turn:
+        """Score every effect that is not in the model, fit the best, and add the likeliest. Drop those of earlier turns
+        that it makes needless."""
+        number, options = len(self.turns), self.options
+        bench, here = on_bounded_ground(self._bench, self._base, self.scene)
+        evidence = Evidence.of(here.problem, here.x, bench.ranks)
+        turn, templates = score_effects(
+            self.scene, bench, self._other_rays, here, evidence, options, number, self._progress
+        )
+        dark = Dark.of(here)
+        passing = worth_a_refit(turn.candidates, turn.threshold, dark)
+        _say(turn, number, passing)
+        allowed = [c for c in passing if c.effect not in self._barred and self._times[c.effect] < CHANCES]
+        if len(self._added(here)) < options.most_effects:
+            price = price_of(evidence, bench.ranks)
+            found = refits(bench, here, self.scene, allowed, templates, dark, options.refits)
+            add_the_best(bench, turn, here, found, dark, price)
+            if turn.fitted is not None:
+                prune(bench, turn, self._added(here), price)
+        return turn
+
+    def _confirmed(self) -> bool:
+        """Ask every added effect beside all others; whether any was taken back."""
+        if not self._added(self._base):
+            return False
+        answers = self._course.confirmation(self._stage, self._bench, self._base, self._confirm)
+        self._stage += 1
+        console.say("\n".join(confirmation_lines(answers)))
+        for one in answers.asked:
+            turn = next(turn for turn in reversed(self.turns) if turn.added == one.effect)
+            next(c for c in turn.candidates if c.effect == one.effect).answered(one)
+        refused = {one.effect for one in answers.asked if one.refused}
+        self._barred |= refused
+        self._base = answers.fitted
+        return bool(refused)
+
+    def _confirm(self) -> Confirmation:
+        bench, here = on_bounded_ground(self._bench, self._base, self.scene)
+        settled = settle(bench, here, self.options.starts, self.options.seed)
+        price = price_of(Evidence.of(settled.problem, settled.x, bench.ranks), bench.ranks)
+        return confirm(bench, settled, self._added(settled), lambda model: Dark.of(model).asks, price)
+
+
+def price_of(evidence: Evidence, ranks: Ranks) -> float:
+    """What a parameter costs in 2 ln L: ln of the independent looks in the data, which are the pixels over the
+    correlation area, times looks (Schwarz, Annals of Statistics 6, 1978)."""
+    area = max(float(evidence.autocovariance.sum() / evidence.autocovariance.max()), 1.0)
+    return float(np.log(ranks.same(np.sum(evidence.root_looks**2) / area)))
+
+
+def _say(turn: Turn, number: int, passing: Sequence[Candidate]) -> None:
+    scores = ", ".join(f"{c.effect} {score_text(c.minus_log_p)}" for c in passing) or "none"
+    console.say(
+        f"turn {number + 1}: worth a fit, by score (-ln p, threshold {turn.threshold:.1f}): {scores}; "
+        f"scan {score_text(turn.scan_minus_log_p)} (z {turn.spot.z:+.1f})"
+    )
