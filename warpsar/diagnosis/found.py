@@ -147,8 +147,9 @@ class Rival:
 @dataclass
 class Diagnosis:
     """`turns` in their order: the last one added nothing, unless the limit was reached. `declared` is the model of the
-    scene file, fitted. `final` is the one with every added effect that holds. `rivals`: other effects in the place of these. `withdrawn`: effects that held on the
-    train views, but made the error on test views larger; `final` is then `declared` again."""
+    scene file, fitted. `final` is the one with every added effect that holds. `rivals`: other effects in the place of
+    these. `withdrawn`: effects that held on the train views, but made the error on test views larger; `final` is then
+    `declared` again."""
 
     scene: Scene
     declared: Fitted

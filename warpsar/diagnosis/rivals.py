@@ -58,9 +58,8 @@ def _against(bench: Bench, fitted: Fitted, name: str, other: Candidate) -> Rival
     gain = 2.0 * (fitted.log_likelihood - theirs.log_likelihood)
     expected = fitted.size - theirs.size  # that further parameters gain by chance
     ours, others = (_interior(bench, one) for one in (fitted, theirs))
-    distance = float(
-        bench.ranks.same(sum(looks * float(np.sum(np.log(a / b) ** 2)) for (a, looks), (b, _) in zip(ours, others)))
-    )
+    apart = (looks * np.sum(np.log(a / b) ** 2) for (a, looks), (b, _) in zip(ours, others, strict=True))
+    distance = float(bench.ranks.same(float(sum(apart))))
     z = (gain - expected + distance) / (2.0 * np.sqrt(max(distance * area, 1e-12)))
     return Rival(name, other.effect, gain, distance, float(z))
 
