@@ -404,11 +404,11 @@ class FitProblem(SceneCoordinates):
         """d ln(mu) / dx of the surface's nodes, for every observation: shape (pixels, p), float64.
 
         It is for fields: a node touches few pixels, so memory and time grow with the hits, not with pixels times
-        nodes. The columns of effects' parameters, the last ones, are empty, and so is what a node changes along paths
-        of several bounces unless its hits are at hand. Gains are not projected out.
+        nodes. Paths of several bounces count too. The last columns, of effects' parameters, are empty. Gains are not
+        projected out.
 
         An effect of the image stage acts on each column in turn: exactly if it is affine, as in `jacobian` otherwise.
-        Elements below 1e-6 of a column's largest are then left out. A blur makes columns longer, and a median pivot
+        Elements whose beta0 is below 1e-6 of a column's largest are then left out. A blur makes columns longer, and a median pivot
         (saturation) makes them dense. Raises InputError where the hits are not at hand (max_memory_gib).
         """
         makers = self._makers
