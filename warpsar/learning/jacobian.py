@@ -54,10 +54,10 @@ class ViewJacobian:
     ) -> tuple[list[np.ndarray], list[np.ndarray]]:
         """Modelled beta0 and d ln(mu) of each observation, shapes (n,) and (n, `count`), float64.
 
-        The nodes are those that the render stands at, and `values` its effects'.
+        The last run's images are those of the parameters as they stand, with what gradients need if there are `nodes`;
+        `values` are the effects'.
         """
         view = self._view
-        view.run_images(gradient=nodes.nodes.size > 0)
         modelled = view.modelled()
         found = [np.zeros((count, mu.size)) for mu in modelled]
         stale: list[wp.array] = []

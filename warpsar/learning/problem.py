@@ -142,6 +142,10 @@ class FitProblem(SceneCoordinates):
     def modelled(self, x: np.ndarray | DeviceX) -> list[np.ndarray]:
         """beta0 of every observation's interior pixels, before gains; the order of `observations`."""
         self._run(x)
+        return self.standing()
+
+    def standing(self) -> list[np.ndarray]:
+        """`modelled` of the last run, whether it was for images, losses or a gradient."""
         return [mu for view in self.views for mu in view.modelled()]
 
     def moments(self, x: DeviceX) -> np.ndarray:
@@ -163,7 +167,7 @@ class FitProblem(SceneCoordinates):
         """`modelled` of the scene exactly as it stands, even where its effects lie outside a fit's bounds."""
         for view in self.views:
             view.run_images()
-        return [mu for view in self.views for mu in view.modelled()]
+        return self.standing()
 
     @property
     def keeps_hits(self) -> bool:
@@ -318,15 +322,17 @@ class FitProblem(SceneCoordinates):
         """The validity constraints' part of the last run (total variation is zero for uniform materials)."""
         return float(self.ranks.sum(sum(float(view.outside.numpy().sum()) for view in self.views)))
 
-    def jacobian_at(self, x: np.ndarray, moving: np.ndarray | None = None) -> list[np.ndarray]:
+    def jacobian_at(
+        self, x: np.ndarray, moving: np.ndarray | None = None, *, standing: bool = False
+    ) -> list[np.ndarray]:
         """`jacobian` with a column for all of x, 0 where `moving`, shape (p,), is false.
 
-        The last one is kept: asked for at the same x again, it costs nothing.
+        The last one is kept: asked for at the same x again, it costs nothing. `standing` as in `jacobian`.
         """
         key = x.tobytes() + (b"" if moving is None else moving.tobytes())
         if self._jacobian is None or self._jacobian[0] != key:
             columns = np.arange(x.size) if moving is None else np.flatnonzero(moving)
-            found = parts = self.jacobian(x, columns.tolist())
+            found = parts = self.jacobian(x, columns.tolist(), standing=standing)
             if columns.size < x.size:
                 found = [np.zeros((x.size, part.shape[0])).T for part in parts]
                 for whole, part in zip(found, parts, strict=True):
@@ -334,19 +340,21 @@ class FitProblem(SceneCoordinates):
             self._jacobian = key, found
         return self._jacobian[1]
 
-    def jacobian(self, x: np.ndarray, columns: Sequence[int] | None = None) -> list[np.ndarray]:
+    def jacobian(
+        self, x: np.ndarray, columns: Sequence[int] | None = None, *, standing: bool = False
+    ) -> list[np.ndarray]:
         """d ln(mu) / dx of every observation, shape (pixels, len(columns)), float64.
 
         Columns of surface nodes are exact (render/tangents.py), those of effects' parameters central differences of the
         images. All are such differences where the hits are not at hand. Where gains are unknown their tangent is
-        projected out, in the weights of the loss.
+        projected out, in the weights of the loss. `standing`: the last run was `gradient` at x, and is not repeated.
         """
         numbers = list(range(x.size) if columns is None else columns)
         makers = self._makers
         if makers is None:
             modelled, found = None, self._differences(x, numbers)
         else:
-            modelled, found = self._forward_mode(makers, x, numbers)
+            modelled, found = self._forward_mode(makers, x, numbers, standing)
         if not self.scene.grid.calibrated:
             weights = [c.weight for c in self.curvatures(modelled or self.modelled(x))]
             found = [j - np.average(j, axis=0, weights=w) for j, w in zip(found, weights, strict=True)]
@@ -379,10 +387,10 @@ class FitProblem(SceneCoordinates):
         return [rows.T for rows in found]
 
     def _forward_mode(
-        self, makers: Sequence[ViewJacobian], x: np.ndarray, columns: Sequence[int]
+        self, makers: Sequence[ViewJacobian], x: np.ndarray, columns: Sequence[int], standing: bool
     ) -> tuple[list[np.ndarray], list[np.ndarray]]:
         """Modelled beta0 and Jacobian of every observation."""
-        shared, tables = self._share(x), self.effect_tables(x)
+        shared, tables = None if standing else self._share(x), self.effect_tables(x)
         places = [place for place, column in enumerate(columns) if column < self.learned.size]
         nodes = Nodes(np.array(places, int), self.learned[[columns[place] for place in places]])
         moved = []
@@ -392,7 +400,9 @@ class FitProblem(SceneCoordinates):
                 moved.append((place, self.effect_tables(up), self.effect_tables(down), up[column] - down[column]))
 
         def one(view: FitView, maker: ViewJacobian) -> tuple[list[np.ndarray], list[np.ndarray]]:
-            self._set(view, shared, tables)
+            if not standing:
+                self._set(view, shared, tables)
+                view.run_images(gradient=bool(places))
             moves = [Move(p, self._values(view, up), self._values(view, down), width) for p, up, down, width in moved]
             return maker.dense(self._values(view, tables), nodes, moves, len(columns))
 
