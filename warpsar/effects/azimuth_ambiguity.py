@@ -25,6 +25,7 @@ class AzimuthAmbiguity(Effect):
     name = "azimuth_ambiguity"
     stage = "image"
     order = 20
+    affine = True
     additive = True
     in_image = True
     summary = "faint copies of the image at a distance in azimuth"

@@ -53,6 +53,7 @@ class Interference(Effect):
     name = "interference"
     stage = "image"
     order = 40
+    affine = True
     additive = True
     in_image = True
     summary = "lines of added power in a view"

@@ -19,6 +19,7 @@ class NoiseFloor(Effect):
     name = "noise_floor"
     stage = "image"
     order = 30
+    affine = True
     additive = True
     is_floor = True
     summary = "noise of the receiver, the same in every pixel"

@@ -34,6 +34,7 @@ class PointSpread(Effect):
     name = "point_spread"
     stage = "image"
     order = 10
+    affine = True
     in_image = True
     summary = "finite resolution in range and azimuth"
     example: ClassVar[dict[str, Any]] = {"range_fwhm_m": 1.2, "azimuth_fwhm_m": 1.2, "window": "sinc"}

@@ -68,10 +68,12 @@ class Observation:
             return np.array([DARKEST], np.float32)
         return np.maximum(np.where(self.dark, 0.0, self.least)[self.interior], DARKEST).astype(np.float32)
 
-    @property
+    @cached_property
     def values(self) -> np.ndarray:
-        """Measured beta0 of the interior, shape (n,), float64."""
-        return self.measured[self.interior].astype(float)
+        """Measured beta0 of the interior, shape (n,), float64; it cannot be written to."""
+        found = self.measured[self.interior].astype(float)
+        found.flags.writeable = False
+        return found
 
 
 def estimated_looks(scene: Scene, view: View, measured: np.ndarray) -> float:

@@ -91,10 +91,10 @@ def levenberg_marquardt(
 ) -> FitState:
     """One step of Levenberg-Marquardt with geodesic acceleration (Transtrum and Sethna, arXiv:1201.5885).
 
-    The gradient comes from the tape. The curvature comes from central differences of the images (Fisher scoring for the
-    gamma likelihood). These differences are kept while x moves less than `kept_within` of a log coordinate: speckle
-    forgives that, the long flat valleys of noiseless images do not. The valleys are narrow and bent (eps_r against h
-    against l), so the images' second derivative along a step corrects it.
+    The gradient is the adjoint's. The curvature comes from the images' Jacobian (Fisher scoring for the gamma
+    likelihood). The Jacobian is kept while x moves less than `kept_within` of a log coordinate: speckle forgives that,
+    the long flat valleys of noiseless images do not. The valleys are narrow and bent (eps_r against h against l), so
+    the images' second derivative along a step corrects it.
 
     An element at a bound stays there while the gradient pushes it outward. Elements that no pixel depends on stay too,
     and so do those that `moving`, shape (p,), leaves out. The fit has arrived where a Jacobian made on the spot, and a
@@ -144,7 +144,7 @@ class _Step:
 @dataclass(frozen=True)
 class _Quadratic:
     """The loss about x as a quadratic: gradient and `hessian`, shapes (p,) and (p, p), and `free`, the elements that
-    may move. `weighted`: each observation's Jacobian times its weights."""
+    may move. `weighted`: each observation's Jacobian times its weights, shape (p, pixels)."""
 
     x: np.ndarray
     loss: float
@@ -160,13 +160,13 @@ class _Quadratic:
     def about(cls, problem: FitProblem, x: np.ndarray, origin: np.ndarray, moving: np.ndarray | None) -> _Quadratic:
         """With the Jacobian of `origin`."""
         _, gradient = problem.gradient(x)
-        modelled = problem.modelled(x)
+        modelled = problem.standing()
         loss = problem.value(modelled) + problem.penalty()
-        curvatures, jacobians = problem.curvatures(modelled), problem.jacobian_at(origin, moving)
-        weighted = [c.weight[:, None] * j for j, c in zip(jacobians, curvatures, strict=True)]
+        curvatures, jacobians = problem.curvatures(modelled), problem.jacobian_at(origin, moving, standing=origin is x)
+        weighted = [j.T * c.weight for j, c in zip(jacobians, curvatures, strict=True)]
         hessian = np.zeros((x.size, x.size))
         for j, w in zip(jacobians, weighted, strict=True):
-            hessian += j.T @ w
+            hessian += w @ j
         hessian = problem.ranks.sum(hessian)
         low, high = problem.bounds
         free = ~((x <= low) & (gradient > 0) | (x >= high) & (gradient < 0)) & (np.diag(hessian) > 0)
@@ -198,7 +198,7 @@ class _Quadratic:
         bend = [np.log(b * m / a**2) / BEND_STEP**2 for a, b, m in zip(ahead, further, self.modelled, strict=True)]
         push = np.zeros_like(self.x)
         for w, b in zip(self.weighted, bend, strict=True):
-            push += w.T @ b
+            push += w @ b
         correction = np.zeros_like(self.x)
         correction[self.free] = -0.5 * np.linalg.solve(planned.damped, self.ranks.sum(push)[self.free])
         correction = self.ranks.same(correction)

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
 import warp as wp
+from scipy.sparse import csr_array, hstack
 
 from warpsar.effects.base.effect import DeclaredEffect
 from warpsar.effects.registry import value_in
@@ -21,13 +22,16 @@ from warpsar.kernels import loss as loss_kernels
 from warpsar.kernels import metrics as metrics_kernels
 from warpsar.learning.coordinates import DeviceX, EffectCoordinate, SceneCoordinates
 from warpsar.learning.held import views_held, with_render
+from warpsar.learning.jacobian import Move, Nodes, ViewJacobian
 from warpsar.learning.misfit import Misfit
 from warpsar.learning.observation import Observation
 from warpsar.learning.regularise import TotalVariation
 from warpsar.learning.streams import Streams
 from warpsar.learning.view import FitView
+from warpsar.render.render import ViewRender
 from warpsar.render.rendered import Rendered
 from warpsar.runtime import threads
+from warpsar.runtime.devices import load_kernels
 from warpsar.runtime.distributed import ONE, Ranks
 from warpsar.scene.scene import Scene
 from warpsar.simulation.rays import Rays
@@ -115,21 +119,24 @@ class FitProblem(SceneCoordinates):
                 return None
         return self.float_nodes(x)
 
-    def _set(self, view: FitView, nodes: np.ndarray | None, tables: Mapping[str, Mapping[str, Any]]) -> None:
-        values = {}
-        for e in view.effects:
-            table = tables[e.effect.name]
-            values[e.effect.name] = np.array(
-                [value_in(view.view, p, table, self.scene.views) for p in e.effect.parameters], float
+    def _values(self, view: FitView, tables: Mapping[str, Mapping[str, Any]]) -> dict[str, np.ndarray]:
+        """The values of every effect's parameters in a view."""
+        return {
+            e.effect.name: np.array(
+                [value_in(view.view, p, tables[e.effect.name], self.scene.views) for p in e.effect.parameters], float
             )
-        view.render.set_parameters(nodes, values)
+            for e in view.effects
+        }
+
+    def _set(self, view: FitView, nodes: np.ndarray | None, tables: Mapping[str, Mapping[str, Any]]) -> None:
+        view.render.set_parameters(nodes, self._values(view, tables))
 
     def _run(self, x: np.ndarray | DeviceX) -> None:
         nodes, tables = self._share(x), self.effect_tables(x)
 
         def one(view: FitView) -> None:
             self._set(view, nodes, tables)
-            view.forward()
+            view.run_images()
 
         for _ in threads.ordered([partial(one, view) for view in self.views], self.device):
             pass
@@ -137,6 +144,10 @@ class FitProblem(SceneCoordinates):
     def modelled(self, x: np.ndarray | DeviceX) -> list[np.ndarray]:
         """beta0 of every observation's interior pixels, before gains; the order of `observations`."""
         self._run(x)
+        return self.standing()
+
+    def standing(self) -> list[np.ndarray]:
+        """`modelled` of the last run, whether it was for images, losses or a gradient."""
         return [mu for view in self.views for mu in view.modelled()]
 
     def moments(self, x: DeviceX) -> np.ndarray:
@@ -157,8 +168,8 @@ class FitProblem(SceneCoordinates):
     def modelled_as_declared(self) -> list[np.ndarray]:
         """`modelled` of the scene exactly as it stands, even where its effects lie outside a fit's bounds."""
         for view in self.views:
-            view.forward()
-        return [mu for view in self.views for mu in view.modelled()]
+            view.run_images()
+        return self.standing()
 
     @property
     def keeps_hits(self) -> bool:
@@ -248,8 +259,10 @@ class FitProblem(SceneCoordinates):
 
         def one(view: FitView) -> None:
             self._set(view, nodes, tables)
-            view.forward(gradient=gradient and calibrated)
-            if not calibrated:
+            if calibrated:
+                view.forward(gradient=gradient)
+            else:
+                view.run_images()
                 pairs = zip(view.observations, view.modelled(), strict=True)
                 view.gain.assign(np.array([self.misfit.gain(seen, mu) for seen, mu in pairs], np.float32))
                 view.forward(gradient=gradient)
@@ -311,38 +324,120 @@ class FitProblem(SceneCoordinates):
         """The validity constraints' part of the last run (total variation is zero for uniform materials)."""
         return float(self.ranks.sum(sum(float(view.outside.numpy().sum()) for view in self.views)))
 
-    def jacobian_at(self, x: np.ndarray, moving: np.ndarray | None = None) -> list[np.ndarray]:
+    def jacobian_at(
+        self, x: np.ndarray, moving: np.ndarray | None = None, *, standing: bool = False
+    ) -> list[np.ndarray]:
         """`jacobian` with a column for all of x, 0 where `moving`, shape (p,), is false.
 
-        The last one is kept: asked for at the same x again, it costs nothing.
+        The last one is kept: asked for at the same x again, it costs nothing. `standing` as in `jacobian`.
         """
         key = x.tobytes() + (b"" if moving is None else moving.tobytes())
         if self._jacobian is None or self._jacobian[0] != key:
             columns = np.arange(x.size) if moving is None else np.flatnonzero(moving)
-            found = [np.zeros((seen.values.size, x.size)) for seen in self.observations]
-            for whole, part in zip(found, self.jacobian(x, columns.tolist()), strict=True):
-                whole[:, columns] = part
+            found = parts = self.jacobian(x, columns.tolist(), standing=standing)
+            if columns.size < x.size:
+                found = [np.zeros((x.size, part.shape[0])).T for part in parts]
+                for whole, part in zip(found, parts, strict=True):
+                    whole[:, columns] = part
             self._jacobian = key, found
         return self._jacobian[1]
 
-    def jacobian(self, x: np.ndarray, columns: Sequence[int] | None = None) -> list[np.ndarray]:
-        """d ln(mu) / dx of every observation, shape (pixels, len(columns)), by central differences of the images.
+    def jacobian(
+        self, x: np.ndarray, columns: Sequence[int] | None = None, *, standing: bool = False
+    ) -> list[np.ndarray]:
+        """d ln(mu) / dx of every observation, shape (pixels, len(columns)), float64.
 
-        Where gains are unknown their tangent is projected out, in the weights of the loss.
+        Columns of surface nodes are exact (render/tangents.py), those of effects' parameters central differences of the
+        images. All are such differences where the hits are not at hand. Where gains are unknown their tangent is
+        projected out, in the weights of the loss. `standing`: the last run was `gradient` at x, and is not repeated.
         """
-        columns = range(x.size) if columns is None else columns
-        low, high = self.bounds
-        parts: list[list[np.ndarray]] = [[] for _ in self.observations]
-        for column in columns:
-            up, down = x.copy(), x.copy()
-            up[column] = min(x[column] + DIFFERENCE_STEP, high[column])
-            down[column] = max(x[column] - DIFFERENCE_STEP, low[column])
-            above, below = self.modelled(up), self.modelled(down)
-            for part, a, b in zip(parts, above, below, strict=True):
-                part.append(np.log(a / b) / (up[column] - down[column]))
-        pairs = zip(self.observations, parts, strict=True)
-        found = [np.stack(part, axis=1) if part else np.zeros((seen.values.size, 0)) for seen, part in pairs]
+        numbers = list(range(x.size) if columns is None else columns)
+        makers = self._makers
+        if makers is None:
+            modelled, found = None, self._differences(x, numbers)
+        else:
+            modelled, found = self._forward_mode(makers, x, numbers, standing)
         if not self.scene.grid.calibrated:
-            weights = [c.weight for c in self.curvatures(self.modelled(x))]
+            weights = [c.weight for c in self.curvatures(modelled or self.modelled(x))]
             found = [j - np.average(j, axis=0, weights=w) for j, w in zip(found, weights, strict=True)]
         return found
+
+    @cached_property
+    def _makers(self) -> list[ViewJacobian] | None:
+        """What makes each view's Jacobian; None where a view's hits are not at hand, or an effect hides its power."""
+        renders = [view.render for view in self.views]
+        whole = [render for render in renders if isinstance(render, ViewRender) and render.all_noted]
+        if len(whole) < len(renders):
+            return None
+        load_kernels(self.device, "tangents")
+        return [ViewJacobian(view, render) for view, render in zip(self.views, whole, strict=True)]
+
+    def _ends(self, x: np.ndarray, column: int) -> tuple[np.ndarray, np.ndarray]:
+        """x with an element moved up and down, inside the bounds."""
+        (low, high), up, down = self.bounds, x.copy(), x.copy()
+        up[column] = min(x[column] + DIFFERENCE_STEP, high[column])
+        down[column] = max(x[column] - DIFFERENCE_STEP, low[column])
+        return up, down
+
+    def _differences(self, x: np.ndarray, columns: Sequence[int]) -> list[np.ndarray]:
+        found = [np.zeros((len(columns), seen.count)) for seen in self.observations]
+        for place, column in enumerate(columns):
+            up, down = self._ends(x, column)
+            above, below = self.modelled(up), self.modelled(down)
+            for rows, a, b in zip(found, above, below, strict=True):
+                rows[place] = np.log(a / b) / (up[column] - down[column])
+        return [rows.T for rows in found]
+
+    def _forward_mode(
+        self, makers: Sequence[ViewJacobian], x: np.ndarray, columns: Sequence[int], standing: bool
+    ) -> tuple[list[np.ndarray], list[np.ndarray]]:
+        """Modelled beta0 and Jacobian of every observation."""
+        shared, tables = None if standing else self._share(x), self.effect_tables(x)
+        places = [place for place, column in enumerate(columns) if column < self.learned.size]
+        nodes = Nodes(np.array(places, int), self.learned[[columns[place] for place in places]])
+        moved = []
+        for place, column in enumerate(columns):
+            if column >= self.learned.size:
+                up, down = self._ends(x, column)
+                moved.append((place, self.effect_tables(up), self.effect_tables(down), up[column] - down[column]))
+
+        def one(view: FitView, maker: ViewJacobian) -> tuple[list[np.ndarray], list[np.ndarray]]:
+            if not standing:
+                self._set(view, shared, tables)
+                view.run_images(gradient=bool(places))
+            moves = [Move(p, self._values(view, up), self._values(view, down), width) for p, up, down, width in moved]
+            return maker.dense(self._values(view, tables), nodes, moves, len(columns))
+
+        tasks = [partial(one, view, maker) for view, maker in zip(self.views, makers, strict=True)]
+        found = list(threads.ordered(tasks, self.device))
+        return [mu for mus, _ in found for mu in mus], [j for _, js in found for j in js]
+
+    def sparse_jacobian(self, x: np.ndarray) -> list[csr_array]:
+        """d ln(mu) / dx of the surface's nodes, for every observation: shape (pixels, p), float64.
+
+        It is for fields: a node touches few pixels, so memory and time grow with the hits, not with pixels times
+        nodes. Paths of several bounces count too. The last columns, of effects' parameters, are empty. Gains are not
+        projected out.
+
+        An effect of the image stage acts on each column in turn: exactly if it is affine, as in `jacobian` otherwise.
+        Elements whose beta0 is below 1e-6 of a column's largest are then left out. A blur makes columns longer, and a median pivot
+        (saturation) makes them dense. Raises InputError where the hits are not at hand (max_memory_gib).
+        """
+        makers = self._makers
+        if makers is None:
+            raise InputError(
+                f"{self.scene.name}: a sparse Jacobian needs the hits of all views at hand; allowed is a larger "
+                f"--max-memory"
+            )
+        shared, tables = self._share(x), self.effect_tables(x)
+        rest = x.size - self.learned.size
+
+        def one(view: FitView, maker: ViewJacobian) -> list[csr_array]:
+            self._set(view, shared, tables)
+            return [
+                csr_array(hstack([j, csr_array((j.shape[0], rest))])) if rest else j
+                for j in maker.sparse(self.learned)
+            ]
+
+        tasks = [partial(one, view, maker) for view, maker in zip(self.views, makers, strict=True)]
+        return [j for js in threads.ordered(tasks, self.device) for j in js]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 
 import numpy as np
 import warp as wp
@@ -12,7 +13,8 @@ from warpsar.kernels import loss as loss_kernels
 from warpsar.kernels import metrics as metrics_kernels
 from warpsar.learning.misfit import Misfit
 from warpsar.learning.observation import Observation, observe
-from warpsar.render.rendered import Rendered
+from warpsar.render.rendered import Rendered, Replayed
+from warpsar.runtime.program import Part, Program
 from warpsar.scene.scene import Scene
 from warpsar.speckle.likelihood import LOSSES, log_bias
 from warpsar.world.tables import View
@@ -23,7 +25,8 @@ class FitView:
 
     `observations` are made from the scene's images and the lit pixels of the render where none are given. `validity`
     is the weight of the models' domains as soft constraints. `loss` and `outside` are partial sums on the device,
-    float64, of the loss and of that constraint; `gain` has one number for each observation.
+    float64, of the loss and of that constraint; `gain` has one number for each observation. `compared` has polarization,
+    flat indices of the pixels and lower bound of beta0 of each observation.
     """
 
     def __init__(
@@ -38,13 +41,13 @@ class FitView:
     ) -> None:
         self.view, self.effects, self.render = view, effects, render
         if observations is None:
-            self.forward()
+            render.program.forward()
             observations = [observe(scene, view, pol, self.render.lit(pol)) for pol in view.images]
             if any(e.effect.additive for e in self.effects):
                 observations = [seen.with_dark() for seen in observations]
         self.observations = observations
         device = render.program.device
-        self._pixels = [(seen.polarization, seen.pixels, seen.darkest) for seen in observations]
+        self.compared = [(seen.polarization, seen.pixels, seen.darkest) for seen in observations]
         self.gain: wp.array = wp.ones(len(observations), dtype=float, device=device)
         self.loss = self._partial_sums()
         self._seeds = {self.loss: 1.0}
@@ -53,7 +56,7 @@ class FitView:
             self.outside = self._partial_sums()
             self._seeds[self.outside] = 1.0
             self._record_validity(validity)
-        self._compared: list[list[wp.array]] = []
+        self._on_device: list[list[wp.array]] = []
         for index, seen in enumerate(observations):
             self._record_loss(index, seen, misfit)
 
@@ -73,14 +76,14 @@ class FitView:
 
     def _record_loss(self, index: int, seen: Observation, misfit: Misfit) -> None:
         device = self.render.program.device
-        _, pixels, darkest = self._pixels[index]
+        _, pixels, darkest = self.compared[index]
         compared: list[wp.array] = [
             wp.array(pixels, dtype=int, device=device),
             wp.array(seen.values.astype(np.float32), dtype=float, device=device),
             self.render.images[seen.polarization],
             wp.array(darkest, dtype=float, device=device),
         ]
-        self._compared.append(compared)
+        self._on_device.append(compared)
         self.render.program.launch(
             loss_kernels.loss_kernel,
             pixels.size,
@@ -102,15 +105,24 @@ class FitView:
         images = self.render.images
         return [
             np.maximum(images[polarization].numpy()[pixels].astype(float), darkest)
-            for polarization, pixels, darkest in self._pixels
+            for polarization, pixels, darkest in self.compared
         ]
 
     def add_moments(self, sums: Sequence[wp.array]) -> None:
         """Add the sums of kernels/metrics.py over each observation's pixels, as `modelled` gives them, to one array of
         `sums` each."""
-        for compared, total in zip(self._compared, sums, strict=True):
+        for compared, total in zip(self._on_device, sums, strict=True):
             size, device = compared[0].size, self.render.program.device
             wp.launch(metrics_kernels.moments_kernel, size, inputs=compared, outputs=[total], device=device)
+
+    @cached_property
+    def _images(self) -> Part | Replayed:
+        program = self.render.program
+        return program.part([*self.render.images.values(), self.outside]) if isinstance(program, Program) else program
+
+    def run_images(self, *, gradient: bool = False) -> None:
+        """Run the images and the soft constraint; `gradient` as in `Program.forward`."""
+        self._images.forward(gradient=gradient)
 
     def forward(self, *, gradient: bool = False) -> None:
         """Run the images and the loss; `gradient` as in `Program.forward`."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from copy import copy
+from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
@@ -25,13 +26,39 @@ from warpsar.world.frame import ViewGeometry
 from warpsar.world.tables import View
 
 
+@dataclass(frozen=True)
+class Gathered:
+    """Learned coordinates (vec4) that were looked up on the mesh, before any effect; arrays of shape (n,)."""
+
+    face: wp.array
+    barycentric: wp.array
+    zeta: wp.array
+
+
+@dataclass(frozen=True)
+class Deposited:
+    """Power `sigma` * `weight` that falls into `bins` of the hits' grid.
+
+    `sample`: which of `sigma` each bin takes; None: its own. `shift`: by how many pixels (rows, columns) the bins are
+    moved; None: the bins are pixels.
+    """
+
+    sigma: wp.array
+    sample: wp.array | None
+    weight: wp.array
+    bins: wp.array
+    shift: wp.array | None
+
+
 class ViewRender:
     """One view's images as a function of the surface's nodes and the effects' parameters, with the hits in memory.
 
     What every render offers is said in `rendered.Rendered`, what effects see of it in `effects.base.recorder.Recorder`.
     `hits` say where power falls; `shaded`, one sample per face and pixel, what is shaded, and `zeta` are its learned
     coordinates (vec4). The stages are coordinates -> sigma0 -> gains -> deposit -> paths -> image. `spacing_m` (range,
-    azimuth) is that of the pixels.
+    azimuth) is that of the pixels. `gathered` are all coordinates that were looked up. By polarization, `deposited` is
+    all power that was put into the image, and `before_image` the sum of it, on which the image stage acts. `all_noted`
+    is false where an effect put power into the image by launches of its own.
     """
 
     def __init__(
@@ -56,6 +83,10 @@ class ViewRender:
         self.images: dict[str, wp.array] = {}
         self.sigma: dict[str, wp.array] = {}
         self._light: dict[str, wp.array] = {}
+        self.gathered: list[Gathered] = []
+        self.deposited: dict[str, list[Deposited]] = {}
+        self.before_image: dict[str, wp.array] = {}
+        self.all_noted = True
         self.layers: dict[str, wp.array] = {}
         self.recorded: dict[str, Any] = {}  # by effect: recorded for one polarization, used again for the next
         self.shaded, self._sample = shading_samples(hits)
@@ -69,6 +100,7 @@ class ViewRender:
         self.zeta = zeta
         for name in polarizations:
             code = Polarization[name]
+            self._deposits = self.deposited[name] = []
             sigma = self.scatter(zeta, code)
             for effect, p in at("surface"):
                 sigma = effect.scattering(self, p, zeta, sigma, code)
@@ -78,6 +110,7 @@ class ViewRender:
             self._light[name] = image
             for effect, p in at("path"):
                 image = effect.paths(self, p, image, code)
+            self.before_image[name] = image
             for effect, p in at("image"):
                 image = effect.image(self, p, image)
             self.images[name] = image
@@ -92,6 +125,11 @@ class ViewRender:
     def pieces(self) -> list[ViewRender]:
         """The renders that hold the view's hits: this one, after a forward run."""
         return [self]
+
+    @property
+    def affine(self) -> bool:
+        """Whether the image stage takes weighted sums of images to the same sums, up to an image that it adds."""
+        return all(effect.affine for effect, _ in self._at("image"))
 
     def lit(self, polarization: str) -> np.ndarray:
         """As `Rendered.lit`."""
@@ -123,6 +161,7 @@ class ViewRender:
             adjoint=lambda: spread().launch(),
             pieces=by_elements([face, barycentric, gathered]),
         )
+        self.gathered.append(Gathered(face, barycentric, gathered))
         zeta = gathered
         for effect, p in self._at("surface"):
             zeta = effect.coordinates(self, p, zeta, points)
@@ -144,13 +183,16 @@ class ViewRender:
         """
         for effect, p in self._at("gain"):
             sigma = effect.gain(self, p, sigma, points)
+        self._collected = sigma, sample
         if sample is not None:
             taken = self.program.array(bins.shape[0])
             self.program.launch(shade.take_kernel, bins.shape[0], [sample, sigma], [taken])
             sigma = taken
         movers = self._at("position")
+        noted = len(self._deposits)
         for effect, p in movers:
             effect.deposit(self, p, sigma, weight, bins, image)
+        self.all_noted &= len(self._deposits) - noted == len(movers) or not movers
         if not movers and self.hits.grid.shape == self.shape:
             self._deposit(sigma, weight, bins, image)
         elif not movers:
@@ -163,6 +205,7 @@ class ViewRender:
             inputs, outputs = [bins, weight, image.grad], [sigma.grad]
             return Launch(shade.deposit_adjoint_kernel, sigma.shape[0], inputs, outputs, self.program.device, pieces)
 
+        self._note(weight, bins, None)
         first, lanes = starts(bins), 1 if self.program.device.is_cpu else LANES
         self.program.launch(
             shade.deposit_kernel,
@@ -176,12 +219,17 @@ class ViewRender:
     def deposit(self, sigma: wp.array, weight: wp.array, bins: wp.array, shift: wp.array, image: wp.array) -> None:
         """Record the deposit of bins finer or wider than the pixels, moved by `shift` (rows, columns) pixels."""
         grid = self.hits.grid
+        self._note(weight, bins, shift)
         self.program.launch(
             binning.move_kernel,
             sigma.shape[0],
             [*grid.shape, grid.bins_per_pixel, *self.shape, bins, weight, sigma, shift],
             [image],
         )
+
+    def _note(self, weight: wp.array, bins: wp.array, shift: wp.array | None) -> None:
+        sigma, sample = self._collected
+        self._deposits.append(Deposited(sigma, sample, weight, bins, shift))
 
     def scatter(self, zeta: wp.array, polarization: int, spectrum: wp.array | None = None) -> wp.array:
         """Record sigma0 of the hits for coordinates `zeta`; `spectrum` takes the place of the materials' own."""

@@ -1,8 +1,9 @@
-"""A fixed sequence of kernel launches that is replayed forward, and backward through Warp's tape."""
+"""A fixed sequence of kernel launches that is replayed forward and backward, whole or in parts."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cache, cached_property
 from typing import Any
 
@@ -10,25 +11,132 @@ import warp as wp
 
 from warpsar.runtime.launches import Launch, Piece
 
-# kernel, dim, inputs, outputs, and what takes the place of Warp's adjoint
-_Recorded = tuple[wp.Kernel, int | tuple[int, ...], list[Any], list[Any], Callable[[], None] | None]
+
+@dataclass(frozen=True, eq=False)
+class _Step:
+    """A recorded launch; `adjoint` takes the place of Warp's, `keeping` is as in `Program.launch`."""
+
+    kernel: wp.Kernel
+    dim: int | tuple[int, ...]
+    inputs: list[Any]
+    outputs: list[Any]
+    command: Launch
+    adjoint: Callable[[], None] | None
+    keeping: Callable[[], Launch] | None
+
+    @cached_property
+    def reads(self) -> set[int]:
+        return {id(a) for a in self.inputs if isinstance(a, wp.array)}
+
+    @cached_property
+    def writes(self) -> set[int]:
+        return {id(a) for a in self.outputs if isinstance(a, wp.array)}
+
+    @property
+    def backward(self) -> Callable[[], None] | None:
+        """What adds the outputs' gradients to those of the inputs; None where there is nothing to add."""
+        if self.adjoint is not None:
+            return self.adjoint
+        enabled = self.kernel.options.get("enable_backward")
+        if not (self.kernel.module.options.get("enable_backward") if enabled is None else enabled):
+            return None
+        device = next(a.device for a in self.outputs if isinstance(a, wp.array))
+        adjoint_of = wp.Tape().get_adjoint
+        recorded: wp.Launch = wp.launch(
+            self.kernel,
+            self.dim,
+            inputs=self.inputs,
+            outputs=self.outputs,
+            adj_inputs=[adjoint_of(a) for a in self.inputs],
+            adj_outputs=[adjoint_of(a) for a in self.outputs],
+            device=device,
+            adjoint=True,
+            record_tape=False,
+            record_cmd=True,
+        )
+        return recorded.launch
+
+
+class Part:
+    """Some launches of a program, in their order, which are replayed by themselves.
+
+    A forward run zeroes the sums that it makes. Call `backward` right after `forward`, at the same parameters.
+    """
+
+    def __init__(self, program: Program, steps: list[_Step]) -> None:
+        self._program, self._steps = program, steps
+        written = set().union(*(step.writes for step in steps)) if steps else set()
+        self._sums = [array for array in program.sums if id(array) in written]
+        self._keeps = any(step.keeping for step in steps)
+
+    @property
+    def runs(self) -> bool:
+        """Whether there is anything to run."""
+        return bool(self._steps)
+
+    def forward(self, *, gradient: bool = False) -> None:
+        """Run the launches; with `gradient` they also store what `backward` needs, which takes longer."""
+        for array in self._sums:
+            array.zero_()
+        for step in self._steps:
+            (step.keeping() if gradient and step.keeping else step.command).launch()
+        if self._keeps:
+            self._program.has_slopes = gradient
+
+    @cached_property
+    def _gradients(self) -> list[wp.array]:
+        """Of every array that the launches read or write."""
+        self._program.make_gradients()
+        arrays = {id(a): a for s in self._steps for a in [*s.inputs, *s.outputs] if isinstance(a, wp.array)}
+        return [array.grad for array in arrays.values() if array.requires_grad]
+
+    @cached_property
+    def _backward(self) -> list[Callable[[], None]]:
+        self._program.make_gradients()
+        return [found for step in reversed(self._steps) if (found := step.backward) is not None]
+
+    def zero_gradients(self) -> None:
+        """Set the gradients of all arrays to zero."""
+        for gradient in self._gradients:
+            gradient.zero_()
+
+    def backward(self, seeds: Mapping[wp.array, Any], *, zero: bool = True) -> None:
+        """Gradients of sum(seed * array) into every `.grad`; `seeds` holds an array or a number for each array.
+
+        They are zeroed first; with `zero` false they add to what is there (programs that share an array).
+        """
+        if self._keeps and not self._program.has_slopes:
+            for step in self._steps:
+                if step.keeping:
+                    step.keeping().launch()
+            self._program.has_slopes = True
+        commands = self._backward
+        if zero:
+            self.zero_gradients()
+        for array, seed in seeds.items():
+            if isinstance(seed, float):
+                array.grad.fill_(seed)
+            else:
+                array.grad.assign(seed)
+        for command in commands:
+            command()
 
 
 class Program:
     """Launches that are recorded once and replayed whenever parameters change.
 
     Each program owns the arrays that it writes. So programs of several views run side by side on the CPU, and a CUDA
-    graph can capture one. A `with wp.Tape()` block is global and would serialise them: `record_launch` fills the tape
-    instead.
+    graph can capture one. A `with wp.Tape()` block is global and would serialise them: the adjoint launches are
+    recorded one by one instead.
     """
 
     def __init__(self, device: wp.Device) -> None:
         self.device = device
-        self._launches: list[_Recorded] = []
+        self.sums: list[wp.array] = []
+        self.has_slopes = False  # whether the last forward run left what adjoints need
+        self._steps: list[_Step] = []
         self._differentiable: list[wp.array] = []
-        self._commands: list[tuple[Launch, Callable[[], Launch] | None]] = []
-        self._sums: list[wp.array] = []
-        self._has_slopes = False  # whether the last forward run left what adjoints need
+        self._parts: dict[Any, Part] = {}
 
     def array(
         self, shape: int | tuple[int, ...], dtype: type = float, *, grad: bool = True, sum_into: bool = False
@@ -42,8 +150,14 @@ class Program:
         if grad:
             self._differentiable.append(array)
         if sum_into:
-            self._sums.append(array)
+            self.sums.append(array)
         return array
+
+    def make_gradients(self) -> None:
+        """Give every array its gradient."""
+        for array in self._differentiable:
+            if not array.requires_grad:
+                array.requires_grad = True
 
     def launch(
         self,
@@ -65,52 +179,58 @@ class Program:
         command = Launch(kernel, dim, inputs, outputs, self.device, pieces)
         if not command.runs:  # nothing to do: a view without hits
             return
-        self._commands.append((command, keeping and cache(keeping)))
-        self._launches.append((kernel, dim, inputs, outputs, adjoint))
-        self.__dict__.pop("_tape", None)
+        self._steps.append(_Step(kernel, dim, inputs, outputs, command, adjoint, keeping and cache(keeping)))
+        self._parts.clear()
 
-    @cached_property
-    def _tape(self) -> wp.Tape:
-        tape = wp.Tape()
-        for array in self._differentiable:
-            array.requires_grad = True
-        for kernel, dim, inputs, outputs, adjoint in self._launches:
-            if adjoint is None:
-                tape.record_launch(kernel, dim, 0, inputs, outputs, self.device)
-            else:
-                arrays = [a for a in [*inputs, *outputs] if isinstance(a, wp.array) and a.requires_grad]
-                tape.record_func(adjoint, arrays)
-        return tape
+    def part(self, wanted: Iterable[wp.array], changed: Iterable[wp.array] | None = None) -> Part:
+        """The launches that bring the arrays `wanted` up to date once the arrays `changed` have changed.
+
+        None: once anything may have.
+        """
+        wanted = {id(array) for array in wanted}
+        dirty = None if changed is None else {id(array) for array in changed}
+        key = frozenset(wanted), None if dirty is None else frozenset(dirty)
+        if key not in self._parts:
+            steps = self._before(wanted)
+            self._parts[key] = Part(self, steps if dirty is None else self._after(dirty, steps))
+        return self._parts[key]
+
+    def _before(self, wanted: set[int]) -> list[_Step]:
+        """The launches on which the arrays depend."""
+        needed, found = set(wanted), []
+        for step in reversed(self._steps):
+            if step.writes & needed:
+                needed |= step.reads
+                found.append(step)
+        return found[::-1]
+
+    def _after(self, changed: set[int], steps: list[_Step]) -> list[_Step]:
+        """Those of `steps` that read what has changed, or add to a sum that must be made again."""
+        sums = {id(array) for array in self.sums}
+        dirty, again = set(changed), set()
+        found: set[_Step] = set()
+        while True:
+            step = next((s for s in steps if s not in found and (s.reads & dirty or s.writes & again)), None)
+            if step is None:
+                return [step for step in steps if step in found]
+            found.add(step)
+            dirty |= step.writes
+            again |= step.writes & sums
+
+    @property
+    def _whole(self) -> Part:
+        if None not in self._parts:
+            self._parts[None] = Part(self, self._steps)
+        return self._parts[None]
 
     def forward(self, *, gradient: bool = False) -> None:
-        """Run the launches; with `gradient` they also store what `backward` needs, which takes longer."""
-        for array in self._sums:
-            array.zero_()
-        for command, keeping in self._commands:
-            (keeping() if gradient and keeping else command).launch()
-        self._has_slopes = gradient
+        """As `Part.forward`, of all launches."""
+        self._whole.forward(gradient=gradient)
 
     def zero_gradients(self) -> None:
-        """Set the gradients of all arrays to zero."""
-        self._tape.zero()
+        """As `Part.zero_gradients`, of all launches."""
+        self._whole.zero_gradients()
 
     def backward(self, seeds: Mapping[wp.array, Any], *, zero: bool = True) -> None:
-        """Gradients of sum(seed * array) into every `.grad`; `seeds` holds an array or a number for each array.
-
-        They are zeroed first; with `zero` false they add to what is there (programs that share an array). Call it right
-        after `forward`, at the same parameters.
-        """
-        tape = self._tape
-        if not self._has_slopes:
-            for _, keeping in self._commands:
-                if keeping:
-                    keeping().launch()
-            self._has_slopes = True
-        if zero:
-            self.zero_gradients()
-        for array, seed in seeds.items():
-            if isinstance(seed, float):
-                array.grad.fill_(seed)
-            else:
-                array.grad.assign(seed)
-        tape.backward()
+        """As `Part.backward`, of all launches."""
+        self._whole.backward(seeds, zero=zero)

@@ -64,6 +64,16 @@ class Spread:
             return Launch(shade_lanes.spread_kernel, stretches, inputs, outputs, device, pieces)
         return Launch(shade.spread_kernel, stretches * NODE_LANES, inputs, outputs, device)
 
+    def entries(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """A by its elements: the hit, the share (float64) and the nodes of the four parameters, -1 for none.
+
+        Shapes (n,), (n,) and (n, 4).
+        """
+        part, first = self.part.numpy(), self.first.numpy()
+        share = (part & 0xFFFFFFFF).astype(np.uint32).view(np.float32).astype(float)
+        target = np.repeat(self.target.numpy(), np.diff(first, append=part.size), axis=0)
+        return (part >> 32).astype(int), share, target
+
 
 def _terms(places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The nodes of each material's values, and which kinds of parameter share them; int32.

@@ -44,6 +44,7 @@ class Effect:
     additive: ClassVar[bool] = False  # puts power where the scene has none: judged on the dark pixels too
     is_floor: ClassVar[bool] = False  # adds the same positive power to every pixel: none may measure exactly 0
     in_image: ClassVar[bool] = False  # acts at places of the image, whatever surface lies there
+    affine: ClassVar[bool] = False  # image stage: a matrix times the image, plus an image that does not depend on it
     needs_all_hits: ClassVar[bool] = False  # starts from all hits of a view at once: cannot be rendered in bands
     bins_per_pixel: ClassVar[int] = 1  # how much finer than the image, per axis, the hits are binned for it
 

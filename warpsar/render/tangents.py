@@ -1,0 +1,179 @@
+"""Forward mode: how a view's images change with the nodes of its surface.
+
+A hit's power depends on its own coordinates alone. So one reverse pass from the power of all hits, each with a seed of
+1, gives every hit its own slopes. They fall into the image as the power itself does. The image stage then acts on these
+tangents: exactly where it is affine, and otherwise by central differences of the image stage alone.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+from scipy.sparse import coo_array, csc_array, csr_array, hstack
+
+from warpsar.kernels import tangents as kernels
+from warpsar.kernels.codes import Layout
+from warpsar.render.render import Deposited, Gathered, ViewRender
+from warpsar.surface.spread import Spread
+
+STEP = 1e-2  # of a log coordinate: the difference of image stages that are not affine, as in learning/problem.py
+SMALLEST = 1e-6  # of a sparse column's largest element: what is smaller is left out
+
+
+class Tangents:
+    """Derivatives of one view's images to the surface's nodes.
+
+    They hold for the parameters of the last forward run, which must have been one with `gradient`.
+    """
+
+    def __init__(self, render: ViewRender) -> None:
+        self._render = render
+        zetas = [g.zeta for g in render.gathered]
+        self._slopes = {
+            pol: render.program.part([d.sigma for d in deposits], zetas) for pol, deposits in render.deposited.items()
+        }
+        self._met = {pol: self._meetings(deposits) for pol, deposits in render.deposited.items()}
+        self._image = {
+            pol: render.program.part([render.images[pol]], [before]) for pol, before in render.before_image.items()
+        }
+        self._launches: dict[tuple[str, bytes], tuple[wp.array, list[wp.Launch]]] = {}
+        self._spreads: dict[int, Spread] = {}
+
+    def _meetings(self, deposits: list[Deposited]) -> list[tuple[Deposited, Gathered]]:
+        """Each deposit with the coordinates that its power depends on."""
+        part = self._render.program.part
+        return [(d, g) for d in deposits for g in self._render.gathered if part([d.sigma], [g.zeta]).runs]
+
+    def _find_slopes(self, polarization: str) -> None:
+        """d sigma / d zeta of every hit, into the gradients of `gathered`."""
+        seeds = {d.sigma: 1.0 for d in self._render.deposited[polarization]}
+        self._slopes[polarization].backward(seeds)
+
+    def uniform(self, polarization: str, row: np.ndarray, count: int) -> wp.array:
+        """d beta0 / d node before the image stage, for nodes of uniform layout, shape (count, pixels), on the device.
+
+        `row` has the row of each of the surface's nodes, -1 for those that are left out. The array is used again.
+        """
+        key = polarization, row.tobytes()
+        if key not in self._launches:
+            self._launches[key] = self._record(polarization, row, count)
+        found, launches = self._launches[key]
+        found.zero_()
+        if launches:
+            self._find_slopes(polarization)
+        for launch in launches:
+            launch.launch()
+        return found
+
+    def _record(self, polarization: str, row: np.ndarray, count: int) -> tuple[wp.array, list[wp.Launch]]:
+        render, stage = self._render, self._render.stage
+        device = render.program.device
+        found: wp.array = wp.zeros((count, render.shape[0] * render.shape[1]), dtype=float, device=device)
+        places = stage.surface.places
+        rows = np.where(places[:, :, 0] == Layout.UNIFORM, row[places[:, :, 1]], -1).astype(np.int32)
+        column: wp.array = wp.array(rows, dtype=wp.vec4i, device=device)
+        none = wp.empty(0, dtype=int, device=device)
+        launches = []
+        render.program.make_gradients()
+        for d, g in self._met[polarization]:
+            inputs = [none if d.sample is None else d.sample, d.bins, d.weight, g.face, stage.face_material, column, g.zeta.grad]
+            kernel = kernels.tangent_kernel
+            if d.shift is not None:
+                grid = render.hits.grid
+                inputs = [*grid.shape, grid.bins_per_pixel, *render.shape, d.shift, *inputs]
+                kernel = kernels.moved_tangent_kernel
+            launch = wp.launch(
+                kernel, d.bins.shape[0], inputs=inputs, outputs=[found], device=device, record_cmd=True
+            )
+            if launch is not None:
+                launches.append(launch)
+        return found, launches
+
+    def matrix(self, polarization: str) -> csc_array:
+        """d beta0 / d node before the image stage, shape (pixels, nodes), float64, whatever the layouts."""
+        render = self._render
+        shape = render.shape[0] * render.shape[1], render.stage.surface.nodes.size
+        self._find_slopes(polarization)
+        found = csc_array(shape, dtype=float)
+        for d, g in self._met[polarization]:
+            slopes = g.zeta.grad.numpy().astype(float)
+            spread = self._spreads.setdefault(id(g), Spread(render.stage, g.face, g.barycentric))
+            hit, share, target = spread.entries()
+            falls = self._falls(d)
+            for k in range(4):
+                mine = target[:, k] >= 0
+                at = hit[mine], target[mine, k]
+                found = found + falls @ coo_array((share[mine] * slopes[hit[mine], k], at), (len(slopes), shape[1]))
+        return csc_array(found)
+
+    def _falls(self, d: Deposited) -> csr_array:
+        """Where the power of each sample falls, shape (pixels, samples)."""
+        rows, cols = self._render.shape
+        bins, weight = d.bins.numpy(), d.weight.numpy().astype(float)
+        sample = np.arange(bins.size) if d.sample is None else d.sample.numpy()
+        shape = rows * cols, d.sigma.shape[0]
+        if d.shift is None:
+            return coo_array((weight, (bins, sample)), shape).tocsr()
+        grid, (down, right) = self._render.hits.grid, d.shift.numpy().astype(float)
+        fine, parts = grid.bins_per_pixel, []
+        row, col = np.divmod(bins, grid.shape[1])
+        row = (2 * row - grid.shape[0] + rows * fine) * 0.5 / fine + down
+        col = (2 * col - grid.shape[1] + cols * fine) * 0.5 / fine + right
+        for a in range(2):
+            for b in range(2):
+                r, c = np.floor(row).astype(int) + a, np.floor(col).astype(int) + b
+                share = _overlap(row, 1.0 / fine, r) * _overlap(col, 1.0 / fine, c) * weight
+                ok = (share > 0) & (r >= 0) & (r < rows) & (c >= 0) & (c < cols)
+                parts.append((share[ok], r[ok] * cols + c[ok], sample[ok]))
+        share, pixel, sample = (np.concatenate(each) for each in zip(*parts, strict=True))
+        return coo_array((share, (pixel, sample)), shape).tocsr()
+
+    def through_image(self, polarization: str, tangents: wp.array) -> np.ndarray:
+        """The image stage's derivative along each of `tangents`, shape (n, pixels), float32.
+
+        It leaves images that stand for nothing: bring them up to date from `before_image` on.
+        """
+        render = self._render
+        before, image, part = render.before_image[polarization], render.images[polarization], self._image[polarization]
+        if image is before:
+            return np.asarray(tangents.numpy())
+        standing = wp.clone(before, requires_grad=False)
+        found = np.empty(tangents.shape, np.float32)
+        if render.affine:
+            before.zero_()
+            part.forward()
+            added = image.numpy().copy()
+            for k in range(len(found)):
+                wp.copy(before, tangents[k])
+                part.forward()
+                np.subtract(image.numpy(), added, out=found[k])
+        else:
+            middle, moves = standing.numpy(), tangents.numpy()
+            for k in range(len(found)):
+                ends = []
+                for step in (STEP, -STEP):
+                    before.assign(middle + step * moves[k])
+                    part.forward()
+                    ends.append(image.numpy().astype(float))
+                found[k] = (ends[0] - ends[1]) / (2.0 * STEP)
+        wp.copy(before, standing)
+        return found
+
+    def sparse_through_image(self, polarization: str, columns: csc_array) -> csc_array:
+        """`through_image` of sparse columns, shape (pixels, n), in pieces; elements under `SMALLEST` are left out."""
+        render = self._render
+        if render.images[polarization] is render.before_image[polarization]:
+            return columns
+        found = []
+        for first in range(0, columns.shape[1], 64):
+            dense = columns[:, first : first + 64].toarray().T.astype(np.float32)
+            given: wp.array = wp.array(dense, dtype=float, device=render.program.device)
+            moved = self.through_image(polarization, given)
+            moved[np.abs(moved) <= SMALLEST * np.abs(moved).max(axis=1, keepdims=True)] = 0.0
+            found.append(csc_array(moved.T.astype(float)))
+        return csc_array(hstack(found)) if found else columns
+
+
+def _overlap(first: np.ndarray, width: float, pixel: np.ndarray) -> np.ndarray:
+    """As in kernels/binning.py."""
+    return np.maximum(np.minimum(first + width, pixel + 1) - np.maximum(first, pixel), 0.0) / width
