@@ -55,11 +55,8 @@ def bootstrap(
 
     def batch(sequence: np.random.SeedSequence) -> dict[str, np.ndarray]:
         drawn = speckle(np.random.default_rng(sequence), BATCH)
-        residuals = projection(np.clip(drawn, -LARGEST, LARGEST))  # as the evidence is
-        found = {
-            name: np.max([g.statistics(residuals)[1].max(axis=0) for g in members], axis=0)
-            for name, members in groups.items()
-        }
+        residuals = projection(np.clip(drawn, -LARGEST, LARGEST, out=drawn))  # as the evidence is
+        found = {name: np.max([g.largest(residuals) for g in members], axis=0) for name, members in groups.items()}
         found["scan"] = scan.largest(evidence.split(residuals))
         if progress is not None:
             progress(BATCH * ranks.size)

@@ -6,16 +6,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import csc_array, csr_array
 
-from warpsar.learning.identify import residual_autocovariance, score_products
+from warpsar.learning.identify import residual_autocovariance
 from warpsar.learning.observation import Observation
 from warpsar.learning.problem import FitProblem
 from warpsar.learning.verdict import TRACE
 from warpsar.runtime.distributed import ONE, Ranks
+from warpsar.speckle.covariance import correlated
 
 # Standard deviations at which a residual is cut off. Speckle hardly ever goes further (e^-9 at one look). Without the
 # cut, a few pixels of what is missing would decide every score and the correlation of speckle.
 LARGEST = 8.0
+TRIALS = 32  # templates that are made dense at once
 
 
 @dataclass(frozen=True)
@@ -54,10 +57,30 @@ class Evidence:
         """An array over all pixels, (n, ...), as one per observation."""
         return np.split(pixels, np.cumsum([mu.size for mu in self.modelled])[:-1])
 
-    def products(self, scaled: np.ndarray) -> np.ndarray:
-        """Variance of sum(scaled * standardised), shape (k, k), for `scaled` of shape (n, k)."""
-        parts = zip(self.split(scaled), self.observations, strict=True)
-        return np.sum([score_products(part, self.autocovariance, seen) for part, seen in parts], axis=0)
+    def correlated(self, columns: np.ndarray) -> np.ndarray:
+        """Covariance of `standardised`, times `columns` of shape (n, k)."""
+        parts = zip(self.split(columns), self.observations, strict=True)
+        return np.concatenate([correlated(part, seen.interior, self.autocovariance) for part, seen in parts])
+
+    def products(self, columns: np.ndarray | csc_array, k: int) -> np.ndarray:
+        """Covariance of sum(column * standardised) within each trial, shape (trials, k, k); `columns`, shape
+        (n, trials * k), may be sparse. Work is done for the images that a trial touches."""
+        found = np.zeros((columns.shape[1] // k, k, k))
+        sparse = not isinstance(columns, np.ndarray)
+        by_row = csr_array(columns) if sparse else columns
+        end = 0
+        for seen, mu in zip(self.observations, self.modelled, strict=True):
+            first, end = end, end + mu.size
+            part = by_row[first:end].tocsc() if sparse else by_row[first:end]
+            touched = np.flatnonzero(abs(part).sum(axis=0).reshape(-1, k).any(axis=1))
+            for trials in np.split(touched, range(TRIALS, touched.size, TRIALS)):
+                chosen = part[:, (trials[:, None] * k + np.arange(k)).ravel()]
+                dense = chosen.toarray() if sparse else chosen
+                both = (
+                    m.reshape(mu.size, -1, k) for m in (dense, correlated(dense, seen.interior, self.autocovariance))
+                )
+                found[trials] += np.einsum("nti,ntj->tij", *both)
+        return found
 
 
 def _silent(problem: FitProblem, modelled: Sequence[np.ndarray]) -> list[np.ndarray]:

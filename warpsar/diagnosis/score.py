@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import combinations
 from math import comb
 
 import numpy as np
-from scipy.sparse import csc_array
+from scipy.sparse import csc_array, hstack
 from scipy.special import gammaincc, gammaln, logsumexp
 
 from warpsar.diagnosis.evidence import Evidence
 from warpsar.diagnosis.templates import Template
+from warpsar.runtime.matmul import times, transposed_times
 
 NOT_TESTABLE = 1e-3  # share of a template's energy outside the tangent space (docs/diagnosis.md)
 # Directions of the tangent weaker than this, relative to the strongest, are rounding of float32 images.
@@ -32,7 +34,29 @@ class Projection:
 
     def __call__(self, columns: np.ndarray) -> np.ndarray:
         """What is left of standardised columns, shape (n, k) or (n,)."""
-        return columns - self.basis @ (self.basis.T @ columns)
+        table = columns.reshape(len(columns), -1)
+        left = table - times(self.basis, transposed_times(self.basis, table))
+        return left.reshape(columns.shape)
+
+    def left(self, columns: np.ndarray | csc_array) -> np.ndarray:
+        """Share of energy that stays of standardised columns of unit length, shape (k,)."""
+        return np.maximum(1.0 - (self._inside(columns) ** 2).sum(axis=0), 0.0)
+
+    def covariances(self, columns: np.ndarray | csc_array, k: int, evidence: Evidence) -> np.ndarray:
+        """Covariance, under speckle, of the scores of every trial of `k` projected columns, shape (trials, k, k).
+
+        With T = columns, B = basis and C = the residual's covariance, T' (1 - BB') C (1 - BB') T is multiplied out:
+        T'CT stays sparse where T is, and all else has the size of the basis.
+        """
+        seen = evidence.correlated(self.basis)
+        inside = self._inside(columns)
+        across = np.asarray(columns.T @ seen).T - (self.basis.T @ seen / 2.0) @ inside
+        crossed = np.einsum("bti,btj->tij", *(m.reshape(len(m), -1, k) for m in (inside, across)))
+        return evidence.products(columns, k) - crossed - crossed.swapaxes(1, 2)
+
+    def _inside(self, columns: np.ndarray | csc_array) -> np.ndarray:
+        """Coordinates of columns in the basis, shape (rank, k)."""
+        return np.asarray(columns.T @ self.basis).T
 
 
 def log_tail(statistic: np.ndarray, degrees: int) -> np.ndarray:
@@ -77,27 +101,52 @@ class Group:
         found = self.columns[:, trial * k : (trial + 1) * k]
         return found if isinstance(found, np.ndarray) else np.asarray(found.toarray())
 
+    @cached_property
+    def _faces(self) -> list[tuple[list[int], np.ndarray]]:
+        """The coordinates, two-sided ones first, of every face of the cone, and the inverse of their covariance."""
+        free = [i for i, bound in enumerate(self.one_sided) if not bound]
+        bound = [i for i, is_bound in enumerate(self.one_sided) if is_bound]
+        faces = [[*free, *chosen] for size in range(len(bound) + 1) for chosen in combinations(bound, size)]
+        parts = [(members, self.covariance[:, members][:, :, members]) for members in faces if members]
+        return [(members, np.linalg.pinv(part, rcond=1e-10, hermitian=True)) for members, part in parts]
+
     def statistics(self, projected: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(statistic, -ln p), each of shape (trials, draws), of projected residuals, shape (n, draws).
 
         Two-sided coordinates: S' V^-1 S. One-sided ones (a level, a variance) may not go negative: the largest gain
         over the faces of the cone.
         """
+        best = self._statistics(projected)
+        return best, self._minus_log_p(best)
+
+    def largest(self, projected: np.ndarray) -> np.ndarray:
+        """The largest -ln p over the trials, shape (draws,): it rises with the statistic, alike for every trial."""
+        return self._minus_log_p(self._statistics(projected).max(axis=0))
+
+    def _minus_log_p(self, statistic: np.ndarray) -> np.ndarray:
+        return minus_log_p(statistic, self.one_sided.count(False), self.one_sided.count(True))
+
+    def _statistics(self, projected: np.ndarray) -> np.ndarray:
         trials, k = self.covariance.shape[:2]
-        scores = np.asarray(self.columns.T @ projected).reshape(trials, k, -1)
+        dense = isinstance(self.columns, np.ndarray)
+        scores = transposed_times(self.columns, projected) if dense else self.columns.T @ projected
+        scores = scores.reshape(trials, k, -1)
+        best = np.zeros((trials, scores.shape[2]))
+        for members, inverse in self._faces:
+            step = inverse @ scores[:, members]
+            inside = (step[:, self.one_sided.count(False) :] >= 0).all(axis=1)
+            gain = (scores[:, members] * step).sum(axis=1)
+            best = np.where(inside, np.maximum(best, gain), best)
+        return best
+
+    @cached_property
+    def _faces(self) -> list[tuple[list[int], np.ndarray]]:
+        """The coordinates of every face of the cone, two-sided ones first, and the inverse of their covariance."""
         free = [i for i, bound in enumerate(self.one_sided) if not bound]
         bound = [i for i, is_bound in enumerate(self.one_sided) if is_bound]
-        best = np.zeros((trials, scores.shape[2]))
-        for size in range(len(bound) + 1):
-            for chosen in combinations(bound, size):
-                members = [*free, *chosen]
-                if members:
-                    part = self.covariance[:, members][:, :, members]
-                    step = np.linalg.pinv(part, rcond=1e-10, hermitian=True) @ scores[:, members]
-                    inside = (step[:, len(free) :] >= 0).all(axis=1)
-                    gain = (scores[:, members] * step).sum(axis=1)
-                    best = np.where(inside, np.maximum(best, gain), best)
-        return best, minus_log_p(best, len(free), len(bound))
+        faces = [[*free, *chosen] for size in range(len(bound) + 1) for chosen in combinations(bound, size)]
+        parts = [(members, self.covariance[:, members][:, :, members]) for members in faces if members]
+        return [(members, np.linalg.pinv(part, rcond=1e-10, hermitian=True)) for members, part in parts]
 
 
 def group(templates: Sequence[Template], projection: Projection, evidence: Evidence) -> list[Group]:
@@ -106,36 +155,20 @@ def group(templates: Sequence[Template], projection: Projection, evidence: Evide
     found = []
     for one_sided in dict.fromkeys(t.one_sided for t in templates):
         alike = [t for t in templates if t.one_sided == one_sided]
-        columns = np.concatenate([evidence.root_looks[:, None] * t.columns for t in alike], axis=1)
-        norms = np.linalg.norm(columns, axis=0)
-        columns /= np.where(norms > 0, norms, 1.0)
-        absorbed = projection.basis.T @ columns
-        left = (norms > 0) * np.maximum(1.0 - (absorbed**2).sum(axis=0), 0.0)
+        columns = hstack([t.columns for t in alike], format="csc")
+        columns.data *= evidence.root_looks[columns.indices]
+        norms = np.sqrt(columns.power(2).sum(axis=0))
+        columns.data /= np.repeat(np.where(norms > 0, norms, 1.0), np.diff(columns.indptr))
+        ready = _dense_where_full(columns)
         k = len(one_sided)
-        eta = left.reshape(-1, k).max(axis=1)
+        eta = ((norms > 0) * projection.left(ready)).reshape(-1, k).max(axis=1)
         testable = eta >= NOT_TESTABLE
         keep = testable if testable.any() else np.ones_like(testable)
-        chosen = np.repeat(keep, k)
-        columns = columns[:, chosen]
+        ready = ready if keep.all() else ready[:, np.repeat(keep, k)]
         alike = [t for t, kept in zip(alike, keep, strict=True) if kept]
-        covariance = _covariances(columns, projection, evidence, k)
-        found.append(Group(alike, _compact(columns), covariance, eta[keep]))
+        found.append(Group(alike, ready, projection.covariances(ready, k, evidence), eta[keep]))
     return found
 
 
-def _covariances(columns: np.ndarray, projection: Projection, evidence: Evidence, k: int) -> np.ndarray:
-    """Covariance of the scores of every trial, shape (trials, k, k)."""
-    trials = columns.shape[1] // k
-    covariance = np.empty((trials, k, k))
-    white = np.count_nonzero(evidence.autocovariance) == 1
-    for trial in range(trials):
-        left = projection(columns[:, trial * k : (trial + 1) * k])
-        covariance[trial] = evidence.autocovariance.max() * (left.T @ left) if white else evidence.products(left)
-    return covariance
-
-
-def _compact(columns: np.ndarray) -> np.ndarray | csc_array:
-    """Sparse where most of it is zero."""
-    if np.count_nonzero(columns) < SPARSE * columns.size:
-        return csc_array(columns)
-    return columns
+def _dense_where_full(columns: csc_array) -> np.ndarray | csc_array:
+    return columns if columns.nnz < SPARSE * np.prod(columns.shape) else columns.toarray()

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import warp as wp
+from scipy.sparse import csc_array
 
 from warpsar.effects.base.trial import Context, ScoreStep, Trial
 from warpsar.effects.registry import declared, get, names, validate
@@ -24,12 +25,12 @@ from warpsar.simulation.rays import Rays
 
 @dataclass(frozen=True)
 class Template:
-    """One trial of one effect: `columns`, shape (n, k), d ln(mu) / d(score coordinate) over all pixels; `one_sided`
-    per column."""
+    """One trial of one effect: `columns`, shape (n, k), d ln(mu) / d(score coordinate) over all pixels, sparse, since
+    there are hundreds of trials of a few rows of one view; `one_sided` per column."""
 
     effect: str
     trial: Trial
-    columns: np.ndarray
+    columns: csc_array
     one_sided: tuple[bool, ...]
 
 
@@ -51,6 +52,7 @@ class TemplateMaker:
     ) -> None:
         """`modelled` is mu of every observation, as the residual divides by it."""
         self.scene, self.modelled = scene, modelled
+        self.pixels = sum(mu.size for mu in modelled)
         self.context = Context(scene, float(np.median(np.concatenate(modelled))))
         self._problem = partial(FitProblem, device=device, rays=rays, observations=observations)
         self.neutral = self._problem(scene)
@@ -78,15 +80,26 @@ class TemplateMaker:
         """Every trial of an effect that has a place in this scene."""
         found = []
         for trial in get(name).trials(self.context):
-            columns = np.stack([self._difference(name, step) for step in trial.steps], axis=1)
+            differences = [self._difference(name, step) for step in trial.steps]
+            rows, data = (np.concatenate(parts) for parts in zip(*differences, strict=True))
+            ends = np.cumsum([0, *(at.size for at, _ in differences)])
+            columns = csc_array((data, rows, ends), shape=(self.pixels, len(differences)))
             found.append(Template(name, trial, columns, tuple(step.one_sided for step in trial.steps)))
         return found
 
-    def _difference(self, name: str, step: ScoreStep) -> np.ndarray:
+    def _difference(self, name: str, step: ScoreStep) -> tuple[np.ndarray, np.ndarray]:
+        """The pixels that a step changes, and its derivative of ln(mu) there."""
         plus = self._images(name, step.plus, step.views)
         minus = self.mu if step.minus is None else self._images(name, step.minus, step.views)
         size = step.size * (1.0 if step.minus is None else 2.0)
-        return np.concatenate([(p - m) / (size * mu) for p, m, mu in zip(plus, minus, self.modelled, strict=True)])
+        rows, data, first = [], [], 0
+        for p, m, mu in zip(plus, minus, self.modelled, strict=True):
+            if p is not m:
+                at = np.flatnonzero(p != m)
+                rows.append(first + at)
+                data.append((p[at] - m[at]) / (size * mu[at]))
+            first += mu.size
+        return np.concatenate(rows), np.concatenate(data)
 
     def _images(self, name: str, table: Mapping[str, Any], views: Sequence[str] | None) -> list[np.ndarray]:
         """The model's pixels with the effect; only `views` are rendered, the others stay as they are."""

@@ -8,11 +8,11 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import convolve
 
 from warpsar.learning.observation import Observation
 from warpsar.learning.problem import FitProblem
 from warpsar.runtime.distributed import ONE, Ranks
+from warpsar.speckle.covariance import correlated
 from warpsar.speckle.likelihood import residual_sd
 from warpsar.speckle.own import LAGS, TAPER
 from warpsar.surface.surface import KINDS
@@ -92,13 +92,7 @@ def score_products(scaled: np.ndarray, autocovariance: np.ndarray, seen: Observa
 
     `scaled`, shape (pixels, p), is what a residual of one standard deviation adds to the score.
     """
-    if np.count_nonzero(autocovariance) == 1:
-        return autocovariance.max() * (scaled.T @ scaled)
-    products = np.zeros((scaled.shape[1], scaled.shape[1]))
-    grid = np.zeros(seen.measured.shape)
-    for column in range(scaled.shape[1]):
-        grid[seen.interior] = scaled[:, column]
-        products[:, column] = scaled.T @ convolve(grid, autocovariance, mode="constant")[seen.interior]
+    products = scaled.T @ correlated(scaled, seen.interior, autocovariance)
     return (products + products.T) / 2.0
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.fft import irfft2, rfft2
 from scipy.stats import gamma, norm
 
 from warpsar.speckle.compared import Compared
@@ -34,24 +35,42 @@ class Speckle:
                     self._power[seen.looks] = self._quantiles(seen.looks)
                 kernel[: 2 * lags + 1, : 2 * lags + 1] = self._underlying(correlation, seen.looks)
                 kernel = np.roll(kernel, (-lags, -lags), (0, 1))
-                self.spectra.append((kernel.shape, np.sqrt(np.maximum(np.fft.rfft2(kernel).real, 0.0))))
+                spectrum = np.sqrt(np.maximum(rfft2(kernel).real, 0.0))
+                if spectrum.any():
+                    spectrum /= np.sqrt(np.mean(spectrum**2))
+                self.spectra.append((kernel.shape, spectrum))
 
     def __call__(self, random: np.random.Generator, draws: int) -> np.ndarray:
         """Draws of sqrt(L) (I / mu - 1), shape (n, draws); scaled up where the residual varies more than speckle."""
-        parts = []
-        for index, seen in enumerate(self.observations):
-            looks = seen.looks
+        sizes = [int(seen.interior.sum()) for seen in self.observations]
+        drawn = np.empty((sum(sizes), draws))
+        for index, part in enumerate(np.split(drawn, np.cumsum(sizes)[:-1])):
+            looks = self.observations[index].looks
             if self.white:
-                power = random.standard_gamma(looks, (int(seen.interior.sum()), draws)) / looks
+                random.standard_gamma(looks, out=part)
+                part /= looks
             else:
-                shape, spectrum = self.spectra[index]
-                noise = np.fft.rfft2(random.standard_normal((draws, *shape)))
-                rows, cols = seen.interior.shape
-                field = np.fft.irfft2(noise * spectrum, shape)[:, :rows, :cols][:, seen.interior].T
-                field /= np.sqrt(np.mean(spectrum**2)) if spectrum.any() else 1.0
-                power = np.interp(field, self._normal, self._power[looks])
-            parts.append(np.sqrt(looks) * (power - 1.0))
-        return np.concatenate(parts) * max(self.sd, 1.0)
+                part[:] = self._power_of(self._field(random, index, draws), looks).T
+            part -= 1.0
+            part *= np.sqrt(looks) * max(self.sd, 1.0)
+        return drawn
+
+    def _field(self, random: np.random.Generator, index: int, draws: int) -> np.ndarray:
+        """Correlated normal variables of unit variance on the compared pixels of one image, shape (draws, pixels)."""
+        shape, spectrum = self.spectra[index]
+        interior = self.observations[index].interior
+        rows, cols = interior.shape
+        noise = rfft2(random.standard_normal((draws, *shape)))
+        noise *= spectrum
+        return irfft2(noise, shape, overwrite_x=True)[:, :rows, :cols][:, interior]
+
+    def _power_of(self, normal: np.ndarray, looks: float) -> np.ndarray:
+        """The table of quantiles at `normal`, interpolated: its steps are equal, so that no step has to be searched."""
+        table = self._power[looks]
+        at = np.clip((normal - self._normal[0]) / (self._normal[1] - self._normal[0]), 0.0, table.size - 1.0)
+        below = at.astype(np.int32)
+        at -= below
+        return table.take(below) + at * np.diff(table, append=table[-1]).take(below)
 
     def _quantiles(self, looks: float) -> np.ndarray:
         below = gamma.ppf(norm.cdf(self._normal), looks)

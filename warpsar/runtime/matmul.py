@@ -1,0 +1,41 @@
+"""Products of tall matrices inside one thread.
+
+BLAS starts threads of its own for a large product. Called from several of our threads at once, these wait for one
+another in busy loops: on two cores that other programs share, a bootstrap then takes ten times its CPU time. Pieces
+below the size at which BLAS starts threads avoid that, and their sums do not depend on the number of threads.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+SMALL = 2**18  # multiplications of one product that OpenBLAS does in one thread (its GEMM_MULTITHREAD_THRESHOLD)
+ROWS, COLUMNS = 256, 64  # of a piece, at most: small enough for products with a vector too
+
+
+def _rows(k: int, m: int) -> int:
+    return max(1, min(ROWS, SMALL // max(k * m, 1)))
+
+
+def transposed_times(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """a' b, shape (k, m), of `a`, shape (n, k), and `b`, shape (n, m)."""
+    (n, k), m = a.shape, b.shape[1]
+    found = np.empty((k, m))
+    for first in range(0, k, COLUMNS):
+        part = a[:, first : first + COLUMNS]
+        rows = _rows(part.shape[1], m)
+        whole = n - n % rows
+        pieces = part[:whole].reshape(-1, rows, part.shape[1]).swapaxes(1, 2) @ b[:whole].reshape(-1, rows, m)
+        found[first : first + COLUMNS] = pieces.sum(axis=0) + part[whole:].T @ b[whole:]
+    return found
+
+
+def times(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """a b, shape (n, m), of `a`, shape (n, k), and `b`, shape (k, m)."""
+    n, k = a.shape
+    rows = _rows(k, b.shape[1])
+    found = np.empty((n, b.shape[1]))
+    whole = n - n % rows
+    np.matmul(a[:whole].reshape(-1, rows, k), b, out=found[:whole].reshape(-1, rows, b.shape[1]))
+    found[whole:] = a[whole:] @ b
+    return found
