@@ -18,6 +18,8 @@ from warpsar.diagnosis.left_out import LeftOut, leave_one_view_out, varies_over_
 from warpsar.diagnosis.refit import Fitted, refit_without
 from warpsar.effects.registry import get
 
+NOT_ELSEWHERE = "it does not help on views left out as a true one would"
+
 
 @dataclass
 class Confirmation:
@@ -74,7 +76,7 @@ def _ask(bench: Bench, fitted: Fitted, without: Fitted, one: Confirmed) -> None:
     name = one.effect
     one.left_out = leave_one_view_out(bench, without, fitted, name)
     if not one.left_out.passed:
-        one.refused = "it does not help on views left out by more than two standard errors"
+        one.refused = NOT_ELSEWHERE
         return
     if varies_over_columns(bench, without, fitted, name):
         one.refused = "not one value for a view: it varies over the view's columns"

@@ -74,7 +74,15 @@ def _undecided(found: Diagnosis) -> list[Rival]:
 
 
 def _rival(one: Rival) -> dict[str, Any]:
-    return {"effect": one.effect, "other": one.other, "gain": one.gain, "distance": one.distance, "z": one.z}
+    return {
+        "effect": one.effect,
+        "other": one.other,
+        "gain": one.gain,
+        "distance": one.distance,
+        "z": one.z,
+        "lead": one.lead,
+        "error": one.error,
+    }
 
 
 def _gain(before: Sequence[Judged], after: Sequence[Judged], role: str) -> dict[str, float] | None:

@@ -53,6 +53,16 @@ class Evidence:
         roots = np.concatenate([np.full(e.size, np.sqrt(s.looks)) for s, e in zip(seen, parts, strict=True)])
         return cls(seen, modelled, np.concatenate(parts), roots, autocovariance, silent)
 
+    @property
+    def area(self) -> float:
+        """Correlation area of the speckle, in pixels; 1 for white speckle."""
+        return max(float(self.autocovariance.sum() / self.autocovariance.max()), 1.0)
+
+    def price(self, ranks: Ranks = ONE) -> float:
+        """What a parameter costs in 2 ln L: ln of the independent looks in the data, which are looks times pixels over
+        their correlation area (Schwarz, Annals of Statistics 6, 1978)."""
+        return float(np.log(ranks.same(float(np.sum(self.root_looks**2) / self.area))))
+
     def split(self, pixels: np.ndarray) -> list[np.ndarray]:
         """An array over all pixels, (n, ...), as one per observation."""
         return np.split(pixels, np.cumsum([mu.size for mu in self.modelled])[:-1])

@@ -54,14 +54,14 @@ def _against(bench: Bench, fitted: Fitted, name: str, other: Candidate) -> Rival
     fits = [refit_as(bench, with_effect(without, other.effect, table)) for table in tables]
     theirs = max(fits, key=lambda one: one.log_likelihood)
     evidence = Evidence.of(fitted.problem, fitted.x, bench.ranks)
-    area = max(float(evidence.autocovariance.sum() / evidence.autocovariance.max()), 1.0)
     gain = 2.0 * (fitted.log_likelihood - theirs.log_likelihood)
     expected = fitted.size - theirs.size  # that further parameters gain by chance
     ours, others = (_interior(bench, one) for one in (fitted, theirs))
     apart = (looks * np.sum(np.log(a / b) ** 2) for (a, looks), (b, _) in zip(ours, others, strict=True))
     distance = float(bench.ranks.same(float(sum(apart))))
-    z = (gain - expected + distance) / (2.0 * np.sqrt(max(distance * area, 1e-12)))
-    return Rival(name, other.effect, gain, distance, float(z))
+    error = 2.0 * float(np.sqrt(max(distance * evidence.area, 1e-12)))
+    lead = gain - expected * evidence.price(bench.ranks)
+    return Rival(name, other.effect, gain, distance, (gain - expected + distance) / error, lead, error)
 
 
 def _interior(bench: Bench, fitted: Fitted) -> list[tuple[np.ndarray, float]]:

@@ -6,8 +6,6 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from warpsar.diagnosis.addition import add_the_best
 from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.confirmation import Confirmation, confirm
@@ -22,7 +20,6 @@ from warpsar.diagnosis.rivals import rivals_of
 from warpsar.diagnosis.scoring import score_effects
 from warpsar.diagnosis.shortlist import refits
 from warpsar.runtime import console
-from warpsar.runtime.distributed import Ranks
 from warpsar.scene.scene import Scene
 from warpsar.simulation.rays import Rays
 
@@ -114,7 +111,7 @@ class Search:
         _say(turn, number, passing)
         allowed = [c for c in passing if c.effect not in self._barred and self._times[c.effect] < CHANCES]
         if len(self._added(here)) < options.most_effects:
-            price = price_of(evidence, bench.ranks)
+            price = evidence.price(bench.ranks)
             found = refits(bench, here, self.scene, allowed, templates, dark, options.refits)
             add_the_best(bench, turn, here, found, dark, price)
             if turn.fitted is not None:
@@ -139,15 +136,8 @@ class Search:
     def _confirm(self) -> Confirmation:
         bench, here = on_bounded_ground(self._bench, self._base, self.scene)
         settled = settle(bench, here, self.options.starts, self.options.seed)
-        price = price_of(Evidence.of(settled.problem, settled.x, bench.ranks), bench.ranks)
+        price = Evidence.of(settled.problem, settled.x, bench.ranks).price(bench.ranks)
         return confirm(bench, settled, self._added(settled), lambda model: Dark.of(model).asks, price)
-
-
-def price_of(evidence: Evidence, ranks: Ranks) -> float:
-    """What a parameter costs in 2 ln L: ln of the independent looks in the data, which are the pixels over the
-    correlation area, times looks (Schwarz, Annals of Statistics 6, 1978)."""
-    area = max(float(evidence.autocovariance.sum() / evidence.autocovariance.max()), 1.0)
-    return float(np.log(ranks.same(np.sum(evidence.root_looks**2) / area)))
 
 
 def _say(turn: Turn, number: int, passing: Sequence[Candidate]) -> None:
