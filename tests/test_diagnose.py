@@ -123,14 +123,15 @@ def test_the_error_falls_to_the_floor_where_nothing_was_fitted(graded: Ran) -> N
 def test_stdout_is_one_line_of_results(graded: Ran) -> None:
     (line,) = graded.stdout.splitlines()
     assert line.startswith("eps_gradient; test deviance ")
-    assert "added: eps_gradient" in graded.stderr
+    assert "added on trial: eps_gradient" in graded.stderr
+    assert "holds: eps_gradient: 2 ln L +" in graded.stderr
 
 
 def test_console_json_and_report_say_the_same_of_every_turn(graded: Ran) -> None:
     """What was added comes first, with its gain; then what was not, and why. The numbers are those of the JSON."""
     lines = graded.stderr.splitlines()
     text = assert_alone((graded.out / "report.html").read_text(encoding="utf-8")).text
-    heads = ["turn 1: added: eps_gradient", "turn 2: nothing was added"]
+    heads = ["turn 1: added on trial: eps_gradient", "turn 2: nothing was added"]
     starts = [*(lines.index(head) for head in heads), len(lines)]
     for number, turn in enumerate(graded.content["turns"]):
         block = lines[starts[number] : starts[number + 1]]
@@ -147,7 +148,7 @@ def test_console_json_and_report_say_the_same_of_every_turn(graded: Ran) -> None
                 assert said == f"-ln p {score} is not over the threshold of {turn['threshold']:.1f}"
                 continue
             added = name == turn["added"]
-            assert f"  {name}: {said}" in block if added else f"  not added: {name}: {said}" in block
+            assert f"  holds: {name}: {said}" in lines if added else f"  not added: {name}: {said}" in block
             assert f"{name} {'was' if added else 'was not'} added: {said}." in text
             if candidate["refit_gain"] is not None:
                 assert said.startswith(
@@ -159,7 +160,7 @@ def test_console_json_and_report_say_the_same_of_every_turn(graded: Ran) -> None
                 assert float(gain) == pytest.approx(candidate["left_out"]["gain"], abs=0.5)
                 assert float(error) == pytest.approx(candidate["left_out"]["error"], rel=0.1)
                 assert f"{gain} ±\u00a0{error}" in text
-        assert block[1].startswith(f"  {turn['added']}: 2 ln L +" if turn["added"] else "  not ")
+        assert block[1].startswith(f"  {turn['added']}: " if turn["added"] else "  not ")
         for entry in under:
             assert entry in listed
     # no other gains are said, such as those of fits that had not ended

@@ -6,9 +6,10 @@ from typing import Any, cast
 
 import pytest
 
-from warpsar.diagnosis.found import Candidate, Turn
+from warpsar.diagnosis.confirmation import Confirmation
+from warpsar.diagnosis.found import Candidate, Confirmed, Turn
 from warpsar.diagnosis.left_out import LeftOut
-from warpsar.diagnosis.outcome import outcome, turn_lines
+from warpsar.diagnosis.outcome import confirmation_lines, outcome, turn_lines
 from warpsar.speckle.scan import Spot
 
 FITTED = Candidate("point_spread", "testable", minus_log_p=50.0, refit_gain=1234.56, refit_size=2)
@@ -65,10 +66,24 @@ def test_an_effect_that_was_added() -> None:
     )
     alone = replace(FITTED, left_out=LeftOut(0.0, 0.0, 1))
     assert outcome(alone, turn_of(alone, added="point_spread")) == "2 ln L +1,234.6 for 2 parameters"
-    dark = replace(FITTED, note="80 of 90 dark pixels measure power")
-    assert outcome(dark, turn_of(dark, added="point_spread")).endswith(
-        "80 of 90 dark pixels measure power; no model without such an effect can hold that, so nothing else was asked"
+    back = replace(held, refused="it gains less than its parameters cost")
+    assert outcome(back, turn_of(back, added="point_spread")).endswith(
+        "120 +- 11 in ln L; taken back at the end: it gains less than its parameters cost"
     )
+
+
+def test_what_was_asked_of_every_effect_beside_the_others() -> None:
+    asked = [
+        Confirmed("registration", 3.0, 2, refused="it gains less than its parameters cost"),
+        Confirmed("point_spread", 1234.56, 2, LeftOut(120.34, 11.2, 3)),
+        Confirmed("noise_floor", -5.0, 1, notes=["the dark pixels need it"]),
+    ]
+    assert confirmation_lines(Confirmation(cast(Any, None), asked)) == [
+        "every added effect beside all the others:",
+        "  taken back: registration: 2 ln L +3.0 for 2 parameters; it gains less than its parameters cost",
+        "  holds: point_spread: 2 ln L +1,234.6 for 2 parameters; views left out gain 120 +- 11 in ln L",
+        "  holds: noise_floor: 2 ln L -5.0 for 1 parameter; the dark pixels need it",
+    ]
 
 
 def test_a_turn_on_the_console() -> None:
@@ -79,9 +94,8 @@ def test_a_turn_on_the_console() -> None:
     blind = Candidate("vegetation", "not_testable")
     turn = turn_of(low, blind, other, held, added="point_spread", dropped=["view_gain"])
     assert turn_lines(turn, 1) == [
-        "turn 2: added: point_spread",
-        "  point_spread: 2 ln L +1,234.6 for 2 parameters; views left out gain 120 +- 11 in ln L",
-        "    range_fwhm_m 1.235, window gaussian",
+        "turn 2: added on trial: point_spread",
+        "  point_spread: range_fwhm_m 1.235, window gaussian",
         "  dropped: view_gain, needless beside point_spread",
         "  not added: registration: 2 ln L +7.0 for 2 parameters; point_spread is likelier",
         "  not over the threshold of 8.0: range_loss 2.0",

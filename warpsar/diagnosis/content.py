@@ -23,6 +23,7 @@ def content_of(
     last = found.turns[-1]
     added = list(enumerate(turn for turn in found.turns if turn.fitted is not None))
     held = {turn.added: (k, turn) for k, turn in added if turn.added in found.verdict}  # the last time counts
+    last_held = max(held.values(), key=lambda pair: pair[0])[1] if held else None
     untestable = [c for c in last.candidates if c.testability != "testable"]
     return {
         "options": asdict(options),
@@ -34,7 +35,8 @@ def content_of(
         "after": done.after,
         "gain": {role: _gain(done.models[0], done.models[-1], role) for role in ROLES},
         "steps": [
-            _addition(turn, options, done.models[k], done.models[k + 1], found.final.scene) for k, turn in held.values()
+            _addition(turn, options, done.models[k], done.models[-1 if turn is last_held else k + 1], found.final.scene)
+            for k, turn in held.values()
         ],
         "taken_back": {
             turn.added: candidate.refused

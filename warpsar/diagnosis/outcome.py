@@ -86,14 +86,13 @@ def _not_fitted(turn: Turn) -> str:
 
 def turn_lines(turn: Turn, number: int) -> list[str]:
     """A turn for the console: what was added and dropped, then what was not added, and why. Turns count from 0."""
-    lines = [f"turn {number + 1}: " + ("nothing was added" if turn.added is None else f"added: {turn.added}")]
+    lines = [f"turn {number + 1}: " + ("nothing was added" if turn.added is None else f"added on trial: {turn.added}")]
     untestable = [c.effect for c in turn.candidates if c.testability != "testable"]
     under = [c for c in by_score(turn) if c.testability == "testable" and not passed(c, turn)]
     for candidate in by_score(turn):
         if candidate.effect == turn.added:
             assert turn.fitted is not None
-            lines.append(f"  {candidate.effect}: {outcome(candidate, turn)}")
-            lines.append(f"    {effect_table(turn.fitted.scene.effects[candidate.effect])}")
+            lines.append(f"  {candidate.effect}: {effect_table(turn.fitted.scene.effects[candidate.effect])}")
             lines += [f"  dropped: {name}, needless beside {turn.added}" for name in turn.dropped]
         elif passed(candidate, turn):
             lines.append(f"  not added: {candidate.effect}: {outcome(candidate, turn)}")

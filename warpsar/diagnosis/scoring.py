@@ -11,7 +11,7 @@ from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.bootstrap import Bootstrap, bootstrap
 from warpsar.diagnosis.evidence import Evidence
 from warpsar.diagnosis.found import Candidate, DiagnoseOptions, Turn
-from warpsar.diagnosis.refit import Fitted
+from warpsar.diagnosis.refit import Fitted, on_bounds
 from warpsar.diagnosis.score import NOT_TESTABLE, Group, Projection, group
 from warpsar.diagnosis.templates import Template, TemplateMaker
 from warpsar.effects.registry import get, names
@@ -68,7 +68,7 @@ def _grouped(
     # templates are taken at the declared surface too.
     unmoved = replace(base.scene, materials=scene.materials)
     paths = TemplateMaker(unmoved, bench.device, other_rays, observations, evidence.modelled)
-    projection = Projection(maker.tangent(), evidence.root_looks)
+    projection = Projection(maker.tangent(~on_bounds(base)), evidence.root_looks)
     found = {}
     for name in names():
         if name in base.scene.effects:

@@ -63,10 +63,11 @@ class TemplateMaker:
             for seen in view.observations
         ]
 
-    def tangent(self) -> np.ndarray:
-        """d ln(mu) / dx of everything that is fitted, shape (n, p), with one column per unknown gain."""
+    def tangent(self, moving: np.ndarray) -> np.ndarray:
+        """d ln(mu) / dx of the elements of x that are `moving`, a mask of shape (p,), with one column more per unknown
+        gain; one row per pixel."""
         problem = self.neutral
-        jacobian = np.concatenate(problem.jacobian(problem.x0))
+        jacobian = np.concatenate(problem.jacobian(problem.x0, np.flatnonzero(moving).tolist()))
         if problem.scene.grid.calibrated:
             return jacobian
         sizes = [mu.size for mu in self.mu]
