@@ -76,20 +76,20 @@ class Evidence:
         """Covariance of sum(column * standardised) within each trial, shape (trials, k, k); `columns`, shape
         (n, trials * k), may be sparse. Work is done for the images that a trial touches."""
         found = np.zeros((columns.shape[1] // k, k, k))
-        sparse = not isinstance(columns, np.ndarray)
-        by_row = csr_array(columns) if sparse else columns
+        by_row = columns if isinstance(columns, np.ndarray) else csr_array(columns)
         end = 0
         for seen, mu in zip(self.observations, self.modelled, strict=True):
             first, end = end, end + mu.size
-            part = by_row[first:end].tocsc() if sparse else by_row[first:end]
-            touched = np.flatnonzero(abs(part).sum(axis=0).reshape(-1, k).any(axis=1))
+            part = by_row[first:end]
+            filled = (
+                part.any(axis=0) if isinstance(part, np.ndarray) else np.bincount(part.indices, minlength=part.shape[1])
+            )
+            touched = np.flatnonzero(filled.reshape(-1, k).any(axis=1))
             for trials in np.split(touched, range(TRIALS, touched.size, TRIALS)):
                 chosen = part[:, (trials[:, None] * k + np.arange(k)).ravel()]
-                dense = chosen.toarray() if sparse else chosen
-                both = (
-                    m.reshape(mu.size, -1, k) for m in (dense, correlated(dense, seen.interior, self.autocovariance))
-                )
-                found[trials] += np.einsum("nti,ntj->tij", *both)
+                dense = chosen if isinstance(chosen, np.ndarray) else np.asarray(chosen.toarray())
+                weighed = correlated(dense, seen.interior, self.autocovariance)
+                found[trials] += np.einsum("nti,ntj->tij", *(m.reshape(mu.size, -1, k) for m in (dense, weighed)))
         return found
 
 

@@ -31,6 +31,7 @@ class Projection:
         scaled = scaled / np.where(norms > 0, norms, 1.0)
         left, strength, _ = np.linalg.svd(scaled, full_matrices=False)
         self.basis = left[:, strength > RANK * strength.max(initial=0.0)]
+        self._under: Evidence | None = None
 
     def __call__(self, columns: np.ndarray) -> np.ndarray:
         """What is left of standardised columns, shape (n, k) or (n,)."""
@@ -48,7 +49,9 @@ class Projection:
         With T = columns, B = basis and C = the residual's covariance, T' (1 - BB') C (1 - BB') T is multiplied out:
         T'CT stays sparse where T is, and all else has the size of the basis.
         """
-        seen = evidence.correlated(self.basis)
+        if self._under is not evidence:  # the same for all effects
+            self._under, self._seen = evidence, evidence.correlated(self.basis)
+        seen = self._seen
         inside = self._inside(columns)
         across = np.asarray(columns.T @ seen).T - (self.basis.T @ seen / 2.0) @ inside
         crossed = np.einsum("bti,btj->tij", *(m.reshape(len(m), -1, k) for m in (inside, across)))
@@ -101,15 +104,6 @@ class Group:
         found = self.columns[:, trial * k : (trial + 1) * k]
         return found if isinstance(found, np.ndarray) else np.asarray(found.toarray())
 
-    @cached_property
-    def _faces(self) -> list[tuple[list[int], np.ndarray]]:
-        """The coordinates, two-sided ones first, of every face of the cone, and the inverse of their covariance."""
-        free = [i for i, bound in enumerate(self.one_sided) if not bound]
-        bound = [i for i, is_bound in enumerate(self.one_sided) if is_bound]
-        faces = [[*free, *chosen] for size in range(len(bound) + 1) for chosen in combinations(bound, size)]
-        parts = [(members, self.covariance[:, members][:, :, members]) for members in faces if members]
-        return [(members, np.linalg.pinv(part, rcond=1e-10, hermitian=True)) for members, part in parts]
-
     def statistics(self, projected: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(statistic, -ln p), each of shape (trials, draws), of projected residuals, shape (n, draws).
 
@@ -128,8 +122,10 @@ class Group:
 
     def _statistics(self, projected: np.ndarray) -> np.ndarray:
         trials, k = self.covariance.shape[:2]
-        dense = isinstance(self.columns, np.ndarray)
-        scores = transposed_times(self.columns, projected) if dense else self.columns.T @ projected
+        if isinstance(self.columns, np.ndarray):
+            scores = transposed_times(self.columns, projected)
+        else:
+            scores = np.asarray(self.columns.T @ projected)
         scores = scores.reshape(trials, k, -1)
         best = np.zeros((trials, scores.shape[2]))
         for members, inverse in self._faces:
@@ -171,4 +167,4 @@ def group(templates: Sequence[Template], projection: Projection, evidence: Evide
 
 
 def _dense_where_full(columns: csc_array) -> np.ndarray | csc_array:
-    return columns if columns.nnz < SPARSE * np.prod(columns.shape) else columns.toarray()
+    return columns if columns.nnz < SPARSE * np.prod(columns.shape) else columns.toarray(order="F")

@@ -62,6 +62,7 @@ class TemplateMaker:
             for view in self.neutral.views
             for seen in view.observations
         ]
+        self.compared = [(seen.pixels, seen.darkest) for seen in self.neutral.observations]
 
     def tangent(self, moving: np.ndarray) -> np.ndarray:
         """d ln(mu) / dx of the elements of x that are `moving`, a mask of shape (p,), with one column more per unknown
@@ -121,14 +122,12 @@ class TemplateMaker:
 
     def _finished(self, scene: Scene, name: str, views: Sequence[str] | None) -> list[np.ndarray]:
         """An image effect on the finished images: nothing is shaded again."""
-        found, at = [], 0
-        for view in self.neutral.views:
-            for seen in view.observations:
-                mu = self.mu[at]
-                if views is None or view.view.name in views:
-                    effect = next(e for e in declared(scene, view.view, neutral=True) if e.effect.name == name)
-                    image = view.render.image_with(effect, self.whole[at])
-                    mu = np.maximum(image.ravel()[seen.pixels].astype(float), seen.darkest)
-                found.append(mu)
-                at += 1
+        found = []
+        views_of = [view for view in self.neutral.views for _ in view.observations]
+        for view, mu, whole, (pixels, darkest) in zip(views_of, self.mu, self.whole, self.compared, strict=True):
+            if views is None or view.view.name in views:
+                effect = next(e for e in declared(scene, view.view, neutral=True) if e.effect.name == name)
+                image = view.render.image_with(effect, whole)
+                mu = np.maximum(image.ravel()[pixels].astype(float), darkest)
+            found.append(mu)
         return found

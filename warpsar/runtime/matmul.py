@@ -25,7 +25,9 @@ def transposed_times(a: np.ndarray, b: np.ndarray) -> np.ndarray:
         part = a[:, first : first + COLUMNS]
         rows = _rows(part.shape[1], m)
         whole = n - n % rows
-        pieces = part[:whole].reshape(-1, rows, part.shape[1]).swapaxes(1, 2) @ b[:whole].reshape(-1, rows, m)
+        pieces = part[:whole].reshape(n // rows, rows, part.shape[1]).swapaxes(1, 2) @ b[:whole].reshape(
+            n // rows, rows, m
+        )
         found[first : first + COLUMNS] = pieces.sum(axis=0) + part[whole:].T @ b[whole:]
     return found
 
@@ -36,6 +38,6 @@ def times(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     rows = _rows(k, b.shape[1])
     found = np.empty((n, b.shape[1]))
     whole = n - n % rows
-    np.matmul(a[:whole].reshape(-1, rows, k), b, out=found[:whole].reshape(-1, rows, b.shape[1]))
+    np.matmul(a[:whole].reshape(n // rows, rows, k), b, out=found[:whole].reshape(n // rows, rows, b.shape[1]))
     found[whole:] = a[whole:] @ b
     return found

@@ -10,6 +10,7 @@ import numpy as np
 from warpsar.speckle.compared import Compared
 
 SIDES = (3, 5, 9)  # pixels on a side of a window
+CACHED = 5  # draws at once: their images stay in the cache
 FULL = 0.5  # share of a window that must be compared pixels
 
 
@@ -63,12 +64,21 @@ class Scan:
         grid[:, mask[box]] = residuals.T
         if silent:
             grid += self.silent[index][box]
-        return [total * scale for total, scale in zip(_sums(grid, self.sides), self.scales[index], strict=True)]
+        windows = _sums(grid, self.sides)
+        for total, scale in zip(windows, self.scales[index], strict=True):
+            total *= scale
+        return windows
 
     def largest(self, parts: Sequence[np.ndarray]) -> np.ndarray:
         """Largest |z| over all windows of each draw, shape (draws,); `parts`: (pixels, draws) per observation."""
-        found = [np.abs(z).max(axis=(1, 2)) for i, part in enumerate(parts) for z in self._windows(i, part)]
-        return np.max(found, axis=0)
+        found = np.zeros(parts[0].shape[1])
+        for i, part in enumerate(parts):
+            for first in range(0, found.size, CACHED):
+                some = slice(first, first + CACHED)
+                for z in self._windows(i, part[:, some]):
+                    ends = z.max(axis=(1, 2)), -z.min(axis=(1, 2))
+                    found[some] = np.maximum(found[some], np.maximum(*ends))
+        return found
 
     def strongest(self, parts: Sequence[np.ndarray]) -> Spot:
         """The strongest window of one residual, an array (pixels,) per observation."""
@@ -86,12 +96,13 @@ class Scan:
 def _sums(grids: np.ndarray, sides: Sequence[int]) -> list[np.ndarray]:
     """Sums over centred windows of every pixel of (draws, rows, cols), zeros outside, one array per window size."""
     reach = max(sides) // 2
-    total = np.pad(grids, ((0, 0), (reach + 1, reach), (reach + 1, reach))).cumsum(axis=1).cumsum(axis=2)
     rows, cols = grids.shape[1:]
+    total = np.zeros((len(grids), rows + 2 * reach + 1, cols + 2 * reach + 1))
+    total[:, reach + 1 : reach + 1 + rows, reach + 1 : reach + 1 + cols] = grids
+    total.cumsum(axis=1, out=total).cumsum(axis=2, out=total)
     found = []
     for window in sides:
         low, high = reach - window // 2, reach + window // 2 + 1
-        top, bottom = slice(low, low + rows), slice(high, high + rows)
-        left, right = slice(low, low + cols), slice(high, high + cols)
-        found.append(total[:, bottom, right] - total[:, top, right] - total[:, bottom, left] + total[:, top, left])
+        bands = total[:, high : high + rows] - total[:, low : low + rows]
+        found.append(bands[:, :, high : high + cols] - bands[:, :, low : low + cols])
     return found
