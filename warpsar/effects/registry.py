@@ -68,8 +68,9 @@ def validate(name: str, table: Any, where: str, views: Collection[str] | None = 
     refuse_fitted_keys(table, parameters, where)
     for key, known in table.get("tolerance", {}).items():
         if isinstance(known, Mapping):
-            for place, one in _entries(f"{where}.tolerance.{key}.about", known["about"], parameters[key].per_view, views):
-                _check_number(place, one, parameters[key])
+            at, p = f"{where}.tolerance.{key}.about", parameters[key]
+            for place, one in _entries(at, known["about"], p.per_view, views):
+                _check_number(place, one, p)
     # Parameters stay as stated: a fit moves those and no others (`is_fitted`). Settings get their defaults.
     return {**table, **{s.name: table.get(s.name, s.default) for s in effect.settings}}
 

@@ -63,11 +63,14 @@ class FitState:
 
 
 def begin(problem: FitProblem, start: int, seed: int, previous: FitState | None = None) -> FitState:
-    """The state at the beginning of start number `start`: 0 is the scene's own, others are drawn about it."""
+    """The state at the beginning of start number `start`: 0 is the scene's own, others are drawn about it.
+
+    Known elements stay within their tolerance.
+    """
     x = problem.x0.copy()
     if start:
         low, high = problem.bounds
-        x = x + np.random.default_rng([seed, start]).normal(0.0, SPREAD, x.size)
+        x = x + problem.prior.narrowed(np.random.default_rng([seed, start]).normal(0.0, SPREAD, x.size), x)
         x = np.clip(x, low + 1e-3, high - 1e-3)
     if previous is None:
         return FitState(x, np.inf, x, np.inf, start)
@@ -113,7 +116,7 @@ def levenberg_marquardt(
             break
         trial = here.bent(problem, step)
         if trial is not None:
-            value = problem.value(problem.modelled(trial)) + problem.penalty()
+            value = problem.value(problem.modelled(trial)) + problem.penalty(trial)
             if value <= here.loss:
                 new_x, new_loss, damping = trial, value, max(damping / 10.0, 1e-12)
                 break
@@ -161,13 +164,13 @@ class _Quadratic:
         """With the Jacobian of `origin`."""
         _, gradient = problem.gradient(x)
         modelled = problem.modelled(x)
-        loss = problem.value(modelled) + problem.penalty()
+        loss = problem.value(modelled) + problem.penalty(x)
         curvatures, jacobians = problem.curvatures(modelled), problem.jacobian_at(origin, moving)
         weighted = [c.weight[:, None] * j for j, c in zip(jacobians, curvatures, strict=True)]
         hessian = np.zeros((x.size, x.size))
         for j, w in zip(jacobians, weighted, strict=True):
             hessian += j.T @ w
-        hessian = problem.ranks.sum(hessian)
+        hessian = problem.ranks.sum(hessian) + problem.prior.information(x)
         low, high = problem.bounds
         free = ~((x <= low) & (gradient > 0) | (x >= high) & (gradient < 0)) & (np.diag(hessian) > 0)
         if moving is not None:
@@ -193,14 +196,15 @@ class _Quadratic:
         """
         low, high = self.bounds
         step = planned.step * min(1.0, LARGEST_STEP / float(np.abs(planned.step).max()))
-        ahead = problem.modelled(np.clip(self.x + BEND_STEP * step, low, high))
-        further = problem.modelled(np.clip(self.x + 2.0 * BEND_STEP * step, low, high))
+        places = [np.clip(self.x + share * step, low, high) for share in (BEND_STEP, 2.0 * BEND_STEP)]
+        ahead, further = (problem.modelled(at) for at in places)
         bend = [np.log(b * m / a**2) / BEND_STEP**2 for a, b, m in zip(ahead, further, self.modelled, strict=True)]
         push = np.zeros_like(self.x)
         for w, b in zip(self.weighted, bend, strict=True):
             push += w.T @ b
+        push = self.ranks.sum(push) + problem.prior.push(self.x, places, BEND_STEP)
         correction = np.zeros_like(self.x)
-        correction[self.free] = -0.5 * np.linalg.solve(planned.damped, self.ranks.sum(push)[self.free])
+        correction[self.free] = -0.5 * np.linalg.solve(planned.damped, push[self.free])
         correction = self.ranks.same(correction)
         if 2.0 * np.linalg.norm(correction) > MOST_BEND * np.linalg.norm(step):
             return None

@@ -1,4 +1,7 @@
-"""Which parameters of a declared effect a fit moves, and how far: `fixed`, `learn`, `tolerance` of an effect's table."""
+"""Which parameters of a declared effect a fit moves: the keys `fixed` and `learn`, which every effect's table has.
+
+`tolerance` beside them says how well they are known (learning/prior.py).
+"""
 
 from __future__ import annotations
 
