@@ -12,6 +12,7 @@ from scipy.sparse import csc_array
 from scipy.special import gammaincc, gammaln, logsumexp
 
 from warpsar.diagnosis.evidence import Evidence
+from warpsar.diagnosis.partly_known import NOTHING, PartlyKnown
 from warpsar.diagnosis.templates import Template
 
 NOT_TESTABLE = 1e-3  # share of a template's energy outside the tangent space (docs/diagnosis.md)
@@ -21,18 +22,26 @@ SPARSE = 0.1  # share of pixels that a template touches, below which it is kept 
 
 
 class Projection:
-    """Removes the tangent space of the fitted parameters from templates and residuals, in standardised units."""
+    """Removes the tangent space of the fitted parameters from templates and residuals, in standardised units; of a
+    parameter that is `known` to a tolerance, as much as it may move."""
 
-    def __init__(self, tangent: np.ndarray, root_looks: np.ndarray) -> None:
-        scaled = root_looks[:, None] * tangent
+    def __init__(self, tangent: np.ndarray, root_looks: np.ndarray, known: PartlyKnown = NOTHING) -> None:
+        self.known = known
+        scaled = known.under(root_looks[:, None] * tangent)
         norms = np.linalg.norm(scaled, axis=0)
         scaled = scaled / np.where(norms > 0, norms, 1.0)
         left, strength, _ = np.linalg.svd(scaled, full_matrices=False)
-        self.basis = left[:, strength > RANK * strength.max(initial=0.0)]
+        basis = left[:, strength > RANK * strength.max(initial=0.0)]
+        self.basis, self._under = np.split(basis, [len(tangent)])
 
-    def __call__(self, columns: np.ndarray) -> np.ndarray:
-        """What is left of standardised columns, shape (n, k) or (n,)."""
-        return columns - self.basis @ (self.basis.T @ columns)
+    def __call__(self, columns: np.ndarray, known: np.ndarray | None = None) -> np.ndarray:
+        """What is left of standardised columns, shape (n, k) or (n,); `known` are their rows of what is known."""
+        absorbed = self.basis.T @ columns
+        return columns - self.basis @ (absorbed if known is None else absorbed + self._under.T @ known)
+
+    def left_under(self, columns: np.ndarray) -> np.ndarray:
+        """What is left of columns in the rows of what is known, shape (rows, k)."""
+        return -self._under @ (self.basis.T @ columns)
 
 
 def log_tail(statistic: np.ndarray, degrees: int) -> np.ndarray:
@@ -129,8 +138,10 @@ def _covariances(columns: np.ndarray, projection: Projection, evidence: Evidence
     covariance = np.empty((trials, k, k))
     white = np.count_nonzero(evidence.autocovariance) == 1
     for trial in range(trials):
-        left = projection(columns[:, trial * k : (trial + 1) * k])
+        mine = columns[:, trial * k : (trial + 1) * k]
+        left, under = projection(mine), projection.left_under(mine)
         covariance[trial] = evidence.autocovariance.max() * (left.T @ left) if white else evidence.products(left)
+        covariance[trial] += under.T @ under
     return covariance
 
 

@@ -11,6 +11,7 @@ from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.bootstrap import Bootstrap, bootstrap
 from warpsar.diagnosis.evidence import Evidence
 from warpsar.diagnosis.found import Candidate, DiagnoseOptions, Turn
+from warpsar.diagnosis.partly_known import PartlyKnown
 from warpsar.diagnosis.refit import Fitted
 from warpsar.diagnosis.score import NOT_TESTABLE, Group, Projection, group
 from warpsar.diagnosis.templates import Template, TemplateMaker
@@ -44,7 +45,7 @@ def score_effects(
     scan = Scan(evidence.observations, evidence.autocovariance, evidence.silent)
     boot = bootstrap(evidence, projection, groups, scan, options.draws, options.seed + number, progress, ranks)
     spot = scan.strongest(evidence.split(evidence.standardised))
-    best = _score(candidates, groups, projection(evidence.standardised), boot)
+    best = _score(candidates, groups, projection(evidence.standardised, projection.known.residual), boot)
     scanned = float(boot.tails["scan"](abs(spot.z)))
     turn = Turn(
         list(candidates.values()),
@@ -69,7 +70,7 @@ def _grouped(
     # templates are taken at the declared surface too.
     unmoved = replace(at, materials=scene.materials)
     paths = TemplateMaker(unmoved, bench.device, other_rays, observations, evidence.modelled)
-    projection = Projection(maker.tangent(), evidence.root_looks)
+    projection = Projection(maker.tangent(), evidence.root_looks, PartlyKnown.of(maker.neutral))
     found = {}
     for name in names():
         if name in base.scene.effects:

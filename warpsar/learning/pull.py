@@ -57,7 +57,10 @@ class Pull:
 
     def content(self) -> dict[str, Any]:
         """For the JSON files."""
-        return {key: value for key, value in asdict(self).items() if key != "label"} | {"alarm": self.alarm}
+        return {key: value for key, value in asdict(self).items() if key != "label"} | {
+            "alarm": self.alarm,
+            "words": self.words,
+        }
 
 
 def pulls(problem: FitProblem, x: np.ndarray, identified: Identified | None) -> list[Pull]:
