@@ -60,6 +60,7 @@ def diagnosed(scene: Scene, folder: Path) -> Ran:
     done = CliRunner().invoke(main, [*words, "--starts", "0", "--most-effects", "2"])
     assert done.exit_code == 0, done.output
     content = json.loads((folder / "out" / "diagnosis.json").read_text())
+    print(*(one["after"]["words"] for one in content["tolerances"].values()), sep="\n")
     return Ran(scene, folder / "out", content, done.stdout, done.stderr)
 
 

@@ -12,10 +12,11 @@ import warp as wp
 from effect_worlds import refusal
 from learning_scenes import START, TRUTH, cube_scene, measured, noise_free, starting, views_at
 from test_held_effects import BLUR, declaring
-from test_learn import save_scene, with_material
+from test_learn import field_scene, save_scene, with_material
 
 from warpsar.errors import InputError
 from warpsar.learning import command as learning
+from warpsar.learning.adam import Adam, GraphAdam
 from warpsar.learning.identify import identify, of_information
 from warpsar.learning.learn import LearnOptions, learn
 from warpsar.learning.optimise import FitState, begin, levenberg_marquardt
@@ -364,6 +365,54 @@ def test_learned_scenes_and_problems_of_few_views_keep_what_is_known(blurred: Sc
         assert [one.label for one in again.known] == ["cube.eps_r", *(f"view_gain.gain_db{label}" for label in labels)]
         assert [one.about for one in again.known] == [15.0, 1.0, 0.5][: 1 + len(labels)] or views == ["v1"]
     assert [one.about for one in problem_of(moved, views=["v1"]).prior.known] == [15.0, 0.5]
+
+
+def test_a_number_beside_a_field_is_known_too(tmp_path: Path) -> None:
+    """Adam, which has no information matrix: the pull alone is told. Without data eps_r would go back to 9."""
+    scene = field_scene(tmp_path)
+    tolerance = {"eps_r": {"about": 9.0, "sd": 0.1}}
+    soil = scene.materials["soil"].model_copy(update={"learn": ("eps_r", "rms_height_m"), "tolerance": tolerance})
+    scene = replace(scene, materials={"soil": soil})
+    found = learn(scene, device="cpu", options=LearnOptions(iterations=30))
+    (pull,) = found.pulls
+    assert (pull.label, pull.prior, pull.prior_sd) == ("soil.eps_r", 9.0, 0.1)
+    assert (pull.posterior_sd, pull.data, pull.tension) == (None, None, None)
+    assert pull.posterior == pytest.approx(found.scene.materials["soil"].eps_r)
+    assert pull.pull == pytest.approx((pull.posterior - 9.0) / 0.1)
+    assert pull.alarm  # the images have 6
+    assert any("soil.eps_r leaves its tolerance" in reason for reason in found.doubts)
+
+
+@pytest.mark.cuda
+def test_the_captured_graph_knows_it(tmp_path: Path) -> None:
+    """Adam on the CPU and the captured graph on CUDA, as in test_learn.py; 16 looks against 9 +- 0.05 of an eps_r."""
+    scene = field_scene(tmp_path)
+    tolerance = {"eps_r": {"about": 9.0, "sd": 0.05}}
+    soil = scene.materials["soil"].model_copy(update={"learn": ("eps_r", "rms_height_m"), "tolerance": tolerance})
+    scene = replace(scene, materials={"soil": soil})
+    ends, losses = [], []
+    for alias, way, steps in (("cpu", Adam, 40), ("cuda", GraphAdam, 40 // GraphAdam.STRIDE)):
+        problem = FitProblem(scene, devices.resolve_device(alias))
+        state = begin(problem, 0, 0)
+        descent = way(problem, state, 0.02)
+        for _ in range(steps):
+            state = descent.step(state)
+        ends.append(np.asarray(state.x))
+        losses.append(state.loss)
+    known = problem.prior.known[0].at
+    assert problem.prior.value(ends[0]) > 10.0  # it has a part in the loss, and has moved eps_r
+    assert ends[0][known] > problem.x0[known] + 0.05
+    assert losses[1] == pytest.approx(losses[0], rel=1e-3)
+    assert ends[1][known] == pytest.approx(ends[0][known], abs=1e-2)
+
+
+@pytest.mark.cuda
+def test_lm_on_cuda_knows_it(blurred: Scene) -> None:
+    wrong = {**BLUR, "range_fwhm_m": 0.7, "tolerance": {"range_fwhm_m": 0.02}}
+    scene = declaring(with_material(blurred, "cube", tolerance={"eps_r": 1.0}), point_spread=wrong)
+    cpu, cuda = (learn(scene, device=alias, options=OPTIONS) for alias in ("cpu", "cuda"))
+    for one, other in zip(cpu.pulls, cuda.pulls, strict=True):
+        assert other.posterior == pytest.approx(one.posterior, abs=0.1 * (one.posterior_sd or 0.0))
 
 
 @pytest.mark.slow
