@@ -25,6 +25,7 @@ from warpsar.learning.problem import FitProblem
 from warpsar.learning.pull import pulls
 from warpsar.learning.results import learned_scene
 from warpsar.runtime import devices
+from warpsar.runtime.distributed import Ranks
 from warpsar.scene.file import parse
 from warpsar.scene.scene import Scene
 
@@ -224,6 +225,25 @@ def test_the_fit_adds_it_to_loss_and_gradient_once(blurred: Scene) -> None:
     assert one.loss_at(x) - other.loss_at(x) == pytest.approx(one.prior.value(x), rel=1e-9)
     one.modelled(x), other.modelled(x)
     assert one.penalty(x) - other.penalty(x) == pytest.approx(one.prior.value(x))
+
+
+class Alike(Ranks):
+    """As if another rank held the same views: every sum is twice this rank's."""
+
+    def sum(self, array: Any) -> np.ndarray:
+        return 2.0 * super().sum(array)
+
+
+def test_ranks_count_it_once(blurred: Scene) -> None:
+    known = declaring(with_material(blurred, "cube", tolerance={"eps_r": 1.0}), point_spread=KNOWN_BLUR)
+    problem, free = problem_of(known, ranks=Alike()), problem_of(declaring(blurred, point_spread=BLUR))
+    x = problem.x0 + 0.2
+    (loss, slopes), (images, plain) = problem.gradient(x), free.gradient(x)
+    assert loss == pytest.approx(2.0 * images + problem.prior.value(x), rel=1e-9)
+    assert slopes == pytest.approx(2.0 * plain + problem.prior.gradient(x), rel=1e-9, abs=1e-9)
+    assert problem.penalty(x) == pytest.approx(problem.prior.value(x))
+    twice, once = identify(problem, x).information, identify(free, x).information
+    assert twice == pytest.approx(2.0 * once + problem.prior.information(x), rel=1e-9, abs=1e-9)
 
 
 def test_on_the_device_it_is_the_same(blurred: Scene) -> None:

@@ -51,5 +51,5 @@ def _tension(one: dict[str, Any]) -> str:
     return f"{told}: leaves it" if one["alarm"] else told
 
 
-def _with_error(value: float, error: float) -> str:
-    return f"{value:.4g} ± {error:.2g}"
+def _with_error(value: float, error: float | None) -> str:
+    return f"{value:.4g}" if error is None else f"{value:.4g} ± {error:.2g}"
