@@ -10,9 +10,14 @@ from test_diagnose import SLOPE, Ran, saved, scene_with
 from test_held_effects import BLUR, declaring
 
 from warpsar.cli.main import main
+from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.partly_known import PartlyKnown
+from warpsar.diagnosis.refit import Fitted, fit_model
 from warpsar.diagnosis.score import Projection
+from warpsar.runtime import devices
 from warpsar.scene.scene import Scene
+from warpsar.simulation.rays import Rays
+from warpsar.surface.stage import Stage
 
 KNOWN = {"range_fwhm_m": 0.03, "azimuth_fwhm_m": "5 %"}
 
@@ -52,6 +57,28 @@ def test_scores_of_draws_have_the_covariance_that_is_stated() -> None:
     assert scores.var() == pytest.approx(stated, rel=0.1)
     # 12 of a norm of some 8: two thirds of the template's energy are kept, of which a free parameter leaves a tenth
     assert stated > 5.0 * float(np.sum(free(template) ** 2))
+
+
+def test_models_told_to_other_ranks_and_checkpoints_are_known_about_the_same(tmp_path: Path) -> None:
+    scene = scene_with({"point_spread": BLUR}, tmp_path)
+    scene = declaring(scene, point_spread={**BLUR, "range_fwhm_m": 0.6, "tolerance": KNOWN})
+    device = devices.resolve_device("cpu")
+    bench = Bench(device, Rays(Stage.of(scene, device), 64.0 / scene.grid.pixel_area_m2, 0), {})
+    base = fit_model(bench, scene, 0, 0)
+    further = fit_model(bench, base.scene, 0, 0)
+    for given, fitted in ((scene, base), (base.scene, further)):
+        heard = Fitted.heard(bench, given, json.loads(json.dumps(fitted.told())))
+        assert heard.scene.effects == fitted.scene.effects
+        assert heard.scene.effects["point_spread"]["tolerance"]["range_fwhm_m"] == {"about": 0.6, "sd": 0.03}
+        for problem in (heard.problem, fitted.problem):
+            assert [(one.about, one.sd) for one in problem.prior.known] == [(0.6, 0.03), (0.7, pytest.approx(0.035))]
+    # it does not creep: the second fit is the first one, with the tolerance where it was
+    wide = base.scene.effects["point_spread"]["range_fwhm_m"]
+    assert wide > 0.63
+    assert further.scene.effects["point_spread"]["range_fwhm_m"] == pytest.approx(wide, abs=0.003)
+    assert base.log_likelihood == pytest.approx(
+        -base.problem.value(base.problem.modelled(base.x)) - base.problem.prior.value(base.x)
+    )
 
 
 def diagnosed(scene: Scene, folder: Path) -> Ran:
