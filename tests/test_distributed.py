@@ -50,10 +50,12 @@ def effects_scene(folder: Path) -> Path:
     write_obj(folder / "mesh.obj", seen.mesh)
     tables = {
         "view_gain": {"gain_db": {"v0": 0.2, "v1": -0.1, "v2": 0.0}},
-        "range_loss": {"per_m": 0.01},
+        # known about another value than the start's, so that the prior has a part in loss and gradient
+        "range_loss": {"per_m": 0.01, "tolerance": {"per_m": {"about": 0.02, "sd": 0.01}}},
         "point_spread": {"range_fwhm_m": 0.5, "azimuth_fwhm_m": 0.5},
     }
-    changed = replace(seen, materials={"soil": Material(**dict(SOIL, rms_height_m=0.0010))}, effects=tables)
+    soil = Material(**dict(SOIL, rms_height_m=0.0010), tolerance={"eps_r": {"about": 5.0, "sd": 2.0}})
+    changed = replace(seen, materials={"soil": soil}, effects=tables)
     replace(changed, mesh_path=(folder / "mesh.obj").resolve()).save(folder / "scene.toml")
     return folder / "scene.toml"
 

@@ -80,6 +80,11 @@ def test_scenes_of_the_project_fit(path: Path) -> None:
         ("sampling", {"rays_per_m2": 3.0, "deposit": "linear"}),
         ("views.0", {"name": "a", "azimuth_deg": -3.0, "grazing_deg": 20.0, "images": {"HH": "a.tif"}, "looks": 2.0}),
         ("effects.vegetation", {}),
+        ("effects.vegetation", {"optical_depth": 0.3, "tolerance": {"optical_depth": 0.1}}),
+        ("effects.point_spread", {"range_fwhm_m": 0.3, "tolerance": {"range_fwhm_m": "2.5 %"}}),
+        ("effects.point_spread", {"range_fwhm_m": 0.3, "tolerance": {"range_fwhm_m": {"about": 0.28, "sd": "5%"}}}),
+        ("effects.interference", {"level": {"a": 0.1}, "tolerance": {"level": {"about": {"a": 0.2}, "sd": 0.1}}}),
+        ("materials.lawn.tolerance", {"eps_r": "20 %", "rms_height_m": {"about": 0.002, "sd": 0.001}}),
     ],
 )
 def test_sound_scenes_are_accepted(place: str, value: Any) -> None:
@@ -142,6 +147,18 @@ BROKEN: list[tuple[str, Any]] = [
     ("effects.saturation.pivot", "mean"),
     ("effects.saturation.pivot", 0.0),
     ("effects.antenna_pattern.beamwidth_m", 0.0),
+    ("effects.vegetation", {"optical_depth": 0.3, "tolerance": 0.1}),
+    ("effects.vegetation", {"optical_depth": 0.3, "tolerance": {"depth": 0.1}}),
+    ("effects.vegetation", {"optical_depth": 0.3, "tolerance": {"optical_depth": 0}}),
+    ("effects.vegetation", {"optical_depth": 0.3, "tolerance": {"optical_depth": -0.1}}),
+    ("effects.vegetation", {"optical_depth": 0.3, "tolerance": {"optical_depth": "0 %"}}),
+    ("effects.vegetation", {"optical_depth": 0.3, "tolerance": {"optical_depth": "five %"}}),
+    ("effects.vegetation", {"optical_depth": 0.3, "tolerance": {"optical_depth": {"sd": 0.1}}}),
+    ("effects.vegetation", {"optical_depth": 0.3, "tolerance": {"optical_depth": {"about": -1.0, "sd": 0.1}}}),
+    ("materials.lawn.tolerance", 0.1),
+    ("materials.lawn.tolerance", {"eps": 0.1}),
+    ("materials.lawn.tolerance", {"eps_r": 0.0}),
+    ("materials.lawn.tolerance", {"eps_r": "5"}),
 ]
 
 
@@ -188,9 +205,10 @@ def test_schema_is_strict_json_without_references() -> None:
     text = json.dumps(scene_schema(), allow_nan=False)
     assert "$ref" not in text
     assert "null" not in text
-    assert text.count('"additionalProperties": false') == 8 + 1 + len(
-        names()
-    )  # tables of the file, scene.origin among them; effects; each effect
+    # tables of the file, scene.origin among them; effects; each effect, and in it tolerance; { about, sd } of each
+    # parameter, and of the materials' values
+    tolerances = sum(len(get(name).parameters) for name in names()) + 1
+    assert text.count('"additionalProperties": false') == 8 + 1 + 2 * len(names()) + tolerances
 
 
 def test_command_prints_what_it_writes(tmp_path: Path) -> None:

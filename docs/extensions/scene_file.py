@@ -12,6 +12,7 @@ import tomlkit
 
 from warpsar.effects.registry import get, names
 from warpsar.scene.schema import scene_schema
+from warpsar.world.tolerance import SHARE
 
 if TYPE_CHECKING:
     from sphinx.application import Sphinx
@@ -90,8 +91,12 @@ def _value(field: dict[str, Any], unit: str = "") -> str:
         case "array":
             count = f"{field['maxItems']}, each a " if "maxItems" in field else ""
             return f"list of {count}{_value(field['items'], unit)}"
+        case "object" if "properties" in field:
+            return f"table of {' and '.join(f'`{key}`' for key in field['properties'])}"
         case "object":
             return f"table of {_value(field['propertyNames'])} = {_value(field['additionalProperties'])}"
+        case "string" if field.get("pattern") == SHARE:
+            return 'share such as `"5 %"`'
         case "string":
             return "file name" if field.get("format") == "path" else "name"
         case "boolean":

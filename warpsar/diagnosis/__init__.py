@@ -11,6 +11,7 @@ evidence.py        what is left of the measured images, and how it is correlated
 templates.py       what each effect would leave, from rays of its own
 score.py           how well a template fits the residual, beyond what the surface can absorb
 bootstrap.py       how large the largest score gets by speckle alone
+partly_known.py    what a tolerance leaves of a parameter's freedom to imitate an effect
 scoring.py         what each effect scores in one turn
 dark.py            what dark pixels say
 shortlist.py       which candidates get a full fit
@@ -25,6 +26,7 @@ outcome.py         what became of every effect in a turn, in words
 judge.py           how far models are from all images, test views among them
 place.py           where on the surface something is left
 projection.py      where a place of the world lies in an image
+known.py           what became of values known to a tolerance
 content.py         what diagnosis.json holds
 report.py          the report's page
 report_summary.py  its answer

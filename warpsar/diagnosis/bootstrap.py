@@ -54,8 +54,10 @@ def bootstrap(
     seeds = np.random.SeedSequence(seed).spawn(-(-draws // BATCH))
 
     def batch(sequence: np.random.SeedSequence) -> dict[str, np.ndarray]:
-        drawn = speckle(np.random.default_rng(sequence), BATCH)
-        residuals = projection(np.clip(drawn, -LARGEST, LARGEST, out=drawn))  # as the evidence is
+        random = np.random.default_rng(sequence)
+        drawn = speckle(random, BATCH)
+        known = projection.known.drawn(random, BATCH)
+        residuals = projection(np.clip(drawn, -LARGEST, LARGEST, out=drawn), known)  # as the evidence is
         found = {name: np.max([g.largest(residuals) for g in members], axis=0) for name, members in groups.items()}
         found["scan"] = scan.largest(evidence.split(residuals))
         if progress is not None:

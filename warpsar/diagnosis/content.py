@@ -8,6 +8,7 @@ from typing import Any
 
 from warpsar.diagnosis.found import Candidate, DiagnoseOptions, Diagnosis, Rival, Turn
 from warpsar.diagnosis.judge import ROLES, Judged, difference, pool
+from warpsar.diagnosis.known import known_content
 from warpsar.diagnosis.outcome import outcome
 from warpsar.diagnosis.result import Diagnosed, Moved, why_not
 from warpsar.effects.registry import get
@@ -63,6 +64,7 @@ def content_of(
         },
         "effects": found.final.scene.effects,
         "identifiability": identified.summary(),
+        **known_content(found, identified),
         "rays_per_pixel": found.density.rays_per_pixel,
         "rays_chosen": found.density.chosen,
         "ray_noise": found.density.noise,

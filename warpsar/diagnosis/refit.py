@@ -36,8 +36,9 @@ HOPELESS = 100.0
 @dataclass(frozen=True)
 class Fitted:
     """A model at its best: `scene` holds what was learned; `log_likelihood` over the lit interior alone, up to a
-    constant that all models share, and `whole` over all pixels that were fitted; `size`, the number of fitted
-    parameters. Both are bounded as the bench's losses are, on which the model was fitted."""
+    constant that all models share, and `whole` over all pixels that were fitted, both of what the scene knows to a
+    tolerance too; `size`, the number of fitted parameters. Both are bounded as the bench's losses are, on which the
+    model was fitted."""
 
     scene: Scene
     problem: FitProblem
@@ -204,7 +205,7 @@ def fitted_at(
     """A problem's model at x, where its loss is `loss`; of several `ranks`, as the first one sees it."""
     scene = learned_scene(problem, x)
     bare = problem if not any(get(n).additive for n in scene.effects) else bench.problem(scene, dark=False)
-    value = float(ranks.same(bare.value(bare.modelled(x))))
+    value = float(ranks.same(bare.value(bare.modelled(x)) + problem.prior.value(x)))
     return Fitted(scene, problem, x, -value, -loss, iterations)
 
 

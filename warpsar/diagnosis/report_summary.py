@@ -104,6 +104,7 @@ def _verdict(done: Diagnosed, content: dict[str, Any]) -> list[str]:
             "Nothing was added: no effect of the library explains what is left better than chance would, at a family "
             f"error rate of {error:g} %."
         )
+    said += [f"{content['tolerances'][label]['after']['words']}." for label in content["leaves_tolerance"]]
     if found.unexplained:
         said.append(
             "Something is left that no effect of the library explains. It is not given a name; the section before the "

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from warpsar.diagnosis.known import KNOWN_CAPTION, KNOWN_HEAD, known_rows
 from warpsar.diagnosis.outcome import effect_table
 from warpsar.diagnosis.result import SAME_SD, Diagnosed, Moved
 from warpsar.evaluation.report_parts import shown_as
@@ -31,6 +32,8 @@ def parameters_section(done: Diagnosed, moves: Sequence[Moved], content: dict[st
     if done.diagnosis.final.scene.effects:
         tables = [[name, effect_table(table)] for name, table in done.diagnosis.final.scene.effects.items()]
         blocks.append(report.table(["effect", "parameters at the end"], tables))
+    if content["tolerances"]:
+        blocks.append(report.table(KNOWN_HEAD, known_rows(content), KNOWN_CAPTION))
     blocks.append(report.table(head, rows, caption))
     far = [m for m in moves if np.isfinite(m.sds) and abs(m.sds) > SAME_SD]
     if done.diagnosis.verdict:

@@ -13,6 +13,7 @@ from scipy.sparse import csc_array, hstack
 from scipy.special import gammaincc, gammaln, logsumexp
 
 from warpsar.diagnosis.evidence import Evidence
+from warpsar.diagnosis.partly_known import NOTHING, PartlyKnown
 from warpsar.diagnosis.templates import Template
 from warpsar.runtime.matmul import times, transposed_times
 
@@ -23,21 +24,26 @@ SPARSE = 0.1  # share of pixels that a template touches, below which it is kept 
 
 
 class Projection:
-    """Removes the tangent space of the fitted parameters from templates and residuals, in standardised units."""
+    """Removes the tangent space of the fitted parameters from templates and residuals, in standardised units; of a
+    parameter that is `known` to a tolerance, as much as it may move."""
 
-    def __init__(self, tangent: np.ndarray, root_looks: np.ndarray) -> None:
-        scaled = root_looks[:, None] * tangent
+    def __init__(self, tangent: np.ndarray, root_looks: np.ndarray, known: PartlyKnown = NOTHING) -> None:
+        self.known = known
+        scaled = known.under(root_looks[:, None] * tangent)
         norms = np.linalg.norm(scaled, axis=0)
         scaled = scaled / np.where(norms > 0, norms, 1.0)
         left, strength, _ = np.linalg.svd(scaled, full_matrices=False)
-        self.basis = left[:, strength > RANK * strength.max(initial=0.0)]
+        basis = left[:, strength > RANK * strength.max(initial=0.0)]
+        self.basis, self._below = np.split(basis, [len(tangent)])
         self._under: Evidence | None = None
 
-    def __call__(self, columns: np.ndarray) -> np.ndarray:
-        """What is left of standardised columns, shape (n, k) or (n,)."""
+    def __call__(self, columns: np.ndarray, known: np.ndarray | None = None) -> np.ndarray:
+        """What is left of standardised columns, shape (n, k) or (n,); `known` are their rows of what is known."""
         table = columns.reshape(len(columns), -1)
-        left = table - times(self.basis, transposed_times(self.basis, table))
-        return left.reshape(columns.shape)
+        absorbed = transposed_times(self.basis, table)
+        if known is not None:
+            absorbed = absorbed + self._below.T @ known.reshape(len(known), -1)
+        return (table - times(self.basis, absorbed)).reshape(columns.shape)
 
     def left(self, columns: np.ndarray | csc_array) -> np.ndarray:
         """Share of energy that stays of standardised columns of unit length, shape (k,)."""
@@ -47,7 +53,8 @@ class Projection:
         """Covariance, under speckle, of the scores of every trial of `k` projected columns, shape (trials, k, k).
 
         With T = columns, B = basis and C = the residual's covariance, T' (1 - BB') C (1 - BB') T is multiplied out:
-        T'CT stays sparse where T is, and all else has the size of the basis.
+        T'CT stays sparse where T is, and all else has the size of the basis. The rows of what is known add their own
+        variance, which is 1.
         """
         if self._under is not evidence:  # the same for all effects
             self._under, self._seen = evidence, evidence.correlated(self.basis)
@@ -55,7 +62,9 @@ class Projection:
         inside = self._inside(columns)
         across = np.asarray(columns.T @ seen).T - (self.basis.T @ seen / 2.0) @ inside
         crossed = np.einsum("bti,btj->tij", *(m.reshape(len(m), -1, k) for m in (inside, across)))
-        return evidence.products(columns, k) - crossed - crossed.swapaxes(1, 2)
+        below = (self._below @ inside).reshape(len(self._below), -1, k)
+        known = np.einsum("bti,btj->tij", below, below)
+        return evidence.products(columns, k) - crossed - crossed.swapaxes(1, 2) + known
 
     def _inside(self, columns: np.ndarray | csc_array) -> np.ndarray:
         """Coordinates of columns in the basis, shape (rank, k)."""

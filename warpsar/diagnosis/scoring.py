@@ -11,6 +11,7 @@ from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.bootstrap import Bootstrap, bootstrap
 from warpsar.diagnosis.evidence import Evidence
 from warpsar.diagnosis.found import Candidate, DiagnoseOptions, Turn
+from warpsar.diagnosis.partly_known import PartlyKnown
 from warpsar.diagnosis.refit import Fitted, on_bounds
 from warpsar.diagnosis.score import NOT_TESTABLE, Group, Projection, group
 from warpsar.diagnosis.templates import Template, TemplateMaker
@@ -43,7 +44,7 @@ def score_effects(
     scan = Scan(evidence.observations, evidence.autocovariance, evidence.silent)
     boot = bootstrap(evidence, projection, groups, scan, options.draws, options.seed + number, progress, ranks)
     spot = scan.strongest(evidence.split(evidence.standardised))
-    best = _score(candidates, groups, projection(evidence.standardised), boot)
+    best = _score(candidates, groups, projection(evidence.standardised, projection.known.residual), boot)
     scanned = float(boot.tails["scan"](abs(spot.z)))
     turn = Turn(
         list(candidates.values()),
@@ -68,7 +69,8 @@ def _grouped(
     # templates are taken at the declared surface too.
     unmoved = replace(base.scene, materials=scene.materials)
     paths = TemplateMaker(unmoved, bench.device, other_rays, observations, evidence.modelled)
-    projection = Projection(maker.tangent(~on_bounds(base)), evidence.root_looks)
+    moving = ~on_bounds(base)
+    projection = Projection(maker.tangent(moving), evidence.root_looks, PartlyKnown.of(maker.neutral, moving))
     found = {}
     for name in names():
         if name in base.scene.effects:

@@ -66,6 +66,11 @@ def validate(name: str, table: Any, where: str, views: Collection[str] | None = 
             allowed = ", ".join([*parameters, *settings, *FITTED_KEYS])
             raise InputError(f"{at}: unknown key; allowed are {allowed}")
     refuse_fitted_keys(table, parameters, where)
+    for key, known in table.get("tolerance", {}).items():
+        if isinstance(known, Mapping):
+            at, p = f"{where}.tolerance.{key}.about", parameters[key]
+            for place, one in _entries(at, known["about"], p.per_view, views):
+                _check_number(place, one, p)
     # Parameters stay as stated: a fit moves those and no others (`is_fitted`). Settings get their defaults.
     return {**table, **{s.name: table.get(s.name, s.default) for s in effect.settings}}
 

@@ -110,6 +110,8 @@ class GraphAdam:
         with wp.ScopedCapture(device) as capture:
             self.loss.zero_()
             problem.add_losses(self.loss)
+            if problem.prior_on_device.count:
+                problem.add_up(problem.prior_on_device.loss, self.loss)
         self.look = capture.graph
 
     def _update(self) -> None:

@@ -18,6 +18,7 @@ from warpsar.learning.descent import History
 from warpsar.learning.fields import write_field_uncertainty
 from warpsar.learning.learn import Learned, learn, of_all
 from warpsar.learning.options import LearnOptions
+from warpsar.learning.pull import leaving
 from warpsar.runtime import console, distributed
 from warpsar.simulation.outputs import opened, write_json
 
@@ -43,6 +44,9 @@ def run(
         convergence(out / "convergence.png", found.history)
     content = _summary(found, options)
     _say_doubts(found, scene_path)
+    for one in found.pulls:
+        if not one.alarm:  # the others are doubts
+            console.say(one.words)
     if found.identified is not None:
         content["identifiability"] = found.identified.summary()
         for sentence in found.identified.words:
@@ -103,6 +107,8 @@ def _summary(found: Learned, options: LearnOptions) -> dict[str, Any]:
         "test": found.test,
         "materials": _material_summary(found),
         "effects": found.scene.effects,
+        "tolerances": {one.label: one.content() for one in found.pulls},
+        "leaves_tolerance": leaving(found.pulls),
         "outside_domain": found.domains,
         "looks": of_all(problem, lambda s: {"looks": s.looks, "estimated": s.looks_estimated}),
         "pixels": of_all(problem, lambda s: {"used": s.count, "left_out": s.left_out, "zeros": s.zeros}),

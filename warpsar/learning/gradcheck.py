@@ -46,6 +46,7 @@ def check_gradient(problem: FitProblem, x: np.ndarray) -> GradientCheck:
     low, high = problem.bounds
     x = np.clip(x + AWAY * random.choice([-1.0, 1.0], x.size), low + 2.0 * STEP, high - 2.0 * STEP)
     middle, gradient = problem.gradient(x)
+    middle, gradient = middle - problem.prior.value(x), gradient - problem.prior.gradient(x)  # it would hide the rest
     adjoint, numeric, least = [], [], []
     for members in chosen:
         direction = np.zeros_like(x)
@@ -78,7 +79,8 @@ def _differences(loss: Callable[[float], float], middle: float, expected: float)
 
 
 def _along(problem: FitProblem, x: np.ndarray, direction: np.ndarray, distance: float) -> float:
-    return problem.loss_at(x + distance * direction)
+    there = x + distance * direction
+    return problem.loss_at(there) - problem.prior.value(there)
 
 
 def _groups(problem: FitProblem) -> list[np.ndarray]:

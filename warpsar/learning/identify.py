@@ -30,14 +30,15 @@ class Identified:
     """Fisher information of x at a solution, and what follows.
 
     `information` F and `covariance` have shape (p, p), in the coordinates of x. `covariance` is the sandwich
-    F^-1 S F^-1; S comes from the residuals' own autocovariance, so correlated speckle counts. The variance of an
-    element is infinite where it has a part in a direction that the data do not see. `eigenvalues` of the information
-    ascend; `eigenvectors` are in columns. `words` are sentences for people.
+    F^-1 S F^-1; S, `products`, comes from the residuals' own autocovariance, so correlated speckle counts. The variance
+    of an element is infinite where it has a part in a direction that the data do not see. `eigenvalues` of the
+    information ascend; `eigenvectors` are in columns. `words` are sentences for people.
     """
 
     labels: list[str]
     information: np.ndarray
     covariance: np.ndarray
+    products: np.ndarray
     eigenvalues: np.ndarray
     eigenvectors: np.ndarray
     words: list[str] = field(default_factory=list)
@@ -109,7 +110,7 @@ def _shifted(array: np.ndarray, lag: int, axis: int) -> np.ndarray:
 
 
 def identify(problem: FitProblem, x: np.ndarray) -> Identified:
-    """Fisher information and intervals of a handful of parameters at the solution x."""
+    """Fisher information and intervals of a handful of parameters at the solution x; the prior counts with the data."""
     modelled = problem.modelled(x)
     curvatures, jacobians = problem.curvatures(modelled), problem.jacobian(x)
     spreads = [residual_sd(problem.loss, seen.looks) for seen in problem.observations]
@@ -123,7 +124,8 @@ def identify(problem: FitProblem, x: np.ndarray) -> Identified:
         weighted = c.weight[:, None] * j
         information += j.T @ weighted
         products += score_products(spread * weighted, autocovariance, seen)
-    total, products = problem.ranks.sum(information), problem.ranks.sum(products)
+    known = problem.prior.information(x)  # as of one more measurement, whose error is its own
+    total, products = problem.ranks.sum(information) + known, problem.ranks.sum(products) + known
     return of_information(problem.labels, total, products, problem.zero_sum_means)
 
 
@@ -147,7 +149,7 @@ def of_information(
     unseen /= np.linalg.norm(unseen, axis=1, keepdims=True)
     reported = covariance.copy()
     np.fill_diagonal(reported, [_sd(row, covariance, unseen) ** 2 for row in np.eye(len(labels))])
-    return Identified(labels, information, reported, values, vectors, describe(labels, covariance, unseen))
+    return Identified(labels, information, reported, products, values, vectors, describe(labels, covariance, unseen))
 
 
 def _sd(combination: np.ndarray, covariance: np.ndarray, unseen: np.ndarray) -> float:

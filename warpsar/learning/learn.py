@@ -21,6 +21,7 @@ from warpsar.learning.metrics import pooled_metrics
 from warpsar.learning.observation import Observation, looks_of
 from warpsar.learning.options import LearnOptions, refuse_options, refuse_starts
 from warpsar.learning.problem import FitProblem
+from warpsar.learning.pull import Pull, pulls
 from warpsar.learning.results import learned_scene
 from warpsar.learning.trust import doubts, fit_verdict
 from warpsar.learning.validity import outside_domains
@@ -42,7 +43,8 @@ class Learned:
     `scene` holds the learned parameters, `x` the same as a vector. `domains`, by material: share of its lit area
     outside the domain of each model. `train` and `test`: `pooled_metrics`. `identified` is None for fields (see
     fields.py), which have too many parameters for one information matrix. `verdicts`, by role: whether anything is
-    left beside speckle. `doubts`: why the intervals do not hold; empty where nothing speaks against them.
+    left beside speckle. `pulls`: every value known to a tolerance, before and after. `doubts`: why the intervals do
+    not hold; empty where nothing speaks against them.
     """
 
     scene: Scene
@@ -58,6 +60,7 @@ class Learned:
     train: dict[str, float]
     test: dict[str, float] | None
     verdicts: dict[str, Verdict]
+    pulls: list[Pull]
     doubts: list[str]
     problem: FitProblem
 
@@ -101,6 +104,8 @@ def learn(
     if tests is not None:
         verdicts["test"] = fit_verdict(tests, np.asarray(tests.follow(problem, x)), density.noise)
     domains = outside_domains(problem, x)
+    identified = identify(problem, x) if problem.uniform else None
+    pulled = pulls(problem, x, identified)
     return Learned(
         scene=final,
         x=x,
@@ -110,12 +115,13 @@ def learn(
         stopped=stopped,
         gradient_check=check,
         density=density,
-        identified=identify(problem, x) if problem.uniform else None,
+        identified=identified,
         domains=domains,
         train=train,
         test=test,
         verdicts=verdicts,
-        doubts=doubts(problem, x, verdicts, domains),
+        pulls=pulled,
+        doubts=[*doubts(problem, x, verdicts, domains), *(one.words for one in pulled if one.alarm)],
         problem=problem,
     )
 

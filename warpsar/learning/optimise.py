@@ -63,11 +63,14 @@ class FitState:
 
 
 def begin(problem: FitProblem, start: int, seed: int, previous: FitState | None = None) -> FitState:
-    """The state at the beginning of start number `start`: 0 is the scene's own, others are drawn about it."""
+    """The state at the beginning of start number `start`: 0 is the scene's own, others are drawn about it.
+
+    Known elements stay within their tolerance.
+    """
     x = problem.x0.copy()
     if start:
         low, high = problem.bounds
-        x = x + np.random.default_rng([seed, start]).normal(0.0, SPREAD, x.size)
+        x = x + problem.prior.narrowed(np.random.default_rng([seed, start]).normal(0.0, SPREAD, x.size), x)
         x = np.clip(x, low + 1e-3, high - 1e-3)
     if previous is None:
         return FitState(x, np.inf, x, np.inf, start)
@@ -91,10 +94,10 @@ def levenberg_marquardt(
 ) -> FitState:
     """One step of Levenberg-Marquardt with geodesic acceleration (Transtrum and Sethna, arXiv:1201.5885).
 
-    The gradient is the adjoint's. The curvature comes from the images' Jacobian (Fisher scoring for the gamma
-    likelihood). The Jacobian is kept while x moves less than `kept_within` of a log coordinate: speckle forgives that,
-    the long flat valleys of noiseless images do not. The valleys are narrow and bent (eps_r against h against l), so
-    the images' second derivative along a step corrects it.
+    Gradient and curvature come from the images' Jacobian (Fisher scoring for the gamma likelihood). With penalties, or
+    without hits at hand, the gradient is the adjoint's. The Jacobian is then kept while x moves less than
+    `kept_within` of a log coordinate: speckle forgives that, the long flat valleys of noiseless images do not. The
+    valleys are narrow and bent (eps_r against h against l), so the images' second derivative along a step corrects it.
 
     An element at a bound stays there while the gradient pushes it outward. Elements that no pixel depends on stay too,
     and so do those that `moving`, shape (p,), leaves out. The fit has arrived where a Jacobian made on the spot, and a
@@ -102,7 +105,7 @@ def levenberg_marquardt(
     """
     x = np.asarray(state.x)
     origin = state.differentiated_at
-    if origin is None or np.abs(x - origin).max() > kept_within:
+    if origin is None or np.abs(x - origin).max() > kept_within or problem.slopes_tell_all:
         origin = x
     here = _Quadratic.about(problem, x, origin, moving)
     damping, growth, new_x, new_loss = state.damping, 4.0, x, here.loss
@@ -113,7 +116,7 @@ def levenberg_marquardt(
             break
         trial = here.bent(problem, step)
         if trial is not None:
-            value = problem.value(problem.modelled(trial)) + problem.penalty()
+            value = problem.value(problem.modelled(trial)) + problem.penalty(trial)
             if value <= here.loss:
                 new_x, new_loss, damping = trial, value, max(damping / 10.0, 1e-12)
                 break
@@ -158,16 +161,25 @@ class _Quadratic:
 
     @classmethod
     def about(cls, problem: FitProblem, x: np.ndarray, origin: np.ndarray, moving: np.ndarray | None) -> _Quadratic:
-        """With the Jacobian of `origin`."""
-        _, gradient = problem.gradient(x)
-        modelled = problem.standing()
-        loss = problem.value(modelled) + problem.penalty()
-        curvatures, jacobians = problem.curvatures(modelled), problem.jacobian_at(origin, moving, standing=origin is x)
+        """With the Jacobian of `origin`. That of x gives the gradient too, where there is no penalty."""
+        if origin is x and problem.slopes_tell_all:
+            modelled, jacobians = problem.linearised(x, moving)
+            curvatures = problem.curvatures(modelled)
+            loss = problem.value(modelled)
+            slope = np.zeros(x.size)
+            for j, c in zip(jacobians, curvatures, strict=True):
+                slope -= j.T @ (c.weight * c.residual)
+            gradient = problem.ranks.sum(slope)
+        else:
+            _, gradient = problem.gradient(x)
+            modelled = problem.standing()
+            loss = problem.value(modelled) + problem.penalty(x)
+            curvatures, (_, jacobians) = problem.curvatures(modelled), problem.linearised(origin, moving)
         weighted = [j.T * c.weight for j, c in zip(jacobians, curvatures, strict=True)]
         hessian = np.zeros((x.size, x.size))
         for j, w in zip(jacobians, weighted, strict=True):
             hessian += w @ j
-        hessian = problem.ranks.sum(hessian)
+        hessian = problem.ranks.sum(hessian) + problem.prior.information(x)
         low, high = problem.bounds
         free = ~((x <= low) & (gradient > 0) | (x >= high) & (gradient < 0)) & (np.diag(hessian) > 0)
         if moving is not None:
@@ -193,14 +205,15 @@ class _Quadratic:
         """
         low, high = self.bounds
         step = planned.step * min(1.0, LARGEST_STEP / float(np.abs(planned.step).max()))
-        ahead = problem.modelled(np.clip(self.x + BEND_STEP * step, low, high))
-        further = problem.modelled(np.clip(self.x + 2.0 * BEND_STEP * step, low, high))
+        places = [np.clip(self.x + share * step, low, high) for share in (BEND_STEP, 2.0 * BEND_STEP)]
+        ahead, further = (problem.modelled(at) for at in places)
         bend = [np.log(b * m / a**2) / BEND_STEP**2 for a, b, m in zip(ahead, further, self.modelled, strict=True)]
         push = np.zeros_like(self.x)
         for w, b in zip(self.weighted, bend, strict=True):
             push += w @ b
         correction = np.zeros_like(self.x)
-        correction[self.free] = -0.5 * np.linalg.solve(planned.damped, self.ranks.sum(push)[self.free])
+        push = self.ranks.sum(push) + problem.prior.push(self.x, places, BEND_STEP)
+        correction[self.free] = -0.5 * np.linalg.solve(planned.damped, push[self.free])
         correction = self.ranks.same(correction)
         if 2.0 * np.linalg.norm(correction) > MOST_BEND * np.linalg.norm(step):
             return None

@@ -25,6 +25,7 @@ from warpsar.learning.held import views_held, with_render
 from warpsar.learning.jacobian import Move, Nodes, ViewJacobian
 from warpsar.learning.misfit import Misfit
 from warpsar.learning.observation import Observation
+from warpsar.learning.prior import DevicePrior, Prior, refuse_prior
 from warpsar.learning.regularise import TotalVariation
 from warpsar.learning.streams import Streams
 from warpsar.learning.view import FitView
@@ -78,6 +79,8 @@ class FitProblem(SceneCoordinates):
         if not chosen:
             raise InputError(f"{scene.name}: views: none with role {' or '.join(roles)} has measured images")
         super().__init__(scene, chosen)
+        self.prior = Prior.of(self)
+        refuse_prior(self.prior, loss, scene.name)
         self.device, self.loss, self.ranks = device, loss, ranks
         rays = rays or Rays(Stage.of(scene, device), seed=scene.sampling.seed)
         self.stage = replace(rays.stage, surface=self.surface)
@@ -99,6 +102,7 @@ class FitProblem(SceneCoordinates):
         # once for all ranks
         variation = (total_variation or {}) if ranks.first else {}
         self.variation = TotalVariation(self.surface, scene.mesh, variation, device, self.shared_nodes)
+        self.prior_on_device = DevicePrior(self.prior, self, device, first=ranks.first)
         self._jacobian: tuple[bytes, list[np.ndarray]] | None = None
         self.streams = Streams(device, len(self.views))
 
@@ -201,7 +205,7 @@ class FitProblem(SceneCoordinates):
         return list(zip(self.observations, values, strict=True))
 
     def gradient(self, x: np.ndarray) -> tuple[float, np.ndarray]:
-        """The loss (float64 sums), and its gradient with respect to x by the tape's adjoint, shape (p,).
+        """The loss (float64 sums) with the prior, and its gradient to x by the tape's adjoint, shape (p,).
 
         Gains are at their best, so by the envelope theorem they add nothing to the gradient.
         """
@@ -211,7 +215,8 @@ class FitProblem(SceneCoordinates):
         effects = [
             self._effect_slope(c, at) for c, at in zip(self.effect_coordinates, x[self.learned.size :], strict=True)
         ]
-        return loss, np.concatenate([surface, self.ranks.sum(effects)]) if effects else surface
+        whole = np.concatenate([surface, self.ranks.sum(effects)]) if effects else surface
+        return loss + self.prior.value(x), whole + self.prior.gradient(x)
 
     def _surface_gradient(self, x: np.ndarray) -> np.ndarray:
         """The part of the gradient that belongs to the learned nodes, of all ranks, float64."""
@@ -247,7 +252,7 @@ class FitProblem(SceneCoordinates):
         self._run_with_losses(x, gradient=False)
         if self.variation.count:
             self._run_variation(x)
-        return self.loss_on_device()
+        return self.loss_on_device() + self.prior.value(x)
 
     def _run_with_losses(self, x: np.ndarray, *, gradient: bool) -> None:
         """Images, and losses at their best gains.
@@ -295,9 +300,10 @@ class FitProblem(SceneCoordinates):
         clearing = [view.render.program.zero_gradients for view in self.views]
         self.streams.run([partial(view.forward, gradient=True) for view in self.views] + clearing)
         self._add_gradients(self.shared_nodes)
+        self.prior_on_device.run(self.shared_nodes)
 
     def loss_on_device(self) -> float:
-        """The loss of the last run with its penalties, from the kernels' float64 partial sums."""
+        """The loss of the last run with its penalties but the prior, from the kernels' float64 partial sums."""
         if self.device.is_cuda:
             total = wp.zeros(1, dtype=wp.float64, device=self.device)
             self.add_losses(total)
@@ -305,24 +311,25 @@ class FitProblem(SceneCoordinates):
         return float(self.ranks.sum(sum(float(loss.numpy().sum()) for loss in self._losses())))
 
     def add_losses(self, total: wp.array) -> None:
-        """Add the loss of the last run of this rank's views, with its penalties, to `total`.
+        """Add the loss of the last run of this rank's views, with its penalties but the prior, to `total`.
 
         `total` has shape (1,), float64, on the device. Nothing is copied to the host, so that a CUDA graph can capture
         it.
         """
+        self.streams.run([partial(self.add_up, loss, total) for loss in self._losses()])
 
-        def add(loss: wp.array) -> None:
-            wp.launch(loss_kernels.add_up_kernel, loss.size, inputs=[loss], outputs=[total], device=self.device)
-
-        self.streams.run([partial(add, loss) for loss in self._losses()])
+    def add_up(self, parts: wp.array, total: wp.array) -> None:
+        """Add partial sums to `total`; both are float64, on the device."""
+        wp.launch(loss_kernels.add_up_kernel, parts.size, inputs=[parts], outputs=[total], device=self.device)
 
     def _losses(self) -> list[wp.array]:
         """Partial sums of the last run."""
         return [*(loss for view in self.views for loss in (view.loss, view.outside)), self.variation.loss]
 
-    def penalty(self) -> float:
-        """The validity constraints' part of the last run (total variation is zero for uniform materials)."""
-        return float(self.ranks.sum(sum(float(view.outside.numpy().sum()) for view in self.views)))
+    def penalty(self, x: np.ndarray) -> float:
+        """The prior at x, and the validity constraints' part of the last run (uniform materials have no variation)."""
+        outside = float(self.ranks.sum(sum(float(view.outside.numpy().sum()) for view in self.views)))
+        return outside + self.prior.value(x)
 
     def jacobian_at(
         self, x: np.ndarray, moving: np.ndarray | None = None, *, standing: bool = False

@@ -13,6 +13,7 @@ from warpsar.effects.base.parameter import Parameter, Setting
 from warpsar.effects.registry import get, names
 from warpsar.io.images import replacing
 from warpsar.scene.file import SceneFile
+from warpsar.world import tolerance
 from warpsar.world.tables import LIMITS, SURFACE_KEYS, Polarization, SurfaceKey
 
 DRAFT = "http://json-schema.org/draft-07/schema#"  # what editors' TOML plug-ins know
@@ -48,6 +49,8 @@ def scene_schema() -> _Json:
     tables = scene["properties"]
     for key in SURFACE_KEYS:
         tables["materials"]["additionalProperties"]["properties"][key].update(_surface(key))
+    known = tables["materials"]["additionalProperties"]["properties"]["tolerance"]
+    known.update(additionalProperties=_tolerance({"type": "number"}), propertyNames={"enum": list(SURFACE_KEYS)})
     view = tables["views"]["items"]
     view["oneOf"] = [{"required": [key]} for key in ("incidence_deg", "depression_deg", "grazing_deg")]
     view["properties"]["images"].update(propertyNames={"enum": list(get_args(Polarization))})
@@ -102,6 +105,10 @@ def _effect(name: str) -> _Json:
         "default": False,
     }
     keys["learn"] = {"description": "Parameters of this table that a fit may change; all that it states.", **some}
+    keys["tolerance"] = _table(
+        {each.name: _tolerance(_value(each, _number(each))) for each in effect.parameters},
+        "How well fitted parameters are known: one standard deviation each, in the key's unit or in percent.",
+    )
     return _table(keys, f"{effect.summary[:1].upper()}{effect.summary[1:]}.")
 
 
@@ -117,12 +124,23 @@ def _key(declared: Parameter | Setting, value: _Json) -> _Json:
     about = declared.description if unit == "1" else f"{declared.description.rstrip('.')} [{unit}]."
     if not declared.per_view:
         return {"description": about, **value}
+    return {"description": f"{about} A table of view names and values.", **_value(declared, value)}
+
+
+def _value(declared: Parameter | Setting, value: _Json) -> _Json:
+    """The schema of what stands at a key: `value`, or a table of one for each view."""
+    if not declared.per_view:
+        return value
     value.pop("default", None)  # of a view that is not named
-    return {
-        "description": f"{about} A table of view names and values.",
-        "type": "object",
-        "additionalProperties": value,
-    }
+    return {"type": "object", "additionalProperties": value}
+
+
+def _tolerance(about: _Json) -> _Json:
+    """One standard deviation, a share of the value, or either with the value that is known."""
+    sd = [{"type": "number", "exclusiveMinimum": 0.0}, {"type": "string", "pattern": tolerance.SHARE}]
+    pinned = {"about": about, "sd": {"anyOf": sd}}
+    table = {"type": "object", "properties": pinned, "required": list(pinned), "additionalProperties": False}
+    return {"anyOf": [*sd, table]}
 
 
 def _table(keys: dict[str, _Json], about: str) -> _Json:

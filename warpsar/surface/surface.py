@@ -29,6 +29,11 @@ def _sigmoid(coordinate: ArrayLike) -> np.ndarray:
     return np.where(x <= -FRACTION_LIMIT, 0.0, np.where(x >= FRACTION_LIMIT, 1.0, tau))
 
 
+def _sigmoid_slope(coordinate: ArrayLike) -> np.ndarray:
+    tau = _sigmoid(coordinate)
+    return tau * (1.0 - tau)
+
+
 def _log_contrast(eps_r: ArrayLike) -> np.ndarray:
     with np.errstate(divide="ignore"):
         return np.log(np.asarray(eps_r, float) - 1.0)
@@ -36,12 +41,16 @@ def _log_contrast(eps_r: ArrayLike) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Kind:
-    """A surface parameter: its key in scene.toml, its symbol, its learned coordinate, and how far a fit may go (SI)."""
+    """A surface parameter: its key in scene.toml, its symbol, its learned coordinate, and how far a fit may go (SI).
+
+    `slope` is d value / d coordinate at a coordinate.
+    """
 
     key: str
     symbol: str
     to_coordinate: Callable[[ArrayLike], np.ndarray]
     from_coordinate: Callable[[ArrayLike], np.ndarray]
+    slope: Callable[[ArrayLike], np.ndarray]
     low: float
     high: float
 
@@ -52,10 +61,10 @@ class Kind:
 
 
 KINDS = (
-    Kind("eps_r", "eps_r", _log_contrast, lambda z: 1.0 + np.exp(np.asarray(z)), 1.01, 300.0),
-    Kind("rms_height_m", "h", np.log, np.exp, 1e-6, 10.0),
-    Kind("correlation_length_m", "l", np.log, np.exp, 1e-5, 100.0),
-    Kind("specular_fraction", "tau", _logit, _sigmoid, 1e-6, 1.0 - 1e-6),
+    Kind("eps_r", "eps_r", _log_contrast, lambda z: 1.0 + np.exp(np.asarray(z)), np.exp, 1.01, 300.0),
+    Kind("rms_height_m", "h", np.log, np.exp, np.exp, 1e-6, 10.0),
+    Kind("correlation_length_m", "l", np.log, np.exp, np.exp, 1e-5, 100.0),
+    Kind("specular_fraction", "tau", _logit, _sigmoid, _sigmoid_slope, 1e-6, 1.0 - 1e-6),
 )
 KEYS = tuple(kind.key for kind in KINDS)
 

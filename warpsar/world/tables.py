@@ -19,6 +19,7 @@ from pydantic import (
 from warpsar.errors import InputError
 from warpsar.io.images import LARGEST_IMAGE
 from warpsar.world import pixels
+from warpsar.world.tolerance import refusal
 
 DEFAULT_RAYS_PER_PIXEL = 64.0
 """Where neither density is stated."""
@@ -222,6 +223,11 @@ class Material(Table):
         description="The values that a fit may change.",
         examples=[["eps_r"]],
     )
+    tolerance: dict[SurfaceKey, Any] = Field(
+        default_factory=dict,
+        description="How well learned values are known: one standard deviation each, in the key's unit or in percent.",
+        examples=[{"eps_r": 0.5}, {"rms_height_m": "20 %"}, {"eps_r": {"about": 6.0, "sd": 0.5}}],
+    )
 
     @field_validator(*SURFACE_KEYS, mode="plain")
     @classmethod
@@ -253,6 +259,28 @@ class Material(Table):
     @classmethod
     def _unique(cls, value: tuple[SurfaceKey, ...]) -> tuple[SurfaceKey, ...]:
         return tuple(dict.fromkeys(value))
+
+    @field_validator("tolerance")
+    @classmethod
+    def _known(cls, value: dict[SurfaceKey, Any], info: ValidationInfo) -> dict[SurfaceKey, Any]:
+        for key, known in value.items():
+            stated = info.data.get(key)
+            if stated is None or "learn" not in info.data:
+                continue  # that is wrong too, and said
+            if key not in info.data["learn"]:
+                raise ValueError(f"found {key}; allowed are values that `learn` names ({_listed(info.data['learn'])})")
+            if isinstance(stated, str | pixels.Pixels):
+                raise ValueError(f"found {key}, which is a field; allowed are values that are one number")
+            stated = stated[0] if isinstance(stated, tuple) else stated
+            if (problem := refusal(known, stated)) is not None:
+                raise ValueError(f"{key}{problem}")
+            if isinstance(known, dict) and not within(key, known["about"]):
+                raise ValueError(f"{key}.about: found {known['about']}; must be {allowed_values(key)}")
+        return value
+
+
+def _listed(names: tuple[str, ...]) -> str:
+    return ", ".join(names) or "it names none"
 
 
 def _is_number(value: object) -> bool:

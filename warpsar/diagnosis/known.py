@@ -1,0 +1,55 @@
+"""What became of the values that the scene knows to a tolerance, when effects were added."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from warpsar.diagnosis.found import Diagnosis
+from warpsar.learning.identify import Identified, identify
+from warpsar.learning.pull import leaving, pulls
+
+
+def known_content(found: Diagnosis, identified: Identified) -> dict[str, Any]:
+    """For diagnosis.json: each known value in the declared model and in the final one; `identified` is the final's."""
+    first, last = found.declared, found.final
+    after = pulls(last.problem, last.x, identified)
+    before = after
+    if after and first is not last:
+        before = pulls(first.problem, first.x, identify(first.problem, first.x))
+    pairs = zip(before, after, strict=True)
+    return {
+        "tolerances": {b.label: {"before": a.content(), "after": b.content()} for a, b in pairs},
+        "leaves_tolerance": leaving(after),
+    }
+
+
+def known_rows(content: dict[str, Any]) -> list[list[str]]:
+    """A row of the report's table for each known value."""
+    rows = []
+    for label, one in content["tolerances"].items():
+        before, after = one["before"], one["after"]
+        unit = "" if after["unit"] == "1" else f" [{after['unit']}]"
+        alone = "–" if after["data"] is None else _with_error(after["data"], after["data_sd"])
+        found = [_with_error(each["posterior"], each["posterior_sd"]) for each in (before, after)]
+        pull = [f"{each['pull']:+.1f}" for each in (before, after)]
+        known = _with_error(after["prior"], after["prior_sd"])
+        rows.append([f"{label}{unit}", known, found[0], pull[0], found[1], pull[1], alone, _tension(after)])
+    return rows
+
+
+KNOWN_HEAD = ["known to a tolerance", "as", "before", "pull", "after", "pull", "the images alone", "from what is known"]
+
+KNOWN_CAPTION = (
+    "Pull: found less known, in standard deviations of the tolerance. The images alone: where they would lead without "
+    "this tolerance, to first order. The last column is in standard deviations of both together; beyond 3 the value "
+    "leaves its tolerance."
+)
+
+
+def _tension(one: dict[str, Any]) -> str:
+    told = "–" if one["tension"] is None else f"{one['tension']:+.1f} sd"
+    return f"{told}: leaves it" if one["alarm"] else told
+
+
+def _with_error(value: float, error: float | None) -> str:
+    return f"{value:.4g}" if error is None else f"{value:.4g} ± {error:.2g}"

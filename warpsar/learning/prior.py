@@ -1,0 +1,157 @@
+"""Values that the scene knows to a tolerance, as a prior on x.
+
+A prior is Gaussian in the value itself, in the key's unit: half of ((value - about) / sd)^2 is added to the loss, which
+for gamma and log is a negative log-likelihood. Optimisers move coordinates (ln, logit), so the value is taken at its
+coordinate, and derivatives go by the chain rule: d deviation / dx = (d value / dx) / sd. Nothing is linearised. A value
+may so be known about a place that has no logarithm, such as a level of 0 +- 1e-4.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from warpsar.errors import InputError
+from warpsar.kernels import prior as kernels
+from warpsar.learning.coordinates import DeviceX, SceneCoordinates
+from warpsar.surface.surface import KEYS
+from warpsar.world.tolerance import known_sd, known_value
+
+
+@dataclass(frozen=True)
+class Known:
+    """Element `at` of x is known: its `value` is `about` +- `sd`, in `unit`; `slope` is d value / dx at x."""
+
+    label: str
+    at: int
+    about: float
+    sd: float
+    unit: str
+    value: Callable[[float], Any]
+    slope: Callable[[float], Any]
+
+    def deviation(self, x: np.ndarray) -> float:
+        """How far the value at x lies from what is known, in standard deviations."""
+        return (float(self.value(float(x[self.at]))) - self.about) / self.sd
+
+
+class Prior:
+    """The known elements of an x of `size` elements."""
+
+    def __init__(self, known: Sequence[Known], size: int) -> None:
+        self.known, self.size = tuple(known), size
+
+    @classmethod
+    def of(cls, coordinates: SceneCoordinates) -> Prior:
+        """What a scene's tables know of its fitted numbers."""
+        return cls([*_of_materials(coordinates), *_of_effects(coordinates)], coordinates.x0.size)
+
+    def deviations(self, x: np.ndarray | DeviceX) -> np.ndarray:
+        """(value - about) / sd of every known element, shape (k,)."""
+        return np.array([one.deviation(np.asarray(x)) for one in self.known], float)
+
+    def slopes(self, x: np.ndarray | DeviceX) -> np.ndarray:
+        """d deviations / dx, shape (k, p): one element that is not 0 in each row."""
+        found = np.zeros((len(self.known), self.size))
+        for row, one in zip(found, self.known, strict=True):
+            row[one.at] = float(one.slope(float(np.asarray(x)[one.at]))) / one.sd
+        return found
+
+    def value(self, x: np.ndarray | DeviceX) -> float:
+        """What the prior adds to the loss: half the squared deviations."""
+        return 0.5 * float(np.sum(self.deviations(x) ** 2))
+
+    def gradient(self, x: np.ndarray | DeviceX) -> np.ndarray:
+        """d value / dx, shape (p,)."""
+        return self.deviations(x) @ self.slopes(x)
+
+    def information(self, x: np.ndarray | DeviceX) -> np.ndarray:
+        """Fisher information of the prior, shape (p, p): its curvature without the bend of the coordinates."""
+        slopes = self.slopes(x)
+        return slopes.T @ slopes
+
+    def push(self, x: np.ndarray, places: Sequence[np.ndarray], step: float) -> np.ndarray:
+        """The deviations' second derivative along a line, as a force on x, shape (p,).
+
+        The two `places` lie one and two shares `step` of the line from x.
+        """
+        ahead, further = map(self.deviations, places)
+        bend = (further - 2.0 * ahead + self.deviations(x)) / step**2
+        return bend @ self.slopes(x)
+
+    def narrowed(self, moved: np.ndarray, x: np.ndarray) -> np.ndarray:
+        """Random moves from x, shape (p,), with those of known elements within their tolerance."""
+        found = moved.copy()
+        for one, slope in zip(self.known, self.slopes(x), strict=True):
+            found[one.at] = moved[one.at] / max(1.0, abs(slope[one.at]))
+        return found
+
+
+def _of_materials(coordinates: SceneCoordinates) -> Iterator[Known]:
+    at = 0
+    for block in coordinates.surface.blocks:
+        if not block.learn:
+            continue
+        material, key = coordinates.scene.materials[block.material], block.kind.key
+        if key in material.tolerance:
+            one, stated = material.tolerance[key], getattr(material, key)
+            about = known_value(one, stated[0] if isinstance(stated, tuple) else stated)
+            unit = "m" if key.endswith("_m") else "1"
+            kind, label = block.kind, f"{block.material}.{key}"
+            yield Known(label, at, about, known_sd(one, about), unit, kind.from_coordinate, kind.slope)
+        at += block.size
+
+
+def _of_effects(coordinates: SceneCoordinates) -> Iterator[Known]:
+    for at, c in enumerate(coordinates.effect_coordinates, coordinates.learned.size):
+        table, p = coordinates.scene.effects[c.effect], c.parameter
+        if p.name in table.get("tolerance", {}):
+            one, stated = table["tolerance"][p.name], table[p.name]
+            about = known_value(one, stated if c.view is None else stated[c.view], c.view)
+            yield Known(c.label, at, about, known_sd(one, about), p.unit, p.from_coordinate, p.slope)
+
+
+def refuse_prior(prior: Prior, loss: str, where: str) -> None:
+    """Raise InputError for a prior beside a loss that is no log-likelihood; `where` names the scene."""
+    if prior.known and loss == "mse":
+        raise InputError(
+            f"--loss: found mse, and {where} knows {prior.known[0].label} to a tolerance; allowed are gamma and log, "
+            f"because mse is no log-likelihood that a tolerance could be weighed with"
+        )
+
+
+class DevicePrior:
+    """The known nodes of a surface on a device, for fits that never leave it.
+
+    `loss`, float64, has the terms of the last run. `first`: whether this is the rank that counts the prior.
+    """
+
+    def __init__(self, prior: Prior, coordinates: SceneCoordinates, device: wp.Device, *, first: bool) -> None:
+        mine = [one for one in prior.known if one.at < coordinates.learned.size] if first else []
+
+        def put(values: list[Any], dtype: type) -> wp.array:
+            return wp.array(np.array(values), dtype=dtype, device=device)
+
+        self.device, self.count = device, len(mine)
+        self.loss: wp.array = wp.zeros(self.count, dtype=wp.float64, device=device)
+        self._known = [
+            put([int(coordinates.learned[one.at]) for one in mine], int),
+            put([KEYS.index(one.label.rsplit(".", 1)[1]) for one in mine], int),
+            put([one.about for one in mine], wp.float64),
+            put([one.sd for one in mine], wp.float64),
+        ]
+
+    def run(self, nodes: wp.array) -> None:
+        """Fill `loss` for the `nodes`, and add to their gradient. A CUDA graph can capture it."""
+        if self.count:
+            wp.launch(
+                kernels.prior_kernel,
+                self.count,
+                inputs=[*self._known, nodes],
+                outputs=[nodes.grad, self.loss],
+                device=self.device,
+            )
