@@ -91,10 +91,11 @@ def levenberg_marquardt(
 ) -> FitState:
     """One step of Levenberg-Marquardt with geodesic acceleration (Transtrum and Sethna, arXiv:1201.5885).
 
-    The gradient is the adjoint's. The curvature comes from the images' Jacobian (Fisher scoring for the gamma
-    likelihood). The Jacobian is kept while x moves less than `kept_within` of a log coordinate: speckle forgives that,
-    the long flat valleys of noiseless images do not. The valleys are narrow and bent (eps_r against h against l), so
-    the images' second derivative along a step corrects it.
+    Gradient and curvature come from the images' Jacobian (Fisher scoring for the gamma likelihood). Where a Jacobian
+    costs more than a gradient (hits that are not at hand, penalties), the gradient is the adjoint's, and the Jacobian is
+    kept while x moves less than `kept_within` of a log coordinate: speckle forgives that, the long flat valleys of
+    noiseless images do not. The valleys are narrow and bent (eps_r against h against l), so the images' second
+    derivative along a step corrects it.
 
     An element at a bound stays there while the gradient pushes it outward. Elements that no pixel depends on stay too,
     and so do those that `moving`, shape (p,), leaves out. The fit has arrived where a Jacobian made on the spot, and a
@@ -102,7 +103,7 @@ def levenberg_marquardt(
     """
     x = np.asarray(state.x)
     origin = state.differentiated_at
-    if origin is None or np.abs(x - origin).max() > kept_within:
+    if origin is None or np.abs(x - origin).max() > kept_within or problem.slopes_tell_all:
         origin = x
     here = _Quadratic.about(problem, x, origin, moving)
     damping, growth, new_x, new_loss = state.damping, 4.0, x, here.loss
@@ -158,11 +159,20 @@ class _Quadratic:
 
     @classmethod
     def about(cls, problem: FitProblem, x: np.ndarray, origin: np.ndarray, moving: np.ndarray | None) -> _Quadratic:
-        """With the Jacobian of `origin`."""
-        _, gradient = problem.gradient(x)
-        modelled = problem.standing()
-        loss = problem.value(modelled) + problem.penalty()
-        curvatures, jacobians = problem.curvatures(modelled), problem.jacobian_at(origin, moving, standing=origin is x)
+        """With the Jacobian of `origin`. It gives the gradient too where it is that of x and there is no penalty."""
+        if origin is x and problem.slopes_tell_all:
+            modelled, jacobians = problem.linearised(x, moving)
+            curvatures = problem.curvatures(modelled)
+            loss = problem.value(modelled)
+            slope = np.zeros(x.size)
+            for j, c in zip(jacobians, curvatures, strict=True):
+                slope -= j.T @ (c.weight * c.residual)
+            gradient = problem.ranks.sum(slope)
+        else:
+            _, gradient = problem.gradient(x)
+            modelled = problem.standing()
+            loss = problem.value(modelled) + problem.penalty()
+            curvatures, (_, jacobians) = problem.curvatures(modelled), problem.linearised(origin, moving)
         weighted = [j.T * c.weight for j, c in zip(jacobians, curvatures, strict=True)]
         hessian = np.zeros((x.size, x.size))
         for j, w in zip(jacobians, weighted, strict=True):

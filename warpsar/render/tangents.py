@@ -76,15 +76,21 @@ class Tangents:
         launches = []
         render.program.make_gradients()
         for d, g in self._met[polarization]:
-            inputs = [none if d.sample is None else d.sample, d.bins, d.weight, g.face, stage.face_material, column, g.zeta.grad]
+            inputs = [
+                none if d.sample is None else d.sample,
+                d.bins,
+                d.weight,
+                g.face,
+                stage.face_material,
+                column,
+                g.zeta.grad,
+            ]
             kernel = kernels.tangent_kernel
             if d.shift is not None:
                 grid = render.hits.grid
                 inputs = [*grid.shape, grid.bins_per_pixel, *render.shape, d.shift, *inputs]
                 kernel = kernels.moved_tangent_kernel
-            launch = wp.launch(
-                kernel, d.bins.shape[0], inputs=inputs, outputs=[found], device=device, record_cmd=True
-            )
+            launch = wp.launch(kernel, d.bins.shape[0], inputs=inputs, outputs=[found], device=device, record_cmd=True)
             if launch is not None:
                 launches.append(launch)
         return found, launches
