@@ -91,11 +91,10 @@ def levenberg_marquardt(
 ) -> FitState:
     """One step of Levenberg-Marquardt with geodesic acceleration (Transtrum and Sethna, arXiv:1201.5885).
 
-    Gradient and curvature come from the images' Jacobian (Fisher scoring for the gamma likelihood). Where a Jacobian
-    costs more than a gradient (hits that are not at hand, penalties), the gradient is the adjoint's, and the Jacobian is
-    kept while x moves less than `kept_within` of a log coordinate: speckle forgives that, the long flat valleys of
-    noiseless images do not. The valleys are narrow and bent (eps_r against h against l), so the images' second
-    derivative along a step corrects it.
+    Gradient and curvature come from the images' Jacobian (Fisher scoring for the gamma likelihood). With penalties, or
+    without hits at hand, the gradient is the adjoint's. The Jacobian is then kept while x moves less than
+    `kept_within` of a log coordinate: speckle forgives that, the long flat valleys of noiseless images do not. The
+    valleys are narrow and bent (eps_r against h against l), so the images' second derivative along a step corrects it.
 
     An element at a bound stays there while the gradient pushes it outward. Elements that no pixel depends on stay too,
     and so do those that `moving`, shape (p,), leaves out. The fit has arrived where a Jacobian made on the spot, and a
@@ -159,7 +158,7 @@ class _Quadratic:
 
     @classmethod
     def about(cls, problem: FitProblem, x: np.ndarray, origin: np.ndarray, moving: np.ndarray | None) -> _Quadratic:
-        """With the Jacobian of `origin`. It gives the gradient too where it is that of x and there is no penalty."""
+        """With the Jacobian of `origin`. That of x gives the gradient too, where there is no penalty."""
         if origin is x and problem.slopes_tell_all:
             modelled, jacobians = problem.linearised(x, moving)
             curvatures = problem.curvatures(modelled)
