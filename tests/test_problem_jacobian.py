@@ -177,6 +177,25 @@ def test_hits_that_are_not_at_hand(tmp_path: Path) -> None:
         banded.sparse_jacobian(kept.x0)
 
 
+@pytest.mark.parametrize("calibrated", [True, False])
+@pytest.mark.parametrize("loss", ["gamma", "mse", "log"])
+def test_the_jacobian_gives_the_gradient(loss: str, calibrated: bool, tmp_path: Path) -> None:
+    """-sum(weight * residual * d ln mu) is what the adjoint finds: to 1e-3 of the largest, where the effect's parameter
+    is a difference over 0.01."""
+    scene = learning(with_effect(street(), "noise_floor", {"level": 0.002}), tmp_path).scene
+    scene = replace(scene, grid=scene.grid.model_copy(update={"calibrated": calibrated}))
+    problem = FitProblem(scene, devices.resolve_device("cpu"), loss=loss)
+    assert problem.slopes_tell_all
+    x = problem.x0 + 0.05
+    modelled, jacobians = problem.linearised(x)
+    pairs = zip(jacobians, problem.curvatures(modelled), strict=True)
+    found = -sum(j.T @ (c.weight * c.residual) for j, c in pairs)
+    expected = problem.gradient(x)[1]
+    np.testing.assert_allclose(found, expected, atol=1e-3 * np.abs(expected).max())
+    for one, other in zip(modelled, problem.modelled(x), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
 @pytest.mark.cuda
 @pytest.mark.parametrize("effects", CUDA, ids="+".join)
 def test_cuda_is_the_cpu(effects: dict[str, dict[str, Any]], tmp_path: Path) -> None:
