@@ -143,7 +143,7 @@ class Tangents:
         before, image, part = render.before_image[polarization], render.images[polarization], self._image[polarization]
         if image is before:
             return np.asarray(tangents.numpy())
-        on_host = before.device.is_cpu  # its arrays are NumPy's: a copy by Warp takes longer than a blur
+        on_host = render.program.device.is_cpu  # its arrays are NumPy's: a copy by Warp takes longer than a blur
         standing, moves = before.numpy().copy(), tangents.numpy()
         given, made = (before.numpy(), image.numpy()) if on_host else (None, None)
 
