@@ -165,11 +165,11 @@ class _Quadratic:
         if origin is x and problem.slopes_tell_all:
             modelled, jacobians = problem.linearised(x, moving)
             curvatures = problem.curvatures(modelled)
-            loss = problem.value(modelled)
+            loss = problem.value(modelled) + problem.prior.value(x)
             slope = np.zeros(x.size)
             for j, c in zip(jacobians, curvatures, strict=True):
                 slope -= j.T @ (c.weight * c.residual)
-            gradient = problem.ranks.sum(slope)
+            gradient = problem.ranks.sum(slope) + problem.prior.gradient(x)
         else:
             _, gradient = problem.gradient(x)
             modelled = problem.standing()

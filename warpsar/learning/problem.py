@@ -103,7 +103,8 @@ class FitProblem(SceneCoordinates):
         variation = (total_variation or {}) if ranks.first else {}
         self.variation = TotalVariation(self.surface, scene.mesh, variation, device, self.shared_nodes)
         self.prior_on_device = DevicePrior(self.prior, self, device, first=ranks.first)
-        self._jacobian: tuple[bytes, list[np.ndarray]] | None = None
+        self._penalised = validity > 0.0 or self.variation.count > 0
+        self._linearised: tuple[bytes, list[np.ndarray], list[np.ndarray]] | None = None
         self.streams = Streams(device, len(self.views))
 
     def _mean_square(self, mine: Sequence[View]) -> float:
@@ -331,43 +332,49 @@ class FitProblem(SceneCoordinates):
         outside = float(self.ranks.sum(sum(float(view.outside.numpy().sum()) for view in self.views)))
         return outside + self.prior.value(x)
 
-    def jacobian_at(
-        self, x: np.ndarray, moving: np.ndarray | None = None, *, standing: bool = False
-    ) -> list[np.ndarray]:
-        """`jacobian` with a column for all of x, 0 where `moving`, shape (p,), is false.
+    @cached_property
+    def slopes_tell_all(self) -> bool:
+        """Whether `linearised` holds all of the loss's gradient, on every rank, and costs little more than it."""
+        return not self.ranks.largest(float(self._makers is None or self._penalised))
 
-        The last one is kept: asked for at the same x again, it costs nothing. `standing` as in `jacobian`.
+    def linearised(self, x: np.ndarray, moving: np.ndarray | None = None) -> tuple[list[np.ndarray], list[np.ndarray]]:
+        """`modelled` and `jacobian` at x; columns are 0 where `moving`, shape (p,), is false.
+
+        The last ones are kept: asked for at the same x again, they cost nothing.
         """
         key = x.tobytes() + (b"" if moving is None else moving.tobytes())
-        if self._jacobian is None or self._jacobian[0] != key:
+        if self._linearised is None or self._linearised[0] != key:
             columns = np.arange(x.size) if moving is None else np.flatnonzero(moving)
-            found = parts = self.jacobian(x, columns.tolist(), standing=standing)
+            modelled, parts = self._modelled_and_jacobian(x, columns.tolist())
+            found = parts
             if columns.size < x.size:
                 found = [np.zeros((x.size, part.shape[0])).T for part in parts]
                 for whole, part in zip(found, parts, strict=True):
                     whole[:, columns] = part
-            self._jacobian = key, found
-        return self._jacobian[1]
+            self._linearised = key, modelled, found
+        return self._linearised[1:]
 
-    def jacobian(
-        self, x: np.ndarray, columns: Sequence[int] | None = None, *, standing: bool = False
-    ) -> list[np.ndarray]:
+    def jacobian(self, x: np.ndarray, columns: Sequence[int] | None = None) -> list[np.ndarray]:
         """d ln(mu) / dx of every observation, shape (pixels, len(columns)), float64.
 
         Columns of surface nodes are exact (render/tangents.py), those of effects' parameters central differences of the
         images. All are such differences where the hits are not at hand. Where gains are unknown their tangent is
-        projected out, in the weights of the loss. `standing`: the last run was `gradient` at x, and is not repeated.
+        projected out, in the weights of the loss.
         """
-        numbers = list(range(x.size) if columns is None else columns)
+        return self._modelled_and_jacobian(x, list(range(x.size) if columns is None else columns))[1]
+
+    def _modelled_and_jacobian(
+        self, x: np.ndarray, columns: Sequence[int]
+    ) -> tuple[list[np.ndarray], list[np.ndarray]]:
         makers = self._makers
         if makers is None:
-            modelled, found = None, self._differences(x, numbers)
+            modelled, found = self.modelled(x), self._differences(x, columns)
         else:
-            modelled, found = self._forward_mode(makers, x, numbers, standing)
+            modelled, found = self._forward_mode(makers, x, columns)
         if not self.scene.grid.calibrated:
-            weights = [c.weight for c in self.curvatures(modelled or self.modelled(x))]
+            weights = [c.weight for c in self.curvatures(modelled)]
             found = [j - np.average(j, axis=0, weights=w) for j, w in zip(found, weights, strict=True)]
-        return found
+        return modelled, found
 
     @cached_property
     def _makers(self) -> list[ViewJacobian] | None:
@@ -396,10 +403,10 @@ class FitProblem(SceneCoordinates):
         return [rows.T for rows in found]
 
     def _forward_mode(
-        self, makers: Sequence[ViewJacobian], x: np.ndarray, columns: Sequence[int], standing: bool
+        self, makers: Sequence[ViewJacobian], x: np.ndarray, columns: Sequence[int]
     ) -> tuple[list[np.ndarray], list[np.ndarray]]:
         """Modelled beta0 and Jacobian of every observation."""
-        shared, tables = None if standing else self._share(x), self.effect_tables(x)
+        shared, tables = self._share(x), self.effect_tables(x)
         places = [place for place, column in enumerate(columns) if column < self.learned.size]
         nodes = Nodes(np.array(places, int), self.learned[[columns[place] for place in places]])
         moved = []
@@ -409,9 +416,8 @@ class FitProblem(SceneCoordinates):
                 moved.append((place, self.effect_tables(up), self.effect_tables(down), up[column] - down[column]))
 
         def one(view: FitView, maker: ViewJacobian) -> tuple[list[np.ndarray], list[np.ndarray]]:
-            if not standing:
-                self._set(view, shared, tables)
-                view.run_images(gradient=bool(places))
+            self._set(view, shared, tables)
+            view.run_images(gradient=bool(places))
             moves = [Move(p, self._values(view, up), self._values(view, down), width) for p, up, down, width in moved]
             return maker.dense(self._values(view, tables), nodes, moves, len(columns))
 
@@ -427,8 +433,8 @@ class FitProblem(SceneCoordinates):
         projected out.
 
         An effect of the image stage acts on each column in turn: exactly if it is affine, as in `jacobian` otherwise.
-        Elements whose beta0 is below 1e-6 of a column's largest are then left out. A blur makes columns longer, and a median pivot
-        (saturation) makes them dense. Raises InputError where the hits are not at hand (max_memory_gib).
+        Elements whose beta0 is below 1e-6 of a column's largest are then left out. A blur makes columns longer, and a
+        median pivot (saturation) makes them dense. Raises InputError where the hits are not at hand (max_memory_gib).
         """
         makers = self._makers
         if makers is None:
@@ -442,8 +448,7 @@ class FitProblem(SceneCoordinates):
         def one(view: FitView, maker: ViewJacobian) -> list[csr_array]:
             self._set(view, shared, tables)
             return [
-                csr_array(hstack([j, csr_array((j.shape[0], rest))])) if rest else j
-                for j in maker.sparse(self.learned)
+                csr_array(hstack([j, csr_array((j.shape[0], rest))])) if rest else j for j in maker.sparse(self.learned)
             ]
 
         tasks = [partial(one, view, maker) for view, maker in zip(self.views, makers, strict=True)]

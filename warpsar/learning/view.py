@@ -25,8 +25,8 @@ class FitView:
 
     `observations` are made from the scene's images and the lit pixels of the render where none are given. `validity`
     is the weight of the models' domains as soft constraints. `loss` and `outside` are partial sums on the device,
-    float64, of the loss and of that constraint; `gain` has one number for each observation. `compared` has polarization,
-    flat indices of the pixels and lower bound of beta0 of each observation.
+    float64, of the loss and of that constraint; `gain` has one number for each observation. `compared` has the
+    polarization of each observation, its pixels' flat indices, and their lower bounds of beta0.
     """
 
     def __init__(

@@ -76,15 +76,21 @@ class Tangents:
         launches = []
         render.program.make_gradients()
         for d, g in self._met[polarization]:
-            inputs = [none if d.sample is None else d.sample, d.bins, d.weight, g.face, stage.face_material, column, g.zeta.grad]
+            inputs = [
+                none if d.sample is None else d.sample,
+                d.bins,
+                d.weight,
+                g.face,
+                stage.face_material,
+                column,
+                g.zeta.grad,
+            ]
             kernel = kernels.tangent_kernel
             if d.shift is not None:
                 grid = render.hits.grid
                 inputs = [*grid.shape, grid.bins_per_pixel, *render.shape, d.shift, *inputs]
                 kernel = kernels.moved_tangent_kernel
-            launch = wp.launch(
-                kernel, d.bins.shape[0], inputs=inputs, outputs=[found], device=device, record_cmd=True
-            )
+            launch = wp.launch(kernel, d.bins.shape[0], inputs=inputs, outputs=[found], device=device, record_cmd=True)
             if launch is not None:
                 launches.append(launch)
         return found, launches
@@ -137,26 +143,28 @@ class Tangents:
         before, image, part = render.before_image[polarization], render.images[polarization], self._image[polarization]
         if image is before:
             return np.asarray(tangents.numpy())
-        standing = wp.clone(before, requires_grad=False)
+        on_host = render.program.device.is_cpu  # its arrays are NumPy's: a copy by Warp takes longer than a blur
+        standing, moves = before.numpy().copy(), tangents.numpy()
+        given, made = (before.numpy(), image.numpy()) if on_host else (None, None)
+
+        def after(values: np.ndarray) -> np.ndarray:
+            if given is None:
+                before.assign(values)
+            else:
+                given[:] = values
+            part.forward()
+            return image.numpy() if made is None else made
+
         found = np.empty(tangents.shape, np.float32)
         if render.affine:
-            before.zero_()
-            part.forward()
-            added = image.numpy().copy()
-            for k in range(len(found)):
-                wp.copy(before, tangents[k])
-                part.forward()
-                np.subtract(image.numpy(), added, out=found[k])
+            added = after(np.zeros_like(standing)).copy()
+            for k, move in enumerate(moves):
+                np.subtract(after(move), added, out=found[k])
         else:
-            middle, moves = standing.numpy(), tangents.numpy()
-            for k in range(len(found)):
-                ends = []
-                for step in (STEP, -STEP):
-                    before.assign(middle + step * moves[k])
-                    part.forward()
-                    ends.append(image.numpy().astype(float))
-                found[k] = (ends[0] - ends[1]) / (2.0 * STEP)
-        wp.copy(before, standing)
+            for k, move in enumerate(moves):
+                above = after(standing + STEP * move).astype(float)
+                found[k] = (above - after(standing - STEP * move)) / (2.0 * STEP)
+        before.assign(standing)
         return found
 
     def sparse_through_image(self, polarization: str, columns: csc_array) -> csc_array:

@@ -187,11 +187,11 @@ class Program:
 
         None: once anything may have.
         """
-        wanted = {id(array) for array in wanted}
+        needed = {id(array) for array in wanted}
         dirty = None if changed is None else {id(array) for array in changed}
-        key = frozenset(wanted), None if dirty is None else frozenset(dirty)
+        key = frozenset(needed), None if dirty is None else frozenset(dirty)
         if key not in self._parts:
-            steps = self._before(wanted)
+            steps = self._before(needed)
             self._parts[key] = Part(self, steps if dirty is None else self._after(dirty, steps))
         return self._parts[key]
 
@@ -207,8 +207,8 @@ class Program:
     def _after(self, changed: set[int], steps: list[_Step]) -> list[_Step]:
         """Those of `steps` that read what has changed, or add to a sum that must be made again."""
         sums = {id(array) for array in self.sums}
-        dirty, again = set(changed), set()
-        found: set[_Step] = set()
+        dirty, again = set(changed), set[int]()
+        found = set[_Step]()
         while True:
             step = next((s for s in steps if s not in found and (s.reads & dirty or s.writes & again)), None)
             if step is None:

@@ -90,7 +90,8 @@ class Effect:
     def coordinates(self, render: Recorder, p: wp.array, zeta: wp.array, points: wp.array) -> wp.array:
         """Surface effects: change the learned coordinates `zeta` (vec4, kernels/shade.py) at `points`.
 
-        `points` are vec3 [m] about the reference point. All arrays have one shape, (n,).
+        `points` are vec3 [m] about the reference point. All arrays have one shape, (n,). Here, in `scattering` and in
+        `gain` an element of the result depends on the same element of `zeta` or `sigma` alone: Jacobians rely on it.
         """
         return zeta
 
@@ -109,7 +110,10 @@ class Effect:
     def deposit(
         self, render: Recorder, p: wp.array, sigma: wp.array, weight: wp.array, bins: wp.array, image: wp.array
     ) -> None:
-        """Position effects: add sigma * weight of each bin of `render.hits.grid` to `image`, shape (rows * cols,)."""
+        """Position effects: add sigma * weight of each bin of `render.hits.grid` to `image`, shape (rows * cols,).
+
+        By `Recorder.deposit`: Jacobians of power that is put there in another way take two images per node.
+        """
         raise NotImplementedError
 
     def paths(self, render: Recorder, p: wp.array, image: wp.array, polarization: int) -> wp.array:
