@@ -62,7 +62,7 @@ class Projection:
         inside = self._inside(columns)
         across = np.asarray(columns.T @ seen).T - (self.basis.T @ seen / 2.0) @ inside
         crossed = np.einsum("bti,btj->tij", *(m.reshape(len(m), -1, k) for m in (inside, across)))
-        below = (self._below @ inside).reshape(len(self._below), -1, k)
+        below = (self._below @ inside).reshape(len(self._below), inside.shape[1] // k, k)
         known = np.einsum("bti,btj->tij", below, below)
         return evidence.products(columns, k) - crossed - crossed.swapaxes(1, 2) + known
 
