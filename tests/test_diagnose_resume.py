@@ -43,7 +43,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, int]:
     assert done.exit_code == 0, done.output
     content = json.loads((folder / "whole" / "diagnosis.json").read_text())
     assert content["verdict"] == ["registration", "eps_gradient"]
-    assert len(written) == 1 + len(content["turns"])
+    assert len(written) == 1 + len(content["turns"]) + 1  # the declared model, the turns, and what holds of them
     return folder / "scene.toml", folder / "whole", len(written)
 
 

@@ -30,12 +30,18 @@ class Confirmation:
 
 
 def confirm(
-    bench: Bench, fitted: Fitted, added: Sequence[str], needed: Callable[[Fitted], bool], price: float
+    bench: Bench,
+    fitted: Fitted,
+    added: Sequence[str],
+    needed: Callable[[Fitted], bool],
+    price: float,
+    *,
+    quiet: bool = False,
 ) -> Confirmation:
     """Which of the `added` effects hold.
 
     A parameter costs `price` of 2 ln L. `needed` says of a model whether the dark pixels ask it for an effect that adds
-    power: such an effect stays, whatever it gains in the light.
+    power: such an effect stays, whatever it gains in the light. `quiet`: whether the scan finds nothing beside them all.
     """
     refused: list[Confirmed] = []
     while True:
@@ -50,7 +56,7 @@ def confirm(
         else:
             for name in left:
                 if name not in dark:
-                    _ask(bench, fitted, without[name], asked[name])
+                    _ask(bench, fitted, without[name], asked[name], quiet)
             failing = [one for one in asked.values() if one.refused]
             if not failing:
                 return Confirmation(fitted, [*refused, *asked.values()])
@@ -70,11 +76,11 @@ def _strength(one: Confirmed) -> float:
     return 0.0 if left is None or left.error <= 0 else left.gain / left.error
 
 
-def _ask(bench: Bench, fitted: Fitted, without: Fitted, one: Confirmed) -> None:
+def _ask(bench: Bench, fitted: Fitted, without: Fitted, one: Confirmed, quiet: bool) -> None:
     """Whether the effect helps on views left out, is one value for a view, and is no power that the surface may send.
     Fills in the answers."""
     name = one.effect
-    one.left_out = leave_one_view_out(bench, without, fitted, name)
+    one.left_out = leave_one_view_out(bench, without, fitted, name, quiet=quiet)
     if not one.left_out.passed:
         one.refused = NOT_ELSEWHERE
         return

@@ -60,8 +60,9 @@ class Evidence:
 
     def price(self, ranks: Ranks = ONE) -> float:
         """What a parameter costs in 2 ln L: ln of the independent looks in the data, which are looks times pixels over
-        their correlation area (Schwarz, Annals of Statistics 6, 1978)."""
-        return float(np.log(ranks.same(float(np.sum(self.root_looks**2) / self.area))))
+        their correlation area (Schwarz, Annals of Statistics 6, 1978), times that area. 2 ln L takes pixels for
+        independent, and so counts as many times too much as pixels are correlated."""
+        return float(self.area * np.log(ranks.same(float(np.sum(self.root_looks**2) / self.area))))
 
     def split(self, pixels: np.ndarray) -> list[np.ndarray]:
         """An array over all pixels, (n, ...), as one per observation."""

@@ -26,30 +26,34 @@ LARGEST_DIFFERENCE = 20.0
 @dataclass(frozen=True)
 class LeftOut:
     """Log-likelihood of views that were left out, with an effect less without it: sum and standard error. `expected`
-    is that sum on average, were the effect true as the other views have it."""
+    is that sum on average, were the effect true as the other views have it. `quiet`: whether nothing but speckle is
+    left beside the effect, to the scan."""
 
     gain: float
     error: float
     views: int
     expected: float = float("inf")
+    quiet: bool = False
 
     @property
     def passed(self) -> bool:
-        """More than two standard errors above zero, where a true effect would be; with a single view nothing can be
-        left out.
+        """More than two standard errors above zero; with a single view nothing can be left out.
 
-        A true effect gains half of its 2 ln L, with an error of about the root of that. So a weak one can hardly be two
+        A true effect gains half of its 2 ln L, with an error of about the root of that. So a weak one is hardly two
         errors above zero, and views left out cannot decide. They can still speak against it: asked is then a gain that
-        is positive, and no more than two errors below what the effect predicts.
+        is positive, and no more than two errors below what the effect predicts. Where the scan is not quiet, something
+        else is missing that any weak effect may feed on, and two errors are asked.
         """
-        least = min(2.0 * self.error, self.expected - 2.0 * self.error)
-        return self.views < 2 or self.gain > max(0.0, least)
+        asked = 2.0 * self.error
+        if self.quiet:
+            asked = max(0.0, min(asked, self.expected - 2.0 * self.error))
+        return self.views < 2 or self.gain > asked
 
 
-def leave_one_view_out(bench: Bench, base: Fitted, fitted: Fitted, effect: str) -> LeftOut:
+def leave_one_view_out(bench: Bench, base: Fitted, fitted: Fitted, effect: str, *, quiet: bool = False) -> LeftOut:
     """Explain each training view by both models, with the parameters of `effect` taken from the other views.
 
-    Pixels are compared in pairs; each counts `LARGEST_DIFFERENCE` at most. The error has two parts: correlated speckle,
+    `quiet` as in `LeftOut`. Pixels are compared in pairs; each counts `LARGEST_DIFFERENCE` at most. The error has two parts: correlated speckle,
     and the choice of pixels. A few pixels that gain much are no proof.
 
     Everything else in both models is a nuisance and is fitted to all views. A surface that has never seen a view's
@@ -86,7 +90,7 @@ def leave_one_view_out(bench: Bench, base: Fitted, fitted: Fitted, effect: str) 
     covariance = residual_autocovariance([(one, now - mean) for one, (now, mean) in zip(seen, gains, strict=True)])
     error = np.sqrt(measured.size * (covariance.sum() + expected.var()))
     total, error, foreseen = bench.ranks.same([measured.sum(), error, expected.sum()]).tolist()
-    return LeftOut(total, error, len(names), foreseen)
+    return LeftOut(total, error, len(names), foreseen, quiet)
 
 
 def _gain(seen: Observation, without: np.ndarray, with_it: np.ndarray) -> np.ndarray:

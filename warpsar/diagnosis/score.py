@@ -42,7 +42,7 @@ class Projection:
         table = columns.reshape(len(columns), -1)
         absorbed = transposed_times(self.basis, table)
         if known is not None:
-            absorbed = absorbed + self._below.T @ known.reshape(len(known), -1)
+            absorbed = absorbed + self._below.T @ known.reshape(len(known), table.shape[1])
         return (table - times(self.basis, absorbed)).reshape(columns.shape)
 
     def left(self, columns: np.ndarray | csc_array) -> np.ndarray:
@@ -61,7 +61,7 @@ class Projection:
         seen = self._seen
         inside = self._inside(columns)
         across = np.asarray(columns.T @ seen).T - (self.basis.T @ seen / 2.0) @ inside
-        crossed = np.einsum("bti,btj->tij", *(m.reshape(len(m), -1, k) for m in (inside, across)))
+        crossed = np.einsum("bti,btj->tij", *(m.reshape(len(m), inside.shape[1] // k, k) for m in (inside, across)))
         below = (self._below @ inside).reshape(len(self._below), inside.shape[1] // k, k)
         known = np.einsum("bti,btj->tij", below, below)
         return evidence.products(columns, k) - crossed - crossed.swapaxes(1, 2) + known

@@ -137,7 +137,9 @@ class Search:
         bench, here = on_bounded_ground(self._bench, self._base, self.scene)
         settled = settle(bench, here, self.options.starts, self.options.seed)
         price = Evidence.of(settled.problem, settled.x, bench.ranks).price(bench.ranks)
-        return confirm(bench, settled, self._added(settled), lambda model: Dark.of(model).asks, price)
+        last = self.turns[-1]
+        quiet = last.scan_minus_log_p <= last.threshold
+        return confirm(bench, settled, self._added(settled), lambda model: Dark.of(model).asks, price, quiet=quiet)
 
 
 def _say(turn: Turn, number: int, passing: Sequence[Candidate]) -> None:

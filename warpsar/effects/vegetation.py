@@ -62,7 +62,7 @@ class Vegetation(Effect):
         return [
             Trial(
                 (ScoreStep("optical depth", size, {"optical_depth": size, "albedo": albedo}, one_sided=True),),
-                tuple({"optical_depth": depth, "albedo": albedo} for depth in (0.05, 0.3)),
+                tuple({"optical_depth": depth, "albedo": albedo} for depth in (0.05, 0.3, 1.0)),
                 f"albedo {albedo:g}",
             )
             for albedo in _ALBEDOS
