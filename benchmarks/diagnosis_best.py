@@ -239,32 +239,40 @@ def said(row: Mapping[str, Any]) -> str:
 
 
 def division(rows: Sequence[Mapping[str, Any]], found: Sequence[Mapping[str, Any]]) -> str:
-    """Markdown: a line per case, looks and kind of speckle, with what was found beside what is possible."""
-    runs = defaultdict(list)
-    for row in found:
-        runs[row["case"], row["looks"], row["speckle"]].append(judged(row) == "right")
+    """Markdown: a line per case and number of looks, with what was found beside what is possible. Shares are of white
+    and correlated speckle together, as the runs are."""
     lines = []
-    for row in rows:
-        right = runs[row["case"], row["looks"], row["speckle"]]
-        share = np.mean(right) if right else float("nan")
-        nearest = min(row["rivals"].items(), key=lambda item: item[1]["behind"], default=None)
-        rival = f"{nearest[0]} {nearest[1]['behind']:.1f}" if nearest else ""
+    for name, looks in dict.fromkeys((row["case"], row["looks"]) for row in rows):
+        mine = [row for row in rows if (row["case"], row["looks"]) == (name, looks)]
+        right = [judged(row) == "right" for row in found if (row["case"], row["looks"]) == (name, looks)]
+        best, named = (float(np.mean([row[key] for row in mine])) for key in ("best", "best_named"))
+        nearest = min(mine[0]["rivals"].items(), key=lambda item: item[1]["behind"], default=None)
+        missed = max(named - float(np.mean(right)), 0.0) if right else None
         lines.append(
             [
-                row["case"],
-                f"{row['looks']} {row['speckle']}",
-                f"{row['expected_gain']:.1f}",
-                f"{row['price']:.1f}",
-                rival,
-                _percent(row["best"]),
-                _percent(row["best_named"]),
+                name,
+                looks,
+                f"{mine[0]['expected_gain']:.0f}",
+                " / ".join(f"{row['price']:.0f}" for row in mine),
+                f"{nearest[0]} {nearest[1]['behind']:.1f}" if nearest else "",
+                " / ".join(_percent(row["best"]) for row in mine),
+                " / ".join(_percent(row["best_named"]) for row in mine),
                 f"{sum(right)} of {len(right)}" if right else "",
-                _percent(1.0 - row["best"]),
-                _percent(row["best"] - row["best_named"]),
-                _percent(max(row["best_named"] - share, 0.0)) if right else "",
+                _percent(1.0 - best),
+                _percent(best - named),
+                "" if missed is None else _percent(missed),
             ]
         )
-    header = ["missing", "looks", "2 ln L", "price", "nearest rival behind by", "detectable", "and told apart", "found"]
+    header = [
+        "missing",
+        "looks",
+        "2 ln L",
+        "price",
+        "nearest rival, behind by",
+        "detectable",
+        "and told apart",
+        "found",
+    ]
     return tables.markdown([*header, "undetectable", "not told apart", "missed by us"], lines)
 
 
