@@ -12,7 +12,6 @@ from __future__ import annotations
 import sys
 import tempfile
 import time
-from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
@@ -207,7 +206,7 @@ def run(
     out.mkdir(parents=True, exist_ok=True)
     where = devices.resolve_device(device)
     settings = list(product([int(n) for n in looks] or LOOKS, kinds or KINDS))
-    rows = []
+    rows, when = [], tables.made()
     with tempfile.TemporaryDirectory() as folder:
         nothing = NoiseFree(truth(), {}, where, Path(folder))
         decisions = {key: Decision.of(nothing, *key, draws) for key in settings}
@@ -223,7 +222,7 @@ def run(
         for row in rows[-len(settings) :]:
             click.echo(said(row), err=True)
         click.echo(f"  {time.perf_counter() - started:.0f} s", err=True)
-        tables.save(out / "best.json", {"made": tables.made(), "rows": rows})
+        tables.save(out / "best.json", {"made": when, "rows": rows})
 
 
 def said(row: Mapping[str, Any]) -> str:
