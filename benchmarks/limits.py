@@ -200,7 +200,7 @@ def correlated(sigma_px: float) -> np.ndarray:
     """Autocovariance of the power of fields with a Gaussian point-spread function: the fields' own, squared."""
     impulse = np.zeros((8 * LAGS + 1, 8 * LAGS + 1))
     impulse[4 * LAGS, 4 * LAGS] = 1.0
-    fields = gaussian_filter(impulse, np.sqrt(2.0) * sigma_px)
+    fields = gaussian_filter(gaussian_filter(impulse, sigma_px), sigma_px)  # the sampled kernel with itself
     middle = slice(3 * LAGS, 5 * LAGS + 1)
     return np.asarray((fields / fields.max())[middle, middle] ** 2)
 
