@@ -94,6 +94,9 @@ def at_best(
 ) -> dict[str, Any]:
     """Shares of `draws` in which the effect passes each rule."""
     model = noise_free.truth
+    dark = in_the_dark(noise_free, name)
+    if dark:  # no other effect puts power there
+        rivals = {other: rival for other, rival in rivals.items() if get(other).additive}
     beta0 = drawn(noise_free, looks, kind, draws, seed)
     evidence = noise_free.evidence(base, autocovariance(kind), looks)
     size = model.size - base.size
@@ -116,7 +119,7 @@ def at_best(
         "left_out_positive": np.array([one.gain > 0.0 for one in left]),
         "left_out_as_expected": np.array([one.as_expected for one in left]),
     }
-    best: np.ndarray = passes["threshold"] & passes["price"] | in_the_dark(noise_free, name)
+    best: np.ndarray = passes["threshold"] & passes["price"] | dark
     expected = looks * limits.expected_gain(model, base)
     return {
         "case": name,
@@ -202,17 +205,21 @@ def run(
     draws: int,
     device: str | None,
 ) -> None:
-    """Write best.json: what is possible at best, for every effect, number of looks and kind of speckle."""
+    """Write best.json: what is possible at best, for every effect, number of looks and kind of speckle.
+
+    Cases that the file holds and that are not asked for stay as they are.
+    """
     out.mkdir(parents=True, exist_ok=True)
     where = devices.resolve_device(device)
     settings = list(product([int(n) for n in looks] or LOOKS, kinds or KINDS))
-    rows, when = [], tables.made()
+    cases, path, when = cases or tuple(SINGLE), out / "best.json", tables.made()
+    rows = [row for row in tables.stored(path)["rows"] if row["case"] not in cases] if path.is_file() else []
     with tempfile.TemporaryDirectory() as folder:
         nothing = NoiseFree(truth(), {}, where, Path(folder))
         decisions = {key: Decision.of(nothing, *key, draws) for key in settings}
     for key, decision in decisions.items():
         click.echo(f"{key[0]} looks, {key[1]}: threshold {decision.threshold:.2f}", err=True)
-    for name in cases or SINGLE:
+    for name in cases:
         started = time.perf_counter()
         with tempfile.TemporaryDirectory() as folder:
             noise_free = NoiseFree(truth(), {name: SINGLE[name]}, where, Path(folder))
@@ -222,7 +229,7 @@ def run(
         for row in rows[-len(settings) :]:
             click.echo(said(row), err=True)
         click.echo(f"  {time.perf_counter() - started:.0f} s", err=True)
-        tables.save(out / "best.json", {"made": when, "rows": rows})
+        tables.save(path, {"made": when, "rows": rows})
 
 
 def said(row: Mapping[str, Any]) -> str:

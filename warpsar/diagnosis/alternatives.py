@@ -137,7 +137,8 @@ def _images(scene: Scene, views: list[View], polarization: str, device: wp.Devic
 
 def _for_views(name: str, table: Mapping[str, Any], views: set[str]) -> dict[str, Any]:
     """An effect's table with values for these views alone; the others' are at their defaults."""
-    per_view = {one.name for one in (*get(name).parameters, *get(name).settings) if one.per_view}
+    effect = get(name)
+    per_view = {p.name for p in effect.parameters if p.per_view} | {s.name for s in effect.settings if s.per_view}
     return {
         key: {view: one for view, one in value.items() if view in views} if key in per_view else value
         for key, value in table.items()
