@@ -11,10 +11,11 @@ has its own speckle, its own rays and its own wrong start. docs/diagnosis.md has
 
 import json
 import multiprocessing
+import os
 import sys
 import time
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from dataclasses import dataclass, field, replace
 from itertools import product
@@ -260,15 +261,21 @@ def run(
 
 
 def side_by_side(
-    keys: Sequence[tuple[str, int, str, int]], jobs: int, end: float, options: tuple[DiagnoseOptions, str, Path]
+    keys: Sequence[Any],
+    jobs: int,
+    end: float,
+    options: tuple[DiagnoseOptions, str, Path],
+    work: Callable[..., dict[str, Any]] = one_run,
 ) -> Iterator[dict[str, Any]]:
-    """`one_run` of every key as it is done, `jobs` at a time; none is begun after the time `end`."""
+    """`work` of every key as it is done, `jobs` at a time; none is begun after the time `end`."""
     left = iter(keys)
     at_work: set[Future[dict[str, Any]]] = set()
+    if jobs > 1:  # a core for each; the children read it when they import NumPy
+        os.environ.update(dict.fromkeys(("WARPSAR_THREADS", "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"), "1"))
     with ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn")) as pool:
         while True:
             while len(at_work) < jobs and time.perf_counter() < end and (key := next(left, None)) is not None:
-                at_work.add(pool.submit(one_run, key, *options))
+                at_work.add(pool.submit(work, key, *options))
             if not at_work:
                 break
             ready, at_work = wait(at_work, return_when=FIRST_COMPLETED)

@@ -23,6 +23,7 @@ left_out.py        what views left out say of an effect
 carried.py         whether the surface could be the cause
 pruning.py         which earlier effects the newest one has made needless
 outcome.py         what became of every effect in a turn, in words
+alternatives.py    which measurement would decide between two explanations
 judge.py           how far models are from all images, test views among them
 place.py           where on the surface something is left
 projection.py      where a place of the world lies in an image
