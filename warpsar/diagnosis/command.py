@@ -68,9 +68,12 @@ def command_line(scene_path: Path | str, out: Path, device: str, options: Diagno
 def in_short(done: Diagnosed) -> str:
     """One line: the verdict, and what it did to the views that decided nothing."""
     found = done.diagnosis
-    text = ", ".join(found.verdict) or "nothing missing"
+    others = {one.effect: "" for one, _ in done.alternatives}
+    for one, _ in done.alternatives:
+        others[one.effect] += f" or {one.other}"
+    text = ", ".join(name + others.get(name, "") for name in found.verdict) or "nothing missing"
     if found.unexplained:
-        text = f"{', '.join(found.verdict)}; and something is unexplained" if found.verdict else "unexplained"
+        text = f"{text}; and something is unexplained" if found.verdict else "unexplained"
     for role in reversed(ROLES):
         before, after = done.before[role], done.after[role]
         if before is not None and after is not None:

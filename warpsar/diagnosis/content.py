@@ -30,8 +30,8 @@ def content_of(
         "options": asdict(options),
         "verdict": found.verdict,
         "unexplained": found.unexplained,
-        "alternatives": [[one.effect, one.other] for one in _undecided(found)],
-        "alternatives_because": [_rival(one) for one in _undecided(found)],
+        "alternatives": [[one.effect, one.other] for one, _ in done.alternatives],
+        "alternatives_because": [_rival(one) | {"deciding": by.told()} for one, by in done.alternatives],
         "before": done.before,
         "after": done.after,
         "gain": {role: _gain(done.models[0], done.models[-1], role) for role in ROLES},
@@ -71,10 +71,6 @@ def content_of(
         "images": [_image(*pair) for pair in zip(done.models[0], done.models[-1], strict=True)],
         "per_view_effects_on_test_views": _per_view_note(found),
     }
-
-
-def _undecided(found: Diagnosis) -> list[Rival]:
-    return [one for one in found.rivals if one.undecided and one.effect in found.verdict]
 
 
 def _rival(one: Rival) -> dict[str, Any]:

@@ -136,6 +136,7 @@ class Rival:
 
     effect: str
     other: str
+    scene: Scene  # with `other`, fitted
     gain: float
     distance: float
     z: float

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from warpsar.diagnosis.found import Candidate, DiagnoseOptions, Diagnosis
+from warpsar.diagnosis.alternatives import Deciding, deciding
+from warpsar.diagnosis.found import Candidate, DiagnoseOptions, Diagnosis, Rival
 from warpsar.diagnosis.judge import ROLES, Judge, Judged, JudgedMetrics, difference, pool
 from warpsar.diagnosis.place import Place, place
 from warpsar.diagnosis.procedure import diagnose_scene
@@ -24,12 +25,14 @@ SAME_SD = 2.0  # a parameter that moved by more of its standard deviations than 
 @dataclass(frozen=True)
 class Diagnosed:
     """A diagnosis with what came of it on all views. `models`: the declared model and the one after every addition,
-    each as `Judged` images of train and test views; `place`: the strongest window of what is left at the end."""
+    each as `Judged` images of train and test views; `place`: the strongest window of what is left at the end.
+    `alternatives`: rivals that the data do not decide against, and which measurement would."""
 
     diagnosis: Diagnosis
     judge: Judge
     models: list[list[Judged]]
     place: Place
+    alternatives: list[tuple[Rival, Deciding]] = field(default_factory=list)
 
     @property
     def before(self) -> dict[str, JudgedMetrics | None]:
@@ -64,7 +67,10 @@ def judged(found: Diagnosis) -> Diagnosed:
         withdrawn = found.verdict
         found = replace(found, final=found.declared, withdrawn=withdrawn, unexplained=True)
         models.append(models[0])
-    return Diagnosed(found, judge, models, place(found, models[-1], found.turns[-1].spot))
+    undecided = [rival for rival in found.rivals if rival.undecided and rival.effect in found.verdict]
+    looks = float(np.median([seen.looks for seen in found.observations]))
+    alternatives = [(one, deciding(found.final.scene, one.scene, looks, found.bench.device)) for one in undecided]
+    return Diagnosed(found, judge, models, place(found, models[-1], found.turns[-1].spot), alternatives)
 
 
 def _worse(verdict: Sequence[str], before: Sequence[Judged], after: Sequence[Judged]) -> bool:

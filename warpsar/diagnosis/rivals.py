@@ -61,7 +61,7 @@ def _against(bench: Bench, fitted: Fitted, name: str, other: Candidate) -> Rival
     distance = float(bench.ranks.same(float(sum(apart))))
     error = 2.0 * float(np.sqrt(max(distance * evidence.area, 1e-12)))
     lead = gain - expected * evidence.price(bench.ranks)
-    return Rival(name, other.effect, gain, distance, (gain - expected + distance) / error, lead, error)
+    return Rival(name, other.effect, theirs.scene, gain, distance, (gain - expected + distance) / error, lead, error)
 
 
 def _interior(bench: Bench, fitted: Fitted) -> list[tuple[np.ndarray, float]]:
