@@ -41,7 +41,7 @@ def confirm(
     """Which of the `added` effects hold.
 
     A parameter costs `price` of 2 ln L. `needed` says of a model whether the dark pixels ask it for an effect that adds
-    power: such an effect stays, whatever it gains in the light. `quiet`: whether the scan finds nothing beside them all.
+    power: such an effect stays, whatever it gains in the light. `quiet`: whether the scan finds nothing beside them.
     """
     refused: list[Confirmed] = []
     while True:

@@ -53,8 +53,8 @@ class LeftOut:
 def leave_one_view_out(bench: Bench, base: Fitted, fitted: Fitted, effect: str, *, quiet: bool = False) -> LeftOut:
     """Explain each training view by both models, with the parameters of `effect` taken from the other views.
 
-    `quiet` as in `LeftOut`. Pixels are compared in pairs; each counts `LARGEST_DIFFERENCE` at most. The error has two parts: correlated speckle,
-    and the choice of pixels. A few pixels that gain much are no proof.
+    `quiet` as in `LeftOut`. Pixels are compared in pairs; each counts `LARGEST_DIFFERENCE` at most. The error has two
+    parts: correlated speckle, and the choice of pixels. A few pixels that gain much are no proof.
 
     Everything else in both models is a nuisance and is fitted to all views. A surface that has never seen a view's
     incidence extrapolates badly, and that error would decide. Parameters of a single view (its gain, its interference)

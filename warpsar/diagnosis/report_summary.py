@@ -81,8 +81,8 @@ def _verdict(done: Diagnosed, content: dict[str, Any]) -> list[str]:
         doubt = f" But {step['note']}." if is_carried(step["effect"], step["carried_over"] or 0.0) else ""
         said.append(f"Added: {step['effect']} ({get(step['effect']).summary}), with {tables}.{held}{doubt}")
     said += [
-        f"The data do not decide between {one.effect} and {one.other}: in its place it would fit as well to within what "
-        f"speckle makes of the difference (2 ln L {one.gain:+.1f}). {by.sentence[0].upper()}{by.sentence[1:]}."
+        f"The data do not decide between {one.effect} and {one.other}: in its place it would fit as well, to within "
+        f"what speckle makes of the difference (2 ln L {one.gain:+.1f}). {by.sentence[0].upper()}{by.sentence[1:]}."
         for one, by in done.alternatives
     ]
     if found.withdrawn:

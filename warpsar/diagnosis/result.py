@@ -14,7 +14,6 @@ from warpsar.diagnosis.place import Place, place
 from warpsar.diagnosis.procedure import diagnose_scene
 from warpsar.diagnosis.refit import Fitted
 from warpsar.diagnosis.score import NOT_TESTABLE
-from warpsar.effects.registry import get
 from warpsar.learning.identify import Identified, identify
 from warpsar.runtime import devices, distributed
 from warpsar.scene.scene import Scene
@@ -63,7 +62,7 @@ def judged(found: Diagnosis) -> Diagnosed:
     """
     judge = Judge(found)
     models = [judge(fitted.scene) for fitted in fitted_models(found)]
-    if found.verdict and _worse(found.verdict, models[0], models[-1]):
+    if found.verdict and _worse(models[0], models[-1]):
         withdrawn = found.verdict
         found = replace(found, final=found.declared, withdrawn=withdrawn, unexplained=True)
         models.append(models[0])
@@ -73,23 +72,10 @@ def judged(found: Diagnosis) -> Diagnosed:
     return Diagnosed(found, judge, models, place(found, models[-1], found.turns[-1].spot), alternatives)
 
 
-def _worse(verdict: Sequence[str], before: Sequence[Judged], after: Sequence[Judged]) -> bool:
-    """Whether the mean deviance of the test views rose.
-
-    Effects with one number per view are not there in test views. Their images then differ by how the surface moved
-    alone, to either side, and only a rise by more than its standard error counts.
-    """
+def _worse(before: Sequence[Judged], after: Sequence[Judged]) -> bool:
+    """Whether the mean deviance of the test views rose, by more than the standard error of the rise."""
     gained = difference(before, after, "test")
-    if gained is None:
-        return False
-    alone = all(parameter.per_view for name in verdict for parameter in get(name).parameters)
-    return gained[0] < (-gained[1] if alone else 0.0)
-
-
-def fitted_models(found: Diagnosis) -> list[Fitted]:
-    """The declared model, the one after every addition, and the final one, fitted."""
-    models = [found.declared, *(turn.fitted for turn in found.turns if turn.fitted is not None)]
-    return models if models[-1] is found.final else [*models, found.final]
+    return gained is not None and gained[0] < -gained[1]
 
 
 @dataclass(frozen=True)
