@@ -78,6 +78,12 @@ def _worse(before: Sequence[Judged], after: Sequence[Judged]) -> bool:
     return gained is not None and gained[0] < -gained[1]
 
 
+def fitted_models(found: Diagnosis) -> list[Fitted]:
+    """The declared model, the one after every addition, and the final one, fitted."""
+    models = [found.declared, *(turn.fitted for turn in found.turns if turn.fitted is not None)]
+    return models if models[-1] is found.final else [*models, found.final]
+
+
 @dataclass(frozen=True)
 class Moved:
     """A surface parameter before and after the effects were added: values (SI), and standard deviations of their
