@@ -33,7 +33,7 @@ def add_the_best(
         candidate.refit_gain = _gain(base, fitted)
         candidate.refit_size = fitted.size - base.size
         gains.append(candidate.refit_gain - candidate.refit_size * np.log(looks))
-    if dark.asks and _added_for_the_dark(bench, turn, refits, options):
+    if dark.asks and _added_for_the_dark(bench, turn, refits, dark, options):
         return
     for gain, (candidate, fitted) in sorted(zip(gains, refits, strict=True), key=lambda item: -item[0]):
         if turn.added is not None:
@@ -53,11 +53,11 @@ def _gain(base: Fitted, fitted: Fitted) -> float:
 
 
 def _added_for_the_dark(
-    bench: Bench, turn: Turn, refits: Sequence[tuple[Candidate, Fitted]], options: DiagnoseOptions
+    bench: Bench, turn: Turn, refits: Sequence[tuple[Candidate, Fitted]], dark: Dark, options: DiagnoseOptions
 ) -> bool:
     """Add the likeliest effect that makes the dark pixels possible, whatever it gains in the light. Without one they
     are impossible."""
-    able = [(candidate, fitted) for candidate, fitted in refits if get(candidate.effect).additive]
+    able = [(candidate, fitted) for candidate, fitted in refits if dark.answered_by(candidate.effect)]
     if not able:
         return False
     candidate, fitted = max(able, key=lambda pair: pair[1].whole)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from warpsar.diagnosis.bench import Bench
-from warpsar.diagnosis.found import Candidate, DiagnoseOptions, Turn
+from warpsar.diagnosis.found import Candidate, DarkScan, DiagnoseOptions, Turn
 from warpsar.diagnosis.left_out import LeftOut
 from warpsar.diagnosis.refit import Fitted
 from warpsar.errors import InputError
@@ -94,6 +94,7 @@ def _told(turn: Turn) -> dict[str, Any]:
         "threshold": turn.threshold,
         "fitted": None if turn.fitted is None else turn.fitted.told(),
         "dropped": turn.dropped,
+        "dark": None if turn.dark is None else asdict(turn.dark),
     }
 
 
@@ -105,4 +106,5 @@ def _heard(told: Mapping[str, Any], bench: Bench, base: Fitted) -> Turn:
         candidates.append(Candidate(**{**each, "left_out": None if left is None else LeftOut(**left)}))
     fitted = None if told["fitted"] is None else Fitted.heard(bench, base.scene, told["fitted"])
     about = {**told, "candidates": candidates, "spot": Spot(**told["spot"]), "fitted": fitted}
+    about["dark"] = None if told["dark"] is None else DarkScan.of(told["dark"])
     return Turn(**about, base=base)

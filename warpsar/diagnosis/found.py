@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -75,9 +77,36 @@ class Candidate:
         self.note += f"{'; ' if self.note else ''}{text}"
 
 
+@dataclass(frozen=True)
+class DarkScan:
+    """The strongest row, column or window of dark pixels, about the model of a turn.
+
+    `minus_log_p`: -ln p under speckle at the declared looks. `rows`, `cols`: the first pixel, and the one after the
+    last. `measured` and `modelled` [beta0]: means over its dark pixels, of which `pixels` are judged. `possible`:
+    whether the model puts any power there.
+    """
+
+    minus_log_p: float
+    z: float
+    observation: int
+    kind: str
+    rows: tuple[int, int]
+    cols: tuple[int, int]
+    pixels: int
+    measured: float
+    modelled: float
+    possible: bool
+
+    @classmethod
+    def of(cls, told: Mapping[str, Any]) -> DarkScan:
+        """From its fields in JSON's types."""
+        return cls(**{**told, "rows": tuple(told["rows"]), "cols": tuple(told["cols"])})
+
+
 @dataclass
 class Turn:
-    """One turn: what was tested, what was added (None: nothing), and what was dropped of earlier turns' effects."""
+    """One turn: what was tested, what was added (None: nothing), and what was dropped of earlier turns' effects.
+    `dark`: what the scan of dark pixels found; None where there are too few."""
 
     candidates: list[Candidate]
     added: str | None
@@ -88,6 +117,13 @@ class Turn:
     base: Fitted
     fitted: Fitted | None = None
     dropped: list[str] = field(default_factory=list)
+    dark: DarkScan | None = None
+
+    @property
+    def alarms(self) -> bool:
+        """Whether the scan finds something, in the light or in dark pixels."""
+        in_the_dark = 0.0 if self.dark is None else self.dark.minus_log_p
+        return max(self.scan_minus_log_p, in_the_dark) > self.threshold
 
 
 @dataclass

@@ -71,7 +71,7 @@ def diagnose_scene(
     bar.close()
     last = turns[-1]
     # an effect that was refused because something may stand there is left over, whatever the scan says
-    left = last.scan_minus_log_p > last.threshold or any(c.shared for c in last.candidates)
+    left = last.alarms or any(c.shared for c in last.candidates)
     unexplained = last.added is None and left
     return Diagnosis(scene, declared, base, turns, unexplained, density, bench)
 
@@ -125,7 +125,8 @@ def _effective_looks(evidence: Evidence, ranks: Ranks) -> float:
 
 def _say(turn: Turn, number: int, passing: Sequence[Candidate]) -> None:
     scores = ", ".join(f"{c.effect} {score_text(c.minus_log_p)}" for c in passing) or "none"
+    dark = "" if turn.dark is None else f", of dark pixels {score_text(turn.dark.minus_log_p)} (z {turn.dark.z:+.1f})"
     console.say(
         f"turn {number + 1}: worth a fit, by score (-ln p, threshold {turn.threshold:.1f}): {scores}; "
-        f"scan {score_text(turn.scan_minus_log_p)} (z {turn.spot.z:+.1f})"
+        f"scan {score_text(turn.scan_minus_log_p)} (z {turn.spot.z:+.1f}){dark}"
     )

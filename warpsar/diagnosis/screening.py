@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from warpsar.diagnosis.bench import Bench
+from warpsar.diagnosis.dark import Dark
 from warpsar.diagnosis.refit import (
     HOPELESS,
     KEPT_WITHIN,
@@ -88,7 +89,7 @@ class Screening:
         name, tables, state = about.pop("name"), about.pop("tables"), FitState.from_arrays(about.pop("state"))
         return cls(bench, base, from_scene, declared, name, tables, Glance(state=state, **about))
 
-    def finish(self, lead: float) -> tuple[Fitted, bool]:
+    def finish(self, lead: float, dark: Dark) -> tuple[Fitted, bool]:
         """The best of all tables, refined by them (`Effect.refinements`), and whether its fit was given up; `lead` is
         the log-likelihood of the best other candidate. Best by likelihood, less half a ln(pixels) for each parameter:
         three that shift the world are not taken for what two explain."""
@@ -114,7 +115,7 @@ class Screening:
         before = self.base.log_likelihood
         if CLIMB * (found[best].log_likelihood - before) < lead - before:
             return found[best], given_up[best]
-        refined = _refined(self.bench, found[best], self.name, self.tables)
+        refined = _refined(self.bench, found[best], self.name, self.tables, dark)
         return refined, given_up[best] and refined.log_likelihood < lead
 
     def _run(self, problem: FitProblem, state: FitState, until: int, limit: float = -np.inf) -> FitState:
@@ -132,14 +133,20 @@ def _fitted(bench: Bench, problem: FitProblem, state: FitState) -> Fitted:
     return fitted_at(bench, problem, state.best_x, state.best_loss, state.iteration)
 
 
-def _refined(bench: Bench, fitted: Fitted, name: str, others: Sequence[Mapping[str, Any]]) -> Fitted:
-    """Uphill through the effect's refinements, its own parameters fitted at each, and everything at the end."""
+def _refined(
+    bench: Bench, fitted: Fitted, name: str, others: Sequence[Mapping[str, Any]], dark: Dark
+) -> Fitted:
+    """Uphill through the effect's refinements, its own parameters fitted at each, and everything at the end. None that
+    dark pixels contradict is taken."""
     scene = fitted.scene
     climbing = True
     while climbing:
         climbing = False
         known: dict[tuple[str, ...], float] = {}  # log-likelihood of the scene as it is, by views
-        for table, chosen in get(name).refinements(scene, scene.effects[name], others):
+        for offered, chosen in get(name).refinements(scene, scene.effects[name], others):
+            table = dark.completed(scene, name, offered)
+            if table is not offered and _same_settings(name, table, scene.effects[name]):
+                continue
             views = _views(scene, name, table)
             if views not in known:
                 known[views] = _log_likelihood(bench, scene, views)
@@ -155,6 +162,10 @@ def _refined(bench: Bench, fitted: Fitted, name: str, others: Sequence[Mapping[s
         return fitted
     problem = bench.problem(scene)
     return fitted_at(bench, problem, *descend(problem, [problem.x0], quick=True))
+
+
+def _same_settings(name: str, one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
+    return all(one.get(setting.name) == other.get(setting.name) for setting in get(name).settings)
 
 
 def _views(scene: Scene, name: str, table: Mapping[str, Any]) -> tuple[str, ...]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -14,7 +15,6 @@ from warpsar.diagnosis.refit import Fitted
 from warpsar.diagnosis.screening import Screening
 from warpsar.diagnosis.survey import surveyed
 from warpsar.diagnosis.templates import Template
-from warpsar.effects.registry import get
 from warpsar.scene.scene import Scene
 
 GLANCED = 8  # candidates that get a few iterations
@@ -40,7 +40,7 @@ def refits(
     def glance(effect: str) -> Screening:
         trials = [template.trial for template in templates[effect]][:OFFERED]
         tables = [table for trial in trials for table in surveyed(bench, from_scene, effect, trial)]
-        return Screening(bench, base, from_scene, declared, effect, tables)
+        return Screening(bench, base, from_scene, declared, effect, _distinct(dark, base.scene, effect, tables))
 
     screenings = bench.ranks.deal_out(
         [partial(glance, candidate.effect) for candidate in passing[:GLANCED]],
@@ -49,14 +49,14 @@ def refits(
     )
     order = sorted(zip(passing, screenings, strict=False), key=lambda pair: -pair[1].glanced.log_likelihood)
     if dark.asks:
-        order.sort(key=lambda pair: not get(pair[0].effect).additive)
+        order.sort(key=lambda pair: not dark.answered_by(pair[0].effect))
 
     def lead_over(one: Screening) -> float:
         others = (other.glanced.log_likelihood for other in screenings if other is not one)
         return -np.inf if dark.asks else max(others, default=-np.inf)
 
     finished = bench.ranks.deal_out(
-        [partial(screening.finish, lead_over(screening)) for _, screening in order[:most]],
+        [partial(screening.finish, lead_over(screening), dark) for _, screening in order[:most]],
         told=lambda result: [result[0].told(), result[1]],
         heard=lambda told: (Fitted.heard(bench, base.scene, told[0]), told[1]),
     )
@@ -65,4 +65,16 @@ def refits(
         if given_up:
             candidate.remark("its fit was given up, far behind")
         found.append((candidate, fitted))
+    return found
+
+
+def _distinct(
+    dark: Dark, scene: Scene, effect: str, tables: Sequence[Mapping[str, Any]]
+) -> list[Mapping[str, Any]]:
+    """The tables as the dark pixels complete them, each once."""
+    found: list[Mapping[str, Any]] = []
+    for table in tables:
+        completed = dark.completed(scene, effect, table)
+        if completed not in found:
+            found.append(completed)
     return found

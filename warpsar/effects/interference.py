@@ -17,6 +17,10 @@ from warpsar.world.world import World
 
 _MOVES = (-4, -1, 1, 4)  # of an end of a band, in rows
 _HEIGHTS_PX = (1, 4, 16)  # of the bands that are tried, at steps of half their height
+_KNOWN_PX = 8  # dark pixels from which they say whether a row holds power
+# Of a row's mean: a pixel with less holds none. Of one look 2 % have as little.
+_HOLDS = 0.02
+_ALL = 0.8  # share of a row's dark pixels that hold power, under which something else stands in it
 
 
 def _bands(value: Any) -> bool:
@@ -36,6 +40,12 @@ def _bands(value: Any) -> bool:
 def _overlap(band: Sequence[int], others: Sequence[Sequence[int]]) -> bool:
     """Whether a band meets one of the others or the row beside it: then the other one should move instead."""
     return any(band[0] <= end and first <= band[1] for first, end in others)
+
+
+def _bands_of(rows: np.ndarray) -> list[list[int]]:
+    """The rows that are true, as [first, end] bands."""
+    steps = np.flatnonzero(np.diff(np.concatenate([[0], rows.astype(int), [0]])))
+    return [[int(first), int(end)] for first, end in steps.reshape(-1, 2)]
 
 
 _BANDS = {
@@ -113,6 +123,33 @@ class Interference(Effect):
                     found.append(Trial((step,), (at,), f"{view.name}, rows {band[0]} to {band[1] - 1}"))
         return found
 
+    def placed_in_the_dark(
+        self, scene: World, table: Mapping[str, Any], power: Mapping[str, np.ndarray]
+    ) -> Mapping[str, Any] | None:
+        """Rows that hold power from end to end; known rows without it are taken out of the table."""
+        level, rows = dict(table.get("level", {})), dict(table.get("rows", {}))
+        found = False
+        for view, image in power.items():
+            known = np.isfinite(image).sum(axis=1) >= _KNOWN_PX
+            mean = np.array([np.nanmean(row) if k else 0.0 for row, k in zip(image, known, strict=True)])
+            with np.errstate(invalid="ignore"):
+                share = np.nanmean(np.where(np.isfinite(image), image > _HOLDS * mean[:, None], np.nan)[known], axis=1)
+            hit = np.zeros(len(image), bool)
+            hit[known] = (share > _ALL) & (mean[known] > 0)
+            found |= bool(hit.any())
+            stated = np.zeros(len(image), bool)
+            for first, end in rows.get(view, []):
+                stated[first:end] = True
+            bands = _bands_of(np.where(known, hit, stated))
+            if bands:
+                rows[view] = bands
+                if hit.any():
+                    level[view] = float(mean[hit].mean())
+            else:
+                rows.pop(view, None)
+                level.pop(view, None)
+        return {**table, "level": level, "rows": rows} if found and rows else None
+
     def refinements(
         self, scene: World, table: Mapping[str, Any], others: Sequence[Mapping[str, Any]]
     ) -> list[tuple[Mapping[str, Any], int]]:
@@ -128,11 +165,10 @@ class Interference(Effect):
                     for band in moved
                     if 0 <= band[0] < band[1] <= scene.grid.shape[0] and not _overlap(band, rest)
                 ]
-        for other in others:
-            ((view, (band,)),) = other["rows"].items()
+        for other, view, band in ((o, v, b) for o in others for v, bands in o["rows"].items() for b in bands):
             if not _overlap(band, rows.get(view, [])):
                 added = {
-                    "level": {**other["level"], **table["level"]},
+                    "level": {view: other["level"][view], **table["level"]},
                     "rows": {**rows, view: sorted([*rows.get(view, []), list(band)])},
                 }
                 found.append((added, 1))

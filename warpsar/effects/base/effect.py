@@ -72,6 +72,16 @@ class Effect:
         """
         return []
 
+    def placed_in_the_dark(
+        self, scene: World, table: Mapping[str, Any], power: Mapping[str, np.ndarray]
+    ) -> Mapping[str, Any] | None:
+        """`table` with the places at which it alone can put power into dark pixels; None where these say nothing.
+
+        `power` [beta0] by view name, shape (rows, cols), is measured where nothing else can be: 0 where nothing is,
+        NaN where this cannot be said.
+        """
+        return None
+
     def check(self, scene: World, table: Mapping[str, Any]) -> str | None:
         """What is wrong with a valid table in this scene; None if nothing. The text follows `effects.<name>`."""
         return None
