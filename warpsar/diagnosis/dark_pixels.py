@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -31,6 +31,13 @@ class DarkPixels:
     interior: np.ndarray
     allowed: float
 
+    @classmethod
+    def of(cls, seen: Observation, modelled: np.ndarray) -> DarkPixels:
+        """All dark pixels of an image; `modelled` is beta0 with its gain, shape (rows, cols)."""
+        lit = seen.interior & ~seen.dark
+        allowed = TRACE * float(np.median(modelled[lit])) if lit.any() else 0.0
+        return cls(seen, modelled, seen.dark, allowed)
+
     @property
     def looks(self) -> float:
         return self.seen.looks
@@ -44,6 +51,11 @@ class DarkPixels:
     def empty(self) -> np.ndarray:
         """Judged pixels where the model puts nothing: less than `NOTHING` of a trace."""
         return self.interior & (self.modelled <= NOTHING * self.allowed)
+
+    @property
+    def powered(self) -> np.ndarray:
+        """Judged pixels where the model puts a trace or more."""
+        return self.interior & (self.modelled >= self.allowed)
 
     @property
     def residual(self) -> np.ndarray:
@@ -67,10 +79,9 @@ def dark_pixels(problem: FitProblem, x: np.ndarray, other: FitProblem | None = N
     others = images if other is None else _images(other, x)
     found = []
     for seen, image, second in zip(problem.observations, images, others, strict=True):
-        lit = seen.interior & ~seen.dark
-        allowed = TRACE * float(np.median(image[lit])) if lit.any() else 0.0
-        apart = np.abs(image - second) > UNSURE * np.maximum(image, allowed)
-        found.append(DarkPixels(seen, image, seen.dark & ~(maximum_filter(apart, 3) & seen.dark), allowed))
+        one = DarkPixels.of(seen, image)
+        apart = np.abs(image - second) > UNSURE * np.maximum(image, one.allowed)
+        found.append(replace(one, interior=one.interior & ~maximum_filter(apart, 3)))
     return found
 
 

@@ -17,7 +17,8 @@ from warpsar.speckle.lines import Lines
 
 
 def scan_dark(bench: Bench, other_rays: Rays, base: Fitted, evidence: Evidence, seed: int) -> DarkScan | None:
-    """The strongest row, column or window of dark pixels about `base`; None where there are too few pixels.
+    """The strongest row, column or window of dark pixels about `base`; None where there are too few
+    pixels, or where model and images hold nothing.
 
     `other_rays` say where the model is unsure of its own power. The speckle is that of the lit pixels' `evidence`.
     """
@@ -27,6 +28,8 @@ def scan_dark(bench: Bench, other_rays: Rays, base: Fitted, evidence: Evidence, 
     if lines.pixels < DARK_PIXELS:
         return None
     found = lines.strongest([one.residual for one in pixels])
+    if found.z == 0.0:
+        return None  # nothing is measured there, and nothing is modelled
     score = float(lines.tail(seed, LARGEST)(abs(found.z)))
     one = pixels[found.observation]
     inside = _inside(one, found.rows, found.cols)

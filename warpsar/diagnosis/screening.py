@@ -133,9 +133,7 @@ def _fitted(bench: Bench, problem: FitProblem, state: FitState) -> Fitted:
     return fitted_at(bench, problem, state.best_x, state.best_loss, state.iteration)
 
 
-def _refined(
-    bench: Bench, fitted: Fitted, name: str, others: Sequence[Mapping[str, Any]], dark: Dark
-) -> Fitted:
+def _refined(bench: Bench, fitted: Fitted, name: str, others: Sequence[Mapping[str, Any]], dark: Dark) -> Fitted:
     """Uphill through the effect's refinements, its own parameters fitted at each, and everything at the end. None that
     dark pixels contradict is taken."""
     scene = fitted.scene

@@ -68,9 +68,7 @@ def refits(
     return found
 
 
-def _distinct(
-    dark: Dark, scene: Scene, effect: str, tables: Sequence[Mapping[str, Any]]
-) -> list[Mapping[str, Any]]:
+def _distinct(dark: Dark, scene: Scene, effect: str, tables: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
     """The tables as the dark pixels complete them, each once."""
     found: list[Mapping[str, Any]] = []
     for table in tables:

@@ -11,6 +11,7 @@ import warp as wp
 from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter, Setting
 from warpsar.effects.base.recorder import Recorder
+from warpsar.effects.base.signature import SeenImage, Signature, power_in
 from warpsar.effects.base.trial import Context, ScoreStep, Trial
 from warpsar.kernels.effects import interference as kernels
 from warpsar.world.world import World
@@ -107,6 +108,19 @@ class Interference(Effect):
                         f".rows.{name}: found [{first}, {end}]; allowed are rows of the image, to {scene.grid.shape[0]}"
                     )
         return None
+
+    def parts(self, image: SeenImage, table: Mapping[str, Any]) -> Mapping[str, np.ndarray]:
+        """A row holds the same power from end to end."""
+        bands = table.get("rows", {}).get(image.view.name, [])
+        rows = np.zeros(image.lit.shape, bool)
+        for first, end in bands:
+            rows[first:end] = True
+        return {name: half & rows for name, half in image.halves().items()}
+
+    def own_test(self, images: Sequence[SeenImage], table: Mapping[str, Any]) -> Signature:
+        """Its rows go on where nothing is lit."""
+        masks = [one.dark & (one.with_it > 1.5 * one.without) for one in images]
+        return power_in(images, masks, "interference", "in the dark parts of its rows")
 
     def trials(self, context: Context) -> list[Trial]:
         """One view and one band of rows each; the next turn of the diagnosis finds what remains beside it."""
