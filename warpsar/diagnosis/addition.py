@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import asdict
 
 import numpy as np
 
@@ -12,6 +13,8 @@ from warpsar.diagnosis.dark import Dark
 from warpsar.diagnosis.found import Candidate, DiagnoseOptions, Turn
 from warpsar.diagnosis.left_out import leave_one_view_out, varies_over_columns
 from warpsar.diagnosis.refit import Fitted, settle
+from warpsar.diagnosis.signature import signature
+from warpsar.effects.base.signature import Signature
 from warpsar.effects.registry import get
 
 
@@ -63,6 +66,8 @@ def _added_for_the_dark(
     candidate, fitted = max(able, key=lambda pair: pair[1].whole)
     fitted = settle(bench, fitted, options.starts, options.seed)
     candidate.refit_gain = _gain(turn.base, fitted)
+    if not _earned(bench, turn.base, candidate, fitted):
+        return False
     turn.added, turn.fitted = candidate.effect, fitted
     for other, _ in refits:
         if other is not candidate:
@@ -80,6 +85,8 @@ def _holds(bench: Bench, base: Fitted, candidate: Candidate, fitted: Fitted) -> 
     if varies_over_columns(bench, base, fitted, candidate.effect):
         candidate.refused = candidate.note = "not one value for a view: it varies over the view's columns"
         return False
+    if not _earned(bench, base, candidate, fitted):
+        return False
     if get(candidate.effect).in_image:
         candidate.carried = carried_over(bench, fitted, candidate.effect)
     if candidate.shared:
@@ -89,6 +96,15 @@ def _holds(bench: Bench, base: Fitted, candidate: Candidate, fitted: Fitted) -> 
             candidate.refused = shared
             return False
     return True
+
+
+def _earned(bench: Bench, base: Fitted, candidate: Candidate, fitted: Fitted) -> bool:
+    """Whether nothing in the effect's own test speaks against its name. Fills in the candidate's record."""
+    own = signature(bench, base, fitted, candidate.effect)
+    candidate.signature = own = Signature(**bench.ranks.gather(asdict(own))[0])
+    if own.outcome == "against":
+        candidate.refused = f"its own test speaks against it: {own.text}"
+    return own.outcome != "against"
 
 
 def _shared_note(candidate: Candidate) -> str:

@@ -11,11 +11,12 @@ from warpsar.diagnosis.content import content_of
 from warpsar.diagnosis.course import begun
 from warpsar.diagnosis.found import DiagnoseOptions
 from warpsar.diagnosis.judge import ROLES
+from warpsar.diagnosis.left_words import first_sentence
 from warpsar.diagnosis.procedure import diagnose_scene
 from warpsar.diagnosis.report import write_report
 from warpsar.diagnosis.result import Diagnosed, judged, moved_parameters
 from warpsar.io import checkpoint
-from warpsar.runtime import distributed
+from warpsar.runtime import console, distributed
 from warpsar.simulation.outputs import opened, write_json
 
 
@@ -50,6 +51,8 @@ def run(
         content = write_json(out / "diagnosis.json", scene, where, options.seed, started, content)
         write_report(out / "report.html", done, moves, content, command_line(scene_path, out, where.alias, options))
         checkpoint.remove(out)
+        if found.unexplained:
+            console.say(first_sentence(done.left))
         print(in_short(done), file=sys.stdout)
         return content
 

@@ -14,6 +14,7 @@ from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.found import Candidate, DarkScan, DiagnoseOptions, Turn
 from warpsar.diagnosis.left_out import LeftOut
 from warpsar.diagnosis.refit import Fitted
+from warpsar.effects.base.signature import Signature
 from warpsar.errors import InputError
 from warpsar.io import checkpoint
 from warpsar.learning.learn import tag_of
@@ -103,7 +104,12 @@ def _heard(told: Mapping[str, Any], bench: Bench, base: Fitted) -> Turn:
     candidates = []
     for each in told["candidates"]:
         left = each["left_out"]
-        candidates.append(Candidate(**{**each, "left_out": None if left is None else LeftOut(**left)}))
+        own = each["signature"]
+        parts = {
+            "left_out": None if left is None else LeftOut(**left),
+            "signature": None if own is None else Signature(**own),
+        }
+        candidates.append(Candidate(**{**each, **parts}))
     fitted = None if told["fitted"] is None else Fitted.heard(bench, base.scene, told["fitted"])
     about = {**told, "candidates": candidates, "spot": Spot(**told["spot"]), "fitted": fitted}
     about["dark"] = None if told["dark"] is None else DarkScan.of(told["dark"])

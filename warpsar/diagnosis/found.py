@@ -12,6 +12,7 @@ from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.carried import is_carried
 from warpsar.diagnosis.left_out import LeftOut
 from warpsar.diagnosis.refit import Fitted
+from warpsar.effects.base.signature import Signature
 from warpsar.errors import InputError
 from warpsar.learning.observation import Observation
 from warpsar.scene.scene import Scene
@@ -64,6 +65,7 @@ class Candidate:
     refit_size: int | None = None
     left_out: LeftOut | None = None
     carried: float | None = None  # share of its gain that the surface carries from view to view
+    signature: Signature | None = None  # what its own test says
     refused: str = ""  # why it was not added, where it was fitted or could not be
     note: str = ""
 

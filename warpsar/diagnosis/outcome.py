@@ -7,6 +7,8 @@ from typing import Any
 from warpsar.diagnosis.found import Candidate, Turn
 from warpsar.evaluation.report_parts import plus_minus
 
+_SIGNATURE = {"confirmed": "its own test confirms it", "none": "its own test does not decide"}
+
 
 def score_text(score: float) -> str:
     """A score, -ln p."""
@@ -51,6 +53,8 @@ def outcome(candidate: Candidate, turn: Turn) -> str:
     if candidate.left_out is not None and candidate.left_out.views > 1:
         gain = plus_minus(candidate.left_out.gain, candidate.left_out.error).replace("±\u00a0", "+- ")
         said.append(f"views left out gain {gain} in ln L")
+    if candidate.signature is not None and candidate.signature.outcome != "against":
+        said.append(f"{_SIGNATURE[candidate.signature.outcome]}: {candidate.signature.text}")
     if candidate.effect != turn.added:
         said.append(candidate.refused or _not_fitted(turn))
     said += [note for note in candidate.note.split("; ") if note and note not in said]

@@ -8,6 +8,7 @@ import numpy as np
 
 from warpsar.diagnosis.found import Candidate, DiagnoseOptions, Diagnosis
 from warpsar.diagnosis.judge import ROLES, Judge, Judged, JudgedMetrics, pool
+from warpsar.diagnosis.left import Left, left_of
 from warpsar.diagnosis.place import Place, place
 from warpsar.diagnosis.procedure import diagnose_scene
 from warpsar.diagnosis.refit import Fitted
@@ -22,12 +23,14 @@ SAME_SD = 2.0  # a parameter that moved by more of its standard deviations than 
 @dataclass(frozen=True)
 class Diagnosed:
     """A diagnosis with what came of it on all views. `models`: the declared model and the one after every addition,
-    each as `Judged` images of train and test views; `place`: the strongest window of what is left at the end."""
+    each as `Judged` images of train and test views; `place`: the strongest window of what is left at the end; `left`:
+    what is left altogether."""
 
     diagnosis: Diagnosis
     judge: Judge
     models: list[list[Judged]]
     place: Place
+    left: Left
 
     @property
     def before(self) -> dict[str, JudgedMetrics | None]:
@@ -54,7 +57,7 @@ def judged(found: Diagnosis) -> Diagnosed:
     """Judge every turn's model on all views."""
     judge = Judge(found)
     models = [judge(fitted.scene) for fitted in fitted_models(found)]
-    return Diagnosed(found, judge, models, place(found, models[-1], found.turns[-1].spot))
+    return Diagnosed(found, judge, models, place(found, models[-1], found.turns[-1].spot), left_of(found, models[-1]))
 
 
 def fitted_models(found: Diagnosis) -> list[Fitted]:

@@ -25,8 +25,8 @@ class Observation:
     `interior`: lit by the declared model with all eight neighbours, off the image's edge, unmasked, finite and
     positive. `silent`: the same, but exactly 0, which the gamma likelihood does not allow. `dark`: far from
     everything lit, off the edge, unmasked and finite; zeros are included.
-    `least` [beta0 before any gain], if given, is a lower bound of the modelled beta0 of each pixel that is not `dark`:
-    a model's rays can miss so much.
+    `least` [beta0 before any gain], if given, is a lower bound of the modelled beta0 of each pixel: a model's rays can
+    miss so much.
     """
 
     view: View
@@ -66,7 +66,7 @@ class Observation:
         """The lower bound of modelled beta0: one for all pixels, shape (1,), or shape (n,), float32."""
         if self.least is None:
             return np.array([DARKEST], np.float32)
-        return np.maximum(np.where(self.dark, 0.0, self.least)[self.interior], DARKEST).astype(np.float32)
+        return np.maximum(self.least[self.interior], DARKEST).astype(np.float32)
 
     @property
     def values(self) -> np.ndarray:
