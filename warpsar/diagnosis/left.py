@@ -81,7 +81,11 @@ def left_of(found: Diagnosis, images: Sequence[Judged]) -> Left:
     """What `images`, the final model's, leave. Nothing is fitted or decided here."""
     train = [image for image in images if image.role == "train"]
     seen = [now.seen for now in train]
-    masks = [one.interior & ~one.dark for one in found.observations]
+    dark = [image.dark for image in train]
+    masks = [
+        (one.interior | (one.silent & (image.modelled > pixels.allowed))) & ~one.dark
+        for one, image, pixels in zip(found.observations, train, dark, strict=True)
+    ]
     ratios = [_ratio(image, mask) for image, mask in zip(train, masks, strict=True)]
     residuals = [
         np.where(mask, np.clip(np.sqrt(one.looks) * (ratio - 1.0), -LARGEST, LARGEST), 0.0)
@@ -91,7 +95,6 @@ def left_of(found: Diagnosis, images: Sequence[Judged]) -> Left:
     autocovariance, _ = own_autocovariance(patches)  # what is left shall not excuse itself
     spread = max(float(autocovariance.sum()), 1e-3)
     last = found.turns[-1]
-    dark = [image.dark for image in train]
     in_the_dark = last.dark is not None and last.dark.minus_log_p > max(last.scan_minus_log_p, last.threshold)
     number = last.dark.observation if in_the_dark and last.dark is not None else last.spot.observation
     if in_the_dark:

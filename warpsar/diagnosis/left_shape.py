@@ -119,7 +119,9 @@ def spectrum_of(
     # slow changes are not called periodic: fewer than two periods would fit
     extent = [n * step for n, step in zip(_extent(mask), spacing_m, strict=True)]
     slow = np.hypot(down[:, None] * extent[0], across[None] * extent[1]) < SLOWEST
-    tried = np.where(slow, 0.0, power)
+    # a frequency that is its own conjugate (0 or the highest along both axes) has one degree of freedom, not two
+    single = [np.isclose(2.0 * at * step % 1.0, 0.0) for at, step in zip((down, across), spacing_m, strict=True)]
+    tried = np.where(slow, 0.0, np.where(single[0][:, None] & single[1][None], 0.5, 1.0) * power)
     i, j = np.unravel_index(int(np.argmax(tried)), tried.shape)
     frequency = float(np.hypot(down[i], across[j]))
     independent = max(int(mask.sum()) // 2, 1)

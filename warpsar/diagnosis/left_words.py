@@ -18,8 +18,8 @@ _MOVES = {
     "processing",
     "both": "Other views show it at the same place of the surface and of the image: they look too much alike to tell "
     "which",
-    "neither": "No other view shows it, neither at the same place of the surface nor of the image: look at this image "
-    "alone",
+    "neither": "No other view shows it clearly, neither at the same place of the surface nor of the image: look at "
+    "this image first",
     "one view": "There is one view alone, so nothing says whether it moves with the surface or with the image",
 }
 
