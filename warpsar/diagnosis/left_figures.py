@@ -46,14 +46,14 @@ def worst_view(left: Left, spacing_m: Sequence[float]) -> Figure:
     axis.set_xlabel("azimuth about the reference point [m]")
     axis.set_ylabel("slant range about the reference point [m]")
     axis.set_title(left.image, fontsize=9)
-    figure.colorbar(shown, ax=axis, label="(measured - modelled) / modelled, in standard deviations of speckle")
+    figure.colorbar(shown, ax=axis, label="residual [standard deviations of speckle]")
     return figure
 
 
 def in_plan(found: Diagnosis, left: Left) -> Figure:
     """The residual where it lies on the surface, seen from above: the mean over all views that see the place."""
     scene = found.final.scene
-    cell = float(max(scene.grid.spacing_m))
+    cell = 1.5 * float(max(scene.grid.spacing_m))
     rows, cols = scene.grid.shape
     places, values, weights = [], [], []
     for seen, residual in zip(found.observations, left.residuals, strict=True):
@@ -81,7 +81,7 @@ def in_plan(found: Diagnosis, left: Left) -> Figure:
     axis.set_xlabel("east [m]")
     axis.set_ylabel("north [m]")
     axis.set_title(f"all train views, from above, over {SMOOTHED} x {SMOOTHED} pixels", fontsize=9)
-    figure.colorbar(shown, ax=axis, label="mean residual, in standard deviations of one pixel's speckle")
+    figure.colorbar(shown, ax=axis, label="mean residual [standard deviations]")
     return figure
 
 
@@ -106,7 +106,7 @@ def spectrum(left: Left, spacing_m: Sequence[float]) -> Figure:
     left_axis.set_xlabel("azimuth [1/m]")
     left_axis.set_ylabel("range [1/m]")
     left_axis.set_title(left.image, fontsize=9)
-    figure.colorbar(shown, ax=left_axis, label="power over that of speckle [dB]")
+    figure.colorbar(shown, ax=left_axis, label="over speckle [dB]")
     residual = left.residuals[left.number]
     for axis, name, along, step in ((upper, "slant range", 1, spacing_m[0]), (lower, "azimuth", 0, spacing_m[1])):
         count = (residual != 0).sum(axis=along)

@@ -22,7 +22,6 @@ from warpsar.effects.base.parameter import Parameter
 from warpsar.effects.base.signature import (
     AT_LEAST,
     AT_MOST,
-    FEWEST,
     KNOWN,
     SURE,
     SeenImage,
@@ -36,8 +35,9 @@ from warpsar.scene.scene import Scene
 
 STEP = 0.05  # of the effect's amplitude, by which it is changed for a derivative
 CUT = 5.0  # standard deviations at which a residual is cut off
-BLOCK = 8  # pixels on a side of the blocks that the error of an amplitude comes from
-FEWEST_BLOCKS = 6
+BLOCK = 4  # pixels on a side of the blocks that the error of an amplitude comes from
+FEWEST_BLOCKS = 4
+FEWEST = 20  # pixels of a place; fewer say nothing
 RANK = 1e-5  # of the strongest direction of the fitted parameters in a place; weaker ones are rounding
 
 
@@ -67,7 +67,10 @@ def _judged(found: Sequence[Amplitude]) -> Signature:
     known = [one for one in found if one.error < KNOWN]
     numbers = {f"{one.part}: {key}": getattr(one, key) for one in known for key in ("value", "error")}
     said = ", ".join(f"{one.part} {one.value:.2f} +- {one.error:.2f}" for one in known)
-    wrong = [one for one in found if one.value + SURE * one.error < AT_LEAST or one.value - SURE * one.error > AT_MOST]
+    whole = Amplitude("the whole", 1.0, 0.0)
+    wrong = [
+        one for one in found if _less(one, whole) or _less(whole, one) or any(_less(one, other) for other in found)
+    ]
     if wrong:
         some = ", ".join(f"{one.part} holds {one.value:.2f} +- {one.error:.2f} of it" for one in wrong)
         numbers |= {f"{one.part}: {key}": getattr(one, key) for one in wrong for key in ("value", "error")}
@@ -76,6 +79,13 @@ def _judged(found: Sequence[Amplitude]) -> Signature:
     if len(held) > 1 and len(held) == len(known):
         return Signature("confirmed", f"its size by place, 1 in all: {said}", numbers)
     return Signature("none", f"too few data for a test by place{': ' if said else ''}{said}", numbers)
+
+
+def _less(one: Amplitude, other: Amplitude) -> bool:
+    """Whether one place holds less than half of what the other does, surely."""
+    if not math.isfinite(one.error + other.error):
+        return False
+    return AT_LEAST * other.value - one.value > SURE * math.hypot(one.error, AT_LEAST * other.error)
 
 
 def amplitudes(bench: Bench, fitted: Fitted, effect: str, parts: Sequence[Mapping[str, np.ndarray]]) -> list[Amplitude]:

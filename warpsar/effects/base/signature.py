@@ -101,7 +101,8 @@ def power_in(images: Sequence[SeenImage], masks: Sequence[np.ndarray], what: str
     said = f"{shares.size} pixels {where} measure {share:.2f} +- {error:.2f} of the power that {what} has there"
     if share + SURE * error < AT_LEAST or share - SURE * error > AT_MOST:
         return Signature("against", said, numbers)
-    return Signature("confirmed" if error < KNOWN else "none", said, numbers)
+    held = error < KNOWN and AT_LEAST < share < AT_MOST
+    return Signature("confirmed" if held else "none", said, numbers)
 
 
 def looks_on(images: Sequence[SeenImage], masks: Sequence[np.ndarray]) -> tuple[float, float]:
@@ -115,7 +116,7 @@ def looks_on(images: Sequence[SeenImage], masks: Sequence[np.ndarray]) -> tuple[
         if mask.sum() < FEWEST:
             continue
         low, high = np.percentile(one.measured[mask] / one.with_it[mask], [25, 75])
-        tried = one.looks * np.exp(np.linspace(-2.0, 2.0, 161))
+        tried = one.looks * np.exp(np.linspace(-3.0, 3.0, 241))
         ratio = gamma.ppf(0.75, tried) / gamma.ppf(0.25, tried)  # falls
         logs.append(np.interp(-high / max(low, 1e-30), -ratio, np.log(tried / one.looks)))
         weights.append(float(mask.sum()))
