@@ -54,7 +54,8 @@ class Left:
     train image that shows it best, `number` in the order of the train images. `shape`, `spectrum`: of its residual
     there. `ratio_db`: measured over modelled power in the shape's rectangle with its standard error [dB], NaN where the
     model has none. `residuals`: of all train images, in standard deviations, shape (rows, cols), 0 where nothing is
-    compared. `clipped`: images with a top level, and how many pixels measure it.
+    compared; `masks` say where something is. `spread`: the variance of a sum of them over that of white ones.
+    `clipped`: images with a top level, and how many pixels measure it.
     """
 
     unexplained: bool
@@ -74,6 +75,7 @@ class Left:
     clipped: dict[str, int]
     nearest: list[Near]
     residuals: list[np.ndarray]
+    masks: list[np.ndarray]
     spread: float
 
 
@@ -137,6 +139,7 @@ def left_of(found: Diagnosis, images: Sequence[Judged]) -> Left:
         clipped={image.name: n for image in train if (n := _clipped(image))},
         nearest=nearest(last, impossible(dark)),
         residuals=residuals,
+        masks=[m | pixels.interior for m, pixels in zip(masks, dark, strict=True)] if in_the_dark else masks,
         spread=spread,
     )
 
@@ -195,8 +198,8 @@ def _in_rectangle(image: Judged, mask: np.ndarray, shape: Shape, spread: float, 
 def _in_the_dark(name: str, one: DarkPixels) -> InTheDark:
     inside = one.interior
     impossible = int((one.empty & (one.measured > one.allowed)).sum())
-    means = (float(plane[inside].mean()) for plane in (one.measured, one.modelled))
-    return InTheDark(name, int(inside.sum()), *means, impossible)
+    measured, modelled = (float(plane[inside].mean()) for plane in (one.measured, one.modelled))
+    return InTheDark(name, int(inside.sum()), measured, modelled, impossible)
 
 
 def _clipped(image: Judged) -> int:

@@ -31,7 +31,7 @@ def worst_view(left: Left, spacing_m: Sequence[float]) -> Figure:
     down, across = spacing_m
     extent = (-cols / 2 * across, cols / 2 * across, rows / 2 * down, -rows / 2 * down)
     shown = axis.imshow(
-        np.where(residual == 0, np.nan, residual),
+        np.where(left.masks[left.number], residual, np.nan),
         cmap=_colours(),
         vmin=-REACH_SD,
         vmax=REACH_SD,
@@ -56,13 +56,11 @@ def in_plan(found: Diagnosis, left: Left) -> Figure:
     cell = 1.5 * float(max(scene.grid.spacing_m))
     rows, cols = scene.grid.shape
     places, values, weights = [], [], []
-    for seen, residual in zip(found.observations, left.residuals, strict=True):
+    for seen, residual, mask in zip(found.observations, left.residuals, left.masks, strict=True):
         hits = found.bench.rays.hits(found.scene, seen.view, [])
         pixel = hits.pixel.numpy()
-        use = (pixel < rows * cols) & (residual.ravel()[np.minimum(pixel, rows * cols - 1)] != 0)
-        mean = uniform_filter(residual, SMOOTHED) / np.maximum(
-            uniform_filter((residual != 0).astype(float), SMOOTHED), 1e-6
-        )
+        use = (pixel < rows * cols) & mask.ravel()[np.minimum(pixel, rows * cols - 1)]
+        mean = uniform_filter(residual, SMOOTHED) / np.maximum(uniform_filter(mask.astype(float), SMOOTHED), 1e-6)
         places.append(hits.point.numpy()[use, :2].astype(float) + np.asarray(scene.reference_point_m)[:2])
         values.append(mean.ravel()[pixel[use]])
         weights.append(hits.weight.numpy()[use].astype(float))
@@ -70,8 +68,8 @@ def in_plan(found: Diagnosis, left: Left) -> Figure:
     figure, axis = new(5.2, 4.4)
     low, high = at.min(axis=0), at.max(axis=0)
     edges = [np.arange(a, b + 2 * cell, cell) for a, b in zip(low, high, strict=True)]
-    total, _, _ = np.histogram2d(*at.T, bins=edges, weights=value * weight)
-    light, _, _ = np.histogram2d(*at.T, bins=edges, weights=weight)
+    east, north = at.T
+    total, light = (np.histogram2d(east, north, edges, weights=w)[0] for w in (value * weight, weight))
     with np.errstate(invalid="ignore", divide="ignore"):
         mean = total / light
     reach = REACH_SD / 2.0
@@ -107,9 +105,9 @@ def spectrum(left: Left, spacing_m: Sequence[float]) -> Figure:
     left_axis.set_ylabel("range [1/m]")
     left_axis.set_title(left.image, fontsize=9)
     figure.colorbar(shown, ax=left_axis, label="over speckle [dB]")
-    residual = left.residuals[left.number]
+    residual, mask = left.residuals[left.number], left.masks[left.number]
     for axis, name, along, step in ((upper, "slant range", 1, spacing_m[0]), (lower, "azimuth", 0, spacing_m[1])):
-        count = (residual != 0).sum(axis=along)
+        count = mask.sum(axis=along)
         mean = np.where(count > 0, residual.sum(axis=along) / np.maximum(count, 1), np.nan)
         error = np.where(count > 0, np.sqrt(left.spread / np.maximum(count, 1)), np.nan)
         at = (np.arange(mean.size) + 0.5 - mean.size / 2) * step

@@ -52,10 +52,10 @@ def moves_with(
             carried += on_the_surface(bench, scene, mine.view, seen[o], fields[o])
         by_surface = np.where(carried[1] > 0, carried[0] / np.where(carried[1] > 0, carried[1], 1.0), 0.0)
         by_image = np.mean([fields[o] for o in others], axis=0).ravel()
-        for way, field in enumerate((by_surface, by_image)):
+        for which, field in enumerate((by_surface, by_image)):
             field = np.where(here.ravel(), field, 0.0)
-            scores[way] += float(field @ own.ravel())
-            energies[way] += float(field @ field) * float(own[here].var()) * spread
+            scores[which] += float(field @ own.ravel())
+            energies[which] += float(field @ field) * float(own[here].var()) * spread
     surface, image = scores / np.sqrt(np.maximum(energies, 1e-12))
     way = "neither"
     if max(surface, image) > SURE:

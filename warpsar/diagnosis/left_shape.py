@@ -15,6 +15,7 @@ BROAD = 17  # pixels on both sides: not a patch any more
 POINT = 3  # pixels on both sides, at most
 SLOWEST = 2.0  # periods that must fit into the image
 PERIODIC = 1e-3  # chance of any such peak by speckle
+CHIEF = 0.5  # of all power over speckle's, that lies about the peak of what is called periodic
 
 
 @dataclass(frozen=True)
@@ -38,7 +39,7 @@ class Spectrum:
 
     `power`: over what speckle has there, shape (rows, cols), frequencies ascending along both axes, `per_m_range` and
     `per_m_azimuth` [1/m]. `peak_range`, `peak_azimuth` [1/m]: the strongest one, with `period_m`; `minus_log_p`: -ln of
-    the chance that speckle has any as strong.
+    the chance that speckle has any as strong. `share`: of all power over that of speckle, what lies about the peak.
     """
 
     power: np.ndarray
@@ -48,10 +49,12 @@ class Spectrum:
     peak_azimuth: float
     period_m: float
     minus_log_p: float
+    share: float
 
     @property
     def periodic(self) -> bool:
-        return self.minus_log_p > -np.log(PERIODIC)
+        """A single line has all frequencies alike; what repeats has one above all."""
+        return self.minus_log_p > -np.log(PERIODIC) and self.share > CHIEF
 
 
 def shape_of(
@@ -133,4 +136,15 @@ def spectrum_of(
         float(across[j] * (np.sign(down[i]) or 1.0)),
         1.0 / frequency if frequency > 0 else float("inf"),
         float(tried[i, j] - np.log(independent)),
+        _share_about(np.maximum(power - 1.0, 0.0), int(i), int(j)),
     )
+
+
+def _share_about(excess: np.ndarray, row: int, col: int) -> float:
+    """The share of a sum that lies within a bin of a frequency and of its conjugate."""
+    rows, cols = excess.shape
+    near = np.zeros(excess.shape, bool)
+    # the image is real: the frequency of the opposite sign has the same power
+    for i, j in ((row, col), (2 * (rows // 2) - row, 2 * (cols // 2) - col)):
+        near[np.ix_(np.arange(i - 1, i + 2) % rows, np.arange(j - 1, j + 2) % cols)] = True
+    return float(excess[near].sum() / max(float(excess.sum()), 1.0))

@@ -77,7 +77,7 @@ class Lines:
 
     def _lines(self, image: Compared, part: np.ndarray) -> list[np.ndarray]:
         """z of every row and of every column, shape (lines, draws); 0 where fewer than `SHORTEST` pixels are."""
-        found = []
+        found: list[np.ndarray] = []
         for index, inflation in zip(np.nonzero(image.interior), self._along, strict=True):
             lines = image.interior.shape[len(found)]
             total = np.zeros((lines, part.shape[1]))
