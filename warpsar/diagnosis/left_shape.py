@@ -15,6 +15,7 @@ BROAD = 17  # pixels on both sides: not a patch any more
 POINT = 3  # pixels on both sides, at most
 SLOWEST = 2.0  # periods that must fit into the image
 PERIODIC = 1e-3  # chance of any such peak by speckle
+FAINT = 4.0  # times the power of speckle, that one frequency in fifty has by chance
 CHIEF = 0.5  # of all power over speckle's, that lies about the peak of what is called periodic
 
 
@@ -39,7 +40,8 @@ class Spectrum:
 
     `power`: over what speckle has there, shape (rows, cols), frequencies ascending along both axes, `per_m_range` and
     `per_m_azimuth` [1/m]. `peak_range`, `peak_azimuth` [1/m]: the strongest one, with `period_m`; `minus_log_p`: -ln of
-    the chance that speckle has any as strong. `share`: of all power over that of speckle, what lies about the peak.
+    the chance that speckle has any as strong. `share`: of all power that
+    stands out of speckle, what lies about the peak.
     """
 
     power: np.ndarray
@@ -136,7 +138,7 @@ def spectrum_of(
         float(across[j] * (np.sign(down[i]) or 1.0)),
         1.0 / frequency if frequency > 0 else float("inf"),
         float(tried[i, j] - np.log(independent)),
-        _share_about(np.maximum(power - 1.0, 0.0), int(i), int(j)),
+        _share_about(np.maximum(power - FAINT, 0.0), int(i), int(j)),
     )
 
 

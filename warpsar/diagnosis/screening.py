@@ -89,7 +89,7 @@ class Screening:
         name, tables, state = about.pop("name"), about.pop("tables"), FitState.from_arrays(about.pop("state"))
         return cls(bench, base, from_scene, declared, name, tables, Glance(state=state, **about))
 
-    def finish(self, lead: float, dark: Dark) -> tuple[Fitted, bool]:
+    def finish(self, lead: float, dark: Dark = Dark(0, 0)) -> tuple[Fitted, bool]:
         """The best of all tables, refined by them (`Effect.refinements`), and whether its fit was given up; `lead` is
         the log-likelihood of the best other candidate. Best by likelihood, less half a ln(pixels) for each parameter:
         three that shift the world are not taken for what two explain."""
