@@ -13,6 +13,9 @@ score.py           how well a template fits the residual, beyond what the surfac
 bootstrap.py       how large the largest score gets by speckle alone
 scoring.py         what each effect scores in one turn
 dark.py            what dark pixels say
+dark_pixels.py     what a model puts into dark pixels, and what is measured there
+dark_scan.py       whether something is left in dark pixels
+signature.py       whether an effect's name is earned
 shortlist.py       which candidates get a full fit
 screening.py       short fits of one candidate, given up where they fall far behind
 survey.py          where a fit begins that no derivative leads to
@@ -24,6 +27,12 @@ pruning.py         which earlier effects the newest one has made needless
 outcome.py         what became of every effect in a turn, in words
 judge.py           how far models are from all images, test views among them
 place.py           where on the surface something is left
+left.py            what is left at the end
+left_shape.py      its shape and its spectrum
+left_moves.py      whether it moves with the surface or with the image
+left_words.py      what is left, in sentences and in diagnosis.json
+left_figures.py    what is left, in three pictures
+nearest.py         the explanations that come nearest, and what speaks against each
 projection.py      where a place of the world lies in an image
 content.py         what diagnosis.json holds
 report.py          the report's page

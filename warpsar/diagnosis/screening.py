@@ -32,6 +32,7 @@ STARTS = 4  # of the tables that an effect's best trials offer, how many are fit
 GLANCE = 4  # iterations after which candidates are compared for the first time
 CLIMB = 10.0  # times what an effect has gained, that refinements may bring
 WORTH = 2.0  # log-likelihood that another setting has to gain; five times as much if it adds something
+NO_DARK = Dark(0, 0)
 
 
 @dataclass(frozen=True)
@@ -89,7 +90,7 @@ class Screening:
         name, tables, state = about.pop("name"), about.pop("tables"), FitState.from_arrays(about.pop("state"))
         return cls(bench, base, from_scene, declared, name, tables, Glance(state=state, **about))
 
-    def finish(self, lead: float, dark: Dark = Dark(0, 0)) -> tuple[Fitted, bool]:
+    def finish(self, lead: float, dark: Dark = NO_DARK) -> tuple[Fitted, bool]:
         """The best of all tables, refined by them (`Effect.refinements`), and whether its fit was given up; `lead` is
         the log-likelihood of the best other candidate. Best by likelihood, less half a ln(pixels) for each parameter:
         three that shift the world are not taken for what two explain."""
