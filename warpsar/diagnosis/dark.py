@@ -81,7 +81,7 @@ def worth_a_refit(candidates: Sequence[Candidate], threshold: float, dark: Dark)
                 candidate.note = candidate.refused
         found = [c for c in found if not get(c.effect).is_floor]
     if dark.asks:
-        able = [c for c in order if c.testability != "absent" and dark.answered_by(c.effect)]
+        able = [c for c in order if c.testability == "testable" and dark.answered_by(c.effect)]
         for candidate in able:
             candidate.note = f"{dark.positive} of {dark.pixels} dark pixels measure power"
         found = able + [c for c in found if c not in able]

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-
 from warpsar.diagnosis.bench import Bench
 from warpsar.learning.observation import Observation
 from warpsar.scene.scene import Scene
 
-FAINT = 1e-6  # of the lit pixels' median
 SLIVER = 0.25  # of a ray's share of a pixel: darker than this no pixel is called that was lit
 
 
@@ -20,8 +17,7 @@ def frozen(one: Bench, other: Bench, scene: Scene) -> dict[str, list[Observation
     A pixel counts as lit if both sets of rays light it and its neighbours. Where one of them misses, the pixel's share
     of light is sampling noise. Where an effect has moved the light, a pixel may hold a sliver that no ray meets. Its
     model is then at least `SLIVER` of one ray's share of its declared beta0. A share of any brighter pixel would take
-    dim surfaces for dark. A dark pixel is at least `FAINT` of the lit ones' median: with less, one that measures power
-    would hide what all others say in the rounding of its own likelihood.
+    dim surfaces for dark.
     """
     ranks = one.ranks
     problems = ranks.agree(lambda: [bench.problem(scene, dark=False) for bench in (one, other)])
@@ -36,8 +32,7 @@ def frozen(one: Bench, other: Bench, scene: Scene) -> dict[str, list[Observation
             looks = float(ranks.same(mine.looks))
             interior, silent, dark = masks
             interior &= ~dark  # additive effects that are declared had them in it
-            faint = FAINT * np.median(image[interior]) if interior.any() else 0.0
-            least = ranks.same(np.where(dark, faint, SLIVER / rays_per_pixel * image))
+            least = ranks.same(SLIVER / rays_per_pixel * image)
             seen = replace(mine, interior=interior, silent=silent, dark=dark, looks=looks, least=least)
             found.setdefault(a.view.name, []).append(seen)
     return found
