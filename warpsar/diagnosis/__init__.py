@@ -14,6 +14,9 @@ bootstrap.py       how large the largest score gets by speckle alone
 partly_known.py    what a tolerance leaves of a parameter's freedom to imitate an effect
 scoring.py         what each effect scores in one turn
 dark.py            what dark pixels say
+dark_pixels.py     what a model puts into dark pixels, and what is measured there
+dark_scan.py       whether something is left in dark pixels
+signature.py       whether an effect's name is earned
 shortlist.py       which candidates get a full fit
 screening.py       short fits of one candidate, given up where they fall far behind
 survey.py          where a fit begins that no derivative leads to
@@ -26,6 +29,12 @@ outcome.py         what became of every effect in a turn, in words
 alternatives.py    which measurement would decide between two explanations
 judge.py           how far models are from all images, test views among them
 place.py           where on the surface something is left
+left.py            what is left at the end
+left_shape.py      its shape and its spectrum
+left_moves.py      whether it moves with the surface or with the image
+left_words.py      what is left, in sentences and in diagnosis.json
+left_figures.py    what is left, in three pictures
+nearest.py         the explanations that come nearest, and what speaks against each
 projection.py      where a place of the world lies in an image
 known.py           what became of values known to a tolerance
 content.py         what diagnosis.json holds

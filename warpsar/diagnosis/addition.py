@@ -34,7 +34,7 @@ def add_the_best(bench: Bench, turn: Turn, here: Fitted, refits: Sequence[Refit]
     if dark.asks:
         best = max(able, key=lambda refit: refit.fitted.whole)
         best.candidate.remark(NEEDED)
-        turn.fitted = refined(bench, best.fitted, best.candidate.effect, best.tables)
+        turn.fitted = refined(bench, best.fitted, best.candidate.effect, best.tables, dark)
         _gained(best.candidate, here, turn.fitted)
     else:
         best = max(able, key=lambda refit: _worth(refit, price))

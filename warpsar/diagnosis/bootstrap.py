@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -30,6 +30,11 @@ class Bootstrap:
     def threshold(self, family_error: float) -> float:
         """What any of them must exceed, in calibrated -ln p, at the family's error rate."""
         return float(np.quantile(self.largest, 1.0 - family_error))
+
+    def with_another(self, seed: int) -> Bootstrap:
+        """One more member of the family, of pixels that no other member uses: a calibrated -ln p is exponential."""
+        more = np.random.default_rng([seed, self.largest.size]).exponential(size=self.largest.size)
+        return replace(self, largest=np.sort(np.maximum(self.largest, more)))
 
     def p_family(self, minus_log_p: float) -> float:
         """Share of the draws whose largest score is at least this; no less than 1 / (draws + 1)."""

@@ -70,7 +70,7 @@ def _gained(
     others = [k for k in others if seen[k].polarization == mine.polarization]
     brought = np.zeros((2, mine.interior.size))  # sums of the change, and of the light that other views see too
     for k in others:
-        brought += _on_the_surface(bench, scene, mine.view, seen[k], change[k])
+        brought += on_the_surface(bench, scene, mine.view, seen[k], change[k])
     total, light = brought[:, mine.pixels]
     shared = light > 0
     ways = change[at][mine.interior], np.where(shared, total / np.where(shared, light, 1.0), 0.0)
@@ -80,7 +80,7 @@ def _gained(
     return [float(clipped(lost[0] - after)[shared].sum()) for after in lost[1:]]
 
 
-def _on_the_surface(bench: Bench, scene: Scene, view: View, other: Observation, change: np.ndarray) -> np.ndarray:
+def on_the_surface(bench: Bench, scene: Scene, view: View, other: Observation, change: np.ndarray) -> np.ndarray:
     """Per pixel of `view`, (2, rows * cols): the other observation's change, summed over the lit surface in the pixel
     that the other sees too, weighted by its lit area; and the sum of the weights."""
     rows, cols = change.shape

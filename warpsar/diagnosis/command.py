@@ -11,6 +11,7 @@ from warpsar.diagnosis.content import content_of
 from warpsar.diagnosis.course import begun
 from warpsar.diagnosis.found import DiagnoseOptions
 from warpsar.diagnosis.judge import ROLES
+from warpsar.diagnosis.left_words import first_sentence
 from warpsar.diagnosis.procedure import diagnose_scene
 from warpsar.diagnosis.report import write_report
 from warpsar.diagnosis.result import Diagnosed, judged, moved_parameters
@@ -52,6 +53,8 @@ def run(
         checkpoint.remove(out)
         for one in content["tolerances"].values():
             console.say(one["after"]["words"])
+        if found.unexplained:
+            console.say(first_sentence(done.left))
         print(in_short(done), file=sys.stdout)
         return content
 

@@ -8,7 +8,7 @@ before all are found. Then the worst is taken back, and the rest is asked again 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 from warpsar.diagnosis.addition import TOO_LITTLE
 from warpsar.diagnosis.bench import Bench
@@ -16,6 +16,8 @@ from warpsar.diagnosis.carried import carried_over, is_carried
 from warpsar.diagnosis.found import Confirmed
 from warpsar.diagnosis.left_out import LeftOut, leave_one_view_out, varies_over_columns
 from warpsar.diagnosis.refit import Fitted, refit_without
+from warpsar.diagnosis.signature import signature
+from warpsar.effects.base.signature import Signature
 from warpsar.effects.registry import get
 
 NOT_ELSEWHERE = "it does not help on views left out as a true one would"
@@ -33,21 +35,22 @@ def confirm(
     bench: Bench,
     fitted: Fitted,
     added: Sequence[str],
-    needed: Callable[[Fitted], bool],
+    needed: Callable[[Fitted, str], bool],
     price: float,
     *,
     quiet: bool = False,
 ) -> Confirmation:
     """Which of the `added` effects hold.
 
-    A parameter costs `price` of 2 ln L. `needed` says of a model whether the dark pixels ask it for an effect that adds
-    power: such an effect stays, whatever it gains in the light. `quiet`: whether the scan finds nothing beside them.
+    A parameter costs `price` of 2 ln L. `needed` says of a model without an effect whether the dark pixels ask it for
+    that effect: such an effect stays, whatever it gains in the light, unless its own test speaks against it. `quiet`:
+    whether the scan finds nothing beside them.
     """
     refused: list[Confirmed] = []
     while True:
         left = [name for name in added if name in fitted.scene.effects]
         without = {name: refit_without(bench, fitted, name) for name in left}
-        dark = {name for name in left if get(name).additive and needed(without[name])}
+        dark = {name for name in left if get(name).additive and needed(without[name], name)}
         asked = {name: _gained(fitted, without[name], name) for name in left}
         poor = [one for one in asked.values() if one.effect not in dark and one.gain <= one.size * price]
         if poor:
@@ -55,7 +58,9 @@ def confirm(
             worst.refused = TOO_LITTLE
         else:
             for name in left:
-                if name not in dark:
+                if name in dark:
+                    _earned(bench, fitted, without[name], asked[name])
+                else:
                     _ask(bench, fitted, without[name], asked[name], quiet)
             failing = [one for one in asked.values() if one.refused]
             if not failing:
@@ -87,6 +92,8 @@ def _ask(bench: Bench, fitted: Fitted, without: Fitted, one: Confirmed, quiet: b
     if varies_over_columns(bench, without, fitted, name):
         one.refused = "not one value for a view: it varies over the view's columns"
         return
+    if not _earned(bench, fitted, without, one):
+        return
     if get(name).in_image:
         one.carried = carried_over(bench, fitted, name)
         if is_carried(name, one.carried):
@@ -94,6 +101,15 @@ def _ask(bench: Bench, fitted: Fitted, without: Fitted, one: Confirmed, quiet: b
             one.notes.append(shared)
             if get(name).additive:
                 one.refused = shared
+
+
+def _earned(bench: Bench, fitted: Fitted, without: Fitted, one: Confirmed) -> bool:
+    """Whether nothing in the effect's own test speaks against its name."""
+    own = signature(bench, without, fitted, one.effect)
+    one.signature = own = Signature(**bench.ranks.gather(asdict(own))[0])
+    if own.outcome == "against":
+        one.refused = f"its own test speaks against it: {own.text}"
+    return own.outcome != "against"
 
 
 def _shared_note(name: str, carried: float, left: LeftOut) -> str:

@@ -9,6 +9,7 @@ from typing import Any
 from warpsar.diagnosis.found import Candidate, DiagnoseOptions, Diagnosis, Rival, Turn
 from warpsar.diagnosis.judge import ROLES, Judged, difference, pool
 from warpsar.diagnosis.known import known_content
+from warpsar.diagnosis.left_words import described
 from warpsar.diagnosis.outcome import outcome
 from warpsar.diagnosis.result import Diagnosed, Moved, why_not
 from warpsar.effects.registry import get
@@ -58,6 +59,8 @@ def content_of(
             "minus_log_p": last.scan_minus_log_p,
             "threshold": last.threshold,
             **asdict(done.place),
+            "dark": None if last.dark is None else asdict(last.dark),
+            "description": described(done.left),
         },
         "materials": {
             material: {m.key: _moved(m) for m in moves if m.material == material} for material in found.scene.materials
@@ -104,6 +107,7 @@ def _candidate(c: Candidate, turn: Turn) -> dict[str, Any]:
         "refit_size": c.refit_size,
         "left_out": None if left is None else {**asdict(left), "passed": left.passed},
         "carried_over": c.carried,
+        "signature": None if c.signature is None else asdict(c.signature),
         "note": c.note,
         "outcome": outcome(c, turn),
     }

@@ -12,9 +12,10 @@ import numpy as np
 
 from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.confirmation import Confirmation
-from warpsar.diagnosis.found import Candidate, Confirmed, DiagnoseOptions, Turn
+from warpsar.diagnosis.found import Candidate, Confirmed, DarkScan, DiagnoseOptions, Turn
 from warpsar.diagnosis.left_out import LeftOut
 from warpsar.diagnosis.refit import Fitted
+from warpsar.effects.base.signature import Signature
 from warpsar.errors import InputError
 from warpsar.io import checkpoint
 from warpsar.learning.learn import tag_of
@@ -58,7 +59,7 @@ class Course:
         """The confirmation that is stage `stage`, counted with the turns: as stored, or by `run`."""
         if stage + 1 < len(self._told):
             told = self._told[stage + 1]
-            asked = [Confirmed(**{**one, "left_out": _left_out(one)}) for one in told["asked"]]
+            asked = [Confirmed(**{**one, **_parts(one)}) for one in told["asked"]]
             return Confirmation(_fitted(told["fitted"], bench, base), asked)
         found = run()
         self._keep({"fitted": _fitted_told(found.fitted), "asked": [asdict(one) for one in found.asked]})
@@ -105,19 +106,26 @@ def _told(turn: Turn) -> dict[str, Any]:
         "threshold": turn.threshold,
         "fitted": None if turn.fitted is None else _fitted_told(turn.fitted),
         "dropped": turn.dropped,
+        "dark": None if turn.dark is None else asdict(turn.dark),
     }
 
 
 def _heard(told: Mapping[str, Any], bench: Bench, base: Fitted) -> Turn:
     """The turn that `_told` gave."""
-    candidates = [Candidate(**{**each, "left_out": _left_out(each)}) for each in told["candidates"]]
+    candidates = [Candidate(**{**each, **_parts(each)}) for each in told["candidates"]]
     fitted = None if told["fitted"] is None else _fitted(told["fitted"], bench, base)
     about = {**told, "candidates": candidates, "spot": Spot(**told["spot"]), "fitted": fitted}
+    about["dark"] = None if told["dark"] is None else DarkScan.of(told["dark"])
     return Turn(**about, base=base)
 
 
-def _left_out(told: Mapping[str, Any]) -> LeftOut | None:
-    return None if told["left_out"] is None else LeftOut(**told["left_out"])
+def _parts(told: Mapping[str, Any]) -> dict[str, Any]:
+    """The answers within a candidate or a confirmed effect."""
+    left, own = told["left_out"], told["signature"]
+    return {
+        "left_out": None if left is None else LeftOut(**left),
+        "signature": None if own is None else Signature(**own),
+    }
 
 
 def _fitted_told(fitted: Fitted) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -11,6 +12,7 @@ from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.carried import is_carried
 from warpsar.diagnosis.left_out import LeftOut
 from warpsar.diagnosis.refit import Fitted
+from warpsar.effects.base.signature import Signature
 from warpsar.errors import InputError
 from warpsar.learning.observation import Observation
 from warpsar.scene.scene import Scene
@@ -49,8 +51,8 @@ class DiagnoseOptions:
 class Confirmed:
     """What was asked of one added effect beside all others, and answered.
 
-    `gain`: 2 ln L over the best model without it, for `size` parameters. `left_out`, `carried`: as `Candidate` has
-    them; None where it was not asked. `refused`: why it was taken back; empty where it holds.
+    `gain`: 2 ln L over the best model without it, for `size` parameters. `left_out`, `carried`, `signature`: as
+    `Candidate` has them; None where it was not asked. `refused`: why it was taken back; empty where it holds.
     """
 
     effect: str
@@ -58,6 +60,7 @@ class Confirmed:
     size: int
     left_out: LeftOut | None = None
     carried: float | None = None
+    signature: Signature | None = None
     refused: str = ""
     notes: list[str] = field(default_factory=list)
 
@@ -82,6 +85,7 @@ class Candidate:
     refit_size: int | None = None
     left_out: LeftOut | None = None
     carried: float | None = None  # share of its gain that the surface carries from view to view
+    signature: Signature | None = None  # what its own test says
     refused: str = ""  # why it was not added, where it was fitted or could not be
     note: str = ""
     table: dict[str, Any] | None = None  # the effect's table as its fit in the turn left it
@@ -98,15 +102,42 @@ class Candidate:
     def answered(self, one: Confirmed) -> None:
         """Take over what was found of the effect beside all others."""
         self.refit_gain, self.refit_size = one.gain, one.size
-        self.left_out, self.carried, self.refused = one.left_out, one.carried, one.refused
+        self.left_out, self.carried, self.signature = one.left_out, one.carried, one.signature
+        self.refused = one.refused
         for note in one.notes:
             self.remark(note)
+
+
+@dataclass(frozen=True)
+class DarkScan:
+    """The strongest row, column or window of dark pixels, about the model of a turn.
+
+    `minus_log_p`: -ln p under speckle at the declared looks. `rows`, `cols`: the first pixel, and the one after the
+    last. `measured` and `modelled` [beta0]: means over its dark pixels, of which `pixels` are judged. `possible`:
+    whether the model puts any power there.
+    """
+
+    minus_log_p: float
+    z: float
+    observation: int
+    kind: str
+    rows: tuple[int, int]
+    cols: tuple[int, int]
+    pixels: int
+    measured: float
+    modelled: float
+    possible: bool
+
+    @classmethod
+    def of(cls, told: Mapping[str, Any]) -> DarkScan:
+        """From its fields in JSON's types."""
+        return cls(**{**told, "rows": tuple(told["rows"]), "cols": tuple(told["cols"])})
 
 
 @dataclass
 class Turn:
     """One turn: what was tested, what was added on trial (None: nothing), and what was dropped of earlier turns'
-    effects."""
+    effects. `dark`: what the scan of dark pixels found; None where there are too few."""
 
     candidates: list[Candidate]
     added: str | None
@@ -117,6 +148,13 @@ class Turn:
     base: Fitted
     fitted: Fitted | None = None
     dropped: list[str] = field(default_factory=list)
+    dark: DarkScan | None = None
+
+    @property
+    def alarms(self) -> bool:
+        """Whether the scan finds something, in the light or in dark pixels."""
+        in_the_dark = 0.0 if self.dark is None else self.dark.minus_log_p
+        return max(self.scan_minus_log_p, in_the_dark) > self.threshold
 
 
 # Standard deviations beyond which a rival would not leave what was measured, were it the cause: 1 %, one-sided.

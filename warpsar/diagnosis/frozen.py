@@ -29,9 +29,10 @@ def frozen(one: Bench, other: Bench, scene: Scene) -> dict[str, list[Observation
         for mine, theirs in zip(a.observations, b.observations, strict=True):
             masks = ranks.same([mine.interior & theirs.interior, mine.silent, mine.dark & theirs.dark]) > 0
             image = a.render.images[mine.polarization].numpy().reshape(mine.interior.shape)
-            least = ranks.same(SLIVER / rays_per_pixel * image)
             looks = float(ranks.same(mine.looks))
             interior, silent, dark = masks
+            interior &= ~dark  # additive effects that are declared had them in it
+            least = ranks.same(SLIVER / rays_per_pixel * image)
             seen = replace(mine, interior=interior, silent=silent, dark=dark, looks=looks, least=least)
             found.setdefault(a.view.name, []).append(seen)
     return found

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
 
 from warpsar.diagnosis.bench import Bench
+from warpsar.diagnosis.dark_pixels import DarkPixels
 from warpsar.diagnosis.found import Diagnosis
 from warpsar.diagnosis.frozen import frozen
 from warpsar.evaluation.image import Metrics
@@ -35,6 +36,11 @@ class Judged:
     @property
     def name(self) -> str:
         return f"{self.seen.view.name} {self.seen.polarization}"
+
+    @property
+    def dark(self) -> DarkPixels:
+        """Its pixels far from everything lit."""
+        return DarkPixels.of(self.seen, self.modelled)
 
     @property
     def scaled_deviance(self) -> np.ndarray:
@@ -79,9 +85,20 @@ def _turned(scene: Scene) -> Scene:
 
 
 class JudgedMetrics(Metrics):
-    """Of the compared pixels of several images together; the error includes correlated speckle."""
+    """Of the compared pixels of several images together; the error includes correlated speckle.
+
+    `dark_pixels` are those far from everything lit, zeros among them. `dark_measured` and `dark_modelled` are their
+    mean beta0, None without any. `dark_impossible`: how many measure more than a trace of the lit pixels' median where
+    the model has less than a hundredth of it. `dark_deviance`: the mean of d / E[d] over the others that measure power,
+    and where the model has a trace; None without any.
+    """
 
     images: int
+    dark_pixels: int
+    dark_measured: float | None
+    dark_modelled: float | None
+    dark_impossible: int
+    dark_deviance: float | None
 
 
 def pool(images: Sequence[Judged], role: str) -> JudgedMetrics | None:
@@ -98,7 +115,29 @@ def pool(images: Sequence[Judged], role: str) -> JudgedMetrics | None:
     found["pixels"] = int(measured.size)
     found["left_out"] = sum(image.seen.left_out for image in mine)
     found["zeros"] = sum(image.seen.zeros for image in mine)
-    return cast(JudgedMetrics, found | {"images": len(mine)})
+    return cast(JudgedMetrics, found | {"images": len(mine)} | _in_the_dark([image.dark for image in mine]))
+
+
+def _in_the_dark(pixels: Sequence[DarkPixels]) -> dict[str, float | int | None]:
+    """What `JudgedMetrics` says of dark pixels."""
+
+    def gathered(plane: Callable[[DarkPixels], np.ndarray]) -> np.ndarray:
+        return np.concatenate([plane(one)[one.interior] for one in pixels])
+
+    measured, modelled = gathered(lambda one: one.measured), gathered(lambda one: one.modelled)
+    deviances = [
+        deviance(one.measured[use], one.modelled[use], one.looks) / expected_deviance(one.looks)
+        for one in pixels
+        for use in [one.powered & (one.measured > 0)]
+    ]
+    both = np.concatenate(deviances)
+    return {
+        "dark_pixels": int(measured.size),
+        "dark_measured": float(measured.mean()) if measured.size else None,
+        "dark_modelled": float(modelled.mean()) if measured.size else None,
+        "dark_impossible": sum(int((one.empty & (one.measured > one.allowed)).sum()) for one in pixels),
+        "dark_deviance": float(both.mean()) if both.size else None,
+    }
 
 
 def difference(before: Sequence[Judged], after: Sequence[Judged], role: str) -> tuple[float, float] | None:

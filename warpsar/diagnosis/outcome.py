@@ -9,6 +9,8 @@ from warpsar.diagnosis.found import Candidate, Turn
 from warpsar.diagnosis.left_out import LeftOut
 from warpsar.evaluation.report_parts import plus_minus
 
+_SIGNATURE = {"confirmed": "its own test confirms it", "none": "its own test does not decide"}
+
 
 def score_text(score: float) -> str:
     """A score, -ln p."""
@@ -52,6 +54,8 @@ def outcome(candidate: Candidate, turn: Turn) -> str:
         said.append(f"2 ln L {gain_text(candidate)} for {count}")
     if candidate.left_out is not None and candidate.left_out.views > 1:
         said.append(f"views left out gain {_plus_minus(candidate.left_out)} in ln L")
+    if candidate.signature is not None and candidate.signature.outcome != "against":
+        said.append(f"{_SIGNATURE[candidate.signature.outcome]}: {candidate.signature.text}")
     if candidate.effect != turn.added:
         said.append(candidate.refused or _not_fitted(turn))
     elif candidate.refused:
@@ -67,6 +71,8 @@ def confirmation_lines(found: Confirmation) -> list[str]:
         said = [f"2 ln L {one.gain:+,.1f} for {one.size} parameter{'' if one.size == 1 else 's'}"]
         if one.left_out is not None and one.left_out.views > 1:
             said.append(f"views left out gain {_plus_minus(one.left_out)} in ln L")
+        if one.signature is not None and one.signature.outcome != "against":
+            said.append(f"{_SIGNATURE[one.signature.outcome]}: {one.signature.text}")
         said += [one.refused] if one.refused else []
         said += [note for note in one.notes if note != one.refused]
         lines.append(f"  {'taken back' if one.refused else 'holds'}: {one.effect}: {'; '.join(said)}")

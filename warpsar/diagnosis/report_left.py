@@ -7,6 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from warpsar.diagnosis.judge import Judged
+from warpsar.diagnosis.left_figures import in_plan, spectrum, worst_view
+from warpsar.diagnosis.left_words import sentences
 from warpsar.diagnosis.place import Place, residual_on
 from warpsar.diagnosis.result import Diagnosed
 from warpsar.evaluation.image import ratio_db
@@ -58,10 +60,43 @@ def _reach(images: Sequence[Judged]) -> float:
 def left_section(done: Diagnosed) -> str:
     return report.section(
         "What is left at the end, and where",
+        report.bullets(sentences(done.left)),
+        *_pictures(done),
+        *_nearest(done),
         report.paragraph(_strongest_window(done)),
         *_place(done.place),
         *_on_the_mesh(done),
     )
+
+
+def _pictures(done: Diagnosed) -> list[str]:
+    """The worst view, the surface from above, and the spectrum."""
+    found, left = done.diagnosis, done.left
+    spacing = found.scene.grid.spacing_m
+    return [
+        report.row(
+            report.drawing(worst_view(left, spacing), "The residual in the image that shows it best; grey: no pixel"),
+            report.drawing(in_plan(found, left), "The same on the surface from above; grey: no view compares it"),
+            across=2,
+            least_px=300,
+        ),
+        report.drawing(
+            spectrum(left, spacing), "Its spectrum in that image, and its mean along range and along azimuth"
+        ),
+    ]
+
+
+def _nearest(done: Diagnosed) -> list[str]:
+    """The explanations that come nearest, where something has to be explained."""
+    left = done.left
+    if not left.unexplained or not left.nearest:
+        return []
+    rows = [
+        [one.effect, f"{one.score:.1f}", "–" if one.refit_gain is None else f"{one.refit_gain:+,.1f}", one.against]
+        for one in left.nearest
+    ]
+    head = ["nearest explanations", "score, -ln p", "refit, 2 ln L", "what speaks against it"]
+    return [report.table(head, rows, f"A score must exceed {left.nearest[0].threshold:.1f}")]
 
 
 def _strongest_window(done: Diagnosed) -> str:

@@ -12,6 +12,7 @@ from warpsar.effects.registry import get
 from warpsar.evaluation.report_parts import plus_minus
 from warpsar.io import html as report
 
+_OUTCOME = {"confirmed": "confirmed", "against": "against it", "none": "nothing decisive"}
 ROLE_WORDS = {"train": "train", "test": "test (decided nothing)"}
 
 
@@ -60,7 +61,35 @@ def summary_section(done: Diagnosed, content: dict[str, Any]) -> str:
         words.append(
             report.paragraph("The images are not calibrated: each has a gain of its own, fitted, on test views too.")
         )
-    return report.section("In short", *words, report.table(head, rows), report.paragraph(explained, quiet=True))
+    blocks = [report.table(head, rows), *_in_the_dark(done), report.paragraph(explained, quiet=True)]
+    return report.section("In short", *words, *blocks)
+
+
+def _in_the_dark(done: Diagnosed) -> list[str]:
+    """A table of dark pixels before and after, where there are any."""
+    rows = []
+    for role in ROLES:
+        before, after = done.before[role], done.after[role]
+        if before is None or after is None or not before["dark_pixels"]:
+            continue
+        rows.append(
+            [
+                ROLE_WORDS[role],
+                f"{before['dark_pixels']:,}",
+                f"{before['dark_measured']:.3g}",
+                f"{before['dark_modelled']:.3g} → {after['dark_modelled']:.3g}",
+                f"{before['dark_impossible']} → {after['dark_impossible']}",
+                *("–" if one["dark_deviance"] is None else f"{one['dark_deviance']:.3f}" for one in (before, after)),
+            ]
+        )
+    if not rows:
+        return []
+    head = ["views", "dark pixels", "measured", "modelled", "impossible", "deviance before", "deviance after"]
+    caption = (
+        "Dark pixels: more than six from anything lit. Measured and modelled: mean beta0. Impossible: power where the "
+        "model has none. Deviance: where the model has a trace or more."
+    )
+    return [report.table(head, rows, caption)]
 
 
 def _verdict(done: Diagnosed, content: dict[str, Any]) -> list[str]:
@@ -79,7 +108,9 @@ def _verdict(done: Diagnosed, content: dict[str, Any]) -> list[str]:
             )
         tables = effect_table(step["parameters"])
         doubt = f" But {step['note']}." if is_carried(step["effect"], step["carried_over"] or 0.0) else ""
-        said.append(f"Added: {step['effect']} ({get(step['effect']).summary}), with {tables}.{held}{doubt}")
+        own = step["signature"]
+        earned = f" Its own test says: {_OUTCOME[own['outcome']]} ({own['text']})." if own else ""
+        said.append(f"Added: {step['effect']} ({get(step['effect']).summary}), with {tables}.{held}{earned}{doubt}")
     said += [
         f"The data do not decide between {one.effect} and {one.other}: in its place it would fit as well, to within "
         f"what speckle makes of the difference (2 ln L {one.gain:+.1f}). {by.sentence[0].upper()}{by.sentence[1:]}."

@@ -10,6 +10,7 @@ import numpy as np
 from warpsar.diagnosis.alternatives import Deciding, deciding
 from warpsar.diagnosis.found import Candidate, DiagnoseOptions, Diagnosis, Rival
 from warpsar.diagnosis.judge import ROLES, Judge, Judged, JudgedMetrics, difference, pool
+from warpsar.diagnosis.left import Left, left_of
 from warpsar.diagnosis.place import Place, place
 from warpsar.diagnosis.procedure import diagnose_scene
 from warpsar.diagnosis.refit import Fitted
@@ -24,13 +25,14 @@ SAME_SD = 2.0  # a parameter that moved by more of its standard deviations than 
 @dataclass(frozen=True)
 class Diagnosed:
     """A diagnosis with what came of it on all views. `models`: the declared model and the one after every addition,
-    each as `Judged` images of train and test views; `place`: the strongest window of what is left at the end.
-    `alternatives`: rivals that the data do not decide against, and which measurement would."""
+    each as `Judged` images of train and test views; `place`: the strongest window of what is left at the end; `left`:
+    what is left altogether. `alternatives`: rivals that the data do not decide against, and which measurement would."""
 
     diagnosis: Diagnosis
     judge: Judge
     models: list[list[Judged]]
     place: Place
+    left: Left
     alternatives: list[tuple[Rival, Deciding]] = field(default_factory=list)
 
     @property
@@ -69,7 +71,8 @@ def judged(found: Diagnosis) -> Diagnosed:
     undecided = [rival for rival in found.rivals if rival.undecided and rival.effect in found.verdict]
     looks = float(np.median([seen.looks for seen in found.observations]))
     alternatives = [(one, deciding(found.final.scene, one.scene, looks, found.bench.device)) for one in undecided]
-    return Diagnosed(found, judge, models, place(found, models[-1], found.turns[-1].spot), alternatives)
+    last = models[-1]
+    return Diagnosed(found, judge, models, place(found, last, found.turns[-1].spot), left_of(found, last), alternatives)
 
 
 def _worse(before: Sequence[Judged], after: Sequence[Judged]) -> bool:

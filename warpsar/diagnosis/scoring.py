@@ -9,8 +9,9 @@ import numpy as np
 
 from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.bootstrap import Bootstrap, bootstrap
+from warpsar.diagnosis.dark_scan import scan_dark
 from warpsar.diagnosis.evidence import Evidence
-from warpsar.diagnosis.found import Candidate, DiagnoseOptions, Turn
+from warpsar.diagnosis.found import Candidate, DarkScan, DiagnoseOptions, Turn
 from warpsar.diagnosis.partly_known import PartlyKnown
 from warpsar.diagnosis.refit import Fitted, on_bounds
 from warpsar.diagnosis.score import NOT_TESTABLE, Group, Projection, group
@@ -43,6 +44,9 @@ def score_effects(
     groups = {name: found[name] for name in testable}
     scan = Scan(evidence.observations, evidence.autocovariance, evidence.silent)
     boot = bootstrap(evidence, projection, groups, scan, options.draws, options.seed + number, progress, ranks)
+    dark = scan_dark(bench, other_rays, base, evidence, options.seed + number)
+    if dark is not None:
+        boot = boot.with_another(options.seed + number)
     spot = scan.strongest(evidence.split(evidence.standardised))
     best = _score(candidates, groups, projection(evidence.standardised, projection.known.residual), boot)
     scanned = float(boot.tails["scan"](abs(spot.z)))
@@ -54,6 +58,7 @@ def score_effects(
         boot.p_family(scanned),
         boot.threshold(options.family_error),
         base,
+        dark=dark,
     )
     _as_the_first(turn, ranks)
     return turn, best
@@ -120,5 +125,7 @@ def _score(
 def _as_the_first(turn: Turn, ranks: Ranks) -> None:
     """All ranks go on with the scores of the first one: last bits differ from GPU to GPU."""
     mine = [[asdict(c) for c in turn.candidates], asdict(turn.spot), turn.scan_minus_log_p, turn.p_scan, turn.threshold]
-    candidates, spot, turn.scan_minus_log_p, turn.p_scan, turn.threshold = ranks.gather(mine)[0]
+    mine.append(None if turn.dark is None else asdict(turn.dark))
+    candidates, spot, turn.scan_minus_log_p, turn.p_scan, turn.threshold, dark = ranks.gather(mine)[0]
     turn.candidates, turn.spot = [Candidate(**c) for c in candidates], Spot(**spot)
+    turn.dark = None if dark is None else DarkScan.of(dark)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from warpsar.diagnosis.bench import Bench
+from warpsar.diagnosis.dark import Dark
 from warpsar.diagnosis.refit import (
     HOPELESS,
     KEPT_WITHIN,
@@ -33,6 +34,7 @@ NEARER = (0.3, 0.1)  # shares of a first table's way from neutral, at which a fi
 GLANCE = 4  # iterations after which candidates are compared for the first time
 CLIMB = 10.0  # times what an effect has gained, that refinements may bring
 WORTH = 2.0  # log-likelihood that another setting has to gain; five times as much if it adds something
+NO_DARK = Dark(0, 0)
 
 
 @dataclass(frozen=True)
@@ -96,7 +98,7 @@ class Screening:
         name, tables, state = about.pop("name"), about.pop("tables"), FitState.from_arrays(about.pop("state"))
         return cls(bench, base, declared, name, tables, Glance(state=state, **about))
 
-    def finish(self, lead: float, *, refine: bool = True) -> tuple[Fitted, bool]:
+    def finish(self, lead: float, dark: Dark = NO_DARK, *, refine: bool = True) -> tuple[Fitted, bool]:
         """The best of all tables, refined by them (`refined`), and whether its fit was given up; `lead` is the
         log-likelihood of the best other candidate. Best by likelihood, less half a ln(pixels) for each parameter: three
         that shift the world are not taken for what two explain."""
@@ -122,7 +124,7 @@ class Screening:
         before = self.base.log_likelihood
         if not refine or CLIMB * (found[best].log_likelihood - before) < lead - before:
             return found[best], given_up[best]
-        climbed = refined(self.bench, found[best], self.name, self.tables)
+        climbed = refined(self.bench, found[best], self.name, self.tables, dark)
         return climbed, given_up[best] and climbed.log_likelihood < lead
 
     def _run(self, problem: FitProblem, state: FitState, until: int, limit: float = -np.inf) -> FitState:
@@ -159,15 +161,20 @@ def toward_neutral(name: str, table: Mapping[str, Any], share: float) -> dict[st
     return found
 
 
-def refined(bench: Bench, fitted: Fitted, name: str, others: Sequence[Mapping[str, Any]]) -> Fitted:
+def refined(
+    bench: Bench, fitted: Fitted, name: str, others: Sequence[Mapping[str, Any]], dark: Dark = NO_DARK
+) -> Fitted:
     """Uphill through the effect's refinements, its own parameters fitted at each, and everything at the end. `others`
-    are tables of its best trials."""
+    are tables of its best trials. None that dark pixels contradict is taken."""
     scene = fitted.scene
     climbing = True
     while climbing:
         climbing = False
         known: dict[tuple[str, ...], float] = {}  # log-likelihood of the scene as it is, by views
-        for table, chosen in get(name).refinements(scene, scene.effects[name], others):
+        for offered, chosen in get(name).refinements(scene, scene.effects[name], others):
+            table = dark.completed(scene, name, offered)
+            if table is not offered and _same_settings(name, table, scene.effects[name]):
+                continue
             views = _views(scene, name, table)
             if views not in known:
                 known[views] = _log_likelihood(bench, scene, views)
@@ -183,6 +190,10 @@ def refined(bench: Bench, fitted: Fitted, name: str, others: Sequence[Mapping[st
         return fitted
     problem = bench.problem(scene)
     return fitted_at(bench, problem, *descend(problem, [problem.x0], quick=True))
+
+
+def _same_settings(name: str, one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
+    return all(one.get(setting.name) == other.get(setting.name) for setting in get(name).settings)
 
 
 def _views(scene: Scene, name: str, table: Mapping[str, Any]) -> tuple[str, ...]:

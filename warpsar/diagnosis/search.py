@@ -18,6 +18,7 @@ from warpsar.diagnosis.pruning import prune
 from warpsar.diagnosis.refit import Fitted, narrow, on_bounded_ground, settle
 from warpsar.diagnosis.rivals import rivals_of
 from warpsar.diagnosis.scoring import score_effects
+from warpsar.diagnosis.screening import NO_DARK
 from warpsar.diagnosis.shortlist import refits
 from warpsar.runtime import console
 from warpsar.scene.scene import Scene
@@ -76,7 +77,7 @@ class Search:
         last = self.turns[-1]
         final = self._base.scene.effects
         shared = any(c.shared and c.effect not in final for turn in self.turns for c in turn.candidates)
-        return last.scan_minus_log_p > last.threshold or shared
+        return last.alarms or shared
 
     def _added(self, fitted: Fitted) -> list[str]:
         """Effects of a model that the scene does not declare."""
@@ -110,6 +111,8 @@ class Search:
         passing = worth_a_refit(turn.candidates, turn.threshold, dark)
         _say(turn, number, passing)
         allowed = [c for c in passing if c.effect not in self._barred and self._times[c.effect] < CHANCES]
+        if dark.asks and not any(dark.answered_by(c.effect) for c in allowed):
+            dark = NO_DARK  # what could answer was taken back: lit pixels decide again
         if len(self._added(here)) < options.most_effects:
             price = evidence.price(bench.ranks)
             found = refits(bench, here, self.scene, allowed, templates, dark, options.refits)
@@ -138,13 +141,19 @@ class Search:
         settled = settle(bench, here, self.options.starts, self.options.seed)
         price = Evidence.of(settled.problem, settled.x, bench.ranks).price(bench.ranks)
         last = self.turns[-1]
-        quiet = last.scan_minus_log_p <= last.threshold
-        return confirm(bench, settled, self._added(settled), lambda model: Dark.of(model).asks, price, quiet=quiet)
+        return confirm(bench, settled, self._added(settled), needed, price, quiet=not last.alarms)
+
+
+def needed(without: Fitted, name: str) -> bool:
+    """Whether the dark pixels ask a model without an effect for it."""
+    dark = Dark.of(without)
+    return dark.asks and dark.answered_by(name)
 
 
 def _say(turn: Turn, number: int, passing: Sequence[Candidate]) -> None:
     scores = ", ".join(f"{c.effect} {score_text(c.minus_log_p)}" for c in passing) or "none"
+    dark = "" if turn.dark is None else f", of dark pixels {score_text(turn.dark.minus_log_p)} (z {turn.dark.z:+.1f})"
     console.say(
         f"turn {number + 1}: worth a fit, by score (-ln p, threshold {turn.threshold:.1f}): {scores}; "
-        f"scan {score_text(turn.scan_minus_log_p)} (z {turn.spot.z:+.1f})"
+        f"scan {score_text(turn.scan_minus_log_p)} (z {turn.spot.z:+.1f}){dark}"
     )

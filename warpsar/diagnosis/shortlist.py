@@ -16,7 +16,6 @@ from warpsar.diagnosis.refit import Fitted
 from warpsar.diagnosis.screening import Screening
 from warpsar.diagnosis.survey import surveyed
 from warpsar.diagnosis.templates import Template
-from warpsar.effects.registry import get
 from warpsar.scene.scene import Scene
 
 GLANCED = 8  # candidates that get a few iterations
@@ -48,12 +47,12 @@ def refits(
     decide then.
     """
     if dark.asks:
-        passing = [candidate for candidate in passing if get(candidate.effect).additive]
+        passing = [candidate for candidate in passing if dark.answered_by(candidate.effect)]
 
     def glance(effect: str) -> Screening:
         trials = [template.trial for template in templates[effect]][:OFFERED]
         tables = [table for trial in trials for table in surveyed(bench, base.scene, effect, trial)]
-        return Screening(bench, base, declared, effect, tables)
+        return Screening(bench, base, declared, effect, _distinct(dark, base.scene, effect, tables))
 
     screenings = bench.ranks.deal_out(
         [partial(glance, candidate.effect) for candidate in passing[:GLANCED]],
@@ -67,7 +66,7 @@ def refits(
         return -np.inf if dark.asks else max(others, default=-np.inf)
 
     finished = bench.ranks.deal_out(
-        [partial(screening.finish, lead_over(screening), refine=not dark.asks) for _, screening in order[:most]],
+        [partial(screening.finish, lead_over(screening), dark, refine=not dark.asks) for _, screening in order[:most]],
         told=lambda result: [result[0].told(), result[1]],
         heard=lambda told: (Fitted.heard(bench, base.scene, told[0]), told[1]),
     )
@@ -76,4 +75,14 @@ def refits(
         if given_up:
             candidate.remark("its fit was given up, far behind")
         found.append(Refit(candidate, fitted, screening.tables))
+    return found
+
+
+def _distinct(dark: Dark, scene: Scene, effect: str, tables: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    """The tables as the dark pixels complete them, each once."""
+    found: list[Mapping[str, Any]] = []
+    for table in tables:
+        completed = dark.completed(scene, effect, table)
+        if completed not in found:
+            found.append(completed)
     return found

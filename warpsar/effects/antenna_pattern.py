@@ -6,11 +6,13 @@ import math
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
+import numpy as np
 import warp as wp
 
 from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter
 from warpsar.effects.base.recorder import Recorder
+from warpsar.effects.base.signature import SeenImage
 from warpsar.effects.base.trial import Context, ScoreStep, Trial
 from warpsar.kernels.effects import antenna_pattern as kernels
 from warpsar.world.world import World
@@ -69,6 +71,10 @@ class AntennaPattern(Effect):
                 allowed = f"beamwidth_{other} and boresight_{other}"
                 return f".{used[0]}: found in a {kind} scene; allowed there are {allowed}"
         return None
+
+    def parts(self, image: SeenImage, table: Mapping[str, Any]) -> Mapping[str, np.ndarray]:
+        """Its gain goes by the place in the beam, whatever surface lies there."""
+        return image.by_material()
 
     def trials(self, context: Context) -> list[Trial]:
         """Two steps, since ln gain = c1 x + c2 x^2 + ...

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
+import numpy as np
 import warp as wp
 
 from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter
 from warpsar.effects.base.recorder import Recorder
+from warpsar.effects.base.signature import SeenImage, Signature, power_in
 from warpsar.effects.base.trial import Context, ScoreStep, Trial
 from warpsar.kernels.effects import azimuth_ambiguity as kernels
 
@@ -46,6 +49,19 @@ class AzimuthAmbiguity(Effect):
         ),
         Parameter("offset_m", "m", math.nan, 0.0, 1e6, 10.0, description="Distance of the copies in azimuth."),
     )
+
+    def parts(self, image: SeenImage, table: Mapping[str, Any]) -> Mapping[str, np.ndarray]:
+        """There is a copy on either side, of the same strength."""
+        pixels = round(table.get("offset_m", 0.0) / image.spacing_m[1])
+        cols = image.without.shape[1]
+        room = np.pad(image.without, ((0, 0), (pixels, pixels)))
+        right, left = room[:, :cols], room[:, 2 * pixels : 2 * pixels + cols]
+        return {"the copy on the left": left > right, "the copy on the right": right > left}
+
+    def own_test(self, images: Sequence[SeenImage], table: Mapping[str, Any]) -> Signature:
+        """The copies that fall into dark pixels."""
+        masks = [one.dark & (one.with_it > 0.0) & (one.without <= 0.1 * one.with_it) for one in images]
+        return power_in(images, masks, "the copies", "in dark pixels")
 
     def trials(self, context: Context) -> list[Trial]:
         """One trial per pixel of offset: linear interpolation finds a copy up to half a pixel away."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -11,6 +12,7 @@ import warp as wp
 from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter
 from warpsar.effects.base.recorder import Recorder
+from warpsar.effects.base.signature import SeenImage
 from warpsar.effects.base.trial import Context, ScoreStep, Trial
 from warpsar.kernels import binning
 from warpsar.kernels.codes import Polarization
@@ -66,6 +68,10 @@ class EdgeDiffraction(Effect):
             description="Cross-section of an edge, in units of lambda / (2 pi) per metre.",
         ),
     )
+
+    def parts(self, image: SeenImage, table: Mapping[str, Any]) -> Mapping[str, np.ndarray]:
+        """All edges must show it."""
+        return image.halves()
 
     def trials(self, context: Context) -> list[Trial]:
         size = 0.1

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
+import numpy as np
 import warp as wp
 
 from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter
 from warpsar.effects.base.recorder import Recorder
+from warpsar.effects.base.signature import SeenImage
 from warpsar.effects.base.trial import Context, ScoreStep, Trial
 from warpsar.kernels.effects import eps_gradient as kernels
 
@@ -32,6 +35,10 @@ class EpsGradient(Effect):
     example: ClassVar[dict[str, Any]] = {"per_m_east": 0.04, "per_m_north": 0.02}
     rate_case: ClassVar[dict[str, Any]] = {"per_m_east": 0.03, "per_m_north": -0.02}
     parameters = (_slope("per_m_east"), _slope("per_m_north"))
+
+    def parts(self, image: SeenImage, table: Mapping[str, Any]) -> Mapping[str, np.ndarray]:
+        """It lies on the surface, so every view must show it."""
+        return {f"view {image.view.name}": image.lit}
 
     def trials(self, context: Context) -> list[Trial]:
         size = 0.05 / context.extent_m

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import numpy as np
@@ -10,6 +11,7 @@ import warp as wp
 from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter
 from warpsar.effects.base.recorder import Recorder
+from warpsar.effects.base.signature import SeenImage
 from warpsar.effects.base.trial import Context, ScoreStep, Trial
 from warpsar.kernels.codes import Spectrum
 from warpsar.kernels.effects import exponential_spectrum as kernels
@@ -30,6 +32,10 @@ class ExponentialSpectrum(Effect):
     parameters = (
         Parameter("weight", "1", 0.0, 0.0, 1.0, 0.5, span=0.3, description="Share of the exponential spectrum."),
     )
+
+    def parts(self, image: SeenImage, table: Mapping[str, Any]) -> Mapping[str, np.ndarray]:
+        """Every polarization must show it."""
+        return {image.polarization: image.lit}
 
     def trials(self, context: Context) -> list[Trial]:
         if all(material.spectrum != "gaussian" for material in context.scene.materials.values()):

@@ -11,12 +11,17 @@ import warp as wp
 from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter, Setting
 from warpsar.effects.base.recorder import Recorder
+from warpsar.effects.base.signature import SeenImage, Signature, power_in
 from warpsar.effects.base.trial import Context, ScoreStep, Trial
 from warpsar.kernels.effects import interference as kernels
 from warpsar.world.world import World
 
 _MOVES = (-4, -1, 1, 4)  # of an end of a band, in rows
 _HEIGHTS_PX = (1, 4, 16)  # of the bands that are tried, at steps of half their height
+_KNOWN_PX = 8  # dark pixels from which they say whether a row holds power
+# Of a row's mean: a pixel with less holds none. Of one look 2 % have as little.
+_HOLDS = 0.02
+_ALL = 0.8  # share of a row's dark pixels that hold power, under which something else stands in it
 
 
 def _bands(value: Any) -> bool:
@@ -36,6 +41,12 @@ def _bands(value: Any) -> bool:
 def _overlap(band: Sequence[int], others: Sequence[Sequence[int]]) -> bool:
     """Whether a band meets one of the others or the row beside it: then the other one should move instead."""
     return any(band[0] <= end and first <= band[1] for first, end in others)
+
+
+def _bands_of(rows: np.ndarray) -> list[list[int]]:
+    """The rows that are true, as [first, end] bands."""
+    steps = np.flatnonzero(np.diff(np.concatenate([[0], rows.astype(int), [0]])))
+    return [[int(first), int(end)] for first, end in steps.reshape(-1, 2)]
 
 
 _BANDS = {
@@ -99,6 +110,15 @@ class Interference(Effect):
                     )
         return None
 
+    def parts(self, image: SeenImage, table: Mapping[str, Any]) -> Mapping[str, np.ndarray]:
+        """A row holds the same power from end to end. What lies beside the rows tells what the surface sends."""
+        return image.halves() if table.get("rows", {}).get(image.view.name) else {}
+
+    def own_test(self, images: Sequence[SeenImage], table: Mapping[str, Any]) -> Signature:
+        """Its rows go on where nothing is lit."""
+        masks = [one.dark & (one.with_it > 1.5 * one.without) for one in images]
+        return power_in(images, masks, "interference", "in the dark parts of its rows")
+
     def trials(self, context: Context) -> list[Trial]:
         """One view and one band of rows each; the next turn of the diagnosis finds what remains beside it."""
         scene, size = context.scene, 0.1 * context.level
@@ -113,6 +133,33 @@ class Interference(Effect):
                     step = ScoreStep("level", size, at, one_sided=True, views=(view.name,))
                     found.append(Trial((step,), (at,), f"{view.name}, rows {band[0]} to {band[1] - 1}"))
         return found
+
+    def placed_in_the_dark(
+        self, scene: World, table: Mapping[str, Any], power: Mapping[str, np.ndarray]
+    ) -> Mapping[str, Any] | None:
+        """Rows that hold power from end to end; known rows without it are taken out of the table."""
+        level, rows = dict(table.get("level", {})), dict(table.get("rows", {}))
+        found = False
+        for view, image in power.items():
+            known = np.isfinite(image).sum(axis=1) >= _KNOWN_PX
+            mean = np.array([np.nanmean(row) if k else 0.0 for row, k in zip(image, known, strict=True)])
+            with np.errstate(invalid="ignore"):
+                share = np.nanmean(np.where(np.isfinite(image), image > _HOLDS * mean[:, None], np.nan)[known], axis=1)
+            hit = np.zeros(len(image), bool)
+            hit[known] = (share > _ALL) & (mean[known] > 0)
+            found |= bool(hit.any())
+            stated = np.zeros(len(image), bool)
+            for first, end in rows.get(view, []):
+                stated[first:end] = True
+            bands = _bands_of(np.where(known, hit, stated))
+            if bands:
+                rows[view] = bands
+                if hit.any():
+                    level[view] = float(mean[hit].mean())
+            else:
+                rows.pop(view, None)
+                level.pop(view, None)
+        return {**table, "level": level, "rows": rows} if found and rows else None
 
     def refinements(
         self, scene: World, table: Mapping[str, Any], others: Sequence[Mapping[str, Any]]
@@ -129,11 +176,10 @@ class Interference(Effect):
                     for band in moved
                     if 0 <= band[0] < band[1] <= scene.grid.shape[0] and not _overlap(band, rest)
                 ]
-        for other in others:
-            ((view, (band,)),) = other["rows"].items()
+        for other, view, band in ((o, v, b) for o in others for v, bands in o["rows"].items() for b in bands):
             if not _overlap(band, rows.get(view, [])):
                 added = {
-                    "level": {**other["level"], **table["level"]},
+                    "level": {view: other["level"][view], **table["level"]},
                     "rows": {**rows, view: sorted([*rows.get(view, []), list(band)])},
                 }
                 found.append((added, 1))

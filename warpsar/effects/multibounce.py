@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
@@ -13,6 +14,7 @@ import warp as wp
 from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter, one_of
 from warpsar.effects.base.recorder import Recorder
+from warpsar.effects.base.signature import SeenImage
 from warpsar.effects.base.trial import Context, ScoreStep, Trial
 from warpsar.kernels import binning
 from warpsar.kernels import merge as merging
@@ -89,6 +91,10 @@ class Multibounce(Effect):
         ),
     )
     settings = (one_of("max_bounces", 3, 2, 3, 4, description="Most surfaces on a path."),)
+
+    def parts(self, image: SeenImage, table: Mapping[str, Any]) -> Mapping[str, np.ndarray]:
+        """All corners must show it."""
+        return image.halves()
 
     def trials(self, context: Context) -> list[Trial]:
         step = ScoreStep("strength", 1.0, {"strength": 1.0}, one_sided=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 import warp as wp
@@ -9,6 +10,7 @@ import warp as wp
 from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter
 from warpsar.effects.base.recorder import Recorder
+from warpsar.effects.base.signature import SeenImage, Signature, power_in
 from warpsar.effects.base.trial import Context, ScoreStep, Trial
 from warpsar.kernels.effects import noise_floor as kernels
 
@@ -39,6 +41,10 @@ class NoiseFloor(Effect):
             description="Power added to every pixel.",
         ),
     )
+
+    def own_test(self, images: Sequence[SeenImage], table: Mapping[str, Any]) -> Signature:
+        """A floor is seen in shadows."""
+        return power_in(images, [one.dark for one in images], "the floor", "in shadows")
 
     def trials(self, context: Context) -> list[Trial]:
         size = 0.1 * context.level

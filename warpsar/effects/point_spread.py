@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cache
 from typing import Any, ClassVar
 
+import numpy as np
 import warp as wp
 
 from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter, one_of
 from warpsar.effects.base.recorder import Recorder
+from warpsar.effects.base.signature import SeenImage
 from warpsar.effects.base.trial import Context, ScoreStep, Trial
 from warpsar.kernels.effects import point_spread as kernels
 from warpsar.kernels.wide import LANES
@@ -41,6 +44,10 @@ class PointSpread(Effect):
     rate_case: ClassVar[dict[str, Any]] = {"range_fwhm_m": 0.9, "azimuth_fwhm_m": 0.7, "window": "gaussian"}
     parameters = (_width("range_fwhm_m"), _width("azimuth_fwhm_m"))
     settings = (one_of("window", "gaussian", *WINDOWS, description="Window of the aperture, which shapes the kernel."),)
+
+    def parts(self, image: SeenImage, table: Mapping[str, Any]) -> Mapping[str, np.ndarray]:
+        """It shows on edges and on points alike."""
+        return {"edges": image.edges, "points": image.points}
 
     def trials(self, context: Context) -> list[Trial]:
         """The step is one pixel's width, where the neighbours get 6 %: sampled at pixel centres, a narrower kernel is

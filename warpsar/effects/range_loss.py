@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
+import numpy as np
 import warp as wp
 
 from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter
 from warpsar.effects.base.recorder import Recorder
+from warpsar.effects.base.signature import SeenImage
 from warpsar.effects.base.trial import Context, ScoreStep, Trial
 from warpsar.kernels.effects import range_loss as kernels
 from warpsar.world.world import World
@@ -42,6 +44,10 @@ class RangeLoss(Effect):
         if "per_m" in table and all(strips):
             return ".per_m: found in a strip-map scene; allowed there is exponent"
         return None
+
+    def parts(self, image: SeenImage, table: Mapping[str, Any]) -> Mapping[str, np.ndarray]:
+        """It goes by range, whatever surface lies there."""
+        return image.by_material()
 
     def trials(self, context: Context) -> list[Trial]:
         ranges = [context.scene.slant_range_m(view) for view in context.scene.views]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import numpy as np
@@ -10,6 +11,7 @@ import warp as wp
 from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter
 from warpsar.effects.base.recorder import Recorder
+from warpsar.effects.base.signature import SeenImage
 from warpsar.effects.base.trial import Context, ScoreStep, Trial
 from warpsar.kernels.effects import registration as kernels
 from warpsar.world.frame import ViewGeometry
@@ -47,6 +49,10 @@ class Registration(Effect):
     def shift_m(self, values: np.ndarray, geometry: ViewGeometry) -> np.ndarray:
         range_m, azimuth_m, *world = values
         return np.array([range_m + geometry.d @ np.array(world), azimuth_m + geometry.u @ np.array(world)])
+
+    def parts(self, image: SeenImage, table: Mapping[str, Any]) -> Mapping[str, np.ndarray]:
+        """The whole image moves."""
+        return image.halves()
 
     def trials(self, context: Context) -> list[Trial]:
         pixel = min(context.scene.grid.spacing_m)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
@@ -11,9 +12,13 @@ import warp as wp
 from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter, Setting
 from warpsar.effects.base.recorder import Recorder
+from warpsar.effects.base.signature import FEWEST, SURE, SeenImage, Signature, looks_on
 from warpsar.effects.base.trial import Context, ScoreStep, Trial
 from warpsar.kernels.effects import saturation as kernels
 
+_TOP = 1e-3  # below the largest value: what counts as equal to it
+_PILE, _PILE_SHARE = 8, 2e-3  # pixels at the largest value, and their share, from which an image is clipped
+_LOSES = 0.7  # of the looks in dim pixels, that bright ones have at least
 _TURNS = 4  # of eight bits each: a number's 32
 
 
@@ -54,6 +59,43 @@ class Saturation(Effect):
             schema=_PIVOT,
         ),
     )
+
+    def parts(self, image: SeenImage, table: Mapping[str, Any]) -> Mapping[str, np.ndarray]:
+        """One exponent holds for dim and bright pixels."""
+        bright = image.without > np.median(image.without[image.lit])
+        return {"the dim half": image.lit & ~bright, "the bright half": image.lit & bright}
+
+    def own_test(self, images: Sequence[SeenImage], table: Mapping[str, Any]) -> Signature:
+        """What compression does to speckle on even ground, and whether the images have a top level.
+
+        An exponent g that acts on measured power makes L looks L / g^2. One that acts on the mean leaves them.
+        """
+        for one in images:
+            values = one.measured[one.lit]
+            most = float(values.max())
+            top = int((values >= (1.0 - _TOP) * most).sum())
+            if top >= max(_PILE, _PILE_SHARE * values.size):
+                text = f"{top} pixels of {one.view.name} measure the largest value, {most:.4g}: they are clipped"
+                return Signature("against", text, {"clipped_pixels": float(top), "top_level": most})
+        halves = [self.parts(one, table) for one in images]
+        masks = [[half[name] & one.even for half, one in zip(halves, images, strict=True)] for name in halves[0]]
+        (dim, error), (bright, other) = (looks_on(images, mask) for mask in masks)
+        if not math.isfinite(error + other):
+            return Signature("none", f"under {FEWEST} pixels of even ground, dim or bright: no test of its speckle")
+        ratio, spread = bright / dim, math.hypot(error, other)
+        numbers = {"looks_dim": dim, "looks_bright": bright, "log_error": spread}
+        said = f"even ground has {dim:.2f} (dim) and {bright:.2f} (bright) times the declared looks"
+        if math.log(ratio) + SURE * spread < math.log(_LOSES):
+            return Signature("against", f"{said}: compression takes no looks from the bright half", numbers)
+        expected = 1.0 / table.get("exponent", 1.0) ** 2
+        declared = not any(one.looks_estimated for one in images)
+        found = 0.5 * (math.log(dim) + math.log(bright))
+        apart = abs(math.log(expected)) > SURE * spread
+        if declared and apart and abs(found - math.log(expected)) < SURE * spread < abs(found):
+            return Signature("confirmed", f"{said}: the exponent makes {expected:.2f}", numbers)
+        return Signature(
+            "none", f"{said}: this neither confirms a compression of the measured power nor refutes it", numbers
+        )
 
     def trials(self, context: Context) -> list[Trial]:
         size = 0.01

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import numpy as np
@@ -10,6 +11,7 @@ import warp as wp
 from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter
 from warpsar.effects.base.recorder import Recorder
+from warpsar.effects.base.signature import SeenImage
 from warpsar.effects.base.trial import Context, ScoreStep, Trial
 from warpsar.kernels.effects import two_scale as kernels
 
@@ -43,6 +45,10 @@ class TwoScale(Effect):
             description="Slope variance per axis.",
         ),
     )
+
+    def parts(self, image: SeenImage, table: Mapping[str, Any]) -> Mapping[str, np.ndarray]:
+        """Every polarization must show it."""
+        return {image.polarization: image.lit}
 
     def trials(self, context: Context) -> list[Trial]:
         size = 5e-4

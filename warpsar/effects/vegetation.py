@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
+import numpy as np
 import warp as wp
 
 from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter
 from warpsar.effects.base.recorder import Recorder
+from warpsar.effects.base.signature import SeenImage
 from warpsar.effects.base.trial import Context, ScoreStep, Trial
 from warpsar.kernels.codes import Polarization
 from warpsar.kernels.effects import vegetation as kernels
@@ -56,6 +59,10 @@ class Vegetation(Effect):
             description="Brightness of the layer itself.",
         ),
     )
+
+    def parts(self, image: SeenImage, table: Mapping[str, Any]) -> Mapping[str, np.ndarray]:
+        """Every polarization must show it."""
+        return {image.polarization: image.lit}
 
     def trials(self, context: Context) -> list[Trial]:
         size = 0.005

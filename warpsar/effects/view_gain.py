@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
+import numpy as np
 import warp as wp
 
 from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter
 from warpsar.effects.base.recorder import Recorder
+from warpsar.effects.base.signature import SeenImage
 from warpsar.effects.base.trial import Context, ScoreStep, Trial
 from warpsar.kernels.effects import view_gain as kernels
 
@@ -42,6 +45,10 @@ class ViewGain(Effect):
     example: ClassVar[dict[str, Any]] = {"gain_db": {"v0": 6.0, "v1": -6.0}}
     rate_case: ClassVar[dict[str, Any]] = {"gain_db": {"v0": 1.2, "v1": -1.0, "v2": 0.6, "v3": -0.8}}
     parameters = (_GAIN,)
+
+    def parts(self, image: SeenImage, table: Mapping[str, Any]) -> Mapping[str, np.ndarray]:
+        """It is one number for a view, whatever surface lies there."""
+        return image.by_material()
 
     def trials(self, context: Context) -> list[Trial]:
         names = [view.name for view in context.scene.views if view.role == "train"]

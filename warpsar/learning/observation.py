@@ -15,6 +15,7 @@ from warpsar.speckle.looks import equivalent_looks
 from warpsar.world.tables import View
 
 BORDER = 2  # pixels at the image's edge that are left out
+FAINT = 1e-4  # of the median of `Observation.least`: some 60 dB under the lit pixels
 FAR = 6  # pixels from any lit one: from here on nothing but additive effects can be seen
 
 
@@ -26,7 +27,7 @@ class Observation:
     positive. `silent`: the same, but exactly 0, which the gamma likelihood does not allow. `dark`: far from
     everything lit, off the edge, unmasked and finite; zeros are included.
     `least` [beta0 before any gain], if given, is a lower bound of the modelled beta0 of each pixel that is not `dark`:
-    a model's rays can miss so much.
+    a model's rays can miss so much. `faint` is that of a dark pixel.
     """
 
     view: View
@@ -38,6 +39,7 @@ class Observation:
     looks: float
     looks_estimated: bool
     least: np.ndarray | None = None
+    faint: float = 0.0
 
     @property
     def zeros(self) -> int:
@@ -53,8 +55,14 @@ class Observation:
         return int(self.interior.size - self.interior.sum())
 
     def with_dark(self) -> Observation:
-        """The same with the positive dark pixels in the interior too: additive effects are fitted on them."""
-        return replace(self, interior=self.interior | (self.dark & (np.nan_to_num(self.measured) > 0)))
+        """The same with the positive dark pixels in the interior too: additive effects are fitted on them.
+
+        Where the model has nothing, `faint` stands in for it. With less, one such pixel that measures power would hide
+        what all others say, in the rounding of its own likelihood.
+        """
+        lit = self.interior & ~self.dark
+        faint = FAINT * float(np.median(self.least[lit])) if self.least is not None and lit.any() else 0.0
+        return replace(self, interior=self.interior | (self.dark & (np.nan_to_num(self.measured) > 0)), faint=faint)
 
     @property
     def pixels(self) -> np.ndarray:
@@ -66,7 +74,7 @@ class Observation:
         """The lower bound of modelled beta0: one for all pixels, shape (1,), or shape (n,), float32."""
         if self.least is None:
             return np.array([DARKEST], np.float32)
-        return np.maximum(np.where(self.dark, 0.0, self.least)[self.interior], DARKEST).astype(np.float32)
+        return np.maximum(np.where(self.dark, self.faint, self.least)[self.interior], DARKEST).astype(np.float32)
 
     @cached_property
     def values(self) -> np.ndarray:

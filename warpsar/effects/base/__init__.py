@@ -2,5 +2,5 @@
 
 `effect.py`: the class that each effect derives from. `parameter.py`: its parameters and settings. `fitted.py`: which
 of them a fit moves. `recorder.py`: the render that it records on. `trial.py`: how a score test looks for it.
-`polarization.py`: polarizations by their codes.
+`signature.py`: what it leaves that nothing else does. `polarization.py`: polarizations by their codes.
 """

@@ -11,6 +11,7 @@ import warp as wp
 
 from warpsar.effects.base.parameter import Parameter, Setting
 from warpsar.effects.base.recorder import Recorder
+from warpsar.effects.base.signature import SeenImage, Signature
 from warpsar.effects.base.trial import Context, Trial
 from warpsar.errors import InputError
 from warpsar.world.frame import ViewGeometry
@@ -72,6 +73,25 @@ class Effect:
         choices it makes than `table`. `others` are the tables of the other trials that scored, best first.
         """
         return []
+
+    def placed_in_the_dark(
+        self, scene: World, table: Mapping[str, Any], power: Mapping[str, np.ndarray]
+    ) -> Mapping[str, Any] | None:
+        """`table` with the places at which it alone can put power into dark pixels; None where these say nothing.
+
+        `power` [beta0] by view name, shape (rows, cols), is measured where nothing else can be: 0 where nothing is,
+        NaN where this cannot be said.
+        """
+        return None
+
+    def parts(self, image: SeenImage, table: Mapping[str, Any]) -> Mapping[str, np.ndarray]:
+        """Places of an image that must hold the effect alike, as masks (rows, cols); none for an effect that has no
+        such places. `table` is the fitted one."""
+        return {}
+
+    def own_test(self, images: Sequence[SeenImage], table: Mapping[str, Any]) -> Signature | None:
+        """A test of what this effect leaves and no other does, where there is one."""
+        return None
 
     def check(self, scene: World, table: Mapping[str, Any]) -> str | None:
         """What is wrong with a valid table in this scene; None if nothing. The text follows `effects.<name>`."""
