@@ -105,7 +105,7 @@ def amplitudes(bench: Bench, fitted: Fitted, effect: str, parts: Sequence[Mappin
     inflation = float(residual_autocovariance(list(zip(seen, residual, strict=True))).sum())
     own = [c.effect == effect for c in problem.effect_coordinates]
     others = np.flatnonzero(~np.concatenate([np.zeros(problem.learned.size, bool), np.array(own, bool)]))
-    tangent = [j[:, others] for j in problem.jacobian_at(problem.x0)]
+    tangent = [j[:, others] for j in problem.linearised(problem.x0)[1]]
     slope = _slope(bench, fitted.scene, effect)
     found = []
     for name in dict.fromkeys(name for one in parts for name in one):
