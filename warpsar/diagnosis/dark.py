@@ -60,10 +60,12 @@ class Dark:
         return self.pixels >= DARK_PIXELS and self.positive < (1.0 - SILENT_SHARE) * self.pixels
 
     def completed(self, scene: Scene, effect: str, table: Mapping[str, Any]) -> Mapping[str, Any]:
-        """The effect's table with the places that dark pixels know: where it acts there, and where it does not."""
+        """The effect's table with the places that dark pixels know: where it acts there, and where it does not. Empty
+        where they leave it no place."""
         if self.everywhere:
             return table
-        return get(effect).placed_in_the_dark(scene, table, self.power) or table
+        found = get(effect).placed_in_the_dark(scene, table, self.power)
+        return table if found is None else found
 
 
 def worth_a_refit(candidates: Sequence[Candidate], threshold: float, dark: Dark) -> list[Candidate]:

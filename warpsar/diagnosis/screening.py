@@ -50,9 +50,9 @@ class Glance:
 class Screening:
     """`base` and one effect more, everything refitted, from each of the effect's best `STARTS` tables.
 
-    The surface starts as `base` has it. Where losses are bounded, it starts as the scene file has it too: a strong
-    effect that is missing can pull the fitted surface so far that no descent leads back. A fit that is worse than none
-    begins again nearer to neutral. At first only a glance, which may be another rank's.
+    The surface starts as `base` has it, and as the scene file does: a strong effect that is missing can pull the fitted
+    surface so far that no descent leads back. A fit that is worse than none begins again nearer to neutral. At first
+    only a glance, which may be another rank's.
     """
 
     def __init__(
@@ -65,9 +65,7 @@ class Screening:
         glanced: Glance | None = None,
     ) -> None:
         self.bench, self.base, self.name, self.tables = bench, base, name, tables
-        surfaces = [base.scene]
-        if bench.bound > 0:
-            surfaces.append(replace(base.scene, materials=declared.materials))
+        surfaces = [base.scene, replace(base.scene, materials=declared.materials)]
         self._problem: FitProblem | None = None
         self.glanced = glanced or self._glance(surfaces)
         self._surface = surfaces[self.glanced.surface]  # the other tables need not try both
@@ -173,7 +171,7 @@ def refined(
         known: dict[tuple[str, ...], float] = {}  # log-likelihood of the scene as it is, by views
         for offered, chosen in get(name).refinements(scene, scene.effects[name], others):
             table = dark.completed(scene, name, offered)
-            if table is not offered and _same_settings(name, table, scene.effects[name]):
+            if not table or table is not offered and _same_settings(name, table, scene.effects[name]):
                 continue
             views = _views(scene, name, table)
             if views not in known:

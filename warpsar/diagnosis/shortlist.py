@@ -79,10 +79,10 @@ def refits(
 
 
 def _distinct(dark: Dark, scene: Scene, effect: str, tables: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
-    """The tables as the dark pixels complete them, each once."""
+    """The tables as the dark pixels complete them, each once; the first as it is where they leave none."""
     found: list[Mapping[str, Any]] = []
     for table in tables:
         completed = dark.completed(scene, effect, table)
-        if completed not in found:
+        if completed and completed not in found:
             found.append(completed)
-    return found
+    return found or list(tables[:1])

@@ -137,7 +137,8 @@ class Interference(Effect):
     def placed_in_the_dark(
         self, scene: World, table: Mapping[str, Any], power: Mapping[str, np.ndarray]
     ) -> Mapping[str, Any] | None:
-        """Rows that hold power from end to end; known rows without it are taken out of the table."""
+        """Rows that hold power from end to end; known rows without it are taken out of the table, which is empty where
+        none is left."""
         level, rows = dict(table.get("level", {})), dict(table.get("rows", {}))
         found = False
         for view, image in power.items():
@@ -159,7 +160,9 @@ class Interference(Effect):
             else:
                 rows.pop(view, None)
                 level.pop(view, None)
-        return {**table, "level": level, "rows": rows} if found and rows else None
+        if not found and rows == dict(table.get("rows", {})):
+            return None
+        return {**table, "level": level, "rows": rows} if rows else {}
 
     def refinements(
         self, scene: World, table: Mapping[str, Any], others: Sequence[Mapping[str, Any]]

@@ -77,7 +77,8 @@ class Effect:
     def placed_in_the_dark(
         self, scene: World, table: Mapping[str, Any], power: Mapping[str, np.ndarray]
     ) -> Mapping[str, Any] | None:
-        """`table` with the places at which it alone can put power into dark pixels; None where these say nothing.
+        """`table` with the places at which it alone can put power into dark pixels; None where these say nothing, and
+        empty where they leave it no place.
 
         `power` [beta0] by view name, shape (rows, cols), is measured where nothing else can be: 0 where nothing is,
         NaN where this cannot be said.
