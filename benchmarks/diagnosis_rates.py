@@ -178,6 +178,8 @@ def one_run(key: tuple[str, int, str, int], options: DiagnoseOptions, device: st
         "seed": seed,
         "verdict": found.verdict,
         "unexplained": found.unexplained,
+        "alternatives": [[one.effect, one.other] for one, _ in report.alternatives],
+        "withdrawn": report.diagnosis.withdrawn,
         "spot": [found.observations[spot.observation].view.name, spot.row, spot.col, spot.window],
         "effects": found.final.scene.effects,
         "scores": {c.effect: round(c.minus_log_p, 2) for c in found.turns[0].candidates if c.testability == "testable"},
@@ -284,12 +286,15 @@ def side_by_side(
 
 def judged(row: Mapping[str, Any]) -> str:
     """One word for a run: right, missed (less than the truth), not testable (missed, and said to be so), more (the
-    truth and something else), wrong."""
+    truth and something else), alternative (another name, and the truth given as its alternative), wrong."""
     case, verdict = CASES[row["case"]], set(row["verdict"])
     if case.outside:
         if verdict:
             return "wrong"
         return "right" if row["unexplained"] else "missed"
+    swapped = (verdict - {a} | {b} for a, b in row.get("alternatives", []))
+    if verdict != case.names and not row["unexplained"] and any(other == case.names for other in swapped):
+        return "alternative"
     if verdict == case.names:
         return "unexplained too" if row["unexplained"] else "right"
     if verdict < case.names and not row["unexplained"] and case.names - verdict <= set(row["not_testable"]):
@@ -299,7 +304,7 @@ def judged(row: Mapping[str, Any]) -> str:
     return "more" if verdict > case.names else "wrong"
 
 
-WORDS = ("unexplained too", "more", "not testable", "missed", "unexplained", "wrong")
+WORDS = ("alternative", "unexplained too", "more", "not testable", "missed", "unexplained", "wrong")
 
 
 def rates(rows: Sequence[Mapping[str, Any]]) -> str:

@@ -31,9 +31,9 @@ from warpsar.cli import options
 @click.option(
     "--most-effects",
     type=click.IntRange(min=0),
-    default=4,
+    default=15,
     show_default=True,
-    help="Effects that may be added, at most.",
+    help="Effects that may be added, at most; 15: all there are.",
 )
 @click.option(
     "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the bootstrap and the starts."
