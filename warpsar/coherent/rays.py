@@ -1,0 +1,67 @@
+"""The rays of a direction: cells of a grid across it, and four children of a cell whose tube aliases."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from warpsar.coherent.body import extents
+from warpsar.coherent.directions import Directions
+from warpsar.coherent.shape import Shape
+from warpsar.kernels.coherent.radiate import RAYS
+
+
+@dataclass(frozen=True)
+class Rays:
+    """Cells of several directions, a multiple of `RAYS` for each direction; the last ones may be unused."""
+
+    view: NDArray[np.int32]
+    """(n,)."""
+    place: NDArray[np.float64]
+    """Middle along u and v [m], (n, 2)."""
+    size: NDArray[np.float64]
+    """Width along u and v [m], (n, 2)."""
+    used: NDArray[np.int32]
+    """(n,)."""
+
+    def __len__(self) -> int:
+        return len(self.view)
+
+
+def grid(shape: Shape, directions: Directions, spacing_m: float) -> Rays:
+    """Cells of at most `spacing_m` that cover the mesh as each direction sees it, without a rest at its sides."""
+    parts = []
+    for u, v in zip(directions.u, directions.v, strict=True):
+        ends = extents(shape, [u, v])
+        width = ends[:, 1] - ends[:, 0]
+        count = np.maximum(np.ceil(width / spacing_m - 1e-9), 1).astype(int)
+        step = width / count
+        i, j = (axis.ravel() for axis in np.meshgrid(np.arange(count[0]), np.arange(count[1]), indexing="ij"))
+        place = ends[:, 0] + (np.stack([i, j], axis=1) + 0.5) * step
+        parts.append((place, np.broadcast_to(step, place.shape)))
+    return _padded(parts)
+
+
+def children(rays: Rays, chosen: NDArray[np.bool_], views: int) -> Rays:
+    """The quarters of the chosen cells."""
+    parts = []
+    for view in range(views):
+        some = np.flatnonzero(chosen & (rays.view == view))
+        size = np.repeat(0.5 * rays.size[some], 4, axis=0)
+        corner = np.tile([[-0.5, -0.5], [-0.5, 0.5], [0.5, -0.5], [0.5, 0.5]], (len(some), 1))
+        parts.append((np.repeat(rays.place[some], 4, axis=0) + corner * size, size))
+    return _padded(parts)
+
+
+def _padded(parts: Sequence[tuple[NDArray[np.float64], NDArray[np.float64]]]) -> Rays:
+    view, place, size, used = [], [], [], []
+    for index, (places, sizes) in enumerate(parts):
+        more = -len(places) % RAYS
+        view.append(np.full(len(places) + more, index, np.int32))
+        place.append(np.concatenate([places, np.zeros((more, 2))]))
+        size.append(np.concatenate([sizes, np.zeros((more, 2))]))
+        used.append(np.repeat(np.array([1, 0], np.int32), [len(places), more]))
+    return Rays(np.concatenate(view), np.concatenate(place), np.concatenate(size), np.concatenate(used))

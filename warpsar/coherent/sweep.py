@@ -1,0 +1,280 @@
+"""Amplitudes of a body over directions and frequencies, term by term."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from warpsar.coherent import rays as cells
+from warpsar.coherent.body import CoherentBody, extents
+from warpsar.coherent.directions import Directions
+from warpsar.kernels.coherent import edges, radiate, tubes
+from warpsar.runtime import threads
+from warpsar.world.frame import SPEED_OF_LIGHT
+
+TERMS = ("single", "multibounce", "edges")
+POLARIZATIONS = ("HH", "HV", "VH", "VV")
+RAYS_PER_WAVELENGTH = 10.0
+MOST_BOUNCES = 30
+TURN = np.pi / 2
+"""Largest change of phase [rad] over half a tube's footprint after a curved surface; wider tubes are quartered."""
+LEVELS = 2
+"""How many times a tube is quartered at most."""
+_RAYS_TOGETHER = 2**14
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """Amplitudes over directions and frequencies."""
+
+    amplitude: NDArray[np.complex128]
+    """A [m], shape (directions, frequencies, terms, polarizations), in the order of `TERMS` and `POLARIZATIONS`."""
+    fresnel_number: NDArray[np.float64]
+    """(directions, frequencies); NaN where no ray meets the body twice."""
+    spacing_m: float
+    """Width of a tube at its start."""
+    refined: NDArray[np.float64]
+    """Share of the tubes that were too wide and were quartered, (directions,)."""
+    aliased: NDArray[np.float64]
+    """Share of the tubes that are too wide even so, (directions,)."""
+    segments: int
+    """Rays times the hits of each."""
+
+
+def sweep(
+    body: CoherentBody,
+    directions: Directions,
+    frequencies_hz: Sequence[float],
+    *,
+    terms: Sequence[str] = TERMS,
+    max_bounces: int = MOST_BOUNCES,
+    rays_per_wavelength: float = RAYS_PER_WAVELENGTH,
+    levels: int = LEVELS,
+    progress: Any = None,
+) -> Sweep:
+    """What the body sends back to each direction (n) at each frequency [Hz], ascending, in all polarizations.
+
+    The geometry of a ray serves all frequencies and polarizations. The result does not depend on the number of threads.
+    """
+    k = 2.0 * np.pi * np.asarray(frequencies_hz, float) / SPEED_OF_LIGHT
+    spacing = float(2.0 * np.pi / k.max() / rays_per_wavelength)
+    worker = _Worker(body, k, spacing, terms, max_bounces, levels)
+    counts = [_cells(body, directions, i, spacing) for i in range(len(directions))]
+    tasks = [partial(worker, directions[some]) for some in _batches(counts)]
+    found = []
+    for part in threads.ordered(tasks, body.device):
+        found.append(part)
+        if progress is not None:
+            progress.update(len(part.refined))
+    return Sweep(
+        np.concatenate([part.amplitude for part in found]),
+        np.concatenate([part.fresnel_number for part in found]),
+        spacing,
+        np.concatenate([part.refined for part in found]),
+        np.concatenate([part.aliased for part in found]),
+        sum(part.segments for part in found),
+    )
+
+
+def _cells(body: CoherentBody, directions: Directions, i: int, spacing: float) -> int:
+    ends = extents(body.shape, [directions.u[i], directions.v[i]])
+    return int(np.prod(np.ceil((ends[:, 1] - ends[:, 0]) / spacing).clip(1)))
+
+
+def _batches(counts: Sequence[int]) -> Iterator[slice]:
+    """Directions whose rays go together: the same for any number of threads."""
+    start, rays = 0, 0
+    for i, count in enumerate(counts):
+        if i > start and rays + count > _RAYS_TOGETHER:
+            yield slice(start, i)
+            start, rays = i, 0
+        rays += count
+    yield slice(start, len(counts))
+
+
+class _Worker:
+    """Works out some directions; holds what all of them share."""
+
+    def __init__(
+        self,
+        body: CoherentBody,
+        k: NDArray[np.float64],
+        spacing: float,
+        terms: Sequence[str],
+        max_bounces: int,
+        levels: int,
+    ) -> None:
+        self.body, self.k, self.spacing, self.terms = body, k, spacing, terms
+        self.bounces, self.levels = max_bounces if "multibounce" in terms else 1, levels
+        device = body.device
+        self.wavenumbers = wp.array(k, dtype=wp.float64, device=device)
+        self.stuff = body.stuff(len(k))
+        regions = body.shape.regions
+        self.samples = wp.array(regions.sample, dtype=wp.vec3d, device=device)
+        self.sample_normals = wp.array(regions.normal[regions.sample_region], dtype=wp.vec3d, device=device)
+        self.sample_start = np.searchsorted(regions.sample_region, np.arange(len(regions.area)))
+        pieces = body.edge_pieces(np.pi / k.max())
+        self.edges = pieces
+        if pieces.shape[0]:
+            packed = pieces.numpy()
+            outward = -(packed["first"] + packed["second"])
+            outward /= np.linalg.norm(outward, axis=1)[:, None]
+            self.edge_middle = wp.array(packed["middle"], dtype=wp.vec3d, device=device)
+            self.edge_outward = wp.array(outward, dtype=wp.vec3d, device=device)
+
+    def __call__(self, directions: Directions) -> Sweep:
+        body, device = self.body, self.body.device
+        axes = [wp.array(axis, dtype=wp.vec3d, device=device) for axis in (directions.s, directions.u, directions.v)]
+        amplitude = np.zeros((len(directions), len(self.k), len(TERMS), 4), np.complex128)
+        exact = self.lit_regions(axes)
+        if body.regions.shape[0] and "single" in self.terms:
+            amplitude[:, :, 0] = self.chunks(
+                radiate.regions_kernel,
+                radiate.REGIONS,
+                body.regions.shape[0],
+                [*axes, self.wavenumbers, self.stuff, exact, body.regions, body.middle, body.along],
+                len(directions),
+            )
+        if self.edges.shape[0] and "edges" in self.terms:
+            seen = self.free(axes[0], self.edge_middle, self.edge_outward, both_sides=False)
+            amplitude[:, :, 2] = self.chunks(
+                edges.edges_kernel,
+                edges.EDGES,
+                self.edges.shape[0],
+                [*axes, self.wavenumbers, self.edges, seen],
+                len(directions),
+            )
+        found = self.tubes(directions, axes, exact)
+        wanted = np.array([term in self.terms for term in TERMS])
+        amplitude += found.amplitude
+        amplitude[:, :, ~wanted] = 0.0
+        return Sweep(
+            amplitude, found.fresnel_number, self.spacing, found.refined, found.aliased, found.segments
+        )
+
+    def free(self, s: wp.array, points: wp.array, normals: wp.array, both_sides: bool) -> wp.array:
+        seen = wp.empty((s.shape[0], points.shape[0]), dtype=wp.uint8, device=self.body.device)
+        inputs = [self.body.rays, s, points, normals, int(both_sides)]
+        wp.launch(tubes.free_kernel, seen.shape, inputs=inputs, outputs=[seen], device=self.body.device)
+        return seen
+
+    def lit_regions(self, axes: Sequence[wp.array]) -> wp.array:
+        """Which flat regions each direction sees as a whole, (directions, regions)."""
+        device, views = self.body.device, axes[0].shape[0]
+        if not len(self.sample_start):
+            return wp.zeros((views, 1), dtype=wp.uint8, device=device)
+        seen = self.free(axes[0], self.samples, self.sample_normals, both_sides=True).numpy()
+        whole = np.minimum.reduceat(seen, self.sample_start, axis=1)
+        return wp.array(whole, dtype=wp.uint8, device=device)
+
+    def chunks(
+        self, kernel: wp.Kernel, together: int, count: int, inputs: list[Any], views: int
+    ) -> NDArray[np.complex128]:
+        """The sum over chunks of a launch, shape (directions, frequencies, 4)."""
+        shape = (views, len(self.k), -(-count // together))
+        out = wp.empty((*shape, 4), dtype=wp.vec2d, device=self.body.device)
+        wp.launch(kernel, shape, inputs=inputs, outputs=[out], device=self.body.device)
+        total: NDArray[np.complex128] = _complex(out).sum(axis=2)
+        return total
+
+    def tubes(self, directions: Directions, axes: Sequence[wp.array], exact: wp.array) -> Sweep:
+        """Trace the tubes of all directions, quarter those that alias, and add up what they radiate."""
+        views = len(directions)
+        amplitude = np.zeros((views, len(self.k), len(TERMS), 4), np.complex128)
+        area, way = np.zeros(views), np.zeros(views)
+        started, refined, aliased = (np.zeros(views) for _ in range(3))
+        segments = 0
+        rays = cells.grid(self.body.shape, directions, self.spacing)
+        for level in range(self.levels + 1):
+            traced = _Traced(self, axes, rays)
+            used = rays.used != 0
+            wide = used & (traced.turn > TURN)
+            started += np.bincount(rays.view, used / 4.0**level, views)
+            kept = used
+            if level < self.levels:
+                kept = used & ~wide
+                refined += np.bincount(rays.view, wide / 4.0**level, views)
+            else:
+                aliased += np.bincount(rays.view, wide / 4.0**level, views)
+            amplitude[:, :, :2] += traced.radiated(exact, kept, views)
+            twice = kept & (traced.count > 1)
+            cross = rays.size.prod(axis=1) * twice
+            area += np.bincount(rays.view, cross, views)
+            way += np.bincount(rays.view, cross * traced.span, views)
+            segments += int(traced.count.sum())
+            if level == self.levels or not wide.any():
+                break
+            rays = cells.children(rays, wide, views)
+        first = np.maximum(np.bincount(cells.grid(self.body.shape, directions, self.spacing).view, minlength=views), 1)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            number = area**2 / way  # area over the mean way
+        wavelengths = 2.0 * np.pi / self.k
+        return Sweep(
+            amplitude, number[:, None] / wavelengths, self.spacing, refined / first, aliased / first, segments
+        )
+
+
+class _Traced:
+    """Rays with what they hit."""
+
+    def __init__(self, worker: _Worker, axes: Sequence[wp.array], rays: cells.Rays) -> None:
+        self.worker, self.axes = worker, axes
+        device, body, n = worker.body.device, worker.body, len(rays)
+        self.view = wp.array(rays.view, dtype=int, device=device)
+        self.hits = wp.empty((n, worker.bounces), dtype=tubes.Hit, device=device)
+        self.counts = wp.empty(n, dtype=int, device=device)
+        span = wp.empty(n, dtype=wp.float64, device=device)
+        turn = wp.empty(n, dtype=wp.float64, device=device)
+        place = wp.array(rays.place, dtype=wp.vec2d, device=device)
+        size = wp.array(rays.size, dtype=wp.vec2d, device=device)
+        standoff = float(np.linalg.norm(body.shape.vertices, axis=1).max()) + body.shape.size
+        wp.launch(
+            tubes.trace_kernel,
+            n,
+            inputs=[body.rays, *axes, self.view, place, size, standoff, float(worker.k.max()), worker.bounces],
+            outputs=[self.hits, self.counts, span, turn],
+            device=device,
+        )
+        self.count, self.span, self.turn = self.counts.numpy(), span.numpy(), turn.numpy()
+        self.start = np.searchsorted(rays.view[:: radiate.RAYS], np.arange(rays.view[-1] + 1)) if n else np.empty(0, int)
+        self.chunk_view = rays.view[:: radiate.RAYS]
+
+    def radiated(self, exact: wp.array, used: NDArray[np.bool_], views: int) -> NDArray[np.complex128]:
+        """(directions, frequencies, single and further bounces, polarizations)."""
+        worker, body = self.worker, self.worker.body
+        shape = (len(self.chunk_view), len(worker.k))
+        out = wp.empty((*shape, 2, 4), dtype=wp.vec2d, device=body.device)
+        wp.launch(
+            radiate.tubes_kernel,
+            shape,
+            inputs=[
+                *self.axes,
+                worker.wavenumbers,
+                worker.stuff,
+                body.face_material,
+                body.region,
+                exact,
+                self.view,
+                wp.array(used.astype(np.int32), dtype=int, device=body.device),
+                self.hits,
+                self.counts,
+            ],
+            outputs=[out],
+            device=body.device,
+        )
+        parts = _complex(out)
+        total = np.zeros((views, *parts.shape[1:]), np.complex128)
+        np.add.at(total, self.chunk_view, parts)
+        return total
+
+
+def _complex(array: wp.array) -> NDArray[np.complex128]:
+    parts = array.numpy()
+    whole: NDArray[np.complex128] = parts[..., 0] + 1j * parts[..., 1]
+    return whole
