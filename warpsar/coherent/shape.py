@@ -231,9 +231,10 @@ def _regions(
     total = np.bincount(of, weight, count)
     points = vertices[corners]
     mean = np.stack([np.bincount(of, sign * weight * normal[order][:, i], count) for i in range(3)], axis=1)
+    mean = mean.astype(np.float64)  # bincount of nothing gives integers
     mean /= np.linalg.norm(mean, axis=1)[:, None]
     centre = np.stack([np.bincount(of, weight * points[:, :, i].mean(1), count) for i in range(3)], axis=1)
-    centre /= total[:, None]
+    centre = centre / total[:, None]
     reach = np.zeros(count)
     np.maximum.at(reach, of, np.linalg.norm(points - centre[of][:, None], axis=2).max(axis=1))
     # An edge between two faces of a region cancels, and is left out where both share its vertices.
@@ -288,6 +289,8 @@ def _samples(
         at = p[:, :1] + one[0][:, None] * (p[:, 1:2] - p[:, :1]) + one[1][:, None] * (p[:, 2:] - p[:, :1])
         found.append(at.reshape(-1, 3))
         names.append(np.repeat(of[chosen], at.shape[1]))
+    if not found:
+        return np.empty((0, 3)), np.empty(0, np.int64)
     sample, name = np.concatenate(found), np.concatenate(names).astype(np.int64)
     by = np.argsort(name, kind="stable")
     sample, name = sample[by], name[by]
