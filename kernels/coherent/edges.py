@@ -50,6 +50,8 @@ def fringe(e: wp.vec3d, k: wp.float64, s: wp.vec3d, x: wp.vec3d, n: wp.vec3d, ou
     phi = wp.atan2(wp.dot(s, n), wp.dot(s, x))
     if phi < wp.float64(-1.0e-7):
         phi = phi + two * PI
+    if phi > outer * PI + wp.float64(1.0e-6):  # in the inner angle of a corner, where tubes go from face to face
+        return wp.vec3d()
     phi = wp.clamp(phi, zero, outer * PI)
     lit = zero
     if phi < PI:
