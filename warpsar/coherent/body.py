@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, QhullError
 
 from warpsar.coherent.shape import Shape, shape_of
 from warpsar.kernels.coherent import edges, radiate, reflection, tubes
@@ -32,6 +33,8 @@ class CoherentBody:
     middle: wp.array
     along: wp.array
     materials: tuple[Material, ...]
+    hull: NDArray[np.float64]
+    """The vertices that can be outermost, (n, 3) [m]."""
 
     @classmethod
     def of(cls, world: World, device: wp.Device) -> CoherentBody:
@@ -66,6 +69,7 @@ class CoherentBody:
             wp.array(flat.middle, dtype=wp.vec3d, device=device),
             wp.array(flat.along, dtype=wp.vec3d, device=device),
             tuple(world.materials[name] for name in mesh.materials),
+            _hull(vertices),
         )
 
     def stuff(self, frequencies: int) -> wp.array:
@@ -79,6 +83,16 @@ class CoherentBody:
             packed["thickness"][:, m] = material.thickness_m or 0.0
             packed["rms_height"][:, m] = material.rms_height_m
         return wp.array(packed, dtype=reflection.Face, device=self.device)
+
+    @property
+    def radius(self) -> float:
+        """Distance of the furthest vertex from the reference point [m]."""
+        return float(np.linalg.norm(self.hull, axis=1).max())
+
+    def extents(self, axes: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
+        """Least and largest coordinate along each axis [m], shape (axes, 2)."""
+        along = self.hull @ np.stack(axes, axis=1)
+        return np.stack([along.min(axis=0), along.max(axis=0)], axis=1)
 
     def edge_pieces(self, longest_m: float) -> wp.array:
         """The wedges between conductors in pieces of at most `longest_m`."""
@@ -98,6 +112,9 @@ class CoherentBody:
         return wp.array(packed, dtype=edges.Edge, device=self.device)
 
 
-def extents(shape: Shape, axes: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
-    """Least and largest coordinate of the mesh along each axis, shape (axes, 2)."""
-    return np.array([[(p := shape.vertices @ axis).min(), p.max()] for axis in axes])
+def _hull(vertices: NDArray[np.float64]) -> NDArray[np.float64]:
+    try:
+        hull: NDArray[np.float64] = vertices[ConvexHull(vertices).vertices]
+    except QhullError:  # a flat body has no hull with a volume
+        return vertices
+    return hull

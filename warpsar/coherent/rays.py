@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from warpsar.coherent.body import extents
+from warpsar.coherent.body import CoherentBody
 from warpsar.coherent.directions import Directions
-from warpsar.coherent.shape import Shape
 from warpsar.kernels.coherent.radiate import RAYS
 
 
@@ -31,11 +30,11 @@ class Rays:
         return len(self.view)
 
 
-def grid(shape: Shape, directions: Directions, spacing_m: float) -> Rays:
+def grid(body: CoherentBody, directions: Directions, spacing_m: float) -> Rays:
     """Cells of at most `spacing_m` that cover the mesh as each direction sees it, without a rest at its sides."""
     parts = []
     for u, v in zip(directions.u, directions.v, strict=True):
-        ends = extents(shape, [u, v])
+        ends = body.extents([u, v])
         width = ends[:, 1] - ends[:, 0]
         count = np.maximum(np.ceil(width / spacing_m - 1e-9), 1).astype(int)
         step = width / count

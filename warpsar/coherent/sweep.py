@@ -12,7 +12,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from warpsar.coherent import rays as cells
-from warpsar.coherent.body import CoherentBody, extents
+from warpsar.coherent.body import CoherentBody
 from warpsar.coherent.directions import Directions
 from warpsar.kernels.coherent import edges, radiate, tubes
 from warpsar.runtime import threads
@@ -83,7 +83,7 @@ def sweep(
 
 
 def _cells(body: CoherentBody, directions: Directions, i: int, spacing: float) -> int:
-    ends = extents(body.shape, [directions.u[i], directions.v[i]])
+    ends = body.extents([directions.u[i], directions.v[i]])
     return int(np.prod(np.ceil((ends[:, 1] - ends[:, 0]) / spacing).clip(1)))
 
 
@@ -188,18 +188,18 @@ class _Worker:
         views = len(directions)
         amplitude = np.zeros((views, len(self.k), len(TERMS), 4), np.complex128)
         area, way = np.zeros(views), np.zeros(views)
-        started, refined, aliased = (np.zeros(views) for _ in range(3))
+        refined, aliased = np.zeros(views), np.zeros(views)
         segments = 0
-        rays = cells.grid(self.body.shape, directions, self.spacing)
+        rays = cells.grid(self.body, directions, self.spacing)
+        first = np.bincount(rays.view, rays.used, views)
         for level in range(self.levels + 1):
             traced = _Traced(self, axes, rays)
             used = rays.used != 0
             wide = used & (traced.turn > TURN)
-            started += np.bincount(rays.view, used / 4.0**level, views)
             kept = used
             if level < self.levels:
                 kept = used & ~wide
-                refined += np.bincount(rays.view, wide / 4.0**level, views)
+                refined += np.bincount(rays.view, wide, views) if level == 0 else 0.0
             else:
                 aliased += np.bincount(rays.view, wide / 4.0**level, views)
             amplitude[:, :, :2] += traced.radiated(exact, kept, views)
@@ -211,7 +211,6 @@ class _Worker:
             if level == self.levels or not wide.any():
                 break
             rays = cells.children(rays, wide, views)
-        first = np.maximum(np.bincount(cells.grid(self.body.shape, directions, self.spacing).view, minlength=views), 1)
         with np.errstate(invalid="ignore", divide="ignore"):
             number = area**2 / way  # area over the mean way
         wavelengths = 2.0 * np.pi / self.k
@@ -233,7 +232,7 @@ class _Traced:
         turn = wp.empty(n, dtype=wp.float64, device=device)
         place = wp.array(rays.place, dtype=wp.vec2d, device=device)
         size = wp.array(rays.size, dtype=wp.vec2d, device=device)
-        standoff = float(np.linalg.norm(body.shape.vertices, axis=1).max()) + body.shape.size
+        standoff = body.radius + body.shape.size
         wp.launch(
             tubes.trace_kernel,
             n,
