@@ -29,6 +29,9 @@ class Rays:
     def __len__(self) -> int:
         return len(self.view)
 
+    def __getitem__(self, some: slice) -> Rays:
+        return Rays(self.view[some], self.place[some], self.size[some], self.used[some])
+
 
 def grid(body: CoherentBody, directions: Directions, spacing_m: float) -> Rays:
     """Cells of at most `spacing_m` that cover the mesh as each direction sees it, without a rest at its sides."""

@@ -81,7 +81,7 @@ def shape_of(vertices: NDArray[np.float64], faces: NDArray[np.int32], face_mater
     normal /= np.linalg.norm(normal, axis=1)[:, None]
     found = joints(vertices, faces)
     into_first = _into(found, found.face, a, b, c)
-    into_second = np.where(found.other[:, None] < 0, into_first, _into(found, found.other, a, b, c))
+    into_second = _into(found, np.where(found.other < 0, found.face, found.other), a, b, c)
     between = np.arccos(np.clip(np.einsum("ij,ij->i", into_first, into_second), -1.0, 1.0))
     joined = found.other >= 0
     smooth = joined & (np.pi - between < np.deg2rad(SMOOTH_DEG))

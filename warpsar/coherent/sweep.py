@@ -26,7 +26,8 @@ TURN = np.pi / 2
 """Largest change of phase [rad] over half a tube's footprint after a curved surface; wider tubes are quartered."""
 LEVELS = 2
 """How many times a tube is quartered at most."""
-_RAYS_TOGETHER = 2**14
+_RAYS_TOGETHER = {"cpu": 2**14, "cuda": 2**19}
+"""Rays of one launch, with `MOST_BOUNCES`: 80 MB of hits for each thread of the CPU, 2.5 GB on CUDA."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +67,7 @@ def sweep(
     spacing = float(2.0 * np.pi / k.max() / rays_per_wavelength)
     worker = _Worker(body, k, spacing, terms, max_bounces, levels)
     counts = [_cells(body, directions, i, spacing) for i in range(len(directions))]
-    tasks = [partial(worker, directions[some]) for some in _batches(counts)]
+    tasks = [partial(worker, directions[some]) for some in _batches(counts, worker.together)]
     found = []
     for part in threads.ordered(tasks, body.device):
         found.append(part)
@@ -87,11 +88,11 @@ def _cells(body: CoherentBody, directions: Directions, i: int, spacing: float) -
     return int(np.prod(np.ceil((ends[:, 1] - ends[:, 0]) / spacing).clip(1)))
 
 
-def _batches(counts: Sequence[int]) -> Iterator[slice]:
+def _batches(counts: Sequence[int], together: int) -> Iterator[slice]:
     """Directions whose rays go together: the same for any number of threads."""
     start, rays = 0, 0
     for i, count in enumerate(counts):
-        if i > start and rays + count > _RAYS_TOGETHER:
+        if i > start and rays + count > together:
             yield slice(start, i)
             start, rays = i, 0
         rays += count
@@ -113,6 +114,8 @@ class _Worker:
         self.body, self.k, self.spacing, self.terms = body, k, spacing, terms
         self.bounces, self.levels = max_bounces if "multibounce" in terms else 1, levels
         device = body.device
+        kind = "cpu" if device.is_cpu else "cuda"
+        self.together = max(_RAYS_TOGETHER[kind] * MOST_BOUNCES // max(self.bounces, MOST_BOUNCES), radiate.RAYS)
         self.wavenumbers = wp.array(k, dtype=wp.float64, device=device)
         self.stuff = body.stuff(len(k))
         regions = body.shape.regions
@@ -184,39 +187,62 @@ class _Worker:
         return total
 
     def tubes(self, directions: Directions, axes: Sequence[wp.array], exact: wp.array) -> Sweep:
-        """Trace the tubes of all directions, quarter those that alias, and add up what they radiate."""
-        views = len(directions)
-        amplitude = np.zeros((views, len(self.k), len(TERMS), 4), np.complex128)
-        area, way = np.zeros(views), np.zeros(views)
-        refined, aliased = np.zeros(views), np.zeros(views)
-        segments = 0
+        """What the tubes of some directions radiate. The many tubes of one direction go in blocks."""
         rays = cells.grid(self.body, directions, self.spacing)
-        first = np.bincount(rays.view, rays.used, views)
+        # Several directions fit into one block; a block never holds parts of them.
+        step = max(self.together, len(rays)) if len(directions) > 1 else self.together
+        tasks = [partial(self.block, axes, exact, rays[i : i + step]) for i in range(0, len(rays), step)]
+        parts = list(threads.ordered(tasks, self.body.device))
+        total = _Block(*(sum(each) for each in zip(*(part.sums for part in parts), strict=True)))
+        with np.errstate(invalid="ignore", divide="ignore"):
+            number = total.area**2 / total.way  # area over the mean way
+        first = np.bincount(rays.view, rays.used, len(directions))
+        amplitude = np.zeros((len(directions), len(self.k), len(TERMS), 4), np.complex128)
+        amplitude[:, :, :2] = total.amplitude
+        fresnel = number[:, None] * self.k / (2.0 * np.pi)
+        return Sweep(
+            amplitude, fresnel, self.spacing, total.refined / first, total.aliased / first, int(total.segments)
+        )
+
+    def block(self, axes: Sequence[wp.array], exact: wp.array, rays: cells.Rays) -> _Block:
+        """Trace tubes, quarter those that alias, and add up what they radiate."""
+        views = axes[0].shape[0]
+        total = _Block(np.zeros((views, len(self.k), 2, 4), np.complex128), *(np.zeros(views) for _ in range(4)), 0)
         for level in range(self.levels + 1):
             traced = _Traced(self, axes, rays)
             used = rays.used != 0
             wide = used & (traced.turn > TURN)
-            kept = used
-            if level < self.levels:
-                kept = used & ~wide
-                refined += np.bincount(rays.view, wide, views) if level == 0 else 0.0
-            else:
-                aliased += np.bincount(rays.view, wide / 4.0**level, views)
-            amplitude[:, :, :2] += traced.radiated(exact, kept, views)
-            twice = kept & (traced.count > 1)
-            cross = rays.size.prod(axis=1) * twice
-            area += np.bincount(rays.view, cross, views)
-            way += np.bincount(rays.view, cross * traced.span, views)
-            segments += int(traced.count.sum())
+            kept = used & ~wide if level < self.levels else used
+            total.refined += np.bincount(rays.view, wide, views) if level == 0 < self.levels else 0.0
+            total.aliased += np.bincount(rays.view, wide & kept, views) / 4.0**level
+            total.amplitude += traced.radiated(exact, kept, views)
+            cross = rays.size.prod(axis=1) * (kept & (traced.count > 1))
+            total.area += np.bincount(rays.view, cross, views)
+            total.way += np.bincount(rays.view, cross * traced.span, views)
+            total.segments += int(traced.count.sum())
             if level == self.levels or not wide.any():
                 break
             rays = cells.children(rays, wide, views)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            number = area**2 / way  # area over the mean way
-        wavelengths = 2.0 * np.pi / self.k
-        return Sweep(
-            amplitude, number[:, None] / wavelengths, self.spacing, refined / first, aliased / first, segments
-        )
+        return total
+
+
+@dataclass
+class _Block:
+    """Sums over tubes, for each direction."""
+
+    amplitude: NDArray[np.complex128]
+    """(directions, frequencies, single and further bounces, polarizations)."""
+    area: NDArray[np.float64]
+    """Cross-section of the tubes that meet more than one face [m2]."""
+    way: NDArray[np.float64]
+    """That, times the way from the first to the last hit [m3]."""
+    refined: NDArray[np.float64]
+    aliased: NDArray[np.float64]
+    segments: int
+
+    @property
+    def sums(self) -> tuple[Any, ...]:
+        return self.amplitude, self.area, self.way, self.refined, self.aliased, self.segments
 
 
 class _Traced:
@@ -241,7 +267,6 @@ class _Traced:
             device=device,
         )
         self.count, self.span, self.turn = self.counts.numpy(), span.numpy(), turn.numpy()
-        self.start = np.searchsorted(rays.view[:: radiate.RAYS], np.arange(rays.view[-1] + 1)) if n else np.empty(0, int)
         self.chunk_view = rays.view[:: radiate.RAYS]
 
     def radiated(self, exact: wp.array, used: NDArray[np.bool_], views: int) -> NDArray[np.complex128]:

@@ -15,7 +15,6 @@ from pydantic import (
     field_validator,
     model_validator,
 )
-from pydantic_core import PydanticCustomError
 
 from warpsar.errors import InputError
 from warpsar.io.images import LARGEST_IMAGE
@@ -226,19 +225,19 @@ class Material(Table):
     eps_r: float | tuple[float, float] | str | Texture | None = Field(
         default=None,
         validate_default=True,
-        description="Relative permittivity; [eps', -eps''] of a lossy surface.",
+        description="Relative permittivity; [eps', -eps''] of a lossy surface. Required but for a conductor.",
         examples=[6.0, [80.0, -20.0], "eps_r.exr"],
     )
     rms_height_m: float | str | Texture = Field(
         default=None,
         validate_default=True,
-        description="RMS height h of the roughness [m]; 0 is smooth (coherent products alone).",
+        description="RMS height h of the roughness [m]; 0 is smooth (coherent products). Required but for a conductor.",
         examples=[0.0012, "h.exr"],
     )
     correlation_length_m: float | tuple[float, float] | str | Texture | None = Field(
         default=None,
         validate_default=True,
-        description='Correlation length l of the roughness [m]; [lx, ly] with spectrum = "separable".',
+        description='Correlation length l of the roughness [m]; [lx, ly] with spectrum = "separable". Required if rough.',
         examples=[0.006, [0.02, 0.005]],
     )
     specular_fraction: float | str | Texture = Field(
@@ -294,7 +293,7 @@ def _left_out(key: str, others: dict[str, Any]) -> float | None:
         return None
     if key == "correlation_length_m" and others.get("rms_height_m") == 0.0:
         return None
-    raise PydanticCustomError("missing", "Field required")
+    raise ValueError("missing")
 
 
 def _is_number(value: object) -> bool:
