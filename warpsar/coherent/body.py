@@ -35,12 +35,15 @@ class CoherentBody:
     materials: tuple[Material, ...]
     hull: NDArray[np.float64]
     """The vertices that can be outermost, (n, 3) [m]."""
+    origin: NDArray[np.float64]
+    """The body's middle about the scene's reference point, (3,) [m]. All other places are about the middle."""
 
     @classmethod
     def of(cls, world: World, device: wp.Device) -> CoherentBody:
-        """Upload the mesh of a scene; its reference point becomes the origin of phase."""
+        """Upload the mesh of a scene. Rays see it about its own middle, where float32 is finest."""
         mesh = world.mesh
-        vertices = mesh.vertices - np.asarray(world.reference_point_m, np.float64)
+        middle = 0.5 * (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0))
+        vertices = mesh.vertices - middle
         shape = shape_of(vertices, mesh.faces, mesh.face_material)
         constructor, leaf = ("sah", None) if device.is_cpu else ("cubql", 2)
         points = wp.array(vertices.astype(np.float32), dtype=wp.vec3, device=device)
@@ -70,6 +73,7 @@ class CoherentBody:
             wp.array(flat.along, dtype=wp.vec3d, device=device),
             tuple(world.materials[name] for name in mesh.materials),
             _hull(vertices),
+            middle - np.asarray(world.reference_point_m, np.float64),
         )
 
     def stuff(self, frequencies: int) -> wp.array:
@@ -86,7 +90,7 @@ class CoherentBody:
 
     @property
     def radius(self) -> float:
-        """Distance of the furthest vertex from the reference point [m]."""
+        """Distance of the furthest vertex from the middle [m]."""
         return float(np.linalg.norm(self.hull, axis=1).max())
 
     def extents(self, axes: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:

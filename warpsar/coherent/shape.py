@@ -56,7 +56,7 @@ class Regions:
 
 @dataclass(frozen=True)
 class Shape:
-    """What the engine knows of a mesh, about the reference point."""
+    """What the engine knows of a mesh."""
 
     vertices: NDArray[np.float64]
     faces: NDArray[np.int32]

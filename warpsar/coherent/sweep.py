@@ -73,8 +73,10 @@ def sweep(
         found.append(part)
         if progress is not None:
             progress.update(len(part.refined))
+    # The kernels' phase is zero in the body's middle, the result's at the reference point: a shift in float64.
+    shift = np.exp(2j * (directions.s @ body.origin)[:, None] * k)
     return Sweep(
-        np.concatenate([part.amplitude for part in found]),
+        np.concatenate([part.amplitude for part in found]) * shift[:, :, None, None],
         np.concatenate([part.fresnel_number for part in found]),
         spacing,
         np.concatenate([part.refined for part in found]),
