@@ -83,7 +83,6 @@ def fringe(e: wp.vec3d, k: wp.float64, s: wp.vec3d, x: wp.vec3d, n: wp.vec3d, ou
     return grazing * (across * x + along * z)
 
 
-
 @wp.kernel
 def edges_kernel(
     # In:

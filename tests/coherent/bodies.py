@@ -33,9 +33,7 @@ def plate(width: float, height: float) -> warpsar.Mesh:
 
 def dihedral(a: float, b: float) -> warpsar.Mesh:
     """Two plates, a wide and b high, that meet in the z axis; it opens to +X+Y."""
-    return rectangles(
-        [[0, 0, 0], [a, 0, 0], [a, 0, b], [0, 0, b]], [[0, 0, 0], [0, a, 0], [0, a, b], [0, 0, b]]
-    )
+    return rectangles([[0, 0, 0], [a, 0, 0], [a, 0, b], [0, 0, b]], [[0, 0, 0], [0, a, 0], [0, a, b], [0, 0, b]])
 
 
 def square_trihedral(a: float) -> warpsar.Mesh:

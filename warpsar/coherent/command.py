@@ -51,7 +51,9 @@ def run(
     incidence = [float(a) for a in angles(incidences, "--incidences", 0.0, 180.0, ends=True)]
     frequency = None
     if frequencies is not None:
-        frequency = [float(f) for f in angles(frequencies, "--frequencies", *FREQUENCIES_HZ, what="frequencies", ends=True)]
+        frequency = [
+            float(f) for f in angles(frequencies, "--frequencies", *FREQUENCIES_HZ, what="frequencies", ends=True)
+        ]
         if frequency != sorted(frequency):
             raise InputError(f"--frequencies: found {frequencies!r}; must ascend")
     scene = Scene.load(scene_path)
@@ -60,9 +62,7 @@ def run(
     make_folder(out)
     console.say_device(where)
     console.warn(scene.warnings)
-    found = rcs(
-        scene, azimuth, incidence, frequency, device=where.alias, rays_per_wavelength=rays_per_wavelength
-    )
+    found = rcs(scene, azimuth, incidence, frequency, device=where.alias, rays_per_wavelength=rays_per_wavelength)
     console.warn(found.warnings)
     files = ["rcs.csv", "rcs.png", "rcs.json"]
     with replacing(out / "rcs.csv") as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:

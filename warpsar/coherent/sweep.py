@@ -159,9 +159,7 @@ class _Worker:
         wanted = np.array([term in self.terms for term in TERMS])
         amplitude += found.amplitude
         amplitude[:, :, ~wanted] = 0.0
-        return Sweep(
-            amplitude, found.fresnel_number, self.spacing, found.refined, found.aliased, found.segments
-        )
+        return Sweep(amplitude, found.fresnel_number, self.spacing, found.refined, found.aliased, found.segments)
 
     def free(self, s: wp.array, points: wp.array, normals: wp.array, both_sides: bool) -> wp.array:
         seen = wp.empty((s.shape[0], points.shape[0]), dtype=wp.uint8, device=self.body.device)
