@@ -10,8 +10,11 @@ import warp as wp
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
+from warpsar.coherent.rough import scatterers, surfaces
 from warpsar.coherent.shape import Shape, shape_of
-from warpsar.kernels.coherent import edges, radiate, reflection, tubes
+from warpsar.kernels.codes import Variant
+from warpsar.kernels.coherent import edges, radiate, reflection, rough, tubes
+from warpsar.world.frame import SPEED_OF_LIGHT
 from warpsar.world.tables import Material
 from warpsar.world.world import World
 
@@ -37,6 +40,12 @@ class CoherentBody:
     """The vertices that can be outermost, (n, 3) [m]."""
     origin: NDArray[np.float64]
     """The body's middle about the scene's reference point, (3,) [m]. All other places are about the middle."""
+    variant: int
+    surfaces: wp.array
+    scatterers: wp.array | None
+    """Of rough faces; None without."""
+    scatterer_points: wp.array
+    scatterer_normals: wp.array
 
     @classmethod
     def of(cls, world: World, device: wp.Device) -> CoherentBody:
@@ -61,6 +70,9 @@ class CoherentBody:
         packed = np.zeros(len(flat.area), radiate.Region.numpy_dtype())
         for name in ("normal", "centre", "area", "reach", "material", "first", "end"):
             packed[name] = getattr(flat, name)
+        materials = tuple(world.materials[name] for name in mesh.materials)
+        spacing = 0.5 * SPEED_OF_LIGHT / world.radar.frequency_hz
+        places = scatterers(shape, mesh.face_material, materials, spacing, world.sampling.seed)
         return cls(
             device,
             shape,
@@ -71,9 +83,14 @@ class CoherentBody:
             wp.array(packed, dtype=radiate.Region, device=device),
             wp.array(flat.middle, dtype=wp.vec3d, device=device),
             wp.array(flat.along, dtype=wp.vec3d, device=device),
-            tuple(world.materials[name] for name in mesh.materials),
+            materials,
             _hull(vertices),
             middle - np.asarray(world.reference_point_m, np.float64),
+            int(Variant[world.radar.variant.upper()]),
+            wp.array(surfaces(materials), dtype=rough.RoughSurface, device=device),
+            wp.array(places, dtype=rough.Scatterer, device=device) if len(places) else None,
+            wp.array(places["point"], dtype=wp.vec3d, device=device),
+            wp.array(places["normal"], dtype=wp.vec3d, device=device),
         )
 
     def stuff(self, frequencies: int) -> wp.array:

@@ -80,7 +80,7 @@ def rcs(
     frequencies = np.atleast_1d(np.asarray(asked, np.float64))
     _refuse(scene, *angles, frequencies, rays_per_wavelength)
     where = devices.resolve_device(device)
-    devices.load_kernels(where, "coherent.tubes", "coherent.radiate", "coherent.edges")
+    devices.load_kernels(where, "coherent.tubes", "coherent.radiate", "coherent.edges", "coherent.rough")
     _refuse_size(angles[0].size * angles[1].size, frequencies.size, where)
     pairs = np.stack(np.meshgrid(*angles, indexing="ij"), axis=-1).reshape(-1, 2)
     body = CoherentBody.of(scene, where)
@@ -170,12 +170,6 @@ def _warnings(scene: World, found: Sweep) -> list[str]:
         warnings.append(
             f"the Fresnel number is below {FEW:g} at {int(low.sum())} of {low.size} values (down to "
             f"{found.fresnel_number[low].min():.2g}): there rays do not hold, and multibounce is no better than chance"
-        )
-    rough = [name for name, material in scene.materials.items() if material.rms_height_m != 0.0]
-    if rough and "rough" in scene.radar.terms:
-        warnings.append(
-            f"materials.{', materials.'.join(rough)}: the term rough is not computed yet; only the coherent part of "
-            "a rough face is, with its loss"
         )
     sheets = {name for name, m in scene.materials.items() if not m.conductor}
     if sheets and "edges" in scene.radar.terms:

@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from warpsar.coherent import rays as cells
 from warpsar.coherent.body import CoherentBody
 from warpsar.coherent.directions import Directions
-from warpsar.kernels.coherent import edges, radiate, tubes
+from warpsar.kernels.coherent import edges, radiate, rough, tubes
 from warpsar.runtime import threads
 from warpsar.world.frame import SPEED_OF_LIGHT
 
-TERMS = ("single", "multibounce", "edges")
+TERMS = ("single", "multibounce", "edges", "rough")
 POLARIZATIONS = ("HH", "HV", "VH", "VV")
 RAYS_PER_WAVELENGTH = 10.0
 MOST_BOUNCES = 30
@@ -153,6 +153,15 @@ class _Worker:
                 edges.EDGES,
                 self.edges.shape[0],
                 [*axes, self.wavenumbers, self.edges, seen],
+                len(directions),
+            )
+        if (places := body.scatterers) is not None and "rough" in self.terms:
+            seen = self.free(axes[0], body.scatterer_points, body.scatterer_normals, both_sides=True)
+            amplitude[:, :, 3] = self.chunks(
+                rough.rough_kernel,
+                rough.SCATTERERS,
+                places.shape[0],
+                [*axes, self.wavenumbers, body.surfaces, body.variant, places, seen],
                 len(directions),
             )
         found = self.tubes(directions, axes, exact)

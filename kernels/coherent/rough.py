@@ -1,0 +1,107 @@
+"""Rough faces as complex scatterers that belong to places of the surface."""
+
+import warp as wp
+
+from warpsar.kernels.codes import Polarization
+from warpsar.kernels.coherent.numbers import product, turned
+from warpsar.kernels.coherent.radiate import FOUR_PI
+from warpsar.kernels.scattering import bounded_cosine, bragg_terms, mirror_terms
+
+SCATTERERS = wp.constant(64)
+"""Scatterers that one thread adds up."""
+
+
+@wp.struct
+class Scatterer:
+    """A place of a rough face: what it sends back is a complex Gaussian number whose mean power is sigma0."""
+
+    point: wp.vec3d  # [m]
+    normal: wp.vec3d
+    area: wp.float64  # [m2]
+    diffuse: wp.vec2d  # complex Gaussian, of unit power: of small perturbation
+    specular: wp.vec2d  # and of geometric optics
+    material: int
+
+
+@wp.struct
+class RoughSurface:
+    """The surface model's parameters of a material; `kernels/scattering.py` says what they mean."""
+
+    spectrum: int
+    permittivity: wp.vec2d
+    rms_height: wp.float64
+    length: wp.vec2d
+    specular_fraction: wp.float64
+
+
+@wp.kernel
+def rough_kernel(
+    # In:
+    s_in: wp.array[wp.vec3d],
+    u_in: wp.array[wp.vec3d],
+    v_in: wp.array[wp.vec3d],
+    wavenumber_in: wp.array[wp.float64],
+    surface_in: wp.array[RoughSurface],
+    variant: int,
+    scatterer_in: wp.array[Scatterer],
+    seen_in: wp.array2d[wp.uint8],
+    # Out:
+    amplitude_out: wp.array4d[wp.vec2d],
+):
+    """What SCATTERERS scatterers send back, shape (views, frequencies, chunks, 4)."""
+    view, f, chunk = wp.tid()
+    one = wp.float64(1.0)
+    k = wavenumber_in[f]
+    s = s_in[view]
+    d = -s
+    u = u_in[view]
+    v = v_in[view]
+    hh = wp.vec2d()
+    hv = wp.vec2d()
+    vv = wp.vec2d()
+    for i in range(SCATTERERS):
+        j = chunk * SCATTERERS + i
+        if j < scatterer_in.shape[0]:
+            if seen_in[view, j] != wp.uint8(0):
+                place = scatterer_in[j]
+                rough = surface_in[place.material]
+                n = place.normal
+                if wp.dot(n, s) < wp.float64(0.0):
+                    n = -n
+                c = bounded_cosine(wp.dot(n, s))
+                x = wp.vec3d(-n[1], n[0], wp.float64(0.0))  # the facet's x axis, as in kernels/geometry.py
+                if wp.length(x) < wp.float64(1.0e-6):
+                    x = wp.vec3d(one, wp.float64(0.0), wp.float64(0.0))
+                along = d - wp.dot(d, n) * n
+                cos2 = one
+                if wp.length(along) > wp.float64(1.0e-6):
+                    ratio = wp.dot(wp.normalize(along), wp.normalize(x))
+                    cos2 = ratio * ratio
+                lx = rough.length[0]
+                ly = rough.length[1]
+                h = rough.rms_height
+                eps = rough.permittivity
+                scale, a_hh, _q, _h, _v = bragg_terms(
+                    int(Polarization.HH), rough.spectrum, variant, k, c, one, eps, h, lx, ly, cos2
+                )
+                _scale, a_vv, _q2, _h2, _v2 = bragg_terms(
+                    int(Polarization.VV), rough.spectrum, variant, k, c, one, eps, h, lx, ly, cos2
+                )
+                lobe, r, _q0, _variance = mirror_terms(rough.spectrum, c, eps, h, lx, ly)
+                across = wp.cross(n, d)
+                if wp.length(across) < wp.float64(1.0e-9):
+                    across = u
+                across = wp.normalize(across)
+                cosine = wp.dot(u, across)  # of the turn of the facet's basis about the line of sight
+                sine = wp.dot(v, across)
+                phase = turned(wp.float64(2.0) * k * wp.dot(s, place.point))
+                share = place.area / FOUR_PI
+                bragg = wp.sqrt(share * (one - rough.specular_fraction) * scale) * product(place.diffuse, phase)
+                mirror = wp.sqrt(share * rough.specular_fraction * lobe) * product(product(place.specular, phase), r)
+                hh += product(bragg, cosine * cosine * a_hh + sine * sine * a_vv) + mirror
+                hv += product(bragg, sine * cosine * (a_hh - a_vv))
+                vv += product(bragg, sine * sine * a_hh + cosine * cosine * a_vv) + mirror
+    amplitude_out[view, f, chunk, 0] = hh
+    amplitude_out[view, f, chunk, 1] = hv
+    amplitude_out[view, f, chunk, 2] = hv
+    amplitude_out[view, f, chunk, 3] = vv
