@@ -95,7 +95,6 @@ def trace_kernel(
     """
     ray = wp.tid()
     zero = wp.float64(0.0)
-    one = wp.float64(1.0)
     two = wp.float64(2.0)
     view = view_in[ray]
     s = s_in[view]

@@ -43,7 +43,7 @@ def test_plate_at_normal_incidence_and_its_pattern() -> None:
 def test_the_phase_is_that_of_the_way_there_and_back() -> None:
     """A plate 3 m nearer to the radar: e^{+2jk 3 m}, at the reference point zero."""
     near = plate(0.1, 0.1)
-    moved = warpsar.Mesh.of(near.vertices + [3.0, 0.0, 0.0], near.faces)
+    moved = warpsar.Mesh.of(near.vertices + np.array([3.0, 0.0, 0.0]), near.faces)
     one, other = (amplitudes(mesh, 90.0, 90.0, terms=("single",))[0, 0, 0] for mesh in (near, moved))
     assert other / one == pytest.approx(np.exp(2j * K * 3.0), abs=1e-9)
     shifted = amplitudes(moved, 90.0, 90.0, terms=("single",), reference=(3.0, 0.0, 0.0))[0, 0, 0]

@@ -18,7 +18,7 @@ class Directions:
 
     @classmethod
     def of(cls, azimuth_deg: ArrayLike, incidence_deg: ArrayLike) -> Directions:
-        """Azimuth clockwise from north, incidence from the zenith [deg], (n,) each; at the zenith u keeps its azimuth."""
+        """Azimuth clockwise from north, incidence from the zenith [deg], (n,) each; u is level at the zenith, too."""
         az, inc = np.broadcast_arrays(np.deg2rad(azimuth_deg), np.deg2rad(incidence_deg))
         sin_a, cos_a, sin_i, cos_i = np.sin(az), np.cos(az), np.sin(inc), np.cos(inc)
         # A direction along an axis is exactly so: grazing incidence is then told from a ten-thousandth of a degree.

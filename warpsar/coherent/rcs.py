@@ -75,14 +75,14 @@ def rcs(
 
     Raises InputError for angles and frequencies out of range, and DeviceError.
     """
-    angles = tuple(np.atleast_1d(np.asarray(a, np.float64)) for a in (azimuths_deg, incidences_deg))
+    azimuths, incidences = (np.atleast_1d(np.asarray(a, np.float64)) for a in (azimuths_deg, incidences_deg))
     asked = scene.radar.frequency_hz if frequencies_hz is None else frequencies_hz
     frequencies = np.atleast_1d(np.asarray(asked, np.float64))
-    _refuse(scene, *angles, frequencies, rays_per_wavelength)
+    _refuse(scene, azimuths, incidences, frequencies, rays_per_wavelength)
     where = devices.resolve_device(device)
     devices.load_kernels(where, "coherent.tubes", "coherent.radiate", "coherent.edges", "coherent.rough")
-    _refuse_size(angles[0].size * angles[1].size, frequencies.size, where)
-    pairs = np.stack(np.meshgrid(*angles, indexing="ij"), axis=-1).reshape(-1, 2)
+    _refuse_size(azimuths.size * incidences.size, frequencies.size, where)
+    pairs = np.stack(np.meshgrid(azimuths, incidences, indexing="ij"), axis=-1).reshape(-1, 2)
     body = CoherentBody.of(scene, where)
     bar = console.progress(len(pairs), "directions", "direction")
     found = sweep(
@@ -95,11 +95,12 @@ def rcs(
         progress=bar,
     )
     bar.close()
-    shape = (angles[0].size, angles[1].size)
+    shape = (azimuths.size, incidences.size)
     chosen = [POLARIZATIONS.index(name) for name in scene.radar.polarizations]
     terms = found.amplitude[..., chosen].reshape(*shape, frequencies.size, len(TERMS), len(chosen))
     return Rcs(
-        *angles,
+        azimuths,
+        incidences,
         frequencies,
         tuple(scene.radar.polarizations),
         terms.sum(axis=3),

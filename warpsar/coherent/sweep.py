@@ -135,7 +135,9 @@ class _Worker:
 
     def __call__(self, directions: Directions) -> Sweep:
         body, device = self.body, self.body.device
-        axes = [wp.array(axis, dtype=wp.vec3d, device=device) for axis in (directions.s, directions.u, directions.v)]
+        axes: list[wp.array] = [
+            wp.array(axis, dtype=wp.vec3d, device=device) for axis in (directions.s, directions.u, directions.v)
+        ]
         amplitude = np.zeros((len(directions), len(self.k), len(TERMS), 4), np.complex128)
         exact = self.lit_regions(axes)
         if body.regions.shape[0] and "single" in self.terms:
@@ -201,8 +203,9 @@ class _Worker:
         # Several directions fit into one block; a block never holds parts of them.
         step = max(self.together, len(rays)) if len(directions) > 1 else self.together
         tasks = [partial(self.block, axes, exact, rays[i : i + step]) for i in range(0, len(rays), step)]
-        parts = list(threads.ordered(tasks, self.body.device))
-        total = _Block(*(sum(each) for each in zip(*(part.sums for part in parts), strict=True)))
+        total = _Block.empty(len(directions), len(self.k))
+        for part in threads.ordered(tasks, self.body.device):
+            total.add(part)
         with np.errstate(invalid="ignore", divide="ignore"):
             number = total.area**2 / total.way  # area over the mean way
         first = np.bincount(rays.view, rays.used, len(directions))
@@ -216,7 +219,7 @@ class _Worker:
     def block(self, axes: Sequence[wp.array], exact: wp.array, rays: cells.Rays) -> _Block:
         """Trace tubes, quarter those that alias, and add up what they radiate."""
         views = axes[0].shape[0]
-        total = _Block(np.zeros((views, len(self.k), 2, 4), np.complex128), *(np.zeros(views) for _ in range(4)), 0)
+        total = _Block.empty(views, len(self.k))
         for level in range(self.levels + 1):
             traced = _Traced(self, axes, rays)
             used = rays.used != 0
@@ -249,9 +252,18 @@ class _Block:
     aliased: NDArray[np.float64]
     segments: int
 
-    @property
-    def sums(self) -> tuple[Any, ...]:
-        return self.amplitude, self.area, self.way, self.refined, self.aliased, self.segments
+    @classmethod
+    def empty(cls, views: int, frequencies: int) -> _Block:
+        area, way, refined, aliased = np.zeros((4, views))
+        return cls(np.zeros((views, frequencies, 2, 4), np.complex128), area, way, refined, aliased, 0)
+
+    def add(self, other: _Block) -> None:
+        self.amplitude += other.amplitude
+        self.area += other.area
+        self.way += other.way
+        self.refined += other.refined
+        self.aliased += other.aliased
+        self.segments += other.segments
 
 
 class _Traced:
@@ -260,13 +272,13 @@ class _Traced:
     def __init__(self, worker: _Worker, axes: Sequence[wp.array], rays: cells.Rays) -> None:
         self.worker, self.axes = worker, axes
         device, body, n = worker.body.device, worker.body, len(rays)
-        self.view = wp.array(rays.view, dtype=int, device=device)
+        self.view: wp.array = wp.array(rays.view, dtype=int, device=device)
         self.hits = wp.empty((n, worker.bounces), dtype=tubes.Hit, device=device)
         self.counts = wp.empty(n, dtype=int, device=device)
         span = wp.empty(n, dtype=wp.float64, device=device)
         turn = wp.empty(n, dtype=wp.float64, device=device)
-        place = wp.array(rays.place, dtype=wp.vec2d, device=device)
-        size = wp.array(rays.size, dtype=wp.vec2d, device=device)
+        place: wp.array = wp.array(rays.place, dtype=wp.vec2d, device=device)
+        size: wp.array = wp.array(rays.size, dtype=wp.vec2d, device=device)
         standoff = body.radius + body.shape.size
         wp.launch(
             tubes.trace_kernel,

@@ -237,7 +237,7 @@ class Material(Table):
     correlation_length_m: float | tuple[float, float] | str | Texture | None = Field(
         default=None,
         validate_default=True,
-        description='Correlation length l of the roughness [m]; [lx, ly] if spectrum = "separable". Required if rough.',
+        description='Correlation length l [m]; [lx, ly] if spectrum = "separable". Required if rough.',
         examples=[0.006, [0.02, 0.005]],
     )
     specular_fraction: float | str | Texture = Field(
