@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
+from warpsar.coherent.records import records, upload
 from warpsar.coherent.rough import scatterers, surfaces
 from warpsar.coherent.shape import Shape, shape_of
 from warpsar.kernels.codes import Variant
@@ -55,19 +57,19 @@ class CoherentBody:
         vertices = mesh.vertices - middle
         shape = shape_of(vertices, mesh.faces, mesh.face_material)
         constructor, leaf = ("sah", None) if device.is_cpu else ("cubql", 2)
-        points = wp.array(vertices.astype(np.float32), dtype=wp.vec3, device=device)
-        indices = wp.array(mesh.faces.ravel(), dtype=int, device=device)
+        points = upload(vertices.astype(np.float32), wp.vec3, device)
+        indices = upload(mesh.faces.ravel(), int, device)
         tree = wp.Mesh(points, indices, bvh_constructor=constructor, bvh_leaf_size=leaf)
-        rays = tubes.Body()
+        rays: Any = tubes.Body()
         rays.tree = tree.id
-        rays.vertices = wp.array(vertices, dtype=wp.vec3d, device=device)
-        rays.faces = wp.array(mesh.faces, dtype=int, device=device)
-        rays.normals = wp.array(shape.normals, dtype=wp.vec3d, device=device)
-        rays.curved = wp.array(shape.curved, dtype=int, device=device)
+        rays.vertices = upload(vertices, wp.vec3d, device)
+        rays.faces = upload(mesh.faces, int, device)
+        rays.normals = upload(shape.normals, wp.vec3d, device)
+        rays.curved = upload(shape.curved, int, device)
         rays.offset = OFFSET * shape.size
         rays.reach = 8.0 * shape.size
         flat = shape.regions
-        packed = np.zeros(len(flat.area), radiate.Region.numpy_dtype())
+        packed = records(radiate.Region, len(flat.area))
         for name in ("normal", "centre", "area", "reach", "material", "first", "end"):
             packed[name] = getattr(flat, name)
         materials = tuple(world.materials[name] for name in mesh.materials)
@@ -78,24 +80,24 @@ class CoherentBody:
             shape,
             tree,
             rays,
-            wp.array(mesh.face_material, dtype=int, device=device),
-            wp.array(shape.region, dtype=int, device=device),
-            wp.array(packed, dtype=radiate.Region, device=device),
-            wp.array(flat.middle, dtype=wp.vec3d, device=device),
-            wp.array(flat.along, dtype=wp.vec3d, device=device),
+            upload(mesh.face_material, int, device),
+            upload(shape.region, int, device),
+            upload(packed, radiate.Region, device),
+            upload(flat.middle, wp.vec3d, device),
+            upload(flat.along, wp.vec3d, device),
             materials,
             _hull(vertices),
             middle - np.asarray(world.reference_point_m, np.float64),
             int(Variant[world.radar.variant.upper()]),
-            wp.array(surfaces(materials), dtype=rough.RoughSurface, device=device),
-            wp.array(places, dtype=rough.Scatterer, device=device) if len(places) else None,
-            wp.array(places["point"], dtype=wp.vec3d, device=device),
-            wp.array(places["normal"], dtype=wp.vec3d, device=device),
+            upload(surfaces(materials), rough.RoughSurface, device),
+            upload(places, rough.Scatterer, device) if len(places) else None,
+            upload(places["point"], wp.vec3d, device),
+            upload(places["normal"], wp.vec3d, device),
         )
 
     def stuff(self, frequencies: int) -> wp.array:
         """The materials at each frequency, shape (frequencies, materials)."""
-        packed = np.zeros((frequencies, len(self.materials)), reflection.Face.numpy_dtype())
+        packed = records(reflection.Face, (frequencies, len(self.materials)))
         for m, material in enumerate(self.materials):
             packed["conductor"][:, m] = material.conductor
             packed["layer"][:, m] = material.thickness_m is not None
@@ -103,7 +105,7 @@ class CoherentBody:
             packed["permittivity"][:, m] = eps
             packed["thickness"][:, m] = material.thickness_m or 0.0
             packed["rms_height"][:, m] = material.rms_height_m
-        return wp.array(packed, dtype=reflection.Face, device=self.device)
+        return upload(packed, reflection.Face, self.device)
 
     @property
     def radius(self) -> float:
@@ -125,12 +127,12 @@ class CoherentBody:
         which = np.repeat(some, cuts)
         step = np.arange(len(which)) - np.repeat(np.cumsum(cuts) - cuts, cuts)
         along = (wedges.end - wedges.start)[which] / np.repeat(cuts, cuts)[:, None]
-        packed = np.zeros(len(which), edges.Edge.numpy_dtype())
+        packed = records(edges.Edge, len(which))
         packed["along"] = along
         packed["middle"] = wedges.start[which] + (step + 0.5)[:, None] * along
         for name in ("first", "second", "normal_first", "normal_second", "outer", "share"):
             packed[name] = getattr(wedges, name)[which]
-        return wp.array(packed, dtype=edges.Edge, device=self.device)
+        return upload(packed, edges.Edge, self.device)
 
 
 def _hull(vertices: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import time
 from collections.abc import Iterator
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -32,6 +33,7 @@ COLUMNS = (
     "fresnel_number",
     "ray_spacing_m",
 )
+_STYLES = ("-", "--", "-.", ":")
 _FLOOR_DB = 80.0  # of a plot, under its highest value
 
 
@@ -111,8 +113,6 @@ def parquet(found: Rcs, path: Path) -> bool:
     """Write the same table as Parquet, where pyarrow is there; whether it was."""
     if find_spec("pyarrow") is None:
         return False
-    from importlib import import_module
-
     pyarrow, writer = import_module("pyarrow"), import_module("pyarrow.parquet")
     columns = [list(each) for each in zip(*rows(found), strict=True)]
     table = {
@@ -135,7 +135,7 @@ def plot(found: Rcs, path: Path) -> None:
     for f, panel in enumerate(panels[:, 0]):
         highest = decibels[:, f].max()
         for p, name in enumerate(found.polarizations):
-            panel.plot(angle, np.maximum(decibels[:, f, p], highest - _FLOOR_DB), lw=1.0, label=name)
+            panel.plot(angle, np.maximum(decibels[:, f, p], highest - _FLOOR_DB), lw=1.0, ls=_STYLES[p], label=name)
         panel.set_ylabel("RCS [dBsm]")
         panel.set_title(f"{found.frequency_hz[f] / 1e9:g} GHz, {other}", fontsize=10)
         panel.grid(alpha=0.3)

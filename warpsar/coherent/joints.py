@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,8 +81,8 @@ def _matched(
     along = (ends[edge, 1] - ends[edge, 0]) / cuts[edge, None]
     start = ends[edge, 0] + step[:, None] * along
     middle = start + 0.5 * along
-    near, who = cKDTree(middle).query(middle, k=min(_NEIGHBOURS, len(middle)), distance_upper_bound=1.01 * unit)
-    near, who = near.reshape(len(middle), -1), who.reshape(len(middle), -1)
+    found: Any = cKDTree(middle).query(middle, k=min(_NEIGHBOURS, len(middle)), distance_upper_bound=1.01 * unit)
+    near, who = (each.reshape(len(middle), -1) for each in found)
     allowed = GAP * float(np.ptp(vertices, axis=0).max()) + 0.01 * np.linalg.norm(along, axis=1)
     other = np.full(len(middle), -1, np.int64)
     best = np.full(len(middle), np.inf)

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from warpsar.coherent.records import records
 from warpsar.coherent.shape import Shape
 from warpsar.errors import InputError
 from warpsar.kernels.codes import Spectrum
@@ -20,7 +22,7 @@ _CONDUCTOR = (1e9, 0.0)
 
 def scatterers(
     shape: Shape, face_material: NDArray[np.int32], materials: Sequence[Material], spacing_m: float, seed: int
-) -> NDArray[np.void]:
+) -> Any:
     """Scatterers at about `spacing_m`, each at a random place of an equal part of its face.
 
     Raises InputError for more than `MOST`.
@@ -44,7 +46,7 @@ def scatterers(
     outside = a + b > 1.0
     a, b = np.where(outside, 1.0 - a, a), np.where(outside, 1.0 - b, b)
     gauss = random.standard_normal((len(of), 4)) * np.sqrt(0.5)
-    made = np.zeros(len(of), rough.Scatterer.numpy_dtype())
+    made = records(rough.Scatterer, len(of))
     p0, p1, p2 = (corners[of, i] for i in range(3))
     made["point"] = p0 + a[:, None] * (p1 - p0) + b[:, None] * (p2 - p0)
     made["normal"] = (cross / twice[:, None])[of]
@@ -54,9 +56,9 @@ def scatterers(
     return made
 
 
-def surfaces(materials: Sequence[Material]) -> NDArray[np.void]:
+def surfaces(materials: Sequence[Material]) -> Any:
     """The parameters of the surface model, one for each material."""
-    packed = np.zeros(len(materials), rough.RoughSurface.numpy_dtype())
+    packed = records(rough.RoughSurface, len(materials))
     for m, material in enumerate(materials):
         eps = _CONDUCTOR if material.conductor else material.eps_r
         length = material.correlation_length_m or 1.0

@@ -146,7 +146,8 @@ def _flat(
     offset = np.abs(np.einsum("ijk,ik->ij", vertices[faces] - origin[surface][:, None], mean[surface])).max(axis=1)
     worst = np.zeros(count)
     np.maximum.at(worst, surface, offset)
-    return worst < FLAT * size
+    flat: NDArray[np.bool_] = worst < FLAT * size
+    return flat
 
 
 def _smooth_normals(
@@ -228,13 +229,13 @@ def _regions(
     sign = np.where(np.einsum("ij,ij->i", normal[order], lead[of]) < 0.0, -1, 1)
     corners = np.where(sign[:, None] < 0, faces[order][:, ::-1], faces[order])
     weight = area[order]
-    total = np.bincount(of, weight, count)
+    total = np.bincount(of, weight, count).astype(np.float64)  # of nothing it gives integers
     points = vertices[corners]
-    mean = np.stack([np.bincount(of, sign * weight * normal[order][:, i], count) for i in range(3)], axis=1)
-    mean = mean.astype(np.float64)  # bincount of nothing gives integers
+    turned = (sign * weight)[:, None] * normal[order]
+    mean = np.stack([np.bincount(of, turned[:, i], count) for i in range(3)], axis=1).astype(np.float64)
     mean /= np.linalg.norm(mean, axis=1)[:, None]
-    centre = np.stack([np.bincount(of, weight * points[:, :, i].mean(1), count) for i in range(3)], axis=1)
-    centre = centre / total[:, None]
+    middle = weight[:, None] * points.mean(axis=1)
+    centre = np.stack([np.bincount(of, middle[:, i], count) for i in range(3)], axis=1) / total[:, None]
     reach = np.zeros(count)
     np.maximum.at(reach, of, np.linalg.norm(points - centre[of][:, None], axis=2).max(axis=1))
     # An edge between two faces of a region cancels, and is left out where both share its vertices.

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from warpsar.coherent import rays as cells
 from warpsar.coherent.body import CoherentBody
 from warpsar.coherent.directions import Directions
+from warpsar.coherent.records import upload
 from warpsar.kernels.coherent import edges, radiate, rough, tubes
 from warpsar.runtime import threads
 from warpsar.world.frame import SPEED_OF_LIGHT
@@ -118,11 +119,11 @@ class _Worker:
         device = body.device
         kind = "cpu" if device.is_cpu else "cuda"
         self.together = max(_RAYS_TOGETHER[kind] * MOST_BOUNCES // max(self.bounces, MOST_BOUNCES), radiate.RAYS)
-        self.wavenumbers = wp.array(k, dtype=wp.float64, device=device)
+        self.wavenumbers = upload(k, wp.float64, device)
         self.stuff = body.stuff(len(k))
         regions = body.shape.regions
-        self.samples = wp.array(regions.sample, dtype=wp.vec3d, device=device)
-        self.sample_normals = wp.array(regions.normal[regions.sample_region], dtype=wp.vec3d, device=device)
+        self.samples = upload(regions.sample, wp.vec3d, device)
+        self.sample_normals = upload(regions.normal[regions.sample_region], wp.vec3d, device)
         self.sample_start = np.searchsorted(regions.sample_region, np.arange(len(regions.area)))
         pieces = body.edge_pieces(np.pi / k.max())
         self.edges = pieces
@@ -130,14 +131,12 @@ class _Worker:
             packed = pieces.numpy()
             outward = -(packed["first"] + packed["second"])
             outward /= np.linalg.norm(outward, axis=1)[:, None]
-            self.edge_middle = wp.array(packed["middle"], dtype=wp.vec3d, device=device)
-            self.edge_outward = wp.array(outward, dtype=wp.vec3d, device=device)
+            self.edge_middle = upload(packed["middle"], wp.vec3d, device)
+            self.edge_outward = upload(outward, wp.vec3d, device)
 
     def __call__(self, directions: Directions) -> Sweep:
         body, device = self.body, self.body.device
-        axes: list[wp.array] = [
-            wp.array(axis, dtype=wp.vec3d, device=device) for axis in (directions.s, directions.u, directions.v)
-        ]
+        axes = [upload(axis, wp.vec3d, device) for axis in (directions.s, directions.u, directions.v)]
         amplitude = np.zeros((len(directions), len(self.k), len(TERMS), 4), np.complex128)
         exact = self.lit_regions(axes)
         if body.regions.shape[0] and "single" in self.terms:
@@ -185,7 +184,7 @@ class _Worker:
             return wp.zeros((views, 1), dtype=wp.uint8, device=device)
         seen = self.free(axes[0], self.samples, self.sample_normals, both_sides=True).numpy()
         whole = np.minimum.reduceat(seen, self.sample_start, axis=1)
-        return wp.array(whole, dtype=wp.uint8, device=device)
+        return upload(whole, wp.uint8, device)
 
     def chunks(
         self, kernel: wp.Kernel, together: int, count: int, inputs: list[Any], views: int
@@ -272,13 +271,13 @@ class _Traced:
     def __init__(self, worker: _Worker, axes: Sequence[wp.array], rays: cells.Rays) -> None:
         self.worker, self.axes = worker, axes
         device, body, n = worker.body.device, worker.body, len(rays)
-        self.view: wp.array = wp.array(rays.view, dtype=int, device=device)
+        self.view = upload(rays.view, int, device)
         self.hits = wp.empty((n, worker.bounces), dtype=tubes.Hit, device=device)
         self.counts = wp.empty(n, dtype=int, device=device)
         span = wp.empty(n, dtype=wp.float64, device=device)
         turn = wp.empty(n, dtype=wp.float64, device=device)
-        place: wp.array = wp.array(rays.place, dtype=wp.vec2d, device=device)
-        size: wp.array = wp.array(rays.size, dtype=wp.vec2d, device=device)
+        place = upload(rays.place, wp.vec2d, device)
+        size = upload(rays.size, wp.vec2d, device)
         standoff = body.radius + body.shape.size
         wp.launch(
             tubes.trace_kernel,
@@ -306,7 +305,7 @@ class _Traced:
                 body.region,
                 exact,
                 self.view,
-                wp.array(used.astype(np.int32), dtype=int, device=body.device),
+                upload(used.astype(np.int32), int, body.device),
                 self.hits,
                 self.counts,
             ],
