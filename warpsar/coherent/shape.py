@@ -141,7 +141,7 @@ def _flat(
     np.minimum.at(first, surface, np.arange(len(surface)))
     sign = np.where(np.einsum("ij,ij->i", normal, normal[first[surface]]) < 0.0, -1.0, 1.0)
     mean = np.stack([np.bincount(surface, sign * area * normal[:, i], count) for i in range(3)], axis=1)
-    mean /= np.linalg.norm(mean, axis=1)[:, None]
+    mean = mean / np.linalg.norm(mean, axis=1)[:, None]
     origin = vertices[faces[first, 0]]
     offset = np.abs(np.einsum("ijk,ik->ij", vertices[faces] - origin[surface][:, None], mean[surface])).max(axis=1)
     worst = np.zeros(count)
