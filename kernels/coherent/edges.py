@@ -8,6 +8,7 @@ import warp as wp
 
 from warpsar.kernels.coherent.numbers import sinc, turned
 from warpsar.kernels.coherent.radiate import scaled
+from warpsar.kernels.coherent.tubes import Radar, look
 
 EDGES = wp.constant(16)
 """Pieces of edges that one thread adds up."""
@@ -86,9 +87,7 @@ def fringe(e: wp.vec3d, k: wp.float64, s: wp.vec3d, x: wp.vec3d, n: wp.vec3d, ou
 @wp.kernel
 def edges_kernel(
     # In:
-    s_in: wp.array[wp.vec3d],
-    u_in: wp.array[wp.vec3d],
-    v_in: wp.array[wp.vec3d],
+    radar_in: wp.array[Radar],
     wavenumber_in: wp.array[wp.float64],
     edge_in: wp.array[Edge],
     seen_in: wp.array2d[wp.uint8],
@@ -98,9 +97,8 @@ def edges_kernel(
     """Fringe currents of EDGES pieces of edges, shape (views, frequencies, chunks, 4)."""
     view, f, chunk = wp.tid()
     k = wavenumber_in[f]
-    s = s_in[view]
-    u = u_in[view]
-    v = v_in[view]
+    u = radar_in[view].u
+    v = radar_in[view].v
     hh = wp.vec2d()
     hv = wp.vec2d()
     vh = wp.vec2d()
@@ -110,8 +108,12 @@ def edges_kernel(
         if j < edge_in.shape[0]:
             if seen_in[view, j] != wp.uint8(0):
                 edge = edge_in[j]
-                size = edge.share * wp.length(edge.along) * sinc(k * wp.dot(s, edge.along))
-                phase = turned(wp.float64(2.0) * k * wp.dot(s, edge.middle))
+                sight = look(radar_in[view], edge.middle, 0.0)
+                s = sight.s
+                size = (
+                    sight.spread * sight.spread * edge.share * wp.length(edge.along) * sinc(k * wp.dot(s, edge.along))
+                )
+                phase = turned(-wp.float64(2.0) * k * sight.back)
                 factor = scaled(k, size * wp.vec2d(-phase[1], phase[0]))
                 h = fringe(u, k, s, edge.first, edge.normal_first, edge.outer)
                 h += fringe(u, k, s, edge.second, edge.normal_second, edge.outer)

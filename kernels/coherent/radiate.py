@@ -7,7 +7,7 @@ import warp as wp
 
 from warpsar.kernels.coherent.numbers import product, sinc, turned
 from warpsar.kernels.coherent.reflection import Face, Field, reflected, seen
-from warpsar.kernels.coherent.tubes import Hit
+from warpsar.kernels.coherent.tubes import Hit, Radar, look
 
 RAYS = wp.constant(32)
 """Rays that one thread adds up. The sum has the same order for any number of threads."""
@@ -33,9 +33,7 @@ def unit(p: wp.vec3d) -> Field:
 @wp.kernel
 def tubes_kernel(
     # In:
-    s_in: wp.array[wp.vec3d],
-    u_in: wp.array[wp.vec3d],
-    v_in: wp.array[wp.vec3d],
+    radar_in: wp.array[Radar],
     wavenumber_in: wp.array[wp.float64],
     stuff_in: wp.array2d[Face],
     material_in: wp.array[int],
@@ -68,9 +66,8 @@ def tubes_kernel(
         ray = chunk * RAYS + i
         if ray < count_in.shape[0] and used_in[ray] != 0:
             view = view_in[ray]
-            s = s_in[view]
-            u = u_in[view]
-            v = v_in[view]
+            u = radar_in[view].u
+            v = radar_in[view].v
             field_h = unit(u)
             field_v = unit(v)
             for b in range(count_in[ray]):
@@ -88,9 +85,13 @@ def tubes_kernel(
                         if exact_in[view, region] != wp.uint8(0):
                             counts = 0
                 if counts != 0:
-                    phase = k * (wp.dot(s, hit.point) - hit.path) + wp.float64(hit.caustics) * HALF_PI
+                    sight = look(radar_in[view], hit.point, 0.0)
+                    s = sight.s
+                    phase = -k * (sight.back + hit.path) + wp.float64(hit.caustics) * HALF_PI
                     turn = half * k * (s - d)
-                    size = hit.weight * sinc(wp.dot(turn, hit.across_u)) * sinc(wp.dot(turn, hit.across_v))
+                    size = (
+                        sight.spread * hit.weight * sinc(wp.dot(turn, hit.across_u)) * sinc(wp.dot(turn, hit.across_v))
+                    )
                     factor = scaled(k, size * turned(phase))
                     hh = product(factor, seen(field_h, back_h, d, out, n, s, u))
                     vh = product(factor, seen(field_h, back_h, d, out, n, s, v))
@@ -157,9 +158,7 @@ def phase_integral(
 @wp.kernel
 def regions_kernel(
     # In:
-    s_in: wp.array[wp.vec3d],
-    u_in: wp.array[wp.vec3d],
-    v_in: wp.array[wp.vec3d],
+    radar_in: wp.array[Radar],
     wavenumber_in: wp.array[wp.float64],
     stuff_in: wp.array2d[Face],
     exact_in: wp.array2d[wp.uint8],
@@ -172,9 +171,9 @@ def regions_kernel(
     """Physical optics of REGIONS flat regions that are lit as a whole, shape (views, frequencies, chunks, 4)."""
     view, f, chunk = wp.tid()
     k = wavenumber_in[f]
-    s = s_in[view]
-    u = u_in[view]
-    v = v_in[view]
+    s = radar_in[view].s
+    u = radar_in[view].u
+    v = radar_in[view].v
     hh = wp.vec2d()
     hv = wp.vec2d()
     vh = wp.vec2d()

@@ -5,6 +5,7 @@ import warp as wp
 from warpsar.kernels.codes import Polarization
 from warpsar.kernels.coherent.numbers import product, turned
 from warpsar.kernels.coherent.radiate import FOUR_PI
+from warpsar.kernels.coherent.tubes import Radar, look
 from warpsar.kernels.scattering import bounded_cosine, bragg_terms, mirror_terms
 
 SCATTERERS = wp.constant(64)
@@ -37,9 +38,7 @@ class RoughSurface:
 @wp.kernel
 def rough_kernel(
     # In:
-    s_in: wp.array[wp.vec3d],
-    u_in: wp.array[wp.vec3d],
-    v_in: wp.array[wp.vec3d],
+    radar_in: wp.array[Radar],
     wavenumber_in: wp.array[wp.float64],
     surface_in: wp.array[RoughSurface],
     variant: int,
@@ -52,10 +51,8 @@ def rough_kernel(
     view, f, chunk = wp.tid()
     one = wp.float64(1.0)
     k = wavenumber_in[f]
-    s = s_in[view]
-    d = -s
-    u = u_in[view]
-    v = v_in[view]
+    u = radar_in[view].u
+    v = radar_in[view].v
     hh = wp.vec2d()
     hv = wp.vec2d()
     vv = wp.vec2d()
@@ -64,6 +61,9 @@ def rough_kernel(
         if j < scatterer_in.shape[0]:
             if seen_in[view, j] != wp.uint8(0):
                 place = scatterer_in[j]
+                sight = look(radar_in[view], place.point, 0.0)
+                s = sight.s
+                d = -s
                 rough = surface_in[place.material]
                 n = place.normal
                 if wp.dot(n, s) < wp.float64(0.0):
@@ -94,7 +94,7 @@ def rough_kernel(
                 across = wp.normalize(across)
                 cosine = wp.dot(u, across)  # of the turn of the facet's basis about the line of sight
                 sine = wp.dot(v, across)
-                phase = turned(wp.float64(2.0) * k * wp.dot(s, place.point))
+                phase = sight.spread * sight.spread * turned(-wp.float64(2.0) * k * sight.back)
                 share = place.area / FOUR_PI
                 bragg = wp.sqrt(share * (one - rough.specular_fraction) * scale) * product(place.diffuse, phase)
                 mirror = wp.sqrt(share * rough.specular_fraction * lobe) * product(product(place.specular, phase), r)

@@ -35,11 +35,52 @@ class Body:
     reach: float
 
 
+@wp.struct
+class Radar:
+    """Where a view's radar stands about the body's middle. `near` is 0 for a plane wave, which has no place."""
+
+    s: wp.vec3d  # unit vector to it, from the reference point
+    u: wp.vec3d  # H
+    v: wp.vec3d  # V
+    place: wp.vec3d  # [m]
+    distance: wp.float64  # of the reference point [m]
+    near: int
+
+
+@wp.struct
+class Look:
+    """The radar as a point of the body sees it."""
+
+    s: wp.vec3d  # unit vector to it
+    back: wp.float64  # way to it, less that of the reference point [m]
+    spread: wp.float64  # field over that at the reference point's distance
+    reach: wp.float64  # of a ray to it [m]
+
+
 @wp.func
-def free(body: Body, point: wp.vec3d, normal: wp.vec3d, s: wp.vec3d) -> int:
+def look(radar: Radar, point: wp.vec3d, reach: float) -> Look:
+    found = Look()
+    if radar.near != 0:
+        to = radar.place - point
+        distance = wp.length(to)
+        found.s = to / distance
+        found.back = distance - radar.distance
+        found.spread = radar.distance / distance
+        found.reach = wp.min(distance, wp.float64(reach))
+        return found
+    found.s = radar.s
+    found.back = -wp.dot(radar.s, point)
+    found.spread = wp.float64(1.0)
+    found.reach = wp.float64(reach)
+    return found
+
+
+@wp.func
+def free(body: Body, radar: Radar, point: wp.vec3d, normal: wp.vec3d) -> int:
     """Whether nothing lies between a point and the radar."""
+    seen = look(radar, point, body.reach)
     start = point + body.offset * normal
-    if wp.mesh_query_ray_anyhit(body.tree, wp.vec3(start), wp.vec3(s), body.reach):
+    if wp.mesh_query_ray_anyhit(body.tree, wp.vec3(start), wp.vec3(seen.s), wp.float32(seen.reach)):
         return 0
     return 1
 
@@ -73,9 +114,7 @@ def crossings(a0: wp.float64, a1: wp.float64, a2: wp.float64, t: wp.float64) -> 
 def trace_kernel(
     # In:
     body: Body,
-    s_in: wp.array[wp.vec3d],
-    u_in: wp.array[wp.vec3d],
-    v_in: wp.array[wp.vec3d],
+    radar_in: wp.array[Radar],
     view_in: wp.array[int],
     place_in: wp.array[wp.vec2d],
     size_in: wp.array[wp.vec2d],
@@ -97,17 +136,26 @@ def trace_kernel(
     zero = wp.float64(0.0)
     two = wp.float64(2.0)
     view = view_in[ray]
-    s = s_in[view]
+    radar = radar_in[view]
     size = size_in[ray]
-    d = -s
-    pu = size[0] * u_in[view]
-    pv = size[1] * v_in[view]
+    pu = size[0] * radar.u
+    pv = size[1] * radar.v
     du = wp.vec3d()
     dv = wp.vec3d()
-    point = place_in[ray][0] * u_in[view] + place_in[ray][1] * v_in[view] + standoff * s
+    point = place_in[ray][0] * radar.u + place_in[ray][1] * radar.v
+    first_look = look(radar, point, body.reach)
+    d = -first_look.s
+    path = first_look.back - standoff
+    initial = wp.abs(wp.dot(d, wp.cross(pu, pv)))
+    if radar.near != 0:  # rays from one place
+        initial = initial * first_look.spread * first_look.spread
+        distance = wp.length(radar.place - point)
+        du = (pu - wp.dot(d, pu) * d) / distance
+        dv = (pv - wp.dot(d, pv) * d) / distance
+        pu = pu - standoff * du
+        pv = pv - standoff * dv
+    point = point - standoff * d
     start = point
-    path = -standoff
-    initial = size[0] * size[1]
     caustics = int(0)
     count = int(0)
     bent = int(0)
@@ -185,10 +233,11 @@ def trace_kernel(
         hit.weight = wp.sqrt(initial * wp.abs(area)) / -wp.dot(flat, d)
         hit.caustics = caustics
         hit.face = f
+        s = look(radar, point, body.reach).s
         if wp.dot(flat, s) > zero:
             hit.seen = 1
             if b > 0:
-                hit.seen = free(body, point, flat, s)
+                hit.seen = free(body, radar, point, flat)
         bent = wp.max(bent, body.curved[f])
         if b > 0 and bent != 0 and hit.seen != 0:
             change = wp.float64(0.5) * wavenumber * (s - d)
@@ -215,7 +264,7 @@ def trace_kernel(
 def free_kernel(
     # In:
     body: Body,
-    s_in: wp.array[wp.vec3d],
+    radar_in: wp.array[Radar],
     point_in: wp.array[wp.vec3d],
     normal_in: wp.array[wp.vec3d],
     both_sides: int,
@@ -224,8 +273,7 @@ def free_kernel(
 ):
     """Whether the radar sees each point, from each direction; `both_sides`: the normal is turned toward the radar."""
     view, i = wp.tid()
-    s = s_in[view]
     n = normal_in[i]
-    if both_sides != 0 and wp.dot(n, s) < wp.float64(0.0):
+    if both_sides != 0 and wp.dot(n, look(radar_in[view], point_in[i], body.reach).s) < wp.float64(0.0):
         n = -n
-    seen_out[view, i] = wp.uint8(free(body, point_in[i], n, s))
+    seen_out[view, i] = wp.uint8(free(body, radar_in[view], point_in[i], n))

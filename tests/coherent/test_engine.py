@@ -12,7 +12,7 @@ from scipy.special import fresnel
 import warpsar
 from warpsar.coherent import rays as cells
 from warpsar.coherent.body import CoherentBody
-from warpsar.coherent.directions import Directions
+from warpsar.coherent.directions import Directions, radar_records
 from warpsar.coherent.joints import joints
 from warpsar.coherent.shape import shape_of
 from warpsar.kernels.coherent import edges, tubes
@@ -74,7 +74,7 @@ def test_a_closed_duct_returns_what_enters(duct: warpsar.Mesh) -> None:
     body = CoherentBody.of(scene(duct), wp.get_device("cpu"))
     directions = Directions.of([75.0, 90.0, 100.0], 90.0)
     rays = cells.grid(body, directions, WAVELENGTH / 10)
-    axes = [wp.array(axis, dtype=wp.vec3d, device="cpu") for axis in (directions.s, directions.u, directions.v)]
+    radars = wp.array(radar_records(directions, body.origin, None), dtype=tubes.Radar, device="cpu")
     n, most = len(rays), 40
     hits = wp.empty((n, most), dtype=tubes.Hit, device="cpu")
     count = wp.empty(n, dtype=int, device="cpu")
@@ -82,7 +82,7 @@ def test_a_closed_duct_returns_what_enters(duct: warpsar.Mesh) -> None:
     view, place, size = (
         wp.array(a, dtype=d, device="cpu") for a, d in ((rays.view, int), (rays.place, wp.vec2d), (rays.size, wp.vec2d))
     )
-    inputs = [body.rays, *axes, view, place, size, 1.0, K, most]
+    inputs = [body.rays, radars, view, place, size, 1.0, K, most]
     wp.launch(tubes.trace_kernel, n, inputs=inputs, outputs=[hits, count, span, turn], device="cpu")
     found, times = hits.numpy(), count.numpy()
     area = rays.size.prod(axis=1) * rays.used

@@ -112,6 +112,17 @@ class CoherentBody:
         """Distance of the furthest vertex from the middle [m]."""
         return float(np.linalg.norm(self.hull, axis=1).max())
 
+    @property
+    def standoff(self) -> float:
+        """How far from the middle rays start [m]: a radar must stand further away."""
+        return self.radius + self.shape.size
+
+    def seen_from(self, place: NDArray[np.float64], s: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The hull, (n, 3) [m], cast from a place onto the plane through the middle across `s`."""
+        height = float(place @ s)
+        ratio = height / (height - self.hull @ s)
+        return place + ratio[:, None] * (self.hull - place)
+
     def extents(self, axes: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
         """Least and largest coordinate along each axis [m], shape (axes, 2)."""
         along = self.hull @ np.stack(axes, axis=1)

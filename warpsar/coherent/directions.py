@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from warpsar.coherent.records import records
+from warpsar.kernels.coherent.tubes import Radar
 
 
 @dataclass(frozen=True)
@@ -27,8 +31,23 @@ class Directions:
         u = np.stack([cos_a, -sin_a, np.zeros_like(az)], axis=-1)
         return cls(s, u, np.cross(-u, s))
 
+    def places(self, origin: NDArray[np.float64], distance_m: float) -> NDArray[np.float64]:
+        """Where radars at a distance from the reference point stand, about a body's middle `origin`, (n, 3) [m]."""
+        return distance_m * self.s - origin
+
     def __len__(self) -> int:
         return len(self.s)
 
     def __getitem__(self, some: slice) -> Directions:
         return Directions(self.s[some], self.u[some], self.v[some])
+
+
+def radar_records(directions: Directions, origin: NDArray[np.float64], distance_m: float | None) -> Any:
+    """The kernels' radars, about the body's middle; of a plane wave without a distance."""
+    made = records(Radar, len(directions))
+    for axis in ("s", "u", "v"):
+        made[axis] = getattr(directions, axis)
+    if distance_m is not None:
+        made["near"], made["distance"] = 1, distance_m
+        made["place"] = directions.places(origin, distance_m)
+    return made

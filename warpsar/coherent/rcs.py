@@ -68,7 +68,9 @@ def rcs(
     device: str | None = None,
     rays_per_wavelength: float = RAYS_PER_WAVELENGTH,
 ) -> Rcs:
-    """Monostatic radar cross-sections of a scene at every pair of angles and every frequency, for a plane wave.
+    """Monostatic radar cross-sections of a scene at every pair of angles and every frequency.
+
+    The wave is plane. With `[radar] slant_range_m` it comes from a place at that distance to the reference point.
 
     `frequencies_hz` ascend; without them it is that of `[radar]`, as are polarizations, `terms` and `max_bounces`. The
     reference point has phase zero. docs/coherent.md says what is computed and where it holds.
@@ -84,6 +86,10 @@ def rcs(
     _refuse_size(azimuths.size * incidences.size, frequencies.size, where)
     pairs = np.stack(np.meshgrid(azimuths, incidences, indexing="ij"), axis=-1).reshape(-1, 2)
     body = CoherentBody.of(scene, where)
+    distance = scene.radar.slant_range_m
+    nearest = float(np.linalg.norm(body.origin)) + body.standoff + body.radius
+    if distance is not None and distance < nearest:
+        raise InputError(f"radar.slant_range_m: found {distance:g}; must be at least {nearest:.4g} for this body")
     bar = console.progress(len(pairs), "directions", "direction")
     found = sweep(
         body,
@@ -92,6 +98,7 @@ def rcs(
         terms=scene.radar.terms,
         max_bounces=scene.radar.max_bounces,
         rays_per_wavelength=rays_per_wavelength,
+        distance_m=distance,
         progress=bar,
     )
     bar.close()

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from warpsar.coherent import rays as cells
 from warpsar.coherent.body import CoherentBody
-from warpsar.coherent.directions import Directions
+from warpsar.coherent.directions import Directions, radar_records
 from warpsar.coherent.records import upload
 from warpsar.kernels.coherent import edges, radiate, rough, tubes
 from warpsar.runtime import threads
@@ -58,15 +58,16 @@ def sweep(
     max_bounces: int = MOST_BOUNCES,
     rays_per_wavelength: float = RAYS_PER_WAVELENGTH,
     levels: int = LEVELS,
+    distance_m: float | None = None,
     progress: Any = None,
 ) -> Sweep:
     """What the body sends back to each direction (n) at each frequency [Hz], ascending, in all polarizations.
 
-    The geometry of a ray serves all frequencies and polarizations. The result does not depend on the number of threads.
+    `distance_m`: from the radar to the reference point; a plane wave without. The geometry of a ray serves all frequencies and polarizations. The result does not depend on the number of threads.
     """
     k = 2.0 * np.pi * np.asarray(frequencies_hz, float) / SPEED_OF_LIGHT
     spacing = float(2.0 * np.pi / k.max() / rays_per_wavelength)
-    worker = _Worker(body, k, spacing, terms, max_bounces, levels)
+    worker = _Worker(body, k, spacing, terms, max_bounces, levels, distance_m)
     counts = [_cells(body, directions, i, spacing) for i in range(len(directions))]
     tasks = [partial(worker, directions[some]) for some in _batches(counts, worker.together)]
     found = []
@@ -75,7 +76,7 @@ def sweep(
         if progress is not None:
             progress.update(len(part.refined))
     # The kernels' phase is zero in the body's middle, the result's at the reference point: a shift in float64.
-    shift = np.exp(2j * (directions.s @ body.origin)[:, None] * k)
+    shift = np.exp(2j * (directions.s @ body.origin)[:, None] * (k if distance_m is None else 0.0 * k))
     return Sweep(
         np.concatenate([part.amplitude for part in found]) * shift[:, :, None, None],
         np.concatenate([part.fresnel_number for part in found]),
@@ -113,8 +114,9 @@ class _Worker:
         terms: Sequence[str],
         max_bounces: int,
         levels: int,
+        distance_m: float | None,
     ) -> None:
-        self.body, self.k, self.spacing, self.terms = body, k, spacing, terms
+        self.body, self.k, self.spacing, self.terms, self.distance = body, k, spacing, terms, distance_m
         self.bounces, self.levels = max_bounces if "multibounce" in terms else 1, levels
         device = body.device
         kind = "cpu" if device.is_cpu else "cuda"
@@ -136,53 +138,53 @@ class _Worker:
 
     def __call__(self, directions: Directions) -> Sweep:
         body, device = self.body, self.body.device
-        axes = [upload(axis, wp.vec3d, device) for axis in (directions.s, directions.u, directions.v)]
+        radars = upload(radar_records(directions, body.origin, self.distance), tubes.Radar, device)
         amplitude = np.zeros((len(directions), len(self.k), len(TERMS), 4), np.complex128)
-        exact = self.lit_regions(axes)
+        exact = self.lit_regions(radars)
         if body.regions.shape[0] and "single" in self.terms:
             amplitude[:, :, 0] = self.chunks(
                 radiate.regions_kernel,
                 radiate.REGIONS,
                 body.regions.shape[0],
-                [*axes, self.wavenumbers, self.stuff, exact, body.regions, body.middle, body.along],
+                [radars, self.wavenumbers, self.stuff, exact, body.regions, body.middle, body.along],
                 len(directions),
             )
         if self.edges.shape[0] and "edges" in self.terms:
-            seen = self.free(axes[0], self.edge_middle, self.edge_outward, both_sides=False)
+            seen = self.free(radars, self.edge_middle, self.edge_outward, both_sides=False)
             amplitude[:, :, 2] = self.chunks(
                 edges.edges_kernel,
                 edges.EDGES,
                 self.edges.shape[0],
-                [*axes, self.wavenumbers, self.edges, seen],
+                [radars, self.wavenumbers, self.edges, seen],
                 len(directions),
             )
         if (places := body.scatterers) is not None and "rough" in self.terms:
-            seen = self.free(axes[0], body.scatterer_points, body.scatterer_normals, both_sides=True)
+            seen = self.free(radars, body.scatterer_points, body.scatterer_normals, both_sides=True)
             amplitude[:, :, 3] = self.chunks(
                 rough.rough_kernel,
                 rough.SCATTERERS,
                 places.shape[0],
-                [*axes, self.wavenumbers, body.surfaces, body.variant, places, seen],
+                [radars, self.wavenumbers, body.surfaces, body.variant, places, seen],
                 len(directions),
             )
-        found = self.tubes(directions, axes, exact)
+        found = self.tubes(directions, radars, exact)
         wanted = np.array([term in self.terms for term in TERMS])
         amplitude += found.amplitude
         amplitude[:, :, ~wanted] = 0.0
         return Sweep(amplitude, found.fresnel_number, self.spacing, found.refined, found.aliased, found.segments)
 
-    def free(self, s: wp.array, points: wp.array, normals: wp.array, both_sides: bool) -> wp.array:
-        seen = wp.empty((s.shape[0], points.shape[0]), dtype=wp.uint8, device=self.body.device)
-        inputs = [self.body.rays, s, points, normals, int(both_sides)]
+    def free(self, radars: wp.array, points: wp.array, normals: wp.array, both_sides: bool) -> wp.array:
+        seen = wp.empty((radars.shape[0], points.shape[0]), dtype=wp.uint8, device=self.body.device)
+        inputs = [self.body.rays, radars, points, normals, int(both_sides)]
         wp.launch(tubes.free_kernel, seen.shape, inputs=inputs, outputs=[seen], device=self.body.device)
         return seen
 
-    def lit_regions(self, axes: Sequence[wp.array]) -> wp.array:
+    def lit_regions(self, radars: wp.array) -> wp.array:
         """Which flat regions each direction sees as a whole, (directions, regions)."""
-        device, views = self.body.device, axes[0].shape[0]
-        if not len(self.sample_start):
-            return wp.zeros((views, 1), dtype=wp.uint8, device=device)
-        seen = self.free(axes[0], self.samples, self.sample_normals, both_sides=True).numpy()
+        device, views = self.body.device, radars.shape[0]
+        if not len(self.sample_start) or self.distance is not None:  # the closed form is that of a plane wave
+            return wp.zeros((views, max(len(self.sample_start), 1)), dtype=wp.uint8, device=device)
+        seen = self.free(radars, self.samples, self.sample_normals, both_sides=True).numpy()
         whole = np.minimum.reduceat(seen, self.sample_start, axis=1)
         return upload(whole, wp.uint8, device)
 
@@ -196,12 +198,12 @@ class _Worker:
         total: NDArray[np.complex128] = _complex(out).sum(axis=2)
         return total
 
-    def tubes(self, directions: Directions, axes: Sequence[wp.array], exact: wp.array) -> Sweep:
+    def tubes(self, directions: Directions, radars: wp.array, exact: wp.array) -> Sweep:
         """What the tubes of some directions radiate. The many tubes of one direction go in blocks."""
-        rays = cells.grid(self.body, directions, self.spacing)
+        rays = cells.grid(self.body, directions, self.spacing, self.distance)
         # Several directions fit into one block; a block never holds parts of them.
         step = max(self.together, len(rays)) if len(directions) > 1 else self.together
-        tasks = [partial(self.block, axes, exact, rays[i : i + step]) for i in range(0, len(rays), step)]
+        tasks = [partial(self.block, radars, exact, rays[i : i + step]) for i in range(0, len(rays), step)]
         total = _Block.empty(len(directions), len(self.k))
         for part in threads.ordered(tasks, self.body.device):
             total.add(part)
@@ -215,12 +217,12 @@ class _Worker:
             amplitude, fresnel, self.spacing, total.refined / first, total.aliased / first, int(total.segments)
         )
 
-    def block(self, axes: Sequence[wp.array], exact: wp.array, rays: cells.Rays) -> _Block:
+    def block(self, radars: wp.array, exact: wp.array, rays: cells.Rays) -> _Block:
         """Trace tubes, quarter those that alias, and add up what they radiate."""
-        views = axes[0].shape[0]
+        views = radars.shape[0]
         total = _Block.empty(views, len(self.k))
         for level in range(self.levels + 1):
-            traced = _Traced(self, axes, rays)
+            traced = _Traced(self, radars, rays)
             used = rays.used != 0
             wide = used & (traced.turn > TURN)
             kept = used & ~wide if level < self.levels else used
@@ -268,8 +270,8 @@ class _Block:
 class _Traced:
     """Rays with what they hit."""
 
-    def __init__(self, worker: _Worker, axes: Sequence[wp.array], rays: cells.Rays) -> None:
-        self.worker, self.axes = worker, axes
+    def __init__(self, worker: _Worker, radars: wp.array, rays: cells.Rays) -> None:
+        self.worker, self.radars = worker, radars
         device, body, n = worker.body.device, worker.body, len(rays)
         self.view = upload(rays.view, int, device)
         self.hits = wp.empty((n, worker.bounces), dtype=tubes.Hit, device=device)
@@ -278,11 +280,11 @@ class _Traced:
         turn = wp.empty(n, dtype=wp.float64, device=device)
         place = upload(rays.place, wp.vec2d, device)
         size = upload(rays.size, wp.vec2d, device)
-        standoff = body.radius + body.shape.size
+        standoff = body.standoff
         wp.launch(
             tubes.trace_kernel,
             n,
-            inputs=[body.rays, *axes, self.view, place, size, standoff, float(worker.k.max()), worker.bounces],
+            inputs=[body.rays, radars, self.view, place, size, standoff, float(worker.k.max()), worker.bounces],
             outputs=[self.hits, self.counts, span, turn],
             device=device,
         )
@@ -298,7 +300,7 @@ class _Traced:
             radiate.tubes_kernel,
             shape,
             inputs=[
-                *self.axes,
+                self.radars,
                 worker.wavenumbers,
                 worker.stuff,
                 body.face_material,
