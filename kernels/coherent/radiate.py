@@ -48,7 +48,8 @@ def tubes_kernel(
 ):
     """Each thread adds up RAYS rays of one view at one frequency: (single, further bounces) x (HH, HV, VH, VV).
 
-    A first hit on a flat region that is lit as a whole is left to `regions_kernel`, which has its exact border.
+    A first hit on a flat region that is lit as a whole is left to `regions_kernel`, which has its exact border. The
+    eight sums, which a function could not give back, make it longer than others.
     """
     chunk, f = wp.tid()
     half = wp.float64(0.5)

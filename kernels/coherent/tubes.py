@@ -131,6 +131,8 @@ def trace_kernel(
 
     `span_out`: the way from its first to its last hit [m]. `turn_out`: the largest change of phase [rad] over half a
     footprint that the radar sees after a curved surface; plane mirrors keep the phase of a tube linear.
+
+    Longer than other functions: a ray's state is a dozen variables, which would all go in and out of its parts.
     """
     ray = wp.tid()
     zero = wp.float64(0.0)

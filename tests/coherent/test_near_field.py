@@ -37,7 +37,7 @@ def test_far_away_it_is_a_plane_wave(term: str) -> None:
         amplitudes(mesh, [40.0, 47.0], [80.0, 90.0], terms=(term,), finer=20.0, **more)
         for more in ({"slant_range_m": 1e5}, {})
     )
-    # Plates are sampled by tubes near by, and exact far away: their border, 0.2 m, is known to half a cell of lambda / 20.
+    # Near by tubes sample the plates: their border, 0.2 m, is known to half a cell of lambda / 20.
     strip = 0.2 * 0.5 * WAVELENGTH / 20.0 / WAVELENGTH
     assert np.abs(near - far).max() < (strip if term == "single" else 1e-3 * np.abs(far).max())
 

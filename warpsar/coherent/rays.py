@@ -39,10 +39,10 @@ def grid(body: CoherentBody, directions: Directions, spacing_m: float, distance_
     They lie in the plane through the body's middle; with a distance as a radar there sees it.
     """
     parts = []
-    for i, (s, u, v) in enumerate(zip(directions.s, directions.u, directions.v, strict=True)):
+    for index, (s, u, v) in enumerate(zip(directions.s, directions.u, directions.v, strict=True)):
         ends = body.extents([u, v])
         if distance_m is not None:
-            along = body.seen_from(directions.places(body.origin, distance_m)[i], s) @ np.stack([u, v], axis=1)
+            along = body.seen_from(directions.places(body.origin, distance_m)[index], s) @ np.stack([u, v], axis=1)
             ends = np.stack([along.min(axis=0), along.max(axis=0)], axis=1)
         width = ends[:, 1] - ends[:, 0]
         count = np.maximum(np.ceil(width / spacing_m - 1e-9), 1).astype(int)

@@ -63,7 +63,8 @@ def sweep(
 ) -> Sweep:
     """What the body sends back to each direction (n) at each frequency [Hz], ascending, in all polarizations.
 
-    `distance_m`: from the radar to the reference point; a plane wave without. The geometry of a ray serves all frequencies and polarizations. The result does not depend on the number of threads.
+    `distance_m`: from the radar to the reference point; a plane wave without. The geometry of a ray serves all
+    frequencies and polarizations. The result does not depend on the number of threads.
     """
     k = 2.0 * np.pi * np.asarray(frequencies_hz, float) / SPEED_OF_LIGHT
     spacing = float(2.0 * np.pi / k.max() / rays_per_wavelength)
