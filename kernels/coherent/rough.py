@@ -35,6 +35,60 @@ class RoughSurface:
     specular_fraction: wp.float64
 
 
+@wp.struct
+class Scattering:
+    """A facet's complex amplitudes in the radar's basis: of small perturbation, and of geometric optics."""
+
+    hh: wp.vec2d
+    hv: wp.vec2d
+    vv: wp.vec2d
+    scale: wp.float64  # sigma0 over |hh|^2
+    mirror: wp.vec2d
+    lobe: wp.float64
+
+
+@wp.func
+def scattering_of(
+    rough: RoughSurface, variant: int, k: wp.float64, d: wp.vec3d, n: wp.vec3d, u: wp.vec3d, v: wp.vec3d
+) -> Scattering:
+    """The model of `kernels/scattering.py` with its phases. The facet's basis is turned about the line of sight."""
+    one = wp.float64(1.0)
+    c = bounded_cosine(-wp.dot(n, d))
+    x = wp.vec3d(-n[1], n[0], wp.float64(0.0))  # the facet's x axis, as in kernels/geometry.py
+    if wp.length(x) < wp.float64(1.0e-6):
+        x = wp.vec3d(one, wp.float64(0.0), wp.float64(0.0))
+    along = d - wp.dot(d, n) * n
+    cos2 = one
+    if wp.length(along) > wp.float64(1.0e-6):
+        ratio = wp.dot(wp.normalize(along), wp.normalize(x))
+        cos2 = ratio * ratio
+    lx = rough.length[0]
+    ly = rough.length[1]
+    h = rough.rms_height
+    eps = rough.permittivity
+    scale, a_hh, _q, _h, _v = bragg_terms(
+        int(Polarization.HH), rough.spectrum, variant, k, c, one, eps, h, lx, ly, cos2
+    )
+    _scale, a_vv, _q2, _h2, _v2 = bragg_terms(
+        int(Polarization.VV), rough.spectrum, variant, k, c, one, eps, h, lx, ly, cos2
+    )
+    lobe, r, _q0, _variance = mirror_terms(rough.spectrum, c, eps, h, lx, ly)
+    across = wp.cross(n, d)
+    if wp.length(across) < wp.float64(1.0e-9):
+        across = u
+    across = wp.normalize(across)
+    cosine = wp.dot(u, across)  # of the turn of the facet's basis about the line of sight
+    sine = wp.dot(v, across)
+    found = Scattering()
+    found.hh = cosine * cosine * a_hh + sine * sine * a_vv
+    found.hv = sine * cosine * (a_hh - a_vv)
+    found.vv = sine * sine * a_hh + cosine * cosine * a_vv
+    found.scale = scale
+    found.mirror = r
+    found.lobe = lobe
+    return found
+
+
 @wp.kernel
 def rough_kernel(
     # In:
@@ -68,39 +122,16 @@ def rough_kernel(
                 n = place.normal
                 if wp.dot(n, s) < wp.float64(0.0):
                     n = -n
-                c = bounded_cosine(wp.dot(n, s))
-                x = wp.vec3d(-n[1], n[0], wp.float64(0.0))  # the facet's x axis, as in kernels/geometry.py
-                if wp.length(x) < wp.float64(1.0e-6):
-                    x = wp.vec3d(one, wp.float64(0.0), wp.float64(0.0))
-                along = d - wp.dot(d, n) * n
-                cos2 = one
-                if wp.length(along) > wp.float64(1.0e-6):
-                    ratio = wp.dot(wp.normalize(along), wp.normalize(x))
-                    cos2 = ratio * ratio
-                lx = rough.length[0]
-                ly = rough.length[1]
-                h = rough.rms_height
-                eps = rough.permittivity
-                scale, a_hh, _q, _h, _v = bragg_terms(
-                    int(Polarization.HH), rough.spectrum, variant, k, c, one, eps, h, lx, ly, cos2
-                )
-                _scale, a_vv, _q2, _h2, _v2 = bragg_terms(
-                    int(Polarization.VV), rough.spectrum, variant, k, c, one, eps, h, lx, ly, cos2
-                )
-                lobe, r, _q0, _variance = mirror_terms(rough.spectrum, c, eps, h, lx, ly)
-                across = wp.cross(n, d)
-                if wp.length(across) < wp.float64(1.0e-9):
-                    across = u
-                across = wp.normalize(across)
-                cosine = wp.dot(u, across)  # of the turn of the facet's basis about the line of sight
-                sine = wp.dot(v, across)
+                model = scattering_of(rough, variant, k, d, n, u, v)
                 phase = sight.spread * sight.spread * turned(-wp.float64(2.0) * k * sight.back)
                 share = place.area / FOUR_PI
-                bragg = wp.sqrt(share * (one - rough.specular_fraction) * scale) * product(place.diffuse, phase)
-                mirror = wp.sqrt(share * rough.specular_fraction * lobe) * product(product(place.specular, phase), r)
-                hh += product(bragg, cosine * cosine * a_hh + sine * sine * a_vv) + mirror
-                hv += product(bragg, sine * cosine * (a_hh - a_vv))
-                vv += product(bragg, sine * sine * a_hh + cosine * cosine * a_vv) + mirror
+                bragg = wp.sqrt(share * (one - rough.specular_fraction) * model.scale) * product(place.diffuse, phase)
+                mirror = wp.sqrt(share * rough.specular_fraction * model.lobe) * product(
+                    product(place.specular, phase), model.mirror
+                )
+                hh += product(bragg, model.hh) + mirror
+                hv += product(bragg, model.hv)
+                vv += product(bragg, model.vv) + mirror
     amplitude_out[view, f, chunk, 0] = hh
     amplitude_out[view, f, chunk, 1] = hv
     amplitude_out[view, f, chunk, 2] = hv
