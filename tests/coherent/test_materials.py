@@ -194,3 +194,8 @@ def test_bad_sweeps_are_refused_in_one_message(files: Path, options: list[str], 
 def test_bad_arrays_are_refused(azimuths: Any, more: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError, match=message):
         warpsar.rcs(scene(plate(0.1, 0.1)), azimuths, device="cpu", **more)
+
+
+def test_a_body_of_too_many_tubes_is_refused() -> None:
+    with pytest.raises(InputError, match=r"found a body of .* tubes of .* must be up to .* GiB"):
+        warpsar.rcs(scene(plate(2000.0, 2000.0)), 90.0, device="cpu")

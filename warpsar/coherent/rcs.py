@@ -14,12 +14,15 @@ from warpsar.coherent.sweep import POLARIZATIONS, RAYS_PER_WAVELENGTH, TERMS, Sw
 from warpsar.errors import InputError
 from warpsar.runtime import console, devices
 from warpsar.runtime.memory import default_gib
+from warpsar.world.frame import SPEED_OF_LIGHT
 from warpsar.world.world import World
 
 FREQUENCIES_HZ = (1e6, 1e13)
 FEW = 1.0
 """Fresnel number below which rays in a duct are no better than a constant level (docs/coherent.md)."""
 _BYTES = 16 * len(TERMS) * len(POLARIZATIONS)
+_TUBE_BYTES = 120
+"""Host memory for each tube of a direction, besides the hits, which go in blocks."""
 
 
 @dataclass(frozen=True)
@@ -86,10 +89,7 @@ def rcs(
     _refuse_size(azimuths.size * incidences.size, frequencies.size, where)
     pairs = np.stack(np.meshgrid(azimuths, incidences, indexing="ij"), axis=-1).reshape(-1, 2)
     body = CoherentBody.of(scene, where)
-    distance = scene.radar.slant_range_m
-    nearest = float(np.linalg.norm(body.origin)) + body.standoff + body.radius
-    if distance is not None and distance < nearest:
-        raise InputError(f"radar.slant_range_m: found {distance:g}; must be at least {nearest:.4g} for this body")
+    _refuse_body(scene, body, SPEED_OF_LIGHT / frequencies.max(), rays_per_wavelength)
     bar = console.progress(len(pairs), "directions", "direction")
     found = sweep(
         body,
@@ -98,7 +98,7 @@ def rcs(
         terms=scene.radar.terms,
         max_bounces=scene.radar.max_bounces,
         rays_per_wavelength=rays_per_wavelength,
-        distance_m=distance,
+        distance_m=scene.radar.slant_range_m,
         progress=bar,
     )
     bar.close()
@@ -158,6 +158,20 @@ def _refuse_size(directions: int, frequencies: int, device: wp.Device) -> None:
             f"{directions} directions x {frequencies} frequencies: found {needed:.1f} GiB of amplitudes; must be up to "
             f"{there:.1f} GiB, so ask for fewer at a time"
         )
+
+
+def _refuse_body(scene: World, body: CoherentBody, wavelength: float, rays_per_wavelength: float) -> None:
+    """Refuse a body of too many tubes, and a radar inside it."""
+    tubes = (2.0 * body.radius * rays_per_wavelength / wavelength) ** 2
+    if (needed := tubes * _TUBE_BYTES / 2**30) > (there := default_gib(body.device)):
+        raise InputError(
+            f"{scene.name}: found a body of {2 * body.radius:.3g} m, {tubes:.2g} tubes of {wavelength:.2g} m / "
+            f"{rays_per_wavelength:g} for a direction ({needed:.3g} GiB); must be up to {there:.3g} GiB"
+        )
+    distance = scene.radar.slant_range_m
+    nearest = float(np.linalg.norm(body.origin)) + body.standoff + body.radius
+    if distance is not None and distance < nearest:
+        raise InputError(f"radar.slant_range_m: found {distance:g}; must be at least {nearest:.4g} for this body")
 
 
 def _warnings(scene: World, found: Sweep) -> list[str]:
