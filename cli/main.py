@@ -15,6 +15,7 @@ INTERRUPTED = 130  # 128 + SIGINT, as shells report it
 COMMANDS = {
     "new": "warpsar.cli.new:command",
     "simulate": "warpsar.cli.simulate:command",
+    "rcs": "warpsar.cli.rcs:command",
     "import": "warpsar.cli.import_:command",
     "learn": "warpsar.cli.learn:command",
     "uv": "warpsar.cli.uv:command",

@@ -32,6 +32,7 @@ ROOMS = (
     "measured",
     "render",
     "simulation",
+    "coherent",
     "differentiable",
     "learning",
     "evaluation",

@@ -13,6 +13,7 @@ from warpsar.errors import DeviceError, InputError, WarpsarError
 from warpsar.version import __version__
 
 if TYPE_CHECKING:
+    from warpsar.coherent.rcs import rcs
     from warpsar.diagnosis.found import DiagnoseOptions
     from warpsar.diagnosis.result import diagnose
     from warpsar.differentiable.renderer import renderer
@@ -37,6 +38,7 @@ _LAZY = {
     "diagnose": "warpsar.diagnosis.result",
     "evaluate": "warpsar.evaluation.command",
     "learn": "warpsar.learning.command",
+    "rcs": "warpsar.coherent.rcs",
     "renderer": "warpsar.differentiable.renderer",
     "simulate": "warpsar.simulation.command",
     "to_xarray": "warpsar.simulation.dataset",
@@ -58,6 +60,7 @@ __all__ = [
     "diagnose",
     "evaluate",
     "learn",
+    "rcs",
     "renderer",
     "simulate",
     "to_xarray",

@@ -146,7 +146,7 @@ def _problem(details: Mapping[str, Any], raw: dict[str, Any]) -> str:
     place = tuple(part for part in details["loc"] if part != "[key]")
     key = _key(place, raw)
     found, kind = details["input"], details["type"]
-    if kind == "missing":
+    if kind == "missing" or found is None:  # TOML has no null
         return f"{key}: missing"
     if kind == "extra_forbidden":
         model = _TABLES[str(place[0])] if len(place) > 1 else SceneFile

@@ -22,6 +22,13 @@ _FILE = {**_NAME, "format": "path"}
 _Json = dict[str, Any]
 
 
+_SURFACES: list[_Json] = [  # rough, smooth, or a conductor
+    {"required": ["eps_r", "rms_height_m", "correlation_length_m"]},
+    {"required": ["eps_r", "rms_height_m"], "properties": {"rms_height_m": {"const": 0}}},
+    {"required": ["conductor"], "properties": {"conductor": {"const": True}}},
+]
+
+
 class _Generator(GenerateJsonSchema):
     """A surface value has a check of its own, of which pydantic (to 2.9) can make no schema: `_surface` does."""
 
@@ -51,6 +58,7 @@ def scene_schema() -> _Json:
         tables["materials"]["additionalProperties"]["properties"][key].update(_surface(key))
     known = tables["materials"]["additionalProperties"]["properties"]["tolerance"]
     known.update(additionalProperties=_tolerance({"type": "number"}), propertyNames={"enum": list(SURFACE_KEYS)})
+    tables["materials"]["additionalProperties"]["anyOf"] = _SURFACES
     view = tables["views"]["items"]
     view["oneOf"] = [{"required": [key]} for key in ("incidence_deg", "depression_deg", "grazing_deg")]
     view["properties"]["images"].update(propertyNames={"enum": list(get_args(Polarization))})
@@ -87,7 +95,7 @@ def _plain(node: _Json, models: dict[str, _Json]) -> _Json:
 def _surface(key: SurfaceKey) -> _Json:
     """What a surface value may be: a number, a pair for some keys, or the name of an image or a scalar."""
     low, high = LIMITS[key]
-    least = "minimum" if key == "specular_fraction" else "exclusiveMinimum"
+    least = "minimum" if key in ("specular_fraction", "rms_height_m") else "exclusiveMinimum"
     number = {"type": "number", least: low, "maximum": high}
     second = {"eps_r": {"type": "number", "minimum": -high, "maximum": 0.0}, "correlation_length_m": number}.get(key)
     pair = {"type": "array", "items": [number, second], "minItems": 2, "maxItems": 2}

@@ -15,12 +15,15 @@ from warpsar.world.tables import View
 MOST_VIEWS = 10_000_000
 
 
-def angles(text: str, option: str, low: float, high: float) -> list[Decimal]:
+def angles(
+    text: str, option: str, low: float, high: float, *, what: str = "angles", ends: bool = False
+) -> list[Decimal]:
     """The angles [deg] of "start:stop:step" or of "a,b,c"; as in Python's `range`, the stop is left out.
 
-    Raises InputError for any other text, and for angles outside (low, high).
+    Raises InputError for any other text, and for angles outside (low, high), or outside [low, high] with `ends`.
     """
-    allowed = f"allowed is START:STOP:STEP or A,B,C of angles between {low:g} and {high:g}"
+    between = f"from {low:g} to {high:g}" if ends else f"between {low:g} and {high:g}"
+    allowed = f"allowed is START:STOP:STEP or A,B,C of {what} {between}"
     try:
         parts = [Decimal(part) for part in re.split("[:,]", text)]
         if ":" in text:
@@ -29,13 +32,13 @@ def angles(text: str, option: str, low: float, high: float) -> list[Decimal]:
             if not 0 < count <= MOST_VIEWS:
                 raise InputError(f"{option}: found {text!r}; {allowed}, STEP above 0 and STOP above START")
             parts = [start + i * step for i in range(count)]
-        outside = [angle for angle in parts if not low < angle < high]
+        outside = [angle for angle in parts if not (low < angle < high or (ends and angle in (low, high)))]
     except (InvalidOperation, ValueError, OverflowError):
         raise InputError(f"{option}: found {text!r}; {allowed}") from None
     if outside:
         raise InputError(f"{option}: found {outside[0]}; {allowed}")
     if len(set(parts)) < len(parts):
-        raise InputError(f"{option}: found {text!r}, with an angle twice; allowed is each once")
+        raise InputError(f"{option}: found {text!r}, with one of them twice; allowed is each once")
     return parts
 
 

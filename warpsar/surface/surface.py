@@ -13,8 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from warpsar.errors import InputError
 from warpsar.kernels.codes import FRACTION_LIMIT, Layout, Spectrum
 from warpsar.world.pixels import Pixels
+from warpsar.world.tables import Material
 from warpsar.world.world import World
 
 
@@ -90,6 +92,17 @@ class Block:
         return self.start + self.size
 
 
+def _refuse_smooth(scene: World, name: str, material: Material) -> None:
+    """Refuse what sends no power back in the mean: it has a phase, and belongs into a coherent product."""
+    stated = {"conductor = true": material.conductor, "rms_height_m = 0": material.rms_height_m == 0.0}
+    stated[f"thickness_m = {material.thickness_m}"] = material.thickness_m is not None
+    if found := [key for key, there in stated.items() if there]:
+        raise InputError(
+            f"{scene.name}: materials.{name}: found {', '.join(found)}; an image of power must have rough half-spaces "
+            "(eps_r, rms_height_m above 0, correlation_length_m); smooth surfaces are for `warpsar rcs`"
+        )
+
+
 @dataclass
 class Surface:
     """The parameters of all materials, and what each node means.
@@ -120,6 +133,7 @@ class Surface:
         start = 0
         for m, name in enumerate(names):
             material = scene.materials[name]
+            _refuse_smooth(scene, name, material)
             spectrum[m] = Spectrum[material.spectrum.upper()]
             ends: tuple[int, int] | None = None  # the first and the last vertex of its faces
             for k, kind in enumerate(KINDS):

@@ -25,6 +25,7 @@ DEFAULT_RAYS_PER_PIXEL = 64.0
 """Where neither density is stated."""
 
 Polarization = Literal["HH", "HV", "VH", "VV"]
+Term = Literal["single", "edges", "multibounce", "rough"]
 SurfaceKey = Literal["eps_r", "rms_height_m", "correlation_length_m", "specular_fraction"]
 SURFACE_KEYS: tuple[SurfaceKey, ...] = ("eps_r", "rms_height_m", "correlation_length_m", "specular_fraction")
 
@@ -89,17 +90,25 @@ class Radar(Table):
         description="Whether polarizations are the radar's, or those of every facet's own basis.",
         examples=["local"],
     )
+    terms: Annotated[tuple[Term, ...], Field(min_length=1)] = Field(
+        default=("single", "edges", "multibounce", "rough"),
+        description="What a coherent product contains.",
+        examples=[["single", "edges"]],
+    )
+    max_bounces: Annotated[_Whole, Field(ge=1, le=1000)] = Field(
+        default=30, description="Most reflections of a ray in a coherent product.", examples=[50]
+    )
     variant: Literal["standard", "as_printed"] = Field(
         default="standard",
         description="as_printed takes the paper's own constants (prefactor 8, its a_vv), not the corrected ones.",
         examples=["as_printed"],
     )
 
-    @field_validator("polarizations")
+    @field_validator("polarizations", "terms")
     @classmethod
-    def _unique(cls, value: tuple[str, ...]) -> tuple[str, ...]:
+    def _unique(cls, value: tuple[str, ...], info: ValidationInfo) -> tuple[str, ...]:
         if len(set(value)) < len(value):
-            raise ValueError("must not name a polarization twice")
+            raise ValueError(f"must not name a {str(info.field_name).removesuffix('s')} twice")
         return value
 
 
@@ -193,7 +202,7 @@ class Material(Table):
     cols), row 0 at v = 1, which becomes `Pixels`.
     """
 
-    # The first two come first, because the values' validators look at them.
+    # What the values' validators look at comes before them.
     layout: Literal["uniform", "vertex", "texture"] = Field(
         default="uniform",
         description="What a name among the values stands for: a scalar of the vertices, or an image.",
@@ -204,15 +213,32 @@ class Material(Table):
         description="Spectrum of the roughness; separable takes two correlation lengths.",
         examples=["exponential"],
     )
-    eps_r: float | tuple[float, float] | str | Texture = Field(
-        description="Relative permittivity; [eps', -eps''] of a lossy surface.",
+    conductor: Annotated[bool, Field(strict=True)] = Field(
+        default=False,
+        description="A perfect conductor (coherent products alone); eps_r and rms_height_m may be left out.",
+        examples=[True],
+    )
+    thickness_m: Annotated[_Positive, Field(le=100.0)] | None = Field(
+        default=None,
+        description="Thickness of a slab of eps_r [m]: in air, or on a conductor (coherent products alone).",
+        examples=[0.0015],
+    )
+    eps_r: float | tuple[float, float] | str | Texture | None = Field(
+        default=None,
+        validate_default=True,
+        description="Relative permittivity; [eps', -eps''] of a lossy surface. Required but for a conductor.",
         examples=[6.0, [80.0, -20.0], "eps_r.exr"],
     )
     rms_height_m: float | str | Texture = Field(
-        description="RMS height h of the roughness [m].", examples=[0.0012, "h.exr"]
+        default=None,
+        validate_default=True,
+        description="RMS height h of the roughness [m]; 0 is smooth (coherent products). Required but for a conductor.",
+        examples=[0.0012, "h.exr"],
     )
-    correlation_length_m: float | tuple[float, float] | str | Texture = Field(
-        description='Correlation length l of the roughness [m]; [lx, ly] with spectrum = "separable".',
+    correlation_length_m: float | tuple[float, float] | str | Texture | None = Field(
+        default=None,
+        validate_default=True,
+        description='Correlation length l [m]; [lx, ly] if spectrum = "separable". Required if rough.',
         examples=[0.006, [0.02, 0.005]],
     )
     specular_fraction: float | str | Texture = Field(
@@ -231,8 +257,12 @@ class Material(Table):
 
     @field_validator(*SURFACE_KEYS, mode="plain")
     @classmethod
-    def _value(cls, value: Any, info: ValidationInfo) -> float | tuple[float, float] | str | Texture:
+    def _value(cls, value: Any, info: ValidationInfo) -> float | tuple[float, float] | str | Texture | None:
         key = str(info.field_name)
+        if value is None:
+            return _left_out(key, info.data)
+        if key == "rms_height_m" and _is_number(value) and value == 0:
+            return 0.0
         if pixels.in_memory(value):
             return _texture(key, value, info.data.get("layout"))
         if isinstance(value, str):
@@ -283,6 +313,17 @@ def _listed(names: tuple[str, ...]) -> str:
     return ", ".join(names) or "it names none"
 
 
+def _left_out(key: str, others: dict[str, Any]) -> float | None:
+    """The value that stands for one which may be left out: of a conductor, of a smooth surface."""
+    if key == "rms_height_m" and others.get("conductor"):
+        return 0.0
+    if key == "eps_r" and others.get("conductor") and others.get("thickness_m") is None:
+        return None
+    if key == "correlation_length_m" and others.get("rms_height_m") == 0.0:
+        return None
+    raise ValueError("missing")
+
+
 def _is_number(value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
@@ -309,6 +350,8 @@ def allowed_values(key: str) -> str:
     """What the surface value `key` may be, in words."""
     low, high = LIMITS[key]
     allowed = f"a number {'from' if key == 'specular_fraction' else 'above'} {low:g} to {high:g}"
+    if key == "rms_height_m":
+        allowed += ", or 0 (smooth: coherent products alone)"
     if key == "eps_r":
         allowed += " (at 1 nothing reflects and every derivative is 0: a dead point that no fit can leave)"
     return allowed

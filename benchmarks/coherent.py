@@ -1,0 +1,103 @@
+"""How fast `warpsar.rcs` is: tubes and segments per second on the Austin suite's boxes, and how its time grows.
+
+    python benchmarks/coherent.py DATA [--device cuda] [--growth] [--out coherent.json] [--write]
+
+DATA is the folder of the suite (benchmarks/rcs_checks.py). A sweep: 361 angles, 2.56, 5.12, 7 and 10.24 GHz, HH and VV,
+tubes of a tenth of the shortest wavelength. `wall` is the time of day, `cpu` that of the process on all its threads:
+on a busy machine the second says more. Reading the mesh and building the tree are `prepare`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import os
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+import numpy as np
+import tables
+from rcs_checks import BODIES, ROOT, scene_of
+from simulate import machine
+
+import warpsar
+from warpsar.coherent.body import CoherentBody
+from warpsar.coherent.directions import Directions
+from warpsar.coherent.sweep import sweep
+from warpsar.runtime import devices
+
+FREQUENCIES = (2.56e9, 5.12e9, 7e9, 10.24e9)
+ANGLES = 361
+
+
+def measure(body: CoherentBody, angles: int, frequencies: tuple[float, ...], **more: Any) -> dict[str, Any]:
+    directions = Directions.of(90.0 - np.linspace(0.0, 180.0, angles), 90.0)
+    sweep(body, directions[:2], frequencies[:1], **more)  # kernels, first touch
+    wall, cpu = time.perf_counter(), time.process_time()
+    found = sweep(body, directions, frequencies, **more)
+    wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+    return {"angles": angles, "frequencies": len(frequencies), "segments": found.segments, "wall_s": wall, "cpu_s": cpu}
+
+
+def prepared(data: Path, name: str, device: str | None) -> tuple[CoherentBody, dict[str, Any]]:
+    started = time.process_time()
+    scene = scene_of(BODIES[name][1](data))
+    radar = warpsar.Radar(frequency_hz=max(FREQUENCIES), polarizations=("HH", "VV"))
+    body = CoherentBody.of(dataclasses.replace(scene, radar=radar), devices.resolve_device(device))
+    return body, {"body": name, "faces": len(body.shape.faces), "prepare_cpu_s": time.process_time() - started}
+
+
+def growth(body: CoherentBody, about: dict[str, Any]) -> list[dict[str, Any]]:
+    """One number doubled at a time: angles, frequencies, rays."""
+    few = FREQUENCIES[-1:]
+    return [
+        {**about, "what": what, **measure(body, angles, frequencies, **more)}
+        for what, angles, frequencies, more in (
+            ("start", 46, few, {}),
+            ("angles x 2", 91, few, {}),
+            ("frequencies x 4", 46, FREQUENCIES, {}),
+            ("rays x 4", 46, few, {"rays_per_wavelength": 20.0}),
+        )
+    ]
+
+
+def row(r: dict[str, Any]) -> tuple[Any, ...]:
+    rate = r["segments"] / r["wall_s"]
+    return (r.get("what", r["body"]), r["faces"], r["angles"], r["frequencies"], f"{r['segments'] / 1e6:.1f} M",
+            f"{r['wall_s']:.1f}", f"{r['cpu_s']:.1f}", f"{rate / 1e6:.2f} M", f"{r['prepare_cpu_s']:.1f}")  # fmt: skip
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    default = Path(os.environ.get("WARPSAR_MEASURED") or ROOT.parent / "shared" / "data") / "austin_rcs"
+    parser.add_argument("data", type=Path, nargs="?", default=default)
+    parser.add_argument("--device")
+    parser.add_argument("--growth", action="store_true", help="also how the time of the cobra duct grows")
+    tables.add_options(parser)
+    options = parser.parse_args()
+    device = devices.resolve_device(options.device)
+    if options.source:
+        result = tables.stored(options.source)
+    else:
+        sweeps, grown = [], []
+        for name in BODIES:
+            body, about = prepared(options.data, name, options.device)
+            sweeps.append({**about, **measure(body, ANGLES, FREQUENCIES)})
+            if options.growth and name.startswith("cobra"):
+                grown = growth(body, about)
+        result = {"made": tables.made(), "machine": machine(options.device), "sweeps": sweeps, "growth": grown}
+        tables.save(options.out, result)
+    header = ("sweep", "faces", "angles", "frequencies", "segments", "wall [s]", "CPU [s]", "segments per wall second",
+              "prepare, CPU [s]")  # fmt: skip
+    bodies = {f"coherent.{'cpu' if device.is_cpu else 'cuda'}": tables.markdown(header, map(row, result["sweeps"]))}
+    if result["growth"]:
+        bodies["coherent.growth"] = tables.markdown(header, map(row, result["growth"]))
+    tables.publish(bodies, result, options.write)
+
+
+if __name__ == "__main__":
+    main()

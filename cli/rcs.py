@@ -1,0 +1,70 @@
+"""`warpsar rcs`: radar cross-sections of a scene over angles and frequencies."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from warpsar.cli import options
+
+
+@click.command(name="rcs")
+@click.argument("scene", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.option(
+    "-o",
+    "--out",
+    required=True,
+    type=click.Path(file_okay=False, path_type=Path),
+    help="Folder for rcs.csv, rcs.png and rcs.json (and rcs.parquet where pyarrow is there); made if missing.",
+)
+@click.option(
+    "--azimuths",
+    required=True,
+    metavar="START:STOP:STEP",
+    help="Azimuths of the radar, clockwise from north [deg]; or A,B,C. STOP is left out.",
+)
+@click.option(
+    "--incidences",
+    default="90",
+    show_default=True,
+    metavar="START:STOP:STEP",
+    help="Angles from the zenith to the radar, 0 to 180 [deg]; or A,B,C.",
+)
+@click.option(
+    "--frequencies",
+    metavar="F,F,...",
+    help="Frequencies, ascending [Hz]; or START:STOP:STEP. Default: that of [radar].",
+)
+@click.option(
+    "--rays-per-wavelength",
+    type=click.FloatRange(min=4, max=100),
+    default=10.0,
+    show_default=True,
+    help="Ray tubes across a wavelength of the highest frequency.",
+)
+@options.device
+def command(
+    scene: Path,
+    out: Path,
+    azimuths: str,
+    incidences: str,
+    frequencies: str | None,
+    rays_per_wavelength: float,
+    device: str | None,
+) -> None:
+    """Radar cross-sections and complex amplitudes of SCENE for plane waves, at every pair of angles.
+
+    Polarizations, terms and max_bounces are those of [radar].
+    """
+    from warpsar.coherent.command import run
+
+    run(
+        scene,
+        out,
+        azimuths=azimuths,
+        incidences=incidences,
+        frequencies=frequencies,
+        device=device,
+        rays_per_wavelength=rays_per_wavelength,
+    )

@@ -1,0 +1,1 @@
+"""Kernels of the coherent engine: rays and their tubes, what facets, tubes and edges radiate."""

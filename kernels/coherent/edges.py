@@ -1,0 +1,129 @@
+"""What edges add to physical optics: fringe currents along them, first order.
+
+Michaeli's equivalent currents (IEEE TAP 32(3), 1984): the transform of the exact currents on the faces of a conducting
+wedge, less that of the currents of physical optics.
+"""
+
+import warp as wp
+
+from warpsar.kernels.coherent.numbers import sinc, turned
+from warpsar.kernels.coherent.radiate import scaled
+from warpsar.kernels.coherent.tubes import Radar, look
+
+EDGES = wp.constant(16)
+"""Pieces of edges that one thread adds up."""
+POLE = wp.constant(wp.float64(2.0e-3))
+"""Angle [rad] within which a direction is moved off the poles, where both transforms are infinite."""
+PI = wp.constant(wp.float64(3.141592653589793))
+HALF = wp.constant(wp.float64(1.5707963267948966))
+
+
+@wp.struct
+class Edge:
+    """A straight piece of a wedge's edge."""
+
+    middle: wp.vec3d  # [m]
+    along: wp.vec3d  # [m], its whole length
+    first: wp.vec3d  # unit vectors in the two faces, away from the edge
+    second: wp.vec3d
+    normal_first: wp.vec3d  # unit normals on the outer side
+    normal_second: wp.vec3d
+    outer: wp.float64  # outer angle over pi: 2 for the border of a sheet
+    share: wp.float64  # 1; 1/2 where both faces state the edge
+
+
+@wp.func
+def fringe(e: wp.vec3d, k: wp.float64, s: wp.vec3d, x: wp.vec3d, n: wp.vec3d, outer: wp.float64) -> wp.vec3d:
+    """Imaginary unit aside: the two fringe currents (eta J) of one face, as a vector without its factor j.
+
+    `e` is the field at the edge, `x` the direction in the face away from the edge, `n` its normal. The wave comes from
+    s and goes back to it. The result is j times a real vector: INT J over the face across the edge [V].
+    """
+    zero = wp.float64(0.0)
+    one = wp.float64(1.0)
+    two = wp.float64(2.0)
+    z = wp.cross(x, n)
+    sz = wp.dot(s, z)
+    sine = wp.sqrt(wp.max(one - sz * sz, zero))
+    if sine < wp.float64(1.0e-3):  # along the edge: no first-order currents
+        return wp.vec3d()
+    kt = k * sine
+    phi = wp.atan2(wp.dot(s, n), wp.dot(s, x))
+    if phi < wp.float64(-1.0e-7):
+        phi = phi + two * PI
+    if phi > outer * PI + wp.float64(1.0e-6):  # in the inner angle of a corner, where tubes go from face to face
+        return wp.vec3d()
+    phi = wp.clamp(phi, zero, outer * PI)
+    lit = zero
+    if phi < PI:
+        lit = one
+    grazing = one
+    if phi < wp.float64(1.0e-6) or outer * PI - phi < wp.float64(1.0e-6):
+        grazing = wp.float64(0.5)
+    # The poles: phi = pi / 2 (the strip's specular direction), and pi (the border of light).
+    if wp.abs(phi - HALF) < POLE:
+        phi = HALF + POLE
+    if wp.abs(phi - PI) < POLE:
+        phi = wp.where(phi < PI, PI - POLE, PI + POLE)
+    cosine = wp.cos(phi)
+    alpha = wp.acos(wp.clamp(cosine, -one, one))
+    wide = wp.cos((PI - alpha) / outer) - wp.cos(phi / outer)
+    # Transforms of H_z (hard) and of dE_z / dy (soft) along the face; the first without its factor 2j / k_t.
+    sin_alpha = wp.max(wp.sin(alpha), wp.float64(1.0e-9))
+    hard = -wp.sin((PI - alpha) / outer) / (outer * sin_alpha * wide)
+    soft = two * wp.sin(phi / outer) / (outer * wide)
+    hard_po = lit / (cosine + cosine)
+    soft_po = -two * lit * wp.sin(phi) / (cosine + cosine)
+    h = -wp.cross(s, e)  # eta H, as the wave travels along -s
+    hz = wp.dot(h, z)
+    ez = wp.dot(e, z)
+    kz = -sz  # k_z / k of the wave that comes in
+    across = two / kt * (hard - hard_po) * hz
+    along = -(soft - soft_po) * ez / (k * sine * sine)
+    along += kz / sine * two / kt * (cosine * hard + cosine * hard_po) * hz
+    return grazing * (across * x + along * z)
+
+
+@wp.kernel
+def edges_kernel(
+    # In:
+    radar_in: wp.array[Radar],
+    wavenumber_in: wp.array[wp.float64],
+    edge_in: wp.array[Edge],
+    seen_in: wp.array2d[wp.uint8],
+    # Out:
+    amplitude_out: wp.array4d[wp.vec2d],
+):
+    """Fringe currents of EDGES pieces of edges, shape (views, frequencies, chunks, 4)."""
+    view, f, chunk = wp.tid()
+    k = wavenumber_in[f]
+    u = radar_in[view].u
+    v = radar_in[view].v
+    hh = wp.vec2d()
+    hv = wp.vec2d()
+    vh = wp.vec2d()
+    vv = wp.vec2d()
+    for i in range(EDGES):
+        j = chunk * EDGES + i
+        if j < edge_in.shape[0]:
+            if seen_in[view, j] != wp.uint8(0):
+                edge = edge_in[j]
+                sight = look(radar_in[view], edge.middle, 0.0)
+                s = sight.s
+                size = (
+                    sight.spread * sight.spread * edge.share * wp.length(edge.along) * sinc(k * wp.dot(s, edge.along))
+                )
+                phase = turned(-wp.float64(2.0) * k * sight.back)
+                factor = scaled(k, size * wp.vec2d(-phase[1], phase[0]))
+                h = fringe(u, k, s, edge.first, edge.normal_first, edge.outer)
+                h += fringe(u, k, s, edge.second, edge.normal_second, edge.outer)
+                w = fringe(v, k, s, edge.first, edge.normal_first, edge.outer)
+                w += fringe(v, k, s, edge.second, edge.normal_second, edge.outer)
+                hh += wp.dot(h, u) * factor
+                vh += wp.dot(h, v) * factor
+                hv += wp.dot(w, u) * factor
+                vv += wp.dot(w, v) * factor
+    amplitude_out[view, f, chunk, 0] = hh
+    amplitude_out[view, f, chunk, 1] = hv
+    amplitude_out[view, f, chunk, 2] = vh
+    amplitude_out[view, f, chunk, 3] = vv

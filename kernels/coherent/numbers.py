@@ -1,0 +1,43 @@
+"""Complex numbers as vec2d (real, imaginary part), in double precision."""
+
+import warp as wp
+
+
+@wp.func
+def product(a: wp.vec2d, b: wp.vec2d) -> wp.vec2d:
+    return wp.vec2d(a[0] * b[0] - a[1] * b[1], a[0] * b[1] + a[1] * b[0])
+
+
+@wp.func
+def quotient(a: wp.vec2d, b: wp.vec2d) -> wp.vec2d:
+    return wp.vec2d(a[0] * b[0] + a[1] * b[1], a[1] * b[0] - a[0] * b[1]) / wp.dot(b, b)
+
+
+@wp.func
+def turned(phase: wp.float64) -> wp.vec2d:
+    """e^{j phase}. In double precision: phases are thousands of radians, of which float32 keeps three decimals."""
+    return wp.vec2d(wp.cos(phase), wp.sin(phase))
+
+
+@wp.func
+def square_root(a: wp.vec2d) -> wp.vec2d:
+    """The root with a real part that is not negative."""
+    size = wp.length(a)
+    re = wp.sqrt(wp.max(wp.float64(0.5) * (size + a[0]), wp.float64(0.0)))
+    im = wp.sqrt(wp.max(wp.float64(0.5) * (size - a[0]), wp.float64(0.0)))
+    if a[1] < wp.float64(0.0):
+        im = -im
+    return wp.vec2d(re, im)
+
+
+@wp.func
+def exponential(a: wp.vec2d) -> wp.vec2d:
+    return wp.exp(a[0]) * turned(a[1])
+
+
+@wp.func
+def sinc(x: wp.float64) -> wp.float64:
+    """sin x / x."""
+    if wp.abs(x) < wp.float64(1.0e-4):
+        return wp.float64(1.0) - x * x / wp.float64(6.0)
+    return wp.sin(x) / x

@@ -1,0 +1,205 @@
+"""What faces send back to the radar: A [m] of E = A e^{-jkR} / R, in all four polarizations.
+
+A = -j k / (4 pi) p . INT [eta J_t - s x M] e^{jk s.r} dS over the faces that the radar sees.
+"""
+
+import warp as wp
+
+from warpsar.kernels.coherent.numbers import product, sinc, turned
+from warpsar.kernels.coherent.reflection import Face, Field, reflected, seen
+from warpsar.kernels.coherent.tubes import Hit, Radar, look
+
+RAYS = wp.constant(32)
+"""Rays that one thread adds up. The sum has the same order for any number of threads."""
+REGIONS = wp.constant(16)
+"""Flat regions that one thread adds up."""
+HALF_PI = wp.constant(wp.float64(1.5707963267948966))
+FOUR_PI = wp.constant(wp.float64(12.566370614359172))
+
+
+@wp.func
+def scaled(k: wp.float64, value: wp.vec2d) -> wp.vec2d:
+    """-j k / (4 pi) times `value`."""
+    return wp.vec2d(value[1], -value[0]) * (k / FOUR_PI)
+
+
+@wp.func
+def unit(p: wp.vec3d) -> Field:
+    field = Field()
+    field.re = p
+    return field
+
+
+@wp.kernel
+def tubes_kernel(
+    # In:
+    radar_in: wp.array[Radar],
+    wavenumber_in: wp.array[wp.float64],
+    stuff_in: wp.array2d[Face],
+    material_in: wp.array[int],
+    region_in: wp.array[int],
+    exact_in: wp.array2d[wp.uint8],
+    view_in: wp.array[int],
+    used_in: wp.array[int],
+    hits_in: wp.array2d[Hit],
+    count_in: wp.array[int],
+    # Out:
+    amplitude_out: wp.array4d[wp.vec2d],
+):
+    """Each thread adds up RAYS rays of one view at one frequency: (single, further bounces) x (HH, HV, VH, VV).
+
+    A first hit on a flat region that is lit as a whole is left to `regions_kernel`, which has its exact border. The
+    eight sums, which a function could not give back, make it longer than others.
+    """
+    chunk, f = wp.tid()
+    half = wp.float64(0.5)
+    k = wavenumber_in[f]
+    zero2 = wp.vec2d()
+    one_hh = zero2
+    one_hv = zero2
+    one_vh = zero2
+    one_vv = zero2
+    more_hh = zero2
+    more_hv = zero2
+    more_vh = zero2
+    more_vv = zero2
+    for i in range(RAYS):
+        ray = chunk * RAYS + i
+        if ray < count_in.shape[0] and used_in[ray] != 0:
+            view = view_in[ray]
+            u = radar_in[view].u
+            v = radar_in[view].v
+            field_h = unit(u)
+            field_v = unit(v)
+            for b in range(count_in[ray]):
+                hit = hits_in[ray, b]
+                n = hit.normal
+                d = hit.d
+                out = d - wp.float64(2.0) * wp.dot(n, d) * n
+                stuff = stuff_in[f, material_in[hit.face]]
+                back_h = reflected(stuff, k, field_h, d, n, out)
+                back_v = reflected(stuff, k, field_v, d, n, out)
+                counts = hit.seen
+                if b == 0:
+                    region = region_in[hit.face]
+                    if region >= 0:
+                        if exact_in[view, region] != wp.uint8(0):
+                            counts = 0
+                if counts != 0:
+                    sight = look(radar_in[view], hit.point, 0.0)
+                    s = sight.s
+                    phase = -k * (sight.back + hit.path) + wp.float64(hit.caustics) * HALF_PI
+                    turn = half * k * (s - d)
+                    size = (
+                        sight.spread * hit.weight * sinc(wp.dot(turn, hit.across_u)) * sinc(wp.dot(turn, hit.across_v))
+                    )
+                    factor = scaled(k, size * turned(phase))
+                    hh = product(factor, seen(field_h, back_h, d, out, n, s, u))
+                    vh = product(factor, seen(field_h, back_h, d, out, n, s, v))
+                    hv = product(factor, seen(field_v, back_v, d, out, n, s, u))
+                    vv = product(factor, seen(field_v, back_v, d, out, n, s, v))
+                    if b == 0:
+                        one_hh += hh
+                        one_hv += hv
+                        one_vh += vh
+                        one_vv += vv
+                    else:
+                        more_hh += hh
+                        more_hv += hv
+                        more_vh += vh
+                        more_vv += vv
+                field_h = back_h
+                field_v = back_v
+    amplitude_out[chunk, f, 0, 0] = one_hh
+    amplitude_out[chunk, f, 0, 1] = one_hv
+    amplitude_out[chunk, f, 0, 2] = one_vh
+    amplitude_out[chunk, f, 0, 3] = one_vv
+    amplitude_out[chunk, f, 1, 0] = more_hh
+    amplitude_out[chunk, f, 1, 1] = more_hv
+    amplitude_out[chunk, f, 1, 2] = more_vh
+    amplitude_out[chunk, f, 1, 3] = more_vv
+
+
+@wp.struct
+class Region:
+    """A flat part of the surface with its border, a list of straight edges around the normal."""
+
+    normal: wp.vec3d
+    centre: wp.vec3d  # [m]
+    area: wp.float64  # [m2]
+    reach: wp.float64  # largest extent [m]
+    material: int
+    first: int  # of its edges
+    end: int
+
+
+@wp.func
+def phase_integral(
+    region: Region,
+    k: wp.float64,
+    s: wp.vec3d,
+    middle_in: wp.array[wp.vec3d],
+    edge_in: wp.array[wp.vec3d],
+) -> wp.vec2d:
+    """INT e^{2jk s.r} dS over a plane polygon, exactly (Gordon, IEEE TAP 23(4), 1975)."""
+    two_k = wp.float64(2.0) * k
+    n = region.normal
+    w = two_k * (s - wp.dot(s, n) * n)
+    size = wp.dot(w, w)
+    if wp.sqrt(size) * region.reach < wp.float64(1.0e-4):
+        return region.area * turned(two_k * wp.dot(s, region.centre))
+    total = wp.vec2d()
+    for e in range(region.first, region.end):
+        along = edge_in[e]
+        across = wp.dot(w, wp.cross(along, n)) * sinc(wp.float64(0.5) * wp.dot(w, along))
+        total += across * turned(two_k * wp.dot(s, middle_in[e]))
+    return wp.vec2d(total[1], -total[0]) / size
+
+
+@wp.kernel
+def regions_kernel(
+    # In:
+    radar_in: wp.array[Radar],
+    wavenumber_in: wp.array[wp.float64],
+    stuff_in: wp.array2d[Face],
+    exact_in: wp.array2d[wp.uint8],
+    region_in: wp.array[Region],
+    middle_in: wp.array[wp.vec3d],
+    edge_in: wp.array[wp.vec3d],
+    # Out:
+    amplitude_out: wp.array4d[wp.vec2d],
+):
+    """Physical optics of REGIONS flat regions that are lit as a whole, shape (views, frequencies, chunks, 4)."""
+    view, f, chunk = wp.tid()
+    k = wavenumber_in[f]
+    s = radar_in[view].s
+    u = radar_in[view].u
+    v = radar_in[view].v
+    hh = wp.vec2d()
+    hv = wp.vec2d()
+    vh = wp.vec2d()
+    vv = wp.vec2d()
+    for i in range(REGIONS):
+        r = chunk * REGIONS + i
+        if r < region_in.shape[0]:
+            if exact_in[view, r] != wp.uint8(0):
+                region = region_in[r]
+                factor = scaled(k, phase_integral(region, k, s, middle_in, edge_in))
+                n = region.normal
+                if wp.dot(n, s) < wp.float64(0.0):
+                    n = -n
+                d = -s
+                out = d - wp.float64(2.0) * wp.dot(n, d) * n
+                stuff = stuff_in[f, region.material]
+                field_h = unit(u)
+                field_v = unit(v)
+                back_h = reflected(stuff, k, field_h, d, n, out)
+                back_v = reflected(stuff, k, field_v, d, n, out)
+                hh += product(factor, seen(field_h, back_h, d, out, n, s, u))
+                vh += product(factor, seen(field_h, back_h, d, out, n, s, v))
+                hv += product(factor, seen(field_v, back_v, d, out, n, s, u))
+                vv += product(factor, seen(field_v, back_v, d, out, n, s, v))
+    amplitude_out[view, f, chunk, 0] = hh
+    amplitude_out[view, f, chunk, 1] = hv
+    amplitude_out[view, f, chunk, 2] = vh
+    amplitude_out[view, f, chunk, 3] = vv

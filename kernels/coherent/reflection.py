@@ -1,0 +1,111 @@
+"""Reflection at a face, and the currents on it. Time e^{+jwt}, lossy permittivity eps' - j eps''.
+
+The coefficients are those of the tangential electric field in TE and in TM, so a conductor has -1 in both.
+"""
+
+import warp as wp
+
+from warpsar.kernels.coherent.numbers import exponential, product, quotient, square_root
+
+
+@wp.struct
+class Face:
+    """What a face is made of at one frequency. Without `layer` a half-space, or a conductor."""
+
+    conductor: int
+    layer: int  # a slab: on the conductor, or in air
+    permittivity: wp.vec2d
+    thickness: wp.float64  # [m]
+    rms_height: wp.float64  # [m]
+
+
+@wp.struct
+class Field:
+    """A complex electric field [V/m]."""
+
+    re: wp.vec3d
+    im: wp.vec3d
+
+
+@wp.struct
+class Coefficients:
+    te: wp.vec2d
+    tm: wp.vec2d
+
+
+@wp.func
+def stacked(first: wp.vec2d, last: wp.vec2d, passed: wp.vec2d) -> wp.vec2d:
+    """Reflection of a layer with the coefficients of its upper and lower face; `passed`: there and back again."""
+    one = wp.vec2d(wp.float64(1.0), wp.float64(0.0))
+    back = product(last, passed)
+    return quotient(first + back, one + product(first, back))
+
+
+@wp.func
+def coefficients(face: Face, k: wp.float64, cosine: wp.float64) -> Coefficients:
+    """Fresnel's coefficients, of a layer its whole stack's (Born and Wolf, 1.6); with the loss of a rough face."""
+    minus = wp.vec2d(wp.float64(-1.0), wp.float64(0.0))
+    found = Coefficients()
+    found.te = minus
+    found.tm = minus
+    if face.conductor == 0 or face.layer != 0:
+        eps = face.permittivity
+        c = wp.vec2d(cosine, wp.float64(0.0))
+        q = square_root(eps - wp.vec2d(wp.float64(1.0) - cosine * cosine, wp.float64(0.0)))
+        along = quotient(q, eps)
+        te = quotient(c - q, c + q)
+        tm = quotient(along - c, along + c)
+        if face.layer != 0:
+            way = wp.float64(2.0) * k * face.thickness
+            passed = exponential(wp.vec2d(way * q[1], -way * q[0]))
+            if face.conductor != 0:
+                te = stacked(te, minus, passed)
+                tm = stacked(tm, minus, passed)
+            else:
+                te = stacked(te, -te, passed)
+                tm = stacked(tm, -tm, passed)
+        found.te = te
+        found.tm = tm
+    height = k * face.rms_height * cosine
+    loss = wp.exp(-wp.float64(2.0) * height * height)
+    found.te = loss * found.te
+    found.tm = loss * found.tm
+    return found
+
+
+@wp.func
+def reflected(face: Face, k: wp.float64, field: Field, d: wp.vec3d, n: wp.vec3d, out: wp.vec3d) -> Field:
+    """The field that leaves along `out` where `field` meets a face along `d`; n . d < 0."""
+    two = wp.float64(2.0)
+    found = Field()
+    if face.conductor != 0 and face.layer == 0 and face.rms_height == wp.float64(0.0):
+        found.re = two * wp.dot(n, field.re) * n - field.re
+        found.im = two * wp.dot(n, field.im) * n - field.im
+        return found
+    cosine = wp.min(-wp.dot(n, d), wp.float64(1.0))
+    both = coefficients(face, k, cosine)
+    across = wp.cross(d, n)
+    if wp.length(across) < wp.float64(1.0e-9):
+        across = wp.cross(d, wp.vec3d(n[1], n[2], n[0]) + wp.vec3d(wp.float64(0.3), wp.float64(-0.7), wp.float64(0.1)))
+    across = wp.normalize(across)
+    within = wp.cross(d, across)
+    after = wp.cross(across, out)  # its tangential part is that of `within`
+    te = product(both.te, wp.vec2d(wp.dot(field.re, across), wp.dot(field.im, across)))
+    tm = product(both.tm, wp.vec2d(wp.dot(field.re, within), wp.dot(field.im, within)))
+    found.re = te[0] * across + tm[0] * after
+    found.im = te[1] * across + tm[1] * after
+    return found
+
+
+@wp.func
+def received(e: wp.vec3d, h: wp.vec3d, n: wp.vec3d, s: wp.vec3d, p: wp.vec3d) -> wp.float64:
+    """p . [eta J_t - s x M] of the fields `e` and `h` (eta H) on a face, J = n x H, M = E x n."""
+    return wp.dot(p, wp.cross(n, h)) - wp.dot(p, wp.cross(s, wp.cross(e, n)))
+
+
+@wp.func
+def seen(field: Field, back: Field, d: wp.vec3d, out: wp.vec3d, n: wp.vec3d, s: wp.vec3d, p: wp.vec3d) -> wp.vec2d:
+    """What the currents of an incoming and a reflected field send to `s` in the polarization `p`, per area."""
+    re = received(field.re + back.re, wp.cross(d, field.re) + wp.cross(out, back.re), n, s, p)
+    im = received(field.im + back.im, wp.cross(d, field.im) + wp.cross(out, back.im), n, s, p)
+    return wp.vec2d(re, im)

@@ -1,0 +1,138 @@
+"""Rough faces as complex scatterers that belong to places of the surface."""
+
+import warp as wp
+
+from warpsar.kernels.codes import Polarization
+from warpsar.kernels.coherent.numbers import product, turned
+from warpsar.kernels.coherent.radiate import FOUR_PI
+from warpsar.kernels.coherent.tubes import Radar, look
+from warpsar.kernels.scattering import bounded_cosine, bragg_terms, mirror_terms
+
+SCATTERERS = wp.constant(64)
+"""Scatterers that one thread adds up."""
+
+
+@wp.struct
+class Scatterer:
+    """A place of a rough face: what it sends back is a complex Gaussian number whose mean power is sigma0."""
+
+    point: wp.vec3d  # [m]
+    normal: wp.vec3d
+    area: wp.float64  # [m2]
+    diffuse: wp.vec2d  # complex Gaussian, of unit power: of small perturbation
+    specular: wp.vec2d  # and of geometric optics
+    material: int
+
+
+@wp.struct
+class RoughSurface:
+    """The surface model's parameters of a material; `kernels/scattering.py` says what they mean."""
+
+    spectrum: int
+    permittivity: wp.vec2d
+    rms_height: wp.float64
+    length: wp.vec2d
+    specular_fraction: wp.float64
+
+
+@wp.struct
+class Scattering:
+    """A facet's complex amplitudes in the radar's basis: of small perturbation, and of geometric optics."""
+
+    hh: wp.vec2d
+    hv: wp.vec2d
+    vv: wp.vec2d
+    scale: wp.float64  # sigma0 over |hh|^2
+    mirror: wp.vec2d
+    lobe: wp.float64
+
+
+@wp.func
+def scattering_of(
+    rough: RoughSurface, variant: int, k: wp.float64, d: wp.vec3d, n: wp.vec3d, u: wp.vec3d, v: wp.vec3d
+) -> Scattering:
+    """The model of `kernels/scattering.py` with its phases. The facet's basis is turned about the line of sight."""
+    one = wp.float64(1.0)
+    c = bounded_cosine(-wp.dot(n, d))
+    x = wp.vec3d(-n[1], n[0], wp.float64(0.0))  # the facet's x axis, as in kernels/geometry.py
+    if wp.length(x) < wp.float64(1.0e-6):
+        x = wp.vec3d(one, wp.float64(0.0), wp.float64(0.0))
+    along = d - wp.dot(d, n) * n
+    cos2 = one
+    if wp.length(along) > wp.float64(1.0e-6):
+        ratio = wp.dot(wp.normalize(along), wp.normalize(x))
+        cos2 = ratio * ratio
+    lx = rough.length[0]
+    ly = rough.length[1]
+    h = rough.rms_height
+    eps = rough.permittivity
+    scale, a_hh, _q, _h, _v = bragg_terms(
+        int(Polarization.HH), rough.spectrum, variant, k, c, one, eps, h, lx, ly, cos2
+    )
+    _scale, a_vv, _q2, _h2, _v2 = bragg_terms(
+        int(Polarization.VV), rough.spectrum, variant, k, c, one, eps, h, lx, ly, cos2
+    )
+    lobe, r, _q0, _variance = mirror_terms(rough.spectrum, c, eps, h, lx, ly)
+    across = wp.cross(n, d)
+    if wp.length(across) < wp.float64(1.0e-9):
+        across = u
+    across = wp.normalize(across)
+    cosine = wp.dot(u, across)  # of the turn of the facet's basis about the line of sight
+    sine = wp.dot(v, across)
+    found = Scattering()
+    found.hh = cosine * cosine * a_hh + sine * sine * a_vv
+    found.hv = sine * cosine * (a_hh - a_vv)
+    found.vv = sine * sine * a_hh + cosine * cosine * a_vv
+    found.scale = scale
+    found.mirror = r
+    found.lobe = lobe
+    return found
+
+
+@wp.kernel
+def rough_kernel(
+    # In:
+    radar_in: wp.array[Radar],
+    wavenumber_in: wp.array[wp.float64],
+    surface_in: wp.array[RoughSurface],
+    variant: int,
+    scatterer_in: wp.array[Scatterer],
+    seen_in: wp.array2d[wp.uint8],
+    # Out:
+    amplitude_out: wp.array4d[wp.vec2d],
+):
+    """What SCATTERERS scatterers send back, shape (views, frequencies, chunks, 4)."""
+    view, f, chunk = wp.tid()
+    one = wp.float64(1.0)
+    k = wavenumber_in[f]
+    u = radar_in[view].u
+    v = radar_in[view].v
+    hh = wp.vec2d()
+    hv = wp.vec2d()
+    vv = wp.vec2d()
+    for i in range(SCATTERERS):
+        j = chunk * SCATTERERS + i
+        if j < scatterer_in.shape[0]:
+            if seen_in[view, j] != wp.uint8(0):
+                place = scatterer_in[j]
+                sight = look(radar_in[view], place.point, 0.0)
+                s = sight.s
+                d = -s
+                rough = surface_in[place.material]
+                n = place.normal
+                if wp.dot(n, s) < wp.float64(0.0):
+                    n = -n
+                model = scattering_of(rough, variant, k, d, n, u, v)
+                phase = sight.spread * sight.spread * turned(-wp.float64(2.0) * k * sight.back)
+                share = place.area / FOUR_PI
+                bragg = wp.sqrt(share * (one - rough.specular_fraction) * model.scale) * product(place.diffuse, phase)
+                mirror = wp.sqrt(share * rough.specular_fraction * model.lobe) * product(
+                    product(place.specular, phase), model.mirror
+                )
+                hh += product(bragg, model.hh) + mirror
+                hv += product(bragg, model.hv)
+                vv += product(bragg, model.vv) + mirror
+    amplitude_out[view, f, chunk, 0] = hh
+    amplitude_out[view, f, chunk, 1] = hv
+    amplitude_out[view, f, chunk, 2] = hv
+    amplitude_out[view, f, chunk, 3] = vv

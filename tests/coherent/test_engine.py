@@ -1,0 +1,224 @@
+"""The engine's own properties: the same bits, energy, edges, meshes that are not welded."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+import warp as wp
+from bodies import FREQUENCY, WAVELENGTH, K, amplitudes, cross_section, decibels, plate, rectangles, scene
+from scipy.special import fresnel
+
+import warpsar
+from warpsar.coherent import rays as cells
+from warpsar.coherent.body import CoherentBody
+from warpsar.coherent.directions import Directions, radar_records
+from warpsar.coherent.joints import joints
+from warpsar.coherent.shape import shape_of
+from warpsar.kernels.coherent import edges, tubes
+
+
+def curved_duct() -> warpsar.Mesh:
+    """A closed duct: half of a ring of square section, 3 wavelengths wide, its mouth at +X, a wall at its end."""
+    width, bend = 3 * WAVELENGTH, 6 * WAVELENGTH
+    turn = np.linspace(0.0, np.pi / 2, 121)
+    rings = [
+        np.stack([-r * np.sin(turn), bend - r * np.cos(turn), np.full_like(turn, z)], axis=1)
+        for r in (bend - width / 2, bend + width / 2)
+        for z in (-width / 2, width / 2)
+    ]
+    sides = [(0, 1), (2, 3), (0, 2), (1, 3)]
+    corners = [
+        [rings[a][i], rings[a][i + 1], rings[b][i + 1], rings[b][i]] for a, b in sides for i in range(len(turn) - 1)
+    ]
+    corners.append([rings[j][-1] for j in (0, 1, 3, 2)])
+    loose = rectangles(*corners)
+    one = trimesh.Trimesh(loose.vertices, loose.faces)
+    one.merge_vertices()
+    return warpsar.Mesh.of(one.vertices, one.faces)
+
+
+@pytest.fixture
+def duct() -> warpsar.Mesh:
+    return curved_duct()
+
+
+def test_same_bits_for_any_number_of_threads(duct: warpsar.Mesh, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = []
+    for threads in ("1", "3"):
+        monkeypatch.setenv("WARPSAR_THREADS", threads)
+        found.append(amplitudes(duct, np.linspace(60.0, 120.0, 9), 90.0, finer=20.0))
+    assert np.array_equal(*found)
+    assert np.abs(found[0]).max() > 0.01
+
+
+def test_frequencies_together_are_those_alone(duct: warpsar.Mesh) -> None:
+    """The rays are those of the highest frequency."""
+    together = warpsar.rcs(scene(duct), [80.0, 95.0], 90.0, [0.5 * FREQUENCY, FREQUENCY], device="cpu")
+    alone = warpsar.rcs(scene(duct), [80.0, 95.0], 90.0, FREQUENCY, device="cpu")
+    assert np.array_equal(together.amplitude_m[:, :, 1], alone.amplitude_m[:, :, 0])
+
+
+@pytest.mark.cuda
+def test_cuda_is_the_cpu_to_float32(duct: warpsar.Mesh) -> None:
+    """Float32 names the face that a ray hits: at borders rays may differ, and where tubes are wide."""
+    found = {d: warpsar.rcs(scene(duct), np.linspace(60.0, 120.0, 9), 90.0, device=d) for d in ("cpu", "cuda")}
+    difference = found["cuda"].amplitude_m - found["cpu"].amplitude_m
+    assert np.linalg.norm(difference) < 0.02 * np.linalg.norm(found["cpu"].amplitude_m)
+    singles = [found[d].terms_m["edges"] for d in ("cpu", "cuda")]
+    assert np.abs(singles[0] - singles[1]).max() < 1e-6 * np.abs(singles[0]).max()
+
+
+def test_a_closed_duct_returns_what_enters(duct: warpsar.Mesh) -> None:
+    """Flux: the cross-section of the tubes that leave through the mouth over that of those that enter, to 5 %."""
+    body = CoherentBody.of(scene(duct), wp.get_device("cpu"))
+    directions = Directions.of([75.0, 90.0, 100.0], 90.0)
+    rays = cells.grid(body, directions, WAVELENGTH / 10)
+    radars = wp.array(radar_records(directions, body.origin, None), dtype=tubes.Radar, device="cpu")
+    n, most = len(rays), 40
+    hits = wp.empty((n, most), dtype=tubes.Hit, device="cpu")
+    count = wp.empty(n, dtype=int, device="cpu")
+    span, turn = (wp.empty(n, dtype=wp.float64, device="cpu") for _ in range(2))
+    view, place, size = (
+        wp.array(a, dtype=d, device="cpu") for a, d in ((rays.view, int), (rays.place, wp.vec2d), (rays.size, wp.vec2d))
+    )
+    inputs = [body.rays, radars, view, place, size, 1.0, K, most]
+    wp.launch(tubes.trace_kernel, n, inputs=inputs, outputs=[hits, count, span, turn], device="cpu")
+    found, times = hits.numpy(), count.numpy()
+    area = rays.size.prod(axis=1) * rays.used
+    mouth = body.origin[0]  # the middle's distance behind the mouth
+    first, last = found[:, 0], found[np.arange(n), np.maximum(times - 1, 0)]
+    entering = (times > 0) & (first["d"] @ [1.0, 0.0, 0.0] < 0)
+    # A tube enters that crosses the plane of the mouth inside its square before its first hit.
+    along = (first["point"][:, 0] + mouth) / first["d"][:, 0]
+    across = first["point"] - along[:, None] * first["d"] + body.origin
+    inside = entering & (np.abs(across[:, 1]) < 1.5 * WAVELENGTH) & (np.abs(across[:, 2]) < 1.5 * WAVELENGTH)
+    out = last["d"] - 2 * np.einsum("ij,ij->i", last["d"], last["normal"])[:, None] * last["normal"]
+    leaving = inside & (times < most) & (out[:, 0] > 0)
+    way = -(last["point"][:, 0] + mouth) / np.where(out[:, 0] == 0, 1, out[:, 0])
+    exits = last["point"] + way[:, None] * out + body.origin
+    leaving &= (np.abs(exits[:, 1:]) < 1.5 * WAVELENGTH * (1 + 1e-6)).all(axis=1)
+    entered = (area * inside).sum()
+    assert entered == pytest.approx(
+        sum((3 * WAVELENGTH) ** 2 * np.cos(np.deg2rad(a)) for a in (15.0, 0.0, 10.0)), rel=0.05
+    )
+    assert (area * leaving).sum() == pytest.approx(entered, rel=0.05)
+
+
+@pytest.mark.parametrize("phi", [0.4, 1.2, 2.0, 2.9, 4.0, 5.8])
+@pytest.mark.parametrize("tilt", [0.0, 0.5])
+def test_fringe_currents_of_a_half_plane(phi: float, tilt: float) -> None:
+    """The transform of Sommerfeld's exact currents on both sides of a half-plane, less those of physical optics.
+
+    Integrated numerically with Fresnel integrals (Born and Wolf, 11.5), with a wave that decays a little so that the
+    integral ends.
+    """
+    s = np.array([np.cos(phi) * np.cos(tilt), np.sin(phi) * np.cos(tilt), np.sin(tilt)])
+    kt, k = K * np.cos(tilt), K
+    root = (np.arange(400_000) + 0.5) / 400_000 * np.sqrt(400 * WAVELENGTH)  # currents go as 1 / sqrt(x) at the edge
+    x, step = root**2, 2 * root * (root[1] - root[0])
+    damped = np.exp(-((x / (120 * WAVELENGTH)) ** 2))
+    rho = np.sqrt(2 * kt * x / np.pi)
+
+    def part(angle: float) -> np.ndarray:
+        """e^{jq} F of one of both waves: e^{j kt x cos} (1 + j) / 2 INT_{-inf}^w e^{-j pi t^2 / 2} dt."""
+        w = np.sqrt(2.0) * rho * np.cos(angle / 2)
+        sine, cosine = fresnel(w)
+        return np.exp(1j * kt * x * np.cos(angle)) * (1 + 1j) / 2 * ((cosine - 1j * sine) + (1 - 1j) / 2)
+
+    def slope(angle: float) -> np.ndarray:
+        """d part / d angle."""
+        w = np.sqrt(2.0) * rho * np.cos(angle / 2)
+        inner = (1 + 1j) / 2 * np.exp(-1j * np.pi / 2 * w**2) * -np.sqrt(2.0) * rho * np.sin(angle / 2) / 2
+        return -1j * kt * x * np.sin(angle) * part(angle) + np.exp(1j * kt * x * np.cos(angle)) * inner
+
+    total = np.zeros((2, 3), complex)
+    for row, e in enumerate((np.array([-np.sin(phi), np.cos(phi), 0.0]), None)):
+        e = np.cross(s, np.array([-np.sin(phi), np.cos(phi), 0.0])) if e is None else e
+        h = -np.cross(s, e)
+        kz = -k * s[2]
+        for side, (theta, normal) in enumerate(((0.0, 1.0), (2 * np.pi, -1.0))):
+            hard = part(theta - phi) + part(theta + phi)
+            soft = (slope(theta - phi) - slope(theta + phi)) / x  # dE / dphi / rho
+            lit = float((phi < np.pi) == (side == 0))
+            wave = np.exp(1j * kt * x * np.cos(phi))
+            hard = hard - 2 * lit * wave
+            soft = soft - 2j * kt * np.sin(phi) * lit * wave
+            back = np.exp(1j * kt * x * np.cos(phi)) * damped
+            fh = (hard * back * step).sum()
+            fs = (soft * back * step).sum()
+            # Along z the derivative of H_z, by parts; its value at the edge is 1 less physical optics' 2 on a lit side.
+            edge = (1.0 - 2.0 * lit) * h[2]
+            gradient = -edge - 1j * kt * np.cos(phi) * fh * h[2]
+            jx = normal * h[2] * fh
+            jz = normal * (-1j * k / kt**2 * e[2] * fs + 1j * kz / kt**2 * gradient)
+            total[row] += [jx, 0.0, jz]
+    outer = _fringes(s, phi)
+    for row in range(2):
+        scale = np.abs(total).max()
+        assert outer[row] == pytest.approx(total[row], abs=0.01 * scale)
+
+
+@wp.kernel
+def _fringe_kernel(k: wp.float64, s: wp.vec3d, e: wp.array[wp.vec3d], out: wp.array[wp.vec3d]):
+    i = wp.tid()
+    x = wp.vec3d(wp.float64(1.0), wp.float64(0.0), wp.float64(0.0))
+    n = wp.vec3d(wp.float64(0.0), wp.float64(1.0), wp.float64(0.0))
+    two = wp.float64(2.0)
+    out[i] = edges.fringe(e[i], k, s, x, n, two) + edges.fringe(e[i], k, s, x, -n, two)
+
+
+def _fringes(s: np.ndarray, phi: float) -> np.ndarray:
+    across = np.array([-np.sin(phi), np.cos(phi), 0.0])
+    fields = np.stack([across, np.cross(s, across)])
+    out = wp.empty(2, dtype=wp.vec3d, device="cpu")
+    wp.launch(_fringe_kernel, 2, inputs=[K, wp.vec3d(*s), wp.array(fields, dtype=wp.vec3d, device="cpu"), out])
+    return 1j * out.numpy()
+
+
+def test_edges_are_found_also_where_parts_are_not_welded() -> None:
+    """A box of six parts, each cut into other triangles, has twelve right-angled edges, each once, and no border."""
+    a = 1.0
+    parts = []
+    for axis in range(3):
+        for side in (0.0, a):
+            n = 2 + axis + int(side)
+            ticks = np.linspace(0.0, a, n)
+            i, j = np.meshgrid(ticks, ticks, indexing="ij")
+            flat = np.stack([i.ravel(), j.ravel()], axis=1)
+            vertices = np.insert(flat, axis, side, axis=1)
+            r, c = (each.ravel() for each in np.meshgrid(np.arange(n - 1), np.arange(n - 1), indexing="ij"))
+            first = r * n + c
+            faces = np.concatenate(
+                [np.stack([first, first + n, first + 1], 1), np.stack([first + 1, first + n, first + n + 1], 1)]
+            )
+            parts.append(trimesh.Trimesh(vertices, faces, process=False))
+    body = trimesh.util.concatenate(parts)
+    vertices, faces = np.asarray(body.vertices), np.asarray(body.faces, np.int32)
+    found = joints(vertices, faces)
+    assert (found.other >= 0).all()
+    shape = shape_of(vertices, faces, np.zeros(len(faces), np.int32))
+    length = np.linalg.norm(shape.wedges.end - shape.wedges.start, axis=1) * shape.wedges.share
+    assert length.sum() == pytest.approx(12 * a)
+    assert shape.wedges.outer == pytest.approx(1.5)
+    assert len(shape.regions.area) == 6
+    assert shape.regions.area == pytest.approx(a * a)
+
+
+def test_a_mesh_that_is_cut_finer_has_the_same_amplitude() -> None:
+    coarse = plate(0.2, 0.3)
+    fine = trimesh.Trimesh(coarse.vertices, coarse.faces).subdivide().subdivide()
+    found = [amplitudes(mesh, [70.0, 90.0], 85.0) for mesh in (coarse, warpsar.Mesh.of(fine.vertices, fine.faces))]
+    assert found[1] == pytest.approx(found[0], abs=1e-9)
+
+
+def test_a_shadow_takes_its_share() -> None:
+    """Half of a plate in the shadow of another, seen along both normals: a quarter of the cross-section."""
+    a = 8 * WAVELENGTH
+    lower = rectangles([[0, -a, -a], [0, a, -a], [0, a, a], [0, -a, a]])
+    both = rectangles([[0, -a, -a], [0, a, -a], [0, a, a], [0, -a, a]], [[1, 0, -a], [1, a, -a], [1, a, a], [1, 0, a]])
+    front = rectangles([[1, 0, -a], [1, a, -a], [1, a, a], [1, 0, a]])
+    origin = {"reference": (0.0, 0.0, 0.0), "terms": ("single",)}
+    whole = amplitudes(lower, 90.0, 90.0, **origin)[0, 0, 0]
+    seen = amplitudes(both, 90.0, 90.0, **origin)[0, 0, 0] - amplitudes(front, 90.0, 90.0, **origin)[0, 0, 0]
+    assert decibels(cross_section(seen)) == pytest.approx(decibels(cross_section(whole) / 4), abs=0.1)

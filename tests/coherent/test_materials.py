@@ -1,0 +1,201 @@
+"""Reflection of layers, and materials of a scene file, in the coherent engine."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from bodies import FREQUENCY, K, amplitudes, dihedral, plate, scene
+from click.testing import CliRunner
+
+import warpsar
+from warpsar import InputError, Material
+from warpsar.cli.main import main
+from warpsar.scene.file import parse
+
+
+def stack(eps: complex, thickness: float | None, backed: bool, sine: float) -> tuple[complex, complex]:
+    """R of a layer in TE and TM by 2 x 2 matrices of the tangential fields; of a half-space with thickness None."""
+    cosine = np.sqrt(1 - sine**2)
+    q = np.sqrt(eps - sine**2 + 0j)
+    q = -q if q.imag > 0 else q
+    found = []
+    for air, inside in ((cosine, q), (1 / cosine, eps / q)):  # admittances over that of space
+        if thickness is None:
+            found.append((air - inside) / (air + inside))
+            continue
+        phase = K * q * thickness
+        m = np.array([[np.cos(phase), 1j * np.sin(phase) / inside], [1j * inside * np.sin(phase), np.cos(phase)]])
+        e, h = m @ ([0.0, 1.0] if backed else [1.0, air])
+        found.append((air * e - h) / (air * e + h))
+    return complex(found[0]), complex(found[1])
+
+
+@pytest.mark.parametrize(
+    ("material", "eps", "thickness", "backed"),
+    [
+        ({"eps_r": 4.0}, 4.0, None, False),
+        ({"eps_r": (5.0, -1.3)}, 5.0 - 1.3j, None, False),
+        ({"eps_r": (2.61, -0.035), "thickness_m": 0.0015}, 2.61 - 0.035j, 0.0015, False),
+        ({"eps_r": (2.61, -0.3), "thickness_m": 0.02}, 2.61 - 0.3j, 0.02, False),
+        ({"eps_r": (3.0, -0.5), "thickness_m": 0.004, "conductor": True}, 3.0 - 0.5j, 0.004, True),
+        ({"eps_r": (60.0, -40.0), "thickness_m": 5.0}, 60.0 - 40.0j, None, False),  # so thick that nothing passes
+    ],
+)
+def test_a_plate_reflects_as_its_layers(material: dict[str, Any], eps: complex, thickness: Any, backed: bool) -> None:
+    """-R of the conductor's amplitude. Turned about a vertical axis HH is TM and VV is TE."""
+    turned = np.array([0.0, 12.0, 31.0, 55.0])
+    mesh = plate(0.3, 0.2)
+    conductor = amplitudes(mesh, 90.0 - turned, 90.0, terms=("single",))[:, 0]
+    covered = amplitudes(mesh, 90.0 - turned, 90.0, terms=("single",), material={"rms_height_m": 0.0, **material})[:, 0]
+    for i, angle in enumerate(np.deg2rad(turned)):
+        te, tm = stack(eps, thickness, backed, np.sin(angle))
+        assert covered[i, 0] / conductor[i, 0] == pytest.approx(-tm, abs=1e-9)
+        assert covered[i, 3] / conductor[i, 3] == pytest.approx(-te, abs=1e-9)
+
+
+def test_two_bounces_have_both_coefficients() -> None:
+    """In the fold of a dihedral each bounce is at 45 degrees: TE across the fold is R_te^2, TM is R_tm^2."""
+    mesh, eps = dihedral(0.3, 0.24), 5.0 - 0.7j
+    conductor = amplitudes(mesh, 45.0, 90.0, terms=("multibounce",))[0, 0]
+    covered = amplitudes(
+        mesh, 45.0, 90.0, terms=("multibounce",), material={"eps_r": (5.0, -0.7), "rms_height_m": 0.0}
+    )[0, 0]
+    te, tm = stack(eps, None, False, np.sqrt(0.5))
+    # The second face's currents are those of its own R: -R of the conductor's, in the mean over the directions.
+    assert covered[3] / conductor[3] == pytest.approx(te * te, abs=0.02)
+    assert covered[0] / conductor[0] == pytest.approx(tm * tm, abs=0.02)
+
+
+def test_a_rough_face_loses_coherence() -> None:
+    """exp(-2 (k h cos)^2) in amplitude."""
+    h, angle = 0.002, np.deg2rad(25.0)
+    smooth, rough = (
+        amplitudes(
+            plate(0.3, 0.2), 65.0, 90.0, terms=("single",), material={"eps_r": 6.0, "rms_height_m": height, **more}
+        )[0, 0, 0]
+        for height, more in ((0.0, {}), (h, {"correlation_length_m": 0.02}))
+    )
+    assert rough / smooth == pytest.approx(np.exp(-2 * (K * h * np.cos(angle)) ** 2), rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    "table",
+    [
+        {"conductor": True},
+        {"conductor": True, "eps_r": 3.0, "thickness_m": 0.01},
+        {"eps_r": 3.0, "rms_height_m": 0},
+        {"eps_r": [3.0, -0.1], "rms_height_m": 0.0, "thickness_m": 0.002},
+    ],
+)
+def test_smooth_materials_are_accepted(table: dict[str, Any]) -> None:
+    assert Material(**table).rms_height_m == 0.0
+
+
+@pytest.mark.parametrize(
+    ("table", "key"),
+    [
+        ({"eps_r": 3.0}, "rms_height_m: missing"),
+        ({"rms_height_m": 0.0}, "eps_r: missing"),
+        ({"eps_r": 3.0, "rms_height_m": 0.001}, "correlation_length_m: missing"),
+        ({"conductor": True, "thickness_m": 0.01}, "eps_r: missing"),
+        ({"conductor": True, "thickness_m": -0.01}, "thickness_m: found -0.01"),
+    ],
+)
+def test_incomplete_materials_are_refused(table: dict[str, Any], key: str) -> None:
+    _, problems = parse({"materials": {"body": table}})
+    assert any(problem.startswith(f"materials.body.{key}") for problem in problems), problems
+
+
+def test_an_image_of_power_refuses_what_is_smooth() -> None:
+    with pytest.raises(InputError, match=r"materials\.default: found conductor = true.*warpsar rcs"):
+        warpsar.simulate(scene(plate(1.0, 1.0), polarizations=("HH",)), device="cpu")
+
+
+SCENE = """
+[scene]
+mesh = "plate.obj"
+[radar]
+frequency_hz = 10e9
+polarizations = ["VV"]
+[image]
+shape = [4, 4]
+spacing_m = [1.0, 1.0]
+[materials.body]
+conductor = true
+[[views]]
+name = "none"
+azimuth_deg = 0.0
+incidence_deg = 45.0
+"""
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> Path:
+    mesh = "\n".join(["v 0 -0.1 -0.1", "v 0 0.1 -0.1", "v 0 0.1 0.1", "v 0 -0.1 0.1", "usemtl body", "f 1 2 3 4", ""])
+    (tmp_path / "plate.obj").write_text(mesh)
+    (tmp_path / "scene.toml").write_text(SCENE)
+    return tmp_path
+
+
+def test_rcs_writes_its_table(files: Path) -> None:
+    """The plate's 4 pi A^2 / lambda^2, and every column."""
+    words = ["rcs", str(files / "scene.toml"), "-o", str(files / "out"), "--azimuths", "88:92:2", "--device", "cpu"]
+    done = CliRunner().invoke(main, [*words, "--frequencies", f"5e9,{FREQUENCY!r}"])
+    assert done.exit_code == 0, done.output
+    head, *lines = (files / "out" / "rcs.csv").read_text().splitlines()
+    assert head == (
+        "azimuth_deg,incidence_deg,frequency_hz,polarization,rcs_dbsm,amplitude_re_m,amplitude_im_m,fresnel_number,"
+        "ray_spacing_m"
+    )
+    rows = [dict(zip(head.split(","), line.split(","), strict=True)) for line in lines]
+    assert [(r["azimuth_deg"], r["frequency_hz"]) for r in rows] == [
+        ("88.0", "5000000000.0"), ("88.0", repr(FREQUENCY)), ("90.0", "5000000000.0"), ("90.0", repr(FREQUENCY))
+    ]  # fmt: skip
+    assert {r["fresnel_number"] for r in rows} == {""}
+    expected = 10 * np.log10(4 * np.pi * 0.04**2 / 0.03**2)
+    assert float(rows[3]["rcs_dbsm"]) == pytest.approx(expected, abs=0.05)  # its edges add a little
+    amplitude = complex(float(rows[3]["amplitude_re_m"]), float(rows[3]["amplitude_im_m"]))
+    assert 10 * np.log10(4 * np.pi * abs(amplitude) ** 2) == pytest.approx(float(rows[3]["rcs_dbsm"]), abs=1e-5)
+    assert float(rows[0]["ray_spacing_m"]) == pytest.approx(0.003)
+    assert {"rcs.png", "rcs.json"} <= {path.name for path in (files / "out").iterdir()}
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--azimuths", "0:400:1"], "--azimuths: found 361"),
+        (["--azimuths", "0", "--incidences", "190"], "--incidences: found 190"),
+        (["--azimuths", "0", "--frequencies", "9e9,5e9"], "must ascend"),
+        (["--azimuths", "0", "--frequencies", "-5e9"], "--frequencies: found -5E+9"),
+        (["--azimuths", "north"], "--azimuths: found 'north'"),
+    ],
+)
+def test_bad_sweeps_are_refused_in_one_message(files: Path, options: list[str], message: str) -> None:
+    done = CliRunner().invoke(main, ["rcs", str(files / "scene.toml"), "-o", str(files / "out"), *options])
+    assert done.exit_code == 2
+    assert message in done.output
+    assert len(done.output.strip().splitlines()) == 1
+    assert not (files / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("azimuths", "more", "message"),
+    [
+        ([np.nan], {}, "azimuths: found nan"),
+        ([], {}, "azimuths: found an array of shape"),
+        ([0.0], {"frequencies_hz": [5e9, 5e9]}, "must ascend"),
+        ([0.0], {"incidences_deg": 181.0}, "incidences: found 181"),
+        (np.zeros(10**6), {"incidences_deg": np.zeros(10**6)}, "GiB of amplitudes"),
+    ],
+)
+def test_bad_arrays_are_refused(azimuths: Any, more: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        warpsar.rcs(scene(plate(0.1, 0.1)), azimuths, device="cpu", **more)
+
+
+def test_a_body_of_too_many_tubes_is_refused() -> None:
+    with pytest.raises(InputError, match=r"found a body of .* tubes of .* must be up to .* GiB"):
+        warpsar.rcs(scene(plate(2000.0, 2000.0)), 90.0, device="cpu")

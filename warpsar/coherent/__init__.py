@@ -1,0 +1,14 @@
+"""What does a body send back, with its phase?
+
+| file | what it holds |
+|---|---|
+| `joints.py` | which faces meet at which edge, also where a mesh is not welded |
+| `shape.py` | smooth surfaces with their normals, flat regions with their borders, wedges with their outer angles |
+| `rough.py` | the scatterers of rough faces |
+| `body.py` | a shape and its materials on a device |
+| `rays.py` | the rays of a direction, and their children where they alias |
+| `sweep.py` | amplitudes over directions and frequencies, term by term |
+| `directions.py` | axes of a direction |
+| `rcs.py` | `warpsar.rcs`: checks, the sweep, and what a user should know before trusting it |
+| `command.py` | the command `rcs`: table, plot, JSON |
+"""

@@ -1,0 +1,154 @@
+"""A mesh and its materials on a device, ready for rays, facets and edges."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, QhullError
+
+from warpsar.coherent.records import records, upload
+from warpsar.coherent.rough import scatterers, surfaces
+from warpsar.coherent.shape import Shape, shape_of
+from warpsar.kernels.codes import Variant
+from warpsar.kernels.coherent import edges, radiate, reflection, rough, tubes
+from warpsar.world.frame import SPEED_OF_LIGHT
+from warpsar.world.tables import Material
+from warpsar.world.world import World
+
+OFFSET = 1e-5
+"""Reflected rays start this share of the body's size off the facet: float32 would hit it again."""
+
+
+@dataclass
+class CoherentBody:
+    """A shape on a device."""
+
+    device: wp.Device
+    shape: Shape
+    tree: wp.Mesh
+    rays: tubes.Body
+    face_material: wp.array
+    region: wp.array
+    regions: wp.array
+    middle: wp.array
+    along: wp.array
+    materials: tuple[Material, ...]
+    hull: NDArray[np.float64]
+    """The vertices that can be outermost, (n, 3) [m]."""
+    origin: NDArray[np.float64]
+    """The body's middle about the scene's reference point, (3,) [m]. All other places are about the middle."""
+    variant: int
+    surfaces: wp.array
+    scatterers: wp.array | None
+    """Of rough faces; None without."""
+    scatterer_points: wp.array
+    scatterer_normals: wp.array
+
+    @classmethod
+    def of(cls, world: World, device: wp.Device) -> CoherentBody:
+        """Upload the mesh of a scene. Rays see it about its own middle, where float32 is finest."""
+        mesh = world.mesh
+        middle = 0.5 * (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0))
+        vertices = mesh.vertices - middle
+        shape = shape_of(vertices, mesh.faces, mesh.face_material)
+        constructor, leaf = ("sah", None) if device.is_cpu else ("cubql", 2)
+        points = upload(vertices.astype(np.float32), wp.vec3, device)
+        indices = upload(mesh.faces.ravel(), int, device)
+        tree = wp.Mesh(points, indices, bvh_constructor=constructor, bvh_leaf_size=leaf)
+        rays: Any = tubes.Body()
+        rays.tree = tree.id
+        rays.vertices = upload(vertices, wp.vec3d, device)
+        rays.faces = upload(mesh.faces, int, device)
+        rays.normals = upload(shape.normals, wp.vec3d, device)
+        rays.curved = upload(shape.curved, int, device)
+        rays.offset = OFFSET * shape.size
+        rays.reach = 8.0 * shape.size
+        flat = shape.regions
+        packed = records(radiate.Region, len(flat.area))
+        for name in ("normal", "centre", "area", "reach", "material", "first", "end"):
+            packed[name] = getattr(flat, name)
+        materials = tuple(world.materials[name] for name in mesh.materials)
+        spacing = 0.5 * SPEED_OF_LIGHT / world.radar.frequency_hz
+        places = scatterers(shape, mesh.face_material, materials, spacing, world.sampling.seed)
+        return cls(
+            device,
+            shape,
+            tree,
+            rays,
+            upload(mesh.face_material, int, device),
+            upload(shape.region, int, device),
+            upload(packed, radiate.Region, device),
+            upload(flat.middle, wp.vec3d, device),
+            upload(flat.along, wp.vec3d, device),
+            materials,
+            _hull(vertices),
+            middle - np.asarray(world.reference_point_m, np.float64),
+            int(Variant[world.radar.variant.upper()]),
+            upload(surfaces(materials), rough.RoughSurface, device),
+            upload(places, rough.Scatterer, device) if len(places) else None,
+            upload(places["point"], wp.vec3d, device),
+            upload(places["normal"], wp.vec3d, device),
+        )
+
+    def stuff(self, frequencies: int) -> wp.array:
+        """The materials at each frequency, shape (frequencies, materials)."""
+        packed = records(reflection.Face, (frequencies, len(self.materials)))
+        for m, material in enumerate(self.materials):
+            packed["conductor"][:, m] = material.conductor
+            packed["layer"][:, m] = material.thickness_m is not None
+            eps = material.eps_r if isinstance(material.eps_r, tuple) else (material.eps_r or 1.0, 0.0)
+            packed["permittivity"][:, m] = eps
+            packed["thickness"][:, m] = material.thickness_m or 0.0
+            packed["rms_height"][:, m] = material.rms_height_m
+        return upload(packed, reflection.Face, self.device)
+
+    @property
+    def radius(self) -> float:
+        """Distance of the furthest vertex from the middle [m]."""
+        return float(np.linalg.norm(self.hull, axis=1).max())
+
+    @property
+    def standoff(self) -> float:
+        """How far from the middle rays start [m]: a radar must stand further away."""
+        return self.radius + self.shape.size
+
+    def seen_from(self, place: NDArray[np.float64], s: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The hull, (n, 3) [m], cast from a place onto the plane through the middle across `s`."""
+        height = float(place @ s)
+        ratio = height / (height - self.hull @ s)
+        return place + ratio[:, None] * (self.hull - place)
+
+    def extents(self, axes: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
+        """Least and largest coordinate along each axis [m], shape (axes, 2)."""
+        along = self.hull @ np.stack(axes, axis=1)
+        return np.stack([along.min(axis=0), along.max(axis=0)], axis=1)
+
+    def edge_pieces(self, longest_m: float) -> wp.array:
+        """The wedges between conductors in pieces of at most `longest_m`."""
+        wedges = self.shape.wedges
+        conducting = np.array([bool(m.conductor) for m in self.materials])
+        some = np.flatnonzero(conducting[wedges.material].all(axis=1))
+        length = np.linalg.norm(wedges.end - wedges.start, axis=1)[some]
+        cuts = np.ceil(length / longest_m).astype(int).clip(1)
+        which = np.repeat(some, cuts)
+        step = np.arange(len(which)) - np.repeat(np.cumsum(cuts) - cuts, cuts)
+        along = (wedges.end - wedges.start)[which] / np.repeat(cuts, cuts)[:, None]
+        packed = records(edges.Edge, len(which))
+        packed["along"] = along
+        packed["middle"] = wedges.start[which] + (step + 0.5)[:, None] * along
+        for name in ("first", "second", "normal_first", "normal_second", "outer", "share"):
+            packed[name] = getattr(wedges, name)[which]
+        return upload(packed, edges.Edge, self.device)
+
+
+def _hull(vertices: NDArray[np.float64]) -> NDArray[np.float64]:
+    try:
+        hull: NDArray[np.float64] = vertices[ConvexHull(vertices).vertices]
+    except QhullError:  # a flat body has no hull with a volume
+        return vertices
+    return hull

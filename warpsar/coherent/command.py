@@ -1,0 +1,144 @@
+"""The command `rcs`: rcs.csv, Parquet where a library for it is there, a plot, and rcs.json."""
+
+from __future__ import annotations
+
+import csv
+import time
+from collections.abc import Iterator
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from warpsar.coherent.rcs import FREQUENCIES_HZ, Rcs, rcs
+from warpsar.coherent.sweep import RAYS_PER_WAVELENGTH
+from warpsar.errors import InputError
+from warpsar.io import figures
+from warpsar.io.images import replacing
+from warpsar.runtime import console, devices
+from warpsar.scene.scene import Scene
+from warpsar.simulation.naming import angles
+from warpsar.simulation.outputs import make_folder, write_json
+
+COLUMNS = (
+    "azimuth_deg",
+    "incidence_deg",
+    "frequency_hz",
+    "polarization",
+    "rcs_dbsm",
+    "amplitude_re_m",
+    "amplitude_im_m",
+    "fresnel_number",
+    "ray_spacing_m",
+)
+_STYLES = ("-", "--", "-.", ":")
+_FLOOR_DB = 80.0  # of a plot, under its highest value
+
+
+def run(
+    scene_path: Path | str,
+    out: Path | str,
+    *,
+    azimuths: str,
+    incidences: str = "90",
+    frequencies: str | None = None,
+    device: str | None = None,
+    rays_per_wavelength: float = RAYS_PER_WAVELENGTH,
+) -> dict[str, Any]:
+    """`warpsar rcs`: the files of the sweep in `out`. Returns the JSON's content. Raises InputError and DeviceError."""
+    started = time.perf_counter()
+    azimuth = [float(a) for a in angles(azimuths, "--azimuths", -360.0, 360.0, ends=True)]
+    incidence = [float(a) for a in angles(incidences, "--incidences", 0.0, 180.0, ends=True)]
+    frequency = None
+    if frequencies is not None:
+        frequency = [
+            float(f) for f in angles(frequencies, "--frequencies", *FREQUENCIES_HZ, what="frequencies", ends=True)
+        ]
+        if frequency != sorted(frequency):
+            raise InputError(f"--frequencies: found {frequencies!r}; must ascend")
+    scene = Scene.load(scene_path)
+    out = Path(out)
+    where = devices.resolve_device(device)
+    make_folder(out)
+    console.say_device(where)
+    console.warn(scene.warnings)
+    found = rcs(scene, azimuth, incidence, frequency, device=where.alias, rays_per_wavelength=rays_per_wavelength)
+    console.warn(found.warnings)
+    files = ["rcs.csv", "rcs.png", "rcs.json"]
+    with replacing(out / "rcs.csv") as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(COLUMNS)
+        writer.writerows(rows(found))
+    if parquet(found, out / "rcs.parquet"):
+        files.append("rcs.parquet")
+    plot(found, out / "rcs.png")
+    content = {
+        "directions": found.amplitude_m.shape[0] * found.amplitude_m.shape[1],
+        "frequencies_hz": found.frequency_hz,
+        "polarizations": found.polarizations,
+        "terms": list(found.terms_m),
+        "ray_spacing_m": found.ray_spacing_m,
+        "segments": found.segments,
+        "refined_share": float(found.refined.max()),
+        "aliased_share": float(found.aliased.max()),
+        "warnings": [*scene.warnings, *found.warnings],
+        "files": files,
+    }
+    content = write_json(out / "rcs.json", scene, where, None, started, content)
+    console.say(f"{out}: {', '.join(files)}")
+    return content
+
+
+def rows(found: Rcs) -> Iterator[tuple[Any, ...]]:
+    """The lines of the table, in the order of `COLUMNS`. A Fresnel number that does not exist is left empty."""
+    decibels = found.rcs_dbsm
+    for (a, i, f, p), amplitude in np.ndenumerate(found.amplitude_m):
+        number = found.fresnel_number[a, i, f]
+        yield (
+            repr(float(found.azimuth_deg[a])),
+            repr(float(found.incidence_deg[i])),
+            repr(float(found.frequency_hz[f])),
+            found.polarizations[p],
+            f"{decibels[a, i, f, p]:.6f}",
+            f"{amplitude.real:.9e}",
+            f"{amplitude.imag:.9e}",
+            "" if np.isnan(number) else f"{number:.4g}",
+            f"{found.ray_spacing_m:.6g}",
+        )
+
+
+def parquet(found: Rcs, path: Path) -> bool:
+    """Write the same table as Parquet, where pyarrow is there; whether it was."""
+    if find_spec("pyarrow") is None:
+        return False
+    pyarrow, writer = import_module("pyarrow"), import_module("pyarrow.parquet")
+    columns = [list(each) for each in zip(*rows(found), strict=True)]
+    table = {
+        name: column if name == "polarization" else [float(value) if value else None for value in column]
+        for name, column in zip(COLUMNS, columns, strict=True)
+    }
+    with replacing(path) as temporary:
+        writer.write_table(pyarrow.table(table), temporary)
+    return True
+
+
+def plot(found: Rcs, path: Path) -> None:
+    """RCS against the angle that has more values, a panel for each frequency, a line for each polarization."""
+    by_azimuth = found.azimuth_deg.size >= found.incidence_deg.size
+    angle = found.azimuth_deg if by_azimuth else found.incidence_deg
+    decibels = found.rcs_dbsm[:, 0] if by_azimuth else found.rcs_dbsm[0]
+    other = f"incidence {found.incidence_deg[0]:g}°" if by_azimuth else f"azimuth {found.azimuth_deg[0]:g}°"
+    count = found.frequency_hz.size
+    figure, panels = figures.new(8.0, 1.0 + 2.6 * min(count, 6), nrows=min(count, 6), sharex=True, squeeze=False)
+    for f, panel in enumerate(panels[:, 0]):
+        highest = decibels[:, f].max()
+        for p, name in enumerate(found.polarizations):
+            panel.plot(angle, np.maximum(decibels[:, f, p], highest - _FLOOR_DB), lw=1.0, ls=_STYLES[p], label=name)
+        panel.set_ylabel("RCS [dBsm]")
+        panel.set_title(f"{found.frequency_hz[f] / 1e9:g} GHz, {other}", fontsize=10)
+        panel.grid(alpha=0.3)
+    panels[0, 0].legend(frameon=False)
+    panels[-1, 0].set_xlabel("azimuth [deg]" if by_azimuth else "incidence [deg]")
+    figures.save(figure, path)

@@ -1,0 +1,199 @@
+"""`warpsar.rcs`: radar cross-sections of a scene over directions and frequencies."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+from numpy.typing import ArrayLike, NDArray
+
+from warpsar.coherent.body import CoherentBody
+from warpsar.coherent.directions import Directions
+from warpsar.coherent.sweep import POLARIZATIONS, RAYS_PER_WAVELENGTH, TERMS, Sweep, sweep
+from warpsar.errors import InputError
+from warpsar.runtime import console, devices
+from warpsar.runtime.memory import default_gib
+from warpsar.world.frame import SPEED_OF_LIGHT
+from warpsar.world.world import World
+
+FREQUENCIES_HZ = (1e6, 1e13)
+FEW = 1.0
+"""Fresnel number below which rays in a duct are no better than a constant level (docs/coherent.md)."""
+_BYTES = 16 * len(TERMS) * len(POLARIZATIONS)
+_TUBE_BYTES = 120
+"""Host memory for each tube of a direction, besides the hits, which go in blocks."""
+
+
+@dataclass(frozen=True)
+class Rcs:
+    """Radar cross-sections. Arrays have the shape (azimuths, incidences, frequencies, polarizations) unless said."""
+
+    azimuth_deg: NDArray[np.float64]
+    """(a,) [deg], clockwise from north."""
+    incidence_deg: NDArray[np.float64]
+    """(i,) [deg], from the zenith."""
+    frequency_hz: NDArray[np.float64]
+    """(f,) [Hz]."""
+    polarizations: tuple[str, ...]
+    amplitude_m: NDArray[np.complex128]
+    """A [m] of E = A e^{-jkR} / R; its phase is zero at the reference point."""
+    terms_m: dict[str, NDArray[np.complex128]]
+    """The same of each term by itself."""
+    fresnel_number: NDArray[np.float64]
+    """(a, i, f): of what the tubes meet after their first hit; NaN where none meets anything."""
+    ray_spacing_m: float
+    refined: NDArray[np.float64]
+    """(a, i): share of the tubes that aliased and were quartered."""
+    aliased: NDArray[np.float64]
+    """(a, i): share of the tubes that alias even so."""
+    segments: int
+    warnings: tuple[str, ...]
+
+    @property
+    def rcs_m2(self) -> NDArray[np.float64]:
+        """4 pi |A|^2 [m2]."""
+        return 4.0 * np.pi * np.abs(self.amplitude_m) ** 2
+
+    @property
+    def rcs_dbsm(self) -> NDArray[np.float64]:
+        """Decibels over a square metre; -inf where nothing comes back."""
+        with np.errstate(divide="ignore"):
+            return 10.0 * np.log10(self.rcs_m2)
+
+
+def rcs(
+    scene: World,
+    azimuths_deg: ArrayLike,
+    incidences_deg: ArrayLike = 90.0,
+    frequencies_hz: ArrayLike | None = None,
+    *,
+    device: str | None = None,
+    rays_per_wavelength: float = RAYS_PER_WAVELENGTH,
+) -> Rcs:
+    """Monostatic radar cross-sections of a scene at every pair of angles and every frequency.
+
+    The wave is plane. With `[radar] slant_range_m` it comes from a place at that distance to the reference point.
+
+    `frequencies_hz` ascend; without them it is that of `[radar]`, as are polarizations, `terms` and `max_bounces`. The
+    reference point has phase zero. docs/coherent.md says what is computed and where it holds.
+
+    Raises InputError for angles and frequencies out of range, and DeviceError.
+    """
+    azimuths, incidences = (np.atleast_1d(np.asarray(a, np.float64)) for a in (azimuths_deg, incidences_deg))
+    asked = scene.radar.frequency_hz if frequencies_hz is None else frequencies_hz
+    frequencies = np.atleast_1d(np.asarray(asked, np.float64))
+    _refuse(scene, azimuths, incidences, frequencies, rays_per_wavelength)
+    where = devices.resolve_device(device)
+    devices.load_kernels(where, "coherent.tubes", "coherent.radiate", "coherent.edges", "coherent.rough")
+    _refuse_size(azimuths.size * incidences.size, frequencies.size, where)
+    pairs = np.stack(np.meshgrid(azimuths, incidences, indexing="ij"), axis=-1).reshape(-1, 2)
+    body = CoherentBody.of(scene, where)
+    _refuse_body(scene, body, SPEED_OF_LIGHT / frequencies.max(), rays_per_wavelength)
+    bar = console.progress(len(pairs), "directions", "direction")
+    found = sweep(
+        body,
+        Directions.of(pairs[:, 0], pairs[:, 1]),
+        frequencies.tolist(),
+        terms=scene.radar.terms,
+        max_bounces=scene.radar.max_bounces,
+        rays_per_wavelength=rays_per_wavelength,
+        distance_m=scene.radar.slant_range_m,
+        progress=bar,
+    )
+    bar.close()
+    shape = (azimuths.size, incidences.size)
+    chosen = [POLARIZATIONS.index(name) for name in scene.radar.polarizations]
+    terms = found.amplitude[..., chosen].reshape(*shape, frequencies.size, len(TERMS), len(chosen))
+    return Rcs(
+        azimuths,
+        incidences,
+        frequencies,
+        tuple(scene.radar.polarizations),
+        terms.sum(axis=3),
+        {name: terms[:, :, :, i] for i, name in enumerate(TERMS) if name in scene.radar.terms},
+        found.fresnel_number.reshape(*shape, -1),
+        found.spacing_m,
+        found.refined.reshape(shape),
+        found.aliased.reshape(shape),
+        found.segments,
+        tuple(_warnings(scene, found)),
+    )
+
+
+def _refuse(
+    scene: World,
+    azimuths: NDArray[np.float64],
+    incidences: NDArray[np.float64],
+    frequencies: NDArray[np.float64],
+    rays_per_wavelength: float,
+) -> None:
+    """One message for everything that is no angle, no frequency, or no material."""
+    problems = []
+    bounds = {"azimuths": (azimuths, -360.0, 360.0), "incidences": (incidences, 0.0, 180.0)}
+    bounds["frequencies"] = (frequencies, *FREQUENCIES_HZ)
+    for name, (values, low, high) in bounds.items():
+        bad = ~((values >= low) & (values <= high))  # NaN is between nothing
+        if values.ndim != 1 or not values.size:
+            problems.append(f"{name}: found an array of shape {values.shape}; must be one or more numbers")
+        elif bad.any():
+            problems.append(f"{name}: found {values[bad][0]:g}; must be from {low:g} to {high:g}")
+    if frequencies.ndim == 1 and (np.diff(frequencies) <= 0.0).any():
+        problems.append("frequencies: found a value that is not above the one before it; must ascend")
+    if not 4.0 <= rays_per_wavelength <= 100.0:
+        problems.append(f"rays_per_wavelength: found {rays_per_wavelength:g}; must be from 4 to 100")
+    for name, material in scene.materials.items():
+        if material.layout != "uniform" and any(isinstance(getattr(material, key), str) for key in ("eps_r",)):
+            problems.append(f'materials.{name}.layout: found "{material.layout}"; must be "uniform" for an RCS')
+        elif not isinstance(material.rms_height_m, float):
+            problems.append(f"materials.{name}.rms_height_m: found a field; must be a number for an RCS")
+    if problems:
+        raise InputError("\n  ".join([f"{scene.name}:", *problems]) if problems[1:] else problems[0])
+
+
+def _refuse_size(directions: int, frequencies: int, device: wp.Device) -> None:
+    needed, there = directions * frequencies * _BYTES / 2**30, default_gib(device)
+    if needed > there:
+        raise InputError(
+            f"{directions} directions x {frequencies} frequencies: found {needed:.1f} GiB of amplitudes; must be up to "
+            f"{there:.1f} GiB, so ask for fewer at a time"
+        )
+
+
+def _refuse_body(scene: World, body: CoherentBody, wavelength: float, rays_per_wavelength: float) -> None:
+    """Refuse a body of too many tubes, and a radar inside it."""
+    tubes = (2.0 * body.radius * rays_per_wavelength / wavelength) ** 2
+    if (needed := tubes * _TUBE_BYTES / 2**30) > (there := default_gib(body.device)):
+        raise InputError(
+            f"{scene.name}: found a body of {2 * body.radius:.3g} m, {tubes:.2g} tubes of {wavelength:.2g} m / "
+            f"{rays_per_wavelength:g} for a direction ({needed:.3g} GiB); must be up to {there:.3g} GiB"
+        )
+    distance = scene.radar.slant_range_m
+    nearest = float(np.linalg.norm(body.origin)) + body.standoff + body.radius
+    if distance is not None and distance < nearest:
+        raise InputError(f"radar.slant_range_m: found {distance:g}; must be at least {nearest:.4g} for this body")
+
+
+def _warnings(scene: World, found: Sweep) -> list[str]:
+    """What a user should know before trusting the numbers."""
+    warnings = []
+    if (count := int((found.refined > 0.0).sum())) > 0:
+        warnings.append(
+            f"in {count} of {len(found.refined)} directions tubes aliased and were quartered (up to "
+            f"{100 * found.refined.max():.2g} % of them)"
+        )
+    if (count := int((found.aliased > 0.0).sum())) > 0:
+        warnings.append(
+            f"in {count} of {len(found.aliased)} directions up to {100 * found.aliased.max():.2g} % of the tubes alias "
+            "even so: their share of the amplitude is uncertain"
+        )
+    low = found.fresnel_number < FEW
+    if low.any() and "multibounce" in scene.radar.terms:
+        warnings.append(
+            f"the Fresnel number is below {FEW:g} at {int(low.sum())} of {low.size} values (down to "
+            f"{found.fresnel_number[low].min():.2g}): there rays do not hold, and multibounce is no better than chance"
+        )
+    sheets = {name for name, m in scene.materials.items() if not m.conductor}
+    if sheets and "edges" in scene.radar.terms:
+        warnings.append(f"edges of {', '.join(sorted(sheets))} have no term: that of edges is for conductors")
+    return warnings

@@ -1,0 +1,70 @@
+"""The scatterers of rough faces. They belong to places: rays, directions and frequencies do not change them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from warpsar.coherent.records import records
+from warpsar.coherent.shape import Shape
+from warpsar.errors import InputError
+from warpsar.kernels.codes import Spectrum
+from warpsar.kernels.coherent import rough
+from warpsar.world.tables import Material
+
+MOST = 20_000_000
+"""Scatterers of a scene: 2.5 GB."""
+_CONDUCTOR = (1e9, 0.0)
+
+
+def scatterers(
+    shape: Shape, face_material: NDArray[np.int32], materials: Sequence[Material], spacing_m: float, seed: int
+) -> Any:
+    """Scatterers at about `spacing_m`, each at a random place of an equal part of its face.
+
+    Raises InputError for more than `MOST`.
+    """
+    is_rough = np.array([material.rms_height_m != 0.0 for material in materials])
+    faces = np.flatnonzero(is_rough[face_material])
+    corners = shape.vertices[shape.faces[faces]]
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    twice = np.linalg.norm(cross, axis=1)
+    # The expected number of scatterers is exact, so small faces get one now and then, with the area of a whole cell.
+    wanted = 0.5 * twice / spacing_m**2
+    if wanted.sum() > MOST:
+        raise InputError(
+            f"rough faces: found {0.5 * twice.sum():.3g} m2, {wanted.sum():.3g} scatterers half a wavelength apart; "
+            f'must be at most {MOST:.3g}, or leave "rough" out of radar.terms'
+        )
+    random = np.random.default_rng(seed)
+    count = np.floor(wanted + random.random(len(faces))).astype(int)
+    of = np.repeat(np.arange(len(faces)), count)
+    a, b = random.random((2, len(of)))
+    outside = a + b > 1.0
+    a, b = np.where(outside, 1.0 - a, a), np.where(outside, 1.0 - b, b)
+    gauss = random.standard_normal((len(of), 4)) * np.sqrt(0.5)
+    made = records(rough.Scatterer, len(of))
+    p0, p1, p2 = (corners[of, i] for i in range(3))
+    made["point"] = p0 + a[:, None] * (p1 - p0) + b[:, None] * (p2 - p0)
+    made["normal"] = (cross / twice[:, None])[of]
+    made["area"] = spacing_m**2
+    made["diffuse"], made["specular"] = gauss[:, :2], gauss[:, 2:]
+    made["material"] = face_material[faces][of]
+    return made
+
+
+def surfaces(materials: Sequence[Material]) -> Any:
+    """The parameters of the surface model, one for each material."""
+    packed = records(rough.RoughSurface, len(materials))
+    for m, material in enumerate(materials):
+        eps = _CONDUCTOR if material.conductor else material.eps_r
+        length = material.correlation_length_m or 1.0
+        packed["spectrum"][m] = Spectrum[material.spectrum.upper()]
+        packed["permittivity"][m] = eps if isinstance(eps, tuple) else (eps, 0.0)
+        packed["rms_height"][m] = material.rms_height_m
+        packed["length"][m] = length if isinstance(length, tuple) else (length, length)
+        packed["specular_fraction"][m] = material.specular_fraction
+    return packed
