@@ -165,7 +165,8 @@ def tables() -> Iterator[tuple[str, dict[str, Any]]]:
     """The tables of the file that have keys of their own, the effects apart."""
     tables = dict(scene_schema()["properties"])
     del tables["effects"]
-    tables |= {"materials": tables["materials"]["additionalProperties"], "views": tables["views"]["items"]}
+    tables |= {"materials": tables["materials"]["additionalProperties"]}
+    tables |= {name: tables[name]["items"] for name in ("objects", "views")}
     yield from tables.items()
 
 
@@ -188,7 +189,7 @@ def test_schema_is_strict_json_without_references() -> None:
     text = json.dumps(scene_schema(), allow_nan=False)
     assert "$ref" not in text
     assert "null" not in text
-    assert text.count('"additionalProperties": false') == 8 + 1 + len(
+    assert text.count('"additionalProperties": false') == 9 + 1 + len(
         names()
     )  # tables of the file, scene.origin among them; effects; each effect
 

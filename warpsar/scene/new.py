@@ -18,10 +18,9 @@ from warpsar.scene.unwrap import write_obj
 from warpsar.world.frame import view_geometry
 from warpsar.world.mesh import Mesh, read_mesh
 from warpsar.world.meshes import dem
+from warpsar.world.objects.table import UNITS
 from warpsar.world.tables import Grid
 
-UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
-"""Metres in each unit of length that a mesh may have."""
 MILLIMETRES_FROM = 1000.0
 """Larger meshes whose format states no unit are taken as millimetres."""
 _IN_METRES = (".gltf", ".glb", *dem.SUFFIXES)  # by their standard, or turned into metres by their reader
