@@ -77,8 +77,10 @@ def _placed(scene: trimesh.Scene, name_of: Callable[[object, Any], str]) -> list
 def _names_of(scene: trimesh.Scene, node: str) -> tuple[str, ...]:
     """A node and the nodes above it, as far as the root."""
     parents, names = scene.graph.transforms.parents, [str(node)]
-    while (node := parents.get(node)) is not None and str(node) not in names and node != scene.graph.base_frame:
-        names.append(str(node))
+    above = parents.get(node)
+    while above is not None and str(above) not in names and above != scene.graph.base_frame:
+        names.append(str(above))
+        above = parents.get(above)
     return tuple(names)
 
 

@@ -29,7 +29,7 @@ class Assembly:
 
     base: Mesh | None
     templates: dict[tuple[object, ...], Mesh]
-    moved: dict[str, NDArray[np.int64]]
+    moved: dict[str, NDArray[np.integer]]
 
     @classmethod
     def of(cls, base: Mesh | None, objects: Sequence[Object], bodies: Bodies) -> Assembly:
@@ -38,7 +38,7 @@ class Assembly:
         for one in objects:
             if one.mesh is not None and _key(one) not in templates:
                 templates[_key(one)] = _template(bodies[one.mesh], one)
-        moved: dict[str, NDArray[np.int64]] = {}
+        moved: dict[str, NDArray[np.integer]] = {}
         taken: dict[int, str] = {}
         for index, one in enumerate(objects):
             if one.group is None:
@@ -69,8 +69,10 @@ class Assembly:
             template = Mesh(made.vertices, made.faces, np.zeros(len(made.faces), np.int32))
         else:
             template = self.templates[_key(one)]
-        material = {} if one.material is None else _one_material(template, one.material)
-        return replace(template, vertices=placed(template.vertices, one), **material)
+        if one.material is not None:
+            uniform = np.zeros(len(template.faces), np.int32)
+            template = replace(template, materials=(one.material,), face_material=uniform)
+        return replace(template, vertices=placed(template.vertices, one))
 
     def vertices_of(self, one: Object) -> NDArray[np.float64]:
         """An object's vertices in the world [m], shape (n, 3)."""
@@ -100,10 +102,6 @@ def _template(read: Mesh, one: Object) -> Mesh:
     return replace(read, vertices=in_object_frame(read.vertices, one, UNITS[one.units]), warnings=())
 
 
-def _one_material(mesh: Mesh, name: str) -> dict[str, object]:
-    return {"materials": (name,), "face_material": np.zeros(len(mesh.faces), np.int32)}
-
-
 def _group_faces(base: Mesh | None, group: str, where: str) -> NDArray[np.int32]:
     groups = {} if base is None else base.groups
     if group not in groups:
@@ -112,7 +110,7 @@ def _group_faces(base: Mesh | None, group: str, where: str) -> NDArray[np.int32]
     return groups[group]
 
 
-def _cut_free(mesh: Mesh, faces: NDArray[np.int32]) -> tuple[Mesh, NDArray[np.int64]]:
+def _cut_free(mesh: Mesh, faces: NDArray[np.int32]) -> tuple[Mesh, NDArray[np.integer]]:
     """The mesh with vertices of the `faces`' own, and their indices."""
     mine = np.zeros(len(mesh.faces), bool)
     mine[faces] = True

@@ -13,7 +13,7 @@ ROUND = 48
 """Sides of a cylinder, and of a sphere's equator."""
 SIDE_STRIPS = 6  # of a vehicle's curved side
 CLEARANCE, BELT = 0.12, 0.58  # of a vehicle's height: its underside; a car's window line
-HOOD = 0.85  # of the window line: a car's front end
+HOOD, CROWN = 0.85, 1.03  # of the window line: a car's front end; the middle of its hood and trunk
 TUMBLEHOME = 0.78  # width of a car's roof, of its body
 TRUNK, REAR_WINDOW, WINDSHIELD = 0.12, 0.12, 0.68  # of a car's length; of its cabin: where the roof begins and ends
 GAP, CAB_HEIGHT = 0.03, 0.8  # of a truck's length, between cab and box; of its height
@@ -139,12 +139,12 @@ def _car(length: float, width: float, height: float, cabin: float, curvature: fl
     low, belt, half, tail = CLEARANCE * height, BELT * height, width / 2.0, -length / 2.0
     foot, top = tail + TRUNK * length, TUMBLEHOME * (1.0 - curvature)
     stations = [
-        (tail, belt, belt),
-        (foot, belt, belt),
+        (tail, belt, CROWN * belt),
+        (foot, belt, CROWN * belt),
         (foot + REAR_WINDOW * cabin * length, belt, height),
         (foot + WINDSHIELD * cabin * length, belt, height),
-        (foot + cabin * length, belt, belt),
-        (length / 2.0, HOOD * belt, HOOD * belt),
+        (foot + cabin * length, belt, CROWN * belt),
+        (length / 2.0, HOOD * belt, CROWN * HOOD * belt),
     ]
     return _rings(np.stack([_section(y, low, side, roof, half, curvature, top) for y, side, roof in stations]))
 
