@@ -21,7 +21,7 @@ from warpsar.world.frame import ViewGeometry
 
 SLABS = 4  # of a column, at least: lines where faces run through one another are no events
 EDGE_ON = 1e-9  # of a face's longest edge squared: a smaller area across the look direction cannot be seen
-BOW = 1e-3  # of a pixel in range: how far a face about a track may bend away from its plane over (azimuth, elevation)
+BOW = 4e-3  # of a pixel in range: how far a face about a track may bend away from its plane over (azimuth, elevation)
 
 
 def exact_hits(
@@ -39,33 +39,40 @@ def exact_hits(
     `rays_per_m2` and `seed` are those of effects that send rays of their own. About a track, faces are cut until they
     are flat over (azimuth, elevation) to `BOW` pixels.
     """
+    device, pixel_area = target.device, pixel_area_m2 or grid.pixel_area_m2
     seen = _Seen.of(target, geometry, grid)
-    columns = only_columns or (0, grid.shape[1])
-    cells = _covered(seen, grid, columns, target.device)
-    area, column, row, face = cells.area, cells.column, cells.row, cells.face
-    weight_scale = pixel_area_m2 or grid.pixel_area_m2
-    pixel = row * grid.shape[1] + column
-    points = seen.points(face, cells.azimuth / area, cells.elevation / area)
-    parent = seen.parent[face]
-    order = np.lexsort((parent, pixel))
-    rays = ray_grid(target, geometry, grid, rays_per_m2, weight_scale)
-    device = target.device
+    pixel, face, area, points = _merged_hits(seen, _covered(seen, grid, only_columns or (0, grid.shape[1]), device), grid)
+    rays = ray_grid(target, geometry, grid, rays_per_m2, pixel_area)
+    barycentric = _barycentric(target.corners[seen.faces[face]], points).astype(np.float32)
+    n = len(pixel)
     arrays: dict[str, Any] = {
-        "pixel": wp.array(pixel[order].astype(np.int32), dtype=int, device=device),
-        "face": wp.array(parent[order].astype(np.int32), dtype=int, device=device),
+        "pixel": wp.array(pixel.astype(np.int32), dtype=int, device=device),
+        "face": wp.array(face.astype(np.int32), dtype=int, device=device),
+        "barycentric": wp.array(barycentric, dtype=wp.vec2, device=device),
     }
-    flat = _barycentric(target.corners[seen.faces[parent[order]]], points[order])
-    arrays["barycentric"] = wp.array(flat.astype(np.float32), dtype=wp.vec2, device=device)
-    n = len(order)
     found = [wp.empty(n, dtype=kind, device=device) for kind in (wp.vec3, float, float, float)]
     inputs = [rays, target.vertices, target.faces, arrays["face"], arrays["barycentric"]]
     wp.launch(kernels.lit_point_kernel, n, inputs=inputs, outputs=found, device=device)
     arrays |= dict(zip(("point", "cos_incidence", "cos_twist", "cos2_azimuth"), found, strict=True))
     cosine = np.maximum(found[1].numpy().astype(float), 1e-6)
-    stretched = seen.stretch(points[order])
-    weight = area[order] * stretched / (cosine * weight_scale)
-    arrays["weight"] = wp.array(weight.astype(np.float32), dtype=float, device=device)
+    arrays["weight"] = wp.array((area / (cosine * pixel_area)).astype(np.float32), dtype=float, device=device)
     return Hits(grid, geometry, rays_per_m2=rays_per_m2, seed=seed, rays=0, **arrays)
+
+
+def _merged_hits(seen: _Seen, cells: _Covered, grid: BinGrid) -> tuple[np.ndarray, ...]:
+    """Pixel, face, area across the look direction [m^2] and mean point (n, 3) [m], one for each face in a pixel."""
+    points = seen.points(cells.face, cells.azimuth / cells.area, cells.elevation / cells.area)
+    area, parent = cells.area * seen.stretch(points), seen.parent[cells.face]
+    pixel = cells.row * grid.shape[1] + cells.column
+    order = np.lexsort((parent, pixel))
+    pixel, parent, area, points = pixel[order], parent[order], area[order], points[order]
+    new = np.ones(len(pixel), bool)
+    new[1:] = (pixel[1:] != pixel[:-1]) | (parent[1:] != parent[:-1])
+    start = np.flatnonzero(new)
+    if not len(start):
+        return pixel, parent, area, points
+    total = np.add.reduceat(area, start)
+    return pixel[start], parent[start], total, np.add.reduceat(points * area[:, None], start) / total[:, None]
 
 
 def _barycentric(corners: np.ndarray, points: np.ndarray) -> np.ndarray:
