@@ -43,11 +43,13 @@ def run(
         convergence(out / "convergence.png", found.history)
     content = _summary(found, options)
     _say_doubts(found, scene_path)
+    for sentence in () if found.objects is None else found.objects.words:
+        console.say(sentence)
     if found.identified is not None:
         content["identifiability"] = found.identified.summary()
         for sentence in found.identified.words:
             console.say(sentence)
-    else:
+    elif found.x.size:
         content["fields"] = write_field_uncertainty(found.problem, found.x, out)
     ranks.barrier()  # a rank that dies from here on takes no result with it
     if not ranks.first:
@@ -108,6 +110,8 @@ def _summary(found: Learned, options: LearnOptions) -> dict[str, Any]:
         "pixels": of_all(problem, lambda s: {"used": s.count, "left_out": s.left_out, "zeros": s.zeros}),
         "processes": problem.ranks.size,
     }
+    if found.objects is not None:
+        content["objects"] = found.objects.content()
     if not problem.scene.grid.calibrated:
         gains = problem.gains(problem.modelled(found.x))
         pairs = zip(problem.observations, gains, strict=True)

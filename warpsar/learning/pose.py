@@ -203,5 +203,3 @@ def _shortened(problem: PosedProblem, step: np.ndarray) -> np.ndarray:
 def fitted_scene(problem: PosedProblem, x: np.ndarray, scene: Scene) -> Scene:
     """`scene`, of the same objects, at the poses of x."""
     return posed(scene, problem.poses.at(x[problem.size :]))
-
-

@@ -44,9 +44,7 @@ def compared(scene: Scene, lit: Mapping[str, Sequence[Observation]], blur_m: flo
         effects["noise_floor"] = validate("noise_floor", {"level": level, "fixed": True}, "effects.noise_floor")
     if blur_m:
         effects["point_spread"] = _wider(effects.get("point_spread", {}), blur_m)
-    observations = {
-        name: [_prepared(scene, seen, level, blur_m) for seen in found] for name, found in lit.items()
-    }
+    observations = {name: [_prepared(scene, seen, level, blur_m) for seen in found] for name, found in lit.items()}
     return Compared(replace(scene, effects=effects), observations)
 
 
@@ -65,6 +63,4 @@ def _prepared(scene: Scene, seen: Observation, level: float, blur_m: float) -> O
         measured = total / np.maximum(gaussian_filter(known, sigma), 1e-3)
     measured = measured + level
     none = np.zeros_like(usable)
-    return replace(
-        seen, measured=measured, interior=usable & (measured > 0), silent=none, dark=none, least=None
-    )
+    return replace(seen, measured=measured, interior=usable & (measured > 0), silent=none, dark=none, least=None)

@@ -41,7 +41,9 @@ def exact_hits(
     """
     device, pixel_area = target.device, pixel_area_m2 or grid.pixel_area_m2
     seen = _Seen.of(target, geometry, grid)
-    pixel, face, area, points = _merged_hits(seen, _covered(seen, grid, only_columns or (0, grid.shape[1]), device), grid)
+    pixel, face, area, points = _merged_hits(
+        seen, _covered(seen, grid, only_columns or (0, grid.shape[1]), device), grid
+    )
     rays = ray_grid(target, geometry, grid, rays_per_m2, pixel_area)
     barycentric = _barycentric(target.corners[seen.faces[face]], points).astype(np.float32)
     n = len(pixel)
@@ -294,7 +296,8 @@ def _events(seen: _Seen, border: np.ndarray, device: wp.Device) -> tuple[np.ndar
 def _edges(seen: _Seen) -> tuple[np.ndarray, np.ndarray]:
     """Edges as pairs of vertices, (n, 2), and which of them are outlines, (n,) bool.
 
-    Two faces on either side of an edge, as the radar sees them, hide alike what lies behind it. All others are outlines.
+    Two faces on either side of an edge, as the radar sees them, hide alike what lies behind it. All other edges are
+    outlines.
     """
     corners, count = seen.corners, len(seen.azimuth)
     sides = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
@@ -307,5 +310,3 @@ def _edges(seen: _Seen) -> tuple[np.ndarray, np.ndarray]:
     turn = (a[q] - a[p]) * (e[opposite] - e[p]) - (a[opposite] - a[p]) * (e[q] - e[p])
     left = np.bincount(index.ravel(), turn > 0, len(unique))
     return sides[first], ~((number == 2) & (left == 1))
-
-

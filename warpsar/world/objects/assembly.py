@@ -24,12 +24,14 @@ class Assembly:
     """What a scene's mesh is made of.
 
     `base` is the scene's own mesh with its groups, or None. `templates` are the meshes of objects in their own frame,
-    one for all instances. `moved` holds, by the object's label, the vertices of `base` that belong to a group.
+    one for all instances. `moved` holds, by the object's label, the vertices of `base` that belong to a group. `bodies`
+    are the meshes as read.
     """
 
     base: Mesh | None
     templates: dict[tuple[object, ...], Mesh]
     moved: dict[str, NDArray[np.integer]]
+    bodies: Bodies
 
     @classmethod
     def of(cls, base: Mesh | None, objects: Sequence[Object], bodies: Bodies) -> Assembly:
@@ -52,7 +54,7 @@ class Assembly:
                 )
             taken |= dict.fromkeys(faces.tolist(), one.label)
             base, moved[one.label] = _cut_free(base, faces)
-        return cls(base, templates, moved)
+        return cls(base, templates, moved, bodies)
 
     def mesh(self, objects: Sequence[Object]) -> Mesh:
         """The one mesh with every object where its table puts it. Only vertices depend on the pose and size."""

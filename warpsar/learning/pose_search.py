@@ -1,0 +1,216 @@
+"""Where objects stand: from metres away to the likeliest pose, and how well it is known."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from warpsar.errors import InputError
+from warpsar.learning.identify import Identified
+from warpsar.learning.observation import Observation
+from warpsar.learning.pose import Descended, PosedProblem, descend
+from warpsar.learning.pose_coordinates import PoseCoordinate, values_of
+from warpsar.learning.pose_pixels import compared
+from warpsar.learning.problem import FitProblem
+from warpsar.learning.results import learned_scene
+from warpsar.scene.scene import Scene
+from warpsar.simulation.exact_rays import ExactRays
+from warpsar.surface.stage import Stage
+from warpsar.world.objects.assembly import Assembly
+from warpsar.world.objects.groups import with_groups
+from warpsar.world.objects.table import KEYS, Learnable, Object
+
+SEARCH_BLUR_M = (5.0, 2.0)  # full widths at half maximum: an object is found from as far away as its image is wide
+SEARCH_STEPS, SEARCH_FLAT = 12, 1.0
+TRADES = 0.95  # correlation from which two numbers are said to trade
+UNKNOWN_M = 1.0  # standard deviation at an object's edge from which a number is called not identifiable
+
+
+@dataclass(frozen=True)
+class FoundPoses:
+    """Objects at their likeliest poses.
+
+    `scene`: the scene with them, and with the surface and effects that were fitted along. `gain`: rise of the
+    log-likelihood over the pixels that were given, against the scene as it was given. `gain_floored`: the same over all
+    usable pixels above a common floor, where the search takes place (`pose_pixels`). `size`: how many numbers moved
+    beyond those of the scene itself. `identified`: information on everything that was fitted, poses last [m at the
+    objects' edges]. `words`: what cannot be told apart.
+    """
+
+    scene: Scene
+    gain: float
+    gain_floored: float
+    size: int
+    objects: dict[str, dict[str, Any]]
+    identified: Identified
+    words: list[str]
+
+
+def find_poses(
+    scene: Scene,
+    device: wp.Device,
+    *,
+    views: Sequence[str] | None = None,
+    observations: Mapping[str, list[Observation]] | None = None,
+    loss: str = "gamma",
+    search: bool = True,
+    held: bool = False,
+) -> FoundPoses:
+    """Fit what `learn` of the scene's objects frees, with surface and effects unless they are `held`.
+
+    `views`: names of the views to use; by default those with role train. `observations`, by view name: frozen pixels
+    that other models are compared on; by default those that the scene as given lights. `search`: begin with blurred
+    images, which find an object from 3 m, 20 degrees and 20 % away. Raises InputError where no object has anything to
+    learn, and for views without images.
+    """
+    if not any(one.learn for one in scene.objects):
+        raise InputError(f"{scene.name}: objects: found no object with `learn`; at least one must state it")
+    given = FitProblem(
+        scene,
+        device,
+        loss=loss,
+        views=views,
+        rays=ExactRays(Stage.of(scene, device), seed=scene.sampling.seed),
+        observations=observations,
+    )
+    pixels: dict[str, list[Observation]] = {}
+    for seen in given.observations:
+        pixels.setdefault(seen.view.name, []).append(seen)
+    x: np.ndarray | None = None
+    for blur_m in SEARCH_BLUR_M if search else ():
+        x = _descended(scene, device, pixels, loss, held, blur_m, x)[1].x
+    problem, end = _descended(scene, device, pixels, loss, held, 0.0, x)
+    identified = problem.identified(end.x)
+    found = _scene_at(problem, end.x, scene)
+    at_end = FitProblem(
+        found,
+        device,
+        loss=loss,
+        views=list(pixels),
+        rays=ExactRays(Stage.of(found, device), seed=scene.sampling.seed),
+        observations=pixels,
+    )
+    before, after = (one.value(one.modelled(one.x0)) for one in (given, at_end))
+    return FoundPoses(
+        found,
+        float(before - after),
+        problem.value(problem.x0) - end.loss,
+        problem.count,
+        summary(problem, end.x, identified),
+        identified,
+        _words(problem, identified),
+    )
+
+
+def group_pose(
+    scene: Scene,
+    device: wp.Device,
+    group: str,
+    *,
+    learn: tuple[Learnable, ...] = ("position", "heading"),
+    views: Sequence[str] | None = None,
+    observations: Mapping[str, list[Observation]] | None = None,
+    loss: str = "gamma",
+) -> FoundPoses:
+    """The likeliest pose of a part of the scene's own mesh that no `[[objects]]` table declares; as `find_poses`.
+
+    Raises InputError for a name that is no group of the mesh, or one that an object moves already.
+    """
+    return find_poses(with_group(scene, group, learn), device, views=views, observations=observations, loss=loss)
+
+
+def with_group(scene: Scene, group: str, learn: tuple[Learnable, ...]) -> Scene:
+    """The scene with one of its groups as an object of its own, where it stands. Nothing else is learned of objects."""
+    objects = (
+        *(one.model_copy(update={"learn": ()}) for one in scene.objects),
+        Object(group=group, learn=learn),
+    )
+    base = scene.mesh if scene.assembly is None else scene.assembly.base
+    wanted = [one.group for one in objects if one.group is not None]
+    base = None if base is None else with_groups(base, scene.mesh_path, wanted)
+    bodies = {} if scene.assembly is None else scene.assembly.bodies
+    assembly = Assembly.of(base, objects, bodies)
+    return replace(scene, objects=objects, assembly=assembly, mesh=assembly.mesh(objects))
+
+
+def _descended(
+    scene: Scene,
+    device: wp.Device,
+    pixels: Mapping[str, list[Observation]],
+    loss: str,
+    held: bool,
+    blur_m: float,
+    x: np.ndarray | None,
+) -> tuple[PosedProblem, Descended]:
+    """The problem of images blurred by `blur_m`, and where it ends from x."""
+    both = compared(scene, pixels, blur_m)
+    problem = PosedProblem(both.scene, device, both.observations, loss=loss, held=held)
+    start = problem.x0 if x is None else x
+    if not blur_m:
+        return problem, descend(problem, start)
+    return problem, descend(problem, start, most=SEARCH_STEPS, flat=SEARCH_FLAT)
+
+
+def _scene_at(problem: PosedProblem, x: np.ndarray, scene: Scene) -> Scene:
+    """`scene` with everything that x says; without the floor that only the comparison has."""
+    inner, rest = problem.split(x)
+    fitted = learned_scene(inner, rest)
+    effects = {name: table for name, table in fitted.effects.items() if name in scene.effects}
+    return replace(fitted, effects=effects)
+
+
+def summary(problem: PosedProblem, x: np.ndarray, identified: Identified) -> dict[str, dict[str, Any]]:
+    """What JSON files say of every object: its values, and a standard deviation beside each that was learned."""
+    found: dict[str, dict[str, Any]] = {}
+    objects = problem.poses.at(x[problem.size :])
+    for one in objects:
+        entry: dict[str, Any] = {"position_m": list(one.position_m), "heading_deg": one.heading_deg}
+        entry |= {"pitch_deg": one.pitch_deg, "roll_deg": one.roll_deg, "scale": list(one.scales)}
+        if one.size_m is not None:
+            entry["size_m"] = list(one.size_m)
+        for word in ("cabin", "side_curvature"):
+            if word in one.learn:
+                entry[word] = values_of(one, word)[0]
+        found[one.label] = entry
+    sds = identified.sd[problem.size :]
+    for c, coordinate, sd in zip(problem.poses.coordinates, x[problem.size :], sds, strict=True):
+        entry = found[objects[c.object].label]
+        value_sd = float(sd * abs(c.per_metre(float(coordinate))))
+        key = _sd_key(c)
+        if c.index is None:
+            entry[key] = value_sd
+        else:
+            entry.setdefault(key, [0.0, 0.0, 0.0])[c.index] = value_sd
+    return found
+
+
+def _sd_key(c: PoseCoordinate) -> str:
+    stem, _, unit = KEYS[c.word].partition("_")
+    if c.word == "side_curvature":
+        return "side_curvature_sd"
+    return f"{stem}_sd_{unit}" if unit else f"{stem}_sd"
+
+
+def _words(problem: PosedProblem, identified: Identified) -> list[str]:
+    """Sentences about poses that the data do not tell, alone or from one another."""
+    first, labels = problem.size, identified.labels
+    sds = identified.sd
+    sentences = [
+        f"{labels[k]}: not identifiable (standard deviation above {UNKNOWN_M:g} m at the object's edge)"
+        for k in range(first, len(labels))
+        if not sds[k] < UNKNOWN_M
+    ]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        correlation = identified.covariance / np.outer(sds, sds)
+    for k in range(first, len(labels)):
+        for j in range(first, k):
+            if abs(correlation[j, k]) > TRADES:
+                sentences.append(
+                    f"{labels[j]} and {labels[k]}: hardly told apart (correlation {correlation[j, k]:+.3f}); "
+                    f"views from other sides would part them"
+                )
+    return sentences
