@@ -2,8 +2,8 @@
 
 Seen across the look direction a face is a triangle in (azimuth a, elevation e), and its slant range is a plane over
 (a, e). A column of pixels is cut into slabs of azimuth, at every vertex and wherever an outline crosses an edge. Inside
-a slab the order of the edges does not change, so that each visible stretch of a face is a trapezoid with straight sides.
-Its area in every row of the image has a closed form.
+a slab the order of the edges does not change. Each visible stretch of a face is then a trapezoid with straight sides,
+whose area in every row of the image has a closed form.
 """
 
 import warp as wp
@@ -21,6 +21,7 @@ from warpsar.kernels.geometry import (
 REAL = wp.float64
 NEAR = wp.constant(wp.float64(1.0e-9))  # [m]: stretches and slabs shorter than this are nothing
 TOUCH = wp.constant(wp.float64(1.0e-8))  # [m] in range: surfaces nearer than this touch
+LINES = wp.constant(5)  # that the middle of a piece is taken over
 FLAT = wp.constant(wp.float64(1.0e-6))  # rows: a stretch with less extent in range lies in one
 
 
@@ -34,7 +35,10 @@ class Edges:
 
 @wp.struct
 class Faces:
-    """Faces across the look direction: corners by ascending azimuth, (n, 3); `plane` (n, 3): range = p0 + p1 a + p2 e."""
+    """Faces across the look direction: corners by ascending azimuth [m], and `plane` p; shape (n, 3) each.
+
+    The slant range on a face is p0 + p1 a + p2 e.
+    """
 
     azimuth: wp.array2d(dtype=wp.float64)
     elevation: wp.array2d(dtype=wp.float64)
@@ -43,8 +47,12 @@ class Faces:
 
 @wp.struct
 class Stretches:
-    """Room for the faces that cross a slab: both borders at the slab's ends, shape (candidates,) each."""
+    """Room for the faces that cross a slab: both borders at the slab's ends, shape (candidates,) each.
 
+    `order` lists them by their lower border.
+    """
+
+    order: wp.array(dtype=int)
     face: wp.array(dtype=int)
     place: wp.array(dtype=int)
     low_start: wp.array(dtype=wp.float64)
@@ -135,6 +143,37 @@ def range_on(faces: Faces, f: int, a: wp.float64, e: wp.float64) -> wp.float64:
 
 
 @wp.func
+def inside_row(
+    faces: Faces,
+    f: int,
+    s0: wp.float64,
+    s1: wp.float64,
+    low0: wp.float64,
+    low1: wp.float64,
+    high0: wp.float64,
+    high1: wp.float64,
+    row: wp.float64,
+    range_start: wp.float64,
+    range_spacing: wp.float64,
+) -> wp.vec2d:
+    """About the middle (azimuth, elevation) of what a row cuts out of a trapezoid: the mean over `LINES` lines."""
+    weight = REAL(0.0)
+    azimuth = REAL(0.0)
+    place = REAL(0.0)
+    for i in range(LINES):
+        t = REAL(i) / REAL(LINES - 1)
+        begin = wp.max(low0 + (low1 - low0) * t, row)
+        end = wp.min(high0 + (high1 - high0) * t, row + REAL(1.0))
+        length = wp.max(end - begin, REAL(0.0)) + REAL(1.0e-300)
+        weight += length
+        azimuth += length * t
+        place += length * REAL(0.5) * (begin + end)
+    a = s0 + (s1 - s0) * azimuth / weight
+    e = place / weight * range_spacing + range_start - faces.plane[f, 0] - faces.plane[f, 1] * a
+    return wp.vec2d(a, e / faces.plane[f, 2])
+
+
+@wp.func
 def add_piece(
     faces: Faces,
     cells: Cells,
@@ -187,18 +226,13 @@ def add_piece(
                 )
                 share = share * (s1 - s0) / wp.abs(slope)
             if share > REAL(0.0):
-                e = REAL(0.25) * (l0 + l1 + h0 + h1)
+                place = wp.vec2d(middle, REAL(0.25) * (l0 + l1 + h0 + h1))
                 if not flat:
-                    begin = wp.max(REAL(0.5) * (low0 + low1), upper)
-                    end = wp.min(REAL(0.5) * (high0 + high1), lower)
-                    y = wp.clamp(REAL(0.5) * (begin + end), upper, lower)
-                    e = (y * range_spacing + range_start - faces.plane[f, 0] - faces.plane[f, 1] * middle) / (
-                        faces.plane[f, 2]
-                    )
+                    place = inside_row(faces, f, s0, s1, low0, low1, high0, high1, upper, range_start, range_spacing)
                 cell = cells.start[k] + row - cells.first_row[k]
                 cells.area[cell] = cells.area[cell] + share
-                cells.azimuth[cell] = cells.azimuth[cell] + share * middle
-                cells.elevation[cell] = cells.elevation[cell] + share * e
+                cells.azimuth[cell] = cells.azimuth[cell] + share * place[0]
+                cells.elevation[cell] = cells.elevation[cell] + share * place[1]
 
 
 @wp.func
@@ -236,6 +270,12 @@ def gathered(
             room.low_end[at] = wp.where(first, a1, b1)
             room.high_start[at] = wp.where(first, b0, a0)
             room.high_end[at] = wp.where(first, b1, a1)
+            low = room.low_start[at] + room.low_end[at]
+            free = at
+            while free > begin and room.low_start[room.order[free - 1]] + room.low_end[room.order[free - 1]] > low:
+                room.order[free] = room.order[free - 1]
+                free -= 1
+            room.order[free] = at
             n += 1
     return n
 
@@ -269,32 +309,43 @@ def coverage_kernel(
         here0 = REAL(-1.0e300)
         here1 = REAL(-1.0e300)
         going = n > 0
+        first = begin  # of the order: all before end below `here`
         while going:
             here = REAL(0.5) * (here0 + here1) + NEAR
             front = int(-1)
             nearest = REAL(1.0e300)
             next0 = REAL(1.0e300)
             next1 = REAL(1.0e300)
-            for i in range(begin, begin + n):
+            at = first
+            while at < begin + n:
+                i = room.order[at]
                 low = REAL(0.5) * (room.low_start[i] + room.low_end[i])
                 if low > here:
-                    if low < REAL(0.5) * (next0 + next1):
-                        next0 = room.low_start[i]
-                        next1 = room.low_end[i]
+                    next0 = room.low_start[i]
+                    next1 = room.low_end[i]
+                    at = begin + n
                 elif REAL(0.5) * (room.high_start[i] + room.high_end[i]) > here:
                     r = range_on(faces, room.face[i], middle, here)
                     if r < nearest:
                         nearest = r
                         front = i
+                elif at == first:
+                    first += 1
+                at += 1
             if front >= 0:
                 f = room.face[front]
                 next0 = room.high_start[front]
                 next1 = room.high_end[front]
-                for i in range(begin, begin + n):
+                at = first
+                while at < begin + n:
+                    i = room.order[at]
                     next = REAL(0.5) * (next0 + next1)
                     low = REAL(0.5) * (room.low_start[i] + room.low_end[i])
                     high = REAL(0.5) * (room.high_start[i] + room.high_end[i])
-                    if i != front and low < next and high > here:
+                    at += 1
+                    if low >= next:
+                        at = begin + n
+                    elif i != front and high > here:
                         g = room.face[i]
                         e1 = wp.max(low, here)
                         e2 = wp.min(high, next)

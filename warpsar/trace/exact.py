@@ -196,7 +196,7 @@ class _Covered:
 def _covered(seen: _Seen, grid: BinGrid, columns: tuple[int, int], device: wp.Device) -> _Covered:
     rows = grid.shape[0]
     border = grid.start_m[1] + grid.spacing_m[1] * np.arange(columns[0], columns[1] + 1)
-    first, face = _in_columns(seen.azimuth[seen.corners], border)
+    first, face = _in_columns(seen.azimuth[seen.corners], border, seen.elevation[seen.corners].min(axis=1))
     events, first_event = _events(seen, border, device)
     place = (seen.range[seen.corners] - grid.start_m[0]) / grid.spacing_m[0]
     low = np.clip(np.floor(place.min(axis=1)).astype(np.int64) - 1, 0, rows)[face]
@@ -215,7 +215,7 @@ def _covered(seen: _Seen, grid: BinGrid, columns: tuple[int, int], device: wp.De
     faces.plane = _put(seen.plane, wp.float64, device)
     room = kernels.Stretches()
     for part in fields_of(kernels.Stretches):
-        kind = int if part in ("face", "place") else wp.float64
+        kind = int if part in ("order", "face", "place") else wp.float64
         setattr(room, part, wp.empty(len(face), dtype=kind, device=device))
     inputs = [faces, _put(face, int, device), _put(first, int, device), _put(events, wp.float64, device)]
     inputs += [_put(first_event, int, device), rows, wp.float64(grid.start_m[0]), wp.float64(grid.spacing_m[0]), room]
@@ -237,8 +237,10 @@ def fields_of(struct: Any) -> list[str]:
     return list(struct.vars)
 
 
-def _in_columns(azimuth: np.ndarray, border: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Which of the elements, whose corners have the azimuths (n, k), reach into each column.
+def _in_columns(
+    azimuth: np.ndarray, border: np.ndarray, within: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Which of the elements, whose corners have the azimuths (n, k), reach into each column; `within` sorts them there.
 
     Where each column's list begins, (columns + 1,), and the lists one after the other.
     """
@@ -248,7 +250,7 @@ def _in_columns(azimuth: np.ndarray, border: np.ndarray) -> tuple[np.ndarray, np
     counts = np.maximum(last - first + 1, 0)
     element = np.repeat(np.arange(len(azimuth)), counts)
     column = np.arange(len(element)) - np.repeat(np.cumsum(counts) - counts, counts) + first[element]
-    order = np.argsort(column, kind="stable")
+    order = np.argsort(column, kind="stable") if within is None else np.lexsort((within[element], column))
     return np.searchsorted(column[order], np.arange(columns + 1)), element[order]
 
 
