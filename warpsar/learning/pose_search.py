@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -24,10 +25,11 @@ from warpsar.world.objects.assembly import Assembly
 from warpsar.world.objects.groups import with_groups
 from warpsar.world.objects.table import KEYS, Learnable, Object
 
-SEARCH_BLUR_M = (5.0, 2.0)  # full widths at half maximum: an object is found from as far away as its image is wide
+SEARCH_BLUR_M = (3.0, 1.5, 0.75)  # full widths at half maximum: an object is found from as far away as it is blurred
 SEARCH_STEPS, SEARCH_FLAT = 12, 1.0
 TRADES = 0.95  # correlation from which two numbers are said to trade
-UNKNOWN_M = 1.0  # standard deviation at an object's edge from which a number is called not identifiable
+UNKNOWN_M = 1.0  # standard deviation at an object's edge from which a move is called unknown
+SHARE = 0.2  # of a unit move, from which a number is part of it
 
 
 @dataclass(frozen=True)
@@ -196,21 +198,33 @@ def _sd_key(c: PoseCoordinate) -> str:
 
 
 def _words(problem: PosedProblem, identified: Identified) -> list[str]:
-    """Sentences about poses that the data do not tell, alone or from one another."""
-    first, labels = problem.size, identified.labels
-    sds = identified.sd
-    sentences = [
-        f"{labels[k]}: not identifiable (standard deviation above {UNKNOWN_M:g} m at the object's edge)"
-        for k in range(first, len(labels))
-        if not sds[k] < UNKNOWN_M
-    ]
+    """Sentences about what the images do not tell of poses, alone or from one another."""
+    size, labels = problem.size, identified.labels[problem.size :]
+    information = identified.information
+    own, mixed = information[:size, :size], information[:size, size:]
+    # what is left of the poses' information when surfaces and effects are unknown
+    left = information[size:, size:] - mixed.T @ np.linalg.pinv(own, rcond=1e-9, hermitian=True) @ mixed
+    values, vectors = np.linalg.eigh(left)
+    sentences, said = [], np.zeros(len(labels), bool)
+    for value, direction in zip(values, vectors.T, strict=True):
+        if value * UNKNOWN_M**2 >= 1.0:
+            continue
+        parts = [k for k in np.argsort(-np.abs(direction)) if abs(direction[k]) > SHARE]
+        said[parts] = True
+        if len(parts) == 1:
+            sentences.append(f"{labels[parts[0]]}: not identifiable")
+        else:
+            moves = ", ".join(f"{labels[k]} {direction[k]:+.2f} m" for k in parts)
+            sentences.append(
+                f"{labels[parts[0]]}: not told apart from the others of this move, which no image shows: {moves}"
+            )
+    sds = identified.sd[size:]
     with np.errstate(invalid="ignore", divide="ignore"):
-        correlation = identified.covariance / np.outer(sds, sds)
-    for k in range(first, len(labels)):
-        for j in range(first, k):
-            if abs(correlation[j, k]) > TRADES:
-                sentences.append(
-                    f"{labels[j]} and {labels[k]}: hardly told apart (correlation {correlation[j, k]:+.3f}); "
-                    f"views from other sides would part them"
-                )
+        correlation = identified.covariance[size:, size:] / np.outer(sds, sds)
+    for k, j in itertools.combinations(range(len(labels)), 2):
+        if abs(correlation[j, k]) > TRADES and not (said[j] and said[k]):
+            sentences.append(
+                f"{labels[k]} and {labels[j]}: hardly told apart (correlation {correlation[j, k]:+.3f}); views from "
+                f"other sides would part them"
+            )
     return sentences
