@@ -20,6 +20,7 @@ from warpsar.learning.pose_pixels import FLOOR_SHARE, compared
 from warpsar.learning.pose_search import find_poses, group_pose
 from warpsar.learning.problem import FitProblem
 from warpsar.runtime import devices
+from warpsar.scene.placing import with_objects
 from warpsar.scene.scene import Scene
 from warpsar.simulation.exact_rays import ExactRays
 from warpsar.surface.stage import Stage
@@ -44,10 +45,7 @@ def scene_with(
 
 
 def placed_in(scene: Scene, one: Object) -> Scene:
-    base = scene.mesh if scene.assembly is None else scene.assembly.base
-    assembly = Assembly.of(base, (one,), {})
-    materials = {"g": Material(**SOIL), "body": Material(**BRICK)}
-    return replace(scene, objects=(one,), assembly=assembly, mesh=assembly.mesh((one,)), materials=materials)
+    return with_objects(scene, (one,), {"g": Material(**SOIL), "body": Material(**BRICK)})
 
 
 def measured(scene: Scene, seed: int = 1, looks: float = 16.0) -> Scene:

@@ -18,11 +18,10 @@ from warpsar.learning.pose_coordinates import PoseCoordinate, values_of
 from warpsar.learning.pose_pixels import compared
 from warpsar.learning.problem import FitProblem
 from warpsar.learning.results import learned_scene
+from warpsar.scene.placing import with_objects
 from warpsar.scene.scene import Scene
 from warpsar.simulation.exact_rays import ExactRays
 from warpsar.surface.stage import Stage
-from warpsar.world.objects.assembly import Assembly
-from warpsar.world.objects.groups import with_groups
 from warpsar.world.objects.table import KEYS, Learnable, Object
 
 SEARCH_BLUR_M = (3.0, 1.5, 0.75)  # full widths at half maximum: an object is found from as far away as it is blurred
@@ -127,16 +126,8 @@ def group_pose(
 
 def with_group(scene: Scene, group: str, learn: tuple[Learnable, ...]) -> Scene:
     """The scene with one of its groups as an object of its own, where it stands. Nothing else is learned of objects."""
-    objects = (
-        *(one.model_copy(update={"learn": ()}) for one in scene.objects),
-        Object(group=group, learn=learn),
-    )
-    base = scene.mesh if scene.assembly is None else scene.assembly.base
-    wanted = [one.group for one in objects if one.group is not None]
-    base = None if base is None else with_groups(base, scene.mesh_path, wanted)
-    bodies = {} if scene.assembly is None else scene.assembly.bodies
-    assembly = Assembly.of(base, objects, bodies)
-    return replace(scene, objects=objects, assembly=assembly, mesh=assembly.mesh(objects))
+    others = [one.model_copy(update={"learn": ()}) for one in scene.objects]
+    return with_objects(scene, [*others, Object(group=group, learn=learn)])
 
 
 def _descended(
