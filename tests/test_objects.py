@@ -1,7 +1,7 @@
 """Objects of a scene: where their vertices come to lie, what is saved, and what is refused."""
 
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
@@ -9,12 +9,14 @@ import tomlkit
 
 import warpsar
 from warpsar.errors import InputError
+from warpsar.scene.placing import with_objects
 from warpsar.scene.scene import Scene
 from warpsar.world.mesh import Mesh, read_mesh
 from warpsar.world.objects.groups import group_names
 from warpsar.world.objects.pose import foot, placed, rotation
 from warpsar.world.objects.shapes import body
-from warpsar.world.objects.table import Object
+from warpsar.world.objects.table import Object, Primitive
+from warpsar.world.tables import Grid, Material, Radar, View
 from warpsar.world.world import posed
 
 SOIL = {"eps_r": 6.0, "rms_height_m": 0.0012, "correlation_length_m": 0.010}
@@ -270,3 +272,37 @@ def test_uv_refuses_a_scene_with_objects(tmp_path: Path) -> None:
     path = written(tmp_path, [FLOOR], materials=["soil"])
     with pytest.raises(InputError, match="give UV to each mesh alone"):
         run(path, tmp_path / "out")
+
+
+def test_the_page_s_scenes(tmp_path: Path) -> None:
+    """The scene of each primitive in docs/objects.md simulates, and every body is seen."""
+    page = (Path(__file__).resolve().parent.parent / "docs" / "objects.md").read_text(encoding="utf-8")
+    first, whole = (part.split("```")[0] for part in page.split("```toml\n")[1:])
+    assert Object(**tomlkit.parse(first).unwrap()["objects"][0]).label == "btr70"
+    (tmp_path / "scene.toml").write_text(whole, encoding="utf-8")
+    scene = Scene.load(tmp_path / "scene.toml")
+    assert {one.primitive for one in scene.objects} == set(get_args(Primitive))
+    image = warpsar.simulate(scene, device="cpu")[0]
+    assert image.lit_fraction > 0.5
+    for one in scene.objects[1:]:
+        without = with_objects(scene, [other for other in scene.objects if other is not one])
+        assert not np.array_equal(warpsar.simulate(without, device="cpu")[0].beta0["HH"], image.beta0["HH"])
+
+
+def test_objects_in_memory() -> None:
+    """A car in a scene that was made from arrays; bad ones are refused as those of a file are."""
+    plain = Scene(
+        Mesh.of([(-9, -9, 0), (9, -9, 0), (9, 9, 0), (-9, 9, 0)], [(0, 1, 2), (0, 2, 3)]),
+        Radar(frequency_hz=9.6e9, polarizations=("HH",)),
+        Grid(shape=(40, 40), spacing_m=(0.5, 0.5)),
+        {"default": Material(**SOIL)},
+        [View(name="a", azimuth_deg=20.0, incidence_deg=40.0)],
+    )
+    car = Object(primitive="car", size_m=(4.5, 1.8, 1.5), material="body")
+    scene = with_objects(plain, [car], {"body": Material(**SOIL)})
+    assert scene.mesh.materials == ("default", "body")
+    assert with_objects(scene, []).mesh.materials == ("default",)
+    with pytest.raises(InputError, match="found 'car' again"):
+        with_objects(plain, [car, car], {"body": Material(**SOIL)})
+    with pytest.raises(InputError, match="must be those of the mesh"):
+        with_objects(plain, [car])

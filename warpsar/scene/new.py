@@ -59,6 +59,16 @@ rms_height_m = 0.001
 correlation_length_m = 0.006
 """
 
+_OBJECTS = """
+# A body with a place of its own, such as a parked car, stands in a table [[objects]]:
+# [[objects]]
+# primitive = "car"                 # or mesh = "FILE", or group = "NAME" of a part of the mesh above
+# size_m = [4.6, 1.8, 1.5]          # length, width, height
+# position_m = [0.0, 0.0, 0.0]      # east, north, up
+# heading_deg = 0.0                 # clockwise from north
+# material = {material}
+"""
+
 _VIEWS = """
 # Where the radar stands: azimuth_deg clockwise from north (+Y), incidence_deg from the zenith (+Z). A measured image
 # stands in its view as `images = { HH = "FILE" }`; `warpsar import` brings one in.
@@ -155,4 +165,5 @@ def _scene(mesh: Mesh, mesh_name: str, source: str) -> tuple[Grid, str]:
     views = "".join(
         _VIEW.format(name=f"az{azimuth:03.0f}", azimuth=azimuth, incidence=INCIDENCE_DEG) for azimuth in AZIMUTHS_DEG
     )
-    return grid, head + materials + _VIEWS + views
+    objects = _OBJECTS.format(material=tomlkit.item(mesh.materials[0]).as_string())
+    return grid, head + materials + objects + _VIEWS + views
