@@ -18,6 +18,7 @@ from warpsar.learning.pose import PosedProblem
 from warpsar.learning.pose_coordinates import Poses
 from warpsar.learning.pose_pixels import FLOOR_SHARE, compared
 from warpsar.learning.pose_search import find_poses, group_pose
+from warpsar.learning.pose_sharing import boxes, shared
 from warpsar.learning.problem import FitProblem
 from warpsar.runtime import devices
 from warpsar.scene.placing import with_objects
@@ -276,3 +277,50 @@ def test_the_moved_tower(independent_cases: Path) -> None:
     assert told["heading_deg"] == pytest.approx(5.0, abs=0.5)
     assert max(told["position_sd_m"]) < 0.02
     assert told["heading_sd_deg"] < 0.2
+
+
+# ---- objects that share a render ----
+
+
+def car_park(count: int) -> Scene:
+    """Cars in a row, 6 m apart, and one more behind the first one's shadow."""
+    views = [view(0, 45, name="v0"), view(90, 40, name="v1")]
+    plain = scene_of(mesh_of(g=ground(60)), views, shape=(120, 120), spacing_m=(0.5, 0.5))
+    places = [(6.0 * k - 3.0 * count, 0.3 * k, 0.0) for k in range(count)] + [(-3.0 * count, -12.0, 0.0)]
+    table = {"primitive": "car", "size_m": (4.6, 1.8, 1.5), "material": "body", "learn": ("position", "heading")}
+    cars = [Object(**{**table, "name": f"c{k}", "position_m": place}) for k, place in enumerate(places)]
+    return with_objects(plain, cars, {"g": Material(**SOIL), "body": Material(**BRICK)})
+
+
+def test_objects_share_a_render_and_the_slopes_stay(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Five cars cost less than five times one; every column is what it is with a render of its own.
+
+    1e-3: float32 of the two images that a column is the difference of.
+    """
+    scene = measured(car_park(4))
+    problem = problem_of(scene)
+    groups = shared(problem.poses.coordinates, boxes(scene, scene.views[0]))
+    assert sorted(k for group in groups for k in group) == list(range(20))
+    assert len(groups) <= 8
+    together = problem.jacobian(problem.x0)
+    monkeypatch.setattr("warpsar.learning.pose.boxes", lambda scene, view: None)
+    alone = problem.jacobian(problem.x0)
+    for found, expected in zip(together, alone, strict=True):
+        assert np.linalg.norm(found - expected, axis=0).max() < 1e-3 * np.linalg.norm(expected, axis=0).min()
+
+
+def test_a_box_holds_all_that_a_move_changes() -> None:
+    """A tall body and its long shadow, moved by 5 cm: nothing changes outside of its box."""
+    scene = scene_with(BOX, sides=((25, 60),), shape=96, spacing_m=0.5)
+    (place,) = boxes(scene, scene.views[0]) or ()
+    up, down = (displaced(scene, position_m=(1.3 + t, -0.8, 0.0)) for t in (0.05, -0.05))
+    change = np.abs(exact_images(up, CPU)["v0"]["HH"] - exact_images(down, CPU)["v0"]["HH"])
+    row, column = np.indices(change.shape)
+    assert change[~place.holds(row, column)].max() < 1e-6 * change.max()
+    assert change.max() > 0
+
+
+def test_effects_that_carry_power_share_nothing() -> None:
+    scene = replace(car_park(2), effects={"multibounce": {"max_bounces": 2}})
+    assert boxes(scene, scene.views[0]) is None
+    assert shared(Poses(scene).coordinates, None) == [[k] for k in range(12)]

@@ -12,7 +12,9 @@ import warp as wp
 from warpsar.learning.identify import Identified, of_information, residual_autocovariance, score_products
 from warpsar.learning.observation import Observation
 from warpsar.learning.pose_coordinates import Poses
+from warpsar.learning.pose_sharing import boxes, shared
 from warpsar.learning.problem import FitProblem
+from warpsar.learning.view import FitView
 from warpsar.scene.scene import Scene
 from warpsar.simulation.exact_rays import ExactRays
 from warpsar.speckle.likelihood import residual_sd
@@ -61,22 +63,19 @@ class PosedProblem:
         """The plain fit problem with the objects at p."""
         key = np.asarray(p, float).tobytes()
         if key not in self._kept:
-            scene = posed(self.scene, self.poses.at(p))
-            rays = ExactRays(Stage.of(scene, self.device), seed=scene.sampling.seed)
-            names = list(self._seen)
-            self._kept[key] = FitProblem(
-                scene,
-                self.device,
-                loss=self.loss,
-                roles=("train", "test"),
-                views=names,
-                rays=rays,
-                observations=self._seen,
-            )
+            self._kept[key] = self._made(p, list(self._seen))
             while len(self._kept) > KEPT:
                 self._kept.popitem(last=False)
         self._kept.move_to_end(key)
         return self._kept[key]
+
+    def _made(self, p: np.ndarray, views: list[str]) -> FitProblem:
+        scene = posed(self.scene, self.poses.at(p))
+        rays = ExactRays(Stage.of(scene, self.device), seed=scene.sampling.seed)
+        roles = ("train", "test")
+        return FitProblem(
+            scene, self.device, loss=self.loss, roles=roles, views=views, rays=rays, observations=self._seen
+        )
 
     def split(self, x: np.ndarray) -> tuple[FitProblem, np.ndarray]:
         """The problem at x's poses, and the rest of x as that problem has it."""
@@ -99,21 +98,33 @@ class PosedProblem:
         Those to poses are central differences of exact images, `POSE_STEP_M` to either side.
         """
         problem, rest = self.split(x)
-        columns: list[list[np.ndarray]] = [[] for _ in problem.observations]
-        for k in range(self.size, x.size):
-            step = np.zeros(x.size)
-            step[k] = POSE_STEP_M
-            for part, a, b in zip(columns, self.modelled(x + step), self.modelled(x - step), strict=True):
-                part.append(np.log(a / b) / (2.0 * POSE_STEP_M))
-        problem = self.standing(x[self.size :])
         if self.size:
             own = problem.jacobian(rest)
         else:
             own = [np.zeros((seen.values.size, 0)) for seen in problem.observations]
-        found = [np.column_stack([j, *part]) for j, part in zip(own, columns, strict=True)]
+        slopes = [slope for view in problem.views for slope in self._slopes(problem, view, rest, x[self.size :])]
+        found = [np.column_stack(pair) for pair in zip(own, slopes, strict=True)]
         if not self.scene.grid.calibrated:
             weights = [c.weight for c in problem.curvatures(problem.modelled(rest))]
             found = [j - np.average(j, axis=0, weights=w) for j, w in zip(found, weights, strict=True)]
+        return found
+
+    def _slopes(self, problem: FitProblem, view: FitView, rest: np.ndarray, p: np.ndarray) -> list[np.ndarray]:
+        """d ln(mu) / dp of a view's observations, shape (pixels, len(p)) each."""
+        places = boxes(problem.scene, view.view)
+        coordinates, name = self.poses.coordinates, view.view.name
+        found = [np.zeros((seen.values.size, p.size)) for seen in view.observations]
+        for group in shared(coordinates, places):
+            step = np.zeros(p.size)
+            step[group] = POSE_STEP_M
+            both = (self._made(p + s * step, [name]) for s in (1.0, -1.0))
+            above, below = (one.modelled(one.follow(problem, rest)) for one in both)
+            for slope, seen, a, b in zip(found, view.observations, above, below, strict=True):
+                change = np.log(a / b) / (2.0 * POSE_STEP_M)
+                row, column = np.divmod(seen.pixels, problem.scene.grid.shape[1])
+                for k in group:
+                    inside = True if places is None else places[coordinates[k].object].holds(row, column)
+                    slope[:, k] = np.where(inside, change, 0.0)
         return found
 
     def identified(self, x: np.ndarray) -> Identified:
