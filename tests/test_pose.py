@@ -11,6 +11,7 @@ from learning_scenes import speckle
 from worlds import BRICK, SOIL, ground, mesh_of, scene_of, view
 
 from warpsar.differentiable.geometry import exact_images, image_slopes
+from warpsar.effects.registry import validate
 from warpsar.errors import InputError
 from warpsar.learning.command import run
 from warpsar.learning.options import LearnOptions
@@ -178,6 +179,32 @@ def test_an_object_is_found_from_afar() -> None:
         assert sd < 0.2
     assert found.gain_floored > 100.0
     assert found.size == 5
+
+
+def test_effects_are_fitted_along() -> None:
+    """A point spread that is declared: the search blurs more, and the fit finds both."""
+    scene = scene_with(BOX, sides=SIDES[:2], shape=48, learn=("position", "heading"))
+    blur = validate("point_spread", {"range_fwhm_m": 1.0, "azimuth_fwhm_m": 0.8}, "effects.point_spread")
+    seen = measured(replace(scene, effects={"point_spread": blur}))
+    start = validate("point_spread", {"range_fwhm_m": 0.7, "azimuth_fwhm_m": 1.1}, "effects.point_spread")
+    found = find_poses(replace(displaced(seen, position_m=(1.7, -0.5, 0.0)), effects={"point_spread": start}), CPU)
+    told = found.objects["box"]
+    np.testing.assert_allclose(told["position_m"], (1.3, -0.8, 0.0), atol=4.0 * max(told["position_sd_m"]))
+    assert found.scene.effects["point_spread"]["range_fwhm_m"] == pytest.approx(1.0, rel=0.1)
+    assert found.scene.effects["point_spread"]["azimuth_fwhm_m"] == pytest.approx(0.8, rel=0.1)
+    assert set(found.scene.effects) == {"point_spread"}
+
+
+def test_uncalibrated_images() -> None:
+    """A gain of three that nobody stated."""
+    scene = measured(scene_with(BOX, sides=SIDES[:2], shape=48, learn=("position", "heading")))
+    louder = [
+        one.model_copy(update={"images": {"HH": 3.0 * scene.measured(one, "HH")}, "looks": one.looks})
+        for one in scene.views
+    ]
+    free = replace(scene, views=louder, grid=scene.grid.model_copy(update={"calibrated": False}))
+    told = find_poses(displaced(free, position_m=(1.7, -0.5, 0.0)), CPU).objects["box"]
+    np.testing.assert_allclose(told["position_m"], (1.3, -0.8, 0.0), atol=4.0 * max(told["position_sd_m"]))
 
 
 @pytest.mark.slow

@@ -31,20 +31,32 @@ class Compared:
     observations: dict[str, list[Observation]]
 
 
-def compared(scene: Scene, lit: Mapping[str, Sequence[Observation]], blur_m: float = 0.0) -> Compared:
+def compared(
+    scene: Scene,
+    lit: Mapping[str, Sequence[Observation]],
+    blur_m: float = 0.0,
+    gains: Mapping[tuple[str, str], float] | None = None,
+) -> Compared:
     """The scene and its images with a common floor, blurred by a Gaussian of `blur_m` full width at half maximum.
 
     `lit` are the declared model's own observations by view name: they say how bright lit pixels are, and give the
-    looks. A floor that the scene declares stays as it is.
+    looks. A floor that the scene declares stays as it is. `gains`, by view name and polarization: those of images that
+    are not calibrated, which their floor must have, too.
     """
-    levels = [np.median(seen.values) for found in lit.values() for seen in found if seen.values.size]
+
+    def gain(seen: Observation) -> float:
+        return 1.0 if gains is None else gains[seen.view.name, seen.polarization]
+
+    levels = [np.median(seen.values) / gain(seen) for found in lit.values() for seen in found if seen.values.size]
     level = 0.0 if "noise_floor" in scene.effects else FLOOR_SHARE * float(np.median(levels))
     effects: dict[str, dict[str, Any]] = dict(scene.effects)
     if level:
         effects["noise_floor"] = validate("noise_floor", {"level": level, "fixed": True}, "effects.noise_floor")
     if blur_m:
         effects["point_spread"] = _wider(effects.get("point_spread", {}), blur_m)
-    observations = {name: [_prepared(scene, seen, level, blur_m) for seen in found] for name, found in lit.items()}
+    observations = {
+        name: [_prepared(scene, seen, level * gain(seen), blur_m) for seen in found] for name, found in lit.items()
+    }
     return Compared(replace(scene, effects=effects), observations)
 
 

@@ -81,10 +81,13 @@ def find_poses(
     pixels: dict[str, list[Observation]] = {}
     for seen in given.observations:
         pixels.setdefault(seen.view.name, []).append(seen)
-    x: np.ndarray | None = None
+    gains = given.gains(given.modelled(given.x0))
+    loud = {(s.view.name, s.polarization): float(g) for s, g in zip(given.observations, gains, strict=True)}
+    known: dict[str, float] = {}
     for blur_m in SEARCH_BLUR_M if search else ():
-        x = _descended(scene, device, pixels, loss, held, blur_m, x)[1].x
-    problem, end = _descended(scene, device, pixels, loss, held, 0.0, x)
+        blurred, there = _descended(scene, device, pixels, loud, loss, held, blur_m, known)
+        known = dict(zip(blurred.labels, there.x.tolist(), strict=True))
+    problem, end = _descended(scene, device, pixels, loud, loss, held, 0.0, known)
     identified = problem.identified(end.x)
     found = _scene_at(problem, end.x, scene)
     at_end = FitProblem(
@@ -134,15 +137,19 @@ def _descended(
     scene: Scene,
     device: wp.Device,
     pixels: Mapping[str, list[Observation]],
+    gains: Mapping[tuple[str, str], float],
     loss: str,
     held: bool,
     blur_m: float,
-    x: np.ndarray | None,
+    known: Mapping[str, float],
 ) -> tuple[PosedProblem, Descended]:
-    """The problem of images blurred by `blur_m`, and where it ends from x."""
-    both = compared(scene, pixels, blur_m)
+    """The problem of images blurred by `blur_m`, and where it ends from what is `known` by label.
+
+    Blurred images hold the point spread that a scene declares, so it is no part of their x.
+    """
+    both = compared(scene, pixels, blur_m, gains)
     problem = PosedProblem(both.scene, device, both.observations, loss=loss, held=held)
-    start = problem.x0 if x is None else x
+    start = np.array([known.get(label, value) for label, value in zip(problem.labels, problem.x0, strict=True)])
     if not blur_m:
         return problem, descend(problem, start)
     return problem, descend(problem, start, most=SEARCH_STEPS, flat=SEARCH_FLAT)
