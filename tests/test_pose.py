@@ -177,8 +177,17 @@ def test_an_object_is_found_from_afar() -> None:
     ):
         assert abs(value - expected) < 3.0 * sd
         assert sd < 0.2
-    assert found.gain_floored > 100.0
+    assert found.gain > 100.0
     assert found.size == 5
+
+
+def test_a_pose_that_is_right_gains_nothing_to_speak_of() -> None:
+    """Twice the gain is chi-square with 4 degrees of freedom: above 18.5 once in a thousand."""
+    scene = measured(scene_with(BOX, sides=SIDES[:2], shape=48, learn=("position", "heading")))
+    found = find_poses(scene, CPU)
+    assert 0.0 <= 2.0 * found.gain < 18.5
+    wrong = find_poses(displaced(scene, position_m=(1.4, -0.8, 0.0)), CPU)
+    assert 2.0 * wrong.gain > 100.0
 
 
 def test_effects_are_fitted_along() -> None:

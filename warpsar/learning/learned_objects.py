@@ -52,7 +52,7 @@ def learned_objects(scene: Scene, device: wp.Device, loss: str) -> LearnedObject
         return None
     fields = any(block.learn and block.size > 1 for block in Surface.of(scene).blocks)
     found = find_poses(scene, device, loss=loss, held=fields)
-    console.say(f"objects: log-likelihood up by {found.gain_floored:.4g}")
+    console.say(f"objects: log-likelihood up by {found.gain:.4g}")
     return LearnedObjects(found.scene, found)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import warp as wp
@@ -22,6 +22,7 @@ from warpsar.surface.stage import Stage
 from warpsar.world.world import posed
 
 POSE_STEP_M = 2e-3  # of a difference: its error is under 1e-3 of a derivative (docs/objects.md)
+LIT = 0.1  # share of a pixel that is no floor, from which its residual tells of speckle
 KEPT = 3  # poses whose hits are kept
 MOST_STEPS = 40
 LARGEST_MOVE_M, LARGEST_STEP = 1.0, 1.0  # in one step: of a pose, and of a log coordinate
@@ -44,10 +45,11 @@ class PosedProblem:
         *,
         loss: str = "gamma",
         held: bool = False,
+        level: float = 0.0,
     ) -> None:
-        """`held`: nothing moves but the poses."""
+        """`held`: nothing moves but the poses. `level` [beta0]: how much of the floor was added to the measurement."""
         self.scene, self.device, self.loss, self._seen = scene, device, loss, observations
-        self.poses = Poses(scene)
+        self.poses, self.level = Poses(scene), level
         self._kept: OrderedDict[bytes, FitProblem] = OrderedDict()
         self.count = len(self.poses.coordinates)
         start = self.standing(np.zeros(self.count))
@@ -128,12 +130,23 @@ class PosedProblem:
         return found
 
     def identified(self, x: np.ndarray) -> Identified:
-        """Fisher information of surface, effects and poses together, with the priors, and the intervals from it."""
+        """Fisher information of surface, effects and poses together, with the priors, and the intervals from it.
+
+        A floor that was added has no speckle, so a residual's standard deviation is that of the rest alone.
+        """
         jacobians = self.jacobian(x)
         problem, rest = self.split(x)
-        curvatures = problem.curvatures(problem.modelled(rest))
-        spreads = [residual_sd(problem.loss, seen.looks) for seen in problem.observations]
-        pairs = [(s, c.residual / sd) for s, c, sd in zip(problem.observations, curvatures, spreads, strict=True)]
+        modelled = problem.modelled(rest)
+        curvatures = problem.curvatures(modelled)
+        pairs, spreads = [], []
+        for seen, c, mu in zip(problem.observations, curvatures, modelled, strict=True):
+            share = np.clip(1.0 - self.level / mu, 0.0, 1.0)
+            lit = share > LIT
+            inside = seen.interior.copy()
+            inside[seen.interior] = lit
+            sd = share * residual_sd(problem.loss, seen.looks)
+            spreads.append(sd[:, None])
+            pairs.append((replace(seen, interior=inside), c.residual[lit] / sd[lit]))
         autocovariance = residual_autocovariance(pairs)
         information, products = np.diag(self.precision), np.diag(self.precision)
         for seen, j, c, sd in zip(problem.observations, jacobians, curvatures, spreads, strict=True):

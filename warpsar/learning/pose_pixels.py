@@ -25,10 +25,11 @@ FWHM = math.sqrt(8.0 * math.log(2.0))  # of a Gaussian, in standard deviations
 
 @dataclass(frozen=True)
 class Compared:
-    """A scene with the floor and blur that its `observations`, by view name, were given too."""
+    """A scene with the floor, of `level` [beta0], and blur that its `observations`, by view name, were given too."""
 
     scene: Scene
     observations: dict[str, list[Observation]]
+    level: float
 
 
 def compared(
@@ -57,7 +58,7 @@ def compared(
     observations = {
         name: [_prepared(scene, seen, level * gain(seen), blur_m) for seen in found] for name, found in lit.items()
     }
-    return Compared(replace(scene, effects=effects), observations)
+    return Compared(replace(scene, effects=effects), observations, level)
 
 
 def _wider(stated: Mapping[str, Any], blur_m: float) -> dict[str, Any]:

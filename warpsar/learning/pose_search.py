@@ -35,16 +35,16 @@ SHARE = 0.2  # of a unit move, from which a number is part of it
 class FoundPoses:
     """Objects at their likeliest poses.
 
-    `scene`: the scene with them, and with the surface and effects that were fitted along. `gain`: rise of the
-    log-likelihood over the pixels that were given, against the scene as it was given. `gain_floored`: the same over all
-    usable pixels above a common floor, where the search takes place (`pose_pixels`). `size`: how many numbers moved
-    beyond those of the scene itself. `identified`: information on everything that was fitted, poses last [m at the
-    objects' edges]. `words`: what cannot be told apart.
+    `scene`: the scene with them, and with the surface and effects that were fitted along. `gain`: what the poses add to
+    the log-likelihood over all usable pixels above a common floor (`pose_pixels`), where surface and effects are at
+    their best with and without them. `gain_given`: rise over the pixels that were given, from the scene as it was
+    given; a refit on those pixels raises it further. `size`: how many numbers of poses moved. `identified`: information
+    on everything that was fitted, poses last [m at the objects' edges]. `words`: what cannot be told apart.
     """
 
     scene: Scene
     gain: float
-    gain_floored: float
+    gain_given: float
     size: int
     objects: dict[str, dict[str, Any]]
     identified: Identified
@@ -99,10 +99,12 @@ def find_poses(
         observations=pixels,
     )
     before, after = (one.value(one.modelled(one.x0)) for one in (given, at_end))
+    still = tuple(one.model_copy(update={"learn": ()}) for one in scene.objects)
+    _, best = _descended(replace(scene, objects=still), device, pixels, loud, loss, held, 0.0, {})
     return FoundPoses(
         found,
+        best.loss - end.loss,
         float(before - after),
-        problem.value(problem.x0) - end.loss,
         problem.count,
         summary(problem, end.x, identified),
         identified,
@@ -148,7 +150,7 @@ def _descended(
     Blurred images hold the point spread that a scene declares, so it is no part of their x.
     """
     both = compared(scene, pixels, blur_m, gains)
-    problem = PosedProblem(both.scene, device, both.observations, loss=loss, held=held)
+    problem = PosedProblem(both.scene, device, both.observations, loss=loss, held=held, level=both.level)
     start = np.array([known.get(label, value) for label, value in zip(problem.labels, problem.x0, strict=True)])
     if not blur_m:
         return problem, descend(problem, start)
