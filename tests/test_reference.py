@@ -45,7 +45,8 @@ def keys_of(table: dict[str, Any]) -> Iterator[str]:
 def test_every_key_has_value_default_example_and_meaning(extension: ModuleType) -> None:
     tables = dict(scene_schema()["properties"])
     del tables["effects"]
-    tables |= {"materials": tables["materials"]["additionalProperties"], "views": tables["views"]["items"]}
+    tables |= {"materials": tables["materials"]["additionalProperties"]}
+    tables |= {name: tables[name]["items"] for name in ("objects", "views")}
     keys = [f"`{key}`" for table in tables.values() for key in keys_of(table)]
     found = rows(extension.scene_tables())
     assert [row[0] for row in found] == keys

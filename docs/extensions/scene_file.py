@@ -42,8 +42,8 @@ def scene_tables() -> str:
     for name, place in schema["properties"].items():
         if name == "effects":
             continue
-        title = {"views": "[[views]]", "materials": "[materials.NAME]"}.get(name, f"[{name}]")
-        table = {"views": place.get("items"), "materials": place.get("additionalProperties")}.get(name, place)
+        title = f"[[{name}]]" if "items" in place else {"materials": "[materials.NAME]"}.get(name, f"[{name}]")
+        table = place.get("items") or (place["additionalProperties"] if name == "materials" else place)
         needed = "Required." if name in schema["required"] else "Optional."
         purpose = table["description"].removeprefix(f"`{title}`: ").strip()
         rows = []

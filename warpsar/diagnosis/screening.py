@@ -171,7 +171,7 @@ def refined(
         known: dict[tuple[str, ...], float] = {}  # log-likelihood of the scene as it is, by views
         for offered, chosen in get(name).refinements(scene, scene.effects[name], others):
             table = dark.completed(scene, name, offered)
-            if not table or table is not offered and _same_settings(name, table, scene.effects[name]):
+            if not table or (table is not offered and _same_settings(name, table, scene.effects[name])):
                 continue
             views = _views(scene, name, table)
             if views not in known:

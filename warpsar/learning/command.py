@@ -47,11 +47,13 @@ def run(
     for one in found.pulls:
         if not one.alarm:  # the others are doubts
             console.say(one.words)
+    for sentence in () if found.objects is None else found.objects.words:
+        console.say(sentence)
     if found.identified is not None:
         content["identifiability"] = found.identified.summary()
         for sentence in found.identified.words:
             console.say(sentence)
-    else:
+    elif found.x.size:
         content["fields"] = write_field_uncertainty(found.problem, found.x, out)
     ranks.barrier()  # a rank that dies from here on takes no result with it
     if not ranks.first:
@@ -114,6 +116,8 @@ def _summary(found: Learned, options: LearnOptions) -> dict[str, Any]:
         "pixels": of_all(problem, lambda s: {"used": s.count, "left_out": s.left_out, "zeros": s.zeros}),
         "processes": problem.ranks.size,
     }
+    if found.objects is not None:
+        content["objects"] = found.objects.content()
     if not problem.scene.grid.calibrated:
         gains = problem.gains(problem.modelled(found.x))
         pairs = zip(problem.observations, gains, strict=True)

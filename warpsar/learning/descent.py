@@ -97,6 +97,15 @@ def descend(
     return course.state, stopped
 
 
+def stand(problem: FitProblem, tests: FitProblem | None, course: Course) -> tuple[FitState, str]:
+    """A run of no iteration, where nothing but poses is learned: the state that `descend` would end with."""
+    x = problem.x0
+    loss = problem.value(problem.modelled(x))
+    course.state = FitState(x, loss, x, loss)
+    course.history.append(_row(problem, tests, course.state))
+    return course.state, "nothing but poses is learned"
+
+
 def states(problem: FitProblem, options: LearnOptions, state: FitState | None) -> Iterator[FitState]:
     """States of the whole run, one per iteration, from `state` on; ends when every start has arrived."""
     kind = options.optimiser

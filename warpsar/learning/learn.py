@@ -14,9 +14,10 @@ import warp as wp
 
 from warpsar.errors import InputError, WarpsarError
 from warpsar.io import checkpoint
-from warpsar.learning.descent import Course, History, descend
+from warpsar.learning.descent import Course, History, descend, stand
 from warpsar.learning.gradcheck import GradientCheck, check_gradient
 from warpsar.learning.identify import Identified, identify
+from warpsar.learning.learned_objects import LearnedObjects, learned_objects
 from warpsar.learning.metrics import pooled_metrics
 from warpsar.learning.observation import Observation, looks_of
 from warpsar.learning.options import LearnOptions, refuse_options, refuse_starts
@@ -44,7 +45,7 @@ class Learned:
     outside the domain of each model. `train` and `test`: `pooled_metrics`. `identified` is None for fields (see
     fields.py), which have too many parameters for one information matrix. `verdicts`, by role: whether anything is
     left beside speckle. `pulls`: every value known to a tolerance, before and after. `doubts`: why the intervals do
-    not hold; empty where nothing speaks against them.
+    not hold; empty where nothing speaks against them. `objects`: poses and sizes, where any is learned.
     """
 
     scene: Scene
@@ -63,6 +64,7 @@ class Learned:
     pulls: list[Pull]
     doubts: list[str]
     problem: FitProblem
+    objects: LearnedObjects | None = None
 
 
 def learn(
@@ -81,21 +83,27 @@ def learn(
     """
     options = options or LearnOptions()
     refuse_starts(scene)
+    declared = scene
     where = devices.resolve_device(device)
     ranks = distributed.ranks(where)
     folder = None if folder is None else Path(folder)
     if folder is not None and ranks.first and distributed.restarts() == 0 and not resume:
         checkpoint.remove(folder)  # of an earlier run: torchrun's restarts shall find this one's
+    poses = ranks.agree(lambda: learned_objects(declared, where, options.loss))
+    scene = declared if poses is None else poses.scene
     problem, density = ranks.agree(lambda: prepare(scene, where, options, ranks))
-    if not problem.x0.size:
+    if not problem.x0.size and poses is None:
         raise InputError(
             f"{scene.name}: materials: nothing to learn: every `learn` is empty, and no effect's parameter is fitted"
         )
     refuse_options(problem, options)
-    check = _checked(problem)
+    check = _checked(problem) if problem.x0.size else GradientCheck(0.0, 0)
     tests = ranks.agree(lambda: _test_problem(scene, where, options, problem, density))
-    course = _course(scene, options, folder, ranks, resume)
-    state, stopped = descend(problem, tests, options, course, stoppable=folder is not None)
+    course = _course(declared, options, folder, ranks, resume)
+    if problem.x0.size:
+        state, stopped = descend(problem, tests, options, course, stoppable=folder is not None)
+    else:
+        state, stopped = stand(problem, tests, course)
     x = np.asarray(state.best_x)
     train = pooled_metrics(problem, x)
     final = learned_scene(problem, x, folder if ranks.first else None)
@@ -104,7 +112,9 @@ def learn(
     if tests is not None:
         verdicts["test"] = fit_verdict(tests, np.asarray(tests.follow(problem, x)), density.noise)
     domains = outside_domains(problem, x)
-    identified = identify(problem, x) if problem.uniform else None
+    identified = identify(problem, x) if problem.uniform and x.size else None
+    if poses is not None and identified is not None:
+        identified = poses.widened(identified)
     pulled = pulls(problem, x, identified)
     return Learned(
         scene=final,
@@ -123,6 +133,7 @@ def learn(
         pulls=pulled,
         doubts=[*doubts(problem, x, verdicts, domains), *(one.words for one in pulled if one.alarm)],
         problem=problem,
+        objects=poses,
     )
 
 

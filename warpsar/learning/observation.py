@@ -105,6 +105,17 @@ def looks_of(scene: Scene, view: View) -> float:
     return estimated_looks(scene, view, scene.measured(view, next(iter(view.images))))
 
 
+def usable_pixels(scene: Scene, view: View, measured: np.ndarray) -> np.ndarray:
+    """Pixels that are finite, unmasked and off the image's edge, (rows, cols) bool."""
+    usable = np.isfinite(measured)
+    mask = scene.mask(view)
+    if mask is not None:
+        usable &= mask
+    usable[:BORDER] = usable[-BORDER:] = False
+    usable[:, :BORDER] = usable[:, -BORDER:] = False
+    return usable
+
+
 def observe(scene: Scene, view: View, polarization: str, lit: np.ndarray) -> Observation:
     """The measured image of a view with its masks; `lit`, (rows, cols) bool, is where the declared model puts light.
 
@@ -112,12 +123,7 @@ def observe(scene: Scene, view: View, polarization: str, lit: np.ndarray) -> Obs
     pixel is left.
     """
     measured = scene.measured(view, polarization)
-    usable = np.isfinite(measured)
-    mask = scene.mask(view)
-    if mask is not None:
-        usable &= mask
-    usable[:BORDER] = usable[-BORDER:] = False
-    usable[:, :BORDER] = usable[:, -BORDER:] = False
+    usable = usable_pixels(scene, view, measured)
     inner = minimum_filter(lit.astype(np.uint8), size=3, mode="constant") > 0
     positive = np.where(np.isfinite(measured), measured, 0) > 0
     interior = usable & inner & positive

@@ -3,5 +3,4 @@
 rendered: what every render offers.
 render: with a view's hits in memory.
 bands: with hits that are traced again, band by band.
-geometry_image: with gradients to the mesh's vertices.
 """

@@ -58,9 +58,15 @@ def file_stem(materials: Sequence[str], material: str, key: str) -> str:
     return f"{safe}_{key}" if safe == material else f"{safe}_{materials.index(material)}_{key}"
 
 
-def _written_mesh(scene: World, stem: Path) -> Path:
-    """An OBJ holds names and UV, a PLY scalars; no format that is read here holds both."""
-    mesh = scene.mesh
+def _written_mesh(scene: World, stem: Path) -> Path | None:
+    """An OBJ holds names and UV, a PLY scalars; no format that is read here holds both.
+
+    Of a scene with objects only its own mesh is written; None where it has none.
+    """
+    if scene.assembly is not None and scene.assembly.base is None:
+        return None
+    mesh = scene.mesh if scene.assembly is None else scene.assembly.base
+    assert mesh is not None
     if not any(material.layout == "vertex" for material in scene.materials.values()):
         path = stem.with_name(f"{stem.name}_mesh.obj")
         write_obj(path, mesh)

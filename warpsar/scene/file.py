@@ -12,6 +12,7 @@ from pydantic import Field, ValidationError, field_validator
 
 from warpsar.effects.registry import validate
 from warpsar.errors import InputError, shown
+from warpsar.world.objects.table import Object
 from warpsar.world.tables import (
     FileName,
     Grid,
@@ -33,8 +34,10 @@ _MOST_SHOWN = 50  # problems in one message
 class SceneTable(Table):
     """`[scene]`: the mesh, and the point where range and azimuth are zero."""
 
-    mesh: FileName = Field(
-        description="Mesh file: OBJ, PLY, STL, glTF, GLB, or a DEM in GeoTIFF.", examples=["scene.obj"]
+    mesh: FileName | None = Field(
+        default=None,
+        description="Mesh file: OBJ, PLY, STL, glTF, GLB, or a DEM in GeoTIFF; may be left out beside [[objects]].",
+        examples=["scene.obj"],
     )
     reference_point_m: tuple[Number, Number, Number] = Field(
         default=(0.0, 0.0, 0.0),
@@ -68,6 +71,7 @@ class SceneFile(Table):
     effects: dict[str, dict[str, Any]] = Field(
         default_factory=dict, description="Effects that the model has, each with its parameters (docs/effects.md)."
     )
+    objects: list[Object] = Field(default_factory=list, description="Bodies with a place of their own.")
     views: Annotated[list[View], Field(min_length=1)] = Field(description="The views, at least one.")
 
 
@@ -77,6 +81,7 @@ _TABLES: dict[str, type[Table]] = {
     "image": Grid,
     "sampling": Sampling,
     "materials": Material,
+    "objects": Object,
     "views": View,
 }
 
@@ -113,7 +118,10 @@ def _read_text(path: Path) -> str:
 def parse(raw: dict[str, Any]) -> tuple[SceneFile | None, list[str]]:
     """The checked tables, or None and what is wrong with them, a line each."""
     try:
-        return SceneFile.model_validate(raw), []
+        file = SceneFile.model_validate(raw)
+        if file.scene.mesh is None and all(one.group is not None for one in file.objects):
+            return None, ["scene.mesh: missing; it may be left out where [[objects]] holds a mesh or a primitive"]
+        return file, []
     except ValidationError as error:
         return None, [_problem(details, raw) for details in error.errors(include_url=False)]
 
@@ -166,7 +174,7 @@ def _key(place: tuple[int | str, ...], raw: dict[str, Any]) -> str:
     for depth, part in enumerate(place):
         if isinstance(part, int):
             key += f"[{part}]"
-            if place[0] == "views" and depth == 1 and isinstance(name := raw["views"][part], dict):
+            if place[0] in ("views", "objects") and depth == 1 and isinstance(name := raw[place[0]][part], dict):
                 key += f" ({shown(name.get('name')).strip(chr(39))})" if "name" in name else ""
         else:
             part = part if re.fullmatch(r"[\w-]+", part) else shown(part)

@@ -13,6 +13,10 @@ from warpsar.io.images import read_channel, read_mask
 from warpsar.scene import checks
 from warpsar.scene.file import SceneFile, parse, parse_effects, read, refuse
 from warpsar.world.mesh import Mesh, read_mesh
+from warpsar.world.objects.assembly import Assembly
+from warpsar.world.objects.groups import with_groups
+from warpsar.world.objects.sound import doubled
+from warpsar.world.objects.table import Object
 from warpsar.world.tables import (
     SURFACE_KEYS,
     Material,
@@ -44,17 +48,18 @@ class _Loader:
 
     def contents(self) -> dict[str, Any]:
         file = self.file
-        mesh_path = self.absolute(file.scene.mesh)
-        mesh: Mesh | None = None
-        try:
-            mesh = read_mesh(mesh_path)
-        except InputError as error:
-            self.problems.append(f"scene.mesh: {error}")
+        mesh_path = None if file.scene.mesh is None else self.absolute(file.scene.mesh)
+        mesh = None if mesh_path is None else self.mesh("scene.mesh", mesh_path)
+        warned = [] if mesh is None else [f"{mesh_path}: {warning}" for warning in mesh.warnings]
+        objects = [self.object(one) for one in file.objects]
+        assembly = self.assembly(mesh, mesh_path, objects) if objects and not self.problems else None
+        mesh = mesh if assembly is None else assembly.mesh(objects)
         views = [self.view(index, view) for index, view in enumerate(file.views)]
         self.problems += checks.view_names(views)
         materials = {name: self.material(name, table, mesh) for name, table in file.materials.items()}
         if mesh is not None:
-            self.problems += checks.material_names(list(materials), mesh, f"the mesh {mesh_path}")
+            where = f"the mesh {mesh_path}" if assembly is None else "the mesh and the objects"
+            self.problems += checks.material_names(list(materials), mesh, where)
         refuse(self.path, self.problems)
         assert mesh is not None
         return {
@@ -69,9 +74,39 @@ class _Loader:
             "origin": file.scene.origin,
             "path": self.path,
             "mesh_path": mesh_path,
-            "warnings": (*(f"{mesh_path}: {warning}" for warning in mesh.warnings), *self.warnings),
+            "warnings": (*warned, *self.warnings),
             "source": self.text,
+            "objects": tuple(objects),
+            "assembly": assembly,
         }
+
+    def mesh(self, key: str, path: Path) -> Mesh | None:
+        try:
+            return read_mesh(path)
+        except InputError as error:
+            self.problems.append(f"{key}: {error}")
+            return None
+
+    def object(self, one: Object) -> Object:
+        return one if one.mesh is None else one.model_copy(update={"mesh": self.absolute(one.mesh)})
+
+    def assembly(self, mesh: Mesh | None, path: Path | None, objects: list[Object]) -> Assembly | None:
+        """The scene's mesh and its objects. The mesh of several objects is read once."""
+        self.problems += doubled(objects)
+        bodies: dict[Path, Mesh] = {}
+        for index, one in enumerate(objects):
+            if one.mesh is not None and one.mesh not in bodies:
+                found = self.mesh(f"objects[{index}] ({one.label}).mesh", one.mesh)
+                bodies |= {} if found is None else {one.mesh: found}
+        if self.problems:
+            return None
+        try:
+            groups = [one.group for one in objects if one.group is not None]
+            base = with_groups(mesh, path, groups) if groups and mesh is not None else mesh
+            return Assembly.of(base, objects, bodies)
+        except InputError as error:
+            self.problems.append(str(error))
+            return None
 
     def absolute(self, name: str | Path) -> Path:
         path = self.path.parent / name

@@ -18,10 +18,9 @@ from warpsar.scene.unwrap import write_obj
 from warpsar.world.frame import view_geometry
 from warpsar.world.mesh import Mesh, read_mesh
 from warpsar.world.meshes import dem
+from warpsar.world.objects.table import UNITS
 from warpsar.world.tables import Grid
 
-UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
-"""Metres in each unit of length that a mesh may have."""
 MILLIMETRES_FROM = 1000.0
 """Larger meshes whose format states no unit are taken as millimetres."""
 _IN_METRES = (".gltf", ".glb", *dem.SUFFIXES)  # by their standard, or turned into metres by their reader
@@ -58,6 +57,16 @@ _MATERIAL = """
 eps_r = 5.0
 rms_height_m = 0.001
 correlation_length_m = 0.006
+"""
+
+_OBJECTS = """
+# A body with a place of its own, such as a parked car, stands in a table [[objects]]:
+# [[objects]]
+# primitive = "car"                 # or mesh = "FILE", or group = "NAME" of a part of the mesh above
+# size_m = [4.6, 1.8, 1.5]          # length, width, height
+# position_m = [0.0, 0.0, 0.0]      # east, north, up
+# heading_deg = 0.0                 # clockwise from north
+# material = {material}
 """
 
 _VIEWS = """
@@ -156,4 +165,5 @@ def _scene(mesh: Mesh, mesh_name: str, source: str) -> tuple[Grid, str]:
     views = "".join(
         _VIEW.format(name=f"az{azimuth:03.0f}", azimuth=azimuth, incidence=INCIDENCE_DEG) for azimuth in AZIMUTHS_DEG
     )
-    return grid, head + materials + _VIEWS + views
+    objects = _OBJECTS.format(material=tomlkit.item(mesh.materials[0]).as_string())
+    return grid, head + materials + objects + _VIEWS + views

@@ -11,6 +11,7 @@ from warpsar.scene.beside import written_beside
 from warpsar.scene.file import refuse
 from warpsar.scene.loader import contents
 from warpsar.scene.writer import save
+from warpsar.world.objects.sound import misplaced
 from warpsar.world.world import World
 
 
@@ -44,6 +45,7 @@ class Scene(World):
         """
         scene = cls(**contents(Path(path)))
         check(scene)
+        refuse(Path(scene.name), misplaced(scene))
         return scene
 
     def save(self, path: str | Path) -> None:

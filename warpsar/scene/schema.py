@@ -14,6 +14,7 @@ from warpsar.effects.registry import get, names
 from warpsar.io.images import replacing
 from warpsar.scene.file import SceneFile
 from warpsar.world import tolerance
+from warpsar.world.objects.table import KEYS
 from warpsar.world.tables import LIMITS, SURFACE_KEYS, Polarization, SurfaceKey
 
 DRAFT = "http://json-schema.org/draft-07/schema#"  # what editors' TOML plug-ins know
@@ -62,6 +63,14 @@ def scene_schema() -> _Json:
     view = tables["views"]["items"]
     view["oneOf"] = [{"required": [key]} for key in ("incidence_deg", "depression_deg", "grazing_deg")]
     view["properties"]["images"].update(propertyNames={"enum": list(get_args(Polarization))})
+    one = tables["objects"]["items"]
+    one["oneOf"] = [{"required": [key]} for key in ("mesh", "primitive", "group")]
+    one["properties"]["tolerance"].update(propertyNames={"enum": list(KEYS.values())})
+    body = {"contains": {"anyOf": [{"required": ["mesh"]}, {"required": ["primitive"]}]}}
+    scene["anyOf"] = [
+        {"properties": {"scene": {"required": ["mesh"]}}},
+        {"required": ["objects"], "properties": {"objects": body}},
+    ]
     tables["sampling"]["not"] = {"required": ["rays_per_pixel", "rays_per_m2"]}
     about = tables["effects"]["description"]
     tables["effects"] = _table({name: _effect(name) for name in names()}, about)

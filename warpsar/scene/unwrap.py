@@ -72,6 +72,8 @@ def run(scene_path: Path | str, out: Path | str) -> Scene:
         raise InputError(
             f"--out: found {out}, where the scene file itself lies and would be replaced; allowed is another"
         )
+    if scene.objects:
+        raise InputError(f"{scene.path}: objects: found {len(scene.objects)}; must be none: give UV to each mesh alone")
     for name, material in scene.materials.items():
         if material.layout == "vertex":
             raise InputError(

@@ -11,6 +11,7 @@ import tomlkit
 
 from warpsar.errors import InputError
 from warpsar.io.images import replacing
+from warpsar.world.objects.table import Object
 from warpsar.world.tables import (
     SURFACE_KEYS,
     Material,
@@ -49,9 +50,9 @@ class _Writer:
 
     def tables(self) -> dict[str, Any]:
         scene = self.scene
-        if scene.mesh_path is None:
+        if scene.mesh_path is None and (scene.assembly is None or scene.assembly.base is not None):
             raise InputError("a scene without a mesh file cannot be saved: write the mesh and give mesh_path")
-        head: dict[str, Any] = {"mesh": self.relative(scene.mesh_path)}
+        head: dict[str, Any] = {} if scene.mesh_path is None else {"mesh": self.relative(scene.mesh_path)}
         if any(scene.reference_point_m):
             head["reference_point_m"] = list(scene.reference_point_m)
         if scene.origin is not None:
@@ -62,6 +63,8 @@ class _Writer:
         tables["materials"] = {name: self.material(material) for name, material in scene.materials.items()}
         if scene.effects:
             tables["effects"] = scene.effects
+        if scene.objects:
+            tables["objects"] = [self.object(one) for one in scene.objects]
         tables["views"] = [self.view(view) for view in scene.views]
         return tables
 
@@ -72,6 +75,10 @@ class _Writer:
                 if isinstance(table.get(key), str):
                     table[key] = self.relative(Path(table[key]))
         return table
+
+    def object(self, one: Object) -> dict[str, Any]:
+        table = _plain(one)
+        return table if one.mesh is None else {**table, "mesh": self.relative(one.mesh)}
 
     def view(self, view: View) -> dict[str, Any]:
         table = _plain(view)
@@ -102,7 +109,7 @@ def _merge(document: Any, tables: Any) -> None:
         old = document.get(key)
         if isinstance(value, dict) and isinstance(old, dict):
             _merge(old, value)
-        elif key == "views" and isinstance(old, list):
+        elif key in ("views", "objects") and isinstance(old, list):
             for index, item in enumerate(value):
                 if index < len(old):
                     _merge(old[index], item)

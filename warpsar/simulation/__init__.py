@@ -1,6 +1,6 @@
 """From a scene to the images of its views, and `warpsar simulate`.
 
-rays: a scene's views traced. sampling: how many rays are enough.
+rays: a scene's views traced. exact_rays: the same without rays. sampling: how many rays are enough.
 command: one scene's images and files. outputs: the JSON that every command writes.
 batch: many images in one command. naming: their views and names. shares: who makes which.
 maker: one scene of a batch. index: what is there already.

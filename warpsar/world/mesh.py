@@ -46,6 +46,8 @@ class Mesh:
     """Named scalars of a PLY's vertices, each of shape (n,)."""
     warnings: tuple[str, ...] = ()
     """What a user should know about the file, one sentence each."""
+    groups: dict[str, NDArray[np.int32]] = field(default_factory=dict)
+    """Faces of the parts that the file names (`read_mesh` with `groups`)."""
 
     def __post_init__(self) -> None:
         given = (self.vertices, self.faces, self.face_material, self.materials, self.uv, self.vertex_scalars)
@@ -80,8 +82,12 @@ def _extent_warnings(vertices: NDArray[np.float64]) -> tuple[str, ...]:
     return (f"the mesh is {extent:g} m across: are its units millimetres? They must be metres",)
 
 
-def read_mesh(path: str | Path) -> Mesh:
+def read_mesh(path: str | Path, *, groups: bool = False) -> Mesh:
     """Read an OBJ, PLY, STL, glTF or GLB file, or a DEM in GeoTIFF (extra `geo`).
+
+    With `groups` the faces of an OBJ are kept apart by each of the names `usemtl`, `o` and `g`, and the mesh has
+    `groups`: of an OBJ the faces under each name, of a glTF those at each node or below it. A name that an OBJ gives
+    twice means its `usemtl`, else its `o`.
 
     Material names come from an OBJ's `usemtl`, or from `o` or `g` where a face has none; from a glTF's material, or
     from its mesh. Elsewhere the material is "default". The modules of `warpsar.world.meshes` say what each format
@@ -101,7 +107,7 @@ def read_mesh(path: str | Path) -> Mesh:
     scalars: dict[str, NDArray[np.float64]] = {}
     warnings: list[str] = []
     if suffix == ".obj":
-        parts = obj.read(path)
+        parts = obj.read(path, groups=groups)
     elif suffix == ".ply":
         parts, scalars = ply.read(path, warnings)
     elif suffix == ".stl":
@@ -110,10 +116,12 @@ def read_mesh(path: str | Path) -> Mesh:
         parts = dem.read(path, warnings)
     else:
         parts = gltf.read(path, warnings)
-    return _join(path, parts, scalars, warnings)
+    return _join(path, parts, scalars, warnings, groups=groups)
 
 
-def _join(path: Path, parts: list[Part], scalars: dict[str, NDArray[np.float64]], warnings: list[str]) -> Mesh:
+def _join(
+    path: Path, parts: list[Part], scalars: dict[str, NDArray[np.float64]], warnings: list[str], *, groups: bool
+) -> Mesh:
     """Check the parts, put them into one mesh and drop faces of zero area."""
     if not any(len(part.vertices) for part in parts):
         raise InputError(f"{path}: the mesh is empty; must hold triangles")
@@ -138,12 +146,32 @@ def _join(path: Path, parts: list[Part], scalars: dict[str, NDArray[np.float64]]
     lit = ~_zero_area(vertices, faces)
     if not lit.any():
         raise InputError(f"{path}: all {len(faces)} faces have zero area; must hold triangles")
+    part_of = np.repeat(np.arange(len(parts)), [len(part.faces) for part in parts])[lit] if groups else None
     if not lit.all():
         faces, face_material = faces[lit], face_material[lit]
         warnings.append(f"{len(lit) - int(lit.sum())} of {len(lit)} faces have zero area and were dropped")
     if path.suffix.lower() not in dem.SUFFIXES:
         warnings += _extent_warnings(vertices)
-    return Mesh(vertices, faces, face_material, names, _joined_uv(parts), scalars, tuple(warnings))
+    named = {} if part_of is None else _groups(path, parts, part_of)
+    return Mesh(vertices, faces, face_material, names, _joined_uv(parts), scalars, tuple(warnings), named)
+
+
+def _groups(path: Path, parts: list[Part], part_of: NDArray[np.int64]) -> dict[str, NDArray[np.int32]]:
+    """Faces under each name of an OBJ's or a glTF's parts; `part_of`, (m,), is the part of each face.
+
+    An OBJ's `usemtl` goes before an `o` of the same name, and that before a `g`.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in (".obj", ".gltf", ".glb"):
+        return {}
+    members: dict[str, tuple[int, list[int]]] = {}
+    for index, part in enumerate(parts):
+        for place, name in enumerate(part.groups):
+            kind = place if suffix == ".obj" else 0
+            best, found = members.get(name, (kind, []))
+            if name and kind <= best:
+                members[name] = (kind, [index] if kind < best else [*found, index])
+    return {name: np.flatnonzero(np.isin(part_of, found)).astype(np.int32) for name, (_, found) in members.items()}
 
 
 def _refuse_coordinates(path: Path, vertices: NDArray[np.float64]) -> None:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from dataclasses import field as dataclass_field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +18,12 @@ from warpsar.errors import InputError
 from warpsar.io.images import read_channel, read_mask
 from warpsar.world.frame import SPEED_OF_LIGHT, ViewGeometry, view_geometry
 from warpsar.world.mesh import Mesh
+from warpsar.world.objects.assembly import Assembly
+from warpsar.world.objects.table import Object
 from warpsar.world.pixels import Pixels
 from warpsar.world.tables import SURFACE_KEYS, Grid, Material, Origin, Radar, Sampling, View
+
+W = TypeVar("W", bound="World")
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +54,10 @@ class World:
     """What the user should be told about the input, one line each."""
     source: str = dataclass_field(default="", repr=False)
     """The scene file's text: `save` keeps its comments."""
+    objects: tuple[Object, ...] = ()
+    """What `[[objects]]` places; `mesh` holds it already."""
+    assembly: Assembly | None = dataclass_field(default=None, repr=False)
+    """What `mesh` is made of, where there are objects."""
 
     @property
     def name(self) -> str:
@@ -128,6 +136,7 @@ class World:
     def _tables(self) -> str:
         """The tables as text, without what names a file."""
         plain: list[Any] = [self.radar, self.grid, self.sampling, self.effects, self.reference_point_m]
+        plain += [one.model_dump(exclude={"mesh"}) for one in self.objects]
         for name, material in self.materials.items():
             given = {
                 key: value for key, value in material if material.layout != "texture" or not isinstance(value, str)
@@ -136,6 +145,12 @@ class World:
         for view in self.views:
             plain.append([(key, sorted(value) if key == "images" else value) for key, value in view if key != "mask"])
         return repr(plain)
+
+
+def posed(world: W, objects: Sequence[Object]) -> W:
+    """The scene with its objects, the same ones, at other places or of other sizes."""
+    assert world.assembly is not None
+    return replace(world, objects=tuple(objects), mesh=world.assembly.mesh(objects))
 
 
 def geometry_of(world: World, view: View) -> ViewGeometry:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 
@@ -12,22 +13,27 @@ from warpsar.world.meshes.part import DEFAULT_MATERIAL, Part
 from warpsar.world.meshes.through_trimesh import load, material_name, parts
 
 
-def read(path: Path) -> list[Part]:
+def read(path: Path, *, groups: bool = False) -> list[Part]:
     """The faces by material: `usemtl`, else the group (`o` or `g`), else "default".
+
+    With `groups` also by each of the three names, which the parts then have.
 
     trimesh knows only the names that are in the .mtl file, so it is given names and a .mtl of our own.
     """
-    text, names = _canonical_obj(path)
+    text, names = _canonical_obj(path, groups)
     mtl = "".join(f"newmtl m{i}\nKd 1 1 1\n" for i in range(len(names)))
     scene = load(path, BytesIO(text), file_type="obj", resolver={"names.mtl": mtl.encode()}, validate=False)
     # Our .mtl names the material of every face: a part without one is a point cloud.
-    found = parts(path, scene, lambda _key, geometry: names[int((material_name(geometry) or "m0")[1:])])
-    order = {name: index for index, name in enumerate(names)}
-    return sorted(found, key=lambda part: order[part.material])
+    found = parts(path, scene, lambda _key, geometry: str(int((material_name(geometry) or "m0")[1:])))
+    ordered = sorted(found, key=lambda part: int(part.material))
+    return [replace(p, material=names[int(p.material)][0], groups=names[int(p.material)][1:]) for p in ordered]
 
 
-def _canonical_obj(path: Path) -> tuple[bytes, list[str]]:
-    """The OBJ with `usemtl m<index>` before each run of faces, and absolute indices; and the names."""
+def _canonical_obj(path: Path, groups: bool) -> tuple[bytes, list[tuple[str, ...]]]:
+    """The OBJ with `usemtl m<index>` before each run of faces, and absolute indices; and the names.
+
+    Each is the material, and with `groups` the `usemtl`, `o` and `g` in force.
+    """
     text = b"\n" + path.read_bytes() + b"\n"
     for old, new in ((b"\r\n", b"\n"), (b"\r", b"\n"), (b"\\\n", b" "), (b"\t", b" ")):
         text = text.replace(old, new)
@@ -39,9 +45,10 @@ def _canonical_obj(path: Path) -> tuple[bytes, list[str]]:
         text = re.sub(rb"\n((?:vt?n?|f) [^\n#]*)#[^\n]*", rb"\n\1", text)
     if re.search(rb"\nf[^\n]*?[ /][-0]", text):
         text = b"\n".join(_absolute_indices(path, text))
-    names = {DEFAULT_MATERIAL: 0}
+    names: dict[tuple[str, ...], int] = {(DEFAULT_MATERIAL, *(("", "", "") if groups else ())): 0}
     pieces = [b"\nmtllib names.mtl\nusemtl m0"]
     group = material = ""
+    named = {b"o": "", b"g": ""}
     end = 0
     for match in re.finditer(rb"\n(usemtl|o|g|mtllib)(?: ([^\n]*))?(?=\n)", text):
         pieces.append(text[end : match.start()])
@@ -50,8 +57,8 @@ def _canonical_obj(path: Path) -> tuple[bytes, list[str]]:
         if match[1] == b"usemtl":
             material = stated
         elif match[1] != b"mtllib":
-            group = stated
-        name = material or group or DEFAULT_MATERIAL
+            group = named[match[1]] = stated
+        name = (material or group or DEFAULT_MATERIAL, *((material, named[b"o"], named[b"g"]) if groups else ()))
         pieces.append(b"\nusemtl m%d" % names.setdefault(name, len(names)))
     pieces.append(text[end:])
     text = b"".join(pieces)

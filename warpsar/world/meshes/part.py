@@ -22,3 +22,5 @@ class Part:
     """Indices of the part's vertices, shape (m, 3); not checked yet."""
     uv: NDArray[np.float64] | None = None
     """Texture coordinates, v up, shape (n, 2)."""
+    groups: tuple[str, ...] = ()
+    """Names that the part has besides: an OBJ's `usemtl`, `o` and `g`, a glTF's nodes. The first kind counts most."""

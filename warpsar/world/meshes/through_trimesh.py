@@ -70,8 +70,18 @@ def _placed(scene: trimesh.Scene, name_of: Callable[[object, Any], str]) -> list
         uv = getattr(getattr(geometry, "visual", None), "uv", None)
         if uv is not None and np.shape(uv) != (len(vertices), 2):
             uv = None
-        found.append(Part(name_of(key, geometry), vertices, faces, uv))
+        found.append(Part(name_of(key, geometry), vertices, faces, uv, _names_of(scene, node)))
     return found
+
+
+def _names_of(scene: trimesh.Scene, node: str) -> tuple[str, ...]:
+    """A node and the nodes above it, as far as the root."""
+    parents, names = scene.graph.transforms.parents, [str(node)]
+    above = parents.get(node)
+    while above is not None and str(above) not in names and above != scene.graph.base_frame:
+        names.append(str(above))
+        above = parents.get(above)
+    return tuple(names)
 
 
 def material_name(geometry: Any) -> str | None:

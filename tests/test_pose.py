@@ -1,0 +1,362 @@
+"""Poses and sizes learned from images: what x means, the descent, the search, intervals, and what is not told apart."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from learning_scenes import speckle
+from worlds import BRICK, SOIL, ground, mesh_of, scene_of, view
+
+from warpsar.differentiable.geometry import exact_images, image_slopes
+from warpsar.effects.registry import validate
+from warpsar.errors import InputError
+from warpsar.learning.command import run
+from warpsar.learning.options import LearnOptions
+from warpsar.learning.pose import PosedProblem
+from warpsar.learning.pose_coordinates import Poses
+from warpsar.learning.pose_pixels import FLOOR_SHARE, compared
+from warpsar.learning.pose_search import find_poses, group_pose
+from warpsar.learning.pose_sharing import boxes, shared
+from warpsar.learning.problem import FitProblem
+from warpsar.runtime import devices
+from warpsar.scene.placing import with_objects
+from warpsar.scene.scene import Scene
+from warpsar.simulation.exact_rays import ExactRays
+from warpsar.surface.stage import Stage
+from warpsar.world.objects.assembly import Assembly
+from warpsar.world.objects.table import Object
+from warpsar.world.tables import Material, View
+
+CPU = devices.resolve_device("cpu")
+PLACE = {"position_m": (1.3, -0.8, 0.0), "heading_deg": 35.0, "material": "body"}
+BOX = {"primitive": "box", "size_m": (7.0, 4.0, 5.0), **PLACE}
+CAR = {"primitive": "car", "size_m": (4.6, 1.8, 1.5), **PLACE}
+SIDES = ((10, 40), (100, 45), (190, 50), (280, 40))
+
+
+def scene_with(
+    table: dict[str, Any], sides: Any = SIDES, shape: int = 64, spacing_m: float = 0.5, **more: Any
+) -> Scene:
+    """An object on a plain."""
+    views = [view(azimuth, incidence, name=f"v{k}") for k, (azimuth, incidence) in enumerate(sides)]
+    plain = scene_of(mesh_of(g=ground(40)), views, shape=(shape, shape), spacing_m=(spacing_m, spacing_m))
+    return placed_in(plain, Object(**{**table, **more}))
+
+
+def placed_in(scene: Scene, one: Object) -> Scene:
+    return with_objects(scene, (one,), {"g": Material(**SOIL), "body": Material(**BRICK)})
+
+
+def measured(scene: Scene, seed: int = 1, looks: float = 16.0) -> Scene:
+    """The scene with its own images, times speckle."""
+    random = np.random.default_rng(seed)
+    images = exact_images(scene, CPU)
+
+    def seen(one: View) -> View:
+        image = images[one.name]["HH"] * speckle(random, scene.grid.shape, looks)
+        return one.model_copy(update={"images": {"HH": image.astype(np.float32)}, "looks": looks})
+
+    return replace(scene, views=[seen(one) for one in scene.views])
+
+
+def displaced(scene: Scene, **changes: Any) -> Scene:
+    return placed_in(scene, scene.objects[0].model_copy(update=changes))
+
+
+def problem_of(scene: Scene, blur_m: float = 0.0, *, held: bool = True) -> PosedProblem:
+    plain = FitProblem(scene, CPU, rays=ExactRays(Stage.of(scene, CPU)))
+    pixels = {one.view.name: list(one.observations) for one in plain.views}
+    both = compared(scene, pixels, blur_m)
+    return PosedProblem(both.scene, CPU, both.observations, held=held)
+
+
+# ---- what x means ----
+
+
+def test_a_metre_is_a_metre_at_the_edge() -> None:
+    """Positions are metres; a heading of one metre moves a corner by about one; a size follows a logarithm."""
+    learn = ("position", "heading", "size")
+    poses = Poses(scene_with(BOX, learn=learn))
+    assert poses.labels == [f"box.{name}" for name in ("east", "north", "up", "heading", "length", "width", "height")]
+    (one,) = poses.at(np.array([0.1, -0.2, 0.3, 0.5, 0.0, 0.4, 0.0]))
+    np.testing.assert_allclose(one.position_m, (1.4, -1.0, 0.3))
+    # half the diagonal of the extent, which the heading of 35 degrees widens
+    turned = np.deg2rad(35.0)
+    across, along = 4 * np.cos(turned) + 7 * np.sin(turned), 7 * np.cos(turned) + 4 * np.sin(turned)
+    radius = np.sqrt(across**2 + along**2 + 25.0) / 2.0
+    assert one.heading_deg == pytest.approx(35.0 + np.rad2deg(0.5 / radius))
+    assert one.size_m == pytest.approx((7.0, 4.0 * np.exp(0.4 * 2.0 / 4.0), 5.0))
+    assert poses.at(np.zeros(7))[0] == scene_with(BOX, learn=learn).objects[0]
+
+
+def test_tolerances_are_priors() -> None:
+    """0.3 m counts as (p / 0.3)^2 / 2; a heading's degrees, and a size's per cent, are turned into metres."""
+    tolerance = {"position_m": 0.3, "heading_deg": 2.0, "size_m": "5 %"}
+    scene = scene_with(BOX, learn=("position", "heading", "size"), tolerance=tolerance)
+    poses = Poses(scene)
+    sd = np.array(poses.prior_sd)
+    np.testing.assert_allclose(sd[:3], 0.3)
+    for k, (start, width) in {3: (35.0, 2.0), 4: (7.0, 0.35), 5: (4.0, 0.2)}.items():
+        shift = np.zeros(7)
+        shift[k] = 1e-3 * sd[k]
+        (one,) = poses.at(shift)
+        value = one.heading_deg if k == 3 else one.size_m[k - 4]  # type: ignore[index]
+        assert value - start == pytest.approx(1e-3 * width, rel=1e-3)
+    problem = problem_of(measured(scene))
+    x = problem.x0.copy()
+    x[0] = 0.6
+    free = problem_of(measured(scene_with(BOX, learn=("position", "heading", "size"))))
+    assert problem.value(x) - free.value(x) == pytest.approx(2.0, abs=1e-6)
+
+
+def test_the_floor_keeps_the_mean_and_every_pixel() -> None:
+    """Model and measurement get the same level; shadows, which measure nothing, count."""
+    scene = measured(scene_with(BOX, learn=("position",)))
+    plain = FitProblem(scene, CPU, rays=ExactRays(Stage.of(scene, CPU)))
+    both = compared(scene, {one.view.name: list(one.observations) for one in plain.views})
+    level = both.scene.effects["noise_floor"]["level"]
+    lit = [seen for one in plain.views for seen in one.observations]
+    assert level == pytest.approx(FLOOR_SHARE * np.median([np.median(seen.values) for seen in lit]))
+    (seen,) = both.observations["v0"]
+    np.testing.assert_allclose(seen.measured, scene.measured(scene.views[0], "HH") + level, rtol=1e-6)
+    assert seen.count == 60 * 60
+    assert (scene.measured(scene.views[0], "HH")[seen.interior] == 0).any()
+
+
+# ---- derivatives ----
+
+
+@pytest.mark.parametrize("blur_m", [0.0, 2.0])
+def test_jacobian_against_other_steps(blur_m: float) -> None:
+    """Every column against differences over half the step, made here: 1 % of the column's norm."""
+    scene = measured(scene_with(CAR, spacing_m=0.25, learn=("position", "heading", "pitch", "roll", "scale", "cabin")))
+    problem = problem_of(scene, blur_m)
+    x = problem.x0 + 0.01
+    found = problem.jacobian(x)
+    for k in range(x.size):
+        step = np.zeros(x.size)
+        step[k] = 1e-3
+        above, below = problem.modelled(x + step), problem.modelled(x - step)
+        for j, a, b in zip(found, above, below, strict=True):
+            expected = (np.log(a) - np.log(b)) / 2e-3
+            assert np.linalg.norm(j[:, k] - expected) < 0.01 * np.linalg.norm(expected)
+
+
+def test_slopes_to_vertices() -> None:
+    """The slope of a box that is moved as a whole is that of its position."""
+    scene = scene_with(BOX, sides=SIDES[:1])
+    displacement = np.zeros_like(scene.mesh.vertices)
+    displacement[4:] = (0.6, 0.8, 0.0)
+    (found,) = (slopes["HH"] for slopes in image_slopes(scene, displacement, CPU).values())
+    there = [displaced(scene, position_m=(1.3 + 0.6 * t, -0.8 + 0.8 * t, 0.0)) for t in (5e-4, -5e-4)]
+    up, down = (exact_images(one, CPU)["v0"]["HH"].astype(float) for one in there)
+    expected = (up - down) / 1e-3
+    assert np.linalg.norm(found - expected) < 0.01 * np.linalg.norm(expected)
+    with pytest.raises(InputError, match="found shape"):
+        image_slopes(scene, displacement[1:], CPU)
+    with pytest.raises(InputError, match="above 0 somewhere"):
+        image_slopes(scene, 0.0 * displacement, CPU)
+
+
+# ---- fits ----
+
+
+def test_an_object_is_found_from_afar() -> None:
+    """2.5 m, 15 degrees and 20 % off; within three standard deviations of the truth."""
+    truth = measured(scene_with(CAR, sides=SIDES[:3], shape=48, spacing_m=0.25, learn=("position", "heading", "scale")))
+    away = displaced(truth, position_m=(3.1, -2.5, 0.0), heading_deg=20.0, scale=1.2)
+    found = find_poses(away, CPU, held=True)
+    told = found.objects["car"]
+    for value, sd, expected in (
+        *zip(told["position_m"], told["position_sd_m"], (1.3, -0.8, 0.0), strict=True),
+        (told["heading_deg"], told["heading_sd_deg"], 35.0),
+        (told["scale"][0], told["scale_sd"], 1.0),
+    ):
+        assert abs(value - expected) < 3.0 * sd
+        assert sd < 0.2
+    assert found.gain > 100.0
+    assert found.size == 5
+
+
+def test_a_pose_that_is_right_gains_nothing_to_speak_of() -> None:
+    """Twice the gain is chi-square with 4 degrees of freedom: above 18.5 once in a thousand."""
+    scene = measured(scene_with(BOX, sides=SIDES[:2], shape=48, learn=("position", "heading")))
+    found = find_poses(scene, CPU)
+    assert 0.0 <= 2.0 * found.gain < 18.5
+    wrong = find_poses(displaced(scene, position_m=(1.4, -0.8, 0.0)), CPU)
+    assert 2.0 * wrong.gain > 100.0
+
+
+def test_effects_are_fitted_along() -> None:
+    """A point spread that is declared: the search blurs more, and the fit finds both."""
+    scene = scene_with(BOX, sides=SIDES[:2], shape=48, learn=("position", "heading"))
+    blur = validate("point_spread", {"range_fwhm_m": 1.0, "azimuth_fwhm_m": 0.8}, "effects.point_spread")
+    seen = measured(replace(scene, effects={"point_spread": blur}))
+    start = validate("point_spread", {"range_fwhm_m": 0.7, "azimuth_fwhm_m": 1.1}, "effects.point_spread")
+    found = find_poses(replace(displaced(seen, position_m=(1.7, -0.5, 0.0)), effects={"point_spread": start}), CPU)
+    told = found.objects["box"]
+    np.testing.assert_allclose(told["position_m"], (1.3, -0.8, 0.0), atol=4.0 * max(told["position_sd_m"]))
+    assert found.scene.effects["point_spread"]["range_fwhm_m"] == pytest.approx(1.0, rel=0.1)
+    assert found.scene.effects["point_spread"]["azimuth_fwhm_m"] == pytest.approx(0.8, rel=0.1)
+    assert set(found.scene.effects) == {"point_spread"}
+
+
+def test_uncalibrated_images() -> None:
+    """A gain of three that nobody stated."""
+    scene = measured(scene_with(BOX, sides=SIDES[:2], shape=48, learn=("position", "heading")))
+    louder = [
+        one.model_copy(update={"images": {"HH": 3.0 * scene.measured(one, "HH")}, "looks": one.looks})
+        for one in scene.views
+    ]
+    free = replace(scene, views=louder, grid=scene.grid.model_copy(update={"calibrated": False}))
+    told = find_poses(displaced(free, position_m=(1.7, -0.5, 0.0)), CPU).objects["box"]
+    np.testing.assert_allclose(told["position_m"], (1.3, -0.8, 0.0), atol=4.0 * max(told["position_sd_m"]))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("table", [BOX, CAR], ids=["box", "car"])
+def test_nineteen_of_twenty_starts_find_it(table: dict[str, Any]) -> None:
+    """From 3 m, 20 degrees and 20 % of each size. A box sunk into the ground looks like a lower one: roofs count."""
+    spacing = 0.5 if table is BOX else 0.25
+    truth = measured(scene_with(table, spacing_m=spacing, learn=("position", "heading", "size")))
+    good = 0
+    for seed in range(20):
+        random = np.random.default_rng(seed)
+        shift = random.normal(size=2)
+        shift *= 3.0 * np.sqrt(random.random()) / np.linalg.norm(shift)
+        start = displaced(
+            truth,
+            position_m=(1.3 + shift[0], -0.8 + shift[1], 0.0),
+            heading_deg=35.0 + random.uniform(-20.0, 20.0),
+            size_m=tuple(np.array(table["size_m"]) * random.uniform(0.8, 1.2, 3)),
+        )
+        told = find_poses(start, CPU, held=True).objects[str(table["primitive"])]
+        east, north, up = told["position_m"]
+        roof = up + told["size_m"][2] - table["size_m"][2]
+        error = max(
+            abs(east - 1.3), abs(north + 0.8), abs(roof), *np.abs(np.subtract(told["size_m"], table["size_m"])[:2])
+        )
+        good += error < 0.1 and abs(told["heading_deg"] - 35.0) < 1.0
+    assert good >= 19
+
+
+def test_height_and_range_shift_from_one_side_are_said() -> None:
+    """One image of a body without ground: a rise by sin(40), away by cos(40), keeps the range. Four sides part them.
+
+    A shadow on the ground would tell them apart, too.
+    """
+    words = {}
+    for name, sides in {"one": ((0, 40),), "four": SIDES}.items():
+        scene = scene_with(BOX, sides=sides, learn=("position",))
+        bare = Assembly.of(None, scene.objects, {})
+        materials = {"body": scene.materials["body"]}
+        scene = replace(scene, assembly=bare, mesh=bare.mesh(scene.objects), materials=materials)
+        words[name] = find_poses(measured(scene), CPU, search=False, held=True).words
+    (said,) = words["one"]
+    assert "box.north -0.77 m, box.up +0.64 m" in said or "box.north +0.77 m, box.up -0.64 m" in said
+    assert words["four"] == []
+
+
+def test_a_sunk_box_and_a_low_one_are_said() -> None:
+    scene = measured(scene_with(BOX, learn=("position", "size"), position_m=(1.3, -0.8, -1.0)))
+    words = find_poses(scene, CPU, search=False, held=True).words
+    assert any("box.height" in sentence for sentence in words)
+
+
+def test_learn_writes_poses(tmp_path: Path) -> None:
+    """learn.json has values and standard deviations; scene.toml has the pose, and simulates."""
+    truth = scene_with(BOX, sides=SIDES[:2], shape=48, learn=("position", "heading"))
+    scene = displaced(measured(truth), position_m=(1.6, -0.5, 0.0), heading_deg=30.0)
+    scene.save(tmp_path / "scene.toml")
+    content = run(tmp_path / "scene.toml", tmp_path / "out", device="cpu", options=LearnOptions(starts=1))
+    told = json.loads((tmp_path / "out" / "learn.json").read_text())["objects"]["box"]
+    assert told["heading_deg"] == pytest.approx(35.0, abs=4.0 * told["heading_sd_deg"])
+    np.testing.assert_allclose(told["position_m"], (1.3, -0.8, 0.0), atol=4.0 * max(told["position_sd_m"]))
+    assert content["intervals_hold"]
+    again = Scene.load(tmp_path / "out" / "scene.toml")
+    assert list(again.objects[0].position_m) == told["position_m"]
+    assert "noise_floor" not in again.effects
+
+
+def test_learn_of_poses_alone(tmp_path: Path) -> None:
+    """Surfaces that are known stay as they are."""
+    truth = scene_with(BOX, sides=SIDES[:2], shape=48, learn=("position",))
+    known = {name: material.model_copy(update={"learn": ()}) for name, material in truth.materials.items()}
+    scene = replace(measured(truth), materials=known)
+    off = replace(displaced(scene, position_m=(1.5, -0.8, 0.0)), materials=known)
+    off.save(tmp_path / "scene.toml")
+    content = run(tmp_path / "scene.toml", tmp_path / "out", device="cpu", options=LearnOptions(starts=1))
+    assert content["objects"]["box"]["position_m"][0] == pytest.approx(1.3, abs=0.05)
+    assert content["stopped"] == "nothing but poses is learned"
+    assert "identifiability" not in content
+
+
+def test_nothing_to_learn_is_refused() -> None:
+    with pytest.raises(InputError, match="found no object with `learn`"):
+        find_poses(measured(scene_with(BOX)), CPU)
+    with pytest.raises(InputError, match="must be a group of the scene's mesh"):
+        group_pose(measured(scene_with(BOX)), CPU, "tower")
+
+
+# ---- the public case ----
+
+
+@pytest.mark.slow
+def test_the_moved_tower(independent_cases: Path) -> None:
+    """No object is declared. The truth lies at (-0.7, +0.5) m and 5 degrees: within 5 cm and 0.5 degrees."""
+    found = group_pose(Scene.load(independent_cases / "moved_object" / "scene.toml"), CPU, "tower")
+    told = found.objects["tower"]
+    np.testing.assert_allclose(told["position_m"], (-0.7, 0.5, 0.0), atol=0.05)
+    assert told["heading_deg"] == pytest.approx(5.0, abs=0.5)
+    assert max(told["position_sd_m"]) < 0.02
+    assert told["heading_sd_deg"] < 0.2
+
+
+# ---- objects that share a render ----
+
+
+def car_park(count: int) -> Scene:
+    """Cars in a row, 6 m apart, and one more behind the first one's shadow."""
+    views = [view(0, 45, name="v0"), view(90, 40, name="v1")]
+    plain = scene_of(mesh_of(g=ground(60)), views, shape=(120, 120), spacing_m=(0.5, 0.5))
+    places = [(6.0 * k - 3.0 * count, 0.3 * k, 0.0) for k in range(count)] + [(-3.0 * count, -12.0, 0.0)]
+    table = {"primitive": "car", "size_m": (4.6, 1.8, 1.5), "material": "body", "learn": ("position", "heading")}
+    cars = [Object(**{**table, "name": f"c{k}", "position_m": place}) for k, place in enumerate(places)]
+    return with_objects(plain, cars, {"g": Material(**SOIL), "body": Material(**BRICK)})
+
+
+def test_objects_share_a_render_and_the_slopes_stay(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Five cars cost less than five times one; every column is what it is with a render of its own.
+
+    1e-3: float32 of the two images that a column is the difference of.
+    """
+    scene = measured(car_park(4))
+    problem = problem_of(scene)
+    groups = shared(problem.poses.coordinates, boxes(scene, scene.views[0]))
+    assert sorted(k for group in groups for k in group) == list(range(20))
+    assert len(groups) <= 8
+    together = problem.jacobian(problem.x0)
+    monkeypatch.setattr("warpsar.learning.pose.boxes", lambda scene, view: None)
+    alone = problem.jacobian(problem.x0)
+    for found, expected in zip(together, alone, strict=True):
+        assert np.linalg.norm(found - expected, axis=0).max() < 1e-3 * np.linalg.norm(expected, axis=0).min()
+
+
+def test_a_box_holds_all_that_a_move_changes() -> None:
+    """A tall body and its long shadow, moved by 5 cm: nothing changes outside of its box."""
+    scene = scene_with(BOX, sides=((25, 60),), shape=96, spacing_m=0.5)
+    (place,) = boxes(scene, scene.views[0]) or ()
+    up, down = (displaced(scene, position_m=(1.3 + t, -0.8, 0.0)) for t in (0.05, -0.05))
+    change = np.abs(exact_images(up, CPU)["v0"]["HH"] - exact_images(down, CPU)["v0"]["HH"])
+    row, column = np.indices(change.shape)
+    assert change[~place.holds(row, column)].max() < 1e-6 * change.max()
+    assert change.max() > 0
+
+
+def test_effects_that_carry_power_share_nothing() -> None:
+    scene = replace(car_park(2), effects={"multibounce": {"max_bounces": 2}})
+    assert boxes(scene, scene.views[0]) is None
+    assert shared(Poses(scene).coordinates, None) == [[k] for k in range(12)]

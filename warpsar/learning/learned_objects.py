@@ -1,0 +1,73 @@
+"""What `learn` finds of objects, before it turns to the surfaces."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from warpsar.learning.identify import Identified
+from warpsar.learning.pose_search import FoundPoses, find_poses
+from warpsar.runtime import console
+from warpsar.scene.scene import Scene
+from warpsar.surface.surface import Surface
+
+
+@dataclass(frozen=True)
+class LearnedObjects:
+    """Objects at their likeliest poses, and the scene with them: a start for surfaces and effects."""
+
+    scene: Scene
+    found: FoundPoses
+
+    @property
+    def words(self) -> list[str]:
+        """A sentence for each object, and what cannot be told apart."""
+        return [_said(name, told) for name, told in self.found.objects.items() if _learned(told)] + self.found.words
+
+    def content(self) -> dict[str, Any]:
+        """For learn.json: values by the object's name, a standard deviation beside each that was learned."""
+        words = self.found.words
+        return {
+            name: {**told, "not_told_apart": [w for w in words if w.startswith(f"{name}.")]}
+            for name, told in self.found.objects.items()
+        }
+
+    def widened(self, identified: Identified) -> Identified:
+        """The surfaces' intervals with those of the poses in mind: both were fitted to the same images."""
+        size = len(identified.labels)
+        covariance = self.found.identified.covariance[:size, :size]
+        same = self.found.identified.labels[:size] == identified.labels
+        return replace(identified, covariance=np.maximum(covariance, identified.covariance)) if same else identified
+
+
+def learned_objects(scene: Scene, device: wp.Device, loss: str) -> LearnedObjects | None:
+    """Fit the objects that have anything to learn; None where there is none.
+
+    Surfaces and effects are fitted along, unless they are fields. Raises InputError as `find_poses` does.
+    """
+    if not any(one.learn for one in scene.objects):
+        return None
+    fields = any(block.learn and block.size > 1 for block in Surface.of(scene).blocks)
+    found = find_poses(scene, device, loss=loss, held=fields)
+    console.say(f"objects: log-likelihood up by {found.gain:.4g}")
+    return LearnedObjects(found.scene, found)
+
+
+def _learned(told: dict[str, Any]) -> bool:
+    return any("_sd" in key for key in told)
+
+
+def _said(name: str, told: dict[str, Any]) -> str:
+    parts = []
+    for key, value in told.items():
+        stem, _, unit = key.partition("_sd")
+        if "_sd" not in key:
+            continue
+        values = told[stem + unit]
+        pairs = zip(*(each if isinstance(each, list) else [each] for each in (values, value)), strict=True)
+        shown = ", ".join(f"{v:.4g} +- {sd:.2g}" for v, sd in pairs)
+        parts.append(f"{stem} {shown} {unit.removeprefix('_')}".strip())
+    return f"{name}: {'; '.join(parts)}"

@@ -1,0 +1,229 @@
+"""Surface parameters, effects and poses together: images, derivatives, and a descent."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+import warp as wp
+
+from warpsar.learning.identify import Identified, of_information, residual_autocovariance, score_products
+from warpsar.learning.observation import Observation
+from warpsar.learning.pose_coordinates import Poses
+from warpsar.learning.pose_sharing import boxes, shared
+from warpsar.learning.problem import FitProblem
+from warpsar.learning.view import FitView
+from warpsar.scene.scene import Scene
+from warpsar.simulation.exact_rays import ExactRays
+from warpsar.speckle.likelihood import residual_sd
+from warpsar.surface.stage import Stage
+from warpsar.world.world import posed
+
+POSE_STEP_M = 2e-3  # of a difference: its error is under 1e-3 of a derivative (docs/objects.md)
+LIT = 0.1  # share of a pixel that is no floor, from which its residual tells of speckle
+KEPT = 3  # poses whose hits are kept
+MOST_STEPS = 40
+LARGEST_MOVE_M, LARGEST_STEP = 1.0, 1.0  # in one step: of a pose, and of a log coordinate
+FLAT = 2e-3  # gain in log-likelihood that counts as none
+
+
+class PosedProblem:
+    """A fit problem whose objects move. x holds the surface's and the effects' coordinates, then the poses [m].
+
+    `observations`, by view name, are the same for every pose. Images have exact areas, without rays, so that
+    differences of them are their derivatives, silhouettes and shadows included. Known tolerances of poses count as
+    Gaussian priors about the scene's own values.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        device: wp.Device,
+        observations: Mapping[str, list[Observation]],
+        *,
+        loss: str = "gamma",
+        held: bool = False,
+        level: float = 0.0,
+    ) -> None:
+        """`held`: nothing moves but the poses. `level` [beta0]: how much of the floor was added to the measurement."""
+        self.scene, self.device, self.loss, self._seen = scene, device, loss, observations
+        self.poses, self.level = Poses(scene), level
+        self._kept: OrderedDict[bytes, FitProblem] = OrderedDict()
+        self.count = len(self.poses.coordinates)
+        start = self.standing(np.zeros(self.count))
+        self.size = 0 if held else start.x0.size
+        self._own = start.x0.copy()
+        self.x0 = np.concatenate([start.x0[: self.size], np.zeros(self.count)])
+        low, high = (np.concatenate([a[: self.size], b]) for a, b in zip(start.bounds, self.poses.bounds, strict=True))
+        self.bounds = low, high
+        self.labels = [*start.labels[: self.size], *self.poses.labels]
+        self.precision = np.concatenate([np.zeros(self.size), 1.0 / np.square(self.poses.prior_sd)])
+
+    def standing(self, p: np.ndarray) -> FitProblem:
+        """The plain fit problem with the objects at p."""
+        key = np.asarray(p, float).tobytes()
+        if key not in self._kept:
+            self._kept[key] = self._made(p, list(self._seen))
+            while len(self._kept) > KEPT:
+                self._kept.popitem(last=False)
+        self._kept.move_to_end(key)
+        return self._kept[key]
+
+    def _made(self, p: np.ndarray, views: list[str]) -> FitProblem:
+        scene = posed(self.scene, self.poses.at(p))
+        rays = ExactRays(Stage.of(scene, self.device), seed=scene.sampling.seed)
+        roles = ("train", "test")
+        return FitProblem(
+            scene, self.device, loss=self.loss, roles=roles, views=views, rays=rays, observations=self._seen
+        )
+
+    def split(self, x: np.ndarray) -> tuple[FitProblem, np.ndarray]:
+        """The problem at x's poses, and the rest of x as that problem has it."""
+        rest = self._own if self.size == 0 else x[: self.size]
+        return self.standing(x[self.size :]), rest
+
+    def modelled(self, x: np.ndarray) -> list[np.ndarray]:
+        """As `FitProblem.modelled`."""
+        problem, rest = self.split(x)
+        return problem.modelled(rest)
+
+    def value(self, x: np.ndarray) -> float:
+        """The loss at x with its priors."""
+        problem, rest = self.split(x)
+        return problem.value(problem.modelled(rest)) + 0.5 * float(self.precision @ (x - self.x0) ** 2)
+
+    def jacobian(self, x: np.ndarray) -> list[np.ndarray]:
+        """d ln(mu) / dx of every observation, shape (pixels, len(x)), as `FitProblem.jacobian`.
+
+        Those to poses are central differences of exact images, `POSE_STEP_M` to either side.
+        """
+        problem, rest = self.split(x)
+        if self.size:
+            own = problem.jacobian(rest)
+        else:
+            own = [np.zeros((seen.values.size, 0)) for seen in problem.observations]
+        slopes = [slope for view in problem.views for slope in self._slopes(problem, view, rest, x[self.size :])]
+        found = [np.column_stack(pair) for pair in zip(own, slopes, strict=True)]
+        if not self.scene.grid.calibrated:
+            weights = [c.weight for c in problem.curvatures(problem.modelled(rest))]
+            found = [j - np.average(j, axis=0, weights=w) for j, w in zip(found, weights, strict=True)]
+        return found
+
+    def _slopes(self, problem: FitProblem, view: FitView, rest: np.ndarray, p: np.ndarray) -> list[np.ndarray]:
+        """d ln(mu) / dp of a view's observations, shape (pixels, len(p)) each."""
+        places = boxes(problem.scene, view.view)
+        coordinates, name = self.poses.coordinates, view.view.name
+        found = [np.zeros((seen.values.size, p.size)) for seen in view.observations]
+        for group in shared(coordinates, places):
+            step = np.zeros(p.size)
+            step[group] = POSE_STEP_M
+            both = (self._made(p + s * step, [name]) for s in (1.0, -1.0))
+            above, below = (one.modelled(one.follow(problem, rest)) for one in both)
+            for slope, seen, a, b in zip(found, view.observations, above, below, strict=True):
+                change = np.log(a / b) / (2.0 * POSE_STEP_M)
+                row, column = np.divmod(seen.pixels, problem.scene.grid.shape[1])
+                for k in group:
+                    inside = True if places is None else places[coordinates[k].object].holds(row, column)
+                    slope[:, k] = np.where(inside, change, 0.0)
+        return found
+
+    def identified(self, x: np.ndarray) -> Identified:
+        """Fisher information of surface, effects and poses together, with the priors, and the intervals from it.
+
+        A floor that was added has no speckle, so a residual's standard deviation is that of the rest alone.
+        """
+        jacobians = self.jacobian(x)
+        problem, rest = self.split(x)
+        modelled = problem.modelled(rest)
+        curvatures = problem.curvatures(modelled)
+        pairs, spreads = [], []
+        for seen, c, mu in zip(problem.observations, curvatures, modelled, strict=True):
+            share = np.clip(1.0 - self.level / mu, 0.0, 1.0)
+            lit = share > LIT
+            inside = seen.interior.copy()
+            inside[seen.interior] = lit
+            sd = share * residual_sd(problem.loss, seen.looks)
+            spreads.append(sd[:, None])
+            pairs.append((replace(seen, interior=inside), c.residual[lit] / sd[lit]))
+        autocovariance = residual_autocovariance(pairs)
+        information, products = np.diag(self.precision), np.diag(self.precision)
+        for seen, j, c, sd in zip(problem.observations, jacobians, curvatures, spreads, strict=True):
+            weighted = c.weight[:, None] * j
+            information = information + j.T @ weighted
+            products = products + score_products(sd * weighted, autocovariance, seen)
+        return of_information(self.labels, information, products)
+
+
+@dataclass(frozen=True)
+class Descended:
+    """Where a descent ended: `x`, its `loss` with priors, and the steps that it took."""
+
+    x: np.ndarray
+    loss: float
+    steps: int
+
+
+def descend(problem: PosedProblem, x: np.ndarray, *, most: int = MOST_STEPS, flat: float = FLAT) -> Descended:
+    """Levenberg-Marquardt from x over surface, effects and poses, until a step promises a gain of less than `flat`.
+
+    No step moves an object by more than `LARGEST_MOVE_M`.
+    """
+    low, high = problem.bounds
+    x = np.clip(x, low, high)
+    loss, damping = problem.value(x), 1e-3
+    for step_number in range(most):
+        gradient, hessian = _quadratic(problem, x)
+        free = ~((x <= low) & (gradient > 0) | (x >= high) & (gradient < 0)) & (np.diag(hessian) > 0)
+        if not free.any():
+            return Descended(x, loss, step_number)
+        moved = False
+        for _ in range(8):
+            step = _step(gradient, hessian, free, damping)
+            promised = -float(gradient @ step + 0.5 * step @ hessian @ step)
+            if promised < flat:
+                return Descended(x, loss, step_number)
+            trial = np.clip(x + _shortened(problem, step), low, high)
+            value = problem.value(trial)
+            if value < loss:
+                moved = loss - value > 0.1 * flat
+                x, loss, damping = trial, value, max(damping / 10.0, 1e-9)
+                break
+            damping *= 8.0
+        if not moved:
+            return Descended(x, loss, step_number + 1)
+    return Descended(x, loss, most)
+
+
+def _quadratic(problem: PosedProblem, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Gradient and curvature of the loss with its priors."""
+    jacobians = problem.jacobian(x)
+    inner, rest = problem.split(x)
+    gradient, hessian = problem.precision * (x - problem.x0), np.diag(problem.precision)
+    for j, c in zip(jacobians, inner.curvatures(inner.modelled(rest)), strict=True):
+        weighted = c.weight[:, None] * j
+        gradient = gradient - weighted.T @ c.residual
+        hessian = hessian + j.T @ weighted
+    return gradient, hessian
+
+
+def _step(gradient: np.ndarray, hessian: np.ndarray, free: np.ndarray, damping: float) -> np.ndarray:
+    scale = np.diag(hessian) + 1e-12 * float(np.trace(hessian))
+    step = np.zeros_like(gradient)
+    step[free] = -np.linalg.solve((hessian + np.diag(damping * scale))[np.ix_(free, free)], gradient[free])
+    return step
+
+
+def _shortened(problem: PosedProblem, step: np.ndarray) -> np.ndarray:
+    """Each part of the step within its own bound: a surface in its valley must not hold an object back."""
+    found = step.copy()
+    for part, most in ((slice(0, problem.size), LARGEST_STEP), (slice(problem.size, None), LARGEST_MOVE_M)):
+        largest = float(np.abs(step[part]).max(initial=0.0))
+        found[part] *= min(1.0, most / largest) if largest else 1.0
+    return found
+
+
+def fitted_scene(problem: PosedProblem, x: np.ndarray, scene: Scene) -> Scene:
+    """`scene`, of the same objects, at the poses of x."""
+    return posed(scene, problem.poses.at(x[problem.size :]))

@@ -1,0 +1,79 @@
+"""Which pixels a pose is fitted on: all that are usable, lit or not, above a floor that both sides share.
+
+A pose is told by what turns dark as much as by what turns bright, and pixels of a shadow measure zero, which no gamma
+likelihood allows. A known level added to model and measurement alike leaves the mean as it is and makes every pixel
+count.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.ndimage import gaussian_filter
+
+from warpsar.effects.registry import validate
+from warpsar.learning.observation import Observation, usable_pixels
+from warpsar.scene.scene import Scene
+
+FLOOR_SHARE = 0.05  # of the median of the lit pixels
+FWHM = math.sqrt(8.0 * math.log(2.0))  # of a Gaussian, in standard deviations
+
+
+@dataclass(frozen=True)
+class Compared:
+    """A scene with the floor, of `level` [beta0], and blur that its `observations`, by view name, were given too."""
+
+    scene: Scene
+    observations: dict[str, list[Observation]]
+    level: float
+
+
+def compared(
+    scene: Scene,
+    lit: Mapping[str, Sequence[Observation]],
+    blur_m: float = 0.0,
+    gains: Mapping[tuple[str, str], float] | None = None,
+) -> Compared:
+    """The scene and its images with a common floor, blurred by a Gaussian of `blur_m` full width at half maximum.
+
+    `lit` are the declared model's own observations by view name: they say how bright lit pixels are, and give the
+    looks. A floor that the scene declares stays as it is. `gains`, by view name and polarization: those of images that
+    are not calibrated, which their floor must have, too.
+    """
+
+    def gain(seen: Observation) -> float:
+        return 1.0 if gains is None else gains[seen.view.name, seen.polarization]
+
+    levels = [np.median(seen.values) / gain(seen) for found in lit.values() for seen in found if seen.values.size]
+    level = 0.0 if "noise_floor" in scene.effects else FLOOR_SHARE * float(np.median(levels))
+    effects: dict[str, dict[str, Any]] = dict(scene.effects)
+    if level:
+        effects["noise_floor"] = validate("noise_floor", {"level": level, "fixed": True}, "effects.noise_floor")
+    if blur_m:
+        effects["point_spread"] = _wider(effects.get("point_spread", {}), blur_m)
+    observations = {
+        name: [_prepared(scene, seen, level * gain(seen), blur_m) for seen in found] for name, found in lit.items()
+    }
+    return Compared(replace(scene, effects=effects), observations, level)
+
+
+def _wider(stated: Mapping[str, Any], blur_m: float) -> dict[str, Any]:
+    widths = {key: math.hypot(float(stated.get(key, 0.0)), blur_m) for key in ("range_fwhm_m", "azimuth_fwhm_m")}
+    return validate("point_spread", {**widths, "window": "gaussian", "fixed": True}, "effects.point_spread")
+
+
+def _prepared(scene: Scene, seen: Observation, level: float, blur_m: float) -> Observation:
+    measured = np.asarray(seen.measured, float)
+    usable = usable_pixels(scene, seen.view, measured)
+    if blur_m:
+        sigma = [blur_m / FWHM / step for step in scene.grid.spacing_m]
+        known = np.isfinite(measured).astype(float)
+        total = gaussian_filter(np.nan_to_num(measured), sigma)
+        measured = total / np.maximum(gaussian_filter(known, sigma), 1e-3)
+    measured = measured + level
+    none = np.zeros_like(usable)
+    return replace(seen, measured=measured, interior=usable & (measured > 0), silent=none, dark=none, least=None)

@@ -1,0 +1,230 @@
+"""Where objects stand: from metres away to the likeliest pose, and how well it is known."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from warpsar.errors import InputError
+from warpsar.learning.identify import Identified
+from warpsar.learning.observation import Observation
+from warpsar.learning.pose import Descended, PosedProblem, descend
+from warpsar.learning.pose_coordinates import PoseCoordinate, values_of
+from warpsar.learning.pose_pixels import compared
+from warpsar.learning.problem import FitProblem
+from warpsar.learning.results import learned_scene
+from warpsar.scene.placing import with_objects
+from warpsar.scene.scene import Scene
+from warpsar.simulation.exact_rays import ExactRays
+from warpsar.surface.stage import Stage
+from warpsar.world.objects.table import KEYS, Learnable, Object
+
+SEARCH_BLUR_M = (3.0, 1.5, 0.75)  # full widths at half maximum: an object is found from as far away as it is blurred
+SEARCH_STEPS, SEARCH_FLAT = 12, 1.0
+TRADES = 0.95  # correlation from which two numbers are said to trade
+UNKNOWN_M = 1.0  # standard deviation at an object's edge from which a move is called unknown
+SHARE = 0.2  # of a unit move, from which a number is part of it
+
+
+@dataclass(frozen=True)
+class FoundPoses:
+    """Objects at their likeliest poses.
+
+    `scene`: the scene with them, and with the surface and effects that were fitted along. `gain`: what the poses add to
+    the log-likelihood over all usable pixels above a common floor (`pose_pixels`), where surface and effects are at
+    their best with and without them. `gain_given`: rise over the pixels that were given, from the scene as it was
+    given; a refit on those pixels raises it further. `size`: how many numbers of poses moved. `identified`: information
+    on everything that was fitted, poses last [m at the objects' edges]. `words`: what cannot be told apart.
+    """
+
+    scene: Scene
+    gain: float
+    gain_given: float
+    size: int
+    objects: dict[str, dict[str, Any]]
+    identified: Identified
+    words: list[str]
+
+
+def find_poses(
+    scene: Scene,
+    device: wp.Device,
+    *,
+    views: Sequence[str] | None = None,
+    observations: Mapping[str, list[Observation]] | None = None,
+    loss: str = "gamma",
+    search: bool = True,
+    held: bool = False,
+) -> FoundPoses:
+    """Fit what `learn` of the scene's objects frees, with surface and effects unless they are `held`.
+
+    `views`: names of the views to use; by default those with role train. `observations`, by view name: frozen pixels
+    that other models are compared on; by default those that the scene as given lights. `search`: begin with blurred
+    images, which find an object from 3 m, 20 degrees and 20 % away. Raises InputError where no object has anything to
+    learn, and for views without images.
+    """
+    if not any(one.learn for one in scene.objects):
+        raise InputError(f"{scene.name}: objects: found no object with `learn`; at least one must state it")
+    given = FitProblem(
+        scene,
+        device,
+        loss=loss,
+        views=views,
+        rays=ExactRays(Stage.of(scene, device), seed=scene.sampling.seed),
+        observations=observations,
+    )
+    pixels: dict[str, list[Observation]] = {}
+    for seen in given.observations:
+        pixels.setdefault(seen.view.name, []).append(seen)
+    gains = given.gains(given.modelled(given.x0))
+    loud = {(s.view.name, s.polarization): float(g) for s, g in zip(given.observations, gains, strict=True)}
+    known: dict[str, float] = {}
+    for blur_m in SEARCH_BLUR_M if search else ():
+        blurred, there = _descended(scene, device, pixels, loud, loss, held, blur_m, known)
+        known = dict(zip(blurred.labels, there.x.tolist(), strict=True))
+    problem, end = _descended(scene, device, pixels, loud, loss, held, 0.0, known)
+    identified = problem.identified(end.x)
+    found = _scene_at(problem, end.x, scene)
+    at_end = FitProblem(
+        found,
+        device,
+        loss=loss,
+        views=list(pixels),
+        rays=ExactRays(Stage.of(found, device), seed=scene.sampling.seed),
+        observations=pixels,
+    )
+    before, after = (one.value(one.modelled(one.x0)) for one in (given, at_end))
+    still = tuple(one.model_copy(update={"learn": ()}) for one in scene.objects)
+    _, best = _descended(replace(scene, objects=still), device, pixels, loud, loss, held, 0.0, {})
+    return FoundPoses(
+        found,
+        best.loss - end.loss,
+        float(before - after),
+        problem.count,
+        summary(problem, end.x, identified),
+        identified,
+        _words(problem, identified),
+    )
+
+
+def group_pose(
+    scene: Scene,
+    device: wp.Device,
+    group: str,
+    *,
+    learn: tuple[Learnable, ...] = ("position", "heading"),
+    views: Sequence[str] | None = None,
+    observations: Mapping[str, list[Observation]] | None = None,
+    loss: str = "gamma",
+) -> FoundPoses:
+    """The likeliest pose of a part of the scene's own mesh that no `[[objects]]` table declares; as `find_poses`.
+
+    Raises InputError for a name that is no group of the mesh, or one that an object moves already.
+    """
+    return find_poses(with_group(scene, group, learn), device, views=views, observations=observations, loss=loss)
+
+
+def with_group(scene: Scene, group: str, learn: tuple[Learnable, ...]) -> Scene:
+    """The scene with one of its groups as an object of its own, where it stands. Nothing else is learned of objects."""
+    others = [one.model_copy(update={"learn": ()}) for one in scene.objects]
+    return with_objects(scene, [*others, Object(group=group, learn=learn)])
+
+
+def _descended(
+    scene: Scene,
+    device: wp.Device,
+    pixels: Mapping[str, list[Observation]],
+    gains: Mapping[tuple[str, str], float],
+    loss: str,
+    held: bool,
+    blur_m: float,
+    known: Mapping[str, float],
+) -> tuple[PosedProblem, Descended]:
+    """The problem of images blurred by `blur_m`, and where it ends from what is `known` by label.
+
+    Blurred images hold the point spread that a scene declares, so it is no part of their x.
+    """
+    both = compared(scene, pixels, blur_m, gains)
+    problem = PosedProblem(both.scene, device, both.observations, loss=loss, held=held, level=both.level)
+    start = np.array([known.get(label, value) for label, value in zip(problem.labels, problem.x0, strict=True)])
+    if not blur_m:
+        return problem, descend(problem, start)
+    return problem, descend(problem, start, most=SEARCH_STEPS, flat=SEARCH_FLAT)
+
+
+def _scene_at(problem: PosedProblem, x: np.ndarray, scene: Scene) -> Scene:
+    """`scene` with everything that x says; without the floor that only the comparison has."""
+    inner, rest = problem.split(x)
+    fitted = learned_scene(inner, rest)
+    effects = {name: table for name, table in fitted.effects.items() if name in scene.effects}
+    return replace(fitted, effects=effects)
+
+
+def summary(problem: PosedProblem, x: np.ndarray, identified: Identified) -> dict[str, dict[str, Any]]:
+    """What JSON files say of every object: its values, and a standard deviation beside each that was learned."""
+    found: dict[str, dict[str, Any]] = {}
+    objects = problem.poses.at(x[problem.size :])
+    for one in objects:
+        entry: dict[str, Any] = {"position_m": list(one.position_m), "heading_deg": one.heading_deg}
+        entry |= {"pitch_deg": one.pitch_deg, "roll_deg": one.roll_deg, "scale": list(one.scales)}
+        if one.size_m is not None:
+            entry["size_m"] = list(one.size_m)
+        for word in ("cabin", "side_curvature"):
+            if word in one.learn:
+                entry[word] = values_of(one, word)[0]
+        found[one.label] = entry
+    sds = identified.sd[problem.size :]
+    for c, coordinate, sd in zip(problem.poses.coordinates, x[problem.size :], sds, strict=True):
+        entry = found[objects[c.object].label]
+        value_sd = float(sd * abs(c.per_metre(float(coordinate))))
+        key = _sd_key(c)
+        if c.index is None:
+            entry[key] = value_sd
+        else:
+            entry.setdefault(key, [0.0, 0.0, 0.0])[c.index] = value_sd
+    return found
+
+
+def _sd_key(c: PoseCoordinate) -> str:
+    stem, _, unit = KEYS[c.word].partition("_")
+    if c.word == "side_curvature":
+        return "side_curvature_sd"
+    return f"{stem}_sd_{unit}" if unit else f"{stem}_sd"
+
+
+def _words(problem: PosedProblem, identified: Identified) -> list[str]:
+    """Sentences about what the images do not tell of poses, alone or from one another."""
+    size, labels = problem.size, identified.labels[problem.size :]
+    information = identified.information
+    own, mixed = information[:size, :size], information[:size, size:]
+    # what is left of the poses' information when surfaces and effects are unknown
+    left = information[size:, size:] - mixed.T @ np.linalg.pinv(own, rcond=1e-9, hermitian=True) @ mixed
+    values, vectors = np.linalg.eigh(left)
+    sentences, said = [], np.zeros(len(labels), bool)
+    for value, direction in zip(values, vectors.T, strict=True):
+        if value * UNKNOWN_M**2 >= 1.0:
+            continue
+        parts = [k for k in np.argsort(-np.abs(direction)) if abs(direction[k]) > SHARE]
+        said[parts] = True
+        if len(parts) == 1:
+            sentences.append(f"{labels[parts[0]]}: not identifiable")
+        else:
+            moves = ", ".join(f"{labels[k]} {direction[k]:+.2f} m" for k in parts)
+            sentences.append(
+                f"{labels[parts[0]]}: not told apart from the others of this move, which no image shows: {moves}"
+            )
+    sds = identified.sd[size:]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        correlation = identified.covariance[size:, size:] / np.outer(sds, sds)
+    for k, j in itertools.combinations(range(len(labels)), 2):
+        if abs(correlation[j, k]) > TRADES and not (said[j] and said[k]):
+            sentences.append(
+                f"{labels[k]} and {labels[j]}: hardly told apart (correlation {correlation[j, k]:+.3f}); views from "
+                f"other sides would part them"
+            )
+    return sentences

@@ -1,0 +1,85 @@
+"""Objects whose pixels do not meet share one render: a hundred objects then cost what a few do."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from warpsar.learning.pose_coordinates import PoseCoordinate
+from warpsar.scene.scene import Scene
+from warpsar.world.tables import View
+from warpsar.world.world import geometry_of
+
+MARGIN = 2  # pixels about an object's own
+WIDTHS = 4.0  # full widths at half maximum, beyond which a Gaussian is nothing (e-44)
+
+
+@dataclass(frozen=True)
+class Box:
+    """Pixels from `low` to before `high`, (row, column) each: all that an object's move can change in a view."""
+
+    low: tuple[int, int]
+    high: tuple[int, int]
+
+    def meets(self, other: Box) -> bool:
+        return all(self.low[k] < other.high[k] and other.low[k] < self.high[k] for k in (0, 1))
+
+    def holds(self, row: np.ndarray, column: np.ndarray) -> np.ndarray:
+        """Which pixels lie inside, (n,) bool."""
+        inside = (row >= self.low[0]) & (row < self.high[0]) & (column >= self.low[1]) & (column < self.high[1])
+        return np.asarray(inside)
+
+
+def boxes(scene: Scene, view: View) -> list[Box] | None:
+    """The pixels that each object can change, with its shadow; None where an effect carries power further.
+
+    What an object hides lies behind it, and not below the lowest point of the scene: (z - lowest) / cos(incidence)
+    further along the ray.
+    """
+    blur = _blur_m(scene)
+    if blur is None or scene.slant_range_m(view) is not None:
+        return None
+    assert scene.assembly is not None
+    geometry, spacing = geometry_of(scene, view), scene.grid.spacing_m
+    origin, lowest = np.asarray(scene.reference_point_m), float(scene.mesh.vertices[:, 2].min())
+    found = []
+    for one in scene.objects:
+        vertices = scene.assembly.vertices_of(one)
+        points = vertices - origin
+        range_m, azimuth_m = points @ geometry.d, points @ geometry.u
+        behind = range_m + (vertices[:, 2] - lowest) / -geometry.d[2]
+        ends = ((range_m.min(), behind.max()), (azimuth_m.min(), azimuth_m.max()))
+        low, high = [], []
+        for (least, most), step, count, width in zip(ends, spacing, scene.grid.shape, blur, strict=True):
+            low.append(int(np.floor((least - width) / step + count / 2)) - MARGIN)
+            high.append(int(np.ceil((most + width) / step + count / 2)) + MARGIN)
+        found.append(Box((low[0], low[1]), (high[0], high[1])))
+    return found
+
+
+def _blur_m(scene: Scene) -> tuple[float, float] | None:
+    """How far a Gaussian point spread carries power in range and azimuth [m]; None where others carry it, too."""
+    if not set(scene.effects) <= {"noise_floor", "point_spread", "view_gain"}:
+        return None
+    table = scene.effects.get("point_spread", {})
+    if table.get("window", "gaussian") != "gaussian":
+        return None
+    return tuple(WIDTHS * float(table.get(f"{axis}_fwhm_m", 0.0)) for axis in ("range", "azimuth"))  # type: ignore[return-value]
+
+
+def shared(coordinates: Sequence[PoseCoordinate], places: Sequence[Box] | None) -> list[list[int]]:
+    """Coordinates that may move in one render, as lists of their numbers: one of an object, boxes that do not meet."""
+    if places is None:
+        return [[k] for k in range(len(coordinates))]
+    groups: list[list[int]] = []
+    for k, c in enumerate(coordinates):
+        for group in groups:
+            others = [coordinates[j].object for j in group]
+            if all(c.object != other and not places[c.object].meets(places[other]) for other in others):
+                group.append(k)
+                break
+        else:
+            groups.append([k])
+    return groups

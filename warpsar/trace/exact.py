@@ -1,0 +1,314 @@
+"""A view without rays: the area of every visible face in every pixel, exact to rounding.
+
+Rays sample where a silhouette or a shadow's edge lies, so that an image jumps as an edge crosses them. The exact areas
+are smooth in the vertices, and differences of such images are their derivatives (docs/objects.md).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from warpsar.kernels import coverage as kernels
+from warpsar.trace.hits import BinGrid, Hits
+from warpsar.trace.rays import ray_grid
+from warpsar.trace.target import Target
+from warpsar.world.frame import ViewGeometry
+
+SLABS = 4  # of a column, at least: lines where faces run through one another are no events
+EDGE_ON = 1e-9  # of a face's longest edge squared: a smaller area across the look direction cannot be seen
+BOW = 4e-3  # of a pixel in range: how far a face about a track may bend away from its plane over (azimuth, elevation)
+
+
+def exact_hits(
+    target: Target,
+    geometry: ViewGeometry,
+    grid: BinGrid,
+    rays_per_m2: float,
+    *,
+    seed: int = 0,
+    pixel_area_m2: float | None = None,
+    only_columns: tuple[int, int] | None = None,
+) -> Hits:
+    """The hits of one view as `trace` gives them, without sampling noise.
+
+    `rays_per_m2` and `seed` are those of effects that send rays of their own. About a track, faces are cut until they
+    are flat over (azimuth, elevation) to `BOW` pixels.
+    """
+    device, pixel_area = target.device, pixel_area_m2 or grid.pixel_area_m2
+    seen = _Seen.of(target, geometry, grid)
+    pixel, face, area, points = _merged_hits(
+        seen, _covered(seen, grid, only_columns or (0, grid.shape[1]), device), grid
+    )
+    rays = ray_grid(target, geometry, grid, rays_per_m2, pixel_area)
+    barycentric = _barycentric(target.corners[seen.faces[face]], points).astype(np.float32)
+    n = len(pixel)
+    arrays: dict[str, Any] = {
+        "pixel": wp.array(pixel.astype(np.int32), dtype=int, device=device),
+        "face": wp.array(face.astype(np.int32), dtype=int, device=device),
+        "barycentric": wp.array(barycentric, dtype=wp.vec2, device=device),
+    }
+    found = [wp.empty(n, dtype=kind, device=device) for kind in (wp.vec3, float, float, float)]
+    inputs = [rays, target.vertices, target.faces, arrays["face"], arrays["barycentric"]]
+    wp.launch(kernels.lit_point_kernel, n, inputs=inputs, outputs=found, device=device)
+    arrays |= dict(zip(("point", "cos_incidence", "cos_twist", "cos2_azimuth"), found, strict=True))
+    cosine = np.maximum(found[1].numpy().astype(float), 1e-6)
+    arrays["weight"] = wp.array((area / (cosine * pixel_area)).astype(np.float32), dtype=float, device=device)
+    return Hits(grid, geometry, rays_per_m2=rays_per_m2, seed=seed, rays=0, **arrays)
+
+
+def _merged_hits(seen: _Seen, cells: _Covered, grid: BinGrid) -> tuple[np.ndarray, ...]:
+    """Pixel, face, area across the look direction [m^2] and mean point (n, 3) [m], one for each face in a pixel."""
+    points = seen.points(cells.face, cells.azimuth / cells.area, cells.elevation / cells.area)
+    area, parent = cells.area * seen.stretch(points), seen.parent[cells.face]
+    pixel = cells.row * grid.shape[1] + cells.column
+    order = np.lexsort((parent, pixel))
+    pixel, parent, area, points = pixel[order], parent[order], area[order], points[order]
+    new = np.ones(len(pixel), bool)
+    new[1:] = (pixel[1:] != pixel[:-1]) | (parent[1:] != parent[:-1])
+    start = np.flatnonzero(new)
+    if not len(start):
+        return pixel, parent, area, points
+    total = np.add.reduceat(area, start)
+    return pixel[start], parent[start], total, np.add.reduceat(points * area[:, None], start) / total[:, None]
+
+
+def _barycentric(corners: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Weights of the second and third corner, (n, 2), of points (n, 3) on triangles (n, 3, 3)."""
+    e1, e2, p = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0], points - corners[:, 0]
+    normal = np.cross(e1, e2)
+    total = (normal**2).sum(axis=1)
+    second = (np.cross(p, e2) * normal).sum(axis=1) / total
+    return np.stack([second, (np.cross(e1, p) * normal).sum(axis=1) / total], axis=1)
+
+
+@dataclass
+class _Seen:
+    """A mesh across the look direction of a view.
+
+    `azimuth`, `elevation` and `range` [m] of every corner, shape (vertices,); about a track the elevation is the angle
+    times the track's range R0. `corners`, (faces, 3), are the faces that can be seen, cut where they bend; `parent`,
+    (faces,), is the face of the mesh that each belongs to.
+    """
+
+    geometry: ViewGeometry
+    azimuth: np.ndarray
+    elevation: np.ndarray
+    range: np.ndarray
+    corners: np.ndarray
+    parent: np.ndarray
+    faces: np.ndarray
+    plane: np.ndarray
+
+    @classmethod
+    def of(cls, target: Target, geometry: ViewGeometry, grid: BinGrid) -> _Seen:
+        faces = target.faces.numpy()
+        points, corners = _merged(target.corners, faces)
+        parent = np.arange(len(faces))
+        along, across = points @ geometry.d, points @ geometry.v
+        if geometry.slant_range_m is not None:
+            points, corners, parent = _cut(points, corners, geometry, BOW * grid.spacing_m[0])
+            r0 = geometry.slant_range_m
+            along, across = points @ geometry.d, points @ geometry.v
+            angle = np.arctan2(across, r0 + along)
+            along, across = np.hypot(r0 + along, across) - r0, r0 * angle
+        azimuth = points @ geometry.u
+        plane, area = _planes(azimuth[corners], across[corners], along[corners])
+        p = points[corners]
+        longest = np.max([((p[:, k] - p[:, k - 1]) ** 2).sum(axis=1) for k in range(3)], axis=0)
+        lit = area > EDGE_ON * longest
+        return cls(geometry, azimuth, across, along, corners[lit], parent[lit], faces, plane[lit])
+
+    def points(self, face: np.ndarray, azimuth: np.ndarray, elevation: np.ndarray) -> np.ndarray:
+        """World points about the reference point, (n, 3) [m], at places on faces."""
+        plane, g = self.plane[face], self.geometry
+        along, across = plane[:, 0] + plane[:, 1] * azimuth + plane[:, 2] * elevation, elevation
+        if g.slant_range_m is not None:
+            distance, angle = g.slant_range_m + along, elevation / g.slant_range_m
+            along, across = distance * np.cos(angle) - g.slant_range_m, distance * np.sin(angle)
+        return azimuth[:, None] * g.u + along[:, None] * g.d + across[:, None] * g.v
+
+    def stretch(self, points: np.ndarray) -> np.ndarray | float:
+        """Area across the look direction over that in (azimuth, elevation), (n,): about a track a fan opens."""
+        r0, g = self.geometry.slant_range_m, self.geometry
+        return 1.0 if r0 is None else np.hypot(r0 + points @ g.d, points @ g.v) / r0
+
+
+def _merged(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices that lie at one place as one, and the faces' corners: outlines are found by shared edges."""
+    used, first, corners = np.unique(vertices[faces.ravel()], axis=0, return_index=True, return_inverse=True)
+    del first
+    return used, corners.reshape(-1, 3)
+
+
+def _planes(a: np.ndarray, e: np.ndarray, r: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """`plane` of `kernels.coverage.Faces`, (n, 3), and twice the area over (a, e), (n,); a, e, r have shape (n, 3)."""
+    da, de, dr = (x[:, 1:] - x[:, :1] for x in (a, e, r))
+    det = da[:, 0] * de[:, 1] - da[:, 1] * de[:, 0]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        per_a = (dr[:, 0] * de[:, 1] - dr[:, 1] * de[:, 0]) / det
+        per_e = (da[:, 0] * dr[:, 1] - da[:, 1] * dr[:, 0]) / det
+        plane = np.stack([r[:, 0] - per_a * a[:, 0] - per_e * e[:, 0], per_a, per_e], axis=1)
+    return plane, np.abs(det)
+
+
+def _cut(
+    points: np.ndarray, corners: np.ndarray, geometry: ViewGeometry, bow_m: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Faces halved at their longest edge until none bends by more than `bow_m`; and the face that each came from."""
+    assert geometry.slant_range_m is not None
+    longest = math.sqrt(8.0 * bow_m * geometry.slant_range_m)
+    parent = np.arange(len(corners))
+    while True:
+        plane = np.stack([points @ geometry.d, points @ geometry.v], axis=1)[corners]
+        length = np.stack([np.linalg.norm(plane[:, (k + 1) % 3] - plane[:, k], axis=1) for k in range(3)], axis=1)
+        split = length.max(axis=1) > longest
+        if not split.any():
+            return points, corners, parent
+        side = length[split].argmax(axis=1)[:, None] + np.arange(3)
+        p, q, r = np.take_along_axis(corners[split], side % 3, axis=1).T
+        # neighbours halve a common edge at the same place
+        ends = np.sort(np.stack([p, q], axis=1), axis=1)
+        unique, index = np.unique(ends, axis=0, return_inverse=True)
+        middle = len(points) + index.ravel()
+        points = np.concatenate([points, points[unique].mean(axis=1)])
+        halves = [np.stack([p, middle, r], axis=1), np.stack([middle, q, r], axis=1)]
+        corners = np.concatenate([corners[~split], *halves])
+        parent = np.concatenate([parent[~split], parent[split], parent[split]])
+
+
+@dataclass
+class _Covered:
+    """Pixels and the faces that cover them, shape (n,) each; `azimuth` and `elevation` are moments of the area."""
+
+    area: np.ndarray
+    azimuth: np.ndarray
+    elevation: np.ndarray
+    column: np.ndarray
+    row: np.ndarray
+    face: np.ndarray
+
+
+def _covered(seen: _Seen, grid: BinGrid, columns: tuple[int, int], device: wp.Device) -> _Covered:
+    rows = grid.shape[0]
+    border = grid.start_m[1] + grid.spacing_m[1] * np.arange(columns[0], columns[1] + 1)
+    first, face = _in_columns(seen.azimuth[seen.corners], border, seen.elevation[seen.corners].min(axis=1))
+    events, first_event = _events(seen, border, device)
+    place = (seen.range[seen.corners] - grid.start_m[0]) / grid.spacing_m[0]
+    low = np.clip(np.floor(place.min(axis=1)).astype(np.int64) - 1, 0, rows)[face]
+    high = np.clip(np.floor(place.max(axis=1)).astype(np.int64) + 2, 0, rows)[face]
+    counts = np.maximum(high - low, 1)
+    start = np.concatenate([[0], np.cumsum(counts)])
+    cells = kernels.Cells()
+    cells.first_row, cells.start = _put(low, int, device), _put(start[:-1], int, device)
+    for name in ("area", "azimuth", "elevation"):
+        setattr(cells, name, wp.zeros(int(start[-1]), dtype=wp.float64, device=device))
+    order = np.argsort(seen.azimuth[seen.corners], axis=1, kind="stable")
+    corners = np.take_along_axis(seen.corners, order, axis=1)
+    faces = kernels.Faces()
+    faces.azimuth = _put(seen.azimuth[corners], wp.float64, device)
+    faces.elevation = _put(seen.elevation[corners], wp.float64, device)
+    faces.plane = _put(seen.plane, wp.float64, device)
+    room = kernels.Stretches()
+    for part in fields_of(kernels.Stretches):
+        kind = int if part in ("order", "face", "place") else wp.float64
+        setattr(room, part, wp.empty(len(face), dtype=kind, device=device))
+    inputs = [faces, _put(face, int, device), _put(first, int, device), _put(events, wp.float64, device)]
+    inputs += [_put(first_event, int, device), rows, wp.float64(grid.start_m[0]), wp.float64(grid.spacing_m[0]), room]
+    wp.launch(kernels.coverage_kernel, len(border) - 1, inputs=inputs, outputs=[cells], device=device)
+    area = cells.area.numpy()
+    lit = np.flatnonzero(area > 0.0)
+    candidate = np.searchsorted(start, lit, side="right") - 1
+    column = np.searchsorted(first, candidate, side="right") - 1 + columns[0]
+    row = low[candidate] + lit - start[candidate]
+    moments = (cells.azimuth.numpy()[lit], cells.elevation.numpy()[lit])
+    return _Covered(area[lit], *moments, column, row, face[candidate])
+
+
+def _put(values: np.ndarray, kind: type, device: wp.Device) -> wp.array:
+    return wp.array(np.ascontiguousarray(values, np.int32 if kind is int else np.float64), dtype=kind, device=device)
+
+
+def fields_of(struct: Any) -> list[str]:
+    return list(struct.vars)
+
+
+def _in_columns(
+    azimuth: np.ndarray, border: np.ndarray, within: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Which of the elements, whose corners have the azimuths (n, k), reach into each column; `within` sorts them there.
+
+    Where each column's list begins, (columns + 1,), and the lists one after the other.
+    """
+    columns, spacing = len(border) - 1, border[1] - border[0]
+    first = np.clip(np.floor((azimuth.min(axis=1) - border[0]) / spacing).astype(np.int64), 0, columns)
+    last = np.clip(np.floor((azimuth.max(axis=1) - border[0]) / spacing).astype(np.int64), -1, columns - 1)
+    counts = np.maximum(last - first + 1, 0)
+    element = np.repeat(np.arange(len(azimuth)), counts)
+    column = np.arange(len(element)) - np.repeat(np.cumsum(counts) - counts, counts) + first[element]
+    order = np.argsort(column, kind="stable") if within is None else np.lexsort((within[element], column))
+    return np.searchsorted(column[order], np.arange(columns + 1)), element[order]
+
+
+def _events(seen: _Seen, border: np.ndarray, device: wp.Device) -> tuple[np.ndarray, np.ndarray]:
+    """Azimuths between which the order of edges stays, by column: the borders, vertices, and crossings."""
+    columns, spacing = len(border) - 1, border[1] - border[0]
+    edges, outline = _edges(seen)
+    azimuth = seen.azimuth[edges]
+    first, element = _in_columns(azimuth, border)
+    own = np.flatnonzero(outline)
+    first_own, own_element = _in_columns(azimuth[own], border)
+    held = kernels.Edges()
+    order = np.take_along_axis(edges, np.argsort(azimuth, axis=1, kind="stable"), axis=1)
+    ends = np.stack([seen.azimuth[order], seen.elevation[order], seen.range[order]], axis=-1)
+    held.start, held.end = (_put(ends[:, k], wp.float64, device) for k in (0, 1))
+    lists = [_put(x, int, device) for x in (own[own_element], first_own, element, first)]
+    borders = _put(border, wp.float64, device)
+    counts = wp.zeros(columns, dtype=int, device=device)
+    nowhere, none = wp.zeros(columns, dtype=int, device=device), wp.zeros(0, dtype=wp.float64, device=device)
+    wp.launch(
+        kernels.crossing_kernel, columns, inputs=[held, *lists, borders, nowhere], outputs=[counts, none], device=device
+    )
+    number = counts.numpy()
+    crossings = wp.zeros(int(number.sum()), dtype=wp.float64, device=device)
+    if crossings.shape[0]:
+        begin = _put(np.cumsum(number) - number, int, device)
+        inputs = [held, *lists, borders, begin]
+        wp.launch(kernels.crossing_kernel, columns, inputs=inputs, outputs=[counts, crossings], device=device)
+    corner = seen.azimuth[np.unique(seen.corners)]
+    corner = corner[(corner > border[0]) & (corner < border[-1])]
+    cuts = border[:-1, None] + spacing * np.arange(SLABS) / SLABS
+    every = np.concatenate([cuts.ravel(), border[1:], corner, crossings.numpy()])
+    where = np.concatenate(
+        [
+            np.repeat(np.arange(columns), SLABS),
+            np.arange(columns),
+            np.floor((corner - border[0]) / spacing).astype(np.int64),
+            np.repeat(np.arange(columns), number),
+        ]
+    )
+    sort = np.lexsort((every, where))
+    return every[sort], np.searchsorted(where[sort], np.arange(columns + 1))
+
+
+def _edges(seen: _Seen) -> tuple[np.ndarray, np.ndarray]:
+    """Edges as pairs of vertices, (n, 2), and which of them are outlines, (n,) bool.
+
+    Two faces on either side of an edge, as the radar sees them, hide alike what lies behind it. All other edges are
+    outlines.
+    """
+    corners, count = seen.corners, len(seen.azimuth)
+    sides = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
+    opposite = np.concatenate([corners[:, 2], corners[:, 0], corners[:, 1]])
+    sides.sort(axis=1)
+    key = sides[:, 0] * count + sides[:, 1]
+    unique, first, index, number = np.unique(key, return_index=True, return_inverse=True, return_counts=True)
+    p, q = sides[:, 0], sides[:, 1]
+    a, e = seen.azimuth, seen.elevation
+    turn = (a[q] - a[p]) * (e[opposite] - e[p]) - (a[opposite] - a[p]) * (e[q] - e[p])
+    left = np.bincount(index.ravel(), turn > 0, len(unique))
+    return sides[first], ~((number == 2) & (left == 1))

@@ -1,0 +1,159 @@
+"""The scene's own mesh and its objects as one mesh, which is made again for every pose."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from warpsar.errors import InputError
+from warpsar.world.mesh import Mesh
+from warpsar.world.objects.pose import foot, in_object_frame, placed
+from warpsar.world.objects.shapes import body
+from warpsar.world.objects.table import UNITS, Object
+
+Bodies = Mapping[Path, Mesh]
+"""The meshes of files, as read: one for all objects that name it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Assembly:
+    """What a scene's mesh is made of.
+
+    `base` is the scene's own mesh with its groups, or None. `templates` are the meshes of objects in their own frame,
+    one for all instances. `moved` holds, by the object's label, the vertices of `base` that belong to a group. `bodies`
+    are the meshes as read.
+    """
+
+    base: Mesh | None
+    templates: dict[tuple[object, ...], Mesh]
+    moved: dict[str, NDArray[np.integer]]
+    bodies: Bodies
+
+    @classmethod
+    def of(cls, base: Mesh | None, objects: Sequence[Object], bodies: Bodies) -> Assembly:
+        """Raises InputError for a group that the mesh does not have, or that shares a face with another."""
+        templates: dict[tuple[object, ...], Mesh] = {}
+        for one in objects:
+            if one.mesh is not None and _key(one) not in templates:
+                templates[_key(one)] = _template(bodies[one.mesh], one)
+        moved: dict[str, NDArray[np.integer]] = {}
+        taken: dict[int, str] = {}
+        for index, one in enumerate(objects):
+            if one.group is None:
+                continue
+            faces = _group_faces(base, one.group, f"objects[{index}] ({one.label}).group")
+            assert base is not None
+            again = next((taken[face] for face in faces.tolist() if face in taken), None)
+            if again is not None:
+                raise InputError(
+                    f"objects[{index}] ({one.label}): found faces that object {again} moves too; must be one"
+                )
+            taken |= dict.fromkeys(faces.tolist(), one.label)
+            base, moved[one.label] = _cut_free(base, faces)
+        return cls(base, templates, moved, bodies)
+
+    def mesh(self, objects: Sequence[Object]) -> Mesh:
+        """The one mesh with every object where its table puts it. Only vertices depend on the pose and size."""
+        parts = [] if self.base is None else [self._base(objects)]
+        parts += [self.placed(one) for one in objects if one.group is None]
+        if len(parts) == 1:
+            return parts[0]
+        return _joined(parts)
+
+    def placed(self, one: Object) -> Mesh:
+        """An object that is no group, where its table puts it."""
+        if one.primitive is not None:
+            made = body(one)
+            template = Mesh(made.vertices, made.faces, np.zeros(len(made.faces), np.int32))
+        else:
+            template = self.templates[_key(one)]
+        if one.material is not None:
+            uniform = np.zeros(len(template.faces), np.int32)
+            template = replace(template, materials=(one.material,), face_material=uniform)
+        return replace(template, vertices=placed(template.vertices, one))
+
+    def vertices_of(self, one: Object) -> NDArray[np.float64]:
+        """An object's vertices in the world [m], shape (n, 3)."""
+        if one.group is None:
+            return self.placed(one).vertices
+        assert self.base is not None
+        mine = self.base.vertices[self.moved[one.label]]
+        return placed(mine, one, foot(mine))
+
+    def _base(self, objects: Sequence[Object]) -> Mesh:
+        assert self.base is not None
+        if not self.moved:
+            return self.base
+        vertices = self.base.vertices.copy()
+        for one in objects:
+            if one.group is not None:
+                vertices[self.moved[one.label]] = self.vertices_of(one)
+        return replace(self.base, vertices=vertices)
+
+
+def _key(one: Object) -> tuple[object, ...]:
+    """What instances of one mesh have in common."""
+    return (one.mesh, one.units, one.up, one.front)
+
+
+def _template(read: Mesh, one: Object) -> Mesh:
+    return replace(read, vertices=in_object_frame(read.vertices, one, UNITS[one.units]), warnings=())
+
+
+def _group_faces(base: Mesh | None, group: str, where: str) -> NDArray[np.int32]:
+    groups = {} if base is None else base.groups
+    if group not in groups:
+        known = ", ".join(groups) or "none: groups are the names of an OBJ or a glTF"
+        raise InputError(f"{where}: found {group!r}; must be a group of the scene's mesh ({known})")
+    return groups[group]
+
+
+def _cut_free(mesh: Mesh, faces: NDArray[np.int32]) -> tuple[Mesh, NDArray[np.integer]]:
+    """The mesh with vertices of the `faces`' own, and their indices."""
+    mine = np.zeros(len(mesh.faces), bool)
+    mine[faces] = True
+    own = np.unique(mesh.faces[mine])
+    shared = np.intersect1d(own, mesh.faces[~mine])
+    if not len(shared):
+        return mesh, own
+    copy = np.arange(len(mesh.vertices))
+    copy[shared] = len(mesh.vertices) + np.arange(len(shared))
+    changed = mesh.faces.copy()
+    changed[mine] = copy[changed[mine]]
+    order = np.concatenate([np.arange(len(mesh.vertices)), shared])
+    scalars = {name: values[order] for name, values in mesh.vertex_scalars.items()}
+    uv = None if mesh.uv is None else mesh.uv[order]
+    found = replace(mesh, vertices=mesh.vertices[order], faces=changed, uv=uv, vertex_scalars=scalars)
+    return found, np.unique(changed[mine])
+
+
+def _joined(parts: Sequence[Mesh]) -> Mesh:
+    """Several meshes as one; what only some have (UV, scalars) is NaN elsewhere."""
+    names = tuple(dict.fromkeys(name for part in parts for name in part.materials))
+    counts = [len(part.vertices) for part in parts]
+    starts = np.cumsum([0, *counts[:-1]])
+    faces = [part.faces + start for part, start in zip(parts, starts, strict=True)]
+    material = [np.array([names.index(n) for n in part.materials])[part.face_material] for part in parts]
+    uv = None
+    if any(part.uv is not None for part in parts):
+        nowhere = [np.full((count, 2), np.nan) for count in counts]
+        uv = np.concatenate([n if part.uv is None else part.uv for part, n in zip(parts, nowhere, strict=True)])
+    keys = dict.fromkeys(key for part in parts for key in part.vertex_scalars)
+    scalars = {
+        key: np.concatenate([part.vertex_scalars.get(key, np.full(len(part.vertices), np.nan)) for part in parts])
+        for key in keys
+    }
+    return Mesh(
+        np.concatenate([part.vertices for part in parts]),
+        np.concatenate(faces),
+        np.concatenate(material),
+        names,
+        uv,
+        scalars,
+        tuple(warning for part in parts for warning in part.warnings),
+        parts[0].groups,
+    )

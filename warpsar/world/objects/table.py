@@ -1,0 +1,203 @@
+"""`[[objects]]`: every key with its unit, its bounds, its default and its meaning."""
+
+from __future__ import annotations
+
+import re
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, field_validator, model_validator
+
+from warpsar.world.tables import FileName, Number, Table
+
+UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
+"""Metres in each unit of length that a mesh may have."""
+
+Primitive = Literal["box", "cylinder", "sphere", "plate", "dihedral", "trihedral", "car", "truck"]
+Direction = Literal["+X", "-X", "+Y", "-Y", "+Z", "-Z"]
+Learnable = Literal["position", "heading", "pitch", "roll", "scale", "size", "cabin", "side_curvature"]
+KEYS: dict[str, str] = {
+    "position": "position_m",
+    "heading": "heading_deg",
+    "pitch": "pitch_deg",
+    "roll": "roll_deg",
+    "scale": "scale",
+    "size": "size_m",
+    "cabin": "cabin",
+    "side_curvature": "side_curvature",
+}
+"""The key of the table that each word of `learn` frees."""
+VEHICLES = ("car", "truck")
+CABIN = {"car": 0.6, "truck": 0.25}
+"""Default share of the length that the cabin takes."""
+
+_Angle = Annotated[Number, Field(ge=-360.0, le=360.0)]
+_Place = Annotated[Number, Field(ge=-1e8, le=1e8)]
+_Size = Annotated[Number, Field(ge=0.0, le=1e6)]
+_Scale = Annotated[Number, Field(gt=0.0, le=1e6)]
+_Share = Annotated[Number, Field(ge=0.1, le=0.85)]
+_Bulge = Annotated[Number, Field(ge=0.0, le=0.5)]
+_Deviation = Annotated[Number, Field(gt=0.0)]
+_Relative = Annotated[str, Field(pattern=r"^\s*\d+(\.\d*)?\s*%\s*$")]
+
+
+class Object(Table):
+    """`[[objects]]`: a body with a place of its own, beside the scene's mesh or in place of it.
+
+    Exactly one of `mesh`, `primitive` and `group` is stated. The object's frame has its front to the north, up to +Z,
+    and its origin in the middle of its foot. A group's frame is that of the world, and its values are relative to where
+    the group stands in the mesh.
+    """
+
+    name: Annotated[str, Field(pattern=r"^\w[\w.+-]{0,49}$")] | None = Field(
+        default=None,
+        description="Name of the object; else the group's, the primitive's, or that of the mesh file.",
+        examples=["btr70"],
+    )
+    mesh: FileName | None = Field(
+        default=None, description="Mesh file, of any format that [scene] takes.", examples=["BTR70.obj"]
+    )
+    primitive: Primitive | None = Field(default=None, description="A body that needs no file.", examples=["car"])
+    group: Annotated[str, Field(min_length=1)] | None = Field(
+        default=None,
+        description="A part of the scene's own mesh: the name of an OBJ's usemtl, o or g, or of a glTF's node.",
+        examples=["tower"],
+    )
+    size_m: tuple[_Size, _Size, _Size] | None = Field(
+        default=None,
+        description="Length (along the front), width and height of a primitive [m].",
+        examples=[[4.5, 1.8, 1.5]],
+    )
+    cabin: _Share | None = Field(
+        default=None,
+        description="Share of a car's or truck's length that the cabin takes; 0.6 and 0.25 if not stated.",
+        examples=[0.6],
+    )
+    side_curvature: _Bulge | None = Field(
+        default=None,
+        description="How far a car's or truck's sides bend in, above and below, as a share of half its width; 0.",
+        examples=[0.1],
+    )
+    units: Literal["m", "cm", "mm", "in", "ft"] = Field(
+        default="m", description="Unit of the mesh file.", examples=["in"]
+    )
+    up: Direction = Field(default="+Z", description="Axis of the mesh file that points up.", examples=["+Y"])
+    front: Direction = Field(
+        default="+Y", description="Axis of the mesh file that points to the object's front.", examples=["+X"]
+    )
+    position_m: tuple[_Place, _Place, _Place] = Field(
+        default=(0.0, 0.0, 0.0),
+        description="East, north and up of the middle of the object's foot [m].",
+        examples=[[12.0, -3.5, 0.0]],
+    )
+    heading_deg: _Angle = Field(
+        default=0.0, description="Where the front points, clockwise from north [deg].", examples=[35.0]
+    )
+    pitch_deg: _Angle = Field(default=0.0, description="Nose up positive [deg].", examples=[2.0])
+    roll_deg: _Angle = Field(
+        default=0.0,
+        description="Right side down positive [deg]; the order is roll, pitch, heading.",
+        examples=[-1.5],
+    )
+    scale: _Scale | tuple[_Scale, _Scale, _Scale] = Field(
+        default=1.0, description="Factor on the size, or [along, across, up].", examples=[1.05, [1.0, 0.95, 1.0]]
+    )
+    material: Annotated[str, Field(min_length=1)] | None = Field(
+        default=None, description="Material of the whole object; else the file's own names.", examples=["body"]
+    )
+    learn: tuple[Learnable, ...] = Field(
+        default=(), description="What a fit may change.", examples=[["position", "heading"]]
+    )
+    tolerance: dict[str, _Deviation | _Relative] = Field(
+        default_factory=dict,
+        description='Standard deviation to which a key is known, in the key\'s unit, or relative, such as "5 %".',
+        examples=[{"position_m": 0.3, "heading_deg": 2.0}],
+    )
+
+    @field_validator("scale", mode="wrap")
+    @classmethod
+    def _one_scale(cls, value: Any, handler: Any) -> Any:
+        """One message where both forms fail."""
+        given = value if isinstance(value, list | tuple) else (value,)
+        if len(given) not in (1, 3) or not all(_is_number(each) and 0 < each <= 1e6 for each in given):
+            raise ValueError("must be a number above 0 to 1e+06, or three of them: [along, across, up]")
+        return tuple(float(each) for each in given) if len(given) == 3 else float(given[0])
+
+    @field_validator("learn")
+    @classmethod
+    def _once(cls, value: tuple[Learnable, ...]) -> tuple[Learnable, ...]:
+        return tuple(dict.fromkeys(value))
+
+    @field_validator("tolerance", mode="wrap")
+    @classmethod
+    def _known_keys(cls, value: Any, handler: Any) -> Any:
+        for key, given in value.items() if isinstance(value, dict) else ():
+            if key not in KEYS.values():
+                raise ValueError(f"{key} has no tolerance; must be of {', '.join(KEYS.values())}")
+            text = isinstance(given, str) and re.fullmatch(r"\s*\d+(\.\d*)?\s*%\s*", given)
+            if not text and not (_is_number(given) and 0 < given < float("inf")):
+                raise ValueError(f'{key} must be a number above 0, in the key\'s own unit, or text such as "5 %"')
+        return handler(value)
+
+    @model_validator(mode="after")
+    def _sound(self) -> Object:
+        kinds = [key for key in ("mesh", "primitive", "group") if getattr(self, key) is not None]
+        if len(kinds) != 1:
+            raise ValueError(f"found {' and '.join(kinds) or 'no body'}; must be exactly one of mesh, primitive, group")
+        if self.up[1] == self.front[1]:
+            raise ValueError(f'found up = "{self.up}" and front = "{self.front}"; must lie on two axes')
+        self._refuse_foreign_keys(kinds[0])
+        if self.primitive is not None:
+            self._refuse_sizes()
+        return self
+
+    def _refuse_foreign_keys(self, kind: str) -> None:
+        """Keys, and words of `learn`, that say nothing of this kind of object."""
+        of_kind = {"size_m": kind == "primitive", **dict.fromkeys(("units", "up", "front"), kind == "mesh")}
+        of_kind |= dict.fromkeys(("cabin", "side_curvature"), self.primitive in VEHICLES)
+        of_kind["material"] = kind != "group"
+        for key, fits in of_kind.items():
+            word = key.removesuffix("_m")
+            if not fits and (key in self.model_fields_set or word in self.learn or key in self.tolerance):
+                what = f"a {self.primitive}" if self.primitive else f"a {kind}"
+                raise ValueError(f"found {key} with {what}; must be left out there")
+
+    def _refuse_sizes(self) -> None:
+        if self.size_m is None:
+            raise ValueError(f"found a {self.primitive} without size_m; must be [length, width, height]")
+        zeros = sum(size == 0 for size in self.size_m)
+        if zeros > (self.primitive == "plate"):
+            allowed = "one size may be 0" if self.primitive == "plate" else "all three must be above 0"
+            raise ValueError(f"found size_m = {list(self.size_m)}; {allowed}")
+        if self.round and (self.heading_deg or "heading" in self.learn):
+            raise ValueError(f"found a heading of a {self.primitive}, which has no front; must be left out")
+
+    @property
+    def round(self) -> bool:
+        """Whether the body looks the same under every heading."""
+        if self.size_m is None or self.size_m[0] != self.size_m[1] or "size" in self.learn:
+            return False
+        upright = not (self.pitch_deg or self.roll_deg or {"pitch", "roll"} & set(self.learn))
+        flat = self.primitive == "sphere" and self.size_m[2] == self.size_m[0]
+        return flat or (self.primitive in ("sphere", "cylinder") and upright)
+
+    @property
+    def label(self) -> str:
+        """What messages and results call it."""
+        return self.name or self.group or self.primitive or (self.mesh.stem if self.mesh else "")
+
+    @property
+    def scales(self) -> tuple[float, float, float]:
+        """Factors along the front, across it, and up."""
+        return self.scale if isinstance(self.scale, tuple) else (self.scale,) * 3
+
+    def sd_of(self, key: str, values: tuple[float, ...]) -> tuple[float, ...]:
+        """The tolerance of a key as a standard deviation of each of its `values`; infinite where none is stated."""
+        stated = self.tolerance.get(key)
+        if isinstance(stated, str):
+            share = float(stated.strip().rstrip("%")) / 100.0
+            return tuple(share * abs(value) for value in values)
+        return (float("inf") if stated is None else float(stated),) * len(values)
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
