@@ -58,3 +58,14 @@ def test_refinements_of_interference_move_one_end_or_add_one_band() -> None:
 )
 def test_rows_are_refused(rows: dict[str, Any], message: str) -> None:
     assert message in refusal("interference", {"level": {"v0": 0.1}, "rows": rows})
+
+
+def test_a_table_less_one_band_each() -> None:
+    effect = get("interference")
+    table = {"level": {"v0": 0.1, "v1": 0.2}, "rows": {"v0": [[3, 5], [9, 10]], "v1": [[7, 8]]}}
+    assert effect.simpler(table) == [
+        {"level": {"v0": 0.1, "v1": 0.2}, "rows": {"v0": [[9, 10]], "v1": [[7, 8]]}},
+        {"level": {"v0": 0.1, "v1": 0.2}, "rows": {"v0": [[3, 5]], "v1": [[7, 8]]}},
+        {"level": {"v0": 0.1}, "rows": {"v0": [[3, 5], [9, 10]]}},
+    ]
+    assert effect.simpler({"level": {"v0": 0.1}, "rows": {"v0": [[3, 5]]}}) == []

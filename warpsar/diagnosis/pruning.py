@@ -1,4 +1,4 @@
-"""Which earlier effects the newest one has made needless."""
+"""What is needless beside the rest of a model: an earlier effect, or a part of one."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.found import Turn
-from warpsar.diagnosis.refit import refit_without
+from warpsar.diagnosis.refit import Fitted, refit_as, refit_without
+from warpsar.diagnosis.templates import with_effect
 from warpsar.effects.registry import get
 
 
@@ -22,3 +23,18 @@ def prune(bench: Bench, turn: Turn, earlier: Sequence[str], price: float) -> Non
         if lost < (turn.fitted.size - without.size) * price:
             turn.dropped.append(name)
             turn.fitted = without
+
+
+def trimmed(bench: Bench, fitted: Fitted, names: Sequence[str], price: float) -> Fitted:
+    """The model without those parts of the effects `names` (`Effect.simpler`) whose loss costs less than a parameter
+    does: `price` of 2 ln L, dark pixels counted."""
+    for name in names:
+        trimming = True
+        while trimming:
+            trimming = False
+            for table in get(name).simpler(fitted.scene.effects[name]):
+                without = refit_as(bench, with_effect(fitted.scene, name, table))
+                if 2.0 * (fitted.whole - without.whole) < price:
+                    fitted, trimming = without, True
+                    break
+    return fitted

@@ -32,6 +32,7 @@ from warpsar.scene.scene import Scene
 STARTS = 4  # of the tables that an effect's best trials offer, how many are fitted
 NEARER = (0.3, 0.1)  # shares of a first table's way from neutral, at which a fit begins again
 GLANCE = 4  # iterations after which candidates are compared for the first time
+HARDLY_BETTER = 2.0  # log-likelihood over no effect at all, at which a glance has seen nothing yet
 CLIMB = 10.0  # times what an effect has gained, that refinements may bring
 WORTH = 2.0  # log-likelihood that another setting has to gain; five times as much if it adds something
 NO_DARK = Dark(0, 0)
@@ -72,13 +73,14 @@ class Screening:
 
     def _glance(self, surfaces: Sequence[Scene]) -> Glance:
         best: Glance | None = None
-        for share in (1.0, *NEARER):
-            if best is not None and best.log_likelihood > self.base.log_likelihood:
+        # a start where the effect does nothing is flat and ends at once; another begins far off and takes longer
+        for share, until in ((1.0, GLANCE), (1.0, QUICK_ITERATIONS), *((share, GLANCE) for share in NEARER)):
+            if best is not None and best.log_likelihood > self.base.log_likelihood + HARDLY_BETTER:
                 break
             table = toward_neutral(self.name, self.tables[0], share)
             for number, surface in enumerate(surfaces):
                 problem = self.bench.problem(with_effect(surface, self.name, table))
-                state = self._run(problem, standing_at(problem, problem.x0), GLANCE)
+                state = self._run(problem, standing_at(problem, problem.x0), until)
                 fitted = _fitted(self.bench, problem, state)
                 if best is None or fitted.whole > best.whole:
                     self._problem, best = problem, Glance(number, state, fitted.log_likelihood, fitted.whole)

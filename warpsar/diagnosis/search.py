@@ -14,7 +14,7 @@ from warpsar.diagnosis.dark import Dark, worth_a_refit
 from warpsar.diagnosis.evidence import Evidence
 from warpsar.diagnosis.found import Candidate, DiagnoseOptions, Rival, Turn
 from warpsar.diagnosis.outcome import confirmation_lines, score_text, turn_lines
-from warpsar.diagnosis.pruning import prune
+from warpsar.diagnosis.pruning import prune, trimmed
 from warpsar.diagnosis.refit import Fitted, narrow, on_bounded_ground, settle
 from warpsar.diagnosis.rivals import rivals_of
 from warpsar.diagnosis.scoring import score_effects
@@ -141,6 +141,7 @@ class Search:
         settled = settle(bench, here, self.options.starts, self.options.seed)
         price = Evidence.of(settled.problem, settled.x, bench.ranks).price(bench.ranks)
         last = self.turns[-1]
+        settled = trimmed(bench, settled, self._added(settled), price)
         return confirm(bench, settled, self._added(settled), needed, price, quiet=not last.alarms)
 
 

@@ -164,6 +164,20 @@ class Interference(Effect):
             return None
         return {**table, "level": level, "rows": rows} if rows else {}
 
+    def simpler(self, table: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+        """Without one band each."""
+        rows = table.get("rows", {})
+        if sum(map(len, rows.values())) < 2:
+            return []
+        found = []
+        for view, bands in rows.items():
+            for band in bands:
+                rest = {**rows, view: [other for other in bands if other != band]}
+                kept = {name: left for name, left in rest.items() if left}
+                level = {name: value for name, value in table["level"].items() if name in kept}
+                found.append({**table, "level": level, "rows": kept})
+        return found
+
     def refinements(
         self, scene: World, table: Mapping[str, Any], others: Sequence[Mapping[str, Any]]
     ) -> list[tuple[Mapping[str, Any], int]]:

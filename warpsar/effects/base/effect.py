@@ -74,6 +74,11 @@ class Effect:
         """
         return []
 
+    def simpler(self, table: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+        """The table less one of its parts each, where it has several: what was taken in for an effect that was still
+        missing may be needless beside it."""
+        return []
+
     def placed_in_the_dark(
         self, scene: World, table: Mapping[str, Any], power: Mapping[str, np.ndarray]
     ) -> Mapping[str, Any] | None:
