@@ -140,8 +140,7 @@ class _Seen:
 
 def _merged(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Vertices that lie at one place as one, and the faces' corners: outlines are found by shared edges."""
-    used, first, corners = np.unique(vertices[faces.ravel()], axis=0, return_index=True, return_inverse=True)
-    del first
+    used, corners = np.unique(vertices[faces.ravel()], axis=0, return_inverse=True)
     return used, corners.reshape(-1, 3)
 
 
@@ -214,7 +213,7 @@ def _covered(seen: _Seen, grid: BinGrid, columns: tuple[int, int], device: wp.De
     faces.elevation = _put(seen.elevation[corners], wp.float64, device)
     faces.plane = _put(seen.plane, wp.float64, device)
     room = kernels.Stretches()
-    for part in fields_of(kernels.Stretches):
+    for part in kernels.Stretches.vars:
         kind = int if part in ("order", "face", "place") else wp.float64
         setattr(room, part, wp.empty(len(face), dtype=kind, device=device))
     inputs = [faces, _put(face, int, device), _put(first, int, device), _put(events, wp.float64, device)]
@@ -231,10 +230,6 @@ def _covered(seen: _Seen, grid: BinGrid, columns: tuple[int, int], device: wp.De
 
 def _put(values: np.ndarray, kind: type, device: wp.Device) -> wp.array:
     return wp.array(np.ascontiguousarray(values, np.int32 if kind is int else np.float64), dtype=kind, device=device)
-
-
-def fields_of(struct: Any) -> list[str]:
-    return list(struct.vars)
 
 
 def _in_columns(
