@@ -97,8 +97,10 @@ def descend(
     return course.state, stopped
 
 
-def stand(problem: FitProblem, tests: FitProblem | None, course: Course) -> tuple[FitState, str]:
-    """A run of no iteration, where nothing but poses is learned: the state that `descend` would end with."""
+def stand(
+    problem: FitProblem, tests: FitProblem | None, options: LearnOptions, course: Course, *, stoppable: bool
+) -> tuple[FitState, str]:
+    """A run of no iteration, where nothing but poses is learned: `descend` without anything to change."""
     x = problem.x0
     loss = problem.value(problem.modelled(x))
     course.state = FitState(x, loss, x, loss)

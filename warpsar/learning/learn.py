@@ -100,10 +100,8 @@ def learn(
     check = _checked(problem) if problem.x0.size else GradientCheck(0.0, 0)
     tests = ranks.agree(lambda: _test_problem(scene, where, options, problem, density))
     course = _course(declared, options, folder, ranks, resume)
-    if problem.x0.size:
-        state, stopped = descend(problem, tests, options, course, stoppable=folder is not None)
-    else:
-        state, stopped = stand(problem, tests, course)
+    runs = descend if problem.x0.size else stand
+    state, stopped = runs(problem, tests, options, course, stoppable=folder is not None)
     x = np.asarray(state.best_x)
     train = pooled_metrics(problem, x)
     final = learned_scene(problem, x, folder if ranks.first else None)
@@ -112,9 +110,7 @@ def learn(
     if tests is not None:
         verdicts["test"] = fit_verdict(tests, np.asarray(tests.follow(problem, x)), density.noise)
     domains = outside_domains(problem, x)
-    identified = identify(problem, x) if problem.uniform and x.size else None
-    if poses is not None and identified is not None:
-        identified = poses.widened(identified)
+    identified = _identified(problem, x, poses)
     pulled = pulls(problem, x, identified)
     return Learned(
         scene=final,
@@ -135,6 +131,14 @@ def learn(
         problem=problem,
         objects=poses,
     )
+
+
+def _identified(problem: FitProblem, x: np.ndarray, poses: LearnedObjects | None) -> Identified | None:
+    """What the data tell about x, and not about fields; poses that were fitted along widen it."""
+    if not problem.uniform or not x.size:
+        return None
+    found = identify(problem, x)
+    return found if poses is None else poses.widened(found)
 
 
 def _checked(problem: FitProblem) -> GradientCheck:

@@ -222,8 +222,3 @@ def _shortened(problem: PosedProblem, step: np.ndarray) -> np.ndarray:
         largest = float(np.abs(step[part]).max(initial=0.0))
         found[part] *= min(1.0, most / largest) if largest else 1.0
     return found
-
-
-def fitted_scene(problem: PosedProblem, x: np.ndarray, scene: Scene) -> Scene:
-    """`scene`, of the same objects, at the poses of x."""
-    return posed(scene, problem.poses.at(x[problem.size :]))

@@ -20,6 +20,7 @@ from warpsar.trace.target import Target
 from warpsar.world.frame import ViewGeometry
 
 SLABS = 4  # of a column, at least: lines where faces run through one another are no events
+_BORDERS = ("low_start", "low_end", "high_start", "high_end")  # of a face in a slab
 EDGE_ON = 1e-9  # of a face's longest edge squared: a smaller area across the look direction cannot be seen
 BOW = 4e-3  # of a pixel in range: how far a face about a track may bend away from its plane over (azimuth, elevation)
 
@@ -140,8 +141,7 @@ class _Seen:
 
 def _merged(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Vertices that lie at one place as one, and the faces' corners: outlines are found by shared edges."""
-    used, first, corners = np.unique(vertices[faces.ravel()], axis=0, return_index=True, return_inverse=True)
-    del first
+    used, corners = np.unique(vertices[faces.ravel()], axis=0, return_inverse=True)
     return used, corners.reshape(-1, 3)
 
 
@@ -214,8 +214,8 @@ def _covered(seen: _Seen, grid: BinGrid, columns: tuple[int, int], device: wp.De
     faces.elevation = _put(seen.elevation[corners], wp.float64, device)
     faces.plane = _put(seen.plane, wp.float64, device)
     room = kernels.Stretches()
-    for part in fields_of(kernels.Stretches):
-        kind = int if part in ("order", "face", "place") else wp.float64
+    for part in ("order", "face", "place", *_BORDERS):
+        kind = wp.float64 if part in _BORDERS else int
         setattr(room, part, wp.empty(len(face), dtype=kind, device=device))
     inputs = [faces, _put(face, int, device), _put(first, int, device), _put(events, wp.float64, device)]
     inputs += [_put(first_event, int, device), rows, wp.float64(grid.start_m[0]), wp.float64(grid.spacing_m[0]), room]
@@ -231,10 +231,6 @@ def _covered(seen: _Seen, grid: BinGrid, columns: tuple[int, int], device: wp.De
 
 def _put(values: np.ndarray, kind: type, device: wp.Device) -> wp.array:
     return wp.array(np.ascontiguousarray(values, np.int32 if kind is int else np.float64), dtype=kind, device=device)
-
-
-def fields_of(struct: Any) -> list[str]:
-    return list(struct.vars)
 
 
 def _in_columns(
