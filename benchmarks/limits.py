@@ -174,7 +174,7 @@ class NoiseFree:
     def templates(self, base: Model, evidence: Evidence) -> tuple[TemplateMaker, Projection]:
         """Of a turn about `base`."""
         maker = TemplateMaker(base.scene, self.device, self.other, self.bench.observations, evidence.modelled)
-        return maker, Projection(maker.tangent(np.ones(maker.neutral.x0.size, bool)), evidence.root_looks)
+        return maker, Projection(maker.tangent(), evidence.root_looks)
 
     def groups(self, name: str, maker: TemplateMaker, projection: Projection, evidence: Evidence) -> list[Group]:
         """The templates of an effect, ready for residuals."""

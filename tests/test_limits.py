@@ -2,32 +2,34 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import warp as wp
+from test_experiments import module
 
 from warpsar.learning.identify import residual_autocovariance
 from warpsar.speckle.own import LAGS
-
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "benchmarks"))
-
-import diagnosis_rates
-import limits
 
 LOOKS = 4.0
 
 
 @pytest.fixture(scope="module")
-def gained(tmp_path_factory: pytest.TempPathFactory) -> limits.NoiseFree:
+def limits() -> Any:
+    return module("limits")
+
+
+@pytest.fixture(scope="module")
+def gained(limits: Any, tmp_path_factory: pytest.TempPathFactory) -> Any:
     """Views whose gains differ: the three numbers that count move every pixel of a view alike."""
     effects = {"view_gain": {"gain_db": {"v0": 0.3, "v1": -0.3, "v2": 0.2, "v3": -0.2}}}
-    return limits.NoiseFree(diagnosis_rates.truth(), effects, wp.get_device("cpu"), tmp_path_factory.mktemp("images"))
+    return limits.NoiseFree(
+        module("diagnosis_rates").truth(), effects, wp.get_device("cpu"), tmp_path_factory.mktemp("images")
+    )
 
 
-def test_sum_of_autocovariances_is_the_programs(gained: limits.NoiseFree) -> None:
+def test_sum_of_autocovariances_is_the_programs(limits: Any, gained: Any) -> None:
     residuals = np.random.default_rng(0).standard_normal((gained.truth.mu.size, 3))
     residuals[1:] += 0.6 * residuals[:-1]
     expected = [
@@ -36,9 +38,10 @@ def test_sum_of_autocovariances_is_the_programs(gained: limits.NoiseFree) -> Non
     assert limits._covariance_sum(gained.seen, residuals) == pytest.approx(expected, rel=1e-9)
 
 
-def test_correlated_autocovariance_is_that_of_the_draws() -> None:
+def test_correlated_autocovariance_is_that_of_the_draws(limits: Any) -> None:
     """Of gamma speckle whose fields have a Gaussian point-spread function."""
     random = np.random.default_rng(1)
+    diagnosis_rates = module("diagnosis_rates")
     power = diagnosis_rates.speckle(random, (1024, 1024), 1, True) - 1.0
     known = limits.correlated(diagnosis_rates.CORRELATION_PX)
     for row, col in ((0, 0), (0, 1), (1, 1), (2, 0), (0, 3)):
@@ -47,7 +50,7 @@ def test_correlated_autocovariance_is_that_of_the_draws() -> None:
         assert measured == pytest.approx(known[LAGS + row, LAGS + col], abs=0.012)
 
 
-def test_gain_at_the_truth(gained: limits.NoiseFree, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_gain_at_the_truth(limits: Any, gained: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """About the truth itself, speckle alone gains chi-squared: as many units of 2 ln L as there are parameters."""
     monkeypatch.setattr(limits, "REACH", 200.0)  # a linear model: no bounds
     model = gained.truth
@@ -61,7 +64,7 @@ def test_gain_at_the_truth(gained: limits.NoiseFree, monkeypatch: pytest.MonkeyP
     assert gain.min() > -1e-3  # nested models; the reach is bounded after all
 
 
-def test_expected_gain_is_the_mean_of_the_likelihood(gained: limits.NoiseFree) -> None:
+def test_expected_gain_is_the_mean_of_the_likelihood(limits: Any, gained: Any) -> None:
     """2 (ln L of the truth less that of another model), without any fit, averaged over speckle."""
     model, base = gained.truth, limits.Model.of(gained.bench, gained.scene)
     random = np.random.default_rng(3)

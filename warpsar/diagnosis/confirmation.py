@@ -85,6 +85,8 @@ def _ask(bench: Bench, fitted: Fitted, without: Fitted, one: Confirmed, quiet: b
     """Whether the effect helps on views left out, is one value for a view, and is no power that the surface may send.
     Fills in the answers."""
     name = one.effect
+    # numbers of single views have too few pixels to be told from what stands in their rows
+    quiet = quiet and not all(parameter.per_view for parameter in get(name).parameters)
     one.left_out = leave_one_view_out(bench, without, fitted, name, quiet=quiet)
     if not one.left_out.passed:
         one.refused = NOT_ELSEWHERE

@@ -23,9 +23,9 @@ class PartlyKnown:
     residual: np.ndarray
 
     @classmethod
-    def of(cls, problem: FitProblem, moving: np.ndarray) -> PartlyKnown:
-        """What the problem's scene knows of the elements of x that are `moving`, shape (p,), at its own values."""
-        return cls(problem.prior.slopes(problem.x0)[:, moving], -problem.prior.deviations(problem.x0))
+    def of(cls, problem: FitProblem) -> PartlyKnown:
+        """What the problem's scene knows, at its own values."""
+        return cls(problem.prior.slopes(problem.x0), -problem.prior.deviations(problem.x0))
 
     def under(self, tangent: np.ndarray) -> np.ndarray:
         """The tangent, shape (n, q), with these rows under it; columns beyond x (gains) are not known."""

@@ -207,12 +207,3 @@ def fitted_at(
     bare = problem if not any(get(n).additive for n in scene.effects) else bench.problem(scene, dark=False)
     value = float(ranks.same(bare.value(bare.modelled(x)) + problem.prior.value(x)))
     return Fitted(scene, problem, x, -value, -loss, iterations)
-
-
-def on_bounds(fitted: Fitted) -> np.ndarray:
-    """Which elements of x lie on a bound that the loss pushes them against, shape (p,): no fit can follow them there,
-    so what they would imitate is not theirs."""
-    low, high = fitted.problem.bounds
-    _, gradient = fitted.problem.gradient(fitted.x)
-    pushed = (fitted.x <= low) & (gradient > 0) | (fitted.x >= high) & (gradient < 0)
-    return np.asarray(fitted.problem.ranks.same(pushed) > 0)

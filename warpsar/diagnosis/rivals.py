@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -11,7 +11,7 @@ import numpy as np
 from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.evidence import Evidence
 from warpsar.diagnosis.found import Candidate, Rival, Turn
-from warpsar.diagnosis.refit import Fitted, refit_as
+from warpsar.diagnosis.refit import Fitted, refit_as, refit_without
 from warpsar.diagnosis.templates import with_effect
 from warpsar.effects.base.trial import Context
 from warpsar.effects.registry import get
@@ -21,14 +21,24 @@ NEAR = 0.5  # of an effect's score (-ln p), from which on another one is a rival
 MOST_TABLES = 4  # of a rival that had no fit in the turn
 
 
-def rivals_of(bench: Bench, fitted: Fitted, names: Sequence[str], turns: Sequence[Turn]) -> list[Rival]:
+def rivals_of(
+    bench: Bench,
+    fitted: Fitted,
+    names: Sequence[str],
+    turns: Sequence[Turn],
+    needed: Callable[[Fitted, str], bool],
+) -> list[Rival]:
     """Every effect of `names` in the model `fitted` against the effects that scored nearly as well in its turn, each
-    fitted in its place."""
+    fitted in its place. What dark pixels need (`needed`, as in `confirm`) has no rival but what they need as well."""
     tasks = []
     for name in names:
         turn = next(turn for turn in reversed(turns) if turn.added == name)
         mine = next(c for c in turn.candidates if c.effect == name)
+        without = refit_without(bench, fitted, name)
+        asked = needed(without, name)
         for other in _near(mine, turn, fitted):
+            if asked and not needed(without, other.effect):
+                continue
             tasks.append(partial(_against, bench, fitted, name, other))
     return [found for found in (task() for task in tasks) if found is not None]
 

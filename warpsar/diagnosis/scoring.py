@@ -13,7 +13,7 @@ from warpsar.diagnosis.dark_scan import scan_dark
 from warpsar.diagnosis.evidence import Evidence
 from warpsar.diagnosis.found import Candidate, DarkScan, DiagnoseOptions, Turn
 from warpsar.diagnosis.partly_known import PartlyKnown
-from warpsar.diagnosis.refit import Fitted, on_bounds
+from warpsar.diagnosis.refit import Fitted
 from warpsar.diagnosis.score import NOT_TESTABLE, Group, Projection, group
 from warpsar.diagnosis.templates import Template, TemplateMaker
 from warpsar.effects.registry import get, names
@@ -74,8 +74,7 @@ def _grouped(
     # templates are taken at the declared surface too.
     unmoved = replace(base.scene, materials=scene.materials)
     paths = TemplateMaker(unmoved, bench.device, other_rays, observations, evidence.modelled)
-    moving = ~on_bounds(base)
-    projection = Projection(maker.tangent(moving), evidence.root_looks, PartlyKnown.of(maker.neutral, moving))
+    projection = Projection(maker.tangent(), evidence.root_looks, PartlyKnown.of(maker.neutral))
     found = {}
     for name in names():
         if name in base.scene.effects:

@@ -69,7 +69,7 @@ class Search:
     def rivals(self) -> list[Rival]:
         """Other effects in the place of those that hold."""
         bench, here = on_bounded_ground(self._bench, self._base, self.scene)
-        return rivals_of(bench, here, self._added(here), self.turns)
+        return rivals_of(bench, here, self._added(here), self.turns, needed)
 
     @property
     def unexplained(self) -> bool:

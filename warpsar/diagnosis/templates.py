@@ -64,11 +64,10 @@ class TemplateMaker:
         ]
         self.compared = [(seen.pixels, seen.darkest) for seen in self.neutral.observations]
 
-    def tangent(self, moving: np.ndarray) -> np.ndarray:
-        """d ln(mu) / dx of the elements of x that are `moving`, a mask of shape (p,), with one column more per unknown
-        gain; one row per pixel."""
+    def tangent(self) -> np.ndarray:
+        """d ln(mu) / dx of everything that is fitted, shape (n, p), with one column per unknown gain."""
         problem = self.neutral
-        jacobian = np.concatenate(problem.jacobian(problem.x0, np.flatnonzero(moving).tolist()))
+        jacobian = np.concatenate(problem.jacobian(problem.x0))
         if problem.scene.grid.calibrated:
             return jacobian
         sizes = [mu.size for mu in self.mu]
