@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from test_experiments import module
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
 
-import rcs_checks
+@pytest.fixture(scope="module")
+def rcs_checks() -> Any:
+    return module("rcs_checks")
 
 
 @pytest.mark.measured
 @pytest.mark.slow
 @pytest.mark.parametrize("body", ["plate", "closed box", "cylindrical duct"])
-def test_within_what_the_method_can_do(measured_data: Path, body: str) -> None:
+def test_within_what_the_method_can_do(rcs_checks: Any, measured_data: Path, body: str) -> None:
     """Mean |dB| over angle within 0.6 dB of an independent program's. The cobra duct is not here: below a Fresnel
     number of 0.5 rays are no better than chance, and its figures change with the spacing of the tubes."""
     if not (measured_data / "austin_rcs").is_dir():
@@ -25,7 +27,7 @@ def test_within_what_the_method_can_do(measured_data: Path, body: str) -> None:
         assert row["within"], row
 
 
-def test_a_mouth_is_what_the_faces_leave_open_of_the_hull() -> None:
+def test_a_mouth_is_what_the_faces_leave_open_of_the_hull(rcs_checks: Any) -> None:
     assert rcs_checks.mouths(rcs_checks.closed_box(Path())) == []
     box = rcs_checks.closed_box(Path())
     corners = box.vertices[box.faces]

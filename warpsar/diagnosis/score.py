@@ -20,6 +20,9 @@ from warpsar.runtime.matmul import times, transposed_times
 NOT_TESTABLE = 1e-3  # share of a template's energy outside the tangent space (docs/diagnosis.md)
 # Directions of the tangent weaker than this, relative to the strongest, are rounding of float32 images.
 RANK = 1e-5
+# Coordinates (ln, logit) that a parameter would have to move to change the images by one standard deviation of speckle. A
+# direction that takes more imitates nothing, for bounds and the bend of the model come first.
+REACH = 5.0
 SPARSE = 0.1  # share of pixels that a template touches, below which it is kept as a sparse column
 
 
@@ -32,8 +35,10 @@ class Projection:
         scaled = known.under(root_looks[:, None] * tangent)
         norms = np.linalg.norm(scaled, axis=0)
         scaled = scaled / np.where(norms > 0, norms, 1.0)
-        left, strength, _ = np.linalg.svd(scaled, full_matrices=False)
-        basis = left[:, strength > RANK * strength.max(initial=0.0)]
+        left, strength, right = np.linalg.svd(scaled, full_matrices=False)
+        strong = strength > RANK * strength.max(initial=0.0)
+        moved = np.abs(right / np.where(norms > 0, norms, 1.0)).max(axis=1, initial=0.0)
+        basis = left[:, strong & (moved < REACH * strength)]
         self.basis, self._below = np.split(basis, [len(tangent)])
         self._under: Evidence | None = None
 
