@@ -6,7 +6,7 @@ from scipy import optimize, special, stats
 from worlds import view
 
 from warpsar.diagnosis.bootstrap import Bootstrap
-from warpsar.diagnosis.score import Group, Projection, log_tail, minus_log_p
+from warpsar.diagnosis.score import REACH, Group, Projection, log_tail, minus_log_p
 from warpsar.diagnosis.templates import Template
 from warpsar.effects.base.trial import ScoreStep, Trial
 from warpsar.learning.observation import Observation
@@ -103,7 +103,7 @@ def test_one_sided_p_values_are_uniform() -> None:
 
 def test_projection_takes_out_the_tangent_and_nothing_else() -> None:
     random = np.random.default_rng(0)
-    tangent = random.standard_normal((200, 3)) * [1.0, 1e3, 1e-3]
+    tangent = random.standard_normal((200, 3)) * [1.0, 1e3, 0.1]
     looks = random.uniform(1.0, 4.0, 200)
     # a column twice and one of zeros: no more is taken out by them
     projection = Projection(np.hstack([tangent, tangent[:, :1] - tangent[:, 1:2], np.zeros((200, 1))]), looks)
@@ -114,6 +114,17 @@ def test_projection_takes_out_the_tangent_and_nothing_else() -> None:
     np.testing.assert_allclose((looks[:, None] * tangent / scale).T @ left, 0.0, atol=1e-12)
     np.testing.assert_allclose(projection(left), left, atol=1e-12)
     np.testing.assert_allclose(np.linalg.matrix_rank(np.hstack([columns - left, looks[:, None] * tangent / scale])), 3)
+
+
+def test_a_direction_beyond_all_moves_is_not_taken_out() -> None:
+    """Two columns that differ by little: along their difference a parameter would have to move by 1 / (difference's
+    length) to change the images by one standard deviation. Beyond `REACH` it imitates nothing."""
+    one, other = np.linalg.qr(np.random.default_rng(1).standard_normal((300, 2)))[0].T
+    for apart, taken in ((2.0 / REACH, 2), (0.5 / REACH, 1)):
+        tangent = np.stack([100.0 * one, 100.0 * one + 2.0 * apart * other], axis=1)
+        # x moves by (1, -1) for a change of 2 `apart` along `other`
+        projection = Projection(tangent, np.ones(300))
+        assert projection.basis.shape == (300, taken)
 
 
 # Bootstrap

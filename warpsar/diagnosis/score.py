@@ -20,8 +20,8 @@ from warpsar.runtime.matmul import times, transposed_times
 NOT_TESTABLE = 1e-3  # share of a template's energy outside the tangent space (docs/diagnosis.md)
 # Directions of the tangent weaker than this, relative to the strongest, are rounding of float32 images.
 RANK = 1e-5
-# Coordinates (ln, logit) that a parameter would have to move to change the images by one standard deviation of speckle. A
-# direction that takes more imitates nothing, for bounds and the bend of the model come first.
+# How far a parameter may have to move (in ln or logit) to change the images by one standard deviation of speckle. A
+# direction that takes more imitates nothing: bounds and the bend of the model come first.
 REACH = 5.0
 SPARSE = 0.1  # share of pixels that a template touches, below which it is kept as a sparse column
 

@@ -169,7 +169,7 @@ class Interference(Effect):
         rows = table.get("rows", {})
         if sum(map(len, rows.values())) < 2:
             return []
-        found = []
+        found: list[Mapping[str, Any]] = []
         for view, bands in rows.items():
             for band in bands:
                 rest = {**rows, view: [other for other in bands if other != band]}
