@@ -52,7 +52,7 @@ class Rcs:
 
     @property
     def rcs_m2(self) -> NDArray[np.float64]:
-        """4 pi |A|^2 [m2]."""
+        """Radar cross-section 4 pi abs(A)^2 [m2]."""
         return 4.0 * np.pi * np.abs(self.amplitude_m) ** 2
 
     @property
