@@ -7,14 +7,16 @@ Asked here, an effect would have to help while others are still missing, and the
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.dark import Dark
 from warpsar.diagnosis.found import Candidate, Turn
-from warpsar.diagnosis.refit import Fitted
+from warpsar.diagnosis.refit import Fitted, settle
 from warpsar.diagnosis.screening import refined
 from warpsar.diagnosis.shortlist import Refit
 
+CONTENDERS = 3  # the likeliest candidates, whose fits are taken to their end before one is chosen
 TOO_LITTLE = "it gains less than its parameters cost"
 NEEDED = "no model without such an effect can hold that, so nothing else was asked"
 
@@ -26,6 +28,9 @@ def add_the_best(bench: Bench, turn: Turn, here: Fitted, refits: Sequence[Refit]
     """
     for refit in refits:
         _gained(refit.candidate, here, refit.fitted)
+    if not dark.asks:
+        ahead = sorted(refits, key=lambda refit: -_worth(refit, price))
+        refits = [*(_arrived(bench, here, refit) for refit in ahead[:CONTENDERS]), *ahead[CONTENDERS:]]
     able = [refit for refit in refits if dark.asks or _worth(refit, price) > 0]
     for refit in refits:
         refit.candidate.refused = "" if refit in able else TOO_LITTLE
@@ -43,6 +48,13 @@ def add_the_best(bench: Bench, turn: Turn, here: Fitted, refits: Sequence[Refit]
     for refit in able:
         if refit is not best:
             refit.candidate.refused = f"the dark pixels need {turn.added}" if dark.asks else f"{turn.added} is likelier"
+
+
+def _arrived(bench: Bench, here: Fitted, refit: Refit) -> Refit:
+    """The candidate's fit to its end: at the same number of iterations one is nearer to its own than another."""
+    found = replace(refit, fitted=settle(bench, refit.fitted, 0, 0))
+    _gained(found.candidate, here, found.fitted)
+    return found
 
 
 def _gained(candidate: Candidate, here: Fitted, fitted: Fitted) -> None:

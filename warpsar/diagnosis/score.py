@@ -39,6 +39,7 @@ class Projection:
         strong = strength > RANK * strength.max(initial=0.0)
         moved = np.abs(right / np.where(norms > 0, norms, 1.0)).max(axis=1, initial=0.0)
         basis = left[:, strong & (moved < REACH * strength)]
+        self._imitates = left[: len(tangent), strong]  # by any move
         self.basis, self._below = np.split(basis, [len(tangent)])
         self._under: Evidence | None = None
 
@@ -51,8 +52,9 @@ class Projection:
         return (table - times(self.basis, absorbed)).reshape(columns.shape)
 
     def left(self, columns: np.ndarray | csc_array) -> np.ndarray:
-        """Share of energy that stays of standardised columns of unit length, shape (k,)."""
-        return np.maximum(1.0 - (self._inside(columns) ** 2).sum(axis=0), 0.0)
+        """Share of energy of standardised columns of unit length that no move of the parameters imitates, however far,
+        shape (k,)."""
+        return np.maximum(1.0 - (np.asarray(columns.T @ self._imitates) ** 2).sum(axis=1), 0.0)
 
     def covariances(self, columns: np.ndarray | csc_array, k: int, evidence: Evidence) -> np.ndarray:
         """Covariance, under speckle, of the scores of every trial of `k` projected columns, shape (trials, k, k).
@@ -67,9 +69,13 @@ class Projection:
         inside = self._inside(columns)
         across = np.asarray(columns.T @ seen).T - (self.basis.T @ seen / 2.0) @ inside
         crossed = np.einsum("bti,btj->tij", *(m.reshape(len(m), inside.shape[1] // k, k) for m in (inside, across)))
-        below = (self._below @ inside).reshape(len(self._below), inside.shape[1] // k, k)
+        below = self.left_under(columns).reshape(len(self._below), inside.shape[1] // k, k)
         known = np.einsum("bti,btj->tij", below, below)
         return evidence.products(columns, k) - crossed - crossed.swapaxes(1, 2) + known
+
+    def left_under(self, columns: np.ndarray | csc_array) -> np.ndarray:
+        """What is left of columns in the rows of what is known, shape (rows, k)."""
+        return -self._below @ self._inside(columns)
 
     def _inside(self, columns: np.ndarray | csc_array) -> np.ndarray:
         """Coordinates of columns in the basis, shape (rank, k)."""
