@@ -2,7 +2,8 @@
 
 command.py         the command
 result.py          `diagnose`, and its result on all views
-procedure.py       the loop: score, refit, add, repeat
+procedure.py       rays, pixels, the declared model, and then the search
+search.py          the loop: score, add on trial, confirm, repeat
 course.py          how far a run has come, and its checkpoint
 found.py           options, candidates, turns and the verdict
 bench.py           rays and pixels that all fits share
@@ -21,10 +22,12 @@ shortlist.py       which candidates get a full fit
 screening.py       short fits of one candidate, given up where they fall far behind
 survey.py          where a fit begins that no derivative leads to
 refit.py           full fits of a model
-addition.py        which refitted candidate is added
+addition.py        which refitted candidate is added on trial
+confirmation.py    which added effects hold, each asked beside all the others
+rivals.py          which other effect would have done as well
 left_out.py        what views left out say of an effect
 carried.py         whether the surface could be the cause
-pruning.py         which earlier effects the newest one has made needless
+pruning.py         what is needless beside the rest of a model
 outcome.py         what became of every effect in a turn, in words
 alternatives.py    which measurement would decide between two explanations
 judge.py           how far models are from all images, test views among them

@@ -28,8 +28,8 @@ def turn_section(turn: Turn, number: int, done: Diagnosed, content: dict[str, An
         f"rendered with rays of its own) is compared with what is left, after what the fitted parameters imitate is "
         f"taken out of both. Scores are -ln p, calibrated by {draws} draws of speckle with the residual's own "
         f"correlation; anything over {turn.threshold:.1f} turns up by chance in {error:g} % of scenes, all effects "
-        f"and the scan taken together. A score says that a template fits, not that it is the cause: the best are "
-        f"refitted fully, and have to help on views left out."
+        f"and the scan taken together. A score says that a template fits, not that it is the cause: the "
+        f"likeliest is added on trial, and has to hold beside all others at the end."
     )
     blocks = [
         report.paragraph(said),
