@@ -69,7 +69,7 @@ def command_line(scene_path: Path | str, out: Path, device: str, options: Diagno
 
 
 def in_short(done: Diagnosed) -> str:
-    """One line: the verdict, and what it did to the views that decided nothing."""
+    """One line: the verdict, and what it did to the views that named nothing."""
     found = done.diagnosis
     others = {one.effect: "" for one, _ in done.alternatives}
     for one, _ in done.alternatives:

@@ -148,7 +148,8 @@ def on_bounded_ground(bench: Bench, base: Fitted, declared: Scene) -> tuple[Benc
 
 
 def _stands_out(base: Fitted) -> bool:
-    """Whether the model misses any pixel by more than `BOUND`: at any number of looks, speckle does so once in 1e8."""
+    """Whether the model misses any pixel by more than `BOUND`: speckle does so in
+    less than one pixel in 1e8, from 1 to 64 looks."""
     problem = base.problem
     modelled = problem.modelled(base.x)
     pairs = zip(problem.observations, modelled, problem.gains(modelled), strict=True)

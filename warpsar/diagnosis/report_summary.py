@@ -13,7 +13,7 @@ from warpsar.evaluation.report_parts import plus_minus
 from warpsar.io import html as report
 
 _OUTCOME = {"confirmed": "confirmed", "against": "against it", "none": "nothing decisive"}
-ROLE_WORDS = {"train": "train", "test": "test (decided nothing)"}
+ROLE_WORDS = {"train": "train", "test": "test (named nothing)"}
 
 
 def summary_section(done: Diagnosed, content: dict[str, Any]) -> str:
