@@ -143,7 +143,7 @@ def turns_of(diagnosis: dict[str, Any]) -> list[list[str]]:
         for c in refitted:
             left, over = c["left_out"], c["carried_over"]
             said = [] if left is None or left["views"] < 2 else [f"left out {left['gain']:,.0f} ± {left['error']:,.0f}"]
-            said += [] if over is None else [f"carried over {100 * over:.0f} %"]
+            said += [] if over is None else [f"carried over {100 * over['share']:.0f} %"]
             asked += [f"{c['effect']}: {', '.join(said)}"] if said else []
         lines.append(
             [

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -17,22 +17,35 @@ from warpsar.scene.scene import Scene
 from warpsar.speckle.likelihood import loss_terms
 from warpsar.world.tables import View
 
-# Shares of an effect's gain, from which on the surface may be the cause. An effect that is the same in all views gains
-# a part in any case: copies on both sides show in a view from the other side (0.4 seen). An effect of single views
-# gains nothing so. A thin line of the world loses much at the corners of pixels (0.3 left).
+# Shares of an effect's gain beyond those expected, from which on the surface may be the cause. An effect that is the
+# same in all views gains a part in any case: copies on both sides show in a view from the other side (0.4 seen). An
+# effect of single views gains nothing so. A thin line of the world loses much at the corners of pixels (0.3 left).
 CARRIED, CARRIED_ALONE = 0.5, 0.25
+# Share from which on views are too much alike to tell, whatever the effect itself leads to expect.
+ALIKE = 0.8
 
 
-def is_carried(effect: str, share: float) -> bool:
-    """Whether the effect cannot be told from something on the surface; `share` as `carried_over` gives it."""
-    alone = all(parameter.per_view for parameter in get(effect).parameters)
-    return share > (CARRIED_ALONE if alone else CARRIED)
+@dataclass(frozen=True)
+class Carried:
+    """`share` of an effect's gain that remains when the surface carries its changes from view to view, and the share
+    that were `expected` if the effect is true. Shares of log-likelihood; both are 1 for a single view, which cannot
+    tell."""
+
+    share: float
+    expected: float = 0.0
+
+    def by_surface(self, effect: str) -> bool:
+        """Whether the effect cannot be told from something on the surface.
+
+        The part of the share that counts is what goes beyond the expected, on the way from there to 1.
+        """
+        alone = all(parameter.per_view for parameter in get(effect).parameters)
+        expected = max(self.expected, 0.0) if self.expected < ALIKE else 0.0
+        return self.share > expected + (1.0 - expected) * (CARRIED_ALONE if alone else CARRIED)
 
 
-def carried_over(bench: Bench, fitted: Fitted, effect: str) -> float:
-    """Share of an effect's gain that remains when the surface carries its changes from the other views to each view.
-
-    A share of log-likelihood. It is 1 for a single view, which cannot tell.
+def carried_over(bench: Bench, fitted: Fitted, effect: str) -> Carried:
+    """How much of an effect's gain the surface takes over from view to view.
 
     An effect of the radar or the processing lies in the image: another view has it elsewhere on the surface. What the
     mesh lacks lies on the surface, such as a strip of bright ground or the far side of a car. Views that look the same
@@ -41,7 +54,7 @@ def carried_over(bench: Bench, fitted: Fitted, effect: str) -> float:
     """
     names = [view.view.name for view in fitted.problem.views]
     if len(names) < 2:
-        return 1.0
+        return Carried(1.0, 1.0)
     scene = fitted.scene
     without = replace(scene, effects={name: table for name, table in scene.effects.items() if name != effect})
     models = [bench.problem(model, dark=False) for model in (without, scene)]
@@ -56,15 +69,16 @@ def carried_over(bench: Bench, fitted: Fitted, effect: str) -> float:
             for k, mu in enumerate(before)
         ]
     )
-    own, carried = np.sum(found, axis=0)
-    return float(bench.ranks.same(carried / own if own > 0 else 0.0))
+    shares = [carried / own if own > 0 else 0.0 for own, carried in np.sum(found, axis=0)]
+    return Carried(*bench.ranks.same(shares))
 
 
 def _gained(
     bench: Bench, scene: Scene, seen: list[Observation], change: list[np.ndarray], at: int, without: np.ndarray
-) -> list[float]:
+) -> list[list[float]]:
     """Log-likelihood that observation number `at` gains by its own change of ln(beta0), and by what the others' views
-    carry over; `without`: its modelled pixels before."""
+    carry over: as it was measured, and as it would be on average were the effect true. `without`: its modelled pixels
+    before."""
     mine = seen[at]
     others = [k for k, one in enumerate(seen) if one.view.name != mine.view.name]
     others = [k for k in others if seen[k].polarization == mine.polarization]
@@ -74,10 +88,11 @@ def _gained(
     total, light = brought[:, mine.pixels]
     shared = light > 0
     ways = change[at][mine.interior], np.where(shared, total / np.where(shared, light, 1.0), 0.0)
-    lost = [
-        loss_terms("gamma", mine.values, without * np.exp(way), mine.looks) for way in (np.zeros(light.size), *ways)
-    ]
-    return [float(clipped(lost[0] - after)[shared].sum()) for after in lost[1:]]
+    found = []
+    for values in (mine.values, without * np.exp(ways[0])):
+        lost = [loss_terms("gamma", values, without * np.exp(way), mine.looks) for way in (np.zeros(light.size), *ways)]
+        found.append([float(clipped(lost[0] - after)[shared].sum()) for after in lost[1:]])
+    return found
 
 
 def on_the_surface(bench: Bench, scene: Scene, view: View, other: Observation, change: np.ndarray) -> np.ndarray:

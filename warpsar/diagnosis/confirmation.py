@@ -12,9 +12,9 @@ from dataclasses import asdict, dataclass
 
 from warpsar.diagnosis.addition import TOO_LITTLE
 from warpsar.diagnosis.bench import Bench
-from warpsar.diagnosis.carried import carried_over, is_carried
+from warpsar.diagnosis.carried import Carried, carried_over
 from warpsar.diagnosis.found import Confirmed
-from warpsar.diagnosis.left_out import LeftOut, leave_one_view_out, varies_over_columns
+from warpsar.diagnosis.left_out import LeftOut, leave_one_view_out
 from warpsar.diagnosis.refit import Fitted, refit_without
 from warpsar.diagnosis.signature import signature
 from warpsar.effects.base.signature import Signature
@@ -91,14 +91,14 @@ def _ask(bench: Bench, fitted: Fitted, without: Fitted, one: Confirmed, quiet: b
     if not one.left_out.passed:
         one.refused = NOT_ELSEWHERE
         return
-    if varies_over_columns(bench, without, fitted, name):
+    if one.left_out.varies:
         one.refused = "not one value for a view: it varies over the view's columns"
         return
     if not _earned(bench, fitted, without, one):
         return
     if get(name).in_image:
         one.carried = carried_over(bench, fitted, name)
-        if is_carried(name, one.carried):
+        if one.carried.by_surface(name):
             shared = _shared_note(name, one.carried, one.left_out)
             one.notes.append(shared)
             if get(name).additive:
@@ -114,10 +114,10 @@ def _earned(bench: Bench, fitted: Fitted, without: Fitted, one: Confirmed) -> bo
     return own.outcome != "against"
 
 
-def _shared_note(name: str, carried: float, left: LeftOut) -> str:
+def _shared_note(name: str, carried: Carried, left: LeftOut) -> str:
     """Why the surface may be the cause. Power added in an image may come from something that stands there. Every radar
     blurs, so of a blur the amount alone is in doubt."""
-    share = f"the surface takes {100.0 * carried:.0f} % of its gain over from view to view"
+    share = f"the surface takes {100.0 * carried.share:.0f} % of its gain over from view to view"
     if left.views == 1:
         share = "one view alone"
     if get(name).additive:

@@ -106,7 +106,7 @@ def _candidate(c: Candidate, turn: Turn) -> dict[str, Any]:
         "refit_gain": c.refit_gain,
         "refit_size": c.refit_size,
         "left_out": None if left is None else {**asdict(left), "passed": left.passed},
-        "carried_over": c.carried,
+        "carried_over": None if c.carried is None else asdict(c.carried),
         "signature": None if c.signature is None else asdict(c.signature),
         "note": c.note,
         "outcome": outcome(c, turn),

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from warpsar.diagnosis.bench import Bench
+from warpsar.diagnosis.carried import Carried
 from warpsar.diagnosis.confirmation import Confirmation
 from warpsar.diagnosis.found import Candidate, Confirmed, DarkScan, DiagnoseOptions, Turn
 from warpsar.diagnosis.left_out import LeftOut
@@ -121,9 +122,10 @@ def _heard(told: Mapping[str, Any], bench: Bench, base: Fitted) -> Turn:
 
 def _parts(told: Mapping[str, Any]) -> dict[str, Any]:
     """The answers within a candidate or a confirmed effect."""
-    left, own = told["left_out"], told["signature"]
+    left, carried, own = told["left_out"], told["carried"], told["signature"]
     return {
         "left_out": None if left is None else LeftOut(**left),
+        "carried": None if carried is None else Carried(**carried),
         "signature": None if own is None else Signature(**own),
     }
 

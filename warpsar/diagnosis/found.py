@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from warpsar.diagnosis.bench import Bench
-from warpsar.diagnosis.carried import is_carried
+from warpsar.diagnosis.carried import Carried
 from warpsar.diagnosis.left_out import LeftOut
 from warpsar.diagnosis.refit import Fitted
 from warpsar.effects.base.signature import Signature
@@ -59,7 +59,7 @@ class Confirmed:
     gain: float
     size: int
     left_out: LeftOut | None = None
-    carried: float | None = None
+    carried: Carried | None = None
     signature: Signature | None = None
     refused: str = ""
     notes: list[str] = field(default_factory=list)
@@ -84,7 +84,7 @@ class Candidate:
     refit_gain: float | None = None  # 2 ln L over the model without it
     refit_size: int | None = None
     left_out: LeftOut | None = None
-    carried: float | None = None  # share of its gain that the surface carries from view to view
+    carried: Carried | None = None  # how much of its gain the surface carries from view to view
     signature: Signature | None = None  # what its own test says
     refused: str = ""  # why it was not added, where it was fitted or could not be
     note: str = ""
@@ -93,7 +93,7 @@ class Candidate:
     @property
     def shared(self) -> bool:
         """Whether the surface could be the cause."""
-        return self.carried is not None and is_carried(self.effect, self.carried)
+        return self.carried is not None and self.carried.by_surface(self.effect)
 
     def remark(self, text: str) -> None:
         """Add to the note."""

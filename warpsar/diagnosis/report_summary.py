@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from warpsar.diagnosis.carried import is_carried
+from warpsar.diagnosis.carried import Carried
 from warpsar.diagnosis.judge import ROLES
 from warpsar.diagnosis.outcome import effect_table
 from warpsar.diagnosis.result import Diagnosed
@@ -107,7 +107,8 @@ def _verdict(done: Diagnosed, content: dict[str, Any]) -> list[str]:
                 else " There is one train view: none could be left out to ask."
             )
         tables = effect_table(step["parameters"])
-        doubt = f" But {step['note']}." if is_carried(step["effect"], step["carried_over"] or 0.0) else ""
+        over = step["carried_over"]
+        doubt = f" But {step['note']}." if over and Carried(**over).by_surface(step["effect"]) else ""
         own = step["signature"]
         earned = f" Its own test says: {_OUTCOME[own['outcome']]} ({own['text']})." if own else ""
         said.append(f"Added: {step['effect']} ({get(step['effect']).summary}), with {tables}.{held}{earned}{doubt}")
