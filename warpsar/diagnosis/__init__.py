@@ -28,6 +28,7 @@ rivals.py          which other effect would have done as well
 left_out.py        what views left out say of an effect
 carried.py         whether the surface could be the cause
 pruning.py         what is needless beside the rest of a model
+settings.py        which settings the added effects have beside all the others
 outcome.py         what became of every effect in a turn, in words
 alternatives.py    which measurement would decide between two explanations
 judge.py           how far models are from all images, test views among them

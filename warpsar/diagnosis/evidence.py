@@ -14,6 +14,7 @@ from warpsar.learning.problem import FitProblem
 from warpsar.learning.verdict import TRACE
 from warpsar.runtime.distributed import ONE, Ranks
 from warpsar.speckle.covariance import correlated
+from warpsar.speckle.own import Patch, own_autocovariance
 
 # Standard deviations at which a residual is cut off. Speckle hardly ever goes further (e^-9 at one look). Without the
 # cut, a few pixels of what is missing would decide every score and the correlation of speckle.
@@ -61,8 +62,21 @@ class Evidence:
     def price(self, ranks: Ranks = ONE) -> float:
         """What a parameter costs in 2 ln L: ln of the independent looks in the data, which are looks times pixels over
         their correlation area (Schwarz, Annals of Statistics 6, 1978), times that area. 2 ln L takes pixels for
-        independent, and so counts as many times too much as pixels are correlated."""
-        return float(self.area * np.log(ranks.same(float(np.sum(self.root_looks**2) / self.area))))
+        independent, and so counts as many times too much as pixels are correlated. Structure that the model misses is
+        no speckle, and raises no price."""
+        area = min(self.area, self._own_area())
+        return float(area * np.log(ranks.same(float(np.sum(self.root_looks**2) / area))))
+
+    def _own_area(self) -> float:
+        """`area` of the speckle alone, whatever structure lies in the residual."""
+        patches = []
+        for seen, part in zip(self.observations, self.split(self.standardised), strict=True):
+            ratio = np.zeros(seen.interior.shape)
+            ratio[seen.interior] = part / np.sqrt(seen.looks) + 1.0
+            patches.append(Patch(seen.interior, ratio, seen.looks))
+        correlation, variance = own_autocovariance(patches)
+        told = variance != 1.0  # where no block has pixels enough, nothing is told, and the variance is set
+        return max(float(correlation.sum()), 1.0) if told else np.inf
 
     def split(self, pixels: np.ndarray) -> list[np.ndarray]:
         """An array over all pixels, (n, ...), as one per observation."""

@@ -19,6 +19,7 @@ from warpsar.diagnosis.refit import Fitted, narrow, on_bounded_ground, settle
 from warpsar.diagnosis.rivals import rivals_of
 from warpsar.diagnosis.scoring import score_effects
 from warpsar.diagnosis.screening import NO_DARK
+from warpsar.diagnosis.settings import resettled
 from warpsar.diagnosis.shortlist import refits
 from warpsar.runtime import console
 from warpsar.scene.scene import Scene
@@ -141,6 +142,7 @@ class Search:
         settled = settle(bench, here, self.options.starts, self.options.seed)
         price = Evidence.of(settled.problem, settled.x, bench.ranks).price(bench.ranks)
         last = self.turns[-1]
+        settled = resettled(bench, settled, self._added(settled))
         settled = trimmed(bench, settled, self._added(settled), price)
         return confirm(bench, settled, self._added(settled), needed, price, quiet=not last.alarms)
 

@@ -37,7 +37,8 @@ def own_autocovariance(patches: Sequence[Patch]) -> tuple[np.ndarray, float]:
     Structure in the residual looks like correlated speckle of a large variance, and would excuse itself. So pixels
     are taken about the median of their own block, and the median over all blocks counts: what lies in less than half
     of the blocks moves it little. A block's own level lowers all lags alike, and the lags from `FAR` on are taken to
-    be 0. Lags below three times their sampling error, and negative ones, are set to zero.
+    be 0. Lags below three times their sampling error, and negative ones, are set to zero. Where no block has pixels
+    enough, the speckle is taken for white, and its variance for 1.
     """
     lags = [(i, j) for i in range(LAGS + 1) for j in range(-LAGS, LAGS + 1) if (i, j) >= (0, 0)]
     means: list[list[np.ndarray]] = [[] for _ in lags]
