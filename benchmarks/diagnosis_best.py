@@ -29,12 +29,14 @@ import limits
 import tables
 from diagnosis_rates import CORRELATION_PX, LOOKS, SINGLE, judged, speckle, stored_runs, truth
 from limits import Model, NoiseFree
+from limits_test import TestViews
 
 from warpsar.diagnosis.bootstrap import Bootstrap, bootstrap
 from warpsar.diagnosis.dark import Dark
 from warpsar.diagnosis.evidence import LARGEST, Evidence
 from warpsar.diagnosis.score import Group, Projection, minus_log_p
 from warpsar.effects.registry import get, names
+from warpsar.learning.observation import Observation
 from warpsar.speckle.scan import Scan
 from warpsar.speckle.tail import Tail
 
@@ -69,11 +71,14 @@ class Decision:
 def drawn(noise_free: NoiseFree, looks: int, kind: str, draws: int, seed: int) -> np.ndarray:
     """beta0 of the compared pixels with speckle, shape (n, draws)."""
     random = np.random.default_rng([seed, looks, int(kind == "correlated")])
-    parts = [
-        np.stack([speckle(random, one.interior.shape, looks, kind == "correlated")[one.interior] for _ in range(draws)])
-        for one in noise_free.seen
-    ]
+    parts = [speckled(random, one, looks, kind, draws) for one in noise_free.seen]
     return noise_free.truth.mu[:, None] * np.concatenate(parts, axis=1).T
+
+
+def speckled(random: np.random.Generator, seen: Observation, looks: int, kind: str, draws: int) -> np.ndarray:
+    """Speckle of an image's compared pixels, shape (draws, pixels)."""
+    shape = seen.interior.shape
+    return np.stack([speckle(random, shape, looks, kind == "correlated")[seen.interior] for _ in range(draws)])
 
 
 def independent_looks(noise_free: NoiseFree, looks: float, kind: str) -> float:
@@ -104,6 +109,11 @@ def at_best(
     gain = limits.gains(noise_free, beta0, looks, model, base)
     inflation = limits.inflation(noise_free, model, base, evidence)
     turn = Turn.of(noise_free, name, base, evidence, decision)
+    random = np.random.default_rng([seed, looks, int(kind == "correlated"), 1])
+
+    def on_test_views(one: Observation) -> np.ndarray:
+        return speckled(random, one, looks, kind, draws)
+
     left = limits.left_out(noise_free, beta0, looks, model, base, model.parts[name])
     worth = gain - size * price
     ahead = {
@@ -118,8 +128,9 @@ def at_best(
         "left_out": np.array([one.gain > 2.0 * one.error for one in left]),
         "left_out_positive": np.array([one.gain > 0.0 for one in left]),
         "left_out_as_expected": np.array([one.as_expected for one in left]),
+        "test_views": TestViews(noise_free).stands(beta0, looks, model, base, on_test_views),
     }
-    best: np.ndarray = passes["threshold"] & passes["price"] | dark
+    best: np.ndarray = (passes["threshold"] & passes["price"] | dark) & passes["test_views"]
     expected = looks * limits.expected_gain(model, base)
     return {
         "case": name,

@@ -58,13 +58,14 @@ class Part:
 class Model:
     """A model at its best fit to the noise-free images. `mu`: beta0 of all compared pixels, shape (n,); `jacobian`:
     d ln(mu) / dx, shape (n, p), and 0 for what lies at a bound; `parts` by effect. `size` is the number of parameters
-    that count."""
+    that count, and `labels` names the p."""
 
     scene: Scene
     mu: np.ndarray
     jacobian: np.ndarray
     parts: Mapping[str, Part]
     size: int
+    labels: list[str]
 
     @classmethod
     def of(cls, bench: Bench, scene: Scene, x: np.ndarray | None = None) -> Model:
@@ -78,7 +79,7 @@ class Model:
         jacobian[:, (problem.x0 < low + AT_BOUND) | (problem.x0 > high - AT_BOUND)] = 0.0
         zero_sums = {(c.effect, c.parameter.name) for c in problem.effect_coordinates if c.parameter.zero_sum}
         size = problem.x0.size - len(zero_sums)
-        return cls(scene, mu, jacobian, {name: _part(problem, name) for name in scene.effects}, size)
+        return cls(scene, mu, jacobian, {name: _part(problem, name) for name in scene.effects}, size, problem.labels)
 
 
 def _part(problem: FitProblem, effect: str) -> Part:
@@ -221,7 +222,7 @@ def gains(noise_free: NoiseFree, beta0: np.ndarray, looks: float, model: Model, 
 def _explained(beta0: np.ndarray, looks: float, model: Model) -> np.ndarray:
     """2 ln L that one Gauss-Newton step from the noise-free fit gains in every draw."""
     residual = beta0 / model.mu[:, None] - 1.0
-    step = _step(model, np.ones(model.mu.size, bool), residual, looks)
+    step = step_of(model, residual, looks)
     gained = model.jacobian @ step
     return np.asarray(looks * (2.0 * gained * residual - gained**2).sum(axis=0))
 
@@ -233,7 +234,7 @@ def inflation(noise_free: NoiseFree, model: Model, base: Model, evidence: Eviden
     left = extra - basis @ (basis.T @ extra)
     left, strength, _ = np.linalg.svd(left, full_matrices=False)
     left = left[:, strength > 0.5]  # orthonormal in all but rounding
-    return max(float(np.trace(evidence.products(left)) / max(left.shape[1], 1)), 1.0)
+    return max(float(evidence.products(left, 1).sum() / max(left.shape[1], 1)), 1.0)
 
 
 @dataclass(frozen=True)
@@ -282,13 +283,13 @@ def left_out(
         for of in (beta0, with_it)
     )
     chosen = [one for one in noise_free.seen if views.index(one.view.name) in touched]
-    covariance = _covariance_sum(chosen, now - mean)
+    covariance = covariance_sum(chosen, now - mean)
     error = np.sqrt(np.maximum(len(now) * (covariance + mean.var(axis=0)), 0.0))
     found = zip(now.sum(axis=0), error, mean.sum(axis=0), strict=True)
     return [Judgement(*map(float, one)) for one in found]
 
 
-def _covariance_sum(seen: Sequence[Observation], residuals: np.ndarray) -> np.ndarray:
+def covariance_sum(seen: Sequence[Observation], residuals: np.ndarray) -> np.ndarray:
     """Sum of `residual_autocovariance` of every draw, shape (draws,); `residuals` of the pixels of all `seen`, (n,
     draws). All draws at once, by Fourier transforms."""
     total, count = 0.0, 0.0
@@ -309,6 +310,11 @@ def _covariance_sum(seen: Sequence[Observation], residuals: np.ndarray) -> np.nd
 def _moved(model: Model, at: np.ndarray, step: np.ndarray) -> np.ndarray:
     """Modelled beta0 of the pixels `at` after a step of x."""
     return np.asarray(model.mu[at, None] * np.exp(np.clip(model.jacobian[at] @ step, -10.0, 10.0)))
+
+
+def step_of(model: Model, residual: np.ndarray, looks: float) -> np.ndarray:
+    """Gauss-Newton on all pixels, shape (p, draws); `residual` has shape (n, draws)."""
+    return _step(model, np.ones(model.mu.size, bool), residual, looks)
 
 
 def _step(

@@ -58,16 +58,16 @@ class Judge:
         self.benches = {"train": bench}
         if any(view.role == "test" and view.images for view in found.scene.views):
             other = Rays(bench.rays.stage, bench.rays.rays_per_m2, bench.rays.seed + 1)
-            turned = _turned(found.scene)
+            scene = turned(found.scene)
             one, two = (Bench(bench.device, rays, {}) for rays in (bench.rays, other))
-            self.benches["test"] = Bench(bench.device, bench.rays, frozen(one, two, turned))
+            self.benches["test"] = Bench(bench.device, bench.rays, frozen(one, two, scene))
 
     def __call__(self, scene: Scene) -> list[Judged]:
         """Every measured image beside `scene`'s, nothing fitted but the gain of images that are not calibrated.
         What an effect holds for each view by itself is at its default in views that the scene's tables do not name."""
         found = []
         for role, bench in self.benches.items():
-            problem = bench.problem(scene if role == "train" else _turned(scene), dark=False)
+            problem = bench.problem(scene if role == "train" else turned(scene), dark=False)
             gains = iter(problem.gains(problem.modelled_as_declared()))
             for view in problem.views:
                 for seen in view.observations:
@@ -78,7 +78,7 @@ class Judge:
         return found
 
 
-def _turned(scene: Scene) -> Scene:
+def turned(scene: Scene) -> Scene:
     """The scene with train and test views exchanged."""
     other = {"train": "test", "test": "train"}
     return replace(scene, views=[v.model_copy(update={"role": other[v.role]}) for v in scene.views])
