@@ -452,6 +452,25 @@ def coverage_kernel(
 
 
 @wp.kernel(enable_backward=False)
+def facet_kernel(
+    # In:
+    grid: RayGrid,
+    point: wp.array(dtype=wp.vec3),
+    normal: wp.array(dtype=wp.vec3),
+    # Out:
+    cos_incidence_out: wp.array(dtype=float),
+    cos_twist_out: wp.array(dtype=float),
+    cos2_azimuth_out: wp.array(dtype=float),
+):
+    """How facets with these normals are turned to the radar."""
+    i = wp.tid()
+    direction = look_direction(grid, point[i])
+    cos_incidence_out[i] = cos_incidence_of(normal[i], direction)
+    cos_twist_out[i] = cos_twist_of(normal[i], direction, grid.u)
+    cos2_azimuth_out[i] = cos2_azimuth_of(normal[i], direction)
+
+
+@wp.kernel(enable_backward=False)
 def lit_point_kernel(
     # In:
     grid: RayGrid,

@@ -227,9 +227,7 @@ def coverage_adjoint_kernel(
     )
     by = wp.vec2i(pieces.low_by[i, 0], pieces.low_by[i, 1])
     across = across_border(pieces, i, i - 1, by[0], False)
-    to_border(
-        faces, slopes, corner_id, by, across, s0, s1, l0, l1, -width * along_border(worth, f, column, low0, low1)
-    )
+    to_border(faces, slopes, corner_id, by, across, s0, s1, l0, l1, -width * along_border(worth, f, column, low0, low1))
 
     per_e = faces.plane[f, 2]
     if wp.abs(per_e) > REAL(1.0e-12):

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from warpsar.scene.scene import Scene
-from warpsar.world.objects.table import CABIN, KEYS, Object
+from warpsar.world.objects.table import CABIN, KEYS, LIMITS, Object
 
 FARTHEST_M = 50.0  # that a fit moves an object
 LARGEST_FACTOR = 4.0  # by which it changes a size
@@ -20,7 +20,6 @@ NAMES = {
     "size": ("length", "width", "height"),
 }
 """What the elements of a key of three are called."""
-LIMITS = {"cabin": (0.1, 0.85), "side_curvature": (0.0, 0.5)}
 UNITS = {"position": "m", "size": "m", "heading": "deg", "pitch": "deg", "roll": "deg"}
 
 

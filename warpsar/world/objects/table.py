@@ -26,6 +26,8 @@ KEYS: dict[str, str] = {
     "side_curvature": "side_curvature",
 }
 """The key of the table that each word of `learn` frees."""
+LIMITS = {"cabin": (0.1, 0.85), "side_curvature": (0.0, 0.5)}
+"""Least and largest share that a fit may take."""
 VEHICLES = ("car", "truck")
 CABIN = {"car": 0.6, "truck": 0.25}
 """Default share of the length that the cabin takes."""
