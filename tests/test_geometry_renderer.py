@@ -1,4 +1,4 @@
-"""Gradients of the renderer to poses, sizes and vertices: silhouettes, shadows and turned facets, against differences."""
+"""The renderer's gradients to poses, sizes and vertices: silhouettes, shadows, turned facets; against differences."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -266,7 +266,7 @@ def test_what_has_no_derivative_is_refused() -> None:
     with pytest.raises(InputError, match="free these or the vertices"):
         warpsar.renderer(scene, device="cpu", vertices=True)
     bounces = {"multibounce": validate("multibounce", {"max_bounces": 2}, "effects.multibounce")}
-    with pytest.raises(InputError, match="not there beside effects.multibounce, which looks where surfaces lie"):
+    with pytest.raises(InputError, match=r"not there beside effects.multibounce, which looks where surfaces lie"):
         warpsar.renderer(replace(scene, effects=bounces), device="cpu")
     track = scene.radar.model_copy(update={"slant_range_m": 300.0})
     with pytest.raises(InputError, match=r"not there beside view b, which has a track"):

@@ -261,9 +261,24 @@ def test_tolerances_are_standard_deviations() -> None:
     table = Object(
         primitive="box", size_m=(4.0, 2.0, 1.0), tolerance={"position_m": 0.3, "size_m": "5 %"}, position_m=(1, 2, 3)
     )
-    assert table.sd_of("position_m", table.position_m) == (0.3, 0.3, 0.3)
-    assert table.sd_of("size_m", (4.0, 2.0, 1.0)) == pytest.approx((0.2, 0.1, 0.05))
-    assert table.sd_of("heading_deg", (0.0,)) == (float("inf"),)
+    assert table.known_of("position_m", table.position_m) == ((1.0, 0.3), (2.0, 0.3), (3.0, 0.3))
+    sizes = table.known_of("size_m", (4.0, 2.0, 1.0))
+    assert [sd for _, sd in sizes] == pytest.approx((0.2, 0.1, 0.05))
+    assert table.known_of("heading_deg", (0.0,)) == ((0.0, float("inf")),)
+
+
+def test_a_tolerance_stays_about_what_was_known(tmp_path: Path) -> None:
+    """What a fit writes keeps the known value beside its own, and is read again."""
+    car = {**CAR, "position_m": [1.0, 2.0, 0.0], "tolerance": {"position_m": 0.3, "size_m": "5 %"}}
+    scene = with_floor(tmp_path, **car)
+    moved = scene.objects[1].pinned().model_copy(update={"position_m": (1.5, 2.0, 0.0)})
+    (tmp_path / "out").mkdir()
+    posed(scene, [scene.objects[0], moved]).save(tmp_path / "out" / "scene.toml")
+    (_, again) = Scene.load(tmp_path / "out" / "scene.toml").objects
+    assert again.position_m == (1.5, 2.0, 0.0)
+    assert again.known_of("position_m", again.position_m) == ((1.0, 0.3), (2.0, 0.3), (0.0, 0.3))
+    assert [sd for _, sd in again.known_of("size_m", (9.0, 9.0, 9.0))] == pytest.approx((0.225, 0.09, 0.075))
+    assert again.pinned().tolerance == again.tolerance
 
 
 def test_uv_refuses_a_scene_with_objects(tmp_path: Path) -> None:

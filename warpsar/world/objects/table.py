@@ -38,8 +38,6 @@ _Size = Annotated[Number, Field(ge=0.0, le=1e6)]
 _Scale = Annotated[Number, Field(gt=0.0, le=1e6)]
 _Share = Annotated[Number, Field(ge=0.1, le=0.85)]
 _Bulge = Annotated[Number, Field(ge=0.0, le=0.5)]
-_Deviation = Annotated[Number, Field(gt=0.0)]
-_Relative = Annotated[str, Field(pattern=r"^\s*\d+(\.\d*)?\s*%\s*$")]
 
 
 class Object(Table):
@@ -109,9 +107,10 @@ class Object(Table):
     learn: tuple[Learnable, ...] = Field(
         default=(), description="What a fit may change.", examples=[["position", "heading"]]
     )
-    tolerance: dict[str, _Deviation | _Relative] = Field(
+    tolerance: dict[str, Any] = Field(
         default_factory=dict,
-        description='Standard deviation to which a key is known, in the key\'s unit, or relative, such as "5 %".',
+        description='Standard deviation to which a key is known, in the key\'s unit, or relative, such as "5 %"; '
+        "{ about = VALUE, sd = ... } where another value is known than the one stated.",
         examples=[{"position_m": 0.3, "heading_deg": 2.0}],
     )
 
@@ -135,9 +134,13 @@ class Object(Table):
         for key, given in value.items() if isinstance(value, dict) else ():
             if key not in KEYS.values():
                 raise ValueError(f"{key} has no tolerance; must be of {', '.join(KEYS.values())}")
-            text = isinstance(given, str) and re.fullmatch(r"\s*\d+(\.\d*)?\s*%\s*", given)
-            if not text and not (_is_number(given) and 0 < given < float("inf")):
+            sd = given["sd"] if isinstance(given, dict) and set(given) == {"about", "sd"} else given
+            text = isinstance(sd, str) and re.fullmatch(r"\s*\d+(\.\d*)?\s*%\s*", sd)
+            if not text and not (_is_number(sd) and 0 < sd < float("inf")):
                 raise ValueError(f'{key} must be a number above 0, in the key\'s own unit, or text such as "5 %"')
+            about = _three(given["about"]) if isinstance(given, dict) else (0.0,)
+            if not all(_is_number(each) and abs(each) <= 1e8 for each in about):
+                raise ValueError(f"{key}.about: found {given['about']!r}; must be numbers as {key} itself takes")
         return handler(value)
 
     @model_validator(mode="after")
@@ -192,13 +195,30 @@ class Object(Table):
         """Factors along the front, across it, and up."""
         return self.scale if isinstance(self.scale, tuple) else (self.scale,) * 3
 
-    def sd_of(self, key: str, values: tuple[float, ...]) -> tuple[float, ...]:
-        """The tolerance of a key as a standard deviation of each of its `values`; infinite where none is stated."""
+    def known_of(self, key: str, values: tuple[float, ...]) -> tuple[tuple[float, float], ...]:
+        """About which value each of a key's `values` is known, and its standard deviation: infinite without one."""
         stated = self.tolerance.get(key)
-        if isinstance(stated, str):
-            share = float(stated.strip().rstrip("%")) / 100.0
-            return tuple(share * abs(value) for value in values)
-        return (float("inf") if stated is None else float(stated),) * len(values)
+        about, sd = values, stated
+        if isinstance(stated, dict):
+            about, sd = _three(stated["about"]), stated["sd"]
+            about = about * len(values) if len(about) == 1 else about
+        if isinstance(sd, str):
+            share = float(sd.strip().rstrip("%")) / 100.0
+            return tuple((float(value), share * abs(value)) for value in about[: len(values)])
+        return tuple((float(value), float("inf") if sd is None else float(sd)) for value in about[: len(values)])
+
+    def pinned(self) -> Object:
+        """The object with the values that its tolerances are about, which stay when a fit moves the keys' own."""
+        known = {
+            key: one if isinstance(one, dict) else {"about": getattr(self, key), "sd": one}
+            for key, one in self.tolerance.items()
+            if getattr(self, key) is not None
+        }
+        return self.model_copy(update={"tolerance": {**self.tolerance, **known}})
+
+
+def _three(value: Any) -> tuple[Any, ...]:
+    return tuple(value) if isinstance(value, list | tuple) else (value,)
 
 
 def _is_number(value: object) -> bool:
