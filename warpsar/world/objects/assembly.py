@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -32,6 +32,8 @@ class Assembly:
     templates: dict[tuple[object, ...], Mesh]
     moved: dict[str, NDArray[np.integer]]
     bodies: Bodies
+    _wholes: dict[tuple[object, ...], Mesh] = field(default_factory=dict, repr=False)
+    """By what the objects are, wherever they stand: a mesh whose arrays, but the vertices, serve every pose."""
 
     @classmethod
     def of(cls, base: Mesh | None, objects: Sequence[Object], bodies: Bodies) -> Assembly:
@@ -58,11 +60,15 @@ class Assembly:
 
     def mesh(self, objects: Sequence[Object]) -> Mesh:
         """The one mesh with every object where its table puts it. Only vertices depend on the pose and size."""
-        parts = [] if self.base is None else [self._base(objects)]
-        parts += [self.placed(one) for one in objects if one.group is None]
-        if len(parts) == 1:
-            return parts[0]
-        return _joined(parts)
+        key = tuple(map(_kind, objects))
+        if key not in self._wholes:
+            parts = [] if self.base is None else [self._base(objects)]
+            parts += [self.placed(one) for one in objects if one.group is None]
+            self._wholes[key] = parts[0] if len(parts) == 1 else _joined(parts)
+            return self._wholes[key]
+        vertices = [] if self.base is None else [self._base(objects).vertices]
+        vertices += [self.vertices_of(one) for one in objects if one.group is None]
+        return replace(self._wholes[key], vertices=np.concatenate(vertices))
 
     def placed(self, one: Object) -> Mesh:
         """An object that is no group, where its table puts it."""
@@ -79,7 +85,8 @@ class Assembly:
     def vertices_of(self, one: Object) -> NDArray[np.float64]:
         """An object's vertices in the world [m], shape (n, 3)."""
         if one.group is None:
-            return self.placed(one).vertices
+            own = self.templates[_key(one)] if one.primitive is None else body(one)
+            return placed(own.vertices, one)
         assert self.base is not None
         mine = self.base.vertices[self.moved[one.label]]
         return placed(mine, one, foot(mine))
@@ -93,6 +100,12 @@ class Assembly:
             if one.group is not None:
                 vertices[self.moved[one.label]] = self.vertices_of(one)
         return replace(self.base, vertices=vertices)
+
+
+def _kind(one: Object) -> tuple[object, ...]:
+    """What of an object decides which triangles it has, and not where their corners lie."""
+    sheet = None if one.size_m is None else tuple(size == 0.0 for size in one.size_m)
+    return (*_key(one), one.primitive, sheet, one.group, one.material)
 
 
 def _key(one: Object) -> tuple[object, ...]:
@@ -135,9 +148,9 @@ def _joined(parts: Sequence[Mesh]) -> Mesh:
     """Several meshes as one; what only some have (UV, scalars) is NaN elsewhere."""
     names = tuple(dict.fromkeys(name for part in parts for name in part.materials))
     counts = [len(part.vertices) for part in parts]
-    starts = np.cumsum([0, *counts[:-1]])
+    starts = np.cumsum([0, *counts[:-1]]).astype(np.int32)
     faces = [part.faces + start for part, start in zip(parts, starts, strict=True)]
-    material = [np.array([names.index(n) for n in part.materials])[part.face_material] for part in parts]
+    material = [np.array([names.index(n) for n in part.materials], np.int32)[part.face_material] for part in parts]
     uv = None
     if any(part.uv is not None for part in parts):
         nowhere = [np.full((count, 2), np.nan) for count in counts]
