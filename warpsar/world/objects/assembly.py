@@ -39,9 +39,11 @@ class Assembly:
     def of(cls, base: Mesh | None, objects: Sequence[Object], bodies: Bodies) -> Assembly:
         """Raises InputError for a group that the mesh does not have, or that shares a face with another."""
         templates: dict[tuple[object, ...], Mesh] = {}
-        for one in objects:
+        for index, one in enumerate(objects):
             if one.mesh is not None and _key(one) not in templates:
                 templates[_key(one)] = _template(bodies[one.mesh], one)
+            if one.materials is not None:
+                _refuse_names(one.materials, templates[_key(one)], f"objects[{index}] ({one.label}).materials")
         moved: dict[str, NDArray[np.integer]] = {}
         taken: dict[int, str] = {}
         for index, one in enumerate(objects):
@@ -80,6 +82,11 @@ class Assembly:
         if one.material is not None:
             uniform = np.zeros(len(template.faces), np.int32)
             template = replace(template, materials=(one.material,), face_material=uniform)
+        if one.materials is not None:
+            named = [one.materials[name] for name in template.materials]
+            names = tuple(dict.fromkeys(named))
+            index = np.array([names.index(name) for name in named], np.int32)
+            template = replace(template, materials=names, face_material=index[template.face_material])
         return replace(template, vertices=placed(template.vertices, one))
 
     def vertices_of(self, one: Object) -> NDArray[np.float64]:
@@ -105,7 +112,7 @@ class Assembly:
 def _kind(one: Object) -> tuple[object, ...]:
     """What of an object decides which triangles it has, and not where their corners lie."""
     sheet = None if one.size_m is None else tuple(size == 0.0 for size in one.size_m)
-    return (*_key(one), one.primitive, sheet, one.group, one.material)
+    return (*_key(one), one.primitive, sheet, one.group, one.material, tuple((one.materials or {}).items()))
 
 
 def _key(one: Object) -> tuple[object, ...]:
@@ -115,6 +122,13 @@ def _key(one: Object) -> tuple[object, ...]:
 
 def _template(read: Mesh, one: Object) -> Mesh:
     return replace(read, vertices=in_object_frame(read.vertices, one, UNITS[one.units]), warnings=())
+
+
+def _refuse_names(given: Mapping[str, str], mesh: Mesh, where: str) -> None:
+    if set(given) != set(mesh.materials):
+        raise InputError(
+            f"{where}: found {', '.join(given)}; must be the names of its mesh: {', '.join(mesh.materials)}"
+        )
 
 
 def _group_faces(base: Mesh | None, group: str, where: str) -> NDArray[np.int32]:

@@ -104,6 +104,11 @@ class Object(Table):
     material: Annotated[str, Field(min_length=1)] | None = Field(
         default=None, description="Material of the whole object; else the file's own names.", examples=["body"]
     )
+    materials: dict[str, Annotated[str, Field(min_length=1)]] | None = Field(
+        default=None,
+        description="Materials of the mesh file's parts: a material of the scene for each of the file's names.",
+        examples=[{"hull": "steel", "wheels": "rubber"}],
+    )
     learn: tuple[Learnable, ...] = Field(
         default=(), description="What a fit may change.", examples=[["position", "heading"]]
     )
@@ -150,6 +155,8 @@ class Object(Table):
             raise ValueError(f"found {' and '.join(kinds) or 'no body'}; must be exactly one of mesh, primitive, group")
         if self.up[1] == self.front[1]:
             raise ValueError(f'found up = "{self.up}" and front = "{self.front}"; must lie on two axes')
+        if self.material is not None and self.materials is not None:
+            raise ValueError("found material and materials; must be one of them")
         self._refuse_foreign_keys(kinds[0])
         if self.primitive is not None:
             self._refuse_sizes()
@@ -159,7 +166,7 @@ class Object(Table):
         """Keys, and words of `learn`, that say nothing of this kind of object."""
         of_kind = {"size_m": kind == "primitive", **dict.fromkeys(("units", "up", "front"), kind == "mesh")}
         of_kind |= dict.fromkeys(("cabin", "side_curvature"), self.primitive in VEHICLES)
-        of_kind["material"] = kind != "group"
+        of_kind |= {"material": kind != "group", "materials": kind == "mesh"}
         for key, fits in of_kind.items():
             word = key.removesuffix("_m")
             if not fits and (key in self.model_fields_set or word in self.learn or key in self.tolerance):
