@@ -75,6 +75,32 @@ class Cells:
     elevation: wp.array(dtype=wp.float64)
 
 
+LOW = wp.constant(-1)  # a border is the low side of a face
+HIGH = wp.constant(-2)  # or its high side
+NONE = wp.constant(-1)  # or nothing that moves
+
+
+@wp.struct
+class Pieces:
+    """Visible trapezoids, shape (n,): of a `face`, in a `column`, from azimuth `start` to `end` [m].
+
+    `low` and `high`, (n, 2), are their elevations there [m]. `low_by` and `high_by`, (n, 2), say what the borders are:
+    a side of a face (face, LOW or HIGH), the line where two faces meet (face, face), or NONE. `first`, (columns,), is
+    where each column's pieces begin; `count`, (columns,), how many it has. Without room they are only counted.
+    """
+
+    face: wp.array(dtype=int)
+    column: wp.array(dtype=int)
+    start: wp.array(dtype=wp.float64)
+    end: wp.array(dtype=wp.float64)
+    low: wp.array2d(dtype=wp.float64)
+    high: wp.array2d(dtype=wp.float64)
+    low_by: wp.array2d(dtype=int)
+    high_by: wp.array2d(dtype=int)
+    first: wp.array(dtype=int)
+    count: wp.array(dtype=int)
+
+
 @wp.func
 def between(x0: wp.float64, y0: wp.float64, x1: wp.float64, y1: wp.float64, x: wp.float64) -> wp.float64:
     """y at x on a line; the same number for whichever face asks for the edge."""
@@ -280,6 +306,29 @@ def gathered(
     return n
 
 
+@wp.func
+def keep_piece(
+    pieces: Pieces,
+    at: int,
+    face: int,
+    column: int,
+    s0: wp.float64,
+    s1: wp.float64,
+    l0: wp.float64,
+    l1: wp.float64,
+    h0: wp.float64,
+    h1: wp.float64,
+):
+    pieces.face[at] = face
+    pieces.column[at] = column
+    pieces.start[at] = s0
+    pieces.end[at] = s1
+    pieces.low[at, 0] = l0
+    pieces.low[at, 1] = l1
+    pieces.high[at, 0] = h0
+    pieces.high[at, 1] = h1
+
+
 # Long because it is one sweep: what ends a visible stretch is looked for among all others.
 @wp.kernel(enable_backward=False)
 def coverage_kernel(
@@ -295,9 +344,15 @@ def coverage_kernel(
     room: Stretches,
     # Out:
     cells: Cells,
+    pieces: Pieces,
 ):
-    """One thread takes a column of pixels: slab by slab, from the least elevation to the largest."""
+    """One thread takes a column of pixels: slab by slab, from the least elevation to the largest.
+
+    The adjoint needs the `pieces` (`coverage_adjoint`); an image alone gives them no arrays.
+    """
     column = wp.tid()
+    keeps = pieces.count.shape[0] > 0
+    seen = int(0)
     begin = first_candidate[column]
     for event in range(first_event[column], first_event[column + 1] - 1):
         s0 = events[event]
@@ -308,6 +363,7 @@ def coverage_kernel(
         middle = REAL(0.5) * (s0 + s1)
         here0 = REAL(-1.0e300)
         here1 = REAL(-1.0e300)
+        here_by = wp.vec2i(NONE, NONE)
         going = n > 0
         first = begin  # of the order: all before end below `here`
         while going:
@@ -316,6 +372,7 @@ def coverage_kernel(
             nearest = REAL(1.0e300)
             next0 = REAL(1.0e300)
             next1 = REAL(1.0e300)
+            next_by = wp.vec2i(NONE, NONE)
             at = first
             while at < begin + n:
                 i = room.order[at]
@@ -323,6 +380,7 @@ def coverage_kernel(
                 if low > here:
                     next0 = room.low_start[i]
                     next1 = room.low_end[i]
+                    next_by = wp.vec2i(room.face[i], LOW)
                     at = begin + n
                 elif REAL(0.5) * (room.high_start[i] + room.high_end[i]) > here:
                     r = range_on(faces, room.face[i], middle, here)
@@ -336,6 +394,7 @@ def coverage_kernel(
                 f = room.face[front]
                 next0 = room.high_start[front]
                 next1 = room.high_end[front]
+                next_by = wp.vec2i(f, HIGH)
                 at = first
                 while at < begin + n:
                     i = room.order[at]
@@ -354,28 +413,61 @@ def coverage_kernel(
                         if low > here and d1 < -TOUCH:
                             next0 = room.low_start[i]
                             next1 = room.low_end[i]
+                            next_by = wp.vec2i(g, LOW)
                         elif d2 < -TOUCH:
                             e = e1 + (e2 - e1) * wp.max(d1, REAL(0.0)) / (wp.max(d1, REAL(0.0)) - d2)
                             per_e = faces.plane[g, 2] - faces.plane[f, 2]
                             c0 = faces.plane[g, 0] - faces.plane[f, 0]
                             c1 = faces.plane[g, 1] - faces.plane[f, 1]
+                            next_by = wp.vec2i(f, g)
                             if wp.abs(per_e) * (s1 - s0) > REAL(0.0):
                                 next0 = -(c0 + c1 * s0) / per_e
                                 next1 = -(c0 + c1 * s1) / per_e
                             if wp.abs(REAL(0.5) * (next0 + next1) - e) > REAL(10.0) * TOUCH:
                                 next0 = e
                                 next1 = e
+                                next_by = wp.vec2i(NONE, NONE)
                 l0 = here0
                 l1 = here1
                 add_piece(
                     faces, cells, rows, range_start, range_spacing, f, room.place[front], s0, s1, l0, l1, next0, next1
                 )
+                if keeps and next0 - l0 + next1 - l1 > REAL(0.0):
+                    if pieces.face.shape[0] > 0:
+                        keep_piece(pieces, pieces.first[column] + seen, f, column, s0, s1, l0, l1, next0, next1)
+                        for end in range(2):
+                            pieces.low_by[pieces.first[column] + seen, end] = here_by[end]
+                            pieces.high_by[pieces.first[column] + seen, end] = next_by[end]
+                    seen += 1
             going = next0 < REAL(1.0e299)
             if going and REAL(0.5) * (next0 + next1) <= here:
                 next0 = here0 + NEAR
                 next1 = here1 + NEAR
+                next_by = here_by
             here0 = next0
             here1 = next1
+            here_by = next_by
+    if keeps:
+        pieces.count[column] = seen
+
+
+@wp.kernel(enable_backward=False)
+def facet_kernel(
+    # In:
+    grid: RayGrid,
+    point: wp.array(dtype=wp.vec3),
+    normal: wp.array(dtype=wp.vec3),
+    # Out:
+    cos_incidence_out: wp.array(dtype=float),
+    cos_twist_out: wp.array(dtype=float),
+    cos2_azimuth_out: wp.array(dtype=float),
+):
+    """How facets with these normals are turned to the radar."""
+    i = wp.tid()
+    direction = look_direction(grid, point[i])
+    cos_incidence_out[i] = cos_incidence_of(normal[i], direction)
+    cos_twist_out[i] = cos_twist_of(normal[i], direction, grid.u)
+    cos2_azimuth_out[i] = cos2_azimuth_of(normal[i], direction)
 
 
 @wp.kernel(enable_backward=False)

@@ -142,6 +142,24 @@ def test_instances_share_one_mesh(tmp_path: Path) -> None:
     np.testing.assert_allclose(last - first, np.tile((8.0, 0.0, 0.0), (len(first), 1)))
 
 
+def test_several_materials_of_one_object(tmp_path: Path) -> None:
+    """The file's two names become two of the scene's, or one and the same."""
+    (tmp_path / "part.obj").write_text(OBJ)
+    part = {"name": "p", "mesh": "part.obj", "position_m": [3.0, 0.0, 0.0]}
+    for door, expected in (("soil", ("body", "soil")), ("body", ("body",))):
+        named = {**part, "materials": {"wheel": "body", "door": door}}
+        scene = Scene.load(written(tmp_path, [FLOOR, named]))
+        assert scene.assembly is not None
+        placed_mesh = scene.assembly.placed(scene.objects[1])
+        assert placed_mesh.materials == expected
+        names = [placed_mesh.materials[k] for k in placed_mesh.face_material]
+        assert names == ["body", "body", door, door]
+        again = tmp_path / "again"
+        again.mkdir(exist_ok=True)
+        scene.save(again / "scene.toml")
+        assert Scene.load(again / "scene.toml").objects[1].materials == named["materials"]
+
+
 @pytest.mark.parametrize("group", ["wheel", "door"])
 def test_a_group_moves_alone(tmp_path: Path, group: str) -> None:
     """One sheet turns a quarter about its middle and rises; the other, with which it shared an edge, stays."""
@@ -238,6 +256,13 @@ CAR = {"name": "c", "primitive": "car", "size_m": [4.5, 1.8, 1.5], "material": "
         ({"group": "tower"}, "must be a group of the scene's mesh"),
         ({"name": "m", "mesh": "none.obj"}, "no such mesh file"),
         ({**CAR, "learn": ["place"]}, "learn"),
+        (
+            {"name": "m", "mesh": "part.obj", "materials": {"wheel": "body"}},
+            "must be the names of its mesh: wheel, door",
+        ),
+        ({"name": "m", "mesh": "part.obj", "material": "body", "materials": {}}, "found material and materials"),
+        ({"primitive": "box", "size_m": [1.0, 1.0, 1.0], "materials": {"a": "b"}}, "found materials with a box"),
+        ({"name": "s", "primitive": "cylinder", "size_m": [2.0, 2.0, 2.0], "learn": ["heading"]}, "which has no front"),
         ({**CAR, "tolerance": {"position": 0.3}}, "position has no tolerance"),
         ({**CAR, "tolerance": {"position_m": 0.0}}, "must be a number above 0"),
         ({**CAR, "colour": "red"}, "unknown key"),
@@ -261,9 +286,24 @@ def test_tolerances_are_standard_deviations() -> None:
     table = Object(
         primitive="box", size_m=(4.0, 2.0, 1.0), tolerance={"position_m": 0.3, "size_m": "5 %"}, position_m=(1, 2, 3)
     )
-    assert table.sd_of("position_m", table.position_m) == (0.3, 0.3, 0.3)
-    assert table.sd_of("size_m", (4.0, 2.0, 1.0)) == pytest.approx((0.2, 0.1, 0.05))
-    assert table.sd_of("heading_deg", (0.0,)) == (float("inf"),)
+    assert table.known_of("position_m", table.position_m) == ((1.0, 0.3), (2.0, 0.3), (3.0, 0.3))
+    sizes = table.known_of("size_m", (4.0, 2.0, 1.0))
+    assert [sd for _, sd in sizes] == pytest.approx((0.2, 0.1, 0.05))
+    assert table.known_of("heading_deg", (0.0,)) == ((0.0, float("inf")),)
+
+
+def test_a_tolerance_stays_about_what_was_known(tmp_path: Path) -> None:
+    """What a fit writes keeps the known value beside its own, and is read again."""
+    car = {**CAR, "position_m": [1.0, 2.0, 0.0], "tolerance": {"position_m": 0.3, "size_m": "5 %"}}
+    scene = with_floor(tmp_path, **car)
+    moved = scene.objects[1].pinned().model_copy(update={"position_m": (1.5, 2.0, 0.0)})
+    (tmp_path / "out").mkdir()
+    posed(scene, [scene.objects[0], moved]).save(tmp_path / "out" / "scene.toml")
+    (_, again) = Scene.load(tmp_path / "out" / "scene.toml").objects
+    assert again.position_m == (1.5, 2.0, 0.0)
+    assert again.known_of("position_m", again.position_m) == ((1.0, 0.3), (2.0, 0.3), (0.0, 0.3))
+    assert [sd for _, sd in again.known_of("size_m", (9.0, 9.0, 9.0))] == pytest.approx((0.225, 0.09, 0.075))
+    assert again.pinned().tolerance == again.tolerance
 
 
 def test_uv_refuses_a_scene_with_objects(tmp_path: Path) -> None:

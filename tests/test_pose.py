@@ -97,7 +97,7 @@ def test_tolerances_are_priors() -> None:
     tolerance = {"position_m": 0.3, "heading_deg": 2.0, "size_m": "5 %"}
     scene = scene_with(BOX, learn=("position", "heading", "size"), tolerance=tolerance)
     poses = Poses(scene)
-    sd = np.array(poses.prior_sd)
+    sd = np.array([s / abs(c.per_metre(0.0)) for (_, s), c in zip(poses.known, poses.coordinates, strict=True)])
     np.testing.assert_allclose(sd[:3], 0.3)
     for k, (start, width) in {3: (35.0, 2.0), 4: (7.0, 0.35), 5: (4.0, 0.2)}.items():
         shift = np.zeros(7)
@@ -292,6 +292,42 @@ def test_learn_of_poses_alone(tmp_path: Path) -> None:
     assert content["objects"]["box"]["position_m"][0] == pytest.approx(1.3, abs=0.05)
     assert content["stopped"] == "nothing but poses is learned"
     assert "identifiability" not in content
+
+
+def test_a_pose_that_wants_to_leave_its_tolerance_is_an_alarm() -> None:
+    """The box stands 0.5 m east of where the scene knows it to 0.05 m: ten standard deviations. North is right."""
+    learn = ("position",)
+    truth = measured(scene_with(BOX, sides=SIDES[:2], shape=48, learn=learn))
+    away = displaced(truth, position_m=(0.8, -0.8, 0.0), tolerance={"position_m": 0.05})
+    found = find_poses(away, CPU, held=True)
+    by_label = {pull.label: pull for pull in found.pulls}
+    assert set(by_label) == {"box.east", "box.north", "box.up"}
+    east, north = by_label["box.east"], by_label["box.north"]
+    assert (east.prior, east.prior_sd, east.unit) == (0.8, 0.05, "m")
+    assert east.alarm
+    assert east.tension is not None
+    assert east.data == pytest.approx(1.3, abs=0.05)
+    assert abs(north.pull) < 3.0
+    assert 0.8 < east.posterior < east.data  # between what is known and what the images say
+    # a fit of what was written counts the images once
+    (box,) = found.scene.objects
+    assert box.tolerance == {"position_m": {"about": (0.8, -0.8, 0.0), "sd": 0.05}}
+    assert box.position_m[0] > 1.0
+    again = problem_of(found.scene)
+    assert again.prior.value(again.x0) == pytest.approx(0.5 * sum(pull.pull**2 for pull in found.pulls), rel=1e-6)
+
+
+def test_surfaces_keep_their_tolerances_beside_poses() -> None:
+    """The gradient of the prior holds materials and poses alike."""
+    scene = measured(scene_with(BOX, sides=SIDES[:1], shape=48, learn=("position",), tolerance={"position_m": 0.3}))
+    known = scene.materials["g"].model_copy(update={"tolerance": {"eps_r": 0.01}})
+    problem = problem_of(replace(scene, materials={**scene.materials, "g": known}), held=False)
+    at, x = problem.labels.index("g.eps_r"), problem.x0.copy()
+    x[at] += 0.01  # of ln(eps_r - 1), where eps_r - 1 is 5: five standard deviations
+    x[problem.size] += 0.3
+    assert problem.prior.value(x) == pytest.approx(0.5 * (5.0 * np.expm1(0.01) / 0.01) ** 2 + 0.5, rel=1e-6)
+    free = problem_of(scene, held=False)
+    assert problem.value(x) - free.value(x) == pytest.approx(problem.prior.value(x) - 0.5, abs=1e-6)
 
 
 def test_nothing_to_learn_is_refused() -> None:

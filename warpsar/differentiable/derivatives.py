@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from warpsar.differentiable.moves import Moves
 from warpsar.differentiable.parameters import RenderParameter, coordinate, parameters_of, refuse_unknown, slope
+from warpsar.differentiable.vertex_slopes import vertex_slopes
 from warpsar.effects.registry import declared
 from warpsar.errors import InputError
 from warpsar.render.render import ViewRender
 from warpsar.runtime import threads
 from warpsar.scene.scene import Scene
-from warpsar.simulation.rays import trace_view, view_seed
+from warpsar.simulation.exact_rays import ExactRays
+from warpsar.simulation.rays import Rays
 from warpsar.surface.stage import Stage
 from warpsar.world.tables import View
 
@@ -25,33 +28,38 @@ Images = dict[str, dict[str, NDArray[np.float32]]]
 """beta0, linear power, shape (rows, cols), by view and polarization."""
 
 STEP = 1e-2  # of a learned coordinate, as in a fit's Jacobian
+MOVE_M = 0.2  # that the farthest vertex moves where a learned coordinate moves by 1: 2 mm in a difference
 
 
 class Derivatives:
     """Images of a scene's views as a function of its parameters, and their derivatives.
 
-    Rays are traced once; a call shades their hits anew. Derivatives are those of the image as it is rendered: the
-    hits, and so the shadows, stay where they are. One renderer serves one thread at a time.
+    Where nothing of the geometry is free, rays are traced once, and a call shades their hits anew. Poses, sizes and
+    vertices that are free take images of exact areas instead (`trace.exact`), which a call makes anew where they have
+    moved; derivatives to them hold what silhouettes and shadows do. One renderer serves one thread at a time.
     """
 
-    def __init__(self, scene: Scene, device: Any, seed: int, max_memory_gib: float) -> None:
+    def __init__(self, scene: Scene, device: Any, seed: int, max_memory_gib: float, *, vertices: bool = False) -> None:
         self.scene, self.device = scene, device
-        self.stage = stage = Stage.of(scene, device)
-        self.parameters: dict[str, RenderParameter] = parameters_of(scene, stage.surface)
-        """What may change, by name."""
+        self._seed, self._memory = seed, max_memory_gib
+        self.moves = Moves(scene, vertices)
+        """What of the geometry may change."""
         self.renders: dict[str, ViewRender] = {}
         """By view."""
-        self.declared: dict[str, dict[str, NDArray[np.float64]]] = {}
+        self._effects = {view.name: declared(scene, view, neutral=True) for view in scene.views}
+        self.declared: dict[str, dict[str, NDArray[np.float64]]] = {
+            view: {e.effect.name: np.array(e.values, float) for e in effects} for view, effects in self._effects.items()
+        }
         """The effects' values as the scene has them, by view and effect."""
         self.last_run: object = None
         self._at: dict[bytes, object] = {}
-        for index, view in enumerate(scene.views):
-            effects = declared(scene, view, neutral=True)
-            self.declared[view.name] = {e.effect.name: np.array(e.values, float) for e in effects}
-            jitter = view_seed(seed, index)
-            hits = trace_view(scene, stage, view, seed=jitter, effects=effects, max_memory_gib=max_memory_gib)
-            polarizations = scene.radar.polarizations
-            self.renders[view.name] = ViewRender(stage, view, hits, scene.grid.shape, polarizations, effects)
+        self._placed: dict[str, NDArray[np.float64]] | None = None
+        self.place({})
+        self.parameters: dict[str, RenderParameter] = {
+            **parameters_of(scene, self.stage.surface),
+            **self.moves.parameters,
+        }
+        """What may change, by name."""
 
     @property
     def values(self) -> dict[str, NDArray[np.float64]]:
@@ -77,17 +85,20 @@ class Derivatives:
         a call does, for cotangents that fit no image, and for a declared value at which no derivative can be taken.
         """
         given = self.checked({**self.values, **(values or {})})
+        self.place(given)
         seeds = self._seeds(cotangents)
         self._run(given, gradient=True)
         self.backward(seeds)
         nodes = np.zeros(self.stage.surface.nodes.size)
+        moved = self.moved_gradients(seeds)
         for name in seeds:
             nodes += self.renders[name].nodes.grad.numpy()
         effects = {
             name: {e: p.grad.numpy().astype(float) for e, p in self.renders[name].effect_values.items()}
             for name in seeds
         }
-        return {name: self._gradient(p, given, nodes, effects) for name, p in self.parameters.items()}
+        plain = {name: p for name, p in self.parameters.items() if not p.moves}
+        return {name: self._gradient(p, given, nodes, effects) for name, p in plain.items()} | moved
 
     def jvp(self, values: Values | None, tangents: Values) -> Images:
         """How the images change along `tangents` (by parameter, in its unit): central differences of two renders.
@@ -113,6 +124,32 @@ class Derivatives:
         }
 
     # What the faces for other libraries share
+
+    def place(self, given: Mapping[str, NDArray[np.float64]]) -> None:
+        """Make the views' programs for the geometry among the `given` values, unless they are there."""
+        moved = {name: p.value for name, p in self.moves.parameters.items()}
+        moved |= {name: value for name, value in given.items() if name in moved}
+        if self._placed is not None and all(np.array_equal(moved[name], self._placed[name]) for name in moved):
+            return
+        scene = self.moves.scene_at(moved) if given else self.scene
+        self.stage = Stage.of(scene, self.device)
+        rays = (ExactRays if moved else Rays)(self.stage, seed=self._seed)
+        for view in scene.views:
+            effects = self._effects[view.name]
+            hits = rays.trace(scene, view, effects, max_memory_gib=self._memory)
+            its = ViewRender(self.stage, view, hits, scene.grid.shape, scene.radar.polarizations, effects)
+            self.renders[view.name] = its
+        self._placed, self.last_run = moved, None
+
+    def moved_gradients(self, views: Iterable[str]) -> dict[str, NDArray[np.float64]]:
+        """Gradients to the geometry's parameters, after `backward` has run for these views."""
+        if not self.moves.parameters:
+            return {}
+        to_vertices = np.zeros(self.scene.mesh.vertices.shape)
+        for view in views:
+            to_vertices += vertex_slopes(self.renders[view], self._effects[view])
+        assert self._placed is not None
+        return self.moves.pulled(self._placed, to_vertices)
 
     def checked(self, values: Values | None) -> dict[str, NDArray[np.float64]]:
         """The given values in full shape, float64. Raises InputError."""
@@ -158,6 +195,7 @@ class Derivatives:
         key = b"".join(name.encode() + value.tobytes() for name, value in sorted(given.items()))
         if self.last_run is not None and self.last_run is self._at.get(key):
             return
+        self.place(given)
         nodes = self.stage.surface.nodes.copy()
         for name, value in given.items():
             parameter = self.parameters[name]
@@ -220,6 +258,9 @@ class Derivatives:
     def _size(self, name: str, given: Values, move: NDArray[np.float64]) -> float:
         """The largest step of a move, in the coordinate that a fit moves."""
         parameter = self.parameters[name]
+        if parameter.moves:
+            values = {each: given[each] for each in self.moves.parameters}
+            return float(np.linalg.norm(self.moves.displacement(values, {name: move}), axis=1).max()) / MOVE_M
         value = np.atleast_1d(given[name])[parameter.used]
         move = np.abs(np.atleast_1d(move)[parameter.used])
         if parameter.block is not None:

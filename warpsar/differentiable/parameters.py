@@ -13,6 +13,7 @@ from warpsar.effects.base.parameter import Parameter
 from warpsar.effects.registry import get
 from warpsar.errors import InputError, shown
 from warpsar.surface.surface import Block, Surface
+from warpsar.world.objects.table import KEYS
 from warpsar.world.world import World
 
 
@@ -21,7 +22,8 @@ class RenderParameter:
     """One parameter of a renderer.
 
     Surfaces are called "material.key", such as "ground.eps_r"; effects "effect.key", such as "noise_floor.level", with
-    the view where each has its own: "registration.range_m[north]".
+    the view where each has its own: "registration.range_m[north]". Objects are called "object.key", such as
+    "tower.heading_deg", and the mesh's vertices "mesh.vertices".
     """
 
     name: str
@@ -36,6 +38,8 @@ class RenderParameter:
     """Of a surface: its nodes."""
     effect: tuple[str, Parameter, int, str | None] | None = field(default=None, repr=False)
     """Of an effect: its name, the parameter, its place in the effect's array, and the view where it is per view."""
+    moves: bool = False
+    """Of the geometry: surfaces, silhouettes and shadows move with it."""
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -103,6 +107,12 @@ def refuse_unknown(world: World, known: Mapping[str, RenderParameter], name: str
     if first in world.materials and key in type(world.materials[first]).model_fields:
         learn = ", ".join(world.materials[first].learn) or "nothing"
         raise InputError(f"{name}: is held: materials.{first}.learn names {learn}; only what it names has a derivative")
+    labels = {one.label: one for one in world.objects}
+    if first in labels and key in KEYS.values():
+        learn = ", ".join(labels[first].learn) or "nothing"
+        raise InputError(f"{name}: is held: learn of object {first} names {learn}; only what it names has a derivative")
+    if name == "mesh.vertices":
+        raise InputError(f"{name}: are held; renderer(scene, vertices=True) frees them")
     raise InputError(
         f"{name}: found no such parameter; must be one of {', '.join(known) or 'none: nothing may change'}"
     )

@@ -50,7 +50,8 @@ class TorchRenderer:
             for render in self._renderer.renders.values()
             for effect in render.effect_values
         ]
-        images = self._function.apply(nodes.float(), *(effect.float() for effect in effects))
+        moved = [given.get(name, self._torch.as_tensor(p.value)) for name, p in self._renderer.moves.parameters.items()]
+        images = self._function.apply(nodes.float(), *(effect.float() for effect in effects), *moved)
         found: dict[str, dict[str, Any]] = {view: {} for view in self._renderer.renders}
         for (view, polarization), image in zip(self._order, images, strict=True):
             found[view][polarization] = image
@@ -93,8 +94,12 @@ class TorchRenderer:
         with wp.ScopedStream(stream, sync_enter=True, sync_exit=True):
             yield
 
-    def _run(self, nodes: Any, effects: tuple[Any, ...]) -> object:
-        """Run the programs at float32 tensors."""
+    def _run(self, nodes: Any, others: tuple[Any, ...]) -> object:
+        """Run the programs at float32 tensors of nodes and effects; geometry comes last, through the host."""
+        moves = self._renderer.moves.parameters
+        effects = others[: len(others) - len(moves)]
+        moved = zip(moves, others[len(effects) :], strict=True)
+        self._renderer.place({name: tensor.detach().cpu().numpy().astype(float) for name, tensor in moved})
         its = iter(effects)
         by_view = {
             view: {e: next(its) for e in render.effect_values} for view, render in self._renderer.renders.items()
@@ -128,7 +133,8 @@ class TorchRenderer:
         self._renderer.backward(seeds)
         nodes = sum(wp.to_torch(render.nodes.grad) for render in renders.values())
         effects = [wp.to_torch(values.grad).clone() for r in renders.values() for values in r.effect_values.values()]
-        return (nodes, *effects)
+        moved = self._renderer.moved_gradients(renders).values()
+        return (nodes, *effects, *(self._torch.as_tensor(gradient, device=self.device) for gradient in moved))
 
     @cached_property
     def _function(self) -> Any:

@@ -27,7 +27,12 @@ class Renderer(Derivatives):
 
 
 def renderer(
-    scene: Scene, *, device: str | None = None, seed: int | None = None, max_memory_gib: float = DEFAULT_MEMORY_GIB
+    scene: Scene,
+    *,
+    device: str | None = None,
+    seed: int | None = None,
+    max_memory_gib: float = DEFAULT_MEMORY_GIB,
+    vertices: bool = False,
 ) -> Renderer:
     """The scene's images as a differentiable function of its parameters.
 
@@ -36,10 +41,12 @@ def renderer(
     >>> gradients = render.vjp({"ground.eps_r": 5.0}, images)  # {parameter: array}, of half the sum of squares
     >>> moved = render.jvp({}, {"ground.eps_r": 1.0})          # {view: {polarization: d image / d eps_r}}
 
-    Parameters are what the materials' `learn` names and what the declared effects state (`Renderer.parameters`).
-    `render.torch` and `render.jax` are the same for PyTorch and JAX. The images are those of `simulate`, with the
-    scene's sampling; the hits of all views are kept in memory. `seed` overrides the scene's. Raises DeviceError for a
-    device that is not there, and InputError where no view can be rendered.
+    Parameters are what `learn` of the materials and objects names, and what the declared effects state
+    (`Renderer.parameters`). `vertices` frees every vertex of the mesh, as "mesh.vertices". `render.torch` and
+    `render.jax` are the same for PyTorch and JAX. The images are those of `simulate`, with the scene's sampling; where
+    anything of the geometry is free, they are of exact areas (`trace.exact`). The hits of all views are kept in memory.
+    `seed` overrides the scene's. Raises DeviceError for a device that is not there, and InputError where no view can be
+    rendered, or where the geometry is free and the images have no derivative to it.
     """
     where = devices.resolve_device(device)
-    return Renderer(scene, where, scene.sampling.seed if seed is None else seed, max_memory_gib)
+    return Renderer(scene, where, scene.sampling.seed if seed is None else seed, max_memory_gib, vertices=vertices)

@@ -25,6 +25,7 @@ class ExponentialSpectrum(Effect):
 
     name = "exponential_spectrum"
     stage = "surface"
+    by_incidence = True
     order = 20
     summary = "a roughness spectrum with a longer tail"
     example: ClassVar[dict[str, Any]] = {"weight": 1.0}

@@ -29,6 +29,7 @@ class Vegetation(Effect):
 
     name = "vegetation"
     stage = "surface"
+    by_incidence = True
     order = 40
     summary = "a layer that dims the surface and scatters by itself"
     example: ClassVar[dict[str, Any]] = {"optical_depth": 0.3, "albedo": 0.05}

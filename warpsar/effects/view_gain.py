@@ -40,6 +40,7 @@ class ViewGain(Effect):
 
     name = "view_gain"
     stage = "gain"
+    by_incidence = True
     order = 30
     summary = "gains that differ from view to view"
     example: ClassVar[dict[str, Any]] = {"gain_db": {"v0": 6.0, "v1": -6.0}}

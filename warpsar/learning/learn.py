@@ -111,7 +111,7 @@ def learn(
         verdicts["test"] = fit_verdict(tests, np.asarray(tests.follow(problem, x)), density.noise)
     domains = outside_domains(problem, x)
     identified = _identified(problem, x, poses)
-    pulled = pulls(problem, x, identified)
+    pulled = [*pulls(problem, x, identified), *([] if poses is None else poses.found.pulls)]
     return Learned(
         scene=final,
         x=x,

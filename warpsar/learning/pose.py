@@ -13,6 +13,7 @@ from warpsar.learning.identify import Identified, of_information, residual_autoc
 from warpsar.learning.observation import Observation
 from warpsar.learning.pose_coordinates import Poses
 from warpsar.learning.pose_sharing import boxes, shared
+from warpsar.learning.prior import Prior
 from warpsar.learning.problem import FitProblem
 from warpsar.learning.view import FitView
 from warpsar.scene.scene import Scene
@@ -33,8 +34,8 @@ class PosedProblem:
     """A fit problem whose objects move. x holds the surface's and the effects' coordinates, then the poses [m].
 
     `observations`, by view name, are the same for every pose. Images have exact areas, without rays, so that
-    differences of them are their derivatives, silhouettes and shadows included. Known tolerances of poses count as
-    Gaussian priors about the scene's own values.
+    differences of them are their derivatives, silhouettes and shadows included. `prior` is what the scene knows of
+    everything in x to a tolerance.
     """
 
     def __init__(
@@ -59,7 +60,8 @@ class PosedProblem:
         low, high = (np.concatenate([a[: self.size], b]) for a, b in zip(start.bounds, self.poses.bounds, strict=True))
         self.bounds = low, high
         self.labels = [*start.labels[: self.size], *self.poses.labels]
-        self.precision = np.concatenate([np.zeros(self.size), 1.0 / np.square(self.poses.prior_sd)])
+        self.prior = Prior.of(None if held else start, self.poses)
+        self.zero_sum_means = np.zeros((0, self.x0.size))
 
     def standing(self, p: np.ndarray) -> FitProblem:
         """The plain fit problem with the objects at p."""
@@ -92,7 +94,7 @@ class PosedProblem:
     def value(self, x: np.ndarray) -> float:
         """The loss at x with its priors."""
         problem, rest = self.split(x)
-        return problem.value(problem.modelled(rest)) + 0.5 * float(self.precision @ (x - self.x0) ** 2)
+        return problem.value(problem.modelled(rest)) + self.prior.value(x)
 
     def jacobian(self, x: np.ndarray) -> list[np.ndarray]:
         """d ln(mu) / dx of every observation, shape (pixels, len(x)), as `FitProblem.jacobian`.
@@ -148,7 +150,7 @@ class PosedProblem:
             spreads.append(sd[:, None])
             pairs.append((replace(seen, interior=inside), c.residual[lit] / sd[lit]))
         autocovariance = residual_autocovariance(pairs)
-        information, products = np.diag(self.precision), np.diag(self.precision)
+        information = products = self.prior.information(x)
         for seen, j, c, sd in zip(problem.observations, jacobians, curvatures, spreads, strict=True):
             weighted = c.weight[:, None] * j
             information = information + j.T @ weighted
@@ -200,7 +202,7 @@ def _quadratic(problem: PosedProblem, x: np.ndarray) -> tuple[np.ndarray, np.nda
     """Gradient and curvature of the loss with its priors."""
     jacobians = problem.jacobian(x)
     inner, rest = problem.split(x)
-    gradient, hessian = problem.precision * (x - problem.x0), np.diag(problem.precision)
+    gradient, hessian = problem.prior.gradient(x), problem.prior.information(x)
     for j, c in zip(jacobians, inner.curvatures(inner.modelled(rest)), strict=True):
         weighted = c.weight[:, None] * j
         gradient = gradient - weighted.T @ c.residual

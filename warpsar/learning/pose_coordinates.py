@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from warpsar.scene.scene import Scene
-from warpsar.world.objects.table import CABIN, KEYS, Object
+from warpsar.world.objects.table import CABIN, KEYS, LIMITS, Object
 
 FARTHEST_M = 50.0  # that a fit moves an object
 LARGEST_FACTOR = 4.0  # by which it changes a size
@@ -20,8 +20,12 @@ NAMES = {
     "size": ("length", "width", "height"),
 }
 """What the elements of a key of three are called."""
-LIMITS = {"cabin": (0.1, 0.85), "side_curvature": (0.0, 0.5)}
 UNITS = {"position": "m", "size": "m", "heading": "deg", "pitch": "deg", "roll": "deg"}
+
+
+def unit_of(word: str) -> str:
+    """The unit of what a word of `learn` frees; "1" for a ratio."""
+    return UNITS.get(word, "1")
 
 
 @dataclass(frozen=True)
@@ -62,13 +66,17 @@ class PoseCoordinate:
 
 
 class Poses:
-    """What `learn` of a scene's objects frees; the vector p, shape (n,) [m], is 0 where the scene file puts it."""
+    """What `learn` of a scene's objects frees; the vector p, shape (n,) [m], is 0 where the scene file puts it.
+
+    `known` says of each element about which value it is known, and to which standard deviation, in the key's unit; it
+    is infinite without a tolerance.
+    """
 
     def __init__(self, scene: Scene) -> None:
         assert scene.assembly is not None
         self.objects = scene.objects
         self.coordinates: list[PoseCoordinate] = []
-        self.prior_sd: list[float] = []
+        self.known: list[tuple[float, float]] = []
         for number, one in enumerate(scene.objects):
             vertices = scene.assembly.vertices_of(one)
             radius = float(np.linalg.norm(np.ptp(vertices, axis=0)) / 2.0)
@@ -77,8 +85,8 @@ class Poses:
 
     def _add(self, number: int, one: Object, word: str, radius: float) -> None:
         given = values_of(one, word)
-        sds = one.sd_of(KEYS[word], given)
-        for index, (start, sd) in enumerate(zip(given, sds, strict=True)):
+        known = one.known_of(KEYS[word], given)
+        for index, (start, about_sd) in enumerate(zip(given, known, strict=True)):
             if word == "size" and start == 0.0:
                 continue  # a plate's thickness
             factor = word in ("size", "scale")
@@ -87,7 +95,7 @@ class Poses:
             named = f"{one.label}.{word}" if len(given) == 1 else f"{one.label}.{NAMES[word][index]}"
             c = PoseCoordinate(number, named, word, index if len(given) > 1 else None, start, slope, factor)
             self.coordinates.append(c)
-            self.prior_sd.append(sd / abs(c.per_metre(0.0)))
+            self.known.append(about_sd)
 
     @property
     def labels(self) -> list[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from warpsar.learning.pose import Descended, PosedProblem, descend
 from warpsar.learning.pose_coordinates import PoseCoordinate, values_of
 from warpsar.learning.pose_pixels import compared
 from warpsar.learning.problem import FitProblem
+from warpsar.learning.pull import Pull, pulls
 from warpsar.learning.results import learned_scene
 from warpsar.scene.placing import with_objects
 from warpsar.scene.scene import Scene
@@ -39,7 +40,8 @@ class FoundPoses:
     the log-likelihood over all usable pixels above a common floor (`pose_pixels`), where surface and effects are at
     their best with and without them. `gain_given`: rise over the pixels that were given, from the scene as it was
     given; a refit on those pixels raises it further. `size`: how many numbers of poses moved. `identified`: information
-    on everything that was fitted, poses last [m at the objects' edges]. `words`: what cannot be told apart.
+    on everything that was fitted, poses last [m at the objects' edges]. `words`: what cannot be told apart. `pulls`:
+    every number of a pose or size that is known to a tolerance, before and after.
     """
 
     scene: Scene
@@ -49,6 +51,7 @@ class FoundPoses:
     objects: dict[str, dict[str, Any]]
     identified: Identified
     words: list[str]
+    pulls: list[Pull] = field(default_factory=list)
 
 
 def find_poses(
@@ -109,6 +112,7 @@ def find_poses(
         summary(problem, end.x, identified),
         identified,
         _words(problem, identified),
+        [pull for pull in pulls(problem, end.x, identified) if pull.label in problem.poses.labels],
     )
 
 
@@ -158,11 +162,18 @@ def _descended(
 
 
 def _scene_at(problem: PosedProblem, x: np.ndarray, scene: Scene) -> Scene:
-    """`scene` with everything that x says; without the floor that only the comparison has."""
+    """`scene` with everything that x says; without the floor that only the comparison has.
+
+    Tolerances stay about the values that were known.
+    """
     inner, rest = problem.split(x)
     fitted = learned_scene(inner, rest)
     effects = {name: table for name, table in fitted.effects.items() if name in scene.effects}
-    return replace(fitted, effects=effects)
+    objects = tuple(
+        one.model_copy(update={"tolerance": known.pinned().tolerance})
+        for one, known in zip(fitted.objects, scene.objects, strict=True)
+    )
+    return replace(fitted, effects=effects, objects=objects)
 
 
 def summary(problem: PosedProblem, x: np.ndarray, identified: Identified) -> dict[str, dict[str, Any]]:

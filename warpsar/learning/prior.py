@@ -18,6 +18,7 @@ import warp as wp
 from warpsar.errors import InputError
 from warpsar.kernels import prior as kernels
 from warpsar.learning.coordinates import DeviceX, SceneCoordinates
+from warpsar.learning.pose_coordinates import Poses, unit_of
 from warpsar.surface.surface import KEYS
 from warpsar.world.tolerance import known_sd, known_value
 
@@ -46,9 +47,16 @@ class Prior:
         self.known, self.size = tuple(known), size
 
     @classmethod
-    def of(cls, coordinates: SceneCoordinates) -> Prior:
-        """What a scene's tables know of its fitted numbers."""
-        return cls([*_of_materials(coordinates), *_of_effects(coordinates)], coordinates.x0.size)
+    def of(cls, coordinates: SceneCoordinates | None, poses: Poses | None = None) -> Prior:
+        """What a scene's tables know of its fitted numbers; those of `poses` come last. None: they are held."""
+        known: list[Known] = []
+        size = 0
+        if coordinates is not None:
+            known, size = [*_of_materials(coordinates), *_of_effects(coordinates)], coordinates.x0.size
+        if poses is not None:
+            known += _of_objects(poses, size)
+            size += len(poses.coordinates)
+        return cls(known, size)
 
     def deviations(self, x: np.ndarray | DeviceX) -> np.ndarray:
         """(value - about) / sd of every known element, shape (k,)."""
@@ -113,6 +121,12 @@ def _of_effects(coordinates: SceneCoordinates) -> Iterator[Known]:
             one, stated = table["tolerance"][p.name], table[p.name]
             about = known_value(one, stated if c.view is None else stated[c.view], c.view)
             yield Known(c.label, at, about, known_sd(one, about), p.unit, p.from_coordinate, p.slope)
+
+
+def _of_objects(poses: Poses, first: int) -> Iterator[Known]:
+    for at, (c, (about, sd)) in enumerate(zip(poses.coordinates, poses.known, strict=True), first):
+        if np.isfinite(sd):
+            yield Known(c.label, at, about, sd, unit_of(c.word), c.value, c.per_metre)
 
 
 def refuse_prior(prior: Prior, loss: str, where: str) -> None:

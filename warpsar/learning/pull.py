@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from warpsar.learning.identify import Identified, of_information
-from warpsar.learning.prior import Known
-from warpsar.learning.problem import FitProblem
+from warpsar.learning.prior import Known, Prior
 
 ALARM = 3.0  # standard deviations beyond which a value leaves its tolerance: 0.3 % of the values that keep it do
 
@@ -63,7 +62,15 @@ class Pull:
         }
 
 
-def pulls(problem: FitProblem, x: np.ndarray, identified: Identified | None) -> list[Pull]:
+class Fitted(Protocol):
+    """What a fit says of its x: `bounds`, low and high, and what is known without data (`identify.of_information`)."""
+
+    prior: Prior
+    bounds: tuple[np.ndarray, np.ndarray]
+    zero_sum_means: np.ndarray
+
+
+def pulls(problem: Fitted, x: np.ndarray, identified: Identified | None) -> list[Pull]:
     """Every known value of a fit that has arrived at x; `identified` as `identify` gives it, None for fields."""
     return [_pull(problem, np.asarray(x), identified, one) for one in problem.prior.known]
 
@@ -73,7 +80,7 @@ def leaving(found: Sequence[Pull]) -> list[str]:
     return [one.label for one in found if one.alarm]
 
 
-def _pull(problem: FitProblem, x: np.ndarray, identified: Identified | None, one: Known) -> Pull:
+def _pull(problem: Fitted, x: np.ndarray, identified: Identified | None, one: Known) -> Pull:
     posterior, deviation = float(one.value(x[one.at])), one.deviation(x)
     found = Pull(one.label, one.unit, one.about, one.sd, posterior, None, deviation)
     if identified is None:
@@ -90,7 +97,7 @@ def _pull(problem: FitProblem, x: np.ndarray, identified: Identified | None, one
     return replace(found, data=float(np.clip(data, low, high)), data_sd=sd, tension=tension)
 
 
-def _without_own(problem: FitProblem, identified: Identified, at: int, own: float) -> tuple[float, float]:
+def _without_own(problem: Fitted, identified: Identified, at: int, own: float) -> tuple[float, float]:
     """Two deviations of element `at` of x without its `own` information: by the curvature alone, and by its residuals.
 
     Both are infinite where the images do not see it.

@@ -131,6 +131,10 @@ class ViewRender:
         """Whether the image stage takes weighted sums of images to the same sums, up to an image that it adds."""
         return all(effect.affine for effect, _ in self._at("image"))
 
+    def light_gradient(self, polarization: str) -> np.ndarray:
+        """What the last backward pass left at the image of single bounces, float64, shape (rows, cols)."""
+        return self._light[polarization].grad.numpy().astype(float).reshape(self.shape)
+
     def lit(self, polarization: str) -> np.ndarray:
         """As `Rendered.lit`."""
         return self._light[polarization].numpy().reshape(self.shape) > 0

@@ -65,7 +65,10 @@ def scene_schema() -> _Json:
     view["properties"]["images"].update(propertyNames={"enum": list(get_args(Polarization))})
     one = tables["objects"]["items"]
     one["oneOf"] = [{"required": [key]} for key in ("mesh", "primitive", "group")]
-    one["properties"]["tolerance"].update(propertyNames={"enum": list(KEYS.values())})
+    number: _Json = {"type": "number"}
+    about = {"anyOf": [number, {"type": "array", "items": number, "minItems": 3, "maxItems": 3}]}
+    known = {"additionalProperties": _tolerance(about), "propertyNames": {"enum": list(KEYS.values())}}
+    one["properties"]["tolerance"].update(known)
     body = {"contains": {"anyOf": [{"required": ["mesh"]}, {"required": ["primitive"]}]}}
     scene["anyOf"] = [
         {"properties": {"scene": {"required": ["mesh"]}}},

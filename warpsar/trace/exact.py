@@ -41,7 +41,7 @@ def exact_hits(
     are flat over (azimuth, elevation) to `BOW` pixels.
     """
     device, pixel_area = target.device, pixel_area_m2 or grid.pixel_area_m2
-    seen = _Seen.of(target, geometry, grid)
+    seen = Seen.of(target, geometry, grid)
     pixel, face, area, points = _merged_hits(
         seen, _covered(seen, grid, only_columns or (0, grid.shape[1]), device), grid
     )
@@ -62,7 +62,7 @@ def exact_hits(
     return Hits(grid, geometry, rays_per_m2=rays_per_m2, seed=seed, rays=0, **arrays)
 
 
-def _merged_hits(seen: _Seen, cells: _Covered, grid: BinGrid) -> tuple[np.ndarray, ...]:
+def _merged_hits(seen: Seen, cells: _Covered, grid: BinGrid) -> tuple[np.ndarray, ...]:
     """Pixel, face, area across the look direction [m^2] and mean point (n, 3) [m], one for each face in a pixel."""
     points = seen.points(cells.face, cells.azimuth / cells.area, cells.elevation / cells.area)
     area, parent = cells.area * seen.stretch(points), seen.parent[cells.face]
@@ -88,7 +88,7 @@ def _barycentric(corners: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 
 @dataclass
-class _Seen:
+class Seen:
     """A mesh across the look direction of a view.
 
     `azimuth`, `elevation` and `range` [m] of every corner, shape (vertices,); about a track the elevation is the angle
@@ -106,7 +106,7 @@ class _Seen:
     plane: np.ndarray
 
     @classmethod
-    def of(cls, target: Target, geometry: ViewGeometry, grid: BinGrid) -> _Seen:
+    def of(cls, target: Target, geometry: ViewGeometry, grid: BinGrid) -> Seen:
         faces = target.faces.numpy()
         points, corners = _merged(target.corners, faces)
         parent = np.arange(len(faces))
@@ -193,40 +193,70 @@ class _Covered:
     face: np.ndarray
 
 
-def _covered(seen: _Seen, grid: BinGrid, columns: tuple[int, int], device: wp.Device) -> _Covered:
-    rows = grid.shape[0]
-    border = grid.start_m[1] + grid.spacing_m[1] * np.arange(columns[0], columns[1] + 1)
-    first, face = _in_columns(seen.azimuth[seen.corners], border, seen.elevation[seen.corners].min(axis=1))
-    events, first_event = _events(seen, border, device)
-    place = (seen.range[seen.corners] - grid.start_m[0]) / grid.spacing_m[0]
-    low = np.clip(np.floor(place.min(axis=1)).astype(np.int64) - 1, 0, rows)[face]
-    high = np.clip(np.floor(place.max(axis=1)).astype(np.int64) + 2, 0, rows)[face]
-    counts = np.maximum(high - low, 1)
-    start = np.concatenate([[0], np.cumsum(counts)])
-    cells = kernels.Cells()
-    cells.first_row, cells.start = _put(low, int, device), _put(start[:-1], int, device)
-    for name in ("area", "azimuth", "elevation"):
-        setattr(cells, name, wp.zeros(int(start[-1]), dtype=wp.float64, device=device))
-    order = np.argsort(seen.azimuth[seen.corners], axis=1, kind="stable")
-    corners = np.take_along_axis(seen.corners, order, axis=1)
-    faces = kernels.Faces()
-    faces.azimuth = _put(seen.azimuth[corners], wp.float64, device)
-    faces.elevation = _put(seen.elevation[corners], wp.float64, device)
-    faces.plane = _put(seen.plane, wp.float64, device)
-    room = kernels.Stretches()
-    for part in ("order", "face", "place", *_BORDERS):
-        kind = wp.float64 if part in _BORDERS else int
-        setattr(room, part, wp.empty(len(face), dtype=kind, device=device))
-    inputs = [faces, _put(face, int, device), _put(first, int, device), _put(events, wp.float64, device)]
-    inputs += [_put(first_event, int, device), rows, wp.float64(grid.start_m[0]), wp.float64(grid.spacing_m[0]), room]
-    wp.launch(kernels.coverage_kernel, len(border) - 1, inputs=inputs, outputs=[cells], device=device)
+@dataclass
+class Sweep:
+    """What one sweep over the columns of a view takes, on the device.
+
+    `face` are the candidates' faces and `first` where each column's candidates begin; `low` is the first row of each
+    candidate's cells, and `start` where its cells begin. `order`, (faces, 3), says which corner of a face comes first,
+    second and third by azimuth.
+    """
+
+    device: wp.Device
+    columns: int
+    inputs: list[Any]
+    cells: kernels.Cells
+    face: np.ndarray
+    first: np.ndarray
+    low: np.ndarray
+    start: np.ndarray
+    order: np.ndarray
+
+    @classmethod
+    def of(cls, seen: Seen, grid: BinGrid, columns: tuple[int, int], device: wp.Device) -> Sweep:
+        rows = grid.shape[0]
+        border = grid.start_m[1] + grid.spacing_m[1] * np.arange(columns[0], columns[1] + 1)
+        first, face = _in_columns(seen.azimuth[seen.corners], border, seen.elevation[seen.corners].min(axis=1))
+        events, first_event = _events(seen, border, device)
+        place = (seen.range[seen.corners] - grid.start_m[0]) / grid.spacing_m[0]
+        low = np.clip(np.floor(place.min(axis=1)).astype(np.int64) - 1, 0, rows)[face]
+        high = np.clip(np.floor(place.max(axis=1)).astype(np.int64) + 2, 0, rows)[face]
+        start = np.concatenate([[0], np.cumsum(np.maximum(high - low, 1))])
+        cells = kernels.Cells()
+        cells.first_row, cells.start = _put(low, int, device), _put(start[:-1], int, device)
+        for name in ("area", "azimuth", "elevation"):
+            setattr(cells, name, wp.zeros(int(start[-1]), dtype=wp.float64, device=device))
+        order = np.argsort(seen.azimuth[seen.corners], axis=1, kind="stable")
+        corners = np.take_along_axis(seen.corners, order, axis=1)
+        faces = kernels.Faces()
+        faces.azimuth = _put(seen.azimuth[corners], wp.float64, device)
+        faces.elevation = _put(seen.elevation[corners], wp.float64, device)
+        faces.plane = _put(seen.plane, wp.float64, device)
+        room = kernels.Stretches()
+        for part in ("order", "face", "place", *_BORDERS):
+            kind = wp.float64 if part in _BORDERS else int
+            setattr(room, part, wp.empty(len(face), dtype=kind, device=device))
+        inputs = [faces, _put(face, int, device), _put(first, int, device), _put(events, wp.float64, device)]
+        inputs += [_put(first_event, int, device), rows, wp.float64(grid.start_m[0]), wp.float64(grid.spacing_m[0])]
+        return cls(device, len(border) - 1, [*inputs, room], cells, face, first, low, start, order)
+
+    def run(self, pieces: kernels.Pieces) -> None:
+        """Add up the areas in `cells`, and keep the visible `pieces` where they have room."""
+        outputs = [self.cells, pieces]
+        wp.launch(kernels.coverage_kernel, self.columns, inputs=self.inputs, outputs=outputs, device=self.device)
+
+
+def _covered(seen: Seen, grid: BinGrid, columns: tuple[int, int], device: wp.Device) -> _Covered:
+    sweep = Sweep.of(seen, grid, columns, device)
+    sweep.run(kernels.Pieces())
+    cells, first, low, start = sweep.cells, sweep.first, sweep.low, sweep.start
     area = cells.area.numpy()
     lit = np.flatnonzero(area > 0.0)
     candidate = np.searchsorted(start, lit, side="right") - 1
     column = np.searchsorted(first, candidate, side="right") - 1 + columns[0]
     row = low[candidate] + lit - start[candidate]
     moments = (cells.azimuth.numpy()[lit], cells.elevation.numpy()[lit])
-    return _Covered(area[lit], *moments, column, row, face[candidate])
+    return _Covered(area[lit], *moments, column, row, sweep.face[candidate])
 
 
 def _put(values: np.ndarray, kind: type, device: wp.Device) -> wp.array:
@@ -250,7 +280,7 @@ def _in_columns(
     return np.searchsorted(column[order], np.arange(columns + 1)), element[order]
 
 
-def _events(seen: _Seen, border: np.ndarray, device: wp.Device) -> tuple[np.ndarray, np.ndarray]:
+def _events(seen: Seen, border: np.ndarray, device: wp.Device) -> tuple[np.ndarray, np.ndarray]:
     """Azimuths between which the order of edges stays, by column: the borders, vertices, and crossings."""
     columns, spacing = len(border) - 1, border[1] - border[0]
     edges, outline = _edges(seen)
@@ -291,7 +321,7 @@ def _events(seen: _Seen, border: np.ndarray, device: wp.Device) -> tuple[np.ndar
     return every[sort], np.searchsorted(where[sort], np.arange(columns + 1))
 
 
-def _edges(seen: _Seen) -> tuple[np.ndarray, np.ndarray]:
+def _edges(seen: Seen) -> tuple[np.ndarray, np.ndarray]:
     """Edges as pairs of vertices, (n, 2), and which of them are outlines, (n,) bool.
 
     Two faces on either side of an edge, as the radar sees them, hide alike what lies behind it. All other edges are

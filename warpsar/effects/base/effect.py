@@ -46,6 +46,7 @@ class Effect:
     is_floor: ClassVar[bool] = False  # adds the same positive power to every pixel: none may measure exactly 0
     in_image: ClassVar[bool] = False  # acts at places of the image, whatever surface lies there
     affine: ClassVar[bool] = False  # image stage: a matrix times the image, plus an image that does not depend on it
+    by_incidence: ClassVar[bool] = False  # changes a hit's power by its angles alone, wherever it lies
     needs_all_hits: ClassVar[bool] = False  # starts from all hits of a view at once: cannot be rendered in bands
     bins_per_pixel: ClassVar[int] = 1  # how much finer than the image, per axis, the hits are binned for it
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -32,14 +32,18 @@ class Assembly:
     templates: dict[tuple[object, ...], Mesh]
     moved: dict[str, NDArray[np.integer]]
     bodies: Bodies
+    _wholes: dict[tuple[object, ...], Mesh] = field(default_factory=dict, repr=False)
+    """By what the objects are, wherever they stand: a mesh whose arrays, but the vertices, serve every pose."""
 
     @classmethod
     def of(cls, base: Mesh | None, objects: Sequence[Object], bodies: Bodies) -> Assembly:
         """Raises InputError for a group that the mesh does not have, or that shares a face with another."""
         templates: dict[tuple[object, ...], Mesh] = {}
-        for one in objects:
+        for index, one in enumerate(objects):
             if one.mesh is not None and _key(one) not in templates:
                 templates[_key(one)] = _template(bodies[one.mesh], one)
+            if one.materials is not None:
+                _refuse_names(one.materials, templates[_key(one)], f"objects[{index}] ({one.label}).materials")
         moved: dict[str, NDArray[np.integer]] = {}
         taken: dict[int, str] = {}
         for index, one in enumerate(objects):
@@ -58,11 +62,15 @@ class Assembly:
 
     def mesh(self, objects: Sequence[Object]) -> Mesh:
         """The one mesh with every object where its table puts it. Only vertices depend on the pose and size."""
-        parts = [] if self.base is None else [self._base(objects)]
-        parts += [self.placed(one) for one in objects if one.group is None]
-        if len(parts) == 1:
-            return parts[0]
-        return _joined(parts)
+        key = tuple(map(_kind, objects))
+        if key not in self._wholes:
+            parts = [] if self.base is None else [self._base(objects)]
+            parts += [self.placed(one) for one in objects if one.group is None]
+            self._wholes[key] = parts[0] if len(parts) == 1 else _joined(parts)
+            return self._wholes[key]
+        vertices = [] if self.base is None else [self._base(objects).vertices]
+        vertices += [self.vertices_of(one) for one in objects if one.group is None]
+        return replace(self._wholes[key], vertices=np.concatenate(vertices))
 
     def placed(self, one: Object) -> Mesh:
         """An object that is no group, where its table puts it."""
@@ -74,12 +82,18 @@ class Assembly:
         if one.material is not None:
             uniform = np.zeros(len(template.faces), np.int32)
             template = replace(template, materials=(one.material,), face_material=uniform)
+        if one.materials is not None:
+            named = [one.materials[name] for name in template.materials]
+            names = tuple(dict.fromkeys(named))
+            index = np.array([names.index(name) for name in named], np.int32)
+            template = replace(template, materials=names, face_material=index[template.face_material])
         return replace(template, vertices=placed(template.vertices, one))
 
     def vertices_of(self, one: Object) -> NDArray[np.float64]:
         """An object's vertices in the world [m], shape (n, 3)."""
         if one.group is None:
-            return self.placed(one).vertices
+            own = self.templates[_key(one)] if one.primitive is None else body(one)
+            return placed(own.vertices, one)
         assert self.base is not None
         mine = self.base.vertices[self.moved[one.label]]
         return placed(mine, one, foot(mine))
@@ -95,6 +109,12 @@ class Assembly:
         return replace(self.base, vertices=vertices)
 
 
+def _kind(one: Object) -> tuple[object, ...]:
+    """What of an object decides which triangles it has, and not where their corners lie."""
+    sheet = None if one.size_m is None else tuple(size == 0.0 for size in one.size_m)
+    return (*_key(one), one.primitive, sheet, one.group, one.material, tuple((one.materials or {}).items()))
+
+
 def _key(one: Object) -> tuple[object, ...]:
     """What instances of one mesh have in common."""
     return (one.mesh, one.units, one.up, one.front)
@@ -102,6 +122,13 @@ def _key(one: Object) -> tuple[object, ...]:
 
 def _template(read: Mesh, one: Object) -> Mesh:
     return replace(read, vertices=in_object_frame(read.vertices, one, UNITS[one.units]), warnings=())
+
+
+def _refuse_names(given: Mapping[str, str], mesh: Mesh, where: str) -> None:
+    if set(given) != set(mesh.materials):
+        raise InputError(
+            f"{where}: found {', '.join(given)}; must be the names of its mesh: {', '.join(mesh.materials)}"
+        )
 
 
 def _group_faces(base: Mesh | None, group: str, where: str) -> NDArray[np.int32]:
@@ -135,9 +162,9 @@ def _joined(parts: Sequence[Mesh]) -> Mesh:
     """Several meshes as one; what only some have (UV, scalars) is NaN elsewhere."""
     names = tuple(dict.fromkeys(name for part in parts for name in part.materials))
     counts = [len(part.vertices) for part in parts]
-    starts = np.cumsum([0, *counts[:-1]])
+    starts = np.cumsum([0, *counts[:-1]]).astype(np.int32)
     faces = [part.faces + start for part, start in zip(parts, starts, strict=True)]
-    material = [np.array([names.index(n) for n in part.materials])[part.face_material] for part in parts]
+    material = [np.array([names.index(n) for n in part.materials], np.int32)[part.face_material] for part in parts]
     uv = None
     if any(part.uv is not None for part in parts):
         nowhere = [np.full((count, 2), np.nan) for count in counts]

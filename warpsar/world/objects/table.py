@@ -26,6 +26,8 @@ KEYS: dict[str, str] = {
     "side_curvature": "side_curvature",
 }
 """The key of the table that each word of `learn` frees."""
+LIMITS = {"cabin": (0.1, 0.85), "side_curvature": (0.0, 0.5)}
+"""Least and largest share that a fit may take."""
 VEHICLES = ("car", "truck")
 CABIN = {"car": 0.6, "truck": 0.25}
 """Default share of the length that the cabin takes."""
@@ -36,8 +38,6 @@ _Size = Annotated[Number, Field(ge=0.0, le=1e6)]
 _Scale = Annotated[Number, Field(gt=0.0, le=1e6)]
 _Share = Annotated[Number, Field(ge=0.1, le=0.85)]
 _Bulge = Annotated[Number, Field(ge=0.0, le=0.5)]
-_Deviation = Annotated[Number, Field(gt=0.0)]
-_Relative = Annotated[str, Field(pattern=r"^\s*\d+(\.\d*)?\s*%\s*$")]
 
 
 class Object(Table):
@@ -104,12 +104,18 @@ class Object(Table):
     material: Annotated[str, Field(min_length=1)] | None = Field(
         default=None, description="Material of the whole object; else the file's own names.", examples=["body"]
     )
+    materials: dict[str, Annotated[str, Field(min_length=1)]] | None = Field(
+        default=None,
+        description="Materials of the mesh file's parts: a material of the scene for each of the file's names.",
+        examples=[{"hull": "steel", "wheels": "rubber"}],
+    )
     learn: tuple[Learnable, ...] = Field(
         default=(), description="What a fit may change.", examples=[["position", "heading"]]
     )
-    tolerance: dict[str, _Deviation | _Relative] = Field(
+    tolerance: dict[str, Any] = Field(
         default_factory=dict,
-        description='Standard deviation to which a key is known, in the key\'s unit, or relative, such as "5 %".',
+        description='Standard deviation to which a key is known, in the key\'s unit, or relative, such as "5 %"; '
+        "{ about = VALUE, sd = ... } where another value is known than the one stated.",
         examples=[{"position_m": 0.3, "heading_deg": 2.0}],
     )
 
@@ -133,9 +139,13 @@ class Object(Table):
         for key, given in value.items() if isinstance(value, dict) else ():
             if key not in KEYS.values():
                 raise ValueError(f"{key} has no tolerance; must be of {', '.join(KEYS.values())}")
-            text = isinstance(given, str) and re.fullmatch(r"\s*\d+(\.\d*)?\s*%\s*", given)
-            if not text and not (_is_number(given) and 0 < given < float("inf")):
+            sd = given["sd"] if isinstance(given, dict) and set(given) == {"about", "sd"} else given
+            text = isinstance(sd, str) and re.fullmatch(r"\s*\d+(\.\d*)?\s*%\s*", sd)
+            if not text and not (_is_number(sd) and 0 < sd < float("inf")):
                 raise ValueError(f'{key} must be a number above 0, in the key\'s own unit, or text such as "5 %"')
+            about = _three(given["about"]) if isinstance(given, dict) else (0.0,)
+            if not all(_is_number(each) and abs(each) <= 1e8 for each in about):
+                raise ValueError(f"{key}.about: found {given['about']!r}; must be numbers as {key} itself takes")
         return handler(value)
 
     @model_validator(mode="after")
@@ -145,6 +155,8 @@ class Object(Table):
             raise ValueError(f"found {' and '.join(kinds) or 'no body'}; must be exactly one of mesh, primitive, group")
         if self.up[1] == self.front[1]:
             raise ValueError(f'found up = "{self.up}" and front = "{self.front}"; must lie on two axes')
+        if self.material is not None and self.materials is not None:
+            raise ValueError("found material and materials; must be one of them")
         self._refuse_foreign_keys(kinds[0])
         if self.primitive is not None:
             self._refuse_sizes()
@@ -154,7 +166,7 @@ class Object(Table):
         """Keys, and words of `learn`, that say nothing of this kind of object."""
         of_kind = {"size_m": kind == "primitive", **dict.fromkeys(("units", "up", "front"), kind == "mesh")}
         of_kind |= dict.fromkeys(("cabin", "side_curvature"), self.primitive in VEHICLES)
-        of_kind["material"] = kind != "group"
+        of_kind |= {"material": kind != "group", "materials": kind == "mesh"}
         for key, fits in of_kind.items():
             word = key.removesuffix("_m")
             if not fits and (key in self.model_fields_set or word in self.learn or key in self.tolerance):
@@ -190,13 +202,30 @@ class Object(Table):
         """Factors along the front, across it, and up."""
         return self.scale if isinstance(self.scale, tuple) else (self.scale,) * 3
 
-    def sd_of(self, key: str, values: tuple[float, ...]) -> tuple[float, ...]:
-        """The tolerance of a key as a standard deviation of each of its `values`; infinite where none is stated."""
+    def known_of(self, key: str, values: tuple[float, ...]) -> tuple[tuple[float, float], ...]:
+        """About which value each of a key's `values` is known, and its standard deviation: infinite without one."""
         stated = self.tolerance.get(key)
-        if isinstance(stated, str):
-            share = float(stated.strip().rstrip("%")) / 100.0
-            return tuple(share * abs(value) for value in values)
-        return (float("inf") if stated is None else float(stated),) * len(values)
+        about, sd = values, stated
+        if isinstance(stated, dict):
+            about, sd = _three(stated["about"]), stated["sd"]
+            about = about * len(values) if len(about) == 1 else about
+        if isinstance(sd, str):
+            share = float(sd.strip().rstrip("%")) / 100.0
+            return tuple((float(value), share * abs(value)) for value in about[: len(values)])
+        return tuple((float(value), float("inf") if sd is None else float(sd)) for value in about[: len(values)])
+
+    def pinned(self) -> Object:
+        """The object with the values that its tolerances are about, which stay when a fit moves the keys' own."""
+        known = {
+            key: one if isinstance(one, dict) else {"about": getattr(self, key), "sd": one}
+            for key, one in self.tolerance.items()
+            if getattr(self, key) is not None
+        }
+        return self.model_copy(update={"tolerance": {**self.tolerance, **known}})
+
+
+def _three(value: Any) -> tuple[Any, ...]:
+    return tuple(value) if isinstance(value, list | tuple) else (value,)
 
 
 def _is_number(value: object) -> bool:
