@@ -193,7 +193,9 @@ def phase_integral(
 
 
 @wp.func
-def flat_sent(stuff: Face, k: wp.float64, integral: wp.vec2d, n: wp.vec3d, s: wp.vec3d, u: wp.vec3d, v: wp.vec3d) -> Four:
+def flat_sent(
+    stuff: Face, k: wp.float64, integral: wp.vec2d, n: wp.vec3d, s: wp.vec3d, u: wp.vec3d, v: wp.vec3d
+) -> Four:
     """What a plane surface with a phase integral sends back of a plane wave."""
     if wp.dot(n, s) < wp.float64(0.0):
         n = -n

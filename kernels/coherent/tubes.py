@@ -140,7 +140,9 @@ def crossings(a0: wp.float64, a1: wp.float64, a2: wp.float64, t: wp.float64) -> 
 
 
 @wp.func
-def begun(radar: Radar, place: wp.vec2d, side_u: wp.vec2d, side_v: wp.vec2d, standoff: wp.float64, reach: float) -> Tube:
+def begun(
+    radar: Radar, place: wp.vec2d, side_u: wp.vec2d, side_v: wp.vec2d, standoff: wp.float64, reach: float
+) -> Tube:
     """The tube of a cell of the plane across `s`: its middle and its sides along u and v [m]."""
     point = place[0] * radar.u + place[1] * radar.v
     sight = look(radar, point, reach)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import warp as wp
@@ -80,24 +81,60 @@ def rcs(
 
     Raises InputError for angles and frequencies out of range, and DeviceError.
     """
-    azimuths, incidences = (np.atleast_1d(np.asarray(a, np.float64)) for a in (azimuths_deg, incidences_deg))
-    asked = scene.radar.frequency_hz if frequencies_hz is None else frequencies_hz
-    frequencies = np.atleast_1d(np.asarray(asked, np.float64))
-    _refuse(scene, azimuths, incidences, frequencies, rays_per_wavelength)
-    where = devices.resolve_device(device)
-    devices.load_kernels(where, "coherent.tubes", "coherent.radiate", "coherent.edges", "coherent.rough")
-    _refuse_size(azimuths.size * incidences.size, frequencies.size, where)
-    pairs = np.stack(np.meshgrid(azimuths, incidences, indexing="ij"), axis=-1).reshape(-1, 2)
-    body = CoherentBody.of(scene, where)
-    _refuse_body(scene, body, SPEED_OF_LIGHT / frequencies.max(), rays_per_wavelength)
-    bar = console.progress(len(pairs), "directions", "direction")
+    asked = Asked.of(scene, azimuths_deg, incidences_deg, frequencies_hz, device, rays_per_wavelength)
+    return swept(scene, asked)
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What is asked of a scene, checked."""
+
+    azimuths: NDArray[np.float64]
+    incidences: NDArray[np.float64]
+    frequencies: NDArray[np.float64]
+    rays_per_wavelength: float
+    body: CoherentBody
+
+    @classmethod
+    def of(
+        cls,
+        scene: World,
+        azimuths_deg: ArrayLike,
+        incidences_deg: ArrayLike,
+        frequencies_hz: ArrayLike | None,
+        device: str | None,
+        rays_per_wavelength: float,
+    ) -> Asked:
+        """Raises InputError and DeviceError."""
+        azimuths, incidences = (np.atleast_1d(np.asarray(a, np.float64)) for a in (azimuths_deg, incidences_deg))
+        asked = scene.radar.frequency_hz if frequencies_hz is None else frequencies_hz
+        frequencies = np.atleast_1d(np.asarray(asked, np.float64))
+        _refuse(scene, azimuths, incidences, frequencies, rays_per_wavelength)
+        where = devices.resolve_device(device)
+        devices.load_kernels(where, "coherent.tubes", "coherent.radiate", "coherent.edges", "coherent.rough")
+        _refuse_size(azimuths.size * incidences.size, frequencies.size, where)
+        body = CoherentBody.of(scene, where)
+        _refuse_body(scene, body, SPEED_OF_LIGHT / frequencies.max(), rays_per_wavelength)
+        return cls(azimuths, incidences, frequencies, rays_per_wavelength, body)
+
+    @cached_property
+    def directions(self) -> Directions:
+        """All pairs of angles, incidence by incidence."""
+        pairs = np.stack(np.meshgrid(self.azimuths, self.incidences, indexing="ij"), axis=-1).reshape(-1, 2)
+        return Directions.of(pairs[:, 0], pairs[:, 1])
+
+
+def swept(scene: World, asked: Asked) -> Rcs:
+    """The sweep of `rcs`, once all is checked."""
+    azimuths, incidences, frequencies = asked.azimuths, asked.incidences, asked.frequencies
+    bar = console.progress(len(asked.directions), "directions", "direction")
     found = sweep(
-        body,
-        Directions.of(pairs[:, 0], pairs[:, 1]),
+        asked.body,
+        asked.directions,
         frequencies.tolist(),
         terms=scene.radar.terms,
         max_bounces=scene.radar.max_bounces,
-        rays_per_wavelength=rays_per_wavelength,
+        rays_per_wavelength=asked.rays_per_wavelength,
         distance_m=scene.radar.slant_range_m,
         progress=bar,
     )

@@ -68,7 +68,7 @@ def sweep(
     """
     k = 2.0 * np.pi * np.asarray(frequencies_hz, float) / SPEED_OF_LIGHT
     spacing = float(2.0 * np.pi / k.max() / rays_per_wavelength)
-    worker = _Worker(body, k, spacing, terms, max_bounces, levels, distance_m)
+    worker = Worker(body, k, spacing, terms, max_bounces, levels, distance_m)
     counts = [_cells(body, directions, i, spacing) for i in range(len(directions))]
     tasks = [partial(worker, directions[some]) for some in _batches(counts, worker.together)]
     found = []
@@ -76,16 +76,25 @@ def sweep(
         found.append(part)
         if progress is not None:
             progress.update(len(part.refined))
-    # The kernels' phase is zero in the body's middle, the result's at the reference point: a shift in float64.
-    shift = np.exp(2j * (directions.s @ body.origin)[:, None] * (k if distance_m is None else 0.0 * k))
     return Sweep(
-        np.concatenate([part.amplitude for part in found]) * shift[:, :, None, None],
+        np.concatenate([part.amplitude for part in found]) * shift(body, directions, k, distance_m)[:, :, None, None],
         np.concatenate([part.fresnel_number for part in found]),
         spacing,
         np.concatenate([part.refined for part in found]),
         np.concatenate([part.aliased for part in found]),
         sum(part.segments for part in found),
     )
+
+
+def shift(
+    body: CoherentBody, directions: Directions, k: NDArray[np.float64], distance_m: float | None
+) -> NDArray[np.complex128]:
+    """The kernels' phase is zero in the body's middle, the result's at the reference point: (directions, frequencies).
+
+    With a distance the way to the radar already starts from the reference point."""
+    way = 2j * (directions.s @ body.origin)[:, None]
+    factor: NDArray[np.complex128] = np.exp(way * (k if distance_m is None else 0.0 * k))
+    return factor
 
 
 def _cells(body: CoherentBody, directions: Directions, i: int, spacing: float) -> int:
@@ -104,7 +113,7 @@ def _batches(counts: Sequence[int], together: int) -> Iterator[slice]:
     yield slice(start, len(counts))
 
 
-class _Worker:
+class Worker:
     """Works out some directions; holds what all of them share."""
 
     def __init__(
@@ -222,22 +231,28 @@ class _Worker:
         """Trace tubes, quarter those that alias, and add up what they radiate."""
         views = radars.shape[0]
         total = _Block.empty(views, len(self.k))
+        for level, (some, traced, wide, kept) in enumerate(self.quartered(radars, rays)):
+            total.refined += np.bincount(some.view, wide, views) if level == 0 < self.levels else 0.0
+            total.aliased += np.bincount(some.view, wide & kept, views) / 4.0**level
+            total.amplitude += traced.radiated(exact, kept, views)
+            cross = some.size.prod(axis=1) * (kept & (traced.count > 1))
+            total.area += np.bincount(some.view, cross, views)
+            total.way += np.bincount(some.view, cross * traced.span, views)
+            total.segments += int(traced.count.sum())
+        return total
+
+    def quartered(
+        self, radars: wp.array, rays: cells.Rays
+    ) -> Iterator[tuple[cells.Rays, Traced, NDArray[np.bool_], NDArray[np.bool_]]]:
+        """Rays and what they hit, level by level, with those that alias and those that stay."""
         for level in range(self.levels + 1):
-            traced = _Traced(self, radars, rays)
+            traced = Traced(self, radars, rays)
             used = rays.used != 0
             wide = used & (traced.turn > TURN)
-            kept = used & ~wide if level < self.levels else used
-            total.refined += np.bincount(rays.view, wide, views) if level == 0 < self.levels else 0.0
-            total.aliased += np.bincount(rays.view, wide & kept, views) / 4.0**level
-            total.amplitude += traced.radiated(exact, kept, views)
-            cross = rays.size.prod(axis=1) * (kept & (traced.count > 1))
-            total.area += np.bincount(rays.view, cross, views)
-            total.way += np.bincount(rays.view, cross * traced.span, views)
-            total.segments += int(traced.count.sum())
+            yield rays, traced, wide, used & ~wide if level < self.levels else used
             if level == self.levels or not wide.any():
-                break
-            rays = cells.children(rays, wide, views)
-        return total
+                return
+            rays = cells.children(rays, wide, radars.shape[0])
 
 
 @dataclass
@@ -268,10 +283,10 @@ class _Block:
         self.segments += other.segments
 
 
-class _Traced:
+class Traced:
     """Rays with what they hit."""
 
-    def __init__(self, worker: _Worker, radars: wp.array, rays: cells.Rays) -> None:
+    def __init__(self, worker: Worker, radars: wp.array, rays: cells.Rays) -> None:
         self.worker, self.radars = worker, radars
         device, body, n = worker.body.device, worker.body, len(rays)
         self.view = upload(rays.view, int, device)
