@@ -82,10 +82,38 @@ def normals_kernel(
 # Tubes, bounce by bounce
 
 
-@wp.kernel(enable_backward=False)
+@wp.func
+def weights_on(e1: wp.vec3d, e2: wp.vec3d, x: wp.vec3d) -> wp.vec2d:
+    """x as a sum of two sides of a triangle, for x in its plane."""
+    g11 = wp.dot(e1, e1)
+    g12 = wp.dot(e1, e2)
+    g22 = wp.dot(e2, e2)
+    a = wp.dot(e1, x)
+    b = wp.dot(e2, x)
+    return wp.vec2d(g22 * a - g12 * b, g11 * b - g12 * a) / (g11 * g22 - g12 * g12)
+
+
+@wp.func
+def cast(radar: Radar, x: wp.vec3d, dx: wp.vec3d) -> wp.vec3d:
+    """How the place in the plane across `s` moves whose ray meets x, as x moves by dx."""
+    if radar.near == 0:
+        return dx
+    to = x - radar.place
+    height = wp.dot(radar.place, radar.s)
+    ratio = -height / wp.dot(to, radar.s)
+    return ratio * (dx - (wp.dot(dx, radar.s) / wp.dot(to, radar.s)) * to)
+
+
+@wp.kernel
 def begin_kernel(
     # In:
     radar_in: wp.array[Radar],
+    vertices_in: wp.array[wp.vec3d],
+    held_in: wp.array[wp.vec3d],
+    faces_in: wp.array2d[int],
+    normals_in: wp.array2d[wp.vec3d],
+    curved_in: wp.array[int],
+    face_in: wp.array[int],
     place_in: wp.array[wp.vec2d],
     side_u_in: wp.array[wp.vec2d],
     side_v_in: wp.array[wp.vec2d],
@@ -94,9 +122,38 @@ def begin_kernel(
     # Out:
     tube_out: wp.array[Tube],
 ):
-    """Tubes where they start: nothing that is learned moves them."""
+    """Tubes where they start.
+
+    A tube that meets a curved surface first belongs to a place of its first face, and moves with the vertices: at the
+    silhouette the way changes without bounds for a tube that stays. `held_in`: the vertices without a gradient.
+    """
     i = wp.tid()
-    tube_out[i] = begun(radar_in[0], place_in[i], side_u_in[i], side_v_in[i], standoff, reach)
+    radar = radar_in[0]
+    f = face_in[i]
+    known = begun(radar, place_in[i], side_u_in[i], side_v_in[i], standoff, reach)
+    if curved_in[f] == 0:
+        tube_out[i] = known
+        return
+    at = met(known, way_to(known, held_in, faces_in, f), held_in, faces_in, normals_in, 0, f)
+    q0 = held_in[faces_in[f, 0]]
+    q1 = held_in[faces_in[f, 1]] - q0
+    q2 = held_in[faces_in[f, 2]] - q0
+    here = weights_on(q1, q2, at.point - q0)
+    along_u = weights_on(q1, q2, at.pu)
+    along_v = weights_on(q1, q2, at.pv)
+    p0 = vertices_in[faces_in[f, 0]]
+    e1 = vertices_in[faces_in[f, 1]] - p0
+    e2 = vertices_in[faces_in[f, 2]] - p0
+    x = p0 + here[0] * e1 + here[1] * e2
+    xu = cast(radar, x, along_u[0] * e1 + along_u[1] * e2)
+    xv = cast(radar, x, along_v[0] * e1 + along_v[1] * e2)
+    if radar.near != 0:
+        to = x - radar.place
+        x = radar.place - (wp.dot(radar.place, radar.s) / wp.dot(to, radar.s)) * to
+    place = wp.vec2d(wp.dot(x, radar.u), wp.dot(x, radar.v))
+    side_u = wp.vec2d(wp.dot(xu, radar.u), wp.dot(xu, radar.v))
+    side_v = wp.vec2d(wp.dot(xv, radar.u), wp.dot(xv, radar.v))
+    tube_out[i] = begun(radar, place, side_u, side_v, standoff, reach)
 
 
 @wp.kernel

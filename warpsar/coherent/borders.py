@@ -2,8 +2,9 @@
 
 The amplitude is an integral over the plane across the look direction. Where the order of the surfaces that a ray meets
 changes, its integrand jumps. Such a border moves with the edge of the face that makes it, and the integral's derivative
-has a part for it: the jump, times the border's velocity across itself, along its length (Reynolds; Li, Aittala, Durand,
-Lehtinen, ACM TOG 37(6), 2018). Borders are found between neighbouring rays of a grid, by bisection.
+has a part for it: on either side what is sent there, times the border's velocity across itself past the tubes, along
+its length (Reynolds; Li, Aittala, Durand, Lehtinen, ACM TOG 37(6), 2018). Borders are found between neighbouring rays
+of a grid, by bisection.
 """
 
 from __future__ import annotations
@@ -28,6 +29,8 @@ ROUNDS = 4
 """Borders between two neighbouring rays that are told apart."""
 NEAR = 1e-2
 """A border lies this share of a cell from the edge that makes it, or it is none: rays that slip through a seam."""
+STEEP = 0.1
+"""A line of the grid that meets a border at a smaller sine than this adds little, and its piece is taken no longer."""
 THIN = 1e-6
 """Width of a border's tube over its length."""
 
@@ -234,84 +237,88 @@ def border_slopes(sight: Sight, cotangents: NDArray[np.complex128]) -> list[Slop
 
 def _strip(
     sight: Sight, step: NDArray[np.float64], found: Crossings, cotangents: NDArray[np.complex128]
+) -> list[Slopes]:
+    total = [Slopes.empty(sight.worker.body) for _ in cotangents]
+    for side, sign in ((0, 1.0), (1, -1.0)):
+        some = np.flatnonzero(found.seen[side].count > 0)  # the sky sends nothing
+        some = some[np.argsort(-found.bounces[some], kind="stable")]
+        if len(some):
+            for sum_, part in zip(total, _side(sight, step, found, side, some, sign * cotangents), strict=True):
+                sum_.add(part)
+    return total
+
+
+def _side(
+    sight: Sight,
+    step: NDArray[np.float64],
+    found: Crossings,
+    side: int,
+    some: NDArray[np.int64],
+    cotangents: NDArray[np.complex128],
 ) -> Iterator[Slopes]:
-    # The program of the border's place: rays through it, up to the face that makes it.
-    order = np.argsort(-found.bounces, kind="stable")
-    n, bounces = len(order), found.bounces[order]
-    side = found.seen[0][order]
+    """What the light on one side of the borders gains as they move past the places that its tubes belong to."""
+    n, bounces, seen, place = len(some), found.bounces[some], found.seen[side][some], found.place[side][some]
     unit = np.broadcast_to(np.eye(2)[:, None], (2, n, 2))
+    face, caustics = seen.hits["face"], seen.hits["caustics"]
     held = Held(sight)
-    paths = Paths(
-        found.place[0][order],
-        unit[0],
-        unit[1],
-        bounces.astype(np.int32),
-        side.hits["face"],
-        side.hits["caustics"],
-        np.zeros(side.hits.shape, bool),
-    )
-    states = held.follow(paths)
-    body, device = sight.worker.body, sight.worker.body.device
-    face, corner = upload(found.face[order], int, device), upload(found.corner[order], int, device)
-    weight = held.program.array(n, wp.vec3d)
-    base = [held.vertices, body.rays.faces]
-    for shade in (False, True):
-        for b, (_, tube, hit) in enumerate(states):
-            which = np.flatnonzero((found.shade[order] == shade) & (bounces == b))
-            if not len(which):
-                continue
-            chosen = upload(which, int, device)
-            if shade:
-                inputs = [sight.radars, *base, chosen, face, corner, hit]
-                held.program.launch(slopes.shades_kernel, len(which), inputs, [weight])
-            else:
-                held.program.launch(slopes.rims_kernel, len(which), [*base, chosen, face, corner, tube], [weight])
+    nothing = np.zeros(face.shape, bool)
+    states = held.follow(Paths(place, unit[0], unit[1], bounces.astype(np.int32), face, caustics, nothing))
+    weight = _edges(sight, held, states, found.shade[some], bounces, found.face[some], found.corner[some])
     held.run()
     slope = weight.numpy()[:, 1:]
     steep = np.linalg.norm(slope, axis=1)
     steep[steep == 0.0] = np.inf
     across = slope / steep[:, None]
-    along = found.along[order]
-    part = across[np.arange(n), along]  # of the border's normal along the grid's line
-    width = step[1 - along]
-    length = width / np.maximum(np.abs(part), 0.1)
-    jump = _jump(sight, found, order, across, length)
+    part = across[np.arange(n), found.along[some]]  # of the border's normal along the grid's line
+    width = step[1 - found.along[some]]
+    light = _light(sight, place, seen, across, width / np.maximum(np.abs(part), STEEP))
     for cotangent in cotangents:
-        change = (jump * cotangent.conj()).real.sum(axis=(1, 2))
+        change = (light * cotangent.conj()).real.sum(axis=(1, 2))
         seed = np.zeros((n, 3))
         seed[:, 0] = -change * width * part / steep
         yield held.slopes(weight, seed)
 
 
-def _jump(
+def _edges(
     sight: Sight,
-    found: Crossings,
-    order: NDArray[np.int64],
+    held: Held,
+    states: Any,
+    shade: NDArray[np.bool_],
+    bounces: NDArray[np.int64],
+    face: NDArray[np.int64],
+    corner: NDArray[np.int64],
+) -> wp.array:
+    """The weight of the corner opposite to the edge that each tube passes, and its slopes along u and v."""
+    body, device = sight.worker.body, sight.worker.body.device
+    faces, corners = upload(face, int, device), upload(corner, int, device)
+    weight = held.program.array(len(face), wp.vec3d)
+    for b, (_, tube, hit) in enumerate(states):
+        for shaded in (False, True):
+            which = np.flatnonzero((shade == shaded) & (bounces == b))
+            if not len(which):
+                continue
+            inputs = [held.vertices, body.rays.faces, upload(which, int, device), faces, corners]
+            if shaded:
+                held.program.launch(slopes.shades_kernel, len(which), [sight.radars, *inputs, hit], [weight])
+            else:
+                held.program.launch(slopes.rims_kernel, len(which), [*inputs, tube], [weight])
+    return weight
+
+
+def _light(
+    sight: Sight,
+    place: NDArray[np.float64],
+    seen: Seen,
     across: NDArray[np.float64],
     length: NDArray[np.float64],
 ) -> NDArray[np.complex128]:
-    """The amplitude per area of the plane on the first side less that on the second, (n, frequencies, 4).
-
-    Its tubes lie along the border, as long as its piece.
-    """
-    n = len(order)
-    values = []
-    for place, side in zip(found.place, found.seen, strict=True):
-        seen = side[order]
-        by = np.argsort(-seen.count, kind="stable")
-        along = np.stack([-across[:, 1], across[:, 0]], axis=1) * length[:, None]
-        held = Held(sight, n)
-        counts = sight.counts(seen.hits["face"], seen.hits["seen"])
-        paths = Paths(
-            place[order],
-            along,
-            THIN * length[:, None] * across,
-            seen.count,
-            seen.hits["face"],
-            seen.hits["caustics"],
-            counts,
-        )
-        held.follow(paths[by], by.astype(np.int32))
-        values.append(held.run() / (THIN * length**2)[:, None, None])
-    jump: NDArray[np.complex128] = values[0] - values[1]
-    return jump
+    """The amplitude per area of the plane, (n, frequencies, 4), in tubes that lie along the border."""
+    n = len(place)
+    along = np.stack([-across[:, 1], across[:, 0]], axis=1) * length[:, None]
+    face, counts = seen.hits["face"], sight.counts(seen.hits["face"], seen.hits["seen"])
+    paths = Paths(place, along, THIN * length[:, None] * across, seen.count, face, seen.hits["caustics"], counts)
+    by = np.argsort(-seen.count, kind="stable")
+    held = Held(sight, n)
+    held.follow(paths[by], by.astype(np.int32))
+    amplitude: NDArray[np.complex128] = held.run() / (THIN * length**2)[:, None, None]
+    return amplitude

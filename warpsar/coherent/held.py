@@ -143,13 +143,17 @@ class Held:
     ) -> list[tuple[int, wp.array, wp.array | None]]:
         """Tubes along their paths, whose counts descend, and what they send; `slot`: where each adds it, or 0.
 
+        All tubes meet a face, also those that are followed up to it only (count 0).
+
         Returns for each bounce how many tubes come so far, the tubes before it, and their hits before that.
         """
         worker, program, device = self.worker, self.program, self.worker.body.device
         body, n, frequencies = worker.body, len(paths.count), len(worker.k)
         sides = [upload(getattr(paths, name), wp.vec2d, device) for name in ("place", "side_u", "side_v")]
         tube = program.array(n, tubes.Tube)
-        inputs = [self.sight.radars, *sides, worker.body.standoff, body.rays.reach]
+        first = upload(np.ascontiguousarray(paths.face[:, 0]), int, device)
+        inputs = [self.sight.radars, self.vertices, body.rays.vertices, body.rays.faces, body.rays.normals]
+        inputs += [body.rays.curved, first, *sides, body.standoff, body.rays.reach]
         program.launch(slopes.begin_kernel, n, inputs, [tube])
         packed = records(radiate.Pair, (n, frequencies))
         packed["h"]["re"] = self.sight.directions.u[self.sight.index]
