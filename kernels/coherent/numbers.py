@@ -43,6 +43,14 @@ def exponential(a: wp.vec2d) -> wp.vec2d:
 
 
 @wp.func
+def root(x: wp.float64) -> wp.float64:
+    """The square root, with a derivative of 0 at 0 in place of an infinite one."""
+    if x <= wp.float64(0.0):
+        return wp.float64(0.0)
+    return wp.sqrt(x)
+
+
+@wp.func
 def sinc(x: wp.float64) -> wp.float64:
     """sin x / x."""
     if wp.abs(x) < wp.float64(1.0e-4):

@@ -3,7 +3,7 @@
 import warp as wp
 
 from warpsar.kernels.codes import Polarization
-from warpsar.kernels.coherent.numbers import product, turned
+from warpsar.kernels.coherent.numbers import product, root, turned
 from warpsar.kernels.coherent.radiate import FOUR_PI, Four
 from warpsar.kernels.coherent.tubes import Radar, look
 from warpsar.kernels.scattering import bounded_cosine, bragg_terms, mirror_terms
@@ -101,8 +101,8 @@ def scattered(radar: Radar, k: wp.float64, rough: RoughSurface, variant: int, pl
     model = scattering_of(rough, variant, k, -s, n, radar.u, radar.v)
     phase = sight.spread * sight.spread * turned(-wp.float64(2.0) * k * sight.back)
     share = place.area / FOUR_PI
-    bragg = wp.sqrt(share * (one - rough.specular_fraction) * model.scale) * product(place.diffuse, phase)
-    mirror = wp.sqrt(share * rough.specular_fraction * model.lobe) * product(
+    bragg = root(share * (one - rough.specular_fraction) * model.scale) * product(place.diffuse, phase)
+    mirror = root(share * rough.specular_fraction * model.lobe) * product(
         product(place.specular, phase), model.mirror
     )
     found = Four()

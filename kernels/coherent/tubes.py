@@ -5,6 +5,8 @@ Ling, Chou, Lee (IEEE TAP 37(2), 1989): tubes. Igehy (SIGGRAPH 1999): differenti
 
 import warp as wp
 
+from warpsar.kernels.coherent.numbers import root
+
 
 @wp.struct
 class Hit:
@@ -282,7 +284,7 @@ def hit_of(tube: Tube, at: Meeting) -> Hit:
     hit.across_v = at.pv
     hit.path = at.path
     area = wp.dot(tube.d, wp.cross(at.pu, at.pv))
-    hit.weight = wp.sqrt(tube.initial * wp.abs(area)) / -wp.dot(at.flat, tube.d)
+    hit.weight = root(tube.initial * wp.abs(area)) / -wp.dot(at.flat, tube.d)
     return hit
 
 
