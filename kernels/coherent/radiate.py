@@ -95,10 +95,13 @@ def tubes_kernel(
     used_in: wp.array[int],
     hits_in: wp.array2d[Hit],
     count_in: wp.array[int],
+    only: int,
     # Out:
     amplitude_out: wp.array4d[wp.vec2d],
 ):
     """Each thread adds up RAYS rays of one view at one frequency: (single, further bounces) x (HH, HV, VH, VV).
+
+    `only`: the number of the one bounce that counts, from 0; all of them with -1.
 
     A first hit on a flat region that is lit as a whole is left to `regions_kernel`, which has its exact border. The
     eight sums, which a function could not give back, make it longer than others.
@@ -127,6 +130,8 @@ def tubes_kernel(
                 hit = hits_in[ray, b]
                 back = bounced_fields(stuff_in[f, material_in[hit.face]], k, fields, hit.d, hit.normal)
                 counts = hit.seen
+                if only >= 0 and b != only:
+                    counts = 0
                 if b == 0:
                     region = region_in[hit.face]
                     if region >= 0:

@@ -98,7 +98,7 @@ class Held:
         self.normals = self._normals()
         self.amplitude = self.program.array((slots, len(self.worker.k), 4), wp.vec2d, sum_into=True)
 
-    def _normals(self) -> wp.array:
+    def _normals(self) -> Any:
         """Normals of curved surfaces, by their vertices."""
         body, program = self.worker.body, self.program
         fan = body.shape.fan
