@@ -1,6 +1,6 @@
 """How fast `warpsar.rcs` is: tubes and segments per second on the Austin suite's boxes, and how its time grows.
 
-    python benchmarks/coherent.py DATA [--device cuda] [--growth] [--out coherent.json] [--write]
+    python benchmarks/coherent.py DATA [--device cuda] [--only cylindrical] [--growth] [--out coherent.json] [--write]
 
 DATA is the folder of the suite (benchmarks/rcs_checks.py). A sweep: 361 angles, 2.56, 5.12, 7 and 10.24 GHz, HH and VV,
 tubes of a tenth of the shortest wavelength. `wall` is the time of day, `cpu` that of the process on all its threads:
@@ -21,6 +21,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import numpy as np
 import tables
+import trimesh
 from rcs_checks import BODIES, ROOT, scene_of
 from simulate import machine
 
@@ -43,24 +44,31 @@ def measure(body: CoherentBody, angles: int, frequencies: tuple[float, ...], **m
     return {"angles": angles, "frequencies": len(frequencies), "segments": found.segments, "wall_s": wall, "cpu_s": cpu}
 
 
-def prepared(data: Path, name: str, device: str | None) -> tuple[CoherentBody, dict[str, Any]]:
+def prepared(data: Path, name: str, device: str | None, cuts: int = 0) -> tuple[CoherentBody, dict[str, Any]]:
+    """A body on the device. `cuts`: how often each of its faces is cut into four."""
     started = time.process_time()
-    scene = scene_of(BODIES[name][1](data))
+    mesh = BODIES[name][1](data)
+    for _ in range(cuts):
+        mesh = warpsar.Mesh.of(*trimesh.remesh.subdivide(mesh.vertices, mesh.faces))
+    scene = scene_of(mesh)
     radar = warpsar.Radar(frequency_hz=max(FREQUENCIES), polarizations=("HH", "VV"))
     body = CoherentBody.of(dataclasses.replace(scene, radar=radar), devices.resolve_device(device))
     return body, {"body": name, "faces": len(body.shape.faces), "prepare_cpu_s": time.process_time() - started}
 
 
-def growth(body: CoherentBody, about: dict[str, Any]) -> list[dict[str, Any]]:
-    """One number doubled at a time: angles, frequencies, rays."""
+def growth(
+    body: CoherentBody, about: dict[str, Any], finer: tuple[CoherentBody, dict[str, Any]]
+) -> list[dict[str, Any]]:
+    """One number at a time: angles, frequencies, rays, faces."""
     few = FREQUENCIES[-1:]
     return [
-        {**about, "what": what, **measure(body, angles, frequencies, **more)}
-        for what, angles, frequencies, more in (
-            ("start", 46, few, {}),
-            ("angles x 2", 91, few, {}),
-            ("frequencies x 4", 46, FREQUENCIES, {}),
-            ("rays x 4", 46, few, {"rays_per_wavelength": 20.0}),
+        {**its, "what": what, **measure(one, angles, frequencies, **more)}
+        for what, (one, its), angles, frequencies, more in (
+            ("start", (body, about), 46, few, {}),
+            ("angles x 2", (body, about), 91, few, {}),
+            ("frequencies x 4", (body, about), 46, FREQUENCIES, {}),
+            ("rays x 4", (body, about), 46, few, {"rays_per_wavelength": 20.0}),
+            ("faces x 4", finer, 46, few, {}),
         )
     ]
 
@@ -76,6 +84,7 @@ def main() -> None:
     default = Path(os.environ.get("WARPSAR_MEASURED") or ROOT.parent / "shared" / "data") / "austin_rcs"
     parser.add_argument("data", type=Path, nargs="?", default=default)
     parser.add_argument("--device")
+    parser.add_argument("--only", choices=[name.split()[0] for name in BODIES], help="one body")
     parser.add_argument("--growth", action="store_true", help="also how the time of the cobra duct grows")
     tables.add_options(parser)
     options = parser.parse_args()
@@ -84,11 +93,11 @@ def main() -> None:
         result = tables.stored(options.source)
     else:
         sweeps, grown = [], []
-        for name in BODIES:
+        for name in (name for name in BODIES if options.only in (None, name.split()[0])):
             body, about = prepared(options.data, name, options.device)
             sweeps.append({**about, **measure(body, ANGLES, FREQUENCIES)})
             if options.growth and name.startswith("cobra"):
-                grown = growth(body, about)
+                grown = growth(body, about, prepared(options.data, name, options.device, cuts=1))
         result = {"made": tables.made(), "machine": machine(options.device), "sweeps": sweeps, "growth": grown}
         tables.save(options.out, result)
     header = ("sweep", "faces", "angles", "frequencies", "segments", "wall [s]", "CPU [s]", "segments per wall second",

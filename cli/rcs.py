@@ -43,6 +43,7 @@ from warpsar.cli import options
     show_default=True,
     help="Ray tubes across a wavelength of the highest frequency.",
 )
+@click.option("--layers", is_flag=True, help="Also write layers.csv: each term, and each number of bounces, by itself.")
 @options.device
 def command(
     scene: Path,
@@ -51,6 +52,7 @@ def command(
     incidences: str,
     frequencies: str | None,
     rays_per_wavelength: float,
+    layers: bool,
     device: str | None,
 ) -> None:
     """Radar cross-sections and complex amplitudes of SCENE for plane waves, at every pair of angles.
@@ -67,4 +69,5 @@ def command(
         frequencies=frequencies,
         device=device,
         rays_per_wavelength=rays_per_wavelength,
+        layers=layers,
     )

@@ -13,6 +13,7 @@ from warpsar.errors import DeviceError, InputError, WarpsarError
 from warpsar.version import __version__
 
 if TYPE_CHECKING:
+    from warpsar.coherent.gradients import rcs_gradients
     from warpsar.coherent.rcs import rcs
     from warpsar.diagnosis.found import DiagnoseOptions
     from warpsar.diagnosis.result import diagnose
@@ -39,6 +40,7 @@ _LAZY = {
     "evaluate": "warpsar.evaluation.command",
     "learn": "warpsar.learning.command",
     "rcs": "warpsar.coherent.rcs",
+    "rcs_gradients": "warpsar.coherent.gradients",
     "renderer": "warpsar.differentiable.renderer",
     "simulate": "warpsar.simulation.command",
     "to_xarray": "warpsar.simulation.dataset",
@@ -61,6 +63,7 @@ __all__ = [
     "evaluate",
     "learn",
     "rcs",
+    "rcs_gradients",
     "renderer",
     "simulate",
     "to_xarray",

@@ -7,7 +7,7 @@ wedge, less that of the currents of physical optics.
 import warp as wp
 
 from warpsar.kernels.coherent.numbers import sinc, turned
-from warpsar.kernels.coherent.radiate import scaled
+from warpsar.kernels.coherent.radiate import Four, scaled
 from warpsar.kernels.coherent.tubes import Radar, look
 
 EDGES = wp.constant(16)
@@ -66,7 +66,7 @@ def fringe(e: wp.vec3d, k: wp.float64, s: wp.vec3d, x: wp.vec3d, n: wp.vec3d, ou
     if wp.abs(phi - PI) < POLE:
         phi = wp.where(phi < PI, PI - POLE, PI + POLE)
     cosine = wp.cos(phi)
-    alpha = wp.acos(wp.clamp(cosine, -one, one))
+    alpha = wp.where(phi < PI, phi, two * PI - phi)
     wide = wp.cos((PI - alpha) / outer) - wp.cos(phi / outer)
     # Transforms of H_z (hard) and of dE_z / dy (soft) along the face; the first without its factor 2j / k_t.
     sin_alpha = wp.max(wp.sin(alpha), wp.float64(1.0e-9))
@@ -84,7 +84,29 @@ def fringe(e: wp.vec3d, k: wp.float64, s: wp.vec3d, x: wp.vec3d, n: wp.vec3d, ou
     return grazing * (across * x + along * z)
 
 
-@wp.kernel
+@wp.func
+def diffracted(radar: Radar, k: wp.float64, edge: Edge) -> Four:
+    """What a piece of an edge sends back."""
+    u = radar.u
+    v = radar.v
+    sight = look(radar, edge.middle, 0.0)
+    s = sight.s
+    size = sight.spread * sight.spread * edge.share * wp.length(edge.along) * sinc(k * wp.dot(s, edge.along))
+    phase = turned(-wp.float64(2.0) * k * sight.back)
+    factor = scaled(k, size * wp.vec2d(-phase[1], phase[0]))
+    h = fringe(u, k, s, edge.first, edge.normal_first, edge.outer)
+    h += fringe(u, k, s, edge.second, edge.normal_second, edge.outer)
+    w = fringe(v, k, s, edge.first, edge.normal_first, edge.outer)
+    w += fringe(v, k, s, edge.second, edge.normal_second, edge.outer)
+    found = Four()
+    found.hh = wp.dot(h, u) * factor
+    found.vh = wp.dot(h, v) * factor
+    found.hv = wp.dot(w, u) * factor
+    found.vv = wp.dot(w, v) * factor
+    return found
+
+
+@wp.kernel(enable_backward=False)
 def edges_kernel(
     # In:
     radar_in: wp.array[Radar],
@@ -97,8 +119,6 @@ def edges_kernel(
     """Fringe currents of EDGES pieces of edges, shape (views, frequencies, chunks, 4)."""
     view, f, chunk = wp.tid()
     k = wavenumber_in[f]
-    u = radar_in[view].u
-    v = radar_in[view].v
     hh = wp.vec2d()
     hv = wp.vec2d()
     vh = wp.vec2d()
@@ -107,22 +127,11 @@ def edges_kernel(
         j = chunk * EDGES + i
         if j < edge_in.shape[0]:
             if seen_in[view, j] != wp.uint8(0):
-                edge = edge_in[j]
-                sight = look(radar_in[view], edge.middle, 0.0)
-                s = sight.s
-                size = (
-                    sight.spread * sight.spread * edge.share * wp.length(edge.along) * sinc(k * wp.dot(s, edge.along))
-                )
-                phase = turned(-wp.float64(2.0) * k * sight.back)
-                factor = scaled(k, size * wp.vec2d(-phase[1], phase[0]))
-                h = fringe(u, k, s, edge.first, edge.normal_first, edge.outer)
-                h += fringe(u, k, s, edge.second, edge.normal_second, edge.outer)
-                w = fringe(v, k, s, edge.first, edge.normal_first, edge.outer)
-                w += fringe(v, k, s, edge.second, edge.normal_second, edge.outer)
-                hh += wp.dot(h, u) * factor
-                vh += wp.dot(h, v) * factor
-                hv += wp.dot(w, u) * factor
-                vv += wp.dot(w, v) * factor
+                four = diffracted(radar_in[view], k, edge_in[j])
+                hh += four.hh
+                hv += four.hv
+                vh += four.vh
+                vv += four.vv
     amplitude_out[view, f, chunk, 0] = hh
     amplitude_out[view, f, chunk, 1] = hv
     amplitude_out[view, f, chunk, 2] = vh

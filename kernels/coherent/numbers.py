@@ -30,9 +30,24 @@ def square_root(a: wp.vec2d) -> wp.vec2d:
     return wp.vec2d(re, im)
 
 
+@wp.func_grad(square_root)
+def _adjoint_of_square_root(a: wp.vec2d, adj_ret: wp.vec2d):
+    """1 / (2 root): the parts by themselves have no derivative on the real axis."""
+    twice = wp.float64(2.0) * square_root(a)
+    wp.adjoint[a] += quotient(adj_ret, wp.vec2d(twice[0], -twice[1]))
+
+
 @wp.func
 def exponential(a: wp.vec2d) -> wp.vec2d:
     return wp.exp(a[0]) * turned(a[1])
+
+
+@wp.func
+def root(x: wp.float64) -> wp.float64:
+    """The square root, with a derivative of 0 at 0 in place of an infinite one."""
+    if x <= wp.float64(0.0):
+        return wp.float64(0.0)
+    return wp.sqrt(x)
 
 
 @wp.func

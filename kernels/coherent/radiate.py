@@ -7,7 +7,7 @@ import warp as wp
 
 from warpsar.kernels.coherent.numbers import product, sinc, turned
 from warpsar.kernels.coherent.reflection import Face, Field, reflected, seen
-from warpsar.kernels.coherent.tubes import Hit, Radar, look
+from warpsar.kernels.coherent.tubes import Hit, Look, Radar, look
 
 RAYS = wp.constant(32)
 """Rays that one thread adds up. The sum has the same order for any number of threads."""
@@ -30,7 +30,59 @@ def unit(p: wp.vec3d) -> Field:
     return field
 
 
-@wp.kernel
+@wp.struct
+class Four:
+    """Amplitudes in the four polarizations, received and transmitted."""
+
+    hh: wp.vec2d
+    hv: wp.vec2d
+    vh: wp.vec2d
+    vv: wp.vec2d
+
+
+@wp.struct
+class Pair:
+    """The fields of a tube whose incident wave is H, and V."""
+
+    h: Field
+    v: Field
+
+
+@wp.func
+def bounced_fields(stuff: Face, k: wp.float64, fields: Pair, d: wp.vec3d, n: wp.vec3d) -> Pair:
+    """Both fields after a reflection."""
+    out = d - wp.float64(2.0) * wp.dot(n, d) * n
+    found = Pair()
+    found.h = reflected(stuff, k, fields.h, d, n, out)
+    found.v = reflected(stuff, k, fields.v, d, n, out)
+    return found
+
+
+@wp.func
+def sent(
+    factor: wp.vec2d, fields: Pair, back: Pair, d: wp.vec3d, n: wp.vec3d, s: wp.vec3d, u: wp.vec3d, v: wp.vec3d
+) -> Four:
+    """What the currents of incoming and reflected fields on a face send to the radar."""
+    out = d - wp.float64(2.0) * wp.dot(n, d) * n
+    found = Four()
+    found.hh = product(factor, seen(fields.h, back.h, d, out, n, s, u))
+    found.vh = product(factor, seen(fields.h, back.h, d, out, n, s, v))
+    found.hv = product(factor, seen(fields.v, back.v, d, out, n, s, u))
+    found.vv = product(factor, seen(fields.v, back.v, d, out, n, s, v))
+    return found
+
+
+@wp.func
+def tube_factor(k: wp.float64, hit: Hit, sight: Look) -> wp.vec2d:
+    """Area, spread and phase of a tube's footprint, and the factor of the far field."""
+    half = wp.float64(0.5)
+    phase = -k * (sight.back + hit.path) + wp.float64(hit.caustics) * HALF_PI
+    turn = half * k * (sight.s - hit.d)
+    size = sight.spread * hit.weight * sinc(wp.dot(turn, hit.across_u)) * sinc(wp.dot(turn, hit.across_v))
+    return scaled(k, size * turned(phase))
+
+
+@wp.kernel(enable_backward=False)
 def tubes_kernel(
     # In:
     radar_in: wp.array[Radar],
@@ -43,16 +95,18 @@ def tubes_kernel(
     used_in: wp.array[int],
     hits_in: wp.array2d[Hit],
     count_in: wp.array[int],
+    only: int,
     # Out:
     amplitude_out: wp.array4d[wp.vec2d],
 ):
     """Each thread adds up RAYS rays of one view at one frequency: (single, further bounces) x (HH, HV, VH, VV).
 
+    `only`: the number of the one bounce that counts, from 0; all of them with -1.
+
     A first hit on a flat region that is lit as a whole is left to `regions_kernel`, which has its exact border. The
     eight sums, which a function could not give back, make it longer than others.
     """
     chunk, f = wp.tid()
-    half = wp.float64(0.5)
     k = wavenumber_in[f]
     zero2 = wp.vec2d()
     one_hh = zero2
@@ -69,17 +123,15 @@ def tubes_kernel(
             view = view_in[ray]
             u = radar_in[view].u
             v = radar_in[view].v
-            field_h = unit(u)
-            field_v = unit(v)
+            fields = Pair()
+            fields.h = unit(u)
+            fields.v = unit(v)
             for b in range(count_in[ray]):
                 hit = hits_in[ray, b]
-                n = hit.normal
-                d = hit.d
-                out = d - wp.float64(2.0) * wp.dot(n, d) * n
-                stuff = stuff_in[f, material_in[hit.face]]
-                back_h = reflected(stuff, k, field_h, d, n, out)
-                back_v = reflected(stuff, k, field_v, d, n, out)
+                back = bounced_fields(stuff_in[f, material_in[hit.face]], k, fields, hit.d, hit.normal)
                 counts = hit.seen
+                if only >= 0 and b != only:
+                    counts = 0
                 if b == 0:
                     region = region_in[hit.face]
                     if region >= 0:
@@ -87,29 +139,18 @@ def tubes_kernel(
                             counts = 0
                 if counts != 0:
                     sight = look(radar_in[view], hit.point, 0.0)
-                    s = sight.s
-                    phase = -k * (sight.back + hit.path) + wp.float64(hit.caustics) * HALF_PI
-                    turn = half * k * (s - d)
-                    size = (
-                        sight.spread * hit.weight * sinc(wp.dot(turn, hit.across_u)) * sinc(wp.dot(turn, hit.across_v))
-                    )
-                    factor = scaled(k, size * turned(phase))
-                    hh = product(factor, seen(field_h, back_h, d, out, n, s, u))
-                    vh = product(factor, seen(field_h, back_h, d, out, n, s, v))
-                    hv = product(factor, seen(field_v, back_v, d, out, n, s, u))
-                    vv = product(factor, seen(field_v, back_v, d, out, n, s, v))
+                    four = sent(tube_factor(k, hit, sight), fields, back, hit.d, hit.normal, sight.s, u, v)
                     if b == 0:
-                        one_hh += hh
-                        one_hv += hv
-                        one_vh += vh
-                        one_vv += vv
+                        one_hh += four.hh
+                        one_hv += four.hv
+                        one_vh += four.vh
+                        one_vv += four.vv
                     else:
-                        more_hh += hh
-                        more_hv += hv
-                        more_vh += vh
-                        more_vv += vv
-                field_h = back_h
-                field_v = back_v
+                        more_hh += four.hh
+                        more_hv += four.hv
+                        more_vh += four.vh
+                        more_vv += four.vv
+                fields = back
     amplitude_out[chunk, f, 0, 0] = one_hh
     amplitude_out[chunk, f, 0, 1] = one_hv
     amplitude_out[chunk, f, 0, 2] = one_vh
@@ -156,7 +197,21 @@ def phase_integral(
     return wp.vec2d(total[1], -total[0]) / size
 
 
-@wp.kernel
+@wp.func
+def flat_sent(
+    stuff: Face, k: wp.float64, integral: wp.vec2d, n: wp.vec3d, s: wp.vec3d, u: wp.vec3d, v: wp.vec3d
+) -> Four:
+    """What a plane surface with a phase integral sends back of a plane wave."""
+    if wp.dot(n, s) < wp.float64(0.0):
+        n = -n
+    fields = Pair()
+    fields.h = unit(u)
+    fields.v = unit(v)
+    back = bounced_fields(stuff, k, fields, -s, n)
+    return sent(scaled(k, integral), fields, back, -s, n, s, u, v)
+
+
+@wp.kernel(enable_backward=False)
 def regions_kernel(
     # In:
     radar_in: wp.array[Radar],
@@ -184,21 +239,12 @@ def regions_kernel(
         if r < region_in.shape[0]:
             if exact_in[view, r] != wp.uint8(0):
                 region = region_in[r]
-                factor = scaled(k, phase_integral(region, k, s, middle_in, edge_in))
-                n = region.normal
-                if wp.dot(n, s) < wp.float64(0.0):
-                    n = -n
-                d = -s
-                out = d - wp.float64(2.0) * wp.dot(n, d) * n
-                stuff = stuff_in[f, region.material]
-                field_h = unit(u)
-                field_v = unit(v)
-                back_h = reflected(stuff, k, field_h, d, n, out)
-                back_v = reflected(stuff, k, field_v, d, n, out)
-                hh += product(factor, seen(field_h, back_h, d, out, n, s, u))
-                vh += product(factor, seen(field_h, back_h, d, out, n, s, v))
-                hv += product(factor, seen(field_v, back_v, d, out, n, s, u))
-                vv += product(factor, seen(field_v, back_v, d, out, n, s, v))
+                integral = phase_integral(region, k, s, middle_in, edge_in)
+                four = flat_sent(stuff_in[f, region.material], k, integral, region.normal, s, u, v)
+                hh += four.hh
+                hv += four.hv
+                vh += four.vh
+                vv += four.vv
     amplitude_out[view, f, chunk, 0] = hh
     amplitude_out[view, f, chunk, 1] = hv
     amplitude_out[view, f, chunk, 2] = vh

@@ -45,9 +45,8 @@ def stacked(first: wp.vec2d, last: wp.vec2d, passed: wp.vec2d) -> wp.vec2d:
 def coefficients(face: Face, k: wp.float64, cosine: wp.float64) -> Coefficients:
     """Fresnel's coefficients, of a layer its whole stack's (Born and Wolf, 1.6); with the loss of a rough face."""
     minus = wp.vec2d(wp.float64(-1.0), wp.float64(0.0))
-    found = Coefficients()
-    found.te = minus
-    found.tm = minus
+    te = minus
+    tm = minus
     if face.conductor == 0 or face.layer != 0:
         eps = face.permittivity
         c = wp.vec2d(cosine, wp.float64(0.0))
@@ -64,12 +63,11 @@ def coefficients(face: Face, k: wp.float64, cosine: wp.float64) -> Coefficients:
             else:
                 te = stacked(te, -te, passed)
                 tm = stacked(tm, -tm, passed)
-        found.te = te
-        found.tm = tm
     height = k * face.rms_height * cosine
     loss = wp.exp(-wp.float64(2.0) * height * height)
-    found.te = loss * found.te
-    found.tm = loss * found.tm
+    found = Coefficients()
+    found.te = loss * te
+    found.tm = loss * tm
     return found
 
 

@@ -3,8 +3,8 @@
 import warp as wp
 
 from warpsar.kernels.codes import Polarization
-from warpsar.kernels.coherent.numbers import product, turned
-from warpsar.kernels.coherent.radiate import FOUR_PI
+from warpsar.kernels.coherent.numbers import product, root, turned
+from warpsar.kernels.coherent.radiate import FOUR_PI, Four
 from warpsar.kernels.coherent.tubes import Radar, look
 from warpsar.kernels.scattering import bounded_cosine, bragg_terms, mirror_terms
 
@@ -89,7 +89,31 @@ def scattering_of(
     return found
 
 
-@wp.kernel
+@wp.func
+def scattered(radar: Radar, k: wp.float64, rough: RoughSurface, variant: int, place: Scatterer) -> Four:
+    """What a scatterer sends back."""
+    one = wp.float64(1.0)
+    sight = look(radar, place.point, 0.0)
+    s = sight.s
+    n = place.normal
+    if wp.dot(n, s) < wp.float64(0.0):
+        n = -n
+    model = scattering_of(rough, variant, k, -s, n, radar.u, radar.v)
+    phase = sight.spread * sight.spread * turned(-wp.float64(2.0) * k * sight.back)
+    share = place.area / FOUR_PI
+    bragg = root(share * (one - rough.specular_fraction) * model.scale) * product(place.diffuse, phase)
+    mirror = root(share * rough.specular_fraction * model.lobe) * product(
+        product(place.specular, phase), model.mirror
+    )
+    found = Four()
+    found.hh = product(bragg, model.hh) + mirror
+    found.hv = product(bragg, model.hv)
+    found.vh = found.hv
+    found.vv = product(bragg, model.vv) + mirror
+    return found
+
+
+@wp.kernel(enable_backward=False)
 def rough_kernel(
     # In:
     radar_in: wp.array[Radar],
@@ -103,10 +127,7 @@ def rough_kernel(
 ):
     """What SCATTERERS scatterers send back, shape (views, frequencies, chunks, 4)."""
     view, f, chunk = wp.tid()
-    one = wp.float64(1.0)
     k = wavenumber_in[f]
-    u = radar_in[view].u
-    v = radar_in[view].v
     hh = wp.vec2d()
     hv = wp.vec2d()
     vv = wp.vec2d()
@@ -115,23 +136,10 @@ def rough_kernel(
         if j < scatterer_in.shape[0]:
             if seen_in[view, j] != wp.uint8(0):
                 place = scatterer_in[j]
-                sight = look(radar_in[view], place.point, 0.0)
-                s = sight.s
-                d = -s
-                rough = surface_in[place.material]
-                n = place.normal
-                if wp.dot(n, s) < wp.float64(0.0):
-                    n = -n
-                model = scattering_of(rough, variant, k, d, n, u, v)
-                phase = sight.spread * sight.spread * turned(-wp.float64(2.0) * k * sight.back)
-                share = place.area / FOUR_PI
-                bragg = wp.sqrt(share * (one - rough.specular_fraction) * model.scale) * product(place.diffuse, phase)
-                mirror = wp.sqrt(share * rough.specular_fraction * model.lobe) * product(
-                    product(place.specular, phase), model.mirror
-                )
-                hh += product(bragg, model.hh) + mirror
-                hv += product(bragg, model.hv)
-                vv += product(bragg, model.vv) + mirror
+                four = scattered(radar_in[view], k, surface_in[place.material], variant, place)
+                hh += four.hh
+                hv += four.hv
+                vv += four.vv
     amplitude_out[view, f, chunk, 0] = hh
     amplitude_out[view, f, chunk, 1] = hv
     amplitude_out[view, f, chunk, 2] = hv

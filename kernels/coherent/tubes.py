@@ -5,6 +5,8 @@ Ling, Chou, Lee (IEEE TAP 37(2), 1989): tubes. Igehy (SIGGRAPH 1999): differenti
 
 import warp as wp
 
+from warpsar.kernels.coherent.numbers import root
+
 
 @wp.struct
 class Hit:
@@ -45,6 +47,35 @@ class Radar:
     place: wp.vec3d  # [m]
     distance: wp.float64  # of the reference point [m]
     near: int
+
+
+@wp.struct
+class Tube:
+    """A tube that is on its way to a face."""
+
+    point: wp.vec3d  # [m]
+    d: wp.vec3d
+    pu: wp.vec3d  # its sides across d [m]
+    pv: wp.vec3d
+    du: wp.vec3d  # change of d along either side
+    dv: wp.vec3d
+    path: wp.float64  # [m] from the plane of the reference point across the look direction
+    initial: wp.float64  # cross-section in that plane [m2]
+
+
+@wp.struct
+class Meeting:
+    """A tube where it meets a face."""
+
+    point: wp.vec3d  # [m]
+    flat: wp.vec3d  # normal of the facet, toward the side that the tube comes from
+    normal: wp.vec3d  # of the smooth surface
+    nu: wp.vec3d  # its change along either side of the tube
+    nv: wp.vec3d
+    pu: wp.vec3d  # sides of the footprint on the facet [m]
+    pv: wp.vec3d
+    out: wp.vec3d  # direction after it, not quite of unit length
+    path: wp.float64  # [m]
 
 
 @wp.struct
@@ -110,7 +141,154 @@ def crossings(a0: wp.float64, a1: wp.float64, a2: wp.float64, t: wp.float64) -> 
     return count
 
 
-@wp.kernel
+@wp.func
+def begun(
+    radar: Radar, place: wp.vec2d, side_u: wp.vec2d, side_v: wp.vec2d, standoff: wp.float64, reach: float
+) -> Tube:
+    """The tube of a cell of the plane across `s`: its middle and its sides along u and v [m]."""
+    point = place[0] * radar.u + place[1] * radar.v
+    sight = look(radar, point, reach)
+    d = -sight.s
+    pu = side_u[0] * radar.u + side_u[1] * radar.v
+    pv = side_v[0] * radar.u + side_v[1] * radar.v
+    tube = Tube()
+    tube.d = d
+    tube.path = sight.back - standoff
+    initial = wp.abs(wp.dot(d, wp.cross(pu, pv)))
+    if radar.near != 0:  # rays from one place
+        initial = initial * sight.spread * sight.spread
+        distance = wp.length(radar.place - point)
+        du = (pu - wp.dot(d, pu) * d) / distance
+        dv = (pv - wp.dot(d, pv) * d) / distance
+        tube.du = du
+        tube.dv = dv
+        pu = pu - standoff * du
+        pv = pv - standoff * dv
+    tube.pu = pu
+    tube.pv = pv
+    tube.point = point - standoff * d
+    tube.initial = initial
+    return tube
+
+
+@wp.func
+def way_to(tube: Tube, vertices: wp.array[wp.vec3d], faces: wp.array2d[int], f: int) -> wp.float64:
+    """Way of a tube to the plane of a face [m]; 0 where it runs along it."""
+    p0 = vertices[faces[f, 0]]
+    plane = wp.cross(vertices[faces[f, 1]] - p0, vertices[faces[f, 2]] - p0)
+    slope = wp.dot(plane, tube.d)
+    if slope == wp.float64(0.0):
+        return wp.float64(0.0)
+    return wp.dot(plane, p0 - tube.point) / slope
+
+
+@wp.func
+def met(
+    tube: Tube,
+    t: wp.float64,
+    vertices: wp.array[wp.vec3d],
+    faces: wp.array2d[int],
+    normals: wp.array2d[wp.vec3d],
+    curved: int,
+    f: int,
+) -> Meeting:
+    """A tube on a face at the end of a way `t`, with the normal of the smooth surface there."""
+    zero = wp.float64(0.0)
+    two = wp.float64(2.0)
+    d = tube.d
+    p0 = vertices[faces[f, 0]]
+    e1 = vertices[faces[f, 1]] - p0
+    e2 = vertices[faces[f, 2]] - p0
+    plane = wp.cross(e1, e2)
+    flat = wp.normalize(plane)
+    if wp.dot(plane, d) > zero:
+        flat = -flat
+    point = tube.point + t * d
+    pu = tube.pu + t * tube.du
+    pv = tube.pv + t * tube.dv
+    pu = pu - (wp.dot(flat, pu) / wp.dot(flat, d)) * d
+    pv = pv - (wp.dot(flat, pv) / wp.dot(flat, d)) * d
+    n = flat
+    nu = wp.vec3d()
+    nv = wp.vec3d()
+    if curved != 0:
+        g11 = wp.dot(e1, e1)
+        g12 = wp.dot(e1, e2)
+        g22 = wp.dot(e2, e2)
+        det = g11 * g22 - g12 * g12
+        r1 = (g22 * e1 - g12 * e2) / det
+        r2 = (g11 * e2 - g12 * e1) / det
+        n0 = normals[f, 0]
+        m1 = normals[f, 1] - n0
+        m2 = normals[f, 2] - n0
+        at = point - p0
+        mean = n0 + wp.dot(r1, at) * m1 + wp.dot(r2, at) * m2
+        length = wp.length(mean)
+        n = mean / length
+        nu = (wp.dot(r1, pu) * m1 + wp.dot(r2, pu) * m2) / length
+        nv = (wp.dot(r1, pv) * m1 + wp.dot(r2, pv) * m2) / length
+        nu = nu - wp.dot(n, nu) * n
+        nv = nv - wp.dot(n, nv) * n
+        if wp.dot(n, flat) < zero:
+            n = -n
+            nu = -nu
+            nv = -nv
+        if wp.dot(n, d) >= -wp.float64(1.0e-6):
+            n = flat
+    out = d - two * wp.dot(n, d) * n
+    if wp.dot(out, flat) <= zero:  # the smooth normal would send it through the facet
+        n = flat
+        out = d - two * wp.dot(n, d) * n
+    found = Meeting()
+    found.point = point
+    found.flat = flat
+    found.normal = n
+    found.nu = nu
+    found.nv = nv
+    found.pu = pu
+    found.pv = pv
+    found.out = out
+    found.path = tube.path + t
+    return found
+
+
+@wp.func
+def bounced(tube: Tube, at: Meeting) -> Tube:
+    """The tube after a reflection."""
+    two = wp.float64(2.0)
+    n = at.normal
+    nd = wp.dot(n, tube.d)
+    du = tube.du - two * ((wp.dot(n, tube.du) + wp.dot(at.nu, tube.d)) * n + nd * at.nu)
+    dv = tube.dv - two * ((wp.dot(n, tube.dv) + wp.dot(at.nv, tube.d)) * n + nd * at.nv)
+    d = wp.normalize(at.out)
+    found = Tube()
+    found.point = at.point
+    found.d = d
+    found.pu = at.pu
+    found.pv = at.pv
+    found.du = du - wp.dot(du, d) * d
+    found.dv = dv - wp.dot(dv, d) * d
+    found.path = at.path
+    found.initial = tube.initial
+    return found
+
+
+@wp.func
+def hit_of(tube: Tube, at: Meeting) -> Hit:
+    """What is kept of a tube on a face."""
+    hit = Hit()
+    hit.point = at.point
+    hit.normal = at.normal
+    hit.d = tube.d
+    hit.across_u = at.pu
+    hit.across_v = at.pv
+    hit.path = at.path
+    area = wp.dot(tube.d, wp.cross(at.pu, at.pv))
+    hit.weight = root(tube.initial * wp.abs(area)) / -wp.dot(at.flat, tube.d)
+    return hit
+
+
+@wp.kernel(enable_backward=False)
 def trace_kernel(
     # In:
     body: Body,
@@ -131,138 +309,55 @@ def trace_kernel(
 
     `span_out`: the way from its first to its last hit [m]. `turn_out`: the largest change of phase [rad] over half a
     footprint that the radar sees after a curved surface; plane mirrors keep the phase of a tube linear.
-
-    Longer than other functions: a ray's state is a dozen variables, which would all go in and out of its parts.
     """
     ray = wp.tid()
     zero = wp.float64(0.0)
-    two = wp.float64(2.0)
-    view = view_in[ray]
-    radar = radar_in[view]
+    radar = radar_in[view_in[ray]]
     size = size_in[ray]
-    pu = size[0] * radar.u
-    pv = size[1] * radar.v
-    du = wp.vec3d()
-    dv = wp.vec3d()
-    point = place_in[ray][0] * radar.u + place_in[ray][1] * radar.v
-    first_look = look(radar, point, body.reach)
-    d = -first_look.s
-    path = first_look.back - standoff
-    initial = wp.abs(wp.dot(d, wp.cross(pu, pv)))
-    if radar.near != 0:  # rays from one place
-        initial = initial * first_look.spread * first_look.spread
-        distance = wp.length(radar.place - point)
-        du = (pu - wp.dot(d, pu) * d) / distance
-        dv = (pv - wp.dot(d, pv) * d) / distance
-        pu = pu - standoff * du
-        pv = pv - standoff * dv
-    point = point - standoff * d
-    start = point
+    tube = begun(radar, place_in[ray], wp.vec2d(size[0], zero), wp.vec2d(zero, size[1]), standoff, body.reach)
+    start = tube.point
     caustics = int(0)
     count = int(0)
     bent = int(0)
-    first = zero
+    first = tube.path
     turn = zero
     for b in range(most):
-        query = wp.mesh_query_ray(body.tree, wp.vec3(start), wp.vec3(d), body.reach)
+        query = wp.mesh_query_ray(body.tree, wp.vec3(start), wp.vec3(tube.d), body.reach)
         if not query.result:
             break
         f = query.face
-        p0 = body.vertices[body.faces[f, 0]]
-        e1 = body.vertices[body.faces[f, 1]] - p0
-        e2 = body.vertices[body.faces[f, 2]] - p0
-        plane = wp.cross(e1, e2)
-        slope = wp.dot(plane, d)
-        if slope == zero:
-            break
-        t = wp.dot(plane, p0 - point) / slope
+        t = way_to(tube, body.vertices, body.faces, f)
         if t <= zero:
             break
-        flat = wp.normalize(plane)
-        if slope > zero:
-            flat = -flat
-        area0 = wp.dot(d, wp.cross(pu, pv))
-        area1 = wp.dot(d, wp.cross(du, pv) + wp.cross(pu, dv))
-        area2 = wp.dot(d, wp.cross(du, dv))
+        area0 = wp.dot(tube.d, wp.cross(tube.pu, tube.pv))
+        area1 = wp.dot(tube.d, wp.cross(tube.du, tube.pv) + wp.cross(tube.pu, tube.dv))
+        area2 = wp.dot(tube.d, wp.cross(tube.du, tube.dv))
         caustics += crossings(area0, area1, area2, t)
-        point = point + t * d
-        path += t
-        pu = pu + t * du
-        pv = pv + t * dv
-        pu = pu - (wp.dot(flat, pu) / wp.dot(flat, d)) * d
-        pv = pv - (wp.dot(flat, pv) / wp.dot(flat, d)) * d
-        area = wp.dot(d, wp.cross(pu, pv))
-        n = flat
-        nu = wp.vec3d()
-        nv = wp.vec3d()
-        if body.curved[f] != 0:
-            g11 = wp.dot(e1, e1)
-            g12 = wp.dot(e1, e2)
-            g22 = wp.dot(e2, e2)
-            det = g11 * g22 - g12 * g12
-            r1 = (g22 * e1 - g12 * e2) / det
-            r2 = (g11 * e2 - g12 * e1) / det
-            n0 = body.normals[f, 0]
-            m1 = body.normals[f, 1] - n0
-            m2 = body.normals[f, 2] - n0
-            at = point - p0
-            mean = n0 + wp.dot(r1, at) * m1 + wp.dot(r2, at) * m2
-            length = wp.length(mean)
-            n = mean / length
-            nu = (wp.dot(r1, pu) * m1 + wp.dot(r2, pu) * m2) / length
-            nv = (wp.dot(r1, pv) * m1 + wp.dot(r2, pv) * m2) / length
-            nu = nu - wp.dot(n, nu) * n
-            nv = nv - wp.dot(n, nv) * n
-            if wp.dot(n, flat) < zero:
-                n = -n
-                nu = -nu
-                nv = -nv
-            if wp.dot(n, d) >= -wp.float64(1.0e-6):
-                n = flat
-        cosine = -wp.dot(n, d)
-        out = d + two * cosine * n
-        if wp.dot(out, flat) <= zero:  # the smooth normal would send it through the facet
-            n = flat
-            cosine = -wp.dot(n, d)
-            out = d + two * cosine * n
-        hit = Hit()
-        hit.point = point
-        hit.normal = n
-        hit.d = d
-        hit.across_u = pu
-        hit.across_v = pv
-        hit.path = path
-        hit.weight = wp.sqrt(initial * wp.abs(area)) / -wp.dot(flat, d)
+        at = met(tube, t, body.vertices, body.faces, body.normals, body.curved[f], f)
+        hit = hit_of(tube, at)
         hit.caustics = caustics
         hit.face = f
-        s = look(radar, point, body.reach).s
-        if wp.dot(flat, s) > zero:
+        s = look(radar, at.point, body.reach).s
+        if wp.dot(at.flat, s) > zero:
             hit.seen = 1
             if b > 0:
-                hit.seen = free(body, radar, point, flat)
+                hit.seen = free(body, radar, at.point, at.flat)
         bent = wp.max(bent, body.curved[f])
         if b > 0 and bent != 0 and hit.seen != 0:
-            change = wp.float64(0.5) * wavenumber * (s - d)
-            turn = wp.max(turn, wp.max(wp.abs(wp.dot(change, pu)), wp.abs(wp.dot(change, pv))))
+            change = wp.float64(0.5) * wavenumber * (s - tube.d)
+            turn = wp.max(turn, wp.max(wp.abs(wp.dot(change, at.pu)), wp.abs(wp.dot(change, at.pv))))
         if b == 0:
-            first = path
+            first = at.path
         hits_out[ray, b] = hit
         count = b + 1
-        nd = wp.dot(n, d)
-        next_u = du - two * ((wp.dot(n, du) + wp.dot(nu, d)) * n + nd * nu)
-        next_v = dv - two * ((wp.dot(n, dv) + wp.dot(nv, d)) * n + nd * nv)
-        du = next_u
-        dv = next_v
-        d = wp.normalize(out)
-        du = du - wp.dot(du, d) * d
-        dv = dv - wp.dot(dv, d) * d
-        start = point + body.offset * flat
+        tube = bounced(tube, at)
+        start = at.point + body.offset * at.flat
     count_out[ray] = count
-    span_out[ray] = path - first
+    span_out[ray] = tube.path - first
     turn_out[ray] = turn
 
 
-@wp.kernel
+@wp.kernel(enable_backward=False)
 def free_kernel(
     # In:
     body: Body,

@@ -201,6 +201,19 @@ def test_monostatic_reciprocity() -> None:
     assert np.abs(found[:, 1] - found[:, 2]).max() < 0.03 * np.abs(found).max()
 
 
+@pytest.mark.parametrize(("make", "incidence", "bounces"), [(dihedral, 90.0, 2), (square_trihedral, DIAGONAL, 3)])
+def test_each_number_of_bounces_by_itself(make, incidence: float, bounces: int) -> None:
+    """On its axis a dihedral returns what has met two faces, a trihedral what has met three."""
+    sides = (10 * WAVELENGTH, 8 * WAVELENGTH)[: 2 if make is dihedral else 1]
+    found = warpsar.rcs(scene(make(*sides)), [45.0, 52.0], incidence, device="cpu", layers=True)
+    assert sum(found.bounces_m.values()) == pytest.approx(found.terms_m["multibounce"], abs=1e-12)
+    whole = np.abs(found.terms_m["multibounce"][0, 0, 0, [0, 3]])
+    assert np.abs(found.bounces_m[bounces][0, 0, 0, [0, 3]]) == pytest.approx(whole, rel=0.02)
+    alone = warpsar.rcs(scene(make(*sides)), [45.0, 52.0], incidence, device="cpu")
+    assert np.array_equal(alone.terms_m["single"], found.terms_m["single"])
+    assert alone.bounces_m == {}
+
+
 def test_terms_add_up_and_are_chosen() -> None:
     mesh = dihedral(0.2, 0.2)
     found = warpsar.rcs(scene(mesh), [30.0, 45.0], 80.0, device="cpu")

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 from bodies import FREQUENCY, K, amplitudes, dihedral, plate, scene
 from click.testing import CliRunner
 
 import warpsar
 from warpsar import InputError, Material
 from warpsar.cli.main import main
+from warpsar.coherent.rcs import cautions
 from warpsar.scene.file import parse
 
 
@@ -161,6 +164,56 @@ def test_rcs_writes_its_table(files: Path) -> None:
     assert 10 * np.log10(4 * np.pi * abs(amplitude) ** 2) == pytest.approx(float(rows[3]["rcs_dbsm"]), abs=1e-5)
     assert float(rows[0]["ray_spacing_m"]) == pytest.approx(0.003)
     assert {"rcs.png", "rcs.json"} <= {path.name for path in (files / "out").iterdir()}
+
+
+@pytest.mark.parametrize(
+    ("material", "message"),
+    [
+        ({"conductor": True, "eps_r": 3.0}, r"eps_r of a conductor has no effect without thickness_m"),
+        ({"eps_r": 3.0, "rms_height_m": 0.0}, r"fill a half-space .* open at 4 edges"),
+        ({"eps_r": 3.0, "rms_height_m": 0.0}, "edges of default have no term"),
+    ],
+)
+def test_what_may_be_meant_otherwise_is_said(material: dict[str, Any], message: str) -> None:
+    """Before work starts, and with the result."""
+    assert any(re.search(message, line) for line in cautions(scene(plate(0.1, 0.1), material=material)))
+    found = warpsar.rcs(scene(plate(0.1, 0.1), material=material), 90.0, device="cpu")
+    assert any(re.search(message, line) for line in found.warnings)
+
+
+def test_a_closed_half_space_and_a_plain_conductor_need_no_word() -> None:
+    box = trimesh.creation.box((0.1, 0.1, 0.1))
+    closed = warpsar.Mesh.of(box.vertices, box.faces)
+    assert cautions(scene(plate(0.1, 0.1))) == []
+    assert cautions(scene(closed, material={"eps_r": 3.0, "rms_height_m": 0.0}, terms=("single",))) == []
+
+
+def test_layers_add_up_to_the_table(files: Path) -> None:
+    words = ["rcs", str(files / "scene.toml"), "-o", str(files / "out"), "--azimuths", "88:92:2", "--device", "cpu"]
+    done = CliRunner().invoke(main, [*words, "--layers"])
+    assert done.exit_code == 0, done.output
+    tables = []
+    for name in ("rcs.csv", "layers.csv"):
+        head, *lines = (files / "out" / name).read_text().splitlines()
+        tables.append([dict(zip(head.split(","), line.split(","), strict=True)) for line in lines])
+    assert {row["layer"] for row in tables[1]} == {"single", "multibounce", "edges", "rough"}  # a plate: no bounces
+    for row in tables[0]:
+        parts = [r for r in tables[1] if r["azimuth_deg"] == row["azimuth_deg"]]
+        total = sum(float(r["amplitude_re_m"]) for r in parts)
+        assert total == pytest.approx(float(row["amplitude_re_m"]), abs=1e-9)
+
+
+def test_parquet_holds_the_same_table(files: Path) -> None:
+    parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed")
+    words = ["rcs", str(files / "scene.toml"), "-o", str(files / "out"), "--azimuths", "88:92:2", "--device", "cpu"]
+    done = CliRunner().invoke(main, words)
+    assert done.exit_code == 0, done.output
+    head, *lines = (files / "out" / "rcs.csv").read_text().splitlines()
+    table = parquet.read_table(files / "out" / "rcs.parquet").to_pydict()
+    assert list(table) == head.split(",")
+    assert table["polarization"] == ["VV", "VV"]
+    assert table["fresnel_number"] == [None, None]
+    assert table["rcs_dbsm"] == [float(line.split(",")[4]) for line in lines]
 
 
 @pytest.mark.parametrize(

@@ -10,5 +10,9 @@
 | `sweep.py` | amplitudes over directions and frequencies, term by term |
 | `directions.py` | axes of a direction |
 | `rcs.py` | `warpsar.rcs`: checks, the sweep, and what a user should know before trusting it |
+| `held.py` | amplitudes of one direction with all that is discrete held, as programs that run backward |
+| `borders.py` | borders of light, and what a moving border adds to a derivative |
+| `learned.py` | what has a derivative, by name |
+| `gradients.py` | `warpsar.rcs_gradients` |
 | `command.py` | the command `rcs`: table, plot, JSON |
 """

@@ -48,6 +48,8 @@ class CoherentBody:
     """Of rough faces; None without."""
     scatterer_points: wp.array
     scatterer_normals: wp.array
+    scatterer_faces: NDArray[np.int64]
+    """(n,)."""
 
     @classmethod
     def of(cls, world: World, device: wp.Device) -> CoherentBody:
@@ -74,7 +76,7 @@ class CoherentBody:
             packed[name] = getattr(flat, name)
         materials = tuple(world.materials[name] for name in mesh.materials)
         spacing = 0.5 * SPEED_OF_LIGHT / world.radar.frequency_hz
-        places = scatterers(shape, mesh.face_material, materials, spacing, world.sampling.seed)
+        places, owners = scatterers(shape, mesh.face_material, materials, spacing, world.sampling.seed)
         return cls(
             device,
             shape,
@@ -93,6 +95,7 @@ class CoherentBody:
             upload(places, rough.Scatterer, device) if len(places) else None,
             upload(places["point"], wp.vec3d, device),
             upload(places["normal"], wp.vec3d, device),
+            owners,
         )
 
     def stuff(self, frequencies: int) -> wp.array:
@@ -128,8 +131,8 @@ class CoherentBody:
         along = self.hull @ np.stack(axes, axis=1)
         return np.stack([along.min(axis=0), along.max(axis=0)], axis=1)
 
-    def edge_pieces(self, longest_m: float) -> wp.array:
-        """The wedges between conductors in pieces of at most `longest_m`."""
+    def cuts(self, longest_m: float) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+        """Pieces of the wedges between conductors, (n,) each: of which wedge, the how many-th, of how many."""
         wedges = self.shape.wedges
         conducting = np.array([bool(m.conductor) for m in self.materials])
         some = np.flatnonzero(conducting[wedges.material].all(axis=1))
@@ -137,7 +140,13 @@ class CoherentBody:
         cuts = np.ceil(length / longest_m).astype(int).clip(1)
         which = np.repeat(some, cuts)
         step = np.arange(len(which)) - np.repeat(np.cumsum(cuts) - cuts, cuts)
-        along = (wedges.end - wedges.start)[which] / np.repeat(cuts, cuts)[:, None]
+        return which, step, np.repeat(cuts, cuts)
+
+    def edge_pieces(self, longest_m: float) -> wp.array:
+        """The wedges between conductors in pieces of at most `longest_m`."""
+        wedges = self.shape.wedges
+        which, step, cuts = self.cuts(longest_m)
+        along = (wedges.end - wedges.start)[which] / cuts[:, None]
         packed = records(edges.Edge, len(which))
         packed["along"] = along
         packed["middle"] = wedges.start[which] + (step + 0.5)[:, None] * along

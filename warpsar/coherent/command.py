@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from warpsar.coherent.rcs import FREQUENCIES_HZ, Rcs, rcs
+from warpsar.coherent.rcs import FREQUENCIES_HZ, Rcs, cautions, rcs
 from warpsar.coherent.sweep import RAYS_PER_WAVELENGTH
 from warpsar.errors import InputError
 from warpsar.io import figures
@@ -33,6 +33,7 @@ COLUMNS = (
     "fresnel_number",
     "ray_spacing_m",
 )
+LAYER_COLUMNS = (*COLUMNS[:4], "layer", *COLUMNS[4:7])
 _STYLES = ("-", "--", "-.", ":")
 _FLOOR_DB = 80.0  # of a plot, under its highest value
 
@@ -46,6 +47,7 @@ def run(
     frequencies: str | None = None,
     device: str | None = None,
     rays_per_wavelength: float = RAYS_PER_WAVELENGTH,
+    layers: bool = False,
 ) -> dict[str, Any]:
     """`warpsar rcs`: the files of the sweep in `out`. Returns the JSON's content. Raises InputError and DeviceError."""
     started = time.perf_counter()
@@ -63,14 +65,22 @@ def run(
     where = devices.resolve_device(device)
     make_folder(out)
     console.say_device(where)
-    console.warn(scene.warnings)
-    found = rcs(scene, azimuth, incidence, frequency, device=where.alias, rays_per_wavelength=rays_per_wavelength)
-    console.warn(found.warnings)
+    console.warn((*scene.warnings, *(early := cautions(scene))))
+    found = rcs(
+        scene,
+        azimuth,
+        incidence,
+        frequency,
+        device=where.alias,
+        rays_per_wavelength=rays_per_wavelength,
+        layers=layers,
+    )
+    console.warn(found.warnings[len(early) :])
     files = ["rcs.csv", "rcs.png", "rcs.json"]
-    with replacing(out / "rcs.csv") as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(COLUMNS)
-        writer.writerows(rows(found))
+    _write(out / "rcs.csv", COLUMNS, rows(found))
+    if layers:
+        files.append("layers.csv")
+        _write(out / "layers.csv", LAYER_COLUMNS, layer_rows(found))
     if parquet(found, out / "rcs.parquet"):
         files.append("rcs.parquet")
     plot(found, out / "rcs.png")
@@ -107,6 +117,33 @@ def rows(found: Rcs) -> Iterator[tuple[Any, ...]]:
             "" if np.isnan(number) else f"{number:.4g}",
             f"{found.ray_spacing_m:.6g}",
         )
+
+
+def layer_rows(found: Rcs) -> Iterator[tuple[Any, ...]]:
+    """What each term sends by itself, and each number of bounces, in the order of `LAYER_COLUMNS`."""
+    layers = dict(found.terms_m)
+    layers |= {f"{bounces} bounces": amplitude for bounces, amplitude in found.bounces_m.items()}
+    for a, i, f, p in np.ndindex(found.amplitude_m.shape):
+        for name, amplitudes in layers.items():
+            amplitude = amplitudes[a, i, f, p]
+            area = 4.0 * np.pi * abs(amplitude) ** 2
+            yield (
+                repr(float(found.azimuth_deg[a])),
+                repr(float(found.incidence_deg[i])),
+                repr(float(found.frequency_hz[f])),
+                found.polarizations[p],
+                name,
+                f"{10.0 * np.log10(area):.6f}" if area > 0.0 else "-inf",
+                f"{amplitude.real:.9e}",
+                f"{amplitude.imag:.9e}",
+            )
+
+
+def _write(path: Path, columns: tuple[str, ...], lines: Iterator[tuple[Any, ...]]) -> None:
+    with replacing(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(columns)
+        writer.writerows(lines)
 
 
 def parquet(found: Rcs, path: Path) -> bool:

@@ -30,6 +30,10 @@ class Joints:
     """(n,); -1 at the border of an open sheet."""
     share: NDArray[np.float64]
     """(n,): 1, or 1/2 where both faces state the piece."""
+    vertex: NDArray[np.int64]
+    """The vertices of the edge that the piece is cut from, (n, 2)."""
+    part: NDArray[np.float64]
+    """Where on the way from the first of them to the second it starts and ends, 0 to 1, (n, 2)."""
 
 
 def welded(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.int64]:
@@ -56,23 +60,25 @@ def joints(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> Joints:
     count = np.diff(np.append(first, len(key)))
     pairs = first[count == 2]
     single = first[count == 1]
-    start, end, face, other = _matched(vertices[places[single]], owner[single], vertices)
+    start, end, edge, part, other = _matched(vertices[places[single]], owner[single], vertices)
     a = vertices[places[pairs]]
     return Joints(
         np.concatenate([a[:, 0], start]),
         np.concatenate([a[:, 1], end]),
-        np.concatenate([owner[pairs], face]),
+        np.concatenate([owner[pairs], owner[single][edge]]),
         np.concatenate([owner[pairs + 1], other]),
         np.concatenate([np.ones(len(pairs)), np.where(other < 0, 1.0, 0.5)]),
+        np.concatenate([places[pairs], places[single][edge]]).astype(np.int64),
+        np.concatenate([np.tile([0.0, 1.0], (len(pairs), 1)), part]),
     )
 
 
 def _matched(
     ends: NDArray[np.float64], owner: NDArray[np.int64], vertices: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
-    """Pieces of border edges `ends` (n, 2, 3) with the face whose border they lie on, or -1."""
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]:
+    """Pieces of border edges `ends` (n, 2, 3): start, end, edge, part, and the face whose border they lie on, or -1."""
     if not len(ends):
-        return np.empty((0, 3)), np.empty((0, 3)), np.empty(0, np.int64), np.empty(0, np.int64)
+        return np.empty((0, 3)), np.empty((0, 3)), np.empty(0, np.int64), np.empty((0, 2)), np.empty(0, np.int64)
     length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
     unit = float(np.median(length))
     cuts = np.ceil(length / unit - 1e-9).astype(int).clip(1)
@@ -99,4 +105,5 @@ def _matched(
         better = parallel & (gap < allowed[there]) & (gap < best[there])
         best[there[better]] = gap[better]
         other[there[better]] = owner[edge[candidate[better]]]
-    return start, start + along, owner[edge], other
+    part = (step[:, None] + [0.0, 1.0]) / cuts[edge, None]
+    return start, start + along, edge, part, other

@@ -39,18 +39,26 @@ def grid(body: CoherentBody, directions: Directions, spacing_m: float, distance_
     They lie in the plane through the body's middle; with a distance as a radar there sees it.
     """
     parts = []
-    for index, (s, u, v) in enumerate(zip(directions.s, directions.u, directions.v, strict=True)):
-        ends = body.extents([u, v])
-        if distance_m is not None:
-            along = body.seen_from(directions.places(body.origin, distance_m)[index], s) @ np.stack([u, v], axis=1)
-            ends = np.stack([along.min(axis=0), along.max(axis=0)], axis=1)
-        width = ends[:, 1] - ends[:, 0]
-        count = np.maximum(np.ceil(width / spacing_m - 1e-9), 1).astype(int)
-        step = width / count
+    for index in range(len(directions)):
+        low, step, count = frame(body, directions, index, spacing_m, distance_m)
         i, j = (axis.ravel() for axis in np.meshgrid(np.arange(count[0]), np.arange(count[1]), indexing="ij"))
-        place = ends[:, 0] + (np.stack([i, j], axis=1) + 0.5) * step
+        place = low + (np.stack([i, j], axis=1) + 0.5) * step
         parts.append((place, np.broadcast_to(step, place.shape)))
     return _padded(parts)
+
+
+def frame(
+    body: CoherentBody, directions: Directions, index: int, spacing_m: float, distance_m: float | None = None
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
+    """Of one direction's grid: its lower corner along u and v [m], the width of a cell [m], and how many; (2,) each."""
+    s, u, v = directions.s[index], directions.u[index], directions.v[index]
+    ends = body.extents([u, v])
+    if distance_m is not None:
+        along = body.seen_from(directions.places(body.origin, distance_m)[index], s) @ np.stack([u, v], axis=1)
+        ends = np.stack([along.min(axis=0), along.max(axis=0)], axis=1)
+    width = ends[:, 1] - ends[:, 0]
+    count = np.maximum(np.ceil(width / spacing_m - 1e-9), 1).astype(int)
+    return ends[:, 0], width / count, count
 
 
 def children(rays: Rays, chosen: NDArray[np.bool_], views: int) -> Rays:

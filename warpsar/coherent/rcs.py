@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import warp as wp
@@ -10,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from warpsar.coherent.body import CoherentBody
 from warpsar.coherent.directions import Directions
+from warpsar.coherent.joints import joints
 from warpsar.coherent.sweep import POLARIZATIONS, RAYS_PER_WAVELENGTH, TERMS, Sweep, sweep
 from warpsar.errors import InputError
 from warpsar.runtime import console, devices
@@ -20,7 +22,7 @@ from warpsar.world.world import World
 FREQUENCIES_HZ = (1e6, 1e13)
 FEW = 1.0
 """Fresnel number below which rays in a duct are no better than a constant level (docs/coherent.md)."""
-_BYTES = 16 * len(TERMS) * len(POLARIZATIONS)
+_BYTES = 16 * len(POLARIZATIONS)
 _TUBE_BYTES = 120
 """Host memory for each tube of a direction, besides the hits, which go in blocks."""
 
@@ -40,6 +42,8 @@ class Rcs:
     """A [m] of E = A e^{-jkR} / R; its phase is zero at the reference point."""
     terms_m: dict[str, NDArray[np.complex128]]
     """The same of each term by itself."""
+    bounces_m: dict[int, NDArray[np.complex128]]
+    """The same of each number of bounces, from 2 on, which `multibounce` is the sum of; empty unless asked for."""
     fresnel_number: NDArray[np.float64]
     """(a, i, f): of what the tubes meet after their first hit; NaN where none meets anything."""
     ray_spacing_m: float
@@ -70,41 +74,87 @@ def rcs(
     *,
     device: str | None = None,
     rays_per_wavelength: float = RAYS_PER_WAVELENGTH,
+    layers: bool = False,
 ) -> Rcs:
     """Monostatic radar cross-sections of a scene at every pair of angles and every frequency.
 
     The wave is plane. With `[radar] slant_range_m` it comes from a place at that distance to the reference point.
 
     `frequencies_hz` ascend; without them it is that of `[radar]`, as are polarizations, `terms` and `max_bounces`. The
-    reference point has phase zero. docs/coherent.md says what is computed and where it holds.
+    reference point has phase zero. `layers` gives each number of bounces by itself, too. docs/coherent.md says what is
+    computed and where it holds.
 
     Raises InputError for angles and frequencies out of range, and DeviceError.
     """
-    azimuths, incidences = (np.atleast_1d(np.asarray(a, np.float64)) for a in (azimuths_deg, incidences_deg))
-    asked = scene.radar.frequency_hz if frequencies_hz is None else frequencies_hz
-    frequencies = np.atleast_1d(np.asarray(asked, np.float64))
-    _refuse(scene, azimuths, incidences, frequencies, rays_per_wavelength)
-    where = devices.resolve_device(device)
-    devices.load_kernels(where, "coherent.tubes", "coherent.radiate", "coherent.edges", "coherent.rough")
-    _refuse_size(azimuths.size * incidences.size, frequencies.size, where)
-    pairs = np.stack(np.meshgrid(azimuths, incidences, indexing="ij"), axis=-1).reshape(-1, 2)
-    body = CoherentBody.of(scene, where)
-    _refuse_body(scene, body, SPEED_OF_LIGHT / frequencies.max(), rays_per_wavelength)
-    bar = console.progress(len(pairs), "directions", "direction")
+    asked = Asked.of(scene, azimuths_deg, incidences_deg, frequencies_hz, device, rays_per_wavelength, layers)
+    return swept(scene, asked, layers)
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What is asked of a scene, checked."""
+
+    azimuths: NDArray[np.float64]
+    incidences: NDArray[np.float64]
+    frequencies: NDArray[np.float64]
+    rays_per_wavelength: float
+    body: CoherentBody
+    cautions: tuple[str, ...]
+
+    @classmethod
+    def of(
+        cls,
+        scene: World,
+        azimuths_deg: ArrayLike,
+        incidences_deg: ArrayLike,
+        frequencies_hz: ArrayLike | None,
+        device: str | None,
+        rays_per_wavelength: float,
+        layers: bool = False,
+    ) -> Asked:
+        """Raises InputError and DeviceError."""
+        azimuths, incidences = (np.atleast_1d(np.asarray(a, np.float64)) for a in (azimuths_deg, incidences_deg))
+        asked = scene.radar.frequency_hz if frequencies_hz is None else frequencies_hz
+        frequencies = np.atleast_1d(np.asarray(asked, np.float64))
+        _refuse(scene, azimuths, incidences, frequencies, rays_per_wavelength)
+        where = devices.resolve_device(device)
+        devices.load_kernels(where, "coherent.tubes", "coherent.radiate", "coherent.edges", "coherent.rough")
+        _refuse_size(azimuths.size * incidences.size, frequencies.size, where, scene.radar.max_bounces * layers)
+        body = CoherentBody.of(scene, where)
+        _refuse_body(scene, body, SPEED_OF_LIGHT / frequencies.max(), rays_per_wavelength)
+        return cls(azimuths, incidences, frequencies, rays_per_wavelength, body, tuple(cautions(scene)))
+
+    @cached_property
+    def directions(self) -> Directions:
+        """All pairs of angles, incidence by incidence."""
+        pairs = np.stack(np.meshgrid(self.azimuths, self.incidences, indexing="ij"), axis=-1).reshape(-1, 2)
+        return Directions.of(pairs[:, 0], pairs[:, 1])
+
+
+def swept(scene: World, asked: Asked, layers: bool = False) -> Rcs:
+    """The sweep of `rcs`, once all is checked."""
+    azimuths, incidences, frequencies = asked.azimuths, asked.incidences, asked.frequencies
+    bar = console.progress(len(asked.directions), "directions", "direction")
     found = sweep(
-        body,
-        Directions.of(pairs[:, 0], pairs[:, 1]),
+        asked.body,
+        asked.directions,
         frequencies.tolist(),
         terms=scene.radar.terms,
         max_bounces=scene.radar.max_bounces,
-        rays_per_wavelength=rays_per_wavelength,
+        rays_per_wavelength=asked.rays_per_wavelength,
         distance_m=scene.radar.slant_range_m,
+        layers=layers,
         progress=bar,
     )
     bar.close()
     shape = (azimuths.size, incidences.size)
     chosen = [POLARIZATIONS.index(name) for name in scene.radar.polarizations]
     terms = found.amplitude[..., chosen].reshape(*shape, frequencies.size, len(TERMS), len(chosen))
+    bounces = {}
+    if found.bounces is not None:
+        each = found.bounces[..., chosen].reshape(*shape, frequencies.size, -1, len(chosen))
+        met = np.flatnonzero(each.any(axis=(0, 1, 2, 4)))
+        bounces = {int(b) + 2: each[:, :, :, b] for b in met}
     return Rcs(
         azimuths,
         incidences,
@@ -112,12 +162,13 @@ def rcs(
         tuple(scene.radar.polarizations),
         terms.sum(axis=3),
         {name: terms[:, :, :, i] for i, name in enumerate(TERMS) if name in scene.radar.terms},
+        bounces,
         found.fresnel_number.reshape(*shape, -1),
         found.spacing_m,
         found.refined.reshape(shape),
         found.aliased.reshape(shape),
         found.segments,
-        tuple(_warnings(scene, found)),
+        (*asked.cautions, *_warnings(scene, found)),
     )
 
 
@@ -151,8 +202,10 @@ def _refuse(
         raise InputError("\n  ".join([f"{scene.name}:", *problems]) if problems[1:] else problems[0])
 
 
-def _refuse_size(directions: int, frequencies: int, device: wp.Device) -> None:
-    needed, there = directions * frequencies * _BYTES / 2**30, default_gib(device)
+def _refuse_size(directions: int, frequencies: int, device: wp.Device, layers: int) -> None:
+    """`layers`: numbers of bounces by themselves."""
+    held = len(TERMS) + 2 * layers  # the second time as they are turned to the reference point
+    needed, there = directions * frequencies * held * _BYTES / 2**30, default_gib(device)
     if needed > there:
         raise InputError(
             f"{directions} directions x {frequencies} frequencies: found {needed:.1f} GiB of amplitudes; must be up to "
@@ -193,7 +246,31 @@ def _warnings(scene: World, found: Sweep) -> list[str]:
             f"the Fresnel number is below {FEW:g} at {int(low.sum())} of {low.size} values (down to "
             f"{found.fresnel_number[low].min():.2g}): there rays do not hold, and multibounce is no better than chance"
         )
-    sheets = {name for name, m in scene.materials.items() if not m.conductor}
-    if sheets and "edges" in scene.radar.terms:
-        warnings.append(f"edges of {', '.join(sorted(sheets))} have no term: that of edges is for conductors")
     return warnings
+
+
+def cautions(scene: World) -> list[str]:
+    """What a scene may mean otherwise than it says, known before any ray is sent."""
+    found = []
+    mesh = scene.mesh
+    used = {name: scene.materials[name] for name in mesh.materials}
+    for name, material in used.items():
+        if material.conductor and material.eps_r is not None and material.thickness_m is None:
+            found.append(f"materials.{name}: eps_r of a conductor has no effect without thickness_m")
+    filled = [i for i, m in enumerate(used.values()) if not m.conductor and m.thickness_m is None]
+    if filled:
+        seams = joints(mesh.vertices, mesh.faces)
+        open_edges = seams.other < 0
+        for i in filled:
+            if count := int((open_edges & (mesh.face_material[seams.face] == i)).sum()):
+                found.append(
+                    f"materials.{mesh.materials[i]}: its faces fill a half-space (it has no thickness_m), and the mesh "
+                    f"is open at {count} edges: seen from behind they reflect as if filled there, too"
+                )
+    dielectrics = sorted(name for name, m in used.items() if not m.conductor)
+    if dielectrics and "edges" in scene.radar.terms:
+        found.append(
+            f"edges of {', '.join(dielectrics)} have no term: that of edges is for conductors. Away from mirror "
+            "directions the RCS of such bodies is too low, often by many decibels"
+        )
+    return found

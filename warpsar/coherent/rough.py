@@ -22,8 +22,8 @@ _CONDUCTOR = (1e9, 0.0)
 
 def scatterers(
     shape: Shape, face_material: NDArray[np.int32], materials: Sequence[Material], spacing_m: float, seed: int
-) -> Any:
-    """Scatterers at about `spacing_m`, each at a random place of an equal part of its face.
+) -> tuple[Any, NDArray[np.int64]]:
+    """Scatterers at about `spacing_m`, each at a random place of an equal part of its face; and the face of each, (n,).
 
     Raises InputError for more than `MOST`.
     """
@@ -53,7 +53,7 @@ def scatterers(
     made["area"] = spacing_m**2
     made["diffuse"], made["specular"] = gauss[:, :2], gauss[:, 2:]
     made["material"] = face_material[faces][of]
-    return made
+    return made, faces[of]
 
 
 def surfaces(materials: Sequence[Material]) -> Any:

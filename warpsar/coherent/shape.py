@@ -33,6 +33,11 @@ class Wedges:
     share: NDArray[np.float64]
     material: NDArray[np.int64]
     """Of the two faces, (n, 2)."""
+    face: NDArray[np.int64]
+    """The two faces, (n, 2); twice the same at the border of a sheet."""
+    vertex: NDArray[np.int64]
+    """As in `Joints`."""
+    part: NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -64,6 +69,13 @@ class Shape:
     """Of the corners of each face, (m, 3, 3): those of the smooth surface."""
     curved: NDArray[np.int32]
     """(m,): whether the face belongs to a curved surface."""
+    surface: NDArray[np.int32]
+    """(m,): the surface of a face, flat or curved."""
+    fan: NDArray[np.int64]
+    """(m, 3): corners with one number share a normal; -1 on flat surfaces."""
+    smooth: NDArray[np.int64]
+    """Faces that are one surface across an edge, (j, 2), and the edge's vertices as the first one has them, (j, 2)."""
+    smooth_vertex: NDArray[np.int64]
     region: NDArray[np.int32]
     """(m,): the flat region of a face, or -1."""
     regions: Regions
@@ -95,11 +107,16 @@ def shape_of(vertices: NDArray[np.float64], faces: NDArray[np.int32], face_mater
     region = np.where(curved, -1, names[surface]).astype(np.int32)
     edges = np.flatnonzero(~smooth)
     wedges = _wedges(found, edges, into_first, into_second, between, face_material)
+    normals, fan = _smooth_normals(vertices, faces, surface, normal, curved)
     return Shape(
         vertices,
         faces,
-        _smooth_normals(vertices, faces, surface, normal, curved),
+        normals,
         curved.astype(np.int32),
+        surface.astype(np.int32),
+        fan,
+        np.stack([found.face[one], found.other[one]], axis=1),
+        found.vertex[one],
         region,
         _regions(region, int(flat.sum()), vertices, faces, normal, area, face_material),
         wedges,
@@ -156,12 +173,16 @@ def _smooth_normals(
     surface: NDArray[np.int32],
     normal: NDArray[np.float64],
     curved: NDArray[np.bool_],
-) -> NDArray[np.float64]:
-    """Normals of the corners, (m, 3, 3). Weights of Max (J. Graphics Tools 4(2), 1999): exact on a sphere."""
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Normals of the corners, (m, 3, 3), and which corners share one, (m, 3).
+
+    Weights of Max (J. Graphics Tools 4(2), 1999): exact on a sphere.
+    """
     normals = np.repeat(normal[:, None], 3, axis=1)
+    fan = np.full(faces.shape, -1, np.int64)
     some = np.flatnonzero(curved)
     if not len(some):
-        return normals
+        return normals, fan
     corners = welded(vertices, faces)[some]
     points = vertices[faces[some]]
     key = corners.astype(np.int64) * (int(surface.max()) + 1) + surface[some][:, None]
@@ -175,7 +196,8 @@ def _smooth_normals(
             total[:, axis] += np.bincount(place[:, i], weight[:, axis], len(total))
     total /= np.linalg.norm(total, axis=1)[:, None]
     normals[some] = total[place]
-    return normals
+    fan[some] = place
+    return normals, fan
 
 
 def _wedges(
@@ -198,7 +220,7 @@ def _wedges(
     n2 = np.where(away[:, None], -n2, n2)
     n2 = np.where(sheet[:, None], -n1, n2)
     other = np.where(found.other[edges] < 0, found.face[edges], found.other[edges])
-    material = np.stack([face_material[found.face[edges]], face_material[other]], axis=1).astype(np.int64)
+    face = np.stack([found.face[edges], other], axis=1)
     return Wedges(
         found.start[edges],
         found.end[edges],
@@ -208,7 +230,10 @@ def _wedges(
         n2,
         2.0 - angle / np.pi,
         found.share[edges],
-        material,
+        face_material[face].astype(np.int64),
+        face,
+        found.vertex[edges],
+        found.part[edges],
     )
 
 
@@ -304,3 +329,14 @@ def _samples(
     sample, name = np.concatenate([sample[kept], edge]), np.concatenate([name[kept], edge_name])
     by = np.argsort(name, kind="stable")
     return sample[by], name[by]
+
+
+def beyond(shape: Shape) -> NDArray[np.int64]:
+    """The face across the edge opposite to each corner, (m, 3), where both are one surface; -1 elsewhere."""
+    found = np.full(shape.faces.shape, -1, np.int64)
+    for one, other in ((0, 1), (1, 0)):
+        face, ends = shape.smooth[:, one], shape.smooth_vertex
+        on = (shape.faces[face][:, :, None] == ends[:, None]).any(axis=2)
+        whole = on.sum(axis=1) == 2  # a mesh that is not welded states the edge for either face by itself
+        found[face[whole], np.argmin(on[whole], axis=1)] = shape.smooth[whole, other]
+    return found

@@ -37,6 +37,8 @@ class Sweep:
 
     amplitude: NDArray[np.complex128]
     """A [m], shape (directions, frequencies, terms, polarizations), in the order of `TERMS` and `POLARIZATIONS`."""
+    bounces: NDArray[np.complex128] | None
+    """The same of each number of bounces, from 2 on: (directions, frequencies, bounces, polarizations)."""
     fresnel_number: NDArray[np.float64]
     """(directions, frequencies); NaN where no ray meets the body twice."""
     spacing_m: float
@@ -59,16 +61,18 @@ def sweep(
     rays_per_wavelength: float = RAYS_PER_WAVELENGTH,
     levels: int = LEVELS,
     distance_m: float | None = None,
+    layers: bool = False,
     progress: Any = None,
 ) -> Sweep:
     """What the body sends back to each direction (n) at each frequency [Hz], ascending, in all polarizations.
 
     `distance_m`: from the radar to the reference point; a plane wave without. The geometry of a ray serves all
-    frequencies and polarizations. The result does not depend on the number of threads.
+    frequencies and polarizations. `layers`: each number of bounces by itself, too; that takes longer. The result does
+    not depend on the number of threads.
     """
     k = 2.0 * np.pi * np.asarray(frequencies_hz, float) / SPEED_OF_LIGHT
     spacing = float(2.0 * np.pi / k.max() / rays_per_wavelength)
-    worker = _Worker(body, k, spacing, terms, max_bounces, levels, distance_m)
+    worker = Worker(body, k, spacing, terms, max_bounces, levels, distance_m, layers)
     counts = [_cells(body, directions, i, spacing) for i in range(len(directions))]
     tasks = [partial(worker, directions[some]) for some in _batches(counts, worker.together)]
     found = []
@@ -76,16 +80,27 @@ def sweep(
         found.append(part)
         if progress is not None:
             progress.update(len(part.refined))
-    # The kernels' phase is zero in the body's middle, the result's at the reference point: a shift in float64.
-    shift = np.exp(2j * (directions.s @ body.origin)[:, None] * (k if distance_m is None else 0.0 * k))
+    turn = shift(body, directions, k, distance_m)[:, :, None, None]
     return Sweep(
-        np.concatenate([part.amplitude for part in found]) * shift[:, :, None, None],
+        np.concatenate([part.amplitude for part in found]) * turn,
+        np.concatenate([part.bounces for part in found]) * turn if layers else None,
         np.concatenate([part.fresnel_number for part in found]),
         spacing,
         np.concatenate([part.refined for part in found]),
         np.concatenate([part.aliased for part in found]),
         sum(part.segments for part in found),
     )
+
+
+def shift(
+    body: CoherentBody, directions: Directions, k: NDArray[np.float64], distance_m: float | None
+) -> NDArray[np.complex128]:
+    """The kernels' phase is zero in the body's middle, the result's at the reference point: (directions, frequencies).
+
+    With a distance the way to the radar already starts from the reference point."""
+    way = 2j * (directions.s @ body.origin)[:, None]
+    factor: NDArray[np.complex128] = np.exp(way * (k if distance_m is None else 0.0 * k))
+    return factor
 
 
 def _cells(body: CoherentBody, directions: Directions, i: int, spacing: float) -> int:
@@ -104,7 +119,7 @@ def _batches(counts: Sequence[int], together: int) -> Iterator[slice]:
     yield slice(start, len(counts))
 
 
-class _Worker:
+class Worker:
     """Works out some directions; holds what all of them share."""
 
     def __init__(
@@ -116,9 +131,12 @@ class _Worker:
         max_bounces: int,
         levels: int,
         distance_m: float | None,
+        layers: bool = False,
     ) -> None:
         self.body, self.k, self.spacing, self.terms, self.distance = body, k, spacing, terms, distance_m
+        self.layers = layers
         self.bounces, self.levels = max_bounces if "multibounce" in terms else 1, levels
+        self.layer_count = max(self.bounces, 2) if layers else 2
         device = body.device
         kind = "cpu" if device.is_cpu else "cuda"
         self.together = max(_RAYS_TOGETHER[kind] * MOST_BOUNCES // max(self.bounces, MOST_BOUNCES), radiate.RAYS)
@@ -172,7 +190,9 @@ class _Worker:
         wanted = np.array([term in self.terms for term in TERMS])
         amplitude += found.amplitude
         amplitude[:, :, ~wanted] = 0.0
-        return Sweep(amplitude, found.fresnel_number, self.spacing, found.refined, found.aliased, found.segments)
+        return Sweep(
+            amplitude, found.bounces, found.fresnel_number, self.spacing, found.refined, found.aliased, found.segments
+        )
 
     def free(self, radars: wp.array, points: wp.array, normals: wp.array, both_sides: bool) -> wp.array:
         seen = wp.empty((radars.shape[0], points.shape[0]), dtype=wp.uint8, device=self.body.device)
@@ -205,39 +225,47 @@ class _Worker:
         # Several directions fit into one block; a block never holds parts of them.
         step = max(self.together, len(rays)) if len(directions) > 1 else self.together
         tasks = [partial(self.block, radars, exact, rays[i : i + step]) for i in range(0, len(rays), step)]
-        total = _Block.empty(len(directions), len(self.k))
+        total = _Block.empty(len(directions), len(self.k), self.layer_count)
         for part in threads.ordered(tasks, self.body.device):
             total.add(part)
         with np.errstate(invalid="ignore", divide="ignore"):
             number = total.area**2 / total.way  # area over the mean way
         first = np.bincount(rays.view, rays.used, len(directions))
         amplitude = np.zeros((len(directions), len(self.k), len(TERMS), 4), np.complex128)
-        amplitude[:, :, :2] = total.amplitude
+        amplitude[:, :, 0], further = total.amplitude[:, :, 0], total.amplitude[:, :, 1:]
+        amplitude[:, :, 1] = further.sum(axis=2)
         fresnel = number[:, None] * self.k / (2.0 * np.pi)
+        bounces = further if self.layers else None
         return Sweep(
-            amplitude, fresnel, self.spacing, total.refined / first, total.aliased / first, int(total.segments)
+            amplitude, bounces, fresnel, self.spacing, total.refined / first, total.aliased / first, int(total.segments)
         )
 
     def block(self, radars: wp.array, exact: wp.array, rays: cells.Rays) -> _Block:
         """Trace tubes, quarter those that alias, and add up what they radiate."""
         views = radars.shape[0]
-        total = _Block.empty(views, len(self.k))
+        total = _Block.empty(views, len(self.k), self.layer_count)
+        for level, (some, traced, wide, kept) in enumerate(self.quartered(radars, rays)):
+            total.refined += np.bincount(some.view, wide, views) if level == 0 < self.levels else 0.0
+            total.aliased += np.bincount(some.view, wide & kept, views) / 4.0**level
+            total.amplitude += traced.radiated(exact, kept, views)
+            cross = some.size.prod(axis=1) * (kept & (traced.count > 1))
+            total.area += np.bincount(some.view, cross, views)
+            total.way += np.bincount(some.view, cross * traced.span, views)
+            total.segments += int(traced.count.sum())
+        return total
+
+    def quartered(
+        self, radars: wp.array, rays: cells.Rays
+    ) -> Iterator[tuple[cells.Rays, Traced, NDArray[np.bool_], NDArray[np.bool_]]]:
+        """Rays and what they hit, level by level, with those that alias and those that stay."""
         for level in range(self.levels + 1):
-            traced = _Traced(self, radars, rays)
+            traced = Traced(self, radars, rays)
             used = rays.used != 0
             wide = used & (traced.turn > TURN)
-            kept = used & ~wide if level < self.levels else used
-            total.refined += np.bincount(rays.view, wide, views) if level == 0 < self.levels else 0.0
-            total.aliased += np.bincount(rays.view, wide & kept, views) / 4.0**level
-            total.amplitude += traced.radiated(exact, kept, views)
-            cross = rays.size.prod(axis=1) * (kept & (traced.count > 1))
-            total.area += np.bincount(rays.view, cross, views)
-            total.way += np.bincount(rays.view, cross * traced.span, views)
-            total.segments += int(traced.count.sum())
+            yield rays, traced, wide, used & ~wide if level < self.levels else used
             if level == self.levels or not wide.any():
-                break
-            rays = cells.children(rays, wide, views)
-        return total
+                return
+            rays = cells.children(rays, wide, radars.shape[0])
 
 
 @dataclass
@@ -245,7 +273,7 @@ class _Block:
     """Sums over tubes, for each direction."""
 
     amplitude: NDArray[np.complex128]
-    """(directions, frequencies, single and further bounces, polarizations)."""
+    """(directions, frequencies, bounces, polarizations); without layers the second bounce holds all further ones."""
     area: NDArray[np.float64]
     """Cross-section of the tubes that meet more than one face [m2]."""
     way: NDArray[np.float64]
@@ -255,9 +283,9 @@ class _Block:
     segments: int
 
     @classmethod
-    def empty(cls, views: int, frequencies: int) -> _Block:
+    def empty(cls, views: int, frequencies: int, bounces: int) -> _Block:
         area, way, refined, aliased = np.zeros((4, views))
-        return cls(np.zeros((views, frequencies, 2, 4), np.complex128), area, way, refined, aliased, 0)
+        return cls(np.zeros((views, frequencies, bounces, 4), np.complex128), area, way, refined, aliased, 0)
 
     def add(self, other: _Block) -> None:
         self.amplitude += other.amplitude
@@ -268,10 +296,10 @@ class _Block:
         self.segments += other.segments
 
 
-class _Traced:
+class Traced:
     """Rays with what they hit."""
 
-    def __init__(self, worker: _Worker, radars: wp.array, rays: cells.Rays) -> None:
+    def __init__(self, worker: Worker, radars: wp.array, rays: cells.Rays) -> None:
         self.worker, self.radars = worker, radars
         device, body, n = worker.body.device, worker.body, len(rays)
         self.view = upload(rays.view, int, device)
@@ -293,7 +321,18 @@ class _Traced:
         self.chunk_view = rays.view[:: radiate.RAYS]
 
     def radiated(self, exact: wp.array, used: NDArray[np.bool_], views: int) -> NDArray[np.complex128]:
-        """(directions, frequencies, single and further bounces, polarizations)."""
+        """(directions, frequencies, bounces, polarizations), as `_Block` holds them."""
+        worker = self.worker
+        total = np.zeros((views, len(worker.k), worker.layer_count, 4), np.complex128)
+        if not worker.layers:
+            self._add(total[:, :, :2], exact, used, -1)
+        else:
+            for b in range(int(self.count.max(initial=0))):
+                self._add(total[:, :, b : b + 1], exact, used, b)
+        return total
+
+    def _add(self, total: NDArray[np.complex128], exact: wp.array, used: NDArray[np.bool_], only: int) -> None:
+        """Add the first and further bounces to `total`, or the one bounce `only`."""
         worker, body = self.worker, self.worker.body
         shape = (len(self.chunk_view), len(worker.k))
         out = wp.empty((*shape, 2, 4), dtype=wp.vec2d, device=body.device)
@@ -311,14 +350,13 @@ class _Traced:
                 upload(used.astype(np.int32), int, body.device),
                 self.hits,
                 self.counts,
+                only,
             ],
             outputs=[out],
             device=body.device,
         )
         parts = _complex(out)
-        total = np.zeros((views, *parts.shape[1:]), np.complex128)
-        np.add.at(total, self.chunk_view, parts)
-        return total
+        np.add.at(total, self.chunk_view, parts if only < 0 else parts[:, :, [min(only, 1)]])
 
 
 def _complex(array: wp.array) -> NDArray[np.complex128]:

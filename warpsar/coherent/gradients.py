@@ -1,0 +1,196 @@
+"""`warpsar.rcs_gradients`: how complex amplitudes change with materials, vertices and poses."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property, partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from warpsar.coherent import rays as cells
+from warpsar.coherent.borders import border_slopes
+from warpsar.coherent.held import Held, Paths, Sight, Slopes
+from warpsar.coherent.learned import Learned, learned, moves_vertices
+from warpsar.coherent.rcs import Asked, Rcs, swept
+from warpsar.coherent.records import host
+from warpsar.coherent.shape import beyond
+from warpsar.coherent.sweep import LEVELS, POLARIZATIONS, RAYS_PER_WAVELENGTH, Worker, shift
+from warpsar.errors import InputError
+from warpsar.runtime import devices, threads
+from warpsar.world.frame import SPEED_OF_LIGHT
+from warpsar.world.world import World
+
+GRAZING = 1e-9
+"""A flat face is neither lit nor dark where its normal has this cosine to the radar, or less."""
+
+
+@dataclass(frozen=True)
+class RcsGradients:
+    """Amplitudes of a scene, and their derivatives to some parameters."""
+
+    rcs: Rcs
+    """The amplitudes, as `warpsar.rcs` gives them."""
+    parameters: tuple[str, ...]
+    _scene: World = field(repr=False)
+    _asked: Asked = field(repr=False)
+    _learned: Mapping[str, Learned] = field(repr=False)
+
+    def vjp(self, cotangent: ArrayLike) -> dict[str, NDArray[np.float64]]:
+        """Gradients of Re sum conj(cotangent) A, an array of each parameter's shape, per unit of the parameter.
+
+        `cotangent` is complex, of the shape of `rcs.amplitude_m`: of a loss L it is dL/dRe(A) + j dL/dIm(A). Raises
+        InputError for another shape.
+        """
+        given = np.asarray(cotangent, np.complex128)
+        if given.shape != self.rcs.amplitude_m.shape:
+            raise InputError(f"cotangent: found shape {given.shape}; must be {self.rcs.amplitude_m.shape}")
+        total = {name: np.zeros(one.shape) for name, one in self._learned.items()}
+        for _, (part,) in self._pulled([one[None] for one in given.reshape(-1, *given.shape[2:])]):
+            for name, one in self._learned.items():
+                total[name] += one.gradient(part)
+        return total
+
+    def jacobian(self) -> dict[str, NDArray[np.complex128]]:
+        """dA / d parameter, complex: the shape of `rcs.amplitude_m`, then the parameter's.
+
+        It takes two reverse passes for every frequency and polarization.
+        """
+        shape = self.rcs.amplitude_m.shape
+        size = int(np.prod(shape[2:]))
+        unit = np.concatenate([np.eye(size), 1j * np.eye(size)]).reshape(-1, *shape[2:])
+        total = {
+            name: np.zeros((shape[0] * shape[1], size, *one.shape), complex) for name, one in self._learned.items()
+        }
+        for index, parts in self._pulled([unit] * (shape[0] * shape[1])):
+            for i, part in enumerate(parts):
+                for name, one in self._learned.items():
+                    total[name][index, i % size] += (1.0 if i < size else 1.0j) * one.gradient(part)
+        return {name: total[name].reshape(*shape, *one.shape) for name, one in self._learned.items()}
+
+    def _pulled(self, cotangents: Sequence[NDArray[np.complex128]]) -> Iterator[tuple[int, list[Slopes]]]:
+        """For each direction the gradients of its cotangents (c, frequencies, polarizations), piece by piece."""
+        worker, asked = self._worker, self._asked
+        turn = shift(asked.body, asked.directions, worker.k, worker.distance).conj()
+        chosen = [POLARIZATIONS.index(name) for name in self.rcs.polarizations]
+        faces = beyond(asked.body.shape)
+
+        def tasks() -> Iterator[partial[tuple[int, list[Slopes]]]]:
+            for index, given in enumerate(cotangents):
+                if not given.any():
+                    continue
+                seed = np.zeros((len(given), len(worker.k), len(POLARIZATIONS)), complex)
+                seed[:, :, chosen] = given * turn[index][:, None]
+                sight = Sight(worker, asked.directions, index, faces)
+                yield partial(_of_faces, sight, seed)
+                rays = cells.grid(asked.body, asked.directions[index : index + 1], worker.spacing, worker.distance)
+                for start in range(0, len(rays), worker.together):
+                    yield partial(_of_tubes, sight, rays[start : start + worker.together], seed)
+                if moves_vertices(self.parameters):
+                    yield partial(_of_borders, sight, seed)
+
+        yield from threads.ordered(tasks(), asked.body.device)
+
+    @cached_property
+    def _worker(self) -> Worker:
+        radar, asked = self._scene.radar, self._asked
+        k = 2.0 * np.pi * asked.frequencies / SPEED_OF_LIGHT
+        spacing = float(2.0 * np.pi / k.max() / asked.rays_per_wavelength)
+        return Worker(asked.body, k, spacing, radar.terms, radar.max_bounces, LEVELS, radar.slant_range_m)
+
+
+def rcs_gradients(
+    scene: World,
+    azimuths_deg: ArrayLike,
+    incidences_deg: ArrayLike = 90.0,
+    frequencies_hz: ArrayLike | None = None,
+    *,
+    parameters: Sequence[str],
+    device: str | None = None,
+    rays_per_wavelength: float = RAYS_PER_WAVELENGTH,
+) -> RcsGradients:
+    """Amplitudes as `warpsar.rcs` gives them, and their derivatives to `parameters`, in reverse mode.
+
+    >>> found = warpsar.rcs_gradients(scene, [30.0, 45.0], 60.0, parameters=["body.eps_r", "vertices"])
+    >>> gradients = found.vjp(found.rcs.amplitude_m - measured)  # of half the sum of squares
+    >>> slopes = found.jacobian()["vertices"]                    # (azimuths, incidences, frequencies, pol., n, 3)
+
+    | parameter | shape | unit |
+    |---|---|---|
+    | `MATERIAL.eps_r` | as in the scene: () or (2,) | 1 |
+    | `MATERIAL.thickness_m`, `MATERIAL.rms_height_m` | () | m |
+    | `MATERIAL.correlation_length_m` | as in the scene: () or (2,) | m |
+    | `vertices` | (n, 3) | m |
+    | `pose.position_m`, `OBJECT.position_m` | (3,) | m |
+    | `pose.heading_deg`, `.pitch_deg`, `.roll_deg`, and of an `OBJECT` | () | degrees |
+
+    `pose` moves all that there is, and turns it about the reference point. Held are which faces an edge has, which
+    piece of an edge and which scatterer the radar sees, and how many scatterers there are. Borders of light move with
+    the edges that make them. docs/coherent.md says more.
+
+    Raises InputError as `warpsar.rcs` does, and for parameters that have no derivative; DeviceError.
+    """
+    found = learned(scene, parameters)
+    asked = Asked.of(scene, azimuths_deg, incidences_deg, frequencies_hz, device, rays_per_wavelength)
+    devices.load_kernels(asked.body.device, "coherent.slopes")
+    if moves_vertices(found):
+        _refuse_grazing(asked)
+    return RcsGradients(swept(scene, asked), tuple(found), scene, asked, found)
+
+
+def _refuse_grazing(asked: Asked) -> None:
+    cosine = np.abs(asked.directions.s @ asked.body.shape.regions.normal.T)
+    if (cosine < GRAZING).any():
+        index = int(np.flatnonzero((cosine < GRAZING).any(axis=1))[0])
+        azimuth, incidence = divmod(index, asked.incidences.size)
+        raise InputError(
+            f"azimuth {asked.azimuths[azimuth]:g}, incidence {asked.incidences[incidence]:g}: a flat face stands "
+            "exactly along the line of sight. It appears or vanishes as it moves, so vertices and poses have no "
+            "derivative; ask for a direction beside it"
+        )
+
+
+def _of_faces(sight: Sight, seed: NDArray[np.complex128]) -> tuple[int, list[Slopes]]:
+    held = Held(sight)
+    held.faces()
+    return sight.index, _backward(held, seed)
+
+
+def _of_tubes(sight: Sight, rays: cells.Rays, seed: NDArray[np.complex128]) -> tuple[int, list[Slopes]]:
+    total = [Slopes.empty(sight.worker.body) for _ in seed]
+    for some, traced, _, kept in sight.worker.quartered(sight.radars, rays):
+        chosen = np.flatnonzero(kept & (traced.count > 0))
+        if not len(chosen):
+            continue
+        chosen = chosen[np.argsort(-traced.count[chosen], kind="stable")]
+        count = traced.count[chosen]
+        hits = host(traced.hits)[chosen, : int(count[0])]
+        hits[np.arange(hits.shape[1]) >= count[:, None]] = 0
+        zero = np.zeros(len(chosen))
+        size = some.size[chosen]
+        paths = Paths(
+            some.place[chosen],
+            np.stack([size[:, 0], zero], axis=1),
+            np.stack([zero, size[:, 1]], axis=1),
+            count,
+            hits["face"],
+            hits["caustics"],
+            sight.counts(hits["face"], hits["seen"]),
+        )
+        held = Held(sight)
+        held.follow(paths)
+        for sum_, part in zip(total, _backward(held, seed), strict=True):
+            sum_.add(part)
+    return sight.index, total
+
+
+def _of_borders(sight: Sight, seed: NDArray[np.complex128]) -> tuple[int, list[Slopes]]:
+    return sight.index, border_slopes(sight, seed)
+
+
+def _backward(held: Held, seed: NDArray[np.complex128]) -> list[Slopes]:
+    held.run()
+    parts: list[Any] = [np.stack([one.real, one.imag], axis=-1)[None] for one in seed]
+    return [held.slopes(held.amplitude, part) for part in parts]

@@ -1,0 +1,136 @@
+"""What has a derivative in the coherent engine, by name, and how a parameter's gradient comes from the kernels'."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from warpsar.coherent.held import Slopes
+from warpsar.errors import InputError
+from warpsar.world.objects.pose import rotation
+from warpsar.world.tables import Material
+from warpsar.world.world import World
+
+POSE = ("position_m", "heading_deg", "pitch_deg", "roll_deg")
+MATERIAL = ("eps_r", "thickness_m", "rms_height_m", "correlation_length_m")
+_STEP_DEG = 1e-3
+"""Of a central difference of vertices in an angle: its error is a 2e-11 of the slope, its rounding 1e-11."""
+
+
+@dataclass(frozen=True)
+class Learned:
+    """A parameter: its shape, and its gradient from those to vertices and materials."""
+
+    shape: tuple[int, ...]
+    gradient: Callable[[Slopes], NDArray[np.float64]]
+
+
+def moves_vertices(names: Collection[str]) -> bool:
+    return any(name == "vertices" or name.rpartition(".")[2] in POSE for name in names)
+
+
+def learned(scene: World, names: Sequence[str]) -> dict[str, Learned]:
+    """The parameters of these names. Raises InputError, which says why, for one that has no derivative."""
+    if isinstance(names, str) or not names:
+        raise InputError(f"parameters: found {names!r}; must be one or more names")
+    found = {}
+    for name in names:
+        owner, _, key = str(name).rpartition(".")
+        if name == "vertices":
+            found[name] = _vertices(scene)
+        elif owner in scene.materials and key in MATERIAL:
+            found[name] = _material(scene, owner, key)
+        elif owner == "pose" and key in POSE:
+            found[name] = _moved(scene, partial(_turned, scene, key), key)
+        elif key in POSE and any(one.label == owner for one in scene.objects):
+            found[name] = _moved(scene, partial(_placed, scene, owner, key), key)
+        else:
+            raise InputError(f"parameters: {name}: {_why(scene, owner, key)}")
+    return found
+
+
+def _why(scene: World, owner: str, key: str) -> str:
+    if owner == "radar" and key in ("terms", "max_bounces"):
+        return "is a choice, not a number, and has no derivative"
+    if key in ("visibility", "rays_per_wavelength", "seed", "edges"):
+        return "is discrete: what is lit, hit or drawn has no derivative"
+    if owner in scene.materials and key in Material.model_fields:
+        return f"has no derivative here; of a material only {', '.join(MATERIAL)} have one"
+    names = [*scene.materials, *(one.label for one in scene.objects), "pose"]
+    return f"found no such parameter; must be vertices, or a key of {', '.join(names)}"
+
+
+def _vertices(scene: World) -> Learned:
+    rough = [n for n in scene.mesh.materials if scene.materials[n].rms_height_m != 0.0]
+    if rough and "rough" in scene.radar.terms:
+        raise InputError(
+            f"parameters: vertices: materials.{rough[0]} is rough, and a face that changes its area has its scatterers "
+            'drawn anew; leave "rough" out of radar.terms, or ask for a pose'
+        )
+    return Learned(scene.mesh.vertices.shape, lambda slopes: slopes.vertices)
+
+
+def _material(scene: World, name: str, key: str) -> Learned:
+    material, where = scene.materials[name], f"parameters: {name}.{key}"
+    value = getattr(material, key)
+    if name not in scene.mesh.materials:
+        raise InputError(f"{where}: no face has this material")
+    if value is None:
+        raise InputError(f"{where}: the scene does not state it, so it has no derivative")
+    if key == "eps_r" and material.conductor and material.thickness_m is None:
+        raise InputError(f"{where}: a conductor does not depend on it; it has no derivative")
+    if key in ("rms_height_m", "correlation_length_m") and material.rms_height_m == 0.0:
+        raise InputError(f"{where}: a smooth face has no scatterers; where they appear there is no derivative")
+    index = scene.mesh.materials.index(name)
+    pair = isinstance(value, tuple)
+
+    def gradient(slopes: Slopes) -> NDArray[np.float64]:
+        stuff, surface = slopes.stuff[index], slopes.surfaces[index]
+        if key == "thickness_m":
+            return np.array(stuff["thickness"])
+        if key == "rms_height_m":
+            return np.array(stuff["rms_height"] + surface["rms_height"])
+        if key == "correlation_length_m":
+            both = surface["length"]
+            return np.array(both if pair else both.sum())
+        both = stuff["permittivity"] + (0.0 if material.conductor else surface["permittivity"])
+        return np.array(both if pair else both[0])
+
+    return Learned((2,) if pair else (), gradient)
+
+
+def _moved(scene: World, vertices: Callable[[Any], NDArray[np.float64]], key: str) -> Learned:
+    """A pose: the chain rule through the vertices, whose slopes are differences of a closed form in float64."""
+    if key == "position_m":
+        slopes = np.stack([vertices(0.5 * step) - vertices(-0.5 * step) for step in np.eye(3)])
+        return Learned((3,), lambda found: np.einsum("ijk,jk->i", slopes, found.vertices))
+    slope = (vertices(_STEP_DEG) - vertices(-_STEP_DEG)) / (2.0 * _STEP_DEG)
+    return Learned((), lambda found: np.asarray((slope * found.vertices).sum()))
+
+
+def _turned(scene: World, key: str, step: Any) -> NDArray[np.float64]:
+    """The vertices of all that there is, moved, or turned about the reference point."""
+    about = np.asarray(scene.reference_point_m)
+    if key == "position_m":
+        return scene.mesh.vertices + step
+    angles = {"heading_deg": 0.0, "pitch_deg": 0.0, "roll_deg": 0.0, key: step}
+    moved: NDArray[np.float64] = (scene.mesh.vertices - about) @ rotation(**angles).T + about
+    return moved
+
+
+def _placed(scene: World, label: str, key: str, step: Any) -> NDArray[np.float64]:
+    """The vertices with one object moved by a step of one key."""
+    assert scene.assembly is not None
+
+    def stepped(one: Any) -> Any:
+        value = getattr(one, key)
+        new = tuple(np.asarray(value) + step) if key == "position_m" else value + step
+        return one.model_copy(update={key: new})
+
+    objects = [stepped(one) if one.label == label else one for one in scene.objects]
+    return np.asarray(scene.assembly.mesh([*objects]).vertices)
