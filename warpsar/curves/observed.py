@@ -52,6 +52,10 @@ class Observed:
                 total += self.terms[name]
         return total
 
+    def beside(self, terms: Mapping[str, NDArray[np.complex128]]) -> Observed:
+        """The same curve beside other terms, (n,) each."""
+        return replace(self, terms=terms)
+
     def where(self, keep: NDArray[np.bool_] | NDArray[np.intp]) -> Observed:
         """The same with some rows alone: a mask, or their numbers."""
         level = self.level_m2[keep] if len(self.level_m2) > 1 else self.level_m2
