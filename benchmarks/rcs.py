@@ -16,7 +16,7 @@ import os
 import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -31,9 +31,9 @@ import warpsar
 from warpsar.curves import metrics, rivals, sectors
 from warpsar.curves.amplitudes import amplitudes
 from warpsar.curves.angles import independent_deg, width_m
-from warpsar.curves.noise import Fit, fit, of_repeats
+from warpsar.curves.noise import fit, of_repeats
 from warpsar.curves.observed import Observed
-from warpsar.curves.search import DECLARED, Found, search
+from warpsar.curves.search import CANDIDATES, DECLARED, Found, by_sector
 from warpsar.errors import InputError
 from warpsar.io import curves
 from warpsar.simulation.outputs import plain
@@ -144,40 +144,80 @@ class Work:
     def sector(self, one: Observed, name: str) -> NDArray[np.bool_]:
         return sectors.sectors(self.normals, one.azimuth_deg, one.incidence_deg)[name]
 
-    def part(self, name: str, curves: Sequence[Observed] | None = None) -> list[Observed]:
-        """The curves in a sector, without rows that say nothing new; known measurements alone name anything."""
-        pairs = zip(self.files, curves or self.curves, strict=True)
-        given = [one for file, one in pairs if file.first]
-        return [one.where(self.sector(one, name)).thinned(PER_DIRECTION) for one in given]
+    def part(self) -> list[Observed]:
+        """The curves that may name something, without rows that say nothing new."""
+        given = [one for file, one in zip(self.files, self.curves, strict=True) if file.first]
+        if self.body.material is not None:
+            given = [one.where(90.0 - one.azimuth_deg < learned.LOBES_DEG) for one in given]
+        return [one.thinned(PER_DIRECTION) for one in given]
 
 
 def find(work: Work) -> dict[str, Found]:
-    """What each sector names. Terms that are found where no aperture is seen are the body's, and hold in front of it, too."""
-    offered = {"edge_diffraction": "edges", "multibounce": "multibounce"}
-    if work.body.key == "dielectric_plate":
-        offered = {"normal_currents": "normal", **offered}
-    if not len(work.normals):
-        return {"all": search(work.part("all"), DECLARED, offered)}
-    away = search(work.part("away"), DECLARED, offered)
-    return {"away": away, "aperture": search(work.part("aperture"), away.terms, offered)}
+    """What each sector names."""
+    if work.body.material is None:
+        return by_sector(work.part(), work.normals)
+    return by_sector(work.part(), work.normals, DECLARED, {"normal_currents": "normal", **CANDIDATES})
 
 
-def rows(work: Work, found: Mapping[str, Found], final: Sequence[Observed], noise: Fit) -> list[dict[str, Any]]:
+class Model:
+    """What is believed of a body in the end: terms, levels without phase, and the noise in front of an aperture and elsewhere."""
+
+    def __init__(self, work: Work, final: Sequence[Observed], found: Mapping[str, Found]) -> None:
+        self.work = work
+        self.terms = tuple(dict.fromkeys(term for one in found.values() for term in one.terms))
+        self.level_only = {effect for one in found.values() for effect in one.level_only}
+        train = [self.levelled(one) for one in final if one.role == "train"]
+        self.noise = {}
+        for seen in (False, True):
+            some = [one.where(self.seen(one) == seen).thinned(PER_DIRECTION) for one in train if (self.seen(one) == seen).any()]
+            if some:
+                self.noise[seen] = fit(some, self.terms).noise
+
+    def seen(self, one: Observed) -> NDArray[np.bool_]:
+        """Directions that see an aperture, (n,)."""
+        return ~self.work.sector(one, "away") if len(self.work.normals) else np.zeros(len(one.azimuth_deg), bool)
+
+    def levelled(self, one: Observed) -> Observed:
+        """The curve with the mean power of the terms that tell the level alone, where the aperture is seen."""
+        if "multibounce" not in self.level_only:
+            return one
+        seen, power = self.seen(one), np.abs(one.amplitude(["multibounce"])) ** 2
+        return replace(one, level_m2=np.where(seen, power[seen].mean(), 0.0))
+
+    def predict(self, one: Observed) -> NDArray[np.float64]:
+        """The power that is expected, (n,): the model's, the levels', and the background's."""
+        background = np.zeros(len(one.azimuth_deg))
+        for seen, noise in self.noise.items():
+            background[self.seen(one) == seen] = noise[one.polarization].background_m2
+        found: NDArray[np.float64] = np.abs(one.amplitude(self.terms)) ** 2 + background + self.levelled(one).level_m2
+        return found
+
+    def content(self) -> dict[str, Any]:
+        """The noise, for JSON."""
+        return {
+            f"{pol}{', aperture seen' if seen else ''}": {
+                "background_dbsm": float(metrics.decibels(np.array(one.background_m2))),
+                "error_db": one.error_db,
+            }
+            for seen, noise in self.noise.items()
+            for pol, one in noise.items()
+        }
+
+
+def rows(model: Model, final: Sequence[Observed]) -> list[dict[str, Any]]:
     """A row for each curve and sector: mean abs(dB) and correlation of the declared and the final model, and of no physics."""
-    names = tuple(dict.fromkeys(term for one in found.values() for term in one.terms))
-    level_only = {effect for one in found.values() for effect in one.level_only}
-    made = []
+    work, made = model.work, []
     for declared, one in zip(work.curves, final, strict=True):
-        for sector in sectors.NAMES:
+        predicted = model.predict(one)
+        low = float(metrics.decibels(declared.measured_m2).max()) - work.low_db
+        for sector in sectors.NAMES if len(work.normals) else ("all",):
             inside = work.sector(one, sector)
-            if inside.sum() < 3 or (sector == "away" and not len(work.normals)):
+            if inside.sum() < 3:
                 continue
             old, new = declared.where(inside), one.where(inside)
-            low = float(metrics.decibels(declared.measured_m2).max()) - work.low_db
-            predicted = predict(work, new, names, level_only, noise)
             models = {
                 "declared": np.abs(old.amplitude(DECLARED)) ** 2,
-                "final": predicted,
+                "final": predicted[inside],
                 "null": rivals.constant([new]).model_m2[0],
                 "smooth": rivals.smooth([new]).model_m2[0],
             }
@@ -196,21 +236,6 @@ def rows(work: Work, found: Mapping[str, Found], final: Sequence[Observed], nois
                 }
             )
     return made
-
-
-def predict(
-    work: Work, one: Observed, names: Sequence[str], level_only: set[str], noise: Fit
-) -> NDArray[np.float64]:
-    """The power that the final model expects: its own, and that of the background.
-
-    A term that tells the level alone adds its mean power over the directions that see the aperture, and no phase.
-    """
-    power = np.abs(one.amplitude(names)) ** 2 + noise.noise[one.polarization].background_m2
-    if "multibounce" in level_only:
-        seen = ~work.sector(one, "away")
-        term = np.abs(one.amplitude(["multibounce"])) ** 2
-        power = power + np.where(seen, term[seen].mean() if seen.any() else 0.0, 0.0)
-    return power
 
 
 def main() -> int:
@@ -284,23 +309,19 @@ def one_body(
         what, final = learned.dielectric(work, names, others.get("pec_plate", {}).get("learned", {}))
     elif body.key == "box_closed":
         what = {"offered": learned.offered_duct(work, data, names)}
-    train = [one.thinned(PER_DIRECTION) for one in final if one.role == "train"]
-    noise = fit(train, names)
-    what |= {
-        "noise": {pol: {"background_dbsm": float(metrics.decibels(np.array(each.background_m2))),
-                        "error_db": each.error_db} for pol, each in noise.noise.items()}
-    }  # fmt: skip
+    model = Model(work, final, found)
+    what["noise"] = model.content()
     if body.key == "pec_plate":
         what |= learned.calibration(final, names)
-    what |= learned.named(work, final, names)
+    what |= learned.named(work, final, model.predict)
     what |= repeats(files)
     verdict = list(dict.fromkeys(effect for one in found.values() for effect in one.verdict))
     level_only = list(dict.fromkeys(effect for one in found.values() for effect in one.level_only))
-    figures.body(options.out, work, final, names, found)
+    figures.body(options.out, work, final, model.predict)
     return {
         "verdict": verdict,
         "level_only": level_only,
-        "rows": rows(work, found, final, noise),
+        "rows": rows(model, final),
         "learned": what,
         "asked": {sector: [asdict(each) for each in one.asked] for sector, one in found.items()},
     }

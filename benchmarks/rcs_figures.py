@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +11,6 @@ import tables
 
 from warpsar.curves.metrics import decibels
 from warpsar.curves.observed import Observed
-from warpsar.curves.search import Found
 from warpsar.io import figures
 
 if TYPE_CHECKING:
@@ -27,7 +26,7 @@ TITLES = {
 SHOWN_DB = 50.0
 
 
-def body(out: Path, work: Work, final: Sequence[Observed], names: Sequence[str], found: Mapping[str, Found]) -> None:
+def body(out: Path, work: Work, final: Sequence[Observed], predict: Callable[[Observed], Any]) -> None:
     """RCS against phi: measured, declared and final, a panel for each frequency and polarization of the first measurement."""
     pairs = [(d, f) for file, d, f in zip(work.files, work.curves, final, strict=True) if file.first]
     frequencies = sorted({round(d.frequency_hz / 1e9, 2) for d, _ in pairs})
@@ -41,7 +40,7 @@ def body(out: Path, work: Work, final: Sequence[Observed], names: Sequence[str],
         lines = (
             ("measured", one.measured_m2, "black", 1.2, "-"),
             ("declared: single bounces", np.abs(declared.amplitude(["single"])) ** 2, "tab:blue", 0.8, ":"),
-            ("final", np.abs(one.amplitude(names)) ** 2, "tab:red", 0.9, "-"),
+            ("final", predict(one), "tab:red", 0.9, "-"),
         )
         for label, power, colour, width, style in lines:
             panel.plot(phi[order], decibels(power)[order] + gap, color=colour, lw=width, ls=style, label=label)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from itertools import product
 from pathlib import Path
@@ -24,7 +24,9 @@ if TYPE_CHECKING:
     from rcs import Work
 
 LEARN_PER_DIRECTION = 3.0
-HUMP_DB = 6.0
+HUMP_DEG = 1.0
+"""Half of the window over which power is averaged before that is asked."""
+HUMP_DB = 3.0
 """An excess over model and background, at one angle in every curve, that stands in the range and not on the body."""
 LOBES_DEG = 55.0
 """Of the dielectric plate: beyond them the background is stronger."""
@@ -61,29 +63,28 @@ def calibration(curves: Sequence[Observed], names: Sequence[str]) -> dict[str, A
     return {"calibration_db": {"mean": float(np.mean(first)), "sd": float(np.std(first, ddof=1)), "curves": found}}
 
 
-def named(work: Work, curves: Sequence[Observed], names: Sequence[str]) -> dict[str, Any]:
+def named(work: Work, curves: Sequence[Observed], predict: Callable[[Observed], NDArray[np.float64]]) -> dict[str, Any]:
     """What stays at one angle at all frequencies, in both polarizations: it is of the range, since what is of the body moves."""
     first = [one for file, one in zip(work.files, curves, strict=True) if file.first]
-    noise = fit([one.thinned(6.0) for one in first], names).noise
     grid = np.unique(np.concatenate([one.azimuth_deg for one in first]))
-    excess = []
-    for one in first:
-        model = np.abs(one.amplitude(names)) ** 2 + noise[one.polarization].background_m2
+    mean = np.abs(grid[:, None] - grid) <= HUMP_DEG
+    mean = mean / mean.sum(axis=1, keepdims=True)
+
+    def smoothed(one: Observed, power: NDArray[np.float64]) -> NDArray[np.float64]:
         order = np.argsort(one.azimuth_deg)
-        over = metrics.decibels(one.measured_m2) - metrics.decibels(model)
-        excess.append(np.interp(grid, one.azimuth_deg[order], over[order]))
-    common = np.min(excess, axis=0)
+        return metrics.decibels(mean @ np.interp(grid, one.azimuth_deg[order], power[order]))
+
+    measured = np.array([smoothed(one, one.measured_m2) for one in first])
+    common = (measured - np.array([smoothed(one, predict(one)) for one in first])).min(axis=0)
     place = int(common.argmax())
     if common[place] < HUMP_DB:
         return {"spurious": None}
-    wide = np.flatnonzero(common > common[place] - 3.0)
-    level = [float(np.interp(grid[place], np.sort(one.azimuth_deg), metrics.decibels(one.measured_m2)[np.argsort(one.azimuth_deg)]))
-             for one in first]  # fmt: skip
+    wide = np.flatnonzero(common > 0.5 * common[place])
     hump = {
         "phi_deg": float(90.0 - grid[place]),
         "width_deg": float(np.ptp(grid[wide])),
         "least_excess_db": float(common[place]),
-        "level_dbsm": [min(level), max(level)],
+        "level_dbsm": [float(measured[:, place].min()), float(measured[:, place].max())],
     }
     return {"spurious": hump}
 

@@ -23,6 +23,7 @@ from warpsar.curves.metrics import correlation, level_db
 from warpsar.curves.noise import Noise, densities, fit
 from warpsar.curves.observed import Observed, independent
 from warpsar.curves.rivals import Rival, constant, smooth
+from warpsar.curves.sectors import sectors
 
 CANDIDATES = {"edge_diffraction": "edges", "multibounce": "multibounce"}
 """Names of effects, as `diagnose` has them, and the terms that hold them."""
@@ -53,7 +54,7 @@ class LeftOut:
     @property
     def holds(self) -> bool:
         """The test curves must confirm; a polarization must not speak against."""
-        return self.gain > (ERRORS if self.name == TEST else -ERRORS) * self.error
+        return self.gain > ERRORS * self.error if self.name == TEST else self.gain >= -ERRORS * self.error
 
 
 @dataclass(frozen=True)
@@ -110,6 +111,29 @@ def search(
         history.append(best)
         del left[best.effect]
     return Found(tuple(names), tuple(verdict), tuple(level), tuple(history))
+
+
+def by_sector(
+    curves: Sequence[Observed],
+    normals: NDArray[np.float64],
+    terms: Sequence[str] = DECLARED,
+    candidates: Mapping[str, str] = CANDIDATES,
+) -> dict[str, Found]:
+    """What each sector names, of a body whose apertures have the outward `normals` (n, 3).
+
+    What is found where no aperture is seen is of the body, and holds in front of the aperture, too. Without apertures there is
+    one sector, `all`.
+    """
+    if not len(normals):
+        return {"all": search(curves, terms, candidates)}
+
+    def part(name: str) -> list[Observed]:
+        inside = [sectors(normals, one.azimuth_deg, one.incidence_deg)[name] for one in curves]
+        return [one.where(keep) for one, keep in zip(curves, inside, strict=True) if keep.any()]
+
+    away = search(part("away"), terms, candidates) if part("away") else Found(tuple(terms), (), (), ())
+    aperture = search(part("aperture"), away.terms, candidates) if part("aperture") else away
+    return {"away": away, "aperture": aperture}
 
 
 def ask(curves: Sequence[Observed], names: Sequence[str], effect: str, term: str) -> Asked:
