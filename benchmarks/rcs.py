@@ -2,10 +2,10 @@
 
     python benchmarks/rcs.py DATA -o out/ [--write]
 
-DATA is the folder of measured data (with austin_rcs/ in it), or austin_rcs itself. `out/rcs.json` holds for every body the
-verdict, a row for each curve and sector, and what was learned; out/*.png the figures. Amplitudes are kept in out/cache, so a run
-that was interrupted goes on where it was. Curves at 2.56 and 5.12 GHz of the first measurement are train; all others, also such
-as are put into the folder later, are tests with rows of their own.
+DATA is the folder of measured data (with austin_rcs/ in it), or austin_rcs itself. `out/rcs.json` holds for every body
+the verdict, a row for each curve and sector, and what was learned; out/*.png the figures. Amplitudes are kept in
+out/cache, so a run that was interrupted goes on where it was. Curves at 2.56 and 5.12 GHz of the first measurement are
+train; all others, also such as are put into the folder later, are tests with rows of their own.
 """
 
 from __future__ import annotations
@@ -39,11 +39,13 @@ from warpsar.io import curves
 from warpsar.simulation.outputs import plain
 
 ROOT = Path(__file__).resolve().parent.parent
-SUITE_FILE = re.compile(r"(?P<kind>\w*)_rcs\.(?P<body>[IVX]+S?\.?[A-Z])\.(?P<size>s\w+)\.(?P<code>f\w+)\.", re.IGNORECASE)
+SUITE_FILE = re.compile(
+    r"(?P<kind>\w*)_rcs\.(?P<body>[IVX]+S?\.?[A-Z])\.(?P<size>s\w+)\.(?P<code>f\w+)\.", re.IGNORECASE
+)
 FIRST = re.compile(r"meas_rcs\.\w+\.\w\.s\w*\.(f9|f10|fx1)\.[HV]\.txt")
 TRAIN = ("f9", "f10")
 SATURATED_DEG = 5.0
-"""About phi = 90 the range saturated on two of the boxes (their descriptions say so at 10 GHz, the curves show it at 5)."""
+"""About phi = 90 the range saturated on two of the boxes: their descriptions say so at 10 GHz, the curves at 5."""
 PER_DIRECTION = 6.0
 DUCT_DB, OTHER_DB = 40.0, 80.0
 """How far under a curve's peak values still count, with and without an aperture: the suite's measure is the second."""
@@ -137,30 +139,31 @@ class Work:
         terms = made.of(pol)
         if self.body.material is not None:
             terms["normal"] = learned.normal_currents(made, azimuth, scene.materials["default"].eps_r, pol)
-        return Observed(
-            one.path.name, frequency, pol, one.role, azimuth, incidence, table.rcs_m2[keep], terms, step
-        )
+        return Observed(one.path.name, frequency, pol, one.role, azimuth, incidence, table.rcs_m2[keep], terms, step)
 
     def sector(self, one: Observed, name: str) -> NDArray[np.bool_]:
         return sectors.sectors(self.normals, one.azimuth_deg, one.incidence_deg)[name]
 
-    def part(self) -> list[Observed]:
+    def part(self, curves: Sequence[Observed] | None = None) -> list[Observed]:
         """The curves that may name something, without rows that say nothing new."""
-        given = [one for file, one in zip(self.files, self.curves, strict=True) if file.first]
+        given = [one for file, one in zip(self.files, curves or self.curves, strict=True) if file.first]
         if self.body.material is not None:
             given = [one.where(90.0 - one.azimuth_deg < learned.LOBES_DEG) for one in given]
         return [one.thinned(PER_DIRECTION) for one in given]
 
 
-def find(work: Work) -> dict[str, Found]:
-    """What each sector names."""
+def find(work: Work, curves: Sequence[Observed] | None = None) -> dict[str, Found]:
+    """What each sector names, with the declared terms or other ones."""
     if work.body.material is None:
-        return by_sector(work.part(), work.normals)
-    return by_sector(work.part(), work.normals, DECLARED, {"normal_currents": "normal", **CANDIDATES})
+        return by_sector(work.part(curves), work.normals)
+    return by_sector(work.part(curves), work.normals, DECLARED, {"normal_currents": "normal", **CANDIDATES})
 
 
 class Model:
-    """What is believed of a body in the end: terms, levels without phase, and the noise in front of an aperture and elsewhere."""
+    """What is believed of a body in the end:
+
+    Terms, levels without phase, and the noise in front of an aperture and elsewhere.
+    """
 
     def __init__(self, work: Work, final: Sequence[Observed], found: Mapping[str, Found]) -> None:
         self.work = work
@@ -169,7 +172,11 @@ class Model:
         train = [self.levelled(one) for one in final if one.role == "train"]
         self.noise = {}
         for seen in (False, True):
-            some = [one.where(self.seen(one) == seen).thinned(PER_DIRECTION) for one in train if (self.seen(one) == seen).any()]
+            some = [
+                one.where(self.seen(one) == seen).thinned(PER_DIRECTION)
+                for one in train
+                if (self.seen(one) == seen).any()
+            ]
             if some:
                 self.noise[seen] = fit(some, self.terms).noise
 
@@ -205,7 +212,10 @@ class Model:
 
 
 def rows(model: Model, final: Sequence[Observed]) -> list[dict[str, Any]]:
-    """A row for each curve and sector: mean abs(dB) and correlation of the declared and the final model, and of no physics."""
+    """A row for each curve and sector:
+
+    Mean abs(dB) and correlation of the declared and the final model, and of no physics.
+    """
     work, made = model.work, []
     for declared, one in zip(work.curves, final, strict=True):
         predicted = model.predict(one)
@@ -243,7 +253,9 @@ def main() -> int:
     default = Path(os.environ.get("WARPSAR_MEASURED") or ROOT.parent / "shared" / "data")
     parser.add_argument("data", type=Path, nargs="?", default=default, help="the folder of measured data")
     parser.add_argument("-o", "--out", type=Path, required=True, help="folder for rcs.json, figures and the cache")
-    parser.add_argument("--only", choices=[one.key for one in BODIES], help="one body; the others keep what rcs.json has")
+    parser.add_argument(
+        "--only", choices=[one.key for one in BODIES], help="one body; the others keep what rcs.json has"
+    )
     parser.add_argument("--device", metavar="cpu|cuda", help="device to work on")
     tables.add_write(parser)
     options = parser.parse_args()
@@ -306,7 +318,9 @@ def one_body(
         mesh = bodies.cylinder_box(duct)
         final = [work.observed(one, mesh) for one in files]
     elif body.key == "dielectric_plate":
-        what, final = learned.dielectric(work, names, others.get("pec_plate", {}).get("learned", {}))
+        what, final = learned.dielectric(work, others.get("pec_plate", {}).get("learned", {}))
+        found = {"all": found["all"], "all, learned plate": find(work, final)["all"]}
+        names = found["all, learned plate"].terms
     elif body.key == "box_closed":
         what = {"offered": learned.offered_duct(work, data, names)}
     model = Model(work, final, found)
@@ -335,7 +349,9 @@ def repeats(files: Sequence[Measured]) -> dict[str, Any]:
         other = first[one.table.frequencies_hz()[0], one.table.polarization[0]]
         if other.path == one.path:
             continue
-        _, here, there = np.intersect1d(one.table.azimuth_deg.round(4), other.table.azimuth_deg.round(4), return_indices=True)
+        _, here, there = np.intersect1d(
+            one.table.azimuth_deg.round(4), other.table.azimuth_deg.round(4), return_indices=True
+        )
         if len(here) > 10:
             pair = one.table.rcs_m2[here], other.table.rcs_m2[there]
             noise = of_repeats(*pair)

@@ -1,7 +1,7 @@
 """Bodies of the Austin RCS Benchmark Suite, built from their drawings or read from their models; front to +X, metres.
 
-Not every printed dimension agrees with the model of the same body: the diameter of the cylindrical duct is 0.73025 L in the
-drawing, and 0.75 L in the STL. So the duct's dimensions are parameters here.
+Not every printed dimension agrees with the model of the same body: the diameter of the cylindrical duct is 0.73025 L
+in the drawing, and 0.75 L in the STL. So the duct's dimensions are parameters here.
 """
 
 from __future__ import annotations
@@ -78,7 +78,9 @@ def cylinder_box(duct: Duct = MODEL, segments: int = SEGMENTS) -> warpsar.Mesh:
     to_corner = np.arctan2(corners[:, 1] - middle[2], corners[:, 0] - middle[1])
     even = np.linspace(-math.pi, math.pi, segments, endpoint=False)
     # A ray of the ring goes to each corner of the front; evenly spaced ones that come close to it make way.
-    kept = even[np.abs((even[:, None] - to_corner + math.pi) % (2 * math.pi) - math.pi).min(axis=1) > math.pi / segments / 2]
+    kept = even[
+        np.abs((even[:, None] - to_corner + math.pi) % (2 * math.pi) - math.pi).min(axis=1) > math.pi / segments / 2
+    ]
     angle = np.sort(np.concatenate([kept, to_corner]))
     ray = np.stack([np.zeros_like(angle), np.cos(angle), np.sin(angle)], axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -112,7 +114,7 @@ def scene(mesh: warpsar.Mesh, material: Mapping[str, object] | None = None) -> w
         mesh=mesh,
         radar=warpsar.Radar(frequency_hz=7e9, polarizations=("VV", "HH"), terms=("single", "edges", "multibounce")),
         grid=warpsar.Grid(shape=(4, 4), spacing_m=(1.0, 1.0)),
-        materials={name: made for name in mesh.materials},
+        materials=dict.fromkeys(mesh.materials, made),
         views=[warpsar.View(name="none", azimuth_deg=0.0, incidence_deg=45.0)],
     )
 

@@ -27,10 +27,15 @@ SHOWN_DB = 50.0
 
 
 def body(out: Path, work: Work, final: Sequence[Observed], predict: Callable[[Observed], Any]) -> None:
-    """RCS against phi: measured, declared and final, a panel for each frequency and polarization of the first measurement."""
+    """RCS against phi: measured, declared and final.
+
+    A panel for each frequency and polarization of the first measurement.
+    """
     pairs = [(d, f) for file, d, f in zip(work.files, work.curves, final, strict=True) if file.first]
     frequencies = sorted({round(d.frequency_hz / 1e9, 2) for d, _ in pairs})
-    figure, panels = figures.new(9.0, 1.9 * len(frequencies) + 0.8, nrows=len(frequencies), ncols=2, sharex=True, squeeze=False)
+    figure, panels = figures.new(
+        9.0, 1.9 * len(frequencies) + 0.8, nrows=len(frequencies), ncols=2, sharex=True, squeeze=False
+    )
     for declared, one in pairs:
         row, column = frequencies.index(round(one.frequency_hz / 1e9, 2)), ("VV", "HH").index(one.polarization)
         panel, phi = panels[row, column], 90.0 - one.azimuth_deg
@@ -93,8 +98,8 @@ def errors(result: Mapping[str, Any]) -> str:
         for r in entry["rows"]:
             e, c = r["error_db"], r["correlation"]
             numbers = [e.get("declared"), e.get("final"), e.get("null"), e.get("smooth")]
-            rows.append((TITLES.get(key, key), f"{r['frequency_hz'] / 1e9:.4g}", r["polarization"], r["role"], r["sector"],
-                         r["angles"], *(_number(n) for n in numbers), _number(c.get("final"))))  # fmt: skip
+            head = (TITLES.get(key, key), f"{r['frequency_hz'] / 1e9:.4g}", r["polarization"], r["role"], r["sector"])
+            rows.append((*head, r["angles"], *(_number(n) for n in numbers), _number(c.get("final"))))  # fmt: skip
     header = ("body", "GHz", "pol.", "role", "sector", "angles", "declared", "final", "constant level", "smooth curve",
               "correlation of dB")  # fmt: skip
     return tables.markdown(header, rows)
@@ -123,8 +128,9 @@ def learned(result: Mapping[str, Any]) -> str:
             rows.append((f"{TITLES.get(key, key)}, background and error, {pol}", "none", "none", words, ""))
         if one.get("spurious"):
             hump = one["spurious"]
-            rows.append((f"{TITLES.get(key, key)}, spurious hump [deg of phi]", "none", "none", f"{hump['phi_deg']:.1f}",
-                         f"{hump['level_dbsm'][0]:.0f} to {hump['level_dbsm'][1]:.0f} dBsm"))  # fmt: skip
+            level = f"{hump['level_dbsm'][0]:.0f} to {hump['level_dbsm'][1]:.0f} dBsm"
+            what = f"{TITLES.get(key, key)}, spurious hump [deg of phi]"
+            rows.append((what, "none", "none", f"{hump['phi_deg']:.1f}", level))
     return tables.markdown(("what", "drawing or text", "model", "measured", "95 % interval"), rows)
 
 

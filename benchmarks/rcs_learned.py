@@ -1,4 +1,7 @@
-"""What the measured curves tell of the bodies: plate, ducts, calibration, background, and what stands in the range beside them."""
+"""What the measured curves tell of the bodies:
+
+Plate, ducts, calibration, background, and what stands in the range beside them.
+"""
 
 from __future__ import annotations
 
@@ -35,9 +38,9 @@ LOBES_DEG = 55.0
 def normal_currents(made: Amplitudes, azimuth_deg: NDArray[np.float64], eps: Any, pol: str) -> NDArray[np.complex128]:
     """What physical optics leaves out of a thin slab in HH: the polarization across the slab.
 
-    A thin slab's polarization sends back (eps - 1) k d / 2 x (cos^2 + sin^2 / eps) in HH. Physical optics with the coefficient of
-    reflection has cos^2 - sin^2 / eps: that is right in the specular direction, where the cross part has the other sign. In VV
-    both have 1. Plate to +X.
+    A thin slab's polarization sends back (eps - 1) k d / 2 x (cos^2 + sin^2 / eps) in HH. Physical optics with the
+    coefficient of reflection has cos^2 - sin^2 / eps: that is right in the specular direction, where the cross part
+    has the other sign. In VV both have 1. Plate to +X.
     """
     cos2 = np.sin(np.deg2rad(azimuth_deg)) ** 2
     whole = made.of("VV")["single"] * (cos2 + (1.0 - cos2) / complex(*np.atleast_1d(eps)))
@@ -53,7 +56,10 @@ def slab(eps: complex, thickness_m: float, frequency_hz: float, cos: NDArray[np.
 
 
 def calibration(curves: Sequence[Observed], names: Sequence[str]) -> dict[str, Any]:
-    """Measured over modelled power of the metal plate's main lobe [dB], by curve: what the calibration may be wrong by."""
+    """Measured over modelled power of the metal plate's main lobe [dB], by curve:
+
+    What the calibration may be wrong by.
+    """
     found = {}
     for one in curves:
         main = np.abs(90.0 - one.azimuth_deg) < 0.6 * one.step_deg
@@ -64,7 +70,10 @@ def calibration(curves: Sequence[Observed], names: Sequence[str]) -> dict[str, A
 
 
 def named(work: Work, curves: Sequence[Observed], predict: Callable[[Observed], NDArray[np.float64]]) -> dict[str, Any]:
-    """What stays at one angle at all frequencies, in both polarizations: it is of the range, since what is of the body moves."""
+    """What stays at one angle at all frequencies, in both polarizations:
+
+    It is of the range, since what is of the body moves.
+    """
     first = [one for file, one in zip(work.files, curves, strict=True) if file.first]
     grid = np.unique(np.concatenate([one.azimuth_deg for one in first]))
     mean = np.abs(grid[:, None] - grid) <= HUMP_DEG
@@ -103,10 +112,8 @@ def offered_duct(work: Work, data: Path, names: Sequence[str]) -> dict[str, Any]
     return {"the cobra's duct": asdict(ask(curves, names, "multibounce", "duct"))}
 
 
-def duct(
-    work: Work, names: Sequence[str], cache: Path, device: str | None
-) -> tuple[dict[str, Any], bodies.Duct]:
-    """Radius, length and offset of the cylindrical duct by likelihood in the directions that see it, the train curves alone."""
+def duct(work: Work, names: Sequence[str], cache: Path, device: str | None) -> tuple[dict[str, Any], bodies.Duct]:
+    """Radius, length and offset of the duct by likelihood, from the train curves in the directions that see it."""
     pairs = [(file, one) for file, one in zip(work.files, work.curves, strict=True) if file.first]
 
     def some(one: bodies.Duct, role: str) -> list[Observed]:
@@ -131,9 +138,7 @@ def duct(
         told |= profiles({name: axis}, line)
     result = replace(bodies.MODEL, **best)
     stated = {"drawing": bodies.DRAWING, "model": bodies.MODEL, "learned": result}
-    sums = {
-        name: {role: twice_log(role, **asdict(one)) for role in ("train", "test")} for name, one in stated.items()
-    }
+    sums = {name: {role: twice_log(role, **asdict(one)) for role in ("train", "test")} for name, one in stated.items()}
     dimensions = {name: asdict(one) for name, one in stated.items()}
     return {"duct": {name: one.content() for name, one in told.items()}, "twice_log_likelihood": sums,
             "dimensions": dimensions}, result  # fmt: skip
@@ -148,10 +153,11 @@ def replace_rows(file: Any, azimuth_deg: NDArray[np.float64]) -> Any:
     return replace(file, table=replace(table, **arrays, polarization=polarization))
 
 
-def dielectric(
-    work: Work, names: Sequence[str], metal: Mapping[str, Any]
-) -> tuple[dict[str, Any], list[Observed]]:
-    """Permittivity and thickness of the plate, from its lobes; the calibration is that of the metal plate, and as uncertain."""
+def dielectric(work: Work, metal: Mapping[str, Any]) -> tuple[dict[str, Any], list[Observed]]:
+    """Permittivity and thickness of the plate, from its lobes;
+
+    The calibration is that of the metal plate, and as uncertain.
+    """
     known = metal.get("calibration_db", {"mean": 0.0, "sd": 0.5})
     bare = [
         one.where(90.0 - one.azimuth_deg < LOBES_DEG).thinned(6.0)
@@ -186,7 +192,11 @@ def dielectric(
     best, gain = told["product_mm"].value, told["gain_db"].value
     tried = {
         "as stated": (stated, stated_eps, float(known["mean"])),
-        "as stated, a calibration of its own": (stated, stated_eps, _own_gain(by_role["train"], noise, score, stated, stated_eps)),
+        "as stated, a calibration of its own": (
+            stated,
+            stated_eps,
+            _own_gain(by_role["train"], noise, score, stated, stated_eps),
+        ),
         "thicker": (best, stated_eps, gain),
         "learned": values,
     }
@@ -198,10 +208,26 @@ def dielectric(
         }
         for name, each in tried.items()
     }  # fmt: skip
-    final = [replace(scaled(one, values[1], values[0] * 1e-3 / (values[1] - 1.0), values[2])) for one in work.curves]
-    final = [one.beside({"single": one.terms["model"], "declared": one.terms["single"]}) for one in final]
-    return {"plate": {name: one.content() for name, one in told.items()}, "stated": {"product_mm": stated, "eps_r": stated_eps},
-            "explained": explained}, final  # fmt: skip
+    final = [
+        parts(scaled(one, values[1], values[0] * 1e-3 / (values[1] - 1.0), values[2]), values[1]) for one in work.curves
+    ]
+    return {
+        "plate": {name: one.content() for name, one in told.items()},
+        "stated": {"product_mm": stated, "eps_r": stated_eps},
+        "explained": explained,
+    }, final
+
+
+def parts(one: Observed, eps: float) -> Observed:
+    """The learned plate's curve in the two terms:
+
+    What physical optics has of it, and the polarization across the slab.
+    """
+    cos2 = np.sin(np.deg2rad(one.azimuth_deg)) ** 2
+    across = (1.0 - cos2) / eps
+    share = 2.0 * across / (cos2 + across) if one.polarization == "HH" else np.zeros(len(cos2))
+    whole = one.terms["model"]
+    return one.beside({"single": (1.0 - share) * whole, "normal": share * whole})
 
 
 def _own_gain(curves: Sequence[Observed], noise: Noises, score: Any, product_mm: float, eps: float) -> float:
@@ -219,7 +245,10 @@ def error(curves: Sequence[Observed], noise: Noises, at: Any, values: tuple[floa
 
 
 def scaled(one: Observed, eps: float, thickness_m: float, gain_db: float) -> Observed:
-    """The plate's curve with another slab, as the term `model`: the declared one in VV, times the ratio of reflections."""
+    """The plate's curve with another slab, as the term `model`:
+
+    The declared one in VV, times the ratio of reflections.
+    """
     cos = np.abs(np.sin(np.deg2rad(one.azimuth_deg)))
     lossy, stated = eps - 0.0354j, 2.61 - 0.0354j
     ratio = slab(lossy, thickness_m, one.frequency_hz, cos)

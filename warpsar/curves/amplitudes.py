@@ -1,10 +1,14 @@
-"""The engine's amplitudes of a scene, term by term, kept on disk: a duct's sweep takes a minute, a fit asks for many."""
+"""The engine's amplitudes of a scene, term by term, kept on disk.
+
+A duct's sweep takes a minute, a fit asks for many.
+"""
 
 from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,10 +90,5 @@ def _read(path: Path) -> Amplitudes | None:
 def _write(path: Path, found: Amplitudes) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     with replacing(path) as temporary, temporary.open("wb") as stream:
-        np.savez(
-            stream,
-            polarizations=np.array(found.polarizations),
-            fresnel_number=found.fresnel_number,
-            segments=found.segments,
-            **found.terms,
-        )
+        arrays: dict[str, Any] = {"polarizations": np.array(found.polarizations), **found.terms}
+        np.savez(stream, fresnel_number=found.fresnel_number, segments=found.segments, **arrays)

@@ -1,8 +1,8 @@
 """How many angles of a curve are independent.
 
-A body of width D across the line of sight sends back a field whose phase turns by up to +-k D per radian. So its bandwidth
-in angle is 2 D / lambda, and values closer than lambda / 2D say the same. A curve of n rows over a sector of w radians
-holds about w 2D / lambda independent ones, and each row counts for that share of one.
+A body of width D across the line of sight sends back a field whose phase turns by up to +-k D per radian. So its
+bandwidth in angle is 2 D / lambda, and values closer than lambda / 2D say the same. A curve of n rows over a sector of
+w radians holds about w 2D / lambda independent ones, and each row counts for that share of one.
 """
 
 from __future__ import annotations

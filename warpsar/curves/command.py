@@ -24,7 +24,10 @@ PEAK_DB = 80.0
 PASSES = 2
 POINTS = 9
 FIRST_REACH = 1.6
-"""Factor by which the first grid of a learned value reaches up and down; each further one reaches a third of its logarithm."""
+"""Factor by which the first grid of a learned value reaches up and down.
+
+Each further one reaches a third of its logarithm.
+"""
 
 
 def alone(scene: Scene) -> bool:
@@ -97,9 +100,9 @@ class LearnedCurves:
 def learned(scene: Scene, cache: Path, device: str | None = None) -> LearnedCurves:
     """Fit eps_r of every material that names it in `learn` to the train curves, by likelihood on grids that grow finer.
 
-    One value is fitted at a time, twice around. Its interval is that of its profile with the others as found: where several
-    trade against each other it is too narrow, and learn.json says how many there are. Raises InputError where there is nothing
-    to learn or to learn it from.
+    One value is fitted at a time, twice around. Its interval is that of its profile with the others as found: where
+    several trade against each other it is too narrow, and learn.json says how many there are. Raises InputError where
+    there is nothing to learn or to learn it from.
     """
     if not any(curve.role == "train" for curve in scene.curves):
         raise InputError(f"{scene.name}: curves: found no train curve; must have one to learn from")
@@ -108,7 +111,8 @@ def learned(scene: Scene, cache: Path, device: str | None = None) -> LearnedCurv
     ]
     if not wanted:
         raise InputError(
-            f'{scene.name}: found nothing to learn from curves; a material must be no conductor and have "eps_r" in learn'
+            f"{scene.name}: found nothing to learn from curves; a material must be no conductor and have "
+            '"eps_r" in learn'
         )
     train = replace(scene, curves=tuple(curve for curve in scene.curves if curve.role == "train"))
     told: dict[str, Told] = {}

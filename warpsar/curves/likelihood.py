@@ -1,7 +1,7 @@
 """The density of a measured power about a complex amplitude.
 
-A receiver sees a + n: the model's amplitude a, and complex Gaussian noise n of mean power s. The power P = |a + n|^2 then
-has the density of Rice (1945) for M = |a|^2,
+A receiver sees a + n: the model's amplitude a, and complex Gaussian noise n of mean power s. The power P = |a + n|^2
+then has the density of Rice (1945) for M = |a|^2,
 
     p(P) = exp(-(P + M) / s) I0(2 sqrt(P M) / s) / s.
 
@@ -37,8 +37,7 @@ def slopes(measured: ArrayLike, model: ArrayLike, noise: ArrayLike) -> tuple[NDA
 def distribution(measured: ArrayLike, model: ArrayLike, noise: ArrayLike) -> NDArray[np.float64]:
     """Probability of a power up to the measured one."""
     p, m, s = (np.asarray(each, np.float64) for each in (measured, model, noise))
-    found: NDArray[np.float64] = chndtr(2.0 * p / s, 2.0, 2.0 * m / s)
-    return found
+    return np.asarray(chndtr(2.0 * p / s, 2.0, 2.0 * m / s), np.float64)
 
 
 def median(model: ArrayLike, noise: ArrayLike) -> NDArray[np.float64]:
@@ -46,5 +45,4 @@ def median(model: ArrayLike, noise: ArrayLike) -> NDArray[np.float64]:
     m, s = np.broadcast_arrays(np.asarray(model, np.float64), np.asarray(noise, np.float64))
     quiet = m > 1e3 * s  # there the median is M + s / 2 up to s^2 / M, and the inverse is slow
     ratio = np.where(quiet, 0.0, 2.0 * m / np.where(s > 0.0, s, 1.0))
-    found: NDArray[np.float64] = np.where(quiet, m + 0.5 * s, chndtrix(0.5, 2.0, ratio) * s / 2.0)
-    return found
+    return np.where(quiet, m + 0.5 * s, chndtrix(0.5, 2.0, ratio) * s / 2.0)

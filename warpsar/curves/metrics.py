@@ -21,10 +21,10 @@ def error_db(measured_m2: NDArray[np.float64], model_m2: NDArray[np.float64], lo
 
 def correlation(measured_m2: NDArray[np.float64], model_m2: NDArray[np.float64], low_dbsm: float = -200.0) -> float:
     """Correlation of the decibels; NaN where one of the two is constant."""
-    pair = [decibels(each, low_dbsm) for each in (measured_m2, model_m2)]
-    if min(np.ptp(each) for each in pair) < 1e-9:
+    first, second = decibels(measured_m2, low_dbsm), decibels(model_m2, low_dbsm)
+    if min(np.ptp(first), np.ptp(second)) < 1e-9:
         return float("nan")
-    return float(np.corrcoef(*pair)[0, 1])
+    return float(np.asarray(np.corrcoef(np.stack([first, second])))[0, 1])
 
 
 def level_db(measured_m2: NDArray[np.float64], model_m2: NDArray[np.float64]) -> float:

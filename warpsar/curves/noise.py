@@ -1,8 +1,8 @@
 """What disturbs a measured curve: a background, and an error that goes with the amplitude.
 
-The noise about a modelled amplitude a has the mean power s = background + share x |a|^2 + level. The background is that of the
-range. The share holds all that multiplies: calibration that drifts, placing, and what the model itself gets wrong in proportion.
-Both are fitted, unless a curve states them. They count the rows by independent directions.
+The noise about a modelled amplitude a has the mean power s = background + share x |a|^2 + level. The background is
+that of the range. The share holds all that multiplies: calibration that drifts, placing, and what the model itself
+gets wrong in proportion. Both are fitted, unless a curve states them. They count the rows by independent directions.
 """
 
 from __future__ import annotations

@@ -20,7 +20,10 @@ PER_DIRECTION = 8.0
 
 
 def observe(world: World, *, cache: Path | None = None, device: str | None = None, thin: bool = True) -> list[Observed]:
-    """Every curve of a scene with the engine's terms, in the scene's order. `thin` leaves out rows that say nothing new."""
+    """Every curve of a scene with the engine's terms, in the scene's order.
+
+    `thin` leaves out rows that say nothing new.
+    """
     return [_observe(world, curve, cache, device, thin) for curve in world.curves]
 
 

@@ -1,4 +1,7 @@
-"""What needs no physics: a constant level, and a smooth curve. Each is fitted to the very curve that it is judged on."""
+"""What needs no physics.
+
+A constant level, and a smooth curve. Each is fitted to the very curve that it is judged on.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +37,10 @@ def constant(curves: Sequence[Observed]) -> Rival:
 
 
 def smooth(curves: Sequence[Observed]) -> Rival:
-    """A polynomial in angle through the decibels of each curve; its degree is what the independent directions pay for."""
+    """A polynomial in angle through the decibels of each curve.
+
+    Its degree is what the independent directions pay for.
+    """
     models, parameters = [], 0
     for one in curves:
         model, count = _smooth(one)

@@ -1,10 +1,11 @@
 """Which terms of the model the train curves pay for, and whether curves left out confirm them.
 
-A candidate is a term of the engine. It is asked four things. Its real factor is fitted beside the noise: 2 ln L between factor 0
-and the fitted one is chi-square with one degree of freedom where the term is not there. With the factor 1, as physics has it,
-it must gain more than ln(independent directions). The test curves must gain by it, by two standard errors, with the noise as the
-train curves have it; and neither polarization, judged by itself, may lose by two standard errors. And the model must be likelier
-than a constant level and a smooth curve, which know no physics and are fitted to the very curves that they are judged on.
+A candidate is a term of the engine. It is asked four things. Its real factor is fitted beside the noise: 2 ln L
+between factor 0 and the fitted one is chi-square with one degree of freedom where the term is not there. With the
+factor 1, as physics has it, it must gain more than ln(independent directions). The test curves must gain by it, by two
+standard errors, with the noise as the train curves have it; and neither polarization, judged by itself, may lose by
+two standard errors. And the model must be likelier than a constant level and a smooth curve, which know no physics and
+are fitted to the very curves that they are judged on.
 
 A term that fails may still tell the level: the mean power over the directions, and not the pattern.
 """
@@ -35,7 +36,10 @@ ERRORS = 2.0
 LEAST = 1e-6
 """Share of the modelled power under which a term is not there to be tested."""
 LEVEL_DB = 3.0
-"""Mean power is told where it is right to this, in the mean square over the curves, and twice as well as without the term."""
+"""Mean power is told where it is right to this, in the mean square over the curves.
+
+It must also be right twice as well as without the term.
+"""
 TEST = "test"
 FEWEST = 3.0
 """Independent directions that a sector must hold."""
@@ -121,8 +125,8 @@ def by_sector(
 ) -> dict[str, Found]:
     """What each sector names, of a body whose apertures have the outward `normals` (n, 3).
 
-    What is found where no aperture is seen is of the body, and holds in front of the aperture, too. Without apertures there is
-    one sector, `all`.
+    What is found where no aperture is seen is of the body, and holds in front of the aperture, too. Without apertures
+    there is one sector, `all`.
     """
     if not len(normals):
         return {"all": search(curves, terms, candidates)}
@@ -223,4 +227,4 @@ def _left_out(curves: Sequence[Observed], names: Sequence[str], term: str) -> li
 def _gains(one: Observed, names: Sequence[str], term: str, before: Noise, after: Noise) -> NDArray[np.float64]:
     """2 ln L that a term gains on one curve, by independent stretches of angle."""
     rows = densities(one, one.amplitude([*names, term]), after) - densities(one, one.amplitude(names), before)
-    return np.bincount(one.block, 2.0 * rows)
+    return np.bincount(one.block, 2.0 * rows).astype(np.float64)

@@ -47,8 +47,8 @@ def sectors(
 ) -> dict[str, NDArray[np.bool_]]:
     """Which directions lie in each of `NAMES`, (n,) each.
 
-    `aperture`: some aperture shows half of its area or more. `away`: none shows any. Between the two an aperture is seen
-    aslant, and only `all` has it. Without apertures, `all` is `away`.
+    `aperture`: some aperture shows half of its area or more. `away`: none shows any. Between the two an aperture is
+    seen aslant, and only `all` has it. Without apertures, `all` is `away`.
     """
     s = Directions.of(azimuth_deg, incidence_deg).s
     shown = (s @ normals.T).max(axis=1) if len(normals) else np.full(len(s), -1.0)

@@ -48,8 +48,8 @@ def on_grid(
 def profiles(axes: Mapping[str, NDArray[np.float64]], twice_log: NDArray[np.float64]) -> dict[str, Told]:
     """The likeliest value of every parameter and its interval: where the profile is within chi-square's of its peak.
 
-    The profile is the largest 2 ln L over all other parameters. Between the points of the grid it is a line for the ends, and a
-    parabola through three points for the peak.
+    The profile is the largest 2 ln L over all other parameters. Between the points of the grid it is a line for the
+    ends, and a parabola through three points for the peak.
     """
     limit = float(chi2.ppf(CONFIDENCE, 1))
     found = {}

@@ -66,10 +66,9 @@ class RcsTable:
         if not keep.any():
             raise InputError(f"{self.path}: found no row of {pol}; it has {', '.join(known)}")
         rows = np.flatnonzero(keep)
-        return RcsTable(
-            self.path, *(getattr(self, name)[rows] for name in ("frequency_hz", "azimuth_deg", "incidence_deg",
-            "rcs_m2")), (pol,) * len(rows)
-        )  # fmt: skip
+        arrays = (self.frequency_hz, self.azimuth_deg, self.incidence_deg, self.rcs_m2)
+        frequency, azimuth, incidence, power = (each[rows] for each in arrays)
+        return RcsTable(self.path, frequency, azimuth, incidence, power, (pol,) * len(rows))
 
     def used(self, mask: Sequence[tuple[float, float]] | None) -> NDArray[np.bool_]:
         """Rows that hold a number and that the mask lets through, (rows,)."""
@@ -145,8 +144,8 @@ def _csv(path: Path, text: str) -> RcsTable:
     reader = csv.reader(io.StringIO(text))
     header = [name.strip().lower() for name in next(reader, [])]
     phi = "phi_deg" in header
-    names = ("frequency_hz", "theta_deg" if "theta_deg" in header else "incidence_deg")
-    names = (*names, "phi_deg" if phi else "azimuth_deg", "rcs_dbsm")
+    theta = "theta_deg" if "theta_deg" in header else "incidence_deg"
+    names = ("frequency_hz", theta, "phi_deg" if phi else "azimuth_deg", "rcs_dbsm")
     missing = [one for one, name in zip(COLUMNS, names, strict=True) if name not in header]
     if missing:
         raise InputError(
