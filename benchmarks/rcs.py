@@ -343,10 +343,14 @@ def one_body(
 
 def repeats(files: Sequence[Measured]) -> dict[str, Any]:
     """The noise that two measurements of one curve tell, where there are two."""
-    first = {(one.table.frequencies_hz()[0], one.table.polarization[0]): one for one in reversed(files)}
+
+    def kind(one: Measured) -> tuple[float, str]:
+        return round(one.table.frequencies_hz()[0] / 1e9, 2), one.table.polarization[0]
+
+    first = {kind(one): one for one in sorted(files, key=lambda one: one.first)}
     found = {}
     for one in files:
-        other = first[one.table.frequencies_hz()[0], one.table.polarization[0]]
+        other = first[kind(one)]
         if other.path == one.path:
             continue
         _, here, there = np.intersect1d(

@@ -68,7 +68,10 @@ def closed_box() -> warpsar.Mesh:
 
 
 def cylinder_box(duct: Duct = MODEL, segments: int = SEGMENTS) -> warpsar.Mesh:
-    """III.SC: the wide prism with a circular duct in its front."""
+    """III.SC: the wide prism with a circular duct in its front. Raises ValueError where the duct leaves the front."""
+    room = 0.5 * min(WIDE_WIDTH_M - 2 * abs(duct.right_m), WIDE_BOX[1, 1] - 2 * abs(duct.up_m))
+    if duct.radius_m >= room or duct.length_m >= L_M:
+        raise ValueError(f"{duct} does not fit into the box")
     vertices, faces = _prism(WIDE_BOX, WIDE_WIDTH_M)
     n = len(WIDE_BOX)
     faces = [face for face in faces if not {0, 1, n, n + 1} >= set(face)]  # the front is made anew, with a hole

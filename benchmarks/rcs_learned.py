@@ -133,7 +133,7 @@ def duct(work: Work, names: Sequence[str], cache: Path, device: str | None) -> t
     grid = on_grid(axes, lambda x: twice_log("train", **x))
     told = profiles(axes, grid)
     best = {name: one.value for name, one in told.items()}
-    for name, axis in {"right_m": np.arange(-0.012, 0.0121, 0.004), "up_m": np.arange(-0.012, 0.0121, 0.004)}.items():
+    for name, axis in {"right_m": np.arange(-0.012, 0.0121, 0.004), "up_m": np.arange(-0.006, 0.0061, 0.002)}.items():
         line = on_grid({name: axis}, lambda x: twice_log("train", **best, **x))
         told |= profiles({name: axis}, line)
     result = replace(bodies.MODEL, **best)
