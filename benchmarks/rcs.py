@@ -327,6 +327,8 @@ def one_body(
     what["noise"] = model.content()
     if body.key == "pec_plate":
         what |= learned.calibration(final, names)
+    if body.saturated:
+        what["saturation_db"] = learned.saturation(work, names)
     what |= learned.named(work, final, model.predict)
     what |= repeats(files)
     verdict = list(dict.fromkeys(effect for one in found.values() for effect in one.verdict))

@@ -126,6 +126,17 @@ def learned(result: Mapping[str, Any]) -> str:
         for pol, noise in one.get("noise", {}).items():
             words = f"{noise['background_dbsm']:.1f} dBsm, {noise['error_db']:.2f} dB"
             rows.append((f"{TITLES.get(key, key)}, background and error, {pol}", "none", "none", words, ""))
+        for file, missing in one.get("saturation_db", {}).items():
+            if missing > 1.0:
+                rows.append(
+                    (
+                        f"{TITLES[key]}, {file}: short of the model at phi = 90 [dB]",
+                        "none",
+                        "none",
+                        f"{missing:.1f}",
+                        "",
+                    )
+                )
         if one.get("spurious"):
             hump = one["spurious"]
             level = f"{hump['level_dbsm'][0]:.0f} to {hump['level_dbsm'][1]:.0f} dBsm"

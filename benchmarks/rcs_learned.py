@@ -16,7 +16,7 @@ import rcs_bodies as bodies
 from numpy.typing import NDArray
 
 from warpsar.curves import metrics, sectors
-from warpsar.curves.amplitudes import Amplitudes
+from warpsar.curves.amplitudes import Amplitudes, amplitudes
 from warpsar.curves.noise import Noises, densities, fit
 from warpsar.curves.observed import Observed
 from warpsar.curves.search import ask
@@ -96,6 +96,20 @@ def named(work: Work, curves: Sequence[Observed], predict: Callable[[Observed], 
         "level_dbsm": [float(measured[:, place].min()), float(measured[:, place].max())],
     }
     return {"spurious": hump}
+
+
+def saturation(work: Work, names: Sequence[str]) -> dict[str, float]:
+    """How far the strongest direction, phi = 90 of a box, is measured below the model [dB], by curve."""
+    found = {}
+    for file in work.files:
+        at = np.abs(file.table.azimuth_deg) < 0.01
+        if file.first and at.any():
+            frequency, pol = float(file.table.frequency_hz[0]), file.table.polarization[0]
+            scene = work.body.scene(work.mesh, frequency)
+            made = amplitudes(scene, np.zeros(1), 90.0, frequency, cache=work.cache, device=work.device)
+            model = np.abs(sum(made.of(pol)[name] for name in names)) ** 2
+            found[file.path.name] = metrics.level_db(file.table.rcs_m2[at], model)
+    return found
 
 
 def offered_duct(work: Work, data: Path, names: Sequence[str]) -> dict[str, Any]:
