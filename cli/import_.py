@@ -10,7 +10,9 @@ from warpsar.cli import options
 
 # Copies from warpsar.measured.focus and .formats: those import NumPy, and `--help` must not. A test compares them.
 TAPERS = ("none", "hann", "taylor")
-FORMATS = ("gotcha", "cphd", "sicd", "mstar", "nisar", "geotiff", "tiff", "exr", "npy")
+FORMATS = ("gotcha", "cphd", "sicd", "mstar", "nisar", "geotiff", "tiff", "exr", "npy", "rcs")
+
+CURVES = (".csv", ".txt")
 
 
 @click.command(name="import")
@@ -28,7 +30,8 @@ FORMATS = ("gotcha", "cphd", "sicd", "mstar", "nisar", "geotiff", "tiff", "exr",
     help="The scene.toml to edit.",
 )
 @click.option(
-    "--view", required=True, help="Name of the view. If it is missing, it is made from the file's own geometry."
+    "--view",
+    help="Name of the view, for images. If it is missing, it is made from the file's own geometry.",
 )
 @click.option(
     "--format",
@@ -85,11 +88,18 @@ FORMATS = ("gotcha", "cphd", "sicd", "mstar", "nisar", "geotiff", "tiff", "exr",
     metavar="LAT LON HEIGHT",
     help="Where the world's origin lies on the earth (degrees, metres above the ellipsoid).",
 )
+@click.option(
+    "--role",
+    type=click.Choice(("train", "test")),
+    default="train",
+    show_default=True,
+    help="What curves of radar cross-section are for.",
+)
 @options.device
 def command(
     sources: tuple[Path, ...],
     scene: Path,
-    view: str,
+    view: str | None,
     file_format: str,
     quantity: str | None,
     polarization: str | None,
@@ -100,6 +110,7 @@ def command(
     looks_azimuth: int | None,
     surface: str,
     origin: tuple[float, float, float] | None,
+    role: str,
     device: str | None,
 ) -> None:
     """Bring the measurement SOURCE onto the grid of a view, and declare it in the scene file.
@@ -107,7 +118,17 @@ def command(
     Phase history (CPHD, or one or several AFRL .mat files) is focused by backprojection. Complex and detected images
     (SICD, MSTAR, NISAR-style HDF5, GeoTIFF, TIFF, EXR, NPY) are resampled. The image is written beside the scene
     file, as float32 linear power.
+
+    Curves of radar cross-section (CSV, or the Austin suite's text) need no view: they become `[[curves]]`.
     """
+    if file_format == "rcs" or (file_format == "auto" and all(s.suffix.lower() in CURVES for s in sources)):
+        from warpsar.measured.curves import import_curves
+
+        for path in import_curves(sources, scene, polarization=polarization, role=role):  # type: ignore[arg-type]
+            click.echo(str(path))
+        return
+    if view is None:
+        raise click.UsageError("Missing option '--view'.")
     from warpsar.measured.importer import import_measured
 
     done = import_measured(

@@ -33,6 +33,7 @@ ROOMS = (
     "render",
     "simulation",
     "coherent",
+    "curves",
     "differentiable",
     "learning",
     "evaluation",

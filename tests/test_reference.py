@@ -46,7 +46,7 @@ def test_every_key_has_value_default_example_and_meaning(extension: ModuleType) 
     tables = dict(scene_schema()["properties"])
     del tables["effects"]
     tables |= {"materials": tables["materials"]["additionalProperties"]}
-    tables |= {name: tables[name]["items"] for name in ("objects", "views")}
+    tables |= {name: tables[name]["items"] for name in ("objects", "curves", "views")}
     keys = [f"`{key}`" for table in tables.values() for key in keys_of(table)]
     found = rows(extension.scene_tables())
     assert [row[0] for row in found] == keys

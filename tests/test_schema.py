@@ -191,7 +191,7 @@ def tables() -> Iterator[tuple[str, dict[str, Any]]]:
     tables = dict(scene_schema()["properties"])
     del tables["effects"]
     tables |= {"materials": tables["materials"]["additionalProperties"]}
-    tables |= {name: tables[name]["items"] for name in ("objects", "views")}
+    tables |= {name: tables[name]["items"] for name in ("objects", "curves", "views")}
     yield from tables.items()
 
 
@@ -217,7 +217,7 @@ def test_schema_is_strict_json_without_references() -> None:
     # tables of the file, scene.origin among them; effects; each effect, and in it tolerance; { about, sd } of each
     # parameter, of the materials' values, and of the objects'
     tolerances = sum(len(get(name).parameters) for name in names()) + 2
-    assert text.count('"additionalProperties": false') == 9 + 1 + 2 * len(names()) + tolerances
+    assert text.count('"additionalProperties": false') == 10 + 1 + 2 * len(names()) + tolerances
 
 
 def test_command_prints_what_it_writes(tmp_path: Path) -> None:

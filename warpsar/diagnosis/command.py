@@ -7,6 +7,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+from warpsar.curves import command as curve_command
 from warpsar.diagnosis.content import content_of
 from warpsar.diagnosis.course import begun
 from warpsar.diagnosis.found import DiagnoseOptions
@@ -37,6 +38,11 @@ def run(
     started = time.perf_counter()
     options = options or DiagnoseOptions()
     scene, out, where = opened(scene_path, out, device)
+    if curve_command.alone(scene):
+        asked = curve_command.diagnosed(scene, out / "cache", where.alias)
+        asked.scene.save(out / "scene.toml")
+        print(", ".join(asked.content["verdict"]) or "nothing missing", file=sys.stdout)
+        return write_json(out / "diagnosis.json", scene, where, options.seed, started, asked.content)
     ranks = distributed.ranks(where)
     course = begun(scene, options, out, ranks, resume or bool(distributed.restarts()))
     found = diagnose_scene(scene, where, options, ranks, course)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from warpsar.curves import command as curve_command
 from warpsar.effects.registry import declared, get
 from warpsar.errors import InputError
 from warpsar.evaluation.collected import collected
@@ -226,6 +227,10 @@ def run(
     console.say_device(where)
     console.warn(scene.warnings)
     seed = scene.sampling.seed if seed is None else seed
+    of_curves = curve_command.evaluated(scene, out / "cache", where.alias) if scene.curves and ranks.first else {}
+    if of_curves and not any(view.images for view in scene.views):
+        console.say(curve_command.in_short(of_curves["curves"]))
+        return write_json(out / "evaluate.json", scene, where, seed, started, of_curves)
     mine, density = _evaluated(scene, where, seed, ranks)
     for image in mine:
         _write_residual(out, image)
@@ -247,6 +252,7 @@ def run(
         "test": found.test,
         "residuals_db": {name: profile.rows for name, profile in by_factor.items()},
         "expected_residual_db": expected_db(found.images),
+        **of_curves,
     }
     content = write_json(out / "evaluate.json", scene, where, seed, started, content)
     command = ["warpsar", "evaluate", str(scene_path), "-o", str(out), "--device", where.alias, "--seed", str(seed)]

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from warpsar.curves import command as curve_command
 from warpsar.io import checkpoint
 from warpsar.io.figures import convergence
 from warpsar.io.images import replacing
@@ -35,6 +36,11 @@ def run(
     started = time.perf_counter()
     options = options or LearnOptions()
     scene, out, where = opened(scene_path, out, device)
+    if curve_command.alone(scene):
+        fitted = curve_command.learned(scene, out / "cache", where.alias)
+        fitted.scene.save(out / "scene.toml")
+        print(curve_command.in_short(fitted.content["after"]["curves"]), file=sys.stdout)
+        return write_json(out / "learn.json", scene, where, options.seed, started, fitted.content)
     resume = resume or bool(distributed.restarts())
     found = learn(scene, device=where.alias, options=options, folder=out, resume=resume)
     ranks = found.problem.ranks

@@ -2,5 +2,6 @@
 
 importer: `warpsar import`. formats: which reader a file needs. cphd, gotcha (with mat5), mstar, nisar, sicd, pictures:
 the readers. data: what they give. earth: where the world lies on the earth. gridding: a measurement onto a view's grid.
-focus: phase history to image. ground: where pixels lie. resample: power between pixels.
+focus: phase history to image. ground: where pixels lie. resample: power between pixels. curves: radar
+cross-sections.
 """

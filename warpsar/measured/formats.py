@@ -11,7 +11,7 @@ from warpsar.measured import cphd, gotcha, mstar, nisar, pictures, sicd
 from warpsar.measured.data import ImageChip, PhaseHistory, Quantity
 from warpsar.measured.earth import EarthFrame
 
-FORMATS = ("gotcha", "cphd", "sicd", "mstar", "nisar", "geotiff", "tiff", "exr", "npy")
+FORMATS = ("gotcha", "cphd", "sicd", "mstar", "nisar", "geotiff", "tiff", "exr", "npy", "rcs")
 _MAGIC = {
     b"MATLAB 5.0 MAT-file": "gotcha",
     cphd.MAGIC: "cphd",
@@ -42,6 +42,8 @@ def detect(path: Path) -> str:
     if mstar.MAGIC in head:
         return "mstar"
     suffix = path.suffix.lower()
+    if suffix in (".csv", ".txt"):
+        return "rcs"
     if suffix in pictures.SUFFIXES:
         if suffix in (".tif", ".tiff"):
             return "geotiff" if pictures.is_map(path) else "tiff"
@@ -72,6 +74,8 @@ def read(
     name = detect(paths[0]) if file_format == "auto" else file_format
     if name not in FORMATS:
         raise InputError(f"format {name!r}: not known; use one of auto, {', '.join(FORMATS)}")
+    if name == "rcs":
+        raise InputError(f"{paths[0]}: found curves of radar cross-section; an image is needed here")
     if len(paths) > 1 and name != "gotcha":
         raise InputError(f"{len(paths)} sources: only AFRL .mat files can be combined, and {paths[0]} is {name}")
     if quantity is not None and name not in ("geotiff", "tiff", "exr", "npy"):

@@ -12,6 +12,7 @@ from pydantic import Field, ValidationError, field_validator
 
 from warpsar.effects.registry import validate
 from warpsar.errors import InputError, shown
+from warpsar.world.curve import Curve
 from warpsar.world.objects.table import Object
 from warpsar.world.tables import (
     FileName,
@@ -72,6 +73,7 @@ class SceneFile(Table):
         default_factory=dict, description="Effects that the model has, each with its parameters (docs/effects.md)."
     )
     objects: list[Object] = Field(default_factory=list, description="Bodies with a place of their own.")
+    curves: list[Curve] = Field(default_factory=list, description="Measured radar cross-sections against angle.")
     views: Annotated[list[View], Field(min_length=1)] = Field(description="The views, at least one.")
 
 
@@ -82,6 +84,7 @@ _TABLES: dict[str, type[Table]] = {
     "sampling": Sampling,
     "materials": Material,
     "objects": Object,
+    "curves": Curve,
     "views": View,
 }
 

@@ -9,9 +9,11 @@ from typing import Any
 import numpy as np
 
 from warpsar.errors import InputError
+from warpsar.io import curves
 from warpsar.io.images import read_channel, read_mask
 from warpsar.scene import checks
 from warpsar.scene.file import SceneFile, parse, parse_effects, read, refuse
+from warpsar.world.curve import Curve
 from warpsar.world.mesh import Mesh, read_mesh
 from warpsar.world.objects.assembly import Assembly
 from warpsar.world.objects.groups import with_groups
@@ -55,6 +57,7 @@ class _Loader:
         assembly = self.assembly(mesh, mesh_path, objects) if objects and not self.problems else None
         mesh = mesh if assembly is None else assembly.mesh(objects)
         views = [self.view(index, view) for index, view in enumerate(file.views)]
+        found = [self.curve(index, curve) for index, curve in enumerate(file.curves)]
         self.problems += checks.view_names(views)
         materials = {name: self.material(name, table, mesh) for name, table in file.materials.items()}
         if mesh is not None:
@@ -78,6 +81,7 @@ class _Loader:
             "source": self.text,
             "objects": tuple(objects),
             "assembly": assembly,
+            "curves": tuple(found),
         }
 
     def mesh(self, key: str, path: Path) -> Mesh | None:
@@ -123,6 +127,24 @@ class _Loader:
             changed["mask"] = self.absolute(view.mask)
             self.check_mask(f"{key}.mask", changed["mask"])
         return view.model_copy(update=changed)
+
+    def curve(self, index: int, curve: Curve) -> Curve:
+        """The curve with its file's place; what does not fit the file or the radar is a problem."""
+        key, path = f"curves[{index}]", self.absolute(curve.file)
+        try:
+            rows = curves.read(path).select(curve.frequency_hz, curve.polarization)
+        except InputError as error:
+            self.problems.append(f"{key}: {error}")
+            return curve
+        pol, known = rows.polarization[0], self.file.radar.polarizations
+        if pol not in known:
+            self.problems.append(f"{key}: {path}: found {pol}; must be one of radar.polarizations, {', '.join(known)}")
+        used = rows.used(curve.mask)
+        if not used.any():
+            self.problems.append(f"{key}.mask: {path}: leaves no row; must leave one or more")
+        elif missing := int((~np.isfinite(rows.rcs_m2)).sum()):
+            self.warnings.append(f"{key}: {missing} of {rows.rcs_m2.size} rows are no number and left out")
+        return curve.model_copy(update={"file": path})
 
     def check_image(self, key: str, path: Path, polarization: str) -> None:
         try:

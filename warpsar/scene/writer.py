@@ -65,6 +65,8 @@ class _Writer:
             tables["effects"] = scene.effects
         if scene.objects:
             tables["objects"] = [self.object(one) for one in scene.objects]
+        if scene.curves:
+            tables["curves"] = [{**_plain(one), "file": self.relative(one.file)} for one in scene.curves]
         tables["views"] = [self.view(view) for view in scene.views]
         return tables
 
@@ -109,7 +111,7 @@ def _merge(document: Any, tables: Any) -> None:
         old = document.get(key)
         if isinstance(value, dict) and isinstance(old, dict):
             _merge(old, value)
-        elif key in ("views", "objects") and isinstance(old, list):
+        elif key in ("views", "objects", "curves") and isinstance(old, list):
             for index, item in enumerate(value):
                 if index < len(old):
                     _merge(old[index], item)

@@ -2,5 +2,5 @@
 
 world: all data of a scene. tables: the tables of a scene file. mesh: triangles, and `read_mesh`. meshes/: a reader for
 each mesh format. mesh_door: are these arrays a mesh? mesh_memory: a mesh from trimesh or arrays. obj: a mesh written.
-pixels: an image in memory. frame: the axes of a view.
+curve: `[[curves]]`. pixels: an image in memory. frame: the axes of a view.
 """

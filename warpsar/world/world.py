@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from warpsar.errors import InputError
 from warpsar.io.images import read_channel, read_mask
+from warpsar.world.curve import Curve
 from warpsar.world.frame import SPEED_OF_LIGHT, ViewGeometry, view_geometry
 from warpsar.world.mesh import Mesh
 from warpsar.world.objects.assembly import Assembly
@@ -58,6 +59,8 @@ class World:
     """What `[[objects]]` places; `mesh` holds it already."""
     assembly: Assembly | None = dataclass_field(default=None, repr=False)
     """What `mesh` is made of, where there are objects."""
+    curves: tuple[Curve, ...] = ()
+    """Measured radar cross-sections; their files are absolute."""
 
     @property
     def name(self) -> str:
@@ -99,7 +102,7 @@ class World:
         return read_channel(name, key) if table.layout == "texture" else self.mesh.vertex_scalars[name]
 
     def rasters(self) -> Iterator[Path | Pixels]:
-        """Every image, mask and map that the scene refers to, in a fixed order."""
+        """Every image, mask, map and file of curves that the scene refers to, in a fixed order."""
         for material in self.materials.values():
             for key in SURFACE_KEYS:
                 value = getattr(material, key)
@@ -111,6 +114,7 @@ class World:
             yield from (view.images[key] for key in sorted(view.images))
             if view.mask is not None:
                 yield view.mask
+        yield from sorted({curve.file for curve in self.curves})
 
     @cached_property
     def input_hash(self) -> str:
@@ -137,6 +141,7 @@ class World:
         """The tables as text, without what names a file."""
         plain: list[Any] = [self.radar, self.grid, self.sampling, self.effects, self.reference_point_m]
         plain += [one.model_dump(exclude={"mesh"}) for one in self.objects]
+        plain += [one.model_dump(exclude={"file"}) for one in self.curves]
         for name, material in self.materials.items():
             given = {
                 key: value for key, value in material if material.layout != "texture" or not isinstance(value, str)

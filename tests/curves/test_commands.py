@@ -1,0 +1,109 @@
+"""`evaluate`, `learn` and `diagnose` on curves: a plate whose curves the engine has made, with noise."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import warpsar
+from warpsar.cli.main import main
+
+HEAD = """
+[scene]
+mesh = "plate.obj"
+
+[radar]
+frequency_hz = 5e9
+polarizations = ["HH", "VV"]
+terms = ["single"]
+
+[image]
+shape = [4, 4]
+spacing_m = [1.0, 1.0]
+
+[materials.default]
+{material}
+
+[[views]]
+name = "one"
+azimuth_deg = 0.0
+incidence_deg = 45.0
+"""
+PLATE = "v 0 -.15 -.1\nv 0 .15 -.1\nv 0 .15 .1\nv 0 -.15 .1\nf 1 2 3\nf 1 3 4\n"
+SLAB = "eps_r = {eps}\nthickness_m = 0.002\nrms_height_m = 0.0"
+
+
+def scene(folder: Path, material: str) -> warpsar.Scene:
+    folder.mkdir(exist_ok=True)
+    (folder / "plate.obj").write_text(PLATE)
+    (folder / "scene.toml").write_text(HEAD.format(material=material))
+    return warpsar.Scene.load(folder / "scene.toml")
+
+
+def with_curves(folder: Path, material: str, truth: str, terms: tuple[str, ...]) -> Path:
+    """A scene file whose curves show `truth`, by the engine, and complex noise 50 dB under the peak."""
+    declared = scene(folder, material)
+    shown = scene(folder.parent / "truth", truth)
+    rng = np.random.default_rng(4)
+    phi = np.arange(0.0, 80.0)
+    text = (folder / "scene.toml").read_text()
+    for frequency, role in ((5e9, "train"), (7e9, "test")):
+        for p, pol in enumerate(declared.radar.polarizations):
+            field = np.sqrt(4 * np.pi) * _amplitude(shown, phi, frequency, terms)[:, p]
+            noise = 3e-3 * np.abs(field).max() / np.sqrt(2) * (rng.normal(size=80) + 1j * rng.normal(size=80))
+            rows = zip(phi, 10 * np.log10(np.abs(field + noise) ** 2), strict=True)
+            name = f"{frequency:g}{pol}.csv"
+            lines = [f"{frequency},90,{a},{v}" for a, v in rows]
+            (folder / name).write_text("\n".join(["frequency_hz,theta_deg,phi_deg,rcs_dbsm", *lines]))
+            text += f'\n[[curves]]\nfile = "{name}"\npolarization = "{pol}"\nrole = "{role}"\n'
+    (folder / "scene.toml").write_text(text)
+    return folder / "scene.toml"
+
+
+def _amplitude(shown: warpsar.Scene, phi: np.ndarray, frequency: float, terms: tuple[str, ...]) -> np.ndarray:
+    radar = shown.radar.model_copy(update={"terms": terms})
+    return warpsar.rcs(replace(shown, radar=radar), 90.0 - phi, 90.0, [frequency]).amplitude_m[:, 0, 0]
+
+
+def run(command: str, path: Path, out: Path) -> dict:
+    done = CliRunner().invoke(main, [command, str(path), "-o", str(out), "--device", "cpu"], catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    name = {"evaluate": "evaluate", "learn": "learn", "diagnose": "diagnosis"}[command]
+    return json.loads((out / f"{name}.json").read_text())
+
+
+def test_diagnose_names_edges_and_its_scene_evaluates_better(tmp_path: Path) -> None:
+    path = with_curves(tmp_path / "scene", "conductor = true", "conductor = true", ("single", "edges"))
+    found = run("diagnose", path, tmp_path / "out")
+    assert found["verdict"] == ["edge_diffraction"]
+    assert warpsar.Scene.load(tmp_path / "out" / "scene.toml").radar.terms == ("single", "edges")
+    before = run("evaluate", path, tmp_path / "before")
+    after = run("evaluate", tmp_path / "out" / "scene.toml", tmp_path / "after")
+    for old, new in zip(before["curves"], after["curves"], strict=True):
+        assert new["error_db"]["model"] < 0.5 * old["error_db"]["model"]
+
+
+def test_diagnose_names_nothing_where_nothing_is_missing(tmp_path: Path) -> None:
+    path = with_curves(tmp_path / "scene", "conductor = true", "conductor = true", ("single",))
+    assert run("diagnose", path, tmp_path / "out")["verdict"] == []
+
+
+def test_learn_finds_the_permittivity_of_a_slab(tmp_path: Path) -> None:
+    path = with_curves(tmp_path / "scene", SLAB.format(eps=2.6), SLAB.format(eps=3.0), ("single",))
+    found = run("learn", path, tmp_path / "out")["materials"]["default.eps_r"]
+    assert found["interval_95"][0] < 3.0 < found["interval_95"][1]
+    assert found["value"] == pytest.approx(3.0, abs=0.05)
+    learned = warpsar.Scene.load(tmp_path / "out" / "scene.toml")
+    assert learned.materials["default"].eps_r == pytest.approx(found["value"])
+
+
+def test_nothing_to_learn_is_said(tmp_path: Path) -> None:
+    path = with_curves(tmp_path / "scene", "conductor = true", "conductor = true", ("single",))
+    done = CliRunner().invoke(main, ["learn", str(path), "-o", str(tmp_path / "out")])
+    assert done.exit_code == 2
+    assert "nothing to learn from curves" in done.stderr

@@ -1,0 +1,17 @@
+"""How well does a complex model explain measured curves of radar cross-section, and what does it lack?
+
+| file | what it holds |
+|---|---|
+| `likelihood.py` | the density of measured power about a complex amplitude (Rice) |
+| `noise.py` | background and multiplicative error, fitted or known from repeated measurements |
+| `angles.py` | how many angles are independent |
+| `sectors.py` | from where an aperture is seen, by geometry |
+| `amplitudes.py` | the engine's amplitudes, term by term, kept on disk |
+| `observed.py` | a measured curve beside the terms of its model |
+| `observe.py` | the curves of a scene |
+| `rivals.py` | what needs no physics: a constant level, a smooth curve |
+| `metrics.py` | mean abs(dB) and correlation |
+| `search.py` | which terms the train curves pay for, and whether left-out curves confirm them |
+| `shape.py` | parameters by likelihood, with intervals |
+| `command.py` | what `evaluate`, `learn` and `diagnose` do with a scene's curves |
+"""
