@@ -73,14 +73,19 @@ class Screening:
 
     def _glance(self, surfaces: Sequence[Scene]) -> Glance:
         best: Glance | None = None
+        begun: dict[tuple[float, int], tuple[FitProblem, FitState]] = {}
         # a start where the effect does nothing is flat and ends at once; another begins far off and takes longer
         for share, until in ((1.0, GLANCE), (1.0, QUICK_ITERATIONS), *((share, GLANCE) for share in NEARER)):
             if best is not None and best.log_likelihood > self.base.log_likelihood + HARDLY_BETTER:
                 break
-            table = toward_neutral(self.name, self.tables[0], share)
             for number, surface in enumerate(surfaces):
-                problem = self.bench.problem(with_effect(surface, self.name, table))
-                state = self._run(problem, standing_at(problem, problem.x0), until)
+                if (share, number) not in begun:
+                    table = toward_neutral(self.name, self.tables[0], share)
+                    problem = self.bench.problem(with_effect(surface, self.name, table))
+                    begun[share, number] = problem, standing_at(problem, problem.x0)
+                problem, state = begun[share, number]
+                state = self._run(problem, state, until)
+                begun[share, number] = problem, state
                 fitted = _fitted(self.bench, problem, state)
                 if best is None or fitted.whole > best.whole:
                     self._problem, best = problem, Glance(number, state, fitted.log_likelihood, fitted.whole)
