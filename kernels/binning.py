@@ -54,7 +54,7 @@ _BINS_OF_PIXEL = """
     }
 """,
 )
-def power_of_pixel(
+def power_of_pixel(  # type: ignore[empty-body]
     filled: wp.array(dtype=float),
     bin_rows: int,
     bin_cols: int,
@@ -65,7 +65,6 @@ def power_of_pixel(
     beyond_col: float,
 ) -> float:
     """Power of the bins that a pixel overlaps; it begins `beyond` bins after the start of the first of them."""
-    ...
 
 
 @wp.kernel
@@ -81,7 +80,7 @@ def slide_kernel(
     # Out:
     image_out: wp.array(dtype=float),
 ):
-    """Bins that have moved by `shift` pixels, into the pixels that they overlap; their power is spread evenly over them.
+    """Bins that have moved by `shift` pixels, into the pixels that they overlap. Power is spread evenly over a bin.
 
     The bins reach as far beyond the pixels on either side.
     """
