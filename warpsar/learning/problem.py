@@ -109,7 +109,9 @@ class FitProblem(SceneCoordinates):
         self.streams = Streams(device, len(self.views))
 
     def _mean_square(self, mine: Sequence[View]) -> float:
-        """Mean square of the measured images of all ranks: their common scale."""
+        """Mean square of the measured images of all ranks: their common scale. Other losses need none."""
+        if self.loss != "mse":
+            return 1.0
         squares = [np.nanmean(self.scene.measured(v, p).astype(float) ** 2) for v in mine for p in v.images]
         total, count = self.ranks.sum([np.sum(squares), len(squares)])
         return float(total / count)
