@@ -7,7 +7,6 @@ from pathlib import Path
 import click
 
 from warpsar.cli import options
-from warpsar.runtime import blas
 
 
 @click.command(name="diagnose")
@@ -55,7 +54,6 @@ def command(
 
     Views with the role test decide nothing. The error on them is reported before and after.
     """
-    blas.in_one_thread()
     from warpsar.diagnosis import command as diagnosis
     from warpsar.diagnosis.found import DiagnoseOptions
 
