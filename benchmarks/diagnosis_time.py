@@ -116,9 +116,8 @@ def main() -> None:
     """Time `warpsar diagnose`."""
 
 
-out_option = click.option(
-    "-o", "--out", default="out/diagnosis_time", show_default=True, type=click.Path(path_type=Path)
-)
+FOLDER = click.Path(file_okay=False, path_type=Path)
+out_option = click.option("-o", "--out", default="out/diagnosis_time", show_default=True, type=FOLDER)
 
 
 @main.command()
