@@ -11,40 +11,94 @@ def overlap(first: float, width: float, pixel: int) -> float:
     return wp.max(high - low, 0.0) / width
 
 
+_BINS_OF_PIXEL = """
+    // rows and columns of bins that the pixel overlaps: whole ones but the first and the last
+    const int low = wp::max(-first_row, 0), high = wp::min(bin_rows - first_row, bins_per_pixel + 1);
+    const int left = wp::max(-first_col, 0), right = wp::min(bin_cols - first_col, bins_per_pixel + 1);
+    const auto share = [&](int place, float beyond) {
+        return place == 0 ? 1.0f - beyond : place == bins_per_pixel ? beyond : 1.0f;
+    };
+    const auto slope = [&](int place) {
+        return place == 0 ? -1.0f : place == bins_per_pixel ? 1.0f : 0.0f;
+    };
+    (void)slope;
+"""
+
+
+@wp.func_native(
+    _BINS_OF_PIXEL
+    + """
+    float total = 0.0f;
+    for (int a = low; a < high; ++a) {
+        const float* line = filled.data + (first_row + a) * bin_cols + first_col;
+        float across = 0.0f;
+        for (int b = left; b < right; ++b)
+            across += share(b, beyond_col) * line[b];
+        total += share(a, beyond_row) * across;
+    }
+    return total;
+""",
+    adj_snippet=_BINS_OF_PIXEL
+    + """
+    for (int a = low; a < high; ++a) {
+        const int line = (first_row + a) * bin_cols + first_col;
+        float across = 0.0f, along = 0.0f;
+        for (int b = left; b < right; ++b) {
+            const float value = filled.data[line + b];
+            across += share(b, beyond_col) * value;
+            along += slope(b) * value;
+            wp::atomic_add(&wp::index(adj_filled, line + b), adj_ret * share(a, beyond_row) * share(b, beyond_col));
+        }
+        adj_beyond_row += adj_ret * slope(a) * across;
+        adj_beyond_col += adj_ret * share(a, beyond_row) * along;
+    }
+""",
+)
+def power_of_pixel(  # type: ignore[empty-body]
+    filled: wp.array(dtype=float),
+    bin_rows: int,
+    bin_cols: int,
+    bins_per_pixel: int,
+    first_row: int,
+    first_col: int,
+    beyond_row: float,
+    beyond_col: float,
+) -> float:
+    """Power of the bins that a pixel overlaps; it begins `beyond` bins after the start of the first of them."""
+
+
 @wp.kernel
-def move_kernel(
+def slide_kernel(
     # In:
     bin_rows: int,
     bin_cols: int,
     bins_per_pixel: int,
     rows: int,
     cols: int,
-    bins: wp.array(dtype=int),
-    weight: wp.array(dtype=float),
-    sigma: wp.array(dtype=float),
     shift: wp.array(dtype=float),
+    filled: wp.array(dtype=float),
     # Out:
     image_out: wp.array(dtype=float),
 ):
-    """Each bin's power, spread evenly over the bin, goes to the two by two pixels it overlaps once it has moved."""
-    i = wp.tid()
-    width = 1.0 / float(bins_per_pixel)
-    row = bins[i] // bin_cols
-    col = bins[i] - row * bin_cols
-    # Whole pixels apart from the rest: the difference of bin and margin is exact.
-    first_row = float(2 * row - bin_rows + rows * bins_per_pixel) * 0.5 * width + shift[0]
-    first_col = float(2 * col - bin_cols + cols * bins_per_pixel) * 0.5 * width + shift[1]
-    power = sigma[i] * weight[i]
-    r0 = int(wp.floor(first_row))
-    c0 = int(wp.floor(first_col))
-    for a in range(2):
-        for b in range(2):
-            r = r0 + a
-            c = c0 + b
-            if r >= 0 and r < rows and c >= 0 and c < cols:
-                share = overlap(first_row, width, r) * overlap(first_col, width, c)
-                if share > 0.0:
-                    wp.atomic_add(image_out, r * cols + c, power * share)
+    """Bins that have moved by `shift` pixels, into the pixels that they overlap. Power is spread evenly over a bin.
+
+    The bins reach as far beyond the pixels on either side.
+    """
+    row, col = wp.tid()
+    # Where a pixel begins among the bins: whole bins apart from the rest, which is the same for all pixels.
+    down = -shift[0] * float(bins_per_pixel)
+    right = -shift[1] * float(bins_per_pixel)
+    value = power_of_pixel(
+        filled,
+        bin_rows,
+        bin_cols,
+        bins_per_pixel,
+        row * bins_per_pixel + (bin_rows - rows * bins_per_pixel) // 2 + int(wp.floor(down)),
+        col * bins_per_pixel + (bin_cols - cols * bins_per_pixel) // 2 + int(wp.floor(right)),
+        down - wp.floor(down),
+        right - wp.floor(right),
+    )
+    wp.atomic_add(image_out, row * cols + col, value)
 
 
 @wp.kernel

@@ -52,7 +52,7 @@ def moved_tangent_kernel(
     # Out:
     tangent_out: wp.array2d(dtype=float),
 ):
-    """The derivative of `binning.move_kernel`; the rest as in `tangent_kernel`."""
+    """The derivative of bins that are filled and slid (`binning.slide_kernel`); the rest as in `tangent_kernel`."""
     i = wp.tid()
     s = i
     if sample.shape[0] > 0:

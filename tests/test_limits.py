@@ -35,7 +35,7 @@ def test_sum_of_autocovariances_is_the_programs(limits: Any, gained: Any) -> Non
     expected = [
         residual_autocovariance(list(zip(gained.seen, gained.split(one), strict=True))).sum() for one in residuals.T
     ]
-    assert limits._covariance_sum(gained.seen, residuals) == pytest.approx(expected, rel=1e-9)
+    assert limits.covariance_sum(gained.seen, residuals) == pytest.approx(expected, rel=1e-9)
 
 
 def test_correlated_autocovariance_is_that_of_the_draws(limits: Any) -> None:

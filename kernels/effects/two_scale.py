@@ -9,6 +9,29 @@ from warpsar.kernels.shade import sigma0_of
 LEAST_VARIANCE = wp.constant(1.0e-8)
 
 
+@wp.func
+def side_of(p0: wp.vec3, p1: wp.vec3) -> wp.vec3:
+    """A facet's first side, along which the first slope lies."""
+    return wp.normalize(p1 - p0)
+
+
+@wp.func
+def facing_normal(side: wp.vec3, p0: wp.vec3, p2: wp.vec3, direction: wp.vec3) -> wp.vec3:
+    """A facet's normal, against the direction that the wave comes in."""
+    normal = wp.normalize(wp.cross(side, p2 - p0))
+    if wp.dot(normal, direction) > 0.0:
+        normal = -normal
+    return normal
+
+
+@wp.func
+def tilted_by(
+    normal: wp.vec3, side: wp.vec3, across: wp.vec3, deviation: float, first: float, second: float
+) -> wp.vec3:
+    """The normal with two slopes, in standard deviations."""
+    return wp.normalize(normal + deviation * (first * side + second * across))
+
+
 # Long because of its arguments: sigma0 depends on all of them.
 @wp.kernel
 def tilt_kernel(
@@ -45,15 +68,13 @@ def tilt_kernel(
     if slant_range > 0.0:
         direction = wp.normalize((slant_range + wp.dot(point[i], d)) * d + wp.dot(point[i], v) * v)
     p0 = vertices[faces[f, 0]]
-    e1 = wp.normalize(vertices[faces[f, 1]] - p0)
-    normal = wp.normalize(wp.cross(e1, vertices[faces[f, 2]] - p0))
-    if wp.dot(normal, direction) > 0.0:
-        normal = -normal
+    e1 = side_of(p0, vertices[faces[f, 1]])
+    normal = facing_normal(e1, p0, vertices[faces[f, 2]], direction)
     e2 = wp.cross(normal, e1)
     deviation = wp.sqrt(wp.max(p[0], 0.0) + LEAST_VARIANCE)
     mean = float(0.0)
     for q in range(tilts.shape[0]):
-        tilted = wp.normalize(normal + deviation * (tilts[q][0] * e1 + tilts[q][1] * e2))
+        tilted = tilted_by(normal, e1, e2, deviation, tilts[q][0], tilts[q][1])
         cosine = -wp.dot(tilted, direction)
         # a tilt past grazing is hidden
         if cosine > 0.0:

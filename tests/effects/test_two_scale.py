@@ -2,8 +2,12 @@
 
 import numpy as np
 import pytest
+import warp as wp
 import worlds
 from effect_worlds import STRIP_MAP, Case, hits_of, plane, render_of, with_effect
+
+from warpsar.kernels.effects import two_scale as kernels
+from warpsar.kernels.effects import two_scale_lanes as lanes
 
 WORKING = [
     Case({"slope_variance": 0.02}),
@@ -41,3 +45,17 @@ def test_two_scale_to_first_order_in_the_variance() -> None:
     expected = variance / 2 * (second + first / np.tan(theta))
     # next order: another factor of s^2 times a few; and float32 differences of sigma0
     assert with_it - without == pytest.approx(expected, rel=0.02)
+
+
+def test_many_hits_at_once_are_as_one_by_one() -> None:
+    """Near grazing, where half of the tilts are hidden, and with a last block of hits that is not full."""
+    scene = plane(views=[worlds.view(20.0, 80.0)])
+    render = render_of(with_effect(scene, "two_scale", {"slope_variance": 0.2}))
+    render.forward()
+    step = next(step for step in render.program._steps if step.kernel is lanes.tilt_kernel)
+    found = step.outputs[0]
+    assert found.shape[0] % lanes.HITS
+    expected = wp.zeros_like(found)
+    wp.launch(kernels.tilt_kernel, found.shape[0], inputs=step.inputs, outputs=[expected], device="cpu")
+    # sums of 25 float32 terms, and exp of another library
+    assert found.numpy() == pytest.approx(expected.numpy(), rel=1e-5)

@@ -8,13 +8,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
+
+import numpy as np
 
 from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.dark import Dark
 from warpsar.diagnosis.found import Candidate, Turn
-from warpsar.diagnosis.refit import Fitted, settle
+from warpsar.diagnosis.refit import MOST_ITERATIONS, Fitted, fitted_at, onward, standing_at, state_told
 from warpsar.diagnosis.screening import refined
 from warpsar.diagnosis.shortlist import Refit
+from warpsar.learning.optimise import FLAT, FitState
 
 CONTENDERS = 3  # the likeliest candidates, whose fits are taken to their end before one is chosen
 TOO_LITTLE = "it gains less than its parameters cost"
@@ -30,7 +34,7 @@ def add_the_best(bench: Bench, turn: Turn, here: Fitted, refits: Sequence[Refit]
         _gained(refit.candidate, here, refit.fitted)
     if not dark.asks:
         ahead = sorted(refits, key=lambda refit: -_worth(refit, price))
-        refits = [*(_arrived(bench, here, refit) for refit in ahead[:CONTENDERS]), *ahead[CONTENDERS:]]
+        refits = [*_arrived(bench, here, ahead[:CONTENDERS], price), *ahead[CONTENDERS:]]
     able = [refit for refit in refits if dark.asks or _worth(refit, price) > 0]
     for refit in refits:
         refit.candidate.refused = "" if refit in able else TOO_LITTLE
@@ -50,11 +54,31 @@ def add_the_best(bench: Bench, turn: Turn, here: Fitted, refits: Sequence[Refit]
             refit.candidate.refused = f"the dark pixels need {turn.added}" if dark.asks else f"{turn.added} is likelier"
 
 
-def _arrived(bench: Bench, here: Fitted, refit: Refit) -> Refit:
-    """The candidate's fit to its end: at the same number of iterations one is nearer to its own than another."""
-    found = replace(refit, fitted=settle(bench, refit.fitted, 0, 0))
-    _gained(found.candidate, here, found.fitted)
+def _arrived(bench: Bench, here: Fitted, ahead: Sequence[Refit], price: float) -> list[Refit]:
+    """The fits of those `ahead` to their ends: at the same number of iterations one is nearer to its own than another.
+
+    The first one goes first. Another is given up where it cannot come up with it at its present pace.
+    """
+    found: list[Refit] = []
+    for some in (ahead[:1], ahead[1:]):
+        limits = [_level(found[0], refit, price) if found else -np.inf for refit in some]
+        problems = [bench.problem(refit.fitted.scene) for refit in some]
+        tasks = [
+            partial(onward, problem, standing_at(problem, problem.x0), MOST_ITERATIONS, limit, flat=FLAT)
+            for problem, limit in zip(problems, limits, strict=True)
+        ]
+        states = bench.deal_out(tasks, told=state_told, heard=FitState.from_arrays)
+        for refit, problem, state in zip(some, problems, states, strict=True):
+            best = state.best_x, state.best_loss, state.iteration
+            found.append(replace(refit, fitted=fitted_at(bench, problem, *best, bench.ranks)))
+            _gained(refit.candidate, here, found[-1].fitted)
     return found
+
+
+def _level(first: Refit, other: Refit, price: float) -> float:
+    """Log-likelihood of all its pixels at which the `other` candidate is worth as much as the `first`."""
+    lit = first.fitted.log_likelihood + 0.5 * price * (other.fitted.size - first.fitted.size)
+    return lit + other.fitted.whole - other.fitted.log_likelihood  # dark pixels cost it what they cost it now
 
 
 def _gained(candidate: Candidate, here: Fitted, fitted: Fitted) -> None:

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property, partial
+from typing import Any, TypeVar
 
 import warp as wp
 
 from warpsar.effects.registry import get
 from warpsar.learning.observation import Observation
 from warpsar.learning.problem import FitProblem
+from warpsar.runtime import threads
 from warpsar.runtime.distributed import ONE, Ranks
 from warpsar.scene.scene import Scene
 from warpsar.simulation.rays import Rays
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -33,7 +38,13 @@ class Bench:
         """The scene's fit problem; its dark pixels are used where it has an additive effect, or as `dark` says."""
         if dark is None:
             dark = any(get(name).additive for name in scene.effects)
-        seen = self.observations
-        if dark:
-            seen = {name: [one.with_dark() for one in found] for name, found in seen.items()}
+        seen = self._with_dark if dark else self.observations
         return FitProblem(scene, self.device, views=views, rays=self.rays, observations=seen, bound=self.bound)
+
+    @cached_property
+    def _with_dark(self) -> dict[str, list[Observation]]:
+        return {name: [one.with_dark() for one in found] for name, found in self.observations.items()}
+
+    def deal_out(self, tasks: Sequence[Callable[[], T]], **telling: Any) -> list[T]:
+        """As `Ranks.deal_out`; on the CPU a rank's tasks run side by side, each on problems of its own."""
+        return self.ranks.deal_out(tasks, run=partial(threads.ordered, device=self.device), **telling)

@@ -62,7 +62,8 @@ def bootstrap(
         random = np.random.default_rng(sequence)
         drawn = speckle(random, BATCH)
         known = projection.known.drawn(random, BATCH)
-        residuals = projection(np.clip(drawn, -LARGEST, LARGEST, out=drawn), known)  # as the evidence is
+        limit = np.float32(LARGEST)
+        residuals = projection(np.clip(drawn, -limit, limit, out=drawn), known)  # as the evidence is
         found = {name: np.max([g.largest(residuals) for g in members], axis=0) for name, members in groups.items()}
         found["scan"] = scan.largest(evidence.split(residuals))
         if progress is not None:

@@ -63,7 +63,7 @@ def carried_over(bench: Bench, fitted: Fitted, effect: str) -> Carried:
     change = [np.zeros(seen.interior.shape) for seen in models[1].observations]
     for plane, seen, a, b in zip(change, models[1].observations, before, after, strict=True):
         plane[seen.interior] = np.log(b / a)
-    found = bench.ranks.deal_out(
+    found = bench.deal_out(
         [
             partial(_gained, bench, scene, models[1].observations, change, k, gains[k] * mu)
             for k, mu in enumerate(before)

@@ -91,7 +91,7 @@ def leave_one_view_out(bench: Bench, base: Fitted, fitted: Fitted, effect: str, 
 
     # where each view has its own parameters, one without any has the same image with and without
     touched = [name for name in names if not per_view or any(c.view == name for c in own)]
-    found = bench.ranks.deal_out(
+    found = bench.deal_out(
         [partial(judged, name) for name in touched],
         told=lambda differences: [one.tolist() for one in differences],
         heard=lambda differences: [np.array(one) for one in differences],
@@ -164,7 +164,7 @@ def _over_columns(bench: Bench, base: Fitted, fitted: Fitted, name: str) -> floa
 
     blocks = [(view, pixels) for view in views for pixels in _by_blocks(bench.observations[view])]
     tasks = [*(partial(gained, view) for view in views), *(partial(regained, *block) for block in blocks)]
-    found = bench.ranks.deal_out(tasks)
+    found = bench.deal_out(tasks)
     once = sum(found[: len(views)])
     return sum(found[len(views) :]) / once if once > 0 else 1.0
 

@@ -25,6 +25,7 @@ MOST_ITERATIONS = 40  # of one start
 # Where models are only ranked, or start where they belong: iterations of one start, and the promised log-likelihood at
 # which it has arrived; verdicts turn on several units.
 QUICK_ITERATIONS, QUICK_FLAT = 12, 0.05
+GLANCE = 4  # iterations after which candidates are compared for the first time
 KEPT_WITHIN = 0.2  # of a log coordinate, that a fit moves before its images are differentiated again
 # Log-likelihood from which on a pixel's cost is bounded where candidates are compared: a pixel of speckle costs 1.
 BOUND = 20.0
@@ -102,6 +103,19 @@ def descend(
         states = ranks.deal_out(tasks, state_told, FitState.from_arrays)
     best = min(states, key=lambda state: state.best_loss)
     return best.best_x, best.best_loss, sum(state.iteration for state in states)
+
+
+def onward(
+    problem: FitProblem, state: FitState, until: int, limit: float = -np.inf, *, flat: float = QUICK_FLAT
+) -> FitState:
+    """On to iteration `until`, or to where the log-likelihood `limit` is out of reach at the present pace."""
+    while not state.arrived and state.since_start < until:
+        before = state.best_loss
+        state = levenberg_marquardt(problem, state, flat=flat, kept_within=KEPT_WITHIN)
+        reached = state.best_loss - (before - state.best_loss) * (until - state.since_start)
+        if state.since_start >= GLANCE and reached > HOPELESS - limit:
+            break
+    return state
 
 
 def standing_at(problem: FitProblem, x: np.ndarray) -> FitState:

@@ -46,10 +46,15 @@ class Projection:
     def __call__(self, columns: np.ndarray, known: np.ndarray | None = None) -> np.ndarray:
         """What is left of standardised columns, shape (n, k) or (n,); `known` are their rows of what is known."""
         table = columns.reshape(len(columns), -1)
-        absorbed = transposed_times(self.basis, table)
+        basis = self._single if table.dtype == np.float32 else self.basis
+        absorbed = transposed_times(basis, table)
         if known is not None:
             absorbed = absorbed + self._below.T @ known.reshape(len(known), table.shape[1])
-        return (table - times(self.basis, absorbed)).reshape(columns.shape)
+        return (table - times(basis, absorbed.astype(basis.dtype, copy=False))).reshape(columns.shape)
+
+    @cached_property
+    def _single(self) -> np.ndarray:
+        return self.basis.astype(np.float32)
 
     def left(self, columns: np.ndarray | csc_array) -> np.ndarray:
         """Share of energy of standardised columns of unit length that no move of the parameters imitates, however far,
@@ -143,7 +148,8 @@ class Group:
     def _statistics(self, projected: np.ndarray) -> np.ndarray:
         trials, k = self.covariance.shape[:2]
         if isinstance(self.columns, np.ndarray):
-            scores = transposed_times(self.columns, projected)
+            columns = self._single if projected.dtype == np.float32 else self.columns
+            scores = transposed_times(columns, projected)
         else:
             scores = np.asarray(self.columns.T @ projected)
         scores = scores.reshape(trials, k, -1)
@@ -154,6 +160,12 @@ class Group:
             gain = (scores[:, members] * step).sum(axis=1)
             best = np.where(inside, np.maximum(best, gain), best)
         return best
+
+    @cached_property
+    def _single(self) -> np.ndarray:
+        """The columns in float32, for draws: their rounding is far below what speckle varies by."""
+        assert isinstance(self.columns, np.ndarray)
+        return self.columns.astype(np.float32)
 
     @cached_property
     def _faces(self) -> list[tuple[list[int], np.ndarray]]:

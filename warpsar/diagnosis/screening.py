@@ -11,27 +11,25 @@ import numpy as np
 from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.dark import Dark
 from warpsar.diagnosis.refit import (
-    HOPELESS,
-    KEPT_WITHIN,
-    QUICK_FLAT,
+    GLANCE,
     QUICK_ITERATIONS,
     Fitted,
     descend,
     fitted_at,
+    onward,
     standing_at,
     state_told,
 )
 from warpsar.diagnosis.templates import with_effect
 from warpsar.effects.base.parameter import Parameter
 from warpsar.effects.registry import get
-from warpsar.learning.optimise import FitState, levenberg_marquardt
+from warpsar.learning.optimise import FitState
 from warpsar.learning.problem import FitProblem
 from warpsar.learning.results import learned_scene
 from warpsar.scene.scene import Scene
 
 STARTS = 4  # of the tables that an effect's best trials offer, how many are fitted
 NEARER = (0.3, 0.1)  # shares of a first table's way from neutral, at which a fit begins again
-GLANCE = 4  # iterations after which candidates are compared for the first time
 HARDLY_BETTER = 2.0  # log-likelihood over no effect at all, at which a glance has seen nothing yet
 CLIMB = 10.0  # times what an effect has gained, that refinements may bring
 WORTH = 2.0  # log-likelihood that another setting has to gain; five times as much if it adds something
@@ -73,14 +71,19 @@ class Screening:
 
     def _glance(self, surfaces: Sequence[Scene]) -> Glance:
         best: Glance | None = None
+        begun: dict[tuple[float, int], tuple[FitProblem, FitState]] = {}
         # a start where the effect does nothing is flat and ends at once; another begins far off and takes longer
         for share, until in ((1.0, GLANCE), (1.0, QUICK_ITERATIONS), *((share, GLANCE) for share in NEARER)):
             if best is not None and best.log_likelihood > self.base.log_likelihood + HARDLY_BETTER:
                 break
-            table = toward_neutral(self.name, self.tables[0], share)
             for number, surface in enumerate(surfaces):
-                problem = self.bench.problem(with_effect(surface, self.name, table))
-                state = self._run(problem, standing_at(problem, problem.x0), until)
+                if (share, number) not in begun:
+                    table = toward_neutral(self.name, self.tables[0], share)
+                    problem = self.bench.problem(with_effect(surface, self.name, table))
+                    begun[share, number] = problem, standing_at(problem, problem.x0)
+                problem, state = begun[share, number]
+                state = onward(problem, state, until)
+                begun[share, number] = problem, state
                 fitted = _fitted(self.bench, problem, state)
                 if best is None or fitted.whole > best.whole:
                     self._problem, best = problem, Glance(number, state, fitted.log_likelihood, fitted.whole)
@@ -116,7 +119,7 @@ class Screening:
                 problem = self.bench.problem(with_effect(self._surface, self.name, table))
                 # not where the first arrived: what fits with one window leads another astray
                 state = standing_at(problem, problem.x0)
-            state = self._run(problem, state, QUICK_ITERATIONS, limit)
+            state = onward(problem, state, QUICK_ITERATIONS, limit)
             given_up.append(not state.arrived and state.since_start < QUICK_ITERATIONS)
             found.append(_fitted(self.bench, problem, state))
         price = 0.5 * np.log(sum(int(seen.interior.sum()) for seen in problem.observations))
@@ -126,16 +129,6 @@ class Screening:
             return found[best], given_up[best]
         climbed = refined(self.bench, found[best], self.name, self.tables, dark)
         return climbed, given_up[best] and climbed.log_likelihood < lead
-
-    def _run(self, problem: FitProblem, state: FitState, until: int, limit: float = -np.inf) -> FitState:
-        """On to iteration `until`, or to where the log-likelihood `limit` is out of reach."""
-        while not state.arrived and state.since_start < until:
-            before = state.best_loss
-            state = levenberg_marquardt(problem, state, flat=QUICK_FLAT, kept_within=KEPT_WITHIN)
-            reached = state.best_loss - (before - state.best_loss) * (QUICK_ITERATIONS - state.since_start)
-            if state.since_start >= GLANCE and reached > HOPELESS - limit:
-                break
-        return state
 
 
 def _fitted(bench: Bench, problem: FitProblem, state: FitState) -> Fitted:

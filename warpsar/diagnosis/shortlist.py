@@ -54,7 +54,7 @@ def refits(
         tables = [table for trial in trials for table in surveyed(bench, base.scene, effect, trial)]
         return Screening(bench, base, declared, effect, _distinct(dark, base.scene, effect, tables))
 
-    screenings = bench.ranks.deal_out(
+    screenings = bench.deal_out(
         [partial(glance, candidate.effect) for candidate in passing[:GLANCED]],
         told=Screening.told,
         heard=partial(Screening.heard, bench, base, declared),
@@ -65,7 +65,7 @@ def refits(
         others = (other.glanced.log_likelihood for other in screenings if other is not one)
         return -np.inf if dark.asks else max(others, default=-np.inf)
 
-    finished = bench.ranks.deal_out(
+    finished = bench.deal_out(
         [partial(screening.finish, lead_over(screening), dark, refine=not dark.asks) for _, screening in order[:most]],
         told=lambda result: [result[0].told(), result[1]],
         heard=lambda told: (Fitted.heard(bench, base.scene, told[0]), told[1]),

@@ -20,7 +20,7 @@ from warpsar.effects.registry import declared, get, names, validate
 from warpsar.learning.observation import Observation
 from warpsar.learning.problem import FitProblem
 from warpsar.scene.scene import Scene
-from warpsar.simulation.rays import Rays
+from warpsar.simulation.rays import Rays, effects_grid
 
 
 @dataclass(frozen=True)
@@ -63,6 +63,7 @@ class TemplateMaker:
             for seen in view.observations
         ]
         self.compared = [(seen.pixels, seen.darkest) for seen in self.neutral.observations]
+        self._last: tuple[str, FitProblem] | None = None
 
     def tangent(self) -> np.ndarray:
         """d ln(mu) / dx of everything that is fitted, shape (n, p), with one column per unknown gain."""
@@ -107,13 +108,28 @@ class TemplateMaker:
         scene = with_effect(self.scene, name, table)
         if get(name).stage == "image" and not self._later_effects(name):
             return self._finished(scene, name, views)
-        problem = self._problem(scene, views=views)
-        changed = iter(problem.modelled_as_declared())
+        problem = self._rendered(scene, name, views)
+        changed = iter(problem.standing())
         touched = {view.view.name for view in problem.views}
         return [
             next(changed) if seen.view.name in touched else mu
             for seen, mu in zip(self.neutral.observations, self.mu, strict=True)
         ]
+
+    def _rendered(self, scene: Scene, name: str, views: Sequence[str] | None) -> FitProblem:
+        """The views with the effect as declared. Tables of an effect that differ in values alone share one problem."""
+        chosen = [view.view for view in self.neutral.views if views is None or view.view.name in views]
+        effects = {view.name: declared(scene, view, neutral=True) for view in chosen}
+        about = [(v, effects_grid(scene, each), [e.settings for e in each]) for v, each in effects.items()]
+        key = f"{name} {about}"
+        if self._last is None or self._last[0] != key:
+            self._last = key, self._problem(scene, views=views)
+        problem = self._last[1]
+        for view in problem.views:
+            values = {e.effect.name: e.values for e in effects[view.view.name]}
+            view.render.set_parameters(None, values)
+            view.run_images(at=(b"", values))  # the surface is the same in all
+        return problem
 
     def _later_effects(self, name: str) -> bool:
         """Whether a declared effect acts after this one: then the finished image is not what it acts on."""

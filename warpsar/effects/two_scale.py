@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cache
 from typing import Any, ClassVar
 
 import numpy as np
@@ -13,7 +14,11 @@ from warpsar.effects.base.parameter import Parameter
 from warpsar.effects.base.recorder import Recorder
 from warpsar.effects.base.signature import SeenImage
 from warpsar.effects.base.trial import Context, ScoreStep, Trial
+from warpsar.kernels import shade
 from warpsar.kernels.effects import two_scale as kernels
+from warpsar.kernels.effects import two_scale_lanes as lanes
+from warpsar.runtime.launches import Launch, by_elements
+from warpsar.runtime.program import Program
 
 _NODES = 5  # Gauss-Hermite points per slope: exact for a ninth-degree polynomial
 
@@ -66,33 +71,89 @@ class TwoScale(Effect):
         tilts = [[a, b, wa * wb] for a, wa in zip(x, w, strict=True) for b, wb in zip(x, w, strict=True)]
         plain = render.scatter(zeta, polarization)
         result = render.program.array(sigma.shape[0])
-        render.program.launch(
-            kernels.tilt_kernel,
-            sigma.shape[0],
-            [
-                p,
-                wp.array(np.array(tilts, np.float32), dtype=wp.vec3, device=device),
-                polarization,
-                stage.variant,
-                geometry.wavenumber,
-                int(stage.local_basis),
-                geometry.slant_range_m or 0.0,
-                *(wp.vec3(*axis) for axis in (geometry.d, geometry.u, geometry.v)),
-                stage.target.vertices,
-                stage.target.faces,
-                hits.face,
-                hits.point,
-                stage.face_material,
-                stage.spectrum,
-                stage.eps_im,
-                stage.aspect,
-                zeta,
-                plain,
-                sigma,
-            ],
-            [result],
-        )
+        inputs = [
+            p,
+            wp.array(np.array(tilts, np.float32), dtype=wp.vec3, device=device),
+            polarization,
+            stage.variant,
+            geometry.wavenumber,
+            int(stage.local_basis),
+            geometry.slant_range_m or 0.0,
+            *(wp.vec3(*axis) for axis in (geometry.d, geometry.u, geometry.v)),
+            stage.target.vertices,
+            stage.target.faces,
+            hits.face,
+            hits.point,
+            stage.face_material,
+            stage.spectrum,
+            stage.eps_im,
+            stage.aspect,
+            zeta,
+            plain,
+            sigma,
+        ]
+        if device.is_cpu:
+            _in_lanes(render.program, inputs, result, [hits.face, hits.point, zeta, plain, sigma, result])
+        else:
+            render.program.launch(kernels.tilt_kernel, sigma.shape[0], inputs, [result])
         return result
+
+
+def _in_lanes(program: Program, inputs: list[Any], result: wp.array, per_hit: list[wp.array]) -> None:
+    """Record `tilt_kernel` for many hits at once; `per_hit` are the arrays with an element for each."""
+    n, device = result.shape[0], program.device
+    p, zeta, plain, sigma = inputs[0], *inputs[-3:]
+    dim = -(-n // lanes.HITS)
+
+    @cache
+    def slopes() -> wp.array:  # when a gradient is asked for
+        return wp.empty(n, dtype=wp.vec4, device=device)
+
+    def keeping() -> Launch:
+        pieces = by_elements([*per_hit, slopes()], lanes.HITS)
+        return Launch(lanes.tilt_kernel, dim, inputs, [result, slopes()], device, pieces)
+
+    @cache
+    def to_zeta() -> Launch:
+        pieces = by_elements([slopes(), result.grad, zeta.grad])
+        return Launch(shade.scatter_adjoint_kernel, n, [slopes(), result.grad], [zeta.grad], device, pieces)
+
+    @cache
+    def to_change() -> Launch:
+        grads = [result.grad, plain.grad, sigma.grad]
+        return Launch(lanes.change_adjoint_kernel, n, grads[:1], grads[1:], device, by_elements(grads))
+
+    @cache
+    def to_variance() -> wp.Launch:
+        """Warp's own adjoint, whose other results are added up beside."""
+        aside = {id(a): wp.zeros_like(a, requires_grad=False) for a in (zeta, plain, sigma)} | {id(p): p.grad}
+        recorded: wp.Launch = wp.launch(
+            kernels.tilt_kernel,
+            n,
+            inputs=inputs,
+            outputs=[result],
+            adj_inputs=[aside.get(id(a)) for a in inputs],
+            adj_outputs=[result.grad],
+            device=device,
+            adjoint=True,
+            record_tape=False,
+            record_cmd=True,
+        )
+        return recorded
+
+    program.launch(
+        lanes.tilt_kernel,
+        dim,
+        inputs,
+        [result, wp.empty(0, dtype=wp.vec4, device=device)],
+        adjoint=[
+            (zeta, lambda: to_zeta().launch()),
+            (sigma, lambda: to_change().launch()),
+            (p, lambda: to_variance().launch()),
+        ],
+        keeping=keeping,
+        pieces=by_elements(per_hit, lanes.HITS),
+    )
 
 
 EFFECT = TwoScale()

@@ -16,6 +16,7 @@ import warp as wp
 from warpsar.learning.coordinates import DeviceX
 from warpsar.learning.problem import FitProblem
 from warpsar.runtime.distributed import Ranks
+from warpsar.runtime.matmul import transposed_times
 
 LARGEST_STEP = 1.0  # of a log coordinate in one Levenberg-Marquardt step: a factor e
 FLAT = 2e-3  # predicted gain in log-likelihood at which Levenberg-Marquardt has arrived: 1/16 of a standard deviation
@@ -168,7 +169,7 @@ class _Quadratic:
             loss = problem.value(modelled) + problem.prior.value(x)
             slope = np.zeros(x.size)
             for j, c in zip(jacobians, curvatures, strict=True):
-                slope -= j.T @ (c.weight * c.residual)
+                slope -= transposed_times(j, (c.weight * c.residual)[:, None])[:, 0]
             gradient = problem.ranks.sum(slope) + problem.prior.gradient(x)
         else:
             _, gradient = problem.gradient(x)
@@ -178,7 +179,7 @@ class _Quadratic:
         weighted = [j.T * c.weight for j, c in zip(jacobians, curvatures, strict=True)]
         hessian = np.zeros((x.size, x.size))
         for j, w in zip(jacobians, weighted, strict=True):
-            hessian += w @ j
+            hessian += transposed_times(w.T, j)
         hessian = problem.ranks.sum(hessian) + problem.prior.information(x)
         low, high = problem.bounds
         free = ~((x <= low) & (gradient > 0) | (x >= high) & (gradient < 0)) & (np.diag(hessian) > 0)
@@ -210,7 +211,7 @@ class _Quadratic:
         bend = [np.log(b * m / a**2) / BEND_STEP**2 for a, b, m in zip(ahead, further, self.modelled, strict=True)]
         push = np.zeros_like(self.x)
         for w, b in zip(self.weighted, bend, strict=True):
-            push += w @ b
+            push += transposed_times(w.T, b[:, None])[:, 0]
         correction = np.zeros_like(self.x)
         push = self.ranks.sum(push) + problem.prior.push(self.x, places, BEND_STEP)
         correction[self.free] = -0.5 * np.linalg.solve(planned.damped, push[self.free])

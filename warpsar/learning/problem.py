@@ -105,10 +105,13 @@ class FitProblem(SceneCoordinates):
         self.prior_on_device = DevicePrior(self.prior, self, device, first=ranks.first)
         self._penalised = validity > 0.0 or self.variation.count > 0
         self._linearised: tuple[bytes, list[np.ndarray], list[np.ndarray]] | None = None
+        self._replayed = False  # whether a graph may make images anew without a word
         self.streams = Streams(device, len(self.views))
 
     def _mean_square(self, mine: Sequence[View]) -> float:
-        """Mean square of the measured images of all ranks: their common scale."""
+        """Mean square of the measured images of all ranks: their common scale. Other losses need none."""
+        if self.loss != "mse":
+            return 1.0
         squares = [np.nanmean(self.scene.measured(v, p).astype(float) ** 2) for v in mine for p in v.images]
         total, count = self.ranks.sum([np.sum(squares), len(squares)])
         return float(total / count)
@@ -138,10 +141,12 @@ class FitProblem(SceneCoordinates):
 
     def _run(self, x: np.ndarray | DeviceX) -> None:
         nodes, tables = self._share(x), self.effect_tables(x)
+        surface = None if isinstance(x, DeviceX) or self._replayed else x[: self.learned.size].tobytes()
 
         def one(view: FitView) -> None:
-            self._set(view, nodes, tables)
-            view.run_images()
+            values = self._values(view, tables)
+            view.render.set_parameters(nodes, values)
+            view.run_images(at=None if surface is None else (surface, values))
 
         for _ in threads.ordered([partial(one, view) for view in self.views], self.device):
             pass
@@ -298,6 +303,7 @@ class FitProblem(SceneCoordinates):
         `shared_nodes.grad`.
         """
         assert self.shared_nodes is not None
+        self._replayed = True
         clearing = [view.render.program.zero_gradients for view in self.views]
         self.streams.run([partial(view.forward, gradient=True) for view in self.views] + clearing)
         self._add_gradients(self.shared_nodes)

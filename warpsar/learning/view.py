@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -18,6 +18,9 @@ from warpsar.runtime.program import Part, Program
 from warpsar.scene.scene import Scene
 from warpsar.speckle.likelihood import LOSSES, log_bias
 from warpsar.world.tables import View
+
+Standing = tuple[bytes, Mapping[str, np.ndarray]]
+"""Where images were made: the surface, as bytes that tell it from any other, and the values of each effect."""
 
 
 class FitView:
@@ -52,6 +55,7 @@ class FitView:
         self.loss = self._partial_sums()
         self._seeds = {self.loss: 1.0}
         self.outside: wp.array = wp.zeros(1, dtype=wp.float64, device=device)
+        self._standing: Standing | None = None  # what the images were made at; None: not known
         if validity > 0:
             self.outside = self._partial_sums()
             self._seeds[self.outside] = 1.0
@@ -120,12 +124,23 @@ class FitView:
         program = self.render.program
         return program.part([*self.render.images.values(), self.outside]) if isinstance(program, Program) else program
 
-    def run_images(self, *, gradient: bool = False) -> None:
-        """Run the images and the soft constraint; `gradient` as in `Program.forward`."""
-        self._images.forward(gradient=gradient)
+    def run_images(self, *, gradient: bool = False, at: Standing | None = None) -> None:
+        """Run the images and the soft constraint; `gradient` as in `Program.forward`.
+
+        `at`: the parameters that were set. Where the surface is that of the last run, only launches behind what else
+        has changed run again.
+        """
+        images, last, program = self._images, self._standing, self.render.program
+        if at is not None and last is not None and at[0] == last[0] and isinstance(program, Program) and not gradient:
+            moved = [name for name, values in at[1].items() if not np.array_equal(values, last[1][name])]
+            changed = [self.render.effect_values[name] for name in moved]
+            images = program.part([*self.render.images.values(), self.outside], changed)
+        images.forward(gradient=gradient)
+        self._standing = at
 
     def forward(self, *, gradient: bool = False) -> None:
         """Run the images and the loss; `gradient` as in `Program.forward`."""
+        self._standing = None
         self.render.program.forward(gradient=gradient)
 
     def backward(self, *, zero: bool = True) -> None:

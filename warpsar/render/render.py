@@ -198,6 +198,7 @@ class ViewRender:
             effect.deposit(self, p, sigma, weight, bins, image)
         self.all_noted &= len(self._deposits) - noted == len(movers) or not movers
         if not movers and self.hits.grid.shape == self.shape:
+            self._note(weight, bins, None)
             self._deposit(sigma, weight, bins, image)
         elif not movers:
             self.deposit(sigma, weight, bins, self.program.array(2, grad=False), image)
@@ -209,7 +210,6 @@ class ViewRender:
             inputs, outputs = [bins, weight, image.grad], [sigma.grad]
             return Launch(shade.deposit_adjoint_kernel, sigma.shape[0], inputs, outputs, self.program.device, pieces)
 
-        self._note(weight, bins, None)
         first, lanes = starts(bins), 1 if self.program.device.is_cpu else LANES
         self.program.launch(
             shade.deposit_kernel,
@@ -222,14 +222,13 @@ class ViewRender:
 
     def deposit(self, sigma: wp.array, weight: wp.array, bins: wp.array, shift: wp.array, image: wp.array) -> None:
         """Record the deposit of bins finer or wider than the pixels, moved by `shift` (rows, columns) pixels."""
-        grid = self.hits.grid
+        (bin_rows, bin_cols), fine, (rows, cols) = self.hits.grid.shape, self.hits.grid.bins_per_pixel, self.shape
         self._note(weight, bins, shift)
-        self.program.launch(
-            binning.move_kernel,
-            sigma.shape[0],
-            [*grid.shape, grid.bins_per_pixel, *self.shape, bins, weight, sigma, shift],
-            [image],
-        )
+        # where the shift alone changes, no hit is touched
+        filled = self.program.array(bin_rows * bin_cols, sum_into=True)
+        self._deposit(sigma, weight, bins, filled)
+        sizes = [bin_rows, bin_cols, fine, rows, cols]
+        self.program.launch(binning.slide_kernel, (rows, cols), [*sizes, shift, filled], [image])
 
     def _note(self, weight: wp.array, bins: wp.array, shift: wp.array | None) -> None:
         sigma, sample = self._collected

@@ -2,5 +2,6 @@
 
 devices: the Warp device of a name. threads: tasks on all cores. launches: launches that are recorded, cut and replayed.
 program: a sequence of launches and its gradients. memory: bounds, and smaller parts where memory runs out. background:
-files written beside the work. console: messages and progress. distributed, torchrun: the processes of one run.
+files written beside the work. console: messages and progress. matmul: products inside one thread. distributed,
+torchrun: the processes of one run.
 """

@@ -20,7 +20,7 @@ def _rows(k: int, m: int) -> int:
 def transposed_times(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """a' b, shape (k, m), of `a`, shape (n, k), and `b`, shape (n, m)."""
     (n, k), m = a.shape, b.shape[1]
-    found = np.empty((k, m))
+    found = np.empty((k, m), np.result_type(a, b))
     for first in range(0, k, COLUMNS):
         part = a[:, first : first + COLUMNS]
         rows = _rows(part.shape[1], m)
@@ -36,7 +36,7 @@ def times(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """a b, shape (n, m), of `a`, shape (n, k), and `b`, shape (k, m)."""
     n, k = a.shape
     rows = _rows(k, b.shape[1])
-    found = np.empty((n, b.shape[1]))
+    found = np.empty((n, b.shape[1]), np.result_type(a, b))
     whole = n - n % rows
     np.matmul(a[:whole].reshape(n // rows, rows, k), b, out=found[:whole].reshape(n // rows, rows, b.shape[1]))
     found[whole:] = a[whole:] @ b

@@ -11,17 +11,20 @@ import warp as wp
 
 from warpsar.runtime.launches import Launch, Piece
 
+Adjoint = Callable[[], None] | Sequence[tuple[wp.array, Callable[[], None]]]
+"""The adjoint of a launch: for all inputs at once, or a part for each."""
+
 
 @dataclass(frozen=True, eq=False)
 class _Step:
-    """A recorded launch; `adjoint` takes the place of Warp's, `keeping` is as in `Program.launch`."""
+    """A recorded launch; `adjoint` and `keeping` are as in `Program.launch`."""
 
     kernel: wp.Kernel
     dim: int | tuple[int, ...]
     inputs: list[Any]
     outputs: list[Any]
     command: Launch
-    adjoint: Callable[[], None] | None
+    adjoint: Adjoint | None
     keeping: Callable[[], Launch] | None
 
     @cached_property
@@ -32,11 +35,21 @@ class _Step:
     def writes(self) -> set[int]:
         return {id(a) for a in self.outputs if isinstance(a, wp.array)}
 
-    @property
-    def backward(self) -> Callable[[], None] | None:
-        """What adds the outputs' gradients to those of the inputs; None where there is nothing to add."""
-        if self.adjoint is not None:
+    def backward(self, wanted: set[int] | None) -> Callable[[], None] | None:
+        """What adds the outputs' gradients to those of the inputs; None where there is nothing to add.
+
+        `wanted`: the arrays whose gradients are asked for; None: of all.
+        """
+        if callable(self.adjoint):
             return self.adjoint
+        if self.adjoint is not None:
+            parts = [part for array, part in self.adjoint if wanted is None or id(array) in wanted]
+
+            def run() -> None:
+                for part in parts:
+                    part()
+
+            return run
         enabled = self.kernel.options.get("enable_backward")
         if not (self.kernel.module.options.get("enable_backward") if enabled is None else enabled):
             return None
@@ -63,8 +76,10 @@ class Part:
     A forward run zeroes the sums that it makes. Call `backward` right after `forward`, at the same parameters.
     """
 
-    def __init__(self, program: Program, steps: list[_Step]) -> None:
+    def __init__(self, program: Program, steps: list[_Step], changed: set[int] | None = None) -> None:
+        """`changed`: the arrays that have changed, and so those whose gradients may be asked for; None: all."""
         self._program, self._steps = program, steps
+        self._wanted = None if changed is None else changed.union(*(step.writes for step in steps))
         written = set().union(*(step.writes for step in steps)) if steps else set()
         self._sums = [array for array in program.sums if id(array) in written]
         self._keeps = any(step.keeping for step in steps)
@@ -93,7 +108,7 @@ class Part:
     @cached_property
     def _backward(self) -> list[Callable[[], None]]:
         self._program.make_gradients()
-        return [found for step in reversed(self._steps) if (found := step.backward) is not None]
+        return [found for step in reversed(self._steps) if (found := step.backward(self._wanted)) is not None]
 
     def zero_gradients(self) -> None:
         """Set the gradients of all arrays to zero."""
@@ -165,15 +180,16 @@ class Program:
         dim: int | tuple[int, ...],
         inputs: Sequence[Any],
         outputs: Sequence[Any],
-        adjoint: Callable[[], None] | None = None,
+        adjoint: Adjoint | None = None,
         keeping: Callable[[], Launch] | None = None,
         pieces: Sequence[Piece] = (),
     ) -> None:
         """Record a launch; nothing runs before `forward`.
 
         `adjoint` adds the outputs' gradients to those of the inputs, in place of the adjoint that Warp makes of the
-        kernel. `keeping` makes the launch that replaces this one where a gradient is asked for: it also stores what
-        `adjoint` needs. `pieces`: the pieces into which a CPU may cut the launch.
+        kernel. Where it has a part for each input, only those of arrays that have changed run. `keeping` makes the
+        launch that replaces this one where a gradient is asked for: it also stores what `adjoint` needs. `pieces`: the
+        pieces into which a CPU may cut the launch.
         """
         inputs, outputs = list(inputs), list(outputs)
         command = Launch(kernel, dim, inputs, outputs, self.device, pieces)
@@ -192,7 +208,7 @@ class Program:
         key = frozenset(needed), None if dirty is None else frozenset(dirty)
         if key not in self._parts:
             steps = self._before(needed)
-            self._parts[key] = Part(self, steps if dirty is None else self._after(dirty, steps))
+            self._parts[key] = Part(self, steps if dirty is None else self._after(dirty, steps), dirty)
         return self._parts[key]
 
     def _before(self, wanted: set[int]) -> list[_Step]:

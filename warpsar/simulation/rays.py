@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 from typing import Any
 
 from warpsar.effects.base.effect import DeclaredEffect
@@ -84,13 +85,15 @@ class Rays:
     def __init__(self, stage: Stage, rays_per_m2: float | None = None, seed: int = 0) -> None:
         self.stage, self.rays_per_m2, self.seed = stage, rays_per_m2, seed
         self._kept: dict[tuple[str, BinGrid], Hits] = {}
+        self._tracing = threading.Lock()
 
     def hits(self, scene: Scene, view: View, effects: list[DeclaredEffect]) -> Hits:
         """Hits of a view, traced when first asked for and then kept."""
         key = (view.name, effects_grid(scene, effects))
-        if key not in self._kept:
-            self._kept[key] = self.trace(scene, view, effects)
-        return self._kept[key]
+        with self._tracing:  # threads that ask for the same hits share them
+            if key not in self._kept:
+                self._kept[key] = self.trace(scene, view, effects)
+            return self._kept[key]
 
     def trace(
         self,

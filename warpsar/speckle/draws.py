@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.fft import irfft2, rfft2
+from scipy.fft import fft2, ifft2, next_fast_len
 from scipy.stats import gamma, norm
 
 from warpsar.speckle.compared import Compared
@@ -30,47 +30,56 @@ class Speckle:
             lags = autocovariance.shape[0] // 2
             correlation = autocovariance / autocovariance[lags, lags]
             for seen in self.observations:
-                kernel = np.zeros([n + 2 * lags for n in seen.interior.shape])
+                inside = _box(seen.interior)
+                kernel = np.zeros([next_fast_len(n + lags) for n in inside.shape])
                 if seen.looks not in self._power:
                     self._power[seen.looks] = self._quantiles(seen.looks)
-                kernel[: 2 * lags + 1, : 2 * lags + 1] = self._underlying(correlation, seen.looks)
-                kernel = np.roll(kernel, (-lags, -lags), (0, 1))
-                spectrum = np.sqrt(np.maximum(rfft2(kernel).real, 0.0))
+                at = np.arange(-lags, lags + 1)
+                np.add.at(
+                    kernel,
+                    (at[:, None] % kernel.shape[0], at % kernel.shape[1]),
+                    self._underlying(correlation, seen.looks),
+                )
+                spectrum = np.sqrt(np.maximum(fft2(kernel).real, 0.0))
                 if spectrum.any():
                     spectrum /= np.sqrt(np.mean(spectrum**2))
-                self.spectra.append((kernel.shape, spectrum.astype(np.float32)))
+                self.spectra.append((inside, spectrum.astype(np.float32)))
 
     def __call__(self, random: np.random.Generator, draws: int) -> np.ndarray:
-        """Draws of sqrt(L) (I / mu - 1), shape (n, draws); scaled up where the residual varies more than speckle."""
+        """Draws of sqrt(L) (I / mu - 1), shape (n, draws), float32: rounding is a millionth of what speckle varies by.
+
+        They are scaled up where the residual varies more than speckle.
+        """
         sizes = [int(seen.interior.sum()) for seen in self.observations]
-        drawn = np.empty((sum(sizes), draws))
+        drawn = np.empty((sum(sizes), draws), np.float32)
         for index, part in enumerate(np.split(drawn, np.cumsum(sizes)[:-1])):
             looks = self.observations[index].looks
             if self.white:
-                random.standard_gamma(looks, out=part)
-                part /= looks
+                part[:] = random.standard_gamma(looks, part.shape)
+                part /= np.float32(looks)
             else:
-                part[:] = self._power_of(self._field(random, index, draws), looks).T
-            part -= 1.0
-            part *= np.sqrt(looks) * max(self.sd, 1.0)
+                part[:] = self._power_of(self._field(random, index, draws), looks)
+            part -= np.float32(1.0)
+            part *= np.float32(np.sqrt(looks) * max(self.sd, 1.0))
         return drawn
 
     def _field(self, random: np.random.Generator, index: int, draws: int) -> np.ndarray:
-        """Correlated normal variables of unit variance on the compared pixels of one image, shape (draws, pixels).
+        """Correlated normal variables of unit variance on the compared pixels of one image, shape (pixels, draws).
 
-        In float32: rounding is a millionth of what speckle varies by.
+        White complex noise under a real symmetric spectrum: real and imaginary part are two independent fields.
         """
-        shape, spectrum = self.spectra[index]
-        interior = self.observations[index].interior
-        rows, cols = interior.shape
-        noise = rfft2(random.standard_normal((draws, *shape)).astype(np.float32))
+        inside, spectrum = self.spectra[index]
+        pairs = -(-draws // 2)
+        noise = random.standard_normal((pairs, *spectrum.shape, 2), np.float32).view(np.complex64)[..., 0]
         noise *= spectrum
-        return irfft2(noise, shape, overwrite_x=True)[:, :rows, :cols][:, interior]
+        field = ifft2(noise, norm="ortho", overwrite_x=True)[:, : inside.shape[0], : inside.shape[1]][:, inside]
+        return np.ascontiguousarray(field.T).view(np.float32)[:, :draws]
 
     def _power_of(self, normal: np.ndarray, looks: float) -> np.ndarray:
         """The table of quantiles at `normal`, interpolated: its steps are equal, so that no step has to be searched."""
-        table = self._power[looks]
-        at = np.clip((normal - self._normal[0]) / (self._normal[1] - self._normal[0]), 0.0, table.size - 1.0)
+        table = self._power[looks].astype(np.float32)
+        first, step = np.float32(self._normal[0]), np.float32(self._normal[1] - self._normal[0])
+        at = np.clip((normal - first) / step, np.float32(0.0), np.float32(table.size - 1.0))
         below = at.astype(np.int32)
         at -= below
         return table.take(below) + at * np.diff(table, append=table[-1]).take(below)
@@ -92,3 +101,9 @@ class Speckle:
         shares = ((w * power) @ hermite) ** 2 / np.cumprod(order.astype(float))
         rho = np.linspace(0.0, 1.0, 201)
         return np.interp(correlation, (rho[:, None] ** order) @ shares / shares.sum(), rho)
+
+
+def _box(interior: np.ndarray) -> np.ndarray:
+    """The part of a mask about all its pixels."""
+    rows, cols = np.nonzero(interior)
+    return interior[rows.min() : rows.max() + 1, cols.min() : cols.max() + 1] if rows.size else interior[:1, :1]

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
+from warpsar.runtime import threads
 from warpsar.speckle.compared import Compared
 from warpsar.speckle.draws import Speckle
 from warpsar.speckle.scan import SIDES, Scan
@@ -44,14 +46,17 @@ class Lines:
     def tail(self, seed: int, largest: float) -> Tail:
         """-ln p of the largest |z|, from draws of speckle at the images' looks, cut off at +-`largest`."""
         speckle, scan = Speckle(self.images, self.autocovariance), self._scan()
-        found = []
-        for sequence in np.random.SeedSequence(seed).spawn(DRAWS // BATCH):
-            parts = self._split(np.clip(speckle(np.random.default_rng(sequence), BATCH), -largest, largest))
+
+        def drawn(sequence: np.random.SeedSequence) -> np.ndarray:
+            limit = np.float32(largest)
+            parts = self._split(np.clip(speckle(np.random.default_rng(sequence), BATCH), -limit, limit))
             most = [scan.largest(parts)]
             for image, part in zip(self.images, parts, strict=True):
                 most += [np.abs(z).max(axis=0) for z in self._lines(image, part) if z.size]
-            found.append(np.max(most, axis=0))
-        return Tail.of(np.concatenate(found))
+            return np.asarray(np.max(most, axis=0))
+
+        seeds = np.random.SeedSequence(seed).spawn(DRAWS // BATCH)
+        return Tail.of(np.concatenate(list(threads.in_threads([partial(drawn, each) for each in seeds]))))
 
     def strongest(self, residuals: Sequence[np.ndarray]) -> Found:
         """The strongest of all; `residuals` are those of all images, an array (pixels,) each."""
@@ -81,7 +86,9 @@ class Lines:
         for index, inflation in zip(np.nonzero(image.interior), self._along, strict=True):
             lines = image.interior.shape[len(found)]
             total = np.zeros((lines, part.shape[1]))
-            np.add.at(total, index, part)
+            order = np.argsort(index, kind="stable")
+            met, first = np.unique(index[order], return_index=True)
+            total[met] = np.add.reduceat(part[order], first, axis=0, dtype=float) if met.size else 0.0
             count = np.bincount(index, minlength=lines)[:, None]
             found.append(np.where(count >= SHORTEST, total / np.sqrt(np.maximum(count, 1) * inflation), 0.0))
         return found

@@ -60,13 +60,13 @@ class Scan:
     def _windows(self, index: int, residuals: np.ndarray, *, silent: bool = False) -> list[np.ndarray]:
         """z of every window size, shape (draws, rows, cols) of the mask's box; `residuals` (pixels, draws)."""
         mask, box = self.masks[index], self.boxes[index]
-        grid = np.zeros((residuals.shape[1], *mask[box].shape))
+        grid = np.zeros((residuals.shape[1], *mask[box].shape), residuals.dtype)
         grid[:, mask[box]] = residuals.T
         if silent:
             grid += self.silent[index][box]
         windows = _sums(grid, self.sides)
         for total, scale in zip(windows, self.scales[index], strict=True):
-            total *= scale
+            total *= scale.astype(total.dtype, copy=False)
         return windows
 
     def largest(self, parts: Sequence[np.ndarray]) -> np.ndarray:
@@ -97,7 +97,7 @@ def _sums(grids: np.ndarray, sides: Sequence[int]) -> list[np.ndarray]:
     """Sums over centred windows of every pixel of (draws, rows, cols), zeros outside, one array per window size."""
     reach = max(sides) // 2
     rows, cols = grids.shape[1:]
-    total = np.zeros((len(grids), rows + 2 * reach + 1, cols + 2 * reach + 1))
+    total = np.zeros((len(grids), rows + 2 * reach + 1, cols + 2 * reach + 1), grids.dtype)
     total[:, reach + 1 : reach + 1 + rows, reach + 1 : reach + 1 + cols] = grids
     total.cumsum(axis=1, out=total).cumsum(axis=2, out=total)
     found = []
