@@ -115,10 +115,13 @@ def state_told(state: FitState) -> dict[str, Any]:
     return {name: array.tolist() for name, array in state.arrays().items()}
 
 
-def fit_model(bench: Bench, scene: Scene, further_starts: int, seed: int) -> Fitted:
-    """The scene's model from its own start and others drawn about it."""
+def fit_model(
+    bench: Bench, scene: Scene, further_starts: int, seed: int, started: np.ndarray | None = None
+) -> Fitted:
+    """The scene's model from its own start, or where it has `started`, and others drawn about the scene's own."""
     problem = bench.problem(scene)
-    return _fit(bench, problem, [begin(problem, k, seed).x for k in range(further_starts + 1)])
+    starts = [begin(problem, k, seed).x for k in range(further_starts + 1)]
+    return _fit(bench, problem, starts if started is None else [started, *starts[1:]])
 
 
 def _fit(bench: Bench, problem: FitProblem, starts: Iterable[np.ndarray], *, quick: bool = False) -> Fitted:

@@ -11,8 +11,8 @@ from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.bootstrap import Bootstrap, bootstrap
 from warpsar.diagnosis.dark_scan import scan_dark
 from warpsar.diagnosis.evidence import Evidence
+from warpsar.diagnosis.field_projection import projection_of, unabsorbed
 from warpsar.diagnosis.found import Candidate, DarkScan, DiagnoseOptions, Turn
-from warpsar.diagnosis.partly_known import PartlyKnown
 from warpsar.diagnosis.refit import Fitted
 from warpsar.diagnosis.score import NOT_TESTABLE, Group, Projection, group
 from warpsar.diagnosis.templates import Template, TemplateMaker
@@ -38,7 +38,9 @@ def score_effects(
     """The turn with the score of every effect that is not declared and of the scan, and each effect's templates, best
     first. `scene` is the declared one, `base` the model that `evidence` was taken at; `number` counts turns from 0."""
     ranks = bench.ranks
-    projection, found = ranks.agree(lambda: _grouped(scene, bench, other_rays, base, evidence))
+    projection, evidence, found = ranks.agree(
+        lambda: _grouped(scene, bench, other_rays, base, evidence, options.seed + number)
+    )
     candidates = {name: _candidate(name, members) for name, members in found.items()}
     testable = ranks.gather([c.effect for c in candidates.values() if c.testability == "testable"])[0]
     groups = {name: found[name] for name in testable}
@@ -65,16 +67,18 @@ def score_effects(
 
 
 def _grouped(
-    scene: Scene, bench: Bench, other_rays: Rays, base: Fitted, evidence: Evidence
-) -> tuple[Projection, dict[str, list[Group]]]:
-    """The templates of every effect that is not in the model `base`, about it, and the tangent of what is fitted."""
+    scene: Scene, bench: Bench, other_rays: Rays, base: Fitted, evidence: Evidence, seed: int
+) -> tuple[Projection, Evidence, dict[str, list[Group]]]:
+    """The templates of every effect that is not in the model `base`, about it, and the tangent of what is fitted; and
+    the evidence with the speckle's own correlation."""
     observations = {view.view.name: view.observations for view in base.problem.views}
     maker = TemplateMaker(base.scene, bench.device, other_rays, observations, evidence.modelled)
     # A fit without multiple bounces may have made the surface a poor mirror. Paths are invisible there, so their
     # templates are taken at the declared surface too.
     unmoved = replace(base.scene, materials=scene.materials)
     paths = TemplateMaker(unmoved, bench.device, other_rays, observations, evidence.modelled)
-    projection = Projection(maker.tangent(), evidence.root_looks, PartlyKnown.of(maker.neutral))
+    projection = projection_of(maker, bench, evidence)
+    evidence = unabsorbed(evidence, projection, seed)
     found = {}
     for name in names():
         if name in base.scene.effects:
@@ -83,7 +87,7 @@ def _grouped(
         if get(name).stage == "path":
             templates += paths.templates(name)
         found[name] = group(templates, projection, evidence)
-    return projection, found
+    return projection, evidence, found
 
 
 def _candidate(name: str, found: list[Group]) -> Candidate:
