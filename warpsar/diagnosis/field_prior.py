@@ -18,7 +18,7 @@ from warpsar.scene.scene import Scene
 from warpsar.surface.surface import Surface
 
 FIRST_SD = 0.3  # of neighbours' difference, in log coordinates, before anything is known
-TURNS = 8  # of expectation and maximisation: from one to the next the precisions then change by little
+TURNS = 4  # of expectation and maximisation: from one to the next the precisions then change by little
 STEPS = 4  # of a fit in each turn
 DRAWS = 24  # of what the data leave open
 TOLD = 1.0  # information from which on the data tell something of a node: its logarithm to 1

@@ -5,8 +5,9 @@ the tangent in standard deviations of speckle and D the rows of what is known (t
 rows together are projected as in `partly_known.py`: on the pixels, A (A'A + D'D)^-1 A' is taken off. The matrix within is
 sparse, and is factored once in a turn.
 
-Whether an effect is testable is asked without the fields' roughness: it is an estimate, and no knowledge. What any field
-imitates stays untestable.
+A field is pulled by its prior: edges are paled, by little in each pixel, but alike in all. A score test would take that for
+an effect. So scores leave the fields nearly free (`FREED`). They do not say what fields within their prior would, but
+what no field says. Whether an effect is testable at all is asked with the fields quite free.
 """
 
 from __future__ import annotations
@@ -30,13 +31,14 @@ from warpsar.learning.problem import FitProblem
 from warpsar.learning.roughness import FieldPrior, Roughness
 from warpsar.speckle.draws import Speckle
 
+FREED = 1e-3  # of the fields' inverse variances, that scores keep: enough to hold what no pixel sees
 LOOSE = 1e-7  # of the mean curvature: what holds a free field in directions that no pixel sees
 ROUNDS, DRAWS = 3, 25  # in which the speckle's own correlation is found, and draws in each
 
 
 def known_of(problem: FitProblem, roughness: Roughness) -> PartlyKnown:
-    """What the problem's scene knows, at its own values, and the fields' roughness; the rows are sparse."""
-    known, rows = PartlyKnown.of(problem), roughness.rows(problem.x0.size)
+    """What the problem's scene knows, at its own values, and the fields' roughness, `FREED`; the rows are sparse."""
+    known, rows = PartlyKnown.of(problem), np.sqrt(FREED) * roughness.rows(problem.x0.size)
     slopes = csr_array(vstack([csr_array(known.slopes), rows]))
     return PartlyKnown(slopes, np.concatenate([known.residual, -(rows @ problem.x0)]))
 
@@ -118,19 +120,21 @@ def sparse_tangent(problem: FitProblem) -> csr_array:
     return csr_array(hstack(parts))
 
 
-def unabsorbed(evidence: Evidence, projection: Projection, seed: int) -> Evidence:
-    """The evidence with the autocovariance of the speckle itself, where fields have taken a part of it.
+def beside_fields(evidence: Evidence, projection: Projection, seed: int) -> Evidence:
+    """The evidence beside fields: with the residual that is left of them, and the speckle's own autocovariance.
 
     What a fit with thousands of nodes leaves is paler and less correlated than speckle. The autocovariance is moved
     until draws that went through the projection have that of the residual, on average. Negative ones stay 0.
     """
     if not isinstance(projection, FieldProjection):
         return evidence
-    own, wanted = evidence.autocovariance, evidence.autocovariance
+    left = projection(evidence.standardised, projection.known.residual)
+    wanted = residual_autocovariance(list(zip(evidence.observations, evidence.split(left), strict=True)))
+    own = wanted
     for turn in range(ROUNDS):
         random = np.random.default_rng([seed, turn])
         drawn = projection(Speckle(evidence.observations, own)(random, DRAWS), projection.known.drawn(random, DRAWS))
         parts = [evidence.split(drawn[:, k]) for k in range(DRAWS)]
         pairs = [pair for part in parts for pair in zip(evidence.observations, part, strict=True)]
         own = np.where(own > 0, np.maximum(own + wanted - residual_autocovariance(pairs), 0.0), 0.0)
-    return replace(evidence, autocovariance=own)
+    return replace(evidence, standardised=left, autocovariance=own)

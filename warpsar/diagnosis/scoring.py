@@ -11,7 +11,7 @@ from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.bootstrap import Bootstrap, bootstrap
 from warpsar.diagnosis.dark_scan import scan_dark
 from warpsar.diagnosis.evidence import Evidence
-from warpsar.diagnosis.field_projection import projection_of, unabsorbed
+from warpsar.diagnosis.field_projection import projection_of, beside_fields
 from warpsar.diagnosis.found import Candidate, DarkScan, DiagnoseOptions, Turn
 from warpsar.diagnosis.refit import Fitted
 from warpsar.diagnosis.score import NOT_TESTABLE, Group, Projection, group
@@ -78,7 +78,7 @@ def _grouped(
     unmoved = replace(base.scene, materials=scene.materials)
     paths = TemplateMaker(unmoved, bench.device, other_rays, observations, evidence.modelled)
     projection = projection_of(maker, bench, evidence)
-    evidence = unabsorbed(evidence, projection, seed)
+    evidence = beside_fields(evidence, projection, seed)
     found = {}
     for name in names():
         if name in base.scene.effects:

@@ -140,7 +140,7 @@ def levenberg_marquardt(
         differentiated_at=None if stuck else origin,
         iteration=state.iteration + 1,
         since_start=state.since_start + 1,
-        arrived=stuck and origin is x,
+        arrived=(stuck and origin is x) or (isinstance(here, SparseQuadratic) and here.loss - new_loss < flat / 4.0),
     )
 
 

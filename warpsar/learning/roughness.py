@@ -47,18 +47,16 @@ class Roughness:
         """The precisions that fields at x expect, where x is known with `errors`: random moves of x within what the
         data leave open, shape (p, draws). `seen`: which elements of x the data tell something of, shape (p,).
 
-        The rate w of each field is nodes / sum(sqrt(E[d^2])) over its seen pairs: the likeliest for n nodes.
+        1 / (s^2 + E[d^2]), where s^2 is the median of E[d^2] over a field's seen pairs.
         """
-        spread = np.sqrt(self.differences(x) ** 2 + np.mean(self.differences(errors) ** 2, axis=1))
-        spread = np.maximum(spread, ROUNDING)
+        square = self.differences(x) ** 2 + np.mean(self.differences(errors) ** 2, axis=1)
+        square = np.maximum(square, ROUNDING**2)
         known = seen[self.pairs].all(axis=1)
         precision = self.precision.copy()
         for number in range(len(self.sizes)):
             mine = self.field == number
-            told = mine & known
-            if told.any():
-                nodes = np.unique(self.pairs[told]).size
-                precision[mine] = max(nodes - 1, 1) / spread[told].sum() / spread[mine]
+            if (told := mine & known).any():
+                precision[mine] = 1.0 / (np.median(square[told]) + square[mine])
         return replace(self, precision=precision)
 
     def differences(self, x: np.ndarray) -> np.ndarray:
