@@ -11,9 +11,9 @@ from scipy.sparse.linalg import splu
 from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.refit import KEPT_WITHIN, QUICK_FLAT, standing_at
 from warpsar.learning.optimise import levenberg_marquardt
+from warpsar.learning.problem import FitProblem
 from warpsar.learning.roughness import FieldPrior, Roughness
 from warpsar.learning.sparse_quadratic import whole_jacobian
-from warpsar.learning.problem import FitProblem
 from warpsar.scene.scene import Scene
 from warpsar.surface.surface import Surface
 

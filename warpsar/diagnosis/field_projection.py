@@ -12,7 +12,7 @@ what no field says. Whether an effect is testable at all is asked with the field
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import cached_property
 from typing import Any
@@ -28,10 +28,13 @@ from warpsar.diagnosis.score import REACH, Projection
 from warpsar.diagnosis.templates import TemplateMaker
 from warpsar.learning.identify import residual_autocovariance
 from warpsar.learning.problem import FitProblem
-from warpsar.learning.roughness import FieldPrior, Roughness
+from warpsar.learning.roughness import Roughness
 from warpsar.speckle.draws import Speckle
 
 FREED = 1e-3  # of the fields' inverse variances, that scores keep: enough to hold what no pixel sees
+# Share of a template's energy outside the fields' tangent space. A field that is a tenth off its place changes the images
+# otherwise than its tangent says, by some percent of what it imitates: that much looks like an effect.
+NOT_TESTABLE_BESIDE = 1e-2
 LOOSE = 1e-7  # of the mean curvature: what holds a free field in directions that no pixel sees
 ROUNDS, DRAWS = 3, 25  # in which the speckle's own correlation is found, and draws in each
 
@@ -48,7 +51,7 @@ class FieldProjection(Projection):
     gains of images that are not calibrated; `known` has rows for the first columns."""
 
     def __init__(self, tangent: csr_array, root_looks: np.ndarray, known: PartlyKnown) -> None:
-        self.known = known
+        self.known, self.least = known, NOT_TESTABLE_BESIDE
         self._tangent = csr_array(diags_array(root_looks) @ tangent)
         rows, size = known.slopes, tangent.shape[1]
         self._rows = csr_array(hstack([rows, csr_array((rows.shape[0], size - rows.shape[1]))]))
@@ -75,7 +78,7 @@ class FieldProjection(Projection):
         and however rough the fields, shape (k,)."""
         found = []
         for some in _batches(columns):
-            pulled = np.asarray((self._tangent.T @ some))
+            pulled = np.asarray(self._tangent.T @ some)
             found.append(1.0 - (pulled * self._free.solve(pulled)).sum(axis=0))
         return np.maximum(np.concatenate([*found, np.zeros(0)]), 0.0)
 
@@ -102,13 +105,12 @@ def projection_of(maker: TemplateMaker, bench: Bench, evidence: Evidence) -> Pro
     problem = maker.neutral
     if bench.roughness is None:
         return Projection(maker.tangent(), evidence.root_looks, PartlyKnown.of(problem))
-    return FieldProjection(sparse_tangent(problem), evidence.root_looks, known_of(problem, bench.roughness))
+    return FieldProjection(sparse_tangent(problem, problem.x0), evidence.root_looks, known_of(problem, bench.roughness))
 
 
-def sparse_tangent(problem: FitProblem) -> csr_array:
-    """d ln(mu) / dx of everything that is fitted, at the problem's own values, shape (n, q), with one column per
-    unknown gain."""
-    x, count = problem.x0, problem.learned.size
+def sparse_tangent(problem: FitProblem, x: np.ndarray) -> csr_array:
+    """d ln(mu) / dx of everything that is fitted, shape (n, q), with one column per unknown gain."""
+    count = problem.learned.size
     nodes = vstack([part[:, :count] for part in problem.sparse_jacobian(x)])
     parts = [nodes]
     if x.size > count:
@@ -118,6 +120,20 @@ def sparse_tangent(problem: FitProblem) -> csr_array:
         at = np.repeat(np.arange(len(sizes)), sizes)
         parts.append(csr_array((np.ones(at.size), at, np.arange(at.size + 1)), shape=(at.size, len(sizes))))
     return csr_array(hstack(parts))
+
+
+def left_beside(
+    problem: FitProblem, others: np.ndarray, roughness: Roughness
+) -> Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]:
+    """What the fitted parameters `others`, fields among them, cannot imitate within a mask of pixels (signature.py)."""
+    tangent, known = sparse_tangent(problem, problem.x0), known_of(problem, roughness)
+    columns = np.concatenate([others, np.arange(problem.x0.size, tangent.shape[1])])
+    tangent, own = csr_array(tangent[:, columns]), replace(known, slopes=csr_array(known.slopes[:, others]))
+
+    def left_of(mask: np.ndarray, roots: np.ndarray, slope: np.ndarray) -> np.ndarray:
+        return FieldProjection(csr_array(tangent[mask]), roots, own)(slope)
+
+    return left_of
 
 
 def beside_fields(evidence: Evidence, projection: Projection, seed: int) -> Evidence:

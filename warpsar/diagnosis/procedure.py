@@ -9,6 +9,7 @@ import warp as wp
 
 from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.course import Course
+from warpsar.diagnosis.field_content import refuse_unsavable
 from warpsar.diagnosis.field_prior import has_fields, with_roughness
 from warpsar.diagnosis.found import DiagnoseOptions, Diagnosis
 from warpsar.diagnosis.frozen import frozen
@@ -52,6 +53,7 @@ def diagnose_scene(
     course = course or Course()
     started = None
     if has_fields(scene):
+        refuse_unsavable(scene)
         bench, started = with_roughness(bench, scene, options.seed)
     declared = course.declared(bench, scene, partial(fit_model, bench, scene, options.starts, options.seed, started))
     search = Search(scene, bench, other_rays, declared, options, course, bar.update)

@@ -31,7 +31,7 @@ class Projection:
     parameter that is `known` to a tolerance, as much as it may move."""
 
     def __init__(self, tangent: np.ndarray, root_looks: np.ndarray, known: PartlyKnown = NOTHING) -> None:
-        self.known = known
+        self.known, self.least = known, NOT_TESTABLE
         scaled = known.under(root_looks[:, None] * tangent)
         norms = np.linalg.norm(scaled, axis=0)
         scaled = scaled / np.where(norms > 0, norms, 1.0)
@@ -178,7 +178,7 @@ def group(templates: Sequence[Template], projection: Projection, evidence: Evide
         ready = _dense_where_full(columns)
         k = len(one_sided)
         eta = ((norms > 0) * projection.left(ready)).reshape(-1, k).max(axis=1)
-        testable = eta >= NOT_TESTABLE
+        testable = eta >= projection.least
         keep = testable if testable.any() else np.ones_like(testable)
         ready = ready if keep.all() else ready[:, np.repeat(keep, k)]
         alike = [t for t, kept in zip(alike, keep, strict=True) if kept]

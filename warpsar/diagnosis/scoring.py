@@ -11,10 +11,10 @@ from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.bootstrap import Bootstrap, bootstrap
 from warpsar.diagnosis.dark_scan import scan_dark
 from warpsar.diagnosis.evidence import Evidence
-from warpsar.diagnosis.field_projection import projection_of, beside_fields
+from warpsar.diagnosis.field_projection import beside_fields, projection_of
 from warpsar.diagnosis.found import Candidate, DarkScan, DiagnoseOptions, Turn
 from warpsar.diagnosis.refit import Fitted
-from warpsar.diagnosis.score import NOT_TESTABLE, Group, Projection, group
+from warpsar.diagnosis.score import Group, Projection, group
 from warpsar.diagnosis.templates import Template, TemplateMaker
 from warpsar.effects.registry import get, names
 from warpsar.runtime.distributed import Ranks
@@ -41,7 +41,7 @@ def score_effects(
     projection, evidence, found = ranks.agree(
         lambda: _grouped(scene, bench, other_rays, base, evidence, options.seed + number)
     )
-    candidates = {name: _candidate(name, members) for name, members in found.items()}
+    candidates = {name: _candidate(name, members, projection.least) for name, members in found.items()}
     testable = ranks.gather([c.effect for c in candidates.values() if c.testability == "testable"])[0]
     groups = {name: found[name] for name in testable}
     scan = Scan(evidence.observations, evidence.autocovariance, evidence.silent)
@@ -90,11 +90,11 @@ def _grouped(
     return projection, evidence, found
 
 
-def _candidate(name: str, found: list[Group]) -> Candidate:
+def _candidate(name: str, found: list[Group], least: float) -> Candidate:
     if not found:
         return Candidate(name, "absent", note="this scene has no place for it")
     eta = max(float(one.eta.max()) for one in found)
-    return Candidate(name, "testable" if eta >= NOT_TESTABLE else "not_testable", eta=eta)
+    return Candidate(name, "testable" if eta >= least else "not_testable", eta=eta, least=least)
 
 
 def _score(

@@ -453,7 +453,8 @@ class FitProblem(SceneCoordinates):
         def one(view: FitView, maker: ViewJacobian) -> list[csr_array]:
             self._set(view, shared, tables)
             return [
-                csr_array(hstack([j, csr_array((j.shape[0], rest))])) if rest else j for j in maker.sparse(self.learned, near=near)
+                csr_array(hstack([j, csr_array((j.shape[0], rest))])) if rest else j
+                for j in maker.sparse(self.learned, near=near)
             ]
 
         tasks = [partial(one, view, maker) for view, maker in zip(self.views, makers, strict=True)]

@@ -59,7 +59,9 @@ class SparseQuadratic:
         hessian = csr_array(scaled.T @ scaled)
         if not problem.scene.grid.calibrated:  # a gain of its own is at its best in every image
             ends = np.cumsum([0, *(w.size for w in weights)])
-            means = np.stack([w @ tangent[a:b] / np.sqrt(w.sum()) for w, a, b in zip(weights, ends, ends[1:], strict=False)])
+            means = np.stack(
+                [w @ tangent[a:b] / np.sqrt(w.sum()) for w, a, b in zip(weights, ends, ends[1:], strict=False)]
+            )
             hessian = csr_array(hessian - csr_array(means).T @ csr_array(means))
         prior = problem.prior
         assert isinstance(prior, FieldPrior)
