@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.sparse import csc_array, csr_array, diags_array
+from scipy.sparse import block_diag, csc_array, csr_array, diags_array
 
 from warpsar.diagnosis.field_prior import factor
 from warpsar.diagnosis.field_projection import sparse_tangent
@@ -78,8 +78,8 @@ def identify_beside(problem: FitProblem, x: np.ndarray) -> Identified:
     scaled = csr_array(diags_array(np.sqrt(weights)) @ tangent)
     nuisance, own = scaled[:, np.concatenate([np.flatnonzero(fields), gains])], scaled[:, rest].toarray()
     rows = csr_array(prior.rows[:, np.flatnonzero(fields)])
-    known = csc_array((rows.T @ rows).tocsc())
-    known.resize((nuisance.shape[1], nuisance.shape[1]))
+    none = csr_array((gains.size, gains.size))
+    known = csc_array(block_diag([rows.T @ rows, none])) if gains.size else csc_array(rows.T @ rows)
     curvature = csc_array(nuisance.T @ nuisance + known)
     weak = diags_array(np.full(curvature.shape[0], 1e-9 * float(curvature.diagonal().mean())))
     moves = factor(csc_array(curvature + weak)).solve(np.asarray(nuisance.T @ own))

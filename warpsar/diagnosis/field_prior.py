@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.sparse import csc_array, diags_array
-from scipy.sparse.linalg import splu
+from scipy.sparse.linalg import SuperLU, splu
 
 from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.refit import KEPT_WITHIN, QUICK_FLAT, standing_at
@@ -68,6 +68,6 @@ def _errors(problem: FitProblem, x: np.ndarray, random: np.random.Generator) -> 
     return factor(csc_array(curvature + weak)).solve(np.asarray(drawn)), information.diagonal() > TOLD
 
 
-def factor(matrix: csc_array) -> splu:
+def factor(matrix: csc_array) -> SuperLU:
     """The factors of a positive definite sparse matrix."""
     return splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})

@@ -1,13 +1,13 @@
 """Score tests beside learned fields: their tangent space is taken out by a sparse solution.
 
-A field's tangent space has thousands of directions, and a basis of it would be dense. But a node meets few pixels. With A
-the tangent in standard deviations of speckle and D the rows of what is known (tolerances, and how rough fields are), all
-rows together are projected as in `partly_known.py`: on the pixels, A (A'A + D'D)^-1 A' is taken off. The matrix within is
-sparse, and is factored once in a turn.
+A field's tangent space has thousands of directions, and a basis of it would be dense. But a node meets few pixels. With
+A the tangent in standard deviations of speckle and D the rows of what is known (tolerances, and how rough fields are),
+all rows together are projected as in `partly_known.py`: on the pixels, A (A'A + D'D)^-1 A' is taken off. The matrix
+within is sparse, and is factored once in a turn.
 
-A field is pulled by its prior: edges are paled, by little in each pixel, but alike in all. A score test would take that for
-an effect. So scores leave the fields nearly free (`FREED`). They do not say what fields within their prior would, but
-what no field says. Whether an effect is testable at all is asked with the fields quite free.
+A field is pulled by its prior. Its contrasts become too small, by little in each pixel, but alike in all. A score test
+would take that for an effect. So scores leave the fields nearly free (`FREED`), and find what no field could do. Whether
+an effect is testable at all is asked with the fields quite free.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ from warpsar.learning.roughness import Roughness
 from warpsar.speckle.draws import Speckle
 
 FREED = 1e-3  # of the fields' inverse variances, that scores keep: enough to hold what no pixel sees
-# Share of a template's energy outside the fields' tangent space. A field that is a tenth off its place changes the images
-# otherwise than its tangent says, by some percent of what it imitates: that much looks like an effect.
+# Share of a template's energy outside the fields' tangent space. A field that lies a tenth off the truth changes the
+# images otherwise than its tangent says, by some percent of what it imitates. That much looks like an effect.
 NOT_TESTABLE_BESIDE = 1e-2
 LOOSE = 1e-7  # of the mean curvature: what holds a free field in directions that no pixel sees
 ROUNDS, DRAWS = 3, 25  # in which the speckle's own correlation is found, and draws in each
@@ -42,7 +42,7 @@ ROUNDS, DRAWS = 3, 25  # in which the speckle's own correlation is found, and dr
 def known_of(problem: FitProblem, roughness: Roughness) -> PartlyKnown:
     """What the problem's scene knows, at its own values, and the fields' roughness, `FREED`; the rows are sparse."""
     known, rows = PartlyKnown.of(problem), np.sqrt(FREED) * roughness.rows(problem.x0.size)
-    slopes = csr_array(vstack([csr_array(known.slopes), rows]))
+    slopes: Any = csr_array(vstack([csr_array(known.slopes), rows]))
     return PartlyKnown(slopes, np.concatenate([known.residual, -(rows @ problem.x0)]))
 
 
@@ -54,7 +54,7 @@ class FieldProjection(Projection):
         self.known, self.least = known, NOT_TESTABLE_BESIDE
         self._tangent = csr_array(diags_array(root_looks) @ tangent)
         rows, size = known.slopes, tangent.shape[1]
-        self._rows = csr_array(hstack([rows, csr_array((rows.shape[0], size - rows.shape[1]))]))
+        self._rows = csr_array(hstack([csr_array(rows), csr_array((rows.shape[0], size - rows.shape[1]))]))
         self._information = csc_array(self._tangent.T @ self._tangent)
         held = self._rows.T @ self._rows + diags_array(np.full(size, REACH**-2))
         self._factors = factor(csc_array(self._information + held))
@@ -112,7 +112,7 @@ def sparse_tangent(problem: FitProblem, x: np.ndarray) -> csr_array:
     """d ln(mu) / dx of everything that is fitted, shape (n, q), with one column per unknown gain."""
     count = problem.learned.size
     nodes = vstack([part[:, :count] for part in problem.sparse_jacobian(x)])
-    parts = [nodes]
+    parts: list[Any] = [nodes]
     if x.size > count:
         parts.append(csr_array(np.concatenate(problem.jacobian(x, range(count, x.size)))))
     if not problem.scene.grid.calibrated:
@@ -128,7 +128,8 @@ def left_beside(
     """What the fitted parameters `others`, fields among them, cannot imitate within a mask of pixels (signature.py)."""
     tangent, known = sparse_tangent(problem, problem.x0), known_of(problem, roughness)
     columns = np.concatenate([others, np.arange(problem.x0.size, tangent.shape[1])])
-    tangent, own = csr_array(tangent[:, columns]), replace(known, slopes=csr_array(known.slopes[:, others]))
+    slopes: Any = known.slopes[:, others]
+    tangent, own = csr_array(tangent[:, columns]), replace(known, slopes=slopes)
 
     def left_of(mask: np.ndarray, roots: np.ndarray, slope: np.ndarray) -> np.ndarray:
         return FieldProjection(csr_array(tangent[mask]), roots, own)(slope)

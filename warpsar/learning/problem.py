@@ -438,8 +438,8 @@ class FitProblem(SceneCoordinates):
 
         An effect of the image stage acts on each column in turn: exactly if it is affine, as in `jacobian` otherwise.
         Elements whose beta0 is below 1e-6 of a column's largest are then left out. A blur makes columns longer, and a
-        median pivot (saturation) makes them dense. `near`: such an
-        effect scales each pixel as it does when the whole image grows. Raises InputError where the hits are not at hand (max_memory_gib).
+        median pivot (saturation) makes them dense. `near`: such an effect scales each pixel as it does when the whole
+        image grows. Raises InputError where the hits are not at hand (max_memory_gib).
         """
         makers = self._makers
         if makers is None:

@@ -1,9 +1,9 @@
 """What is expected of a learned field: how far neighbouring nodes differ, as a prior on x.
 
-It is total variation (regularise.py) as a Gaussian about a known field. A Laplace distribution of the differences, whose
-density falls as exp(-w |d|), is a mixture of Gaussians. Given what is known of d, its mean inverse variance is
-w / sqrt(E[d^2]) (Andrews and Mallows, J. Royal Statistical Society B 36, 1974). An edge of the field is so hardly held,
-and even ground is. The prior is then quadratic, and stays the same for all models that are compared.
+As total variation (regularise.py) it holds even ground, and hardly an edge. A Cauchy distribution of the differences d
+is a mixture of Gaussians. Given what is known of d, their mean inverse variance goes with 1 / (s^2 + E[d^2]) (Andrews and
+Mallows, J. Royal Statistical Society B 36, 1974). So each pair of neighbours has its own, found once from the images.
+The prior is then quadratic, and the same for all models that are compared.
 """
 
 from __future__ import annotations
@@ -47,7 +47,8 @@ class Roughness:
         """The precisions that fields at x expect, where x is known with `errors`: random moves of x within what the
         data leave open, shape (p, draws). `seen`: which elements of x the data tell something of, shape (p,).
 
-        1 / (s^2 + E[d^2]), where s^2 is the median of E[d^2] over a field's seen pairs.
+        1 / (s^2 + E[d^2]), where s^2 is the median of E[d^2] over a field's seen pairs. A Cauchy distribution has twice
+        that, and a field has twice as many pairs as nodes.
         """
         square = self.differences(x) ** 2 + np.mean(self.differences(errors) ** 2, axis=1)
         square = np.maximum(square, ROUNDING**2)
