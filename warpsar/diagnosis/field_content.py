@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -62,6 +63,22 @@ def fields_content(first: Fitted, last: Fitted) -> dict[str, Any]:
     return {"fields": {f"{one.material}.{one.key}": one.told() for one in moves}} if moves else {}
 
 
+def fields_rows(content: Mapping[str, Any]) -> list[list[str]]:
+    """A row of the report's table for each learned field."""
+    return [
+        [
+            f"{label} ({one['layout']}, {one['nodes']:,} nodes)",
+            f"{one['median_before']:.4g}",
+            f"{one['median_after']:.4g}",
+            f"{one['rms_move_log']:.2g}",
+        ]
+        for label, one in content.get("fields", {}).items()
+    ]
+
+
+FIELDS_HEAD = ["learned field", "median before", "median after", "root mean square of the nodes' moves (ln)"]
+
+
 def identify_beside(problem: FitProblem, x: np.ndarray) -> Identified:
     """What the data tell of the uniform parameters and of effects', with the fields free within their prior.
 
@@ -73,6 +90,9 @@ def identify_beside(problem: FitProblem, x: np.ndarray) -> Identified:
     tangent = sparse_tangent(problem, x)
     fields = np.concatenate([np.full(n, n > 1) for n in problem.moved_together])
     rest = np.flatnonzero(~fields)
+    if not rest.size:
+        nothing = np.zeros((0, 0))
+        return Identified([], nothing, nothing, nothing, np.zeros(0), nothing)
     gains = np.arange(x.size, tangent.shape[1])
     weights = np.concatenate([c.weight for c in curvatures])
     scaled = csr_array(diags_array(np.sqrt(weights)) @ tangent)
