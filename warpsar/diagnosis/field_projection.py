@@ -6,8 +6,8 @@ all rows together are projected as in `partly_known.py`: on the pixels, A (A'A +
 within is sparse, and is factored once in a turn.
 
 A field is pulled by its prior. Its contrasts become too small, by little in each pixel, but alike in all. A score
-test would take that for an effect. So scores leave the fields nearly free (`FREED`), and find what no field could do. Whether
-an effect is testable at all is asked with the fields quite free.
+test would take that for an effect. So scores leave the fields nearly free (`FREED`), and find what no field could do.
+Whether an effect is testable at all is asked with the fields quite free.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
 As total variation (regularise.py) it holds even ground, and hardly an edge. A Cauchy distribution of the differences d
 is a mixture of Gaussians. Given what is known of d, their mean inverse variance goes with 1 / (s^2 + E[d^2]) (Andrews
-and Mallows, J. Royal Statistical Society B 36, 1974). So each pair of neighbours has its own, found once from the images.
-The prior is then quadratic, and the same for all models that are compared.
+and Mallows, J. Royal Statistical Society B 36, 1974). So each pair of neighbours has its own, found once from the
+images. The prior is then quadratic, and the same for all models that are compared.
 """
 
 from __future__ import annotations
