@@ -1,5 +1,5 @@
-"""What `warpsar diagnose` finds beside learned fields: the painted building of the experiments, whose eps_r, h and l are
-maps of 64 x 64 texels, with effects that the scene file does not declare.
+"""What `warpsar diagnose` finds beside learned fields: the painted building of the experiments, whose eps_r, h and l
+are maps of 64 x 64 texels, with effects that the scene file does not declare.
 
     python benchmarks/diagnosis_fields.py run -o out/diagnosis_fields [--case NAME] [--looks N] [--repeats N]
     python benchmarks/diagnosis_fields.py table -o out/diagnosis_fields [--write]

@@ -10,6 +10,7 @@ from scipy.sparse.linalg import SuperLU, splu
 
 from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.refit import KEPT_WITHIN, QUICK_FLAT, standing_at
+from warpsar.errors import InputError
 from warpsar.learning.optimise import levenberg_marquardt
 from warpsar.learning.problem import FitProblem
 from warpsar.learning.roughness import FieldPrior, Roughness
@@ -34,19 +35,25 @@ def with_roughness(bench: Bench, scene: Scene, seed: int) -> tuple[Bench, np.nda
 
     Expectation and maximisation by turns: a fit at the present precisions, then those that its fields and their errors
     make likeliest (`Roughness.expected`). They are found once, with the declared model, so that all models are compared
-    with the same prior.
+    with the same prior. Raises InputError where the hits of all views are not at hand.
     """
     random = np.random.default_rng(seed)
-    rough = Roughness.of(bench.problem(scene), 1.0 / FIRST_SD**2)
-    x = bench.problem(scene).x0
+    problem = bench.problem(scene)
+    if not problem.keeps_hits:
+        raise InputError(
+            f"{scene.name}: found a learned field, and more hits than memory holds; beside fields diagnose needs the "
+            f"hits of all train views at once. Allowed are fewer views, smaller images or fewer rays"
+        )
+    rough, x = Roughness.of(problem, 1.0 / FIRST_SD**2), problem.x0
     for _ in range(TURNS):
         bench = replace(bench, roughness=rough)
         problem = bench.problem(scene)
         state = standing_at(problem, x)
         while not state.arrived and state.since_start < STEPS:
             state = levenberg_marquardt(problem, state, flat=QUICK_FLAT, kept_within=KEPT_WITHIN)
-        x = state.best_x
+        x = bench.ranks.same(state.best_x)
         rough = rough.expected(x, *_errors(problem, x, random))
+        rough = replace(rough, precision=bench.ranks.same(rough.precision))
     return replace(bench, roughness=rough), x
 
 
