@@ -27,6 +27,7 @@ from warpsar.errors import InputError
 from warpsar.io import checkpoint
 from warpsar.io.images import read_image
 from warpsar.runtime.distributed import ONE, deal, ranks
+from warpsar.scene.scene import Scene
 from warpsar.scene.unwrap import write_obj
 from warpsar.surface.surface import KINDS
 from warpsar.world.tables import Material, Sampling
