@@ -12,7 +12,7 @@ Whether an effect is testable at all is asked with the fields quite free.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import Any
@@ -23,6 +23,7 @@ from scipy.sparse import csc_array, csr_array, diags_array, hstack, vstack
 from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.evidence import TRIALS, Evidence
 from warpsar.diagnosis.field_prior import factor
+from warpsar.diagnosis.found import Candidate
 from warpsar.diagnosis.partly_known import PartlyKnown
 from warpsar.diagnosis.score import REACH, Projection
 from warpsar.diagnosis.templates import TemplateMaker
@@ -34,7 +35,7 @@ from warpsar.speckle.draws import Speckle
 FREED = 1e-3  # of the fields' inverse variances, that scores keep: enough to hold what no pixel sees
 # Share of a template's energy outside the fields' tangent space. A field that lies a tenth off the truth changes the
 # images otherwise than its tangent says, by some percent of what it imitates. That much looks like an effect.
-NOT_TESTABLE_BESIDE = 1e-2
+ALONE = 1e-2
 LOOSE = 1e-7  # of the mean curvature: what holds a free field in directions that no pixel sees
 ROUNDS, DRAWS = 3, 25  # in which the speckle's own correlation is found, and draws in each
 
@@ -51,7 +52,7 @@ class FieldProjection(Projection):
     gains of images that are not calibrated; `known` has rows for the first columns."""
 
     def __init__(self, tangent: csr_array, root_looks: np.ndarray, known: PartlyKnown) -> None:
-        self.known, self.least = known, NOT_TESTABLE_BESIDE
+        self.known, self.alone = known, ALONE
         self._tangent = csr_array(diags_array(root_looks) @ tangent)
         rows, size = known.slopes, tangent.shape[1]
         self._rows = csr_array(hstack([csr_array(rows), csr_array((rows.shape[0], size - rows.shape[1]))]))
@@ -81,6 +82,10 @@ class FieldProjection(Projection):
             pulled = np.asarray(self._tangent.T @ some)
             found.append(1.0 - (pulled * self._free.solve(pulled)).sum(axis=0))
         return np.maximum(np.concatenate([*found, np.zeros(0)]), 0.0)
+
+    def compared(self, columns: np.ndarray) -> np.ndarray:
+        """What is left of columns: fields hide most of what makes effects unlike."""
+        return self(columns)
 
     def covariances(self, columns: np.ndarray | csc_array, k: int, evidence: Evidence) -> np.ndarray:
         """Covariance, under speckle, of the scores of every trial of `k` projected columns, shape (trials, k, k)."""
@@ -120,6 +125,15 @@ def sparse_tangent(problem: FitProblem, x: np.ndarray) -> csr_array:
         at = np.repeat(np.arange(len(sizes)), sizes)
         parts.append(csr_array((np.ones(at.size), at, np.arange(at.size + 1)), shape=(at.size, len(sizes))))
     return csr_array(hstack(parts))
+
+
+def bar_those_alone(candidates: Sequence[Candidate], threshold: float) -> None:
+    """Call not testable what has less than its share (`Candidate.least`) left beside the fields, unless an effect that
+    resembles it is surely found: which of the two it is, their fits decide."""
+    sure = [c for c in candidates if c.testability == "testable" and c.eta >= c.least and c.minus_log_p > threshold]
+    for c in candidates:
+        if c.testability == "testable" and c.eta < c.least and not any(c.effect in one.resembles for one in sure):
+            c.testability, c.statistic, c.minus_log_p, c.p_value = "not_testable", float("nan"), 0.0, 1.0
 
 
 def left_beside(

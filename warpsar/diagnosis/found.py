@@ -71,7 +71,7 @@ class Candidate:
     """What one effect scored in one turn. Of one that was added, the gain and what follows are those beside all others
     at the end (`answered`).
 
-    `eta`: share of its template that the surface cannot imitate; from `least` on it is testable.
+    `eta`: share of its template that the surface cannot imitate; from `least` on it is found by itself.
     `minus_log_p`: -ln p of its largest score, calibrated by the bootstrap. `p_value`: that of the family.
     """
 

@@ -11,10 +11,10 @@ from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.bootstrap import Bootstrap, bootstrap
 from warpsar.diagnosis.dark_scan import scan_dark
 from warpsar.diagnosis.evidence import Evidence
-from warpsar.diagnosis.field_projection import beside_fields, projection_of
+from warpsar.diagnosis.field_projection import bar_those_alone, beside_fields, projection_of
 from warpsar.diagnosis.found import Candidate, DarkScan, DiagnoseOptions, Turn
 from warpsar.diagnosis.refit import Fitted
-from warpsar.diagnosis.score import Group, Projection, group
+from warpsar.diagnosis.score import NOT_TESTABLE, Group, Projection, group
 from warpsar.diagnosis.templates import Template, TemplateMaker
 from warpsar.effects.registry import get, names
 from warpsar.runtime.distributed import Ranks
@@ -41,7 +41,7 @@ def score_effects(
     projection, evidence, found = ranks.agree(
         lambda: _grouped(scene, bench, other_rays, base, evidence, options.seed + number)
     )
-    candidates = {name: _candidate(name, members, projection.least) for name, members in found.items()}
+    candidates = {name: _candidate(name, members, projection.alone) for name, members in found.items()}
     testable = ranks.gather([c.effect for c in candidates.values() if c.testability == "testable"])[0]
     groups = {name: found[name] for name in testable}
     scan = Scan(evidence.observations, evidence.autocovariance, evidence.silent)
@@ -50,7 +50,8 @@ def score_effects(
     if dark is not None:
         boot = boot.with_another(options.seed + number)
     spot = scan.strongest(evidence.split(evidence.standardised))
-    best = _score(candidates, groups, projection(evidence.standardised, projection.known.residual), boot)
+    best = _score(candidates, groups, projection, projection(evidence.standardised, projection.known.residual), boot)
+    bar_those_alone(list(candidates.values()), boot.threshold(options.family_error))
     scanned = float(boot.tails["scan"](abs(spot.z)))
     turn = Turn(
         list(candidates.values()),
@@ -90,15 +91,19 @@ def _grouped(
     return projection, evidence, found
 
 
-def _candidate(name: str, found: list[Group], least: float) -> Candidate:
+def _candidate(name: str, found: list[Group], alone: float) -> Candidate:
     if not found:
         return Candidate(name, "absent", note="this scene has no place for it")
     eta = max(float(one.eta.max()) for one in found)
-    return Candidate(name, "testable" if eta >= least else "not_testable", eta=eta, least=least)
+    return Candidate(name, "testable" if eta >= NOT_TESTABLE else "not_testable", eta=eta, least=alone)
 
 
 def _score(
-    candidates: dict[str, Candidate], groups: dict[str, list[Group]], residual: np.ndarray, boot: Bootstrap
+    candidates: dict[str, Candidate],
+    groups: dict[str, list[Group]],
+    projection: Projection,
+    residual: np.ndarray,
+    boot: Bootstrap,
 ) -> dict[str, list[Template]]:
     """Fill in each testable candidate's score and the effects that resemble it. Returns its templates, best first."""
     ranked: dict[str, list[Template]] = {}
@@ -115,7 +120,7 @@ def _score(
         candidate.minus_log_p = float(boot.tails[name](largest))
         candidate.p_value = boot.p_family(candidate.minus_log_p)
         candidate.note = one.templates[t].trial.label
-        bases[name] = np.linalg.qr(one.columns_of(t))[0]
+        bases[name] = np.linalg.qr(projection.compared(one.columns_of(t)))[0]
     for name, mine in bases.items():
         candidates[name].resembles = [
             other
