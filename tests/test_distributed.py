@@ -27,6 +27,7 @@ from warpsar.errors import InputError
 from warpsar.io import checkpoint
 from warpsar.io.images import read_image
 from warpsar.runtime.distributed import ONE, deal, ranks
+from warpsar.scene.scene import Scene
 from warpsar.scene.unwrap import write_obj
 from warpsar.surface.surface import KINDS
 from warpsar.world.tables import Material, Sampling
@@ -301,10 +302,13 @@ def test_ranks_that_see_other_last_bits_decide_alike(shifted: Path, tmp_path: Pa
 
 @needs_torch
 def test_a_refusal_of_diagnose_is_said_once(work: Path, tmp_path: Path) -> None:
-    run = start(2, "-m", "warpsar", "diagnose", work / "texture" / "scene.toml", "-o", tmp_path, "--device", "cpu")
+    scene = Scene.load(work / "texture" / "scene.toml")
+    untrained = work / "texture" / "untrained.toml"
+    replace(scene, views=[one.model_copy(update={"role": "test"}) for one in scene.views]).save(untrained)
+    run = start(2, "-m", "warpsar", "diagnose", untrained, "-o", tmp_path, "--device", "cpu")
     _, stderr = finish(run, expected=1)  # torchrun's own
     assert len(re.findall("^Error: ", stderr, re.MULTILINE)) == 1
-    assert stderr.count("found a learned field (layout vertex or texture)") == 1
+    assert stderr.count("views: none with role train has measured images") == 1
     assert re.search(r"Root Cause.*exitcode +: 2 ", stderr, re.DOTALL)
     assert not list(tmp_path.iterdir())
 

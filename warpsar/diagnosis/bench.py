@@ -12,6 +12,7 @@ import warp as wp
 from warpsar.effects.registry import get
 from warpsar.learning.observation import Observation
 from warpsar.learning.problem import FitProblem
+from warpsar.learning.roughness import Roughness
 from warpsar.runtime import threads
 from warpsar.runtime.distributed import ONE, Ranks
 from warpsar.scene.scene import Scene
@@ -24,8 +25,9 @@ T = TypeVar("T")
 class Bench:
     """Rays and frozen pixels that all models are compared on. `observations` by view name.
 
-    `bound` is that of the gamma loss in every fit (`speckle.likelihood.bounded`); 0 for none. Every one of the `ranks`
-    holds all views, and fits whole models by itself.
+    `bound` is that of the gamma loss in every fit (`speckle.likelihood.bounded`); 0 for none. `roughness` is
+    what every fit expects of the learned fields; None where there are none. Every one of the `ranks` holds all views,
+    and fits whole models by itself.
     """
 
     device: wp.Device
@@ -33,13 +35,22 @@ class Bench:
     observations: Mapping[str, list[Observation]]
     ranks: Ranks = ONE
     bound: float = 0.0
+    roughness: Roughness | None = None
 
     def problem(self, scene: Scene, views: Sequence[str] | None = None, *, dark: bool | None = None) -> FitProblem:
         """The scene's fit problem; its dark pixels are used where it has an additive effect, or as `dark` says."""
         if dark is None:
             dark = any(get(name).additive for name in scene.effects)
         seen = self._with_dark if dark else self.observations
-        return FitProblem(scene, self.device, views=views, rays=self.rays, observations=seen, bound=self.bound)
+        return FitProblem(
+            scene,
+            self.device,
+            views=views,
+            rays=self.rays,
+            observations=seen,
+            bound=self.bound,
+            roughness=self.roughness,
+        )
 
     @cached_property
     def _with_dark(self) -> dict[str, list[Observation]]:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
+from warpsar.diagnosis.field_content import fields_content
 from warpsar.diagnosis.found import Candidate, DiagnoseOptions, Diagnosis, Rival, Turn
 from warpsar.diagnosis.judge import ROLES, Judged, difference, pool
 from warpsar.diagnosis.known import known_content
@@ -65,6 +66,7 @@ def content_of(
         "materials": {
             material: {m.key: _moved(m) for m in moves if m.material == material} for material in found.scene.materials
         },
+        **fields_content(found.declared, found.final),
         "effects": found.final.scene.effects,
         "identifiability": identified.summary(),
         **known_content(found, identified),

@@ -12,6 +12,7 @@ from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.carried import Carried
 from warpsar.diagnosis.left_out import LeftOut
 from warpsar.diagnosis.refit import Fitted
+from warpsar.diagnosis.score import NOT_TESTABLE
 from warpsar.effects.base.signature import Signature
 from warpsar.errors import InputError
 from warpsar.learning.observation import Observation
@@ -70,13 +71,14 @@ class Candidate:
     """What one effect scored in one turn. Of one that was added, the gain and what follows are those beside all others
     at the end (`answered`).
 
-    `eta`: share of its template that the surface cannot imitate. `minus_log_p`: -ln p of its largest score, calibrated
-    by the bootstrap. `p_value`: that of the family.
+    `eta`: share of its template that the surface cannot imitate; from `least` on it is found by itself.
+    `minus_log_p`: -ln p of its largest score, calibrated by the bootstrap. `p_value`: that of the family.
     """
 
     effect: str
     testability: str  # "testable", "not_testable" or "absent": the scene has no place for it
     eta: float = float("nan")
+    least: float = NOT_TESTABLE
     statistic: float = float("nan")
     minus_log_p: float = 0.0
     p_value: float = 1.0

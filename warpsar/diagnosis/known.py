@@ -12,10 +12,11 @@ from warpsar.learning.pull import leaving, pulls
 def known_content(found: Diagnosis, identified: Identified) -> dict[str, Any]:
     """For diagnosis.json: each known value in the declared model and in the final one; `identified` is the final's."""
     first, last = found.declared, found.final
-    after = pulls(last.problem, last.x, identified)
+    uniform = first.problem.uniform  # beside fields no standard deviations are given
+    after = pulls(last.problem, last.x, identified if uniform else None)
     before = after
     if after and first is not last:
-        before = pulls(first.problem, first.x, identify(first.problem, first.x))
+        before = pulls(first.problem, first.x, identify(first.problem, first.x) if uniform else None)
     pairs = zip(before, after, strict=True)
     return {
         "tolerances": {b.label: {"before": a.content(), "after": b.content()} for a, b in pairs},

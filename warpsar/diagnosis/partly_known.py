@@ -35,7 +35,8 @@ class PartlyKnown:
 
     def drawn(self, random: np.random.Generator, draws: int) -> np.ndarray | None:
         """Errors of what is known, shape (k, draws); None where nothing is."""
-        return random.normal(size=(len(self.slopes), draws)) if len(self.slopes) else None
+        count = self.residual.size
+        return random.normal(size=(count, draws)) if count else None
 
 
 NOTHING = PartlyKnown(np.zeros((0, 0)), np.zeros(0))

@@ -9,6 +9,8 @@ import warp as wp
 
 from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.course import Course
+from warpsar.diagnosis.field_content import refuse_unsavable
+from warpsar.diagnosis.field_prior import has_fields, with_roughness
 from warpsar.diagnosis.found import DiagnoseOptions, Diagnosis
 from warpsar.diagnosis.frozen import frozen
 from warpsar.diagnosis.refit import fit_model
@@ -29,11 +31,11 @@ MU_NOISE = 10.0  # looks x pixels x relative sampling variance of mu: the gain i
 def diagnose_scene(
     scene: Scene, device: wp.Device, options: DiagnoseOptions, ranks: Ranks = ONE, course: Course | None = None
 ) -> Diagnosis:
-    """Run the procedure on the training views of a scene with uniform materials.
+    """Run the procedure on the training views of a scene.
 
     All `ranks` go through the whole procedure. They share the fits, folds and draws, and decide as the first one does.
     What the `course` holds of an earlier part of the run is not done again. Raises InputError for scenes without
-    measured training views, or with learned fields.
+    measured training views.
     """
     stage, views, looks = ranks.agree(lambda: _training(scene, device))
     density = choose_density(scene, stage, views, looks, MU_NOISE, total=True, ranks=ranks)
@@ -49,7 +51,11 @@ def diagnose_scene(
     bar = console.progress(2 * options.draws, "diagnose", "")
     console.say("fit of the declared model")
     course = course or Course()
-    declared = course.declared(bench, scene, partial(fit_model, bench, scene, options.starts, options.seed))
+    started = None
+    if has_fields(scene):
+        refuse_unsavable(scene)
+        bench, started = with_roughness(bench, scene, options.seed)
+    declared = course.declared(bench, scene, partial(fit_model, bench, scene, options.starts, options.seed, started))
     search = Search(scene, bench, other_rays, declared, options, course, bar.update)
     search.run()
     bar.close()
@@ -59,11 +65,6 @@ def diagnose_scene(
 def _training(scene: Scene, device: wp.Device) -> tuple[Stage, list[View], list[float]]:
     """What is tested: the surface, the training views and their looks."""
     stage = Stage.of(scene, device)
-    if any(block.learn and block.size > 1 for block in stage.surface.blocks):
-        raise InputError(
-            f"{scene.name}: materials: found a learned field (layout vertex or texture); diagnose tests scenes of "
-            f"uniform materials, because a field can imitate most effects"
-        )
     views = [view for view in scene.views if view.role == "train" and view.images]
     if not views:
         raise InputError(f"{scene.name}: views: none with role train has measured images")

@@ -20,6 +20,7 @@ from warpsar.runtime.distributed import ONE, Ranks
 from warpsar.scene.scene import Scene
 from warpsar.speckle.likelihood import deviance
 from warpsar.surface.surface import KEYS, Surface
+from warpsar.world.pixels import Pixels
 
 MOST_ITERATIONS = 40  # of one start
 # Where models are only ranked, or start where they belong: iterations of one start, and the promised log-likelihood at
@@ -58,7 +59,7 @@ class Fitted:
         """For other ranks (JSON's types): where the fit began and where it ended."""
         begun = self.problem.scene
         return {
-            "materials": {name: {key: getattr(m, key) for key in KEYS} for name, m in begun.materials.items()},
+            "materials": {name: {key: _told(getattr(m, key)) for key in KEYS} for name, m in begun.materials.items()},
             "effects": begun.effects,
             "x": self.x.tolist(),
             "log_likelihood": self.log_likelihood,
@@ -71,12 +72,24 @@ class Fitted:
         """The model that another rank has `told` of; `scene` is of the same mesh and views."""
         materials = {}
         for name, material in scene.materials.items():
-            values = {k: tuple(v) if isinstance(v, list) else v for k, v in told["materials"][name].items()}
+            values = {k: _heard(v) for k, v in told["materials"][name].items()}
             # what stands at its default stays unstated
             changed = {k: v for k, v in values.items() if v != getattr(material, k)}
             materials[name] = material.model_copy(update=changed)
         problem, x = bench.problem(replace(scene, materials=materials, effects=told["effects"])), np.array(told["x"])
         return cls(learned_scene(problem, x), problem, x, told["log_likelihood"], told["whole"], told["iterations"])
+
+
+def _told(value: Any) -> Any:
+    """A material's value in JSON's types."""
+    return {"pixels": value.values.tolist()} if isinstance(value, Pixels) else value
+
+
+def _heard(told: Any) -> Any:
+    """The value that `_told` gave."""
+    if isinstance(told, Mapping):
+        return Pixels(told["pixels"])
+    return tuple(told) if isinstance(told, list) else told
 
 
 def descend(
@@ -129,10 +142,11 @@ def state_told(state: FitState) -> dict[str, Any]:
     return {name: array.tolist() for name, array in state.arrays().items()}
 
 
-def fit_model(bench: Bench, scene: Scene, further_starts: int, seed: int) -> Fitted:
-    """The scene's model from its own start and others drawn about it."""
+def fit_model(bench: Bench, scene: Scene, further_starts: int, seed: int, started: np.ndarray | None = None) -> Fitted:
+    """The scene's model from its own start, or where it has `started`, and others drawn about the scene's own."""
     problem = bench.problem(scene)
-    return _fit(bench, problem, [begin(problem, k, seed).x for k in range(further_starts + 1)])
+    starts = [begin(problem, k, seed).x for k in range(further_starts + 1)]
+    return _fit(bench, problem, starts if started is None else [started, *starts[1:]])
 
 
 def _fit(bench: Bench, problem: FitProblem, starts: Iterable[np.ndarray], *, quick: bool = False) -> Fitted:

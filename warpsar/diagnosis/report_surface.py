@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from warpsar.diagnosis.field_content import FIELDS_HEAD, fields_rows
 from warpsar.diagnosis.known import KNOWN_CAPTION, KNOWN_HEAD, known_rows
 from warpsar.diagnosis.outcome import effect_table
 from warpsar.diagnosis.result import SAME_SD, Diagnosed, Moved
@@ -34,9 +35,12 @@ def parameters_section(done: Diagnosed, moves: Sequence[Moved], content: dict[st
         blocks.append(report.table(["effect", "parameters at the end"], tables))
     if content["tolerances"]:
         blocks.append(report.table(KNOWN_HEAD, known_rows(content), KNOWN_CAPTION))
-    blocks.append(report.table(head, rows, caption))
+    if fields := fields_rows(content):
+        blocks.append(report.table(FIELDS_HEAD, fields))
+    if rows:
+        blocks.append(report.table(head, rows, caption))
     far = [m for m in moves if np.isfinite(m.sds) and abs(m.sds) > SAME_SD]
-    if done.diagnosis.verdict:
+    if done.diagnosis.verdict and moves:
         said = (
             f"{len(far) or 'None'} of {len(moves)} surface parameters moved by more than {SAME_SD:g} standard "
             f"deviations when what was missing was added"

@@ -8,13 +8,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from warpsar.diagnosis.alternatives import Deciding, deciding
+from warpsar.diagnosis.field_content import identify_beside
 from warpsar.diagnosis.found import Candidate, DiagnoseOptions, Diagnosis, Rival
 from warpsar.diagnosis.judge import ROLES, Judge, Judged, JudgedMetrics, difference, pool
 from warpsar.diagnosis.left import Left, left_of
 from warpsar.diagnosis.place import Place, place
 from warpsar.diagnosis.procedure import diagnose_scene
 from warpsar.diagnosis.refit import Fitted
-from warpsar.diagnosis.score import NOT_TESTABLE
 from warpsar.learning.identify import Identified, identify
 from warpsar.runtime import devices, distributed
 from warpsar.scene.scene import Scene
@@ -50,7 +50,7 @@ def diagnose(scene: Scene, *, device: str | None = None, options: DiagnoseOption
     """Run the procedure of docs/diagnosis.md on the train views. Then judge every turn's model, once, on all views.
 
     Several processes (`distributed`) share the work, and all return the same. Raises InputError for scenes without
-    measured train views, or with learned fields.
+    measured train views.
     """
     where = devices.resolve_device(device)
     return judged(diagnose_scene(scene, where, options or DiagnoseOptions(), distributed.ranks(where)))
@@ -106,19 +106,27 @@ class Moved:
 
 
 def moved_parameters(found: Diagnosis) -> tuple[list[Moved], Identified]:
-    """How far every learned surface parameter went, and what the final model's data can say of them."""
+    """How far every uniform learned surface parameter went, and what the final model's data can say of them."""
     first, last = found.declared, found.final
-    before, after = (identify(fitted.problem, fitted.x) for fitted in (first, last))
-    moves, at = [], 0
+    before, after = (identified(fitted) for fitted in (first, last))
+    moves, at, place = [], 0, 0  # in x, and among what is identified
     for block in first.problem.surface.blocks:
-        if block.learn:
+        if block.learn and block.size > 1:
+            at += block.size
+        elif block.learn:
             a, b = float(first.x[at]), float(last.x[at])
             one, two = (float(block.kind.from_coordinate(x)) for x in (a, b))
             moves.append(
-                Moved(block.material, block.kind.key, one, two, float(before.sd[at]), float(after.sd[at]), b - a)
+                Moved(block.material, block.kind.key, one, two, float(before.sd[place]), float(after.sd[place]), b - a)
             )
-            at += 1
+            at, place = at + 1, place + 1
     return moves, after
+
+
+def identified(fitted: Fitted) -> Identified:
+    """What the data can say of a model's parameters; with learned fields, of all others beside them."""
+    problem, x = fitted.problem, fitted.x
+    return identify(problem, x) if problem.uniform else identify_beside(problem, x)
 
 
 def why_not(candidate: Candidate) -> str:
@@ -128,5 +136,5 @@ def why_not(candidate: Candidate) -> str:
     share = 100.0 * candidate.eta
     return (
         f"all but {share:.2g} % of what it would change, the surface's parameters can change alike "
-        f"(allowed: {100.0 * NOT_TESTABLE:g} %): in this geometry the two cannot be told apart"
+        f"(allowed: {100.0 * candidate.least:g} %): in this geometry the two cannot be told apart"
     )

@@ -28,10 +28,13 @@ SPARSE = 0.1  # share of pixels that a template touches, below which it is kept 
 
 class Projection:
     """Removes the tangent space of the fitted parameters from templates and residuals, in standardised units; of a
-    parameter that is `known` to a tolerance, as much as it may move."""
+    parameter that is `known` to a tolerance, as much as it may move.
+
+    `alone`: the share of its template's energy that has to be left for an effect to be found by itself.
+    """
 
     def __init__(self, tangent: np.ndarray, root_looks: np.ndarray, known: PartlyKnown = NOTHING) -> None:
-        self.known = known
+        self.known, self.alone = known, NOT_TESTABLE
         scaled = known.under(root_looks[:, None] * tangent)
         norms = np.linalg.norm(scaled, axis=0)
         scaled = scaled / np.where(norms > 0, norms, 1.0)
@@ -60,6 +63,10 @@ class Projection:
         """Share of energy of standardised columns of unit length that no move of the parameters imitates, however far,
         shape (k,)."""
         return np.maximum(1.0 - (np.asarray(columns.T @ self._imitates) ** 2).sum(axis=1), 0.0)
+
+    def compared(self, columns: np.ndarray) -> np.ndarray:
+        """Columns as effects are compared by them: as they are."""
+        return columns
 
     def covariances(self, columns: np.ndarray | csc_array, k: int, evidence: Evidence) -> np.ndarray:
         """Covariance, under speckle, of the scores of every trial of `k` projected columns, shape (trials, k, k).
@@ -190,7 +197,9 @@ def group(templates: Sequence[Template], projection: Projection, evidence: Evide
         ready = _dense_where_full(columns)
         k = len(one_sided)
         eta = ((norms > 0) * projection.left(ready)).reshape(-1, k).max(axis=1)
-        testable = eta >= NOT_TESTABLE
+        testable = eta >= projection.alone
+        if not testable.any():
+            testable = eta >= NOT_TESTABLE
         keep = testable if testable.any() else np.ones_like(testable)
         ready = ready if keep.all() else ready[:, np.repeat(keep, k)]
         alike = [t for t, kept in zip(alike, keep, strict=True) if kept]

@@ -11,8 +11,8 @@ from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.bootstrap import Bootstrap, bootstrap
 from warpsar.diagnosis.dark_scan import scan_dark
 from warpsar.diagnosis.evidence import Evidence
+from warpsar.diagnosis.field_projection import bar_those_alone, beside_fields, projection_of
 from warpsar.diagnosis.found import Candidate, DarkScan, DiagnoseOptions, Turn
-from warpsar.diagnosis.partly_known import PartlyKnown
 from warpsar.diagnosis.refit import Fitted
 from warpsar.diagnosis.score import NOT_TESTABLE, Group, Projection, group
 from warpsar.diagnosis.templates import Template, TemplateMaker
@@ -38,8 +38,10 @@ def score_effects(
     """The turn with the score of every effect that is not declared and of the scan, and each effect's templates, best
     first. `scene` is the declared one, `base` the model that `evidence` was taken at; `number` counts turns from 0."""
     ranks = bench.ranks
-    projection, found = ranks.agree(lambda: _grouped(scene, bench, other_rays, base, evidence))
-    candidates = {name: _candidate(name, members) for name, members in found.items()}
+    projection, evidence, found = ranks.agree(
+        lambda: _grouped(scene, bench, other_rays, base, evidence, options.seed + number)
+    )
+    candidates = {name: _candidate(name, members, projection.alone) for name, members in found.items()}
     testable = ranks.gather([c.effect for c in candidates.values() if c.testability == "testable"])[0]
     groups = {name: found[name] for name in testable}
     scan = Scan(evidence.observations, evidence.autocovariance, evidence.silent)
@@ -48,7 +50,8 @@ def score_effects(
     if dark is not None:
         boot = boot.with_another(options.seed + number)
     spot = scan.strongest(evidence.split(evidence.standardised))
-    best = _score(candidates, groups, projection(evidence.standardised, projection.known.residual), boot)
+    best = _score(candidates, groups, projection, projection(evidence.standardised, projection.known.residual), boot)
+    bar_those_alone(list(candidates.values()), boot.threshold(options.family_error))
     scanned = float(boot.tails["scan"](abs(spot.z)))
     turn = Turn(
         list(candidates.values()),
@@ -65,16 +68,18 @@ def score_effects(
 
 
 def _grouped(
-    scene: Scene, bench: Bench, other_rays: Rays, base: Fitted, evidence: Evidence
-) -> tuple[Projection, dict[str, list[Group]]]:
-    """The templates of every effect that is not in the model `base`, about it, and the tangent of what is fitted."""
+    scene: Scene, bench: Bench, other_rays: Rays, base: Fitted, evidence: Evidence, seed: int
+) -> tuple[Projection, Evidence, dict[str, list[Group]]]:
+    """The templates of every effect that is not in the model `base`, about it, and the tangent of what is fitted; and
+    the evidence with the speckle's own correlation."""
     observations = {view.view.name: view.observations for view in base.problem.views}
     maker = TemplateMaker(base.scene, bench.device, other_rays, observations, evidence.modelled)
     # A fit without multiple bounces may have made the surface a poor mirror. Paths are invisible there, so their
     # templates are taken at the declared surface too.
     unmoved = replace(base.scene, materials=scene.materials)
     paths = TemplateMaker(unmoved, bench.device, other_rays, observations, evidence.modelled)
-    projection = Projection(maker.tangent(), evidence.root_looks, PartlyKnown.of(maker.neutral))
+    projection = projection_of(maker, bench, evidence)
+    evidence = beside_fields(evidence, projection, seed)
     found = {}
     for name in names():
         if name in base.scene.effects:
@@ -83,18 +88,22 @@ def _grouped(
         if get(name).stage == "path":
             templates += paths.templates(name)
         found[name] = group(templates, projection, evidence)
-    return projection, found
+    return projection, evidence, found
 
 
-def _candidate(name: str, found: list[Group]) -> Candidate:
+def _candidate(name: str, found: list[Group], alone: float) -> Candidate:
     if not found:
         return Candidate(name, "absent", note="this scene has no place for it")
     eta = max(float(one.eta.max()) for one in found)
-    return Candidate(name, "testable" if eta >= NOT_TESTABLE else "not_testable", eta=eta)
+    return Candidate(name, "testable" if eta >= NOT_TESTABLE else "not_testable", eta=eta, least=alone)
 
 
 def _score(
-    candidates: dict[str, Candidate], groups: dict[str, list[Group]], residual: np.ndarray, boot: Bootstrap
+    candidates: dict[str, Candidate],
+    groups: dict[str, list[Group]],
+    projection: Projection,
+    residual: np.ndarray,
+    boot: Bootstrap,
 ) -> dict[str, list[Template]]:
     """Fill in each testable candidate's score and the effects that resemble it. Returns its templates, best first."""
     ranked: dict[str, list[Template]] = {}
@@ -111,7 +120,7 @@ def _score(
         candidate.minus_log_p = float(boot.tails[name](largest))
         candidate.p_value = boot.p_family(candidate.minus_log_p)
         candidate.note = one.templates[t].trial.label
-        bases[name] = np.linalg.qr(one.columns_of(t))[0]
+        bases[name] = np.linalg.qr(projection.compared(one.columns_of(t)))[0]
     for name, mine in bases.items():
         candidates[name].resembles = [
             other

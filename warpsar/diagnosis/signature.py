@@ -9,13 +9,14 @@ left free there.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from warpsar.diagnosis.bench import Bench
+from warpsar.diagnosis.field_projection import left_beside
 from warpsar.diagnosis.refit import Fitted
 from warpsar.diagnosis.templates import with_effect
 from warpsar.effects.base.parameter import Parameter
@@ -39,6 +40,10 @@ BLOCK = 4  # pixels on a side of the blocks that the error of an amplitude comes
 FEWEST_BLOCKS = 4
 FEWEST = 20  # pixels of a place; fewer say nothing
 RANK = 1e-5  # of the strongest direction of the fitted parameters in a place; weaker ones are rounding
+
+
+LeftOf = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+"""A mask of pixels, the roots of their looks, and a standardised slope there -> what is left of the slope."""
 
 
 @dataclass(frozen=True)
@@ -105,32 +110,52 @@ def amplitudes(bench: Bench, fitted: Fitted, effect: str, parts: Sequence[Mappin
     inflation = float(residual_autocovariance(list(zip(seen, residual, strict=True))).sum())
     own = [c.effect == effect for c in problem.effect_coordinates]
     others = np.flatnonzero(~np.concatenate([np.zeros(problem.learned.size, bool), np.array(own, bool)]))
-    tangent = [j[:, others] for j in problem.linearised(problem.x0)[1]]
-    slope = _slope(bench, fitted.scene, effect)
+    left_of = left_beside(problem, others, bench.roughness) if bench.roughness else _left_of(problem, others)
+    slope = np.concatenate(_slope(bench, fitted.scene, effect))
+    everything, roots = np.concatenate(residual), np.concatenate([np.full(o.count, np.sqrt(o.looks)) for o in seen])
+    numbers = np.concatenate([_block_numbers(problem, k) for k in range(len(seen))])
     found = []
     for name in dict.fromkeys(name for one in parts for name in one):
-        masks = [
-            one.get(name, np.zeros_like(image.interior))[image.interior] for one, image in zip(parts, seen, strict=True)
-        ]
-        roots = np.concatenate([np.full(int(m.sum()), np.sqrt(o.looks)) for m, o in zip(masks, seen, strict=True)])
-        r, d, j = (
-            np.concatenate([a[m] for a, m in zip(each, masks, strict=True)]) for each in (residual, slope, tangent)
+        mask = np.concatenate(
+            [
+                one.get(name, np.zeros_like(image.interior))[image.interior]
+                for one, image in zip(parts, seen, strict=True)
+            ]
         )
-        blocks = np.concatenate([_block_numbers(problem, k)[m] for k, m in enumerate(masks)])
-        found.append(Amplitude(name, *_amplitude(r, roots * d, roots[:, None] * j, blocks, inflation)))
+        found.append(Amplitude(name, *_amplitude(mask, roots, everything, slope, left_of, numbers, inflation)))
     return found
 
 
+def _left_of(problem: FitProblem, others: np.ndarray) -> LeftOf:
+    """What the fitted parameters `others` cannot imitate within a mask of pixels."""
+    tangent = np.concatenate([j[:, others] for j in problem.linearised(problem.x0)[1]])
+
+    def left_of(mask: np.ndarray, roots: np.ndarray, slope: np.ndarray) -> np.ndarray:
+        part = roots[:, None] * tangent[mask]
+        norms = np.linalg.norm(part, axis=0)
+        left, strength, _ = np.linalg.svd(part[:, norms > 0] / norms[norms > 0], full_matrices=False)
+        left = left[:, strength > RANK * strength.max(initial=0.0)]
+        return np.asarray(slope - left @ (left.T @ slope))
+
+    return left_of
+
+
 def _amplitude(
-    residual: np.ndarray, slope: np.ndarray, tangent: np.ndarray, blocks: np.ndarray, inflation: float
+    mask: np.ndarray,
+    roots: np.ndarray,
+    residual: np.ndarray,
+    slope: np.ndarray,
+    left_of: LeftOf,
+    blocks: np.ndarray,
+    inflation: float,
 ) -> tuple[float, float]:
-    """The amplitude and its error: that of speckle, or of the scatter from block to block if this is larger."""
+    """The amplitude in a mask of pixels and its error: that of speckle, or of the scatter from block to block if this
+    is larger."""
+    residual, blocks = residual[mask], blocks[mask]
     if residual.size < FEWEST:
         return 1.0, math.inf
-    norms = np.linalg.norm(tangent, axis=0)
-    left, strength, _ = np.linalg.svd(tangent[:, norms > 0] / norms[norms > 0], full_matrices=False)
-    left = left[:, strength > RANK * strength.max(initial=0.0)]
-    free = slope - left @ (left.T @ slope)
+    scaled = roots[mask] * slope[mask]
+    free = left_of(mask, roots[mask], scaled)
     energy = float(free @ free)
     if energy <= 0 or np.unique(blocks[free != 0]).size < FEWEST_BLOCKS:
         return 1.0, math.inf

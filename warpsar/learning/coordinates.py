@@ -90,6 +90,12 @@ class SceneCoordinates:
         return all(block.size == 1 for block in self.surface.blocks if block.learn)
 
     @property
+    def moved_together(self) -> np.ndarray:
+        """The sizes of x's parts that another start moves as a whole: fields, and single numbers."""
+        sizes = [block.size for block in self.surface.blocks if block.learn]
+        return np.array([*sizes, *(1 for _ in self.effect_coordinates)], int)
+
+    @property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
         """Lower and upper bounds of x, shape (p,) each."""
         ends, sizes = [], []

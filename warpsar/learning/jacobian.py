@@ -96,15 +96,27 @@ class ViewJacobian:
         whole[field] = self._tangents.matrix(polarization)[:, nodes.nodes[field]].toarray().T
         return wp.array(whole, dtype=float, device=found.device)
 
-    def sparse(self, nodes: np.ndarray) -> list[csr_array]:
-        """d ln(mu) / d node of each observation, shape (n, nodes), float64, at the parameters as they stand."""
+    def sparse(self, nodes: np.ndarray, *, near: bool = False) -> list[csr_array]:
+        """d ln(mu) / d node of each observation, shape (n, nodes), float64, at the parameters as they stand. `near`:
+        an effect of the image scales each pixel as it does when the whole image grows."""
         view = self._view
         view.run_images(gradient=True)
         found = []
         for (polarization, pixels, darkest), mu in zip(view.compared, view.modelled(), strict=True):
             columns = csc_array(self._tangents.matrix(polarization)[:, nodes])
-            moved = self._tangents.sparse_through_image(polarization, columns).tocsr()[pixels]
+            if near:
+                moved = csr_array(columns.multiply(self._scales(polarization)[:, None]))[pixels]
+            else:
+                moved = self._tangents.sparse_through_image(polarization, columns).tocsr()[pixels]
             seen = np.where(mu > darkest, 1.0 / mu, 0.0)
             found.append(csr_array(moved.multiply(seen[:, None])))
             view.run_images(gradient=True)
         return found
+
+    def _scales(self, polarization: str) -> np.ndarray:
+        """How far each pixel grows with the whole image before the image stage, shape (pixels,)."""
+        before = self._render.before_image[polarization]
+        values = before.numpy().copy()
+        given: wp.array = wp.array(values[None], dtype=float, device=before.device)
+        (grown,) = self._tangents.through_image(polarization, given)
+        return np.where(values > 0, grown / np.where(values > 0, values, 1.0), 0.0)

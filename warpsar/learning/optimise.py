@@ -15,11 +15,14 @@ import warp as wp
 
 from warpsar.learning.coordinates import DeviceX
 from warpsar.learning.problem import FitProblem
+from warpsar.learning.roughness import FieldPrior
+from warpsar.learning.sparse_quadratic import SparseQuadratic
 from warpsar.runtime.distributed import Ranks
 from warpsar.runtime.matmul import transposed_times
 
 LARGEST_STEP = 1.0  # of a log coordinate in one Levenberg-Marquardt step: a factor e
 FLAT = 2e-3  # predicted gain in log-likelihood at which Levenberg-Marquardt has arrived: 1/16 of a standard deviation
+FLAT_FIELD = 0.2  # the same of fields: thousands of nodes gain a little for long; verdicts turn on several units
 HARDLY, NOTHING = 1e-3, 1e-2  # damping that counts as none; share of `flat` that no step is tried for
 SPREAD = 0.7  # standard deviation of the starts after the first, in log coordinates
 BEND_STEP = 0.1  # of a step, over which the images' second derivative along it is measured
@@ -71,7 +74,9 @@ def begin(problem: FitProblem, start: int, seed: int, previous: FitState | None 
     x = problem.x0.copy()
     if start:
         low, high = problem.bounds
-        x = x + problem.prior.narrowed(np.random.default_rng([seed, start]).normal(0.0, SPREAD, x.size), x)
+        together = problem.moved_together  # a field as a whole
+        drawn = np.random.default_rng([seed, start]).normal(0.0, SPREAD, together.size)
+        x = x + problem.prior.narrowed(np.repeat(drawn, together), x)
         x = np.clip(x, low + 1e-3, high - 1e-3)
     if previous is None:
         return FitState(x, np.inf, x, np.inf, start)
@@ -108,14 +113,19 @@ def levenberg_marquardt(
     origin = state.differentiated_at
     if origin is None or np.abs(x - origin).max() > kept_within or problem.slopes_tell_all:
         origin = x
-    here = _Quadratic.about(problem, x, origin, moving)
+    here: _Quadratic | SparseQuadratic
+    if isinstance(problem.prior, FieldPrior):
+        origin, flat = x, max(flat, FLAT_FIELD)
+        here = SparseQuadratic.about(problem, x, moving)
+    else:
+        here = _Quadratic.about(problem, x, origin, moving)
     damping, growth, new_x, new_loss = state.damping, 4.0, x, here.loss
     arrived = here.step(min(damping, HARDLY)).promised < flat
     for _ in range(0 if arrived else 12):
         step = here.step(damping)
         if step.promised < NOTHING * flat:
             break
-        trial = here.bent(problem, step)
+        trial = here.bent(problem, step)  # type: ignore[arg-type]  # each takes the steps that it gave
         if trial is not None:
             value = problem.value(problem.modelled(trial)) + problem.penalty(trial)
             if value <= here.loss:
@@ -131,7 +141,7 @@ def levenberg_marquardt(
         differentiated_at=None if stuck else origin,
         iteration=state.iteration + 1,
         since_start=state.since_start + 1,
-        arrived=stuck and origin is x,
+        arrived=(stuck and origin is x) or (isinstance(here, SparseQuadratic) and here.loss - new_loss < flat / 4.0),
     )
 
 

@@ -27,6 +27,7 @@ from warpsar.learning.misfit import Misfit
 from warpsar.learning.observation import Observation
 from warpsar.learning.prior import DevicePrior, Prior, refuse_prior
 from warpsar.learning.regularise import TotalVariation
+from warpsar.learning.roughness import FieldPrior, Roughness
 from warpsar.learning.streams import Streams
 from warpsar.learning.view import FitView
 from warpsar.render.render import ViewRender
@@ -54,7 +55,7 @@ class FitProblem(SceneCoordinates):
 
     Each of several `ranks` holds its own share of the views. `views`, `observations`, `modelled` and whatever is per
     observation belong to this rank alone; sums and x belong to all views (`chosen`).
-    `bound` is that of the gamma loss (`speckle.likelihood.bounded`).
+    `bound` is that of the gamma loss (`speckle.likelihood.bounded`). `roughness` is expected of the learned fields.
     `max_memory_gib` bounds what the hits of this rank's views take (by default `memory.default_gib`). Views beyond it
     are traced again, in bands, whenever their image is needed; `bands` has their number by view name.
     """
@@ -74,12 +75,15 @@ class FitProblem(SceneCoordinates):
         ranks: Ranks = ONE,
         max_memory_gib: float | None = None,
         bound: float = 0.0,
+        roughness: Roughness | None = None,
     ) -> None:
         chosen = [v for v in scene.views if v.role in roles and v.images and (views is None or v.name in views)]
         if not chosen:
             raise InputError(f"{scene.name}: views: none with role {' or '.join(roles)} has measured images")
         super().__init__(scene, chosen)
         self.prior = Prior.of(self)
+        if roughness is not None:
+            self.prior = FieldPrior(self.prior.known, self.x0.size, roughness)
         refuse_prior(self.prior, loss, scene.name)
         self.device, self.loss, self.ranks = device, loss, ranks
         rays = rays or Rays(Stage.of(scene, device), seed=scene.sampling.seed)
@@ -431,7 +435,7 @@ class FitProblem(SceneCoordinates):
         found = list(threads.ordered(tasks, self.device))
         return [mu for mus, _ in found for mu in mus], [j for _, js in found for j in js]
 
-    def sparse_jacobian(self, x: np.ndarray) -> list[csr_array]:
+    def sparse_jacobian(self, x: np.ndarray, *, near: bool = False) -> list[csr_array]:
         """d ln(mu) / dx of the surface's nodes, for every observation: shape (pixels, p), float64.
 
         It is for fields: a node touches few pixels, so memory and time grow with the hits, not with pixels times
@@ -440,7 +444,8 @@ class FitProblem(SceneCoordinates):
 
         An effect of the image stage acts on each column in turn: exactly if it is affine, as in `jacobian` otherwise.
         Elements whose beta0 is below 1e-6 of a column's largest are then left out. A blur makes columns longer, and a
-        median pivot (saturation) makes them dense. Raises InputError where the hits are not at hand (max_memory_gib).
+        median pivot (saturation) makes them dense. `near`: such an effect scales each pixel as it does when the whole
+        image grows. Raises InputError where the hits are not at hand (max_memory_gib).
         """
         makers = self._makers
         if makers is None:
@@ -454,7 +459,8 @@ class FitProblem(SceneCoordinates):
         def one(view: FitView, maker: ViewJacobian) -> list[csr_array]:
             self._set(view, shared, tables)
             return [
-                csr_array(hstack([j, csr_array((j.shape[0], rest))])) if rest else j for j in maker.sparse(self.learned)
+                csr_array(hstack([j, csr_array((j.shape[0], rest))])) if rest else j
+                for j in maker.sparse(self.learned, near=near)
             ]
 
         tasks = [partial(one, view, maker) for view, maker in zip(self.views, makers, strict=True)]

@@ -1,0 +1,173 @@
+"""What `warpsar diagnose` finds beside learned fields: the painted building of the experiments, whose eps_r, h and l
+are maps of 64 x 64 texels, with effects that the scene file does not declare.
+
+    python benchmarks/diagnosis_fields.py run -o out/diagnosis_fields [--case NAME] [--looks N] [--repeats N]
+    python benchmarks/diagnosis_fields.py table -o out/diagnosis_fields [--write]
+
+A run appends one line of JSON to runs.jsonl in the folder; runs that are there already are not made again. Every run
+has its own speckle and its own rays, and begins at uniform maps. docs/diagnosis.md has the results.
+"""
+
+import json
+import resource
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+import tables
+from references import DATA, KEYS, changed, clean_images, measured, trained_on
+
+from warpsar.diagnosis.found import DiagnoseOptions
+from warpsar.diagnosis.result import diagnose
+from warpsar.effects.registry import get
+from warpsar.scene.scene import Scene
+from warpsar.world.pixels import Pixels
+
+TRAIN, TEST = ("az000", "az120", "az180", "az300"), ("az060",)
+START = (4.0, 0.0006, 0.0035)  # everywhere; the truth goes from 3 to 40, 0.3 to 0.9 mm and 2.5 to 5.5 mm
+CASES = (
+    "none",
+    "noise_floor",
+    "point_spread",
+    "registration",
+    "multibounce",
+    "range_loss",
+    "view_gain",
+    "eps_gradient",
+)
+LOOKS = (1, 4, 16)
+
+
+def scene_of(case: str, looks: int, seed: int, folder: Path) -> Scene:
+    """The scene that is handed to the diagnosis: images with the effect and speckle, maps that are uniform."""
+    scene = Scene.load(DATA / "fields" / "scene.toml")
+    scene = replace(scene, sampling=scene.sampling.model_copy(update={"seed": seed}))
+    scene = replace(scene, views=[view for view in scene.views if view.name in (*TRAIN, *TEST)])
+    truth = scene if case == "none" else replace(scene, effects={case: _table(case)})
+    given = trained_on(measured(scene, clean_images(truth), folder, float(looks), seed), TRAIN, TEST)
+    shape = scene.field("site", "eps_r").shape
+    maps = {key: Pixels(np.full(shape, value)) for key, value in zip(KEYS, START, strict=True)}
+    return changed(given, "site", learn=KEYS, **maps)
+
+
+def _table(case: str) -> dict[str, Any]:
+    """The effect of `diagnosis_rates.py`; what it says of single views is dealt to the views of this scene."""
+    table = dict(get(case).rate_case)
+    for key, value in table.items():
+        if isinstance(value, dict):
+            table[key] = dict(zip((*TRAIN, *TEST), value.values(), strict=False))
+    return table
+
+
+def one_run(case: str, looks: int, seed: int, device: str | None) -> dict[str, Any]:
+    with tempfile.TemporaryDirectory() as folder:
+        scene = scene_of(case, looks, seed, Path(folder))
+        started, used = time.perf_counter(), time.process_time()
+        done = diagnose(scene, device=device, options=DiagnoseOptions(seed=seed))
+        seconds, cpu = time.perf_counter() - started, time.process_time() - used
+    found = done.diagnosis
+    first = {c.effect: c for c in found.turns[0].candidates}
+    return {
+        "case": case,
+        "looks": looks,
+        "seed": seed,
+        "verdict": found.verdict,
+        "unexplained": found.unexplained,
+        "effects": found.final.scene.effects,
+        "not_testable": [name for name, c in first.items() if c.testability == "not_testable"],
+        "eta": {name: c.eta for name, c in first.items()},
+        "scores": {name: c.minus_log_p for name, c in first.items()},
+        "threshold": found.turns[0].threshold,
+        "test_before": done.before["test"],
+        "test_after": done.after["test"],
+        "seconds": round(seconds, 1),
+        "cpu_seconds": round(cpu, 1),
+        "memory_gib": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20, 2),
+    }
+
+
+def stored_runs(out: Path) -> list[dict[str, Any]]:
+    path = out / "runs.jsonl"
+    return [json.loads(line) for line in path.read_text().splitlines()] if path.is_file() else []
+
+
+@click.group()
+def main() -> None:
+    """Diagnosis beside learned fields."""
+
+
+@main.command()
+@click.option("-o", "--out", required=True, type=click.Path(file_okay=False, path_type=Path))
+@click.option("--case", "cases", multiple=True, type=click.Choice(CASES), help="Repeatable; default: all.")
+@click.option("--looks", multiple=True, type=click.Choice([str(n) for n in LOOKS]), help="Repeatable; default: all.")
+@click.option("--repeats", type=click.IntRange(min=1), default=1, show_default=True, help="Seeds from 0 on.")
+@click.option("--device")
+def run(out: Path, cases: tuple[str, ...], looks: tuple[str, ...], repeats: int, device: str | None) -> None:
+    """Make the runs that are not in the folder yet."""
+    out.mkdir(parents=True, exist_ok=True)
+    done = {(r["case"], r["looks"], r["seed"]) for r in stored_runs(out)}
+    when = tables.made()
+    for seed in range(repeats):
+        for case in cases or CASES:
+            for number in (int(n) for n in looks or map(str, LOOKS)):
+                if (case, number, seed) in done:
+                    continue
+                row = one_run(case, number, seed, device)
+                with (out / "runs.jsonl").open("a") as stream:
+                    stream.write(json.dumps(row | when) + "\n")
+                said = ", ".join(row["verdict"]) or "nothing"
+                click.echo(f"{case}, {number} looks, seed {seed}: {said}, {row['seconds']} s", err=True)
+
+
+def rates(rows: Sequence[dict[str, Any]]) -> str:
+    """Markdown: a line per case and number of looks."""
+    lines = []
+    for case in CASES:
+        for looks in LOOKS:
+            mine = [row for row in rows if (row["case"], row["looks"]) == (case, looks)]
+            if not mine:
+                continue
+            named = [" + ".join(row["verdict"]) or "nothing" for row in mine]
+            said = ", ".join(f"{name} {named.count(name)}" for name in dict.fromkeys(named))
+            testable = "" if case == "none" else f"{100.0 * np.median([row['eta'][case] for row in mine]):.2g} %"
+            before, after = (np.median([row[key]["deviance"] for row in mine]) for key in ("test_before", "test_after"))
+            lines.append(
+                [
+                    case,
+                    looks,
+                    len(mine),
+                    said,
+                    sum(row["unexplained"] for row in mine) or "",
+                    testable,
+                    sum(case in row["not_testable"] for row in mine) or "",
+                    f"{before:.2f} to {after:.2f}",
+                    f"{np.median([row['seconds'] for row in mine]):.0f} s",
+                    f"{np.median([row['cpu_seconds'] for row in mine]):.0f} s",
+                    f"{max(row['memory_gib'] for row in mine):.1f} GiB",
+                ]
+            )
+    header = ["in the images", "looks", "runs", "named", "unexplained", "no field imitates", "not testable"]
+    return tables.markdown([*header, "test deviance", "time", "CPU time", "memory"], lines)
+
+
+@main.command()
+@click.option("-o", "--out", required=True, type=click.Path(file_okay=False, path_type=Path))
+@click.option("--write", is_flag=True, help="Put the table into its page in docs/, with the date of its oldest run.")
+def table(out: Path, write: bool) -> None:
+    """Markdown of what the folder holds."""
+    rows = stored_runs(out)
+    oldest = min(({key: row[key] for key in ("date", "commit")} for row in rows), key=lambda made: made["date"])
+    tables.publish({"diagnosis_fields": rates(rows)}, {"made": oldest}, write)
+
+
+if __name__ == "__main__":
+    main()
