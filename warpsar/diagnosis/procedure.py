@@ -43,7 +43,7 @@ def diagnose_scene(
     )
     rays = Rays(stage, density.rays_per_m2, 2 * scene.sampling.seed)
     other_rays = Rays(stage, density.rays_per_m2, 2 * scene.sampling.seed + 1)
-    one, other = (Bench(device, each, {}, ranks) for each in (rays, other_rays))
+    one, other = (Bench(device, each, {}, ranks, mesh=scene.mesh) for each in (rays, other_rays))
     bench = replace(one, observations=frozen(one, other, scene))
 
     bar = console.progress(2 * options.draws, "diagnose", "")

@@ -186,8 +186,16 @@ def narrow(bench: Bench, fitted: Fitted) -> tuple[Bench, Fitted]:
     whatever they measure would look like one more effect. All models of a turn see the same pixels.
     """
     fitted.problem.modelled(fitted.x)
+    narrowed = narrowed_to(bench, fitted.problem)
+    if narrowed is bench:
+        return bench, fitted
+    return narrowed, refit_as(replace(narrowed, bound=fitted.problem.misfit.bound), fitted.scene)
+
+
+def narrowed_to(bench: Bench, problem: FitProblem) -> Bench:
+    """The bench with those of its pixels that a problem, which has run, lights with all their neighbours."""
     observations: dict[str, list[Observation]] = {}
-    for view in fitted.problem.views:
+    for view in problem.views:
         for seen in bench.observations[view.view.name]:
             lit = view.render.lit(seen.polarization).astype(np.uint8)
             inner = bench.ranks.same(minimum_filter(lit, size=3, mode="constant")) > 0
@@ -195,9 +203,8 @@ def narrow(bench: Bench, fitted: Fitted) -> tuple[Bench, Fitted]:
             observations.setdefault(view.view.name, []).append(kept)
     pairs = [(a, b) for name in observations for a, b in zip(observations[name], bench.observations[name], strict=True)]
     if all((a.interior == b.interior).all() for a, b in pairs):
-        return bench, fitted
-    narrowed = replace(bench, observations=observations)
-    return narrowed, refit_as(replace(narrowed, bound=fitted.problem.misfit.bound), fitted.scene)
+        return bench
+    return replace(bench, observations=observations)
 
 
 def fitted_at(
