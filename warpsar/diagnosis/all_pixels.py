@@ -29,7 +29,9 @@ def log_likelihood(bench: Bench, fitted: Fitted) -> float:
     """
     modelled = fitted.problem.modelled(fitted.x)
     gains = iter(fitted.problem.gains(modelled))
-    level = FLOOR_SHARE * float(np.median([np.median(s.values) for found in bench.observations.values() for s in found]))
+    level = FLOOR_SHARE * float(
+        np.median([np.median(s.values) for found in bench.observations.values() for s in found])
+    )
     total = 0.0
     for view in fitted.problem.views:
         for seen in view.observations:

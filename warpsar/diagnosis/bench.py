@@ -47,4 +47,6 @@ class Bench:
         seen = self.observations
         if dark:
             seen = {name: [one.with_dark() for one in found] for name, found in seen.items()}
-        return FitProblem(scene, self.device, views=views, rays=self.rays_of(scene), observations=seen, bound=self.bound)
+        return FitProblem(
+            scene, self.device, views=views, rays=self.rays_of(scene), observations=seen, bound=self.bound
+        )

@@ -110,6 +110,11 @@ def composed(
     return start if list(objects) == list(standing) else with_objects(start, objects, known)
 
 
+def as_declared(declared: Scene, scene: Scene) -> Scene:
+    """The scene with the materials that `declared` has, where it has them."""
+    return replace(scene, materials={name: declared.materials.get(name, one) for name, one in scene.materials.items()})
+
+
 def without_change(declared: Scene, scene: Scene, name: str) -> Scene:
     """The scene with one of its changes taken back, all else as it is."""
     label, kind = object_of(name), kind_of(name)

@@ -44,7 +44,9 @@ def geometry_candidates(declared: Scene, bench: Bench, here: Fitted, price: floa
     A number that a change frees costs `price` of 2 ln L.
     """
     found = bench.ranks.agree(lambda: [one for source in SOURCES for one in source(declared, bench, here, price)])
-    mine = [[one.kind, one.object, told(declared, one.scene), one.gain, one.size, one.values, one.words] for one in found]
+    mine = [
+        [one.kind, one.object, told(declared, one.scene), one.gain, one.size, one.values, one.words] for one in found
+    ]
     return [
         GeometryCandidate(kind, label, heard(declared, here.scene, scene), gain, size, values, words)
         for kind, label, scene, gain, size, values, words in bench.ranks.gather(mine)[0]
@@ -95,8 +97,8 @@ def _foretold(problem: PosedProblem) -> dict[str, float]:
     left = hessian[n:, n:] - hessian[n:, own] @ along[:, :-1]
     slope = gradient[n:] - hessian[n:, own] @ along[:, -1]
     numbers: dict[str, list[int]] = {}
-    for k, c in enumerate(problem.poses.coordinates):
-        numbers.setdefault(problem.poses.objects[c.object].label, []).append(k)
+    for k, one in enumerate(problem.poses.coordinates):
+        numbers.setdefault(problem.poses.objects[one.object].label, []).append(k)
     return {
         label: 0.5 * float(slope[at] @ np.linalg.pinv(left[np.ix_(at, at)], rcond=1e-9, hermitian=True) @ slope[at])
         for label, at in numbers.items()

@@ -86,11 +86,18 @@ def leave_one_view_out(bench: Bench, base: Fitted, fitted: Fitted, effect: str, 
     )
     seen = [one for name in touched for one in bench.observations[name]]
     gains = [gain for view in found for gain in view]
+    return summed(bench, seen, gains, len(names), quiet)
+
+
+def summed(bench: Bench, seen: Sequence[Observation], gains: Sequence[np.ndarray], views: int, quiet: bool) -> LeftOut:
+    """The sum of what every pixel gains, with its error. `gains`, shape (2, n) for each observation: measured, and as
+    it would be on average were the model true."""
+    gains = [clipped(one) for one in gains]
     measured, expected = np.concatenate(gains, axis=1)
     covariance = residual_autocovariance([(one, now - mean) for one, (now, mean) in zip(seen, gains, strict=True)])
     error = np.sqrt(measured.size * (covariance.sum() + expected.var()))
     total, error, foreseen = bench.ranks.same([measured.sum(), error, expected.sum()]).tolist()
-    return LeftOut(total, error, len(names), foreseen, quiet)
+    return LeftOut(total, error, views, foreseen, quiet)
 
 
 def _gain(seen: Observation, without: np.ndarray, with_it: np.ndarray) -> np.ndarray:
@@ -99,7 +106,7 @@ def _gain(seen: Observation, without: np.ndarray, with_it: np.ndarray) -> np.nda
         loss_terms("gamma", beta0, without, seen.looks) - loss_terms("gamma", beta0, with_it, seen.looks)
         for beta0 in (seen.values, with_it)
     ]
-    return clipped(np.stack(found))
+    return np.stack(found)
 
 
 def _with_the_others(bench: Bench, fitted: Fitted, effect: str, name: str) -> Scene:

@@ -53,7 +53,9 @@ def diagnose_scene(
     search = Search(scene, bench, other_rays, declared, options, course, bar.update)
     search.run()
     bar.close()
-    return Diagnosis(scene, declared, search.final(), search.turns, search.unexplained, density, bench, search.rivals())
+    final, rivals = search.final(), search.rivals()
+    objects = search.objects(final)
+    return Diagnosis(scene, declared, final, search.turns, search.unexplained, density, bench, rivals, objects=objects)
 
 
 def _training(scene: Scene, device: wp.Device) -> tuple[Stage, list[View], list[float]]:

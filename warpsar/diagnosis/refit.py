@@ -11,6 +11,7 @@ import numpy as np
 from scipy.ndimage import minimum_filter
 
 from warpsar.diagnosis.bench import Bench
+from warpsar.diagnosis.geometry import as_declared
 from warpsar.effects.registry import get
 from warpsar.learning.observation import Observation
 from warpsar.learning.optimise import FLAT, FitState, begin, levenberg_marquardt
@@ -143,7 +144,7 @@ def on_bounded_ground(bench: Bench, base: Fitted, declared: Scene) -> tuple[Benc
     bounded = replace(bench, bound=BOUND)
     problem = bounded.problem(base.scene)
     start = base.x.copy()  # the surface as the scene file has it: what is missing may have dragged the fitted one away
-    start[: problem.learned.size] = Surface.of(declared).nodes[problem.learned]
+    start[: problem.learned.size] = Surface.of(as_declared(declared, base.scene)).nodes[problem.learned]
     return bounded, _fit(bounded, problem, [base.x, start], quick=True)
 
 

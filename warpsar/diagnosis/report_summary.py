@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from warpsar.diagnosis.carried import is_carried
+from warpsar.diagnosis.geometry import SUMMARIES
 from warpsar.diagnosis.judge import ROLES
 from warpsar.diagnosis.outcome import effect_table
 from warpsar.diagnosis.result import Diagnosed
@@ -107,10 +108,13 @@ def _verdict(done: Diagnosed, content: dict[str, Any]) -> list[str]:
                 else " There is one train view: none could be left out to ask."
             )
         tables = effect_table(step["parameters"])
-        doubt = f" But {step['note']}." if is_carried(step["effect"], step["carried_over"] or 0.0) else ""
+        shared = "object" not in step and is_carried(step["effect"], step["carried_over"] or 0.0)
+        doubt = f" But {step['note']}." if shared else ""
         own = step["signature"]
         earned = f" Its own test says: {_OUTCOME[own['outcome']]} ({own['text']})." if own else ""
-        said.append(f"Added: {step['effect']} ({get(step['effect']).summary}), with {tables}.{held}{earned}{doubt}")
+        of = f" of {step['object']}" if "object" in step else ""
+        about = SUMMARIES.get(step["effect"]) or get(step["effect"]).summary
+        said.append(f"Added: {step['effect']}{of} ({about}), with {tables}.{held}{earned}{doubt}")
     said += [
         f"The data do not decide between {one.effect} and {one.other}: in its place it would fit as well, to within "
         f"what speckle makes of the difference (2 ln L {one.gain:+.1f}). {by.sentence[0].upper()}{by.sentence[1:]}."

@@ -66,7 +66,7 @@ def judged(found: Diagnosis) -> Diagnosed:
     models = [judge(fitted.scene) for fitted in fitted_models(found)]
     if found.verdict and _worse(models[0], models[-1]):
         withdrawn = found.verdict
-        found = replace(found, final=found.declared, withdrawn=withdrawn, unexplained=True)
+        found = replace(found, final=found.declared, withdrawn=withdrawn, unexplained=True, objects={})
         models.append(models[0])
     undecided = [rival for rival in found.rivals if rival.undecided and rival.effect in found.verdict]
     looks = float(np.median([seen.looks for seen in found.observations]))
@@ -109,15 +109,17 @@ def moved_parameters(found: Diagnosis) -> tuple[list[Moved], Identified]:
     """How far every learned surface parameter went, and what the final model's data can say of them."""
     first, last = found.declared, found.final
     before, after = (identify(fitted.problem, fitted.x) for fitted in (first, last))
-    moves, at = [], 0
-    for block in first.problem.surface.blocks:
-        if block.learn:
-            a, b = float(first.x[at]), float(last.x[at])
-            one, two = (float(block.kind.from_coordinate(x)) for x in (a, b))
-            moves.append(
-                Moved(block.material, block.kind.key, one, two, float(before.sd[at]), float(after.sd[at]), b - a)
-            )
-            at += 1
+    moves = []
+    places = {label: place for place, label in enumerate(last.problem.labels)}
+    learned = (block for block in first.problem.surface.blocks if block.learn)
+    for at, (block, label) in enumerate(zip(learned, first.problem.labels, strict=False)):
+        if label not in places:
+            continue  # what an absent object was made of is gone
+        to = places[label]
+        a, b = float(first.x[at]), float(last.x[to])
+        one, two = (float(block.kind.from_coordinate(x)) for x in (a, b))
+        sds = float(before.sd[at]), float(after.sd[to])
+        moves.append(Moved(block.material, block.kind.key, one, two, *sds, b - a))
     return moves, after
 
 

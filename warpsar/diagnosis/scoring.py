@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import asdict
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from warpsar.diagnosis.bootstrap import Bootstrap, bootstrap
 from warpsar.diagnosis.dark_scan import scan_dark
 from warpsar.diagnosis.evidence import Evidence
 from warpsar.diagnosis.found import Candidate, DarkScan, DiagnoseOptions, Turn
+from warpsar.diagnosis.geometry import as_declared
 from warpsar.diagnosis.partly_known import PartlyKnown
 from warpsar.diagnosis.refit import Fitted
 from warpsar.diagnosis.score import NOT_TESTABLE, Group, Projection, group
@@ -72,7 +73,7 @@ def _grouped(
     maker = TemplateMaker(base.scene, bench.device, other_rays, observations, evidence.modelled)
     # A fit without multiple bounces may have made the surface a poor mirror. Paths are invisible there, so their
     # templates are taken at the declared surface too.
-    unmoved = replace(base.scene, materials=scene.materials)
+    unmoved = as_declared(scene, base.scene)
     paths = TemplateMaker(unmoved, bench.device, other_rays, observations, evidence.modelled)
     projection = Projection(maker.tangent(), evidence.root_looks, PartlyKnown.of(maker.neutral))
     found = {}

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 from warpsar.diagnosis.addition import add_the_best
 from warpsar.diagnosis.bench import Bench
@@ -13,9 +14,12 @@ from warpsar.diagnosis.course import Course
 from warpsar.diagnosis.dark import Dark, worth_a_refit
 from warpsar.diagnosis.evidence import Evidence
 from warpsar.diagnosis.found import Candidate, DiagnoseOptions, Rival, Turn
+from warpsar.diagnosis.geometry import changes, is_geometry, object_of
+from warpsar.diagnosis.geometry_search import geometry_candidates
+from warpsar.diagnosis.geometry_trial import add_the_likeliest, on_its_ground, posed_anew
 from warpsar.diagnosis.outcome import confirmation_lines, score_text, turn_lines
 from warpsar.diagnosis.pruning import prune, trimmed
-from warpsar.diagnosis.refit import Fitted, narrow, on_bounded_ground, settle
+from warpsar.diagnosis.refit import Fitted, narrow, on_bounded_ground, refit_as, settle
 from warpsar.diagnosis.rivals import rivals_of
 from warpsar.diagnosis.scoring import score_effects
 from warpsar.diagnosis.screening import NO_DARK
@@ -46,7 +50,8 @@ class Search:
     ) -> None:
         self.scene, self.options, self.turns = scene, options, list[Turn]()
         self._bench = bench  # fewer pixels where an added effect has moved the light
-        self._other_rays, self._declared, self._course, self._progress = other_rays, declared, course, progress
+        self._other = replace(bench, rays=other_rays)
+        self._declared, self._course, self._progress = declared, course, progress
         self._base = declared
         self._barred: set[str] = set()  # taken back, with nothing else found since
         self._times: Counter[str] = Counter()  # that an effect was added
@@ -66,10 +71,24 @@ class Search:
             return settle(replace(self._bench, bound=0.0), self._base, self.options.starts, self.options.seed)
         return self._base
 
+    def objects(self, final: Fitted) -> dict[str, dict[str, Any]]:
+        """What became of the objects that were changed, by name, as diagnosis.json has it; `final` is the model."""
+        found = posed_anew(self._bench, final, self.scene)[1]
+        told = {} if found is None else found.objects
+        tables = {turn.added: c.table for turn in self.turns for c in turn.candidates if c.effect == turn.added}
+        return {
+            object_of(name): {
+                **(tables.get(name) or {}),
+                **told.get(object_of(name), {}),
+                "not_told_apart": [] if found is None else [w for w in found.words if w.startswith(object_of(name))],
+            }
+            for name in changes(self.scene, final.scene)
+        }
+
     def rivals(self) -> list[Rival]:
         """Other effects in the place of those that hold."""
         bench, here = on_bounded_ground(self._bench, self._base, self.scene)
-        return rivals_of(bench, here, self._added(here), self.turns, needed)
+        return rivals_of(bench, here, self._effects(here), self.turns, needed)
 
     @property
     def unexplained(self) -> bool:
@@ -80,7 +99,10 @@ class Search:
         return last.alarms or shared
 
     def _added(self, fitted: Fitted) -> list[str]:
-        """Effects of a model that the scene does not declare."""
+        """Effects of a model that the scene does not declare, and changes of its geometry."""
+        return [*self._effects(fitted), *changes(self.scene, fitted.scene)]
+
+    def _effects(self, fitted: Fitted) -> list[str]:
         return [name for name in fitted.scene.effects if name not in self.scene.effects]
 
     def _forward(self) -> bool:
@@ -96,7 +118,10 @@ class Search:
             self._times[turn.added] += 1
             self._barred = {name for name in self._barred if self._times[name] >= CHANCES}
             found = True
-            self._bench, self._base = narrow(self._bench, turn.fitted)
+            if is_geometry(turn.added):
+                self._bench, self._base = on_its_ground(self._bench, self._other, turn.fitted)
+            else:
+                self._bench, self._base = narrow(self._bench, turn.fitted)
 
     def _turn(self) -> Turn:
         """Score every effect that is not in the model, fit the best, and add the likeliest. Drop those of earlier turns
@@ -105,7 +130,7 @@ class Search:
         bench, here = on_bounded_ground(self._bench, self._base, self.scene)
         evidence = Evidence.of(here.problem, here.x, bench.ranks)
         turn, templates = score_effects(
-            self.scene, bench, self._other_rays, here, evidence, options, number, self._progress
+            self.scene, bench, self._other.rays_of(here.scene), here, evidence, options, number, self._progress
         )
         dark = Dark.of(here)
         passing = worth_a_refit(turn.candidates, turn.threshold, dark)
@@ -117,32 +142,43 @@ class Search:
             price = evidence.price(bench.ranks)
             found = refits(bench, here, self.scene, allowed, templates, dark, options.refits)
             add_the_best(bench, turn, here, found, dark, price)
+            if turn.alarms:
+                offered = geometry_candidates(self.scene, bench, here, price)
+                offered = [c for c in offered if c.name not in self._barred and self._times[c.name] < CHANCES]
+                bench = add_the_likeliest(bench, turn, here, offered, price)
             if turn.fitted is not None:
-                prune(bench, turn, self._added(here), price)
+                prune(bench, turn, self._effects(here), price)
         return turn
 
     def _confirmed(self) -> bool:
-        """Ask every added effect beside all others; whether any was taken back."""
-        if not self._added(self._base):
-            return False
-        answers = self._course.confirmation(self._stage, self._bench, self._base, self._confirm)
-        self._stage += 1
-        console.say("\n".join(confirmation_lines(answers)))
-        for one in answers.asked:
-            turn = next(turn for turn in reversed(self.turns) if turn.added == one.effect)
-            next(c for c in turn.candidates if c.effect == one.effect).answered(one)
-        refused = {one.effect for one in answers.asked if one.refused}
-        self._barred |= refused
-        self._base = answers.fitted
-        return bool(refused)
+        """Ask everything that was added beside all others; whether any was taken back."""
+        any_refused = False
+        while self._added(self._base):
+            answers = self._course.confirmation(self._stage, self._bench, self._base, self._confirm)
+            self._stage += 1
+            console.say("\n".join(confirmation_lines(answers)))
+            for one in answers.asked:
+                turn = next(turn for turn in reversed(self.turns) if turn.added == one.effect)
+                next(c for c in turn.candidates if c.effect == one.effect).answered(one)
+            refused = {one.effect for one in answers.asked if one.refused}
+            self._barred |= refused
+            self._base = answers.fitted
+            any_refused |= bool(refused)
+            if not any(is_geometry(name) for name in refused):
+                break
+            self._bench, self._base = on_its_ground(self._bench, self._other, self._base)  # and the rest is asked there
+        return any_refused
 
     def _confirm(self) -> Confirmation:
         bench, here = on_bounded_ground(self._bench, self._base, self.scene)
+        scene, posed = posed_anew(bench, here, self.scene)
+        if posed is not None:
+            here = refit_as(bench, scene)
         settled = settle(bench, here, self.options.starts, self.options.seed)
         price = Evidence.of(settled.problem, settled.x, bench.ranks).price(bench.ranks)
         last = self.turns[-1]
-        settled = trimmed(bench, settled, self._added(settled), price)
-        return confirm(bench, settled, self._added(settled), needed, price, quiet=not last.alarms)
+        settled = trimmed(bench, settled, self._effects(settled), price)
+        return confirm(bench, settled, self._added(settled), needed, price, self.scene, quiet=not last.alarms)
 
 
 def needed(without: Fitted, name: str) -> bool:
