@@ -10,12 +10,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.ndimage import minimum_filter, uniform_filter
 
 from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.refit import BOUND, Fitted
 from warpsar.learning.observation import Observation, usable_pixels
 from warpsar.learning.pose import Descended, PosedProblem, descend
 from warpsar.learning.pose_pixels import FLOOR_SHARE, compared
+from warpsar.learning.verdict import TRACE
 from warpsar.scene.placing import with_objects
 from warpsar.scene.scene import Scene
 from warpsar.speckle.likelihood import bounded, loss_terms
@@ -40,6 +42,25 @@ def log_likelihood(bench: Bench, fitted: Fitted) -> float:
             measured, mean = seen.measured[use] + level, np.maximum(image[use].astype(float), 0.0) + level
             total -= float(bounded(loss_terms("gamma", measured, mean, seen.looks), BOUND).sum())
     return float(bench.ranks.same(total))
+
+
+def lit_shadows(fitted: Fitted) -> bool:
+    """Whether a shadow of the model is none: 3 x 3 pixels that it does not light, nor their neighbours, measure more
+    than it has there by a trace of the lit pixels' median, on average.
+
+    These pixels belong to no scan: a blur reaches them, and pixels farther than six from anything lit are dark ones.
+    """
+    gains = iter(fitted.problem.gains(fitted.problem.modelled(fitted.x)))
+    for view in fitted.problem.views:
+        for seen in view.observations:
+            image = float(next(gains)) * view.render.images[seen.polarization].numpy().reshape(seen.interior.shape)
+            unlit = minimum_filter((~view.render.lit(seen.polarization)).astype(np.uint8), size=3) > 0
+            unlit &= usable_pixels(fitted.scene, seen.view, seen.measured) & ~seen.dark
+            whole = minimum_filter(unlit.astype(np.uint8), size=3, mode="constant") > 0
+            more = uniform_filter(np.where(unlit, seen.measured - image, 0.0), size=3, mode="constant")
+            if (more[whole] > TRACE * np.median(seen.values)).any():
+                return True
+    return False
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 from warpsar.diagnosis.addition import add_the_best
+from warpsar.diagnosis.all_pixels import lit_shadows
 from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.confirmation import Confirmation, confirm
 from warpsar.diagnosis.course import Course
@@ -142,7 +143,7 @@ class Search:
             price = evidence.price(bench.ranks)
             found = refits(bench, here, self.scene, allowed, templates, dark, options.refits)
             add_the_best(bench, turn, here, found, dark, price)
-            if turn.alarms:
+            if passing or turn.alarms or bench.ranks.same(float(lit_shadows(here))):
                 offered = geometry_candidates(self.scene, bench, here, price)
                 offered = [c for c in offered if c.name not in self._barred and self._times[c.name] < CHANCES]
                 bench = add_the_likeliest(bench, turn, here, offered, price)
