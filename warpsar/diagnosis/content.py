@@ -48,7 +48,7 @@ def content_of(
         },
         "withdrawn": found.withdrawn,
         "candidates": [
-            *(_candidate(c, found.turns[0]) for c in found.turns[0].candidates),
+            *(_candidate(c, found.turns[0]) for c in found.turns[0].candidates if not is_geometry(c.effect)),
             *map(_declared, found.scene.effects),
         ],
         "not_testable": [c.effect for c in untestable],

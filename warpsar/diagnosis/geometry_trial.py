@@ -9,28 +9,33 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from warpsar.diagnosis.addition import TOO_LITTLE
 from warpsar.diagnosis.all_pixels import log_likelihood, still
 from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.found import Candidate, Turn
 from warpsar.diagnosis.frozen import frozen
-from warpsar.diagnosis.geometry import GeometryCandidate, changes
-from warpsar.diagnosis.movable import refined_words, with_words
+from warpsar.diagnosis.geometry import GeometryCandidate
+from warpsar.diagnosis.movable import bodies, refined_words, with_words
 from warpsar.diagnosis.refit import Fitted, narrowed_to, refit_as
+from warpsar.diagnosis.score import minus_log_p
 from warpsar.learning.pose_search import FoundPoses, find_poses
 from warpsar.scene.scene import Scene
 
 
 def add_the_likeliest(
-    bench: Bench, turn: Turn, here: Fitted, found: Sequence[GeometryCandidate], price: float
+    bench: Bench, turn: Turn, here: Fitted, declared: Scene, found: Sequence[GeometryCandidate], price: float
 ) -> Bench:
     """Let each candidate of geometry contend with the effect that the turn has added, or with none.
 
     Fills in `turn.candidates`, and `turn.added` and `turn.fitted` where a change of geometry is the likeliest. A
-    number costs `price` of 2 ln L. Returns the bench of the pixels that the added model was fitted on.
+    number costs `price` of 2 ln L. Scores are -ln p of the gain (Wilks), for all bodies that could be tried
+    (Bonferroni). Returns the bench of the pixels that the added model was fitted on.
     """
     start = log_likelihood(bench, here)
     before = turn.added
+    tried = np.log(max(len(bodies(declared, here.scene)), 1)) if found else 0.0
     best_worth, best_bench = 0.0, bench
     if turn.fitted is not None:
         gain = 2.0 * (log_likelihood(bench, turn.fitted) - start)
@@ -38,8 +43,18 @@ def add_the_likeliest(
     for one in found:
         narrowed, fitted = fitted_beside(bench, one.scene)
         gain = 2.0 * (log_likelihood(bench, fitted) - start)
-        candidate = Candidate(one.name, "testable", refit_gain=gain, refit_size=one.size, table=dict(one.values))
-        candidate.note = "; ".join(one.words)
+        score = float(minus_log_p(np.array(max(gain, 0.0)), one.size, 0)) - tried
+        candidate = Candidate(
+            one.name,
+            "testable",
+            statistic=gain,
+            minus_log_p=score,
+            p_value=float(np.exp(-max(score, 0.0))),
+            refit_gain=gain,
+            refit_size=one.size,
+            note="; ".join(one.words),
+            table=dict(one.values),
+        )
         turn.candidates.append(candidate)
         if gain - one.size * price > best_worth:
             best_worth, best_bench = gain - one.size * price, narrowed
@@ -86,8 +101,3 @@ def posed_anew(bench: Bench, fitted: Fitted, declared: Scene) -> tuple[Scene, Fo
         with_words(fitted.scene, words), bench.device, views=views, observations=bench.observations, search=False
     )
     return still(found.scene), found
-
-
-def changed(declared: Scene, one: Scene, other: Scene) -> bool:
-    """Whether two models of the declared scene differ in the names of their changes."""
-    return changes(declared, one) != changes(declared, other)

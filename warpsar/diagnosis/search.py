@@ -146,7 +146,7 @@ class Search:
             if passing or turn.alarms or bench.ranks.same(float(lit_shadows(here))):
                 offered = geometry_candidates(self.scene, bench, here, price)
                 offered = [c for c in offered if c.name not in self._barred and self._times[c.name] < CHANCES]
-                bench = add_the_likeliest(bench, turn, here, offered, price)
+                bench = add_the_likeliest(bench, turn, here, self.scene, offered, price)
             if turn.fitted is not None:
                 prune(bench, turn, self._effects(here), price)
         return turn
