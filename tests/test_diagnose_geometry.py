@@ -12,7 +12,7 @@ from test_diagnose import ANGLES, saved
 from worlds import box, ground, mesh_of, scene_of, view
 
 from warpsar.diagnosis import search
-from warpsar.diagnosis.all_pixels import Exact, lit_shadows, log_likelihood
+from warpsar.diagnosis.all_pixels import Exact, lit_shadows, log_likelihood, still
 from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.command import run
 from warpsar.diagnosis.found import DiagnoseOptions
@@ -22,7 +22,11 @@ from warpsar.diagnosis.geometry_search import _foretold, screening
 from warpsar.diagnosis.movable import bodies, disjoint, freed
 from warpsar.diagnosis.refit import BOUND, Fitted, refit_as
 from warpsar.diagnosis.result import diagnose
+from warpsar.differentiable.geometry import exact_images
+from warpsar.io import checkpoint
+from warpsar.learning.pose import PosedProblem, descend
 from warpsar.learning.pose_pixels import FLOOR_SHARE
+from warpsar.learning.results import learned_scene
 from warpsar.runtime import devices
 from warpsar.scene.placing import with_objects
 from warpsar.scene.scene import Scene
@@ -54,7 +58,7 @@ def case(folder: Path, truth: Scene, seed: int = 1) -> Scene:
     """The scene of the mesh as it is, with the images of another truth, and a start beside the materials."""
     seen = measured(truth, folder, seed=seed)
     declared = replace(true_scene(), views=seen.views, sampling=Sampling(rays_per_pixel=64.0))
-    return saved(starting(declared, {**START, "hut": {"eps_r": 6.0}}), folder)
+    return saved(starting(declared, {**START, "hut": {**HUT, "eps_r": 6.0}}), folder)
 
 
 def without_hut() -> Scene:
@@ -153,23 +157,23 @@ def test_log_likelihood_of_all_pixels(nothing: Scene) -> None:
     assert log_likelihood(bench, fitted) == pytest.approx(total, rel=1e-6)
 
 
-def test_a_gain_is_foretold(nothing: Scene) -> None:
-    """For a move of 5 cm, the gain to second order is that of the fit to a tenth, and a body that stands right gains
-    what chance gives it."""
-    shifted = composed(nothing, nothing, [Object(group="hut", position_m=(0.05, 0.0, 0.0))], ())
-    bench, fitted = fitted_of(nothing)
+def test_a_gain_is_foretold(tmp_path: Path) -> None:
+    """Of a hut 4 cm off in images without speckle, the fit gains what is foretold, to 5 %: the loss is quadratic there
+    but for the bend of four centimetres in pixels of half a metre."""
+    truth = true_scene()
+    images = list(exact_images(truth, CPU).values())
+    seen = measured(truth, tmp_path, images=images, noise=lambda _, shape, looks: np.ones(shape))
+    shifted = composed(seen, seen, [Object(group="hut", position_m=(0.03, -0.03, 0.0))], ())
+    bench, fitted = fitted_of(shifted)
     exact = Exact.of(bench, fitted)
-    free = freed(shifted, ["hut"], ("position",))
-    problem = exact.problem(free)
-    x = problem.x0.copy()
-    from warpsar.learning.pose import descend
+    before, start = exact.settled(shifted)
+    problem = exact.problem(freed(still(before_scene(before, start.x, shifted)), ["hut"]))
+    assert _foretold(problem)["hut"] == pytest.approx(start.loss - descend(problem, problem.x0).loss, rel=0.05)
 
-    end = descend(problem, x)
-    still_end = exact.settled(replace(free, objects=tuple(o.model_copy(update={"learn": ()}) for o in free.objects)))[1]
-    start = problem.x0.copy()
-    start[: problem.size] = still_end.x
-    problem.x0 = start
-    assert _foretold(problem)["hut"] == pytest.approx(still_end.loss - end.loss, rel=0.1)
+
+def before_scene(problem: PosedProblem, x: np.ndarray, scene: Scene) -> Scene:
+    """The scene with the materials of x."""
+    return replace(scene, materials=learned_scene(*problem.split(x)).materials)
 
 
 def test_the_screening_finds_the_body(moved: Scene, tmp_path: Path) -> None:
@@ -227,6 +231,29 @@ def test_the_scene_has_the_object_there(found: tuple[Path, dict[str, Any]]) -> N
     assert "found at the end" in text
 
 
+@pytest.mark.parametrize("stage", [2, 4])  # after the turn that adds it, and after the confirmation
+def test_an_interrupted_run_ends_the_same(
+    stage: int, moved: Scene, found: tuple[Path, dict[str, Any]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    written, write = [], checkpoint.write
+
+    def stopping(*about: Any) -> None:
+        write(*about)
+        written.append(about)
+        if len(written) == stage:
+            raise KeyboardInterrupt
+
+    assert moved.path is not None
+    with monkeypatch.context() as patch:
+        patch.setattr(checkpoint, "write", stopping)
+        with pytest.raises(KeyboardInterrupt):
+            run(moved.path, tmp_path, device="cpu", options=QUICK)
+    content = run(moved.path, tmp_path, device="cpu", options=QUICK, resume=True)
+    before, after = (json.loads(json.dumps({**one, "wall_time_s": 0.0}, default=float)) for one in (found[1], content))
+    assert after == before
+    assert (tmp_path / "scene.toml").read_text().count("position_m") == 1
+
+
 def test_an_absent_object_is_found(tmp_path: Path) -> None:
     scene = case(tmp_path, without_hut())
     assert scene.path is not None
@@ -238,6 +265,7 @@ def test_an_absent_object_is_found(tmp_path: Path) -> None:
     assert Scene.load(tmp_path / "out" / "scene.toml").mesh.materials == ("ground", "cube")
 
 
+@pytest.mark.slow
 def test_two_objects_are_found_turn_by_turn(tmp_path: Path) -> None:
     """The cube is elsewhere and the hut is not there."""
     truth = composed(true_scene(), true_scene(), [Object(group="cube", position_m=(-0.7, 0.5, 0.0))], ["hut"])
@@ -246,6 +274,7 @@ def test_two_objects_are_found_turn_by_turn(tmp_path: Path) -> None:
     np.testing.assert_allclose(done.objects["cube"]["position_m"], (-0.7, 0.5, 0.0), atol=0.05)
 
 
+@pytest.mark.slow
 def test_a_shift_of_everything_is_registration(tmp_path: Path) -> None:
     truth = replace(true_scene(), effects={"registration": {"range_m": 0.33, "azimuth_m": -0.41}})
     assert diagnose(case(tmp_path, truth), device="cpu", options=QUICK).diagnosis.verdict == ["registration"]

@@ -25,6 +25,7 @@ from warpsar.diagnosis.rivals import rivals_of
 from warpsar.diagnosis.scoring import score_effects
 from warpsar.diagnosis.screening import NO_DARK
 from warpsar.diagnosis.shortlist import refits
+from warpsar.learning.pose_search import FoundPoses
 from warpsar.runtime import console
 from warpsar.scene.scene import Scene
 from warpsar.simulation.rays import Rays
@@ -57,6 +58,7 @@ class Search:
         self._barred: set[str] = set()  # taken back, with nothing else found since
         self._times: Counter[str] = Counter()  # that an effect was added
         self._stage = 0
+        self._posed: FoundPoses | None = None  # changed objects of the final model
 
     def run(self) -> None:
         """Search to the end."""
@@ -68,23 +70,23 @@ class Search:
         """The model that the search ended with, at its best; nothing that a pixel can cost is bounded."""
         if not self._added(self._base):
             return self._declared
-        if self._base.problem.misfit.bound > 0:
-            return settle(replace(self._bench, bound=0.0), self._base, self.options.starts, self.options.seed)
-        return self._base
+        plain, found = replace(self._bench, bound=0.0), self._base
+        if found.problem.misfit.bound > 0:
+            found = settle(plain, found, self.options.starts, self.options.seed)
+        scene, self._posed = posed_anew(plain, found, self.scene)
+        return found if self._posed is None else refit_as(plain, scene)
 
     def objects(self, final: Fitted) -> dict[str, dict[str, Any]]:
-        """What became of the objects that were changed, by name, as diagnosis.json has it; `final` is the model."""
-        found = posed_anew(self._bench, final, self.scene)[1]
-        told = {} if found is None else found.objects
-        tables = {turn.added: c.table for turn in self.turns for c in turn.candidates if c.effect == turn.added}
-        return {
-            object_of(name): {
-                **(tables.get(name) or {}),
-                **told.get(object_of(name), {}),
-                "not_told_apart": [] if found is None else [w for w in found.words if w.startswith(object_of(name))],
-            }
-            for name in changes(self.scene, final.scene)
-        }
+        """What became of the objects that were changed, by name, as diagnosis.json has it; `final` is `final()`."""
+        told, words = ({}, []) if self._posed is None else (self._posed.objects, self._posed.words)
+        found = {}
+        for name in changes(self.scene, final.scene):
+            label = object_of(name)
+            turn = next(turn for turn in reversed(self.turns) if turn.added == name)
+            first = next(c.table for c in turn.candidates if c.effect == name)
+            found[label] = {**(first or {}), **told.get(label, {})}
+            found[label]["not_told_apart"] = [w for w in words if w.startswith(f"{label}.")]
+        return found
 
     def rivals(self) -> list[Rival]:
         """Other effects in the place of those that hold."""
