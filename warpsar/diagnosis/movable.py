@@ -28,7 +28,7 @@ def bodies(declared: Scene, scene: Scene) -> dict[str, np.ndarray]:
     seen: set[bytes] = set()
     base = scene.mesh if scene.assembly is None else scene.assembly.base
     if base is not None:
-        names = list(dict.fromkeys([*group_names(base, scene.mesh_path), *base.groups]))
+        names = group_names(base, scene.mesh_path)
         named = with_groups(base, scene.mesh_path, names)
         moved = {one.group for one in scene.objects}
         for name in names:
