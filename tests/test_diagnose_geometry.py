@@ -19,7 +19,7 @@ from warpsar.diagnosis.found import DiagnoseOptions
 from warpsar.diagnosis.frozen import frozen
 from warpsar.diagnosis.geometry import changes, composed, heard, told, without_change, without_object
 from warpsar.diagnosis.geometry_search import _foretold, screening
-from warpsar.diagnosis.movable import bodies, disjoint, freed
+from warpsar.diagnosis.movable import bodies, disjoint, freed, refined_words
 from warpsar.diagnosis.refit import BOUND, Fitted, refit_as
 from warpsar.diagnosis.result import diagnose
 from warpsar.differentiable.geometry import exact_images
@@ -137,6 +137,20 @@ def test_the_ground_is_no_body() -> None:
     assert bodies(alone, alone) == {}
     found = {"a": np.array([0, 1]), "b": np.array([1, 2]), "c": np.array([3])}
     assert list(disjoint(found, 2)) == [["a", "c"], ["b"]]
+
+
+def test_free_aim_points_hold_places_where_no_body_stays() -> None:
+    """A view's own shift and a body's are one, if nothing else stands there that both could be told from."""
+    scene = true_scene()
+    both = [Object(group=name, **MOVED) for name in ("cube", "hut")]
+    one, two = composed(scene, scene, both[:1], ()), composed(scene, scene, both, ())
+    aimed = {"aim_point": {"range_m": {"v0": 0.2}}}
+    place_and_turn, turn = ("position", "heading"), ("heading",)
+    assert refined_words(scene, two) == dict.fromkeys(("cube", "hut"), place_and_turn)
+    assert refined_words(scene, replace(one, effects=aimed)) == {"cube": place_and_turn}
+    assert refined_words(scene, replace(two, effects=aimed)) == dict.fromkeys(("cube", "hut"), turn)
+    held = {"aim_point": {**aimed["aim_point"], "fixed": True}}
+    assert refined_words(scene, replace(two, effects=held))["hut"] == place_and_turn
 
 
 # ---- how models are compared ----

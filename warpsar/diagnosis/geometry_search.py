@@ -15,7 +15,7 @@ import numpy as np
 from warpsar.diagnosis.all_pixels import Exact, still
 from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.geometry import ABSENT, POSE, GeometryCandidate, heard, told, without_object
-from warpsar.diagnosis.movable import bodies, disjoint, freed
+from warpsar.diagnosis.movable import bodies, disjoint, freed, placeable
 from warpsar.diagnosis.refit import Fitted
 from warpsar.learning.pose import PosedProblem
 from warpsar.learning.pose_search import SEARCH_BLUR_M, find_poses
@@ -60,7 +60,7 @@ def moved_or_absent(declared: Scene, bench: Bench, here: Fitted, price: float) -
     found = []
     for one in sorted(screened, key=lambda one: -one.moved)[:FITTED]:
         if one.moved > 0.5 * price:
-            found += _moved(bench, here, one.label)
+            found += _moved(declared, bench, here, one.label)
     absent = max(screened, key=lambda one: one.absent, default=None)
     if absent is not None and absent.absent > 0.5 * price:
         found.append(_absent(declared, exact, here, absent.label))
@@ -105,9 +105,15 @@ def _foretold(problem: PosedProblem) -> dict[str, float]:
     }
 
 
-def _moved(bench: Bench, here: Fitted, label: str) -> list[GeometryCandidate]:
+def _moved(declared: Scene, bench: Bench, here: Fitted, label: str) -> list[GeometryCandidate]:
     """The body at its likeliest pose; nothing where that is in the ground or outside the images."""
-    found = find_poses(freed(here.scene, [label]), bench.device, views=_views(here), observations=bench.observations)
+    free = freed(here.scene, [label])
+    if not placeable(declared, here.scene, [label]):
+        one = next(one for one in free.objects if one.label == label)
+        if one.round:
+            return []
+        free = freed(here.scene, [label], ("heading",))
+    found = find_poses(free, bench.device, views=_views(here), observations=bench.observations)
     scene = still(found.scene)
     if misplaced(scene):
         return []

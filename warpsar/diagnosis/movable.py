@@ -90,15 +90,26 @@ def words_of(one: Object) -> tuple[Learnable, ...]:
     return ("position",) if one.round else POSE_WORDS
 
 
+def placeable(declared: Scene, scene: Scene, labels: Iterable[str]) -> bool:
+    """Whether the places of the bodies `labels` can be told: where the aim point of every view is free, only against
+    another body, which has not moved."""
+    table = scene.effects.get("aim_point")
+    free = table is not None and not table.get("fixed")
+    return not free or bool(set(bodies(declared, scene)) - set(labels))
+
+
 def refined_words(declared: Scene, scene: Scene) -> dict[str, tuple[Learnable, ...]]:
     """What is fitted again of each changed object that stands in `scene`: of one that was missing, its size too."""
     missing = {object_of(name) for name in changes(declared, scene) if kind_of(name) == MISSING}
     changed = {object_of(name) for name in changes(declared, scene)}
-    return {
+    words = {
         one.label: (*words_of(one), "size") if one.label in missing and one.size_m is not None else words_of(one)
         for one in scene.objects
         if one.label in changed
     }
+    if not placeable(declared, scene, changed):
+        words = {label: tuple(word for word in found if word != "position") for label, found in words.items()}
+    return {label: found for label, found in words.items() if found}
 
 
 def with_words(scene: Scene, words: dict[str, tuple[Learnable, ...]]) -> Scene:
