@@ -48,7 +48,7 @@ def geometry_candidates(declared: Scene, bench: Bench, here: Fitted, price: floa
         [one.kind, one.object, told(declared, one.scene), one.gain, one.size, one.values, one.words] for one in found
     ]
     return [
-        GeometryCandidate(kind, label, heard(declared, here.scene, scene), gain, size, values, words)
+        GeometryCandidate(kind, label, still(heard(declared, here.scene, scene)), gain, size, values, words)
         for kind, label, scene, gain, size, values, words in bench.ranks.gather(mine)[0]
     ]
 
