@@ -25,6 +25,7 @@ from warpsar.world.objects.sound import misplaced, surfaces_at
 
 TOGETHER = 16  # bodies of one screening problem: four columns each, on all pixels
 FITTED = 2  # of the screened poses, how many are fitted
+FAR_BEHIND = 0.1  # of what the best effect gains: a body that is foretold less is no rival (blur takes most of a gain)
 
 Source = Callable[[Scene, Bench, Fitted, float], list[GeometryCandidate]]
 
@@ -38,12 +39,19 @@ class Screened:
     absent: float
 
 
-def geometry_candidates(declared: Scene, bench: Bench, here: Fitted, price: float) -> list[GeometryCandidate]:
+def geometry_candidates(
+    declared: Scene, bench: Bench, here: Fitted, price: float, lead: float = 0.0
+) -> list[GeometryCandidate]:
     """Changes of geometry that are worth a comparison with the effects, as the first rank finds them.
 
-    A number that a change frees costs `price` of 2 ln L.
+    A number that a change frees costs `price` of 2 ln L. `lead`: log-likelihood that the best effect gains.
     """
-    found = bench.ranks.agree(lambda: [one for source in SOURCES for one in source(declared, bench, here, price)])
+    found = bench.ranks.agree(
+        lambda: [
+            *moved_or_absent(declared, bench, here, price, lead),
+            *(one for source in SOURCES for one in source(declared, bench, here, price)),
+        ]
+    )
     mine = [
         [one.kind, one.object, told(declared, one.scene), one.gain, one.size, one.values, one.words] for one in found
     ]
@@ -53,16 +61,22 @@ def geometry_candidates(declared: Scene, bench: Bench, here: Fitted, price: floa
     ]
 
 
-def moved_or_absent(declared: Scene, bench: Bench, here: Fitted, price: float) -> list[GeometryCandidate]:
-    """The bodies that stand elsewhere, or are not there, most likely."""
+def moved_or_absent(
+    declared: Scene, bench: Bench, here: Fitted, price: float, lead: float = 0.0
+) -> list[GeometryCandidate]:
+    """The bodies that stand elsewhere, or are not there, most likely.
+
+    One that is far behind the best effect is not fitted; the next turn tries it again.
+    """
     exact = Exact.of(bench, here)
     screened = screening(declared, exact, here)
+    least = max(0.5 * price, FAR_BEHIND * lead)
     found = []
     for one in sorted(screened, key=lambda one: -one.moved)[:FITTED]:
-        if one.moved > 0.5 * price:
+        if one.moved > least:
             found += _moved(declared, bench, here, one.label)
     absent = max(screened, key=lambda one: one.absent, default=None)
-    if absent is not None and absent.absent > 0.5 * price:
+    if absent is not None and absent.absent > least:
         found.append(_absent(declared, exact, here, absent.label))
     return [one for one in found if 2.0 * one.gain > one.size * price]
 
@@ -149,5 +163,5 @@ def _views(fitted: Fitted) -> list[str]:
     return [view.view.name for view in fitted.problem.views]
 
 
-SOURCES: tuple[Source, ...] = (moved_or_absent,)
-"""What finds changes of geometry, each by itself."""
+SOURCES: tuple[Source, ...] = ()
+"""What else finds changes of geometry, each by itself."""

@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 from warpsar.diagnosis.addition import add_the_best
-from warpsar.diagnosis.all_pixels import lit_shadows
+from warpsar.diagnosis.all_pixels import lit_shadows, log_likelihood
 from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.confirmation import Confirmation, confirm
 from warpsar.diagnosis.course import Course
@@ -146,12 +146,18 @@ class Search:
             found = refits(bench, here, self.scene, allowed, templates, dark, options.refits)
             add_the_best(bench, turn, here, found, dark, price)
             if passing or turn.alarms or bench.ranks.same(float(lit_shadows(here))):
-                offered = geometry_candidates(self.scene, bench, here, price)
-                offered = [c for c in offered if c.name not in self._barred and self._times[c.name] < CHANCES]
-                bench = add_the_likeliest(bench, turn, here, self.scene, offered, price)
+                bench = self._with_bodies(bench, turn, here, price)
             if turn.fitted is not None:
                 prune(bench, turn, self._effects(here), price)
         return turn
+
+    def _with_bodies(self, bench: Bench, turn: Turn, here: Fitted, price: float) -> Bench:
+        """Let bodies that may stand elsewhere, or be absent, contend with the effect that the turn has added. Returns
+        the bench of what is added then."""
+        lead = 0.0 if turn.fitted is None else log_likelihood(bench, turn.fitted) - log_likelihood(bench, here)
+        offered = geometry_candidates(self.scene, bench, here, price, lead)
+        offered = [c for c in offered if c.name not in self._barred and self._times[c.name] < CHANCES]
+        return add_the_likeliest(bench, turn, here, self.scene, offered, price)
 
     def _confirmed(self) -> bool:
         """Ask everything that was added beside all others; whether any was taken back."""
