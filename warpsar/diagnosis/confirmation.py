@@ -40,24 +40,25 @@ def confirm(
     added: Sequence[str],
     needed: Callable[[Fitted, str], bool],
     price: float,
-    declared: Scene,
     *,
+    declared: Scene | None = None,
     quiet: bool = False,
 ) -> Confirmation:
-    """Which of the `added` effects, and changes of the `declared` scene's geometry, hold.
+    """Which of the `added` effects, and changes of the geometry, hold.
 
     A parameter costs `price` of 2 ln L. `needed` says of a model without an effect whether the dark pixels ask it for
     that effect: such an effect stays, whatever it gains in the light, unless its own test speaks against it. `quiet`:
     whether the scan finds nothing beside them. Where a change of geometry is taken back, other pixels are lit, and
-    nothing more is asked on these.
+    nothing more is asked on these. `declared`: the scene that geometry is compared with; by default the model's own.
     """
+    scene = fitted.scene if declared is None else declared
     refused: list[Confirmed] = []
     while True:
         left = [name for name in added if is_geometry(name) or name in fitted.scene.effects]
-        without = {name: _without(bench, fitted, declared, name) for name in left}
+        without = {name: _without(bench, fitted, scene, name) for name in left}
         dark = {name for name in left if not is_geometry(name) and get(name).additive and needed(without[name], name)}
         asked = {
-            name: asked_of(bench, fitted, without[name], declared, name)
+            name: asked_of(bench, fitted, without[name], scene, name)
             if is_geometry(name)
             else _gained(fitted, without[name], name)
             for name in left
@@ -69,7 +70,7 @@ def confirm(
         else:
             for name in left:
                 if is_geometry(name):
-                    answer = views_left_out(bench, fitted, without[name], declared, name, quiet)
+                    answer = views_left_out(bench, fitted, without[name], scene, name, quiet)
                     asked[name].left_out = answer
                     asked[name].refused = "" if answer.passed else NOT_ELSEWHERE
                 elif name in dark:

@@ -187,7 +187,7 @@ class Search:
         price = Evidence.of(settled.problem, settled.x, bench.ranks).price(bench.ranks)
         last = self.turns[-1]
         settled = trimmed(bench, settled, self._effects(settled), price)
-        return confirm(bench, settled, self._added(settled), needed, price, self.scene, quiet=not last.alarms)
+        return confirm(bench, settled, self._added(settled), needed, price, declared=self.scene, quiet=not last.alarms)
 
 
 def needed(without: Fitted, name: str) -> bool:
