@@ -93,6 +93,12 @@ def _in_the_dark(done: Diagnosed) -> list[str]:
     return [report.table(head, rows, caption)]
 
 
+def _named(step: dict[str, Any]) -> str:
+    """What was added, and what that means."""
+    of = f" of {step['object']}" if "object" in step else ""
+    return f"{step['effect']}{of} ({SUMMARIES.get(step['effect']) or get(step['effect']).summary})"
+
+
 def _verdict(done: Diagnosed, content: dict[str, Any]) -> list[str]:
     found = done.diagnosis
     error = 100.0 * content["options"]["family_error"]
@@ -112,9 +118,7 @@ def _verdict(done: Diagnosed, content: dict[str, Any]) -> list[str]:
         doubt = f" But {step['note']}." if shared else ""
         own = step["signature"]
         earned = f" Its own test says: {_OUTCOME[own['outcome']]} ({own['text']})." if own else ""
-        of = f" of {step['object']}" if "object" in step else ""
-        about = SUMMARIES.get(step["effect"]) or get(step["effect"]).summary
-        said.append(f"Added: {step['effect']}{of} ({about}), with {tables}.{held}{earned}{doubt}")
+        said.append(f"Added: {_named(step)}, with {tables}.{held}{earned}{doubt}")
     said += [
         f"The data do not decide between {one.effect} and {one.other}: in its place it would fit as well, to within "
         f"what speckle makes of the difference (2 ln L {one.gain:+.1f}). {by.sentence[0].upper()}{by.sentence[1:]}."
