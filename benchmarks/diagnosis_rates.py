@@ -32,12 +32,15 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 import tables
 
 from warpsar.diagnosis.found import DiagnoseOptions
+from warpsar.diagnosis.geometry import without_object
 from warpsar.diagnosis.result import diagnose
 from warpsar.effects.registry import get, names
 from warpsar.io.images import write_tiff
+from warpsar.scene.placing import with_objects
 from warpsar.scene.scene import Scene
 from warpsar.simulation.command import simulate
 from warpsar.world.mesh import Mesh
+from warpsar.world.objects.table import Object
 from warpsar.world.tables import Grid, Material, Radar, Sampling, View
 
 TRUTH = {
@@ -61,10 +64,11 @@ class Case:
 
     effects: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     outside: str = ""
+    geometry: str = ""  # "object_pose" or "absent_object": what the images do with the hut
 
     @property
     def names(self) -> set[str]:
-        return set(self.effects)
+        return {*self.effects, *([self.geometry] if self.geometry else [])}
 
 
 SINGLE: dict[str, dict[str, Any]] = {name: get(name).rate_case for name in names()}
@@ -80,9 +84,13 @@ CASES: dict[str, Case] = {
             ("noise_floor", "multibounce", "registration"),
         )
     },
+    "an object elsewhere": Case(geometry="object_pose"),
+    "an object not there": Case(geometry="absent_object"),
     "an object missing": Case(outside="object"),
     "a mover's smear": Case(outside="smear"),
 }
+ELSEWHERE = {"position_m": (0.6, -0.4, 0.0), "heading_deg": 6.0}  # of the hut, in the images
+HUT = slice(22, 32)  # its faces
 SMEAR_ROWS, SMEAR_COLS = slice(28, 30), slice(22, 40)
 
 
@@ -101,10 +109,20 @@ def mesh(extra: bool = False) -> Mesh:
             material += [1, 1]
         faces += [[n + 1, n + 5, n + 7], [n + 1, n + 7, n + 3]]
         material += [2, 2]
-    return Mesh(np.array(vertices, float), np.array(faces, np.int32), np.array(material, np.int32), tuple(TRUTH))
+    groups = {"hut": np.arange(len(faces), dtype=np.int32)[HUT]}
+    arrays = np.array(vertices, float), np.array(faces, np.int32), np.array(material, np.int32)
+    return Mesh(*arrays, tuple(TRUTH), groups=groups)
 
 
-def truth(extra: bool = False) -> Scene:
+def truth(extra: bool = False, geometry: str = "") -> Scene:
+    """What the images hold; without `geometry`, what the scene file says."""
+    scene = declared_scene(extra)
+    if geometry == "object_pose":
+        return with_objects(scene, [Object(group="hut", **ELSEWHERE)])
+    return without_object(scene, scene, "hut") if geometry == "absent_object" else scene
+
+
+def declared_scene(extra: bool) -> Scene:
     return Scene(
         mesh=mesh(extra),
         radar=Radar(frequency_hz=9.6e9, polarizations=("HH",)),
@@ -119,7 +137,8 @@ def clean_images(case: Case, device: str | None, folder: Path, name: str) -> lis
     """beta0 of every view without speckle, kept in `folder`."""
     path = folder / f"clean_{'_'.join(name.replace(chr(39), '').split())}.npz"
     if not path.is_file():
-        scene = replace(truth(case.outside == "object"), effects={n: dict(t) for n, t in case.effects.items()})
+        scene = truth(case.outside == "object", case.geometry)
+        scene = replace(scene, effects={n: dict(t) for n, t in case.effects.items()})
         images = [one.beta0["HH"] for one in simulate(scene, device=device)]
         if case.outside == "smear":  # one object's power along a row, in one view, as bright as a roof's edge
             level = 2.0 * float(np.median(images[1][images[1] > 0]))
@@ -182,6 +201,7 @@ def one_run(key: tuple[str, int, str, int], options: DiagnoseOptions, device: st
         "withdrawn": report.diagnosis.withdrawn,
         "spot": [found.observations[spot.observation].view.name, spot.row, spot.col, spot.window],
         "effects": found.final.scene.effects,
+        "objects": found.objects,
         "scores": {c.effect: round(c.minus_log_p, 2) for c in found.turns[0].candidates if c.testability == "testable"},
         "not_testable": [c.effect for c in found.turns[0].candidates if c.testability == "not_testable"],
         "test_before": report.before["test"],

@@ -96,3 +96,24 @@ def test_widths_are_found(independent_cases: Path) -> None:
 def test_beam_is_found(independent_cases: Path) -> None:
     found, true = parameters("antenna_pattern", independent_cases)
     assert found["beamwidth_m"] == pytest.approx(true["beamwidth_m"], rel=0.15)
+
+
+def test_the_tower_that_stands_elsewhere_is_found(independent_cases: Path) -> None:
+    """Its group of the mesh is tried without being declared: within 5 cm and 0.5 degrees, and nothing else is named."""
+    folder = independent_cases / "moved_object"
+    done = diagnosed(folder)
+    assert done.diagnosis.verdict == ["object_pose"]
+    assert not done.diagnosis.unexplained
+    _, east, north, turn = json.loads((folder / "truth.json").read_text())["effects"]["moved"]
+    found = done.diagnosis.objects["tower"]
+    np.testing.assert_allclose(found["position_m"], (-east, -north, 0.0), atol=0.05)
+    assert found["heading_deg"] == pytest.approx(turn, abs=0.5)
+    after = done.after["test"]
+    assert after is not None
+    assert after["deviance"] == pytest.approx(1.0, abs=0.02 + 3 * after["deviance_error"])
+
+
+def test_an_object_that_the_scene_lacks_is_no_other_objects_pose(independent_cases: Path) -> None:
+    done = diagnosed(independent_cases / "missing_object").diagnosis
+    assert not {"object_pose", "absent_object"} & set(done.verdict)
+    assert done.unexplained or done.verdict == ["missing_object"]

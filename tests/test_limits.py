@@ -55,7 +55,9 @@ def test_gain_at_the_truth(limits: Any, gained: Any, monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(limits, "REACH", 200.0)  # a linear model: no bounds
     model = gained.truth
     surface = limits.Model.of(gained.bench, gained.scene).size
-    held = limits.Model(model.scene, model.mu, model.jacobian * ~model.parts["view_gain"].own, {}, surface, model.labels)
+    held = limits.Model(
+        model.scene, model.mu, model.jacobian * ~model.parts["view_gain"].own, {}, surface, model.labels
+    )
     random = np.random.default_rng(2)
     beta0 = model.mu[:, None] * random.gamma(LOOKS, 1.0 / LOOKS, (model.mu.size, 400))
     gain = limits.gains(gained, beta0, LOOKS, model, held)

@@ -4,6 +4,13 @@ command.py         the command
 result.py          `diagnose`, and its result on all views
 procedure.py       rays, pixels, the declared model, and then the search
 search.py          the loop: score, add on trial, confirm, repeat
+geometry.py        an object elsewhere, absent or missing: what a scene holds of it
+movable.py         which bodies may stand elsewhere or be absent
+geometry_search.py which of them are worth a comparison with effects
+geometry_trial.py  the likeliest of them beside the likeliest effect
+geometry_confirmation.py  whether one holds beside everything else
+all_pixels.py      models compared on lit and unlit pixels
+other_meshes.py    rays through changed meshes
 course.py          how far a run has come, and its checkpoint
 found.py           options, candidates, turns and the verdict
 bench.py           rays and pixels that all fits share

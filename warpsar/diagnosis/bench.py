@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, partial
 from typing import Any, TypeVar
 
 import warp as wp
 
+from warpsar.diagnosis.other_meshes import OtherMeshes, same_surface
 from warpsar.effects.registry import get
 from warpsar.learning.observation import Observation
 from warpsar.learning.problem import FitProblem
@@ -17,6 +18,7 @@ from warpsar.runtime import threads
 from warpsar.runtime.distributed import ONE, Ranks
 from warpsar.scene.scene import Scene
 from warpsar.simulation.rays import Rays
+from warpsar.world.mesh import Mesh
 
 T = TypeVar("T")
 
@@ -27,7 +29,8 @@ class Bench:
 
     `bound` is that of the gamma loss in every fit (`speckle.likelihood.bounded`); 0 for none. `roughness` is
     what every fit expects of the learned fields; None where there are none. Every one of the `ranks` holds all views,
-    and fits whole models by itself.
+    and fits whole models by itself. `rays` are those of `mesh`; a scene with another mesh has rays of its own,
+    `others`, as many and as random. Without a `mesh`, all scenes have the one of `rays`.
     """
 
     device: wp.Device
@@ -36,6 +39,14 @@ class Bench:
     ranks: Ranks = ONE
     bound: float = 0.0
     roughness: Roughness | None = None
+    mesh: Mesh | None = None
+    others: OtherMeshes = field(default_factory=OtherMeshes)
+
+    def rays_of(self, scene: Scene) -> Rays:
+        """The rays of the scene's mesh."""
+        if self.mesh is None or same_surface(scene.mesh, self.mesh):
+            return self.rays
+        return self.others.rays(scene, self.device, self.rays)
 
     def problem(self, scene: Scene, views: Sequence[str] | None = None, *, dark: bool | None = None) -> FitProblem:
         """The scene's fit problem; its dark pixels are used where it has an additive effect, or as `dark` says."""
@@ -46,7 +57,7 @@ class Bench:
             scene,
             self.device,
             views=views,
-            rays=self.rays,
+            rays=self.rays_of(scene),
             observations=seen,
             bound=self.bound,
             roughness=self.roughness,

@@ -100,7 +100,7 @@ def on_the_surface(bench: Bench, scene: Scene, view: View, other: Observation, c
     that the other sees too, weighted by its lit area; and the sum of the weights."""
     rows, cols = change.shape
     faces = len(scene.mesh.faces)
-    hits, theirs = (bench.rays.hits(scene, one, []) for one in (view, other.view))
+    hits, theirs = (bench.rays_of(scene).hits(scene, one, []) for one in (view, other.view))
     points, face = hits.point.numpy().astype(float), hits.face.numpy()
 
     def index(at: np.ndarray) -> np.ndarray:

@@ -14,11 +14,14 @@ from warpsar.diagnosis.addition import TOO_LITTLE
 from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.carried import Carried, carried_over
 from warpsar.diagnosis.found import Confirmed
+from warpsar.diagnosis.geometry import is_geometry
+from warpsar.diagnosis.geometry_confirmation import asked_of, taken_back, views_left_out
 from warpsar.diagnosis.left_out import LeftOut, leave_one_view_out
 from warpsar.diagnosis.refit import Fitted, refit_without
 from warpsar.diagnosis.signature import signature
 from warpsar.effects.base.signature import Signature
 from warpsar.effects.registry import get
+from warpsar.scene.scene import Scene
 
 NOT_ELSEWHERE = "it does not help on views left out as a true one would"
 
@@ -38,27 +41,39 @@ def confirm(
     needed: Callable[[Fitted, str], bool],
     price: float,
     *,
+    declared: Scene | None = None,
     quiet: bool = False,
 ) -> Confirmation:
-    """Which of the `added` effects hold.
+    """Which of the `added` effects, and changes of the geometry, hold.
 
     A parameter costs `price` of 2 ln L. `needed` says of a model without an effect whether the dark pixels ask it for
     that effect: such an effect stays, whatever it gains in the light, unless its own test speaks against it. `quiet`:
-    whether the scan finds nothing beside them.
+    whether the scan finds nothing beside them. Where a change of geometry is taken back, other pixels are lit, and
+    nothing more is asked on these. `declared`: the scene that geometry is compared with; by default the model's own.
     """
+    scene = fitted.scene if declared is None else declared
     refused: list[Confirmed] = []
     while True:
-        left = [name for name in added if name in fitted.scene.effects]
-        without = {name: refit_without(bench, fitted, name) for name in left}
-        dark = {name for name in left if get(name).additive and needed(without[name], name)}
-        asked = {name: _gained(fitted, without[name], name) for name in left}
+        left = [name for name in added if is_geometry(name) or name in fitted.scene.effects]
+        without = {name: _without(bench, fitted, scene, name) for name in left}
+        dark = {name for name in left if not is_geometry(name) and get(name).additive and needed(without[name], name)}
+        asked = {
+            name: asked_of(bench, fitted, without[name], scene, name)
+            if is_geometry(name)
+            else _gained(fitted, without[name], name)
+            for name in left
+        }
         poor = [one for one in asked.values() if one.effect not in dark and one.gain <= one.size * price]
         if poor:
             worst = min(poor, key=lambda one: one.gain - one.size * price)
             worst.refused = TOO_LITTLE
         else:
             for name in left:
-                if name in dark:
+                if is_geometry(name):
+                    answer = views_left_out(bench, fitted, without[name], scene, name, quiet)
+                    asked[name].left_out = answer
+                    asked[name].refused = "" if answer.passed else NOT_ELSEWHERE
+                elif name in dark:
                     _earned(bench, fitted, without[name], asked[name])
                 else:
                     _ask(bench, fitted, without[name], asked[name], quiet)
@@ -68,6 +83,14 @@ def confirm(
             worst = min(failing, key=_strength)
         fitted = without[worst.effect]
         refused.append(worst)
+        if is_geometry(worst.effect):
+            return Confirmation(fitted, [*refused, *(one for one in asked.values() if one is not worst)])
+
+
+def _without(bench: Bench, fitted: Fitted, declared: Scene, name: str) -> Fitted:
+    if is_geometry(name):
+        return taken_back(bench, fitted, declared, name)
+    return refit_without(bench, fitted, name)
 
 
 def _gained(fitted: Fitted, without: Fitted, name: str) -> Confirmed:

@@ -8,6 +8,7 @@ from typing import Any
 
 from warpsar.diagnosis.field_content import fields_content
 from warpsar.diagnosis.found import Candidate, DiagnoseOptions, Diagnosis, Rival, Turn
+from warpsar.diagnosis.geometry import is_geometry, kind_of, object_of
 from warpsar.diagnosis.judge import ROLES, Judged, difference, pool
 from warpsar.diagnosis.known import known_content
 from warpsar.diagnosis.left_words import described
@@ -15,7 +16,6 @@ from warpsar.diagnosis.outcome import outcome
 from warpsar.diagnosis.result import Diagnosed, Moved, why_not
 from warpsar.effects.registry import get
 from warpsar.learning.identify import Identified
-from warpsar.scene.scene import Scene
 
 
 def content_of(
@@ -25,7 +25,7 @@ def content_of(
     found = done.diagnosis
     last = found.turns[-1]
     added = list(enumerate(turn for turn in found.turns if turn.fitted is not None))
-    held = {turn.added: (k, turn) for k, turn in added if turn.added in found.verdict}  # the last time counts
+    held = {turn.added: (k, turn) for k, turn in added if turn.added in found.held}  # the last time counts
     last_held = max(held.values(), key=lambda pair: pair[0])[1] if held else None
     untestable = [c for c in last.candidates if c.testability != "testable"]
     return {
@@ -38,18 +38,18 @@ def content_of(
         "after": done.after,
         "gain": {role: _gain(done.models[0], done.models[-1], role) for role in ROLES},
         "steps": [
-            _addition(turn, options, done.models[k], done.models[-1 if turn is last_held else k + 1], found.final.scene)
+            _addition(turn, options, done.models[k], done.models[-1 if turn is last_held else k + 1], found)
             for k, turn in held.values()
         ],
         "taken_back": {
             turn.added: candidate.refused
             for _, turn in added
             for candidate in turn.candidates
-            if candidate.effect == turn.added and turn.added not in found.verdict
+            if candidate.effect == turn.added and turn.added not in found.held
         },
         "withdrawn": found.withdrawn,
         "candidates": [
-            *(_candidate(c, found.turns[0]) for c in found.turns[0].candidates),
+            *(_candidate(c, found.turns[0]) for c in found.turns[0].candidates if not is_geometry(c.effect)),
             *map(_declared, found.scene.effects),
         ],
         "not_testable": [c.effect for c in untestable],
@@ -68,6 +68,7 @@ def content_of(
         },
         **fields_content(found.declared, found.final),
         "effects": found.final.scene.effects,
+        "objects": found.objects,
         "identifiability": identified.summary(),
         **known_content(found, identified),
         "rays_per_pixel": found.density.rays_per_pixel,
@@ -98,7 +99,8 @@ def _gain(before: Sequence[Judged], after: Sequence[Judged], role: str) -> dict[
 def _candidate(c: Candidate, turn: Turn) -> dict[str, Any]:
     left = c.left_out
     return {
-        "effect": c.effect,
+        "effect": kind_of(c.effect),
+        **({"object": object_of(c.effect)} if is_geometry(c.effect) else {}),
         "testability": c.testability,
         "statistic": c.statistic,
         "p_value": c.p_value if c.testability == "testable" else None,
@@ -120,9 +122,9 @@ def _declared(effect: str) -> dict[str, Any]:
 
 
 def _addition(
-    turn: Turn, options: DiagnoseOptions, before: Sequence[Judged], after: Sequence[Judged], final: Scene
+    turn: Turn, options: DiagnoseOptions, before: Sequence[Judged], after: Sequence[Judged], found: Diagnosis
 ) -> dict[str, Any]:
-    """What a turn added, as the `final` model has it, and how far the models before and after it are from the
+    """What a turn added, as the final model has it, and how far the models before and after it are from the
     images."""
     chosen = next(c for c in turn.candidates if c.effect == turn.added)
     train, test = pool(after, "train"), pool(after, "test")
@@ -131,7 +133,9 @@ def _addition(
         **_candidate(chosen, turn),
         "threshold": turn.threshold,
         "family_error": options.family_error,
-        "parameters": final.effects[chosen.effect],
+        "parameters": found.objects[object_of(chosen.effect)]
+        if is_geometry(chosen.effect)
+        else found.final.scene.effects[chosen.effect],
         "train_deviance": train["deviance"],
         "train_deviance_error": train["deviance_error"],
         "test_deviance": None if test is None else test["deviance"],

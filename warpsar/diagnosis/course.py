@@ -14,6 +14,7 @@ from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.carried import Carried
 from warpsar.diagnosis.confirmation import Confirmation
 from warpsar.diagnosis.found import Candidate, Confirmed, DarkScan, DiagnoseOptions, Turn
+from warpsar.diagnosis.geometry import heard, told
 from warpsar.diagnosis.left_out import LeftOut
 from warpsar.diagnosis.refit import Fitted
 from warpsar.effects.base.signature import Signature
@@ -42,6 +43,7 @@ class Course:
 
     def declared(self, bench: Bench, scene: Scene, fit: Callable[[], Fitted]) -> Fitted:
         """The declared model, fitted: as stored, or by `fit`."""
+        self._scene = scene
         if self._told:
             return Fitted.heard(bench, scene, self._told[0])
         fitted = fit()
@@ -51,19 +53,19 @@ class Course:
     def turn(self, stage: int, bench: Bench, base: Fitted, run: Callable[[], Turn]) -> Turn:
         """The turn that is stage `stage`, counted from 0, about the model `base`: as stored, or by `run`."""
         if stage + 1 < len(self._told):
-            return _heard(self._told[stage + 1], bench, base)
+            return _heard(self._scene, self._told[stage + 1], bench, base)
         turn = run()
-        self._keep(_told(turn))
+        self._keep(_told(self._scene, turn))
         return turn
 
     def confirmation(self, stage: int, bench: Bench, base: Fitted, run: Callable[[], Confirmation]) -> Confirmation:
         """The confirmation that is stage `stage`, counted with the turns: as stored, or by `run`."""
         if stage + 1 < len(self._told):
-            told = self._told[stage + 1]
-            asked = [Confirmed(**{**one, **_parts(one)}) for one in told["asked"]]
-            return Confirmation(_fitted(told["fitted"], bench, base), asked)
+            stored = self._told[stage + 1]
+            asked = [Confirmed(**{**one, **_parts(one)}) for one in stored["asked"]]
+            return Confirmation(_fitted(self._scene, stored["fitted"], bench, base), asked)
         found = run()
-        self._keep({"fitted": _fitted_told(found.fitted), "asked": [asdict(one) for one in found.asked]})
+        self._keep({"fitted": _fitted_told(self._scene, found.fitted), "asked": [asdict(one) for one in found.asked]})
         return found
 
     def _keep(self, told: dict[str, Any]) -> None:
@@ -96,7 +98,7 @@ def begun(scene: Scene, options: DiagnoseOptions, folder: Path, ranks: Ranks, re
     return Course(folder if ranks.first else None, tag, stored)
 
 
-def _told(turn: Turn) -> dict[str, Any]:
+def _told(scene: Scene, turn: Turn) -> dict[str, Any]:
     """A turn in JSON's types; its base is the model that the turn before ended with."""
     return {
         "candidates": [asdict(candidate) for candidate in turn.candidates],
@@ -105,24 +107,24 @@ def _told(turn: Turn) -> dict[str, Any]:
         "scan_minus_log_p": turn.scan_minus_log_p,
         "p_scan": turn.p_scan,
         "threshold": turn.threshold,
-        "fitted": None if turn.fitted is None else _fitted_told(turn.fitted),
+        "fitted": None if turn.fitted is None else _fitted_told(scene, turn.fitted),
         "dropped": turn.dropped,
         "dark": None if turn.dark is None else asdict(turn.dark),
     }
 
 
-def _heard(told: Mapping[str, Any], bench: Bench, base: Fitted) -> Turn:
+def _heard(scene: Scene, stored: Mapping[str, Any], bench: Bench, base: Fitted) -> Turn:
     """The turn that `_told` gave."""
-    candidates = [Candidate(**{**each, **_parts(each)}) for each in told["candidates"]]
-    fitted = None if told["fitted"] is None else _fitted(told["fitted"], bench, base)
-    about = {**told, "candidates": candidates, "spot": Spot(**told["spot"]), "fitted": fitted}
-    about["dark"] = None if told["dark"] is None else DarkScan.of(told["dark"])
+    candidates = [Candidate(**{**each, **_parts(each)}) for each in stored["candidates"]]
+    fitted = None if stored["fitted"] is None else _fitted(scene, stored["fitted"], bench, base)
+    about = {**stored, "candidates": candidates, "spot": Spot(**stored["spot"]), "fitted": fitted}
+    about["dark"] = None if stored["dark"] is None else DarkScan.of(stored["dark"])
     return Turn(**about, base=base)
 
 
-def _parts(told: Mapping[str, Any]) -> dict[str, Any]:
+def _parts(stored: Mapping[str, Any]) -> dict[str, Any]:
     """The answers within a candidate or a confirmed effect."""
-    left, carried, own = told["left_out"], told["carried"], told["signature"]
+    left, carried, own = stored["left_out"], stored["carried"], stored["signature"]
     return {
         "left_out": None if left is None else LeftOut(**left),
         "carried": None if carried is None else Carried(**carried),
@@ -130,10 +132,12 @@ def _parts(told: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _fitted_told(fitted: Fitted) -> dict[str, Any]:
-    return fitted.told() | {"bound": fitted.problem.misfit.bound}
+def _fitted_told(scene: Scene, fitted: Fitted) -> dict[str, Any]:
+    about = {"bound": fitted.problem.misfit.bound, "geometry": told(scene, fitted.scene)}
+    return fitted.told() | about
 
 
-def _fitted(told: Mapping[str, Any], bench: Bench, base: Fitted) -> Fitted:
+def _fitted(scene: Scene, stored: Mapping[str, Any], bench: Bench, base: Fitted) -> Fitted:
     """The model that `_fitted_told` gave, on a bench of the same bound."""
-    return Fitted.heard(replace(bench, bound=told["bound"]), base.scene, told)
+    like = heard(scene, base.scene, stored["geometry"])
+    return Fitted.heard(replace(bench, bound=stored["bound"]), like, stored)

@@ -10,6 +10,7 @@ import numpy as np
 
 from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.carried import Carried
+from warpsar.diagnosis.geometry import changes, kind_of
 from warpsar.diagnosis.left_out import LeftOut
 from warpsar.diagnosis.refit import Fitted
 from warpsar.diagnosis.score import NOT_TESTABLE
@@ -68,8 +69,9 @@ class Confirmed:
 
 @dataclass
 class Candidate:
-    """What one effect scored in one turn. Of one that was added, the gain and what follows are those beside all others
-    at the end (`answered`).
+    """What one effect, or one change of geometry, scored in one turn; `effect` is its name.
+
+    Of one that was added, the gain and what follows are those beside all others at the end (`answered`).
 
     `eta`: share of its template that the surface cannot imitate; from `least` on it is found by itself.
     `minus_log_p`: -ln p of its largest score, calibrated by the bootstrap. `p_value`: that of the family.
@@ -193,7 +195,8 @@ class Rival:
 class Diagnosis:
     """`turns` in their order: the last one added nothing, unless the limit was reached. `declared` is the model of the
     scene file, fitted. `final` is the one with every added effect that holds. `rivals`: other effects in the place of
-    these. `withdrawn`: effects that held on the train views, but made the error on test views larger; `final` is then
+    these. `objects`: what became of those that were changed, by name. `withdrawn`: effects that held on the train
+    views, but made the error on test views larger; `final` is then
     `declared` again."""
 
     scene: Scene
@@ -205,6 +208,7 @@ class Diagnosis:
     bench: Bench
     rivals: list[Rival] = field(default_factory=list)
     withdrawn: list[str] = field(default_factory=list)
+    objects: dict[str, dict[str, Any]] = field(default_factory=dict)
 
     @property
     def observations(self) -> list[Observation]:
@@ -212,6 +216,12 @@ class Diagnosis:
         return self.turns[-1].base.problem.observations
 
     @property
+    def held(self) -> list[str]:
+        """What was added and holds, in order: effects, and changes of geometry with their objects."""
+        final = {*self.final.scene.effects, *changes(self.scene, self.final.scene)}
+        return list(dict.fromkeys(turn.added for turn in self.turns if turn.added in final))
+
+    @property
     def verdict(self) -> list[str]:
-        added = (turn.added for turn in self.turns)
-        return list(dict.fromkeys(name for name in added if name in self.final.scene.effects))
+        """The plain names of what holds, each once."""
+        return list(dict.fromkeys(kind_of(name) for name in self.held))

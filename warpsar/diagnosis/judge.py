@@ -12,6 +12,8 @@ from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.dark_pixels import DarkPixels
 from warpsar.diagnosis.found import Diagnosis
 from warpsar.diagnosis.frozen import frozen
+from warpsar.diagnosis.geometry import changes
+from warpsar.diagnosis.refit import narrowed_to
 from warpsar.evaluation.image import Metrics
 from warpsar.evaluation.metrics import mean_deviance
 from warpsar.learning.identify import residual_autocovariance
@@ -51,7 +53,8 @@ class Judged:
 
 class Judge:
     """Judges any model of the diagnosed scene. Masks of the test views are frozen as those of the train views were:
-    from the declared model, before anything was fitted."""
+    from the declared model, before anything was fitted. Where the final model has another geometry, both light what is
+    compared."""
 
     def __init__(self, found: Diagnosis) -> None:
         bench = found.bench
@@ -59,8 +62,19 @@ class Judge:
         if any(view.role == "test" and view.images for view in found.scene.views):
             other = Rays(bench.rays.stage, bench.rays.rays_per_m2, bench.rays.seed + 1)
             scene = turned(found.scene)
-            one, two = (Bench(bench.device, rays, {}) for rays in (bench.rays, other))
-            self.benches["test"] = Bench(bench.device, bench.rays, frozen(one, two, scene))
+            one, two = (
+                Bench(bench.device, rays, {}, mesh=bench.mesh, others=bench.others) for rays in (bench.rays, other)
+            )
+            self.benches["test"] = replace(one, observations=frozen(one, two, scene))
+        if changes(found.scene, found.final.scene):
+            self._narrow(found.final.scene)
+
+    def _narrow(self, final: Scene) -> None:
+        """Judge on the pixels that a final model of another geometry lights, too."""
+        for role, bench in self.benches.items():
+            problem = bench.problem(final if role == "train" else turned(final), dark=False)
+            problem.modelled_as_declared()
+            self.benches[role] = narrowed_to(bench, problem)
 
     def __call__(self, scene: Scene) -> list[Judged]:
         """Every measured image beside `scene`'s, nothing fitted but the gain of images that are not calibrated.

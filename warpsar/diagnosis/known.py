@@ -17,7 +17,8 @@ def known_content(found: Diagnosis, identified: Identified) -> dict[str, Any]:
     before = after
     if after and first is not last:
         before = pulls(first.problem, first.x, identify(first.problem, first.x) if uniform else None)
-    pairs = zip(before, after, strict=True)
+    standing = {one.label: one for one in before}  # what an absent object was made of is gone
+    pairs = [(standing[one.label], one) for one in after if one.label in standing]
     return {
         "tolerances": {b.label: {"before": a.content(), "after": b.content()} for a, b in pairs},
         "leaves_tolerance": leaving(after),

@@ -98,12 +98,19 @@ def leave_one_view_out(bench: Bench, base: Fitted, fitted: Fitted, effect: str, 
     )
     seen = [one for name in touched for one in bench.observations[name]]
     gains = [gain for view in found for gain in view]
+    all_of_them = summed(bench, seen, gains, len(names), quiet)
+    return replace(all_of_them, uneven=_over_columns(bench, base, fitted, effect)) if per_view else all_of_them
+
+
+def summed(bench: Bench, seen: Sequence[Observation], gains: Sequence[np.ndarray], views: int, quiet: bool) -> LeftOut:
+    """The sum of what every pixel gains, with its error. `gains`, shape (2, n) for each observation: measured, and as
+    it would be on average were the model true."""
+    gains = [clipped(one) for one in gains]
     measured, expected = np.concatenate(gains, axis=1)
     covariance = residual_autocovariance([(one, now - mean) for one, (now, mean) in zip(seen, gains, strict=True)])
     error = np.sqrt(measured.size * (covariance.sum() + expected.var()))
     total, error, foreseen = bench.ranks.same([measured.sum(), error, expected.sum()]).tolist()
-    uneven = _over_columns(bench, base, fitted, effect) if per_view else None
-    return LeftOut(total, error, len(names), foreseen, quiet, uneven)
+    return LeftOut(total, error, views, foreseen, quiet)
 
 
 def _gain(seen: Observation, without: np.ndarray, with_it: np.ndarray) -> np.ndarray:
@@ -112,7 +119,7 @@ def _gain(seen: Observation, without: np.ndarray, with_it: np.ndarray) -> np.nda
         loss_terms("gamma", beta0, without, seen.looks) - loss_terms("gamma", beta0, with_it, seen.looks)
         for beta0 in (seen.values, with_it)
     ]
-    return clipped(np.stack(found))
+    return np.stack(found)
 
 
 def _with_the_others(bench: Bench, fitted: Fitted, effect: str, name: str) -> Scene:

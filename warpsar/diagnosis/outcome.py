@@ -98,7 +98,8 @@ def turn_lines(turn: Turn, number: int) -> list[str]:
     for candidate in by_score(turn):
         if candidate.effect == turn.added:
             assert turn.fitted is not None
-            lines.append(f"  {candidate.effect}: {effect_table(turn.fitted.scene.effects[candidate.effect])}")
+            table = turn.fitted.scene.effects.get(candidate.effect, candidate.table)
+            lines.append(f"  {candidate.effect}: {effect_table(table)}")
             lines += [f"  dropped: {name}, needless beside {turn.added}" for name in turn.dropped]
         elif passed(candidate, turn):
             lines.append(f"  not added: {candidate.effect}: {outcome(candidate, turn)}")

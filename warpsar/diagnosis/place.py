@@ -100,7 +100,7 @@ def place(found: Diagnosis, images: Sequence[Judged], spot: Spot) -> Place:
 
 def _hits(found: Diagnosis, view: View) -> Hits:
     """What the view lights, binned by its pixels."""
-    return found.bench.rays.hits(found.scene, view, [])
+    return found.bench.rays_of(found.final.scene).hits(found.final.scene, view, [])
 
 
 def _parts(scene: Scene, hits: Hits, inside: np.ndarray) -> list[Part]:

@@ -45,7 +45,7 @@ def diagnose_scene(
     )
     rays = Rays(stage, density.rays_per_m2, 2 * scene.sampling.seed)
     other_rays = Rays(stage, density.rays_per_m2, 2 * scene.sampling.seed + 1)
-    one, other = (Bench(device, each, {}, ranks) for each in (rays, other_rays))
+    one, other = (Bench(device, each, {}, ranks, mesh=scene.mesh) for each in (rays, other_rays))
     bench = replace(one, observations=frozen(one, other, scene))
 
     bar = console.progress(2 * options.draws, "diagnose", "")
@@ -59,7 +59,9 @@ def diagnose_scene(
     search = Search(scene, bench, other_rays, declared, options, course, bar.update)
     search.run()
     bar.close()
-    return Diagnosis(scene, declared, search.final(), search.turns, search.unexplained, density, bench, search.rivals())
+    final, rivals = search.final(), search.rivals()
+    objects = search.objects(final)
+    return Diagnosis(scene, declared, final, search.turns, search.unexplained, density, bench, rivals, objects=objects)
 
 
 def _training(scene: Scene, device: wp.Device) -> tuple[Stage, list[View], list[float]]:

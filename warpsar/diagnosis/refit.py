@@ -11,6 +11,7 @@ import numpy as np
 from scipy.ndimage import minimum_filter
 
 from warpsar.diagnosis.bench import Bench
+from warpsar.diagnosis.geometry import as_declared
 from warpsar.effects.registry import get
 from warpsar.learning.observation import Observation
 from warpsar.learning.optimise import FLAT, FitState, begin, levenberg_marquardt
@@ -171,7 +172,7 @@ def on_bounded_ground(bench: Bench, base: Fitted, declared: Scene) -> tuple[Benc
     bounded = replace(bench, bound=BOUND)
     problem = bounded.problem(base.scene)
     start = base.x.copy()  # the surface as the scene file has it: what is missing may have dragged the fitted one away
-    start[: problem.learned.size] = Surface.of(declared).nodes[problem.learned]
+    start[: problem.learned.size] = Surface.of(as_declared(declared, base.scene)).nodes[problem.learned]
     return bounded, _fit(bounded, problem, [base.x, start], quick=True)
 
 
@@ -214,8 +215,16 @@ def narrow(bench: Bench, fitted: Fitted) -> tuple[Bench, Fitted]:
     whatever they measure would look like one more effect. All models of a turn see the same pixels.
     """
     fitted.problem.modelled(fitted.x)
+    narrowed = narrowed_to(bench, fitted.problem)
+    if narrowed is bench:
+        return bench, fitted
+    return narrowed, refit_as(replace(narrowed, bound=fitted.problem.misfit.bound), fitted.scene)
+
+
+def narrowed_to(bench: Bench, problem: FitProblem) -> Bench:
+    """The bench with those of its pixels that a problem, which has run, lights with all their neighbours."""
     observations: dict[str, list[Observation]] = {}
-    for view in fitted.problem.views:
+    for view in problem.views:
         for seen in bench.observations[view.view.name]:
             lit = view.render.lit(seen.polarization).astype(np.uint8)
             inner = bench.ranks.same(minimum_filter(lit, size=3, mode="constant")) > 0
@@ -223,9 +232,8 @@ def narrow(bench: Bench, fitted: Fitted) -> tuple[Bench, Fitted]:
             observations.setdefault(view.view.name, []).append(kept)
     pairs = [(a, b) for name in observations for a, b in zip(observations[name], bench.observations[name], strict=True)]
     if all((a.interior == b.interior).all() for a, b in pairs):
-        return bench, fitted
-    narrowed = replace(bench, observations=observations)
-    return narrowed, refit_as(replace(narrowed, bound=fitted.problem.misfit.bound), fitted.scene)
+        return bench
+    return replace(bench, observations=observations)
 
 
 def fitted_at(

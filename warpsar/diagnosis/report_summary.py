@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from warpsar.diagnosis.carried import Carried
+from warpsar.diagnosis.geometry import SUMMARIES
 from warpsar.diagnosis.judge import ROLES
 from warpsar.diagnosis.outcome import effect_table
 from warpsar.diagnosis.result import Diagnosed
@@ -92,6 +93,12 @@ def _in_the_dark(done: Diagnosed) -> list[str]:
     return [report.table(head, rows, caption)]
 
 
+def _named(step: dict[str, Any]) -> str:
+    """What was added, and what that means."""
+    of = f" of {step['object']}" if "object" in step else ""
+    return f"{step['effect']}{of} ({SUMMARIES.get(step['effect']) or get(step['effect']).summary})"
+
+
 def _verdict(done: Diagnosed, content: dict[str, Any]) -> list[str]:
     found = done.diagnosis
     error = 100.0 * content["options"]["family_error"]
@@ -107,11 +114,11 @@ def _verdict(done: Diagnosed, content: dict[str, Any]) -> list[str]:
                 else " There is one train view: none could be left out to ask."
             )
         tables = effect_table(step["parameters"])
-        over = step["carried_over"]
+        over = None if "object" in step else step["carried_over"]
         doubt = f" But {step['note']}." if over and Carried(**over).by_surface(step["effect"]) else ""
         own = step["signature"]
         earned = f" Its own test says: {_OUTCOME[own['outcome']]} ({own['text']})." if own else ""
-        said.append(f"Added: {step['effect']} ({get(step['effect']).summary}), with {tables}.{held}{earned}{doubt}")
+        said.append(f"Added: {_named(step)}, with {tables}.{held}{earned}{doubt}")
     said += [
         f"The data do not decide between {one.effect} and {one.other}: in its place it would fit as well, to within "
         f"what speckle makes of the difference (2 ln L {one.gain:+.1f}). {by.sentence[0].upper()}{by.sentence[1:]}."

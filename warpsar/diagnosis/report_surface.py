@@ -33,6 +33,9 @@ def parameters_section(done: Diagnosed, moves: Sequence[Moved], content: dict[st
     if done.diagnosis.final.scene.effects:
         tables = [[name, effect_table(table)] for name, table in done.diagnosis.final.scene.effects.items()]
         blocks.append(report.table(["effect", "parameters at the end"], tables))
+    if content["objects"]:
+        objects = [[name, effect_table(table)] for name, table in content["objects"].items()]
+        blocks.append(report.table(["object", "found at the end"], objects))
     if content["tolerances"]:
         blocks.append(report.table(KNOWN_HEAD, known_rows(content), KNOWN_CAPTION))
     if fields := fields_rows(content):

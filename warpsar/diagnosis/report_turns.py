@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from warpsar.diagnosis.found import Candidate, Turn
+from warpsar.diagnosis.geometry import is_geometry
 from warpsar.diagnosis.outcome import by_score, gain_text, outcome, passed, score_text
 from warpsar.diagnosis.result import Diagnosed
 from warpsar.evaluation.report_parts import plus_minus
@@ -21,7 +22,7 @@ MOST_RESEMBLING = 4
 def turn_section(turn: Turn, number: int, done: Diagnosed, content: dict[str, Any]) -> str:
     effects = turn.base.scene.effects
     about = f"with {', '.join(effects)}" if effects else "as declared"
-    tested = [c for c in turn.candidates if c.testability == "testable"]
+    tested = [c for c in turn.candidates if c.testability == "testable" and not is_geometry(c.effect)]
     draws, error = content["options"]["draws"], 100.0 * content["options"]["family_error"]
     said = (
         f"The model {about}, fitted. Every effect's template (what it would change in the images to first order, "

@@ -66,7 +66,7 @@ def judged(found: Diagnosis) -> Diagnosed:
     models = [judge(fitted.scene) for fitted in fitted_models(found)]
     if found.verdict and _worse(models[0], models[-1]):
         withdrawn = found.verdict
-        found = replace(found, final=found.declared, withdrawn=withdrawn, unexplained=True)
+        found = replace(found, final=found.declared, withdrawn=withdrawn, unexplained=True, objects={})
         models.append(models[0])
     undecided = [rival for rival in found.rivals if rival.undecided and rival.effect in found.verdict]
     looks = float(np.median([seen.looks for seen in found.observations]))
@@ -110,15 +110,18 @@ def moved_parameters(found: Diagnosis) -> tuple[list[Moved], Identified]:
     first, last = found.declared, found.final
     before, after = (identified(fitted) for fitted in (first, last))
     moves, at, place = [], 0, 0  # in x, and among what is identified
+    ends = _uniform_ends(last)
     for block in first.problem.surface.blocks:
         if block.learn and block.size > 1:
             at += block.size
         elif block.learn:
-            a, b = float(first.x[at]), float(last.x[at])
-            one, two = (float(block.kind.from_coordinate(x)) for x in (a, b))
-            moves.append(
-                Moved(block.material, block.kind.key, one, two, float(before.sd[place]), float(after.sd[place]), b - a)
-            )
+            key = (block.material, block.kind.key)
+            if key in ends:  # else what an absent object was made of is gone
+                x_end, place_end = ends[key]
+                a, b = float(first.x[at]), float(last.x[x_end])
+                one, two = (float(block.kind.from_coordinate(x)) for x in (a, b))
+                sds = float(before.sd[place]), float(after.sd[place_end])
+                moves.append(Moved(block.material, block.kind.key, one, two, *sds, b - a))
             at, place = at + 1, place + 1
     return moves, after
 
@@ -127,6 +130,18 @@ def identified(fitted: Fitted) -> Identified:
     """What the data can say of a model's parameters; with learned fields, of all others beside them."""
     problem, x = fitted.problem, fitted.x
     return identify(problem, x) if problem.uniform else identify_beside(problem, x)
+
+
+def _uniform_ends(fitted: Fitted) -> dict[tuple[str, str], tuple[int, int]]:
+    """Of every uniform learned parameter, by material and key: its place in x, and among what is identified."""
+    found, at, place = {}, 0, 0
+    for block in fitted.problem.surface.blocks:
+        if block.learn and block.size > 1:
+            at += block.size
+        elif block.learn:
+            found[block.material, block.kind.key] = at, place
+            at, place = at + 1, place + 1
+    return found
 
 
 def why_not(candidate: Candidate) -> str:

@@ -11,6 +11,7 @@ import numpy as np
 from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.evidence import Evidence
 from warpsar.diagnosis.found import Candidate, Rival, Turn
+from warpsar.diagnosis.geometry import is_geometry
 from warpsar.diagnosis.refit import Fitted, refit_as, refit_without
 from warpsar.diagnosis.templates import with_effect
 from warpsar.effects.base.trial import Context
@@ -45,6 +46,7 @@ def rivals_of(
 
 def _near(mine: Candidate, turn: Turn, fitted: Fitted) -> list[Candidate]:
     able = [c for c in turn.candidates if c.testability == "testable" and c.effect not in fitted.scene.effects]
+    able = [c for c in able if not is_geometry(c.effect)]
     near = [c for c in able if c.minus_log_p > NEAR * mine.minus_log_p or c.effect in mine.resembles]
     return sorted(near, key=lambda c: -c.minus_log_p)[:ASKED]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import asdict
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from warpsar.diagnosis.dark_scan import scan_dark
 from warpsar.diagnosis.evidence import Evidence
 from warpsar.diagnosis.field_projection import bar_those_alone, beside_fields, projection_of
 from warpsar.diagnosis.found import Candidate, DarkScan, DiagnoseOptions, Turn
+from warpsar.diagnosis.geometry import as_declared
 from warpsar.diagnosis.refit import Fitted
 from warpsar.diagnosis.score import NOT_TESTABLE, Group, Projection, group
 from warpsar.diagnosis.templates import Template, TemplateMaker
@@ -76,7 +77,7 @@ def _grouped(
     maker = TemplateMaker(base.scene, bench.device, other_rays, observations, evidence.modelled)
     # A fit without multiple bounces may have made the surface a poor mirror. Paths are invisible there, so their
     # templates are taken at the declared surface too.
-    unmoved = replace(base.scene, materials=scene.materials)
+    unmoved = as_declared(scene, base.scene)
     paths = TemplateMaker(unmoved, bench.device, other_rays, observations, evidence.modelled)
     projection = projection_of(maker, bench, evidence)
     evidence = beside_fields(evidence, projection, seed)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.dark import Dark
+from warpsar.diagnosis.geometry import as_declared
 from warpsar.diagnosis.refit import (
     GLANCE,
     QUICK_ITERATIONS,
@@ -64,7 +65,7 @@ class Screening:
         glanced: Glance | None = None,
     ) -> None:
         self.bench, self.base, self.name, self.tables = bench, base, name, tables
-        surfaces = [base.scene, replace(base.scene, materials=declared.materials)]
+        surfaces = [base.scene, as_declared(declared, base.scene)]
         self._problem: FitProblem | None = None
         self.glanced = glanced or self._glance(surfaces)
         self._surface = surfaces[self.glanced.surface]  # the other tables need not try both

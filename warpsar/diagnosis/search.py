@@ -5,22 +5,28 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 from warpsar.diagnosis.addition import add_the_best
+from warpsar.diagnosis.all_pixels import lit_shadows, log_likelihood
 from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.confirmation import Confirmation, confirm
 from warpsar.diagnosis.course import Course
 from warpsar.diagnosis.dark import Dark, worth_a_refit
 from warpsar.diagnosis.evidence import Evidence
 from warpsar.diagnosis.found import Candidate, DiagnoseOptions, Rival, Turn
+from warpsar.diagnosis.geometry import changes, is_geometry, object_of
+from warpsar.diagnosis.geometry_search import geometry_candidates
+from warpsar.diagnosis.geometry_trial import add_the_likeliest, on_its_ground, posed_anew
 from warpsar.diagnosis.outcome import confirmation_lines, score_text, turn_lines
 from warpsar.diagnosis.pruning import prune, trimmed
-from warpsar.diagnosis.refit import Fitted, narrow, on_bounded_ground, settle
+from warpsar.diagnosis.refit import Fitted, narrow, on_bounded_ground, refit_as, settle
 from warpsar.diagnosis.rivals import rivals_of
 from warpsar.diagnosis.scoring import score_effects
 from warpsar.diagnosis.screening import NO_DARK
 from warpsar.diagnosis.settings import resettled
 from warpsar.diagnosis.shortlist import refits
+from warpsar.learning.pose_search import FoundPoses
 from warpsar.runtime import console
 from warpsar.scene.scene import Scene
 from warpsar.simulation.rays import Rays
@@ -47,11 +53,13 @@ class Search:
     ) -> None:
         self.scene, self.options, self.turns = scene, options, list[Turn]()
         self._bench = bench  # fewer pixels where an added effect has moved the light
-        self._other_rays, self._declared, self._course, self._progress = other_rays, declared, course, progress
+        self._other = replace(bench, rays=other_rays)
+        self._declared, self._course, self._progress = declared, course, progress
         self._base = declared
         self._barred: set[str] = set()  # taken back, with nothing else found since
         self._times: Counter[str] = Counter()  # that an effect was added
         self._stage = 0
+        self._posed: FoundPoses | None = None  # changed objects of the final model
 
     def run(self) -> None:
         """Search to the end."""
@@ -63,14 +71,28 @@ class Search:
         """The model that the search ended with, at its best; nothing that a pixel can cost is bounded."""
         if not self._added(self._base):
             return self._declared
-        if self._base.problem.misfit.bound > 0:
-            return settle(replace(self._bench, bound=0.0), self._base, self.options.starts, self.options.seed)
-        return self._base
+        plain, found = replace(self._bench, bound=0.0), self._base
+        if found.problem.misfit.bound > 0:
+            found = settle(plain, found, self.options.starts, self.options.seed)
+        scene, self._posed = posed_anew(plain, found, self.scene)
+        return found if self._posed is None else refit_as(plain, scene)
+
+    def objects(self, final: Fitted) -> dict[str, dict[str, Any]]:
+        """What became of the objects that were changed, by name, as diagnosis.json has it; `final` is `final()`."""
+        told, words = ({}, []) if self._posed is None else (self._posed.objects, self._posed.words)
+        found = {}
+        for name in changes(self.scene, final.scene):
+            label = object_of(name)
+            turn = next(turn for turn in reversed(self.turns) if turn.added == name)
+            first = next(c.table for c in turn.candidates if c.effect == name)
+            found[label] = {**(first or {}), **told.get(label, {})}
+            found[label]["not_told_apart"] = [w for w in words if w.startswith(f"{label}.")]
+        return found
 
     def rivals(self) -> list[Rival]:
         """Other effects in the place of those that hold."""
         bench, here = on_bounded_ground(self._bench, self._base, self.scene)
-        return rivals_of(bench, here, self._added(here), self.turns, needed)
+        return rivals_of(bench, here, self._effects(here), self.turns, needed)
 
     @property
     def unexplained(self) -> bool:
@@ -81,7 +103,10 @@ class Search:
         return last.alarms or shared
 
     def _added(self, fitted: Fitted) -> list[str]:
-        """Effects of a model that the scene does not declare."""
+        """Effects of a model that the scene does not declare, and changes of its geometry."""
+        return [*self._effects(fitted), *changes(self.scene, fitted.scene)]
+
+    def _effects(self, fitted: Fitted) -> list[str]:
         return [name for name in fitted.scene.effects if name not in self.scene.effects]
 
     def _forward(self) -> bool:
@@ -97,7 +122,10 @@ class Search:
             self._times[turn.added] += 1
             self._barred = {name for name in self._barred if self._times[name] >= CHANCES}
             found = True
-            self._bench, self._base = narrow(self._bench, turn.fitted)
+            if is_geometry(turn.added):
+                self._bench, self._base = on_its_ground(self._bench, self._other, turn.fitted)
+            else:
+                self._bench, self._base = narrow(self._bench, turn.fitted)
 
     def _turn(self) -> Turn:
         """Score every effect that is not in the model, fit the best, and add the likeliest. Drop those of earlier turns
@@ -106,7 +134,7 @@ class Search:
         bench, here = on_bounded_ground(self._bench, self._base, self.scene)
         evidence = Evidence.of(here.problem, here.x, bench.ranks)
         turn, templates = score_effects(
-            self.scene, bench, self._other_rays, here, evidence, options, number, self._progress
+            self.scene, bench, self._other.rays_of(here.scene), here, evidence, options, number, self._progress
         )
         dark = Dark.of(here)
         passing = worth_a_refit(turn.candidates, turn.threshold, dark)
@@ -118,33 +146,50 @@ class Search:
             price = evidence.price(bench.ranks)
             found = refits(bench, here, self.scene, allowed, templates, dark, options.refits)
             add_the_best(bench, turn, here, found, dark, price)
+            if passing or turn.alarms or bench.ranks.same(float(lit_shadows(here))):
+                bench = self._with_bodies(bench, turn, here, price)
             if turn.fitted is not None:
-                prune(bench, turn, self._added(here), price)
+                prune(bench, turn, self._effects(here), price)
         return turn
 
+    def _with_bodies(self, bench: Bench, turn: Turn, here: Fitted, price: float) -> Bench:
+        """Let bodies that may stand elsewhere, or be absent, contend with the effect that the turn has added. Returns
+        the bench of what is added then."""
+        lead = 0.0 if turn.fitted is None else log_likelihood(bench, turn.fitted) - log_likelihood(bench, here)
+        offered = geometry_candidates(self.scene, bench, here, price, lead)
+        offered = [c for c in offered if c.name not in self._barred and self._times[c.name] < CHANCES]
+        return add_the_likeliest(bench, turn, here, self.scene, offered, price)
+
     def _confirmed(self) -> bool:
-        """Ask every added effect beside all others; whether any was taken back."""
-        if not self._added(self._base):
-            return False
-        answers = self._course.confirmation(self._stage, self._bench, self._base, self._confirm)
-        self._stage += 1
-        console.say("\n".join(confirmation_lines(answers)))
-        for one in answers.asked:
-            turn = next(turn for turn in reversed(self.turns) if turn.added == one.effect)
-            next(c for c in turn.candidates if c.effect == one.effect).answered(one)
-        refused = {one.effect for one in answers.asked if one.refused}
-        self._barred |= refused
-        self._base = answers.fitted
-        return bool(refused)
+        """Ask everything that was added beside all others; whether any was taken back."""
+        any_refused = False
+        while self._added(self._base):
+            answers = self._course.confirmation(self._stage, self._bench, self._base, self._confirm)
+            self._stage += 1
+            console.say("\n".join(confirmation_lines(answers)))
+            for one in answers.asked:
+                turn = next(turn for turn in reversed(self.turns) if turn.added == one.effect)
+                next(c for c in turn.candidates if c.effect == one.effect).answered(one)
+            refused = {one.effect for one in answers.asked if one.refused}
+            self._barred |= refused
+            self._base = answers.fitted
+            any_refused |= bool(refused)
+            if not any(is_geometry(name) for name in refused):
+                break
+            self._bench, self._base = on_its_ground(self._bench, self._other, self._base)  # and the rest is asked there
+        return any_refused
 
     def _confirm(self) -> Confirmation:
         bench, here = on_bounded_ground(self._bench, self._base, self.scene)
+        scene, posed = posed_anew(bench, here, self.scene)
+        if posed is not None:
+            here = refit_as(bench, scene)
         settled = settle(bench, here, self.options.starts, self.options.seed)
         price = Evidence.of(settled.problem, settled.x, bench.ranks).price(bench.ranks)
         last = self.turns[-1]
-        settled = resettled(bench, settled, self._added(settled))
-        settled = trimmed(bench, settled, self._added(settled), price)
-        return confirm(bench, settled, self._added(settled), needed, price, quiet=not last.alarms)
+        settled = resettled(bench, settled, self._effects(settled))
+        settled = trimmed(bench, settled, self._effects(settled), price)
+        return confirm(bench, settled, self._added(settled), needed, price, declared=self.scene, quiet=not last.alarms)
 
 
 def needed(without: Fitted, name: str) -> bool:

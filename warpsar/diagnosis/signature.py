@@ -246,7 +246,7 @@ def _whole(problem: FitProblem) -> list[np.ndarray]:
 def surface_in_pixels(bench: Bench, scene: Scene, view: Any) -> tuple[np.ndarray, np.ndarray]:
     """Of each pixel the material (an index, -1 where nothing is lit) with the largest lit area, and the mean incidence
     angle [deg] by lit area (NaN there), both of shape (rows, cols)."""
-    hits = bench.rays.hits(replace(scene, effects={}), view, [])
+    hits = bench.rays_of(scene).hits(replace(scene, effects={}), view, [])
     rows, cols = scene.grid.shape
     pixel, weight = hits.pixel.numpy(), hits.weight.numpy().astype(float)
     material = scene.mesh.face_material[hits.face.numpy()]

@@ -71,15 +71,19 @@ def _ground(assembly: Assembly, one: Object, point: np.ndarray) -> float:
     if base is None:
         return -np.inf
     faces = base.faces if one.group is None else _others(base, assembly.moved[one.label])
-    corners = base.vertices[faces]
+    found = surfaces_at(base.vertices[faces], point)
+    return float(found.min()) if len(found) else -np.inf
+
+
+def surfaces_at(corners: np.ndarray, point: np.ndarray) -> np.ndarray:
+    """Heights [m] of all faces above or below a point, (n,); `corners` [m], shape (faces, 3, 3)."""
     a, b, c = (corners[:, k, :2] - point[:2] for k in range(3))
     u, v, w = (p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0] for p, q in ((b, c), (c, a), (a, b)))
     total = u + v + w
     with np.errstate(divide="ignore", invalid="ignore"):
         heights = (u * corners[:, 0, 2] + v * corners[:, 1, 2] + w * corners[:, 2, 2]) / total
     inside = ((u >= 0) & (v >= 0) & (w >= 0)) | ((u <= 0) & (v <= 0) & (w <= 0))
-    found = heights[inside & (np.abs(total) > 1e-12)]
-    return float(found.min()) if len(found) else -np.inf
+    return np.asarray(heights[inside & (np.abs(total) > 1e-12)])
 
 
 def _others(base: Mesh, moved: np.ndarray) -> np.ndarray:

@@ -1,0 +1,302 @@
+"""Changes of geometry that `warpsar diagnose` names: an object elsewhere, one that is not there, and neither."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from learning_scenes import START, TRUTH, measured, starting
+from test_diagnose import ANGLES, saved
+from worlds import box, ground, mesh_of, scene_of, view
+
+from warpsar.diagnosis import search
+from warpsar.diagnosis.all_pixels import Exact, lit_shadows, log_likelihood, still
+from warpsar.diagnosis.bench import Bench
+from warpsar.diagnosis.command import run
+from warpsar.diagnosis.found import DiagnoseOptions
+from warpsar.diagnosis.frozen import frozen
+from warpsar.diagnosis.geometry import changes, composed, heard, told, without_change, without_object
+from warpsar.diagnosis.geometry_search import _foretold, screening
+from warpsar.diagnosis.movable import bodies, disjoint, freed, refined_words
+from warpsar.diagnosis.refit import BOUND, Fitted, refit_as
+from warpsar.diagnosis.result import diagnose
+from warpsar.differentiable.geometry import exact_images
+from warpsar.io import checkpoint
+from warpsar.learning.pose import PosedProblem, descend
+from warpsar.learning.pose_pixels import FLOOR_SHARE
+from warpsar.learning.results import learned_scene
+from warpsar.runtime import devices
+from warpsar.scene.placing import with_objects
+from warpsar.scene.scene import Scene
+from warpsar.simulation.rays import Rays
+from warpsar.surface.stage import Stage
+from warpsar.world.objects.table import Object
+from warpsar.world.tables import Sampling
+
+CPU = devices.resolve_device("cpu")
+QUICK = DiagnoseOptions(draws=400, starts=0)
+HUT = {"eps_r": 8.0, "rms_height_m": 0.0009, "correlation_length_m": 0.007}
+MOVED = {"position_m": (0.6, -0.4, 0.0), "heading_deg": 8.0}  # where the images have the hut
+
+
+def true_scene(**hut: Any) -> Scene:
+    """A house and a hut on a plane, from four sides; the hut stands as `hut` says, relative to the mesh."""
+    mesh = mesh_of(
+        ground=ground(20.0),
+        cube=box((-6.0, -4.0, 0.0), (-2.0, 1.0, 3.0)),
+        hut=box((2.0, 1.0, 0.0), (5.0, 4.0, 2.5)),
+    )
+    views = [view(a, i, name=f"v{k}", role=role) for k, (a, i, role) in enumerate(ANGLES)]
+    materials = {**TRUTH, "hut": HUT}
+    plain = scene_of(mesh, views, shape=(44, 44), materials=materials, rays_per_pixel=256.0)
+    return with_objects(plain, [Object(group="hut", **hut)]) if hut else plain
+
+
+def case(folder: Path, truth: Scene, seed: int = 1) -> Scene:
+    """The scene of the mesh as it is, with the images of another truth, and a start beside the materials."""
+    seen = measured(truth, folder, seed=seed)
+    declared = replace(true_scene(), views=seen.views, sampling=Sampling(rays_per_pixel=64.0))
+    return saved(starting(declared, {**START, "hut": {**HUT, "eps_r": 6.0}}), folder)
+
+
+def without_hut() -> Scene:
+    return without_object(true_scene(), true_scene(), "hut")
+
+
+def fitted_of(scene: Scene) -> tuple[Bench, Fitted]:
+    one, two = (Bench(CPU, Rays(Stage.of(scene, CPU), seed=seed), {}, mesh=scene.mesh) for seed in (0, 1))
+    bench = replace(one, observations=frozen(one, two, scene))
+    return bench, refit_as(bench, scene)
+
+
+@pytest.fixture(scope="module")
+def moved(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    return case(tmp_path_factory.mktemp("moved"), true_scene(**MOVED))
+
+
+@pytest.fixture(scope="module")
+def nothing(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    return case(tmp_path_factory.mktemp("nothing"), true_scene())
+
+
+# ---- what a scene holds of its changes ----
+
+
+def test_a_scene_holds_its_changes() -> None:
+    """What was changed is told by the scene alone, and told, heard and taken back without loss."""
+    scene = true_scene()
+    box_there = Object(
+        name="crate", primitive="box", size_m=(1.0, 2.0, 1.0), position_m=(7.0, -6.0, 0.0), material="cube"
+    )
+    other = composed(scene, scene, [Object(group="hut", **MOVED), box_there], ["cube"])
+    names = ["absent_object cube", "object_pose hut", "missing_object crate"]
+    assert changes(scene, other) == names
+    again = heard(scene, scene, json.loads(json.dumps(told(scene, other))))
+    np.testing.assert_array_equal(again.mesh.vertices, other.mesh.vertices)
+    np.testing.assert_array_equal(again.mesh.face_material, other.mesh.face_material)
+    for name in names:
+        back = without_change(scene, other, name)
+        assert changes(scene, back) == [one for one in names if one != name]
+    for name in names:
+        other = without_change(scene, other, name)
+    assert other.mesh is scene.mesh
+    assert other.objects == ()
+    assert told(scene, scene) is None
+
+
+def test_a_declared_object_may_be_elsewhere_or_absent() -> None:
+    scene = with_objects(true_scene(), [Object(group="hut", **MOVED)])
+    (one,) = scene.objects
+    there = composed(scene, scene, [one.model_copy(update={"heading_deg": 0.0})], ())
+    assert changes(scene, there) == ["object_pose hut"]
+    assert without_change(scene, there, "object_pose hut").mesh is scene.mesh
+    gone = without_object(scene, scene, "hut")
+    assert changes(scene, gone) == ["absent_object hut"]
+    assert set(gone.materials) == {"ground", "cube"}
+    np.testing.assert_allclose(without_change(scene, gone, "absent_object hut").mesh.vertices, scene.mesh.vertices)
+
+
+def test_a_scene_without_a_group_is_saved(tmp_path: Path) -> None:
+    gone = without_hut()
+    assert len(gone.mesh.faces) == len(true_scene().mesh.faces) - 12
+    gone.save(tmp_path / "scene.toml")
+    again = Scene.load(tmp_path / "scene.toml")
+    assert again.mesh.materials == ("ground", "cube")
+    np.testing.assert_allclose(np.sort(again.mesh.vertices, axis=0), np.sort(gone.mesh.vertices, axis=0))
+
+
+def test_the_ground_is_no_body() -> None:
+    """Nor is anything that holds most of the scene in plan; bodies of one problem share no face."""
+    scene = true_scene()
+    assert list(bodies(scene, scene)) == ["cube", "hut"]
+    other = composed(scene, scene, [Object(group="hut", **MOVED)], ())
+    assert list(bodies(scene, other)) == ["cube"]
+    alone = scene_of(mesh_of(body=box((-2.0, -2.0, 0.0), (2.0, 2.0, 3.0))), scene.views)
+    assert bodies(alone, alone) == {}
+    found = {"a": np.array([0, 1]), "b": np.array([1, 2]), "c": np.array([3])}
+    assert list(disjoint(found, 2)) == [["a", "c"], ["b"]]
+
+
+def test_free_aim_points_hold_places_where_no_body_stays() -> None:
+    """A view's own shift and a body's are one, if nothing else stands there that both could be told from."""
+    scene = true_scene()
+    both = [Object(group=name, **MOVED) for name in ("cube", "hut")]
+    one, two = composed(scene, scene, both[:1], ()), composed(scene, scene, both, ())
+    aimed = {"aim_point": {"range_m": {"v0": 0.2}}}
+    place_and_turn, turn = ("position", "heading"), ("heading",)
+    assert refined_words(scene, two) == dict.fromkeys(("cube", "hut"), place_and_turn)
+    assert refined_words(scene, replace(one, effects=aimed)) == {"cube": place_and_turn}
+    assert refined_words(scene, replace(two, effects=aimed)) == dict.fromkeys(("cube", "hut"), turn)
+    held = {"aim_point": {**aimed["aim_point"], "fixed": True}}
+    assert refined_words(scene, replace(two, effects=held))["hut"] == place_and_turn
+
+
+# ---- how models are compared ----
+
+
+def test_log_likelihood_of_all_pixels(nothing: Scene) -> None:
+    """By hand: - sum of b ln(1 + t / b), t = L (r - 1 - ln r) of the ratio of the images with a twentieth of the lit
+    pixels' median added; two pixels at the edge are left out, and pixels that measure 0 count."""
+    bench, fitted = fitted_of(nothing)
+    lit = [seen.measured[seen.interior] for found in bench.observations.values() for seen in found]
+    level = FLOOR_SHARE * np.median([np.median(values) for values in lit])
+    fitted.problem.modelled(fitted.x)
+    total = 0.0
+    for one in fitted.problem.views:
+        image = one.render.images["HH"].numpy().reshape(44, 44)[2:-2, 2:-2] + level
+        ratio = (one.observations[0].measured[2:-2, 2:-2] + level) / image
+        total -= (BOUND * np.log1p(16.0 * (ratio - 1.0 - np.log(ratio)) / BOUND)).sum()
+    assert log_likelihood(bench, fitted) == pytest.approx(total, rel=1e-6)
+
+
+def test_a_gain_is_foretold(tmp_path: Path) -> None:
+    """Of a hut 4 cm off in images without speckle, the fit gains what is foretold, to 5 %: the loss is quadratic there
+    but for the bend of four centimetres in pixels of half a metre."""
+    truth = true_scene()
+    images = list(exact_images(truth, CPU).values())
+    seen = measured(truth, tmp_path, images=images, noise=lambda _, shape, looks: np.ones(shape))
+    shifted = composed(seen, seen, [Object(group="hut", position_m=(0.03, -0.03, 0.0))], ())
+    bench, fitted = fitted_of(shifted)
+    exact = Exact.of(bench, fitted)
+    before, start = exact.settled(shifted)
+    problem = exact.problem(freed(still(before_scene(before, start.x, shifted)), ["hut"]))
+    assert _foretold(problem)["hut"] == pytest.approx(start.loss - descend(problem, problem.x0).loss, rel=0.05)
+
+
+def before_scene(problem: PosedProblem, x: np.ndarray, scene: Scene) -> Scene:
+    """The scene with the materials of x."""
+    return replace(scene, materials=learned_scene(*problem.split(x)).materials)
+
+
+def test_the_screening_finds_the_body(moved: Scene, tmp_path: Path) -> None:
+    bench, fitted = fitted_of(moved)
+    found = {one.label: one for one in screening(moved, Exact.of(bench, fitted), fitted)}
+    assert set(found) == {"cube", "hut"}
+    assert found["hut"].moved > 3.0 * max(found["cube"].moved, 0.0)
+    assert max(found["hut"].absent, found["cube"].absent) < 0.0
+    gone = case(tmp_path, without_hut())
+    bench, fitted = fitted_of(gone)
+    found = {one.label: one for one in screening(gone, Exact.of(bench, fitted), fitted)}
+    assert found["hut"].absent > 100.0
+    assert found["cube"].absent < 0.0
+    assert lit_shadows(fitted)
+
+
+# ---- what is found ----
+
+
+@pytest.fixture(scope="module")
+def found(moved: Scene, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    out = tmp_path_factory.mktemp("out")
+    assert moved.path is not None
+    return out, run(moved.path, out, device="cpu", options=QUICK)
+
+
+def test_an_object_elsewhere_is_found(found: tuple[Path, dict[str, Any]]) -> None:
+    """Named, with its pose within 5 cm and 0.5 degrees, and within four of its standard deviations."""
+    content = found[1]
+    assert content["verdict"] == ["object_pose"]
+    assert not content["unexplained"]
+    (step,) = content["steps"]
+    assert (step["effect"], step["object"]) == ("object_pose", "hut")
+    assert step["p_value"] < 1e-6
+    assert step["left_out"]["passed"]
+    assert content["after"]["test"]["deviance"] < 1.05 < content["before"]["test"]["deviance"]
+    told_of = content["objects"]["hut"]
+    assert step["parameters"] == told_of
+    error = np.abs(np.subtract(told_of["position_m"], MOVED["position_m"]))
+    assert (error < 0.05).all()
+    assert (error < 4.0 * np.array(told_of["position_sd_m"])).all()
+    turned = abs(told_of["heading_deg"] - MOVED["heading_deg"])
+    assert turned < min(0.5, 4.0 * told_of["heading_sd_deg"])
+
+
+def test_the_scene_has_the_object_there(found: tuple[Path, dict[str, Any]]) -> None:
+    out, content = found
+    scene = Scene.load(out / "scene.toml")
+    (one,) = scene.objects
+    assert one.group == "hut"
+    assert list(one.position_m) == content["objects"]["hut"]["position_m"]
+    assert one.learn == ()
+    text = (out / "report.html").read_text()
+    assert "object_pose of hut (an object of the scene stands elsewhere)" in text
+    assert "found at the end" in text
+
+
+@pytest.mark.parametrize("stage", [2, 4])  # after the turn that adds it, and after the confirmation
+def test_an_interrupted_run_ends_the_same(
+    stage: int, moved: Scene, found: tuple[Path, dict[str, Any]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    written, write = [], checkpoint.write
+
+    def stopping(*about: Any) -> None:
+        write(*about)
+        written.append(about)
+        if len(written) == stage:
+            raise KeyboardInterrupt
+
+    assert moved.path is not None
+    with monkeypatch.context() as patch:
+        patch.setattr(checkpoint, "write", stopping)
+        with pytest.raises(KeyboardInterrupt):
+            run(moved.path, tmp_path, device="cpu", options=QUICK)
+    content = run(moved.path, tmp_path, device="cpu", options=QUICK, resume=True)
+    before, after = (json.loads(json.dumps({**one, "wall_time_s": 0.0}, default=float)) for one in (found[1], content))
+    assert after == before
+    assert (tmp_path / "scene.toml").read_text().count("position_m") == 1
+
+
+def test_an_absent_object_is_found(tmp_path: Path) -> None:
+    scene = case(tmp_path, without_hut())
+    assert scene.path is not None
+    content = run(scene.path, tmp_path / "out", device="cpu", options=QUICK)
+    assert content["verdict"] == ["absent_object"]
+    assert content["objects"]["hut"]["absent"] is True
+    assert content["steps"][0]["object"] == "hut"
+    assert content["materials"]["hut"] == {}
+    assert Scene.load(tmp_path / "out" / "scene.toml").mesh.materials == ("ground", "cube")
+
+
+@pytest.mark.slow
+def test_two_objects_are_found_turn_by_turn(tmp_path: Path) -> None:
+    """The cube is elsewhere and the hut is not there."""
+    truth = composed(true_scene(), true_scene(), [Object(group="cube", position_m=(-0.7, 0.5, 0.0))], ["hut"])
+    done = diagnose(case(tmp_path, truth), device="cpu", options=QUICK).diagnosis
+    assert set(done.held) == {"object_pose cube", "absent_object hut"}
+    np.testing.assert_allclose(done.objects["cube"]["position_m"], (-0.7, 0.5, 0.0), atol=0.05)
+
+
+@pytest.mark.slow
+def test_a_shift_of_everything_is_registration(tmp_path: Path) -> None:
+    truth = replace(true_scene(), effects={"registration": {"range_m": 0.33, "azimuth_m": -0.41}})
+    assert diagnose(case(tmp_path, truth), device="cpu", options=QUICK).diagnosis.verdict == ["registration"]
+
+
+def test_nothing_is_tried_where_nothing_is_left(nothing: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    def never(*_: Any) -> None:
+        raise AssertionError("a body was tried")
+
+    monkeypatch.setattr(search, "geometry_candidates", never)
+    assert diagnose(nothing, device="cpu", options=QUICK).diagnosis.verdict == []

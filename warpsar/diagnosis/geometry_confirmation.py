@@ -1,0 +1,71 @@
+"""Whether a change of geometry holds beside all that was added: its gain, and what views left out say of it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from warpsar.diagnosis.all_pixels import Exact, log_likelihood, still
+from warpsar.diagnosis.bench import Bench
+from warpsar.diagnosis.found import Confirmed
+from warpsar.diagnosis.geometry import ABSENT, kind_of, object_of, without_change
+from warpsar.diagnosis.geometry_trial import fitted_beside
+from warpsar.diagnosis.left_out import LeftOut, summed
+from warpsar.diagnosis.movable import refined_words, with_words
+from warpsar.diagnosis.refit import Fitted
+from warpsar.learning.pose import descend
+from warpsar.learning.pose_coordinates import Poses
+from warpsar.scene.scene import Scene
+from warpsar.speckle.likelihood import loss_terms
+from warpsar.world.world import posed
+
+
+def taken_back(bench: Bench, fitted: Fitted, declared: Scene, name: str) -> Fitted:
+    """The model without one of its changes of geometry, fitted to the pixels that both light."""
+    return fitted_beside(bench, without_change(declared, fitted.scene, name))[1]
+
+
+def asked_of(bench: Bench, fitted: Fitted, without: Fitted, declared: Scene, name: str) -> Confirmed:
+    """What the change gains on all usable pixels, for how many numbers."""
+    gain = 2.0 * (log_likelihood(bench, fitted) - log_likelihood(bench, without))
+    if kind_of(name) == ABSENT:
+        return Confirmed(name, gain, 1)
+    return Confirmed(name, gain, len(Poses(_freed(declared, fitted.scene, name)).coordinates))
+
+
+def views_left_out(bench: Bench, fitted: Fitted, without: Fitted, declared: Scene, name: str, quiet: bool) -> LeftOut:
+    """Explain each view with the object's pose as the other views have it, and without the change.
+
+    Surface and effects are fitted to all views in both models, on all usable pixels above a common floor.
+    """
+    names = [view.view.name for view in fitted.problem.views]
+    if len(names) < 2:
+        return LeftOut(0.0, 0.0, len(names))
+    exact = Exact.of(bench, fitted)
+    lacking, end = exact.settled(still(without.scene))
+    free = _freed(declared, fitted.scene, name)
+    seen, gains = [], []
+    for view in names:
+        scene = still(fitted.scene)
+        if any(one.learn for one in free.objects):
+            others = exact.problem(free, [each for each in names if each != view])
+            known = descend(others, others.x0)
+            scene = posed(scene, others.poses.at(known.x[others.size :]))
+        whole, there = exact.settled(still(scene))
+        pairs = zip(exact.images(lacking, end.x, view), exact.images(whole, there.x, view), strict=True)
+        for (one, before), (_, after) in pairs:
+            seen.append(one)
+            gains.append(
+                np.stack(
+                    [
+                        loss_terms("gamma", beta0, before, one.looks) - loss_terms("gamma", beta0, after, one.looks)
+                        for beta0 in (one.values, after)
+                    ]
+                )
+            )
+    return summed(bench, seen, gains, len(names), quiet)
+
+
+def _freed(declared: Scene, scene: Scene, name: str) -> Scene:
+    """The scene with what a fit may change of the object alone; nothing of an absent one."""
+    words = {label: each for label, each in refined_words(declared, scene).items() if label == object_of(name)}
+    return with_words(scene, words)
