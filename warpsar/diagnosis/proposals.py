@@ -22,9 +22,12 @@ from warpsar.scene.scene import Scene
 from warpsar.world.tables import Material
 
 KIND = "missing_object"
-PLACES = 2  # that are tried
+PLACES, NEARLY = 2, 0.5  # that are tried, where the second scores such a share of the first
+WORTH_A_FIT = 2.0  # times what a number costs: the best of all places where nothing stands scores less
 QUICK_STEPS, QUICK_FLAT = 10, 1.0  # of a descent that only compares
-GLANCE_STEPS = 4  # of a shape that may be given up
+POINT_PX = 4.0  # width of a place in which a point is tried
+LAST_STEPS, LAST_FLAT = 4, 0.1  # of the last descents
+GLANCE_STEPS = 3  # of a shape that may be given up
 
 
 def proposed(
@@ -49,15 +52,16 @@ def proposed(
     ground = replace(ground, scene=without.scene)
     cost = 0.5 * (price if price is not None else np.log(sum(s.looks * s.count for s in without.observations)))
     best: _Tried | None = None
-    for place in places(ground.scene, _ratios(without), PLACES):
-        if place.score < cost:
+    found_places = places(ground.scene, _ratios(without), PLACES)
+    for place in found_places:
+        if place.score < max(WORTH_A_FIT * cost, NEARLY * found_places[0].score):
             break
         found = _likeliest(ground, place, cost)
         if best is None or found.worth(cost) > best.worth(cost):
             best = found
     if best is None:
         return []
-    whole = ground.settled(released(best.standing.scene, without.scene))
+    whole = _with_all_else(ground, released(best.standing.scene, without.scene))
     size = _numbers(best, whole.scene)
     gain = without.loss - whole.loss
     console.say(f"missing object: {best.shape.table.primitive}, log-likelihood up by {gain:.4g} with {size} numbers")
@@ -114,7 +118,7 @@ def _likeliest(ground: Ground, place: Place, cost: float) -> _Tried:
         if found.worth(cost) > box.worth(cost):
             found = _again(ground, found)
         tried.append(found)
-    if place.width_m <= 8.0 * pixel_m:
+    if place.width_m <= POINT_PX * pixel_m:
         shape = shapes.point(place, name, pixel_m)
         tried.append(_fitted(ground, shape, _own(box), QUICK_STEPS, blur_m=2.0 * pixel_m))
     best = max(tried, key=lambda one: one.worth(cost))
@@ -192,6 +196,16 @@ def _materials(ground: Ground) -> list[Material]:
 def _free_name(scene: Scene) -> str:
     taken = {*scene.materials, *(one.label for one in scene.objects)}
     return next(name for k in range(1, len(taken) + 2) if (name := f"found_{k}") not in taken)
+
+
+def _with_all_else(ground: Ground, scene: Scene) -> Standing:
+    """Surfaces and effects with the object at their best: in turns, since a step is cheap where no object moves."""
+    for _ in range(2):
+        placed = replace(scene, objects=(*scene.objects[:-1], scene.objects[-1].model_copy(update={"learn": ()})))
+        surfaces = ground.settled(placed).scene
+        moving = alone(replace(surfaces, objects=scene.objects))
+        scene = released(ground.settled(moving, most=LAST_STEPS, flat=LAST_FLAT).scene, surfaces)
+    return ground.settled(scene, most=LAST_STEPS, flat=LAST_FLAT)
 
 
 def _told(whole: Standing, best: _Tried) -> tuple[dict[str, Any], list[str]]:

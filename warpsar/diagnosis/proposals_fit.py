@@ -140,5 +140,8 @@ def _is_own(scene: Scene) -> bool:
 
 
 def released(scene: Scene, base: Scene) -> Scene:
-    """The scene with everything free again that is free in `base`, at the values of `base`."""
-    return replace(scene, materials={**scene.materials, **base.materials}, effects=dict(base.effects))
+    """The scene with everything free that is free in `base`, at the values of `base`; the last object's own material
+    stays."""
+    own = scene.objects[-1].material if _is_own(scene) else None
+    materials = {name: base.materials.get(name, m) if name != own else m for name, m in scene.materials.items()}
+    return replace(scene, materials=materials, effects=dict(base.effects))
