@@ -12,7 +12,7 @@ import warp as wp
 from warpsar.diagnosis import proposals_shapes as shapes
 from warpsar.diagnosis.geometry import GeometryCandidate
 from warpsar.diagnosis.proposals_fit import Ground, Standing, alone, released
-from warpsar.diagnosis.proposals_left_out import left_out
+from warpsar.diagnosis.proposals_left_out import explained, left_out
 from warpsar.diagnosis.proposals_place import Place, Ratios, places
 from warpsar.diagnosis.proposals_shapes import Shape
 from warpsar.learning.observation import Observation
@@ -22,7 +22,10 @@ from warpsar.scene.scene import Scene
 from warpsar.world.tables import Material
 
 KIND = "missing_object"
+LOOKED_AT = 6  # places that do not overlap
 PLACES, NEARLY = 2, 0.5  # that are tried, where the second scores such a share of the first
+EXPLAINED = 0.5  # of what is unlike speckle in the pixels that a body touches: where others are missing, it is less
+THINNEST_PX = 0.5
 WORTH_A_FIT = 2.0  # times what a number costs: the best of all places where nothing stands scores less
 QUICK_STEPS, QUICK_FLAT = 10, 1.0  # of a descent that only compares
 POINT_PX = 4.0  # width of a place in which a point is tried
@@ -51,21 +54,15 @@ def proposed(
     without = ground.settled(ground.scene)
     ground = replace(ground, scene=without.scene)
     cost = 0.5 * (price if price is not None else np.log(sum(s.looks * s.count for s in without.observations)))
-    best: _Tried | None = None
-    found_places = places(ground.scene, _ratios(without), PLACES)
-    for place in found_places:
-        if place.score < max(WORTH_A_FIT * cost, NEARLY * found_places[0].score):
-            break
-        found = _likeliest(ground, place, cost)
-        if best is None or found.worth(cost) > best.worth(cost):
-            best = found
+    found = [_likeliest(ground, place, cost) for place in _worth_a_fit(ground, without, cost)]
+    best = max((one for one in found if one is not None), key=lambda one: one.worth(cost), default=None)
     if best is None:
         return []
     whole = _with_all_else(ground, released(best.standing.scene, without.scene))
     size = _numbers(best, whole.scene)
     gain = without.loss - whole.loss
     console.say(f"missing object: {best.shape.table.primitive}, log-likelihood up by {gain:.4g} with {size} numbers")
-    if gain <= size * cost:
+    if gain <= size * cost or not _sound(whole.scene) or explained(without, whole) < EXPLAINED:
         return []
     confirmed = left_out(ground, without, whole)
     console.say(f"missing object: views left out gain {confirmed.gain:.4g} +- {confirmed.error:.2g}")
@@ -92,6 +89,22 @@ class _Tried:
         return -self.standing.loss - cost * _numbers(self, self.standing.scene)
 
 
+def _worth_a_fit(ground: Ground, without: Standing, cost: float) -> list[Place]:
+    """Places where bodies would explain enough, and no much better one is among them."""
+    found = [one for one in places(ground.scene, _ratios(without), LOOKED_AT) if one.share > EXPLAINED]
+    least = max(WORTH_A_FIT * cost, NEARLY * max((one.score for one in found), default=0.0))
+    return [one for one in found if one.score > least][:PLACES]
+
+
+def _sound(scene: Scene) -> bool:
+    """Whether the last object is a body: not flatter than half a pixel, of which neither layover nor shadow tells, nor
+    wider than half the image."""
+    grid, size = scene.grid, scene.objects[-1].size_m
+    assert size is not None
+    widest = max(n * step for n, step in zip(grid.shape, grid.spacing_m, strict=True)) / 2.0
+    return min(size) > THINNEST_PX * min(grid.spacing_m) and max(size) < widest
+
+
 def _numbers(tried: _Tried, scene: Scene) -> int:
     one = scene.objects[-1]
     own = one.material == one.name
@@ -108,12 +121,12 @@ def _ratios(standing: Standing) -> list[Ratios]:
     return found
 
 
-def _likeliest(ground: Ground, place: Place, cost: float) -> _Tried:
-    """The likeliest body in a place for its numbers."""
+def _likeliest(ground: Ground, place: Place, cost: float) -> _Tried | None:
+    """The likeliest body in a place for its numbers; None where there is none."""
     name, pixel_m = _free_name(ground.scene), max(ground.scene.grid.spacing_m)
     box = _first_box(ground, place, name)
-    tried = [box]
-    for shape in shapes.others(box.standing.scene.objects[-1]):
+    tried = [box] if _sound(box.standing.scene) else []
+    for shape in shapes.others(box.standing.scene.objects[-1]) if tried else ():
         found = _fitted(ground, shape, _own(box), GLANCE_STEPS)
         if found.worth(cost) > box.worth(cost):
             found = _again(ground, found)
@@ -121,7 +134,9 @@ def _likeliest(ground: Ground, place: Place, cost: float) -> _Tried:
     if place.width_m <= POINT_PX * pixel_m:
         shape = shapes.point(place, name, pixel_m)
         tried.append(_fitted(ground, shape, _own(box), QUICK_STEPS, blur_m=2.0 * pixel_m))
-    best = max(tried, key=lambda one: one.worth(cost))
+    best = max(tried, key=lambda one: one.worth(cost), default=None)
+    if best is None:
+        return None
     fewer = [best, *_rounded(ground, best), *_of_known_materials(ground, best)]
     return max(fewer, key=lambda one: one.worth(cost))
 

@@ -17,11 +17,13 @@ import numpy as np
 from warpsar.diagnosis.projection import pixel_of
 from warpsar.diagnosis.proposals_ground import free_ground
 from warpsar.scene.scene import Scene
+from warpsar.speckle.likelihood import expected_deviance
 from warpsar.world.tables import View
 from warpsar.world.world import geometry_of
 
 WIDTHS_PX, HEIGHTS_PX = (2, 4, 8, 16, 32), (2, 4, 8, 16)
 STEPS = 160  # of the grid of places along each side, at most
+LEAST_RATIO = 1e-2
 LARGEST_RATIO = 20.0  # of measured to modelled power: a single bright pixel is no wide body
 
 
@@ -37,13 +39,14 @@ class Ratios:
 
 @dataclass(frozen=True)
 class Place:
-    """A body's place on the ground [m], its width and height [m], and the log-likelihood that its best view adds no
-    part of (`score`)."""
+    """A body's place on the ground [m], its width and height [m], the log-likelihood that all views but the best one
+    gain (`score`), and what `share` that is of all that is unlike speckle in its pixels there."""
 
     position_m: tuple[float, float, float]
     width_m: float
     height_m: float
     score: float
+    share: float
 
 
 def places(scene: Scene, ratios: Sequence[Ratios], most: int) -> list[Place]:
@@ -56,23 +59,24 @@ def places(scene: Scene, ratios: Sequence[Ratios], most: int) -> list[Place]:
         return []
     sums = [_Sums.of(one) for one in ratios]
     finest = max(scene.grid.spacing_m)
-    found: list[tuple[np.ndarray, float, float]] = []
+    found: list[tuple[np.ndarray, np.ndarray, float, float]] = []
     for width, height in itertools.product(WIDTHS_PX, HEIGHTS_PX):
         if height > 4 * width:
             continue
-        each = np.stack([one.scores(scene, points, width * finest, height * finest) for one in sums])
-        found.append((each.sum(axis=0) - each.max(axis=0), width * finest, height * finest))
-    scores = np.stack([score for score, _, _ in found])
+        both = np.stack([one.scores(scene, points, width * finest, height * finest) for one in sums])
+        rest = both.sum(axis=0) - np.take_along_axis(both, both[:, :1].argmax(axis=0)[None], axis=0)[0]
+        found.append((rest[0], rest[1], width * finest, height * finest))
+    scores = np.stack([score for score, *_ in found])
     best, at = scores.max(axis=0), scores.argmax(axis=0)
     chosen: list[Place] = []
     for k in np.argsort(-best):
-        _, width_m, height_m = found[at[k]]
+        _, excess, width_m, height_m = found[at[k]]
         if best[k] <= 0 or len(chosen) == most:
             break
         apart = [math.dist(points[k, :2], one.position_m[:2]) > max(width_m, one.width_m) for one in chosen]
         if all(apart):
             east, north, up = (points[k] + scene.reference_point_m).tolist()
-            chosen.append(Place((east, north, up), width_m, height_m, float(best[k])))
+            chosen.append(Place((east, north, up), width_m, height_m, float(best[k]), float(best[k] / excess[k])))
     return chosen
 
 
@@ -99,11 +103,14 @@ class _Sums:
     one: Ratios
     ratios: np.ndarray
     pixels: np.ndarray
+    excess: np.ndarray
 
     @classmethod
     def of(cls, one: Ratios) -> _Sums:
         ratio = np.where(one.usable, np.minimum(one.ratio, LARGEST_RATIO), 0.0)
-        return cls(one, _summed(ratio), _summed(one.usable.astype(float)))
+        sure = np.where(one.usable, np.maximum(ratio, LEAST_RATIO), 1.0)
+        excess = one.looks * (sure - 1.0 - np.log(sure)) - 0.5 * expected_deviance(one.looks) * one.usable
+        return cls(one, _summed(ratio), _summed(one.usable.astype(float)), _summed(excess))
 
     def scores(self, scene: Scene, points: np.ndarray, width_m: float, height_m: float) -> np.ndarray:
         """Log-likelihood that one factor on the layover and one on the shadow add, (n,); negative where the factor is
@@ -132,7 +139,8 @@ class _Sums:
         with np.errstate(invalid="ignore", divide="ignore"):
             factor = np.maximum(_box(self.ratios, top, bottom, left, right) / count, 1e-6)
             gain = self.one.looks * count * (factor - 1.0 - np.log(factor))
-        return np.where(count > 0, gain * np.sign(factor - 1.0) * sign, 0.0)
+        gain = np.where(count > 0, gain * np.sign(factor - 1.0) * sign, 0.0)
+        return np.stack([gain, _box(self.excess, top, bottom, left, right)])
 
 
 def _summed(image: np.ndarray) -> np.ndarray:
