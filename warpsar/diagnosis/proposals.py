@@ -28,7 +28,8 @@ EXPLAINED = 0.5  # of what is unlike speckle in the pixels that a body touches: 
 THINNEST_PX = 0.5
 WORTH_A_FIT = 2.0  # times what a number costs: the best of all places where nothing stands scores less
 QUICK_STEPS, QUICK_FLAT = 10, 1.0  # of a descent that only compares
-POINT_PX = 4.0  # width of a place in which a point is tried
+NOTHING_LEFT = 0.97  # of the same, from which no other body is tried
+POINT_PX = 4.0  # a box smaller than this may be a point
 LAST_STEPS, LAST_FLAT = 4, 0.1  # of the last descents
 GLANCE_STEPS = 3  # of a shape that may be given up
 
@@ -54,8 +55,9 @@ def proposed(
     without = ground.settled(ground.scene)
     ground = replace(ground, scene=without.scene)
     cost = 0.5 * (price if price is not None else np.log(sum(s.looks * s.count for s in without.observations)))
-    found = [_likeliest(ground, place, cost) for place in _worth_a_fit(ground, without, cost)]
-    best = max((one for one in found if one is not None), key=lambda one: one.worth(cost), default=None)
+    places_tried = _worth_a_fit(ground, without, cost)
+    found = [one for place in places_tried for one in _likeliest(ground, without, place, cost)]
+    best = max(found, key=lambda one: one.worth(cost), default=None)
     if best is None:
         return []
     whole = _with_all_else(ground, released(best.standing.scene, without.scene))
@@ -83,6 +85,10 @@ class _Tried:
     @property
     def name(self) -> str:
         return self.standing.scene.objects[-1].label
+
+    @property
+    def is_point(self) -> bool:
+        return self.shape.learn == shapes.BRIGHTNESS
 
     def worth(self, cost: float) -> float:
         """Minus the loss, less what its numbers cost."""
@@ -121,24 +127,32 @@ def _ratios(standing: Standing) -> list[Ratios]:
     return found
 
 
-def _likeliest(ground: Ground, place: Place, cost: float) -> _Tried | None:
-    """The likeliest body in a place for its numbers; None where there is none."""
+def _likeliest(ground: Ground, without: Standing, place: Place, cost: float) -> list[_Tried]:
+    """The likeliest body in a place for its numbers, or none."""
     name, pixel_m = _free_name(ground.scene), max(ground.scene.grid.spacing_m)
     box = _first_box(ground, place, name)
+    narrow = min(place.width_m, max(box.standing.scene.objects[-1].size_m or ())) <= POINT_PX * pixel_m
     tried = [box] if _sound(box.standing.scene) else []
-    for shape in shapes.others(box.standing.scene.objects[-1]) if tried else ():
-        found = _fitted(ground, shape, _own(box), GLANCE_STEPS)
-        if found.worth(cost) > box.worth(cost):
-            found = _again(ground, found)
-        tried.append(found)
-    if place.width_m <= POINT_PX * pixel_m:
+    if tried and explained(without, box.standing) < NOTHING_LEFT:
+        tried += _other_bodies(ground, box, cost)
+    if narrow:
         shape = shapes.point(place, name, pixel_m)
         tried.append(_fitted(ground, shape, _own(box), QUICK_STEPS, blur_m=2.0 * pixel_m))
     best = max(tried, key=lambda one: one.worth(cost), default=None)
     if best is None:
-        return None
-    fewer = [best, *_rounded(ground, best), *_of_known_materials(ground, best)]
-    return max(fewer, key=lambda one: one.worth(cost))
+        return []
+    fewer = [best, *_rounded(ground, best)]
+    if not best.is_point:  # whose brightness is a number of its own
+        fewer += _of_known_materials(ground, best)
+    return [max(fewer, key=lambda one: one.worth(cost))]
+
+
+def _other_bodies(ground: Ground, box: _Tried, cost: float) -> list[_Tried]:
+    tried = []
+    for shape in shapes.others(box.standing.scene.objects[-1]):
+        found = _fitted(ground, shape, _own(box), GLANCE_STEPS)
+        tried.append(_again(ground, found) if found.worth(cost) > box.worth(cost) else found)
+    return tried
 
 
 def _first_box(ground: Ground, place: Place, name: str) -> _Tried:
@@ -234,6 +248,6 @@ def _told(whole: Standing, best: _Tried) -> tuple[dict[str, Any], list[str]]:
         f"{one.label}: a {one.primitive} of {length:.2f} x {width:.2f} x {height:.2f} m at {east:.2f} m east, "
         f"{north:.2f} m north"
     ]
-    if best.shape.numbers == 3:
+    if best.is_point:
         words = [f"{one.label}: a point reflector at {east:.2f} m east, {north:.2f} m north; its size stands for a point"]
     return values, words

@@ -20,10 +20,13 @@ from warpsar.scene.placing import with_objects
 from warpsar.scene.scene import Scene
 from warpsar.simulation.exact_rays import ExactRays
 from warpsar.surface.stage import Stage
+from warpsar.surface.surface import KINDS
 from warpsar.world.objects.table import Object
 from warpsar.world.tables import Material
 
 STANDS_M = 1e-2  # standard deviation of a foot's height about the ground that it stands on
+EPS_R = (2.0, 80.0)  # from dry sand to water
+CORRELATION = (0.3, 30.0)  # correlation length times wavenumber
 
 
 @dataclass(frozen=True)
@@ -94,6 +97,10 @@ class Ground:
             replace(scene, effects=effects), self.device, seen, loss=self.loss, level=both.level
         )
         low, high = problem.bounds
+        for label, least, largest in _usual(scene):
+            if label in problem.labels:
+                k = problem.labels.index(label)
+                low[k], high[k] = max(low[k], least), min(high[k], largest)
         for k, c in enumerate(problem.poses.coordinates, start=problem.size):
             if c.word == "position" and c.index == 2 and "size" in scene.objects[c.object].learn:
                 low[k] = high[k] = 0.0  # a body in the ground looks like a lower one on it
@@ -118,6 +125,20 @@ class Ground:
             name: table if blur_m else found.effects[name] for name, table in scene.effects.items()
         }
         return Standing(replace(found, effects=effects), end.loss, problem, end.x)
+
+
+def _usual(scene: Scene) -> list[tuple[str, float, float]]:
+    """Labels of the last object's own material, and the coordinates between which a fit looks for them.
+
+    Of a few pixels only brightness is known well. Beyond these values others of its numbers change nothing else.
+    """
+    if not scene.objects or not _is_own(scene):
+        return []
+    wavenumber = max(scene.wavenumber(view) for view in scene.views)
+    known = {"eps_r": EPS_R, "correlation_length_m": (CORRELATION[0] / wavenumber, CORRELATION[1] / wavenumber)}
+    kinds = [kind for kind in KINDS if kind.key in known]
+    ends = [[float(kind.to_coordinate(each)) for each in known[kind.key]] for kind in kinds]
+    return [(f"{scene.objects[-1].label}.{kind.key}", *end) for kind, end in zip(kinds, ends, strict=True)]  # type: ignore[misc]
 
 
 def alone(scene: Scene) -> Scene:

@@ -16,6 +16,7 @@ VEHICLES: dict[Primitive, tuple[tuple[float, float], ...]] = {
     "truck": ((4.0, 18.0), (1.7, 3.2), (1.8, 4.5)),
 }
 """Least and largest length, width and height [m] of what may be one."""
+BRIGHTNESS = ("rms_height_m",)  # all that is free of a point's material
 POINT_PX = 1.0  # diameter of a point reflector, in pixels
 
 
@@ -42,7 +43,7 @@ def point(place: Place, name: str, pixel_m: float) -> Shape:
     table = Object(
         name=name, primitive="sphere", size_m=(d, d, d), position_m=place.position_m, material=name, learn=("position",)
     )
-    return Shape(table, 3, ("rms_height_m",))
+    return Shape(table, 3, BRIGHTNESS)
 
 
 def others(box: Object) -> Iterator[Shape]:
@@ -62,7 +63,7 @@ def round_one(shape: Shape) -> Shape | None:
         return None
     length, width, height = shape.table.size_m
     d = (length * width) ** 0.5
-    table = shape.table.model_copy(update={"size_m": (d, d, height), "heading_deg": 0.0})
+    table = shape.table.model_copy(update={"size_m": (d, d, height), "heading_deg": 0.0, "learn": ("position", "size")})
     return Shape(table, 4, shape.learn)
 
 
