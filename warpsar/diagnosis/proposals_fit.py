@@ -93,9 +93,7 @@ class Ground:
         effects = dict(both.scene.effects)
         for name, table in scene.effects.items():  # as far as a fit has come with them
             effects[name] = effects[name] if name in both.scene.effects and blur_m else table
-        problem = PosedProblem(
-            replace(scene, effects=effects), self.device, seen, loss=self.loss, level=both.level
-        )
+        problem = PosedProblem(replace(scene, effects=effects), self.device, seen, loss=self.loss, level=both.level)
         low, high = problem.bounds
         for label, least, largest in _usual(scene):
             if label in problem.labels:
@@ -121,9 +119,7 @@ class Ground:
         end = descend(problem, problem.x0, most=most, flat=flat)
         inner, rest = problem.split(end.x)
         found = learned_scene(inner, rest)
-        effects = {
-            name: table if blur_m else found.effects[name] for name, table in scene.effects.items()
-        }
+        effects = {name: table if blur_m else found.effects[name] for name, table in scene.effects.items()}
         return Standing(replace(found, effects=effects), end.loss, problem, end.x)
 
 

@@ -35,9 +35,7 @@ def _height(corners: np.ndarray, east: np.ndarray, north: np.ndarray) -> np.ndar
     if abs(normal[2]) < 1e-9 * np.linalg.norm(normal):
         return np.full((north.size, east.size), np.nan)
     x, y = np.meshgrid(east, north)
-    turn = [
-        (q[0] - p[0]) * (y - p[1]) - (x - p[0]) * (q[1] - p[1]) for p, q in ((a, b), (b, c), (c, a))
-    ]
+    turn = [(q[0] - p[0]) * (y - p[1]) - (x - p[0]) * (q[1] - p[1]) for p, q in ((a, b), (b, c), (c, a))]
     sign = np.sign(normal[2])
     slack = 1e-9 * abs(normal[2])
     inside = np.all([sign * t >= -slack for t in turn], axis=0)

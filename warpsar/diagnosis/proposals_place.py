@@ -54,7 +54,7 @@ def places(scene: Scene, ratios: Sequence[Ratios], most: int) -> list[Place]:
 
     A score is the sum over all views but the best one: no view alone makes a place.
     """
-    points, shape = _points(scene)
+    points = _points(scene)
     if not len(points):
         return []
     sums = [_Sums.of(one) for one in ratios]
@@ -80,7 +80,7 @@ def places(scene: Scene, ratios: Sequence[Ratios], most: int) -> list[Place]:
     return chosen
 
 
-def _points(scene: Scene) -> tuple[np.ndarray, tuple[int, int]]:
+def _points(scene: Scene) -> np.ndarray:
     """Points of the free ground about the reference point, (n, 3) [m], as far as an image reaches."""
     origin = np.asarray(scene.reference_point_m)
     least_sine = min(math.sin(math.radians(view.incidence_deg)) for view in scene.views)
@@ -93,7 +93,7 @@ def _points(scene: Scene) -> tuple[np.ndarray, tuple[int, int]]:
     ground = free_ground(scene.mesh, east, north)
     x, y = np.meshgrid(east, north)
     free = np.isfinite(ground)
-    return np.stack([x[free], y[free], ground[free]], axis=1) - origin, ground.shape
+    return np.stack([x[free], y[free], ground[free]], axis=1) - origin
 
 
 @dataclass(frozen=True)
