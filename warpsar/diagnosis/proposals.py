@@ -9,11 +9,13 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.geometry import GeometryCandidate
 from warpsar.diagnosis.proposals_bodies import Tried, likeliest, sound
 from warpsar.diagnosis.proposals_fit import Ground, Standing, alone, released
 from warpsar.diagnosis.proposals_left_out import explained, left_out
 from warpsar.diagnosis.proposals_place import Place, Ratios, places
+from warpsar.diagnosis.refit import Fitted
 from warpsar.learning.observation import Observation
 from warpsar.learning.pose_search import summary
 from warpsar.runtime import console
@@ -25,6 +27,11 @@ PLACES, NEARLY = 2, 0.5  # that are tried, where the second scores such a share 
 EXPLAINED = 0.6  # of what is unlike speckle in the pixels that a body touches: where others are missing, it is less
 WORTH_A_FIT = 2.0  # times what a number costs: the best of all places where nothing stands scores less
 LAST_STEPS, LAST_FLAT = 4, 0.1  # of the last descents
+
+
+def missing_objects(declared: Scene, bench: Bench, here: Fitted, price: float) -> list[GeometryCandidate]:
+    """`proposed` for a turn of a diagnosis, whose fitted model is `here`. `declared` is not asked."""
+    return proposed(here.scene, bench.device, bench.observations, price=price)
 
 
 def proposed(

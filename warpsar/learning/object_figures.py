@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 BEFORE, AFTER = "0.45", "C3"  # colours: of what the scene file says, of what was found
 AROUND = 0.6  # of the largest object's extent, that is shown about all of them
 LARGEST_SD = 5.0  # in half extents: an interval that is wider is not drawn
+MOST_FACES = 3000  # of a mesh that is drawn as it is: a sphere has 2000
 LEGEND = (
     (BEFORE, "--", "scene file", 1.4),
     (AFTER, "-", "found", 1.4),
@@ -64,7 +65,8 @@ def _mesh_of(scene: Scene, name: str) -> Mesh | None:
     """An object, or a group of the scene's own mesh, where the scene has it."""
     one = next((one for one in scene.objects if one.label == name), None)
     if one is not None and one.group is None and scene.assembly is not None:
-        return scene.assembly.placed(one)
+        placed = scene.assembly.placed(one)
+        return _plain(placed.vertices, placed.faces)
     group = name if one is None else str(one.group)
     base = scene.mesh if scene.assembly is None else scene.assembly.mesh(scene.objects)
     if group in base.materials and group not in base.groups:
@@ -74,7 +76,15 @@ def _mesh_of(scene: Scene, name: str) -> Mesh | None:
     if not len(faces):
         return None
     used, corners = np.unique(faces, return_inverse=True)
-    return Mesh(base.vertices[used], corners.reshape(-1, 3).astype(np.int32), np.zeros(len(faces), np.int32))
+    return _plain(base.vertices[used], corners.reshape(-1, 3))
+
+
+def _plain(vertices: np.ndarray, faces: np.ndarray) -> Mesh:
+    """A mesh as it is drawn: its convex hull where it has very many faces."""
+    if len(faces) > MOST_FACES:
+        used, corners = np.unique(ConvexHull(vertices).simplices, return_inverse=True)
+        vertices, faces = vertices[used], corners.reshape(-1, 3)
+    return Mesh(vertices, faces.astype(np.int32), np.zeros(len(faces), np.int32))
 
 
 def _same(one: Mesh | None, other: Mesh | None) -> bool:
@@ -152,15 +162,12 @@ def _hull(points: np.ndarray) -> np.ndarray:
 
 def _draw_space(axis: Any, named: Mapping[str, Pair], low: np.ndarray, high: np.ndarray) -> None:
     """The objects in space: as lines before, as faces after."""
-    from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
-
     for before, found in named.values():
         if before is not None:
-            axis.add_collection3d(Line3DCollection(_ridges(before), colors=BEFORE, lw=0.9, linestyles="--"))
+            _draw_ridges(axis, before, "--", BEFORE)
         if found is not None:
-            faces = found.vertices[found.faces]
-            axis.add_collection3d(Poly3DCollection(faces, facecolor=AFTER, alpha=0.35, edgecolor="none"))
-            axis.add_collection3d(Line3DCollection(_ridges(found), colors=AFTER, lw=1.0))
+            axis.plot_trisurf(*found.vertices.T, triangles=found.faces, color=AFTER, alpha=0.35, shade=False)
+            _draw_ridges(axis, found, "-", AFTER)
     floor = min(float(mesh.vertices[:, 2].min()) for pair in named.values() for mesh in pair if mesh is not None)
     top = max(float(mesh.vertices[:, 2].max()) for pair in named.values() for mesh in pair if mesh is not None)
     axis.set_xlim(low[0], high[0])
@@ -173,6 +180,11 @@ def _draw_space(axis: Any, named: Mapping[str, Pair], low: np.ndarray, high: np.
     axis.set_zlabel("up [m]")
     axis.tick_params(labelsize=7)
     axis.view_init(elev=28.0, azim=-60.0)
+
+
+def _draw_ridges(axis: Any, mesh: Mesh, style: str, colour: str) -> None:
+    for ends in _ridges(mesh):
+        axis.plot(*ends.T, style, color=colour, lw=0.9)
 
 
 def _ridges(mesh: Mesh) -> np.ndarray:
