@@ -25,7 +25,8 @@ def free_ground(mesh: Mesh, east: np.ndarray, north: np.ndarray) -> np.ndarray:
         height = _height(corners[k], east[there[1]], north[there[0]])
         np.fmin(lowest[there], height, out=lowest[there])
         np.fmax(highest[there], height, out=highest[there])
-    return np.where(highest - lowest < SAME_M, lowest, np.nan)
+    alone = np.isfinite(lowest) & (highest < lowest + SAME_M)
+    return np.where(alone, lowest, np.nan)
 
 
 def _height(corners: np.ndarray, east: np.ndarray, north: np.ndarray) -> np.ndarray:
