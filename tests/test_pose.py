@@ -276,6 +276,7 @@ def test_learn_writes_poses(tmp_path: Path) -> None:
     assert told["heading_deg"] == pytest.approx(35.0, abs=4.0 * told["heading_sd_deg"])
     np.testing.assert_allclose(told["position_m"], (1.3, -0.8, 0.0), atol=4.0 * max(told["position_sd_m"]))
     assert content["intervals_hold"]
+    assert (tmp_path / "out" / "objects.png").is_file()
     again = Scene.load(tmp_path / "out" / "scene.toml")
     assert list(again.objects[0].position_m) == told["position_m"]
     assert "noise_floor" not in again.effects

@@ -45,6 +45,14 @@ left_shape.py      its shape and its spectrum
 left_moves.py      whether it moves with the surface or with the image
 left_words.py      what is left, in sentences and in diagnosis.json
 left_figures.py    what is left, in three pictures
+geometry.py        a change of geometry that may explain what is left
+proposals.py       an object that the mesh lacks
+proposals_place.py     places on which several views agree
+proposals_ground.py    where the ground is free
+proposals_bodies.py    which body stands in a place
+proposals_shapes.py    the bodies that are tried
+proposals_fit.py       an object on trial
+proposals_left_out.py  whether it explains what is seen, also in views left out
 nearest.py         the explanations that come nearest, and what speaks against each
 projection.py      where a place of the world lies in an image
 known.py           what became of values known to a tolerance
@@ -52,6 +60,7 @@ content.py         what diagnosis.json holds
 report.py          the report's page
 report_summary.py  its answer
 report_turns.py    its turns
+report_objects.py  its objects before and after
 report_surface.py  its parameters
 report_left.py     what is left
 """

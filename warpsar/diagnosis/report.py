@@ -8,6 +8,7 @@ from typing import Any
 
 from warpsar.diagnosis.found import Turn
 from warpsar.diagnosis.report_left import left_section, residuals_section
+from warpsar.diagnosis.report_objects import objects_section
 from warpsar.diagnosis.report_summary import summary_section
 from warpsar.diagnosis.report_surface import parameters_section
 from warpsar.diagnosis.report_turns import turn_section
@@ -27,6 +28,7 @@ def write_report(
     )
     sections = [
         summary_section(done, content),
+        *objects_section(done, content),
         residuals_section(done),
         *(turn_section(turn, number, done, content) for number, turn in enumerate(found.turns)),
         parameters_section(done, moves, content),

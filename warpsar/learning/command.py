@@ -13,14 +13,16 @@ import numpy as np
 
 from warpsar.curves import command as curve_command
 from warpsar.io import checkpoint
-from warpsar.io.figures import convergence
+from warpsar.io.figures import convergence, save
 from warpsar.io.images import replacing
 from warpsar.learning.descent import History
 from warpsar.learning.fields import write_field_uncertainty
 from warpsar.learning.learn import Learned, learn, of_all
+from warpsar.learning.object_figures import figure_of_objects
 from warpsar.learning.options import LearnOptions
 from warpsar.learning.pull import leaving
 from warpsar.runtime import console, distributed
+from warpsar.scene.scene import Scene
 from warpsar.simulation.outputs import opened, write_json
 
 
@@ -48,6 +50,7 @@ def run(
         found.scene.save(out / "scene.toml")
         _write_history(out / "history.csv", found.history)
         convergence(out / "convergence.png", found.history)
+        _draw_objects(out / "objects.png", scene, found)
     content = _summary(found, options)
     _say_doubts(found, scene_path)
     for one in found.pulls:
@@ -72,6 +75,13 @@ def run(
         file=sys.stdout,
     )
     return content
+
+
+def _draw_objects(path: Path, scene: Scene, found: Learned) -> None:
+    """The objects in plan and in space, where any was learned."""
+    figure = None if found.objects is None else figure_of_objects(scene, found.scene, found.objects.content())
+    if figure is not None:
+        save(figure, path)
 
 
 def _say_doubts(found: Learned, scene_path: Path | str) -> None:
