@@ -28,12 +28,12 @@ from btr70_measures import Chip, best_shift, judged, middle, rivals, terms, turn
 from btr70_model import (
     LADDER,
     SPACING_M,
+    begun_with,
     fitted,
     predicted,
     regions,
     with_aim_points,
     with_body,
-    with_effect,
     write_scene,
 )
 from measured_loop import kept
@@ -111,7 +111,7 @@ def climbed(scene: Scene, validation: Sequence[Chip], out: Path) -> tuple[Scene,
     now, score = scene, held_out(scene, validation)
     for number, (name, table) in enumerate(LADDER):
         folder = out / f"tried{number}_{name}"
-        begun = with_effect(now, name, table)
+        begun = begun_with(now, name, table)
 
         def make(trial: Scene = begun, folder: Path = folder) -> dict[str, Any]:
             found, loss = fitted(trial)

@@ -18,7 +18,7 @@ HEADER_DEG = {"roll_deg": -1.18, "pitch_deg": -1.42}
 HEADER_M = {"range_fwhm_m": 0.3013, "azimuth_fwhm_m": 0.3229}
 # Pixels of speckle that share a draw: spacing 0.20 m, widths 0.30 and 0.32 m.
 AREA_PX = 2.4
-STEPS = 5  # iterations of a fit where one number of the geometry moved
+STEPS = 4  # iterations of a fit where one number of the geometry moved
 
 
 def minimum(places: Sequence[float], losses: Sequence[float]) -> tuple[float, float]:
