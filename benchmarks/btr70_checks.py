@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from btr70_measures import Chip
-from btr70_model import fitted, with_body, with_effect
+from btr70_model import fitted, thinned, with_body, with_effect
 
 from warpsar.scene.scene import Scene
 
@@ -29,15 +28,6 @@ def minimum(places: Sequence[float], losses: Sequence[float]) -> tuple[float, fl
     if a <= 0:
         return float(at[np.argmin(loss)]), float("nan")
     return float(np.clip(-b / (2.0 * a), at.min(), at.max())), float(np.sqrt(AREA_PX / (2.0 * a)))
-
-
-def thinned(scene: Scene, views: int = 15) -> Scene:
-    """Every second train view: a profile needs fewer."""
-    chosen = [scene.views[int(k)] for k in np.linspace(0, len(scene.views) - 1, views)]
-    names = {view.name for view in chosen}
-    table = scene.effects["aim_point"]
-    aim = {key: {n: v for n, v in one.items() if n in names} for key, one in table.items() if isinstance(one, dict)}
-    return with_effect(replace(scene, views=chosen), "aim_point", aim)
 
 
 def profile(scene: Scene, key: str, places: Sequence[Any]) -> list[float]:

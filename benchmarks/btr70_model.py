@@ -118,6 +118,15 @@ def with_effect(scene: Scene, name: str, table: Mapping[str, Any]) -> Scene:
     return replace(scene, effects={**scene.effects, name: validate(name, dict(table), f"effects.{name}")})
 
 
+def thinned(scene: Scene, views: int = 15) -> Scene:
+    """Every second train view: a profile needs fewer."""
+    chosen = [scene.views[int(k)] for k in np.linspace(0, len(scene.views) - 1, views)]
+    names = {view.name for view in chosen}
+    table = scene.effects["aim_point"]
+    aim = {key: {n: v for n, v in one.items() if n in names} for key, one in table.items() if isinstance(one, dict)}
+    return with_effect(replace(scene, views=chosen), "aim_point", aim)
+
+
 def with_body(scene: Scene, **changed: Any) -> Scene:
     """The scene with other values of the vehicle's table."""
     objects = [one.model_copy(update=changed) if one.name == "btr70" else one for one in scene.objects]
