@@ -180,6 +180,8 @@ def learned(data: Path, out: Path, chips: Sequence[Chip]) -> tuple[Scene, Scene,
         "attitude": kept(out / "attitude.json", lambda: checks.attitude(final)),
         "widths": kept(out / "widths.json", lambda: checks.widths(final)),
         "levels": kept(out / "levels.json", lambda: checks.levels(final, train)),
+        "bounces": kept(out / "bounces.json", lambda: {"found": checks.bounces(final, validation)}),
+        "orders": kept(out / "orders.json", lambda: checks.orders(final, train, validation)),
     }
     return declared, final, steps, known
 
