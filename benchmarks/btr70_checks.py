@@ -42,7 +42,7 @@ def size(scene: Scene) -> dict[str, Any]:
     scene = thinned(scene)
     scale, found = [1.0, 1.0, 1.0], {}
     for axis, name in ((2, "height"), (1, "width"), (0, "length")):
-        places = (0.82, 0.86, 0.90, 0.95, 1.0) if axis == 2 else (0.94, 1.0, 1.06)
+        places = (0.85, 0.9, 0.95, 1.0) if axis == 2 else (0.94, 1.0, 1.06)
         trials = [(*scale[:axis], place, *scale[axis + 1 :]) for place in places]
         losses = profile(scene, "scale", trials)
         known = [loss + AREA_PX * 0.5 * ((p - 1.0) / CAD_SD) ** 2 for p, loss in zip(places, losses, strict=True)]
@@ -57,7 +57,7 @@ def attitude(scene: Scene) -> dict[str, Any]:
     """Roll and pitch by the images alone, beside the header's."""
     scene, found = thinned(scene), {}
     for key, header in HEADER_DEG.items():
-        places = (-3.0, -1.5, 0.0, 1.5, 3.0)
+        places = (-3.0, 0.0, 3.0)
         losses = profile(scene, key, places)
         at, sd = minimum(places, losses)
         found[key] = {"value": at, "sd": sd, "header": header, "places": list(places), "losses": losses}

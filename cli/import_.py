@@ -142,7 +142,10 @@ def command(
         raise click.UsageError("--amplitude and --quantity power contradict each other")
     quantity = "amplitude" if amplitude else quantity
     if table is not None:
-        one_by_one = {"--window-range": window_range != "none", "--window-azimuth": window_azimuth != "none"}
+        one_by_one: dict[str, object] = {
+            "--window-range": window_range != "none",
+            "--window-azimuth": window_azimuth != "none",
+        }
         one_by_one |= {"--subapertures": subapertures != 1, "--looks-range": looks_range, "--origin": origin}
         one_by_one |= {"--looks-azimuth": looks_azimuth, "--surface": surface != "reference"}
         if stated := [name for name, given in one_by_one.items() if given]:

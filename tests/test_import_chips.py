@@ -142,3 +142,19 @@ def test_a_raw_chip_brings_roll_and_pitch(folder: Path) -> None:
     (_, hut) = Scene.load(path).objects
     assert (hut.roll_deg, hut.pitch_deg) == pytest.approx((-1.179, -1.4195), abs=1e-3)
     np.testing.assert_allclose(done.power, magnitude[::-1].astype(np.float32) ** 2, rtol=1e-5)
+
+
+def test_the_command_takes_a_table(folder: Path) -> None:
+    from click.testing import CliRunner
+
+    from warpsar.cli.main import main
+
+    words = ["import", str(folder / "HB1.jpeg"), str(folder / "HB2.jpeg"), "--scene", str(folder / "scene.toml")]
+    words += ["--table", str(folder / "views.csv"), "--amplitude", "--scale", "unknown", "--spacing", "0.2", "0.2"]
+    done = CliRunner().invoke(main, words)
+    assert done.exit_code == 0, done.output
+    assert "2 views; " in done.output
+    assert len(Scene.load(folder / "scene.toml").views) == 2
+    refused = CliRunner().invoke(main, [*words, "--view", "HB1"])
+    assert refused.exit_code == 2
+    assert "one of --view and --table is needed" in refused.output
