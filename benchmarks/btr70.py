@@ -38,7 +38,7 @@ from btr70_model import (
     with_body,
     write_scene,
 )
-from measured_loop import kept
+from measured_loop import kept, written
 
 from warpsar.io.images import replacing
 from warpsar.measured import jpeg
@@ -259,6 +259,56 @@ def by_region(views: Sequence[Mapping[str, Any]]) -> list[list[Any]]:
     return rows
 
 
+def checked(known: Mapping[str, Any]) -> list[list[Any]]:
+    """Rows of what is known: what, found, stated elsewhere."""
+    rows: list[list[Any]] = []
+    for name, stated in (("height", "2.24 to 2.32"), ("width", "2.80"), ("length", "7.53 to 7.54")):
+        one = known["size"][name]
+        rows.append(
+            [f"{name} [m], the CAD to 10 %", f"{one['value_m']:.2f} +- {one['sd_m']:.2f}", f"{stated}, published"]
+        )
+    for key, one in known["attitude"].items():
+        found = f"{one['value']:+.2f} +- {one['sd']:.2f}"
+        rows.append([f"{key.removesuffix('_deg')} [deg], images alone", found, f"{one['header']:+.2f}, header"])
+    for key, header in known["widths"]["header"].items():
+        found = f"{known['widths']['found'][key]:.3f}"
+        rows.append([f"{key.removesuffix('_fwhm_m')} width [m], without a prior", found, f"{header:.3f}, header"])
+    levels = known["levels"]
+    low, high = (100.0 * share for share in levels["clipped_range"])
+    rows.append(["pixels at the top of the scale", f"{low:.1f} to {high:.1f} %", "0.1 to 0.6 %"])
+    rows.append(["darkest shadow under the grass [dB]", f"{levels['shadow_below_grass_db']:.1f}", "6 to 15"])
+    return rows
+
+
+def tables_of(content: Mapping[str, Any]) -> dict[str, str]:
+    """The tables of the page, by name."""
+    head = ("set", "views", "prediction", "correlation", "at best shift", "smoothed by 1", "deviance")
+    found = {
+        "btr70.sets": tables.markdown(head, summary(content["views"])),
+        "btr70.regions": tables.markdown(
+            ("prediction", "region", "correlation", "deviance"), by_region(content["views"])
+        ),
+    }
+    if content["steps"]:
+        rows = [[s["tried"], f"{s['gain']:+.4f}", f"{s['error']:.4f}", s.get("stays", "")] for s in content["steps"]]
+        found["btr70.steps"] = tables.markdown(("tried", "held-out gain", "standard error", "stays"), rows)
+        found["btr70.checks"] = tables.markdown(("what", "found", "elsewhere"), checked(content["checks"]))
+        bounces = [
+            [b["ground"], f"{b['power']:.1f}", b["strength"], f"{b['correlation']:.3f}"]
+            for b in content["checks"]["bounces"]["found"]
+        ]
+        head = ("ground", "power of bounces over all other, strength 1", "strength", "correlation")
+        found["btr70.bounces"] = tables.markdown(head, bounces)
+        orders = [
+            [name, f"{one['order']:.2f}", f"{one['gain_per_pixel']:+.3f}", one["pixels"]]
+            for name, one in content["checks"]["orders"].items()
+            if name != "cpu_s"
+        ]
+        head = ("region", "order", "held-out log score per pixel over plain speckle", "pixels")
+        found["btr70.orders"] = tables.markdown(head, orders)
+    return found
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("data", type=Path, help="folder of public releases")
@@ -267,6 +317,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     tables.add_write(parser)
     given = parser.parse_args(arguments)
     given.out.mkdir(parents=True, exist_ok=True)
+    made = kept(given.out / "made.json", tables.made)
     chips = chips_of(given.data)
     TRAINED_DEG[:] = [chip.azimuth_deg for chip in chips if chip.name in TRAIN]
     if given.scene is None:
@@ -278,9 +329,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     views = tested(given.out, declared, final, chips)
     (body,) = (one for one in final.objects if one.name == "btr70")
     content = {
-        "views": [
-            {key: value for key, value in view.items() if key != "measures"} | view["measures"] for view in views
-        ],
+        "made": made,
+        "views": views,
         "verdict": [step["tried"] for step in steps if step.get("stays")],
         "scene": str(place),
         "pose": {"position_m": body.position_m, "roll_deg": body.roll_deg, "pitch_deg": body.pitch_deg},
@@ -290,23 +340,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "steps": steps,
         "checks": known,
     }
-    bodies = {
-        "sets": tables.markdown(
-            ("set", "views", "prediction", "correlation", "at best shift", "smoothed by 1", "deviance"), summary(views)
-        ),
-        "regions": tables.markdown(("prediction", "region", "correlation", "deviance"), by_region(views)),
-        "steps": tables.markdown(
-            ("tried", "held-out gain", "standard error", "stays"),
-            [[s["tried"], f"{s['gain']:+.4f}", f"{s['error']:.4f}", s.get("stays", "")] for s in steps],
-        ),
-    }
-    for suffix, text in (
-        ("json", json.dumps(content, indent=1, default=float)),
-        ("md", "\n\n".join(f"## {title}\n\n{table}" for title, table in bodies.items())),
-    ):
-        with replacing(given.out / f"btr70.{suffix}") as temporary:
-            temporary.write_text(text + "\n", encoding="utf-8", newline="\n")
-    print("\n\n".join(bodies.values()))
+    bodies = tables_of(content)
+    written(given.out, "btr70", json.loads(json.dumps(content, default=float)), bodies)
+    tables.publish(bodies, content, given.write)
 
 
 if __name__ == "__main__":
