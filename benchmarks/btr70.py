@@ -276,7 +276,8 @@ def checked(known: Mapping[str, Any]) -> list[list[Any]]:
     levels = known["levels"]
     low, high = (100.0 * share for share in levels["clipped_range"])
     rows.append(["pixels at the top of the scale", f"{low:.1f} to {high:.1f} %", "0.1 to 0.6 %"])
-    rows.append(["darkest shadow under the grass [dB]", f"{levels['shadow_below_grass_db']:.1f}", "6 to 15"])
+    if levels["floor_below_grass_db"] is not None:
+        rows.append(["noise floor under the grass [dB]", f"{levels['floor_below_grass_db']:.1f}", "6 to 15"])
     return rows
 
 
