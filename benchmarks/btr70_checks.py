@@ -19,7 +19,8 @@ HEADER_DEG = {"roll_deg": -1.18, "pitch_deg": -1.42}
 HEADER_M = {"range_fwhm_m": 0.3013, "azimuth_fwhm_m": 0.3229}
 # Pixels of speckle that share a draw: spacing 0.20 m, widths 0.30 and 0.32 m.
 AREA_PX = 2.4
-STEPS = 4  # iterations of a fit where one number of the geometry moved
+PROFILED = 10  # train views of a profile
+STEPS = 3  # iterations of a fit where one number of the geometry moved
 
 
 def minimum(places: Sequence[float], losses: Sequence[float]) -> tuple[float, float]:
@@ -39,7 +40,7 @@ def profile(scene: Scene, key: str, places: Sequence[Any]) -> list[float]:
 
 def size(scene: Scene) -> dict[str, Any]:
     """Factors on the CAD's size along, across and up, one after the other, with the CAD to 10 % as their prior."""
-    scene = thinned(scene)
+    scene = thinned(scene, PROFILED)
     scale, found = [1.0, 1.0, 1.0], {}
     for axis, name in ((2, "height"), (1, "width"), (0, "length")):
         places = (0.85, 0.9, 0.95, 1.0) if axis == 2 else (0.94, 1.0, 1.06)
@@ -55,7 +56,7 @@ def size(scene: Scene) -> dict[str, Any]:
 
 def attitude(scene: Scene) -> dict[str, Any]:
     """Roll and pitch by the images alone, beside the header's."""
-    scene, found = thinned(scene), {}
+    scene, found = thinned(scene, PROFILED), {}
     for key, header in HEADER_DEG.items():
         places = (-3.0, 0.0, 3.0)
         losses = profile(scene, key, places)
