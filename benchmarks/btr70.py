@@ -98,6 +98,12 @@ def prepare(data: Path, out: Path) -> Path:
     return path
 
 
+def held_back(chips: Sequence[Chip]) -> list[Chip]:
+    """Chips of the validation sectors at 17 degrees: they decide what is added."""
+    inside = [c for c in chips if set_of(c) == "sector" and any(a <= c.azimuth_deg <= b for a, b in VALIDATION_DEG)]
+    return [inside[int(k)] for k in np.linspace(0, len(inside) - 1, min(MOST_VALIDATION, len(inside)))]
+
+
 def held_out(scene: Scene, chips: Sequence[Chip]) -> np.ndarray:
     """Mean gamma deviance of each held-out chip at the model's own aim point: the log score, lower is better."""
     images = predicted(scene, chips)
@@ -148,11 +154,10 @@ def climbed(scene: Scene, validation: Sequence[Chip], out: Path) -> tuple[Scene,
 
 
 def learned(data: Path, out: Path, chips: Sequence[Chip]) -> tuple[Scene, Scene, list[dict[str, Any]], dict[str, Any]]:
-    """The declared scene, the final one, the steps between, and what the checks found."""
+    """The declared scene, the final one, the steps between, and what the images say of its size."""
     declared = Scene.load(prepare(data, out))
     train = [chip for chip in chips if chip.name in TRAIN]
-    inside = [c for c in chips if set_of(c) == "sector" and any(a <= c.azimuth_deg <= b for a, b in VALIDATION_DEG)]
-    validation = [inside[int(k)] for k in np.linspace(0, len(inside) - 1, min(MOST_VALIDATION, len(inside)))]
+    validation = held_back(chips)
     begun = thinned(with_aim_points(declared, train))
     path = out / "begun" / "scene.toml"
 
@@ -177,14 +182,21 @@ def learned(data: Path, out: Path, chips: Sequence[Chip]) -> tuple[Scene, Scene,
     final = Scene.load(final_path)
     gain = held_out(climbing, validation) - np.array(made["scores"])
     steps.append({"tried": "size", "gain": float(gain.mean()), "error": float(gain.std() / np.sqrt(gain.size))})
-    known = {"size": size} | {
-        "attitude": kept(out / "attitude.json", lambda: checks.attitude(final)),
-        "widths": kept(out / "widths.json", lambda: checks.widths(final)),
-        "levels": kept(out / "levels.json", lambda: checks.levels(final, train)),
+    return declared, final, steps, size
+
+
+def what_is_known(
+    out: Path, final: Scene, size: dict[str, Any], train: Sequence[Chip], validation: Sequence[Chip]
+) -> dict[str, Any]:
+    """The checks of btr70_checks.py, each made once."""
+    return {
+        "size": size,
         "bounces": kept(out / "bounces.json", lambda: {"found": checks.bounces(final, validation)}),
         "orders": kept(out / "orders.json", lambda: checks.orders(final, train, validation)),
+        "levels": kept(out / "levels.json", lambda: checks.levels(final, train)),
+        "widths": kept(out / "widths.json", lambda: checks.widths(final)),
+        "attitude": kept(out / "attitude.json", lambda: checks.attitude(final)),
     }
-    return declared, final, steps, known
 
 
 def tested(out: Path, declared: Scene, final: Scene, chips: Sequence[Chip]) -> list[dict[str, Any]]:
@@ -323,12 +335,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     chips = chips_of(given.data)
     TRAINED_DEG[:] = [chip.azimuth_deg for chip in chips if chip.name in TRAIN]
     if given.scene is None:
-        declared, final, steps, known = learned(given.data, given.out, chips)
+        declared, final, steps, size = learned(given.data, given.out, chips)
         place = given.out / "final" / "scene.toml"
     else:
         declared = Scene.load(prepare(given.data, given.out))
-        final, steps, known, place = Scene.load(given.scene), [], {}, given.scene
+        final, steps, size, place = Scene.load(given.scene), [], {}, given.scene
     views = tested(given.out, declared, final, chips)
+    train = [chip for chip in chips if chip.name in TRAIN]
+    known = what_is_known(given.out, final, size, train, held_back(chips)) if steps else {}
     (body,) = (one for one in final.objects if one.name == "btr70")
     content = {
         "made": made,
