@@ -34,6 +34,7 @@ MEASURES = {
     "experiments.fields": (*DEFAULT, "data/fields"),
     "gotcha": (*DEFAULT, "data/gotcha"),
     "slicy": (*DEFAULT, "data/slicy"),
+    "btr70": (*DEFAULT, "benchmarks/btr70_model.py", "benchmarks/btr70_train.txt"),
     "hostile": (*DEFAULT, "cli"),
     "startup": (*DEFAULT, "cli", "data/example"),
     "effects": (*DEFAULT, "data/example"),

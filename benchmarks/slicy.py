@@ -53,8 +53,8 @@ VIEW = "hb14931"
 FINER = 16  # times, to measure widths
 # Places in azimuth and slant range [m], by eye: the three brightest points; the middle of the shadow, a metre from the
 # light on either side; and grass, left and right of everything.
-POINTS = ((-1.4, 0.0), (-0.15, -0.25), (-0.8, 0.4))
-SHADOW = ((-0.6, 3.2), (1.1, 4.6))
+POINTS = ((1.4, 0.0), (0.15, -0.25), (0.8, 0.4))
+SHADOW = ((-1.1, 3.2), (0.6, 4.6))
 GRASS_BEYOND_M = 3.0
 HEADER = (
     "RangeResolution",

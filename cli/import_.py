@@ -10,7 +10,7 @@ from warpsar.cli import options
 
 # Copies from warpsar.measured.focus and .formats: those import NumPy, and `--help` must not. A test compares them.
 TAPERS = ("none", "hann", "taylor")
-FORMATS = ("gotcha", "cphd", "sicd", "mstar", "nisar", "geotiff", "tiff", "exr", "npy", "rcs")
+FORMATS = ("gotcha", "cphd", "sicd", "mstar", "nisar", "geotiff", "tiff", "exr", "npy", "jpeg", "rcs")
 
 CURVES = (".csv", ".txt")
 
@@ -29,9 +29,11 @@ CURVES = (".csv", ".txt")
     type=click.Path(exists=True, dir_okay=False, path_type=Path),
     help="The scene.toml to edit.",
 )
+@click.option("--view", help="Name of the view, for images. If it is missing, it is made from the file's own geometry.")
 @click.option(
-    "--view",
-    help="Name of the view, for images. If it is missing, it is made from the file's own geometry.",
+    "--table",
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    help="In place of --view: a CSV of chip, azimuth_deg and depression_deg. Every SOURCE becomes a view.",
 )
 @click.option(
     "--format",
@@ -46,6 +48,21 @@ CURVES = (".csv", ".txt")
     type=click.Choice(("amplitude", "power")),
     help="What the real numbers of a GeoTIFF, TIFF, EXR or NPY are; it is never guessed.",
 )
+@click.option("--amplitude", is_flag=True, help="Short for --quantity amplitude.")
+@click.option(
+    "--scale",
+    type=click.Choice(("as declared", "unknown")),
+    default="as declared",
+    help="unknown: each image has a gain of its own; writes calibrated = false.",
+)
+@click.option(
+    "--radar-at",
+    type=click.Choice(("top", "bottom")),
+    default="top",
+    show_default=True,
+    help="Where the radar is in a picture; bottom turns it upside down.",
+)
+@click.option("--spacing", nargs=2, type=float, metavar="RANGE AZIMUTH", help="Pixels of a picture [m].")
 @click.option(
     "--polarization",
     type=click.Choice(("HH", "HV", "VH", "VV")),
@@ -100,8 +117,13 @@ def command(
     sources: tuple[Path, ...],
     scene: Path,
     view: str | None,
+    table: Path | None,
     file_format: str,
     quantity: str | None,
+    amplitude: bool,
+    scale: str,
+    radar_at: str,
+    spacing: tuple[float, float] | None,
     polarization: str | None,
     window_range: str,
     window_azimuth: str,
@@ -115,8 +137,10 @@ def command(
 ) -> None:
     """Bring the measurement SOURCE onto the grid of a view, and declare it in the scene file.
 
+    Many pictures and a table of their angles (--table) come in one call.
+
     Phase history (CPHD, or one or several AFRL .mat files) is focused by backprojection. Complex and detected images
-    (SICD, MSTAR, NISAR-style HDF5, GeoTIFF, TIFF, EXR, NPY) are resampled. The image is written beside the scene
+    (SICD, MSTAR, NISAR-style HDF5, GeoTIFF, TIFF, EXR, NPY, JPEG) are resampled. The image is written beside the scene
     file, as float32 linear power.
 
     Curves of radar cross-section (CSV, or the Austin suite's text) need no view: they become `[[curves]]`.
@@ -127,10 +151,40 @@ def command(
         for path in import_curves(sources, scene, polarization=polarization, role=role):  # type: ignore[arg-type]
             click.echo(str(path))
         return
-    if view is None:
-        raise click.UsageError("Missing option '--view'.")
+    from warpsar.measured.chips import import_chips
     from warpsar.measured.importer import import_measured
 
+    if (view is None) == (table is None):
+        raise click.UsageError("one of --view and --table is needed")
+    if amplitude and quantity == "power":
+        raise click.UsageError("--amplitude and --quantity power contradict each other")
+    quantity = "amplitude" if amplitude else quantity
+    if table is not None:
+        one_by_one: dict[str, object] = {
+            "--window-range": window_range != "none",
+            "--window-azimuth": window_azimuth != "none",
+        }
+        one_by_one |= {"--subapertures": subapertures != 1, "--looks-range": looks_range, "--origin": origin}
+        one_by_one |= {"--looks-azimuth": looks_azimuth, "--surface": surface != "reference"}
+        if stated := [name for name, given in one_by_one.items() if given]:
+            raise click.UsageError(f"{', '.join(stated)}: not with --table")
+        chips = import_chips(
+            sources,
+            scene,
+            table,
+            file_format=file_format,
+            quantity=quantity,  # type: ignore[arg-type]
+            polarization=polarization,
+            radar_at=radar_at,  # type: ignore[arg-type]
+            spacing_m=spacing,
+            scale=scale,  # type: ignore[arg-type]
+        )
+        for message in chips.messages:
+            click.echo(f"note: {message}", err=True)
+        share = 100.0 * sum(chips.clipped) / len(chips.clipped)
+        click.echo(f"{scene}: {len(chips.views)} views; {share:.2f} % of their pixels are clipped")
+        return
+    assert view is not None
     done = import_measured(
         sources,
         scene,
@@ -145,6 +199,9 @@ def command(
         surface=surface,  # type: ignore[arg-type]
         origin=origin,
         device=device,
+        radar_at=radar_at,  # type: ignore[arg-type]
+        spacing_m=spacing,
+        scale=scale,  # type: ignore[arg-type]
     )
     for message in done.messages:
         click.echo(f"note: {message}", err=True)

@@ -3,6 +3,7 @@
 import warp as wp
 
 from warpsar.kernels.codes import FRACTION_LIMIT, Coordinate
+from warpsar.kernels.survival import minus_log_q
 
 GAMMA = wp.constant(0)
 MSE = wp.constant(1)
@@ -30,13 +31,16 @@ def loss_kernel(
     weight: float,
     bias: float,
     bound: float,
+    top: float,
+    log_gamma: float,
     # Out:
     loss_out: wp.array(dtype=wp.float64),
 ):
     """GAMMA: L (I / mu - 1 - ln(I / mu)), half the deviance; MSE: (I - mu)^2 / 2 (equation 38);
     LOG: (ln I - ln mu - bias)^2 / 2, bias = psi(L) - ln L. A `bound` b over 0 turns a value t of GAMMA into
-    b ln(1 + t / b). Each times `weight`. mu is the image, no darker than `darkest` (one a pixel, or one for all), times
-    the gain."""
+    b ln(1 + t / b). A pixel that measured `top` or more was clipped there: its value t of GAMMA is -ln P(I >= top).
+    `log_gamma` is ln Gamma(looks). Each times `weight`. mu is the image, no darker than `darkest` (one a pixel, or one
+    for all), times the gain."""
     i = wp.tid()
     mu = gain[gain_index] * wp.max(image[pixel[i]], darkest[wp.min(i, darkest.shape[0] - 1)])
     observed = measured[i]
@@ -44,6 +48,9 @@ def loss_kernel(
     if kind == GAMMA:
         ratio = observed / mu
         value = looks * (ratio - 1.0 - wp.log(ratio))
+        if observed >= top:
+            x = wp.float64(looks * top / mu)
+            value = float(minus_log_q(x, wp.float64(looks), wp.float64(log_gamma)))
         if bound > 0.0:
             value = bound * wp.log(1.0 + value / bound)
     elif kind == MSE:

@@ -251,7 +251,7 @@ def test_the_slicy_scene_lies_as_the_picture_says(tmp_path: Path) -> None:
     used = np.unique(scene.mesh.faces[scene.mesh.face_material == scene.mesh.materials.index("metal")])
     world = scene.mesh.vertices[used]
     incidence = np.radians(view.incidence_deg)
-    expected = np.column_stack([drawn[:, 0], drawn[:, 1] * np.sin(incidence) - drawn[:, 2] * np.cos(incidence)])
+    expected = np.column_stack([-drawn[:, 0], drawn[:, 1] * np.sin(incidence) - drawn[:, 2] * np.cos(incidence)])
     places = np.column_stack([world @ geometry.u, world @ geometry.d])
 
     def distinct(points: np.ndarray) -> np.ndarray:

@@ -459,7 +459,7 @@ def test_slicy_chip_is_itself_on_its_own_grid(measured_data: Path, tmp_path: Pat
     path = scene_file(tmp_path, (54, 54), (0.202148, 0.203125))
     done = import_measured([source], path, "slicy")
     magnitude = np.frombuffer(source.read_bytes(), ">f4", 54 * 54, 1977).reshape(54, 54)
-    np.testing.assert_allclose(done.power, magnitude[::-1, ::-1].astype(float) ** 2, rtol=1e-5)  # radar at the bottom
+    np.testing.assert_allclose(done.power, magnitude[::-1].astype(float) ** 2, rtol=1e-5)  # radar at the bottom
     view = Scene.load(path).views[0]
     assert (view.azimuth_deg, view.incidence_deg) == pytest.approx((162.952, 74.957), abs=1e-3)
 

@@ -38,7 +38,7 @@ def prism(outline: np.ndarray, low_m: float, high_m: float) -> Iterator[np.ndarr
 
 
 def triangles() -> dict[str, list[np.ndarray]]:
-    """Triangles (3, 3) by material; x to the right in the picture, y away from the radar."""
+    """Triangles (3, 3) by material; x to the left in the image (see objects.toml), y away from the radar."""
     table = read("objects.toml")
     half = table["half_size_m"]
     square = np.array([[-half, -half], [half, -half], [half, half], [-half, half]])
@@ -67,7 +67,7 @@ def write(folder: Path) -> Path:
     (view,) = read("scene.toml")["views"]
     azimuth = math.radians(view["azimuth_deg"])
     away = np.array([-math.sin(azimuth), -math.cos(azimuth)])
-    turn = np.array([[-away[1], away[0]], away])  # the picture's right (z x d) and down, in east and north
+    turn = np.array([[away[1], -away[0]], away])  # the image's left (-z x d) and down, in east and north
     lines, count = ["# Written by data/slicy/make_scene.py; metres, Z up", "mtllib scene.mtl"], 0
     content = triangles()
     for name, mine in content.items():

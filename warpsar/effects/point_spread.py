@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import cache
 from typing import Any, ClassVar
 
 import numpy as np
 import warp as wp
 
+from warpsar.effects.base.blur import WINDOWS, blurred
 from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter, one_of
 from warpsar.effects.base.recorder import Recorder
 from warpsar.effects.base.signature import SeenImage
 from warpsar.effects.base.trial import Context, ScoreStep, Trial
-from warpsar.kernels.effects import point_spread as kernels
-from warpsar.kernels.wide import LANES
-from warpsar.runtime.program import Program
-
-WINDOWS = {"sinc": 0, "taylor": 1, "gaussian": 2}  # kernels/effects/point_spread.py
 
 
 def _width(name: str) -> Parameter:
@@ -66,49 +61,10 @@ class PointSpread(Effect):
         return [Trial(steps, starts)]
 
     def image(self, render: Recorder, p: wp.array, image: wp.array) -> wp.array:
-        program, window = render.program, WINDOWS[render.settings[self.name]["window"]]
-        for index, (count, spacing) in enumerate(zip(render.shape, render.spacing_m, strict=True)):
-            weight, total, share = program.array(count + 1), program.array(1, sum_into=True), program.array(count + 1)
-            program.launch(kernels.sample_kernel, count + 1, [window, spacing, index, p], [weight, total])
-            program.launch(kernels.normalise_kernel, count + 1, [weight, total], [share])
-            image = _blurred(program, [window, spacing, index, p], share, image, render.shape, index)
+        window = WINDOWS[render.settings[self.name]["window"]]
+        for index in (0, 1):
+            image = blurred(render, window, p, index, image, axis=index)
         return image
-
-
-def _blurred(
-    program: Program, width: list[Any], weight: wp.array, image: wp.array, shape: tuple[int, int], axis: int
-) -> wp.array:
-    """Record the convolution of `image` along one axis with `weight`, by distance in pixels.
-
-    `width` says where the kernels read it: window, spacing [m], index in p, and p.
-    """
-    (rows, cols), device = shape, program.device
-    stretch = kernels.Stretch()
-    none = stretch if device.is_cpu and cols >= len(stretch) else kernels.Pixel()
-    along = [cols, shape[axis], (cols, 1)[axis], none]
-    dim = (rows, -(-cols // len(none)))
-    parts, lanes = (8, 1) if device.is_cpu else (rows, LANES)
-    result = program.array(rows * cols)
-
-    @cache
-    def commands() -> list[wp.Launch]:  # when a gradient is asked for
-        back = (
-            (kernels.blur_kernel, dim, [*width, weight, result.grad, *along, 1], image.grad),
-            (
-                kernels.weight_adjoint_kernel,
-                (shape[axis], parts, lanes),
-                [*width, image, result.grad, *along, parts, lanes],
-                weight.grad,
-            ),
-        )
-        return [wp.launch(k, d, inputs=i, outputs=[o], device=device, record_cmd=True) for k, d, i, o in back]
-
-    def adjoint() -> None:
-        for command in commands():
-            command.launch()
-
-    program.launch(kernels.blur_kernel, dim, [*width, weight, image, *along, 0], [result], adjoint=adjoint)
-    return result
 
 
 EFFECT = PointSpread()

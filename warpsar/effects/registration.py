@@ -64,15 +64,11 @@ class Registration(Effect):
 
         return [trial("all views alike", "range_m", "azimuth_m"), trial("world", "east_m", "north_m", "up_m")]
 
-    def deposit(
-        self, render: Recorder, p: wp.array, sigma: wp.array, weight: wp.array, bins: wp.array, image: wp.array
-    ) -> None:
-        shift = render.recorded.get(self.name)
-        if shift is None:
-            shift = render.recorded[self.name] = render.program.array(2)
-            d, u = (wp.vec3(*axis) for axis in (render.geometry.d, render.geometry.u))
-            render.program.launch(kernels.shift_kernel, 1, [p, d, u, *render.spacing_m], [shift])
-        render.deposit(sigma, weight, bins, shift, image)
+    def shift(self, render: Recorder, p: wp.array, shift: wp.array) -> wp.array:
+        result = render.program.array(2)
+        d, u = (wp.vec3(*axis) for axis in (render.geometry.d, render.geometry.u))
+        render.program.launch(kernels.shift_kernel, 1, [p, d, u, *render.spacing_m, shift], [result])
+        return result
 
 
 EFFECT = Registration()

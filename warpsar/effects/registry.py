@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from warpsar.effects.base.effect import STAGES, DeclaredEffect, Effect
-from warpsar.effects.base.fitted import FITTED_KEYS, refuse_fitted_keys
+from warpsar.effects.base.fitted import FITTED_KEYS, is_fitted, refuse_fitted_keys
 from warpsar.effects.base.parameter import Parameter, Setting
 from warpsar.errors import InputError, shown
 from warpsar.world.tables import View
@@ -142,6 +142,11 @@ def value_in(view: View, parameter: Parameter, table: Mapping[str, Any], views: 
     if parameter.zero_sum and views:
         mean = sum(value.get(v.name, parameter.default) for v in views) / len(views)
     return float(value.get(view.name, parameter.default)) - mean
+
+
+def fitted_effects(effects: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """The effects of a scene of which a fit moves a parameter."""
+    return [name for name, table in effects.items() if any(is_fitted(p.name, table) for p in get(name).parameters)]
 
 
 def setting_in(view: View, setting: Setting, table: Mapping[str, Any]) -> Any:

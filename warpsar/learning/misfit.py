@@ -31,12 +31,13 @@ class Misfit:
         """The best gain; 1 for calibrated images."""
         if self.calibrated:
             return 1.0
-        return best_gain(self.loss, seen.values, mu, seen.looks, self.bound)
+        return best_gain(self.loss, seen.values, mu, seen.looks, self.bound, seen.top)
 
     def terms(self, seen: Observation, mu: np.ndarray) -> np.ndarray:
         """The loss of every pixel before its weight, at the best gain, shape (n,), float64."""
-        return loss_terms(self.loss, seen.values, self.gain(seen, mu) * mu, seen.looks, self.bound)
+        return loss_terms(self.loss, seen.values, self.gain(seen, mu) * mu, seen.looks, self.bound, seen.top)
 
     def curvature(self, seen: Observation, mu: np.ndarray) -> Curvature:
         """Residuals and weights at the best gain."""
-        return curvature(self.loss, seen.values, self.gain(seen, mu) * mu, seen.looks, self.weight(seen), self.bound)
+        modelled = self.gain(seen, mu) * mu
+        return curvature(self.loss, seen.values, modelled, seen.looks, self.weight(seen), self.bound, seen.top)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -40,6 +41,11 @@ class Observation:
     looks_estimated: bool
     least: np.ndarray | None = None
     faint: float = 0.0
+
+    @property
+    def top(self) -> float:
+        """Power from which a pixel was clipped; infinite where none was."""
+        return math.inf if self.view.clipped_at is None else self.view.clipped_at
 
     @property
     def zeros(self) -> int:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from warpsar.effects.registry import fitted_effects, get
 from warpsar.scene.scene import Scene
 from warpsar.world.objects.table import CABIN, KEYS, LIMITS, Object
 
@@ -69,7 +70,8 @@ class Poses:
     """What `learn` of a scene's objects frees; the vector p, shape (n,) [m], is 0 where the scene file puts it.
 
     `known` says of each element about which value it is known, and to which standard deviation, in the key's unit; it
-    is infinite without a tolerance.
+    is infinite without a tolerance. Positions are held where a fit moves an effect that can do what they do
+    (`Effect.sets_positions`).
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -77,10 +79,13 @@ class Poses:
         self.objects = scene.objects
         self.coordinates: list[PoseCoordinate] = []
         self.known: list[tuple[float, float]] = []
+        held = any(get(name).sets_positions for name in fitted_effects(scene.effects))
         for number, one in enumerate(scene.objects):
             vertices = scene.assembly.vertices_of(one)
             radius = float(np.linalg.norm(np.ptp(vertices, axis=0)) / 2.0)
             for word in one.learn:
+                if word == "position" and held:
+                    continue
                 self._add(number, one, word, radius)
 
     def _add(self, number: int, one: Object, word: str, radius: float) -> None:

@@ -388,9 +388,9 @@ class FitProblem(SceneCoordinates):
 
     @cached_property
     def _makers(self) -> list[ViewJacobian] | None:
-        """What makes each view's Jacobian; None where a view's hits are not at hand, or an effect hides its power."""
+        """What makes each view's Jacobian; None where a view's hits are not at hand."""
         renders = [view.render for view in self.views]
-        whole = [render for render in renders if isinstance(render, ViewRender) and render.all_noted]
+        whole = [render for render in renders if isinstance(render, ViewRender)]
         if len(whole) < len(renders):
             return None
         load_kernels(self.device, "tangents")

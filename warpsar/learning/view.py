@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 import warp as wp
+from scipy.special import gammaln
 
 from warpsar.effects.base.effect import DeclaredEffect
 from warpsar.kernels import loss as loss_kernels
@@ -19,6 +20,7 @@ from warpsar.scene.scene import Scene
 from warpsar.speckle.likelihood import LOSSES, log_bias
 from warpsar.world.tables import View
 
+FLOAT_MAX = float(np.finfo(np.float32).max)
 Standing = tuple[bytes, Mapping[str, np.ndarray]]
 """Where images were made: the surface, as bytes that tell it from any other, and the values of each effect."""
 
@@ -100,6 +102,8 @@ class FitView:
                 misfit.weight(seen),
                 log_bias(seen.looks),
                 misfit.bound,
+                min(seen.top, FLOAT_MAX),
+                float(gammaln(seen.looks)),
             ],
             [self.loss],
         )

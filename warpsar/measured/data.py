@@ -17,6 +17,7 @@ from warpsar.measured.earth import EarthFrame, axes_at
 from warpsar.world.frame import SPEED_OF_LIGHT
 
 Quantity = Literal["complex", "amplitude", "power"]
+RadarAt = Literal["top", "bottom"]
 FARTHEST_M = 1e9
 """Bound of any length in a file: that of `slant_range_m` in a scene file."""
 _BAND_HZ = (1e6, 1e13)  # bounds of `frequency_hz` there
@@ -32,6 +33,8 @@ class Facts:
     polarization: str | None = None
     slant_range_m: float | None = None
     strip_map: bool = False
+    target_roll_deg: float | None = None
+    target_pitch_deg: float | None = None
 
     def checked(self, source: str) -> Facts:
         """Itself; raises InputError, naming `source`, for numbers that no radar can have."""
@@ -40,6 +43,8 @@ class Facts:
             "incidence_deg": (-180.0, 180.0),
             "frequency_hz": _BAND_HZ,
             "slant_range_m": (1e-3, FARTHEST_M),
+            "target_roll_deg": (-180.0, 180.0),
+            "target_pitch_deg": (-180.0, 180.0),
         }
         for name, (low, high) in limits.items():
             value = getattr(self, name)
@@ -177,6 +182,7 @@ class ImageChip:
     point is in the middle.
     `spacing_m` is (range, azimuth) [m]; that of the view where the file does not say.
     `gain` at (row, column) turns |samples|^2 into beta0; only `calibrated` images have it.
+    `top`: the largest sample that the format can say. Brighter pixels have it too.
     """
 
     source: str
@@ -187,6 +193,7 @@ class ImageChip:
     locate: Callable[[np.ndarray], np.ndarray] | None = None
     calibrated: bool = False
     gain: Callable[[np.ndarray], np.ndarray] | None = None
+    top: float | None = None
 
     def __post_init__(self) -> None:
         if len(self.samples.shape) != 2 or min(self.samples.shape) < 1:

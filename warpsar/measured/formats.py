@@ -8,15 +8,17 @@ from pathlib import Path
 
 from warpsar.errors import InputError
 from warpsar.measured import cphd, gotcha, mstar, nisar, pictures, sicd
-from warpsar.measured.data import ImageChip, PhaseHistory, Quantity
+from warpsar.measured.data import ImageChip, PhaseHistory, Quantity, RadarAt
 from warpsar.measured.earth import EarthFrame
 
-FORMATS = ("gotcha", "cphd", "sicd", "mstar", "nisar", "geotiff", "tiff", "exr", "npy", "rcs")
+PICTURES = ("geotiff", "tiff", "exr", "npy", "jpeg")
+FORMATS = ("gotcha", "cphd", "sicd", "mstar", "nisar", "geotiff", "tiff", "exr", "npy", "jpeg", "rcs")
 _MAGIC = {
     b"MATLAB 5.0 MAT-file": "gotcha",
     cphd.MAGIC: "cphd",
     b"NITF": "sicd",
     nisar.MAGIC: "nisar",
+    b"\xff\xd8\xff": "jpeg",
 }
 
 
@@ -61,11 +63,14 @@ def read(
     quantity: Quantity | None = None,
     polarization: str | None = None,
     frame: EarthFrame | None = None,
+    radar_at: RadarAt = "top",
+    spacing_m: tuple[float, float] | None = None,
 ) -> PhaseHistory | ImageChip:
     """Read one measurement; only AFRL .mat files may be several.
 
     `quantity` ("amplitude" or "power") is for pictures of real numbers only: the other formats say it themselves.
-    `frame` says where the world lies on the earth, for formats in earth coordinates. Raises InputError, one message
+    `frame` says where the world lies on the earth, for formats in earth coordinates. `radar_at` and `spacing_m` (range,
+    azimuth) [m] are for pictures already in the slant plane, which do not say them. Raises InputError, one message
     that names the file, for whatever cannot be read.
     """
     paths = [Path(source) for source in sources]
@@ -78,8 +83,10 @@ def read(
         raise InputError(f"{paths[0]}: found curves of radar cross-section; an image is needed here")
     if len(paths) > 1 and name != "gotcha":
         raise InputError(f"{len(paths)} sources: only AFRL .mat files can be combined, and {paths[0]} is {name}")
-    if quantity is not None and name not in ("geotiff", "tiff", "exr", "npy"):
+    if quantity is not None and name not in PICTURES:
         raise InputError(f"{paths[0]}: {name} says itself what its numbers are; leave --quantity out")
+    if (radar_at != "top" or spacing_m is not None) and (name not in PICTURES or name == "geotiff"):
+        raise InputError(f"{paths[0]}: {name} says itself where the radar is; leave --radar-at and --spacing out")
     for path in paths:
         _regular(path)
     path = paths[0]
@@ -95,5 +102,5 @@ def read(
     elif name == "nisar":
         measured = nisar.read(path, polarization, frame)
     else:
-        measured = pictures.read(path, quantity, polarization, frame, map_image=name == "geotiff")
+        measured = pictures.read(path, quantity, polarization, frame, kind=name, radar_at=radar_at, spacing_m=spacing_m)
     return measured

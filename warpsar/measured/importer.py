@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, cast
@@ -14,7 +15,7 @@ import tomlkit
 from warpsar.errors import InputError
 from warpsar.io.images import replacing, write_exr
 from warpsar.measured import formats
-from warpsar.measured.data import Facts, ImageChip, Quantity
+from warpsar.measured.data import Facts, ImageChip, PhaseHistory, Quantity, RadarAt
 from warpsar.measured.earth import EarthFrame, Origin
 from warpsar.measured.gridding import Gridding, power_on_grid
 from warpsar.measured.placed import frame_of
@@ -26,7 +27,9 @@ from warpsar.world.tables import View
 ANGLE_TOLERANCE_DEG = 0.5
 FREQUENCY_TOLERANCE = 0.01
 RANGE_TOLERANCE = 0.01
+Scale = Literal["as declared", "unknown"]
 _POLARIZATIONS = ("HH", "HV", "VH", "VV")
+_NOBODY = "nobody.yet"
 _NEW_VIEW: dict[str, Any] = {"azimuth_deg": 0.0, "incidence_deg": 45.0}  # until the file has spoken
 
 
@@ -58,31 +61,44 @@ def import_measured(
     surface: Literal["reference", "mesh"] = "reference",
     origin: tuple[float, float, float] | None = None,
     device: str | None = None,
+    radar_at: RadarAt = "top",
+    spacing_m: tuple[float, float] | None = None,
+    scale: Scale = "as declared",
 ) -> Imported:
     """Bring a measurement onto the slant-plane grid of a view and declare it in the scene file.
 
     The image, float32 linear power, is written beside the scene file as `<view>_<polarization>.exr`. The view gets
     `images` and `looks` (the equivalent number, estimated). A missing view is made from the file's own geometry.
     `origin` (latitude, longitude [deg], height [m]) says where the world lies on the earth, for formats in earth
-    coordinates. `Gridding` describes the windows, `subapertures`, `samples` and `surface`.
+    coordinates. `Gridding` describes the windows, `subapertures`, `samples` and `surface`. `radar_at` and `spacing_m`
+    are for pictures (`formats.read`). `scale` "unknown" writes `calibrated = false`. A picture with a top level gives
+    the view `clipped_at`, and an MSTAR header gives the scene's only object its roll and pitch.
 
     Raises InputError for files that cannot be read. Also where the scene file contradicts them: angles by more than 0.5
     degrees, frequency or slant range by more than 1 %, or another polarization.
     """
     scene_path = Path(scene_path)
-    scene, exists = _load(scene_path, view_name)
+    scene, exists = opened(scene_path, view_name)
     view = next(v for v in scene.views if v.name == view_name)
     frame = _frame(scene, origin)
-    measured = formats.read(sources, file_format=file_format, quantity=quantity, polarization=polarization, frame=frame)
+    measured = formats.read(
+        sources,
+        file_format=file_format,
+        quantity=quantity,
+        polarization=polarization,
+        frame=frame,
+        radar_at=radar_at,
+        spacing_m=spacing_m,
+    )
     with np.errstate(all="ignore"):  # nonsense shows in the facts
         facts = measured.facts(np.asarray(scene.reference_point_m, np.float64)).checked(measured.source)
-    pol = _polarization(measured.source, facts.polarization, polarization, scene)
+    pol = polarization_of(measured.source, facts.polarization, polarization, scene)
     if exists:
         _refuse_contradictions(measured.source, facts, scene, view)
     else:
         view = _new_view(measured.source, facts, scene, view)
     messages = []
-    if scene.grid.calibrated and not (isinstance(measured, ImageChip) and measured.calibrated):
+    if scale != "unknown" and scene.grid.calibrated and not (isinstance(measured, ImageChip) and measured.calibrated):
         messages.append(
             f"{scene_path}: image.calibrated is true, but {measured.source} gives no beta0: its gain is unknown; "
             "set calibrated = false"
@@ -96,12 +112,24 @@ def import_measured(
 
     image_path = scene_path.parent / f"{view_name}_{pol}.exr"
     write_exr(image_path, {pol: power})
-    _declare(scene_path, view, exists, pol, image_path.name, looks, origin)
+    stated = {"looks": None if looks is None else round(looks, 2), "clipped_at": clip_level(measured, per_pixel)}
+    with editing(scene_path) as document:
+        if origin is not None and "origin" not in document["scene"]:
+            document["scene"]["origin"] = tomlkit.inline_table()
+            keys = ("latitude_deg", "longitude_deg", "height_m")
+            document["scene"]["origin"].update(zip(keys, origin, strict=True))
+        if scale == "unknown":
+            document["image"]["calibrated"] = False
+        messages += _pose(document, facts)
+        declare(document, view, exists, pol, image_path.name, stated)
     return Imported(image_path, power, pol, looks, facts, per_pixel, tuple(messages))
 
 
-def _load(path: Path, view_name: str) -> tuple[Scene, bool]:
-    """The scene without its images, which may not be there yet, and whether it had the view; a stand-in where not."""
+def opened(path: Path, view_name: str | None) -> tuple[Scene, bool]:
+    """The scene without its images, which may not be there yet, and whether it had the view; a stand-in where not.
+
+    With None no view is asked for, and none is added where there is one.
+    """
     _, raw = scenefile.read(path)
     views = raw.setdefault("views", [])
     exists = False
@@ -110,8 +138,8 @@ def _load(path: Path, view_name: str) -> tuple[Scene, bool]:
             exists |= view.get("name") == view_name
             view.pop("images", None)
             view.pop("mask", None)
-    if not exists and isinstance(views, list):
-        views.append({"name": view_name, **_NEW_VIEW})
+    if not exists and isinstance(views, list) and (view_name is not None or not views):
+        views.append({"name": view_name or _NOBODY, **_NEW_VIEW})
     with tempfile.NamedTemporaryFile("w", suffix=".toml", dir=path.parent, encoding="utf-8") as file:
         file.write(tomlkit.dumps(raw))
         file.flush()
@@ -136,7 +164,7 @@ def _frame(scene: Scene, origin: tuple[float, float, float] | None) -> EarthFram
     return Origin(*origin)
 
 
-def _polarization(source: str, found: str | None, asked: str | None, scene: Scene) -> str:
+def polarization_of(source: str, found: str | None, asked: str | None, scene: Scene) -> str:
     pol = found or asked
     if pol is None:
         raise InputError(f"{source}: says no polarization; use --polarization")
@@ -204,20 +232,24 @@ def _new_view(source: str, facts: Facts, scene: Scene, view: View) -> View:
     return type(view).model_validate(stated)
 
 
-def _declare(
-    path: Path,
-    view: View,
-    exists: bool,
-    pol: str,
-    image: str,
-    looks: float | None,
-    origin: tuple[float, float, float] | None,
-) -> None:
-    """Write `images`, `looks` and the origin given into the scene file, its comments and all else as they were."""
+@contextmanager
+def editing(path: Path) -> Iterator[Any]:
+    """The scene file as a document, written back atomically, its comments and all else as they were."""
     document: Any = tomlkit.parse(path.read_text(encoding="utf-8-sig"))
-    if origin is not None and "origin" not in document["scene"]:
-        document["scene"]["origin"] = tomlkit.inline_table()
-        document["scene"]["origin"].update(zip(("latitude_deg", "longitude_deg", "height_m"), origin, strict=True))
+    yield document
+    with replacing(path) as temporary:
+        temporary.write_text(tomlkit.dumps(document), encoding="utf-8", newline="\n")
+
+
+def clip_level(measured: PhaseHistory | ImageChip, samples_per_pixel: tuple[int, int]) -> float | None:
+    """Linear power at which the image was clipped; None where it was not. A mean of samples has no such level."""
+    if not isinstance(measured, ImageChip) or measured.top is None or samples_per_pixel != (1, 1):
+        return None
+    return measured.top if measured.quantity == "power" else measured.top**2
+
+
+def declare(document: Any, view: View, exists: bool, pol: str, image: str, stated: Mapping[str, float | None]) -> None:
+    """The view's image, and what is `stated` of it, in the document of a scene file."""
     if not exists:
         if "views" not in document:
             document.append("views", tomlkit.aot())
@@ -228,7 +260,22 @@ def _declare(
     if "images" not in table:
         table["images"] = tomlkit.inline_table()
     table["images"][pol] = image
-    if looks is not None:
-        table["looks"] = round(looks, 2)
-    with replacing(path) as temporary:
-        temporary.write_text(tomlkit.dumps(document), encoding="utf-8", newline="\n")
+    for key, value in stated.items():
+        if value is not None:
+            table[key] = value
+
+
+def _pose(document: Any, facts: Facts) -> list[str]:
+    """What the target's header says of its attitude, for the only object of the scene that has a mesh."""
+    found = {"roll_deg": facts.target_roll_deg, "pitch_deg": facts.target_pitch_deg}
+    bodies = [one for one in document.get("objects", []) if "mesh" in one]
+    if len(bodies) != 1 or None in found.values():
+        return []
+    (body,) = bodies
+    messages = []
+    for key, value in found.items():
+        if key not in body:
+            body[key] = round(float(value or 0.0), 4)
+        elif abs(body[key] - float(value or 0.0)) > ANGLE_TOLERANCE_DEG:
+            messages.append(f"objects: {key} = {body[key]:g}, but the file says {value:.2f}; it stays as it is")
+    return messages

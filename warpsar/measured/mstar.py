@@ -15,7 +15,7 @@ _END = b"[EndofPhoenixHeader]"
 
 
 def read(path: Path) -> ImageChip:
-    """The complex chip, turned so that the radar is on top. The target's front is the world's north."""
+    """The complex chip, upside down where the radar is at the bottom. The target's front is the world's north."""
     with reading(path, "MSTAR chip"):
         content = path.read_bytes()
     start = content[:4096].find(MAGIC)
@@ -51,12 +51,14 @@ def read(path: Path) -> ImageChip:
     if position not in ("top", "bottom"):
         raise InputError(f"{path}: header field RadarPosition = {position!r}; top or bottom is known")
     if position == "bottom":
-        samples = samples[::-1, ::-1]
+        samples = samples[::-1]
     facts = Facts(
         azimuth_deg=number("TargetAz") % 360.0,
         incidence_deg=90.0 - number("MeasuredDepression"),
         frequency_hz=1e9 * number("CenterFrequency", "ghz"),
         polarization=header.get("Polarization", "").upper() or None,
+        target_roll_deg=_turn(number("TargetRoll")) if "TargetRoll" in header else None,
+        target_pitch_deg=_turn(number("TargetPitch")) if "TargetPitch" in header else None,
     )
     return ImageChip(
         source=str(path),
@@ -65,3 +67,8 @@ def read(path: Path) -> ImageChip:
         facts=lambda reference_point_m: facts,
         spacing_m=(number("RangePixelSpacing"), number("CrossRangePixelSpacing")),
     )
+
+
+def _turn(angle_deg: float) -> float:
+    """An angle as -180 to 180 degrees: headers have 358.58 for -1.42."""
+    return (angle_deg + 180.0) % 360.0 - 180.0

@@ -11,7 +11,8 @@ import numpy as np
 from warpsar.errors import InputError
 from warpsar.io import geotiff
 from warpsar.io.images import read_channel, read_npy
-from warpsar.measured.data import Facts, ImageChip, Quantity
+from warpsar.measured import jpeg
+from warpsar.measured.data import Facts, ImageChip, Quantity, RadarAt
 from warpsar.measured.earth import EarthFrame, Origin, ecef_to_geodetic, geodetic_to_ecef, needed
 
 if TYPE_CHECKING:
@@ -48,19 +49,33 @@ def dem_frame(path: Path) -> EarthFrame | None:
 
 
 def read(
-    path: Path, quantity: Quantity | None, polarization: str | None, frame: EarthFrame | None, *, map_image: bool
+    path: Path,
+    quantity: Quantity | None,
+    polarization: str | None,
+    frame: EarthFrame | None,
+    *,
+    kind: str,
+    radar_at: RadarAt = "top",
+    spacing_m: tuple[float, float] | None = None,
 ) -> ImageChip:
-    """A map-projected image (`map_image`, a GeoTIFF with a coordinate system), or a slant-plane one.
+    """A map-projected image (`kind` "geotiff", with a coordinate system), or a slant-plane one.
 
-    A slant-plane image has range along its rows, near range first, and the reference point in its middle. Its spacing
-    is that of the view, divided by the looks. Real numbers need `quantity`, "amplitude" or "power".
+    A slant-plane image has range along its rows, and the reference point in its middle. Near range is first, or last
+    where the radar is at the bottom. Its spacing, if not stated, is that of the view, divided by the looks. Real
+    numbers need `quantity`, "amplitude" or "power".
     """
-    if map_image:
+    if kind == "geotiff":
         return _read_map(path, quantity, polarization, frame)
-    samples = _read_slant(path, polarization)
+    samples = jpeg.read(path) if kind == "jpeg" else _read_slant(path, polarization)
+    samples = samples[::-1] if radar_at == "bottom" else samples
     facts = Facts(polarization=polarization)
     return ImageChip(
-        str(path), samples, _stated_quantity(path, samples.dtype, quantity), lambda reference_point_m: facts
+        str(path),
+        samples,
+        _stated_quantity(path, samples.dtype, quantity),
+        lambda reference_point_m: facts,
+        spacing_m=spacing_m,
+        top=jpeg.TOP if kind == "jpeg" else None,
     )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
@@ -57,8 +57,7 @@ class ViewRender:
     `hits` say where power falls; `shaded`, one sample per face and pixel, what is shaded, and `zeta` are its learned
     coordinates (vec4). The stages are coordinates -> sigma0 -> gains -> deposit -> paths -> image. `spacing_m` (range,
     azimuth) is that of the pixels. `gathered` are all coordinates that were looked up. By polarization, `deposited` is
-    all power that was put into the image, and `before_image` the sum of it, on which the image stage acts. `all_noted`
-    is false where an effect put power into the image by launches of its own.
+    all power that was put into the image, and `before_image` the sum of it, on which the image stage acts.
     """
 
     def __init__(
@@ -86,7 +85,6 @@ class ViewRender:
         self.gathered: list[Gathered] = []
         self.deposited: dict[str, list[Deposited]] = {}
         self.before_image: dict[str, wp.array] = {}
-        self.all_noted = True
         self.layers: dict[str, wp.array] = {}
         self.recorded: dict[str, Any] = {}  # by effect: recorded for one polarization, used again for the next
         self.shaded, self._sample = shading_samples(hits)
@@ -192,16 +190,11 @@ class ViewRender:
             taken = self.program.array(bins.shape[0])
             self.program.launch(shade.take_kernel, bins.shape[0], [sample, sigma], [taken])
             sigma = taken
-        movers = self._at("position")
-        noted = len(self._deposits)
-        for effect, p in movers:
-            effect.deposit(self, p, sigma, weight, bins, image)
-        self.all_noted &= len(self._deposits) - noted == len(movers) or not movers
-        if not movers and self.hits.grid.shape == self.shape:
+        if not self._at("position") and self.hits.grid.shape == self.shape:
             self._note(weight, bins, None)
             self._deposit(sigma, weight, bins, image)
-        elif not movers:
-            self.deposit(sigma, weight, bins, self.program.array(2, grad=False), image)
+        else:
+            self._deposit_moved(sigma, weight, bins, image)
 
     def _deposit(self, sigma: wp.array, weight: wp.array, bins: wp.array, image: wp.array) -> None:
         @cache
@@ -220,9 +213,19 @@ class ViewRender:
             pieces=by_stretches(first, bins),
         )
 
-    def deposit(self, sigma: wp.array, weight: wp.array, bins: wp.array, shift: wp.array, image: wp.array) -> None:
-        """Record the deposit of bins finer or wider than the pixels, moved by `shift` (rows, columns) pixels."""
+    @cached_property
+    def _shift(self) -> wp.array:
+        """How far (rows, columns) [pixels] the position effects move the bins, together."""
+        movers = self._at("position")
+        shift = self.program.array(2, grad=bool(movers))
+        for effect, p in movers:
+            shift = effect.shift(self, p, shift)
+        return shift
+
+    def _deposit_moved(self, sigma: wp.array, weight: wp.array, bins: wp.array, image: wp.array) -> None:
+        """Record the deposit of bins finer or wider than the pixels, moved by what position effects say."""
         (bin_rows, bin_cols), fine, (rows, cols) = self.hits.grid.shape, self.hits.grid.bins_per_pixel, self.shape
+        shift = self._shift
         self._note(weight, bins, shift)
         # where the shift alone changes, no hit is touched
         filled = self.program.array(bin_rows * bin_cols, sum_into=True)

@@ -72,7 +72,7 @@ def hit_grid(scene: Scene, bins_per_pixel: int = 1, margin_m: float = 0.0) -> Bi
 def effects_grid(scene: Scene, effects: list[DeclaredEffect]) -> BinGrid:
     """Bins as fine and as wide as the effects need."""
     fine = max((e.effect.bins_per_pixel for e in effects), default=1)
-    margin = max((e.effect.margin_m(scene.grid, e.values) for e in effects), default=0.0)
+    margin = sum(e.effect.margin_m(scene.grid, e.values) for e in effects)
     return hit_grid(scene, fine, margin)
 
 

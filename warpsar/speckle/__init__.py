@@ -1,7 +1,7 @@
 """What speckle does to an intensity image.
 
-likelihood: losses, their constants, and metrics. looks: the equivalent number of looks of an image. draws: speckle for
-a bootstrap. own: correlation and variance of speckle in a residual with structure. scan: the strongest window of a
-residual. lines: its strongest row, column or window. tail: how improbable a value is. compared: what these must
-know of an image.
+likelihood: losses, their constants, and metrics. censored: the loss of clipped pixels. compound: power that varies more
+than speckle. looks: the equivalent number of looks of an image. draws: speckle for a bootstrap. own: correlation and
+variance of speckle in a residual with structure. scan: the strongest window of a residual. lines: its strongest row,
+column or window. tail: how improbable a value is. compared: what these must know of an image.
 """

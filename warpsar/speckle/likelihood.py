@@ -11,6 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import digamma, polygamma
 
+from warpsar.speckle.censored import hazard, minus_log_survival, survival_curvature
+
+TINY = 1e-12  # a clipped pixel that is modelled far over its level bends the loss no more
 LOSSES = {"gamma": 0, "mse": 1, "log": 2}  # codes of kernels/loss.py
 
 
@@ -58,12 +61,26 @@ def _shares(terms: np.ndarray, bound: float) -> np.ndarray:
 
 
 def curvature(
-    loss: str, measured: np.ndarray, modelled: np.ndarray, looks: float, weight: float, bound: float = 0.0
+    loss: str,
+    measured: np.ndarray,
+    modelled: np.ndarray,
+    looks: float,
+    weight: float,
+    bound: float = 0.0,
+    top: float = np.inf,
 ) -> Curvature:
     """Fisher scoring for the gamma likelihood, Gauss-Newton for the other two; `weight` as in `loss_weight`.
 
     Where the gamma loss has a `bound`, every pixel's weight is its share of the slope (reweighted least squares).
+    Pixels that measured `top` or more are clipped, as in `loss_terms`; their curvature is exact.
     """
+    if loss == "gamma" and (clipped := measured >= top).any():
+        shares = _shares(loss_terms(loss, measured, modelled, looks, top=top), bound)
+        level = np.full(measured.shape, top)
+        slope = hazard(level, modelled, looks)
+        bend = np.maximum(survival_curvature(slope, level, modelled, looks), TINY)
+        residual = np.where(clipped, slope / bend, measured / modelled - 1.0)
+        return Curvature(residual, weight * shares * np.where(clipped, bend, looks))
     if loss == "gamma":
         shares = _shares(0.5 * deviance(measured, modelled, looks), bound)
         return Curvature(measured / modelled - 1.0, weight * looks * shares)
@@ -91,8 +108,17 @@ def loss_weight(loss: str, looks: float, mean_square: float) -> float:
 GAIN_TURNS = 30  # of the reweighted mean: each brings the gain several times nearer
 
 
-def best_gain(loss: str, measured: np.ndarray, modelled: np.ndarray, looks: float, bound: float = 0.0) -> float:
-    """The factor on `modelled` that minimises the loss, in closed form; with a `bound` by reweighted means."""
+def best_gain(
+    loss: str, measured: np.ndarray, modelled: np.ndarray, looks: float, bound: float = 0.0, top: float = np.inf
+) -> float:
+    """The factor on `modelled` that minimises the loss, in closed form; with a `bound` by reweighted means, and with
+    pixels clipped at `top` by Newton's method in its logarithm."""
+    if loss == "gamma" and (measured >= top).any():
+        gain = best_gain(loss, measured, modelled, looks, bound)
+        for _ in range(GAIN_TURNS):
+            here = curvature(loss, measured, gain * modelled, looks, 1.0, bound, top)
+            gain *= float(np.exp(np.average(here.residual, weights=here.weight)))
+        return gain
     if loss == "gamma":
         ratio = measured / modelled
         if bound <= 0:
@@ -106,12 +132,26 @@ def best_gain(loss: str, measured: np.ndarray, modelled: np.ndarray, looks: floa
     return float(np.exp(np.mean(np.log(measured / modelled)) - log_bias(looks)))
 
 
-def loss_terms(loss: str, measured: np.ndarray, modelled: np.ndarray, looks: float, bound: float = 0.0) -> np.ndarray:
-    """Loss of every pixel, float64, without the weight; kernels/loss.py adds up the same."""
+def loss_terms(
+    loss: str,
+    measured: np.ndarray,
+    modelled: np.ndarray,
+    looks: float,
+    bound: float = 0.0,
+    top: float = np.inf,
+) -> np.ndarray:
+    """Loss of every pixel, float64, without the weight; kernels/loss.py adds up the same.
+
+    A pixel that measured `top` or more was clipped there. Its gamma loss is -ln P(I >= top), Tobin's censored
+    likelihood (Econometrica 26, 1958); `top` has the unit of `measured`.
+    """
     if loss == "mse":
         return 0.5 * (measured - modelled) ** 2
     if loss == "gamma":
-        return bounded(0.5 * deviance(measured, modelled, looks), bound)
+        terms = 0.5 * deviance(measured, modelled, looks)
+        if (clipped := measured >= top).any():
+            terms = np.where(clipped, minus_log_survival(np.full(measured.shape, top), modelled, looks), terms)
+        return bounded(terms, bound)
     return 0.5 * (np.log(measured / modelled) - log_bias(looks)) ** 2
 
 

@@ -396,6 +396,11 @@ class View(Table):
     looks: Annotated[_Positive, Field(le=1e9)] | None = Field(
         default=None, description="Equivalent number of looks of the images.", examples=[4.0]
     )
+    clipped_at: Annotated[_Positive, Field(le=1e30)] | None = Field(
+        default=None,
+        description="Power from which pixels of the images were clipped: those measured at least this.",
+        examples=[65025.0],
+    )
     role: Literal["train", "test"] = Field(
         default="train",
         description="train views are fitted; test views only measure how good the fit is.",

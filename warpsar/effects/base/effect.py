@@ -48,6 +48,8 @@ class Effect:
     affine: ClassVar[bool] = False  # image stage: a matrix times the image, plus an image that does not depend on it
     by_incidence: ClassVar[bool] = False  # changes a hit's power by its angles alone, wherever it lies
     needs_all_hits: ClassVar[bool] = False  # starts from all hits of a view at once: cannot be rendered in bands
+    contains: ClassVar[tuple[str, ...]] = ()  # effects that a fit holds while it moves this one: it can do all they do
+    sets_positions: ClassVar[bool] = False  # a fit that moves it holds the positions of objects
     bins_per_pixel: ClassVar[int] = 1  # how much finer than the image, per axis, the hits are binned for it
 
     def margin_m(self, grid: Grid, values: np.ndarray) -> float:
@@ -134,13 +136,9 @@ class Effect:
         """
         return sigma
 
-    def deposit(
-        self, render: Recorder, p: wp.array, sigma: wp.array, weight: wp.array, bins: wp.array, image: wp.array
-    ) -> None:
-        """Position effects: add sigma * weight of each bin of `render.hits.grid` to `image`, shape (rows * cols,).
-
-        By `Recorder.deposit`: Jacobians of power that is put there in another way take two images per node.
-        """
+    def shift(self, render: Recorder, p: wp.array, shift: wp.array) -> wp.array:
+        """Position effects: `shift` plus their own. It is how far (rows, columns) [pixels] the bins of
+        `render.hits.grid` are moved before they fall into pixels, shape (2,)."""
         raise NotImplementedError
 
     def paths(self, render: Recorder, p: wp.array, image: wp.array, polarization: int) -> wp.array:

@@ -56,6 +56,3 @@ class Recorder(Protocol):
         sample: wp.array | None = None,
     ) -> None:
         """Record the gains on `sigma` and its deposit into `image`, an array that is zeroed before each run."""
-
-    def deposit(self, sigma: wp.array, weight: wp.array, bins: wp.array, shift: wp.array, image: wp.array) -> None:
-        """Record the deposit of the bins of `hits.grid` into `image`, moved by `shift` (rows, columns) pixels."""

@@ -1,0 +1,56 @@
+"""Power of unresolved detail: how much, on what, and over which width."""
+
+import numpy as np
+import pytest
+from effect_worlds import Case, pair, plane, refusal, render_of, street, with_effect
+
+WORKING = [
+    Case({"level": 0.02, "spread_m": 1.3}),
+    Case({"level": 0.05, "spread_m": 2.0, "materials": ["brick"]}, {"slant_range_m": 300.0}),
+]
+
+
+def test_power_is_the_outlines_area() -> None:
+    """A square of 14 m, seen at 40 degrees from the zenith: its outline has 14^2 cos 40 m2. A pixel has 0.25 m2."""
+    without, with_it = pair(plane(), "unresolved_detail", {"level": 0.3, "spread_m": 0.6})
+    added = (with_it - without).sum() * 0.25
+    # rays of 1 / 16 pixel's area at the border of 28 x 21 pixels
+    assert added == pytest.approx(0.3 * 14.0**2 * np.cos(np.radians(40.0)), rel=5e-3)
+
+
+def test_spread_is_that_of_a_gaussian() -> None:
+    """Variances along both axes grow by (width / 2.3548)^2; the tails beyond 8 widths and the image's edge are lost."""
+    moments = []
+    for width in (0.01, 2.0):
+        without, with_it = pair(plane(), "unresolved_detail", {"level": 0.3, "spread_m": width})
+        added = with_it - without
+        for axis, pixels in ((0, 40), (1, 48)):
+            x = (np.arange(pixels) + 0.5 - pixels / 2) * 0.5
+            line = added.sum(axis=1 - axis) / added.sum()
+            moments.append((line * x**2).sum() - (line * x).sum() ** 2)
+    grown = np.array(moments[2:]) - moments[:2]
+    assert grown == pytest.approx((2.0 / 2.3548) ** 2, rel=0.01)
+
+
+def test_it_lies_on_its_material_alone() -> None:
+    scene = with_effect(street(), "unresolved_detail", {"level": 1.0, "spread_m": 1e-3, "materials": ["brick"]})
+    render = render_of(scene)
+    render.forward()
+    share = render.layers["beta0_detail_HH"].numpy()
+    faces = render.hits.face.numpy()
+    brick = scene.mesh.face_material[faces] == scene.mesh.materials.index("brick")
+    pixels = np.unique(render.hits.pixel.numpy()[brick])
+    assert share[pixels].min() > 0.0
+    assert np.delete(share, pixels).max() < 1e-6 * share.max()
+
+
+def test_the_cross_polarized_image_stays() -> None:
+    scene = street()
+    scene = scene.__class__(**{**vars(scene), "radar": scene.radar.model_copy(update={"polarizations": ("HV",)})})
+    without, with_it = pair(scene, "unresolved_detail", {"level": 0.3, "spread_m": 1.0}, "HV")
+    assert np.array_equal(without, with_it)
+
+
+def test_a_material_that_is_not_there_is_refused() -> None:
+    said = refusal("unresolved_detail", {"level": 0.1, "materials": ["glass"]})
+    assert ".materials: found glass; allowed are" in said

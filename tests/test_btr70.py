@@ -1,0 +1,90 @@
+"""What benchmarks/btr70.py measures with, on images whose truth is known; and its lists, on the chips."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter
+
+BENCHMARKS = Path(__file__).resolve().parent.parent / "benchmarks"
+sys.path.insert(0, str(BENCHMARKS))
+
+import btr70  # noqa: E402
+import btr70_checks as checks  # noqa: E402
+import btr70_measures as measures  # noqa: E402
+
+
+def truth() -> np.ndarray:
+    """A bright block with a shadow behind it, on even ground, (128, 128)."""
+    image = np.ones((128, 128))
+    image[55:66, 50:80] = 12.0
+    image[66:85, 50:80] = 0.05
+    return gaussian_filter(image, 0.7)
+
+
+def speckled(shift: tuple[int, int] = (0, 0), seed: int = 0) -> np.ndarray:
+    return np.roll(truth(), shift, (0, 1)) * np.random.default_rng(seed).gamma(1.0, 1.0, (128, 128)) * 3600.0
+
+
+@pytest.mark.parametrize("shift", [(0, 0), (4, -2), (-7, 5)])
+def test_both_shifts_are_found(shift: tuple[int, int]) -> None:
+    """Of one look, in a block of 30 x 11 pixels: to a pixel."""
+    chip = speckled(shift)
+    assert np.abs(np.subtract(measures.own_shift(chip, truth()), shift)).max() <= 1
+    assert np.abs(np.subtract(measures.best_shift(chip, truth())[1], shift)).max() <= 1
+
+
+def test_deviance_is_one_for_speckle_and_does_not_know_the_gain() -> None:
+    """Mean of 6400 pixels, whose variance is (pi^2 / 6 - 1) 4: 0.02 of the mean."""
+    chip, model = measures.middle(speckled()), measures.middle(truth())
+    found = measures.terms(chip, model)
+    assert found.mean() / measures.EXPECTED == pytest.approx(1.0, abs=0.06)
+    np.testing.assert_allclose(found, measures.terms(chip, 1e-3 * model), rtol=1e-6)
+
+
+def test_correlation_of_an_image_with_itself_is_one() -> None:
+    chip = speckled()
+    found, shift = measures.best_shift(chip, chip)
+    assert found == pytest.approx(1.0)
+    assert shift == (0, 0)
+
+
+def test_the_lit_edge_is_where_the_block_begins() -> None:
+    body = truth() > 6.0
+    assert measures.lit_edge(truth(), body) == pytest.approx(55, abs=1)
+    assert measures.lit_edge(np.roll(truth(), 3, 0), body) == pytest.approx(58, abs=1)
+
+
+def test_turned_chips_have_the_aspect_asked_for() -> None:
+    """A point in front of the middle, seen from the north, lies on the right when seen from the west, and the other way
+    round where the vehicle is mirrored."""
+    power = np.zeros((128, 128))
+    power[20:24, 62:66] = 1.0  # near the radar, which stands in the north
+    north = measures.Chip("n", 0.0, 17.0, power)
+
+    def place(image: np.ndarray) -> np.ndarray:
+        weight = image / image.sum()
+        return np.array([(weight.sum(1) * np.arange(128)).sum(), (weight.sum(0) * np.arange(128)).sum()]) - 63.5
+
+    # from the west azimuth grows southwards: z x d with d to the east is north, so the picture's right is north
+    west = place(measures.turned(north, 270.0))
+    assert west[1] == pytest.approx(42.0, abs=1.0)
+    assert abs(west[0]) < 1.0
+    assert place(measures.turned(north, 90.0, mirror=True))[1] == pytest.approx(-42.0, abs=1.0)
+
+
+def test_a_parabola_has_its_minimum() -> None:
+    at, sd = checks.minimum((0.8, 0.9, 1.0), [50.0 * (p - 0.93) ** 2 for p in (0.8, 0.9, 1.0)])
+    assert at == pytest.approx(0.93)
+    assert sd == pytest.approx(np.sqrt(checks.AREA_PX / 100.0))
+
+
+@pytest.mark.measured
+def test_train_chips_are_from_other_sectors_and_all_there(measured_data: Path) -> None:
+    chips = {chip.name: chip for chip in btr70.chips_of(measured_data)}
+    assert len(set(btr70.TRAIN)) == 30
+    for name in btr70.TRAIN:
+        chip = chips[name]
+        assert chip.depression_deg > 16.0
+        assert not any(low <= chip.azimuth_deg <= high for low, high in btr70.VALIDATION_DEG)

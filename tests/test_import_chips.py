@@ -1,0 +1,160 @@
+"""Many 8-bit chips and a table of their angles in one call; roll and pitch of a raw chip."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from measured_files import write_phoenix
+from PIL import Image
+
+from warpsar.errors import InputError
+from warpsar.measured.chips import import_chips
+from warpsar.measured.importer import import_measured
+from warpsar.scene.scene import Scene
+
+SCENE = """# kept
+[scene]
+reference_point_m = [0.0, 0.0, 0.0]
+[radar]
+frequency_hz = 9.6e9
+polarizations = ["HH"]
+[image]
+shape = [32, 32]
+spacing_m = [0.2, 0.2]
+[materials.ground]
+eps_r = 6.0
+rms_height_m = 0.0012
+correlation_length_m = 0.01
+[[objects]]
+name = "ground"
+primitive = "plate"
+size_m = [30.0, 30.0, 0.0]
+material = "ground"
+"""
+HUT = '[[objects]]\nname = "hut"\nmesh = "hut.obj"\nmaterial = "ground"\n'
+TABLE = "chip,azimuth_deg,depression_deg\n"
+SPACING = (0.2, 0.2)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Two chips of 48 x 48: even ground, and a bright square in the upper left part."""
+    (tmp_path / "scene.toml").write_text(SCENE)
+    random = np.random.default_rng(0)
+    for name in ("HB1", "HB2"):
+        grey = np.clip(60.0 * np.sqrt(random.gamma(1.0, 1.0, (48, 48))), 1, 250)
+        grey[8:16, 8:16] = 255.0
+        Image.fromarray(grey.astype(np.uint8), "L").save(tmp_path / f"{name}.jpeg", quality=95)
+    (tmp_path / "views.csv").write_text(TABLE + "HB1,10.5,15.0\nHB2,200.0,17.0\nHB3,90.0,17.0\n")
+    return tmp_path
+
+
+def test_chips_become_views_of_one_scene(folder: Path) -> None:
+    sources = [folder / "HB1.jpeg", folder / "HB2.jpeg"]
+    done = import_chips(
+        sources,
+        folder / "scene.toml",
+        folder / "views.csv",
+        quantity="amplitude",
+        radar_at="bottom",
+        spacing_m=SPACING,
+        scale="unknown",
+    )
+    scene = Scene.load(folder / "scene.toml")
+    assert (folder / "scene.toml").read_text().startswith("# kept")
+    assert not scene.grid.calibrated
+    assert [(v.name, v.azimuth_deg, v.incidence_deg) for v in scene.views] == [
+        ("HB1", 10.5, 75.0),
+        ("HB2", 200.0, 73.0),
+    ]
+    assert {v.clipped_at for v in scene.views} == {255.0**2}
+    grey = np.asarray(Image.open(sources[0])).astype(float)
+    # upside down, and its middle 32 x 32: pixel centres coincide, so nothing is interpolated
+    np.testing.assert_allclose(scene.measured(scene.views[0], "HH"), grey[::-1][8:40, 8:40] ** 2, rtol=1e-6)
+    assert done.clipped[0] == pytest.approx(np.mean(grey[8:40, 8:40] == 255.0))
+    assert all(view.looks is not None for view in scene.views)
+
+
+def test_a_view_that_stands_already_keeps_its_place(folder: Path) -> None:
+    path = folder / "scene.toml"
+    for _ in range(2):
+        import_chips([folder / "HB1.jpeg"], path, folder / "views.csv", quantity="amplitude", spacing_m=SPACING)
+    assert len(Scene.load(path).views) == 1
+
+
+BAD_TABLES = [
+    ("HB1,10.5,15.0\nHB1,11.0,15.0\n", "line 3: HB1 stands twice"),
+    ("HB1,10.5,95.0\n", "line 2 (HB1): depression_deg: found 95.0"),
+    ("HB1,north,15.0\n", "line 2 (HB1): azimuth_deg: found 'north'"),
+    ("HB1,nan,15.0\n", "azimuth_deg: found 'nan'"),
+    ("HB7,10.0,15.0\n", "no line of the table is called HB1"),
+]
+
+
+@pytest.mark.parametrize(("lines", "message"), BAD_TABLES)
+def test_bad_tables_are_refused_before_anything_is_written(folder: Path, lines: str, message: str) -> None:
+    (folder / "views.csv").write_text(TABLE + lines)
+    before = (folder / "scene.toml").read_text()
+    with pytest.raises(InputError) as refused:
+        import_chips([folder / "HB1.jpeg"], folder / "scene.toml", folder / "views.csv", quantity="amplitude")
+    assert message in str(refused.value)
+    assert (folder / "scene.toml").read_text() == before
+    assert not list(folder.glob("*.exr"))
+
+
+def test_a_table_without_angles_is_refused(folder: Path) -> None:
+    (folder / "views.csv").write_text("chip,azimuth_deg\nHB1,3.0\n")
+    with pytest.raises(InputError, match="exactly one of incidence_deg, depression_deg, grazing_deg is needed"):
+        import_chips([folder / "HB1.jpeg"], folder / "scene.toml", folder / "views.csv", quantity="amplitude")
+
+
+@pytest.mark.parametrize(("content", "message"), [(b"\xff\xd8\xff", "cannot be read as a JPEG"), (None, "in colour")])
+def test_bad_pictures_are_refused(folder: Path, content: bytes | None, message: str) -> None:
+    path = folder / "HB1.jpeg"
+    if content is None:
+        Image.new("RGB", (48, 48)).save(path)
+    else:
+        path.write_bytes(content)
+    with pytest.raises(InputError, match=message):
+        import_chips([path], folder / "scene.toml", folder / "views.csv", quantity="amplitude", spacing_m=SPACING)
+
+
+def test_amplitude_is_never_guessed(folder: Path) -> None:
+    with pytest.raises(InputError, match="use --quantity"):
+        import_chips([folder / "HB1.jpeg"], folder / "scene.toml", folder / "views.csv", spacing_m=SPACING)
+
+
+def test_a_raw_chip_brings_roll_and_pitch(folder: Path) -> None:
+    """358.58 degrees are -1.42; and a radar at the bottom turns rows over, not columns."""
+    (folder / "hut.obj").write_text("v -1 -1 0\nv 1 -1 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\nf 2 3 4\nf 3 1 4\n")
+    path = folder / "scene.toml"
+    path.write_text(SCENE.replace("spacing_m = [0.2, 0.2]", "spacing_m = [0.5, 0.5]") + HUT)
+    magnitude = np.random.default_rng(1).rayleigh(size=(32, 32))
+    chip = write_phoenix(
+        folder / "raw.004",
+        magnitude,
+        np.zeros((32, 32)),
+        TargetRoll="-1.179039",
+        TargetPitch="358.580475",
+        RadarPosition="bottom",
+    )
+    done = import_measured([chip], path, "raw", scale="unknown")
+    (_, hut) = Scene.load(path).objects
+    assert (hut.roll_deg, hut.pitch_deg) == pytest.approx((-1.179, -1.4195), abs=1e-3)
+    np.testing.assert_allclose(done.power, magnitude[::-1].astype(np.float32) ** 2, rtol=1e-5)
+
+
+def test_the_command_takes_a_table(folder: Path) -> None:
+    from click.testing import CliRunner
+
+    from warpsar.cli.main import main
+
+    words = ["import", str(folder / "HB1.jpeg"), str(folder / "HB2.jpeg"), "--scene", str(folder / "scene.toml")]
+    words += ["--table", str(folder / "views.csv"), "--amplitude", "--scale", "unknown", "--spacing", "0.2", "0.2"]
+    done = CliRunner().invoke(main, words)
+    assert done.exit_code == 0, done.output
+    assert "2 views; " in done.output
+    assert len(Scene.load(folder / "scene.toml").views) == 2
+    refused = CliRunner().invoke(main, [*words, "--view", "HB1"])
+    assert refused.exit_code == 2
+    assert "one of --view and --table is needed" in refused.output

@@ -1,0 +1,85 @@
+"""`warpsar import --table`: many chips of one target and a table of their angles, into one scene file, in one call."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from warpsar.errors import InputError
+from warpsar.io.images import write_exr
+from warpsar.measured import formats, view_table
+from warpsar.measured.data import ImageChip, Quantity, RadarAt
+from warpsar.measured.gridding import Gridding, power_on_grid
+from warpsar.measured.importer import Scale, clip_level, declare, editing, opened, polarization_of
+from warpsar.speckle.looks import equivalent_looks
+
+
+@dataclass(frozen=True)
+class ImportedChips:
+    """What was imported: names of the `views`, in their order, and the share of clipped pixels in each."""
+
+    views: tuple[str, ...]
+    clipped: tuple[float, ...]
+    messages: tuple[str, ...]
+
+
+def import_chips(
+    sources: Sequence[str | Path],
+    scene_path: str | Path,
+    table: str | Path,
+    *,
+    file_format: str = "auto",
+    quantity: Quantity | None = None,
+    polarization: str | None = None,
+    radar_at: RadarAt = "top",
+    spacing_m: tuple[float, float] | None = None,
+    scale: Scale = "as declared",
+) -> ImportedChips:
+    """Bring slant-plane pictures onto the grid of a scene, each as the view that the table names after its file.
+
+    Views that the scene file has already keep what it says and get the image. `view_table.read` says what a table
+    holds; the other arguments are those of `import_measured`. The scene file is written once, at the end. Raises
+    InputError for a table or a file that cannot be read, and for a file that the table does not name.
+    """
+    scene_path, table = Path(scene_path), Path(table)
+    pairs = view_table.chosen(table, view_table.read(table), [Path(source) for source in sources])
+    scene, _ = opened(scene_path, pairs[0][1].name)
+    known = {view.name for view in opened(scene_path, None)[0].views}
+    clipped, done = [], []
+    messages: dict[str, int] = {}
+    for source, view in pairs:
+        chip = formats.read(
+            [source],
+            file_format=file_format,
+            quantity=quantity,
+            polarization=polarization,
+            radar_at=radar_at,
+            spacing_m=spacing_m,
+        )
+        if not isinstance(chip, ImageChip) or chip.locate is not None:
+            raise InputError(f"{source}: is no picture in the slant plane; import it by itself, without --table")
+        pol = polarization_of(chip.source, None, polarization or scene.radar.polarizations[0], scene)
+        power, per_pixel, told = power_on_grid(chip, scene, view, Gridding())
+        top = clip_level(chip, per_pixel)
+        clipped.append(float(np.mean(power >= top)) if top is not None else 0.0)
+        looks = view.looks or equivalent_looks(power)
+        if looks is None:
+            told = [*told, "too little homogeneous ground to estimate looks from; none written"]
+        for one in told:
+            messages[one] = messages.get(one, 0) + 1
+        image = scene_path.parent / f"{view.name}_{pol}.exr"
+        write_exr(image, {pol: power})
+        stated = {"looks": None if looks is None else round(looks, 2), "clipped_at": top}
+        done.append((view, pol, image.name, stated))
+    with editing(scene_path) as document:
+        if scale == "unknown":
+            document["image"]["calibrated"] = False
+        for view, pol, name, stated in done:
+            declare(document, view, view.name in known, pol, name, stated)
+    if scale != "unknown" and scene.grid.calibrated:
+        messages[f"{scene_path}: image.calibrated is true, but pictures give no beta0: use --scale unknown"] = 1
+    said = tuple(text if count == 1 else f"{text} ({count} chips)" for text, count in messages.items())
+    return ImportedChips(tuple(view.name for view, *_ in done), tuple(clipped), said)
