@@ -262,6 +262,12 @@ def test_nothing_is_named_where_a_field_explains_all(layout: str, tmp_path: Path
     before = done.before["test"]
     assert before is not None
     assert before["deviance"] < 1.2  # the field holds on a view that it has not seen
+    final = done.diagnosis.final.scene
+    final.save(tmp_path / "after.toml")
+    saved = Scene.load(tmp_path / "after.toml")
+    for key in ("eps_r", "rms_height_m"):
+        np.testing.assert_allclose(saved.field("default", key), final.field("default", key), rtol=1e-6)  # float32
+        assert np.ptp(np.log(saved.field("default", key))) > 0.2  # no longer the uniform start
 
 
 def test_a_blur_is_found_beside_a_field_and_everything_is_saved(tmp_path: Path) -> None:
