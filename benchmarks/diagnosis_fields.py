@@ -68,11 +68,11 @@ def _table(case: str) -> dict[str, Any]:
     return table
 
 
-def one_run(case: str, looks: int, seed: int, device: str | None) -> dict[str, Any]:
+def one_run(case: str, looks: int, seed: int, draws: int, device: str | None) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         scene = scene_of(case, looks, seed, Path(folder))
         started, used = time.perf_counter(), time.process_time()
-        done = diagnose(scene, device=device, options=DiagnoseOptions(seed=seed))
+        done = diagnose(scene, device=device, options=DiagnoseOptions(seed=seed, draws=draws))
         seconds, cpu = time.perf_counter() - started, time.process_time() - used
     found = done.diagnosis
     first = {c.effect: c for c in found.turns[0].candidates}
@@ -80,6 +80,7 @@ def one_run(case: str, looks: int, seed: int, device: str | None) -> dict[str, A
         "case": case,
         "looks": looks,
         "seed": seed,
+        "draws": draws,
         "verdict": found.verdict,
         "unexplained": found.unexplained,
         "effects": found.final.scene.effects,
@@ -110,8 +111,11 @@ def main() -> None:
 @click.option("--case", "cases", multiple=True, type=click.Choice(CASES), help="Repeatable; default: all.")
 @click.option("--looks", multiple=True, type=click.Choice([str(n) for n in LOOKS]), help="Repeatable; default: all.")
 @click.option("--repeats", type=click.IntRange(min=1), default=1, show_default=True, help="Seeds from 0 on.")
+@click.option("--draws", type=int, default=DiagnoseOptions.draws, show_default=True, help="Of the bootstrap.")
 @click.option("--device")
-def run(out: Path, cases: tuple[str, ...], looks: tuple[str, ...], repeats: int, device: str | None) -> None:
+def run(
+    out: Path, cases: tuple[str, ...], looks: tuple[str, ...], repeats: int, draws: int, device: str | None
+) -> None:
     """Make the runs that are not in the folder yet."""
     out.mkdir(parents=True, exist_ok=True)
     done = {(r["case"], r["looks"], r["seed"]) for r in stored_runs(out)}
@@ -121,7 +125,7 @@ def run(out: Path, cases: tuple[str, ...], looks: tuple[str, ...], repeats: int,
             for number in (int(n) for n in looks or map(str, LOOKS)):
                 if (case, number, seed) in done:
                     continue
-                row = one_run(case, number, seed, device)
+                row = one_run(case, number, seed, draws, device)
                 with (out / "runs.jsonl").open("a") as stream:
                     stream.write(json.dumps(row | when) + "\n")
                 said = ", ".join(row["verdict"]) or "nothing"

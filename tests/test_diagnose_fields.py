@@ -19,8 +19,8 @@ from warpsar.cli.main import main
 from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.field_content import identify_beside
 from warpsar.diagnosis.field_prior import has_fields, with_roughness
-from warpsar.diagnosis.field_projection import FREED, FieldProjection, known_of, sparse_tangent
-from warpsar.diagnosis.found import DiagnoseOptions
+from warpsar.diagnosis.field_projection import FREED, FieldProjection, bar_those_alone, known_of, sparse_tangent
+from warpsar.diagnosis.found import Candidate, DiagnoseOptions
 from warpsar.diagnosis.frozen import frozen
 from warpsar.diagnosis.partly_known import PartlyKnown
 from warpsar.diagnosis.refit import Fitted, fit_model
@@ -184,6 +184,20 @@ def test_projection_beside_a_field_is_that_of_dense_algebra() -> None:
     assert np.abs(np.cov(scores) - exact).max() < 5.0 * np.sqrt(2.0 / 4000) * np.diag(exact).max()
 
 
+def test_what_fields_mostly_imitate_is_tried_only_beside_one_that_resembles_it() -> None:
+    """Of three effects with too little left beside the fields, the one that resembles a sure find stays a candidate."""
+    sure = Candidate("vegetation", "testable", eta=0.02, least=0.01, minus_log_p=50.0, resembles=["noise_floor"])
+    alike = Candidate("noise_floor", "testable", eta=0.009, least=0.01, minus_log_p=45.0)
+    alone = Candidate("range_loss", "testable", eta=0.009, least=0.01, minus_log_p=60.0, resembles=["antenna_pattern"])
+    chance = Candidate("antenna_pattern", "testable", eta=0.005, least=0.01, minus_log_p=9.0)
+    bar_those_alone([sure, alike, alone, chance], 7.0)
+    assert [c.testability for c in (sure, alike, alone, chance)] == ["testable"] * 2 + ["not_testable"] * 2
+    assert (alone.minus_log_p, alone.p_value) == (0.0, 1.0)
+    uniform = Candidate("range_loss", "testable", eta=0.002, minus_log_p=60.0)
+    bar_those_alone([uniform], 7.0)
+    assert uniform.testability == "testable"  # the limit is that of uniform materials
+
+
 def np_sparse(matrix: np.ndarray) -> Any:
     from scipy.sparse import csr_array
 
@@ -262,6 +276,12 @@ def test_nothing_is_named_where_a_field_explains_all(layout: str, tmp_path: Path
     before = done.before["test"]
     assert before is not None
     assert before["deviance"] < 1.2  # the field holds on a view that it has not seen
+    final = done.diagnosis.final.scene
+    final.save(tmp_path / "after.toml")
+    saved = Scene.load(tmp_path / "after.toml")
+    for key in ("eps_r", "rms_height_m"):
+        np.testing.assert_allclose(saved.field("default", key), final.field("default", key), rtol=1e-6)  # float32
+        assert np.ptp(np.log(saved.field("default", key))) > 0.2  # no longer the uniform start
 
 
 def test_a_blur_is_found_beside_a_field_and_everything_is_saved(tmp_path: Path) -> None:

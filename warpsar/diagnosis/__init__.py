@@ -20,6 +20,9 @@ templates.py       what each effect would leave, from rays of its own
 score.py           how well a template fits the residual, beyond what the surface can absorb
 bootstrap.py       how large the largest score gets by speckle alone
 partly_known.py    what a tolerance leaves of a parameter's freedom to imitate an effect
+field_prior.py     how rough learned fields are
+field_projection.py  score tests beside learned fields
+field_content.py   what is said of learned fields
 scoring.py         what each effect scores in one turn
 dark.py            what dark pixels say
 dark_pixels.py     what a model puts into dark pixels, and what is measured there

@@ -3,6 +3,7 @@
 options: how to fit. coordinates: what x is. observation: which measured pixels count. misfit: the loss.
 held: which views a process holds. view: one of them. streams: tasks side by side on a GPU.
 prior: what the scene knows to a tolerance. pull: where the images pull against it.
+roughness: what is expected of fields in diagnosis. sparse_quadratic: their steps.
 problem: views and images as one function of x. regularise: total variation. optimise, adam: one step of a fit.
 gradcheck: the gradient against differences. descent: a fit from first to last iteration. learn: the whole fit.
 identify: intervals of a few parameters. fields: intervals of maps. validity: where the models leave their domain.
