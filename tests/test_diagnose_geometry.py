@@ -127,6 +127,21 @@ def test_a_scene_without_a_group_is_saved(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.sort(again.mesh.vertices, axis=0), np.sort(gone.mesh.vertices, axis=0))
 
 
+def test_a_moved_group_is_saved_with_a_mesh_without_another(tmp_path: Path) -> None:
+    """The written mesh has the names that its objects need, materials or not."""
+    plain = true_scene()
+    shed = np.flatnonzero(plain.mesh.face_material == 1).astype(np.int32)
+    scene = replace(plain, mesh=replace(plain.mesh, groups={"shed": shed}))
+    other = composed(scene, scene, [Object(group="shed", **MOVED)], ["hut"])
+    other.save(tmp_path / "scene.toml")
+    again = Scene.load(tmp_path / "scene.toml")
+    assert again.mesh.materials == ("ground", "cube")
+    for one in (again, other):
+        assert one.assembly is not None
+    mine, theirs = (np.sort(one.assembly.vertices_of(one.objects[0]), axis=0) for one in (again, other))  # type: ignore[union-attr]
+    np.testing.assert_allclose(mine, theirs)
+
+
 def test_the_ground_is_no_body() -> None:
     """Nor is anything that holds most of the scene in plan; bodies of one problem share no face."""
     scene = true_scene()
