@@ -228,6 +228,7 @@ def rows(model: Model, final: Sequence[Observed]) -> list[dict[str, Any]]:
             models = {
                 "declared": np.abs(old.amplitude(DECLARED)) ** 2,
                 "final": predicted[inside],
+                "amplitude": np.abs(new.amplitude(model.terms)) ** 2,
                 "null": rivals.constant([new]).model_m2[0],
                 "smooth": rivals.smooth([new]).model_m2[0],
             }

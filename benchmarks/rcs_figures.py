@@ -97,11 +97,13 @@ def errors(result: Mapping[str, Any]) -> str:
     for key, entry in result["bodies"].items():
         for r in entry["rows"]:
             e, c = r["error_db"], r["correlation"]
-            numbers = [e.get("declared"), e.get("final"), e.get("null"), e.get("smooth")]
+            numbers = [e.get(name) for name in ("declared", "amplitude", "final", "null", "smooth")]
             head = (TITLES.get(key, key), f"{r['frequency_hz'] / 1e9:.4g}", r["polarization"], r["role"], r["sector"])
             rows.append((*head, r["angles"], *(_number(n) for n in numbers), _number(c.get("final"))))  # fmt: skip
-    header = ("body", "GHz", "pol.", "role", "sector", "angles", "declared", "final", "constant level", "smooth curve",
-              "correlation of dB")  # fmt: skip
+    header = (
+        *("body", "GHz", "pol.", "role", "sector", "angles", "declared", "amplitude", "final", "constant level"),
+        *("smooth curve", "correlation of dB"),
+    )
     return tables.markdown(header, rows)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from warpsar.curves.shape import on_grid, profiles
+from warpsar.curves.shape import jump, on_grid, profiles
 
 
 def test_a_gaussian_has_its_own_interval() -> None:
@@ -24,6 +24,16 @@ def test_a_gaussian_has_its_own_interval() -> None:
         assert found[name].value == pytest.approx(middle[k], abs=0.06)
         assert (found[name].low, found[name].high) == pytest.approx((middle[k] - half, middle[k] + half), abs=0.12)
         assert not found[name].open
+
+
+def test_jumps_widen_an_interval() -> None:
+    rng = np.random.default_rng(0)
+    axis = np.linspace(-8.0, 8.0, 201)
+    rough = profiles({"a": axis}, -(axis**2) + 2.0 * rng.normal(size=201))["a"]
+    smooth = profiles({"a": axis}, -(axis**2))["a"]
+    assert jump(2.0 * rng.normal(size=2000)) == pytest.approx(2.0, rel=0.1)
+    assert rough.low < smooth.low < -1.9
+    assert rough.high > smooth.high > 1.9
 
 
 def test_what_the_grid_does_not_hold_is_said() -> None:

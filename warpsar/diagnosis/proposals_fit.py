@@ -14,6 +14,7 @@ import warp as wp
 from warpsar.learning.observation import Observation
 from warpsar.learning.pose import FLAT, MOST_STEPS, PosedProblem, descend
 from warpsar.learning.pose_pixels import Compared, compared
+from warpsar.learning.prior import Known, Prior
 from warpsar.learning.problem import FitProblem
 from warpsar.learning.results import learned_scene
 from warpsar.scene.placing import with_objects
@@ -102,7 +103,8 @@ class Ground:
         for k, c in enumerate(problem.poses.coordinates, start=problem.size):
             if c.word == "position" and c.index == 2 and "size" in scene.objects[c.object].learn:
                 low[k] = high[k] = 0.0  # a body in the ground looks like a lower one on it
-                problem.precision[k] = 1.0 / STANDS_M**2
+                stands = Known(c.label, k, c.value(0.0), STANDS_M, "m", c.value, c.per_metre)
+                problem.prior = Prior([*problem.prior.known, stands], problem.prior.size)
         return problem
 
     def settled(
