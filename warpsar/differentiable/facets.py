@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -67,7 +66,7 @@ class _Alone:
             "weight": wp.array(np.ones(n, np.float32), dtype=float, device=device),
             "point": wp.array(middle.astype(np.float32), dtype=wp.vec3, device=device),
         }
-        self._angles: Mapping[str, wp.array] = {
+        self._angles: dict[str, Any] = {
             name: wp.zeros(n, dtype=float, device=device) for name in ("cos_incidence", "cos_twist", "cos2_azimuth")
         }
         self._point = arrays["point"]
@@ -80,7 +79,7 @@ class _Alone:
     def power(self, normal: np.ndarray) -> np.ndarray:
         """sigma0 / cos(incidence), (polarizations, faces), float64, for facets with these normals."""
         unit = normal / np.linalg.norm(normal, axis=1, keepdims=True)
-        given = wp.array(unit.astype(np.float32), dtype=wp.vec3, device=self._point.device)
+        given: wp.array = wp.array(unit.astype(np.float32), dtype=wp.vec3, device=self._point.device)
         outputs = list(self._angles.values())
         wp.launch(
             facet_kernel, len(unit), inputs=[self._rays, self._point, given], outputs=outputs, device=given.device

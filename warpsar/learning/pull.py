@@ -66,8 +66,12 @@ class Fitted(Protocol):
     """What a fit says of its x: `bounds`, low and high, and what is known without data (`identify.of_information`)."""
 
     prior: Prior
-    bounds: tuple[np.ndarray, np.ndarray]
-    zero_sum_means: np.ndarray
+
+    @property
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]: ...
+
+    @property
+    def zero_sum_means(self) -> np.ndarray: ...
 
 
 def pulls(problem: Fitted, x: np.ndarray, identified: Identified | None) -> list[Pull]:
