@@ -1,5 +1,7 @@
 """How do images change with the parameters? The renderer for gradients, and its faces for PyTorch and JAX.
 
 parameters: what may change, by name. derivatives: images, `vjp` and `jvp` with NumPy arrays. renderer:
-`warpsar.renderer`. pytorch, jax_callback: the same as a function of either library.
+`warpsar.renderer`. pytorch, jax_callback: the same as a function of either library. moves: poses, sizes and vertices
+as parameters. vertex_slopes: a view's gradient to the vertices. facets: what facets return as they turn. geometry:
+exact images, and their change along one move.
 """
