@@ -4,7 +4,7 @@
     python benchmarks/objects.py --table derivatives --write
     python benchmarks/objects.py --table search --write
     python benchmarks/objects.py --table intervals --write
-    python benchmarks/objects.py --table elsewhere --repeats 100 --write
+    python benchmarks/objects.py --table elsewhere --repeats 100
 
 The picture is committed.
 """
