@@ -102,9 +102,7 @@ def scattered(radar: Radar, k: wp.float64, rough: RoughSurface, variant: int, pl
     phase = sight.spread * sight.spread * turned(-wp.float64(2.0) * k * sight.back)
     share = place.area / FOUR_PI
     bragg = root(share * (one - rough.specular_fraction) * model.scale) * product(place.diffuse, phase)
-    mirror = root(share * rough.specular_fraction * model.lobe) * product(
-        product(place.specular, phase), model.mirror
-    )
+    mirror = root(share * rough.specular_fraction * model.lobe) * product(product(place.specular, phase), model.mirror)
     found = Four()
     found.hh = product(bragg, model.hh) + mirror
     found.hv = product(bragg, model.hv)
