@@ -16,6 +16,7 @@ from warpsar.diagnosis.all_pixels import Exact, still
 from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.geometry import ABSENT, POSE, GeometryCandidate, heard, told, without_object
 from warpsar.diagnosis.movable import bodies, disjoint, freed, placeable
+from warpsar.diagnosis.proposals import missing_objects
 from warpsar.diagnosis.refit import Fitted
 from warpsar.learning.pose import PosedProblem
 from warpsar.learning.pose_search import SEARCH_BLUR_M, find_poses
@@ -163,5 +164,5 @@ def _views(fitted: Fitted) -> list[str]:
     return [view.view.name for view in fitted.problem.views]
 
 
-SOURCES: tuple[Source, ...] = ()
+SOURCES: tuple[Source, ...] = (missing_objects,)
 """What else finds changes of geometry, each by itself."""
