@@ -95,22 +95,23 @@ class Measured:
 
 
 def measured(data: Path) -> list[Measured]:
-    """Every curve under the folder whose name is of the suite's kind, sorted; what is no curve is said and left out."""
+    """Every curve under the folder, sorted. A file whose name is of the suite's kind and that is no curve is said."""
     found = []
     for path in sorted(p for p in data.rglob("*") if p.suffix.lower() in (".txt", ".csv")):
         named = SUITE_FILE.search(path.name)
-        if named is None:
-            continue
         try:
             table = curves.read(path)
             for frequency in table.frequencies_hz():
                 for pol in sorted({*table.polarization}):
                     first = path.parent.name == "measured" and FIRST.fullmatch(path.name) is not None
-                    role = "train" if first and named["code"].lower() in TRAIN else "test"
+                    role = "train" if first and any(f".{code}." in path.name for code in TRAIN) else "test"
                     one = table.select(frequency, pol or None)
-                    found.append(Measured(path, one, named["body"].upper(), named["size"].lower(), first, role))
+                    body, size = (path.stem, "") if named is None else (named["body"].upper(), named["size"].lower())
+                    body = body if named is None or "." in body else f"{body[:-1]}.{body[-1]}"
+                    found.append(Measured(path, one, body, size, first, role))
         except InputError as error:
-            print(f"left out: {error}", file=sys.stderr)
+            if named is not None:  # a licence is a text, too
+                print(f"left out: {error}", file=sys.stderr)
     return found
 
 
@@ -129,7 +130,8 @@ class Work:
         table = one.table
         phi = 90.0 - table.azimuth_deg
         keep = np.isfinite(table.rcs_m2) & ~(self.body.saturated & (np.abs(phi - 90.0) <= SATURATED_DEG))
-        keep &= np.isclose(phi * 2.0 % 1.0, 0.0)  # every half degree, as the suite's error has it
+        half = np.isclose((phi * 2.0 + 0.5) % 1.0, 0.5)  # every half degree, as the suite's error has it
+        keep &= half if half.any() else True
         azimuth, frequency, pol = table.azimuth_deg[keep], float(table.frequency_hz[0]), table.polarization[0]
         theta = float(np.median(table.incidence_deg))
         scene = self.body.scene(mesh, frequency)
@@ -275,7 +277,7 @@ def main() -> int:
     known = {(body.code, body.size) for body in BODIES}
     for one in files:
         if (one.body, one.size) not in known:
-            key = f"{one.body}.{one.size}"
+            key = f"{one.body}.{one.size}".rstrip(".")
             entry = result["bodies"].setdefault(key, {"verdict": [], "rows": [], "learned": {}, "note": UNKNOWN})
             entry["rows"] = [row for row in entry["rows"] if row["file"] != one.path.name] + [unknown_row(one)]
     path.write_text(json.dumps(plain(result), indent=1) + "\n", encoding="utf-8")

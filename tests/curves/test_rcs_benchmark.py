@@ -56,6 +56,9 @@ def synthetic(bodies: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
                 (folder / f"meas_rcs.II.B.sx1.{code}.{pol}{suffix}.txt").write_text("\n".join(lines) + "\n")
     (folder / "meas_rcs.II.D.sx1.f9.V.txt").write_text("\n".join(f"2.56e9 90 {a} {-20 - a / 9}" for a in range(90)))
     (folder / "notes.txt").write_text("no curve")
+    (folder / "another.csv").write_text(
+        "frequency_hz,theta_deg,phi_deg,rcs_dbsm,polarization\n5e9,90,0,1,VV\n5e9,90,1,2,VV\n"
+    )
     return data
 
 
@@ -72,6 +75,7 @@ def test_every_curve_has_its_row_and_those_held_back_name_nothing(rcs: Any, synt
         assert row["sector"] == "all"
         assert row["error_db"]["final"] < min(row["error_db"]["declared"], row["error_db"]["null"])
     assert set(plate["learned"]["repeats"]) == {f"meas_rcs.II.B.sx1.f9.{pol}.second.txt" for pol in "HV"}
+    assert [row["polarization"] for row in found["another"]["rows"]] == ["VV"]
     (unknown,) = found["II.D.sx1"]["rows"]
     assert unknown["error_db"]["declared"] is None
     assert "no model" in unknown["note"]
