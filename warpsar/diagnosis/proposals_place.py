@@ -21,7 +21,7 @@ from warpsar.speckle.likelihood import expected_deviance
 from warpsar.world.tables import View
 from warpsar.world.world import geometry_of
 
-WIDTHS_PX, HEIGHTS_PX = (2, 4, 8, 16, 32), (2, 4, 8, 16)
+WIDTHS_PX, HEIGHTS_PX = (1, 2, 4, 8, 16, 32), (1, 2, 4, 8, 16)
 STEPS = 160  # of the grid of places along each side, at most
 LEAST_RATIO = 1e-2
 LARGEST_RATIO = 20.0  # of measured to modelled power: a single bright pixel is no wide body
@@ -61,7 +61,7 @@ def places(scene: Scene, ratios: Sequence[Ratios], most: int) -> list[Place]:
     finest = max(scene.grid.spacing_m)
     found: list[tuple[np.ndarray, np.ndarray, float, float]] = []
     for width, height in itertools.product(WIDTHS_PX, HEIGHTS_PX):
-        if height > 4 * width:
+        if height > 4 * width or height == 1 < width:  # a pixel's height is tried for a point alone
             continue
         both = np.stack([one.scores(scene, points, width * finest, height * finest) for one in sums])
         rest = both.sum(axis=0) - np.take_along_axis(both, both[:, :1].argmax(axis=0)[None], axis=0)[0]
