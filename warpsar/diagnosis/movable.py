@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from warpsar.diagnosis.geometry import MISSING, changes, kind_of, object_of
+from warpsar.diagnosis.geometry import changes, object_of
 from warpsar.scene.placing import with_objects
 from warpsar.scene.scene import Scene
 from warpsar.world.objects.groups import group_names, with_groups
@@ -99,14 +99,13 @@ def placeable(declared: Scene, scene: Scene, labels: Iterable[str]) -> bool:
 
 
 def refined_words(declared: Scene, scene: Scene) -> dict[str, tuple[Learnable, ...]]:
-    """What is fitted again of each changed object that stands in `scene`: of one that was missing, its size too."""
-    missing = {object_of(name) for name in changes(declared, scene) if kind_of(name) == MISSING}
+    """What is fitted again of each changed object that stands in `scene`.
+
+    The size of an object that was missing stays as its proposal found it, with the foot on the ground: free together,
+    height and foot trade.
+    """
     changed = {object_of(name) for name in changes(declared, scene)}
-    words = {
-        one.label: (*words_of(one), "size") if one.label in missing and one.size_m is not None else words_of(one)
-        for one in scene.objects
-        if one.label in changed
-    }
+    words = {one.label: words_of(one) for one in scene.objects if one.label in changed}
     if not placeable(declared, scene, changed):
         words = {label: tuple(word for word in found if word != "position") for label, found in words.items()}
     return {label: found for label, found in words.items() if found}
