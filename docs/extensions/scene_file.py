@@ -94,7 +94,8 @@ def _value(field: dict[str, Any], unit: str = "") -> str:
         case "object" if "properties" in field:
             return f"table of {' and '.join(f'`{key}`' for key in field['properties'])}"
         case "object":
-            return f"table of {_value(field['propertyNames'])} = {_value(field['additionalProperties'])}"
+            named = field.get("propertyNames", {"type": "string"})
+            return f"table of {_value(named)} = {_value(field['additionalProperties'])}"
         case "string" if field.get("pattern") == SHARE:
             return 'share such as `"5 %"`'
         case "string":

@@ -79,7 +79,7 @@ def _key(world: World, azimuth_deg: NDArray[np.float64], incidence_deg: float, f
 def _read(path: Path) -> Amplitudes | None:
     """What a finished run has left; a file that cannot be read is made again."""
     try:
-        with np.load(path) as stored:
+        with np.load(path, allow_pickle=False) as stored:
             terms = {name: stored[name] for name in TERMS if name in stored}
             polarizations = tuple(str(each) for each in stored["polarizations"])
             return Amplitudes(terms, polarizations, stored["fresnel_number"], int(stored["segments"]))

@@ -18,6 +18,7 @@ from warpsar.diagnosis.geometry import ABSENT, POSE, GeometryCandidate, heard, t
 from warpsar.diagnosis.movable import bodies, disjoint, freed, placeable
 from warpsar.diagnosis.proposals import missing_objects
 from warpsar.diagnosis.refit import Fitted
+from warpsar.effects.registry import get
 from warpsar.learning.pose import PosedProblem
 from warpsar.learning.pose_search import SEARCH_BLUR_M, find_poses
 from warpsar.scene.scene import Scene
@@ -91,9 +92,17 @@ def screening(declared: Scene, exact: Exact, here: Fitted) -> list[Screened]:
         loss = problem.value(problem.x0)
         moved = _foretold(problem)
         for label in labels:
-            without = exact.problem(still(without_object(declared, here.scene, label)), blur_m=blur_m)
-            found.append(Screened(label, moved[label], loss - without.value(without.x0)))
+            found.append(Screened(label, moved[label], loss - _without(declared, exact, here, label, blur_m)))
     return found
+
+
+def _without(declared: Scene, exact: Exact, here: Fitted, label: str, blur_m: float) -> float:
+    """The loss of blurred images without a body; infinite where an effect needs it, by its material."""
+    scene = still(without_object(declared, here.scene, label))
+    if any(get(name).check(scene, table) for name, table in scene.effects.items()):
+        return np.inf
+    problem = exact.problem(scene, blur_m=blur_m)
+    return problem.value(problem.x0)
 
 
 def _foretold(problem: PosedProblem) -> dict[str, float]:

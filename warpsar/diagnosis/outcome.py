@@ -25,7 +25,9 @@ def gain_text(candidate: Candidate) -> str:
 def effect_table(table: Any) -> str:
     """An effect's table in one line, numbers to four digits."""
     if isinstance(table, dict):
-        return ", ".join(f"{key} {effect_table(value)}" for key, value in table.items())
+        return ", ".join(f"{key} {effect_table(value)}" for key, value in table.items() if value != [])
+    if isinstance(table, list) and table and isinstance(table[0], float):
+        return f"[{', '.join(map(effect_table, table))}]"
     return f"{table:.4g}" if isinstance(table, float) else str(table)
 
 

@@ -113,7 +113,7 @@ def _of_known_materials(ground: Ground, tried: Tried) -> list[Tried]:
     found = []
     for name in ground.scene.materials:
         table = tried.standing.scene.objects[-1].model_copy(update={"material": name})
-        scene = alone(ground.with_object(table))
+        scene = alone(ground.holding(table))
         found.append(Tried(tried.shape, _as_it_stands(ground, scene)))
     best = min(found, key=lambda one: one.standing.loss)
     return [_again(ground, best)]
@@ -125,12 +125,12 @@ def _as_it_stands(ground: Ground, scene: Scene, blur_m: float = 0.0) -> Standing
 
 
 def _with(ground: Ground, shape: Shape, material: Material) -> Scene:
-    return alone(ground.with_object(shape.table, material.model_copy(update={"learn": shape.learn})))
+    return alone(ground.holding(shape.table, material.model_copy(update={"learn": shape.learn})))
 
 
 def _tidied(ground: Ground, scene: Scene) -> Scene:
     own = scene.materials[str(scene.objects[-1].material)]
-    return alone(ground.with_object(shapes.tidy(scene.objects[-1]), own))
+    return alone(ground.holding(shapes.tidy(scene.objects[-1]), own))
 
 
 def _own(tried: Tried) -> Material:

@@ -82,7 +82,7 @@ class Ground:
             self._compared[blur_m] = compared(self.scene, self.pixels, blur_m, self.gains)
         return self._compared[blur_m]
 
-    def with_object(self, one: Object, material: Material | None = None) -> Scene:
+    def holding(self, one: Object, material: Material | None = None) -> Scene:
         """The scene and an object; `material` is the object's own, under the object's name."""
         more = {} if material is None or one.material is None else {one.material: material}
         return with_objects(self.scene, [*self.scene.objects, one], more)
