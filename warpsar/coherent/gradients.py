@@ -117,14 +117,14 @@ def rcs_gradients(
     >>> gradients = found.vjp(found.rcs.amplitude_m - measured)  # of half the sum of squares
     >>> slopes = found.jacobian()["vertices"]                    # (azimuths, incidences, frequencies, pol., n, 3)
 
-    | parameter | shape | unit |
-    |---|---|---|
-    | `MATERIAL.eps_r` | as in the scene: () or (2,) | 1 |
-    | `MATERIAL.thickness_m`, `MATERIAL.rms_height_m` | () | m |
-    | `MATERIAL.correlation_length_m` | as in the scene: () or (2,) | m |
-    | `vertices` | (n, 3) | m |
-    | `pose.position_m`, `OBJECT.position_m` | (3,) | m |
-    | `pose.heading_deg`, `.pitch_deg`, `.roll_deg`, and of an `OBJECT` | () | degrees |
+    Parameters, with shapes and units:
+
+    - `MATERIAL.eps_r`: as in the scene, () or (2,)
+    - `MATERIAL.thickness_m`, `MATERIAL.rms_height_m`: () [m]
+    - `MATERIAL.correlation_length_m`: as in the scene, () or (2,) [m]
+    - `vertices`: (n, 3) [m]
+    - `pose.position_m`, `OBJECT.position_m`: (3,) [m]
+    - `pose.heading_deg`, `.pitch_deg`, `.roll_deg`, and those of an `OBJECT`: () [degrees]
 
     `pose` moves all that there is, and turns it about the reference point. Held are which faces an edge has, which
     piece of an edge and which scatterer the radar sees, and how many scatterers there are. Borders of light move with
