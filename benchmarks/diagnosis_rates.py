@@ -64,7 +64,7 @@ class Case:
 
     effects: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     outside: str = ""
-    geometry: str = ""  # "object_pose" or "absent_object": what the images do with the hut
+    geometry: str = ""  # what the images do with the hut, or a container more
 
     @property
     def names(self) -> set[str]:
@@ -86,7 +86,7 @@ CASES: dict[str, Case] = {
     },
     "an object elsewhere": Case(geometry="object_pose"),
     "an object not there": Case(geometry="absent_object"),
-    "an object missing": Case(outside="object"),
+    "an object missing": Case(geometry="missing_object"),
     "a mover's smear": Case(outside="smear"),
 }
 ELSEWHERE = {"position_m": (0.6, -0.4, 0.0), "heading_deg": 6.0}  # of the hut, in the images
@@ -137,7 +137,7 @@ def clean_images(case: Case, device: str | None, folder: Path, name: str) -> lis
     """beta0 of every view without speckle, kept in `folder`."""
     path = folder / f"clean_{'_'.join(name.replace(chr(39), '').split())}.npz"
     if not path.is_file():
-        scene = truth(case.outside == "object", case.geometry)
+        scene = truth(case.geometry == "missing_object", case.geometry)
         scene = replace(scene, effects={n: dict(t) for n, t in case.effects.items()})
         images = [one.beta0["HH"] for one in simulate(scene, device=device)]
         if case.outside == "smear":  # one object's power along a row, in one view, as bright as a roof's edge
