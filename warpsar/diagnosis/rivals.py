@@ -46,7 +46,8 @@ def rivals_of(
 
 def _near(mine: Candidate, turn: Turn, fitted: Fitted) -> list[Candidate]:
     able = [c for c in turn.candidates if c.testability == "testable" and c.effect not in fitted.scene.effects]
-    able = [c for c in able if not is_geometry(c.effect)]
+    # what can do all that the effect does, with more numbers, fits as well in any case and is no rival
+    able = [c for c in able if not is_geometry(c.effect) and mine.effect not in get(c.effect).contains]
     near = [c for c in able if c.minus_log_p > NEAR * mine.minus_log_p or c.effect in mine.resembles]
     return sorted(near, key=lambda c: -c.minus_log_p)[:ASKED]
 
