@@ -146,7 +146,8 @@ class Search:
             price = evidence.price(bench.ranks)
             found = refits(bench, here, self.scene, allowed, templates, dark, options.refits)
             add_the_best(bench, turn, here, found, dark, price)
-            if passing or turn.alarms or bench.ranks.same(float(lit_shadows(here))):
+            # a body puts no power where nothing is lit: what the dark pixels need is added first
+            if not dark.asks and (passing or turn.alarms or bench.ranks.same(float(lit_shadows(here)))):
                 bench = self._with_bodies(bench, turn, here, price)
             if turn.fitted is not None:
                 prune(bench, turn, self._effects(here), price)
