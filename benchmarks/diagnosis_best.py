@@ -29,7 +29,7 @@ import limits
 import tables
 from diagnosis_rates import CORRELATION_PX, LOOKS, SINGLE, judged, speckle, stored_runs, truth
 from limits import Model, NoiseFree
-from limits_test import TestViews
+from limits_withdrawn import HeldViews
 
 from warpsar.diagnosis.bootstrap import Bootstrap, bootstrap
 from warpsar.diagnosis.dark import Dark
@@ -128,7 +128,7 @@ def at_best(
         "left_out": np.array([one.gain > 2.0 * one.error for one in left]),
         "left_out_positive": np.array([one.gain > 0.0 for one in left]),
         "left_out_as_expected": np.array([one.as_expected for one in left]),
-        "test_views": TestViews(noise_free).stands(beta0, looks, model, base, on_test_views),
+        "test_views": HeldViews(noise_free).stands(beta0, looks, model, base, on_test_views),
     }
     best: np.ndarray = (passes["threshold"] & passes["price"] | dark) & passes["test_views"]
     expected = looks * limits.expected_gain(model, base)

@@ -41,8 +41,9 @@ def summary_section(done: Diagnosed, content: dict[str, Any]) -> str:
         "Deviance is the mean of 2 L (I/mu - 1 - ln(I/mu)) over what speckle alone would leave: 1 is a perfect model. "
         "Before: the declared model at its best fit. After: with everything that was added, all parameters fitted "
         "again. Both on the same pixels, frozen from the declared model before the first fit: lit with all eight "
-        "neighbours, off the image's edge. ± is one standard error, with the correlation of neighbouring pixels; that "
-        "of the difference is smaller, because both models meet the same speckle. Test views were looked at once, "
+        "neighbours, off the image's edge; where an object was moved, added or left out, those that both light. ± is "
+        "one standard error, with the correlation of neighbouring pixels; that of the difference is smaller, because "
+        "both models meet the same speckle. Test views were looked at once, "
         f"after the last decision. Rays: {content['rays_per_pixel']:g} per pixel; looks x pixels x relative sampling "
         f"variance of the model is {content['ray_noise']:.2g} over all train pixels: about what rays add to 2 ln L."
     )

@@ -21,7 +21,7 @@ def resettled(bench: Bench, fitted: Fitted, added: Sequence[str]) -> Fitted:
     """`fitted`, with those settings of the `added` effects that the images ask for; everything is fitted anew with
     each. What the scene file declares stays."""
     for name in (one for one in added if get(one).stage == "image"):
-        for table in list(_other_settings(name, fitted.scene.effects[name])):
+        for table in _other_settings(name, fitted.scene.effects[name]):
             trial = refit_as(bench, replace(fitted.scene, effects={**fitted.scene.effects, name: table}))
             if trial.log_likelihood > fitted.log_likelihood + WORTH:
                 fitted = trial

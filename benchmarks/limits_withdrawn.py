@@ -22,10 +22,8 @@ Speckle = Callable[[Observation], np.ndarray]
 """Draws of speckle for an image's compared pixels, shape (draws, pixels)."""
 
 
-class TestViews:
+class HeldViews:
     """The noise-free test views of a scene, on rays and pixels that all models share."""
-
-    __test__ = False  # no test of pytest's
 
     def __init__(self, noise_free: NoiseFree) -> None:
         self._noise_free = noise_free
