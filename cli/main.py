@@ -21,6 +21,7 @@ COMMANDS = {
     "uv": "warpsar.cli.uv:command",
     "evaluate": "warpsar.cli.evaluate:command",
     "diagnose": "warpsar.cli.diagnose:command",
+    "view": "warpsar.cli.view:command",
     "schema": "warpsar.cli.schema:command",
 }
 

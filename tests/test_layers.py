@@ -38,6 +38,7 @@ ROOMS = (
     "learning",
     "evaluation",
     "diagnosis",
+    "viewer",
     "cli",
     "__init__",
     "__main__",

@@ -1,0 +1,35 @@
+"""`warpsar view`: a scene in 3D in a browser."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from warpsar.cli import options
+
+
+@click.command(name="view")
+@click.argument("scene", type=click.Path(exists=True, path_type=Path))
+@click.option(
+    "-o",
+    "--out",
+    required=True,
+    type=click.Path(file_okay=False, path_type=Path),
+    help="Folder for view.html; made if missing.",
+)
+@click.option(
+    "--before",
+    type=click.Path(exists=True, path_type=Path),
+    help="A scene to compare with, as the one that learn or diagnose began with.",
+)
+@options.device
+def command(scene: Path, out: Path, before: Path | None, device: str | None) -> None:
+    """Show SCENE in 3D in a browser: its mesh, the views, and what each of them sees.
+
+    SCENE is a scene file, or the folder that learn or diagnose wrote. The page is one file and fetches nothing.
+    Measured images, the model's and their residual are laid on the surface that reflects them.
+    """
+    from warpsar.viewer.command import run
+
+    click.echo(run(scene, out, before=before, device=device))

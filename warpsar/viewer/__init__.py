@@ -1,0 +1,8 @@
+"""A scene in 3D in a browser: `warpsar view`.
+
+command.py  the command
+surface.py  triangles to draw, with materials, objects and parameters at their corners
+drapes.py   images of the views, and how they lie on the surface
+page.py     the page, which holds everything and fetches nothing
+assets/     the page's own script and style, and three.js
+"""

@@ -1,0 +1,152 @@
+"""The page of `warpsar view`: one HTML file with mesh, images, script and three.js inside."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from warpsar.evaluation.report_parts import RESIDUAL_COLOURS, reach_db, shown_as
+from warpsar.io.html import data_uri
+from warpsar.viewer.drapes import Drape
+from warpsar.viewer.surface import Drawn
+
+ASSETS = Path(__file__).parent / "assets"
+SURFACE_COLOURS, IMAGE_COLOURS, NAME_COLOURS = "viridis", "gray", "tab20"
+
+
+@dataclass(frozen=True)
+class State:
+    """A scene as it is shown: "before" beside "after", or one alone."""
+
+    name: str
+    surface: Drawn
+    drapes: list[Drape]
+    shape: tuple[int, int]
+    spacing_m: tuple[float, float]
+
+
+def page(title: str, lead: str, states: Sequence[State]) -> str:
+    """The document. `title` and `lead` are plain text."""
+    style, script, three = ((ASSETS / name).read_text("utf-8") for name in ("viewer.css", "viewer.js", "three.min.js"))
+    names = {"title": title, "lead": lead}
+    body = (ASSETS / "viewer.html").read_text("utf-8")
+    for name, text in names.items():
+        body = body.replace(f"{{{{{name}}}}}", escape(text))
+    library = data_uri(three.encode(), "text/javascript")
+    data = json.dumps(_content(states), separators=(",", ":")).replace("</", "<\\/")
+    return (
+        body.replace("{{style}}", style)
+        .replace("{{imports}}", json.dumps({"imports": {"three": library}}))
+        .replace("{{data}}", data)
+        .replace("{{script}}", script)
+    )
+
+
+def _content(states: Sequence[State]) -> dict[str, Any]:
+    scales = _scales(states)
+    return {
+        "maps": {name: _base64(_table(name)) for name in (SURFACE_COLOURS, IMAGE_COLOURS, RESIDUAL_COLOURS)},
+        "names": _base64(_named()),
+        "states": [_state(one, scales) for one in states],
+    }
+
+
+def _scales(states: Sequence[State]) -> dict[str, tuple[float, float, str]]:
+    """Ends [dB] and colours by quantity and polarization: one scale for all views and states, and measured and modelled
+    images share theirs."""
+    images: dict[str, list[NDArray[np.float64]]] = {}
+    for drape in (drape for state in states for drape in state.drapes):
+        for name, image in drape.images_db.items():
+            images.setdefault(name, []).append(image[np.isfinite(image)])
+    found = {}
+    for name in images:
+        quantity, polarization = name.split()
+        if quantity == "residual":
+            reach = reach_db(images[name], 90.0)
+            found[name] = (-reach, reach, RESIDUAL_COLOURS)
+            continue
+        both = [v for q in ("measured", "modelled") for v in images.get(f"{q} {polarization}", [])]
+        values = np.concatenate(both)
+        low, high = np.percentile(values, (2.0, 99.7)) if values.size else (-30.0, 0.0)
+        found[name] = (float(np.floor(low)), float(np.ceil(max(high, low + 1.0))), IMAGE_COLOURS)
+    return found
+
+
+def _state(state: State, scales: dict[str, tuple[float, float, str]]) -> dict[str, Any]:
+    drawn = state.surface
+    return {
+        "name": state.name,
+        "corners": _base64(drawn.corners.astype("<f4")),
+        "triangles": _base64(drawn.triangles.astype("<u4")),
+        "groups": [
+            {"label": "material", "names": drawn.materials, "index": _base64(drawn.material.astype("<u2"))},
+            {"label": "object", "names": drawn.owners, "index": _base64(drawn.owner.astype("<u2"))},
+        ],
+        "parameters": [_parameter(key, values) for key, values in drawn.parameters.items()],
+        "views": [_view(drape, state, scales) for drape in state.drapes],
+    }
+
+
+def _parameter(key: str, values: NDArray[np.float64]) -> dict[str, Any]:
+    label, factor = shown_as(key)
+    return {"label": label, "log": key != "specular_fraction", "values": _base64((values * factor).astype("<f4"))}
+
+
+def _view(drape: Drape, state: State, scales: dict[str, tuple[float, float, str]]) -> dict[str, Any]:
+    view = drape.view
+    return {
+        "name": view.name,
+        "role": view.role,
+        "azimuth_deg": view.azimuth_deg,
+        "incidence_deg": view.incidence_deg,
+        "axes": drape.axes.tolist(),
+        "slant_range_m": drape.slant_range_m or 0.0,
+        "shift_px": drape.shift_px.tolist(),
+        "shape": state.shape,
+        "spacing_m": state.spacing_m,
+        "layover": _levels(drape.layover, 0.0, 1.0),
+        "images": {
+            name: {"png": _levels(image, *scales[name][:2]), "scale": scales[name]}
+            for name, image in drape.images_db.items()
+        },
+    }
+
+
+def _levels(image: ArrayLike, low: float, high: float) -> str:
+    """A grey PNG with 255 steps from `low` to `high`, transparent where the image is NaN, as a data URI."""
+    from PIL import Image
+
+    values = np.asarray(image, float)
+    there = np.isfinite(values)
+    level = np.round(255.0 * np.clip((np.nan_to_num(values) - low) / (high - low), 0.0, 1.0))
+    planes = np.stack([level, 255.0 * there], axis=2).astype(np.uint8)
+    stream = BytesIO()
+    Image.fromarray(planes).save(stream, format="png", optimize=True)
+    return data_uri(stream.getvalue(), "image/png")
+
+
+def _table(name: str) -> NDArray[np.uint8]:
+    from matplotlib import colormaps
+
+    return np.asarray(colormaps[name](np.arange(256), bytes=True))
+
+
+def _named() -> NDArray[np.uint8]:
+    """Colours for names: strong ones first, then their pale sisters."""
+    from matplotlib import colormaps
+
+    table = colormaps[NAME_COLOURS](np.arange(20), bytes=True)
+    return np.concatenate([table[::2], table[1::2]])
+
+
+def _base64(array: NDArray[Any]) -> str:
+    return base64.b64encode(np.ascontiguousarray(array).tobytes()).decode("ascii")
