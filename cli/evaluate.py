@@ -18,10 +18,15 @@ from warpsar.cli import options
     type=click.Path(file_okay=False, path_type=Path),
     help="Folder for evaluate.json, report.html, residual images and learned.ply; made if missing.",
 )
+@click.option(
+    "--before",
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    help="Another scene file of the same images: the report shows that model's numbers and residuals beside SCENE's.",
+)
 @options.device
 @click.option("--seed", type=click.IntRange(min=0), help="Seed of the rays' jitter. Default: the scene's own.")
-def command(scene: Path, out: Path, device: str | None, seed: int | None) -> None:
+def command(scene: Path, out: Path, before: Path | None, device: str | None, seed: int | None) -> None:
     """Compare the measured images of SCENE, of train and test views, with the images of its model."""
     from warpsar.evaluation.command import run
 
-    run(scene, out, device=device, seed=seed)
+    run(scene, out, before=before, device=device, seed=seed)

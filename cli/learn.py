@@ -16,7 +16,8 @@ from warpsar.cli import options
     "--out",
     required=True,
     type=click.Path(file_okay=False, path_type=Path),
-    help="Folder for scene.toml with the learned values, learn.json, history.csv and figures; made if missing.",
+    help="Folder for scene.toml with the learned values, report.html, learn.json, history.csv and figures; "
+    "made if missing.",
 )
 @options.device
 @click.option("--loss", default="gamma", show_default=True, help="Loss: gamma, mse or log.")
@@ -85,6 +86,7 @@ def command(
     resume: bool,
 ) -> None:
     """Learn the surface parameters of SCENE from its measured views with the role train."""
+    from warpsar.evaluation.learned import write_learn_report
     from warpsar.learning import command as learning
 
     weights = {}
@@ -108,4 +110,5 @@ def command(
         max_memory_gib=max_memory,
     )
     with options.resumable(out):
-        learning.run(scene, out, device=device, options=chosen, resume=resume)
+        content = learning.run(scene, out, device=device, options=chosen, resume=resume)
+    write_learn_report(scene, out, content, device)

@@ -14,6 +14,7 @@ from scipy import integrate, special, stats
 from worlds import box, ground, mesh_of, scene_of, view
 
 from warpsar.cli.main import main
+from warpsar.errors import InputError
 from warpsar.evaluation.command import evaluate, run
 from warpsar.evaluation.image import EvaluatedImage
 from warpsar.evaluation.meshview import RAYS, look, write_learned_ply
@@ -24,6 +25,7 @@ from warpsar.io.ply import write_ply
 from warpsar.learning.observation import Observation
 from warpsar.runtime import devices
 from warpsar.scene.scene import Scene
+from warpsar.scene.unwrap import write_obj
 from warpsar.speckle.likelihood import deviance, expected_deviance, metrics
 from warpsar.surface.stage import Stage
 from warpsar.world.mesh import read_mesh
@@ -456,3 +458,37 @@ def test_pictures_hide_what_is_hidden() -> None:
     picture = side.paint(np.ones((side.pixel.size, 3)))
     assert (picture[0, 0] == 255).all()
     assert picture.min() < 230
+
+
+def with_file(scene: Scene, folder: Path) -> Scene:
+    """The scene with its mesh in an OBJ."""
+    write_obj(folder / "scene.obj", scene.mesh)
+    return replace(scene, mesh_path=folder / "scene.obj")
+
+
+def test_two_models_of_the_same_images(tmp_path: Path) -> None:
+    """The numbers under `before` are those of the other scene alone, and the report shows both residuals."""
+    scene = measured(cube_scene([*views_at((200.0, 40.0)), view(80.0, 50.0, name="judge", role="test")]), tmp_path)
+    whole = with_file(scene, tmp_path)
+    whole.save(tmp_path / "after.toml")
+    rougher = {
+        n: m.model_copy(update={"rms_height_m": 1.3 * float(m.rms_height_m)}) for n, m in scene.materials.items()
+    }
+    replace(whole, materials=rougher).save(tmp_path / "before.toml")
+    alone = run(tmp_path / "before.toml", tmp_path / "alone", device="cpu")
+    both = run(tmp_path / "after.toml", tmp_path / "both", before=tmp_path / "before.toml", device="cpu")
+    assert both["before"] == {"train": alone["train"], "test": alone["test"]}
+    assert both["before"]["test"]["deviance"] > both["test"]["deviance"]
+    report = (tmp_path / "both/report.html").read_text()
+    assert report.count('alt="residual before"') == report.count('alt="residual after"') == len(both["views"])
+
+
+def test_models_of_other_images_are_not_compared(tmp_path: Path) -> None:
+    scene = measured(cube_scene(views_at((200.0, 40.0))), tmp_path)
+    whole = with_file(scene, tmp_path)
+    whole.save(tmp_path / "after.toml")
+    renamed = [whole.views[0].model_copy(update={"name": "other"}), *whole.views[1:]]
+    replace(whole, views=renamed).save(tmp_path / "before.toml")
+    with pytest.raises(InputError, match=r"before.toml: found images other .*; must be those of"):
+        run(tmp_path / "after.toml", tmp_path / "out", before=tmp_path / "before.toml", device="cpu")
+    assert not (tmp_path / "out").exists()

@@ -532,7 +532,10 @@ def test_what_lies_in_the_folder(cube: Scene, tmp_path: Path) -> None:
     assert result.exit_code == 0, result.output
     assert result.stdout.startswith("train deviance ")
     assert "gradient check" in result.stderr
-    assert {p.name for p in out.iterdir()} == {"scene.toml", "history.csv", "learn.json", "convergence.png"}
+    assert {p.name for p in out.iterdir()} == {
+        *("scene.toml", "history.csv", "learn.json", "convergence.png", "report.html")
+    }
+    assert (out / "report.html").read_text().count('alt="residual after"') == sum(len(one.images) for one in cube.views)
     content = json.loads((out / "learn.json").read_text())
     learned = Scene.load(out / "scene.toml")
     rows = list(csv.DictReader((out / "history.csv").open()))

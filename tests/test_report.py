@@ -16,6 +16,7 @@ from warpsar.evaluation.command import run
 from warpsar.evaluation.report_images import reduced
 from warpsar.io import html as report
 from warpsar.io.figures import new
+from warpsar.io.html_image import Axis, image
 
 VOID = {"meta", "img", "br", "hr", "link", "input"}
 
@@ -38,7 +39,7 @@ class Reader(HTMLParser):
         assert self.open.pop() == tag
 
     def handle_data(self, data: str) -> None:
-        if self.open and self.open[-1] not in ("style",):
+        if self.open and self.open[-1] not in ("style", "script"):
             self.text += data
 
 
@@ -51,11 +52,20 @@ def read(document: str) -> Reader:
 
 
 def assert_alone(document: str) -> Reader:
-    """Every attribute that a browser follows holds its content itself, and style asks for nothing."""
+    """Every attribute that a browser follows holds its content itself. Style asks for nothing; scripts are inside."""
+    scripts = re.findall(r"<script>(.*?)</script>", document, re.S)
+    assert not scripts or scripts == [
+        (report.ASSETS / name).read_text("utf-8") for name in ("panzoom.min.js", "report.js")
+    ]
+    for script in scripts:
+        assert not re.search(
+            r"fetch\(|XMLHttpRequest|WebSocket|import\(|importScripts|sendBeacon|\.src\s*=|eval\(", script
+        )
+        document = document.replace(script, "")
     reader = read(document)
     followed = {"src", "href", "srcset", "data", "poster", "action", "background", "xlink:href"}
     for tag, attributes in reader.tags:
-        assert tag not in ("script", "link", "iframe", "object", "embed", "base")
+        assert tag not in ("link", "iframe", "object", "embed", "base")
         for name in followed & set(attributes):
             assert str(attributes[name]).startswith("data:image/")
         assert "url(" not in (attributes.get("style") or "")
@@ -104,7 +114,7 @@ def test_report_holds_what_it_should(evaluated: Path) -> None:
         assert title in reader.text
     assert "warpsar evaluate " in reader.text
     assert "warp-lang" in reader.text
-    assert "ground: " in reader.text  # what the data say of it, in words
+    assert "alone not identifiable" in reader.text or "determined by itself" in reader.text
     described = [attributes["alt"] or "" for tag, attributes in reader.tags if tag == "img"]
     assert described.count("measured") == described.count("simulated") == described.count("residual") == 2
     assert sum(text.startswith("Residual against") for text in described) == 5
@@ -124,14 +134,35 @@ def test_what_users_wrote_stays_text() -> None:
         report.table([nasty], [[nasty]], nasty),
         report.facts([(nasty, nasty)]),
         report.scale("viridis", [nasty], nasty),
-        report.picture(report.png(np.zeros((2, 2, 3))), nasty, aspect=1.5),
+        report.picture(report.png(np.zeros((2, 2, 3))), nasty),
+        image(report.png(np.zeros((2, 2, 3))), nasty, Axis(nasty, -1.0, 1.0), Axis(nasty, -1.0, 2.0)),
         report.row(report.cell(report.paragraph(nasty))),
     ]
     reader = assert_alone(report.page(nasty, nasty, report.section(nasty, *blocks)))
-    assert "script" not in [tag for tag, _ in reader.tags]
-    assert reader.text.count(nasty) == 18  # the title twice: <title> and <h1>
-    (alt,) = (attributes["alt"] for tag, attributes in reader.tags if tag == "img")
-    assert alt == nasty
+    assert [tag for tag, _ in reader.tags].count("script") == 2  # the page's own: assert_alone
+    assert reader.text.count(nasty) == 21  # the title twice: <title> and <h1>
+    assert [attributes["alt"] for tag, attributes in reader.tags if tag == "img"] == [nasty, nasty]
+
+
+@pytest.mark.parametrize(
+    ("ends", "marks"),
+    [
+        ((-36.0, 36.0), [-20, 0, 20]),
+        ((-40.0, 40.0), [-40, -20, 0, 20, 40]),
+        ((0.0, 0.35), [0, 0.1, 0.2, 0.3]),
+        ((5.0, -5.0), [-5, 0, 5]),
+        ((1000.0, 1003.0), [1000, 1001, 1002, 1003]),
+    ],
+)
+def test_axes_have_round_numbers(ends: tuple[float, float], marks: list[float]) -> None:
+    assert Axis("range [m]", *ends).ticks() == pytest.approx(marks)
+
+
+def test_a_mark_stands_where_its_value_lies() -> None:
+    made = image(report.png(np.zeros((2, 4, 3))), "a", Axis("range [m]", -10.0, 10.0), Axis("azimuth [m]", 30.0, -30.0))
+    down, along = (dict(re.findall(rf'<i style="{side}: ([\d.]+)%">([^<]+)</i>', made)) for side in ("top", "left"))
+    assert down == {"0": "−10", "25": "−5", "50": "0", "75": "5", "100": "10"}
+    assert along == {"16.67": "20", "50": "0", "83.33": "−20"}
 
 
 def test_table_has_a_cell_for_every_value() -> None:

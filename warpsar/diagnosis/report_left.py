@@ -12,8 +12,9 @@ from warpsar.diagnosis.left_words import sentences
 from warpsar.diagnosis.place import Place, residual_on
 from warpsar.diagnosis.result import Diagnosed
 from warpsar.evaluation.image import ratio_db
-from warpsar.evaluation.report_parts import both_sides, reach_db, residual_rgb, residual_scale
+from warpsar.evaluation.report_parts import both_sides, image_axes, reach_db, residual_rgb, residual_scale
 from warpsar.io import html as report
+from warpsar.io import html_image
 from warpsar.surface.stage import Stage
 
 SURFACE_REACH_DB = 3.0  # of averages over 5 x 5 pixels and several views
@@ -22,27 +23,25 @@ INCIDENCE_DEG = 45.0  # of the two looks at the mesh
 
 def residuals_section(done: Diagnosed) -> str:
     first, last = done.models[0], done.models[-1]
-    grid = done.diagnosis.scene.grid
-    height, width = (n * s for n, s in zip(grid.shape, grid.spacing_m, strict=True))
     reach = _reach(first)
     same = not done.diagnosis.verdict
     blocks = [
         report.paragraph(
-            f"Measured over modelled power on the compared pixels, grey elsewhere; one scale for all. The radar is at "
-            f"the top: range runs down ({height:g} m), azimuth across ({width:g} m)."
+            "Measured over modelled power on the compared pixels, grey elsewhere; one scale for all. The radar is at "
+            "the top. Range and azimuth are about the reference point. Click on a picture to enlarge it."
             + (" Nothing was added, so there is no second picture." if same else "")
         ),
         residual_scale(reach, "measured / modelled"),
     ]
-    cells = []
+    cells, axes = [], image_axes(done.diagnosis.scene)
     for before, after in zip(first, last, strict=True):
         name = f"{before.name}, {before.role}"
         pair = [("before", before)] if same else [("before", before), ("after", after)]
         cells += [
-            report.picture(
+            html_image.image(
                 report.png(residual_rgb(_residual_db(image), reach)),
                 f"{name}, {when}: deviance {image.scaled_deviance.mean():.3f}",
-                aspect=width / height,
+                *axes,
             )
             for when, image in pair
         ]

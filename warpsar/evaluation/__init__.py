@@ -1,6 +1,7 @@
 """How well a scene explains its measured images: `warpsar evaluate`.
 
 command.py             the command and `evaluate`
+learned.py             the report of `learn`
 image.py               one measured image beside its simulation, and what its metrics hold
 metrics.py             metrics of one image and of several together
 collected.py           the images of all processes on the first one

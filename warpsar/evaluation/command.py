@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -212,14 +213,40 @@ def _view(image: EvaluatedImage, calibrated: bool) -> dict[str, Any]:
     }
 
 
+def compared(scene: Scene, before: Scene) -> None:
+    """Raises InputError unless both scenes explain the same images: views, polarizations and pixels."""
+    names = [[(view.name, pol) for view in one.views for pol in view.images] for one in (scene, before)]
+    if names[0] != names[1]:
+        raise InputError(
+            f"{before.name}: found images {_listed(names[1])}; must be those of {scene.name}: {_listed(names[0])}"
+        )
+    if scene.grid.shape != before.grid.shape:
+        raise InputError(
+            f"{before.name}: image.shape: found {before.grid.shape}; must be that of {scene.name}: {scene.grid.shape}"
+        )
+
+
+def _listed(images: Sequence[tuple[str, str]]) -> str:
+    return ", ".join(f"{name} {pol}" for name, pol in images) or "none"
+
+
 def run(
-    scene_path: Path | str, out: Path | str, *, device: str | None = None, seed: int | None = None
+    scene_path: Path | str,
+    out: Path | str,
+    *,
+    before: Path | str | None = None,
+    device: str | None = None,
+    seed: int | None = None,
 ) -> dict[str, Any]:
     """`warpsar evaluate`: evaluate.json, residual images (EXR, PNG), learned.ply and report.html in `out`. Returns the
-    JSON's content. Of several processes (`distributed`) each writes the residual images of its views, the first one the
-    rest; the others return nothing."""
+    JSON's content. `before` is a scene file of the same images: the report compares the two models. Of several
+    processes (`distributed`) each writes the residual images of its views, the first one the rest; the others return
+    nothing."""
     started = time.perf_counter()
     scene = Scene.load(scene_path)
+    first = None if before is None else Scene.load(before)
+    if first is not None:
+        compared(scene, first)
     out = Path(out)
     make_folder(out)
     where = devices.resolve_device(device)
@@ -235,6 +262,7 @@ def run(
     for image in mine:
         _write_residual(out, image)
     found = _joined(scene, mine, density, ranks)
+    earlier = None if first is None else _joined(first, *_evaluated(first, where, seed, ranks), ranks)
     if not ranks.first:
         return {}
     _say_verdicts(found.verdicts, scene_path)
@@ -252,11 +280,13 @@ def run(
         "test": found.test,
         "residuals_db": {name: profile.rows for name, profile in by_factor.items()},
         "expected_residual_db": expected_db(found.images),
+        **({} if earlier is None else {"before": {"train": earlier.train, "test": earlier.test}}),
         **of_curves,
     }
     content = write_json(out / "evaluate.json", scene, where, seed, started, content)
     command = ["warpsar", "evaluate", str(scene_path), "-o", str(out), "--device", where.alias, "--seed", str(seed)]
-    write_report(out / "report.html", scene, found, by_factor, content, command, where)
+    command += [] if before is None else ["--before", str(before)]
+    write_report(out / "report.html", scene, found, content, command, where, before=earlier)
     pooled = [(role, found_in) for role, found_in in (("train", found.train), ("test", found.test)) if found_in]
     words = [f"{role} deviance {m['deviance']:.4f} +- {m['deviance_error']:.4f}" for role, m in pooled]
     print(", ".join(words), file=sys.stdout)

@@ -13,7 +13,7 @@ from warpsar.evaluation.report_convergence import convergence_sections
 from warpsar.evaluation.report_images import images_section
 from warpsar.evaluation.report_numbers import summary_section
 from warpsar.evaluation.report_surface import identified_words, parameters_section
-from warpsar.evaluation.residuals import Profile, profile_figure
+from warpsar.evaluation.residuals import Profile, expected_db, profile_figure, profiles
 from warpsar.io import html as report
 from warpsar.scene.scene import Scene
 from warpsar.surface.stage import Stage
@@ -23,30 +23,34 @@ def write_report(
     path: Path,
     scene: Scene,
     found: Evaluation,
-    by_factor: dict[str, Profile],
     content: dict[str, Any],
     command: Sequence[str],
     device: wp.Device,
+    *,
+    before: Evaluation | None = None,
+    title: str = "",
+    beside: str = "evaluate.json (all numbers), residual images as EXR and PNG, learned.ply",
 ) -> None:
-    """`content` is that of evaluate.json, `command` the words that made it."""
+    """`content` is that of evaluate.json or learn.json, `command` the words that made it. `before` is another model of
+    the same images. `beside` names the other files."""
     stage = Stage.of(scene, device)
     identified, words = identified_words(scene, stage, found.rays_per_m2)
-    title = f"How well {Path(scene.path or 'the scene').name} explains its measured images"
+    title = title or f"How well {Path(scene.path or 'the scene').name} explains its measured images"
     lead = (
-        f"warpsar {content['version']} evaluate; {len(found.images)} images of {scene.grid.shape[0]} x "
+        f"{' '.join(command[:2])} {content['version']}; {len(found.images)} images of {scene.grid.shape[0]} x "
         f"{scene.grid.shape[1]} pixels, {content['rays_per_pixel']:.3g} rays per pixel, on {content['device']}"
     )
     sections = [
-        summary_section(scene, found),
-        images_section(scene, found),
-        _residuals_section(by_factor, content["expected_residual_db"]),
+        summary_section(scene, found, before),
+        images_section(scene, found, before),
+        _residuals_section(profiles(found.images, scene.mesh.materials), expected_db(found.images)),
         parameters_section(scene, stage, identified),
         report.section("What is not identifiable", *words),
         *convergence_sections(Path(scene.path).parent if scene.path else None),
         report.reproduce(
             content,
             command,
-            "Beside this file: evaluate.json (all numbers), residual images as EXR and PNG, learned.ply.",
+            f"Beside this file: {beside}.",
         ),
     ]
     report.write(path, report.page(title, lead, *sections))

@@ -8,8 +8,9 @@ import numpy as np
 
 from warpsar.evaluation.image import EvaluatedImage, Evaluation, ratio_db
 from warpsar.evaluation.report_numbers import METRICS, metric_cells
-from warpsar.evaluation.report_parts import plus_minus, reach_db, residual_rgb, residual_scale
+from warpsar.evaluation.report_parts import image_axes, plus_minus, reach_db, residual_rgb, residual_scale
 from warpsar.io import html as report
+from warpsar.io import html_image
 from warpsar.scene.scene import Scene
 
 PICTURE_PIXELS = 1.5e6  # of all pictures of images together: the file stays under some 5 MB
@@ -25,6 +26,10 @@ def _reach(images: Sequence[EvaluatedImage]) -> float:
     return reach_db([image.ratio_db[image.interior] for image in images], 90.0)
 
 
+def _deviance(image: EvaluatedImage) -> tuple[float, float]:
+    return image.metrics["deviance"], image.metrics["deviance_error"]
+
+
 def reduced(power: np.ndarray, mask: np.ndarray, factor: int) -> np.ndarray:
     """Mean of linear `power` over the `mask`ed pixels of factor x factor blocks; NaN where there are none. The last
     rows and columns that fill no block are dropped."""
@@ -37,21 +42,24 @@ def reduced(power: np.ndarray, mask: np.ndarray, factor: int) -> np.ndarray:
         return np.asarray(blocks(np.where(mask, power, 0.0)) / blocks(mask.astype(float)))
 
 
-def images_section(scene: Scene, found: Evaluation) -> str:
+def images_section(scene: Scene, found: Evaluation, before: Evaluation | None) -> str:
+    """Each image in a row. With `before`, the residual of that model stands beside the one of `found`."""
     rows, cols = scene.grid.shape
-    height, width = (n * s for n, s in zip(scene.grid.shape, scene.grid.spacing_m, strict=True))
+    down, along = image_axes(scene)
     factor = max(1, int(np.ceil(np.sqrt(3 * len(found.images) * rows * cols / PICTURE_PIXELS))))
     factor = min(factor, rows, cols)
-    reach = _reach(found.images)
+    earlier = [None] * len(found.images) if before is None else before.images
+    reach = _reach([image for image in (*found.images, *earlier) if image is not None])
     blocks = [
         report.paragraph(
-            f"The radar is at the top: range runs down ({height:g} m), azimuth across ({width:g} m). Measured and "
-            f"simulated share one dB scale in each row. Residual: measured over simulated, on the pixels that are "
-            f"compared; grey elsewhere." + (f" Shown averaged over {factor} x {factor} pixels." if factor > 1 else "")
+            "The radar is at the top. Range and azimuth are about the reference point. Click on a picture to "
+            "enlarge it. Measured and simulated share one dB scale in each row. Residual: measured over simulated, on "
+            "the pixels that are compared; grey elsewhere."
+            + (f" Shown averaged over {factor} x {factor} pixels." if factor > 1 else "")
         ),
         residual_scale(reach, "residual: measured / simulated"),
     ]
-    for image in found.images:
+    for image, first in zip(found.images, earlier, strict=True):
         everywhere = np.isfinite(image.measured)
         measured, simulated = (reduced(p, everywhere, factor) for p in (image.measured, image.simulated))
         inner = [reduced(p, image.interior, factor) for p in (image.measured, image.simulated)]
@@ -62,12 +70,16 @@ def images_section(scene: Scene, found: Evaluation) -> str:
             with np.errstate(divide="ignore", invalid="ignore"):
                 db = np.where(np.isnan(power), np.nan, 10.0 * np.log10(np.maximum(power, 1e-30)))
             panels.append((name, report.png(report.colour(db, "gray", low, high))))
-        residual = residual_rgb(ratio_db(*inner), reach)
-        panels.append(("residual", report.png(residual)))
+        if first is not None:
+            planes = [reduced(p, first.interior, factor) for p in (first.measured, first.simulated)]
+            panels.append(("residual before", report.png(residual_rgb(ratio_db(*planes), reach))))
+        name = "residual" if first is None else "residual after"
+        panels.append((name, report.png(residual_rgb(ratio_db(*inner), reach))))
         v, m = image.view, image.metrics
         blocks.append(report.heading(f"{v.name} · {image.polarization} · {v.role}"))
         looks = f"{image.observation.looks:.3g}" + (" (estimated)" if image.observation.looks_estimated else "")
-        said = [
+        said = [] if first is None else [("deviance before", plus_minus(*_deviance(first)))]
+        said += [
             ("azimuth", f"{v.azimuth_deg:g}°"),
             ("incidence", f"{v.incidence_deg:g}°"),
             ("looks", looks),
@@ -81,8 +93,8 @@ def images_section(scene: Scene, found: Evaluation) -> str:
         if not scene.grid.calibrated:
             said.append(("fitted gain", f"{10.0 * np.log10(image.gain):.2f} dB"))
         key = report.scale("gray", [f"{low}", f"{high} dB"], "beta0")
-        pictures = [report.picture(data, name, aspect=width / height) for name, data in panels]
-        blocks.append(report.row(*pictures, report.cell(key, report.facts(said))))
+        pictures = [html_image.image(data, name, down, along) for name, data in panels]
+        blocks.append(report.row(*pictures, report.cell(key, report.facts(said)), across=len(pictures) + 1))
     table = [[f"{i.view.name} {i.polarization}", i.view.role, *metric_cells(i.metrics)] for i in found.images]
     blocks.append(report.heading("Every image"))
     blocks.append(report.table(["image", "role", *METRICS], table))

@@ -38,8 +38,16 @@ def metric_cells(m: ImageMetrics | PooledMetrics) -> list[str]:
     ]
 
 
-def summary_section(scene: Scene, found: Evaluation) -> str:
-    rows = [[role, str(m["images"]), *metric_cells(m)] for role, m in _roles(found)]
+def summary_section(scene: Scene, found: Evaluation, before: Evaluation | None) -> str:
+    """Verdict and metrics of both roles; with `before`, that model's metrics above its own."""
+    named = [("", found)] if before is None else [(", before", before), (", after", found)]
+    rows = [
+        [role + when, str(m["images"]), *metric_cells(m)]
+        for role in ("train", "test")
+        for when, one in named
+        for m in [getattr(one, role)]
+        if m is not None
+    ]
     blocks = [report.paragraph(_verdict(role, one)) for role, one in found.verdicts.items()]
     if any(one.wrong for one in found.verdicts.values()):
         blocks.append(report.paragraph("The next step is warpsar diagnose, which names what the model lacks."))

@@ -37,11 +37,13 @@ def identified_words(scene: Scene, stage: Stage, rays_per_m2: float) -> tuple[Id
     if not problem.x0.size:  # effects alone, and all that they state is held
         return None, nothing
     identified = identify(problem, problem.x0)
+    if not identified.undetermined:
+        return identified, [report.paragraph("Every value that is learned is determined by itself.")]
     said = (
         "From the Fisher information of the train views' speckle at these parameters: relative standard deviations, "
         "and the products (*) and ratios (/) that the data determine where single values are not."
     )
-    return identified, [report.bullets(identified.words), report.paragraph(said, quiet=True)]
+    return identified, [report.bullets(identified.undetermined), report.paragraph(said, quiet=True)]
 
 
 def field_words(folder: Path | None) -> list[str]:

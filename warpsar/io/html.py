@@ -19,47 +19,21 @@ from warpsar.io.images import replacing
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-STYLE = """
-:root { color-scheme: light; }
-* { box-sizing: border-box; }
-body { margin: 0 auto; max-width: 1180px; padding: 1rem; color: #1c2126; background: #fff;
-  font: 16px/1.5 system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif; }
-h1 { font-size: 1.5rem; line-height: 1.25; margin: .5rem 0; overflow-wrap: anywhere; }
-h2 { font-size: 1.2rem; margin: 2.2rem 0 .6rem; padding-top: .6rem; border-top: 1px solid #d8dde2; }
-h3 { font-size: 1rem; margin: 1.4rem 0 .5rem; }
-p, li { max-width: 75ch; overflow-wrap: anywhere; }
-.quiet, figcaption, caption { color: #56606a; font-size: .875rem; }
-.wide { overflow-x: auto; margin: .75rem 0; }
-table { border-collapse: collapse; font-variant-numeric: tabular-nums; font-size: .9rem; }
-caption { text-align: left; padding-bottom: .35rem; }
-th, td { padding: .3rem .7rem .3rem 0; text-align: right; white-space: nowrap; border-bottom: 1px solid #e6e9ec; }
-th:first-child, td:first-child { text-align: left; }
-th { font-weight: 600; vertical-align: bottom; }
-.row { display: grid; gap: .9rem; align-items: start; margin: .5rem 0 1.2rem;
-  grid-template-columns:
-    repeat(auto-fill, minmax(min(100%, max(var(--least), (100% - 2.7rem) / var(--across))), 1fr)); }
-figure { margin: 0; min-width: 0; }
-figure img { display: block; width: 100%; height: auto; }
-figure img.pixels { image-rendering: pixelated; border: 1px solid #d8dde2; }
-.scale { display: block; max-width: 24rem; font-size: .8rem; color: #56606a; margin: .2rem 0 .6rem; }
-.scale i { display: block; height: .7rem; border: 1px solid #d8dde2; }
-.scale b { display: flex; justify-content: space-between; font-weight: 400; font-variant-numeric: tabular-nums; }
-dl { display: grid; grid-template-columns: auto auto; gap: .1rem .8rem; margin: 0; font-size: .875rem;
-  justify-content: start; font-variant-numeric: tabular-nums; }
-dt { color: #56606a; } dd { margin: 0; overflow-wrap: anywhere; }
-pre { background: #f3f5f7; padding: .7rem; overflow-x: auto; font-size: .85rem; }
-"""
+ASSETS = Path(__file__).parent / "assets"
 
 
 def page(title: str, lead: str, *sections: str) -> str:
-    """The whole document; `title` and `lead` are plain text."""
+    """The whole document; `title` and `lead` are plain text. The script that enlarges pictures is inside."""
+    style, panzoom, script = (
+        (ASSETS / name).read_text("utf-8") for name in ("report.css", "panzoom.min.js", "report.js")
+    )
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{escape(title)}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n"
+        f"<title>{escape(title)}</title>\n<style>{style}</style>\n</head>\n<body>\n"
         f'<h1>{escape(title)}</h1>\n<p class="quiet">{escape(lead)}</p>\n'
         + "\n".join(sections)
-        + "\n</body>\n</html>\n"
+        + f"\n<script>{panzoom}</script>\n<script>{script}</script>\n</body>\n</html>\n"
     )
 
 
@@ -94,7 +68,7 @@ def table(columns: Sequence[str], rows: Sequence[Sequence[object]], caption: str
     """Cells are plain text, the first column left, the others right; scrolls by itself where it is too wide."""
     head = "".join(f'<th scope="col">{escape(c)}</th>' for c in columns)
     body = "".join("<tr>" + "".join(f"<td>{escape(str(cell))}</td>" for cell in row) + "</tr>" for row in rows)
-    said = f"<caption>{escape(caption)}</caption>" if caption else ""
+    said = f"<caption><span>{escape(caption)}</span></caption>" if caption else ""  # the span is as wide as the page
     return f'<div class="wide"><table>{said}<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
 
 
@@ -115,10 +89,9 @@ def cell(*blocks: str) -> str:
     return "<div>" + "".join(blocks) + "</div>"
 
 
-def picture(png: bytes, caption: str, *, aspect: float | None = None) -> str:
-    """A picture. `aspect` makes it an image of measurements: width / height in metres, with sharp pixels."""
-    sharp = "" if aspect is None else f' class="pixels" style="aspect-ratio: {aspect:.6g}"'
-    return _figure(data_uri(png, "image/png"), caption, sharp)
+def picture(png: bytes, caption: str) -> str:
+    """A picture without axes; for an image of measurements there is `html_image.image`."""
+    return _figure(data_uri(png, "image/png"), caption)
 
 
 def drawing(figure: Figure, caption: str, *, show: bool = True) -> str:
@@ -128,12 +101,12 @@ def drawing(figure: Figure, caption: str, *, show: bool = True) -> str:
     stream = BytesIO()
     with matplotlib.rc_context({"svg.hashsalt": "warpsar"}):  # the same figure is the same bytes
         figure.savefig(stream, format="svg", metadata={"Date": None})
-    return _figure(data_uri(stream.getvalue(), "image/svg+xml"), caption, "", show=show)
+    return _figure(data_uri(stream.getvalue(), "image/svg+xml"), caption, show=show)
 
 
-def _figure(uri: str, caption: str, attributes: str, *, show: bool = True) -> str:
+def _figure(uri: str, caption: str, *, show: bool = True) -> str:
     said = f"<figcaption>{escape(caption)}</figcaption>" if show else ""
-    return f'<figure><img src="{uri}" alt="{escape(caption, quote=True)}"{attributes}>{said}</figure>'
+    return f'<figure><img src="{uri}" alt="{escape(caption, quote=True)}">{said}</figure>'
 
 
 def data_uri(content: bytes, kind: str) -> str:

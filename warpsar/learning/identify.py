@@ -48,6 +48,14 @@ class Identified:
         """Standard deviation of every element of x, shape (p,); infinite where the data say nothing."""
         return np.sqrt(np.diag(self.covariance))
 
+    @property
+    def undetermined(self) -> list[str]:
+        """Those of `words` that tell of a value which the data do not determine alone."""
+        lost = self.sd >= UNDETERMINED_SD
+        return [
+            said for said, members in zip(self.words, _groups(self.labels).values(), strict=True) if lost[members].any()
+        ]
+
     def summary(self) -> dict[str, Any]:
         return {
             "parameters": self.labels,
@@ -177,12 +185,9 @@ def describe(labels: Sequence[str], covariance: np.ndarray, unseen: np.ndarray) 
     `covariance` holds in the directions that the data see; `unseen`, shape (n, p), are unit vectors of the others.
     """
     unit = np.eye(len(labels))
-    groups: dict[str, list[int]] = {}
-    for index, label in enumerate(labels):
-        groups.setdefault(label.rsplit(".", 1)[0], []).append(index)
     symbols = {kind.key: kind.symbol for kind in KINDS}
     sentences = []
-    for name, members in groups.items():
+    for name, members in _groups(labels).items():
         short = {i: symbols.get(labels[i].rsplit(".", 1)[1], labels[i].rsplit(".", 1)[1]) for i in members}
         sd = {i: _sd(unit[i], covariance, unseen) for i in members}
         good = [i for i in members if sd[i] < UNDETERMINED_SD]
@@ -212,6 +217,14 @@ def describe(labels: Sequence[str], covariance: np.ndarray, unseen: np.ndarray) 
         else:
             sentences.append(f"{name}: not identifiable ({', '.join(_of(short[i]) for i in bad)})")
     return sentences
+
+
+def _groups(labels: Sequence[str]) -> dict[str, list[int]]:
+    """Indices of the labels of each material or effect, in their order."""
+    groups: dict[str, list[int]] = {}
+    for index, label in enumerate(labels):
+        groups.setdefault(label.rsplit(".", 1)[0], []).append(index)
+    return groups
 
 
 def _of(symbol: str) -> str:

@@ -1,0 +1,72 @@
+"""A report in headless Chromium: a click enlarges a picture, the wheel zooms, and the axes follow."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from test_view_browser import BROWSER, WITHOUT_GPU, playwright
+
+from warpsar.io import html
+from warpsar.io.html_image import Axis, image
+
+pytestmark = pytest.mark.skipif(BROWSER is None, reason="no Chromium on this machine")
+
+
+@pytest.fixture
+def opened(tmp_path: Path) -> Iterator[tuple[Any, list[str]]]:
+    pixels = np.random.default_rng(1).random((20, 40, 3))
+    picture = image(html.png(pixels), "measured", Axis("range [m]", -10.0, 10.0), Axis("azimuth [m]", -20.0, 20.0))
+    table = html.table([f"column {i}" for i in range(30)], [["value"] * 30], "A caption that is long. " * 8)
+    path = tmp_path / "report.html"
+    html.write(path, html.page("A report", "of a test", html.section("Images", html.row(picture), table)))
+    with playwright.sync_playwright() as session:
+        browser = session.chromium.launch(executable_path=BROWSER, args=WITHOUT_GPU)
+        page = browser.new_page(viewport={"width": 400, "height": 800})
+        said: list[str] = []
+        page.on("console", lambda message: said.append(f"{message.type}: {message.text}"))
+        page.on("pageerror", lambda error: said.append(f"error: {error}"))
+        page.goto(path.as_uri())
+        yield page, said
+        browser.close()
+
+
+def marks(page: Any, axis: str) -> dict[float, float]:
+    """Where the numbers of the enlarged picture stand, as shares of its side."""
+    read = "all => all.map(one => [one.textContent, one.style.left || one.style.top])"
+    found = page.eval_on_selector_all(f"dialog .{axis} i", read)
+    return {float(text.replace("\u2212", "-")): float(at.rstrip("%")) / 100.0 for text, at in found}
+
+
+def test_axes_follow_the_zoom(opened: tuple[Any, list[str]]) -> None:
+    """What lies under the pointer stays there: its azimuth by the axis is the same before and after the wheel."""
+    page, said = opened
+    page.click("figure img")
+    box = page.locator("dialog .box").bounding_box()
+    assert box["width"] == pytest.approx(2.0 * box["height"], rel=0.02)  # metres are as long in both directions
+    assert marks(page, "along") == pytest.approx({-20: 0.0, -10: 0.25, 0: 0.5, 10: 0.75, 20: 1.0}, abs=1e-6)
+    at = 0.7  # of the width: azimuth 8 m
+    page.mouse.move(box["x"] + at * box["width"], box["y"] + 0.5 * box["height"])
+    for _ in range(5):
+        page.mouse.wheel(0, -100)
+        page.wait_for_timeout(60)
+    page.wait_for_timeout(500)
+    (first, left), *_, (last, right) = sorted(marks(page, "along").items())
+    metres = (last - first) / (right - left)
+    assert metres < 30.0  # of 40: it is enlarged
+    assert first + (at - left) * metres == pytest.approx(8.0, abs=0.4)  # a pixel of the picture is 1 m
+    page.click("dialog button:has-text('Whole')")
+    page.wait_for_timeout(500)
+    assert marks(page, "along") == pytest.approx({-20: 0.0, -10: 0.25, 0: 0.5, 10: 0.75, 20: 1.0}, abs=1e-3)
+    page.click("dialog button:has-text('Close')")
+    assert not page.is_visible("dialog")
+    assert said == []
+
+
+def test_a_caption_is_as_wide_as_the_page(opened: tuple[Any, list[str]]) -> None:
+    page, _ = opened
+    assert page.locator("table").bounding_box()["width"] > 1000
+    assert page.locator("caption span").bounding_box()["width"] <= 400 - 2 * 16
