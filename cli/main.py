@@ -14,6 +14,7 @@ INTERRUPTED = 130  # 128 + SIGINT, as shells report it
 
 COMMANDS = {
     "new": "warpsar.cli.new:command",
+    "materials": "warpsar.cli.materials:command",
     "simulate": "warpsar.cli.simulate:command",
     "rcs": "warpsar.cli.rcs:command",
     "import": "warpsar.cli.import_:command",
