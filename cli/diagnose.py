@@ -53,6 +53,11 @@ def command(
     """Fit SCENE to its train views, find the effect that its model lacks, add it and fit again.
 
     Views with the role test decide nothing. The error on them is reported before and after.
+
+    \b
+    Examples:
+      warpsar diagnose scene.toml -o diagnosed/
+      warpsar diagnose scene.toml -o diagnosed/ --resume
     """
     from warpsar.diagnosis import command as diagnosis
     from warpsar.diagnosis.found import DiagnoseOptions

@@ -26,7 +26,13 @@ from warpsar.cli import options
 @options.device
 @click.option("--seed", type=click.IntRange(min=0), help="Seed of the rays' jitter. Default: the scene's own.")
 def command(scene: Path, out: Path, before: Path | None, device: str | None, seed: int | None) -> None:
-    """Compare the measured images of SCENE, of train and test views, with the images of its model."""
+    """Compare the measured images of SCENE, of train and test views, with the images of its model.
+
+    \b
+    Examples:
+      warpsar evaluate scene.toml -o evaluated/
+      warpsar evaluate learned/scene.toml --before scene.toml -o evaluated/
+    """
     from warpsar.evaluation.command import run
 
     run(scene, out, before=before, device=device, seed=seed)

@@ -144,6 +144,12 @@ def command(
     file, as float32 linear power.
 
     Curves of radar cross-section (CSV, or the Austin suite's text) need no view: they become `[[curves]]`.
+
+    \b
+    Examples:
+      warpsar import pass1.cphd --scene scene.toml --view pass1
+      warpsar import image.tif --scene scene.toml --view north --quantity power --polarization HH
+      warpsar import chips/*.jpg --scene scene.toml --table angles.csv --scale unknown
     """
     if file_format == "rcs" or (file_format == "auto" and all(s.suffix.lower() in CURVES for s in sources)):
         from warpsar.measured.curves import import_curves
@@ -153,6 +159,7 @@ def command(
         return
     from warpsar.measured.chips import import_chips
     from warpsar.measured.importer import import_measured
+    from warpsar.runtime import console
 
     if (view is None) == (table is None):
         raise click.UsageError("one of --view and --table is needed")
@@ -180,8 +187,9 @@ def command(
             scale=scale,  # type: ignore[arg-type]
         )
         for message in chips.messages:
-            click.echo(f"note: {message}", err=True)
+            console.say(f"note: {message}")
         share = 100.0 * sum(chips.clipped) / len(chips.clipped)
+        console.say(f"written: {chips.sheet}")
         click.echo(f"{scene}: {len(chips.views)} views; {share:.2f} % of their pixels are clipped")
         return
     assert view is not None
@@ -204,7 +212,8 @@ def command(
         scale=scale,  # type: ignore[arg-type]
     )
     for message in done.messages:
-        click.echo(f"note: {message}", err=True)
+        console.say(f"note: {message}")
+    console.say(f"written: {done.image_path}, {done.picture_path}; {scene} names the image")
     looks = "not estimated" if done.looks is None else f"{done.looks:.2f}"
     samples = " x ".join(map(str, done.samples_per_pixel))
     click.echo(f"{done.image_path}: {done.polarization}, {samples} samples per pixel, looks {looks}")

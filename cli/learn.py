@@ -85,7 +85,14 @@ def command(
     max_memory: float | None,
     resume: bool,
 ) -> None:
-    """Learn the surface parameters of SCENE from its measured views with the role train."""
+    """Learn the surface parameters of SCENE from its measured views with the role train.
+
+    \b
+    Examples:
+      warpsar learn scene.toml -o learned/
+      warpsar learn scene.toml -o learned/ --resume
+      warpsar learn scene.toml -o learned/ --tv eps_r=5 --max-time 600
+    """
     from warpsar.evaluation.learned import write_learn_report
     from warpsar.learning import command as learning
 

@@ -8,12 +8,14 @@ from typing import Any, NoReturn
 
 import click
 
-from warpsar.errors import InputError, WarpsarError
+from warpsar.cli import options
+from warpsar.errors import InputError, WarpsarError, did_you_mean
 
 INTERRUPTED = 130  # 128 + SIGINT, as shells report it
 
 COMMANDS = {
     "new": "warpsar.cli.new:command",
+    "materials": "warpsar.cli.materials:command",
     "simulate": "warpsar.cli.simulate:command",
     "rcs": "warpsar.cli.rcs:command",
     "import": "warpsar.cli.import_:command",
@@ -37,7 +39,18 @@ class LazyGroup(click.Group):
             return None
         module, _, attribute = COMMANDS[cmd_name].partition(":")
         command: click.Command = getattr(import_module(module), attribute)
+        if all(parameter.name != "quiet" for parameter in command.params):
+            command.params.append(options.quiet())
         return command
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        if args and not args[0].startswith("-") and args[0] not in COMMANDS:
+            ctx.fail(
+                f"no such command: {args[0]}; must be one of {', '.join(COMMANDS)}{did_you_mean(args[0], COMMANDS)}"
+            )
+        return super().resolve_command(ctx, args)
 
     def invoke(self, ctx: click.Context) -> Any:
         # Imports make half a million objects that stay. To look through them again and again takes 0.1 s of start-up.
@@ -61,10 +74,16 @@ def _refuse(ctx: click.Context, message: str, exit_code: int) -> NoReturn:
     ctx.exit(exit_code)
 
 
-@click.group(name="warpsar", cls=LazyGroup)
+@click.group(name="warpsar", cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="warpsar", prog_name="warpsar", message="%(prog)s %(version)s")
 def main() -> None:
     """Ray-trace calibrated SAR images of triangle meshes, and learn surface parameters from measured ones.
+
+    \b
+    Examples:
+      warpsar simulate data/example/scene.toml -o out/example
+      warpsar new car/ ~/models/car.obj
+      warpsar learn scene.toml -o learned/
 
     Exit status: 0 done; 1 the command ran, and its result is a failure; 2 bad input or usage; 3 the device is
     not there. Results go to stdout and to files. Messages and progress go to stderr.

@@ -19,6 +19,11 @@ def command(folder: Path, mesh: Path, units: str | None, force: bool) -> None:
 
     It has a grid that holds the whole mesh, three X-band views, and a table with starting values for each material.
     It refers to MESH where it lies. If the unit of MESH is not the metre, FOLDER gets a copy in metres.
+
+    \b
+    Examples:
+      warpsar new car/ ~/models/car.obj
+      warpsar new car/ ~/models/car.stl --units mm
     """
     from warpsar.scene.new import run
 

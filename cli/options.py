@@ -20,6 +20,18 @@ device = click.option(
 resume = click.option("--resume", is_flag=True, help="Continue from the checkpoint in the output folder.")
 
 
+def quiet() -> click.Option:
+    """-q of every command: only results, warnings and errors."""
+
+    def chosen(context: click.Context, option: click.Parameter, value: bool) -> None:
+        from warpsar.runtime import console
+
+        console.be_quiet(value)
+
+    words = "No messages and no progress; warnings and errors stay."
+    return click.Option(["-q", "--quiet"], is_flag=True, expose_value=False, callback=chosen, help=words)
+
+
 @contextmanager
 def resumable(out: Path) -> Iterator[None]:
     """A run that keeps a checkpoint in the folder `out`: where Ctrl-C ends it, the message says how to go on."""
@@ -40,7 +52,7 @@ def _resuming(context: click.Context) -> list[str]:
     given: list[str] = []
     for parameter in context.command.params:
         name = str(parameter.name)
-        if name == "resume" or context.get_parameter_source(name) is not ParameterSource.COMMANDLINE:
+        if name in ("resume", "quiet") or context.get_parameter_source(name) is not ParameterSource.COMMANDLINE:
             continue
         values = context.params[name] if parameter.multiple else (context.params[name],)
         option = [] if isinstance(parameter, click.Argument) else [parameter.opts[0]]

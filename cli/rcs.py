@@ -58,6 +58,11 @@ def command(
     """Radar cross-sections and complex amplitudes of SCENE for plane waves, at every pair of angles.
 
     Polarizations, terms and max_bounces are those of [radar].
+
+    \b
+    Examples:
+      warpsar rcs scene.toml -o out/ --azimuths 0:180.5:0.5
+      warpsar rcs scene.toml -o out/ --azimuths 0,45,90 --incidences 60 --frequencies 5e9,10e9
     """
     from warpsar.coherent.command import run
 

@@ -16,9 +16,17 @@ def command(out: Path | None) -> None:
 
     An editor with TOML support then completes keys, explains them and marks mistakes. The first line of a scene.toml
     names the file: `#:schema scene.schema.json`.
+
+    \b
+    Example:
+      warpsar schema -o scene.schema.json
     """
     from warpsar.scene.schema import run
 
     text = run(out)
     if out is None:
         click.echo(text, nl=False)
+    else:
+        from warpsar.runtime import console
+
+        console.say(f"written: {out}")

@@ -87,6 +87,13 @@ def command(
 
     With several scenes, or with --azimuths or --incidences, images go to folders of a thousand each, and index.csv
     lists them. Images that are there already are kept.
+
+    \b
+    Examples:
+      warpsar simulate scene.toml -o out/
+      warpsar simulate scene.toml -o out/ --looks 4 --declare
+      warpsar simulate scene.toml -o out/ --format geotiff --layers
+      warpsar simulate scene.toml -o out/ --azimuths 0:360:10 --incidences 30,45
     """
     if len(scenes) > 1 or azimuths is not None or incidences is not None:
         from warpsar.simulation import batch

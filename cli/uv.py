@@ -17,7 +17,12 @@ import click
     help="Folder for mesh.obj with UV, and for a scene.toml that names it; made if missing.",
 )
 def command(scene: Path, out: Path) -> None:
-    """Give the mesh of SCENE texture coordinates, a square for each material (needs the extra `uv`)."""
+    """Give the mesh of SCENE texture coordinates, a square for each material (needs the extra `uv`).
+
+    \b
+    Example:
+      warpsar uv scene.toml -o with_uv/
+    """
     from warpsar.scene import unwrap
 
     unwrap.run(scene, out)

@@ -29,6 +29,11 @@ def command(scene: Path, out: Path, before: Path | None, device: str | None) -> 
 
     SCENE is a scene file, or the folder that learn or diagnose wrote. The page is one file and fetches nothing.
     Measured images, the model's and their residual are laid on the surface that reflects them.
+
+    \b
+    Examples:
+      warpsar view scene.toml -o shown/
+      warpsar view learned/ --before scene.toml -o shown/
     """
     from warpsar.viewer.command import run
 

@@ -1,5 +1,6 @@
 """The command line: a refusal is one message and its exit status, never a traceback."""
 
+import re
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -132,3 +133,48 @@ def test_import_names_the_windows_and_formats_there_are() -> None:
 
     assert tuple(TAPERS) == import_.TAPERS
     assert tuple(FORMATS) == import_.FORMATS
+
+
+@pytest.mark.parametrize("name", cli.COMMANDS)
+def test_help_has_an_example_of_every_command(name: str) -> None:
+    """-h is --help; the examples keep their lines, and name options that exist."""
+    short, long = (CliRunner().invoke(cli.main, [name, flag]) for flag in ("-h", "--help"))
+    assert (short.exit_code, short.output) == (0, long.output)
+    assert re.search(rf"\n  Examples?:\n    warpsar {name}", short.output)
+    command = cli.main.get_command(click.Context(cli.main), name)
+    assert command is not None
+    known = {word for parameter in command.params for word in parameter.opts}
+    for line in re.findall(rf"^    warpsar {name}(.*)$", short.output, re.MULTILINE):
+        assert set(re.findall(r" (--?[a-z][\w-]*)", line)) <= known
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["simulat", "scene.toml"], "did you mean simulate?"),
+        (["daignose"], "did you mean diagnose?"),
+        (["xyz"], "no such command: xyz; must be one of new, "),
+        (["simulate", "--layrs"], "--layers"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else None,
+)
+def test_a_near_miss_is_named(arguments: list[str], said: str) -> None:
+    result = CliRunner().invoke(cli.main, arguments)
+    assert result.exit_code == 2
+    assert said in result.stderr
+
+
+def test_quiet_leaves_out_messages_alone(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Warnings stay; the next command speaks again."""
+    from warpsar.runtime import console
+
+    def run(*paths: Path, **options: object) -> None:
+        console.say("a message")
+        console.warn(["a warning"])
+
+    monkeypatch.setattr("warpsar.simulation.command.run", run)
+    monkeypatch.chdir(tmp_path)
+    Path("scene.toml").touch()
+    words = ["simulate", "scene.toml", "-o", "out"]
+    assert CliRunner().invoke(cli.main, [*words, "-q"]).stderr == "warning: a warning\n"
+    assert CliRunner().invoke(cli.main, words).stderr == "a message\nwarning: a warning\n"

@@ -7,7 +7,7 @@ import OpenImageIO as oiio  # noqa: N813
 import pytest
 
 from warpsar.errors import InputError
-from warpsar.io.images import quick_look, read_channel, read_image, read_mask, replacing, write_exr, write_tiff
+from warpsar.io.images import read_channel, read_image, read_mask, replacing, write_exr, write_tiff
 
 
 @pytest.fixture
@@ -108,29 +108,6 @@ def test_npy_of_the_wrong_kind_is_refused(tmp_path: Path) -> None:
 def test_a_missing_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such image"):
         read_channel(tmp_path / "a.tif")
-
-
-def test_quick_look_is_linear_in_decibel_and_says_so(tmp_path: Path) -> None:
-    decibel = np.linspace(-40, 10, 51).reshape(3, 17)
-    beta0 = 10 ** (decibel / 10)
-    beta0[0, 0] = 0.0
-    path = tmp_path / "a.png"
-    assert quick_look(path, beta0, floor_db=-30.0, ceiling_db=0.0) == (-30.0, 0.0)
-    picture = oiio.ImageBuf(str(path))
-    grey = np.asarray(picture.get_pixels(oiio.UINT8))[:, :, 0]
-    stated = picture.spec().get_string_attribute("ImageDescription")
-    assert stated == "beta0 in dB: black -30.00 dB, white 0.00 dB"
-    assert grey.shape == (3, 17)
-    expected = np.clip((decibel + 30) / 30, 0, 1) * 255
-    expected[0, 0] = 0
-    np.testing.assert_allclose(grey, expected, atol=0.51)  # rounded to whole greys
-
-
-@pytest.mark.parametrize("value", [0.0, 1.0, np.nan])
-def test_quick_look_of_a_constant_image(tmp_path: Path, value: float) -> None:
-    low, high = quick_look(tmp_path / "a.png", np.full((4, 4), value))
-    assert high > low
-    assert (tmp_path / "a.png").stat().st_size
 
 
 def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> None:

@@ -95,6 +95,7 @@ def test_files_and_a_measured_image_of_ones_own(scene: Path) -> None:
         "quick_look": "north.png",
         "image": "north.tif",
         "ground": "north_ground.tif",
+        "speckled_quick_look": "north_looks2.png",
         "speckled": "north_looks2.tif",
         "speckled_ground": "north_looks2_ground.tif",
     }

@@ -115,6 +115,7 @@ def test_formats_of_the_command(scene: Path) -> None:
         "image": "north.nc",
         "image_zarr": "north.zarr",
         "image_exr": "north.exr",
+        "speckled_quick_look": "north_looks3.png",
         "speckled": "north_looks3.nc",
         "speckled_zarr": "north_looks3.zarr",
         "speckled_exr": "north_looks3.exr",

@@ -1,5 +1,8 @@
 """The errors that a user can meet; the command line turns `exit_code` into the exit status."""
 
+from collections.abc import Iterable
+from difflib import get_close_matches
+
 LONGEST_MESSAGE = 10_000
 
 
@@ -12,6 +15,12 @@ def shown(value: object) -> str:
     except RecursionError:
         return "a value nested too deep to show"
     return text if len(text) <= 80 else f"{text[:77]}..."
+
+
+def did_you_mean(found: object, known: Iterable[str]) -> str:
+    """What may be said behind a name that is not known: "; did you mean X?", or nothing where none is close."""
+    close = get_close_matches(str(found), list(known), n=1)
+    return f"; did you mean {close[0]}?" if close else ""
 
 
 def _printable(message: str) -> str:

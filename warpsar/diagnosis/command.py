@@ -61,6 +61,7 @@ def run(
             console.say(one["after"]["words"])
         if found.unexplained:
             console.say(first_sentence(done.left))
+        console.say_written(out, "report.html", "diagnosis.json", "scene.toml")
         print(in_short(done), file=sys.stdout)
         return content
 

@@ -287,6 +287,7 @@ def run(
     command = ["warpsar", "evaluate", str(scene_path), "-o", str(out), "--device", where.alias, "--seed", str(seed)]
     command += [] if before is None else ["--before", str(before)]
     write_report(out / "report.html", scene, found, content, command, where, before=earlier)
+    console.say_written(out, "report.html", "evaluate.json", "learned.ply", "residual images")
     pooled = [(role, found_in) for role, found_in in (("train", found.train), ("test", found.test)) if found_in]
     words = [f"{role} deviance {m['deviance']:.4f} +- {m['deviance_error']:.4f}" for role, m in pooled]
     print(", ".join(words), file=sys.stdout)

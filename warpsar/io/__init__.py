@@ -1,6 +1,7 @@
 """Files in and out, apart from scene files, meshes and measured formats.
 
 images: TIFF, EXR, NPY and PNG. curves: radar cross-sections as text. tiff, geotiff: checks and opening of TIFF
-files. ply: meshes with scalars. checkpoint: a run's state. figures: PNGs through matplotlib. html: the parts of a
+files. ply: meshes with scalars. checkpoint: a run's state. figures: PNGs through matplotlib.
+quick_look: images in dB, with axes. html: the parts of a
 report.
 """

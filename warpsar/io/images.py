@@ -1,4 +1,4 @@
-"""Image files in and out, through OpenImageIO: float32, linear power; quick looks in dB."""
+"""Image files in and out, through OpenImageIO: float32, linear power."""
 
 from __future__ import annotations
 
@@ -253,28 +253,6 @@ def write_tiff(path: str | Path, image: ArrayLike) -> None:
     _write(Path(path), np.asarray(image, np.float32)[:, :, None], compression="zip")
 
 
-def quick_look(
-    path: str | Path, beta0: ArrayLike, floor_db: float | None = None, ceiling_db: float | None = None
-) -> tuple[float, float]:
-    """Write a grey PNG of an image in dB, near range on top; the limits are returned and in its metadata.
-
-    beta0: linear power, shape (rows, cols). Black is `floor_db` and below (and what is not positive or
-    finite), white `ceiling_db` and above: by default the 2nd and 99.5th percentile of the positive pixels.
-    """
-    beta0 = np.asarray(beta0, np.float64)
-    positive = np.isfinite(beta0) & (beta0 > 0)
-    decibel = np.full(beta0.shape, -np.inf)
-    decibel[positive] = 10 * np.log10(beta0[positive])
-    low, high = np.percentile(decibel[positive], [2.0, 99.5]) if positive.any() else (-1.0, 0.0)
-    low = float(low if floor_db is None else floor_db)
-    high = float(high if ceiling_db is None else ceiling_db)
-    if not high > low:  # a constant image, or a floor above everything: show a range of one dB
-        high = low + 1.0
-    grey = np.round(np.clip((decibel - low) / (high - low), 0.0, 1.0) * 255.0).astype(np.uint8)
-    _write(Path(path), grey[:, :, None], description=f"beta0 in dB: black {low:.2f} dB, white {high:.2f} dB")
-    return low, high
-
-
 @cache
 def _share_cores() -> None:
     """Let OpenEXR pack on this process's cores: by default every process takes all cores of the host."""
@@ -288,7 +266,6 @@ def _write(
     pixels: NDArray[Any],
     names: tuple[str, ...] = (),
     compression: str | None = None,
-    description: str | None = None,
     header: Mapping[str, Any] | None = None,
 ) -> None:
     """Write pixels of shape (rows, cols, channels) in their own type, in the format of the suffix."""
@@ -301,8 +278,6 @@ def _write(
         spec.channelnames = names
     if compression:
         spec.attribute("compression", compression)
-    if description:
-        spec.attribute("ImageDescription", description)
     for name, value in (header or {}).items():
         if not isinstance(value, list):
             spec.attribute(name, value)

@@ -69,6 +69,7 @@ def run(
         return content
     content = write_json(out / "learn.json", scene, where, options.seed, started, content)
     checkpoint.remove(out)
+    console.say_written(out, "scene.toml", "learn.json", "history.csv", "figures")
     print(
         f"train deviance {found.train['deviance']:.4f}"
         + ("" if found.test is None else f", test deviance {found.test['deviance']:.4f}"),

@@ -10,20 +10,25 @@ import numpy as np
 
 from warpsar.errors import InputError
 from warpsar.io.images import write_exr
+from warpsar.io.quick_look import contact_sheet
 from warpsar.measured import formats, view_table
 from warpsar.measured.data import ImageChip, Quantity, RadarAt
 from warpsar.measured.gridding import Gridding, power_on_grid
-from warpsar.measured.importer import Scale, clip_level, declare, editing, opened, polarization_of
+from warpsar.measured.importer import Scale, clip_level, declare, editing, opened, polarization_of, quick_look
 from warpsar.speckle.looks import equivalent_looks
 
 
 @dataclass(frozen=True)
 class ImportedChips:
-    """What was imported: names of the `views`, in their order, and the share of clipped pixels in each."""
+    """What was imported: names of the `views`, in their order, and the share of clipped pixels in each.
+
+    `sheet` is a picture of all images, or of some of them where there are many.
+    """
 
     views: tuple[str, ...]
     clipped: tuple[float, ...]
     messages: tuple[str, ...]
+    sheet: Path
 
 
 def import_chips(
@@ -48,7 +53,7 @@ def import_chips(
     pairs = view_table.chosen(table, view_table.read(table), [Path(source) for source in sources])
     scene, _ = opened(scene_path, pairs[0][1].name)
     known = {view.name for view in opened(scene_path, None)[0].views}
-    clipped, done = [], []
+    clipped, done, pictures = [], [], []
     messages: dict[str, int] = {}
     for source, view in pairs:
         chip = formats.read(
@@ -72,8 +77,11 @@ def import_chips(
             messages[one] = messages.get(one, 0) + 1
         image = scene_path.parent / f"{view.name}_{pol}.exr"
         write_exr(image, {pol: power})
+        pictures.append(quick_look(image, view, pol, power, scene))
         stated = {"looks": None if looks is None else round(looks, 2), "clipped_at": top}
         done.append((view, pol, image.name, stated))
+    sheet = scene_path.parent / f"{scene_path.stem}_measured.png"
+    contact_sheet(sheet, pictures)
     with editing(scene_path) as document:
         if scale == "unknown":
             document["image"]["calibrated"] = False
@@ -82,4 +90,4 @@ def import_chips(
     if scale != "unknown" and scene.grid.calibrated:
         messages[f"{scene_path}: image.calibrated is true, but pictures give no beta0: use --scale unknown"] = 1
     said = tuple(text if count == 1 else f"{text} ({count} chips)" for text, count in messages.items())
-    return ImportedChips(tuple(view.name for view, *_ in done), tuple(clipped), said)
+    return ImportedChips(tuple(view.name for view, *_ in done), tuple(clipped), said, sheet)

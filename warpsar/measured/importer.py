@@ -14,6 +14,7 @@ import tomlkit
 
 from warpsar.errors import InputError
 from warpsar.io.images import replacing, write_exr
+from warpsar.io.quick_look import QuickLook, draw_together
 from warpsar.measured import formats
 from warpsar.measured.data import Facts, ImageChip, PhaseHistory, Quantity, RadarAt
 from warpsar.measured.earth import EarthFrame, Origin
@@ -44,6 +45,7 @@ class Imported:
     facts: Facts
     samples_per_pixel: tuple[int, int]
     messages: tuple[str, ...]
+    picture_path: Path
 
 
 def import_measured(
@@ -112,6 +114,8 @@ def import_measured(
 
     image_path = scene_path.parent / f"{view_name}_{pol}.exr"
     write_exr(image_path, {pol: power})
+    picture = quick_look(image_path, view, pol, power, scene)
+    draw_together([picture])
     stated = {"looks": None if looks is None else round(looks, 2), "clipped_at": clip_level(measured, per_pixel)}
     with editing(scene_path) as document:
         if origin is not None and "origin" not in document["scene"]:
@@ -122,7 +126,13 @@ def import_measured(
             document["image"]["calibrated"] = False
         messages += _pose(document, facts)
         declare(document, view, exists, pol, image_path.name, stated)
-    return Imported(image_path, power, pol, looks, facts, per_pixel, tuple(messages))
+    return Imported(image_path, power, pol, looks, facts, per_pixel, tuple(messages), picture.path)
+
+
+def quick_look(image: Path, view: View, polarization: str, power: np.ndarray, scene: Scene) -> QuickLook:
+    """The picture of a measured image, to lie beside it."""
+    title = f"{view.name}, measured: azimuth {view.azimuth_deg:g}°, incidence {view.incidence_deg:g}°"
+    return QuickLook.of(image.with_suffix(".png"), title, {polarization: power}, scene.grid.spacing_m)
 
 
 def opened(path: Path, view_name: str | None) -> tuple[Scene, bool]:

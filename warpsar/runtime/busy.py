@@ -9,6 +9,7 @@ from contextlib import contextmanager
 
 from tqdm import tqdm
 
+from warpsar.runtime import console
 from warpsar.runtime.torchrun import of_torchrun
 
 TICK_S = 1.0
@@ -22,7 +23,7 @@ def busy(what: str) -> Iterator[None]:
         desc=what,
         bar_format="{desc} [{elapsed}]",
         file=sys.stderr,
-        disable=True if of_torchrun("RANK", 0) else None,
+        disable=True if console.quiet() or of_torchrun("RANK", 0) else None,
         delay=TICK_S,
         leave=False,
     )

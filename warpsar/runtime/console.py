@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable
+from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
 from tqdm import tqdm
@@ -15,16 +16,39 @@ if TYPE_CHECKING:
     import warp as wp
 
 
+class _Quiet:
+    on = False  # set by the command line's --quiet, before any work
+
+
+def be_quiet(on: bool) -> None:
+    """Whether messages and progress are left out; warnings and errors are not."""
+    _Quiet.on = on
+
+
+def quiet() -> bool:
+    return _Quiet.on
+
+
 def say(message: str) -> None:
     """Print a message on stderr: stdout carries results only. Of several processes the first one speaks."""
-    if of_torchrun("RANK", 0) == 0:
-        print(message, file=sys.stderr)
+    if not quiet():
+        _print(message)
 
 
 def warn(warnings: Iterable[str]) -> None:
     """Say each warning on a line of its own, on stderr."""
     for warning in warnings:
-        say(f"warning: {warning}")
+        _print(f"warning: {warning}")
+
+
+def say_written(out: Path, *names: str) -> None:
+    """Say what a command has written into its folder."""
+    say(f"written to {out}: {', '.join(names)}")
+
+
+def _print(message: str) -> None:
+    if of_torchrun("RANK", 0) == 0:
+        print(message, file=sys.stderr)
 
 
 def say_device(device: wp.Device) -> None:
@@ -35,5 +59,5 @@ def say_device(device: wp.Device) -> None:
 
 def progress(total: int, what: str, unit: str = "it") -> tqdm[NoReturn]:
     """A tqdm bar on stderr. It is silent where stderr is no terminal, and for work that ends within a second."""
-    hidden = True if of_torchrun("RANK", 0) else None
+    hidden = True if quiet() or of_torchrun("RANK", 0) else None
     return tqdm(total=total, desc=what, unit=unit, file=sys.stderr, disable=hidden, delay=1.0, leave=False)

@@ -11,8 +11,10 @@ from typing import Annotated, Any
 from pydantic import Field, ValidationError, field_validator
 
 from warpsar.effects.registry import validate
-from warpsar.errors import InputError, shown
+from warpsar.errors import InputError, did_you_mean, shown
 from warpsar.world.curve import Curve
+from warpsar.world.library.fill import filled
+from warpsar.world.library.surfaces import SURFACES
 from warpsar.world.objects.table import Object
 from warpsar.world.tables import (
     FileName,
@@ -67,7 +69,8 @@ class SceneFile(Table):
     image: Grid = Field(description="Pixels of every view.")
     sampling: Sampling = Field(default=Sampling(), description="The rays.")
     materials: Annotated[dict[str, Material], Field(min_length=1)] = Field(
-        description="The surface of each material of the mesh, under the material's name."
+        default_factory=dict,
+        description="The surface of each material of the mesh, under its name; names of the library need no table.",
     )
     effects: dict[str, dict[str, Any]] = Field(
         default_factory=dict, description="Effects that the model has, each with its parameters (docs/effects.md)."
@@ -120,13 +123,31 @@ def _read_text(path: Path) -> str:
 
 def parse(raw: dict[str, Any]) -> tuple[SceneFile | None, list[str]]:
     """The checked tables, or None and what is wrong with them, a line each."""
+    raw, problems = _with_library(raw)
     try:
         file = SceneFile.model_validate(raw)
         if file.scene.mesh is None and all(one.group is not None for one in file.objects):
             return None, ["scene.mesh: missing; it may be left out where [[objects]] holds a mesh or a primitive"]
-        return file, []
+        return (None, problems) if problems else (file, [])
     except ValidationError as error:
-        return None, [_problem(details, raw) for details in error.errors(include_url=False)]
+        return None, problems + [_problem(details, raw) for details in error.errors(include_url=False)]
+
+
+def _with_library(raw: dict[str, Any]) -> tuple[dict[str, Any], list[str]]:
+    """The tables with the materials' keys that the library gives, and what is wrong with the names of its surfaces."""
+    tables, radar, problems = raw.get("materials"), raw.get("radar"), []
+    frequency_hz = radar.get("frequency_hz") if isinstance(radar, dict) else None
+    if not isinstance(tables, dict) or not isinstance(frequency_hz, int | float) or not 1e6 <= frequency_hz <= 1e13:
+        return raw, []  # that is wrong too, and said
+    materials = dict(tables)
+    for name, table in tables.items():
+        if isinstance(table, dict) and "library" in table:
+            try:
+                materials[name] = filled(table, frequency_hz)
+            except InputError as error:
+                problems.append(f"{_key(('materials', name), raw)}.{error}")
+                materials[name] = filled({**table, "library": next(iter(SURFACES))}, frequency_hz)
+    return {**raw, "materials": materials}, problems
 
 
 def parse_effects(raw: Mapping[str, Any], problems: list[str]) -> dict[str, dict[str, Any]]:
@@ -163,7 +184,7 @@ def _problem(details: Mapping[str, Any], raw: dict[str, Any]) -> str:
         model = _TABLES[str(place[0])] if len(place) > 1 else SceneFile
         model = Origin if place[:2] == ("scene", "origin") and len(place) > 2 else model
         known = [info.alias or name for name, info in model.model_fields.items()]
-        return f"{key}: unknown key; must be one of {', '.join(known)}"
+        return f"{key}: unknown key; must be one of {', '.join(known)}{did_you_mean(place[-1], known)}"
     message = re.sub(r"^(Value error, |Input )", "", details["msg"]).replace("should", "must")
     if kind == "string_pattern_mismatch":
         message = "must be up to 50 letters, digits, '_', '-', '+' and '.', the first a letter, digit or '_'"

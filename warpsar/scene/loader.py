@@ -14,6 +14,7 @@ from warpsar.io.images import read_channel, read_mask
 from warpsar.scene import checks
 from warpsar.scene.file import SceneFile, parse, parse_effects, read, refuse
 from warpsar.world.curve import Curve
+from warpsar.world.library.fill import beyond, named
 from warpsar.world.mesh import Mesh, read_mesh
 from warpsar.world.objects.assembly import Assembly
 from warpsar.world.objects.groups import with_groups
@@ -59,7 +60,11 @@ class _Loader:
         views = [self.view(index, view) for index, view in enumerate(file.views)]
         found = [self.curve(index, curve) for index, curve in enumerate(file.curves)]
         self.problems += checks.view_names(views)
-        materials = {name: self.material(name, table, mesh) for name, table in file.materials.items()}
+        frequency_hz = file.radar.frequency_hz
+        unstated = [] if mesh is None else [name for name in mesh.materials if name not in file.materials]
+        tables = {**file.materials, **named(unstated, frequency_hz)}
+        materials = {name: self.material(name, table, mesh) for name, table in tables.items()}
+        self.warnings += [w for name, table in tables.items() if (w := beyond(name, table, frequency_hz))]
         if mesh is not None:
             where = f"the mesh {mesh_path}" if assembly is None else "the mesh and the objects"
             self.problems += checks.material_names(list(materials), mesh, where)

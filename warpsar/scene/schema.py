@@ -14,6 +14,7 @@ from warpsar.effects.registry import get, names
 from warpsar.io.images import replacing
 from warpsar.scene.file import SceneFile
 from warpsar.world import tolerance
+from warpsar.world.library.surfaces import SURFACES
 from warpsar.world.objects.table import KEYS
 from warpsar.world.tables import LIMITS, SURFACE_KEYS, Polarization, SurfaceKey
 
@@ -23,7 +24,8 @@ _FILE = {**_NAME, "format": "path"}
 _Json = dict[str, Any]
 
 
-_SURFACES: list[_Json] = [  # rough, smooth, or a conductor
+_SURFACES: list[_Json] = [  # of the library, rough, smooth, or a conductor
+    {"required": ["library"]},
     {"required": ["eps_r", "rms_height_m", "correlation_length_m"]},
     {"required": ["eps_r", "rms_height_m"], "properties": {"rms_height_m": {"const": 0}}},
     {"required": ["conductor"], "properties": {"conductor": {"const": True}}},
@@ -60,6 +62,7 @@ def scene_schema() -> _Json:
     known = tables["materials"]["additionalProperties"]["properties"]["tolerance"]
     known.update(additionalProperties=_tolerance({"type": "number"}), propertyNames={"enum": list(SURFACE_KEYS)})
     tables["materials"]["additionalProperties"]["anyOf"] = _SURFACES
+    tables["materials"]["additionalProperties"]["properties"]["library"]["enum"] = list(SURFACES)
     view = tables["views"]["items"]
     view["oneOf"] = [{"required": [key]} for key in ("incidence_deg", "depression_deg", "grazing_deg")]
     view["properties"]["images"].update(propertyNames={"enum": list(get_args(Polarization))})

@@ -88,4 +88,5 @@ def run(scene_path: Path | str, out: Path | str) -> Scene:
     changed = replace(scene, mesh=unwrapped, mesh_path=path)
     changed.save(out / "scene.toml")
     console.say(f"{path}: {len(mesh.vertices)} vertices became {len(unwrapped.vertices)}, split where charts end")
+    console.say_written(out, "mesh.obj", "scene.toml")
     return changed

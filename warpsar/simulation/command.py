@@ -12,6 +12,7 @@ import numpy as np
 
 from warpsar.effects.base.effect import DeclaredEffect
 from warpsar.effects.registry import declared
+from warpsar.io.quick_look import draw, limits_db, shades
 from warpsar.render.bands import BandedRender, stretches
 from warpsar.render.render import ViewRender
 from warpsar.runtime import console, devices, distributed
@@ -199,9 +200,13 @@ def _written_views(made: Simulation, output: Output, ranks: Ranks) -> tuple[list
     made.bar = console.progress(sum(costs[index] for index in mine), "rays", "ray")
     summary = [[index, output.write(made.view(scene.views[index], index), index)] for index in mine]
     made.bar.close()
-    everything = ranks.gather([summary, made.findings.plain()])
-    entries = sorted(each for part, _ in everything for each in part)
-    found = Findings.together([findings for _, findings in everything]).warnings(scene)
+    everything = ranks.gather([summary, made.findings.plain(), shades(output.looks_at).tolist()])
+    entries = sorted(each for part, _, _ in everything for each in part)
+    with busy("drawing quick looks"):
+        limits = limits_db(np.sum([counts for _, _, counts in everything], axis=0))
+        for look in output.looks_at:
+            draw(look, limits)
+    found = Findings.together([findings for _, findings, _ in everything]).warnings(scene)
     console.warn(found)
     return [entry for _, entry in entries], found
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
@@ -11,7 +11,8 @@ from typing import Any
 
 from warpsar.errors import InputError
 from warpsar.io.geotiff import write_cog
-from warpsar.io.images import quick_look, write_exr
+from warpsar.io.images import write_exr
+from warpsar.io.quick_look import QuickLook
 from warpsar.runtime.busy import busy
 from warpsar.simulation.dataset import write_netcdf, write_zarr
 from warpsar.simulation.ground import Ground
@@ -46,12 +47,12 @@ class Output:
     formats: tuple[str, ...] = ("exr",)
     exr_speckle: bool = False
     ground: Ground | None = None
+    looks_at: list[QuickLook] = field(default_factory=list)
+    """Quick looks of the views written so far: they are drawn when the scale of all is known."""
 
     def write(self, view: SimulatedView, index: int) -> dict[str, Any]:
         """The files of the scene's view number `index`, and what simulate.json says of it."""
-        files = {"quick_look": f"{view.name}.png"}
-        with busy(f"{view.name}: writing {files['quick_look']}"):
-            quick_look(self.out / files["quick_look"], next(iter(view.beta0.values())))
+        files = {"quick_look": self._quick_look(view, view.name)}
         files |= self._image(view, view.name, "image")
         said = {
             "name": view.name,
@@ -63,11 +64,18 @@ class Output:
             **view.metadata,
         }
         if self.looks is not None:
-            files |= self._image(
-                self._with_speckle(view, index, self.looks), view.name + suffix(self.looks), "speckled"
-            )
+            name, noisy = view.name + suffix(self.looks), self._with_speckle(view, index, self.looks)
+            files["speckled_quick_look"] = self._quick_look(noisy, name)
+            files |= self._image(noisy, name, "speckled")
             said["looks"] = self.looks
         return said
+
+    def _quick_look(self, view: SimulatedView, name: str) -> str:
+        """Keep a quick look of the view for later; the name of its file."""
+        facts = view.metadata
+        title = f"{name}: azimuth {facts['azimuth_deg']:g}°, incidence {facts['incidence_deg']:g}°"
+        self.looks_at.append(QuickLook.of(self.out / f"{name}.png", title, view.beta0, facts["spacing_m"]))
+        return f"{name}.png"
 
     def _image(self, view: SimulatedView, name: str, key: str) -> dict[str, str]:
         """A view's files in every format asked for, by what simulate.json calls them: the first is `key` itself."""
@@ -122,6 +130,7 @@ KINDS = {
     "quick_look": "quick look, dB",
     "layers": "layers",
     "ground": "beta0 on the ground",
+    "speckled_quick_look": "quick look with speckle, dB",
     "speckled": "beta0 with speckle",
     "speckled_ground": "beta0 with speckle on the ground",
 }

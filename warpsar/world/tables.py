@@ -202,6 +202,11 @@ class Material(Table):
     cols), row 0 at v = 1, which becomes `Pixels`.
     """
 
+    library: str | None = Field(
+        default=None,
+        description="A surface of the library; it gives the keys that are left out (docs/materials.md).",
+        examples=["asphalt"],
+    )
     # What the values' validators look at comes before them.
     layout: Literal["uniform", "vertex", "texture"] = Field(
         default="uniform",
