@@ -8,7 +8,6 @@ from typing import Any
 
 import warp as wp
 
-from warpsar.kernels.codes import Polarization
 from warpsar.kernels.scattering import is_crossed, sine_squared, turned, turned_share
 
 # Below this moisture Oh's model and its slopes are held: Topp's polynomial reaches 0 at eps' = 1.9.
@@ -93,9 +92,7 @@ def oh(polarization: int, cosine: Any, cos_twist: Any, eps_re: Any, height: Any)
     vv = hv / q
     vv_by_height = hv_by_height - q_by_height
     wetter = type(cosine)(0.7)
-    value, by_moisture = turned_power(
-        polarization, cos_twist, p * vv, vv, hv, wetter + p_by_moisture, wetter, wetter
-    )
+    value, by_moisture = turned_power(polarization, cos_twist, p * vv, vv, hv, wetter + p_by_moisture, wetter, wetter)
     _value, by_height = turned_power(
         polarization, cos_twist, p * vv, vv, hv, vv_by_height + p_by_height, vv_by_height, hv_by_height
     )
@@ -135,7 +132,5 @@ def dubois(polarization: int, wavenumber: Any, cosine: Any, cos_twist: Any, eps_
     hh = wp.exp(log_hh)
     vv = wp.exp(log_vv)
     value, by_eps = turned_power(polarization, cos_twist, hh, vv, zero, h_by_eps, v_by_eps, zero)
-    _value, by_height = turned_power(
-        polarization, cos_twist, hh, vv, zero, type(cosine)(1.4), type(cosine)(1.1), zero
-    )
+    _value, by_height = turned_power(polarization, cos_twist, hh, vv, zero, type(cosine)(1.4), type(cosine)(1.1), zero)
     return value, by_eps, by_height, zero

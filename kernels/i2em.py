@@ -60,7 +60,8 @@ def power_spectrum(spectrum: int, power: Any, square: Any):
 def poisson_series(first: int, tolerance: float, spectrum: int, mean: Any, square: Any):
     """Sum of exp(-x) x^n / n! times the spectrum of the n-th power, from n = first (1 or 2) on; x is `mean`.
 
-    It ends where a term's exp(-x) x^n / n! is below `tolerance`. Returns it, and its derivatives to ln h (x grows as h^2) and ln l, all over (kl)^2.
+    It ends where a term's exp(-x) x^n / n! is below `tolerance`. Returns the sum, and its derivatives to ln h (x grows
+    as h^2) and ln l, all over (kl)^2.
     """
     one = type(mean)(1.0)
     half = type(mean)(0.5)
@@ -129,9 +130,7 @@ def higher_amplitude(cosine: Any, bragg: Any, fresnel: Any, sign: Any):
 def higher_slope(cosine: Any, bragg_slope: Any, fresnel: Any, fresnel_slope: Any, sign: Any):
     """d higher_amplitude / d eps, complex."""
     two = type(cosine)(2.0)
-    return bragg_slope * cosine + complex_product(fresnel, fresnel_slope) * (
-        two * sign * sine_squared(cosine) / cosine
-    )
+    return bragg_slope * cosine + complex_product(fresnel, fresnel_slope) * (two * sign * sine_squared(cosine) / cosine)
 
 
 # Long because of its arguments and of the list that it returns: one term and its slopes.

@@ -53,11 +53,7 @@ def ring_amplitude(eps: Any, r: Any, dr: Any, eccentric: Any, wave: Any):
     r2 = complex_product(r, r)
     over_eps = complex_product(plus2, inverse)
     inside = r2 * type(eccentric)(6.0) - unit * two + over_eps + complex_product(eps, minus2)
-    by_r = (
-        r * type(eccentric)(12.0)
-        + complex_product(plus, inverse) * two
-        - complex_product(eps, minus) * two
-    )
+    by_r = r * type(eccentric)(12.0) + complex_product(plus, inverse) * two - complex_product(eps, minus) * two
     inside_slope = complex_product(by_r, dr) - complex_product(over_eps, inverse) + minus2
     # d(q_t^2) / d eps_re = 1 - j loss
     growth = complex_product(complex_product(below, below), wp.vector(one, -loss)) * type(eccentric)(0.5)
@@ -103,9 +99,7 @@ def i2em_multiple(spectrum: int, cosine: Any, eps: Any, height: Any, length: Any
         rho2 = type(cosine)(1.0) + beyond
         rho = wp.sqrt(rho2)
         weight = loss * half * (grown + fallen) * type(cosine)(STEP) * half * two * spoke
-        amplitude, slope = ring_amplitude(
-            eps, r, dr, rho2, complex_inverse(complex_decaying_root(-beyond, -loss))
-        )
+        amplitude, slope = ring_amplitude(eps, r, dr, rho2, complex_inverse(complex_decaying_root(-beyond, -loss)))
         series = type(cosine)(0.0)
         series_by_height = type(cosine)(0.0)
         series_by_length = type(cosine)(0.0)

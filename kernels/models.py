@@ -32,9 +32,7 @@ def i2em(
     """I2EM: single and, in HV, multiple scattering, less what lies in shadow."""
     one = type(cosine)(1.0)
     two = type(cosine)(2.0)
-    value, by_eps, by_height, by_length = i2em_single(
-        polarization, spectrum, cosine, cos_twist, eps, height, length
-    )
+    value, by_eps, by_height, by_length = i2em_single(polarization, spectrum, cosine, cos_twist, eps, height, length)
     hidden, hidden_by_slope = hidden_share(cosine, slope_deviation(spectrum, height, length))
     # Fung's: both ways where the path is single, one way where it is not
     seen = one / (one + two * hidden)
