@@ -32,6 +32,16 @@ class Variant(IntEnum):
     AS_PRINTED = 1
 
 
+class Model(IntEnum):
+    """What a material's sigma0 is computed by (docs/scattering.md)."""
+
+    KA_SPM = 0
+    I2EM = 1
+    OH = 2
+    DUBOIS = 3
+    FACET = 4
+
+
 class Layout(IntEnum):
     """Where the nodes of a surface parameter stand; HELD is uniform and not learned."""
 

@@ -17,7 +17,7 @@ _OF_VECTORS_ALIKE = {
     ast.Div: "div",
 }  # Warp's own, of one for all lanes
 _COMPARISONS = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="}
-_SAME = ("sqrt", "exp", "abs", "floor", "sin", "cos", "atan2", "min", "max", "clamp")  # result as the arguments
+_SAME = ("sqrt", "exp", "log", "abs", "floor", "sin", "cos", "atan2", "min", "max", "clamp")  # result as the arguments
 _OF_VECTORS = ("dot", "length", "normalize", "cross")
 _RANDOM = {"rand_init": Kind("wp::uint32"), "randf": FLOAT}  # of one ray alone: its state changes
 

@@ -24,6 +24,7 @@ _WORDS = {
     "clamp": "V clamp(V x, V low, V high) { x = low > x ? low : x; return x < high ? x : high; }",
     "sin": "V sin(V x) { for (int k = 0; k < LANES; ++k) x[k] = wp::sin(x[k]); return x; }",
     "cos": "V cos(V x) { for (int k = 0; k < LANES; ++k) x[k] = wp::cos(x[k]); return x; }",
+    "log": "V log(V x) { for (int k = 0; k < LANES; ++k) x[k] = wp::log(x[k]); return x; }",
     "atan2": "V atan2(V y, V x) { for (int k = 0; k < LANES; ++k) x[k] = wp::atan2(y[k], x[k]); return x; }",
     # Cody and Waite's reduction, and the polynomial of Moshier's Cephes: within 2e-7 of e^x.
     "exp": """V exp(V x)

@@ -15,6 +15,7 @@ from warpsar.effects.base.effect import DeclaredEffect, Effect
 from warpsar.kernels import binning, shade, shade_lanes
 from warpsar.kernels.codes import Layout, Polarization
 from warpsar.kernels.wide import LANES
+from warpsar.render import models
 from warpsar.runtime.launches import Launch, by_elements, by_stretches
 from warpsar.runtime.program import Program
 from warpsar.surface.samples import shading_samples
@@ -242,6 +243,7 @@ class ViewRender:
         hits, stage, n = self.shaded, self.stage, self.shaded.count
         device: wp.Device = stage.target.device
         sigma = self.program.array(n)
+        spectra = stage.spectrum if spectrum is None else spectrum
         inputs = [
             polarization,
             stage.variant,
@@ -252,7 +254,7 @@ class ViewRender:
             hits.cos_incidence,
             hits.cos_twist,
             hits.cos2_azimuth,
-            stage.spectrum if spectrum is None else spectrum,
+            spectra,
             stage.eps_im,
             stage.aspect,
             zeta,
@@ -286,6 +288,7 @@ class ViewRender:
             ),
             pieces=by_elements(per_hit, block),
         )
+        models.record(self.program, stage, hits, self.geometry.wavenumber, polarization, spectra, zeta, sigma, slopes)
         return sigma
 
     def set_parameters(self, nodes: np.ndarray | None, effects: Mapping[str, np.ndarray] | None = None) -> None:

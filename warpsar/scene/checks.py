@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from warpsar.errors import InputError
+from warpsar.world import sigma0_table
 from warpsar.world.mesh import Mesh
 from warpsar.world.pixels import Pixels, in_memory, mask, measured
-from warpsar.world.tables import SURFACE_KEYS, Grid, Material, View, allowed_values, within
+from warpsar.world.tables import SURFACE_KEYS, Grid, Material, Radar, View, allowed_values, within
 
 
 def view_names(views: Sequence[View]) -> list[str]:
@@ -57,6 +59,27 @@ def material_names(given: Sequence[str], mesh: Mesh, where: str) -> list[str]:
         return []
     found = ", ".join(given) or "none"
     return [f"materials: found {found}; must be those of {where}: {', '.join(mesh.materials)}"]
+
+
+def models(name: str, material: Material, radar: Radar, effects: Mapping[str, Any]) -> list[str]:
+    """What a material's backscatter model does not have: a polarization, an effect that works on the default alone."""
+    key, model = f"materials.{name}", material.model
+    problems = []
+    if model != "ka_spm" and "two_scale" in effects:
+        problems.append(f'{key}.model: found "{model}" and effects.two_scale; allowed with it is "ka_spm"')
+    crossed = [one for one in radar.polarizations if one in ("HV", "VH")]
+    if model == "dubois" and crossed:
+        problems.append(f'{key}.model: found "dubois" and {crossed[0]}; it has HH and VV alone')
+    if material.sigma0 is not None:
+        try:
+            table = sigma0_table.read(material.sigma0)
+        except InputError as error:
+            return [*problems, f"{key}.sigma0: {error}"]
+        missing = [one for one in radar.polarizations if {"VH": "HV"}.get(one, one) not in table.sigma0_db]
+        if missing:
+            has = ", ".join(table.sigma0_db)
+            problems.append(f"{key}.sigma0: {material.sigma0}: found {has}; must have {', '.join(missing)} too")
+    return problems
 
 
 def fields(name: str, material: Material, mesh: Mesh) -> list[str]:

@@ -183,6 +183,8 @@ class _Loader:
         changed: dict[str, Any] = {}
         if mesh is not None:
             self.problems += checks.fields(name, material, mesh)
+        if material.sigma0 is not None:
+            changed["sigma0"] = self.absolute(material.sigma0)
         for key in SURFACE_KEYS if material.layout == "texture" else ():
             value = getattr(material, key)
             if not isinstance(value, str):
@@ -193,4 +195,6 @@ class _Loader:
                 self.problems += checks.values(f"{where}: {path}", key, read_channel(path, key))
             except InputError as error:
                 self.problems.append(f"{where}: {error}")
-        return material.model_copy(update=changed)
+        found = material.model_copy(update=changed) if changed else material
+        self.problems += checks.models(name, found, self.file.radar, self.effects)
+        return found

@@ -33,6 +33,7 @@ class Scene(World):
             problems += checks.pixels(key, view, self.grid)
         for name, material in self.materials.items():
             problems += checks.fields(name, material, self.mesh)
+            problems += checks.models(name, material, self.radar, self.effects)
         refuse(Path(self.name), problems)
         object.__setattr__(self, "materials", {name: self.materials[name] for name in self.mesh.materials})
 

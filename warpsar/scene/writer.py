@@ -72,6 +72,8 @@ class _Writer:
 
     def material(self, material: Material) -> dict[str, Any]:
         table = _plain(material)
+        if material.sigma0 is not None:
+            table["sigma0"] = self.relative(material.sigma0)
         if material.layout == "texture":
             for key in SURFACE_KEYS:
                 if isinstance(table.get(key), str):

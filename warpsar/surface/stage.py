@@ -11,6 +11,7 @@ import warp as wp
 from warpsar.kernels.codes import Variant
 from warpsar.runtime import devices
 from warpsar.surface.surface import Surface
+from warpsar.surface.tables import Tables
 from warpsar.trace.target import Target
 from warpsar.world.world import World
 
@@ -35,6 +36,8 @@ class Stage:
     """float, (materials,)"""
     aspect: wp.array
     """float, (materials,)"""
+    tables: Tables | None = None
+    """Of materials whose sigma0 comes from a table; None without any"""
 
     @classmethod
     def of(cls, scene: World, device: wp.Device) -> Stage:
@@ -42,6 +45,8 @@ class Stage:
         own = ["shade_lanes", "raster_lanes", "record_lanes", "hit_lanes"] if device.is_cpu else []
         devices.load_kernels(device, "trace", "merge", "shade", "raster", *own)
         surface = Surface.of(scene)
+        if surface.model.any():
+            devices.load_kernels(device, "models", "facet", *(["models_lanes"] if device.is_cpu else []))
         uv = np.zeros((0, 2), np.float32) if scene.mesh.uv is None else scene.mesh.uv
         return cls(
             target=Target.upload(scene.mesh, scene.reference_point_m, device),
@@ -54,6 +59,7 @@ class Stage:
             spectrum=wp.array(surface.spectrum, dtype=int, device=device),
             eps_im=wp.array(surface.eps_im, dtype=float, device=device),
             aspect=wp.array(surface.aspect, dtype=float, device=device),
+            tables=Tables.of(surface.sigma0, device),
         )
 
     @cached_property

@@ -9,12 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from warpsar.errors import InputError
-from warpsar.kernels.codes import FRACTION_LIMIT, Layout, Spectrum
+from warpsar.kernels.codes import FRACTION_LIMIT, Layout, Model, Spectrum
 from warpsar.world.pixels import Pixels
 from warpsar.world.tables import Material
 from warpsar.world.world import World
@@ -69,6 +70,8 @@ KINDS = (
     Kind("specular_fraction", "tau", _logit, _sigmoid, _sigmoid_slope, 1e-6, 1.0 - 1e-6),
 )
 KEYS = tuple(kind.key for kind in KINDS)
+LEVEL = Kind("level", "g", np.log, np.exp, np.exp, 1e-4, 1e4)
+"""In the place of the first kind, where a table of sigma0 stands for the surface (model `facet`)."""
 
 
 @dataclass(frozen=True)
@@ -109,7 +112,7 @@ class Surface:
 
     `nodes`, float64 (n,), are in the learned coordinates. `places`, int32 (materials, 4, 4), is the kernels' table of
     (layout, offset, width, height) for each parameter. `spectrum` (int), `eps_im` and `aspect` (l_y / l_x),
-    (materials,), are never learned.
+    (materials,), are never learned; nor are `model` (int), and `sigma0`, the materials' tables in files.
     """
 
     materials: tuple[str, ...]
@@ -119,6 +122,8 @@ class Surface:
     spectrum: np.ndarray
     eps_im: np.ndarray
     aspect: np.ndarray
+    model: np.ndarray
+    sigma0: tuple[Path | None, ...]
 
     @classmethod
     def of(cls, scene: World) -> Surface:
@@ -130,14 +135,19 @@ class Surface:
         spectrum = np.zeros(len(names), np.int32)
         eps_im = np.zeros(len(names), np.float32)
         aspect = np.ones(len(names), np.float32)
+        model = np.zeros(len(names), np.int32)
         start = 0
         for m, name in enumerate(names):
             material = scene.materials[name]
             _refuse_smooth(scene, name, material)
             spectrum[m] = Spectrum[material.spectrum.upper()]
+            model[m] = Model[material.model.upper()]
             ends: tuple[int, int] | None = None  # the first and the last vertex of its faces
-            for k, kind in enumerate(KINDS):
+            kinds = (LEVEL, *KINDS[1:]) if material.model == "facet" else KINDS
+            for k, kind in enumerate(kinds):
                 declared = getattr(material, kind.key)
+                if declared is None:
+                    declared = 1.0  # the model does not look at it
                 if isinstance(declared, str | Pixels):
                     value = np.asarray(scene.field(name, kind.key), float)
                     layout = material.layout
@@ -163,7 +173,8 @@ class Surface:
                 blocks.append(Block(name, kind, layout, start, value.shape, kind.key in material.learn, first_vertex))
                 values.append(kind.to_coordinate(value).ravel())
                 start += value.size
-        return cls(names, tuple(blocks), np.concatenate(values), places, spectrum, eps_im, aspect)
+        tables = tuple(scene.materials[name].sigma0 for name in names)
+        return cls(names, tuple(blocks), np.concatenate(values), places, spectrum, eps_im, aspect, model, tables)
 
     def block(self, material: str, key: str) -> Block:
         """The nodes of one parameter of a material."""

@@ -18,7 +18,7 @@ from pydantic import (
 
 from warpsar.errors import InputError
 from warpsar.io.images import LARGEST_IMAGE
-from warpsar.world import pixels
+from warpsar.world import models, pixels
 from warpsar.world.tolerance import refusal
 
 DEFAULT_RAYS_PER_PIXEL = 64.0
@@ -27,6 +27,7 @@ DEFAULT_RAYS_PER_PIXEL = 64.0
 Polarization = Literal["HH", "HV", "VH", "VV"]
 Term = Literal["single", "edges", "multibounce", "rough"]
 SurfaceKey = Literal["eps_r", "rms_height_m", "correlation_length_m", "specular_fraction"]
+LearnedKey = Literal["eps_r", "rms_height_m", "correlation_length_m", "specular_fraction", "level"]
 SURFACE_KEYS: tuple[SurfaceKey, ...] = ("eps_r", "rms_height_m", "correlation_length_m", "specular_fraction")
 
 LIMITS: dict[str, tuple[float, float]] = {
@@ -208,6 +209,19 @@ class Material(Table):
         examples=["asphalt"],
     )
     # What the values' validators look at comes before them.
+    model: Literal["ka_spm", "i2em", "oh", "dubois", "facet"] = Field(
+        default="ka_spm",
+        description="What sigma0 is computed by; facet takes it from a table (sigma0).",
+        examples=["i2em"],
+    )
+    sigma0: FileName | None = Field(
+        default=None,
+        description='CSV of sigma0 [dB]: incidence_deg, and HH, VV, HV (model = "facet" alone).',
+        examples=["asphalt.csv"],
+    )
+    level: Annotated[_Positive, Field(le=1e6)] = Field(
+        default=1.0, description="Factor on the table's sigma0, linear; may be learned.", examples=[1.3]
+    )
     layout: Literal["uniform", "vertex", "texture"] = Field(
         default="uniform",
         description="What a name among the values stands for: a scalar of the vertices, or an image.",
@@ -249,9 +263,9 @@ class Material(Table):
     specular_fraction: float | str | Texture = Field(
         default=0.0, description="Share tau of the power that the surface reflects specularly.", examples=[0.1]
     )
-    learn: tuple[SurfaceKey, ...] = Field(
+    learn: tuple[LearnedKey, ...] = Field(
         default=("eps_r", "rms_height_m", "correlation_length_m"),
-        description="The values that a fit may change.",
+        description="The values that a fit may change; by default the first three, as far as the model has them.",
         examples=[["eps_r"]],
     )
     tolerance: dict[SurfaceKey, Any] = Field(
@@ -292,8 +306,17 @@ class Material(Table):
 
     @field_validator("learn")
     @classmethod
-    def _unique(cls, value: tuple[SurfaceKey, ...]) -> tuple[SurfaceKey, ...]:
+    def _unique(cls, value: tuple[LearnedKey, ...]) -> tuple[LearnedKey, ...]:
         return tuple(dict.fromkeys(value))
+
+    @model_validator(mode="after")
+    def _of_the_model(self) -> Material:
+        if found := models.refusals(self, self.model_fields_set):
+            raise ValueError("; ".join(found))
+        if "learn" not in self.model_fields_set and self.model != "ka_spm":
+            learned = tuple(key for key in self.learn if key in models.LEARNS[self.model])
+            self.__dict__["learn"] = learned  # the default, as far as the model has it
+        return self
 
     @field_validator("tolerance")
     @classmethod
@@ -320,6 +343,8 @@ def _listed(names: tuple[str, ...]) -> str:
 
 def _left_out(key: str, others: dict[str, Any]) -> float | None:
     """The value that stands for one which may be left out: of a conductor, of a smooth surface."""
+    if models.needless(others.get("model", "ka_spm"), key):
+        return None
     if key == "rms_height_m" and others.get("conductor"):
         return 0.0
     if key == "eps_r" and others.get("conductor") and others.get("thickness_m") is None:

@@ -104,6 +104,8 @@ class World:
     def rasters(self) -> Iterator[Path | Pixels]:
         """Every image, mask, map and file of curves that the scene refers to, in a fixed order."""
         for material in self.materials.values():
+            if material.sigma0 is not None:
+                yield material.sigma0
             for key in SURFACE_KEYS:
                 value = getattr(material, key)
                 if isinstance(value, Pixels):
@@ -143,8 +145,11 @@ class World:
         plain += [one.model_dump(exclude={"mesh"}) for one in self.objects]
         plain += [one.model_dump(exclude={"file"}) for one in self.curves]
         for name, material in self.materials.items():
+            beside = {"sigma0"} if material.model != "ka_spm" else {"model", "sigma0", "level"}
             given = {
-                key: value for key, value in material if material.layout != "texture" or not isinstance(value, str)
+                key: value
+                for key, value in material
+                if key not in beside and (material.layout != "texture" or not isinstance(value, str))
             }
             plain.append((name, material.layout, material.spectrum, given))
         for view in self.views:

@@ -1,0 +1,69 @@
+"""sigma0 from a table over incidence, interpolated in decibels; differentiable in its level and in its values."""
+
+import warp as wp
+
+from warpsar.kernels.codes import Coordinate, Polarization
+from warpsar.kernels.empirical import turned_power
+from warpsar.kernels.scattering import sine_squared
+from warpsar.kernels.wide import read_float, read_int, read_vec4, write_vec4
+
+
+@wp.func
+def linear(db: float) -> float:
+    return wp.exp(db * 0.23025850929940458)  # ln 10 / 10
+
+
+@wp.func
+def row_below(incidence_deg: wp.array(dtype=float), rows: wp.vec2i, angle: float) -> int:
+    """The row below an angle, or the first or the last but one."""
+    found = rows[0]
+    for row in range(rows[0] + 1, rows[0] + rows[1] - 1):
+        if incidence_deg[row] <= angle:
+            found = row
+    return found
+
+
+@wp.func
+def share_above(incidence_deg: wp.array(dtype=float), row: int, angle: float) -> float:
+    """How far an angle lies from a row to the next one; held at the table's ends."""
+    step = incidence_deg[row + 1] - incidence_deg[row]
+    return wp.clamp((angle - incidence_deg[row]) / step, 0.0, 1.0)
+
+
+@wp.kernel
+def scatter_kernel(
+    # In:
+    mine: wp.array(dtype=int),
+    polarization: int,
+    local_basis: int,
+    face: wp.array(dtype=int),
+    face_material: wp.array(dtype=int),
+    cos_incidence: wp.array(dtype=float),
+    cos_twist: wp.array(dtype=float),
+    rows: wp.array(dtype=wp.vec2i),
+    incidence_deg: wp.array(dtype=float),
+    sigma0_db: wp.array2d(dtype=float),
+    zeta: wp.array(dtype=wp.vec4),
+    # Out:
+    sigma_out: wp.array(dtype=float),
+    slopes_out: wp.array(dtype=wp.vec4),
+):
+    """sigma0 of the hits `mine`, and with `slopes_out` not empty its slopes: to ln(level) alone."""
+    i = read_int(mine, wp.tid())
+    material = face_material[face[i]]
+    cosine = cos_incidence[i]
+    angle = wp.atan2(wp.sqrt(wp.max(sine_squared(cosine), 0.0)), cosine) * 57.29577951308232
+    row = row_below(incidence_deg, rows[material], angle)
+    above = share_above(incidence_deg, row, angle)
+    hh = linear((1.0 - above) * sigma0_db[row, Polarization.HH] + above * sigma0_db[row + 1, Polarization.HH])
+    vv = linear((1.0 - above) * sigma0_db[row, Polarization.VV] + above * sigma0_db[row + 1, Polarization.VV])
+    hv = linear((1.0 - above) * sigma0_db[row, Polarization.HV] + above * sigma0_db[row + 1, Polarization.HV])
+    twist = float(1.0)
+    if local_basis == 0:
+        twist = read_float(cos_twist, i)
+    value, _slope = turned_power(polarization, twist, hh, vv, hv, 0.0, 0.0, 0.0)
+    level = read_vec4(zeta, i)
+    sigma = value * wp.exp(level[Coordinate.EPS])
+    sigma_out[i] = sigma
+    if slopes_out.shape[0] > 0:
+        write_vec4(slopes_out, i, wp.vec4(sigma, 0.0, 0.0, 0.0))

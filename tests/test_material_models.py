@@ -1,0 +1,180 @@
+"""A material's `model`: images, gradients, tables of sigma0, and what is refused at the door."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import scattering_reference as reference
+from worlds import SOIL, WAVENUMBER, box, ground, mesh_of, scene_of, sigma0, view
+
+from warpsar import InputError, Material, Scene, renderer
+
+TABLE = "incidence_deg,HH,VV,HV\n20,-8,-7,-16\n40,-14,-12,-22\n60,-20,-16,-29\n"
+ROUGH = {"eps_r": (9.0, -0.8), "rms_height_m": 0.003, "correlation_length_m": 0.03, "spectrum": "exponential"}
+
+
+@pytest.fixture
+def table(tmp_path: Path) -> Path:
+    path = tmp_path / "lawn.csv"
+    path.write_text(TABLE)
+    return path
+
+
+def lawn(material: dict[str, Any], polarizations: tuple[str, ...] = ("HH", "VV", "HV")) -> Scene:
+    return scene_of(
+        mesh_of(lawn=ground(12.0)),
+        view(30, 40),
+        shape=(20, 22),
+        spacing_m=(0.7, 0.6),
+        polarizations=polarizations,
+        materials={"lawn": material},
+    )
+
+
+def middle(scene: Scene, polarization: str) -> float:
+    """sigma0 of level ground at 40 degrees: beta0 times the sine of the incidence."""
+    image = renderer(scene, device="cpu")()["view"][polarization]
+    return float(image[8:12, 8:14].mean() * np.sin(np.radians(40.0)))
+
+
+def test_level_ground_has_the_models_sigma0(table: Path) -> None:
+    theta, eps, kh, kl = np.radians(40.0), 9.0 - 0.8j, 0.003 * WAVENUMBER, 0.03 * WAVENUMBER
+    for polarization in ("HH", "VV", "HV"):
+        found = middle(lawn({**ROUGH, "model": "i2em"}), polarization)
+        hv = polarization == "HV"
+        expected = reference.i2em_hv(theta, eps, kh, kl) if hv else reference.i2em(polarization, theta, eps, kh, kl)
+        assert found == pytest.approx(expected, rel=0.16 if hv else 1e-4)  # HV: its quadrature
+        found = middle(lawn({"model": "oh", "eps_r": 9.0, "rms_height_m": 0.003}), polarization)
+        assert found == pytest.approx(reference.oh(polarization, theta, reference.topp(9.0), kh), rel=1e-4)
+        found = middle(lawn({"model": "facet", "sigma0": table, "level": 2.0}), polarization)
+        assert found == pytest.approx(2 * 10 ** ({"HH": -14, "VV": -12, "HV": -22}[polarization] / 10), rel=1e-4)
+    found = middle(lawn({"model": "dubois", "eps_r": 9.0, "rms_height_m": 0.003}, ("HH",)), "HH")
+    assert found == pytest.approx(reference.dubois("HH", theta, 9.0, kh, 200 * np.pi / WAVENUMBER), rel=1e-4)
+
+
+def test_a_table_is_interpolated_in_decibels_and_held_at_its_ends(table: Path) -> None:
+    for incidence, expected in ((10, -8.0), (30, -11.0), (50, -17.0), (75, -20.0)):
+        scene = replace(lawn({"model": "facet", "sigma0": table}, ("HH",)), views=[view(30, incidence)])
+        image = renderer(scene, device="cpu")()["view"]["HH"]
+        found = image[9:11, 8:14].mean() * np.sin(np.radians(incidence))
+        assert 10 * np.log10(found) == pytest.approx(expected, abs=0.001)
+
+
+def block_on_lawn(materials: dict[str, dict[str, Any]]) -> Scene:
+    return scene_of(
+        mesh_of(lawn=ground(12.0), block=box((-2, -1.5, 0), (2, 1.5, 2))),
+        [view(30, 40, name="a"), view(250, 55, name="b")],
+        shape=(20, 22),
+        spacing_m=(0.7, 0.6),
+        polarizations=("HH", "VV"),
+        materials=materials,
+        rays_per_pixel=16.0,
+    )
+
+
+def test_every_hit_has_the_model_of_its_material() -> None:
+    """A block of another model changes the ground's pixels by nothing, and the images are sums over the materials."""
+    own = {**ROUGH, "model": "i2em"}
+    both = renderer(block_on_lawn({"lawn": SOIL, "block": own}), device="cpu")()
+    plain = renderer(block_on_lawn({"lawn": SOIL, "block": SOIL}), device="cpu")()
+    other = renderer(block_on_lawn({"lawn": own, "block": SOIL}), device="cpu")()
+    all_own = renderer(block_on_lawn({"lawn": own, "block": own}), device="cpu")()
+    for name in ("a", "b"):
+        for polarization in ("HH", "VV"):
+            one, two, three, four = (each[name][polarization] for each in (both, plain, other, all_own))
+            np.testing.assert_allclose(one + three, two + four, rtol=1e-5, atol=1e-7)
+            corner = one[-3:, :3], two[-3:, :3]  # far from the block
+            np.testing.assert_array_equal(*corner)
+
+
+@pytest.mark.parametrize("model", ["i2em", "oh", "dubois", "facet"])
+def test_gradients_are_those_of_differences(model: str, table: Path) -> None:
+    own: dict[str, Any] = {**ROUGH, "model": model}
+    if model == "facet":
+        own = {"model": model, "sigma0": table, "learn": ("level",)}
+    elif model != "i2em":
+        del own["correlation_length_m"]
+    scene = block_on_lawn({"lawn": own, "block": {**SOIL, "learn": ("eps_r",)}})
+    render = renderer(scene, device="cpu")
+    random = np.random.default_rng(0)
+    seeds = {name: {p: random.random(image.shape) for p, image in one.items()} for name, one in render().items()}
+    parameters = render.values
+    gradient = render.vjp(parameters, seeds)
+    assert set(gradient) == set(parameters)
+    for name, value in parameters.items():
+        step = 1e-2 * np.asarray(value)
+
+        def at(change: float, name: str = name, step: Any = step, value: Any = value) -> float:
+            images = render({**parameters, name: value + change * step})
+            return float(sum((seeds[v][p] * images[v][p]).sum() for v in seeds for p in seeds[v]))
+
+        expected = (8 * (at(1) - at(-1)) - (at(2) - at(-2))) / 12
+        assert float(np.sum(gradient[name] * step)) == pytest.approx(expected, rel=2e-3)  # float32 sums
+
+
+REFUSED = [
+    ({"model": "iem"}, "model"),
+    ({"model": "i2em", "spectrum": "separable", "correlation_length_m": [0.02, 0.01]}, "separable"),
+    ({"model": "i2em", "learn": ["specular_fraction"]}, "does not depend on it"),
+    ({"model": "i2em", "specular_fraction": 0.1}, "specular_fraction"),
+    ({"model": "oh", "learn": ["correlation_length_m"]}, "does not depend on it"),
+    ({"model": "facet"}, "needs sigma0"),
+    ({"sigma0": "lawn.csv"}, 'model = "facet" alone'),
+    ({"model": "dubois"}, "HH and VV alone"),
+    ({"model": "facet", "sigma0": "lawn.csv", "layout": "vertex"}, "layout"),
+    ({"model": "facet", "sigma0": "lawn.csv", "learn": ["eps_r"]}, "does not depend on it"),
+    ({"learn": ["level"]}, "level"),
+]
+
+
+@pytest.mark.parametrize(("keys", "said"), REFUSED)
+def test_what_does_not_fit_the_model_is_refused(keys: dict[str, Any], said: str, table: Path) -> None:
+    keys = {key: str(table) if key == "sigma0" else value for key, value in keys.items()}
+    with pytest.raises((InputError, ValueError), match=said):
+        lawn({**SOIL, **keys})
+
+
+TABLES = [
+    ("incidence_deg,HH\n20,-8\n40,-14\n", "must have VV, HV too"),
+    ("incidence_deg,HH,VV,HV\n40,-8,-8,-9\n20,-14,-8,-9\n", "must ascend"),
+    ("incidence_deg,HH,VV,HV\n20,-8,-8,-9\n20,-14,-8,-9\n", "must ascend"),
+    ("incidence_deg,HH,VV,HV\n20,-8,-8,-9\n", "two or more"),
+    ("incidence_deg,HH,VV,HV\n20,-8,-8,nan\n30,-8,-8,-9\n", "must be numbers"),
+    ("incidence_deg,HH,VV,HV\n20,-8,-8\n30,-8,-8,-9\n", "must be 4 numbers"),
+    ("angle,HH\n20,-8\n40,-14\n", "must be incidence_deg"),
+    ("incidence_deg,HH,HH\n20,-8,1\n40,-14,1\n", "must be incidence_deg"),
+    ("", "none"),
+]
+
+
+@pytest.mark.parametrize(("text", "said"), TABLES)
+def test_a_table_that_is_none_is_refused(text: str, said: str, table: Path) -> None:
+    table.write_text(text)
+    with pytest.raises(InputError, match=said):
+        lawn({"model": "facet", "sigma0": table})
+
+
+def test_an_effect_of_the_default_alone_is_refused() -> None:
+    scene = lawn({**ROUGH, "model": "i2em"})
+    with pytest.raises(InputError, match="two_scale"):
+        replace(scene, effects={"two_scale": {"slope_variance": 0.02}})
+
+
+def test_a_scene_file_keeps_model_and_table(table: Path) -> None:
+    scene = lawn({"model": "facet", "sigma0": table, "level": 1.5})
+    path = table.parent / "scene.toml"
+    scene.save(path)
+    again = Scene.load(path)
+    assert again.materials["lawn"].model == "facet"
+    assert again.materials["lawn"].level == 1.5
+    assert 'sigma0 = "lawn.csv"' in path.read_text()
+    assert Material(**ROUGH, model="i2em").learn == ("eps_r", "rms_height_m", "correlation_length_m")
+    assert Material(model="oh", eps_r=6.0, rms_height_m=0.01).learn == ("eps_r", "rms_height_m")
+
+
+def test_learned_coordinates_have_no_slope_to_what_a_model_has_not() -> None:
+    """The default's small-perturbation image of the same surface stays what it was."""
+    found = middle(lawn(SOIL), "HH")
+    assert found == pytest.approx(float(sigma0(np.radians(40.0))), rel=1e-4)

@@ -1,0 +1,49 @@
+"""What a material's backscatter model needs, and what it does not take (docs/scattering.md)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+LEARNS: dict[str, tuple[str, ...]] = {
+    "ka_spm": ("eps_r", "rms_height_m", "correlation_length_m", "specular_fraction"),
+    "i2em": ("eps_r", "rms_height_m", "correlation_length_m"),
+    "oh": ("eps_r", "rms_height_m"),
+    "dubois": ("eps_r", "rms_height_m"),
+    "facet": ("level",),
+}
+"""The values that a model's sigma0 depends on, and so those that can be learned."""
+
+
+def needless(model: str, key: str) -> bool:
+    """Whether a material with this model may leave the value out."""
+    return model != "ka_spm" and key not in LEARNS[model]
+
+
+def refusals(material: Any, stated: set[str]) -> list[str]:
+    """What does not fit the model, in words; `stated` are the keys that the scene file has."""
+    model = material.model
+    found = []
+    if (material.sigma0 is not None) != (model == "facet"):
+        found.append(
+            'model = "facet" needs sigma0, the name of a CSV'
+            if model == "facet"
+            else f'found sigma0 and model = "{model}"; allowed with model = "facet" alone'
+        )
+    if "learn" in stated:
+        for key in material.learn:
+            if key not in LEARNS[model]:
+                found.append(
+                    f"learn: found {key}; sigma0 of the model {model} does not depend on it; "
+                    f"allowed: {', '.join(LEARNS[model])}"
+                )
+    if model == "ka_spm":
+        return found
+    if material.specular_fraction != 0.0:
+        found.append(f'found specular_fraction and model = "{model}"; allowed with model = "ka_spm" alone')
+    if model == "i2em" and material.spectrum == "separable":
+        found.append('found spectrum = "separable" and model = "i2em"; allowed are "gaussian" and "exponential"')
+    if material.conductor or material.thickness_m is not None:
+        found.append(f'found conductor or thickness_m and model = "{model}"; allowed with model = "ka_spm" alone')
+    if model == "facet" and material.layout != "uniform":
+        found.append(f'found layout = "{material.layout}" and model = "facet"; allowed is "uniform"')
+    return found

@@ -1,0 +1,75 @@
+"""A table of sigma0 over incidence for each polarization, read from CSV: what a material with the model `facet` has."""
+
+from __future__ import annotations
+
+import csv
+import io
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from warpsar.errors import InputError
+
+LARGEST_FILE = 2**22
+"""Bytes: more rows than an angle has."""
+LARGEST_DB = 100.0
+ANGLE = "incidence_deg"
+CHANNELS = ("HH", "VV", "HV")
+"""Columns of sigma0 [dB]; HV is VH too."""
+
+
+@dataclass(frozen=True)
+class Sigma0Table:
+    """`incidence_deg`, (n,), ascending; `sigma0_db`, by polarization, each (n,)."""
+
+    incidence_deg: NDArray[np.float64]
+    sigma0_db: dict[str, NDArray[np.float64]]
+
+    def channel(self, polarization: str) -> NDArray[np.float64]:
+        """A column; a like polarization that is missing has the other one's, and HV that is missing is none."""
+        found = self.sigma0_db.get("HV" if polarization == "VH" else polarization)
+        if found is not None:
+            return found
+        other = self.sigma0_db.get({"HH": "VV", "VV": "HH"}.get(polarization, ""))
+        return np.full(self.incidence_deg.size, -300.0) if other is None else other
+
+
+def read(path: Path) -> Sigma0Table:
+    """Read columns `incidence_deg` and one or more of HH, VV, HV [dB]. Raises InputError."""
+    try:
+        with path.open("rb") as stream:
+            raw = stream.read(LARGEST_FILE + 1)
+        text = raw.decode("utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: {error}; must be a CSV of {ANGLE} and {', '.join(CHANNELS)}") from None
+    if len(raw) > LARGEST_FILE:
+        raise InputError(f"{path}: found more than {LARGEST_FILE} bytes; must be a table of sigma0 over incidence")
+    try:
+        rows = [[cell.strip() for cell in row] for row in csv.reader(io.StringIO(text)) if any(map(str.strip, row))]
+    except csv.Error as error:
+        raise InputError(f"{path}: {error}; must be a CSV") from None
+    head = rows[0] if rows else []
+    known = {ANGLE, *CHANNELS}
+    if ANGLE not in head or len(set(head)) < len(head) or not set(head) <= known or len(head) < 2:
+        raise InputError(
+            f"{path}: found the columns {', '.join(head) or 'none'}; "
+            f"must be {ANGLE} and one or more of {', '.join(CHANNELS)}"
+        )
+    values = np.empty((len(rows) - 1, len(head)))
+    for number, row in enumerate(rows[1:]):
+        try:
+            values[number] = [float(cell) for cell in row]
+        except ValueError:
+            raise InputError(f"{path}: row {number + 2}: found {row}; must be {len(head)} numbers") from None
+    columns = dict(zip(head, values.T, strict=True))
+    angles = columns.pop(ANGLE)
+    if angles.size < 2:
+        raise InputError(f"{path}: found {angles.size} rows; must be two or more")
+    if not ((angles >= 0) & (angles <= 90)).all() or not (np.diff(angles) > 0).all():
+        raise InputError(f"{path}: {ANGLE}: found {angles.tolist()}; must ascend, within 0 to 90")
+    for name, column in columns.items():
+        if not (np.abs(column) <= LARGEST_DB).all():
+            raise InputError(f"{path}: {name}: must be numbers within -{LARGEST_DB:g} and {LARGEST_DB:g} dB")
+    return Sigma0Table(angles, columns)
