@@ -12,6 +12,7 @@ from pydantic import Field, ValidationError, field_validator
 
 from warpsar.effects.registry import validate
 from warpsar.errors import InputError, shown
+from warpsar.world.collection import Collection
 from warpsar.world.curve import Curve
 from warpsar.world.objects.table import Object
 from warpsar.world.tables import (
@@ -74,6 +75,9 @@ class SceneFile(Table):
     )
     objects: list[Object] = Field(default_factory=list, description="Bodies with a place of their own.")
     curves: list[Curve] = Field(default_factory=list, description="Measured radar cross-sections against angle.")
+    collection: Collection | None = Field(
+        default=None, description="How a sensor collects the views (docs/collections.md)."
+    )
     views: Annotated[list[View], Field(min_length=1)] = Field(description="The views, at least one.")
 
 
@@ -85,6 +89,7 @@ _TABLES: dict[str, type[Table]] = {
     "materials": Material,
     "objects": Object,
     "curves": Curve,
+    "collection": Collection,
     "views": View,
 }
 
