@@ -1,6 +1,6 @@
 """Scatterers of a collection: what the places of a body send back, and its deposit into range bins and images.
 
-A deposit spreads each scatterer over WIDTH bins of a grid that is twice as fine as the samples' spectrum needs, with the
+A deposit spreads each scatterer over WIDTH bins of a grid twice as fine as the samples' spectrum needs, with the
 "exponential of a semicircle" (Barnett, Magland, af Klinteberg, SIAM J. Sci. Comput. 41(5), 2019). Its transform is
 divided out after the FFT. What is left of the error stands in docs/collections.md.
 """

@@ -12,7 +12,7 @@ from warpsar.coherent import rays as cells
 from warpsar.coherent.body import CoherentBody
 from warpsar.coherent.directions import Directions
 from warpsar.coherent.records import records, upload
-from warpsar.coherent.sweep import POLARIZATIONS, TURN, Traced, Worker
+from warpsar.coherent.sweep import TURN, Traced, Worker
 from warpsar.kernels import collection as kernels
 from warpsar.kernels.coherent import tubes
 
@@ -25,7 +25,7 @@ FAINT = 1e-6
 
 @dataclass(frozen=True)
 class Places:
-    """Scatterers about the body's middle (n, 3) [m]; amplitudes (n, 4) complex64 [m], without the way's phase; faces (n,)."""
+    """Scatterers about the body's middle (n, 3) [m], amplitudes (n, 4) [m] without the way's phase, and faces (n,)."""
 
     point: F64
     amplitude: NDArray[np.complex64]
@@ -91,9 +91,7 @@ def tube_places(worker: Worker, direction: Directions, radar: wp.array, distance
         face = wp.zeros((n, most), dtype=int, device=body.device)
         inputs = [radar, float(worker.k[0]), worker.stuff, body.face_material]
         inputs += [upload(rays.used, int, body.device), traced.hits, traced.counts, int("single" in worker.terms)]
-        wp.launch(
-            kernels.tube_places_kernel, n, inputs=inputs, outputs=[place, amplitude, face], device=body.device
-        )
+        wp.launch(kernels.tube_places_kernel, n, inputs=inputs, outputs=[place, amplitude, face], device=body.device)
         values = _complex(amplitude).reshape(-1, 4)
         found.append(_kept(place.numpy().reshape(-1, 3), values, face.numpy().reshape(-1).astype(np.int64)))
     return joined(found), wide / max(traced_all, 1)

@@ -120,7 +120,10 @@ class Plan:
         frequencies [1/m2]. It holds for any track.
         """
         row, column = plan_axes(self)
-        both = [place / np.linalg.norm(place, axis=1)[:, None] for place in (self.track.receiver_m, self.track.transmitter_m)]
+        both = [
+            place / np.linalg.norm(place, axis=1)[:, None]
+            for place in (self.track.receiver_m, self.track.transmitter_m)
+        ]
         along = (both[0] + both[1]) @ np.stack([row, column], axis=1) / SPEED_OF_LIGHT
         step = np.gradient(along, axis=0)
         area = np.abs(along[:, 0] * step[:, 1] - along[:, 1] * step[:, 0])  # of 1 Hz at 1 Hz
@@ -194,8 +197,9 @@ def plan_of(world: World, view: View, device: wp.Device) -> Plan:
         held = width_in_cells(str(table.window)) * SPEED_OF_LIGHT / (2.0 * (high - low))
         if held > pieces[0] * (1.0 + 1e-6):
             raise InputError(
-                f"{world.name}: collection.resolution_m: found {pieces[0]:g} m in range, but a band of {high - low:.4g} "
-                f"Hz with the window {table.window!r} holds {held:.3g} m; must be at least that, or a wider band"
+                f"{world.name}: collection.resolution_m: found {pieces[0]:g} m in range, but a band of "
+                f"{high - low:.4g} Hz with the window {table.window!r} holds {held:.3g} m; must be at least that, or a "
+                "wider band"
             )
     site = Site.of(world)
     vertices = site.about(world.mesh.vertices)
@@ -327,8 +331,9 @@ def _refuse_gaps(world: World, plan: Plan) -> None:
     if turns.max() >= 1.0:
         more = math.ceil(len(plan.track) * turns.max() / SPARE)
         raise InputError(
-            f"{world.name}: collection.pulses: found {len(plan.track)}, so far apart that the ends of the scene differ "
-            f"by {turns.max():.3g} turns of phase from one to the next (ambiguous); must be below 1: about {more} pulses"
+            f"{world.name}: collection.pulses: found {len(plan.track)}, so far apart that the ends of the scene "
+            f"differ by {turns.max():.3g} turns of phase from one to the next (ambiguous); must be below 1: "
+            f"about {more} pulses"
         )
 
 

@@ -81,7 +81,13 @@ def straight(geometry: ViewGeometry, slant_m: float, way: F64, length_m: float, 
 
 
 def circle(
-    azimuth_deg: float, geometry: ViewGeometry, slant_m: float, side: str, aperture_deg: float, time_s: float, count: int
+    azimuth_deg: float,
+    geometry: ViewGeometry,
+    slant_m: float,
+    side: str,
+    aperture_deg: float,
+    time_s: float,
+    count: int,
 ) -> Track:
     """Around the reference point at one height; or a turntable, whose frame this is."""
     part = centred(count)

@@ -12,7 +12,7 @@ from pydantic import Field, ValidationError, field_validator
 
 from warpsar.effects.registry import validate
 from warpsar.errors import InputError, shown
-from warpsar.world.collection import Collection
+from warpsar.world.collection import Antenna, Collection, Transmitter
 from warpsar.world.curve import Curve
 from warpsar.world.objects.table import Object
 from warpsar.world.tables import (
@@ -94,6 +94,13 @@ _TABLES: dict[str, type[Table]] = {
 }
 
 
+_INNER: dict[tuple[object, ...], type[Table]] = {
+    ("scene", "origin"): Origin,
+    ("collection", "antenna"): Antenna,
+    ("collection", "transmitter"): Transmitter,
+}
+
+
 def read(path: Path) -> tuple[str, dict[str, Any]]:
     """A scene file's text, and its tables as they stand there; raises InputError for text that is not TOML."""
     text = _read_text(path)
@@ -166,7 +173,7 @@ def _problem(details: Mapping[str, Any], raw: dict[str, Any]) -> str:
         return f"{key}: missing"
     if kind == "extra_forbidden":
         model = _TABLES[str(place[0])] if len(place) > 1 else SceneFile
-        model = Origin if place[:2] == ("scene", "origin") and len(place) > 2 else model
+        model = _INNER.get(place[:2], model) if len(place) > 2 else model
         known = [info.alias or name for name, info in model.model_fields.items()]
         return f"{key}: unknown key; must be one of {', '.join(known)}"
     message = re.sub(r"^(Value error, |Input )", "", details["msg"]).replace("should", "must")

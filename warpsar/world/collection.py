@@ -73,7 +73,9 @@ class Collection(Table):
     )
     prf_hz: _Positive | None = Field(default=None, description="Pulses a second [1/s].", examples=[3000.0])
     speed_m_s: Annotated[Number, Field(gt=0.0, le=1e5)] | None = Field(
-        default=None, description="Speed along the track [m/s]; 7,500 without it and without a preset.", examples=[100.0]
+        default=None,
+        description="Speed along the track [m/s]; 7,500 without it and without a preset.",
+        examples=[100.0],
     )
     aperture_deg: Annotated[Number, Field(gt=0.0, le=360.0)] | None = Field(
         default=None,
