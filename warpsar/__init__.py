@@ -15,7 +15,7 @@ from warpsar.version import __version__
 if TYPE_CHECKING:
     from warpsar.coherent.gradients import rcs_gradients
     from warpsar.coherent.rcs import rcs
-    from warpsar.collection.command import phase_history
+    from warpsar.collection.command import phase_history, slc
     from warpsar.diagnosis.found import DiagnoseOptions
     from warpsar.diagnosis.result import diagnose
     from warpsar.differentiable.renderer import renderer
@@ -45,6 +45,7 @@ _LAZY = {
     "rcs_gradients": "warpsar.coherent.gradients",
     "renderer": "warpsar.differentiable.renderer",
     "simulate": "warpsar.simulation.command",
+    "slc": "warpsar.collection.command",
     "to_xarray": "warpsar.simulation.dataset",
 }
 __all__ = [
@@ -69,6 +70,7 @@ __all__ = [
     "rcs_gradients",
     "renderer",
     "simulate",
+    "slc",
     "to_xarray",
 ]
 

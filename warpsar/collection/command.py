@@ -10,13 +10,14 @@ from typing import Any, Literal
 import numpy as np
 import warp as wp
 
-from warpsar.collection import cphd
+from warpsar.collection import cphd, sicd
 from warpsar.collection.history import Collected
 from warpsar.collection.history import phase_history as recorded
-from warpsar.collection.noise import with_noise
+from warpsar.collection.noise import with_image_noise, with_noise
 from warpsar.collection.plan import Plan, plan_of
 from warpsar.collection.scatterers import Scatterers, body_of, scatterers_of
-from warpsar.io.images import replacing
+from warpsar.collection.slc import Slc, direct, focused, refuse_direct
+from warpsar.io.images import quick_look, replacing
 from warpsar.runtime import console, devices
 from warpsar.runtime.busy import busy
 from warpsar.scene.scene import Scene
@@ -46,11 +47,35 @@ def collected(scene: Scene, plan: Plan, device: wp.Device, seed: int, index: int
     return with_noise(made, seed + 7919 * index)
 
 
-def seen(scene: Scene, plan: Plan, device: wp.Device, seed: int) -> Scatterers:
-    """The scatterers of one view."""
+def slc(scene: Scene, *, device: str | None = None, seed: int | None = None) -> list[Slc]:
+    """The complex image of every view of a scene with `[collection]`: backprojected, or direct, as the table says.
+
+    `Slc.images` holds complex64 arrays, (rows, columns), whose power is beta0 in the mean. `seed` as in
+    `phase_history`. Raises InputError and DeviceError.
+    """
+    where = devices.resolve_device(device)
+    plans = [plan_of(scene, view, where) for view in scene.views]
+    return [image_of(scene, plan, where, _seed(scene, seed), index) for index, plan in enumerate(plans)]
+
+
+def image_of(scene: Scene, plan: Plan, device: wp.Device, seed: int, index: int) -> Slc:
+    """The complex image of one view."""
+    if plan.table.focus == "backprojection":
+        made = collected(scene, plan, device, seed, index)
+        with busy(f"{plan.view.name}: focusing"):
+            return focused(made, scene.grid, device)
+    refuse_direct(plan, scene.name)
+    found = seen(scene, plan, device, seed, once=True)
+    with busy(f"{plan.view.name}: {found.count} scatterers into the image"):
+        image = direct(plan, found, tuple(scene.radar.polarizations), scene.grid, device)
+    return with_image_noise(image, seed + 7919 * index)
+
+
+def seen(scene: Scene, plan: Plan, device: wp.Device, seed: int, *, once: bool = False) -> Scatterers:
+    """The scatterers of one view; `once`: as the middle of the track sees them."""
     load_kernels(device)
     with busy(f"{plan.view.name}: scatterers"):
-        found = scatterers_of(scene, plan, body_of(scene, plan, device, seed))
+        found = scatterers_of(scene, plan, body_of(scene, plan, device, seed), once=once)
     if found.aliased > ALIASED:
         console.warn([f"{plan.view.name}: {100 * found.aliased:.2g} % of the tubes are too wide after curved surfaces"])
     return found
@@ -80,7 +105,8 @@ def run(
     console.warn(warnings)
     entries = []
     for index, plan in enumerate(plans):
-        entries.append(_phase_history(scene, plan, where, _seed(scene, seed), index, out))
+        write = _phase_history if product == "phase-history" else _slc
+        entries.append(write(scene, plan, where, _seed(scene, seed), index, out))
     content = {"product": product, "warnings": warnings, "views": entries}
     content = write_json(out / "simulate.json", scene, where, _seed(scene, seed), started, content)
     names = [name for entry in entries for name in entry["files"].values()]
@@ -106,6 +132,19 @@ def _phase_history(scene: Scene, plan: Plan, device: wp.Device, seed: int, index
         files["cphd"] = f"{plan.view.name}.cphd"
         cphd.write(out / files["cphd"], made)
     return {**facts(plan), "files": files, "scatterers": made.scatterers}
+
+
+def _slc(scene: Scene, plan: Plan, device: wp.Device, seed: int, index: int, out: Path) -> dict[str, Any]:
+    made = image_of(scene, plan, device, seed, index)
+    name = plan.view.name
+    files = {"npz": f"{name}.npz", "quick_look": f"{name}.png"}
+    with replacing(out / files["npz"]) as temporary, temporary.open("wb") as file:
+        np.savez(file, range_m=made.range_m, azimuth_m=made.azimuth_m, **made.images)  # type: ignore[arg-type]
+    quick_look(out / files["quick_look"], np.abs(next(iter(made.images.values()))) ** 2)
+    for pol in made.images if find_spec("sarkit") is not None else ():
+        files[f"sicd_{pol}"] = f"{name}.nitf" if len(made.images) == 1 else f"{name}_{pol}.nitf"
+        sicd.write(out / files[f"sicd_{pol}"], made, pol)
+    return {**facts(plan), "plane": made.plane, "files": files, "scatterers": made.scatterers}
 
 
 def facts(plan: Plan) -> dict[str, Any]:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpsar.collection.history import Collected
+from warpsar.collection.plan import MOST
 from warpsar.errors import InputError
 from warpsar.io.images import replacing
 from warpsar.measured.earth import ecef_to_geodetic
@@ -35,7 +36,7 @@ def write(path: Path, made: Collected) -> None:
     tables = sarkit_cphd.ElementWrapper(root)
     low, high = made.frequency_hz[[0, -1]].tolist()
     times = made.plan.track.time_s - made.plan.track.time_s[0]
-    toa = 0.49 / made.plan.step_hz  # a little within what the steps of frequency tell apart
+    toa = 0.5 * MOST / made.plan.step_hz
     tables["CollectionID"] = {
         "CollectorName": f"warpsar {__version__}",
         "CoreName": made.plan.view.name,
@@ -134,7 +135,18 @@ def _scene(made: Collected) -> dict[str, Any]:
         "ReferenceSurface": {"Planar": {"uIAX": site.axes[0], "uIAY": site.axes[1]}},
         "ImageArea": {"X1Y1": low, "X2Y2": high},
         "ImageAreaCornerPoints": ecef_to_geodetic(site.to_ecef(ends))[:, :2],
+        "ImageGrid": {
+            "IARPLocation": np.array([0.0, 0.0]),
+            "IAXExtent": _extent("Line", low[0], high[0], made.plan.cells_m[0]),
+            "IAYExtent": _extent("Sample", low[1], high[1], made.plan.cells_m[1]),
+        },
     }
+
+
+def _extent(name: str, low: float, high: float, step: float) -> dict[str, Any]:
+    """Lines or samples of a grid, a cell apart, of which number 0 is the reference point."""
+    first = int(np.ceil(low / step))
+    return {f"{name}Spacing": step, f"First{name}": first, f"Num{name}s": int(np.floor(high / step)) - first + 1}
 
 
 def _vectors(made: Collected, kind: np.dtype, times: np.ndarray, toa: float) -> np.ndarray:

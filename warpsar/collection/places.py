@@ -104,8 +104,8 @@ def _chosen(worker: Worker, direction: Directions, radar: wp.array, distance_m: 
     traced = Traced(worker, radar, coarse)
     hits = traced.hits.numpy() if worker.bounces == 1 else traced.hits[:, :1].contiguous().numpy()
     smooth = np.array([not material.rms_height_m for material in body.materials])
-    first = hits["face"].reshape(-1)
     met = traced.count > 0
+    first = np.where(met, hits["face"].reshape(-1), 0)
     matters = met & (smooth[body.face_material.numpy()[first]] | (traced.count > 1)) & (coarse.used != 0)
     low, step, count = cells.frame(body, direction, 0, COARSE * worker.spacing, distance_m)
     wanted = np.zeros(count + 2, bool)

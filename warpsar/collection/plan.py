@@ -31,6 +31,8 @@ TURNTABLE_S = 60.0
 """Of a turntable's turn through its aperture, where no `prf_hz` says it."""
 SPARE = 0.7
 """Share of what is unambiguous that the scene takes, where the number of samples is free."""
+MOST = 0.8
+"""Share that it may take at most: CPHD asks for samples of frequency a little denser than needed."""
 FEWEST = 32
 _SHOWN = 200
 """Pulses that are looked at for ambiguity, with the one after each."""
@@ -106,11 +108,17 @@ class Plan:
         return towards @ axis
 
     @cached_property
-    def azimuth_weights(self) -> F64:
-        """The taper times the antenna's pattern, (p,)."""
+    def azimuth_taper(self) -> F64:
+        """The taper of each pulse, (p,), as `measured.focus` applies it."""
         place = (self.cosine - 0.5 * (self.cosine.max() + self.cosine.min())) / np.ptp(self.cosine)
         place *= (len(place) - 1) / len(place)
-        return taper(self.windows[1], place) * self.beam_gain
+        return taper(self.windows[1], place)
+
+    @cached_property
+    def azimuth_weights(self) -> F64:
+        """The taper times the antenna's pattern, (p,)."""
+        weights: F64 = self.azimuth_taper * self.beam_gain
+        return weights
 
     @cached_property
     def response_m2(self) -> float:
@@ -358,11 +366,11 @@ def _sampled_band(world: World, plan: Plan, low: float, high: float) -> Plan:
     swath = swath_m(world, plan)
     needed = 4.0 * swath * (high - low) / SPEED_OF_LIGHT
     count = plan.table.frequencies or max(FEWEST, fft.next_fast_len(math.ceil(needed / SPARE)))
-    if needed > count:
+    if needed > MOST * count:
         raise InputError(
-            f"{world.name}: collection.frequencies: found {count} in {high - low:.4g} Hz, which tell ranges within "
-            f"{SPEED_OF_LIGHT * count / (4.0 * (high - low)):.4g} m of the reference point; the scene or the image "
-            f"reaches {swath:.4g} m; must be at least {math.ceil(needed)}"
+            f"{world.name}: collection.frequencies: found {count} in {high - low:.4g} Hz, which tell ranges "
+            f"within {MOST * SPEED_OF_LIGHT * count / (4.0 * (high - low)):.4g} m of the reference point; the "
+            f"scene or the image reaches {swath:.4g} m; must be at least {math.ceil(needed / MOST)}"
         )
     step = (high - low) / count
     return replace(plan, start_hz=low + 0.5 * step, step_hz=step, frequencies=count)

@@ -70,8 +70,8 @@ def body_of(world: World, plan: Plan, device: wp.Device, seed: int) -> CoherentB
     return CoherentBody.of(world, device, spacing_m=float(width), seed=seed)
 
 
-def scatterers_of(world: World, plan: Plan, body: CoherentBody) -> Scatterers:
-    """All that `[radar] terms` asks for, seen along the track."""
+def scatterers_of(world: World, plan: Plan, body: CoherentBody, *, once: bool = False) -> Scatterers:
+    """All that `[radar] terms` asks for, seen along the track; `once`: from its middle alone."""
     k = 2.0 * np.pi * plan.centre_hz / SPEED_OF_LIGHT
     terms = world.radar.terms
     worker = places.worker_of(body, k, terms, world.radar.max_bounces, RAYS_PER_WAVELENGTH)
@@ -89,14 +89,15 @@ def scatterers_of(world: World, plan: Plan, body: CoherentBody) -> Scatterers:
             found.append(Part(point, np.ascontiguousarray(amplitude), weight, moving))
 
     if "rough" in terms and body.scatterers is not None:
-        knots = plan.knots(ROUGH_STEP_DEG)
+        knots = np.array([plan.middle]) if once else plan.knots(ROUGH_STEP_DEG)
         point = body.scatterer_points.numpy()
         for knot, weight in zip(knots, _fading(plan, knots), strict=True):
             amplitude = places.rough_amplitudes(worker, places.sight(body, sensor[knot])[1])
             some = (amplitude != 0.0).any(axis=1)
             add(Places(point[some], amplitude[some], body.scatterer_faces[some]), weight)
     smooth = {"single", "multibounce", "edges"} & set(terms)
-    knots = plan.knots(TUBE_STEP_DEG) if smooth else np.empty(0, int)
+    knots = np.array([plan.middle]) if once else plan.knots(TUBE_STEP_DEG)
+    knots = knots if smooth else knots[:0]
     for knot, weight in zip(knots, _fading(plan, knots), strict=True):
         direction, radar = places.sight(body, sensor[knot])
         if smooth - {"edges"}:

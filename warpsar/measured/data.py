@@ -158,10 +158,21 @@ class PhaseHistory:
 
     def facts(self, reference_point_m: np.ndarray) -> Facts:
         """Facts as seen from `reference_point_m` (3,) [m, world]; the direction is to the middle of the aperture."""
+        towards, distance = self.towards(reference_point_m)
+        azimuth, incidence = direction_deg(towards.mean(axis=0), self.frame, reference_point_m)
+        return Facts(azimuth, incidence, self.centre_frequency_hz, self.polarization, float(distance.mean()))
+
+    def towards(self, reference_point_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Unit vectors from a world point to the antenna, (pulse, 3), or between two; and the distance, (pulse,)."""
         toward = self.position_m - self.in_frame(reference_point_m)
         distance = np.linalg.norm(toward, axis=1)
-        azimuth, incidence = direction_deg((toward / distance[:, None]).mean(axis=0), self.frame, reference_point_m)
-        return Facts(azimuth, incidence, self.centre_frequency_hz, self.polarization, float(distance.mean()))
+        unit = toward / distance[:, None]
+        if self.transmitter_m is None:
+            return unit, distance
+        other = self.transmitter_m - self.in_frame(reference_point_m)
+        away = np.linalg.norm(other, axis=1)
+        both = unit + other / away[:, None]
+        return both / np.linalg.norm(both, axis=1, keepdims=True), (distance + away) / 2.0
 
 
 class Samples(Protocol):

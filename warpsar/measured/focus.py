@@ -166,8 +166,7 @@ def _range_profiles(
 
 def _cross_range_cosine(history: PhaseHistory, reference_point_m: np.ndarray) -> np.ndarray:
     """Cosine of the angle between each pulse's direction and the track's, seen from the reference point, (pulse,)."""
-    toward = history.position_m - history.in_frame(reference_point_m)
-    toward = toward / np.linalg.norm(toward, axis=1, keepdims=True)
+    toward = history.towards(reference_point_m)[0]
     track = np.linalg.svd(toward - toward.mean(axis=0), full_matrices=False)[2][0]
     return toward @ track
 
