@@ -5,10 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import click
+from click.core import ParameterSource
 
 from warpsar.cli import options
 
 # As in warpsar.simulation.files, which imports NumPy: `--help` shall not.
+PRODUCTS = ("beta0", "slc", "phase-history")
 FORMATS = ("exr", "geotiff", "netcdf", "zarr")
 
 
@@ -20,6 +22,13 @@ FORMATS = ("exr", "geotiff", "netcdf", "zarr")
     required=True,
     type=click.Path(file_okay=False, path_type=Path),
     help="Folder for images (beta0), quick looks (PNG, dB) and simulate.json; made if missing.",
+)
+@click.option(
+    "--product",
+    type=click.Choice(PRODUCTS),
+    default="beta0",
+    show_default=True,
+    help="Power, complex images (SICD), or phase history (CPHD); the last two need [collection].",
 )
 @click.option(
     "--format",
@@ -71,6 +80,7 @@ FORMATS = ("exr", "geotiff", "netcdf", "zarr")
 def command(
     scenes: tuple[Path, ...],
     out: Path,
+    product: str,
     formats: tuple[str, ...],
     azimuths: str | None,
     incidences: str | None,
@@ -95,6 +105,9 @@ def command(
       warpsar simulate scene.toml -o out/ --format geotiff --layers
       warpsar simulate scene.toml -o out/ --azimuths 0:360:10 --incidences 30,45
     """
+    if product != "beta0":
+        _with_phase(scenes, out, product, device, seed)
+        return
     if len(scenes) > 1 or azimuths is not None or incidences is not None:
         from warpsar.simulation import batch
 
@@ -131,3 +144,19 @@ def command(
         looks=looks,
         declare=declare,
     )
+
+
+def _with_phase(scenes: tuple[Path, ...], out: Path, product: str, device: str | None, seed: int | None) -> None:
+    context = click.get_current_context()
+    known = ("scenes", "out", "product", "device", "seed")
+    given = [
+        p.opts[0]
+        for p in context.command.params
+        if p.name not in known and context.get_parameter_source(str(p.name)) is ParameterSource.COMMANDLINE
+    ]
+    if len(scenes) > 1 or given:
+        found = ", ".join(given) or f"{len(scenes)} scenes"
+        raise click.UsageError(f"--product {product}: found {found}; it takes one scene, --out, --device and --seed")
+    from warpsar.collection.command import run
+
+    run(scenes[0], out, product, device=device, seed=seed)

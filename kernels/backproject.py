@@ -28,6 +28,7 @@ def backproject_kernel(
     # In:
     points: wp.array(dtype=wp.vec3d),
     positions: wp.array(dtype=wp.vec3d),
+    senders: wp.array(dtype=wp.vec3d),  # transmitters that stand apart, or none
     reference_range: wp.array(dtype=wp.float64),
     turns_per_metre: wp.array(dtype=wp.float64),  # 2 f / c at the frequency to which the profile is demodulated
     bins_per_metre: wp.array(dtype=wp.float64),
@@ -44,7 +45,10 @@ def backproject_kernel(
     point = points[i]
     total = image[i]
     for pulse in range(positions.shape[0]):
-        offset = wp.length(positions[pulse] - point) - reference_range[pulse]
+        way = wp.length(positions[pulse] - point)
+        if senders.shape[0] > 0:
+            way = wp.float64(0.5) * (way + wp.length(senders[pulse] - point))
+        offset = way - reference_range[pulse]
         if wp.abs(offset) > half_swath[pulse]:
             total = wp.vec2(wp.nan, wp.nan)
         else:

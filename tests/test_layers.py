@@ -33,6 +33,7 @@ ROOMS = (
     "render",
     "simulation",
     "coherent",
+    "collection",
     "curves",
     "differentiable",
     "learning",

@@ -214,10 +214,10 @@ def test_schema_is_strict_json_without_references() -> None:
     text = json.dumps(scene_schema(), allow_nan=False)
     assert "$ref" not in text
     assert "null" not in text
-    # tables of the file, scene.origin among them; effects; each effect, and in it tolerance; { about, sd } of each
-    # parameter, of the materials' values, and of the objects'
+    # tables of the file, scene.origin and the collection's antenna and transmitter among them; effects; each effect,
+    # and in it tolerance; { about, sd } of each parameter, of the materials' values, and of the objects'
     tolerances = sum(len(get(name).parameters) for name in names()) + 2
-    assert text.count('"additionalProperties": false') == 10 + 1 + 2 * len(names()) + tolerances
+    assert text.count('"additionalProperties": false') == 13 + 1 + 2 * len(names()) + tolerances
 
 
 def test_command_prints_what_it_writes(tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ from warpsar.version import __version__
 if TYPE_CHECKING:
     from warpsar.coherent.gradients import rcs_gradients
     from warpsar.coherent.rcs import rcs
+    from warpsar.collection.command import phase_history, slc
     from warpsar.diagnosis.found import DiagnoseOptions
     from warpsar.diagnosis.result import diagnose
     from warpsar.differentiable.renderer import renderer
@@ -39,10 +40,12 @@ _LAZY = {
     "diagnose": "warpsar.diagnosis.result",
     "evaluate": "warpsar.evaluation.command",
     "learn": "warpsar.learning.command",
+    "phase_history": "warpsar.collection.command",
     "rcs": "warpsar.coherent.rcs",
     "rcs_gradients": "warpsar.coherent.gradients",
     "renderer": "warpsar.differentiable.renderer",
     "simulate": "warpsar.simulation.command",
+    "slc": "warpsar.collection.command",
     "to_xarray": "warpsar.simulation.dataset",
 }
 __all__ = [
@@ -62,10 +65,12 @@ __all__ = [
     "diagnose",
     "evaluate",
     "learn",
+    "phase_history",
     "rcs",
     "rcs_gradients",
     "renderer",
     "simulate",
+    "slc",
     "to_xarray",
 ]
 

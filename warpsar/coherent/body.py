@@ -52,8 +52,13 @@ class CoherentBody:
     """(n,)."""
 
     @classmethod
-    def of(cls, world: World, device: wp.Device) -> CoherentBody:
-        """Upload the mesh of a scene. Rays see it about its own middle, where float32 is finest."""
+    def of(
+        cls, world: World, device: wp.Device, *, spacing_m: float | None = None, seed: int | None = None
+    ) -> CoherentBody:
+        """Upload the mesh of a scene. Rays see it about its own middle, where float32 is finest.
+
+        `spacing_m`: of the scatterers of rough faces, half a wavelength without it; `seed`: theirs, else the scene's.
+        """
         mesh = world.mesh
         middle = 0.5 * (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0))
         vertices = mesh.vertices - middle
@@ -75,8 +80,9 @@ class CoherentBody:
         for name in ("normal", "centre", "area", "reach", "material", "first", "end"):
             packed[name] = getattr(flat, name)
         materials = tuple(world.materials[name] for name in mesh.materials)
-        spacing = 0.5 * SPEED_OF_LIGHT / world.radar.frequency_hz
-        places, owners = scatterers(shape, mesh.face_material, materials, spacing, world.sampling.seed)
+        spacing = spacing_m or 0.5 * SPEED_OF_LIGHT / world.radar.frequency_hz
+        seed = world.sampling.seed if seed is None else seed
+        places, owners = scatterers(shape, mesh.face_material, materials, spacing, seed)
         return cls(
             device,
             shape,

@@ -1,4 +1,4 @@
-"""CPHD (Compensated Phase History Data, NGA.STND.0068), FX domain, monostatic; read with sarkit."""
+"""CPHD (Compensated Phase History Data, NGA.STND.0068), FX domain; read with sarkit."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ def read(path: Path, polarization: str | None, frame: EarthFrame | None) -> Phas
         reader = sarkit_cphd.Reader(file)
         tree = reader.metadata.xmltree
         domain, kind = tree.findtext("{*}Global/{*}DomainType"), tree.findtext("{*}CollectionID/{*}CollectType")
-        if domain != "FX" or kind != "MONOSTATIC":
-            raise InputError(f"{path}: found {kind}, domain {domain}; MONOSTATIC data in the FX domain can be focused")
+        if domain != "FX":
+            raise InputError(f"{path}: found {kind}, domain {domain}; data in the FX domain can be focused")
         channel, found = _channel(path, tree, polarization)
         _check_arrays(path, tree, channel, blocks)
         signal, pvp = reader.read_channel(channel)
@@ -62,7 +62,12 @@ def read(path: Path, polarization: str | None, frame: EarthFrame | None) -> Phas
         # The phase centre half way between sending and receiving: for one antenna in flight the sum of both distances
         # differs from twice this one by |sent - received|^2 / 4 R, which cancels against the reference point's.
         arp = (pvp["TxPos"].astype(np.float64) + pvp["RcvPos"].astype(np.float64)) / 2.0
-        reference = np.linalg.norm(arp - pvp["SRPPos"].astype(np.float64), axis=1)
+        sent = None
+        if kind == "BISTATIC":
+            arp, sent = pvp["RcvPos"].astype(np.float64), pvp["TxPos"].astype(np.float64)
+        ends = (arp, arp if sent is None else sent)
+        ways = [np.linalg.norm(end - pvp["SRPPos"].astype(np.float64), axis=1) for end in ends]
+        reference = (ways[0] + ways[1]) / 2.0
     return PhaseHistory(
         source=str(path),
         samples=np.ascontiguousarray(samples.T),
@@ -72,6 +77,7 @@ def read(path: Path, polarization: str | None, frame: EarthFrame | None) -> Phas
         reference_range_m=reference,
         polarization=found,
         frame=frame or Origin(*ecef_to_geodetic(iarp).tolist()),
+        transmitter_m=sent,
     )
 
 

@@ -55,7 +55,7 @@ class Facts:
 
 @dataclass(frozen=True)
 class PhaseHistory:
-    """Monostatic samples exp(-j 4 pi f (|position - q| - reference_range) / c), shape (frequency, pulse), complex64.
+    """Samples exp(-j 4 pi f (|position - q| - reference_range) / c), shape (frequency, pulse), complex64.
 
     Every pulse has its frequencies: `frequency_start_hz` + k `frequency_step_hz`, shape (pulse,) each.
     `position_m` (pulse, 3) [m] is in the world; it is earth-centred where `frame` says how the world lies on the earth.
@@ -73,6 +73,8 @@ class PhaseHistory:
     autofocus_range_m: np.ndarray | None = None
     autofocus_phase: np.ndarray | None = None
     frame: EarthFrame | None = None
+    transmitter_m: np.ndarray | None = None
+    """(pulse, 3) of a transmitter apart from `position_m`: the distance is then the mean of both."""
 
     def __post_init__(self) -> None:
         pulses = self.samples.shape[1] if self.samples.ndim == 2 else 0
@@ -88,11 +90,12 @@ class PhaseHistory:
             "reference_range_m",
             "autofocus_range_m",
             "autofocus_phase",
+            "transmitter_m",
         ):
             value = getattr(self, name)
             if value is None:
                 continue
-            if value.shape != ((pulses, 3) if name == "position_m" else (pulses,)):
+            if value.shape != ((pulses, 3) if name in ("position_m", "transmitter_m") else (pulses,)):
                 raise InputError(f"{self.source}: {name} has shape {value.shape}, but there are {pulses} pulses")
             if not np.isfinite(value).all():
                 raise InputError(f"{self.source}: {name} holds NaN or infinite values")
@@ -155,10 +158,21 @@ class PhaseHistory:
 
     def facts(self, reference_point_m: np.ndarray) -> Facts:
         """Facts as seen from `reference_point_m` (3,) [m, world]; the direction is to the middle of the aperture."""
+        towards, distance = self.towards(reference_point_m)
+        azimuth, incidence = direction_deg(towards.mean(axis=0), self.frame, reference_point_m)
+        return Facts(azimuth, incidence, self.centre_frequency_hz, self.polarization, float(distance.mean()))
+
+    def towards(self, reference_point_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Unit vectors from a world point to the antenna, (pulse, 3), or between two; and the distance, (pulse,)."""
         toward = self.position_m - self.in_frame(reference_point_m)
         distance = np.linalg.norm(toward, axis=1)
-        azimuth, incidence = direction_deg((toward / distance[:, None]).mean(axis=0), self.frame, reference_point_m)
-        return Facts(azimuth, incidence, self.centre_frequency_hz, self.polarization, float(distance.mean()))
+        unit = toward / distance[:, None]
+        if self.transmitter_m is None:
+            return unit, distance
+        other = self.transmitter_m - self.in_frame(reference_point_m)
+        away = np.linalg.norm(other, axis=1)
+        both = unit + other / away[:, None]
+        return both / np.linalg.norm(both, axis=1, keepdims=True), (distance + away) / 2.0
 
 
 class Samples(Protocol):

@@ -112,12 +112,14 @@ def _add_pulses(
     """Add the pulses `chosen` to `image` (vec2, shape (n,)) at `points` (vec3d, shape (n,))."""
     profiles, frequency, bins_per_metre = _range_profiles(history, chosen, weights, window_range)
     step = history.frequency_step_hz[chosen]
+    sender = np.empty((0, 3)) if history.transmitter_m is None else history.transmitter_m[chosen]
 
     def upload(values: np.ndarray) -> wp.array:
         return wp.array(values, dtype=wp.float64, device=device)
 
     inputs: list[Any] = [
         wp.array(history.position_m[chosen], dtype=wp.vec3d, device=device),
+        wp.array(sender, dtype=wp.vec3d, device=device),
         upload(history.reference_range_m[chosen]),
         upload(2.0 * frequency / SPEED_OF_LIGHT),
         upload(bins_per_metre),
@@ -164,8 +166,7 @@ def _range_profiles(
 
 def _cross_range_cosine(history: PhaseHistory, reference_point_m: np.ndarray) -> np.ndarray:
     """Cosine of the angle between each pulse's direction and the track's, seen from the reference point, (pulse,)."""
-    toward = history.position_m - history.in_frame(reference_point_m)
-    toward = toward / np.linalg.norm(toward, axis=1, keepdims=True)
+    toward = history.towards(reference_point_m)[0]
     track = np.linalg.svd(toward - toward.mean(axis=0), full_matrices=False)[2][0]
     return toward @ track
 

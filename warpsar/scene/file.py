@@ -12,6 +12,7 @@ from pydantic import Field, ValidationError, field_validator
 
 from warpsar.effects.registry import validate
 from warpsar.errors import InputError, did_you_mean, shown
+from warpsar.world.collection import Antenna, Collection, Transmitter
 from warpsar.world.curve import Curve
 from warpsar.world.library.fill import filled
 from warpsar.world.library.surfaces import SURFACES
@@ -77,6 +78,9 @@ class SceneFile(Table):
     )
     objects: list[Object] = Field(default_factory=list, description="Bodies with a place of their own.")
     curves: list[Curve] = Field(default_factory=list, description="Measured radar cross-sections against angle.")
+    collection: Collection | None = Field(
+        default=None, description="How a sensor collects the views (docs/collections.md)."
+    )
     views: Annotated[list[View], Field(min_length=1)] = Field(description="The views, at least one.")
 
 
@@ -88,7 +92,15 @@ _TABLES: dict[str, type[Table]] = {
     "materials": Material,
     "objects": Object,
     "curves": Curve,
+    "collection": Collection,
     "views": View,
+}
+
+
+_INNER: dict[tuple[object, ...], type[Table]] = {
+    ("scene", "origin"): Origin,
+    ("collection", "antenna"): Antenna,
+    ("collection", "transmitter"): Transmitter,
 }
 
 
@@ -182,7 +194,7 @@ def _problem(details: Mapping[str, Any], raw: dict[str, Any]) -> str:
         return f"{key}: missing"
     if kind == "extra_forbidden":
         model = _TABLES[str(place[0])] if len(place) > 1 else SceneFile
-        model = Origin if place[:2] == ("scene", "origin") and len(place) > 2 else model
+        model = _INNER.get(place[:2], model) if len(place) > 2 else model
         known = [info.alias or name for name, info in model.model_fields.items()]
         return f"{key}: unknown key; must be one of {', '.join(known)}{did_you_mean(place[-1], known)}"
     message = re.sub(r"^(Value error, |Input )", "", details["msg"]).replace("should", "must")

@@ -13,6 +13,7 @@ from warpsar.io import curves
 from warpsar.io.images import read_channel, read_mask
 from warpsar.scene import checks
 from warpsar.scene.file import SceneFile, parse, parse_effects, read, refuse
+from warpsar.world.collection import Collection
 from warpsar.world.curve import Curve
 from warpsar.world.library.fill import beyond, named
 from warpsar.world.mesh import Mesh, read_mesh
@@ -68,6 +69,7 @@ class _Loader:
         if mesh is not None:
             where = f"the mesh {mesh_path}" if assembly is None else "the mesh and the objects"
             self.problems += checks.material_names(list(materials), mesh, where)
+        collection = self.collection(file.collection, [one.label for one in objects])
         refuse(self.path, self.problems)
         assert mesh is not None
         return {
@@ -87,6 +89,7 @@ class _Loader:
             "objects": tuple(objects),
             "assembly": assembly,
             "curves": tuple(found),
+            "collection": collection,
         }
 
     def mesh(self, key: str, path: Path) -> Mesh | None:
@@ -132,6 +135,21 @@ class _Loader:
             changed["mask"] = self.absolute(view.mask)
             self.check_mask(f"{key}.mask", changed["mask"])
         return view.model_copy(update=changed)
+
+    def collection(self, table: Collection | None, labels: list[str]) -> Collection | None:
+        """The table with its file's place; movers must be objects."""
+        if table is None:
+            return None
+        for name in table.velocity_m_s:
+            if name not in labels:
+                known = ", ".join(labels) or "none"
+                self.problems.append(f"collection.velocity_m_s: found {name!r}; must name one of [[objects]] ({known})")
+        if table.trajectory is None:
+            return table
+        path = self.absolute(table.trajectory)
+        if not path.is_file():
+            self.problems.append(f"collection.trajectory: found {path}; there is no such file")
+        return table.model_copy(update={"trajectory": path})
 
     def curve(self, index: int, curve: Curve) -> Curve:
         """The curve with its file's place; what does not fit the file or the radar is a problem."""

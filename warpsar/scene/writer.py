@@ -67,6 +67,10 @@ class _Writer:
             tables["objects"] = [self.object(one) for one in scene.objects]
         if scene.curves:
             tables["curves"] = [{**_plain(one), "file": self.relative(one.file)} for one in scene.curves]
+        if scene.collection is not None:
+            tables["collection"] = _plain(scene.collection)
+            if scene.collection.trajectory is not None:
+                tables["collection"]["trajectory"] = self.relative(scene.collection.trajectory)
         tables["views"] = [self.view(view) for view in scene.views]
         return tables
 

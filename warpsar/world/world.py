@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from warpsar.errors import InputError
 from warpsar.io.images import read_channel, read_mask
+from warpsar.world.collection import Collection
 from warpsar.world.curve import Curve
 from warpsar.world.frame import SPEED_OF_LIGHT, ViewGeometry, view_geometry
 from warpsar.world.mesh import Mesh
@@ -61,6 +62,8 @@ class World:
     """What `mesh` is made of, where there are objects."""
     curves: tuple[Curve, ...] = ()
     """Measured radar cross-sections; their files are absolute."""
+    collection: Collection | None = None
+    """How a sensor collects the views; its file is absolute."""
 
     @property
     def name(self) -> str:
@@ -117,6 +120,8 @@ class World:
             if view.mask is not None:
                 yield view.mask
         yield from sorted({curve.file for curve in self.curves})
+        if self.collection is not None and self.collection.trajectory is not None:
+            yield self.collection.trajectory
 
     @cached_property
     def input_hash(self) -> str:
@@ -144,6 +149,7 @@ class World:
         plain: list[Any] = [self.radar, self.grid, self.sampling, self.effects, self.reference_point_m]
         plain += [one.model_dump(exclude={"mesh"}) for one in self.objects]
         plain += [one.model_dump(exclude={"file"}) for one in self.curves]
+        plain += [] if self.collection is None else [self.collection.model_dump(exclude={"trajectory"})]
         for name, material in self.materials.items():
             beside = {"sigma0"} if material.model != "ka_spm" else {"model", "sigma0", "level"}
             given = {

@@ -1,0 +1,277 @@
+"""Scatterers of a collection: what the places of a body send back, and its deposit into range bins and images.
+
+A deposit spreads each scatterer over WIDTH bins of a grid twice as fine as the samples' spectrum needs, with the
+"exponential of a semicircle" (Barnett, Magland, af Klinteberg, SIAM J. Sci. Comput. 41(5), 2019). Its transform is
+divided out after the FFT. What is left of the error stands in docs/collections.md.
+"""
+
+import warp as wp
+
+from warpsar.kernels.coherent.edges import Edge, diffracted
+from warpsar.kernels.coherent.numbers import product, turned
+from warpsar.kernels.coherent.radiate import Pair, bounced_fields, sent, tube_factor, unit
+from warpsar.kernels.coherent.reflection import Face
+from warpsar.kernels.coherent.rough import RoughSurface, Scatterer, scattered
+from warpsar.kernels.coherent.tubes import Hit, Radar, look
+
+WIDTH = wp.constant(6)
+"""Bins of a deposit."""
+HALF = wp.constant(wp.float64(3.0))
+"""Half of WIDTH."""
+BETA = wp.constant(13.8)
+"""Exponent of the spread: 2.3 for each bin."""
+TWO_PI = wp.constant(6.283185307179586)
+
+
+@wp.struct
+class Beam:
+    """Unit vectors across the beam of each pulse, and the sine of its half-power widths; 0 is even."""
+
+    along: wp.array[wp.vec3d]
+    up: wp.array[wp.vec3d]
+    wide: float
+    high: float
+
+
+@wp.func
+def unphased(value: wp.vec2d, turn: wp.vec2d) -> wp.vec2:
+    """The amplitude times `turn`, which takes the phase of its place away, in float32."""
+    found = product(value, turn)
+    return wp.vec2(float(found[0]), float(found[1]))
+
+
+@wp.kernel(enable_backward=False)
+def rough_places_kernel(
+    # In:
+    radar_in: wp.array[Radar],
+    k: wp.float64,
+    surface_in: wp.array[RoughSurface],
+    variant: int,
+    scatterer_in: wp.array[Scatterer],
+    seen_in: wp.array2d[wp.uint8],
+    # Out:
+    amplitude_out: wp.array2d[wp.vec2],
+):
+    """Amplitudes of rough places without the phase of the way, (n, 4) [m]."""
+    i = wp.tid()
+    if seen_in[0, i] == wp.uint8(0):
+        return
+    place = scatterer_in[i]
+    four = scattered(radar_in[0], k, surface_in[place.material], variant, place)
+    turn = turned(wp.float64(2.0) * k * look(radar_in[0], place.point, 0.0).back)
+    amplitude_out[i, 0] = unphased(four.hh, turn)
+    amplitude_out[i, 1] = unphased(four.hv, turn)
+    amplitude_out[i, 2] = unphased(four.vh, turn)
+    amplitude_out[i, 3] = unphased(four.vv, turn)
+
+
+@wp.kernel(enable_backward=False)
+def edge_places_kernel(
+    # In:
+    radar_in: wp.array[Radar],
+    k: wp.float64,
+    edge_in: wp.array[Edge],
+    seen_in: wp.array2d[wp.uint8],
+    # Out:
+    amplitude_out: wp.array2d[wp.vec2],
+):
+    """Amplitudes of pieces of edges without the phase of the way to their middle, (n, 4) [m]."""
+    i = wp.tid()
+    if seen_in[0, i] == wp.uint8(0):
+        return
+    edge = edge_in[i]
+    four = diffracted(radar_in[0], k, edge)
+    turn = turned(wp.float64(2.0) * k * look(radar_in[0], edge.middle, 0.0).back)
+    amplitude_out[i, 0] = unphased(four.hh, turn)
+    amplitude_out[i, 1] = unphased(four.hv, turn)
+    amplitude_out[i, 2] = unphased(four.vh, turn)
+    amplitude_out[i, 3] = unphased(four.vv, turn)
+
+
+@wp.func
+def effective_place(radar: Radar, entry: wp.vec3d, leave: wp.vec3d, way: wp.float64) -> wp.vec3d:
+    """Where a single bounce would have the same way, half of it each, and the same change of it with the direction.
+
+    The way changes as -s . (entry + leave): the place lies halfway between them across the look direction.
+    """
+    place = wp.float64(0.5) * (entry + leave)
+    for _ in range(3):
+        sight = look(radar, place, 0.0)
+        place = place - (wp.float64(0.5) * way - sight.back) * sight.s
+    return place
+
+
+@wp.kernel(enable_backward=False)
+def tube_places_kernel(
+    # In:
+    radar_in: wp.array[Radar],
+    k: wp.float64,
+    stuff_in: wp.array2d[Face],
+    material_in: wp.array[int],
+    used_in: wp.array[int],
+    hits_in: wp.array2d[Hit],
+    count_in: wp.array[int],
+    single: int,
+    # Out:
+    place_out: wp.array2d[wp.vec3d],
+    amplitude_out: wp.array3d[wp.vec2],
+    face_out: wp.array2d[int],
+):
+    """Of every hit of a ray its effective place (rays, bounces) [m], its amplitude (rays, bounces, 4) [m], its face.
+
+    The first hit counts on smooth faces alone, with `single`: rough faces have places of their own.
+    """
+    ray = wp.tid()
+    radar = radar_in[0]
+    fields = Pair()
+    fields.h = unit(radar.u)
+    fields.v = unit(radar.v)
+    if used_in[ray] == 0:
+        return
+    for b in range(count_in[ray]):
+        hit = hits_in[ray, b]
+        stuff = stuff_in[0, material_in[hit.face]]
+        back = bounced_fields(stuff, k, fields, hit.d, hit.normal)
+        counts = hit.seen
+        if b == 0:
+            if single == 0 or stuff.rms_height > wp.float64(0.0):
+                counts = 0
+        if counts != 0:
+            sight = look(radar, hit.point, 0.0)
+            four = sent(tube_factor(k, hit, sight), fields, back, hit.d, hit.normal, sight.s, radar.u, radar.v)
+            way = sight.back + hit.path
+            turn = turned(k * way)
+            place_out[ray, b] = effective_place(radar, hits_in[ray, 0].point, hit.point, way)
+            face_out[ray, b] = hit.face
+            amplitude_out[ray, b, 0] = unphased(four.hh, turn)
+            amplitude_out[ray, b, 1] = unphased(four.hv, turn)
+            amplitude_out[ray, b, 2] = unphased(four.vh, turn)
+            amplitude_out[ray, b, 3] = unphased(four.vv, turn)
+        fields = back
+
+
+@wp.func
+def spread_weight(distance: float) -> float:
+    """Weight of a bin at a distance of up to half of WIDTH."""
+    x = distance / float(HALF)
+    inside = 1.0 - x * x
+    if inside <= 0.0:
+        return 0.0
+    return wp.exp(BETA * (wp.sqrt(inside) - 1.0))
+
+
+@wp.func
+def way_less_reference(place: wp.vec3d, point: wp.vec3d, own: wp.float64) -> wp.float64:
+    """Distance of a point less that of the reference point, `own` [m], whatever both are: no difference of ranges."""
+    two = wp.float64(2.0)
+    return (wp.dot(point, point) - two * wp.dot(place, point)) / (wp.length(place - point) + own)
+
+
+@wp.func
+def gain(beam: Beam, pulse: int, place: wp.vec3d, point: wp.vec3d) -> float:
+    """One-way amplitude of a rectangular antenna."""
+    if beam.wide == 0.0 and beam.high == 0.0:
+        return 1.0
+    to = wp.normalize(point - place)
+    total = float(1.0)
+    if beam.wide > 0.0:
+        x = 2.7834312 * float(wp.dot(to, beam.along[pulse])) / beam.wide  # 2 pi 0.443
+        if wp.abs(x) > 1.0e-4:
+            total *= wp.sin(x) / x
+    if beam.high > 0.0:
+        y = 2.7834312 * float(wp.dot(to, beam.up[pulse])) / beam.high
+        if wp.abs(y) > 1.0e-4:
+            total *= wp.sin(y) / y
+    return total
+
+
+@wp.kernel(enable_backward=False)
+def deposit_kernel(
+    # In:
+    pulse_in: wp.array[int],
+    weight_in: wp.array[float],
+    time_in: wp.array[wp.float64],
+    receiver_in: wp.array[wp.vec3d],
+    transmitter_in: wp.array[wp.vec3d],
+    receiver_own: wp.array[wp.float64],
+    transmitter_own: wp.array[wp.float64],
+    bistatic: int,
+    beam: Beam,
+    turns_per_metre: wp.float64,
+    bins_per_metre: wp.float64,
+    point_in: wp.array[wp.vec3d],
+    velocity_in: wp.array[wp.vec3d],
+    amplitude_in: wp.array2d[wp.vec2],
+    polarizations: int,
+    lanes: int,
+    # Out:
+    bins_out: wp.array3d[wp.vec2],
+):
+    """Range-compressed pulses, (polarizations, pulses, bins): each scatterer e^{-j 2 pi turns} into WIDTH bins.
+
+    A thread takes every `lanes`-th scatterer of one pulse. The way is worked out in float64, from differences.
+    """
+    row, lane = wp.tid()
+    pulse = pulse_in[row]
+    weight = weight_in[row]
+    if weight == 0.0:
+        return
+    receiver = receiver_in[pulse]
+    transmitter = transmitter_in[pulse]
+    bins = bins_out.shape[2]
+    for step in range((point_in.shape[0] - lane + lanes - 1) // lanes):
+        i = lane + step * lanes
+        point = point_in[i]
+        if velocity_in.shape[0] > 0:
+            point = point + time_in[pulse] * velocity_in[i]
+        way = way_less_reference(receiver, point, receiver_own[pulse])
+        factor = weight * gain(beam, pulse, receiver, point)
+        if bistatic != 0:
+            other = way_less_reference(transmitter, point, transmitter_own[pulse])
+            way = wp.float64(0.5) * (way + other)
+            factor = factor * gain(beam, pulse, transmitter, point)
+        else:
+            factor = factor * factor / weight
+        turns = way * turns_per_metre
+        phase = -TWO_PI * float(turns - wp.round(turns))
+        c = factor * wp.cos(phase)
+        s = factor * wp.sin(phase)
+        at = way * bins_per_metre
+        first = int(wp.ceil(at - HALF))
+        offset = float(wp.float64(first) - at)
+        low = first % bins
+        if low < 0:
+            low = low + bins
+        for p in range(polarizations):
+            a = amplitude_in[p, i]
+            value = wp.vec2(a[0] * c - a[1] * s, a[0] * s + a[1] * c)
+            for w in range(WIDTH):
+                bin = low + w
+                if bin >= bins:
+                    bin = bin - bins
+                wp.atomic_add(bins_out, p, row, bin, spread_weight(offset + float(w)) * value)
+
+
+@wp.kernel(enable_backward=False)
+def image_deposit_kernel(
+    # In:
+    place_in: wp.array[wp.vec2d],  # (row, column) on the fine grid
+    amplitude_in: wp.array[wp.vec2],
+    # Out:
+    grid_out: wp.array2d[wp.vec2],
+):
+    """Scatterers into WIDTH x WIDTH cells of a grid, around its borders."""
+    i = wp.tid()
+    rows = grid_out.shape[0]
+    columns = grid_out.shape[1]
+    at = place_in[i]
+    row = int(wp.ceil(at[0] - HALF))
+    column = int(wp.ceil(at[1] - HALF))
+    down = float(wp.float64(row) - at[0])
+    aside = float(wp.float64(column) - at[1])
+    for r in range(WIDTH):
+        weight = spread_weight(down + float(r))
+        y = ((row + r) % rows + rows) % rows
+        for c in range(WIDTH):
+            x = ((column + c) % columns + columns) % columns
+            wp.atomic_add(grid_out, y, x, weight * spread_weight(aside + float(c)) * amplitude_in[i])

@@ -1,0 +1,7 @@
+"""What a sensor records on its track: phase history, and the complex images that come from it.
+
+presets: published systems. track: where the sensor is at each pulse. track_file: the same from CSV and CPHD. plan:
+band, track and system of a view, checked. response: widths and cells of a system. scatterers: what sends back, from the
+coherent engine. places: the same of one direction. history: phase history. slc: complex images. noise: the receiver's.
+cphd, sicd: files of the standards. command: `warpsar simulate --product`.
+"""

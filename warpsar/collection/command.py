@@ -1,0 +1,162 @@
+"""`warpsar simulate --product phase-history` and `--product slc`, and the same in Python."""
+
+from __future__ import annotations
+
+import time
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import warp as wp
+
+from warpsar.collection import cphd, sicd
+from warpsar.collection.history import Collected
+from warpsar.collection.history import phase_history as recorded
+from warpsar.collection.noise import with_image_noise, with_noise
+from warpsar.collection.plan import Plan, plan_of
+from warpsar.collection.scatterers import Scatterers, body_of, scatterers_of
+from warpsar.collection.slc import Slc, direct, focused, refuse_direct
+from warpsar.io.images import quick_look, replacing
+from warpsar.runtime import console, devices
+from warpsar.runtime.busy import busy
+from warpsar.scene.scene import Scene
+from warpsar.simulation.outputs import make_folder, write_json
+
+Product = Literal["phase-history", "slc"]
+ALIASED = 0.01
+"""Share of tubes that are too wide after a curved surface from which a warning is due."""
+
+
+def phase_history(scene: Scene, *, device: str | None = None, seed: int | None = None) -> list[Collected]:
+    """The phase history of every view of a scene with `[collection]`.
+
+    `seed` (else that of `[sampling]`) draws the scatterers of rough faces and the noise: views with one seed see one
+    surface. `Collected.samples` is complex64, (polarizations, frequencies, pulses). Raises InputError and DeviceError.
+    """
+    where = devices.resolve_device(device)
+    plans = [plan_of(scene, view, where) for view in scene.views]
+    return [collected(scene, plan, where, _seed(scene, seed), index) for index, plan in enumerate(plans)]
+
+
+def collected(scene: Scene, plan: Plan, device: wp.Device, seed: int, index: int) -> Collected:
+    """One view; `index` is its number, which tells its noise from that of others."""
+    found = seen(scene, plan, device, seed)
+    with busy(f"{plan.view.name}: {found.count} scatterers, {len(plan.track)} pulses"):
+        made = recorded(plan, found, tuple(scene.radar.polarizations), device)
+    return with_noise(made, seed + 7919 * index)
+
+
+def slc(scene: Scene, *, device: str | None = None, seed: int | None = None) -> list[Slc]:
+    """The complex image of every view of a scene with `[collection]`: backprojected, or direct, as the table says.
+
+    `Slc.images` holds complex64 arrays, (rows, columns), whose power is beta0 in the mean. `seed` as in
+    `phase_history`. Raises InputError and DeviceError.
+    """
+    where = devices.resolve_device(device)
+    plans = [plan_of(scene, view, where) for view in scene.views]
+    return [image_of(scene, plan, where, _seed(scene, seed), index) for index, plan in enumerate(plans)]
+
+
+def image_of(scene: Scene, plan: Plan, device: wp.Device, seed: int, index: int) -> Slc:
+    """The complex image of one view."""
+    if plan.table.focus == "backprojection":
+        made = collected(scene, plan, device, seed, index)
+        with busy(f"{plan.view.name}: focusing"):
+            return focused(made, scene.grid, device)
+    refuse_direct(plan, scene.name)
+    found = seen(scene, plan, device, seed, once=True)
+    with busy(f"{plan.view.name}: {found.count} scatterers into the image"):
+        image = direct(plan, found, tuple(scene.radar.polarizations), scene.grid, device)
+    return with_image_noise(image, seed + 7919 * index)
+
+
+def seen(scene: Scene, plan: Plan, device: wp.Device, seed: int, *, once: bool = False) -> Scatterers:
+    """The scatterers of one view; `once`: as the middle of the track sees them."""
+    load_kernels(device)
+    with busy(f"{plan.view.name}: scatterers"):
+        found = scatterers_of(scene, plan, body_of(scene, plan, device, seed), once=once)
+    if found.aliased > ALIASED:
+        console.warn([f"{plan.view.name}: {100 * found.aliased:.2g} % of the tubes are too wide after curved surfaces"])
+    return found
+
+
+def load_kernels(device: wp.Device) -> None:
+    names = ("coherent.tubes", "coherent.radiate", "coherent.edges", "coherent.rough", "collection", "backproject")
+    devices.load_kernels(device, *names)
+
+
+def _seed(scene: Scene, seed: int | None) -> int:
+    return scene.sampling.seed if seed is None else seed
+
+
+def run(
+    scene_path: Path | str, out: Path | str, product: Product, *, device: str | None = None, seed: int | None = None
+) -> dict[str, Any]:
+    """`warpsar simulate --product`: files of every view, and simulate.json, in `out`. Returns the JSON's content."""
+    started = time.perf_counter()
+    with busy("reading the scene"):
+        scene = Scene.load(scene_path)
+    where, out = devices.resolve_device(device), Path(out)
+    plans = [plan_of(scene, view, where) for view in scene.views]
+    make_folder(out)
+    console.say_device(where)
+    warnings = [*scene.warnings, *_warnings(scene)]
+    console.warn(warnings)
+    entries = []
+    for index, plan in enumerate(plans):
+        write = _phase_history if product == "phase-history" else _slc
+        entries.append(write(scene, plan, where, _seed(scene, seed), index, out))
+    content = {"product": product, "warnings": warnings, "views": entries}
+    content = write_json(out / "simulate.json", scene, where, _seed(scene, seed), started, content)
+    names = [name for entry in entries for name in entry["files"].values()]
+    console.say(f"{out}:\n  {', '.join(names[:4])}{f' and {len(names) - 4} more' if len(names) > 4 else ''}")
+    return content
+
+
+def _warnings(scene: Scene) -> list[str]:
+    found = []
+    if find_spec("sarkit") is None:
+        found.append('no CPHD and no SICD are written: they need sarkit: pip install "warpsar[sicd]"')
+    elif scene.origin is None:
+        found.append("[scene] has no origin: files in earth coordinates put it at latitude 0, longitude 0")
+    return found
+
+
+def _phase_history(scene: Scene, plan: Plan, device: wp.Device, seed: int, index: int, out: Path) -> dict[str, Any]:
+    made = collected(scene, plan, device, seed, index)
+    files = {"npz": f"{plan.view.name}.npz"}
+    with replacing(out / files["npz"]) as temporary, temporary.open("wb") as file:
+        np.savez(file, **made.arrays())
+    if find_spec("sarkit") is not None:
+        files["cphd"] = f"{plan.view.name}.cphd"
+        cphd.write(out / files["cphd"], made)
+    return {**facts(plan), "files": files, "scatterers": made.scatterers}
+
+
+def _slc(scene: Scene, plan: Plan, device: wp.Device, seed: int, index: int, out: Path) -> dict[str, Any]:
+    made = image_of(scene, plan, device, seed, index)
+    name = plan.view.name
+    files = {"npz": f"{name}.npz", "quick_look": f"{name}.png"}
+    with replacing(out / files["npz"]) as temporary, temporary.open("wb") as file:
+        np.savez(file, range_m=made.range_m, azimuth_m=made.azimuth_m, **made.images)  # type: ignore[arg-type]
+    quick_look(out / files["quick_look"], np.abs(next(iter(made.images.values()))) ** 2)
+    for pol in made.images if find_spec("sarkit") is not None else ():
+        files[f"sicd_{pol}"] = f"{name}.nitf" if len(made.images) == 1 else f"{name}_{pol}.nitf"
+        sicd.write(out / files[f"sicd_{pol}"], made, pol)
+    return {**facts(plan), "plane": made.plane, "files": files, "scatterers": made.scatterers}
+
+
+def facts(plan: Plan) -> dict[str, Any]:
+    """What simulate.json says of a view's collection."""
+    return {
+        "name": plan.view.name,
+        "pulses": len(plan.track),
+        "frequencies": plan.frequencies,
+        "frequency_start_hz": plan.start_hz,
+        "frequency_step_hz": plan.step_hz,
+        "cells_m": list(plan.cells_m),
+        "windows": list(plan.windows),
+        "response_m2": plan.response_m2,
+        "slant_range_m": plan.slant_range_m,
+    }

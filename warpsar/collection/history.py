@@ -1,0 +1,220 @@
+"""Phase history: scatterers deposited into range bins, pulse by pulse, and the bins brought to frequencies.
+
+A sample is S = sum sqrt(4 pi) A exp(-j 4 pi f (r - r0) / c), with the mean way r to a scatterer and r0 to the reference
+point. |S|^2 of a single scatterer is its RCS [m2] (times the antenna's two-way pattern).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache, partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+from scipy import fft
+
+from warpsar.collection.plan import Plan, boresight
+from warpsar.collection.scatterers import Part, Scatterers
+from warpsar.errors import InputError
+from warpsar.kernels import collection as kernels
+from warpsar.measured.data import PhaseHistory
+from warpsar.runtime import threads
+from warpsar.version import __version__
+from warpsar.world.frame import SPEED_OF_LIGHT
+
+if TYPE_CHECKING:
+    import xarray
+
+OVERSAMPLING = 2
+LANES = {"cpu": 1, "cuda": 4096}
+"""Threads for each pulse."""
+_PULSES_TOGETHER = {"cpu": 16, "cuda": 1024}
+
+
+@dataclass(frozen=True)
+class Collected:
+    """The phase history of one view."""
+
+    plan: Plan
+    polarizations: tuple[str, ...]
+    samples: NDArray[np.complex64]
+    """(polarizations, frequencies, pulses)."""
+    scatterers: int
+    aliased: float
+
+    @property
+    def frequency_hz(self) -> NDArray[np.float64]:
+        return self.plan.start_hz + self.plan.step_hz * np.arange(self.plan.frequencies)
+
+    def history(self, polarization: str) -> PhaseHistory:
+        """One polarization as `warpsar.measured` knows it, its places in the frame of `Site`."""
+        plan, pulses = self.plan, len(self.plan.track)
+        return PhaseHistory(
+            source=plan.view.name,
+            samples=self.samples[self.polarizations.index(polarization)],
+            frequency_start_hz=np.full(pulses, plan.start_hz),
+            frequency_step_hz=np.full(pulses, plan.step_hz),
+            position_m=plan.track.receiver_m,
+            reference_range_m=plan.track.reference_m(),
+            polarization=polarization,
+            transmitter_m=plan.track.transmitter_m if plan.track.bistatic else None,
+        )
+
+    def to_xarray(self) -> xarray.Dataset:
+        """`samples` over polarization, frequency [Hz] and time [s] (extra `xarray`)."""
+        try:
+            import xarray
+        except ImportError as error:
+            raise InputError('xarray is needed: pip install "warpsar[xarray]"') from error
+        track = self.plan.track
+        place = ("time", "component")
+        return xarray.Dataset(
+            {
+                "samples": (("polarization", "frequency", "time"), self.samples, {"units": "m"}),
+                "receiver": (place, track.receiver_m, {"units": "m"}),
+                "transmitter": (place, track.transmitter_m, {"units": "m"}),
+                "reference_range": ("time", track.reference_m(), {"units": "m"}),
+            },
+            {
+                "polarization": list(self.polarizations),
+                "frequency": ("frequency", self.frequency_hz, {"units": "Hz"}),
+                "time": ("time", track.time_s, {"units": "s"}),
+                "component": ["east", "north", "up"],
+            },
+            {"title": "simulated phase history", "view": self.plan.view.name, "software": f"warpsar {__version__}"},
+        )
+
+    def arrays(self) -> dict[str, Any]:
+        """What the .npz holds."""
+        track = self.plan.track
+        return {
+            "samples": self.samples,
+            "polarizations": np.array(self.polarizations),
+            "frequency_hz": self.frequency_hz,
+            "time_s": track.time_s,
+            "receiver_m": track.receiver_m,
+            "transmitter_m": track.transmitter_m,
+            "reference_range_m": track.reference_m(),
+            "reference_point_m": self.plan.site.reference_m,
+        }
+
+
+def phase_history(plan: Plan, scatterers: Scatterers, polarizations: tuple[str, ...], device: wp.Device) -> Collected:
+    """What a track and a band record of scatterers."""
+    shape = (len(polarizations), len(plan.track), plan.frequencies)
+    spectrum = np.zeros(shape, np.complex64)
+    step = _PULSES_TOGETHER["cpu" if device.is_cpu else "cuda"]
+    shared = _Shared.of(plan, device)
+    parts = [_Uploaded.of(part, device) for part in scatterers.parts]
+    blocks = [slice(a, min(a + step, len(plan.track))) for a in range(0, len(plan.track), step)]
+    tasks = [partial(_block, plan, shared, parts, len(polarizations), some) for some in blocks]
+    for some, values in zip(blocks, threads.ordered(tasks, device), strict=True):
+        spectrum[:, some] = values
+    return Collected(
+        plan, polarizations, np.ascontiguousarray(spectrum.swapaxes(1, 2)), scatterers.count, scatterers.aliased
+    )
+
+
+@dataclass(frozen=True)
+class _Shared:
+    """A track on a device."""
+
+    device: wp.Device
+    time: wp.array
+    receiver: wp.array
+    transmitter: wp.array
+    own: tuple[wp.array, wp.array]
+    bistatic: int
+    beam: Any
+
+    @classmethod
+    def of(cls, plan: Plan, device: wp.Device) -> _Shared:
+        track = plan.track
+        both = (track.receiver_m, track.transmitter_m)
+        axes, widths = boresight(plan)
+        beam: Any = kernels.Beam()
+        beam.along = wp.array(axes[0], dtype=wp.vec3d, device=device)
+        beam.up = wp.array(axes[1], dtype=wp.vec3d, device=device)
+        beam.wide, beam.high = float(widths[0]), float(widths[1])
+        receiver, transmitter = (wp.array(place, dtype=wp.vec3d, device=device) for place in both)
+        own = [wp.array(np.linalg.norm(place, axis=1), dtype=wp.float64, device=device) for place in both]
+        time = wp.array(track.time_s, dtype=wp.float64, device=device)
+        return cls(device, time, receiver, transmitter, (own[0], own[1]), int(track.bistatic), beam)
+
+
+@dataclass(frozen=True)
+class _Uploaded:
+    """A part on a device."""
+
+    weight: NDArray[np.float32]
+    point: wp.array
+    velocity: wp.array
+    amplitude: wp.array
+
+    @classmethod
+    def of(cls, part: Part, device: wp.Device) -> _Uploaded:
+        values = part.amplitude.view(np.float32).reshape(*part.amplitude.shape, 2)
+        moving = np.empty((0, 3)) if part.velocity is None else part.velocity
+        return cls(
+            part.weight,
+            wp.array(part.point, dtype=wp.vec3d, device=device),
+            wp.array(moving, dtype=wp.vec3d, device=device),
+            wp.array(values, dtype=wp.vec2, device=device),
+        )
+
+
+def _block(plan: Plan, shared: _Shared, parts: list[_Uploaded], polarizations: int, some: slice) -> Any:
+    """Spectra of some pulses, (polarizations, pulses, frequencies)."""
+    device, count = shared.device, plan.frequencies
+    bins = fft.next_fast_len(OVERSAMPLING * count)
+    pulses = np.arange(some.start, some.stop)
+    out = wp.zeros((polarizations, len(pulses), bins), dtype=wp.vec2, device=device)
+    lanes = LANES["cpu" if device.is_cpu else "cuda"]
+    middle = count // 2
+    rows = wp.array(pulses.astype(np.int32), dtype=int, device=device)
+    for part in parts:
+        weight = part.weight[some]
+        if not weight.any():
+            continue
+        inputs = [
+            rows,
+            wp.array(weight, dtype=float, device=device),
+            shared.time,
+            shared.receiver,
+            shared.transmitter,
+            *shared.own,
+            shared.bistatic,
+            shared.beam,
+            2.0 * (plan.start_hz + middle * plan.step_hz) / SPEED_OF_LIGHT,
+            2.0 * plan.step_hz * bins / SPEED_OF_LIGHT,
+            part.point,
+            part.velocity,
+            part.amplitude,
+            polarizations,
+            lanes,
+        ]
+        wp.launch(kernels.deposit_kernel, (len(pulses), lanes), inputs=inputs, outputs=[out], device=device)
+    profiles = np.ascontiguousarray(out.numpy()).view(np.complex64)[..., 0]
+    return undeposited(fft.fft(profiles, axis=-1), count).astype(np.complex64)
+
+
+def undeposited(spectrum: NDArray[np.complex64], count: int) -> NDArray[np.complex64]:
+    """The middle `count` frequencies, ascending, with the transform of the deposit divided out, along the last axis."""
+    bins = spectrum.shape[-1]
+    order = np.arange(count) - count // 2
+    found: NDArray[np.complex64] = spectrum[..., order % bins] / spread_transform(bins, count)
+    return found
+
+
+@cache
+def spread_transform(bins: int, count: int) -> NDArray[np.float32]:
+    """The transform of the deposit's weights at the middle `count` of `bins` frequencies, (count,), by quadrature."""
+    node, weight = np.polynomial.legendre.leggauss(64)
+    value = np.exp(float(kernels.BETA) * (np.sqrt(1.0 - node**2) - 1.0))
+    half = 0.5 * int(kernels.WIDTH)
+    order = np.arange(count) - count // 2
+    phase = 2.0 * np.pi * half * node[:, None] * order / bins
+    found: NDArray[np.float32] = (half * (weight * value) @ np.cos(phase)).astype(np.float32)
+    return found

@@ -1,0 +1,401 @@
+"""How a view is collected: its track, its band and its system, checked before any work."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+from scipy import fft
+
+from warpsar.collection import track_file
+from warpsar.collection.presets import BANDS_HZ, filled
+from warpsar.collection.response import band_weights, width_in_cells
+from warpsar.collection.site import Site
+from warpsar.collection.track import Track, along, circle, straight
+from warpsar.errors import InputError
+from warpsar.kernels.backproject import first_surface_kernel
+from warpsar.measured.focus import taper
+from warpsar.measured.ground import pixel_centres
+from warpsar.world.collection import Collection
+from warpsar.world.frame import SPEED_OF_LIGHT, ViewGeometry
+from warpsar.world.tables import View
+from warpsar.world.world import World, geometry_of
+
+F64 = NDArray[np.float64]
+SPEED_M_S = 7500.0
+TURNTABLE_S = 60.0
+"""Of a turntable's turn through its aperture, where no `prf_hz` says it."""
+SPARE = 0.7
+"""Share of what is unambiguous that the scene takes, where the number of samples is free."""
+MOST = 0.8
+"""Share that it may take at most: CPHD asks for samples of frequency a little denser than needed."""
+FEWEST = 32
+_SHOWN = 200
+"""Pulses that are looked at for ambiguity, with the one after each."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Track, band and system of one view. Lengths about the reference point are those of `Site`."""
+
+    view: View
+    table: Collection
+    """With what its preset states."""
+    geometry: ViewGeometry
+    site: Site
+    track: Track
+    start_hz: float
+    step_hz: float
+    frequencies: int
+    corners_m: F64
+    """Corners of the box about the mesh, (8, 3)."""
+
+    @property
+    def middle(self) -> int:
+        """The pulse in the middle."""
+        return len(self.track) // 2
+
+    @property
+    def centre_hz(self) -> float:
+        """Middle of the band."""
+        return self.start_hz + 0.5 * (self.frequencies - 1) * self.step_hz
+
+    @property
+    def bandwidth_hz(self) -> float:
+        return self.frequencies * self.step_hz
+
+    @property
+    def stripmap(self) -> bool:
+        return self.table.mode == "stripmap"
+
+    @property
+    def ground(self) -> bool:
+        """Whether an image lies in the level plane: where the track is not straight, the slant plane defocuses."""
+        return self.track.straight is None
+
+    @property
+    def slant_range_m(self) -> float:
+        """From the reference point to the middle of the track."""
+        return float(self.track.reference_m()[self.middle])
+
+    @cached_property
+    def beam_gain(self) -> F64:
+        """Two-way amplitude of the antenna toward the reference point, (p,)."""
+        return beam(self, np.zeros((1, 3)), np.arange(len(self.track)))[:, 0]
+
+    @property
+    def windows(self) -> tuple[str, str]:
+        """Of range and azimuth. The beam of a stripmap is its taper."""
+        name = str(self.table.window)
+        return name, "none" if self.stripmap else name
+
+    @cached_property
+    def cells_m(self) -> tuple[float, float]:
+        """Cells of the whole band in slant range, c / 2B, and of the whole track in azimuth, lambda / 2 aperture."""
+        turn = self.cosine
+        width = float(np.ptp(turn)) * len(turn) / (len(turn) - 1)
+        return SPEED_OF_LIGHT / (2.0 * self.bandwidth_hz), SPEED_OF_LIGHT / self.centre_hz / (2.0 * width)
+
+    @cached_property
+    def cosine(self) -> F64:
+        """Cosine of the angle between the sensor and azimuth, (p,), as the reference point sees them."""
+        towards = self.track.towards()
+        axis = np.linalg.svd(towards - towards.mean(axis=0), full_matrices=False)[2][0]
+        return towards @ axis
+
+    @cached_property
+    def azimuth_taper(self) -> F64:
+        """The taper of each pulse, (p,), as `measured.focus` applies it."""
+        place = (self.cosine - 0.5 * (self.cosine.max() + self.cosine.min())) / np.ptp(self.cosine)
+        place *= (len(place) - 1) / len(place)
+        return taper(self.windows[1], place)
+
+    @cached_property
+    def azimuth_weights(self) -> F64:
+        """The taper times the antenna's pattern, (p,)."""
+        weights: F64 = self.azimuth_taper * self.beam_gain
+        return weights
+
+    @cached_property
+    def response_m2(self) -> float:
+        """Integral of a point's power over its peak, over slant range and azimuth [m2].
+
+        Parseval: sum w^2 / dA over (sum w)^2, where each sample with its weight w stands for an area dA of the spatial
+        frequencies [1/m2]. It holds for any track.
+        """
+        row, column = plan_axes(self)
+        both = [
+            place / np.linalg.norm(place, axis=1)[:, None]
+            for place in (self.track.receiver_m, self.track.transmitter_m)
+        ]
+        along = (both[0] + both[1]) @ np.stack([row, column], axis=1) / SPEED_OF_LIGHT
+        step = np.gradient(along, axis=0)
+        area = np.abs(along[:, 0] * step[:, 1] - along[:, 1] * step[:, 0])  # of 1 Hz at 1 Hz
+        frequency = self.start_hz + self.step_hz * np.arange(self.frequencies)
+        band = band_weights(self.windows[0], self.frequencies)
+        weights = self.azimuth_weights
+        used = area > 1e-9 * area.max()
+        power = (band**2 / (frequency * self.step_hz)).sum() * (weights[used] ** 2 / area[used]).sum()
+        found = power / (band.sum() * weights.sum()) ** 2
+        sine = float(np.hypot(*self.geometry.d[:2]))
+        return float(found * (sine if self.ground else 1.0))
+
+    def knots(self, step_deg: float) -> NDArray[np.int64]:
+        """Pulses from which scatterers are seen, about `step_deg` apart: the middle one of a narrow aperture."""
+        towards = self.track.towards()
+        steps = np.linalg.norm(np.diff(towards, axis=0), axis=1)
+        way = np.concatenate([[0.0], np.cumsum(steps)])
+        count = round(np.rad2deg(way[-1]) / step_deg)
+        if count < 1:
+            return np.array([self.middle])
+        return np.unique(np.searchsorted(way, np.linspace(0.0, way[-1], count + 1)).clip(0, len(way) - 1))
+
+
+def beam(plan: Plan, points_m: F64, pulses: NDArray[np.int64]) -> F64:
+    """Two-way amplitude of the antenna toward points (n, 3) [m], (pulses, n); 1 without an antenna."""
+    axes, widths = boresight(plan)
+    total = np.ones((len(pulses), len(points_m)))
+    if not widths.any():
+        return total
+    for place in (plan.track.receiver_m[pulses], plan.track.transmitter_m[pulses]):
+        to = points_m[None] - place[:, None]
+        to /= np.linalg.norm(to, axis=2, keepdims=True)
+        for axis, width in zip(axes[:, pulses], widths, strict=True):
+            if width > 0.0:  # numpy's sinc is sin(pi x) / (pi x), of half power at x = 0.443
+                total *= np.sinc(0.443 * 2.0 * np.einsum("pnk,pk->pn", to, axis) / width)
+    return total
+
+
+def boresight(plan: Plan) -> tuple[F64, F64]:
+    """Unit vectors across the beam, (2, p, 3): along the track, and up; and the sines of the half-power widths, (2,).
+
+    The beam of a spotlight follows the reference point. That of a stripmap stays abeam, or squinted.
+    """
+    antenna = plan.table.antenna
+    if antenna is None:
+        return np.zeros((2, len(plan.track), 3)), np.zeros(2)
+    if plan.stripmap:
+        look = np.broadcast_to(plan.geometry.d, (len(plan.track), 3))
+    else:
+        look = -plan.track.receiver_m / np.linalg.norm(plan.track.receiver_m, axis=1, keepdims=True)
+    level = np.cross([0.0, 0.0, 1.0], look)
+    level /= np.linalg.norm(level, axis=1, keepdims=True)
+    widths = [antenna.azimuth_deg, antenna.elevation_deg or 0.0]
+    return np.stack([level, np.cross(level, look)]), np.sin(np.deg2rad(widths))
+
+
+def plan_of(world: World, view: View, device: wp.Device) -> Plan:
+    """The plan of a view. Raises InputError, one message, for a collection that cannot be."""
+    if world.collection is None:
+        raise InputError(f"{world.name}: found no [collection]; a product with phase needs one")
+    table = filled(world.collection)
+    carrier = view.frequency_hz or world.radar.frequency_hz
+    if table.preset is not None and not BANDS_HZ[table.preset][0] <= carrier <= BANDS_HZ[table.preset][1]:
+        low, high = BANDS_HZ[table.preset]
+        raise InputError(
+            f"{world.name}: collection.preset: found {table.preset!r} with a carrier of {carrier:g} Hz; must be "
+            f"{low:g} to {high:g}"
+        )
+    low, high = _band(table, carrier, world.name)
+    if len(pieces := table.resolution_m or ()):
+        held = width_in_cells(str(table.window)) * SPEED_OF_LIGHT / (2.0 * (high - low))
+        if held > pieces[0] * (1.0 + 1e-6):
+            raise InputError(
+                f"{world.name}: collection.resolution_m: found {pieces[0]:g} m in range, but a band of "
+                f"{high - low:.4g} Hz with the window {table.window!r} holds {held:.3g} m; must be at least that, or a "
+                "wider band"
+            )
+    site = Site.of(world)
+    vertices = site.about(world.mesh.vertices)
+    ends = np.stack([vertices.min(axis=0), vertices.max(axis=0)])
+    corners = np.stack(np.meshgrid(*ends.T, indexing="ij"), axis=-1).reshape(-1, 3)
+    made = Plan(view, table, geometry_of(world, view), site, _dot(), low, high - low, 2, corners)
+    made = replace(made, track=_track(world, made, 0.5 * (low + high)))
+    _refuse_ground(world, made, device)
+    made = _sampled_band(world, made, low, high)
+    _refuse_gaps(world, made)
+    return made
+
+
+def _dot() -> Track:
+    return Track(np.zeros(1), np.zeros((1, 3)), np.zeros((1, 3)))
+
+
+def _band(table: Collection, carrier: float, name: str) -> tuple[float, float]:
+    """The first and the last frequency."""
+    if table.start_hz is not None and table.stop_hz is not None:
+        return table.start_hz, table.stop_hz
+    width = table.bandwidth_hz
+    if width is None and table.resolution_m is not None:
+        width = width_in_cells(str(table.window)) * SPEED_OF_LIGHT / (2.0 * table.resolution_m[0])
+    if width is None:
+        raise InputError(f"{name}: collection.bandwidth_hz: missing; must be stated, or resolution_m, or a preset")
+    if width >= carrier:
+        raise InputError(f"{name}: collection.bandwidth_hz: found {width:.4g}; must be below the carrier, {carrier:g}")
+    return carrier - 0.5 * width, carrier + 0.5 * width
+
+
+def _track(world: World, plan: Plan, frequency: float) -> Track:
+    """The track of the plan's table."""
+    table, name = plan.table, world.name
+    if table.trajectory is not None:
+        return track_file.read(table.trajectory, plan.site.reference_m, plan.site.frame)
+    slant = table.slant_range_m or world.slant_range_m(plan.view)
+    if slant is None:
+        raise InputError(f"{name}: collection.slant_range_m: missing; must be stated here, in the view or in [radar]")
+    aperture = _aperture(world, plan, frequency)
+    speed = table.speed_m_s or SPEED_M_S
+
+    def flown(count: int) -> Track:
+        if table.mode in ("circular", "inverse"):
+            sine = float(np.hypot(*plan.geometry.s[:2]))
+            lasts = slant * sine * np.deg2rad(aperture) / speed if table.mode == "circular" else TURNTABLE_S
+            if table.mode == "inverse" and table.prf_hz is not None:
+                lasts = count / table.prf_hz
+            return circle(plan.view.azimuth_deg, plan.geometry, slant, table.side, aperture, lasts, count)
+        way = along(plan.geometry, table.side, table.squint_deg)
+        if way is None or aperture >= 180.0:
+            raise InputError(
+                f"{name}: collection: found squint_deg = {table.squint_deg:g}, aperture_deg = {aperture:.4g}; level "
+                f"flight at an incidence of {plan.view.incidence_deg:g} degrees has neither"
+            )
+        length = 2.0 * slant * math.tan(0.5 * np.deg2rad(aperture)) / math.cos(np.deg2rad(table.squint_deg))
+        if table.mode == "stripmap":  # every point of the image within the aperture passes through the beam
+            length += world.grid.shape[1] * world.grid.spacing_m[1]
+        if table.prf_hz is not None and table.pulses is not None:
+            speed_here = length * table.prf_hz / count
+            return straight(plan.geometry, slant, way, length, speed_here, count)
+        return straight(plan.geometry, slant, way, length, speed, count)
+
+    count = table.pulses
+    if count is None and table.prf_hz is not None and table.mode != "inverse":
+        long = flown(FEWEST).time_s
+        count = max(FEWEST, math.ceil((long[-1] - long[0]) * FEWEST / (FEWEST - 1) * table.prf_hz))
+    if count is None:
+        trial = replace(plan, track=_sent(flown(1024), table))
+        count = max(FEWEST, fft.next_fast_len(math.ceil(1024 * _turns(trial, frequency).max() / SPARE)))
+    return _sent(flown(count), table)
+
+
+def _sent(track: Track, table: Collection) -> Track:
+    """The track with the transmitter that stands apart."""
+    if table.transmitter is None:
+        return track
+    place = np.asarray(table.transmitter.position_m) + track.time_s[:, None] * table.transmitter.velocity_m_s
+    return replace(track, transmitter_m=place, straight=None)
+
+
+def _aperture(world: World, plan: Plan, frequency: float) -> float:
+    """Angle of the aperture [deg]; refuses one that does not hold the resolution asked for."""
+    table = plan.table
+    given = table.aperture_deg
+    if given is None and table.mode in ("circular", "inverse"):
+        given = 360.0 if table.mode == "circular" else None
+    if table.resolution_m is None:
+        if given is None:
+            raise InputError(
+                f"{world.name}: collection.aperture_deg: missing; must be stated, or resolution_m, or a preset"
+            )
+        return given
+    window = "none" if table.mode == "stripmap" else str(table.window)
+    needed = width_in_cells(window) * SPEED_OF_LIGHT / frequency / (2.0 * table.resolution_m[1])
+    needed = np.rad2deg(2.0 * math.asin(min(1.0, 0.5 * needed)))
+    if given is not None and given < needed * (1.0 - 1e-6):
+        raise InputError(
+            f"{world.name}: collection.resolution_m: found {table.resolution_m[1]:g} m in azimuth, which takes an "
+            f"aperture of {needed:.3g} degrees; aperture_deg is {given:g}; must be at least that"
+        )
+    return float(needed) if given is None else given
+
+
+def _places(plan: Plan) -> F64:
+    """The scene's corners and points between them, (n, 3)."""
+    low, high = plan.corners_m.min(axis=0), plan.corners_m.max(axis=0)
+    part = np.stack(np.meshgrid(np.linspace(0, 1, 9), np.linspace(0, 1, 9), [0.0, 1.0], indexing="ij"), axis=-1)
+    return low + part.reshape(-1, 3) * (high - low)
+
+
+def _turns(plan: Plan, frequency: float) -> F64:
+    """From pulse to pulse: how many turns more the phase of one part of the scene makes than that of another.
+
+    Parts outside the main lobe of the beam do not count.
+    """
+    first = np.unique(np.linspace(0, len(plan.track) - 2, min(_SHOWN, len(plan.track) - 1)).astype(int))
+    places = _places(plan)
+    change = plan.track.ranges_less_reference(places, first + 1) - plan.track.ranges_less_reference(places, first)
+    seen = np.abs(beam(plan, places, first)) > 0.05
+    high = np.where(seen, change, -np.inf).max(axis=1)
+    low = np.where(seen, change, np.inf).min(axis=1)
+    return np.maximum(high - low, 0.0) * 2.0 * frequency / SPEED_OF_LIGHT
+
+
+def _refuse_gaps(world: World, plan: Plan) -> None:
+    """Raise InputError where pulses are too far apart for the scene."""
+    turns = _turns(plan, plan.centre_hz + 0.5 * plan.bandwidth_hz)
+    if turns.max() >= 1.0:
+        more = math.ceil(len(plan.track) * turns.max() / SPARE)
+        raise InputError(
+            f"{world.name}: collection.pulses: found {len(plan.track)}, so far apart that the ends of the scene "
+            f"differ by {turns.max():.3g} turns of phase from one to the next (ambiguous); must be below 1: "
+            f"about {more} pulses"
+        )
+
+
+def swath_m(world: World, plan: Plan) -> float:
+    """Largest way of the scene or the image from the reference point, in range [m]."""
+    pulses = np.unique(np.linspace(0, len(plan.track) - 1, 33).astype(int))
+    axes = pixel_centres(world.grid.shape, world.grid.spacing_m, (1, 1))
+    row, column = plan_axes(plan)
+    ends = np.array([r * row + a * column for r in axes[0][[0, -1]] for a in axes[1][[0, -1]]])
+    return float(np.abs(plan.track.ranges_less_reference(np.concatenate([plan.corners_m, ends]), pulses)).max())
+
+
+def plan_axes(plan: Plan) -> tuple[F64, F64]:
+    """Unit vectors along the rows' and the columns' direction of an image's plane."""
+    if not plan.ground:
+        return plan.geometry.d, plan.geometry.u
+    return np.array([*plan.geometry.d[:2], 0.0]) / np.hypot(*plan.geometry.d[:2]), plan.geometry.u
+
+
+def _sampled_band(world: World, plan: Plan, low: float, high: float) -> Plan:
+    """The band in as many samples as the scene needs, or as many as are stated, which must be enough."""
+    swath = swath_m(world, plan)
+    needed = 4.0 * swath * (high - low) / SPEED_OF_LIGHT
+    count = plan.table.frequencies or max(FEWEST, fft.next_fast_len(math.ceil(needed / SPARE)))
+    if needed > MOST * count:
+        raise InputError(
+            f"{world.name}: collection.frequencies: found {count} in {high - low:.4g} Hz, which tell ranges "
+            f"within {MOST * SPEED_OF_LIGHT * count / (4.0 * (high - low)):.4g} m of the reference point; the "
+            f"scene or the image reaches {swath:.4g} m; must be at least {math.ceil(needed / MOST)}"
+        )
+    step = (high - low) / count
+    return replace(plan, start_hz=low + 0.5 * step, step_hz=step, frequencies=count)
+
+
+def _refuse_ground(world: World, plan: Plan, device: wp.Device) -> None:
+    """Raise InputError where the track leads under the mesh, or below all of it."""
+    low, high = plan.corners_m[:, 2].min(), plan.corners_m[:, 2].max()
+    for what, place in (("sensor", plan.track.receiver_m), ("transmitter", plan.track.transmitter_m)):
+        deep = np.flatnonzero(place[:, 2] < high)
+        if not len(deep):
+            continue
+        top = np.array([0.0, 0.0, high + 1.0])
+        waypoints = np.stack([place[deep] * [1.0, 1.0, 0.0] + top, place[deep]], axis=1).astype(np.float32)
+        mesh = wp.Mesh(
+            wp.array(plan.site.about(world.mesh.vertices).astype(np.float32), dtype=wp.vec3, device=device),
+            wp.array(world.mesh.faces.astype(np.int32).ravel(), dtype=int, device=device),
+        )
+        under = wp.empty(len(deep), dtype=float, device=device)
+        inputs = [mesh.id, wp.array(waypoints, dtype=wp.vec3, device=device)]
+        wp.launch(first_surface_kernel, len(deep), inputs=inputs, outputs=[under], device=device)
+        bad = deep[(under.numpy() >= 0.0) | (place[deep, 2] < low)]
+        if len(bad):
+            x, y, z = place[bad[0]] + plan.site.reference_m
+            raise InputError(
+                f"{world.name}: collection: found the {what} under the ground at {len(bad)} of {len(place)} pulses, "
+                f"first at ({x:.1f}, {y:.1f}, {z:.1f}) m; must be above the mesh"
+            )

@@ -1,0 +1,145 @@
+"""The scatterers of a collection: parts, each seen from one place of the track, that fade into one another."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from warpsar.coherent.body import CoherentBody
+from warpsar.coherent.sweep import POLARIZATIONS, RAYS_PER_WAVELENGTH
+from warpsar.collection import places
+from warpsar.collection.places import Places
+from warpsar.collection.plan import Plan
+from warpsar.errors import InputError
+from warpsar.world.frame import SPEED_OF_LIGHT
+from warpsar.world.world import World
+
+F64 = NDArray[np.float64]
+ROUGH_STEP_DEG = 2.0
+"""Between the places of the track from which rough faces are seen: sigma0 and shadows change slowly."""
+TUBE_STEP_DEG = 0.5
+"""Between those from which tubes are traced: the effective place of several bounces is right to first order."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """Scatterers about the reference point, and how much each pulse has of them."""
+
+    point: F64
+    """(n, 3) [m], in the frame of `Site`."""
+    amplitude: NDArray[np.complex64]
+    """sqrt(4 pi) A [m], (polarizations, n): a scatterer's power is its RCS."""
+    weight: NDArray[np.float32]
+    """(pulses,)."""
+    velocity: F64 | None = None
+    """(n, 3) [m/s]; None where nothing moves."""
+
+    def __len__(self) -> int:
+        return len(self.point)
+
+
+@dataclass(frozen=True)
+class Scatterers:
+    parts: tuple[Part, ...]
+    aliased: float
+    """Largest share of tubes too wide after a curved surface."""
+
+    @property
+    def count(self) -> int:
+        return sum(map(len, self.parts))
+
+
+def refuse_materials(world: World) -> None:
+    """Raise InputError for materials that are no numbers."""
+    for name, material in world.materials.items():
+        for key in ("eps_r", "rms_height_m", "correlation_length_m", "specular_fraction"):
+            if not isinstance(getattr(material, key), float | int | tuple | None):
+                raise InputError(
+                    f"{world.name}: materials.{name}.{key}: found a field; must be a number for a product with phase"
+                )
+
+
+def body_of(world: World, plan: Plan, device: wp.Device, seed: int) -> CoherentBody:
+    """The mesh on the device; its rough places so dense that each cell of the system holds enough of them."""
+    refuse_materials(world)
+    width = np.sqrt(np.prod(plan.cells_m) / plan.table.scatterers_per_cell)
+    return CoherentBody.of(world, device, spacing_m=float(width), seed=seed)
+
+
+def scatterers_of(world: World, plan: Plan, body: CoherentBody, *, once: bool = False) -> Scatterers:
+    """All that `[radar] terms` asks for, seen along the track; `once`: from its middle alone."""
+    k = 2.0 * np.pi * plan.centre_hz / SPEED_OF_LIGHT
+    terms = world.radar.terms
+    worker = places.worker_of(body, k, terms, world.radar.max_bounces, RAYS_PER_WAVELENGTH)
+    chosen = [POLARIZATIONS.index(name) for name in world.radar.polarizations]
+    sensor = plan.track.towards() * plan.track.reference_m()[:, None]
+    velocity = _velocities(world, plan)
+    found: list[Part] = []
+    aliased = 0.0
+
+    def add(some: Places, weight: NDArray[np.float32]) -> None:
+        if len(some.face):
+            point = plan.site.about(some.point + body.origin + plan.site.reference_m)
+            amplitude = np.sqrt(np.float32(4.0 * np.pi)) * some.amplitude[:, chosen].T
+            moving = None if velocity is None else velocity[some.face]
+            found.append(Part(point, np.ascontiguousarray(amplitude), weight, moving))
+
+    if "rough" in terms and body.scatterers is not None:
+        knots = np.array([plan.middle]) if once else plan.knots(ROUGH_STEP_DEG)
+        point = body.scatterer_points.numpy()
+        for knot, weight in zip(knots, _fading(plan, knots), strict=True):
+            amplitude = places.rough_amplitudes(worker, places.sight(body, sensor[knot])[1])
+            some = (amplitude != 0.0).any(axis=1)
+            add(Places(point[some], amplitude[some], body.scatterer_faces[some]), weight)
+    smooth = {"single", "multibounce", "edges"} & set(terms)
+    knots = np.array([plan.middle]) if once else plan.knots(TUBE_STEP_DEG)
+    knots = knots if smooth else knots[:0]
+    for knot, weight in zip(knots, _fading(plan, knots), strict=True):
+        direction, radar = places.sight(body, sensor[knot])
+        if smooth - {"edges"}:
+            some, wide = places.tube_places(worker, direction, radar, float(np.linalg.norm(sensor[knot])))
+            aliased = max(aliased, wide)
+            add(some, weight)
+        if "edges" in terms and worker.edges.shape[0]:
+            add(places.edge_places(worker, radar), weight)
+    return Scatterers(tuple(found), aliased)
+
+
+def _fading(plan: Plan, knots: NDArray[np.int64]) -> NDArray[np.float32]:
+    """Linear weights of the knots at each pulse, (knots, pulses), which add up to 1."""
+    pulses = np.arange(len(plan.track))
+    if len(knots) == 0:
+        return np.empty((0, len(pulses)), np.float32)
+    identity = np.eye(len(knots))
+    return np.array([np.interp(pulses, knots, row) for row in identity], np.float32)
+
+
+def _velocities(world: World, plan: Plan) -> F64 | None:
+    """Velocity of each face, (m, 3) [m/s]; None where nothing moves."""
+    movers = plan.table.velocity_m_s
+    if not movers:
+        return None
+    assert world.assembly is not None
+    found = np.zeros((len(world.mesh.faces), 3))
+    start = 0 if world.assembly.base is None else len(world.assembly.base.faces)
+    for one in world.objects:
+        if one.group is None:
+            end = start + len(world.assembly.placed(one).faces)
+            some: slice | NDArray[np.bool_] = slice(start, end)
+            start = end
+        else:
+            mine = np.zeros(len(world.mesh.vertices), bool)
+            mine[world.assembly.moved[one.label]] = True
+            some = mine[world.mesh.faces].all(axis=1)
+        if one.label in movers:
+            found[some] = movers[one.label]
+    return found
+
+
+def total_weight(parts: Sequence[Part]) -> int:
+    """Deposits: scatterers times the pulses that have them."""
+    return sum(len(part) * int((part.weight > 0.0).sum()) for part in parts)

@@ -1,0 +1,185 @@
+"""SICD 1.4.0 (NGA.STND.0024) of a complex image, written with sarkit.
+
+The grid is of the type PLANE: each pixel is a place of the image's plane, onto which the phase history was
+backprojected. Its projection into the world is then the standard's own, whatever the track.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from warpsar.collection.plan import plan_axes
+from warpsar.collection.response import width_in_cells
+from warpsar.collection.slc import Slc
+from warpsar.errors import InputError
+from warpsar.io.images import replacing
+from warpsar.measured.earth import ecef_to_geodetic
+from warpsar.version import __version__
+from warpsar.world.frame import SPEED_OF_LIGHT
+
+NAMESPACE = "urn:SICD:1.4.0"
+START = "2026-01-01T00:00:00"
+"""A simulated collection has no date of its own."""
+_ORDER = 4
+"""Of the polynomial of the track: a circle of a few degrees to a micrometre."""
+_LETTER = {"H": "H", "V": "V"}
+
+
+def write(path: Path, made: Slc, polarization: str) -> None:
+    """The file, whole or not at all. Raises InputError where sarkit is missing."""
+    try:
+        import lxml.etree
+        import sarkit.sicd as sarkit_sicd
+    except ImportError as error:
+        raise InputError(f'{path}: SICD needs sarkit: pip install "warpsar[sicd]"') from error
+    root = lxml.etree.Element(f"{{{NAMESPACE}}}SICD", nsmap={None: NAMESPACE})
+    tables = sarkit_sicd.ElementWrapper(root)
+    plan, image = made.plan, made.images[polarization]
+    low, high = plan.start_hz, plan.start_hz + (plan.frequencies - 1) * plan.step_hz
+    times = plan.track.time_s - plan.track.time_s[0]
+    label = f"{_LETTER[polarization[1]]}:{_LETTER[polarization[0]]}"
+    tables["CollectionInfo"] = {
+        "CollectorName": f"warpsar {__version__}",
+        "CoreName": plan.view.name,
+        "CollectType": "BISTATIC" if plan.track.bistatic else "MONOSTATIC",
+        "RadarMode": {"ModeType": "STRIPMAP" if plan.stripmap else "SPOTLIGHT"},
+        "Classification": "UNCLASSIFIED",
+    }
+    tables["ImageCreation"] = {"Application": f"warpsar {__version__}"}
+    tables["ImageData"] = _image_data(image)
+    tables["GeoData"] = {
+        "EarthModel": "WGS_84",
+        "SCP": {"ECF": _centre(made), "LLH": ecef_to_geodetic(_centre(made))},
+        "ImageCorners": _corners(made),
+    }
+    tables["Grid"] = _grid(made, float(times.mean()))
+    tables["Timeline"] = {"CollectStart": np.datetime64(START).astype(object), "CollectDuration": float(times[-1])}
+    tables["Position"] = {"ARPPoly": _polynomial(made, times)}
+    tables["RadarCollection"] = {
+        "TxFrequency": {"Min": low, "Max": high},
+        "TxPolarization": _LETTER[polarization[1]],
+        "RcvChannels": {"@size": 1, "ChanParameters": [{"@index": 1, "TxRcvPolarization": label}]},
+    }
+    tables["ImageFormation"] = {
+        "RcvChanProc": {"NumChanProc": 1, "ChanIndex": [1]},
+        "TxRcvPolarizationProc": label,
+        "TStartProc": 0.0,
+        "TEndProc": float(times[-1]),
+        "TxFrequencyProc": {"MinProc": low, "MaxProc": high},
+        "ImageFormAlgo": "OTHER",
+        "STBeamComp": "NO",
+        "ImageBeamComp": "NO",
+        "AzAutofocus": "NO",
+        "RgAutofocus": "NO",
+    }
+    tables["SCPCOA"] = sarkit_sicd.compute_scp_coa(root.getroottree())
+    area = plan.response_m2
+    graze, slope = (float(root.findtext(f"{{*}}SCPCOA/{{*}}{name}")) for name in ("GrazeAng", "SlopeAng"))
+    tables["Radiometric"] = {
+        "RCSSFPoly": np.full((1, 1), area),
+        "SigmaZeroSFPoly": np.full((1, 1), np.cos(np.deg2rad(slope))),
+        "BetaZeroSFPoly": np.ones((1, 1)),
+        "GammaZeroSFPoly": np.full((1, 1), np.cos(np.deg2rad(slope)) / np.sin(np.deg2rad(graze))),
+    }
+    security = {"security": {"clas": "U"}}
+    metadata = sarkit_sicd.NitfMetadata(
+        xmltree=root.getroottree(),
+        file_header_part={"ostaid": "warpsar", **security},
+        im_subheader_part={"isorce": "warpsar", **security},
+        de_subheader_part=security,
+    )
+    with replacing(path) as temporary, temporary.open("wb") as file, sarkit_sicd.NitfWriter(file, metadata) as writer:
+        writer.write_image(np.ascontiguousarray(image))
+
+
+def _image_data(image: NDArray[np.complex64]) -> dict[str, Any]:
+    rows, columns = image.shape
+    return {
+        "PixelType": "RE32F_IM32F",
+        "NumRows": rows,
+        "NumCols": columns,
+        "FirstRow": 0,
+        "FirstCol": 0,
+        "FullImage": {"NumRows": rows, "NumCols": columns},
+        "SCPPixel": [rows // 2, columns // 2],
+    }
+
+
+def _place(made: Slc, row: int, column: int) -> NDArray[np.float64]:
+    """A pixel, earth-centred, (3,) [m]."""
+    along, across = plan_axes(made.plan)
+    return made.plan.site.to_ecef(made.range_m[row] * along + made.azimuth_m[column] * across)
+
+
+def _centre(made: Slc) -> NDArray[np.float64]:
+    """The scene centre point: a pixel's, half a pixel from the reference point where their number is even."""
+    return _place(made, len(made.range_m) // 2, len(made.azimuth_m) // 2)
+
+
+def _corners(made: Slc) -> NDArray[np.float64]:
+    """Latitude and longitude of the corners, (4, 2), on the ellipsoid's height of the centre."""
+    plan = made.plan
+    level = np.array([*plan.geometry.d[:2], 0.0])
+    scale = 1.0 if plan.ground else 1.0 / float(level @ level)  # slant range to the ground
+    found = []
+    for row, column in ((0, 0), (0, -1), (-1, -1), (-1, 0)):
+        along = level / np.linalg.norm(level) if plan.ground else level
+        place = made.range_m[row] * scale * along + made.azimuth_m[column] * plan.geometry.u
+        found.append(ecef_to_geodetic(plan.site.to_ecef(place))[:2])
+    return np.array(found)
+
+
+def _grid(made: Slc, centre_s: float) -> dict[str, Any]:
+    plan = made.plan
+    along, across = plan_axes(plan)
+    steep = float(-along @ plan.geometry.s)
+    spacing = [float(axis[1] - axis[0]) for axis in (made.range_m, made.azimuth_m)]
+    widths = [steep / plan.cells_m[0], 1.0 / plan.cells_m[1]]
+    centres = [2.0 * plan.centre_hz / SPEED_OF_LIGHT * steep, 0.0]
+    axes = []
+    for step, width, centre, vector, window in zip(
+        spacing, widths, centres, (along, across), plan.windows, strict=True
+    ):
+        half = min(0.5 * width, 0.5 / step)
+        axes.append(
+            {
+                "UVectECF": vector @ plan.site.axes,
+                "SS": step,
+                "ImpRespWid": width_in_cells(window) / width,
+                "Sgn": -1,
+                "ImpRespBW": 2.0 * half,
+                "KCtr": centre,
+                "DeltaK1": -half,
+                "DeltaK2": half,
+                "DeltaKCOAPoly": np.zeros((1, 1)),
+                "WgtType": {"WindowName": {"none": "UNIFORM"}.get(window, window.upper())},
+            }
+        )
+    coefficients = np.full((1, 1), centre_s)
+    if plan.stripmap and plan.track.straight is not None:  # each column has its own centre of aperture
+        rate = float(across @ plan.track.straight) / float(np.linalg.norm(plan.track.velocity_m_s()[0][plan.middle]))
+        coefficients = np.array([[centre_s, rate]])
+    return {
+        "ImagePlane": "GROUND" if plan.ground else "SLANT",
+        "Type": "PLANE",
+        "TimeCOAPoly": coefficients,
+        "Row": axes[0],
+        "Col": axes[1],
+    }
+
+
+def _polynomial(made: Slc, times: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Coefficients of the track in time, (order, 3), earth-centred; halfway between two antennas."""
+    plan = made.plan
+    place = plan.site.to_ecef(0.5 * (plan.track.receiver_m + plan.track.transmitter_m))
+    order = 1 if plan.track.straight is not None else min(_ORDER, len(times) - 1)
+    if order == 1:
+        velocity = (place[-1] - place[0]) / (times[-1] - times[0])
+        return np.stack([place[0], velocity])
+    scale = times[-1]
+    fitted = np.polynomial.polynomial.polyfit(times / scale, place - place[0], order)
+    return fitted / scale ** np.arange(order + 1)[:, None] + np.eye(order + 1)[:, :1] * place[0]

@@ -1,0 +1,75 @@
+"""A track from a file: CSV in the world's metres, or the antenna of a CPHD."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from warpsar.collection.track import Track
+from warpsar.errors import InputError
+from warpsar.measured.data import FARTHEST_M, reading
+from warpsar.measured.earth import EarthFrame, axes_at, needed
+
+_PLACE = ("x_m", "y_m", "z_m")
+_SENDER = ("tx_x_m", "tx_y_m", "tx_z_m")
+_LARGEST = 2**28
+"""Bytes of a CSV."""
+
+
+def read(path: Path, reference_m: NDArray[np.float64], frame: EarthFrame | None) -> Track:
+    """The track about the reference point (3,) [m, world]. Raises InputError for what is no track."""
+    found = _cphd(path, reference_m, frame) if _is_cphd(path) else _csv(path, reference_m)
+    for name, values in (("time", found.time_s), ("place", found.receiver_m), ("transmitter", found.transmitter_m)):
+        if not np.isfinite(values).all() or np.abs(values).max() > FARTHEST_M:
+            raise InputError(f"{path}: found a {name} that is no number, or beyond {FARTHEST_M:g}; must be finite")
+    if len(found) < 2 or (np.diff(found.time_s) <= 0.0).any():
+        raise InputError(f"{path}: found {len(found)} pulses; must be two or more, at times that ascend")
+    return found
+
+
+def _is_cphd(path: Path) -> bool:
+    with reading(path, "track"), path.open("rb") as file:
+        return file.read(5) == b"CPHD/"
+
+
+def _csv(path: Path, reference_m: NDArray[np.float64]) -> Track:
+    if path.stat().st_size > _LARGEST:
+        raise InputError(f"{path}: found {path.stat().st_size} bytes; must be at most {_LARGEST}")
+    with reading(path, "CSV track", csv.Error), path.open(newline="", encoding="utf-8-sig") as file:
+        rows = csv.reader(line for line in file if line.strip() and not line.startswith("#"))
+        names = [name.strip() for name in next(rows, [])]
+        wanted = ("time_s", *_PLACE)
+        if not set(wanted) <= set(names):
+            raise InputError(f"{path}: found the columns {', '.join(names) or 'none'}; must have {', '.join(wanted)}")
+        table = np.array([[float(cell) for cell in row] for row in rows], np.float64).reshape(-1, len(names))
+
+    def column(name: str) -> NDArray[np.float64]:
+        return table[:, names.index(name)]
+
+    receiver = np.stack([column(name) for name in _PLACE], axis=1) - reference_m
+    both = set(_SENDER) <= set(names)
+    transmitter = np.stack([column(name) for name in _SENDER], axis=1) - reference_m if both else receiver
+    return Track(column("time_s"), receiver, transmitter)
+
+
+def _cphd(path: Path, reference_m: NDArray[np.float64], frame: EarthFrame | None) -> Track:
+    """Antennas of the first channel, in the tangent frame at the reference point."""
+    try:
+        import sarkit.cphd as sarkit_cphd
+        from lxml.etree import LxmlError
+    except ImportError as error:
+        raise InputError(f'{path}: CPHD needs sarkit: pip install "warpsar[sicd]"') from error
+    world = needed(frame, path)
+    with reading(path, "CPHD file", LxmlError), path.open("rb") as file:
+        reader = sarkit_cphd.Reader(file)
+        channel = reader.metadata.xmltree.findtext("{*}Data/{*}Channel/{*}Identifier")
+        pvp = reader.read_pvps(channel)
+        axes, origin = axes_at(world, reference_m), world.to_ecef(reference_m)
+        sent, received = ((pvp[name].astype(np.float64) - origin) @ axes.T for name in ("TxPos", "RcvPos"))
+        time = pvp["TxTime"].astype(np.float64)
+        kind = reader.metadata.xmltree.findtext("{*}CollectionID/{*}CollectType")
+    middle = 0.5 * (sent + received)  # one antenna in flight stands for both ways in their middle
+    return Track(time, received, sent) if kind == "BISTATIC" else Track(time, middle, middle)

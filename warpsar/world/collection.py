@@ -1,0 +1,136 @@
+"""`[collection]`: the track of a sensor, its band and its antenna."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from warpsar.world.tables import FileName, Number, Table
+
+Mode = Literal["spotlight", "stripmap", "circular", "inverse", "file"]
+Preset = Literal["x-spotlight", "c-stripmap", "l-stripmap"]
+Taper = Literal["none", "hann", "taylor"]
+
+_Positive = Annotated[Number, Field(gt=0.0)]
+_Frequency = Annotated[Number, Field(ge=1e6, le=1e13)]
+_Count = Annotated[int, Field(strict=True, ge=2, le=10_000_000)]
+_Place = Annotated[Number, Field(ge=-1e9, le=1e9)]
+_Speed = Annotated[Number, Field(ge=-1e5, le=1e5)]
+_Width = Annotated[Number, Field(gt=0.0, le=120.0)]
+_Point = tuple[_Place, _Place, _Place]
+
+
+class Antenna(Table):
+    """`[collection] antenna`: half-power widths of the one-way pattern of a rectangular antenna."""
+
+    azimuth_deg: _Width = Field(description="Half-power width along the track [deg].", examples=[0.9])
+    elevation_deg: _Width | None = Field(
+        default=None, description="Half-power width across it [deg]; even without it.", examples=[3.0]
+    )
+
+
+class Transmitter(Table):
+    """`[collection] transmitter`: where a transmitter apart from the receiver is in the middle of the collection."""
+
+    position_m: _Point = Field(
+        description="Place from the reference point: east, north, up [m].", examples=[[0.0, -9e3, 9e3]]
+    )
+    velocity_m_s: tuple[_Speed, _Speed, _Speed] = Field(
+        default=(0.0, 0.0, 0.0), description="Its velocity: east, north, up [m/s].", examples=[[100.0, 0.0, 0.0]]
+    )
+
+
+class Collection(Table):
+    """`[collection]`: how a sensor collects each view. The view's direction is that of the middle of the track."""
+
+    preset: Preset | None = Field(
+        default=None, description="A published system; keys that are stated replace its own.", examples=["x-spotlight"]
+    )
+    mode: Mode | None = Field(
+        default=None,
+        description="Track: straight with the beam on the reference point, straight with the beam abeam, a circle, a "
+        'turntable, or a file; "spotlight" without it and without a preset.',
+        examples=["stripmap"],
+    )
+    trajectory: FileName | None = Field(
+        default=None,
+        description="Track for mode file: CSV of time_s, x_m, y_m, z_m (and tx_x_m, tx_y_m, tx_z_m), or CPHD.",
+        examples=["track.csv"],
+    )
+    bandwidth_hz: _Positive | None = Field(
+        default=None, description="Bandwidth about the view's carrier frequency [Hz].", examples=[6e8]
+    )
+    start_hz: _Frequency | None = Field(
+        default=None, description="First frequency, in place of bandwidth_hz [Hz].", examples=[9.3e9]
+    )
+    stop_hz: _Frequency | None = Field(default=None, description="Last frequency [Hz].", examples=[9.9e9])
+    frequencies: _Count | None = Field(
+        default=None, description="Samples of a pulse; as many as the scene needs without it.", examples=[512]
+    )
+    pulses: _Count | None = Field(
+        default=None, description="Pulses; as many as the scene needs without it.", examples=[1024]
+    )
+    prf_hz: _Positive | None = Field(default=None, description="Pulses a second [1/s].", examples=[3000.0])
+    speed_m_s: Annotated[Number, Field(gt=0.0, le=1e5)] | None = Field(
+        default=None,
+        description="Speed along the track [m/s]; 7,500 without it and without a preset.",
+        examples=[100.0],
+    )
+    aperture_deg: Annotated[Number, Field(gt=0.0, le=360.0)] | None = Field(
+        default=None,
+        description="Angle through which the reference point sees the sensor move [deg]; in a stripmap, any point.",
+        examples=[3.0],
+    )
+    resolution_m: tuple[_Positive, _Positive] | None = Field(
+        default=None,
+        description="Half-power widths in slant range and azimuth [m]; they give the band and the aperture where "
+        "these are not stated.",
+        examples=[[0.3, 0.3]],
+    )
+    slant_range_m: Annotated[Number, Field(gt=0.0, le=1e9)] | None = Field(
+        default=None,
+        description="From the middle of the track to the reference point [m]; else that of the view or [radar].",
+        examples=[10e3],
+    )
+    side: Literal["right", "left"] = Field(
+        default="right", description="Side of the track on which the scene lies.", examples=["left"]
+    )
+    squint_deg: Annotated[Number, Field(ge=-80.0, le=80.0)] = Field(
+        default=0.0, description="Angle of the look before (+) or behind (-) abeam [deg].", examples=[10.0]
+    )
+    transmitter: Transmitter | None = Field(
+        default=None, description="A transmitter apart from the receiver.", examples=[{"position_m": [0.0, -9e3, 9e3]}]
+    )
+    antenna: Antenna | None = Field(
+        default=None, description="Antenna of transmitter and receiver.", examples=[{"azimuth_deg": 0.3}]
+    )
+    noise_beta0: Annotated[Number, Field(ge=0.0, le=1e9)] = Field(
+        default=0.0, description="Mean beta0 of the receiver's noise in the focused image.", examples=[0.002]
+    )
+    velocity_m_s: dict[str, tuple[_Speed, _Speed, _Speed]] = Field(
+        default_factory=dict,
+        description="Velocities of [[objects]], by their names: east, north, up [m/s].",
+        examples=[{"car": [0.0, 8.0, 0.0]}],
+    )
+    window: Taper | None = Field(
+        default=None, description='Taper of a focused image; "taylor" (-35 dB) without it.', examples=["hann"]
+    )
+    focus: Literal["backprojection", "direct"] = Field(
+        default="backprojection",
+        description="How an image is made: from the phase history, or each scatterer times the system's response.",
+        examples=["direct"],
+    )
+    scatterers_per_cell: Annotated[Number, Field(ge=1.0, le=1e4)] = Field(
+        default=16.0, description="Scatterers of rough faces in a resolution cell, at least.", examples=[32.0]
+    )
+
+    @model_validator(mode="after")
+    def _together(self) -> Collection:
+        if (self.start_hz is None) != (self.stop_hz is None) or (self.start_hz and self.bandwidth_hz):
+            raise ValueError("found a part of a band, or two; must be bandwidth_hz, or both start_hz and stop_hz")
+        if self.start_hz is not None and self.stop_hz is not None and self.start_hz >= self.stop_hz:
+            raise ValueError(f"found start_hz = {self.start_hz:g}, stop_hz = {self.stop_hz:g}; the first must be lower")
+        if (self.mode == "file") != (self.trajectory is not None):
+            raise ValueError('trajectory and mode = "file" go together; found one without the other')
+        return self
