@@ -21,6 +21,7 @@ from dataclasses import dataclass, field, replace
 from itertools import product
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import click
 import numpy as np
@@ -31,8 +32,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import tables
 
+from warpsar.diagnosis import search
 from warpsar.diagnosis.found import DiagnoseOptions
-from warpsar.diagnosis.geometry import without_object
+from warpsar.diagnosis.geometry import is_geometry, without_object
 from warpsar.diagnosis.result import diagnose
 from warpsar.effects.registry import get, names
 from warpsar.io.images import write_tiff
@@ -187,7 +189,8 @@ def one_run(key: tuple[str, int, str, int], options: DiagnoseOptions, device: st
     images = clean_images(CASES[name], device, out, name)
     with tempfile.TemporaryDirectory() as folder:
         scene = measured(images, looks, correlated, seed, Path(folder))
-        report = diagnose(scene, device=device, options=replace(options, seed=seed))
+        with patch.object(search, "geometry_candidates", wraps=search.geometry_candidates) as bodies:
+            report = diagnose(scene, device=device, options=replace(options, seed=seed))
     found = report.diagnosis
     spot = found.turns[-1].spot
     return {
@@ -202,6 +205,9 @@ def one_run(key: tuple[str, int, str, int], options: DiagnoseOptions, device: st
         "spot": [found.observations[spot.observation].view.name, spot.row, spot.col, spot.window],
         "effects": found.final.scene.effects,
         "objects": found.objects,
+        "turns": len(found.turns),
+        "turns_with_bodies": bodies.call_count,
+        "bodies": sorted({c.effect for turn in found.turns for c in turn.candidates if is_geometry(c.effect)}),
         "scores": {c.effect: round(c.minus_log_p, 2) for c in found.turns[0].candidates if c.testability == "testable"},
         "not_testable": [c.effect for c in found.turns[0].candidates if c.testability == "not_testable"],
         "test_before": report.before["test"],
