@@ -21,6 +21,7 @@ from dataclasses import dataclass, field, replace
 from itertools import product
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import click
 import numpy as np
@@ -31,8 +32,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import tables
 
+from warpsar.diagnosis import search
 from warpsar.diagnosis.found import DiagnoseOptions
-from warpsar.diagnosis.geometry import without_object
+from warpsar.diagnosis.geometry import is_geometry, without_object
 from warpsar.diagnosis.result import diagnose
 from warpsar.effects.registry import get, names
 from warpsar.io.images import write_tiff
@@ -178,7 +180,11 @@ def measured(images: Sequence[np.ndarray], looks: int, correlated: bool, seed: i
     return replace(scene, views=views, materials=materials, sampling=Sampling(seed=seed))
 
 
-def one_run(key: tuple[str, int, str, int], options: DiagnoseOptions, device: str, out: Path) -> dict[str, Any]:
+def one_run(
+    key: tuple[str, int, str, int], options: DiagnoseOptions, device: str, out: Path, always_bodies: bool = False
+) -> dict[str, Any]:
+    """`always_bodies`: bodies are tried in every turn, as if a shadow were lit; a diagnosis tries them where something
+    asks for them."""
     import tempfile
 
     name, looks, kind, seed = key
@@ -187,7 +193,11 @@ def one_run(key: tuple[str, int, str, int], options: DiagnoseOptions, device: st
     images = clean_images(CASES[name], device, out, name)
     with tempfile.TemporaryDirectory() as folder:
         scene = measured(images, looks, correlated, seed, Path(folder))
-        report = diagnose(scene, device=device, options=replace(options, seed=seed))
+        with (
+            patch.object(search, "geometry_candidates", wraps=search.geometry_candidates) as bodies,
+            patch.object(search, "lit_shadows", (lambda _: True) if always_bodies else search.lit_shadows),
+        ):
+            report = diagnose(scene, device=device, options=replace(options, seed=seed))
     found = report.diagnosis
     spot = found.turns[-1].spot
     return {
@@ -202,6 +212,9 @@ def one_run(key: tuple[str, int, str, int], options: DiagnoseOptions, device: st
         "spot": [found.observations[spot.observation].view.name, spot.row, spot.col, spot.window],
         "effects": found.final.scene.effects,
         "objects": found.objects,
+        "turns": len(found.turns),
+        "turns_with_bodies": bodies.call_count,
+        "bodies": sorted({c.effect for turn in found.turns for c in turn.candidates if is_geometry(c.effect)}),
         "scores": {c.effect: round(c.minus_log_p, 2) for c in found.turns[0].candidates if c.testability == "testable"},
         "not_testable": [c.effect for c in found.turns[0].candidates if c.testability == "not_testable"],
         "test_before": report.before["test"],
@@ -244,6 +257,7 @@ def main() -> None:
 @click.option("--max-time", type=float, default=float("inf"), help="Start no run after so many seconds.")
 @click.option("--family-error", type=float, default=DiagnoseOptions.family_error, show_default=True)
 @click.option("--draws", type=int, default=DiagnoseOptions.draws, show_default=True)
+@click.option("--always-bodies", is_flag=True, help="Try bodies in every turn. Such runs need a folder of their own.")
 @click.option("--device")
 def run(
     out: Path,
@@ -255,6 +269,7 @@ def run(
     max_time: float,
     family_error: float,
     draws: int,
+    always_bodies: bool,
     device: str | None,
 ) -> None:
     """Make the runs that are not in the folder yet."""
@@ -270,7 +285,7 @@ def run(
     keys = [key for key in wanted(cases, numbers, kinds or ("white", "correlated"), repeats) if key not in done]
     bar = console.progress(len(keys), "runs", "run")
     when = tables.made()
-    for row in side_by_side(keys, jobs, started + max_time, (options, where.alias, out)):
+    for row in side_by_side(keys, jobs, started + max_time, (options, where.alias, out, always_bodies)):
         with (out / "runs.jsonl").open("a") as stream:
             stream.write(json.dumps(row | when) + "\n")
         bar.update()
@@ -286,7 +301,7 @@ def side_by_side(
     keys: Sequence[Any],
     jobs: int,
     end: float,
-    options: tuple[DiagnoseOptions, str, Path],
+    options: tuple[Any, ...],
     work: Callable[..., dict[str, Any]] = one_run,
 ) -> Iterator[dict[str, Any]]:
     """`work` of every key as it is done, `jobs` at a time; none is begun after the time `end`."""

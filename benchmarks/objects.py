@@ -3,12 +3,16 @@
     python benchmarks/objects.py --figure docs/figures/objects.png
     python benchmarks/objects.py --table derivatives --write
     python benchmarks/objects.py --table search --write
-    python benchmarks/objects.py --table intervals --write
-    python benchmarks/objects.py --table elsewhere --repeats 100 --write
     python benchmarks/objects.py --table gradients --write
     python benchmarks/objects.py --table instances --write
+    python benchmarks/objects.py --table intervals --jobs 32 --write
+    python benchmarks/objects.py --table elsewhere --jobs 32 --write
+    python benchmarks/objects.py --table moved --jobs 32 --write      # needs WARPSAR_CASES
+    python benchmarks/objects.py --table proposals --jobs 32 --write
+    python benchmarks/objects.py --table whole --jobs 32 --write
 
-The picture is committed.
+The picture is committed. The last five take many repeats. Each leaves a JSON in the folder `--runs`, and is not made
+again.
 """
 
 from __future__ import annotations
@@ -17,7 +21,7 @@ import argparse
 import sys
 import tempfile
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -28,28 +32,19 @@ import tomlkit
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
-import diagnosis_rates
 import tables
+from objects_repeats import STUDIES, repeated
+from objects_scenes import BODY, BOX, CAR, CPU, DARK, GROUND, SHEET, SIDES, measured, plain, with_one
 
-from warpsar import Grid, Material, Mesh, Radar, Sampling, Scene, View, renderer, simulate
+from warpsar import Material, Sampling, Scene, renderer, simulate
 from warpsar.differentiable.geometry import exact_images
-from warpsar.learning.pose_search import find_poses, group_pose
-from warpsar.runtime import devices
+from warpsar.learning.pose_search import find_poses
 from warpsar.scene.placing import with_objects
 from warpsar.world.objects.shapes import body
 from warpsar.world.objects.table import Object
 from warpsar.world.world import posed
 
 EXAMPLE = Path(__file__).resolve().parent.parent / "data" / "example" / "scene.toml"
-CPU = devices.resolve_device("cpu")
-GROUND = Material(eps_r=6.0, rms_height_m=0.0012, correlation_length_m=0.010)
-BODY = Material(eps_r=12.0, rms_height_m=0.001, correlation_length_m=0.008)
-DARK = Material(eps_r=6.0, rms_height_m=1e-7, correlation_length_m=0.010)
-SIDES = ((10.0, 40.0), (100.0, 45.0), (190.0, 50.0), (280.0, 40.0))
-PLACE = {"position_m": (1.3, -0.8, 0.0), "heading_deg": 35.0, "material": "body"}
-BOX = {"primitive": "box", "size_m": (7.0, 4.0, 5.0), **PLACE}
-CAR = {"primitive": "car", "size_m": (4.6, 1.8, 1.5), **PLACE}
-SHEET = {"primitive": "plate", "size_m": (0.0, 4.0, 4.0), **PLACE, "position_m": (1.3, -0.8, 3.0)}
 PICTURED = {
     "box": {"size_m": (6.0, 3.0, 3.0)},
     "cylinder": {"size_m": (4.0, 4.0, 5.0)},
@@ -60,24 +55,6 @@ PICTURED = {
     "car": {"size_m": (4.6, 1.8, 1.5), "side_curvature": 0.1},
     "truck": {"size_m": (8.0, 2.5, 3.4)},
 }
-
-
-def plain(sides: Any = SIDES, pixels: int = 64, spacing_m: float = 0.5) -> Scene:
-    """A plain of 40 m, seen from some sides."""
-    corners = 20.0 * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
-    faces = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
-    views = [View(name=f"v{k}", azimuth_deg=a, incidence_deg=i) for k, (a, i) in enumerate(sides)]
-    return Scene(
-        Mesh(corners, faces, np.zeros(2, np.int32), ("ground",)),
-        Radar(frequency_hz=9.6e9, polarizations=("HH",)),
-        Grid(shape=(pixels, pixels), spacing_m=(spacing_m, spacing_m)),
-        {"ground": GROUND},
-        views,
-    )
-
-
-def with_one(scene: Scene, table: Mapping[str, Any], material: Material = BODY) -> Scene:
-    return with_objects(scene, [Object(**table)], {"body": material})
 
 
 # ---- pictures ----
@@ -163,20 +140,6 @@ def derivatives() -> list[list[str]]:
 # ---- searches and intervals ----
 
 
-def measured(scene: Scene, seed: int, looks: float = 16.0) -> Scene:
-    """The scene with its own images, times speckle."""
-    random = np.random.default_rng(seed)
-    images = exact_images(scene, CPU)
-
-    def seen(view: View) -> View:
-        speckle = random.gamma(looks, 1.0 / looks, scene.grid.shape)
-        return view.model_copy(
-            update={"images": {"HH": (images[view.name]["HH"] * speckle).astype(np.float32)}, "looks": looks}
-        )
-
-    return replace(scene, views=[seen(view) for view in scene.views])
-
-
 def search(starts: int) -> list[list[str]]:
     """Random starts within 3 m, 20 degrees and 20 % of each size, and how many end within 0.1 m and 1 degree."""
     rows = []
@@ -206,45 +169,6 @@ def search(starts: int) -> list[list[str]]:
             good += bool(error < 0.1 and abs(told["heading_deg"] - 35.0) < 1.0)
         rows.append([name, f"{good} of {starts}", f"{np.median(spent):.0f}"])
     return rows
-
-
-def intervals(repeats: int) -> list[list[str]]:
-    """Speckle drawn anew: how often 95 % intervals hold the truth, and the errors over the deviations said."""
-    one = Object(**{**CAR, "learn": ("position", "heading", "scale")})
-    scene = with_objects(plain(SIDES[:3], 24, 0.5), [one], {"body": BODY})  # coarse: each repeat is a whole fit
-    names = ("east", "north", "up", "heading", "scale")
-    errors, said = [], []
-    for seed in range(repeats):
-        told = find_poses(measured(scene, 1000 + seed), CPU, search=False).objects["car"]
-        found = [*told["position_m"], told["heading_deg"], told["scale"][0]]
-        errors.append(np.subtract(found, [1.3, -0.8, 0.0, 35.0, 1.0]))
-        said.append([*told["position_sd_m"], told["heading_sd_deg"], told["scale_sd"]])
-    return coverage(names, np.array(errors), np.array(said))
-
-
-def coverage(names: Sequence[str], e: np.ndarray, s: np.ndarray) -> list[list[str]]:
-    """A row for each number, of errors and standard deviations of shape (repeats, numbers)."""
-    held = np.abs(e) < 1.96 * s
-    return [
-        [name, f"{np.median(s[:, k]):.2g}", f"{np.std(e[:, k]):.2g}", f"{int(held[:, k].sum())} of {len(e)}"]
-        for k, name in enumerate(names)
-    ]
-
-
-def elsewhere(repeats: int) -> list[list[str]]:
-    """A hut that stands elsewhere than its group of the mesh: found as `diagnose` does, from where the mesh has it."""
-    truth, declared = diagnosis_rates.truth(geometry="object_pose"), diagnosis_rates.truth()
-    place = diagnosis_rates.ELSEWHERE
-    names = ("east", "north", "up", "heading")
-    errors, said = [], []
-    for seed in range(repeats):
-        scene = replace(declared, views=measured(truth, 2000 + seed).views)
-        told = group_pose(scene, CPU, "hut").objects["hut"]
-        errors.append(
-            np.subtract([*told["position_m"], told["heading_deg"]], [*place["position_m"], place["heading_deg"]])
-        )
-        said.append([*told["position_sd_m"], told["heading_sd_deg"]])
-    return coverage(names, np.array(errors), np.array(said))
 
 
 # ---- gradients of the renderer ----
@@ -360,6 +284,12 @@ HEADERS = {
     "objects.search": ["object", "found", "seconds, median"],
     "objects.intervals": ["number of the car", "sd said, median", "sd of the errors", "95 % interval holds"],
     "objects.elsewhere": ["number of the hut", "sd said, median", "sd of the errors", "95 % interval holds"],
+    "objects.moved": ["number of the tower", "sd said, median", "sd of the errors", "95 % interval holds"],
+    "objects.proposals": ["in the images", "proposed at 1", "4", "16 looks"],
+    "objects.whole": [
+        "missing, absent or elsewhere", "right", "farthest off [m]", "size off, at most", "95 % intervals hold",
+        "test deviance before", "after", "CPU seconds, median", "named instead or besides",
+    ],
     "objects.gradients": ["scene", "numbers", "adjoint [s]", "differences [s]", "apart"],
     "objects.instances": ["cars", "triangles", "arrays [MiB]", "load [s]", "place again [s]", "simulate [s]"],
 }  # fmt: skip
@@ -369,11 +299,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--figure", type=Path, help="only draw the primitives, into this file")
     parser.add_argument("--starts", type=int, default=20)
-    parser.add_argument("--repeats", type=int, default=100)
+    parser.add_argument("--repeats", type=int, help="default: 100, and 20 of each whole run")
     parser.add_argument(
-        "--table",
-        choices=("derivatives", "search", "intervals", "elsewhere", "gradients", "instances"),
-        help="only this one",
+        "--case", action="append", default=[], help="of the studies with cases: only this one; repeatable"
+    )
+    parser.add_argument("--jobs", type=int, default=1, help="repeats side by side, a core for each")
+    parser.add_argument("--runs", type=Path, default=Path("out/objects"), help="folder with a JSON for each repeat")
+    plain_tables = ("derivatives", "search", "gradients", "instances")
+    parser.add_argument(
+        "--table", choices=(*plain_tables, *STUDIES), help="only this one; default: those without repeats"
     )
     tables.add_options(parser)
     options = parser.parse_args()
@@ -387,13 +321,18 @@ def main() -> None:
         work = {
             "derivatives": derivatives,
             "search": partial(search, options.starts),
-            "intervals": partial(intervals, options.repeats),
-            "elsewhere": partial(elsewhere, options.repeats),
             "gradients": gradients,
             "instances": instances,
         }
-        for name in [options.table] if options.table else work:
-            result["rows"][f"objects.{name}"] = work[name]()
+        if options.table in STUDIES:
+            found = repeated(options.table, options.runs, options.repeats, options.jobs, options.case)
+            result["made"] = min(
+                ({key: one[key] for key in ("date", "commit")} for one in found), key=lambda m: m["date"]
+            )
+            result["rows"][f"objects.{options.table}"] = STUDIES[options.table].rows(found)
+        else:
+            for name in [options.table] if options.table else work:
+                result["rows"][f"objects.{name}"] = work[name]()
         tables.save(options.out, result)
     bodies = {name: tables.markdown(HEADERS[name], rows) for name, rows in result["rows"].items()}
     tables.publish(bodies, result, options.write)
