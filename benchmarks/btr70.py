@@ -31,6 +31,7 @@ from btr70_jobs import Job, done
 from btr70_measures import Chip, best_shift, judged, middle, rivals, terms, turn_deg
 from btr70_model import (
     LADDER,
+    PARTS,
     SPACING_M,
     begun_with,
     fitted,
@@ -53,15 +54,22 @@ TRAIN = tuple(Path(__file__).with_name("btr70_train.txt").read_text(encoding="ut
 SECTORS_DEG = ((85.0, 115.0), (205.0, 235.0), (315.0, 345.0))
 """Sectors without a train view. Sectors that the folder may lack are found by their distance from all train views."""
 FAR_DEG = 6.0
+MARGIN = 2.0  # standard errors by which an effect must better the views left out
 FOLDS, ARCS = 3, 3  # the train views are left out in as many parts, each of as many arcs of neighbours
 LAST = 6  # iterations of the final fit, which begins where the last one ended
 EXPERIMENT = 24  # views of the sectors on which bounces and orders are looked at
 CHUNK = 10  # views of one job
+MEASURES = ("correlation", "best_shift", "deviance")
+
+
+def folder_of(data: Path) -> Path:
+    """The folder of the chips: DATA itself where it has a views.csv."""
+    return data if (data / "views.csv").exists() else data / "mstar_btr70"
 
 
 def chips_of(data: Path) -> list[Chip]:
     """Every chip in the folder that views.csv names, radar on top."""
-    folder = data / "mstar_btr70"
+    folder = folder_of(data)
     with (folder / "views.csv").open(newline="", encoding="utf-8") as stream:
         rows = {row["chip"]: row for row in csv.DictReader(stream)}
     found = []
@@ -93,7 +101,7 @@ def prepare(data: Path, out: Path) -> Path:
     """The scene of the train views, imported as a user would, and beside it the mesh in parts."""
     path = out / "scene" / "scene.toml"
     if not path.exists():
-        folder = data / "mstar_btr70"
+        folder = folder_of(data)
         parts.write(folder / "BTR70.obj", path.with_name("parts.obj"))
         fresh = write_scene(path.with_name("begun.toml"), folder / "BTR70.obj")
         import_chips(
@@ -163,10 +171,12 @@ def climbed(data: Path, out: Path, train: Sequence[Chip], processes: int) -> tup
     now, score, _ = turn("begun", [started] * FOLDS)
     steps: list[dict[str, Any]] = []
     for number, (name, table) in enumerate(LADDER):
+        if name == PARTS and not any(step["tried"] == "unresolved_detail" and step["stays"] for step in steps):
+            continue  # there is no detail to be shared out
         trial, scores, losses = turn(f"tried{number}_{name}", now, (name, table), mesh)
         gain = score - scores
         error = float(gain.std(ddof=1) / np.sqrt(gain.size))
-        stays = bool(gain.mean() > 2.0 * error)
+        stays = bool(gain.mean() > MARGIN * error)
         steps.append({"tried": name, "losses": losses, "gain": float(gain.mean()), "error": error, "stays": stays})
         verdict = "stays" if stays else "goes"
         print(f"{name}: left-out gain {gain.mean():+.4f} +- {error:.4f}: {verdict}", file=sys.stderr)
@@ -175,7 +185,9 @@ def climbed(data: Path, out: Path, train: Sequence[Chip], processes: int) -> tup
     return now[0], steps
 
 
-def finished(declared: Path, climbed_to: Path, scale: Sequence[float], train: Sequence[Chip], to: Path) -> dict[str, Any]:
+def finished(
+    declared: Path, climbed_to: Path, scale: Sequence[float], train: Sequence[Chip], to: Path
+) -> dict[str, Any]:
     """The last fit: all train views, with the size that the images say."""
     sized = with_body(Scene.load(climbed_to), scale=tuple(scale))
     every = replace(sized, views=Scene.load(declared).views)
@@ -195,25 +207,25 @@ def learned(
     return out / "final" / "scene.toml", steps, size
 
 
-def judged_chips(declared: Path, final: Path, chips: Sequence[Chip], train: Sequence[Chip]) -> dict[str, Any]:
-    """All measures of some test views, by chip."""
-    models = {"declared": Scene.load(declared), "final": Scene.load(final)}
+def judged_chips(scenes: dict[str, Path], chips: Sequence[Chip], train: Sequence[Chip]) -> dict[str, Any]:
+    """All measures of some test views, by chip. Without train chips there are no rivals."""
+    models = {name: Scene.load(path) for name, path in scenes.items()}
     images = {name: predicted(scene, chips) for name, scene in models.items()}
     masks = regions(models["final"], chips)
-    mean = np.mean([one.power for one in train], axis=0)
+    mean = np.mean([one.power for one in train], axis=0) if train else None
     found = {}
     for chip in chips:
         measures: dict[str, Any] = {
             name: judged(chip, image[chip.name], masks[chip.name]) for name, image in images.items()
         }
-        for name, image in rivals(chip, train, mean).items():
+        for name, image in (rivals(chip, train, mean) if mean is not None else {}).items():
             measures[name] = judged(chip, image, {}, own=False)
         found[chip.name] = measures
     return found
 
 
 def tested(
-    out: Path, declared: Path, final: Path, chips: Sequence[Chip], train: Sequence[Chip], processes: int
+    out: Path, scenes: dict[str, Path], chips: Sequence[Chip], train: Sequence[Chip], processes: int
 ) -> list[dict[str, Any]]:
     """All measures of every test view; a view that was measured before is not measured again."""
     unseen = [chip for chip in chips if chip.name not in TRAIN]
@@ -222,8 +234,7 @@ def tested(
         measured |= json.loads(path.read_text(encoding="utf-8"))
     missing = [chip for chip in unseen if chip.name not in measured]
     some = [missing[first : first + CHUNK] for first in range(0, len(missing), CHUNK)]
-    jobs = [Job(out / "views" / f"{one[0].name}.json", judged_chips, (declared, final, one, train)) for one in some]
-    (out / "views").mkdir(exist_ok=True)
+    jobs = [Job(out / "views" / f"{one[0].name}.json", judged_chips, (scenes, one, train)) for one in some]
     for one in done(jobs, processes):
         measured |= one
     content = []
@@ -233,7 +244,9 @@ def tested(
         other = [c for c in same if (c.depression_deg < 16.0) != (chip.depression_deg < 16.0)]
         if other:
             measures["other_depression"] = judged(chip, other[0].power, {}, own=False)
-        by_measure = {key: {n: m[key] for n, m in measures.items()} for key in ("correlation", "best_shift", "deviance")}
+        by_measure = {
+            key: {n: m[key] for n, m in measures.items()} for key in ("correlation", "best_shift", "deviance")
+        }
         content.append(
             {
                 "chip": chip.name,
@@ -285,11 +298,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     made = kept(given.out / "made.json", tables.made)
     chips = chips_of(given.data)
     train = [chip for chip in chips if chip.name in TRAIN]
-    declared = prepare(given.data, given.out)
     place, steps, size = given.scene, [], {}
     if place is None:
         place, steps, size = learned(given.data, given.out, train, given.jobs)
-    views = tested(given.out, declared, place, chips, train, given.jobs)
+    scenes = {"final": place}
+    if len(train) == len(TRAIN):
+        scenes["declared"] = prepare(given.data, given.out)
+    views = tested(given.out, scenes, chips, train, given.jobs)
     known = what_is_known(given.out, place, size, chips, train, given.jobs) if steps else {}
     final = Scene.load(place)
     bodies = [one for one in final.objects if one.mesh is not None]
@@ -299,7 +314,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "verdict": [step["tried"] for step in steps if step.get("stays")],
         "scene": str(place),
         "pose": {key: getattr(bodies[0], key) for key in ("position_m", "heading_deg", "roll_deg", "pitch_deg")},
-        "size_m": [float(high - low) for low, high in zip(*checks.extent(final), strict=True)],
+        "size_m": checks.size_m(final),
         "effects": {key: value for key, value in final.effects.items() if key != "aim_point"},
         "materials": {name: one.model_dump(exclude_unset=True, mode="json") for name, one in final.materials.items()},
         "steps": steps,

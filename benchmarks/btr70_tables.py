@@ -31,11 +31,16 @@ def by_region(views: Sequence[Mapping[str, Any]]) -> list[list[Any]]:
     rows = []
     for prediction in ("declared", "final"):
         for name in ("body", "shadow", "ground"):
-            found = [view["measures"][prediction][name] for view in views if view["set"].startswith("sector")]
+            mine = [view["measures"] for view in views if view["set"].startswith("sector")]
+            found = [measures[prediction][name] for measures in mine if prediction in measures]
+            if not found:
+                continue
             both = [np.nanmean([one[key] for one in found]) for key in ("correlation", "deviance")]
             rows.append([prediction, name, *(f"{x:.3f}" for x in both)])
-        edges = [abs(view["measures"][prediction]["lit_edge_rows"]) * SPACING_M[0] for view in views]
-        rows.append([prediction, "lit edge, median error [m]", f"{np.median(edges):.2f}", ""])
+        seen = [view["measures"][prediction] for view in views if prediction in view["measures"]]
+        edges = [abs(one["lit_edge_rows"]) * SPACING_M[0] for one in seen]
+        if edges:
+            rows.append([prediction, "lit edge, median error [m]", f"{np.median(edges):.2f}", ""])
     return rows
 
 
@@ -53,6 +58,9 @@ def checked(known: Mapping[str, Any]) -> list[list[Any]]:
     for key, header in known["widths"]["header"].items():
         found = f"{known['widths']['found'][key]:.3f}"
         rows.append([f"{key.removesuffix('_fwhm_m')} width [m], without a prior", found, f"{header:.3f}, header"])
+    seen = known["coverage"]
+    share = f"{seen['inside']} of {seen['replicates']}"
+    rows.append(["height on chips that the model made: truth inside the 95 % interval", share, "19 of 20"])
     levels = known["levels"]
     low, high = (100.0 * share for share in levels["clipped_range"])
     rows.append(["pixels at the top of the scale", f"{low:.1f} to {high:.1f} %", "0.1 to 0.6 %"])
