@@ -31,17 +31,18 @@ def _alone(job: Job) -> dict[str, Any]:
 
 
 def done(jobs: Sequence[Job], processes: int) -> list[dict[str, Any]]:
-    """What every job found, in their order. Processes have one thread each, where there are several of them."""
+    """What every job found, in their order. Processes share the cores, and have one thread each for linear algebra."""
     missing = [job for job in jobs if not job.path.exists()]
-    if processes > 1 and len(missing) > 1:
-        before = os.environ.get("WARPSAR_THREADS")
-        os.environ["WARPSAR_THREADS"] = os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = "1"
+    side_by_side = min(processes, len(missing))
+    if side_by_side > 1:
+        threads = max(1, (os.cpu_count() or 1) // side_by_side)
+        ours = {"WARPSAR_THREADS": str(threads), "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+        before = dict(os.environ)
+        os.environ.update(ours)
         spawn = multiprocessing.get_context("spawn")  # warp does not survive a fork
-        with ProcessPoolExecutor(min(processes, len(missing)), spawn) as pool:
+        with ProcessPoolExecutor(side_by_side, spawn) as pool:
             for one in as_completed([pool.submit(_alone, job) for job in missing]):
                 one.result()
-        if before is None:
-            del os.environ["WARPSAR_THREADS"]
-        else:
-            os.environ["WARPSAR_THREADS"] = before
+        os.environ.clear()
+        os.environ.update(before)
     return [job() for job in jobs]

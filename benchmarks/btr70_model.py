@@ -94,10 +94,11 @@ PARTS = "parts"
 LADDER: tuple[tuple[str, dict[str, Any]], ...] = (
     ("noise_floor", {"level": 1e-4}),
     ("unresolved_detail", {"level": 0.1, "spread_m": 0.9, "materials": ["body"]}),
-    (PARTS, {}),
+    ("exponential_spectrum", {"weight": 0.3}),
     ("two_scale", {"slope_variance": 0.05}),
     ("edge_diffraction", {"strength": 0.1}),
     ("multibounce", {"strength": 0.02, "max_bounces": 2}),
+    (PARTS, {}),
 )
 """Effects in the order in which they are tried, with the tables where their fits begin. `PARTS` frees the share of
 `unresolved_detail` on every part of the body."""
