@@ -75,7 +75,7 @@ def chips_of(data: Path) -> list[Chip]:
     found = []
     for path in sorted((folder / "chips").glob("*.jpeg")):
         if (row := rows.get(path.stem)) is not None:
-            power = jpeg.read(path)[::-1].astype(float) ** 2
+            power = jpeg.read(path)[0][::-1].astype(float) ** 2
             found.append(Chip(path.stem, float(row["azimuth_deg"]), float(row["depression_deg"]), power))
     return found
 
