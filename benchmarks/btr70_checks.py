@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from btr70_jobs import Job, done
 from btr70_measures import Chip, best_shift, middle, own_shift
-from btr70_model import fitted, predicted, regions, thinned, with_body, with_effect
+from btr70_model import SPACING_M, fitted, predicted, regions, thinned, with_body, with_effect
+from scipy.ndimage import gaussian_filter
 
 from warpsar.scene.scene import Scene
+from warpsar.simulation.command import simulate
 from warpsar.speckle.compound import MOST, likeliest_order, minus_log_density
 
 CAD_M = (7.65, 2.66, 2.61)  # length, width, height
@@ -20,6 +24,8 @@ HEADER_M = {"range_fwhm_m": 0.3013, "azimuth_fwhm_m": 0.3229}
 # Pixels of speckle that share a draw: spacing 0.20 m, widths 0.30 and 0.32 m.
 AREA_PX = 2.4
 PROFILED = 10  # train views of a profile
+HEIGHTS = (0.8, 0.85, 0.9, 0.95, 1.0)
+REPLICATES = 12  # of the chips on which the interval of the height is tried
 STEPS = 3  # iterations of a fit where one number of the geometry moved
 
 
@@ -33,48 +39,123 @@ def minimum(places: Sequence[float], losses: Sequence[float]) -> tuple[float, fl
     return float(np.clip(-b / (2.0 * a), at.min(), at.max())), float(np.sqrt(AREA_PX / (2.0 * a)))
 
 
-def profile(scene: Scene, key: str, places: Sequence[Any]) -> list[float]:
-    """The loss at each place of one key of the vehicle, all else fitted."""
-    return [fitted(with_body(scene, **{key: place}), STEPS)[1] for place in places]
+def at_place(source: Path, changed: dict[str, Any], views: int, images: Path | None = None) -> dict[str, Any]:
+    """The loss where keys of the vehicle have other values, all else fitted again on some of the views."""
+    scene = thinned(Scene.load(source), views)
+    if images is not None:
+        scene = with_images(scene, images)
+    return {"loss": fitted(with_body(scene, **changed), STEPS)[1]}
 
 
-def size(scene: Scene) -> dict[str, Any]:
+def profile(source: Path, key: str, places: Sequence[Any], out: Path, processes: int) -> list[float]:
+    """The loss at each place of one key of the vehicle."""
+    jobs = [Job(out / f"{key}_{k}.json", at_place, (source, {key: place}, PROFILED)) for k, place in enumerate(places)]
+    return [one["loss"] for one in done(jobs, processes)]
+
+
+def likeliest(places: Sequence[float], losses: Sequence[float], sd: float | None = None) -> tuple[float, float]:
+    """Where a profile is least, and its standard deviation; about 1 to `sd` before the images, if that is given."""
+    if sd is not None:
+        pull = [AREA_PX * 0.5 * ((place - 1.0) / sd) ** 2 for place in places]
+        losses = [loss + one for loss, one in zip(losses, pull, strict=True)]
+    return minimum(places, losses)
+
+
+def size(source: Path, out: Path, processes: int) -> dict[str, Any]:
     """Factors on the CAD's size along, across and up, one after the other, with the CAD to 10 % as their prior."""
-    scene = thinned(scene, PROFILED)
     scale, found = [1.0, 1.0, 1.0], {}
     for axis, name in ((2, "height"), (1, "width"), (0, "length")):
-        places = (0.85, 0.9, 0.95, 1.0) if axis == 2 else (0.94, 1.0, 1.06)
+        places = HEIGHTS if axis == 2 else (0.94, 1.0, 1.06)
         trials = [(*scale[:axis], place, *scale[axis + 1 :]) for place in places]
-        losses = profile(scene, "scale", trials)
-        known = [loss + AREA_PX * 0.5 * ((p - 1.0) / CAD_SD) ** 2 for p, loss in zip(places, losses, strict=True)]
-        at, sd = minimum(places, known)
+        losses = profile(source, "scale", trials, out / name, processes)
+        at, sd = likeliest(places, losses, CAD_SD)
         scale[axis] = round(at, 4)
         metres = {"value_m": at * CAD_M[axis], "sd_m": sd * CAD_M[axis]}
         found[name] = metres | {"places": list(places), "losses": losses}
     return {"scale": scale, **found}
 
 
-def attitude(scene: Scene) -> dict[str, Any]:
+def attitude(source: Path, out: Path, processes: int) -> dict[str, Any]:
     """Roll and pitch by the images alone, beside the header's."""
-    scene, found = thinned(scene, PROFILED), {}
+    found = {}
+    places = (-4.0, -2.0, 0.0, 2.0)
     for key, header in HEADER_DEG.items():
-        places = (-3.0, 0.0, 3.0)
-        losses = profile(scene, key, places)
+        losses = profile(source, key, places, out, processes)
         at, sd = minimum(places, losses)
         found[key] = {"value": at, "sd": sd, "header": header, "places": list(places), "losses": losses}
     return found
 
 
-def widths(scene: Scene) -> dict[str, Any]:
+def simulated(source: Path, seed: int, folder: Path) -> None:
+    """Chips that the model itself makes, of the views of a profile: speckle of one look, 8 bits, clipped as measured.
+
+    Speckle is correlated from pixel to pixel as the widths of the header make it."""
+    scene = thinned(Scene.load(source), PROFILED)
+    draws = np.random.default_rng(seed)
+    sigma = [np.sqrt(2.0) / 2.3548 * w / s for w, s in zip(HEADER_M.values(), SPACING_M, strict=True)]
+    folder.mkdir(parents=True, exist_ok=True)
+    for view, image in zip(scene.views, simulate(scene, device="cpu"), strict=True):
+        mu = image.beta0["HH"].astype(float)
+        field = [gaussian_filter(draws.standard_normal(mu.shape), sigma) for _ in range(2)]
+        speckle = sum((one / one.std()) ** 2 for one in field) / 2.0
+        measured = scene.measured(view, "HH")
+        gain = np.median(measured[:4]) / np.median((mu * speckle)[:4])  # grass
+        levels = np.clip(np.round(np.sqrt(gain * mu * speckle)), 1.0, 255.0)
+        np.save(folder / f"{view.name}.npy", (levels**2).astype(np.float32))
+
+
+def with_images(scene: Scene, folder: Path) -> Scene:
+    """The scene with the chips of a folder in place of the measured ones."""
+    views = [view.model_copy(update={"images": {"HH": np.load(folder / f"{view.name}.npy")}}) for view in scene.views]
+    return replace(scene, views=views)
+
+
+def replicate(source: Path, seed: int, folder: Path) -> dict[str, Any]:
+    """The height that chips of a known height give back, as a factor on the model's own."""
+    simulated(source, seed, folder)
+    (body,) = (one for one in Scene.load(source).objects if one.name == "btr70")
+    along, across, up = body.scales
+    places = [round(factor, 4) for factor in (0.95, 1.0, 1.05)]
+    losses = [at_place(source, {"scale": (along, across, up * place)}, PROFILED, folder)["loss"] for place in places]
+    at, sd = likeliest(places, losses, CAD_SD)
+    return {"found": at, "sd": sd, "losses": losses}
+
+
+def coverage(source: Path, out: Path, processes: int) -> dict[str, Any]:
+    """How often the interval of the height holds the truth, on chips that the model made."""
+    jobs = [Job(out / f"{seed}.json", replicate, (source, seed, out / f"chips{seed}")) for seed in range(REPLICATES)]
+    found = done(jobs, processes)
+    off = np.array([(one["found"] - 1.0) / one["sd"] for one in found])
+    return {
+        "replicates": REPLICATES,
+        "inside": int((np.abs(off) < 1.96).sum()),
+        "bias": float(np.mean([one["found"] - 1.0 for one in found])),
+        "sd_of_found": float(np.std([one["found"] for one in found], ddof=1)),
+        "sd_stated": float(np.mean([one["sd"] for one in found])),
+    }
+
+
+def size_m(scene: Scene) -> list[float]:
+    """Length, width and height of the first object with a mesh, upright [m]."""
+    one = next(one for one in scene.objects if one.mesh is not None)
+    upright = dict.fromkeys(("heading_deg", "roll_deg", "pitch_deg"), 0.0) | {"position_m": (0.0, 0.0, 0.0)}
+    assert scene.assembly is not None
+    points = scene.assembly.placed(one.model_copy(update=upright)).vertices
+    across, along, up = (points.max(axis=0) - points.min(axis=0)).tolist()
+    return [along, across, up]
+
+
+def widths(source: Path) -> dict[str, Any]:
     """Widths of the point spread without a prior, beside the header's."""
-    scene = thinned(scene)
+    scene = thinned(Scene.load(source))
     free = with_effect(scene, "point_spread", {**HEADER_M, "window": "taylor"})
     found, loss = fitted(free)
     return {"found": found.effects["point_spread"], "header": HEADER_M, "loss": loss}
 
 
-def levels(scene: Scene, train: Sequence[Chip]) -> dict[str, Any]:
+def levels(source: Path, train: Sequence[Chip]) -> dict[str, Any]:
     """Share of clipped pixels; how far the noise floor of the model lies under its grass, in dB."""
+    scene = Scene.load(source)
     clipped = [float(np.mean(chip.power >= 255.0**2)) for chip in train]
     floor = float(scene.effects.get("noise_floor", {}).get("level", 0.0))
     some = list(train[:3])
@@ -86,9 +167,10 @@ def levels(scene: Scene, train: Sequence[Chip]) -> dict[str, Any]:
     }
 
 
-def bounces(scene: Scene, chips: Sequence[Chip]) -> list[dict[str, Any]]:
+def bounces(source: Path, chips: Sequence[Chip]) -> dict[str, Any]:
     """Why bounces hurt: images of the held-out chips with the paths of two bounces added, by strength, over a ground
     that is a mirror as its backscatter says, and over one that mirrors nothing, as grass of some centimetres."""
+    scene = Scene.load(source)
 
     def without(one: Scene) -> Scene:
         return replace(one, effects={name: t for name, t in one.effects.items() if name != "multibounce"})
@@ -109,12 +191,13 @@ def bounces(scene: Scene, chips: Sequence[Chip]) -> list[dict[str, Any]]:
             found.append(
                 {"ground": ground, "power": share, "strength": strength, "correlation": float(np.mean(scores))}
             )
-    return found
+    return {"found": found}
 
 
-def orders(scene: Scene, train: Sequence[Chip], held: Sequence[Chip]) -> dict[str, Any]:
+def orders(source: Path, train: Sequence[Chip], held: Sequence[Chip]) -> dict[str, Any]:
     """The order of the G0 law by region, fitted on train chips, and the log score of held-out ones per pixel: plain
     speckle less compound. Looks are 1, at which the orders are a lower bound."""
+    scene = Scene.load(source)
 
     def pixels(chips: Sequence[Chip]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
         images, masks = predicted(scene, chips), regions(scene, chips)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,7 @@ from warpsar.scene.scene import Scene
 from warpsar.simulation.command import simulate
 from warpsar.simulation.rays import trace_view
 from warpsar.surface.stage import Stage
+from warpsar.world.mesh import read_mesh
 from warpsar.world.tables import View
 
 SPACING_M = (0.202148, 0.203125)
@@ -89,14 +90,18 @@ GLOSSY = {"rms_height_m": 0.002, "correlation_length_m": 0.022}
 """A body that returns power about its normals alone: where the fit with `unresolved_detail` begins. The rough one that
 stands in for detail without it is another valley."""
 
+PARTS = "parts"
 LADDER: tuple[tuple[str, dict[str, Any]], ...] = (
     ("noise_floor", {"level": 1e-4}),
     ("unresolved_detail", {"level": 0.1, "spread_m": 0.9, "materials": ["body"]}),
+    ("exponential_spectrum", {"weight": 0.3}),
     ("two_scale", {"slope_variance": 0.05}),
     ("edge_diffraction", {"strength": 0.1}),
     ("multibounce", {"strength": 0.02, "max_bounces": 2}),
+    (PARTS, {}),
 )
-"""Effects in the order in which they are tried, with the tables where their fits begin."""
+"""Effects in the order in which they are tried, with the tables where their fits begin. `PARTS` frees the share of
+`unresolved_detail` on every part of the body."""
 
 
 def write_scene(path: Path, mesh: Path) -> Path:
@@ -105,13 +110,28 @@ def write_scene(path: Path, mesh: Path) -> Path:
     return path
 
 
-def begun_with(scene: Scene, name: str, table: Mapping[str, Any]) -> Scene:
-    """The scene at which the fit with one effect more begins."""
+def begun_with(scene: Scene, name: str, table: Mapping[str, Any], mesh: Path) -> Scene:
+    """The scene at which the fit with one effect more begins; `mesh` is the vehicle's in parts."""
+    if name == PARTS:
+        return in_parts(scene, mesh)
     found = with_effect(scene, name, table)
     if name != "unresolved_detail":
         return found
     body = found.materials["body"].model_copy(update=GLOSSY)
     return replace(found, materials={**found.materials, "body": body})
+
+
+def in_parts(scene: Scene, mesh: Path) -> Scene:
+    """The scene with a share of `unresolved_detail` for every part of the body; its level and the gloss are held."""
+    body = scene.materials["body"].model_copy(update={"learn": []})
+    found = read_mesh(mesh).materials
+    objects = [
+        one.model_copy(update={"mesh": mesh.resolve(), "material": None}) if one.name == "btr70" else one
+        for one in scene.objects
+    ]
+    cut = with_objects(scene, objects, dict.fromkeys(found, body))
+    table = {"materials": list(found), "share": dict.fromkeys(found, 1.0), "learn": ["spread_m", "share"]}
+    return with_effect(cut, "unresolved_detail", {**scene.effects["unresolved_detail"], **table})
 
 
 def with_effect(scene: Scene, name: str, table: Mapping[str, Any]) -> Scene:
@@ -120,8 +140,12 @@ def with_effect(scene: Scene, name: str, table: Mapping[str, Any]) -> Scene:
 
 def thinned(scene: Scene, views: int = 15) -> Scene:
     """Every second train view: a profile needs fewer."""
-    chosen = [scene.views[int(k)] for k in np.linspace(0, len(scene.views) - 1, views)]
-    names = {view.name for view in chosen}
+    return only(scene, [scene.views[int(k)].name for k in np.linspace(0, len(scene.views) - 1, views)])
+
+
+def only(scene: Scene, names: Collection[str]) -> Scene:
+    """The scene with these of its views."""
+    chosen = [view for view in scene.views if view.name in names]
     table = scene.effects["aim_point"]
     aim = {key: {n: v for n, v in one.items() if n in names} for key, one in table.items() if isinstance(one, dict)}
     return with_effect(replace(scene, views=chosen), "aim_point", aim)
@@ -183,14 +207,13 @@ def predicted(scene: Scene, chips: Sequence[Chip]) -> dict[str, np.ndarray]:
 
 def regions(scene: Scene, chips: Sequence[Chip]) -> dict[str, dict[str, np.ndarray]]:
     """Masks of the body, its shadow and the ground in each prediction: what rays meet in a pixel."""
-    seen = seen_from(scene, chips)
-    seen = replace(seen, effects={})
+    seen = replace(seen_from(scene, chips), effects={})
     stage = Stage.of(seen, devices.resolve_device("cpu"))
-    body = seen.mesh.materials.index("body")
+    ground = seen.mesh.materials.index("ground")
     found = {}
     for chip, view in zip(chips, seen.views, strict=True):
         hits = trace_view(seen, stage, view, seed=1, effects=[])
-        pixel, of_body = hits.pixel.numpy(), seen.mesh.face_material[hits.face.numpy()] == body
+        pixel, of_body = hits.pixel.numpy(), seen.mesh.face_material[hits.face.numpy()] != ground
         lit = [np.bincount(pixel[mask], minlength=PREDICTED**2) > 0 for mask in (of_body, ~of_body)]
         on_body, on_ground = (one.reshape(PREDICTED, PREDICTED) for one in lit)
         masks = {"body": on_body, "shadow": ~on_body & ~on_ground, "ground": on_ground & ~on_body}

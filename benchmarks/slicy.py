@@ -277,7 +277,7 @@ def widths(content: dict[str, Any]) -> str:
 def steps(diagnosis: dict[str, Any]) -> str:
     rows = [["declared", "", "", diagnosis["before"]["train"]["deviance"]]]
     for step in diagnosis["steps"]:
-        values = [f"{k} {v if isinstance(v, str) else f'{v:.3g}'}" for k, v in step["parameters"].items()]
+        values = [f"{k} {f'{v:.3g}' if isinstance(v, float) else v}" for k, v in step["parameters"].items()]
         rows.append([step["effect"], ", ".join(values), step["refit_gain"], step["train_deviance"]])
     return rounded(["added", "parameters", "2 ln L", "train deviance"], rows)
 
@@ -293,7 +293,7 @@ def noise(diagnosis: dict[str, Any]) -> str:
 
 
 def tables_of(content: dict[str, Any]) -> dict[str, str]:
-    """The tables of docs/measured.md."""
+    """The tables of docs/measured-others.md."""
     chip, diagnosis = content["chip"], content["diagnosis"]
     edges = [[axis, t["edge_over_middle_db"], t["none"], t["taylor"], t["hann"]] for axis, t in chip["taper"].items()]
     levels = [

@@ -95,7 +95,7 @@ def test_changes_the_image(name: str, table: dict[str, Any], radar: Mapping[str,
 def test_neutral_changes_no_bit(name: str) -> None:
     scene = street()
     effect = get(name)
-    neutral = {p.name: {} if p.per_view else p.neutral for p in effect.parameters if not math.isnan(p.neutral)}
+    neutral = {p.name: {} if p.keyed_by else p.neutral for p in effect.parameters if not math.isnan(p.neutral)}
     # without the parameters of another kind of scene
     neutral = {key: value for key, value in neutral.items() if effect.check(scene, {key: value}) is None}
     assert neutral

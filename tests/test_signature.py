@@ -145,7 +145,7 @@ def test_scaling_an_effect_goes_through_neutral(name: str) -> None:
     finite = {p.name: p for p in get(name).parameters if np.isfinite(p.neutral) and p.name in table}
     for key, value in scaled(name, table, 0.0).items():
         if key in finite:
-            values = value.values() if finite[key].per_view else [value]
+            values = value.values() if finite[key].keyed_by else [value]
             assert all(one == finite[key].neutral for one in values)
 
 

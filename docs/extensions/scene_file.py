@@ -133,8 +133,8 @@ def effect_tables() -> str:
 def _parameter(effect: Effect, parameter: Parameter) -> str:
     unit = "" if parameter.unit == "1" else f" [{parameter.unit}]"
     value = f"number from {_number(parameter.low)} to {_number(parameter.high)}{unit}"
-    if parameter.per_view:
-        value = f"table of view name = {value}"
+    if parameter.keyed_by:
+        value = f"table of {parameter.keyed_by} name = {value}"
     default = f"`{_number(parameter.default)}`" + ("" if math.isnan(parameter.neutral) else " (neutral)")
     example = effect.example.get(parameter.name, parameter.start or parameter.span)
     return _cells(f"`{parameter.name}`", value, default, _shown(example), parameter.description)

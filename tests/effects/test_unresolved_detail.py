@@ -7,6 +7,7 @@ from effect_worlds import Case, pair, plane, refusal, render_of, street, with_ef
 WORKING = [
     Case({"level": 0.02, "spread_m": 1.3}),
     Case({"level": 0.05, "spread_m": 2.0, "materials": ["brick"]}, {"slant_range_m": 300.0}),
+    Case({"level": 0.05, "spread_m": 1.0, "share": {"brick": 2.0, "soil": 0.5}}),
 ]
 
 
@@ -42,6 +43,25 @@ def test_it_lies_on_its_material_alone() -> None:
     pixels = np.unique(render.hits.pixel.numpy()[brick])
     assert share[pixels].min() > 0.0
     assert np.delete(share, pixels).max() < 1e-6 * share.max()
+
+
+def test_a_share_is_a_factor_of_its_material() -> None:
+    """Power is linear in the level, material by material: what each alone returns, times its share, is the whole."""
+    whole, share = {}, {"brick": 3.0, "soil": 0.25}
+    for name in share:
+        without, with_it = pair(street(), "unresolved_detail", {"level": 0.4, "spread_m": 1.0, "materials": [name]})
+        whole[name] = with_it - without
+    table = {"level": 0.4, "spread_m": 1.0, "share": share, "materials": list(share)}
+    without, with_it = pair(street(), "unresolved_detail", table)
+    expected = sum(share[name] * power for name, power in whole.items())
+    # float32 sums beside the image's own power
+    assert with_it - without == pytest.approx(expected, rel=1e-4, abs=1e-6 * with_it.max())
+
+
+def test_a_share_of_no_material_is_refused() -> None:
+    said = refusal("unresolved_detail", {"level": 0.1, "share": {"glass": 2.0}})
+    assert ".share: found glass; allowed are the materials" in said
+    assert "allowed is a table of material names" in refusal("unresolved_detail", {"level": 0.1, "share": 2.0})
 
 
 def test_the_cross_polarized_image_stays() -> None:

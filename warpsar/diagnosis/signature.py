@@ -202,7 +202,7 @@ def scaled(effect: str, table: Mapping[str, Any], amplitude: float) -> dict[str,
     for p in get(effect).parameters:
         if p.name in table:
             value = table[p.name]
-            found[p.name] = {v: one(p, x) for v, x in value.items()} if p.per_view else one(p, value)
+            found[p.name] = {v: one(p, x) for v, x in value.items()} if p.keyed_by else one(p, value)
     return found
 
 

@@ -55,11 +55,11 @@ def validate(name: str, table: Any, where: str, views: Collection[str] | None = 
     for key, value in table.items():
         at = f"{where}.{key}"
         if key in parameters:
-            for place, one in _entries(at, value, parameters[key].per_view, views):
+            for place, one in _entries(at, value, parameters[key].keyed_by, views):
                 _check_number(place, one, parameters[key])
         elif key in settings:
             setting = settings[key]
-            for place, one in _entries(at, value, setting.per_view, views):
+            for place, one in _entries(at, value, "view" if setting.per_view else None, views):
                 if not setting.accepts(one):
                     raise InputError(f"{place}: found {shown(one)}; allowed is {setting.allowed}")
         elif key not in FITTED_KEYS:
@@ -69,22 +69,22 @@ def validate(name: str, table: Any, where: str, views: Collection[str] | None = 
     for key, known in table.get("tolerance", {}).items():
         if isinstance(known, Mapping):
             at, p = f"{where}.tolerance.{key}.about", parameters[key]
-            for place, one in _entries(at, known["about"], p.per_view, views):
+            for place, one in _entries(at, known["about"], p.keyed_by, views):
                 _check_number(place, one, p)
     # Parameters stay as stated: a fit moves those and no others (`is_fitted`). Settings get their defaults.
     return {**table, **{s.name: table.get(s.name, s.default) for s in effect.settings}}
 
 
-def _entries(at: str, value: Any, per_view: bool, views: Collection[str] | None) -> list[tuple[str, Any]]:
-    """The values at a key, each with its place: one value, or one for each view that is named."""
-    if not per_view:
+def _entries(at: str, value: Any, keyed_by: str | None, views: Collection[str] | None) -> list[tuple[str, Any]]:
+    """The values at a key, each with its place: one value, or one for each view or material that is named."""
+    if keyed_by is None:
         return [(at, value)]
     if not isinstance(value, dict):
-        raise InputError(f"{at}: found {shown(value)}; allowed is a table of view names and values")
-    for view in value:
-        if views is not None and view not in views:
-            raise InputError(f"{at}: found {view!r}; allowed are the views {', '.join(views)}")
-    return [(f"{at}.{view}", one) for view, one in value.items()]
+        raise InputError(f"{at}: found {shown(value)}; allowed is a table of {keyed_by} names and values")
+    for name in value if keyed_by == "view" and views is not None else ():
+        if name not in views:
+            raise InputError(f"{at}: found {name!r}; allowed are the views {', '.join(views)}")
+    return [(f"{at}.{name}", one) for name, one in value.items()]
 
 
 def _check_number(at: str, value: Any, p: Parameter) -> None:
@@ -103,6 +103,11 @@ def check(scene: World) -> None:
     for name, table in scene.effects.items():
         where = f"{scene.name}: effects.{name}"
         validate(name, table, where, views)
+        for p in get(name).parameters:
+            unknown = [m for m in table.get(p.name, ()) if m not in scene.mesh.materials] if p.per_material else []
+            if unknown:
+                allowed = ", ".join(scene.mesh.materials)
+                raise InputError(f"{where}.{p.name}: found {', '.join(unknown)}; allowed are the materials {allowed}")
         problem = get(name).check(scene, table)
         if problem is not None:
             raise InputError(f"{where}{problem}")
@@ -120,14 +125,26 @@ def declared(scene: World, view: View, *, neutral: bool = False) -> list[Declare
         if name not in scene.effects:
             continue
         effect, table = get(name), scene.effects[name]
-        values = [value_in(view, p, table, scene.views) for p in effect.parameters]
-        if not neutral and all(
-            v == p.neutral or math.isnan(p.neutral) for v, p in zip(values, effect.parameters, strict=True)
-        ):
+        values = values_in(scene, view, effect, table)
+        # values per material say nothing alone, and stand last
+        single = [p for p in effect.parameters if not p.per_material]
+        if not neutral and all(v == p.neutral or math.isnan(p.neutral) for v, p in zip(values, single, strict=False)):
             continue
         settings = {s.name: setting_in(view, s, table) for s in effect.settings}
-        found.append(DeclaredEffect(effect, np.array(values, float), settings))
+        found.append(DeclaredEffect(effect, values, settings))
     return found
+
+
+def values_in(scene: World, view: View, effect: Effect, table: Mapping[str, Any]) -> np.ndarray:
+    """The values of all parameters in one view, float64: one each, or one for each of the mesh's materials."""
+    return np.concatenate([_values_of(scene, view, p, table) for p in effect.parameters])
+
+
+def _values_of(scene: World, view: View, parameter: Parameter, table: Mapping[str, Any]) -> list[float]:
+    if parameter.per_material:
+        stated = table.get(parameter.name, {})
+        return [float(stated.get(material, parameter.default)) for material in scene.mesh.materials]
+    return [value_in(view, parameter, table, scene.views)]
 
 
 def value_in(view: View, parameter: Parameter, table: Mapping[str, Any], views: Collection[View] = ()) -> float:

@@ -32,7 +32,7 @@ class UnresolvedDetail(Effect):
 
     Detail turns to all sides, so its return does not depend on how the mesh's face lies. It stands out from the mesh,
     and sends power along ways of more than one bounce. So its power does not lie where the face does. It returns the
-    same in HH and VV, and nothing in HV.
+    same in HH and VV, and nothing in HV. The parts of a body differ: `share` has a factor for each material.
     """
 
     name = "unresolved_detail"
@@ -66,6 +66,19 @@ class UnresolvedDetail(Effect):
             fit_low=1e-2,
             fit_high=1e2,
             description="Full width at half maximum over which this power is spread, in range and in azimuth.",
+        ),
+        Parameter(
+            "share",
+            "1",
+            1.0,
+            0.0,
+            1e6,
+            1.0,
+            per_material=True,
+            scale="log",
+            fit_low=1e-3,
+            fit_high=1e3,
+            description="Factor on `level` for a material: the parts of a body carry more and less detail.",
         ),
     )
     settings = (

@@ -20,16 +20,22 @@ from warpsar.world.tables import View
 
 @dataclass(frozen=True)
 class EffectCoordinate:
-    """One number of x that belongs to an effect: a parameter, or its value in one view where it is per view."""
+    """One number of x that belongs to an effect: a parameter, or its value in one view or on one material."""
 
     effect: str
     parameter: Parameter
     index: int  # in the effect's array of values
     view: str | None = None
+    material: str | None = None
+
+    @property
+    def key(self) -> str | None:
+        """Where its value stands in the parameter's own table; None for a parameter that is one number."""
+        return self.material if self.view is None else self.view
 
     @property
     def label(self) -> str:
-        where = "" if self.view is None else f"[{self.view}]"
+        where = "" if self.key is None else f"[{self.key}]"
         return f"{self.effect}.{self.parameter.name}{where}"
 
 
@@ -137,10 +143,10 @@ class SceneCoordinates:
         values = np.asarray(x)[self.learned.size :] if self.effect_coordinates else ()
         for c, value in zip(self.effect_coordinates, values, strict=True):
             number = float(c.parameter.from_coordinate(value))
-            if c.view is None:
+            if c.key is None:
                 tables[c.effect][c.parameter.name] = number
             else:
-                tables[c.effect][c.parameter.name][c.view] = number
+                tables[c.effect][c.parameter.name][c.key] = number
         # only differences act: without the mean over the fitted views, the other views stay as they are
         for (effect, name), views in self._zero_sums().items():
             mean = sum(tables[effect][name][view] for view in views) / len(views)
@@ -173,6 +179,10 @@ class SceneCoordinates:
                 if parameter.per_view:
                     names = [v.name for v in self.chosen if v.name in table[parameter.name]]
                     found += [EffectCoordinate(name, parameter, index, view) for view in names]
+                elif parameter.per_material:
+                    all_of_them = enumerate(self.scene.mesh.materials, index)
+                    stated = [(at, m) for at, m in all_of_them if m in table[parameter.name]]
+                    found += [EffectCoordinate(name, parameter, at, material=m) for at, m in stated]
                 else:
                     found.append(EffectCoordinate(name, parameter, index))
         return found
@@ -182,7 +192,7 @@ class SceneCoordinates:
         values = []
         for c in self.effect_coordinates:
             value = tables[c.effect][c.parameter.name]
-            values.append(c.parameter.to_coordinate(value[c.view] if c.view else value))
+            values.append(c.parameter.to_coordinate(value if c.key is None else value[c.key]))
         return np.array(values, float)
 
     @property

@@ -119,7 +119,7 @@ def _of_effects(coordinates: SceneCoordinates) -> Iterator[Known]:
         table, p = coordinates.scene.effects[c.effect], c.parameter
         if p.name in table.get("tolerance", {}):
             one, stated = table["tolerance"][p.name], table[p.name]
-            about = known_value(one, stated if c.view is None else stated[c.view], c.view)
+            about = known_value(one, stated if c.key is None else stated[c.key], c.key)
             yield Known(c.label, at, about, known_sd(one, about), p.unit, p.from_coordinate, p.slope)
 
 

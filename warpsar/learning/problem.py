@@ -16,7 +16,7 @@ import warp as wp
 from scipy.sparse import csr_array, hstack
 
 from warpsar.effects.base.effect import DeclaredEffect
-from warpsar.effects.registry import value_in
+from warpsar.effects.registry import values_in
 from warpsar.errors import InputError
 from warpsar.kernels import loss as loss_kernels
 from warpsar.kernels import metrics as metrics_kernels
@@ -134,10 +134,7 @@ class FitProblem(SceneCoordinates):
     def _values(self, view: FitView, tables: Mapping[str, Mapping[str, Any]]) -> dict[str, np.ndarray]:
         """The values of every effect's parameters in a view."""
         return {
-            e.effect.name: np.array(
-                [value_in(view.view, p, tables[e.effect.name], self.scene.views) for p in e.effect.parameters], float
-            )
-            for e in view.effects
+            e.effect.name: values_in(self.scene, view.view, e.effect, tables[e.effect.name]) for e in view.effects
         }
 
     def _set(self, view: FitView, nodes: np.ndarray | None, tables: Mapping[str, Mapping[str, Any]]) -> None:

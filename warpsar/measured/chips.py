@@ -15,6 +15,7 @@ from warpsar.measured import formats, view_table
 from warpsar.measured.data import ImageChip, Quantity, RadarAt
 from warpsar.measured.gridding import Gridding, power_on_grid
 from warpsar.measured.importer import Scale, clip_level, declare, editing, opened, polarization_of, quick_look
+from warpsar.measured.importer import Scale, clip_level, declare, editing, opened, polarization_of, rounding
 from warpsar.speckle.looks import equivalent_looks
 
 
@@ -73,7 +74,7 @@ def import_chips(
         looks = view.looks or equivalent_looks(power)
         if looks is None:
             told = [*told, "too little homogeneous ground to estimate looks from; none written"]
-        for one in told:
+        for one in (*told, *rounding(chip)):
             messages[one] = messages.get(one, 0) + 1
         image = scene_path.parent / f"{view.name}_{pol}.exr"
         write_exr(image, {pol: power})

@@ -197,6 +197,7 @@ class ImageChip:
     `spacing_m` is (range, azimuth) [m]; that of the view where the file does not say.
     `gain` at (row, column) turns |samples|^2 into beta0; only `calibrated` images have it.
     `top`: the largest sample that the format can say. Brighter pixels have it too.
+    `error`: the most that the format's rounding changes a sample, rms.
     """
 
     source: str
@@ -208,6 +209,7 @@ class ImageChip:
     calibrated: bool = False
     gain: Callable[[np.ndarray], np.ndarray] | None = None
     top: float | None = None
+    error: float | None = None
 
     def __post_init__(self) -> None:
         if len(self.samples.shape) != 2 or min(self.samples.shape) < 1:

@@ -107,7 +107,7 @@ def import_measured(
         )
     how = Gridding(window_range, window_azimuth, subapertures, samples, surface, device)
     power, per_pixel, told = power_on_grid(measured, scene, view, how)
-    messages += told
+    messages += told + rounding(measured)
     looks = equivalent_looks(power)
     if looks is None:
         messages.append("too little homogeneous ground to estimate looks from; none written")
@@ -256,6 +256,14 @@ def clip_level(measured: PhaseHistory | ImageChip, samples_per_pixel: tuple[int,
     if not isinstance(measured, ImageChip) or measured.top is None or samples_per_pixel != (1, 1):
         return None
     return measured.top if measured.quantity == "power" else measured.top**2
+
+
+def rounding(measured: PhaseHistory | ImageChip) -> list[str]:
+    """What the file's own rounding does to the image, in words: none, or one message."""
+    error = measured.error if isinstance(measured, ImageChip) else None
+    if error is None:
+        return []
+    return [f"the JPEG rounds its levels, by up to {error:.1f} rms; pixels that are no brighter show little else"]
 
 
 def declare(document: Any, view: View, exists: bool, pol: str, image: str, stated: Mapping[str, float | None]) -> None:

@@ -15,11 +15,17 @@ SUFFIXES = (".jpg", ".jpeg")
 TOP = 255.0
 """The largest level: a pixel that has it measured at least as much."""
 _MOST_PER_BYTE = 2048  # pixels: a block of 64 takes half a bit at the least
-_ERRORS = (OSError, SyntaxError, ValueError, EOFError, struct.error)
+_ERRORS = (OSError, SyntaxError, ValueError, EOFError, LookupError, struct.error)
 
 
-def read(path: Path) -> np.ndarray:
-    """Grey levels, shape (rows, cols), float32. Raises InputError for a broken file and for a picture in colour."""
+def read(path: Path) -> tuple[np.ndarray, float]:
+    """Grey levels, shape (rows, cols), float32, and the error that rounding may leave in one of them, rms.
+
+    A block's 64 cosine coefficients are rounded to multiples of q, the file's quantisation table (ISO/IEC 10918-1,
+    A.3.4). An error spread evenly over a step has the variance q^2 / 12, and the transform is orthonormal: a level's
+    variance is the mean over the table. That is the most: a coefficient far under half a step errs by itself alone.
+    Raises InputError for a broken file and for a picture in colour.
+    """
     from PIL.JpegImagePlugin import JpegImageFile
 
     try:
@@ -31,6 +37,7 @@ def read(path: Path) -> np.ndarray:
             )
         if picture.mode != "L":
             raise InputError(f"{path}: found a picture in colour ({picture.mode}); must be grey, one level per pixel")
-        return np.asarray(picture, np.float32)
+        steps = np.array(picture.quantization[0], float)
+        return np.asarray(picture, np.float32), float(np.sqrt((steps**2).mean() / 12.0))
     except _ERRORS as error:
         raise InputError(f"{path}: cannot be read as a JPEG ({error})") from error

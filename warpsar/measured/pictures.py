@@ -66,7 +66,7 @@ def read(
     """
     if kind == "geotiff":
         return _read_map(path, quantity, polarization, frame)
-    samples = jpeg.read(path) if kind == "jpeg" else _read_slant(path, polarization)
+    samples, error = jpeg.read(path) if kind == "jpeg" else (_read_slant(path, polarization), None)
     samples = samples[::-1] if radar_at == "bottom" else samples
     facts = Facts(polarization=polarization)
     return ImageChip(
@@ -76,6 +76,7 @@ def read(
         lambda reference_point_m: facts,
         spacing_m=spacing_m,
         top=jpeg.TOP if kind == "jpeg" else None,
+        error=error,
     )
 
 

@@ -142,20 +142,25 @@ def _number(parameter: Parameter) -> _Json:
 
 
 def _key(declared: Parameter | Setting, value: _Json) -> _Json:
-    """The schema of a key: of one value, or of a table of a value for each view."""
+    """The schema of a key: of one value, or of a table of a value for each view or material."""
     unit = getattr(declared, "unit", "1")
     about = declared.description if unit == "1" else f"{declared.description.rstrip('.')} [{unit}]."
-    if not declared.per_view:
+    if (keyed_by := _keyed_by(declared)) is None:
         return {"description": about, **value}
-    return {"description": f"{about} A table of view names and values.", **_value(declared, value)}
+    return {"description": f"{about} A table of {keyed_by} names and values.", **_value(declared, value)}
 
 
 def _value(declared: Parameter | Setting, value: _Json) -> _Json:
-    """The schema of what stands at a key: `value`, or a table of one for each view."""
-    if not declared.per_view:
+    """The schema of what stands at a key: `value`, or a table of one for each view or material."""
+    if _keyed_by(declared) is None:
         return value
-    value.pop("default", None)  # of a view that is not named
+    value.pop("default", None)  # of a view or a material that is not named
     return {"type": "object", "additionalProperties": value}
+
+
+def _keyed_by(declared: Parameter | Setting) -> str | None:
+    """What the table at a key names; None where it is one value."""
+    return declared.keyed_by if isinstance(declared, Parameter) else "view" if declared.per_view else None
 
 
 def _tolerance(about: _Json) -> _Json:

@@ -16,13 +16,13 @@ IN_THE_UNIT = "allowed is a number above 0 in the key's unit, because a share of
 ALLOWED = 'allowed is one standard deviation: a number above 0 in the key\'s unit, or a share such as "5 %"'
 
 
-def known_value(tolerance: Any, stated: float, view: str | None = None) -> float:
+def known_value(tolerance: Any, stated: float, key: str | None = None) -> float:
     """The value that is known: `about` where the tolerance has one, else the `stated` value of the key.
 
-    `view` names one value of a key that has a table of them.
+    `key` names one value where the tolerance's key has a table of them.
     """
     about = tolerance["about"] if isinstance(tolerance, Mapping) else stated
-    return float(about[view] if isinstance(about, Mapping) else about)
+    return float(about[key] if isinstance(about, Mapping) else about)
 
 
 def known_sd(tolerance: Any, about: float) -> float:

@@ -1,0 +1,98 @@
+"""The tables of docs/measured-btr70.md, from what btr70.py found."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import tables
+from btr70_model import SPACING_M
+
+SETS = ("sector", "sector_15", "depression", "between")
+PREDICTIONS = ("declared", "final", "nearest", "mirrored", "mean", "other_depression")
+
+
+def summary(views: Sequence[Mapping[str, Any]]) -> list[list[Any]]:
+    """Rows of set, views, prediction and means of its measures."""
+    rows = []
+    for name in SETS:
+        mine = [view for view in views if view["set"] == name]
+        for prediction in PREDICTIONS:
+            found = [view["measures"][prediction] for view in mine if prediction in view["measures"]]
+            if found:
+                means = [np.mean([one[key] for one in found]) for key in ("correlation", "best_shift", "one_pixel")]
+                deviance = np.mean([one["deviance"] for one in found])
+                rows.append([name, len(found), prediction, *(f"{x:.3f}" for x in (*means, deviance))])
+    return rows
+
+
+def by_region(views: Sequence[Mapping[str, Any]]) -> list[list[Any]]:
+    rows = []
+    for prediction in ("declared", "final"):
+        for name in ("body", "shadow", "ground"):
+            mine = [view["measures"] for view in views if view["set"].startswith("sector")]
+            found = [measures[prediction][name] for measures in mine if prediction in measures]
+            if not found:
+                continue
+            both = [np.nanmean([one[key] for one in found]) for key in ("correlation", "deviance")]
+            rows.append([prediction, name, *(f"{x:.3f}" for x in both)])
+        seen = [view["measures"][prediction] for view in views if prediction in view["measures"]]
+        edges = [abs(one["lit_edge_rows"]) * SPACING_M[0] for one in seen]
+        if edges:
+            rows.append([prediction, "lit edge, median error [m]", f"{np.median(edges):.2f}", ""])
+    return rows
+
+
+def checked(known: Mapping[str, Any]) -> list[list[Any]]:
+    """Rows of what is known: what, found, stated elsewhere."""
+    rows: list[list[Any]] = []
+    for name, stated in (("height", "2.24 to 2.32"), ("width", "2.80"), ("length", "7.53 to 7.54")):
+        one = known["size"][name]
+        rows.append(
+            [f"{name} [m], the CAD to 10 %", f"{one['value_m']:.2f} +- {one['sd_m']:.2f}", f"{stated}, published"]
+        )
+    for key, one in known["attitude"].items():
+        found = f"{one['value']:+.2f} +- {one['sd']:.2f}"
+        rows.append([f"{key.removesuffix('_deg')} [deg], images alone", found, f"{one['header']:+.2f}, header"])
+    for key, header in known["widths"]["header"].items():
+        found = f"{known['widths']['found'][key]:.3f}"
+        rows.append([f"{key.removesuffix('_fwhm_m')} width [m], without a prior", found, f"{header:.3f}, header"])
+    seen = known["coverage"]
+    share = f"{seen['inside']} of {seen['replicates']}"
+    rows.append(["height on chips that the model made: truth inside the 95 % interval", share, "19 of 20"])
+    levels = known["levels"]
+    low, high = (100.0 * share for share in levels["clipped_range"])
+    rows.append(["pixels at the top of the scale", f"{low:.1f} to {high:.1f} %", "0.1 to 0.6 %"])
+    if levels["floor_below_grass_db"] is not None:
+        rows.append(["noise floor under the grass [dB]", f"{levels['floor_below_grass_db']:.1f}", "6 to 15"])
+    return rows
+
+
+def tables_of(content: Mapping[str, Any]) -> dict[str, str]:
+    """The tables of the page, by name."""
+    head = ("set", "views", "prediction", "correlation", "at best shift", "smoothed by 1", "deviance")
+    found = {
+        "btr70.sets": tables.markdown(head, summary(content["views"])),
+        "btr70.regions": tables.markdown(
+            ("prediction", "region", "correlation", "deviance"), by_region(content["views"])
+        ),
+    }
+    if content["steps"]:
+        rows = [[s["tried"], f"{s['gain']:+.4f}", f"{s['error']:.4f}", s.get("stays", "")] for s in content["steps"]]
+        found["btr70.steps"] = tables.markdown(("tried", "held-out gain", "standard error", "stays"), rows)
+        found["btr70.checks"] = tables.markdown(("what", "found", "elsewhere"), checked(content["checks"]))
+        bounces = [
+            [b["ground"], f"{b['power']:.1f}", b["strength"], f"{b['correlation']:.3f}"]
+            for b in content["checks"]["bounces"]["found"]
+        ]
+        head = ("ground", "power of bounces over all other, strength 1", "strength", "correlation")
+        found["btr70.bounces"] = tables.markdown(head, bounces)
+        orders = [
+            [name, f"{one['order']:.2f}", f"{one['gain_per_pixel']:+.3f}", one["pixels"]]
+            for name, one in content["checks"]["orders"].items()
+            if name != "cpu_s"
+        ]
+        head = ("region", "order", "held-out log score per pixel over plain speckle", "pixels")
+        found["btr70.orders"] = tables.markdown(head, orders)
+    return found
