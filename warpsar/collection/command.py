@@ -17,7 +17,8 @@ from warpsar.collection.noise import with_image_noise, with_noise
 from warpsar.collection.plan import Plan, plan_of
 from warpsar.collection.scatterers import Scatterers, body_of, scatterers_of
 from warpsar.collection.slc import Slc, direct, focused, refuse_direct
-from warpsar.io.images import quick_look, replacing
+from warpsar.io.images import replacing
+from warpsar.io.quick_look import QuickLook, draw_together
 from warpsar.runtime import console, devices
 from warpsar.runtime.busy import busy
 from warpsar.scene.scene import Scene
@@ -140,7 +141,9 @@ def _slc(scene: Scene, plan: Plan, device: wp.Device, seed: int, index: int, out
     files = {"npz": f"{name}.npz", "quick_look": f"{name}.png"}
     with replacing(out / files["npz"]) as temporary, temporary.open("wb") as file:
         np.savez(file, range_m=made.range_m, azimuth_m=made.azimuth_m, **made.images)  # type: ignore[arg-type]
-    quick_look(out / files["quick_look"], np.abs(next(iter(made.images.values()))) ** 2)
+    power = {pol: np.abs(image) ** 2 for pol, image in made.images.items()}
+    spacing = tuple(float(axis[1] - axis[0]) for axis in (made.range_m, made.azimuth_m))
+    draw_together([QuickLook.of(out / files["quick_look"], name, power, spacing)])
     for pol in made.images if find_spec("sarkit") is not None else ():
         files[f"sicd_{pol}"] = f"{name}.nitf" if len(made.images) == 1 else f"{name}_{pol}.nitf"
         sicd.write(out / files[f"sicd_{pol}"], made, pol)

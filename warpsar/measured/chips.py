@@ -14,8 +14,7 @@ from warpsar.io.quick_look import contact_sheet
 from warpsar.measured import formats, view_table
 from warpsar.measured.data import ImageChip, Quantity, RadarAt
 from warpsar.measured.gridding import Gridding, power_on_grid
-from warpsar.measured.importer import Scale, clip_level, declare, editing, opened, polarization_of, quick_look
-from warpsar.measured.importer import Scale, clip_level, declare, editing, opened, polarization_of, rounding
+from warpsar.measured.importer import Scale, clip_level, declare, editing, opened, polarization_of, quick_look, rounding
 from warpsar.speckle.looks import equivalent_looks
 
 
