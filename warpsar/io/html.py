@@ -140,7 +140,7 @@ def png(rgb: np.ndarray) -> bytes:
     from matplotlib.image import imsave
 
     stream = BytesIO()
-    imsave(stream, rgb, format="png", pil_kwargs={"compress_level": 9}, metadata={"Software": "warpsar"})
+    imsave(stream, rgb, format="png", pil_kwargs={"compress_level": 6}, metadata={"Software": "warpsar"})
     return stream.getvalue()
 
 
