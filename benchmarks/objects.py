@@ -287,8 +287,9 @@ HEADERS = {
     "objects.moved": ["number of the tower", "sd said, median", "sd of the errors", "95 % interval holds"],
     "objects.proposals": ["in the images", "proposed at 1", "4", "16 looks"],
     "objects.whole": [
-        "missing, absent or elsewhere", "right", "farthest off [m]", "size off, at most", "95 % intervals hold",
-        "test deviance before", "after", "CPU seconds, median", "named instead or besides",
+        "missing, absent or elsewhere", "right", "farthest off [m]", "size off, at most",
+        "95 % intervals of place and size hold", "of an own material", "test deviance before", "after",
+        "CPU seconds, median", "named instead or besides",
     ],
     "objects.gradients": ["scene", "numbers", "adjoint [s]", "differences [s]", "apart"],
     "objects.instances": ["cars", "triangles", "arrays [MiB]", "load [s]", "place again [s]", "simulate [s]"],

@@ -24,6 +24,7 @@ from warpsar.effects.registry import get
 from warpsar.scene.placing import with_objects
 from warpsar.scene.scene import Scene
 from warpsar.simulation.command import simulate
+from warpsar.surface.surface import KINDS
 from warpsar.world.mesh import Mesh
 from warpsar.world.objects.table import Object
 from warpsar.world.tables import Material
@@ -87,7 +88,7 @@ def whole_run(name: str, seed: int, folder: Path) -> dict[str, Any]:
         path = scene_file(case, seed, Path(made))
         content = run(path, kept, device="cpu", options=DiagnoseOptions(seed=seed))
     shutil.rmtree(kept / "cache", ignore_errors=True)
-    found = content["objects"]
+    found = {name: {**one, "surface": content["materials"].get(name, {})} for name, one in content["objects"].items()}
     return {
         "verdict": content["verdict"],
         "unexplained": content["unexplained"],
@@ -149,9 +150,22 @@ def errors(case: Whole, found: Sequence[Mapping[str, Any]]) -> list[dict[str, An
             sizes = zip(near["size_m"], near.get("size_sd_m", ()), one["size_m"], strict=False)
             pairs += list(sizes)
             told["primitive"] = near.get("primitive")
+        if one.get("material") == "steel":
+            told["surface_held"] = surface_held(near["surface"])
         told["held"] = [bool(abs(value - truth) < 1.96 * sd) for value, sd, truth in pairs]
         numbers.append(told)
     return numbers
+
+
+def surface_held(surface: Mapping[str, Mapping[str, float]]) -> list[bool]:
+    """Whether the 95 % intervals of an own material hold those of steel, in their learned coordinates."""
+    true = STEEL.model_dump()
+    found = []
+    for kind in KINDS:
+        if one := surface.get(kind.key):
+            off = float(kind.to_coordinate(one["after"]) - kind.to_coordinate(true[kind.key]))
+            found.append(abs(off) < 1.96 * one["after_sd_log"])
+    return found
 
 
 def _sorted(size: Sequence[float]) -> list[float]:
@@ -176,6 +190,7 @@ def whole_rows(found: Sequence[Mapping[str, Any]]) -> list[list[str]]:
         off = [body["off_m"] for body in bodies if body["found"]]
         size = [abs(ratio - 1.0) for body in bodies for ratio in body.get("size", ())]
         held = [hold for body in bodies for hold in body.get("held", ())]
+        made = [hold for body in bodies for hold in body.get("surface_held", ())]
         rows.append(
             [
                 name,
@@ -183,6 +198,7 @@ def whole_rows(found: Sequence[Mapping[str, Any]]) -> list[list[str]]:
                 f"{max(off):.2f}" if off else "",
                 f"{100.0 * max(size):.0f} %" if size else "",
                 f"{sum(held)} of {len(held)}" if held else "",
+                f"{sum(made)} of {len(made)}" if made else "",
                 f"{np.mean([one['before'] for one in mine]):.2f}",
                 f"{np.mean([one['after'] for one in mine]):.3f}",
                 f"{np.median([one['cpu_seconds'] for one in mine]):.0f}",

@@ -270,16 +270,23 @@ CAR = {"name": "c", "primitive": "car", "size_m": [4.5, 1.8, 1.5], "material": "
 )
 def test_bad_objects_are_refused_in_one_message(tmp_path: Path, one: dict[str, Any], says: str) -> None:
     (tmp_path / "part.obj").write_text(OBJ)
-    base = None
-    if says.startswith("more than half"):  # the ground is the scene's own mesh
-        (tmp_path / "ground.obj").write_text("usemtl soil\nv -15 -15 0\nv 15 -15 0\nv 15 15 0\nv -15 15 0\nf 1 2 3 4\n")
-        base = "ground.obj"
-    objects = [one] if base else [FLOOR, one]
-    with pytest.raises(InputError) as refused:
-        Scene.load(written(tmp_path, objects, base))
-    assert says in str(refused.value)
-    assert "\n" not in str(refused.value)
-    assert "objects" in str(refused.value)
+    (tmp_path / "ground.obj").write_text("usemtl soil\nv -15 -15 0\nv 15 -15 0\nv 15 15 0\nv -15 15 0\nf 1 2 3 4\n")
+    scenes: list[tuple[list[dict[str, Any]], str | None]] = [([FLOOR, one], None)]
+    if says.startswith("more than half"):  # the ground is the scene's own mesh, or the widest plate
+        scenes.append(([one], "ground.obj"))
+    for objects, base in scenes:
+        with pytest.raises(InputError) as refused:
+            Scene.load(written(tmp_path, objects, base))
+        assert says in str(refused.value)
+        assert "\n" not in str(refused.value)
+        assert "objects" in str(refused.value)
+
+
+def test_a_narrow_plate_is_no_ground(tmp_path: Path) -> None:
+    """A car under a roof alone: nothing says where the ground is."""
+    roof = {"name": "roof", "primitive": "plate", "size_m": [3.0, 2.0, 0.0], "position_m": [0.0, 0.0, 3.0]}
+    scene = Scene.load(written(tmp_path, [{**roof, "material": "soil"}, CAR], None))
+    assert [one.label for one in scene.objects] == ["roof", "c"]
 
 
 def test_tolerances_are_standard_deviations() -> None:

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.ndimage import minimum_filter, uniform_filter
 
 from warpsar.diagnosis.bench import Bench
+from warpsar.diagnosis.movable import standing
 from warpsar.diagnosis.refit import BOUND, Fitted
 from warpsar.learning.observation import Observation, usable_pixels
 from warpsar.learning.pose import Descended, PosedProblem, descend
@@ -86,7 +87,7 @@ class Exact:
         ready = scene if scene.assembly is not None else with_objects(scene, ())
         both = compared(ready, self.bench.observations, blur_m, self.gains)
         seen = {name: found for name, found in both.observations.items() if views is None or name in views}
-        return PosedProblem(both.scene, self.bench.device, seen, level=both.level)
+        return PosedProblem(both.scene, self.bench.device, seen, level=both.level, standing=standing(both.scene))
 
     def settled(self, scene: Scene, views: Sequence[str] | None = None) -> tuple[PosedProblem, Descended]:
         """Surface and effects at their best, and what `learn` of the scene's objects frees."""

@@ -16,6 +16,7 @@ from warpsar.diagnosis.left_words import first_sentence
 from warpsar.diagnosis.procedure import diagnose_scene
 from warpsar.diagnosis.report import write_report
 from warpsar.diagnosis.result import Diagnosed, judged, moved_parameters
+from warpsar.diagnosis.written_scene import annotate
 from warpsar.io import checkpoint
 from warpsar.runtime import console, distributed
 from warpsar.simulation.outputs import opened, write_json
@@ -53,6 +54,7 @@ def run(
         done = judged(found)
         moves, identified = moved_parameters(done.diagnosis)
         done.diagnosis.final.scene.save(out / "scene.toml")
+        annotate(out / "scene.toml", done.diagnosis.objects)
         content = content_of(done, moves, identified, options) | {"processes": ranks.size}
         content = write_json(out / "diagnosis.json", scene, where, options.seed, started, content)
         write_report(out / "report.html", done, moves, content, command_line(scene_path, out, where.alias, options))

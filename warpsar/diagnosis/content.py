@@ -14,6 +14,7 @@ from warpsar.diagnosis.known import known_content
 from warpsar.diagnosis.left_words import described
 from warpsar.diagnosis.outcome import outcome
 from warpsar.diagnosis.result import Diagnosed, Moved, why_not
+from warpsar.diagnosis.written_scene import own_materials
 from warpsar.effects.registry import get
 from warpsar.learning.identify import Identified
 
@@ -64,7 +65,8 @@ def content_of(
             "description": described(done.left),
         },
         "materials": {
-            material: {m.key: _moved(m) for m in moves if m.material == material} for material in found.scene.materials
+            **{name: {m.key: _moved(m) for m in moves if m.material == name} for name in found.scene.materials},
+            **own_materials(found, identified),
         },
         **fields_content(found.declared, found.final),
         "effects": found.final.scene.effects,

@@ -17,7 +17,7 @@ from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.found import Candidate, Turn
 from warpsar.diagnosis.frozen import frozen
 from warpsar.diagnosis.geometry import GeometryCandidate
-from warpsar.diagnosis.movable import bodies, refined_words, with_words
+from warpsar.diagnosis.movable import bodies, refined_words, standing, with_words
 from warpsar.diagnosis.refit import Fitted, narrowed_to, refit_as
 from warpsar.diagnosis.score import minus_log_p
 from warpsar.learning.pose_search import FoundPoses, find_poses
@@ -91,13 +91,14 @@ def on_its_ground(bench: Bench, other: Bench, fitted: Fitted) -> tuple[Bench, Fi
 
 
 def posed_anew(bench: Bench, fitted: Fitted, declared: Scene) -> tuple[Scene, FoundPoses | None]:
-    """The model's scene with every object that was changed at its likeliest pose, all of them, surface and effects
-    fitted together; as it is, and None, where none was changed or stands there."""
+    """The model's scene with every object that was changed at its likeliest pose, and size where it was missing, all of
+    them, surface and effects fitted together; as it is, and None, where none was changed or stands there."""
     words = refined_words(declared, fitted.scene)
     if not words:
         return fitted.scene, None
     views = [view.view.name for view in fitted.problem.views]
+    free = with_words(fitted.scene, words)
     found = find_poses(
-        with_words(fitted.scene, words), bench.device, views=views, observations=bench.observations, search=False
+        free, bench.device, views=views, observations=bench.observations, search=False, standing=standing(free)
     )
     return still(found.scene), found

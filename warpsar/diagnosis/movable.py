@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from warpsar.diagnosis.geometry import changes, object_of
+from warpsar.diagnosis.geometry import MISSING, changes, kind_of, object_of
 from warpsar.scene.placing import with_objects
 from warpsar.scene.scene import Scene
 from warpsar.world.objects.groups import group_names, with_groups
@@ -90,6 +90,26 @@ def words_of(one: Object) -> tuple[Learnable, ...]:
     return ("position",) if one.round else POSE_WORDS
 
 
+def found_words(one: Object) -> tuple[Learnable, ...]:
+    """What is fitted of an object that the scene did not have. A sphere is a point, whose size means nothing, and a
+    round cylinder, which has the heading 0, stays without one."""
+    if one.primitive == "sphere":
+        return ("position",)
+    return ("position", "size") if one.primitive == "cylinder" and one.heading_deg == 0.0 else (*POSE_WORDS, "size")
+
+
+def standing(scene: Scene) -> list[str]:
+    """Labels of the objects that stay on the ground: those whose size is fitted, with whose height that of the foot
+    would trade. A diagnosis fits no other object's size."""
+    return [one.label for one in scene.objects if "size" in one.learn]
+
+
+def own_material(declared: Scene, scene: Scene, label: str) -> str | None:
+    """The material of an object alone, which has its name; None where it is made of one of the declared scene's."""
+    own = next((one.material for one in scene.objects if one.label == label), None)
+    return own if own == label and own not in declared.materials else None
+
+
 def placeable(declared: Scene, scene: Scene, labels: Iterable[str]) -> bool:
     """Whether the places of the bodies `labels` can be told: where the aim point of every view is free, only against
     another body, which has not moved."""
@@ -99,13 +119,14 @@ def placeable(declared: Scene, scene: Scene, labels: Iterable[str]) -> bool:
 
 
 def refined_words(declared: Scene, scene: Scene) -> dict[str, tuple[Learnable, ...]]:
-    """What is fitted again of each changed object that stands in `scene`.
-
-    The size of an object that was missing stays as its proposal found it, with the foot on the ground: free together,
-    height and foot trade.
-    """
-    changed = {object_of(name) for name in changes(declared, scene)}
-    words = {one.label: words_of(one) for one in scene.objects if one.label in changed}
+    """What is fitted again of each changed object that stands in `scene`: of one that was missing, its size as well."""
+    kinds = {object_of(name): kind_of(name) for name in changes(declared, scene)}
+    changed = set(kinds)
+    words = {
+        one.label: found_words(one) if kinds[one.label] == MISSING else words_of(one)
+        for one in scene.objects
+        if one.label in changed
+    }
     if not placeable(declared, scene, changed):
         words = {label: tuple(word for word in found if word != "position") for label, found in words.items()}
     return {label: found for label, found in words.items() if found}

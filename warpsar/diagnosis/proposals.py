@@ -14,7 +14,7 @@ from warpsar.diagnosis.geometry import GeometryCandidate
 from warpsar.diagnosis.proposals_bodies import Tried, likeliest, sound
 from warpsar.diagnosis.proposals_fit import Ground, Standing, alone, released
 from warpsar.diagnosis.proposals_left_out import explained, left_out
-from warpsar.diagnosis.proposals_place import Place, Ratios, places
+from warpsar.diagnosis.proposals_place import Looked, Place, Ratios
 from warpsar.diagnosis.refit import Fitted
 from warpsar.learning.observation import Observation
 from warpsar.learning.pose_search import summary
@@ -55,7 +55,8 @@ def proposed(
     without = ground.settled(ground.scene)
     ground = replace(ground, scene=without.scene)
     cost = 0.5 * (price if price is not None else np.log(sum(s.looks * s.count for s in without.observations)))
-    places_tried = _worth_a_fit(ground, without, cost)
+    looked = Looked.at(ground.scene, _ratios(without))
+    places_tried = _worth_a_fit(looked.best(LOOKED_AT), cost)
     found = [one for place in places_tried for one in likeliest(ground, without, place, cost)]
     best = max(found, key=lambda one: one.worth(cost), default=None)
     if best is None:
@@ -66,7 +67,7 @@ def proposed(
     console.say(f"missing object: {best.shape.table.primitive}, log-likelihood up by {gain:.4g} with {size} numbers")
     if gain <= size * cost or not sound(whole.scene) or explained(without, whole) < EXPLAINED:
         return []
-    confirmed = left_out(ground, without, whole)
+    confirmed = left_out(ground, without, whole, lambda view: _likely(looked.best(LOOKED_AT, without=view), cost))
     console.say(f"missing object: views left out gain {confirmed.gain:.4g} +- {confirmed.error:.2g}")
     if not confirmed.passed:
         return []
@@ -75,11 +76,16 @@ def proposed(
     return [GeometryCandidate(KIND, best.name, whole.scene, float(gain), size, values, words)]
 
 
-def _worth_a_fit(ground: Ground, without: Standing, cost: float) -> list[Place]:
+def _worth_a_fit(places: list[Place], cost: float) -> list[Place]:
     """Places where bodies would explain enough, and no much better one is among them."""
-    found = [one for one in places(ground.scene, _ratios(without), LOOKED_AT) if one.share > EXPLAINED]
-    least = max(WORTH_A_FIT * cost, NEARLY * max((one.score for one in found), default=0.0))
+    found = _likely(places, cost)
+    least = NEARLY * max((one.score for one in found), default=0.0)
     return [one for one in found if one.score > least][:PLACES]
+
+
+def _likely(places: list[Place], cost: float) -> list[Place]:
+    """Places where a body would explain enough, and more than the best of all places where nothing stands."""
+    return [one for one in places if one.share > EXPLAINED and one.score > WORTH_A_FIT * cost]
 
 
 def _ratios(standing: Standing) -> list[Ratios]:

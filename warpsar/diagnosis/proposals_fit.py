@@ -11,10 +11,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import warp as wp
 
+from warpsar.diagnosis.movable import standing
 from warpsar.learning.observation import Observation
 from warpsar.learning.pose import FLAT, MOST_STEPS, PosedProblem, descend
 from warpsar.learning.pose_pixels import Compared, compared
-from warpsar.learning.prior import Known, Prior
 from warpsar.learning.problem import FitProblem
 from warpsar.learning.results import learned_scene
 from warpsar.scene.placing import with_objects
@@ -25,7 +25,6 @@ from warpsar.surface.surface import KINDS
 from warpsar.world.objects.table import Object
 from warpsar.world.tables import Material
 
-STANDS_M = 1e-2  # standard deviation of a foot's height about the ground that it stands on
 EPS_R = (2.0, 80.0)  # from dry sand to water
 CORRELATION = (0.3, 30.0)  # correlation length times wavenumber
 
@@ -94,17 +93,19 @@ class Ground:
         effects = dict(both.scene.effects)
         for name, table in scene.effects.items():  # as far as a fit has come with them
             effects[name] = effects[name] if name in both.scene.effects and blur_m else table
-        problem = PosedProblem(replace(scene, effects=effects), self.device, seen, loss=self.loss, level=both.level)
+        problem = PosedProblem(
+            replace(scene, effects=effects),
+            self.device,
+            seen,
+            loss=self.loss,
+            level=both.level,
+            standing=standing(scene),
+        )
         low, high = problem.bounds
         for label, least, largest in _usual(scene):
             if label in problem.labels:
                 k = problem.labels.index(label)
                 low[k], high[k] = max(low[k], least), min(high[k], largest)
-        for k, c in enumerate(problem.poses.coordinates, start=problem.size):
-            if c.word == "position" and c.index == 2 and "size" in scene.objects[c.object].learn:
-                low[k] = high[k] = 0.0  # a body in the ground looks like a lower one on it
-                stands = Known(c.label, k, c.value(0.0), STANDS_M, "m", c.value, c.per_metre)
-                problem.prior = Prior([*problem.prior.known, stands], problem.prior.size)
         return problem
 
     def settled(

@@ -2,23 +2,31 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
+
 import numpy as np
 
 from warpsar.diagnosis.left_out import LeftOut, clipped
 from warpsar.diagnosis.proposals_fit import Ground, Standing, alone
+from warpsar.diagnosis.proposals_place import Place
 from warpsar.learning.identify import residual_autocovariance
 from warpsar.learning.observation import Observation
+from warpsar.scene.scene import Scene
 from warpsar.speckle.likelihood import expected_deviance, loss_terms
 
 TOUCHED = 0.1  # change of ln power, from which an object touches a pixel
 STEPS, FLAT = 4, 1.0  # of the fit without a view: it begins where all views have the object
 
 
-def left_out(ground: Ground, without: Standing, whole: Standing) -> LeftOut:
-    """Log-likelihood of every view with an object that the other views place, over that without it.
+def left_out(ground: Ground, without: Standing, whole: Standing, found: Callable[[str], list[Place]]) -> LeftOut:
+    """Log-likelihood of every view with an object that the other views propose, over that without it.
 
-    The object's pose, size and own material come from the other views. Everything else is a nuisance, and is at its
-    best for all views in both models, as `diagnosis.left_out` has it for effects.
+    `found` gives the places that the views without one propose by themselves. Where the object covers none of them, the
+    view gains nothing. Else its pose, size and own material come from these views. The fit begins where all views have
+    the object, and which primitive it is comes from all of them: a fit from the others' own place ends the same, and
+    takes seven times as long. Everything else is a nuisance, and is at its best for all views in both models, as
+    `diagnosis.left_out` has it for effects. One view cannot place an object: with two views the place comes from both.
     """
     names = list(ground.pixels)
     before = _by_view(without)
@@ -26,6 +34,11 @@ def left_out(ground: Ground, without: Standing, whole: Standing) -> LeftOut:
     gains: list[np.ndarray] = []
     for name in names:
         others = [view for view in names if view != name]
+        if len(others) > 1 and not _covers(whole.scene, found(name)):
+            for one, _ in before[name]:
+                seen.append(one)
+                gains.append(np.zeros((2, one.values.size)))
+            continue
         moved = ground.settled(alone(whole.scene), views=others, most=STEPS, flat=FLAT)
         problem = ground.problem(moved.scene, views=[name])
         there = Standing(moved.scene, 0.0, problem, problem.x0)
@@ -40,6 +53,17 @@ def left_out(ground: Ground, without: Standing, whole: Standing) -> LeftOut:
     covariance = residual_autocovariance([(one, now - mean) for one, (now, mean) in zip(seen, gains, strict=True)])
     error = float(np.sqrt(measured.size * (covariance.sum() + expected.var())))
     return LeftOut(float(measured.sum()), error, len(names), float(expected.sum()))
+
+
+def _covers(scene: Scene, places: list[Place]) -> bool:
+    """Whether one of `places` lies in the last object's foot, to a pixel."""
+    last = scene.objects[-1]
+    assert last.size_m is not None
+    pixel_m = max(scene.grid.spacing_m)
+    return any(
+        math.dist(one.position_m[:2], last.position_m[:2]) < max(one.width_m, *last.size_m[:2]) / 2.0 + pixel_m
+        for one in places
+    )
 
 
 def explained(without: Standing, whole: Standing) -> float:

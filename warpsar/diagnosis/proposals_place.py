@@ -50,34 +50,60 @@ class Place:
 
 
 def places(scene: Scene, ratios: Sequence[Ratios], most: int) -> list[Place]:
-    """The `most` best places that do not overlap, the best first.
+    """The `most` best places that do not overlap, the best first."""
+    return Looked.at(scene, ratios).best(most)
 
-    A score is the sum over all views but the best one: no view alone makes a place.
-    """
-    points = _points(scene)
-    if not len(points):
-        return []
-    sums = [_Sums.of(one) for one in ratios]
-    finest = max(scene.grid.spacing_m)
-    found: list[tuple[np.ndarray, np.ndarray, float, float]] = []
-    for width, height in itertools.product(WIDTHS_PX, HEIGHTS_PX):
-        if height > 4 * width or height == 1 < width:  # a pixel's height is tried for a point alone
-            continue
-        both = np.stack([one.scores(scene, points, width * finest, height * finest) for one in sums])
-        rest = both.sum(axis=0) - np.take_along_axis(both, both[:, :1].argmax(axis=0)[None], axis=0)[0]
-        found.append((rest[0], rest[1], width * finest, height * finest))
-    scores = np.stack([score for score, *_ in found])
-    best, at = scores.max(axis=0), scores.argmax(axis=0)
-    chosen: list[Place] = []
-    for k in np.argsort(-best):
-        _, excess, width_m, height_m = found[at[k]]
-        if best[k] <= 0 or len(chosen) == most:
-            break
-        apart = [math.dist(points[k, :2], one.position_m[:2]) > max(width_m, one.width_m) for one in chosen]
-        if all(apart):
-            east, north, up = (points[k] + scene.reference_point_m).tolist()
-            chosen.append(Place((east, north, up), width_m, height_m, float(best[k]), float(best[k] / excess[k])))
-    return chosen
+
+@dataclass(frozen=True)
+class Looked:
+    """What every image says of every place: `scores[k]`, shape (images, 2, places), are the log-likelihood and the
+    excess of `_Sums.scores` for a body of `sizes_m[k]`, width and height. `points` have shape (places, 3) [m]."""
+
+    scene: Scene
+    views: tuple[str, ...]
+    points: np.ndarray
+    sizes_m: tuple[tuple[float, float], ...]
+    scores: tuple[np.ndarray, ...]
+
+    @classmethod
+    def at(cls, scene: Scene, ratios: Sequence[Ratios]) -> Looked:
+        points, finest = _points(scene), max(scene.grid.spacing_m)
+        sizes = tuple(
+            (width * finest, height * finest)
+            for width, height in itertools.product(WIDTHS_PX, HEIGHTS_PX)
+            if height <= 4 * width and not height == 1 < width  # a pixel's height is tried for a point alone
+        )
+        sums = [_Sums.of(one) for one in ratios] if len(points) else []
+        scores = tuple(np.stack([one.scores(scene, points, *size) for one in sums]) for size in sizes if sums)
+        return cls(scene, tuple(one.view.name for one in ratios), points, sizes, scores)
+
+    def best(self, most: int, without: str = "") -> list[Place]:
+        """The `most` best places that do not overlap, the best first; as if the view `without` were not there.
+
+        A score is the sum over all views but the best one: no view alone makes a place.
+        """
+        used = [k for k, name in enumerate(self.views) if name != without]
+        if not self.scores or not used:
+            return []
+        rest = [_all_but_the_best(each[used]) for each in self.scores]
+        scores = np.stack([score for score, _ in rest])
+        best, at = scores.max(axis=0), scores.argmax(axis=0)
+        chosen: list[Place] = []
+        for k in np.argsort(-best):
+            if best[k] <= 0 or len(chosen) == most:
+                break
+            width_m, height_m = self.sizes_m[at[k]]
+            east, north, up = (self.points[k] + self.scene.reference_point_m).tolist()
+            if all(math.dist((east, north), one.position_m[:2]) > max(width_m, one.width_m) for one in chosen):
+                share = float(best[k] / rest[at[k]][1][k])
+                chosen.append(Place((east, north, up), width_m, height_m, float(best[k]), share))
+        return chosen
+
+
+def _all_but_the_best(both: np.ndarray) -> np.ndarray:
+    """The sum over images, shape (2, places), of shape (images, 2, places), without that of the largest score."""
+    found = both.sum(axis=0) - np.take_along_axis(both, both[:, :1].argmax(axis=0)[None], axis=0)[0]
+    return np.asarray(found)
 
 
 def _points(scene: Scene) -> np.ndarray:

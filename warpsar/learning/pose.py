@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,7 +13,7 @@ from warpsar.learning.identify import Identified, of_information, residual_autoc
 from warpsar.learning.observation import Observation
 from warpsar.learning.pose_coordinates import Poses
 from warpsar.learning.pose_sharing import boxes, shared
-from warpsar.learning.prior import Prior
+from warpsar.learning.prior import Known, Prior
 from warpsar.learning.problem import FitProblem
 from warpsar.learning.view import FitView
 from warpsar.scene.scene import Scene
@@ -27,6 +27,7 @@ LIT = 0.1  # share of a pixel that is no floor, from which its residual tells of
 KEPT = 3  # poses whose hits are kept
 MOST_STEPS = 40
 LARGEST_MOVE_M, LARGEST_STEP = 1.0, 1.0  # in one step: of a pose, and of a log coordinate
+STANDS_M = 1e-2  # standard deviation of a foot's height about the ground that it stands on
 FLAT = 2e-3  # gain in log-likelihood that counts as none
 
 
@@ -47,8 +48,13 @@ class PosedProblem:
         loss: str = "gamma",
         held: bool = False,
         level: float = 0.0,
+        standing: Collection[str] = (),
     ) -> None:
-        """`held`: nothing moves but the poses. `level` [beta0]: how much of the floor was added to the measurement."""
+        """`held`: nothing moves but the poses. `level` [beta0]: how much of the floor was added to the measurement.
+
+        `standing`: labels of objects whose foot stays at its height, known to `STANDS_M`. Their height and that of the
+        foot would trade otherwise: a body sunk into the ground looks like a lower one.
+        """
         self.scene, self.device, self.loss, self._seen = scene, device, loss, observations
         self.poses, self.level = Poses(scene), level
         self._kept: OrderedDict[bytes, FitProblem] = OrderedDict()
@@ -61,7 +67,22 @@ class PosedProblem:
         self.bounds = low, high
         self.labels = [*start.labels[: self.size], *self.poses.labels]
         self.prior = Prior.of(None if held else start, self.poses)
+        self.stood = [
+            k
+            for k, c in enumerate(self.poses.coordinates, start=self.size)
+            if (c.word, c.index) == ("position", 2) and scene.objects[c.object].label in standing
+        ]
+        self._hold_the_stood()
         self.zero_sum_means = np.zeros((0, self.x0.size))
+
+    def _hold_the_stood(self) -> None:
+        low, high = self.bounds
+        low[self.stood] = high[self.stood] = 0.0
+        known = list(self.prior.known)
+        for k in self.stood:
+            c = self.poses.coordinates[k - self.size]
+            known.append(Known(c.label, k, c.value(0.0), STANDS_M, "m", c.value, c.per_metre))
+        self.prior = Prior(known, self.prior.size)
 
     def standing(self, p: np.ndarray) -> FitProblem:
         """The plain fit problem with the objects at p."""

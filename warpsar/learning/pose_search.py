@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -63,12 +63,14 @@ def find_poses(
     loss: str = "gamma",
     search: bool = True,
     held: bool = False,
+    standing: Collection[str] = (),
 ) -> FoundPoses:
     """Fit what `learn` of the scene's objects frees, with surface and effects unless they are `held`.
 
     `views`: names of the views to use; by default those with role train. `observations`, by view name: frozen pixels
     that other models are compared on; by default those that the scene as given lights. `search`: begin with blurred
-    images, which find an object from 3 m, 20 degrees and 20 % away. Raises InputError where no object has anything to
+    images, which find an object from 3 m, 20 degrees and 20 % away. `standing`: labels of objects whose foot stays at
+    its height, where their own is learned. Raises InputError where no object has anything to
     learn, and for views without images.
     """
     if not any(one.learn for one in scene.objects):
@@ -88,9 +90,9 @@ def find_poses(
     loud = {(s.view.name, s.polarization): float(g) for s, g in zip(given.observations, gains, strict=True)}
     known: dict[str, float] = {}
     for blur_m in SEARCH_BLUR_M if search else ():
-        blurred, there = _descended(scene, device, pixels, loud, loss, held, blur_m, known)
+        blurred, there = _descended(scene, device, pixels, loud, loss, held, blur_m, known, standing)
         known = dict(zip(blurred.labels, there.x.tolist(), strict=True))
-    problem, end = _descended(scene, device, pixels, loud, loss, held, 0.0, known)
+    problem, end = _descended(scene, device, pixels, loud, loss, held, 0.0, known, standing)
     identified = problem.identified(end.x)
     found = _scene_at(problem, end.x, scene)
     at_end = FitProblem(
@@ -104,15 +106,16 @@ def find_poses(
     before, after = (one.value(one.modelled(one.x0)) for one in (given, at_end))
     still = tuple(one.model_copy(update={"learn": ()}) for one in scene.objects)
     _, best = _descended(replace(scene, objects=still), device, pixels, loud, loss, held, 0.0, {})
+    tolerated = set(problem.poses.labels) - {problem.labels[k] for k in problem.stood}
     return FoundPoses(
         found,
         best.loss - end.loss,
         float(before - after),
-        problem.count,
+        problem.count - len(problem.stood),
         summary(problem, end.x, identified),
         identified,
         _words(problem, identified),
-        [pull for pull in pulls(problem, end.x, identified) if pull.label in problem.poses.labels],
+        [pull for pull in pulls(problem, end.x, identified) if pull.label in tolerated],
     )
 
 
@@ -148,13 +151,16 @@ def _descended(
     held: bool,
     blur_m: float,
     known: Mapping[str, float],
+    standing: Collection[str] = (),
 ) -> tuple[PosedProblem, Descended]:
     """The problem of images blurred by `blur_m`, and where it ends from what is `known` by label.
 
     Blurred images hold the point spread that a scene declares, so it is no part of their x.
     """
     both = compared(scene, pixels, blur_m, gains)
-    problem = PosedProblem(both.scene, device, both.observations, loss=loss, held=held, level=both.level)
+    problem = PosedProblem(
+        both.scene, device, both.observations, loss=loss, held=held, level=both.level, standing=standing
+    )
     start = np.array([known.get(label, value) for label, value in zip(problem.labels, problem.x0, strict=True)])
     if not blur_m:
         return problem, descend(problem, start)
@@ -170,7 +176,7 @@ def _scene_at(problem: PosedProblem, x: np.ndarray, scene: Scene) -> Scene:
     fitted = learned_scene(inner, rest)
     effects = {name: table for name, table in fitted.effects.items() if name in scene.effects}
     objects = tuple(
-        one.model_copy(update={"tolerance": known.pinned().tolerance})
+        one.model_copy(update={"tolerance": known.pinned().tolerance} if known.tolerance else {})
         for one, known in zip(fitted.objects, scene.objects, strict=True)
     )
     return replace(fitted, effects=effects, objects=objects)

@@ -35,6 +35,7 @@ def misplaced(world: World) -> list[str]:
     assembly = world.assembly
     if assembly is None:
         return problems
+    floor = _floor(assembly, world.objects) if assembly.base is None else None
     for index, one in enumerate(world.objects):
         key = f"objects[{index}] ({one.label}).position_m"
         vertices = assembly.vertices_of(one)
@@ -42,7 +43,7 @@ def misplaced(world: World) -> list[str]:
             problems.append(f"{key}: found {list(one.position_m)}, outside the image in every view; must be inside")
             continue
         middle = (vertices.min(axis=0) + vertices.max(axis=0)) / 2.0
-        ground = _ground(assembly, one, middle)
+        ground = _ground(assembly, floor, one, middle)
         if middle[2] < ground:
             problems.append(
                 f"{key}: found {list(one.position_m)}, more than half of it in the ground, which is at {ground:g} m; "
@@ -65,14 +66,28 @@ def _in_image(world: World, view: object, vertices: np.ndarray) -> bool:
     )
 
 
-def _ground(assembly: Assembly, one: Object, point: np.ndarray) -> float:
-    """The lowest of the scene's own surfaces above or below a point; -infinity where there is none."""
+def _ground(assembly: Assembly, floor: Object | None, one: Object, point: np.ndarray) -> float:
+    """The lowest of the scene's own surfaces above or below a point; -infinity where there is none. In a scene without
+    a mesh of its own, that is the object `floor`."""
     base = assembly.base
     if base is None:
-        return -np.inf
-    faces = base.faces if one.group is None else _others(base, assembly.moved[one.label])
-    found = surfaces_at(base.vertices[faces], point)
+        if floor is None or floor is one:
+            return -np.inf
+        mesh = assembly.placed(floor)
+        found = surfaces_at(mesh.vertices[mesh.faces], point)
+    else:
+        faces = base.faces if one.group is None else _others(base, assembly.moved[one.label])
+        found = surfaces_at(base.vertices[faces], point)
     return float(found.min()) if len(found) else -np.inf
+
+
+def _floor(assembly: Assembly, objects: Sequence[Object]) -> Object | None:
+    """The lying plate that takes up more than all other objects together, as seen from above."""
+    areas = [float(np.prod(np.ptp(assembly.vertices_of(one), axis=0)[:2])) for one in objects]
+    widest = int(np.argmax(areas))
+    one = objects[widest]
+    lies = one.primitive == "plate" and one.size_m is not None and one.size_m[2] == 0
+    return one if lies and areas[widest] > 0.5 * sum(areas) else None
 
 
 def surfaces_at(corners: np.ndarray, point: np.ndarray) -> np.ndarray:
