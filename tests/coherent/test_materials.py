@@ -151,7 +151,7 @@ def test_rcs_writes_its_table(files: Path) -> None:
     head, *lines = (files / "out" / "rcs.csv").read_text().splitlines()
     assert head == (
         "azimuth_deg,incidence_deg,frequency_hz,polarization,rcs_dbsm,amplitude_re_m,amplitude_im_m,fresnel_number,"
-        "ray_spacing_m"
+        "ray_spacing_m,spacing_error_db"
     )
     rows = [dict(zip(head.split(","), line.split(","), strict=True)) for line in lines]
     assert [(r["azimuth_deg"], r["frequency_hz"]) for r in rows] == [
@@ -163,6 +163,7 @@ def test_rcs_writes_its_table(files: Path) -> None:
     amplitude = complex(float(rows[3]["amplitude_re_m"]), float(rows[3]["amplitude_im_m"]))
     assert 10 * np.log10(4 * np.pi * abs(amplitude) ** 2) == pytest.approx(float(rows[3]["rcs_dbsm"]), abs=1e-5)
     assert float(rows[0]["ray_spacing_m"]) == pytest.approx(0.003)
+    assert {r["spacing_error_db"] for r in rows} == {"0.0000"}  # the borders of plates are exact
     assert {"rcs.png", "rcs.json"} <= {path.name for path in (files / "out").iterdir()}
 
 
