@@ -286,7 +286,7 @@ def cautions(scene: World) -> list[str]:
                     f"materials.{mesh.materials[i]}: its faces fill a half-space (it has no thickness_m), and the mesh "
                     f"is open at {count} edges: seen from behind they reflect as if filled there, too"
                 )
-    dielectrics = sorted(name for name, m in used.items() if not m.conductor)
+    dielectrics = sorted(name for name, m in used.items() if not m.conductor and m.thickness_m is None)
     if dielectrics and "edges" in scene.radar.terms:
         found.append(
             f"edges of {', '.join(dielectrics)} have no term: that of edges is for conductors. Away from mirror "

@@ -168,17 +168,18 @@ class Worker:
         radars = upload(radar_records(directions, body.origin, self.distance), tubes.Radar, device)
         amplitude = np.zeros((len(directions), len(self.k), len(TERMS), 4), np.complex128)
         exact = self.lit_regions(radars)
-        if body.regions.shape[0] and "single" in self.terms:
-            amplitude[:, :, 0] = self.chunks(
-                radiate.regions_kernel,
-                radiate.REGIONS,
-                body.regions.shape[0],
-                [radars, self.wavenumbers, self.stuff, exact, body.regions, body.middle, body.along],
-                len(directions),
-            )
+        for term, slabs in ((0, 0), (2, 1)):
+            if body.regions.shape[0] and TERMS[term] in self.terms and (body.has_slabs or not slabs):
+                amplitude[:, :, term] = self.chunks(
+                    radiate.regions_kernel,
+                    radiate.REGIONS,
+                    body.regions.shape[0],
+                    [radars, self.wavenumbers, self.stuff, exact, body.regions, body.middle, body.along, slabs],
+                    len(directions),
+                )
         if self.edges.shape[0] and "edges" in self.terms:
             seen = self.free(radars, self.edge_middle, self.edge_outward, both_sides=False)
-            amplitude[:, :, 2] = self.chunks(
+            amplitude[:, :, 2] += self.chunks(
                 edges.edges_kernel,
                 edges.EDGES,
                 self.edges.shape[0],
