@@ -43,6 +43,15 @@ def exponential(a: wp.vec2d) -> wp.vec2d:
 
 
 @wp.func
+def faded(x: wp.vec2d) -> wp.vec2d:
+    """The mean of e^{-x t} over t from 0 to 1: (1 - e^{-x}) / x."""
+    one = wp.vec2d(wp.float64(1.0), wp.float64(0.0))
+    if wp.dot(x, x) < wp.float64(1.0e-8):
+        return one - wp.float64(0.5) * x + product(x, x) / wp.float64(6.0)
+    return quotient(one - exponential(-x), x)
+
+
+@wp.func
 def root(x: wp.float64) -> wp.float64:
     """The square root, with a derivative of 0 at 0 in place of an infinite one."""
     if x <= wp.float64(0.0):

@@ -6,7 +6,7 @@ A = -j k / (4 pi) p . INT [eta J_t - s x M] e^{jk s.r} dS over the faces that th
 import warp as wp
 
 from warpsar.kernels.coherent.numbers import product, sinc, turned
-from warpsar.kernels.coherent.reflection import Face, Field, reflected, seen
+from warpsar.kernels.coherent.reflection import Face, Field, reflected, seen, slab_seen
 from warpsar.kernels.coherent.tubes import Hit, Look, Radar, look
 
 RAYS = wp.constant(32)
@@ -211,6 +211,25 @@ def flat_sent(
     return sent(scaled(k, integral), fields, back, -s, n, s, u, v)
 
 
+@wp.func
+def slab_sent(
+    stuff: Face, k: wp.float64, integral: wp.vec2d, n: wp.vec3d, s: wp.vec3d, u: wp.vec3d, v: wp.vec3d
+) -> Four:
+    """What the polarization of a slab in air sends back of a plane wave beyond `flat_sent`; nothing of other faces."""
+    found = Four()
+    if stuff.layer == 0 or stuff.conductor != 0:
+        return found
+    if wp.dot(n, s) < wp.float64(0.0):
+        n = -n
+    factor = scaled(k, integral)
+    flat = flat_sent(stuff, k, integral, n, s, u, v)
+    found.hh = product(factor, slab_seen(stuff, k, u, -s, n, s, u)) - flat.hh
+    found.hv = product(factor, slab_seen(stuff, k, v, -s, n, s, u)) - flat.hv
+    found.vh = product(factor, slab_seen(stuff, k, u, -s, n, s, v)) - flat.vh
+    found.vv = product(factor, slab_seen(stuff, k, v, -s, n, s, v)) - flat.vv
+    return found
+
+
 @wp.kernel(enable_backward=False)
 def regions_kernel(
     # In:
@@ -221,10 +240,14 @@ def regions_kernel(
     region_in: wp.array[Region],
     middle_in: wp.array[wp.vec3d],
     edge_in: wp.array[wp.vec3d],
+    slabs: int,
     # Out:
     amplitude_out: wp.array4d[wp.vec2d],
 ):
-    """Physical optics of REGIONS flat regions that are lit as a whole, shape (views, frequencies, chunks, 4)."""
+    """Physical optics of REGIONS flat regions that are lit as a whole, shape (views, frequencies, chunks, 4).
+
+    With `slabs` what slabs in air send beyond that.
+    """
     view, f, chunk = wp.tid()
     k = wavenumber_in[f]
     s = radar_in[view].s
@@ -240,7 +263,11 @@ def regions_kernel(
             if exact_in[view, r] != wp.uint8(0):
                 region = region_in[r]
                 integral = phase_integral(region, k, s, middle_in, edge_in)
-                four = flat_sent(stuff_in[f, region.material], k, integral, region.normal, s, u, v)
+                four = Four()
+                if slabs != 0:
+                    four = slab_sent(stuff_in[f, region.material], k, integral, region.normal, s, u, v)
+                else:
+                    four = flat_sent(stuff_in[f, region.material], k, integral, region.normal, s, u, v)
                 hh += four.hh
                 hv += four.hv
                 vh += four.vh

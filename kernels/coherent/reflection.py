@@ -5,7 +5,7 @@ The coefficients are those of the tangential electric field in TE and in TM, so 
 
 import warp as wp
 
-from warpsar.kernels.coherent.numbers import exponential, product, quotient, square_root
+from warpsar.kernels.coherent.numbers import exponential, faded, product, quotient, square_root
 
 
 @wp.struct
@@ -72,6 +72,15 @@ def coefficients(face: Face, k: wp.float64, cosine: wp.float64) -> Coefficients:
 
 
 @wp.func
+def across_plane(d: wp.vec3d, n: wp.vec3d) -> wp.vec3d:
+    """Unit vector across the plane of incidence; any one across `d` where that is no plane."""
+    across = wp.cross(d, n)
+    if wp.length(across) < wp.float64(1.0e-9):
+        across = wp.cross(d, wp.vec3d(n[1], n[2], n[0]) + wp.vec3d(wp.float64(0.3), wp.float64(-0.7), wp.float64(0.1)))
+    return wp.normalize(across)
+
+
+@wp.func
 def reflected(face: Face, k: wp.float64, field: Field, d: wp.vec3d, n: wp.vec3d, out: wp.vec3d) -> Field:
     """The field that leaves along `out` where `field` meets a face along `d`; n . d < 0."""
     two = wp.float64(2.0)
@@ -82,10 +91,7 @@ def reflected(face: Face, k: wp.float64, field: Field, d: wp.vec3d, n: wp.vec3d,
         return found
     cosine = wp.min(-wp.dot(n, d), wp.float64(1.0))
     both = coefficients(face, k, cosine)
-    across = wp.cross(d, n)
-    if wp.length(across) < wp.float64(1.0e-9):
-        across = wp.cross(d, wp.vec3d(n[1], n[2], n[0]) + wp.vec3d(wp.float64(0.3), wp.float64(-0.7), wp.float64(0.1)))
-    across = wp.normalize(across)
+    across = across_plane(d, n)
     within = wp.cross(d, across)
     after = wp.cross(across, out)  # its tangential part is that of `within`
     te = product(both.te, wp.vec2d(wp.dot(field.re, across), wp.dot(field.im, across)))
@@ -107,3 +113,46 @@ def seen(field: Field, back: Field, d: wp.vec3d, out: wp.vec3d, n: wp.vec3d, s: 
     re = received(field.re + back.re, wp.cross(d, field.re) + wp.cross(out, back.re), n, s, p)
     im = received(field.im + back.im, wp.cross(d, field.im) + wp.cross(out, back.im), n, s, p)
     return wp.vec2d(re, im)
+
+
+@wp.func
+def slab_seen(face: Face, k: wp.float64, e: wp.vec3d, d: wp.vec3d, n: wp.vec3d, s: wp.vec3d, p: wp.vec3d) -> wp.vec2d:
+    """As `seen`, of the polarization currents of a slab in air: jk (eps - 1) p . INT E e^{jk s.z} dz over its thickness.
+
+    E is that of an endless slab that a wave `e` meets along `d`: of the wave that goes down, and of the one that comes
+    up. Its normal part is what a surface with a coefficient of reflection has not (Le Vine, Schneider, Lang, Carter,
+    IEEE TAP 33(12), 1985, for thin plates). In the mirror direction both are one.
+    """
+    one = wp.vec2d(wp.float64(1.0), wp.float64(0.0))
+    eps = face.permittivity
+    cosine = wp.min(-wp.dot(n, d), wp.float64(1.0))
+    c = wp.vec2d(cosine, wp.float64(0.0))
+    q = square_root(eps - wp.vec2d(wp.float64(1.0) - cosine * cosine, wp.float64(0.0)))
+    along = quotient(q, eps)
+    te = quotient(c - q, c + q)
+    tm = quotient(along - c, along + c)
+    kd = k * face.thickness
+    passed = exponential(wp.float64(2.0) * kd * wp.vec2d(q[1], -q[0]))
+    # j k d (s_n + q) and j k d (s_n - q): how the phase to the radar turns over the thickness.
+    normal = wp.dot(s, n)
+    down_x = kd * wp.vec2d(-q[1], normal + q[0])
+    up_x = kd * wp.vec2d(q[1], normal - q[0])
+    down = faded(down_x)
+    up = product(passed, faded(up_x))
+    if wp.dot(up_x, up_x) > wp.float64(1.0):  # without the large e^{-x} of a thick slab with losses
+        up = quotient(passed - exponential(-down_x), up_x)
+    down_te = quotient(one + te, one - product(product(te, te), passed))
+    down_tm = quotient(one + tm, one - product(product(tm, tm), passed))
+    across = across_plane(d, n)
+    within = wp.cross(d, across)
+    level = within - wp.dot(n, within) * n
+    sum_te = product(down_te, down - product(te, up))
+    sum_tm = product(down_tm, down - product(tm, up))
+    normal_tm = quotient(product(down_tm, down + product(tm, up)), q)
+    total = wp.dot(e, across) * wp.dot(p, across) * sum_te
+    total += wp.dot(e, within) * wp.dot(p, level) * sum_tm
+    total += wp.dot(e, within) * wp.dot(p, n) * wp.dot(n, within) * cosine * normal_tm
+    height = k * face.rms_height * cosine
+    loss = wp.exp(-wp.float64(2.0) * height * height)
+    polarized = product(eps - one, total)
+    return loss * kd * wp.vec2d(-polarized[1], polarized[0])

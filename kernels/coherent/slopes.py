@@ -15,6 +15,7 @@ from warpsar.kernels.coherent.radiate import (
     bounced_fields,
     flat_sent,
     sent,
+    slab_sent,
     tube_factor,
 )
 from warpsar.kernels.coherent.reflection import Face
@@ -244,10 +245,11 @@ def facets_kernel(
     vertices_in: wp.array[wp.vec3d],
     faces_in: wp.array2d[int],
     some_in: wp.array[int],
+    slabs: int,
     # Out:
     amplitude_out: wp.array3d[wp.vec2d],
 ):
-    """Physical optics of the faces of flat regions that are lit as a whole, each face by its own border."""
+    """The faces of flat regions that are lit as a whole, each by its own border; `slabs` as in `regions_kernel`."""
     i, f = wp.tid()
     face = some_in[i]
     k = wavenumber_in[f]
@@ -257,7 +259,11 @@ def facets_kernel(
     p2 = vertices_in[faces_in[face, 2]]
     n = wp.normalize(wp.cross(p1 - p0, p2 - p0))
     integral = triangle_integral(p0, p1, p2, n, k, radar.s)
-    add(amplitude_out, 0, f, flat_sent(stuff_in[f, material_in[face]], k, integral, n, radar.s, radar.u, radar.v))
+    stuff = stuff_in[f, material_in[face]]
+    if slabs != 0:
+        add(amplitude_out, 0, f, slab_sent(stuff, k, integral, n, radar.s, radar.u, radar.v))
+    else:
+        add(amplitude_out, 0, f, flat_sent(stuff, k, integral, n, radar.s, radar.u, radar.v))
 
 
 @wp.struct

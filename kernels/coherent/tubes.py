@@ -303,12 +303,13 @@ def trace_kernel(
     hits_out: wp.array2d[Hit],
     count_out: wp.array[int],
     span_out: wp.array[wp.float64],
-    turn_out: wp.array[wp.float64],
+    turn_out: wp.array[wp.vec2d],
 ):
     """Each thread follows one ray: up to `most` hits.
 
-    `span_out`: the way from its first to its last hit [m]. `turn_out`: the largest change of phase [rad] over half a
-    footprint that the radar sees after a curved surface; plane mirrors keep the phase of a tube linear.
+    `span_out`: the way from its first to its last hit [m]. `turn_out`: how wide a tube gets along either of its sides
+    after a curved surface [rad]. That is the change of phase over half a footprint that the radar sees, or half of the
+    tube's own width times the wavenumber. Plane mirrors keep a tube as it is.
     """
     ray = wp.tid()
     zero = wp.float64(0.0)
@@ -320,7 +321,9 @@ def trace_kernel(
     count = int(0)
     bent = int(0)
     first = tube.path
-    turn = zero
+    turn_u = zero
+    turn_v = zero
+    half_k = wp.float64(0.5) * wavenumber
     for b in range(most):
         query = wp.mesh_query_ray(body.tree, wp.vec3(start), wp.vec3(tube.d), body.reach)
         if not query.result:
@@ -343,9 +346,12 @@ def trace_kernel(
             if b > 0:
                 hit.seen = free(body, radar, at.point, at.flat)
         bent = wp.max(bent, body.curved[f])
-        if b > 0 and bent != 0 and hit.seen != 0:
-            change = wp.float64(0.5) * wavenumber * (s - tube.d)
-            turn = wp.max(turn, wp.max(wp.abs(wp.dot(change, at.pu)), wp.abs(wp.dot(change, at.pv))))
+        if b > 0 and bent != 0:
+            turn_u = wp.max(turn_u, half_k * wp.length(wp.cross(tube.d, at.pu)))
+            turn_v = wp.max(turn_v, half_k * wp.length(wp.cross(tube.d, at.pv)))
+            if hit.seen != 0:
+                turn_u = wp.max(turn_u, half_k * wp.abs(wp.dot(s - tube.d, at.pu)))
+                turn_v = wp.max(turn_v, half_k * wp.abs(wp.dot(s - tube.d, at.pv)))
         if b == 0:
             first = at.path
         hits_out[ray, b] = hit
@@ -354,7 +360,7 @@ def trace_kernel(
         start = at.point + body.offset * at.flat
     count_out[ray] = count
     span_out[ray] = tube.path - first
-    turn_out[ray] = turn
+    turn_out[ray] = wp.vec2d(turn_u, turn_v)
 
 
 @wp.kernel(enable_backward=False)

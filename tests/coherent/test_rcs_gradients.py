@@ -111,6 +111,27 @@ def test_a_slab_against_its_matrices() -> None:
     assert agrees(jacobian["default.thickness_m"][0, 0, 0][[0, 3]], change(0.0, 1.0), 1e-6)
 
 
+def test_the_polarization_across_a_slab() -> None:
+    """Differences of the engine, to 1e-6 of the largest: the material, and a corner that moves in the plane."""
+    mesh, angles, step = plate(0.3, 0.2), ([47.0, 75.0], 83.0), 1e-6
+    more = {"terms": ("edges",)}
+    _, jacobian = slopes(mesh, *angles, "default.eps_r", "default.thickness_m", "vertices", material=SLAB, **more)
+    for name, values in (
+        ("thickness_m", [0.003 + step, 0.003 - step]),
+        ("eps_r", [(2.6 + step, -0.2), (2.6 - step, -0.2)]),
+    ):
+        ends = [amplitude(mesh, *angles, material={**SLAB, name: value}, **more) for value in values]
+        found = jacobian[f"default.{name}"]
+        assert agrees(found[..., 0] if name == "eps_r" else found, (ends[0] - ends[1]) / (2 * step), 1e-6)
+    moved = np.zeros_like(mesh.vertices)
+    moved[2, 1] = step
+    ends = [
+        amplitude(warpsar.Mesh.of(mesh.vertices + s * moved, mesh.faces), *angles, material=SLAB, **more)
+        for s in (1, -1)
+    ]
+    assert agrees(jacobian["vertices"][..., 2, 1], (ends[0] - ends[1]) / (2 * step), 1e-6)
+
+
 def test_two_bounces_on_slabs() -> None:
     """Differences of the engine: the tubes do not change with what faces are made of."""
     mesh, angles, step = dihedral(0.3, 0.24), ([40.0, 52.0], 80.0), 1e-6

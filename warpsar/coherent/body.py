@@ -117,6 +117,11 @@ class CoherentBody:
         return upload(packed, reflection.Face, self.device)
 
     @property
+    def has_slabs(self) -> bool:
+        """Whether there is a slab in air."""
+        return any(m.thickness_m is not None and not m.conductor for m in self.materials)
+
+    @property
     def radius(self) -> float:
         """Distance of the furthest vertex from the middle [m]."""
         return float(np.linalg.norm(self.hull, axis=1).max())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -32,6 +32,7 @@ COLUMNS = (
     "amplitude_im_m",
     "fresnel_number",
     "ray_spacing_m",
+    "spacing_error_db",
 )
 LAYER_COLUMNS = (*COLUMNS[:4], "layer", *COLUMNS[4:7])
 _STYLES = ("-", "--", "-.", ":")
@@ -90,6 +91,7 @@ def run(
         "polarizations": found.polarizations,
         "terms": list(found.terms_m),
         "ray_spacing_m": found.ray_spacing_m,
+        "spacing_error_db": {"median": _finite(np.median, found), "largest": _finite(np.max, found)},
         "segments": found.segments,
         "refined_share": float(found.refined.max()),
         "aliased_share": float(found.aliased.max()),
@@ -101,9 +103,14 @@ def run(
     return content
 
 
+def _finite(what: Callable[..., Any], found: Rcs) -> float | None:
+    errors = found.spacing_error_db[np.isfinite(found.spacing_error_db)]
+    return float(what(errors)) if errors.size else None
+
+
 def rows(found: Rcs) -> Iterator[tuple[Any, ...]]:
     """The lines of the table, in the order of `COLUMNS`. A Fresnel number that does not exist is left empty."""
-    decibels = found.rcs_dbsm
+    decibels, errors = found.rcs_dbsm, found.spacing_error_db
     for (a, i, f, p), amplitude in np.ndenumerate(found.amplitude_m):
         number = found.fresnel_number[a, i, f]
         yield (
@@ -116,6 +123,7 @@ def rows(found: Rcs) -> Iterator[tuple[Any, ...]]:
             f"{amplitude.imag:.9e}",
             "" if np.isnan(number) else f"{number:.4g}",
             f"{found.ray_spacing_m:.6g}",
+            "" if np.isnan(errors[a, i, f, p]) else f"{errors[a, i, f, p]:.4f}",
         )
 
 

@@ -160,7 +160,7 @@ def _of_faces(sight: Sight, seed: NDArray[np.complex128]) -> tuple[int, list[Slo
 
 def _of_tubes(sight: Sight, rays: cells.Rays, seed: NDArray[np.complex128]) -> tuple[int, list[Slopes]]:
     total = [Slopes.empty(sight.worker.body) for _ in seed]
-    for some, traced, _, kept in sight.worker.quartered(sight.radars, rays):
+    for _, some, traced, kept in sight.worker.narrowed(sight.radars, rays):
         chosen = np.flatnonzero(kept & (traced.count > 0))
         if not len(chosen):
             continue

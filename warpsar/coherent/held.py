@@ -118,10 +118,11 @@ class Held:
         count = len(worker.k)
         region = body.shape.region
         some = np.flatnonzero((region >= 0) & (self.sight.exact.numpy()[0][region] != 0))
-        if len(some) and "single" in worker.terms:
-            inputs = [radars, worker.wavenumbers, self.stuff, body.face_material, self.vertices, body.rays.faces]
-            chosen = upload(some, int, device)
-            self.program.launch(slopes.facets_kernel, (len(some), count), [*inputs, chosen], [self.amplitude])
+        for term, slabs in (("single", 0), ("edges", 1)):
+            if len(some) and term in worker.terms and (body.has_slabs or not slabs):
+                inputs = [radars, worker.wavenumbers, self.stuff, body.face_material, self.vertices, body.rays.faces]
+                inputs += [upload(some, int, device), slabs]
+                self.program.launch(slopes.facets_kernel, (len(some), count), inputs, [self.amplitude])
         if worker.edges.shape[0] and "edges" in worker.terms:
             seen = worker.free(radars, worker.edge_middle, worker.edge_outward, both_sides=False).numpy()[0] != 0
             seams = seams_of(body, np.pi / worker.k.max())[seen]

@@ -1,4 +1,4 @@
-"""The rays of a direction: cells of a grid across it, and four children of a cell whose tube aliases."""
+"""The rays of a direction: cells of a grid across it, and the parts of a cell whose tube gets too wide."""
 
 from __future__ import annotations
 
@@ -61,14 +61,22 @@ def frame(
     return ends[:, 0], width / count, count
 
 
-def children(rays: Rays, chosen: NDArray[np.bool_], views: int) -> Rays:
-    """The quarters of the chosen cells."""
+def children(rays: Rays, cut: NDArray[np.bool_], views: int) -> Rays:
+    """Halves of cells, or quarters: `cut` says along which sides, (n, 2). Cells without a cut are left out."""
     parts = []
     for view in range(views):
-        some = np.flatnonzero(chosen & (rays.view == view))
-        size = np.repeat(0.5 * rays.size[some], 4, axis=0)
-        corner = np.tile([[-0.5, -0.5], [-0.5, 0.5], [0.5, -0.5], [0.5, 0.5]], (len(some), 1))
-        parts.append((np.repeat(rays.place[some], 4, axis=0) + corner * size, size))
+        some = np.flatnonzero(cut.any(axis=1) & (rays.view == view))
+        place, size, along = rays.place[some], rays.size[some], cut[some]
+        for side in (0, 1):
+            copies = np.where(along[:, side], 2, 1)
+            first = np.cumsum(copies) - copies
+            place, size, along = (np.repeat(each, copies, axis=0) for each in (place, size, along))
+            halved = along[:, side]
+            size[halved, side] *= 0.5
+            place[halved, side] -= 0.5 * size[halved, side]
+            second = first[copies == 2] + 1
+            place[second, side] += size[second, side]
+        parts.append((place, size))
     return _padded(parts)
 
 

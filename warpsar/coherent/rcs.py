@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from warpsar.coherent.body import CoherentBody
 from warpsar.coherent.directions import Directions
 from warpsar.coherent.joints import joints
-from warpsar.coherent.sweep import POLARIZATIONS, RAYS_PER_WAVELENGTH, TERMS, Sweep, sweep
+from warpsar.coherent.sweep import POLARIZATIONS, RAYS_PER_WAVELENGTH, TERMS, sweep
 from warpsar.errors import InputError
 from warpsar.runtime import console, devices
 from warpsar.runtime.memory import default_gib
@@ -22,6 +22,8 @@ from warpsar.world.world import World
 FREQUENCIES_HZ = (1e6, 1e13)
 FEW = 1.0
 """Fresnel number below which rays in a duct are no better than a constant level (docs/coherent.md)."""
+LARGE_DB = 1.0
+"""An error of the spacing that is said."""
 _BYTES = 16 * len(POLARIZATIONS)
 _TUBE_BYTES = 120
 """Host memory for each tube of a direction, besides the hits, which go in blocks."""
@@ -47,8 +49,10 @@ class Rcs:
     fresnel_number: NDArray[np.float64]
     """(a, i, f): of what the tubes meet after their first hit; NaN where none meets anything."""
     ray_spacing_m: float
+    spacing_error_m: NDArray[np.float64]
+    """How far tubes of twice the width take the amplitude [m]: one standard deviation of what the spacing leaves open."""
     refined: NDArray[np.float64]
-    """(a, i): share of the tubes that aliased and were quartered."""
+    """(a, i): share of the tubes that got too wide and were cut."""
     aliased: NDArray[np.float64]
     """(a, i): share of the tubes that alias even so."""
     segments: int
@@ -64,6 +68,12 @@ class Rcs:
         """Decibels over a square metre; -inf where nothing comes back."""
         with np.errstate(divide="ignore"):
             return 10.0 * np.log10(self.rcs_m2)
+
+    @property
+    def spacing_error_db(self) -> NDArray[np.float64]:
+        """20 log10(1 + error / abs(A)): how much the spacing may raise the RCS [dB]; NaN where nothing comes back."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return 20.0 * np.log10(1.0 + self.spacing_error_m / np.abs(self.amplitude_m))
 
 
 def rcs(
@@ -144,18 +154,20 @@ def swept(scene: World, asked: Asked, layers: bool = False) -> Rcs:
         rays_per_wavelength=asked.rays_per_wavelength,
         distance_m=scene.radar.slant_range_m,
         layers=layers,
+        compare=True,
         progress=bar,
     )
     bar.close()
     shape = (azimuths.size, incidences.size)
     chosen = [POLARIZATIONS.index(name) for name in scene.radar.polarizations]
     terms = found.amplitude[..., chosen].reshape(*shape, frequencies.size, len(TERMS), len(chosen))
+    assert found.spacing_error is not None
     bounces = {}
     if found.bounces is not None:
         each = found.bounces[..., chosen].reshape(*shape, frequencies.size, -1, len(chosen))
         met = np.flatnonzero(each.any(axis=(0, 1, 2, 4)))
         bounces = {int(b) + 2: each[:, :, :, b] for b in met}
-    return Rcs(
+    made = Rcs(
         azimuths,
         incidences,
         frequencies,
@@ -165,11 +177,13 @@ def swept(scene: World, asked: Asked, layers: bool = False) -> Rcs:
         bounces,
         found.fresnel_number.reshape(*shape, -1),
         found.spacing_m,
+        found.spacing_error[..., chosen].reshape(*shape, frequencies.size, len(chosen)),
         found.refined.reshape(shape),
         found.aliased.reshape(shape),
         found.segments,
-        (*asked.cautions, *_warnings(scene, found)),
+        asked.cautions,
     )
+    return replace(made, warnings=(*asked.cautions, *_warnings(scene, made)))
 
 
 def _refuse(
@@ -204,7 +218,7 @@ def _refuse(
 
 def _refuse_size(directions: int, frequencies: int, device: wp.Device, layers: int) -> None:
     """`layers`: numbers of bounces by themselves."""
-    held = len(TERMS) + 2 * layers  # the second time as they are turned to the reference point
+    held = len(TERMS) + 1 + 2 * layers  # the error; layers twice, as they are turned to the reference point
     needed, there = directions * frequencies * held * _BYTES / 2**30, default_gib(device)
     if needed > there:
         raise InputError(
@@ -227,18 +241,23 @@ def _refuse_body(scene: World, body: CoherentBody, wavelength: float, rays_per_w
         raise InputError(f"radar.slant_range_m: found {distance:g}; must be at least {nearest:.4g} for this body")
 
 
-def _warnings(scene: World, found: Sweep) -> list[str]:
+def _warnings(scene: World, found: Rcs) -> list[str]:
     """What a user should know before trusting the numbers."""
     warnings = []
     if (count := int((found.refined > 0.0).sum())) > 0:
         warnings.append(
-            f"in {count} of {len(found.refined)} directions tubes aliased and were quartered (up to "
+            f"in {count} of {found.refined.size} directions tubes got too wide after curved faces and were cut (up to "
             f"{100 * found.refined.max():.2g} % of them)"
         )
     if (count := int((found.aliased > 0.0).sum())) > 0:
         warnings.append(
-            f"in {count} of {len(found.aliased)} directions up to {100 * found.aliased.max():.2g} % of the tubes alias "
-            "even so: their share of the amplitude is uncertain"
+            f"in {count} of {found.aliased.size} directions up to {100 * found.aliased.max():.2g} % of the tubes are "
+            "too wide even so: their share of the amplitude is uncertain"
+        )
+    if (count := int((found.spacing_error_db > LARGE_DB).sum())) > 0:
+        warnings.append(
+            f"at {count} of {found.spacing_error_db.size} values tubes of twice the width change the RCS by more than "
+            f"{LARGE_DB:g} dB (spacing_error_db): more --rays-per-wavelength take them nearer"
         )
     low = found.fresnel_number < FEW
     if low.any() and "multibounce" in scene.radar.terms:
@@ -267,7 +286,7 @@ def cautions(scene: World) -> list[str]:
                     f"materials.{mesh.materials[i]}: its faces fill a half-space (it has no thickness_m), and the mesh "
                     f"is open at {count} edges: seen from behind they reflect as if filled there, too"
                 )
-    dielectrics = sorted(name for name, m in used.items() if not m.conductor)
+    dielectrics = sorted(name for name, m in used.items() if not m.conductor and m.thickness_m is None)
     if dielectrics and "edges" in scene.radar.terms:
         found.append(
             f"edges of {', '.join(dielectrics)} have no term: that of edges is for conductors. Away from mirror "

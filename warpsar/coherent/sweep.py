@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -24,9 +24,10 @@ POLARIZATIONS = ("HH", "HV", "VH", "VV")
 RAYS_PER_WAVELENGTH = 10.0
 MOST_BOUNCES = 30
 TURN = np.pi / 2
-"""Largest change of phase [rad] over half a tube's footprint after a curved surface; wider tubes are quartered."""
-LEVELS = 2
-"""How many times a tube is quartered at most."""
+"""How wide a tube may get after a curved surface [rad]: half a wavelength, or so much change of phase over half its
+footprint. Wider tubes are cut along the side that is too wide."""
+LEVELS = 5
+"""How many times a side of a tube is halved at most."""
 _RAYS_TOGETHER = {"cpu": 2**14, "cuda": 2**19}
 """Rays of one launch, with `MOST_BOUNCES`: 80 MB of hits for each thread of the CPU, 2.5 GB on CUDA."""
 
@@ -44,11 +45,13 @@ class Sweep:
     spacing_m: float
     """Width of a tube at its start."""
     refined: NDArray[np.float64]
-    """Share of the tubes that were too wide and were quartered, (directions,)."""
+    """Share of the tubes that got too wide and were cut, (directions,)."""
     aliased: NDArray[np.float64]
     """Share of the tubes that are too wide even so, (directions,)."""
     segments: int
     """Rays times the hits of each."""
+    spacing_error: NDArray[np.float64] | None
+    """How far tubes of twice the width take the amplitude [m], (directions, frequencies, polarizations)."""
 
 
 def sweep(
@@ -62,17 +65,19 @@ def sweep(
     levels: int = LEVELS,
     distance_m: float | None = None,
     layers: bool = False,
+    compare: bool = False,
     progress: Any = None,
 ) -> Sweep:
     """What the body sends back to each direction (n) at each frequency [Hz], ascending, in all polarizations.
 
     `distance_m`: from the radar to the reference point; a plane wave without. The geometry of a ray serves all
-    frequencies and polarizations. `layers`: each number of bounces by itself, too; that takes longer. The result does
-    not depend on the number of threads.
+    frequencies and polarizations. `layers`: each number of bounces by itself, too; that takes longer. `compare`: the
+    error of the spacing, by tubes of twice the width; that takes a quarter longer. The result does not depend on the
+    number of threads.
     """
     k = 2.0 * np.pi * np.asarray(frequencies_hz, float) / SPEED_OF_LIGHT
     spacing = float(2.0 * np.pi / k.max() / rays_per_wavelength)
-    worker = Worker(body, k, spacing, terms, max_bounces, levels, distance_m, layers)
+    worker = Worker(body, k, spacing, terms, max_bounces, levels, distance_m, layers, compare)
     counts = [_cells(body, directions, i, spacing) for i in range(len(directions))]
     tasks = [partial(worker, directions[some]) for some in _batches(counts, worker.together)]
     found = []
@@ -89,6 +94,7 @@ def sweep(
         np.concatenate([part.refined for part in found]),
         np.concatenate([part.aliased for part in found]),
         sum(part.segments for part in found),
+        np.concatenate([part.spacing_error for part in found]) if compare else None,
     )
 
 
@@ -132,14 +138,16 @@ class Worker:
         levels: int,
         distance_m: float | None,
         layers: bool = False,
+        compare: bool = False,
     ) -> None:
         self.body, self.k, self.spacing, self.terms, self.distance = body, k, spacing, terms, distance_m
-        self.layers = layers
+        self.layers, self.compare = layers, compare
         self.bounces, self.levels = max_bounces if "multibounce" in terms else 1, levels
         self.layer_count = max(self.bounces, 2) if layers else 2
         device = body.device
         kind = "cpu" if device.is_cpu else "cuda"
-        self.together = max(_RAYS_TOGETHER[kind] * MOST_BOUNCES // max(self.bounces, MOST_BOUNCES), radiate.RAYS)
+        together = _RAYS_TOGETHER[kind] * MOST_BOUNCES // max(self.bounces, MOST_BOUNCES)
+        self.together = max(together - together % radiate.RAYS, radiate.RAYS)
         self.wavenumbers = upload(k, wp.float64, device)
         self.stuff = body.stuff(len(k))
         regions = body.shape.regions
@@ -160,17 +168,18 @@ class Worker:
         radars = upload(radar_records(directions, body.origin, self.distance), tubes.Radar, device)
         amplitude = np.zeros((len(directions), len(self.k), len(TERMS), 4), np.complex128)
         exact = self.lit_regions(radars)
-        if body.regions.shape[0] and "single" in self.terms:
-            amplitude[:, :, 0] = self.chunks(
-                radiate.regions_kernel,
-                radiate.REGIONS,
-                body.regions.shape[0],
-                [radars, self.wavenumbers, self.stuff, exact, body.regions, body.middle, body.along],
-                len(directions),
-            )
+        for term, slabs in ((0, 0), (2, 1)):
+            if body.regions.shape[0] and TERMS[term] in self.terms and (body.has_slabs or not slabs):
+                amplitude[:, :, term] = self.chunks(
+                    radiate.regions_kernel,
+                    radiate.REGIONS,
+                    body.regions.shape[0],
+                    [radars, self.wavenumbers, self.stuff, exact, body.regions, body.middle, body.along, slabs],
+                    len(directions),
+                )
         if self.edges.shape[0] and "edges" in self.terms:
             seen = self.free(radars, self.edge_middle, self.edge_outward, both_sides=False)
-            amplitude[:, :, 2] = self.chunks(
+            amplitude[:, :, 2] += self.chunks(
                 edges.edges_kernel,
                 edges.EDGES,
                 self.edges.shape[0],
@@ -186,13 +195,15 @@ class Worker:
                 [radars, self.wavenumbers, body.surfaces, body.variant, places, seen],
                 len(directions),
             )
-        found = self.tubes(directions, radars, exact)
+        found = self.tubes(directions, radars, exact, self.spacing)
         wanted = np.array([term in self.terms for term in TERMS])
         amplitude += found.amplitude
         amplitude[:, :, ~wanted] = 0.0
-        return Sweep(
-            amplitude, found.bounces, found.fresnel_number, self.spacing, found.refined, found.aliased, found.segments
-        )
+        error = None
+        if self.compare:
+            change = found.amplitude - self.tubes(directions, radars, exact, 2.0 * self.spacing).amplitude
+            error = np.abs(change[:, :, wanted].sum(axis=2))
+        return replace(found, amplitude=amplitude, spacing_error=error)
 
     def free(self, radars: wp.array, points: wp.array, normals: wp.array, both_sides: bool) -> wp.array:
         seen = wp.empty((radars.shape[0], points.shape[0]), dtype=wp.uint8, device=self.body.device)
@@ -219,9 +230,9 @@ class Worker:
         total: NDArray[np.complex128] = _complex(out).sum(axis=2)
         return total
 
-    def tubes(self, directions: Directions, radars: wp.array, exact: wp.array) -> Sweep:
+    def tubes(self, directions: Directions, radars: wp.array, exact: wp.array, spacing: float) -> Sweep:
         """What the tubes of some directions radiate. The many tubes of one direction go in blocks."""
-        rays = cells.grid(self.body, directions, self.spacing, self.distance)
+        rays = cells.grid(self.body, directions, spacing, self.distance)
         # Several directions fit into one block; a block never holds parts of them.
         step = max(self.together, len(rays)) if len(directions) > 1 else self.together
         tasks = [partial(self.block, radars, exact, rays[i : i + step]) for i in range(0, len(rays), step)]
@@ -230,42 +241,44 @@ class Worker:
             total.add(part)
         with np.errstate(invalid="ignore", divide="ignore"):
             number = total.area**2 / total.way  # area over the mean way
-        first = np.bincount(rays.view, rays.used, len(directions))
+        first = np.bincount(rays.view, rays.size.prod(axis=1), len(directions))
         amplitude = np.zeros((len(directions), len(self.k), len(TERMS), 4), np.complex128)
         amplitude[:, :, 0], further = total.amplitude[:, :, 0], total.amplitude[:, :, 1:]
         amplitude[:, :, 1] = further.sum(axis=2)
         fresnel = number[:, None] * self.k / (2.0 * np.pi)
         bounces = further if self.layers else None
-        return Sweep(
-            amplitude, bounces, fresnel, self.spacing, total.refined / first, total.aliased / first, int(total.segments)
-        )
+        shares = total.refined / first, total.aliased / first
+        return Sweep(amplitude, bounces, fresnel, spacing, *shares, int(total.segments), None)
 
     def block(self, radars: wp.array, exact: wp.array, rays: cells.Rays) -> _Block:
-        """Trace tubes, quarter those that alias, and add up what they radiate."""
+        """Trace tubes, cut those that get too wide, and add up what they radiate."""
         views = radars.shape[0]
         total = _Block.empty(views, len(self.k), self.layer_count)
-        for level, (some, traced, wide, kept) in enumerate(self.quartered(radars, rays)):
-            total.refined += np.bincount(some.view, wide, views) if level == 0 < self.levels else 0.0
-            total.aliased += np.bincount(some.view, wide & kept, views) / 4.0**level
+        for level, some, traced, kept in self.narrowed(radars, rays):
+            area = some.size.prod(axis=1)
+            total.refined += np.bincount(some.view, area * ~kept, views) if level == 0 else 0.0
+            total.aliased += np.bincount(some.view, area * (kept & (traced.turn > TURN)), views)
             total.amplitude += traced.radiated(exact, kept, views)
-            cross = some.size.prod(axis=1) * (kept & (traced.count > 1))
+            cross = area * (kept & (traced.count > 1))
             total.area += np.bincount(some.view, cross, views)
             total.way += np.bincount(some.view, cross * traced.span, views)
             total.segments += int(traced.count.sum())
         return total
 
-    def quartered(
+    def narrowed(
         self, radars: wp.array, rays: cells.Rays
-    ) -> Iterator[tuple[cells.Rays, Traced, NDArray[np.bool_], NDArray[np.bool_]]]:
-        """Rays and what they hit, level by level, with those that alias and those that stay."""
-        for level in range(self.levels + 1):
-            traced = Traced(self, radars, rays)
-            used = rays.used != 0
-            wide = used & (traced.turn > TURN)
-            yield rays, traced, wide, used & ~wide if level < self.levels else used
-            if level == self.levels or not wide.any():
-                return
-            rays = cells.children(rays, wide, radars.shape[0])
+    ) -> Iterator[tuple[int, cells.Rays, Traced, NDArray[np.bool_]]]:
+        """Level, rays, what they hit, and which of them stay: the others are cut, and their parts come later."""
+        waiting = [(0, rays)]
+        while waiting:
+            level, some = waiting.pop()
+            traced = Traced(self, radars, some)
+            used = some.used != 0
+            cut = (traced.sides > TURN) & used[:, None] & (level < self.levels)
+            yield level, some, traced, used & ~cut.any(axis=1)
+            if cut.any():
+                parts = cells.children(some, cut, radars.shape[0])
+                waiting += [(level + 1, parts[i : i + self.together]) for i in range(0, len(parts), self.together)]
 
 
 @dataclass
@@ -306,7 +319,7 @@ class Traced:
         self.hits = wp.empty((n, worker.bounces), dtype=tubes.Hit, device=device)
         self.counts = wp.empty(n, dtype=int, device=device)
         span = wp.empty(n, dtype=wp.float64, device=device)
-        turn = wp.empty(n, dtype=wp.float64, device=device)
+        turn = wp.empty(n, dtype=wp.vec2d, device=device)
         place = upload(rays.place, wp.vec2d, device)
         size = upload(rays.size, wp.vec2d, device)
         standoff = body.standoff
@@ -317,7 +330,8 @@ class Traced:
             outputs=[self.hits, self.counts, span, turn],
             device=device,
         )
-        self.count, self.span, self.turn = self.counts.numpy(), span.numpy(), turn.numpy()
+        self.count, self.span, self.sides = self.counts.numpy(), span.numpy(), turn.numpy()
+        self.turn = self.sides.max(axis=1)
         self.chunk_view = rays.view[:: radiate.RAYS]
 
     def radiated(self, exact: wp.array, used: NDArray[np.bool_], views: int) -> NDArray[np.complex128]:
