@@ -268,12 +268,13 @@ def what_is_known(
     """The checks of btr70_checks.py on the final scene, each made once."""
     sector = [chip for chip in chips if set_of(chip, train) == "sector"]
     some = [sector[int(k)] for k in np.linspace(0, len(sector) - 1, min(EXPERIMENT, len(sector)))]
-    bounces, orders, levels, widths = done(
+    bounces, orders, levels, widths, rounding = done(
         [
             Job(out / "bounces.json", checks.bounces, (final, some)),
             Job(out / "orders.json", checks.orders, (final, train, some)),
             Job(out / "levels.json", checks.levels, (final, train)),
             Job(out / "widths.json", checks.widths, (final,)),
+            Job(out / "rounding.json", checks.rounding, (final, train, some)),
         ],
         processes,
     )
@@ -283,6 +284,7 @@ def what_is_known(
         "orders": orders,
         "levels": levels,
         "widths": widths,
+        "rounding": rounding,
     }
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from btr70_jobs import Job, done
-from btr70_measures import Chip, best_shift, middle, own_shift
+from btr70_measures import Chip, best_shift, middle, own_shift, terms
 from btr70_model import SPACING_M, fitted, predicted, regions, thinned, with_body, with_effect
 from scipy.ndimage import gaussian_filter
 
@@ -27,6 +27,7 @@ PROFILED = 10  # train views of a profile
 TILTS_DEG = (-4.0, -2.0, 0.0, 2.0, 4.0)
 HEIGHTS = (0.8, 0.85, 0.9, 0.95, 1.0)
 REPLICATES = 12  # of the chips on which the interval of the height is tried
+ERROR_DN = 9.75  # rms, the most that the chips' JPEG tables allow (measured.jpeg.read)
 STEPS = 3  # iterations of a fit where one number of the geometry moved
 
 
@@ -227,3 +228,35 @@ def orders(source: Path, train: Sequence[Chip], held: Sequence[Chip]) -> dict[st
         compound = minus_log_density(power, factor * model, 1.0, order)
         found[name] = {"order": order, "gain_per_pixel": float((plain - compound).mean()), "pixels": power.size}
     return found
+
+
+def rounding(source: Path, train: Sequence[Chip], held: Sequence[Chip]) -> dict[str, Any]:
+    """What the JPEG's own error does to the score of held-out chips. It is as large in every chip, while the grass is
+    not: so it is no floor of the scene. The model's floor gives way to a floor and the file's error, on train chips."""
+    scene = Scene.load(source)
+    floor = float(scene.effects.get("noise_floor", {}).get("level", 0.0))
+
+    def pixels(chips: Sequence[Chip]) -> list[tuple[np.ndarray, np.ndarray, float]]:
+        images, found = predicted(scene, chips), []
+        for chip in chips:
+            at = own_shift(chip.power, images[chip.name])
+            model = middle(images[chip.name], at)
+            per_level = float(np.median(model) / (np.median(middle(chip.power)) / np.log(2.0)))
+            found.append((middle(chip.power), model - floor, ERROR_DN**2 * per_level))
+        return found
+
+    def scores(taken: Sequence[tuple[np.ndarray, np.ndarray, float]], own: float, share: float) -> np.ndarray:
+        return np.array([terms(power, rest + own * floor + share * error).mean() for power, rest, error in taken])
+
+    seen, unseen = pixels(train), pixels(held)
+    tried = [(own, share) for share in (0.0, 0.25, 0.5, 0.75, 1.0) for own in (0.0, 0.25, 0.5, 0.75, 1.0, 1.25)]
+    alone = min((one for one in tried if one[1] == 0.0), key=lambda one: scores(seen, *one).mean())
+    best = min(tried, key=lambda one: scores(seen, *one).mean())
+    gain = scores(unseen, *alone) - scores(unseen, *best)
+    return {
+        "floor": best[0],
+        "share": best[1],
+        "gain": float(gain.mean()),
+        "error": float(gain.std(ddof=1) / np.sqrt(gain.size)),
+        "grass_dn": [float(np.sqrt(np.median(power) / np.log(2.0))) for power, _, _ in (*seen, *unseen)],
+    }
