@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import csv
+import hashlib
 import json
 import os
 import sys
@@ -185,12 +186,10 @@ def climbed(data: Path, out: Path, train: Sequence[Chip], processes: int) -> tup
     return now[0], steps
 
 
-def finished(
-    declared: Path, climbed_to: Path, scale: Sequence[float], train: Sequence[Chip], to: Path
-) -> dict[str, Any]:
-    """The last fit: all train views, with the size that the images say."""
-    sized = with_body(Scene.load(climbed_to), scale=tuple(scale))
-    every = replace(sized, views=Scene.load(declared).views)
+def finished(declared: Path, climbed_to: Path, pose: dict[str, Any], train: Sequence[Chip], to: Path) -> dict[str, Any]:
+    """The last fit: all train views, with the attitude and the size that the images say."""
+    posed = with_body(Scene.load(climbed_to), **pose)
+    every = replace(posed, views=Scene.load(declared).views)
     found, loss = fitted(with_aim_points(every, train), LAST)
     found.save(to / "scene.toml")
     return {"loss": loss}
@@ -199,12 +198,14 @@ def finished(
 def learned(
     data: Path, out: Path, train: Sequence[Chip], processes: int
 ) -> tuple[Path, list[dict[str, Any]], dict[str, Any]]:
-    """The final scene, the steps to it, and what the images say of its size."""
+    """The final scene, the steps to it, and what the images say of the vehicle's attitude and size."""
     climbing, steps = climbed(data, out, train, processes)
-    size = checks.size(climbing, out / "size", processes)
-    job = Job(out / "final.json", finished, (prepare(data, out), climbing, size["scale"], train, out / "final"))
-    done([job], 1)
-    return out / "final" / "scene.toml", steps, size
+    attitude = checks.attitude(climbing, out / "attitude", processes)
+    pose: dict[str, Any] = {key: round(one["value"], 3) for key, one in attitude.items()}
+    size = checks.size(climbing, pose, out / "size", processes)
+    pose["scale"] = tuple(size["scale"])
+    done([Job(out / "final.json", finished, (prepare(data, out), climbing, pose, train, out / "final"))], 1)
+    return out / "final" / "scene.toml", steps, {"size": size, "attitude": attitude}
 
 
 def judged_chips(scenes: dict[str, Path], chips: Sequence[Chip], train: Sequence[Chip]) -> dict[str, Any]:
@@ -227,14 +228,15 @@ def judged_chips(scenes: dict[str, Path], chips: Sequence[Chip], train: Sequence
 def tested(
     out: Path, scenes: dict[str, Path], chips: Sequence[Chip], train: Sequence[Chip], processes: int
 ) -> list[dict[str, Any]]:
-    """All measures of every test view; a view that was measured before is not measured again."""
+    """All measures of every test view; what this scene was asked before is not made again."""
+    folder = out / f"views_{hashlib.sha256(scenes['final'].read_bytes()).hexdigest()[:8]}"
     unseen = [chip for chip in chips if chip.name not in TRAIN]
     measured: dict[str, Any] = {}
-    for path in sorted((out / "views").glob("*.json")):
+    for path in sorted(folder.glob("*.json")):
         measured |= json.loads(path.read_text(encoding="utf-8"))
     missing = [chip for chip in unseen if chip.name not in measured]
     some = [missing[first : first + CHUNK] for first in range(0, len(missing), CHUNK)]
-    jobs = [Job(out / "views" / f"{one[0].name}.json", judged_chips, (scenes, one, train)) for one in some]
+    jobs = [Job(folder / f"{one[0].name}.json", judged_chips, (scenes, one, train)) for one in some]
     for one in done(jobs, processes):
         measured |= one
     content = []
@@ -261,28 +263,28 @@ def tested(
 
 
 def what_is_known(
-    out: Path, final: Path, size: dict[str, Any], chips: Sequence[Chip], train: Sequence[Chip], processes: int
+    out: Path, final: Path, chips: Sequence[Chip], train: Sequence[Chip], processes: int
 ) -> dict[str, Any]:
-    """The checks of btr70_checks.py, each made once."""
+    """The checks of btr70_checks.py on the final scene, each made once."""
     sector = [chip for chip in chips if set_of(chip, train) == "sector"]
     some = [sector[int(k)] for k in np.linspace(0, len(sector) - 1, min(EXPERIMENT, len(sector)))]
-    bounces, orders, levels, widths = done(
+    bounces, orders, levels, widths, rounding = done(
         [
             Job(out / "bounces.json", checks.bounces, (final, some)),
             Job(out / "orders.json", checks.orders, (final, train, some)),
             Job(out / "levels.json", checks.levels, (final, train)),
             Job(out / "widths.json", checks.widths, (final,)),
+            Job(out / "rounding.json", checks.rounding, (final, train, some)),
         ],
         processes,
     )
     return {
-        "size": size,
-        "attitude": checks.attitude(final, out / "attitude", processes),
         "coverage": checks.coverage(final, out / "coverage", processes),
         "bounces": bounces,
         "orders": orders,
         "levels": levels,
         "widths": widths,
+        "rounding": rounding,
     }
 
 
@@ -298,14 +300,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     made = kept(given.out / "made.json", tables.made)
     chips = chips_of(given.data)
     train = [chip for chip in chips if chip.name in TRAIN]
-    place, steps, size = given.scene, [], {}
+    place, steps, shape = given.scene, [], {}
     if place is None:
-        place, steps, size = learned(given.data, given.out, train, given.jobs)
+        place, steps, shape = learned(given.data, given.out, train, given.jobs)
     scenes = {"final": place}
     if len(train) == len(TRAIN):
         scenes["declared"] = prepare(given.data, given.out)
     views = tested(given.out, scenes, chips, train, given.jobs)
-    known = what_is_known(given.out, place, size, chips, train, given.jobs) if steps else {}
+    known = shape | what_is_known(given.out, place, chips, train, given.jobs) if steps else {}
     final = Scene.load(place)
     bodies = [one for one in final.objects if one.mesh is not None]
     content = {

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from btr70_jobs import Job, done
-from btr70_measures import Chip, best_shift, middle, own_shift
+from btr70_measures import Chip, best_shift, middle, own_shift, terms
 from btr70_model import SPACING_M, fitted, predicted, regions, thinned, with_body, with_effect
 from scipy.ndimage import gaussian_filter
 
@@ -24,8 +24,10 @@ HEADER_M = {"range_fwhm_m": 0.3013, "azimuth_fwhm_m": 0.3229}
 # Pixels of speckle that share a draw: spacing 0.20 m, widths 0.30 and 0.32 m.
 AREA_PX = 2.4
 PROFILED = 10  # train views of a profile
+TILTS_DEG = (-4.0, -2.0, 0.0, 2.0, 4.0)
 HEIGHTS = (0.8, 0.85, 0.9, 0.95, 1.0)
 REPLICATES = 12  # of the chips on which the interval of the height is tried
+ERROR_DN = 9.75  # rms, the most that the chips' JPEG tables allow (measured.jpeg.read)
 STEPS = 3  # iterations of a fit where one number of the geometry moved
 
 
@@ -47,9 +49,14 @@ def at_place(source: Path, changed: dict[str, Any], views: int, images: Path | N
     return {"loss": fitted(with_body(scene, **changed), STEPS)[1]}
 
 
-def profile(source: Path, key: str, places: Sequence[Any], out: Path, processes: int) -> list[float]:
-    """The loss at each place of one key of the vehicle."""
-    jobs = [Job(out / f"{key}_{k}.json", at_place, (source, {key: place}, PROFILED)) for k, place in enumerate(places)]
+def profile(
+    source: Path, key: str, places: Sequence[Any], out: Path, processes: int, pose: Mapping[str, Any] | None = None
+) -> list[float]:
+    """The loss at each place of one key of the vehicle; `pose` says where its other keys are."""
+    jobs = [
+        Job(out / f"{key}_{k}.json", at_place, (source, {**(pose or {}), key: place}, PROFILED))
+        for k, place in enumerate(places)
+    ]
     return [one["loss"] for one in done(jobs, processes)]
 
 
@@ -61,13 +68,13 @@ def likeliest(places: Sequence[float], losses: Sequence[float], sd: float | None
     return minimum(places, losses)
 
 
-def size(source: Path, out: Path, processes: int) -> dict[str, Any]:
+def size(source: Path, pose: Mapping[str, Any], out: Path, processes: int) -> dict[str, Any]:
     """Factors on the CAD's size along, across and up, one after the other, with the CAD to 10 % as their prior."""
     scale, found = [1.0, 1.0, 1.0], {}
     for axis, name in ((2, "height"), (1, "width"), (0, "length")):
         places = HEIGHTS if axis == 2 else (0.94, 1.0, 1.06)
         trials = [(*scale[:axis], place, *scale[axis + 1 :]) for place in places]
-        losses = profile(source, "scale", trials, out / name, processes)
+        losses = profile(source, "scale", trials, out / name, processes, pose)
         at, sd = likeliest(places, losses, CAD_SD)
         scale[axis] = round(at, 4)
         metres = {"value_m": at * CAD_M[axis], "sd_m": sd * CAD_M[axis]}
@@ -76,13 +83,14 @@ def size(source: Path, out: Path, processes: int) -> dict[str, Any]:
 
 
 def attitude(source: Path, out: Path, processes: int) -> dict[str, Any]:
-    """Roll and pitch by the images alone, beside the header's."""
-    found = {}
-    places = (-4.0, -2.0, 0.0, 2.0)
-    for key, header in HEADER_DEG.items():
-        losses = profile(source, key, places, out, processes)
-        at, sd = minimum(places, losses)
-        found[key] = {"value": at, "sd": sd, "header": header, "places": list(places), "losses": losses}
+    """Roll and pitch by the images alone, beside the header's: pitch first, and roll at the pitch that was found."""
+    found: dict[str, Any] = {}
+    pose: dict[str, float] = {}
+    for key in ("pitch_deg", "roll_deg"):
+        losses = profile(source, key, TILTS_DEG, out, processes, pose)
+        at, sd = minimum(TILTS_DEG, losses)
+        pose[key] = round(at, 3)
+        found[key] = {"value": at, "sd": sd, "header": HEADER_DEG[key], "places": list(TILTS_DEG), "losses": losses}
     return found
 
 
@@ -220,3 +228,35 @@ def orders(source: Path, train: Sequence[Chip], held: Sequence[Chip]) -> dict[st
         compound = minus_log_density(power, factor * model, 1.0, order)
         found[name] = {"order": order, "gain_per_pixel": float((plain - compound).mean()), "pixels": power.size}
     return found
+
+
+def rounding(source: Path, train: Sequence[Chip], held: Sequence[Chip]) -> dict[str, Any]:
+    """What the JPEG's own error does to the score of held-out chips. It is as large in every chip, while the grass is
+    not: so it is no floor of the scene. The model's floor gives way to a floor and the file's error, on train chips."""
+    scene = Scene.load(source)
+    floor = float(scene.effects.get("noise_floor", {}).get("level", 0.0))
+
+    def pixels(chips: Sequence[Chip]) -> list[tuple[np.ndarray, np.ndarray, float]]:
+        images, found = predicted(scene, chips), []
+        for chip in chips:
+            at = own_shift(chip.power, images[chip.name])
+            model = middle(images[chip.name], at)
+            per_level = float(np.median(model) / (np.median(middle(chip.power)) / np.log(2.0)))
+            found.append((middle(chip.power), model - floor, ERROR_DN**2 * per_level))
+        return found
+
+    def scores(taken: Sequence[tuple[np.ndarray, np.ndarray, float]], own: float, share: float) -> np.ndarray:
+        return np.array([terms(power, rest + own * floor + share * error).mean() for power, rest, error in taken])
+
+    seen, unseen = pixels(train), pixels(held)
+    tried = [(own, share) for share in (0.0, 0.25, 0.5, 0.75, 1.0) for own in (0.0, 0.25, 0.5, 0.75, 1.0, 1.25)]
+    alone = min((one for one in tried if one[1] == 0.0), key=lambda one: scores(seen, *one).mean())
+    best = min(tried, key=lambda one: scores(seen, *one).mean())
+    gain = scores(unseen, *alone) - scores(unseen, *best)
+    return {
+        "floor": best[0],
+        "share": best[1],
+        "gain": float(gain.mean()),
+        "error": float(gain.std(ddof=1) / np.sqrt(gain.size)),
+        "grass_dn": [float(np.sqrt(np.median(power) / np.log(2.0))) for power, _, _ in (*seen, *unseen)],
+    }

@@ -3,9 +3,8 @@
     python benchmarks/btr70_classes.py DATA -o OUT [--jobs N] [--write]
 
 OUT is the folder of btr70.py, whose scenes it needs. Images of the vehicle are made at every `STEP_DEG` of azimuth and
-two depressions, by the declared model and by the final one. With speckle and shifts they train a kernel ridge
-regression of the aspect. It is asked for the azimuth of every measured test chip, and for the side that faces the
-radar. btr70_classes.json has it all.
+two depressions, by the declared model and by the final one. They are the templates of a matcher. It is asked for the
+azimuth of every measured test chip, and for the side that faces the radar. btr70_classes.json has it all.
 """
 
 from __future__ import annotations
@@ -20,7 +19,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
@@ -28,18 +26,15 @@ import tables
 from btr70 import TRAIN, chips_of
 from btr70_jobs import Job, done
 from btr70_measures import SIZE, SMOOTH, Chip, middle, roots, turn_deg
-from btr70_model import SPACING_M, predicted
+from btr70_model import predicted
 from measured_loop import written
 
 from warpsar.scene.scene import Scene
 
 STEP_DEG = 3.0
 DEPRESSIONS_DEG = (15.0, 17.0)
-COPIES = 6  # of each made image, each with its own speckle and shift
-SHIFT_PX = ((0, 8), (-4, 2))  # rows and columns by which a chip's target may lie off its middle
-POOL = 4  # pixels of a feature
-WIDTHS_M = (0.3013, 0.3229)  # of the header: speckle is as wide
-RIDGE = 1e-2
+REACH_PX = 8  # by which a target may lie off the middle of its chip, in both directions
+POOL = 2  # pixels of a feature
 Image = NDArray[np.float64]
 
 
@@ -53,44 +48,21 @@ def made(scene: Path, azimuths_deg: Sequence[float], to: Path) -> dict[str, Any]
     return {"file": str(to)}
 
 
-def speckled(image: Image, draws: np.random.Generator) -> Image:
-    """A chip as a radar would give it: speckle of one look, correlated as the widths of the header make it."""
-    sigma = [np.sqrt(2.0) / 2.3548 * w / s for w, s in zip(WIDTHS_M, SPACING_M, strict=True)]
-    field = [gaussian_filter(draws.standard_normal(image.shape), sigma) for _ in range(2)]
-    return np.asarray(image * sum((one / one.std()) ** 2 for one in field) / 2.0)
-
-
 def feature(power: Image, shift: tuple[int, int] = (0, 0)) -> Image:
-    """Fourth roots of smoothed power in the middle of a chip, pooled, without mean and scale; shape (n,)."""
+    """Fourth roots of smoothed power in the middle of a chip, pooled, of mean 0 and norm 1; shape (n,)."""
     found = middle(roots(power, SMOOTH[0]), shift)
     pooled = found.reshape(SIZE // POOL, POOL, SIZE // POOL, POOL).mean(axis=(1, 3)).ravel()
-    return np.asarray((pooled - pooled.mean()) / pooled.std())
+    pooled = pooled - pooled.mean()
+    return np.asarray(pooled / np.linalg.norm(pooled))
 
 
-def training_set(images: Image, azimuths_deg: Image, seed: int) -> tuple[Image, Image]:
-    """Features of `COPIES` speckled and shifted copies of every image, and their azimuths."""
-    draws = np.random.default_rng(seed)
-    (top, bottom), (left, right) = SHIFT_PX
-    rows = []
-    for image in images:
-        for _ in range(COPIES):
-            shift = (int(draws.integers(top, bottom + 1)), int(draws.integers(left, right + 1)))
-            rows.append(feature(speckled(image, draws), shift))
-    return np.array(rows), np.repeat(azimuths_deg, COPIES)
-
-
-def taught(features: Image, azimuths_deg: Image, asked: Image) -> Image:
-    """Azimuths [deg] of the features `asked`: kernel ridge regression of the aspect's cosine and sine."""
-    aspect = np.radians(azimuths_deg)
-    target = np.stack([np.cos(aspect), np.sin(aspect)], axis=1)
-
-    def kernel(a: Image, b: Image) -> Image:
-        distance = (a**2).sum(1)[:, None] + (b**2).sum(1) - 2.0 * a @ b.T
-        return np.asarray(np.exp(-distance / a.shape[1]))
-
-    weight = np.linalg.solve(kernel(features, features) + RIDGE * np.eye(len(features)), target)
-    cosine, sine = (kernel(asked, features) @ weight).T
-    return np.asarray(np.degrees(np.arctan2(sine, cosine)))
+def matched(images: Image, azimuths_deg: Image, asked: Image) -> Image:
+    """Azimuth [deg] of the template that correlates best with each feature of `asked`, over all shifts."""
+    steps = range(-REACH_PX, REACH_PX + 1, POOL)
+    scores = [
+        np.max(asked @ np.array([feature(image, (i, j)) for i in steps for j in steps]).T, axis=1) for image in images
+    ]
+    return np.asarray(azimuths_deg[np.argmax(scores, axis=0)])
 
 
 def marks(found_deg: Image, chips: Sequence[Chip]) -> dict[str, float]:
@@ -128,10 +100,9 @@ def run(data: Path, out: Path, processes: int) -> dict[str, Any]:
         done(jobs, processes)
         files = [np.load(folder / f"{k}.npz") for k in range(len(azimuths))]
         images, angles = (np.concatenate([one[key] for one in files]) for key in ("image", "azimuth"))
-        content["trained_on"][name] = marks(taught(*training_set(images, angles, 1), asked), test)
-    few = np.array([feature(chip.power, (i, j)) for chip in train for i in (-2, 0, 2) for j in (-2, 0, 2)])
-    angles = np.repeat([chip.azimuth_deg for chip in train], 9)
-    content["trained_on"]["30 measured chips"] = marks(taught(few, angles, asked), test)
+        content["trained_on"][name] = marks(matched(images, angles, asked), test)
+    images, angles = np.array([chip.power for chip in train]), np.array([chip.azimuth_deg for chip in train])
+    content["trained_on"]["30 measured chips"] = marks(matched(images, angles, asked), test)
     return content
 
 

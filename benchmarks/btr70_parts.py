@@ -18,7 +18,7 @@ LONGEST = 0.06  # of the length: no edge is longer
 
 
 def names() -> list[str]:
-    """The parts, from rear to front and up."""
+    """The parts, from front to rear and up."""
     return [f"part{along}{layer}" for along in range(LENGTHS) for layer in ("gear", "hull", "deck")]
 
 
@@ -38,7 +38,7 @@ def split(corners: np.ndarray, longest: float) -> np.ndarray:
 
 
 def part_of(middles: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Index into `names()` of points (n, 3) in the file's frame: front +X, up +Y."""
+    """Index into `names()` of points (n, 3) in the file's frame: front -X, up +Y."""
     place = (middles - low) / (high - low)
     along = np.clip((place[:, 0] * LENGTHS).astype(int), 0, LENGTHS - 1)
     return np.asarray(3 * along + np.digitize(place[:, 1], LAYERS))

@@ -12,7 +12,11 @@ sys.path.insert(0, str(BENCHMARKS))
 
 import btr70  # noqa: E402
 import btr70_checks as checks  # noqa: E402
+import btr70_classes as classes  # noqa: E402
 import btr70_measures as measures  # noqa: E402
+import btr70_parts as parts  # noqa: E402
+
+from warpsar.world.mesh import read_mesh  # noqa: E402
 
 
 def truth() -> np.ndarray:
@@ -80,6 +84,47 @@ def test_a_parabola_has_its_minimum() -> None:
     assert sd == pytest.approx(np.sqrt(checks.AREA_PX / 100.0))
 
 
+def test_parts_are_the_whole(tmp_path: Path) -> None:
+    """A box of 8 x 4 x 2 (length, height, width): its area stays, every part is there, and both sides are alike."""
+    corners = np.array([[x, y, z] for x in (0, 8) for y in (0, 4) for z in (-1, 1)], float)
+    faces = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    lines = [f"v {x} {y} {z}" for x, y, z in corners] + [f"f {' '.join(str(k + 1) for k in one)}" for one in faces]
+    (tmp_path / "box.obj").write_text("\n".join(lines) + "\n")
+    mesh = read_mesh(parts.write(tmp_path / "box.obj", tmp_path / "parts.obj"))
+    triangles = mesh.vertices[mesh.faces]
+    edges = triangles[:, 1:] - triangles[:, :1]
+    areas = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1) / 2.0
+    assert areas.sum() == pytest.approx(2 * (8 * 4 + 8 * 2 + 4 * 2), rel=1e-5)
+    assert set(mesh.materials) == set(parts.names())
+    left = triangles[:, :, 2].max(axis=1) < -0.99
+    right = triangles[:, :, 2].min(axis=1) > 0.99
+    for number in range(len(mesh.materials)):
+        one = mesh.face_material == number
+        assert areas[one & left].sum() == pytest.approx(areas[one & right].sum(), rel=0.05)
+
+
+def test_folds_leave_out_arcs() -> None:
+    chips = [measures.Chip(f"c{k}", 12.0 * k, 17.0, np.zeros((1, 1))) for k in range(30)]
+    found = btr70.folds(chips)
+    assert sorted(name for fold in found for name in fold) == sorted(chip.name for chip in chips)
+    for fold in found:
+        left = sorted(int(name[1:]) for name in fold)
+        assert int(np.sum(np.diff(left) > 1)) + 1 <= btr70.ARCS
+
+
+def test_a_template_is_found_though_it_is_shifted() -> None:
+    draws = np.random.default_rng(0)
+    images = gaussian_filter(draws.random((5, 128, 128)), (0, 6, 6)) ** 8
+    asked = np.array([classes.feature(np.roll(image, (4, -2), (0, 1))) for image in images])
+    azimuths = np.arange(5.0)
+    assert np.array_equal(classes.matched(images, azimuths, asked), azimuths)
+    chips = [measures.Chip("", azimuth, 17.0, images[0]) for azimuth in (20.0, 100.0, 200.0, 359.0)]
+    said = classes.marks(np.array([21.0, 280.0, 195.0, 1.0]), chips)
+    assert said["median_error_deg"] == pytest.approx(3.5)
+    assert said["reversed"] == 0.25
+    assert said["side_right"] == pytest.approx(2 / 3)  # the last is end-on and does not count
+
+
 @pytest.mark.measured
 def test_train_chips_are_from_other_sectors_and_all_there(measured_data: Path) -> None:
     chips = {chip.name: chip for chip in btr70.chips_of(measured_data)}
@@ -87,4 +132,4 @@ def test_train_chips_are_from_other_sectors_and_all_there(measured_data: Path) -
     for name in btr70.TRAIN:
         chip = chips[name]
         assert chip.depression_deg > 16.0
-        assert not any(low <= chip.azimuth_deg <= high for low, high in btr70.VALIDATION_DEG)
+        assert not any(low <= chip.azimuth_deg <= high for low, high in btr70.SECTORS_DEG)
