@@ -447,7 +447,7 @@ def predicted(out: Path, device: str | None = None) -> dict[str, evaluation.Eval
 
 
 def compared(data: Path, out: Path, found: dict[str, evaluation.Evaluation], device: str | None) -> dict[str, Any]:
-    """The table of docs/measured.md for each test view: every prediction, over all pixels and by class."""
+    """The table of docs/measured-gotcha.md for each test view: every prediction, over all pixels and by class."""
     scene = Scene.load(out / "flat" / "learned" / "scene.toml")
     speckle = pure_speckle(data, scene, SAMPLES, device)
     return {view.name: _compared(view.name, scene, out, found, speckle) for view in scene.views if view.role == "test"}
@@ -645,7 +645,7 @@ def comparison_table(comparison: dict[str, Any]) -> str:
 
 
 def tables_of(content: dict[str, Any]) -> dict[str, str]:
-    """The tables of docs/measured.md, and one for each further test view."""
+    """The tables of docs/measured-gotcha.md, and one for each further test view."""
     return {
         "gotcha.reflectors": reflectors(content["impulse_response"]),
         "gotcha.widths": widths(content),

@@ -1,5 +1,5 @@
 """The loops on measured data: their scenes, simple predictions and theory; and, with the data there, the short form of
-what docs/measured.md says."""
+what docs/measured-gotcha.md says."""
 
 import importlib
 import runpy
@@ -22,7 +22,7 @@ from warpsar.learning.command import LearnOptions
 from warpsar.scene.scene import Scene
 from warpsar.world.world import geometry_of
 
-# docs/measured.md
+# docs/measured-gotcha.md
 OVER_GRASS_DB = {"car_park": -1.8, "road": -5.1, "west_strip": 2.3, "cars": 9.1, "targets": 13.3}
 
 

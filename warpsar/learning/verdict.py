@@ -23,7 +23,7 @@ from warpsar.speckle.tail import Tail
 ERROR_RATE = 0.01  # chance that speckle alone is called anything else: half for the scan, half for the level
 SIDES = (1, 3, 5, 9, 17)  # pixels on a side of a window
 LOOKS_SD = 0.01  # relative standard deviation that stated looks are granted
-ESTIMATED_LOOKS_SD = 0.06  # of estimated ones, which are right to 12 % (docs/measured.md)
+ESTIMATED_LOOKS_SD = 0.06  # of estimated ones, which are right to 12 % (docs/import.md)
 WIDEST = 0.1  # standard deviation of the mean deviance beyond which nothing can be told
 TRACE = 0.1  # of the median beta0: less is a border pixel's share of light
 DRAWN, MOST_DRAWS, FEWEST_DRAWS = 2e7, 1000, 200  # pixels drawn altogether, and draws
