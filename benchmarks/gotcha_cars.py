@@ -28,6 +28,7 @@ from warpsar.simulation.exact_rays import ExactRays
 from warpsar.surface.stage import Stage
 from warpsar.world.mesh import Mesh
 from warpsar.world.objects.table import LIMITS, Object
+from warpsar.world.pixels import Pixels
 from warpsar.world.tables import View
 from warpsar.world.world import geometry_of, posed
 
@@ -126,7 +127,8 @@ class Window:
         self.whole = tuple(slice(*pair) for pair in ends)
         self.part = tuple(slice(low - f, high - f) for f, (low, high) in zip(first, ends, strict=True))
         self.grid = scene.grid.model_copy(update={"shape": (ROWS, COLS)})
-        self.view = seen.view.model_copy(update={"looks": 1.0})
+        plain = Pixels(np.ones((ROWS, COLS), np.float32))
+        self.view = seen.view.model_copy(update={"looks": 1.0, "images": {"HH": plain}, "mask": None})
         corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * GROUND_M + middle
         faces = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
         self.ground = Mesh(corners, faces, np.zeros(2, np.int32), (GROUND,))
