@@ -417,6 +417,26 @@ def brightness(scene: Scene, found: evaluation.Evaluation, learned: dict[str, An
     return table
 
 
+# ---- the diagnosis ----
+
+
+def effects_alone(path: Path, out: Path, options: DiagnoseOptions, device: str | None) -> dict[str, Any]:
+    """`diagnosed`, with the objects where they were learned, none of them moved, left out or proposed.
+
+    With bounces every number of every object costs a render of the whole scene: 129 objects would take hours."""
+    from warpsar.diagnosis import geometry_search
+
+    names = ("moved_or_absent", "SOURCES")
+    whole = {name: getattr(geometry_search, name) for name in names}
+    try:
+        geometry_search.moved_or_absent = lambda *_: []
+        geometry_search.SOURCES = ()
+        return diagnosed(path, out, options, device)
+    finally:
+        for name, one in whole.items():
+            setattr(geometry_search, name, one)
+
+
 # ---- the model with objects, step by step ----
 
 KNOWN_SPREAD = {"range_fwhm_m": 0.594, "azimuth_fwhm_m": 1.48, "window": "sinc"}  # what theory says of this grid
@@ -639,7 +659,7 @@ def run(
     plain = kept(out / "flat.json", of_flat)
     objects = kept(out / "objects.json", lambda: fitted(path, out / "objects"))
     final = out / "objects" / objects["files"][FINAL]
-    diagnosis = kept(out / "diagnosis.json", lambda: diagnosed(final, out / "diagnosis", options, device))
+    diagnosis = kept(out / "diagnosis.json", lambda: effects_alone(final, out / "diagnosis", options, device))
     scenes = {"flat, learned": out / "flat" / "learned" / "scene.toml"}
     scenes |= {name: out / "objects" / file for name, file in objects["files"].items()}
     if diagnosis["verdict"]:
