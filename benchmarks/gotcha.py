@@ -324,8 +324,7 @@ BODIES = ("car0", "car1", "thing", "reflector")  # what names of bodies' materia
 
 
 def classes(image: evaluation.EvaluatedImage, materials: Sequence[str]) -> dict[str, np.ndarray]:
-    """Masks of the compared pixels: by what the scene with objects lights most there, and ground within `NEAR` pixels
-    of a body apart."""
+    """Masks by what the scene with objects lights most in a pixel, and ground within `NEAR` pixels of a body apart."""
     from scipy.ndimage import maximum_filter
 
     def of(names: Sequence[str]) -> np.ndarray:
@@ -337,7 +336,7 @@ def classes(image: evaluation.EvaluatedImage, materials: Sequence[str]) -> dict[
     grass, strip = (of([n for n in names if n in materials]) & ~near for names in (GRASS, STRIP))
     found = {"grass": grass, "asphalt": ~(grass | strip | body | near), "west strip": strip}
     found |= {"objects": body, "near objects": near}
-    return {name: mask & image.interior for name, mask in found.items()}
+    return found
 
 
 @dataclass(frozen=True)
@@ -442,7 +441,7 @@ def effects_alone(path: Path, out: Path, options: DiagnoseOptions, device: str |
 KNOWN_SPREAD = {"range_fwhm_m": 0.594, "azimuth_fwhm_m": 1.48, "window": "sinc"}  # what theory says of this grid
 STEPS = ("read off, one brightness", "+ brightness by object", "+ poses", "+ shapes", "+ bounces")
 FINAL = STEPS[-1]
-ROUNDS = 2  # of poses and shapes once bounces are there
+ROUNDS = 1  # of poses and shapes once bounces are there
 
 
 def alike(scene: Scene) -> Scene:
@@ -472,7 +471,7 @@ def steps_of(path: Path, views: Sequence[str] = TRAIN) -> tuple[dict[str, Scene]
 
     told(STEPS[0], fit_common(alike(declared), views))
     scene = told(STEPS[1], fit_common(declared, views))
-    scene, _ = fit_round(scene, starts, views, POSE, steps=3)
+    scene, _ = fit_round(scene, starts, views, POSE)
     scene = told(STEPS[2], fit_common(scene, views))
     scene, _ = fit_round(scene, starts, views, (*POSE, *SHAPE))
     scene = told(STEPS[3], fit_common(scene, views))
@@ -536,7 +535,7 @@ def _compared(
     materials = Scene.load(out / "objects" / f"step{STEPS.index(FINAL)}.toml").mesh.materials
     test, of = (image_of(e, view) for e in (flat, last))
     made = simple_predictions(scene, flat, view) | {name: image_of(e, view).simulated for name, e in found.items()}
-    mask = test.interior & of.interior & np.all([np.isfinite(image) & (image > 0) for image in made.values()], axis=0)
+    mask = test.interior & np.all([np.isfinite(image) & (image > 0) for image in made.values()], axis=0)
     result = compare(test, made, mask)
     parts = {name: part[mask] for name, part in classes(of, materials).items() if (part & mask).any()}
     table = {
@@ -585,7 +584,7 @@ def outlines(scene: Scene, view: View) -> list[np.ndarray]:
     geometry, found = geometry_of(scene, view), []
     for one in scene.objects:
         near, far = (near_side(one, s * towards_radar(scene)) for s in (1.0, -1.0))
-        corners = np.column_stack([[*near, *far, near[0]], np.zeros(5)])
+        corners = np.column_stack([[*near, *far[::-1], near[0]], np.zeros(5)])
         found.append(np.column_stack([corners @ geometry.u, corners @ geometry.d]))
     return found
 
