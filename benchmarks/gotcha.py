@@ -1,20 +1,19 @@
-"""The loop on measured data: AFRL's Gotcha, learned and diagnosed on two views of one degree each, tested on others.
+"""The loop on measured data: AFRL's Gotcha, learned on two views of one degree each, diagnosed, tested on others.
 
-    python benchmarks/gotcha.py DATA -o OUT [--figures docs/figures] [--short] [--write]
+    python benchmarks/gotcha.py DATA -o OUT [--figures docs/figures] [--long] [--write]
 
 DATA is a folder of public releases. It holds gotcha/data_3dsar_pass1_az001_HH.mat to az003, of the AFRL Gotcha
 volumetric data set; whatever other degrees lie there are test views, too (of an OUT that was begun without them they
-are not). Two scenes are built (data/gotcha): `flat`, regions on flat ground, and `bodies`, the ground with cars and
-reflectors standing on it. The views are imported into both; uniform materials are learned, then fields; the scene with
-bodies is diagnosed. Every step's prediction of az003 (and of what follows it), which nothing was read off, fitted to or
-decided by, is compared with simple ones. OUT gets it all, with gotcha.json and gotcha.md; what lies there already is
-not made again. `--short` has the diagnosis fit from one start, refit the best score alone, and add two effects at most.
+are not). Two scenes are built (data/gotcha): `flat`, regions on flat ground, and `objects`, where every car is an
+object of its own. Of the cars, brightness, poses, shapes and bounces are learned one after the other on az001 and
+az002, and the last model is diagnosed. Every step's prediction of az003 (and of what follows it), which nothing was
+read off, fitted to or decided by, is compared with simple ones. OUT gets it all, with gotcha.json and gotcha.md; what
+lies there already is not made again. `--long` has the diagnosis fit from two starts and add as many effects as it may.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import runpy
 import sys
 from collections.abc import Callable, Sequence
@@ -27,6 +26,8 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import tables
+from gotcha_cars import POSE, SHAPE, Fitted, fit_common, fit_round, seen_in, with_effects
+from gotcha_objects import correlation_area, described, near_side, surveyed, towards_radar
 from measured_loop import (
     TURNS,
     best_width,
@@ -44,7 +45,7 @@ from measured_loop import (
 from warpsar.diagnosis.found import DiagnoseOptions
 from warpsar.evaluation import command as evaluation
 from warpsar.io.figures import new, save
-from warpsar.io.images import replacing, write_exr
+from warpsar.io.images import replacing
 from warpsar.learning import command as learning
 from warpsar.learning.command import LearnOptions
 from warpsar.measured import formats
@@ -61,14 +62,12 @@ from warpsar.world.tables import View
 from warpsar.world.world import geometry_of
 
 MAKE_SCENE = Path(__file__).resolve().parent.parent / "data" / "gotcha" / "make_scene.py"
+MAKE_OBJECTS = MAKE_SCENE.with_name("make_objects.py")
 TRAIN = ("az001", "az002")
 TEST = "az003"
 WINDOW = "hann"  # over the band; over the aperture, none
 SAMPLES = (3, 2)  # per pixel of 0.5 x 1 m: no fewer than the resolution asks for
 REFERENCE = "grass"  # gains are unknown, so brightness is against this region's
-FIELD_TEXELS = 130  # of 1 m
-FIELD_ITERATIONS = 200
-FIELD_VARIATION = 0.1  # log-likelihood per unit of ln h between neighbouring texels
 NEAR = 3  # pixels from a body within which ground is called `near`: sidelobes, and cars not quite where they are
 FEWEST = 30  # pixels of a class that is told apart
 FINE_M = 0.05
@@ -95,11 +94,12 @@ def history(data: Path, name: str) -> PhaseHistory:
 
 
 def prepare(data: Path, out: Path, *, flat: bool, device: str | None = None) -> Path:
-    """A scene in `out` with its views imported; returns its scene.toml."""
+    """A scene in `out`, flat or with objects, with its views imported; returns its scene.toml."""
     views = views_in(data)
     if (out / f"{views[-1]}_HH.exr").exists():
         return out / "scene.toml"
-    path: Path = runpy.run_path(str(MAKE_SCENE))["write"](out, flat=flat)
+    make = runpy.run_path(str(MAKE_SCENE if flat else MAKE_OBJECTS))["write"]
+    path: Path = make(out, flat=True) if flat else make(out)
     for name in views:
         import_measured([source(data, name)], path, name, window_range=WINDOW, samples=SAMPLES, device=device)
 
@@ -232,31 +232,6 @@ def heights_only(path: Path) -> Path:
     return rewritten(path, "heights.toml", change)
 
 
-def all_of_it(path: Path) -> Path:
-    """The scene with eps_r, h and l of every material to learn."""
-
-    def change(document: Any) -> None:
-        for table in document["materials"].values():
-            table["learn"] = ["eps_r", "rms_height_m", "correlation_length_m"]
-
-    return rewritten(path, "all.toml", change)
-
-
-def fields_of(path: Path) -> Path:
-    """The scene with a texture of heights on every ground material, grass too, to begin with its uniform values."""
-
-    def change(document: Any) -> None:
-        for name, table in document["materials"].items():
-            if name in ("vehicle", "reflector"):
-                continue
-            image = f"{name}_start.exr"
-            start = np.full((FIELD_TEXELS, FIELD_TEXELS), float(table["rms_height_m"]), np.float32)
-            write_exr(path.with_name(image), {"rms_height_m": start})
-            table["rms_height_m"], table["layout"], table["learn"] = image, "texture", ["rms_height_m"]
-
-    return rewritten(path, "fields.toml", change)
-
-
 def learned(path: Path, folder: Path, options: LearnOptions, device: str | None) -> dict[str, Any]:
     """Learn and evaluate; what of both is told."""
     found = learning.run(path, folder, device=device, options=options)
@@ -343,15 +318,25 @@ def simple_predictions(scene: Scene, found: evaluation.Evaluation, view: str = T
     }
 
 
+GRASS = ("grass", "lawn", "lawn_west", "verge")
+STRIP = ("west_strip", "west_bright")
+BODIES = ("car0", "car1", "thing", "reflector")  # what names of bodies' materials begin with
+
+
 def classes(image: evaluation.EvaluatedImage, materials: Sequence[str]) -> dict[str, np.ndarray]:
-    """Masks of the compared pixels: by the material that the scene with bodies lights most, and ground within `NEAR`
-    pixels of a body apart."""
+    """Masks by what the scene with objects lights most in a pixel, and ground within `NEAR` pixels of a body apart."""
     from scipy.ndimage import maximum_filter
 
-    body = np.isin(image.material, [materials.index(name) for name in ("vehicle", "reflector")])
+    def of(names: Sequence[str]) -> np.ndarray:
+        found = np.isin(image.material, [materials.index(name) for name in names])
+        return np.asarray(found)
+
+    body = of([name for name in materials if name.startswith(BODIES)])
     near = (maximum_filter(body.astype(np.uint8), size=2 * NEAR + 1) > 0) & ~body
-    found = {name: (image.material == i) & image.interior & ~near for i, name in enumerate(materials)}
-    return found | {"near a body": near & image.interior}
+    grass, strip = (of([n for n in names if n in materials]) & ~near for names in (GRASS, STRIP))
+    found = {"grass": grass, "asphalt": ~(grass | strip | body | near), "west strip": strip}
+    found |= {"objects": body, "near objects": near}
+    return found
 
 
 @dataclass(frozen=True)
@@ -431,23 +416,113 @@ def brightness(scene: Scene, found: evaluation.Evaluation, learned: dict[str, An
     return table
 
 
-def step_scenes(out: Path) -> dict[str, Path]:
-    """The scene after every addition of the diagnosis, by a name for tables."""
-    content = json.loads((out / "diagnosis" / "diagnosis.json").read_text(encoding="utf-8"))
-    names = ["bodies, as declared", *(f"+ {effect}" for effect in content["verdict"])]
-    return {name: out / "diagnosis" / f"step{k}.toml" for k, name in enumerate(names)}
+# ---- the diagnosis ----
 
 
-def predicted(out: Path, device: str | None = None) -> dict[str, evaluation.Evaluation]:
-    """Every learned scene in OUT, evaluated."""
-    learned_scenes = {f"{name}, learned": out / name / "learned" / "scene.toml" for name in ("flat", "bodies")}
-    scenes = {**learned_scenes, **step_scenes(out)}
-    scenes["bodies with fields"] = out / "bodies" / "fields" / "scene.toml"
-    return {name: evaluation.evaluate(Scene.load(path), device=device) for name, path in scenes.items()}
+def effects_alone(path: Path, out: Path, options: DiagnoseOptions, device: str | None) -> dict[str, Any]:
+    """`diagnosed`, with the objects where they were learned, none of them moved, left out or proposed.
+
+    With bounces every number of every object costs a render of the whole scene: 129 objects would take hours."""
+    from warpsar.diagnosis import geometry_search
+
+    names = ("moved_or_absent", "SOURCES")
+    whole = {name: getattr(geometry_search, name) for name in names}
+    try:
+        geometry_search.moved_or_absent = lambda *_: []
+        geometry_search.SOURCES = ()
+        return diagnosed(path, out, options, device)
+    finally:
+        for name, one in whole.items():
+            setattr(geometry_search, name, one)
 
 
-def compared(data: Path, out: Path, found: dict[str, evaluation.Evaluation], device: str | None) -> dict[str, Any]:
-    """The table of docs/measured-gotcha.md for each test view: every prediction, over all pixels and by class."""
+# ---- the model with objects, step by step ----
+
+KNOWN_SPREAD = {"range_fwhm_m": 0.594, "azimuth_fwhm_m": 1.48, "window": "sinc"}  # what theory says of this grid
+STEPS = ("read off, one brightness", "+ brightness by object", "+ poses", "+ shapes", "+ bounces")
+FINAL = STEPS[-1]
+ROUNDS = 1  # of poses and shapes once bounces are there
+
+
+def alike(scene: Scene) -> Scene:
+    """All cars of one brightness, and all things of one."""
+    from warpsar.scene.placing import with_objects
+
+    objects = [
+        one.model_copy(update={"material": f"{'car' if one.primitive == 'car' else 'thing'}0"}) for one in scene.objects
+    ]
+    first = {
+        name: scene.materials[str(one.material)]
+        for name, one in (("car0", scene.objects[0]), ("thing0", scene.objects[-1]))
+    }
+    return with_objects(scene, objects, first)
+
+
+def steps_of(path: Path, views: Sequence[str] = TRAIN) -> tuple[dict[str, Scene], list[Fitted]]:
+    """The scene after every step by its name, and the objects' last fit."""
+    declared = Scene.load(path)
+    declared = with_effects(declared, point_spread=KNOWN_SPREAD, eps_gradient={"per_m_east": 0.0, "per_m_north": 0.0})
+    starts, found = declared.objects, {}
+
+    def told(name: str, scene: Scene) -> Scene:
+        print(f"{name} ...", file=sys.stderr)
+        found[name] = scene
+        return scene
+
+    told(STEPS[0], fit_common(alike(declared), views))
+    scene = told(STEPS[1], fit_common(declared, views))
+    scene, _ = fit_round(scene, starts, views, POSE)
+    scene = told(STEPS[2], fit_common(scene, views))
+    scene, _ = fit_round(scene, starts, views, (*POSE, *SHAPE))
+    scene = told(STEPS[3], fit_common(scene, views))
+    scene = fit_common(with_effects(scene, multibounce={"strength": 0.3, "max_bounces": 2}), views)
+    for number in range(ROUNDS):
+        scene, last = fit_round(scene, starts, views, (*POSE, *SHAPE), told=number == ROUNDS - 1)
+        scene = fit_common(scene, views)
+    told(FINAL, scene)
+    return found, [last[k] for k in range(len(starts))]
+
+
+def without(scene: Scene, declared: Scene, views: Sequence[str] = TRAIN) -> dict[str, Scene]:
+    """The last model less one of its parts, everything that is left of brightness and effects fitted again."""
+    from warpsar.world.world import posed
+
+    pairs = list(zip(scene.objects, declared.objects, strict=True))
+    unshaped = [one.model_copy(update={"size_m": s.size_m, "side_curvature": s.side_curvature}) for one, s in pairs]
+    unposed = [one.model_copy(update={"position_m": s.position_m, "heading_deg": s.heading_deg}) for one, s in pairs]
+    less = {k: table for k, table in scene.effects.items() if k != "multibounce"}
+    changed = {
+        "last, without brightness by object": alike(scene),
+        "last, without poses": posed(scene, unposed),
+        "last, without shapes": posed(scene, unshaped),
+        "last, without bounces": replace(scene, effects=less),
+    }
+    return {name: fit_common(one, views) for name, one in changed.items()}
+
+
+def fitted(path: Path, out: Path) -> dict[str, Any]:
+    """All steps, kept as scenes in OUT/objects, and the objects' table."""
+    found, objects = steps_of(path)
+    found |= without(found[FINAL], Scene.load(path))
+    files = {}
+    for k, (name, scene) in enumerate(found.items()):
+        files[name] = f"step{k}.toml"
+        scene.save(out / files[name])
+    final = found[FINAL]
+    spread, towards = correlation_area(seen_in(final, TRAIN)), towards_radar(final)
+    return {
+        "files": files,
+        "effects": {name: dict(table) for name, table in final.effects.items()},
+        "pixels_of_one_speckle": spread,
+        "scatter": float(np.median([one.scatter for one in objects])),
+        "objects": [described(one, spread, towards) for one in objects],
+    }
+
+
+def compared(
+    data: Path, out: Path, found: dict[str, evaluation.Evaluation], device: str | None
+) -> dict[str, dict[str, Any]]:
+    """Every prediction of each test view, over all pixels and by class."""
     scene = Scene.load(out / "flat" / "learned" / "scene.toml")
     speckle = pure_speckle(data, scene, SAMPLES, device)
     return {view.name: _compared(view.name, scene, out, found, speckle) for view in scene.views if view.role == "test"}
@@ -456,30 +531,28 @@ def compared(data: Path, out: Path, found: dict[str, evaluation.Evaluation], dev
 def _compared(
     view: str, scene: Scene, out: Path, found: dict[str, evaluation.Evaluation], speckle: dict[str, np.ndarray]
 ) -> dict[str, Any]:
-    flat, bodies = found["flat, learned"], found["bodies, as declared"]
-    materials = Scene.load(out / "bodies" / "scene.toml").mesh.materials
-    test, of = (image_of(e, view) for e in (flat, bodies))
-    simple = simple_predictions(scene, flat, view)
-    made = simple | {name: image_of(e, view).simulated for name, e in found.items()}
-    mask = test.interior & of.interior & np.all([np.isfinite(image) & (image > 0) for image in made.values()], axis=0)
+    flat, last = found["flat, learned"], found[FINAL]
+    materials = Scene.load(out / "objects" / f"step{STEPS.index(FINAL)}.toml").mesh.materials
+    test, of = (image_of(e, view) for e in (flat, last))
+    made = simple_predictions(scene, flat, view) | {name: image_of(e, view).simulated for name, e in found.items()}
+    mask = test.interior & np.all([np.isfinite(image) & (image > 0) for image in made.values()], axis=0)
     result = compare(test, made, mask)
     parts = {name: part[mask] for name, part in classes(of, materials).items() if (part & mask).any()}
-    last = list(step_scenes(out))[-1]
-    best = result.deviances["mean of az001 and az002"]
     table = {
         name: {
-            "all": float(d.mean()),
-            **{label: float(d[part].mean()) for label, part in parts.items()},
+            "all": float(each.mean()),
+            **{label: float(each[part].mean()) for label, part in parts.items()},
             "rmse_db": float(np.sqrt(np.mean(result.decibels[name] ** 2))),
         }
-        for name, d in result.deviances.items()
+        for name, each in result.deviances.items()
     }
+    best = result.deviances["the same, 3 x 3 pixels"]
     return {
         "looks": result.looks,
         "pixels": {"all": int(mask.sum())} | {label: int(part.sum()) for label, part in parts.items()},
         "deviance_over_floor": table,
-        "share_of_pixels_where_better_than_mean": {
-            label: float(np.mean(result.deviances[last][part] < best[part]))
+        "share_of_pixels_where_better_than_mean3x3": {
+            label: float(np.mean(result.deviances[FINAL][part] < best[part]))
             for label, part in {"all": np.ones(best.shape, bool), **parts}.items()
         },
         "scatter_floor": {
@@ -491,51 +564,62 @@ def _compared(
     }
 
 
+def in_short(predictions: dict[str, Any]) -> dict[str, float]:
+    """The five numbers of a view."""
+    table = {name: values["all"] for name, values in predictions["deviance_over_floor"].items()}
+    return {
+        "final": table[FINAL],
+        "mean": table["mean of az001 and az002"],
+        "mean3x3": table["the same, 3 x 3 pixels"],
+        "regions": table["one constant per flat region"],
+        "floor": predictions["scatter_floor"]["all"],
+    }
+
+
 # ---- pictures ----
 
 
-def outline(scene: Scene, view: View) -> list[np.ndarray]:
-    """Edges of the bodies as the view sees them: (2, 2) each, azimuth and slant range of both ends [m]."""
-    geometry = geometry_of(scene, view)
-    bodies = [scene.mesh.materials.index(name) for name in ("vehicle", "reflector")]
-    corners = scene.mesh.vertices[scene.mesh.faces[np.isin(scene.mesh.face_material, bodies)]]
-    found = []
-    for face in corners:
-        lengths = np.linalg.norm(face - np.roll(face, -1, axis=0), axis=1)
-        for k in np.argsort(lengths)[:2]:  # not the diagonal of a quad
-            ends = face[[k, (k + 1) % 3]]
-            found.append(np.column_stack([ends @ geometry.u, ends @ geometry.d]))
+def outlines(scene: Scene, view: View) -> list[np.ndarray]:
+    """Footprints of the objects as the view sees them, (5, 2) each: azimuth and slant range [m]."""
+    geometry, found = geometry_of(scene, view), []
+    for one in scene.objects:
+        near, far = (near_side(one, s * towards_radar(scene)) for s in (1.0, -1.0))
+        corners = np.column_stack([[*near, *far[::-1], near[0]], np.zeros(5)])
+        found.append(np.column_stack([corners @ geometry.u, corners @ geometry.d]))
     return found
 
 
 def figures(out: Path, found: dict[str, evaluation.Evaluation], folder: Path) -> None:
-    """The bodies over the train views' mean; the test view, the model, and what is left of it."""
+    """The objects over the train views' mean; the test view, the model, and what is left of it."""
     from matplotlib.collections import LineCollection
 
-    bodies = Scene.load(out / "bodies" / "scene.toml")
-    grid = bodies.grid
+    final = found[FINAL]
+    scene = Scene.load(out / "objects" / f"step{STEPS.index(FINAL)}.toml")
+    grid = scene.grid
     half = [n * s / 2.0 for n, s in zip(grid.shape, grid.spacing_m, strict=True)]
     place: dict[str, Any] = {"extent": (-half[1], half[1], half[0], -half[0]), "interpolation": "nearest"}
-    declared, final = found["bodies, as declared"], found[list(step_scenes(out))[-1]]
-    first = declared.images[0]
-    mean = seen_from(bodies, {i.view.name: i.measured for i in declared.images[:2]}, first.view.name)
+    first = image_of(final, TRAIN[0])
+    train = {name: image_of(final, name).measured for name in TRAIN}
+    mean = seen_from(scene, train, first.view.name)
     reference = float(np.median(mean[np.isfinite(mean)]))
     folder.mkdir(parents=True, exist_ok=True)
     figure, axis = new(7.0, 4.6)
     drawn = axis.imshow(decibels(mean, reference), cmap="gray", vmin=-8, vmax=20, **place)
-    axis.add_collection(LineCollection(outline(bodies, first.view), colors="tab:orange", linewidths=0.4))
+    declared = Scene.load(out / "objects" / "scene.toml")
+    for of, colour in ((declared, "tab:blue"), (scene, "tab:orange")):
+        axis.add_collection(LineCollection(outlines(of, first.view), colors=colour, linewidths=0.5))
     figure.colorbar(drawn, ax=axis, label="dB to the median", shrink=0.8)
     axis.set(xlim=place["extent"][:2], ylim=place["extent"][2:], xlabel="azimuth [m]", ylabel="slant range [m]")
-    axis.set_title("az001 and az002, mean, with the bodies' edges", size=9)
+    axis.set_title("az001 and az002, mean; objects as read off (blue) and as learned", size=9)
     save(figure, folder / "measured_gotcha_run_regions.png")
 
     figure, axes = new(10.0, 5.6, nrows=2, ncols=2, sharex=True, sharey=True)
-    tests = [image_of(e, TEST) for e in (declared, final)]
+    before, after = image_of(found[STEPS[0]], TEST), image_of(final, TEST)
     panels = (
-        (f"{TEST}, measured (test)", decibels(tests[0].measured, reference), "gray", (-8, 20)),
-        ("with the effects found", decibels(tests[1].simulated, reference), "gray", (-8, 20)),
-        ("measured / declared", tests[0].ratio_db, "RdBu_r", (-12, 12)),
-        ("measured / with effects", tests[1].ratio_db, "RdBu_r", (-12, 12)),
+        (f"{TEST}, measured (test)", decibels(after.measured, reference), "gray", (-8, 20)),
+        ("last model", decibels(after.simulated, reference), "gray", (-8, 20)),
+        ("measured / cars as read off", before.ratio_db, "RdBu_r", (-12, 12)),
+        ("measured / last model", after.ratio_db, "RdBu_r", (-12, 12)),
     )
     for axis, (title, values, colours, (low, high)) in zip(axes.flat, panels, strict=True):
         drawn = axis.imshow(values, cmap=colours, vmin=low, vmax=high, **place)
@@ -557,44 +641,46 @@ def run(
     *,
     figure_folder: Path | None = None,
     device: str | None = None,
-    options: DiagnoseOptions = DIAGNOSE,
+    options: DiagnoseOptions = SHORT,
 ) -> dict[str, Any]:
     """All of it; returns what gotcha.json holds."""
     out.mkdir(parents=True, exist_ok=True)
     made = kept(out / "made.json", tables.made)
     flat = prepare(data, out / "flat", flat=True, device=device)
-    bodies = prepare(data, out / "bodies", flat=False, device=device)
-    theory = kept(out / "impulse_response.json", lambda: impulse_response(data, Scene.load(bodies), device))
-    one = LearnOptions(starts=1)
+    path = prepare(data, out / "objects", flat=False, device=device)
+    theory = kept(out / "impulse_response.json", lambda: impulse_response(data, Scene.load(path), device))
 
     def of_flat() -> dict[str, Any]:
-        said = learned(heights_only(flat), out / "flat" / "learned", one, device)
+        said = learned(heights_only(flat), out / "flat" / "learned", LearnOptions(starts=1), device)
         scene = Scene.load(out / "flat" / "learned" / "scene.toml")
         return said | {"brightness": brightness(scene, evaluation.evaluate(scene, device=device), said)}
 
-    def of_bodies() -> dict[str, Any]:
-        return learned(bodies, out / "bodies" / "learned", LearnOptions(), device)
-
-    def of_all() -> dict[str, Any]:
-        return learned(all_of_it(bodies), out / "bodies" / "all", one, device)
-
-    def of_fields() -> dict[str, Any]:
-        start = fields_of(out / "bodies" / "learned" / "scene.toml")
-        slowly = LearnOptions(starts=1, iterations=FIELD_ITERATIONS, total_variation={"rms_height_m": FIELD_VARIATION})
-        return learned(start, out / "bodies" / "fields", slowly, device)
-
+    plain = kept(out / "flat.json", of_flat)
+    objects = kept(out / "objects.json", lambda: fitted(path, out / "objects"))
+    final = out / "objects" / objects["files"][FINAL]
+    diagnosis = kept(out / "diagnosis.json", lambda: effects_alone(final, out / "diagnosis", options, device))
+    scenes = {"flat, learned": out / "flat" / "learned" / "scene.toml"}
+    scenes |= {name: out / "objects" / file for name, file in objects["files"].items()}
+    if diagnosis["verdict"]:
+        scenes["last, with what the diagnosis adds"] = out / "diagnosis" / "scene.toml"
+    found = {name: evaluation.evaluate(Scene.load(file), device=device) for name, file in scenes.items()}
+    predictions = compared(data, out, found, device)
+    survey = data / "gotcha" / "surveyed_vehicles.csv"
     content = {
         "made": made,
+        "comparison": {view: in_short(table) for view, table in predictions.items()},
+        "objects": objects["objects"],
+        "verdict": diagnosis["verdict"],
+        "effects": objects["effects"],
+        "pixels_of_one_speckle": objects["pixels_of_one_speckle"],
+        "scatter": objects["scatter"],
+        "survey": surveyed(survey, objects["objects"], towards_radar(Scene.load(final))),
+        "predictions": predictions,
         "impulse_response": theory,
-        "flat": kept(out / "flat.json", of_flat),
-        "bodies": kept(out / "bodies.json", of_bodies),
-        "bodies_all": kept(out / "bodies_all.json", of_all),
-        "fields": kept(out / "fields.json", of_fields),
-        "diagnosis": kept(out / "diagnosis.json", lambda: diagnosed(bodies, out / "diagnosis", options, device)),
+        "flat": plain,
+        "diagnosis": diagnosis,
+        "point_spread_found": effect_widths(diagnosis),
     }
-    found = predicted(out, device)
-    content["comparison"] = compared(data, out, found, device)
-    content["point_spread_found"] = effect_widths(content["diagnosis"])
     figures(out, found, figure_folder or out)
     written(out, "gotcha", content, tables_of(content))
     return content
@@ -639,9 +725,53 @@ def comparison_table(comparison: dict[str, Any]) -> str:
     rows.append(["*view-to-view scatter*", *(comparison["scatter_floor"].get(label, "") for label in labels), ""])
     rows += [[f"*uniform ground: {k}*", v, *[""] * len(labels)] for k, v in comparison["speckle"]["left"].items()]
     rows.append(["pixels", *(comparison["pixels"][label] for label in labels), ""])
-    better = comparison["share_of_pixels_where_better_than_mean"]
-    rows.append(["last model better than the mean, share of pixels", *(better[label] for label in labels), ""])
+    better = comparison["share_of_pixels_where_better_than_mean3x3"]
+    rows.append(["last model better than 3 x 3, share of pixels", *(better[label] for label in labels), ""])
     return rounded(["prediction", *labels, "error [dB]"], rows)
+
+
+def survey_table(rows: list[dict[str, Any]]) -> str:
+    """Near side and heading of each surveyed vehicle: learned less surveyed, with 95 % intervals."""
+
+    def said(row: dict[str, Any], off: str, sd: str) -> str:
+        return "" if row.get(sd) is None else f"{row[off]:+.2f} ± {1.96 * row[sd]:.2f}"
+
+    head = ["vehicle", "object", "near side's line [m]", "along it [m]", "heading [deg]"]
+    return rounded(
+        head,
+        [
+            [
+                row["vehicle"],
+                row["object"] or "none",
+                said(row, "line_off_m", "line_sd_m"),
+                said(row, "along_off_m", "north_sd_m"),
+                said(row, "heading_off_deg", "heading_sd_deg"),
+            ]
+            for row in rows
+        ],
+    )
+
+
+def told_table(objects: list[dict[str, Any]]) -> str:
+    """Of how many cars each number is told, its median standard deviation, and what it trades with."""
+    cars = [one for one in objects if one["primitive"] == "car"]
+    rows = []
+    for key in (*POSE, *SHAPE, "brightness"):
+        trades: dict[str, int] = {}
+        for one in cars:
+            for a, b, _ in one["trade"]:
+                if key in (a, b):
+                    other = b if key == a else a
+                    trades[other] = trades.get(other, 0) + 1
+        ordered = sorted(trades.items(), key=lambda pair: -pair[1])
+        rows.append(
+            [
+                key,
+                f"{sum(key in one['told'] for one in cars)} of {len(cars)}",
+                ", ".join(f"{k} ({n})" for k, n in ordered),
+            ]
+        )
+    return rounded(["number of a car", "told", "trades with (cars)"], rows)
 
 
 def tables_of(content: dict[str, Any]) -> dict[str, str]:
@@ -650,8 +780,10 @@ def tables_of(content: dict[str, Any]) -> dict[str, str]:
         "gotcha.reflectors": reflectors(content["impulse_response"]),
         "gotcha.widths": widths(content),
         "gotcha.brightness": brightness_table(content["flat"]),
+        "gotcha.survey": survey_table(content["survey"]),
+        "gotcha.told": told_table(content["objects"]),
         "gotcha.turns": rounded(TURNS, turns_of(content["diagnosis"])),
-        **{f"gotcha.{view}": comparison_table(found) for view, found in content["comparison"].items()},
+        **{f"gotcha.{view}": comparison_table(found) for view, found in content["predictions"].items()},
     }
 
 
@@ -660,14 +792,14 @@ def main() -> None:
     parser.add_argument("data", type=Path)
     parser.add_argument("-o", "--out", type=Path, required=True)
     parser.add_argument("--figures", type=Path, help="folder of the two pictures; default: OUT")
-    parser.add_argument("--short", action="store_true", help="a diagnosis of fewer starts, refits and effects")
+    parser.add_argument("--long", action="store_true", help="a diagnosis of more starts, refits and effects")
     parser.add_argument("--device")
     tables.add_write(parser)
     given = parser.parse_args()
-    options = SHORT if given.short else DIAGNOSE
+    options = DIAGNOSE if given.long else SHORT
     content = run(given.data, given.out, figure_folder=given.figures, device=given.device, options=options)
     found = tables_of(content)
-    further = {f"gotcha.{view}" for view in content["comparison"]} - {f"gotcha.{TEST}"}  # no page has these
+    further = {f"gotcha.{view}" for view in content["predictions"]} - {f"gotcha.{TEST}"}  # no page has these
     tables.publish({name: body for name, body in found.items() if name not in further}, content, given.write)
     tables.publish({name: found[name] for name in sorted(further)}, content, False)
 

@@ -129,15 +129,19 @@ def bodies() -> dict[str, list[tuple[Point, Point, Point]]]:
 
 def write(folder: Path, *, flat: bool = False) -> Path:
     """Write the scene; returns its scene.toml."""
-    content = table(flat=flat)
+    write_mesh(folder, table(flat=flat), {} if flat else bodies())
+    return Path(shutil.copyfile(HERE / ("flat.toml" if flat else "scene.toml"), folder / "scene.toml"))
+
+
+def write_mesh(folder: Path, content: dict[str, Any], standing: dict[str, list[tuple[Point, Point, Point]]]) -> None:
+    """scene.obj and scene.mtl: the regions as ground, and the triangles of what stands on it, by material."""
     names, material = cells(content["regions"], content["size_m"])
     triangles: dict[str, list[tuple[Point, Point, Point]]] = {name: [] for name in names}
     for corners in rectangles(material):
         west, south, east, north = (k * CELL_M - content["size_m"] / 2.0 for k in corners)
         a, b, c, d = (west, south, 0.0), (east, south, 0.0), (east, north, 0.0), (west, north, 0.0)
         triangles[names[material[corners[1], corners[0]]]] += [(a, b, c), (a, c, d)]
-    if not flat:
-        triangles |= bodies()
+    triangles |= standing
     lines = ["# Written by data/gotcha/make_scene.py; metres, Z up", "mtllib scene.mtl"]
     count = 0
     for name, mine in triangles.items():
@@ -147,7 +151,6 @@ def write(folder: Path, *, flat: bool = False) -> Path:
     (folder / "scene.obj").write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
     colours = [line for name in triangles for line in (f"newmtl {name}", "Kd 0.70 0.70 0.70")]
     (folder / "scene.mtl").write_text("\n".join(colours) + "\n", encoding="utf-8", newline="\n")
-    return Path(shutil.copyfile(HERE / ("flat.toml" if flat else "scene.toml"), folder / "scene.toml"))
 
 
 def _faces(triangles: Iterable[tuple[Point, Point, Point]], count: int, size_m: float) -> Iterator[str]:

@@ -1,0 +1,333 @@
+"""Poses, shapes and brightness of many objects at once, from images that need not be differentiable.
+
+A bounce between car and ground is followed by rays, and an image by rays has no derivative over millimetres. So each
+object's derivatives are differences over centimetres, of a small scene about it: the object, its neighbours, a piece of
+ground, and the pixels that they reach. Objects are fitted in turn, each against what all others give; two processes
+share them. Whatever all objects have in common (ground, point spread, bounces) is fitted between two rounds.
+"""
+
+from __future__ import annotations
+
+import math
+import multiprocessing
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from warpsar.effects.registry import validate
+from warpsar.learning.observation import Observation
+from warpsar.learning.optimise import begin, levenberg_marquardt
+from warpsar.learning.problem import FitProblem
+from warpsar.learning.results import learned_scene
+from warpsar.runtime.devices import resolve_device
+from warpsar.scene.placing import with_objects
+from warpsar.scene.scene import Scene
+from warpsar.simulation.exact_rays import ExactRays
+from warpsar.surface.stage import Stage
+from warpsar.world.mesh import Mesh
+from warpsar.world.objects.table import LIMITS, Object
+from warpsar.world.pixels import Pixels
+from warpsar.world.tables import View
+from warpsar.world.world import geometry_of, posed
+
+ROWS, COLS = 30, 18  # of an object's window: 15 m of slant range and 18 m of azimuth
+NEIGHBOURS_M, GROUND_M = 10.0, 11.0  # how far objects and ground reach from the window's middle
+GROUND = "car_park"  # material of a window's ground: only its differences count, where shadows move
+SIZES = ("length", "width", "height")
+POSE, SHAPE = ("east", "north", "heading"), (*SIZES, "side_curvature")
+BRIGHTNESS = "brightness"  # ln of the material's rms height
+STEP = {"east": 0.06, "north": 0.10, "heading": 1.5, "length": 0.04, "width": 0.05, "height": 0.06}
+STEP |= {"side_curvature": 0.03, BRIGHTNESS: 0.1}
+KNOWN = {"east": 0.8, "north": 1.2, "heading": 6.0, "length": 0.10, "width": 0.08, "height": 0.12}
+KNOWN |= {"side_curvature": 0.06, BRIGHTNESS: 1.2}
+"""Standard deviations about the start: of the reading [m], of a parked car [deg], of cars (shares of a size)."""
+THING = {"length": 0.5, "width": 0.5, "height": 0.5}  # of what is no car, nothing is known
+LARGEST = {"east": 0.6, "north": 0.8, "heading": 5.0}  # move in one step; of logarithms and shares 0.7
+LEAST = 0.1  # of an object's own image, that is left where the others' difference to the window's exceeds it
+ENOUGH = 0.5  # gain in log-likelihood from which a further step is tried
+PROCESSES = 2
+
+
+def keys_of(one: Object, wanted: Sequence[str]) -> list[str]:
+    """Those of the wanted numbers that the object has. A box has neither front nor curved sides."""
+    return [key for key in wanted if one.primitive == "car" or key not in ("heading", "side_curvature")]
+
+
+def value(one: Object, key: str) -> float:
+    """A number of an object: metres, degrees, the logarithm of a size, or a share."""
+    if key in SIZES:
+        assert one.size_m is not None
+        return math.log(one.size_m[SIZES.index(key)])
+    if key in ("east", "north"):
+        return one.position_m[("east", "north").index(key)]
+    return one.heading_deg if key == "heading" else float(one.side_curvature or 0.0)
+
+
+def with_values(one: Object, values: Mapping[str, float]) -> Object:
+    """The object with these numbers."""
+    assert one.size_m is not None
+    position, size = list(one.position_m), list(one.size_m)
+    changed: dict[str, Any] = {}
+    for key, number in values.items():
+        if key in SIZES:
+            size[SIZES.index(key)] = math.exp(number)
+        elif key in ("east", "north"):
+            position[("east", "north").index(key)] = float(number)
+        elif key == "heading":
+            changed["heading_deg"] = float(number)
+        elif key == "side_curvature":
+            changed[key] = float(np.clip(number, *LIMITS[key]))
+    return one.model_copy(update={"position_m": tuple(position), "size_m": tuple(size), **changed})
+
+
+@dataclass(frozen=True)
+class Seen:
+    """One view of the whole scene, (rows, cols) each: modelled beta0, measured power over its gain, usable pixels."""
+
+    view: View
+    model: np.ndarray
+    measured: np.ndarray
+    usable: np.ndarray
+    looks: float
+
+
+def problem_of(scene: Scene, views: Sequence[str]) -> FitProblem:
+    """Exact hits of the given views, whatever their role."""
+    device = resolve_device("cpu")
+    return FitProblem(
+        scene, device, roles=("train", "test"), views=list(views), rays=ExactRays(Stage.of(scene, device), seed=1)
+    )
+
+
+def seen_in(scene: Scene, views: Sequence[str]) -> list[Seen]:
+    problem = problem_of(scene, views)
+    modelled = problem.modelled(problem.x0)
+    found = []
+    for view, seen, gain in zip(problem.views, problem.observations, problem.gains(modelled), strict=True):
+        model = view.render.images[seen.polarization].numpy().reshape(scene.grid.shape).astype(float)
+        measured = np.asarray(seen.measured, float) / gain
+        found.append(Seen(view.view, model, np.where(seen.interior, measured, 1.0), seen.interior, seen.looks))
+    return found
+
+
+class Window:
+    """The pixels about an object in one view, as an image of a small scene of its own."""
+
+    def __init__(self, scene: Scene, seen: Seen, index: int) -> None:
+        self.seen, self.index = seen, index
+        geometry, shape, spacing = geometry_of(scene, seen.view), scene.grid.shape, scene.grid.spacing_m
+        east, north, _ = scene.objects[index].position_m
+        middle = np.array([east, north, 0.0])
+        row, col = (round(float(middle @ axis) / s) for axis, s in zip((geometry.d, geometry.u), spacing, strict=True))
+        self.reference = row * spacing[0] * geometry.d + col * spacing[1] * geometry.u
+        first = (shape[0] // 2 + row - ROWS // 2, shape[1] // 2 + col - COLS // 2)
+        ends = [(max(f, 0), min(f + n, whole)) for f, n, whole in zip(first, (ROWS, COLS), shape, strict=True)]
+        self.whole = tuple(slice(*pair) for pair in ends)
+        self.part = tuple(slice(low - f, high - f) for f, (low, high) in zip(first, ends, strict=True))
+        self.grid = scene.grid.model_copy(update={"shape": (ROWS, COLS)})
+        plain = Pixels(np.ones((ROWS, COLS), np.float32))
+        self.view = seen.view.model_copy(update={"looks": 1.0, "images": {"HH": plain}, "mask": None})
+        corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * GROUND_M + middle
+        faces = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
+        self.ground = Mesh(corners, faces, np.zeros(2, np.int32), (GROUND,))
+        self.near = [
+            k
+            for k, other in enumerate(scene.objects)
+            if k != index and np.abs(np.subtract(other.position_m[:2], middle[:2])).max() < NEIGHBOURS_M
+        ]
+
+    def problem(self, scene: Scene, one: Object) -> FitProblem:
+        """The window's scene with the object as given: its x is the logarithm of the object's rms height."""
+        materials = {
+            name: table.model_copy(update={"learn": ("rms_height_m",) if name == one.material else ()})
+            for name, table in scene.materials.items()
+        }
+        own = replace(
+            scene,
+            mesh=self.ground,
+            assembly=None,
+            objects=(),
+            materials={GROUND: materials[GROUND]},
+            grid=self.grid,
+            reference_point_m=tuple(self.reference),
+            views=[self.view],
+            effects={k: {**table, "fixed": True} for k, table in scene.effects.items() if k != "eps_gradient"},
+            path=None,
+        )
+        own = with_objects(own, [one, *(scene.objects[k] for k in self.near)], materials)
+        every = np.ones((ROWS, COLS), bool)
+        plain = Observation(self.view, "HH", every.astype(np.float32), every, ~every, ~every, 1.0, False)
+        device = resolve_device("cpu")
+        rays = ExactRays(Stage.of(own, device), seed=1)
+        return FitProblem(own, device, views=[self.view.name], rays=rays, observations={self.view.name: [plain]})
+
+    def image(self, problem: FitProblem, log_height: float) -> np.ndarray:
+        """beta0 of those pixels that lie in the whole image."""
+        (image,) = problem.modelled(np.array([log_height]))
+        return image.reshape(ROWS, COLS)[self.part]
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """An object after its fit; `information` is that of the images alone about `keys`, brightness last, for speckle of
+    the stated looks; `scatter` what is left of it: looks times the mean squared relative residual."""
+
+    object: Object
+    log_height: float
+    gain: float
+    keys: list[str]
+    information: np.ndarray
+    scatter: float
+
+
+class _Fit:
+    """One object against everything else, which stays: `vector` holds its keys' values, brightness last."""
+
+    def __init__(self, scene: Scene, index: int, start: Object, seen: Sequence[Seen], keys: Sequence[str]) -> None:
+        self.scene, self.one = scene, scene.objects[index]
+        self.keys = [*keys_of(self.one, keys), BRIGHTNESS]
+        self.windows = [Window(scene, each, index) for each in seen]
+        heights = {o.material: math.log(float(scene.materials[str(o.material)].rms_height_m)) for o in scene.objects}
+        self.start = np.array([*(value(self.one, k) for k in self.keys[:-1]), heights[self.one.material]])
+        self.about = np.array([*(value(start, k) for k in self.keys[:-1]), np.median(list(heights.values()))])
+        known = KNOWN if self.one.primitive == "car" else KNOWN | THING
+        self.sd = np.array([known[k] for k in self.keys])
+        self.problems = self.posed(self.start)
+        self.now = self.shot(self.problems, self.start)
+        self.others = [w.seen.model[w.whole] - n for w, n in zip(self.windows, self.now, strict=True)]
+        self.data = [(w.seen.measured[w.whole], w.seen.usable[w.whole], w.seen.looks) for w in self.windows]
+
+    def posed(self, vector: np.ndarray) -> list[FitProblem]:
+        one = with_values(self.one, dict(zip(self.keys[:-1], vector[:-1], strict=True)))
+        return [w.problem(self.scene, one) for w in self.windows]
+
+    def shot(self, problems: Sequence[FitProblem], vector: np.ndarray) -> list[np.ndarray]:
+        return [w.image(p, float(vector[-1])) for w, p in zip(self.windows, problems, strict=True)]
+
+    def total(self, images: Sequence[np.ndarray]) -> list[np.ndarray]:
+        """The whole scene's pixels with the object's window as given."""
+        return [np.maximum(o + i, LEAST * i) for o, i in zip(self.others, images, strict=True)]
+
+    def loss(self, images: Sequence[np.ndarray], vector: np.ndarray) -> float:
+        found = 0.5 * float((((vector - self.about) / self.sd) ** 2).sum())
+        for mu, (measured, usable, looks) in zip(self.total(images), self.data, strict=True):
+            found += looks * float((measured / mu + np.log(mu))[usable].sum())
+        return found
+
+    def quadratic(self, vector: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+        """Gradient with the prior, the images' information alone, and the scatter."""
+        mus = self.total(self.now)
+        slopes: list[list[np.ndarray]] = [[] for _ in mus]
+        for k, key in enumerate(self.keys):
+            moved = vector.copy()
+            moved[k] += STEP[key]
+            problems = self.problems if key == BRIGHTNESS else self.posed(moved)
+            for found, other, mu in zip(slopes, self.total(self.shot(problems, moved)), mus, strict=True):
+                found.append(np.log(other / mu) / STEP[key])
+        gradient = (vector - self.about) / self.sd**2
+        information = np.zeros((len(self.keys), len(self.keys)))
+        squares = []
+        for found, mu, (measured, usable, looks) in zip(slopes, mus, self.data, strict=True):
+            matrix = np.stack([each[usable] for each in found], axis=1)
+            residual = (measured / mu - 1.0)[usable]
+            gradient = gradient - looks * matrix.T @ residual
+            information = information + looks * matrix.T @ matrix
+            squares.append(looks * float(np.mean(residual**2)))
+        return gradient, information, float(np.mean(squares))
+
+    def step(self, gradient: np.ndarray, information: np.ndarray, damping: float) -> np.ndarray:
+        """Shortened, so that no number moves by more than `LARGEST`."""
+        curvature = information + np.diag(1.0 / self.sd**2)
+        move = -np.linalg.solve(curvature + damping * np.diag(np.diag(curvature)), gradient)
+        return np.asarray(
+            move / max(1.0, *(abs(m) / LARGEST.get(k, 0.7) for m, k in zip(move, self.keys, strict=True)))
+        )
+
+    def descended(self, steps: int, *, told: bool = False) -> Fitted:
+        """Levenberg-Marquardt; the whole scene's model is left with the object in its new place. `told`: the
+        information is that of the end, not of the last step's begin."""
+        vector, current, damping = self.start.copy(), self.loss(self.now, self.start), 1e-2
+        first, scatter = current, 1.0
+        for _ in range(steps):
+            gradient, information, scatter = self.quadratic(vector)
+            gain = 0.0
+            for _ in range(4):
+                trial = vector + self.step(gradient, information, damping)
+                for k, key in enumerate(self.keys):
+                    trial[k] = np.clip(trial[k], *LIMITS[key]) if key in LIMITS else trial[k]
+                problems = self.posed(trial)
+                images = self.shot(problems, trial)
+                if (loss := self.loss(images, trial)) < current:
+                    gain = current - loss
+                    vector, self.problems, self.now, current = trial, problems, images, loss
+                    damping = max(damping / 10.0, 1e-4)
+                    break
+                damping = max(10.0 * damping, 0.05)
+            if gain < ENOUGH:
+                break
+        if told:
+            _, information, scatter = self.quadratic(vector)
+        for window, mu in zip(self.windows, self.total(self.now), strict=True):
+            window.seen.model[window.whole] = mu
+        one = with_values(self.one, dict(zip(self.keys[:-1], vector[:-1], strict=True)))
+        return Fitted(one, float(vector[-1]), first - current, self.keys, information, scatter)
+
+
+_Task = tuple[Scene, list[int], Sequence[Object], Sequence[str], Sequence[str], int, bool]
+
+
+def _share(task: _Task) -> dict[int, Fitted]:
+    scene, mine, starts, views, keys, steps, told = task
+    seen, found = seen_in(scene, views), {}
+    for index in mine:
+        done = _Fit(scene, index, starts[index], seen, keys).descended(steps, told=told)
+        found[index], scene = done, placed(scene, {index: done})
+    return found
+
+
+def placed(scene: Scene, found: Mapping[int, Fitted]) -> Scene:
+    """The scene with fitted objects in place."""
+    objects, materials = list(scene.objects), dict(scene.materials)
+    for index, one in found.items():
+        objects[index] = one.object
+        name = str(one.object.material)
+        materials[name] = materials[name].model_copy(update={"rms_height_m": math.exp(one.log_height)})
+    return replace(posed(scene, objects), materials=materials)
+
+
+def fit_round(
+    scene: Scene,
+    starts: Sequence[Object],
+    views: Sequence[str],
+    keys: Sequence[str],
+    *,
+    steps: int = 2,
+    told: bool = False,
+) -> tuple[Scene, dict[int, Fitted]]:
+    """Every object fitted once, against all others as they stand: `PROCESSES` shares, from south to north.
+
+    `starts` are the objects as they were read off, which the priors are about. `told`: as `_Fit.descended`."""
+    order = sorted(range(len(scene.objects)), key=lambda k: scene.objects[k].position_m[1])
+    shares = [part.tolist() for part in np.array_split(order, PROCESSES)]
+    tasks = [(scene, mine, starts, views, keys, steps, told) for mine in shares]
+    with multiprocessing.get_context("spawn").Pool(PROCESSES) as pool:
+        found = {k: one for part in pool.map(_share, tasks) for k, one in part.items()}
+    return placed(scene, found), found
+
+
+def fit_common(scene: Scene, views: Sequence[str], *, most: int = 8, flat: float = 3.0) -> Scene:
+    """Every material's brightness and the effects, with all objects where they stand."""
+    problem = problem_of(scene, views)
+    state = begin(problem, 0, 0)
+    for _ in range(most):
+        state = levenberg_marquardt(problem, state, flat=flat, kept_within=0.1)
+        if state.arrived:
+            break
+    return learned_scene(problem, np.asarray(state.best_x), None)
+
+
+def with_effects(scene: Scene, **tables: Mapping[str, Any]) -> Scene:
+    checked = {name: validate(name, dict(table), f"effects.{name}") for name, table in tables.items()}
+    return replace(scene, effects={**scene.effects, **checked})
