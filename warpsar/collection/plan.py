@@ -80,7 +80,7 @@ class Plan:
     @property
     def slant_range_m(self) -> float:
         """From the reference point to the middle of the track."""
-        return float(self.track.reference_m()[self.middle])
+        return float(self.track.centre().reference_m()[0])
 
     @cached_property
     def beam_gain(self) -> F64:

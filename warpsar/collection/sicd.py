@@ -56,7 +56,7 @@ def write(path: Path, made: Slc, polarization: str) -> None:
         "SCP": {"ECF": _centre(made), "LLH": ecef_to_geodetic(_centre(made))},
         "ImageCorners": _corners(made),
     }
-    tables["Grid"] = _grid(made, float(times.mean()))
+    tables["Grid"] = _grid(made, 0.5 * float(times[-1]))
     tables["Timeline"] = {"CollectStart": np.datetime64(START).astype(object), "CollectDuration": float(times[-1])}
     tables["Position"] = {"ARPPoly": _polynomial(made, times)}
     tables["RadarCollection"] = {
