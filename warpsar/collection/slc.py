@@ -152,7 +152,10 @@ class _Axis:
         margin = int(np.ceil(MARGIN * cell_m / step))
         count = fft.next_fast_len((len(pixels_m) - 1) * every + 1 + 2 * margin)
         own = fft.fftfreq(count, step)
-        inside = np.interp(own, at, weight, left=0.0, right=0.0)
+        # The mean over each step of frequency: the ends of the band seldom lie between two.
+        total = np.concatenate([[0.0], np.cumsum(0.5 * (weight[1:] + weight[:-1]) * np.diff(at))])
+        half = 0.5 / (count * step)
+        inside = (np.interp(own + half, at, total) - np.interp(own - half, at, total)) / (2.0 * half)
         spread = fft.ifftshift(spread_transform(count, count))
         power = float((inside**2).sum() / inside.sum() ** 2) * count * step
         start = float(pixels_m[0]) - margin * step
