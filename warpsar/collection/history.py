@@ -165,14 +165,15 @@ class _Uploaded:
         )
 
 
-def _block(plan: Plan, shared: _Shared, parts: list[_Uploaded], polarizations: int, some: slice) -> Any:
-    """Spectra of some pulses, (polarizations, pulses, frequencies)."""
-    device, count = shared.device, plan.frequencies
-    bins = fft.next_fast_len(OVERSAMPLING * count)
+def deposited(
+    plan: Plan, shared: _Shared, parts: list[_Uploaded], polarizations: int, some: slice, lanes: int
+) -> wp.array:
+    """Range bins of some pulses, (polarizations, pulses, bins), on the device."""
+    device = shared.device
+    bins = fft.next_fast_len(OVERSAMPLING * plan.frequencies)
     pulses = np.arange(some.start, some.stop)
     out = wp.zeros((polarizations, len(pulses), bins), dtype=wp.vec2, device=device)
-    lanes = LANES["cpu" if device.is_cpu else "cuda"]
-    middle = count // 2
+    middle = plan.frequencies // 2
     rows = wp.array(pulses.astype(np.int32), dtype=int, device=device)
     for part in parts:
         weight = part.weight[some]
@@ -196,8 +197,15 @@ def _block(plan: Plan, shared: _Shared, parts: list[_Uploaded], polarizations: i
             lanes,
         ]
         wp.launch(kernels.deposit_kernel, (len(pulses), lanes), inputs=inputs, outputs=[out], device=device)
+    return out
+
+
+def _block(plan: Plan, shared: _Shared, parts: list[_Uploaded], polarizations: int, some: slice) -> Any:
+    """Spectra of some pulses, (polarizations, pulses, frequencies)."""
+    lanes = LANES["cpu" if shared.device.is_cpu else "cuda"]
+    out = deposited(plan, shared, parts, polarizations, some, lanes)
     profiles = np.ascontiguousarray(out.numpy()).view(np.complex64)[..., 0]
-    return undeposited(fft.fft(profiles, axis=-1), count).astype(np.complex64)
+    return undeposited(fft.fft(profiles, axis=-1), plan.frequencies).astype(np.complex64)
 
 
 def undeposited(spectrum: NDArray[np.complex64], count: int) -> NDArray[np.complex64]:

@@ -80,7 +80,7 @@ class Plan:
     @property
     def slant_range_m(self) -> float:
         """From the reference point to the middle of the track."""
-        return float(self.track.reference_m()[self.middle])
+        return float(self.track.centre().reference_m()[0])
 
     @cached_property
     def beam_gain(self) -> F64:
@@ -277,7 +277,7 @@ def _track(world: World, plan: Plan, frequency: float) -> Track:
         count = max(FEWEST, math.ceil((long[-1] - long[0]) * FEWEST / (FEWEST - 1) * table.prf_hz))
     if count is None:
         trial = replace(plan, track=_sent(flown(1024), table))
-        count = max(FEWEST, fft.next_fast_len(math.ceil(1024 * _turns(trial, frequency).max() / SPARE)))
+        count = max(FEWEST, fft.next_fast_len(math.ceil(1024 * _turns(world, trial, frequency).max() / SPARE)))
     return _sent(flown(count), table)
 
 
@@ -312,20 +312,27 @@ def _aperture(world: World, plan: Plan, frequency: float) -> float:
     return float(needed) if given is None else given
 
 
-def _places(plan: Plan) -> F64:
-    """The scene's corners and points between them, (n, 3)."""
+def _places(world: World, plan: Plan) -> F64:
+    """The scene's corners and points between them, and the image's corners, (n, 3)."""
     low, high = plan.corners_m.min(axis=0), plan.corners_m.max(axis=0)
     part = np.stack(np.meshgrid(np.linspace(0, 1, 9), np.linspace(0, 1, 9), [0.0, 1.0], indexing="ij"), axis=-1)
-    return low + part.reshape(-1, 3) * (high - low)
+    return np.concatenate([low + part.reshape(-1, 3) * (high - low), _ends(world, plan)])
 
 
-def _turns(plan: Plan, frequency: float) -> F64:
-    """From pulse to pulse: how many turns more the phase of one part of the scene makes than that of another.
+def _ends(world: World, plan: Plan) -> F64:
+    """The image's corners, (4, 3) [m]."""
+    axes = pixel_centres(world.grid.shape, world.grid.spacing_m, (1, 1))
+    row, column = plan_axes(plan)
+    return np.array([r * row + a * column for r in axes[0][[0, -1]] for a in axes[1][[0, -1]]])
+
+
+def _turns(world: World, plan: Plan, frequency: float) -> F64:
+    """From pulse to pulse: how many turns more the phase of one part of scene or image makes than that of another.
 
     Parts outside the main lobe of the beam do not count.
     """
     first = np.unique(np.linspace(0, len(plan.track) - 2, min(_SHOWN, len(plan.track) - 1)).astype(int))
-    places = _places(plan)
+    places = _places(world, plan)
     change = plan.track.ranges_less_reference(places, first + 1) - plan.track.ranges_less_reference(places, first)
     seen = np.abs(beam(plan, places, first)) > 0.05
     high = np.where(seen, change, -np.inf).max(axis=1)
@@ -335,11 +342,11 @@ def _turns(plan: Plan, frequency: float) -> F64:
 
 def _refuse_gaps(world: World, plan: Plan) -> None:
     """Raise InputError where pulses are too far apart for the scene."""
-    turns = _turns(plan, plan.centre_hz + 0.5 * plan.bandwidth_hz)
+    turns = _turns(world, plan, plan.centre_hz + 0.5 * plan.bandwidth_hz)
     if turns.max() >= 1.0:
         more = math.ceil(len(plan.track) * turns.max() / SPARE)
         raise InputError(
-            f"{world.name}: collection.pulses: found {len(plan.track)}, so far apart that the ends of the scene "
+            f"{world.name}: collection.pulses: found {len(plan.track)}, so far apart that the ends of scene or image "
             f"differ by {turns.max():.3g} turns of phase from one to the next (ambiguous); must be below 1: "
             f"about {more} pulses"
         )
@@ -348,10 +355,8 @@ def _refuse_gaps(world: World, plan: Plan) -> None:
 def swath_m(world: World, plan: Plan) -> float:
     """Largest way of the scene or the image from the reference point, in range [m]."""
     pulses = np.unique(np.linspace(0, len(plan.track) - 1, 33).astype(int))
-    axes = pixel_centres(world.grid.shape, world.grid.spacing_m, (1, 1))
-    row, column = plan_axes(plan)
-    ends = np.array([r * row + a * column for r in axes[0][[0, -1]] for a in axes[1][[0, -1]]])
-    return float(np.abs(plan.track.ranges_less_reference(np.concatenate([plan.corners_m, ends]), pulses)).max())
+    ends = np.concatenate([plan.corners_m, _ends(world, plan)])
+    return float(np.abs(plan.track.ranges_less_reference(ends, pulses)).max())
 
 
 def plan_axes(plan: Plan) -> tuple[F64, F64]:

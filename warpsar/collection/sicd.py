@@ -26,7 +26,8 @@ START = "2026-01-01T00:00:00"
 """A simulated collection has no date of its own."""
 _ORDER = 4
 """Of the polynomial of the track: a circle of a few degrees to a micrometre."""
-_LETTER = {"H": "H", "V": "V"}
+FAINT = 0.1
+"""Share of the strongest weight under which pulses do not count for the width of the aperture."""
 
 
 def write(path: Path, made: Slc, polarization: str) -> None:
@@ -41,7 +42,7 @@ def write(path: Path, made: Slc, polarization: str) -> None:
     plan, image = made.plan, made.images[polarization]
     low, high = plan.start_hz, plan.start_hz + (plan.frequencies - 1) * plan.step_hz
     times = plan.track.time_s - plan.track.time_s[0]
-    label = f"{_LETTER[polarization[1]]}:{_LETTER[polarization[0]]}"
+    label = f"{polarization[1]}:{polarization[0]}"
     tables["CollectionInfo"] = {
         "CollectorName": f"warpsar {__version__}",
         "CoreName": plan.view.name,
@@ -56,12 +57,12 @@ def write(path: Path, made: Slc, polarization: str) -> None:
         "SCP": {"ECF": _centre(made), "LLH": ecef_to_geodetic(_centre(made))},
         "ImageCorners": _corners(made),
     }
-    tables["Grid"] = _grid(made, float(times.mean()))
+    tables["Grid"] = _grid(made, 0.5 * float(times[-1]))
     tables["Timeline"] = {"CollectStart": np.datetime64(START).astype(object), "CollectDuration": float(times[-1])}
     tables["Position"] = {"ARPPoly": _polynomial(made, times)}
     tables["RadarCollection"] = {
         "TxFrequency": {"Min": low, "Max": high},
-        "TxPolarization": _LETTER[polarization[1]],
+        "TxPolarization": polarization[1],
         "RcvChannels": {"@size": 1, "ChanParameters": [{"@index": 1, "TxRcvPolarization": label}]},
     }
     tables["ImageFormation"] = {
@@ -121,15 +122,16 @@ def _centre(made: Slc) -> NDArray[np.float64]:
 
 
 def _corners(made: Slc) -> NDArray[np.float64]:
-    """Latitude and longitude of the corners, (4, 2), on the ellipsoid's height of the centre."""
+    """Latitude and longitude of the corners, (4, 2), cast along the slant plane's normal onto the level plane."""
     plan = made.plan
-    level = np.array([*plan.geometry.d[:2], 0.0])
-    scale = 1.0 if plan.ground else 1.0 / float(level @ level)  # slant range to the ground
+    centre = plan.track.centre()
+    normal = np.cross(plan.track.velocity_m_s()[0][plan.middle], centre.towards()[0])
+    along, across = plan_axes(plan)
     found = []
     for row, column in ((0, 0), (0, -1), (-1, -1), (-1, 0)):
-        along = level / np.linalg.norm(level) if plan.ground else level
-        place = made.range_m[row] * scale * along + made.azimuth_m[column] * plan.geometry.u
-        found.append(ecef_to_geodetic(plan.site.to_ecef(place))[:2])
+        place = made.range_m[row] * along + made.azimuth_m[column] * across
+        level = place - place[2] / normal[2] * normal
+        found.append(ecef_to_geodetic(plan.site.to_ecef(level))[:2])
     return np.array(found)
 
 
@@ -138,7 +140,8 @@ def _grid(made: Slc, centre_s: float) -> dict[str, Any]:
     along, across = plan_axes(plan)
     steep = float(-along @ plan.geometry.s)
     spacing = [float(axis[1] - axis[0]) for axis in (made.range_m, made.azimuth_m)]
-    widths = [steep / plan.cells_m[0], 1.0 / plan.cells_m[1]]
+    used = plan.azimuth_weights > FAINT * plan.azimuth_weights.max()  # of a beam: its main lobe
+    widths = [steep / plan.cells_m[0], float(used.mean()) / plan.cells_m[1]]
     centres = [2.0 * plan.centre_hz / SPEED_OF_LIGHT * steep, 0.0]
     axes = []
     for step, width, centre, vector, window in zip(
@@ -162,7 +165,7 @@ def _grid(made: Slc, centre_s: float) -> dict[str, Any]:
     coefficients = np.full((1, 1), centre_s)
     if plan.stripmap and plan.track.straight is not None:  # each column has its own centre of aperture
         rate = float(across @ plan.track.straight) / float(np.linalg.norm(plan.track.velocity_m_s()[0][plan.middle]))
-        coefficients = np.array([[centre_s, rate]])
+        coefficients = np.array([[centre_s + rate * made.azimuth_m[len(made.azimuth_m) // 2], rate]])
     return {
         "ImagePlane": "GROUND" if plan.ground else "SLANT",
         "Type": "PLANE",

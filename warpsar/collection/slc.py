@@ -89,11 +89,11 @@ def way_at_centre(plan: Plan, points_m: F64) -> F64:
     """
     flat = points_m.reshape(-1, 3)
     if plan.stripmap and plan.track.straight is not None:
-        slant = np.linalg.norm(plan.geometry.s * plan.slant_range_m)
+        slant = plan.slant_range_m
         to = flat - slant * plan.geometry.s
         across = np.linalg.norm(to - (to @ plan.track.straight)[:, None] * plan.track.straight, axis=1)
         return np.asarray(across / np.cos(np.deg2rad(plan.table.squint_deg)) - slant).reshape(points_m.shape[:-1])
-    way = plan.track.ranges_less_reference(flat, np.array([plan.middle]))[0]
+    way = plan.track.centre().ranges_less_reference(flat, np.array([0]))[0]
     return way.reshape(points_m.shape[:-1])
 
 
@@ -152,7 +152,10 @@ class _Axis:
         margin = int(np.ceil(MARGIN * cell_m / step))
         count = fft.next_fast_len((len(pixels_m) - 1) * every + 1 + 2 * margin)
         own = fft.fftfreq(count, step)
-        inside = np.interp(own, at, weight, left=0.0, right=0.0)
+        # The mean over each step of frequency: the ends of the band seldom lie between two.
+        total = np.concatenate([[0.0], np.cumsum(0.5 * (weight[1:] + weight[:-1]) * np.diff(at))])
+        half = 0.5 / (count * step)
+        inside = (np.interp(own + half, at, total) - np.interp(own - half, at, total)) / (2.0 * half)
         spread = fft.ifftshift(spread_transform(count, count))
         power = float((inside**2).sum() / inside.sum() ** 2) * count * step
         start = float(pixels_m[0]) - margin * step

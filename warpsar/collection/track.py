@@ -52,6 +52,15 @@ class Track:
             total = total + 0.5 * (square - 2.0 * place @ points_m.T) / (to + own)
         return np.asarray(total)
 
+    def centre(self) -> Track:
+        """The middle in time, as a track of one pulse: between two pulses where their number is even."""
+        middle = 0.5 * (self.time_s[0] + self.time_s[-1])
+        receiver, transmitter = (
+            np.array([[np.interp(middle, self.time_s, axis) for axis in place.T]])
+            for place in (self.receiver_m, self.transmitter_m)
+        )
+        return Track(np.array([middle]), receiver, transmitter, self.straight)
+
     def velocity_m_s(self) -> tuple[F64, F64]:
         """Of receiver and transmitter, (p, 3) each."""
         return np.gradient(self.receiver_m, self.time_s, axis=0), np.gradient(self.transmitter_m, self.time_s, axis=0)

@@ -1,0 +1,291 @@
+"""How fast collections are: the deposit alone, a town as one collection, focusing, and batches of complex images.
+
+    python benchmarks/collection.py [--device cuda] [--only deposit town focus batch copy] [--small]
+    [--out collection.json] [--write]
+
+`deposit`: 10^6 scatterers x 1,000 pulses, 2,048 frequencies. `town`: the town of 900,482 faces as one collection of
+1,024 pulses, with at least ten scatterers in each resolution cell, from the mesh to the phase history. `focus`: 1,024
+pulses onto 1,024 x 1,024 pixels, and the same with torchbp where it can be imported. `batch`: direct complex images of
+several azimuths with their SICD files, beside images of beta0 of the same scene with theirs (`warpsar simulate`).
+`copy`: bytes that a copy moves in a second, and the share of it that the deposit reads and adds. What --out holds
+already is not measured again. `--small` is a trial of a few seconds on a CPU.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+import numpy as np
+import tables
+import warp as wp
+from scenes import town_scene
+from simulate import machine
+
+import warpsar
+from warpsar.collection import history as histories
+from warpsar.collection import sicd
+from warpsar.collection.command import load_kernels
+from warpsar.collection.plan import Plan, plan_of
+from warpsar.collection.scatterers import Part, Scatterers, body_of, scatterers_of, total_weight
+from warpsar.collection.slc import direct, focused
+from warpsar.io.images import write_exr
+from warpsar.kernels import collection as kernels
+from warpsar.runtime import devices
+from warpsar.scene.scene import Scene
+from warpsar.world.collection import Collection
+
+FACES = 900_482
+RUNS = 5
+
+
+def timed(work: Callable[[], Any], runs: int = RUNS) -> dict[str, Any]:
+    """The shortest and the median of some runs after a first one [s]."""
+    work()
+    wp.synchronize()
+    found = []
+    for _ in range(runs):
+        started = time.perf_counter()
+        work()
+        wp.synchronize()
+        found.append(time.perf_counter() - started)
+    return {"best_s": min(found), "median_s": float(np.median(found)), "runs": runs}
+
+
+def ground(side_m: float, **table: Any) -> Scene:
+    """A square of even ground, X band."""
+    h = side_m / 2
+    mesh = warpsar.Mesh.of(
+        np.array([[-h, -h, 0], [h, -h, 0], [h, h, 0], [-h, h, 0]]), np.array([[0, 1, 2], [0, 2, 3]])
+    )
+    return Scene(
+        mesh=mesh,
+        radar=warpsar.Radar(frequency_hz=9.6e9, polarizations=("HH",), terms=("rough",)),
+        grid=warpsar.Grid(shape=(64, 64), spacing_m=(0.2, 0.2)),
+        materials={name: warpsar.Material(eps_r=6.0, rms_height_m=0.0012, correlation_length_m=0.01)
+                   for name in mesh.materials},
+        views=[warpsar.View(name="one", azimuth_deg=270.0, incidence_deg=45.0)],
+        collection=Collection(slant_range_m=10e3, speed_m_s=100.0, resolution_m=(0.3, 0.3), **table),
+    )  # fmt: skip
+
+
+def points(plan: Plan, count: int, side_m: float) -> Scatterers:
+    random = np.random.default_rng(0)
+    place = random.uniform(-side_m / 2, side_m / 2, (count, 3)) * [1.0, 1.0, 0.0]
+    amplitude = random.standard_normal((1, count, 2), dtype=np.float32).view(np.complex64)[..., 0]
+    return Scatterers((Part(place, amplitude, np.ones(len(plan.track), np.float32)),), 0.0)
+
+
+def deposit(device: wp.Device, small: bool) -> dict[str, Any]:
+    """Scatterers that are on the device already into range bins there; then with transfers, FFT and spectra."""
+    count, pulses = (10_000, 100) if small else (1_000_000, 1_000)
+    side = 20.0 if small else 150.0
+    scene = ground(side, pulses=None if small else pulses, frequencies=None if small else 2048)
+    plan = plan_of(scene, scene.views[0], device)
+    found = points(plan, count, side)
+    whole = timed(lambda: histories.phase_history(plan, found, ("HH",), device), 3)
+    shared = histories._Shared.of(plan, device)
+    parts = [histories._Uploaded.of(part, device) for part in found.parts]
+    kernel = timed(lambda: _launched(plan, shared, parts, device), 3)
+    deposits = count * len(plan.track)
+    touched = deposits * (kernels.WIDTH * 16 + 32)  # bytes added to (read and written), and read
+    return {
+        "scatterers": count,
+        "pulses": len(plan.track),
+        "frequencies": plan.frequencies,
+        "kernel": kernel,
+        "whole": whole,
+        "deposits_per_s": deposits / kernel["best_s"],
+        "bytes_per_s": touched / kernel["best_s"],
+    }
+
+
+def _launched(plan: Plan, shared: Any, parts: list[Any], device: wp.Device) -> None:
+    """All pulses' deposits, on CUDA in one launch; without transfers and FFT."""
+    lanes = histories.LANES["cpu" if device.is_cpu else "cuda"]
+    histories.deposited(plan, shared, parts, 1, slice(0, len(plan.track)), lanes)
+
+
+def town(device: wp.Device, small: bool) -> dict[str, Any]:
+    """From the mesh to the phase history: the tree, scatterers with their visibility and sigma0, and the deposit."""
+    scene = town_scene(2_000 if small else FACES, (64, 64), 4.0)
+    table = Collection(
+        slant_range_m=10e3,
+        speed_m_s=100.0,
+        resolution_m=(3.0, 3.0) if small else (0.5, 0.5),
+        pulses=None if small else 1024,
+        scatterers_per_cell=10.0,
+    )
+    radar = scene.radar.model_copy(update={"terms": ("rough",), "frequency_hz": 9.6e9})
+    scene = replace(scene, radar=radar, collection=table)
+    times: dict[str, float] = {}
+
+    def step(name: str, work: Callable[..., Any], *what: Any) -> Any:
+        started = time.perf_counter()
+        found = work(*what)
+        wp.synchronize()
+        times[name] = time.perf_counter() - started
+        return found
+
+    for _ in range(2):  # the second time is the one that counts: kernels are there
+        plan = step("plan", plan_of, scene, scene.views[0], device)
+        body = step("body", body_of, scene, plan, device, 0)
+        found = step("scatterers", scatterers_of, scene, plan, body)
+        step("history", histories.phase_history, plan, found, ("HH",), device)
+    return {
+        "faces": len(scene.mesh.faces),
+        "scatterers": found.count,
+        "pulses": len(plan.track),
+        "frequencies": plan.frequencies,
+        "deposits": total_weight(found.parts),
+        "seconds": times,
+        "total_s": sum(times.values()),
+    }
+
+
+def focus(device: wp.Device, small: bool) -> dict[str, Any]:
+    """Backprojection of random points; torchbp's of the same data beside it, where it is installed."""
+    pixels = 64 if small else 1024
+    scene = ground(20.0 if small else 150.0, pulses=None if small else 1024)
+    scene = replace(scene, grid=warpsar.Grid(shape=(pixels, pixels), spacing_m=(0.14, 0.14)))
+    plan = plan_of(scene, scene.views[0], device)
+    made = histories.phase_history(plan, points(plan, 1000, 20.0), ("HH",), device)
+    ours = timed(lambda: focused(made, scene.grid, device), 3)
+    rate = pixels**2 * len(plan.track) / ours["best_s"]
+    found = {"pixels": pixels**2, "pulses": len(plan.track), "warpsar": ours, "per_s": rate}
+    return {**found, "torchbp": peer(made, scene)}
+
+
+def peer(made: histories.Collected, scene: Scene) -> dict[str, Any] | str:
+    """torchbp, onto as many pixels of a level plane; the reason where it cannot be run."""
+    try:
+        import torch
+        import torchbp
+    except ImportError as error:
+        return f"not installed: {error}"
+    plan = made.plan
+    where = "cuda" if torch.cuda.is_available() else "cpu"
+    bins = histories.OVERSAMPLING * 4 * plan.frequencies
+    profiles = np.fft.ifft(made.samples[0].T, bins, axis=1).astype(np.complex64)
+    data = torch.from_numpy(profiles).to(where)
+    half = 0.5 * scene.grid.shape[0] * scene.grid.spacing_m[0]
+    grid = {"x": (-half, half), "y": (-half, half), "nx": scene.grid.shape[0], "ny": scene.grid.shape[1]}
+    place = torch.from_numpy(plan.track.receiver_m.astype(np.float32)).to(where)
+    cell = 299792458.0 / (2.0 * plan.step_hz * bins)
+    try:
+        def work() -> None:
+            torchbp.ops.backprojection_cart_2d(data, grid, plan.centre_hz, cell, place)
+            if where == "cuda":
+                torch.cuda.synchronize()
+
+        return timed(work, 3)
+    except Exception as error:  # another version's arguments
+        return f"{type(error).__name__}: {error}"
+
+
+def batch(device: wp.Device, small: bool) -> dict[str, Any]:
+    """Direct images and their SICD, beside `warpsar.simulate` and its EXR, of the same views."""
+    scene = town_scene(2_000 if small else 100_000, (128, 128) if small else (380, 423), 16.0)
+    number = 2 if small else 16
+    views = [
+        warpsar.View(name=f"v{i:02d}", azimuth_deg=360.0 * i / number, incidence_deg=45.0) for i in range(number)
+    ]
+    radar = scene.radar.model_copy(update={"terms": ("rough",), "frequency_hz": 9.6e9})
+    cell = max(scene.grid.spacing_m) * 1.2
+    table = Collection(slant_range_m=10e3, resolution_m=(cell, cell), scatterers_per_cell=10.0, focus="direct")
+    scene = replace(scene, radar=radar, views=views, collection=table)
+    with tempfile.TemporaryDirectory() as folder:
+
+        def complex_images() -> None:
+            for view in views:
+                plan = plan_of(scene, view, device)
+                found = scatterers_of(scene, plan, body_of(scene, plan, device, 0), once=True)
+                image = direct(plan, found, ("HH",), scene.grid, device)
+                sicd.write(Path(folder) / f"{view.name}.nitf", image, "HH")
+
+        def powers() -> None:
+            for one in warpsar.simulate(scene, device=device.alias):
+                write_exr(Path(folder) / f"{one.name}.exr", one.beta0, {})
+
+        return {
+            "views": number,
+            "pixels": list(scene.grid.shape),
+            "faces": len(scene.mesh.faces),
+            "slc_s_each": timed(complex_images, 2)["best_s"] / number,
+            "beta0_s_each": timed(powers, 2)["best_s"] / number,
+        }
+
+
+def copy(device: wp.Device, small: bool) -> dict[str, Any]:
+    """Bytes read and written by a copy of 1 GiB, in a second."""
+    count = 2**20 if small else 2**28
+    one, other = (wp.zeros(count, dtype=float, device=device) for _ in range(2))
+    found = timed(lambda: wp.copy(other, one))
+    return {**found, "bytes_per_s": 8 * count / found["best_s"]}
+
+
+WORK = {"copy": copy, "deposit": deposit, "town": town, "focus": focus, "batch": batch}
+
+
+def written(found: dict[str, Any]) -> list[tuple[str, str]]:
+    """Rows of the table in docs/collections.md."""
+    rows = []
+    if "deposit" in found:
+        one = found["deposit"]
+        rows.append((f"deposit, {one['scatterers']:,} scatterers x {one['pulses']:,} pulses",
+                     f"{one['kernel']['best_s']:.3g} s; with transfers and FFT {one['whole']['best_s']:.3g} s"))  # fmt: skip
+        if "copy" in found:
+            share = one["bytes_per_s"] / found["copy"]["bytes_per_s"]
+            rows.append(("bytes that it reads and adds, of a copy's", f"{100 * share:.3g} %"))
+    if "town" in found:
+        one = found["town"]
+        parts = ", ".join(f"{name} {value:.3g} s" for name, value in one["seconds"].items())
+        rows.append((f"town, {one['faces']:,} faces, {one['scatterers']:,} scatterers x {one['pulses']:,} pulses",
+                     f"{one['total_s']:.3g} s ({parts})"))  # fmt: skip
+    if "focus" in found:
+        one, other = found["focus"], found["focus"]["torchbp"]
+        said = other if isinstance(other, str) else f"{other['best_s']:.3g} s"
+        rows.append((f"backprojection, {one['pixels']:,} pixels x {one['pulses']:,} pulses",
+                     f"{one['warpsar']['best_s']:.3g} s; torchbp {said}"))  # fmt: skip
+    if "batch" in found:
+        one = found["batch"]
+        rows.append((f"a direct complex image with its SICD, {one['pixels'][0]} x {one['pixels'][1]}",
+                     f"{one['slc_s_each']:.3g} s; beta0 with its EXR {one['beta0_s_each']:.3g} s"))  # fmt: skip
+    return rows
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--device")
+    parser.add_argument("--only", nargs="+", choices=WORK, default=list(WORK))
+    parser.add_argument("--small", action="store_true")
+    tables.add_options(parser)
+    options = parser.parse_args()
+    if options.source:
+        result = tables.stored(options.source)
+    else:
+        device = devices.resolve_device(options.device)
+        load_kernels(device)
+        kept = options.out is not None and options.out.exists()
+        result = json.loads(options.out.read_text(encoding="utf-8")) if kept else {}
+        for name in options.only:
+            if name not in result:
+                result[name] = WORK[name](device, options.small)
+                print(name, json.dumps(result[name]), flush=True)
+                result |= {"made": tables.made(), "machine": machine(options.device)}
+                tables.save(options.out, result)
+    header = ("what", result["machine"]["device_name"])
+    tables.publish({"collection.speed": tables.markdown(header, written(result))}, result, options.write)
+
+
+if __name__ == "__main__":
+    main()
