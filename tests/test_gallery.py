@@ -27,7 +27,7 @@ def gallery() -> Iterator[ModuleType]:
 
 
 NAMES = (
-    "city_block airport ship vehicle terrain trihedrals forest bridge tank_farm wind_turbine".split()  # the ten
+    ["city_block", "airport", "ship", "vehicle", "terrain", "trihedrals", "forest", "bridge", "tank_farm", "wind_turbine"]  # the ten
 )
 
 
