@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -53,7 +54,8 @@ def model_areas(stage: Stage, renders: Iterable[Piece]) -> np.ndarray:
     For materials with another model than the default, of renders that have run, in any one unit.
     """
     device, surface = stage.target.device, stage.surface
-    domains = np.zeros(len(surface.materials), kernels.Domain.numpy_dtype())
+    record: Any = kernels.Domain
+    domains: Any = np.zeros(len(surface.materials), record.numpy_dtype())
     for m, (code, file) in enumerate(zip(surface.model, surface.sigma0, strict=True)):
         stated = dict(DOMAINS.get(Model(code).name.lower(), {}))
         if file is not None:
@@ -61,7 +63,7 @@ def model_areas(stage: Stage, renders: Iterable[Piece]) -> np.ndarray:
             stated["incidence_deg"] = angles[0], angles[-1]
         for key, usual in (("incidence_deg", ANY), ("kh", ANY), ("moisture", ANY), ("slope", 1e30)):
             domains[key][m] = stated.get(key, usual)
-    on_device = wp.array(domains, dtype=kernels.Domain, device=device)
+    on_device: wp.array = wp.array(domains, dtype=record, device=device)
     cells = wp.zeros((int(kernels.PARTIALS), len(surface.materials), 2), dtype=wp.float64, device=device)
     for render in renders:
         hits = render.shaded
