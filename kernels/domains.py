@@ -3,6 +3,7 @@
 import warp as wp
 
 from warpsar.kernels.codes import FRACTION_LIMIT, Coordinate
+from warpsar.kernels.empirical import topp_moisture
 
 # Partial sums, spread over as many cells so that CUDA atomics seldom meet.
 PARTIALS = wp.constant(256)
@@ -49,3 +50,45 @@ def area_kernel(
         wp.atomic_add(area_out, cell, material, 1, area)
         if not ka_valid(kh, kl, wp.float64(cos_incidence[i])):
             wp.atomic_add(area_out, cell, material, 3, area)
+
+
+@wp.struct
+class Domain:
+    """Where a model has been found good: incidence [deg], kh, moisture [m^3/m^3] and h / l, from and up to."""
+
+    incidence_deg: wp.vec2
+    kh: wp.vec2
+    moisture: wp.vec2
+    slope: float
+
+
+@wp.func
+def within(value: float, ends: wp.vec2) -> bool:
+    return value >= ends[0] and value <= ends[1]
+
+
+@wp.kernel(enable_backward=False)
+def model_area_kernel(
+    # In:
+    wavenumber: float,
+    domains: wp.array(dtype=Domain),
+    face: wp.array(dtype=int),
+    face_material: wp.array(dtype=int),
+    weight: wp.array(dtype=float),
+    cos_incidence: wp.array(dtype=float),
+    zeta: wp.array(dtype=wp.vec4),
+    # Out:
+    area_out: wp.array3d(dtype=wp.float64),
+):
+    """Per partial sum and material: lit area, and what of it lies outside the domain of the material's model."""
+    i = wp.tid()
+    z = zeta[i]
+    material = face_material[face[i]]
+    domain = domains[material]
+    kh = wavenumber * wp.exp(z[Coordinate.HEIGHT])
+    moisture, _slope = topp_moisture(1.0 + wp.exp(z[Coordinate.EPS]))
+    inside = within(wp.acos(cos_incidence[i]) * 57.29577951308232, domain.incidence_deg) and within(kh, domain.kh)
+    steep = wp.exp(z[Coordinate.HEIGHT] - z[Coordinate.LENGTH]) > domain.slope
+    wp.atomic_add(area_out, i % PARTIALS, material, 0, wp.float64(weight[i]))
+    if steep or not inside or not within(moisture, domain.moisture):
+        wp.atomic_add(area_out, i % PARTIALS, material, 1, wp.float64(weight[i]))

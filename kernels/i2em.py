@@ -28,7 +28,7 @@ from warpsar.kernels.scattering import (
 )
 
 # Terms of the series are taken in blocks, while one of them has more than the tolerance of the distribution.
-TOLERANCE = wp.constant(1.0e-7)
+TOLERANCE = wp.constant(1.0e-5)
 BLOCK = wp.constant(4)
 BLOCKS = wp.constant(32)
 # A distribution with a larger mean is taken at the two places that have its first three moments: exp(-x) is float32's.
@@ -43,11 +43,13 @@ def power_spectrum(spectrum: int, power: Any, square: Any):
     """Spectrum of a power of the correlation over (kl)^2, and d ln of it / d ln l with (kl)^2; square: (K l)^2."""
     one = type(square)(1.0)
     two = type(square)(2.0)
+    half = type(square)(0.5)
     value = square
     slope = square
     if spectrum == Spectrum.GAUSSIAN:
-        fall = square / (two * power)
-        value = wp.exp(-fall / two) / (two * power)
+        inverse_power = half / power
+        fall = square * inverse_power
+        value = wp.exp(-half * fall) * inverse_power
         slope = two - fall
     else:
         inverse = one / (power * power + square)
@@ -78,7 +80,7 @@ def poisson_series(first: int, tolerance: float, spectrum: int, mean: Any, squar
         if share > type(mean)(tolerance) or start <= x:
             for i in range(BLOCK):
                 n = start + type(mean)(float(i))
-                share = share * x / n
+                share = share * (x * (one / n))
                 value, slope = power_spectrum(spectrum, n, square)
                 part = share * value
                 total += part

@@ -16,7 +16,7 @@ from warpsar.kernels.models import modelled
 
 wp.set_module_options({"max_unroll": 1})
 LITERAL = 1e-6  # literals in kernels are float32
-EXACT = 1e-5  # I2EM's series ends at 1e-7 of its distribution; its shadow's erfc is good to 1.5e-7
+EXACT = 1e-4  # I2EM's series ends at 1e-5 of its distribution, and powers beyond may weigh more
 
 
 @wp.kernel(enable_backward=False)
@@ -81,7 +81,7 @@ def test_i2em_is_the_published_one(spectrum: str, polarization: str) -> None:
         [[reference.i2em(polarization, *row, spectrum, reciprocal=one) for one in (True, False)] for row in rows]
     ).T
     some = expected > 1e-8  # -80 dB: the tails of a Gaussian lobe are cut with the series
-    np.testing.assert_allclose(found[some], expected[some], rtol=2 * EXACT)
+    np.testing.assert_allclose(found[some], expected[some], rtol=4 * EXACT)
     assert np.abs(10 * np.log10(found[some] / printed[some])).max() < 0.7
 
 
@@ -140,7 +140,7 @@ def test_slopes_are_those_of_differences(model: Model, polarization: str, spectr
     for k, unit in enumerate(np.eye(3)):
         near, far = (at(m * step * unit) - at(-m * step * unit) for m in (1, 2))
         # five points: step^4. The ends of the series jump by their tolerance, here over the step
-        jump = {Model.I2EM: 0.1 if polarization == "HV" else 2e-3}.get(model, 1e-5)
+        jump = {Model.I2EM: 0.1 if polarization == "HV" else 2e-2}.get(model, 1e-5)
         off = np.abs(found[:, 1 + k] - (8 * near - far) / (12 * step))
         assert (off <= jump * found[:, 0] + 1e-9).all(), (k, (off / found[:, 0]).max())
     assert not found[:, 4].any()

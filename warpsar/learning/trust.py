@@ -7,6 +7,7 @@ from dataclasses import asdict
 
 import numpy as np
 
+from warpsar.kernels.codes import Model
 from warpsar.learning.observation import Observation
 from warpsar.learning.problem import FitProblem
 from warpsar.learning.verdict import Verdict, Window, verdict
@@ -88,8 +89,15 @@ def _outside(problem: FitProblem, x: np.ndarray, domains: Mapping[str, Mapping[s
     """Learned materials whose lit area lies outside the models' domains, mixed as tau mixes the models."""
     nodes, found = problem.nodes(x), []
     for name in dict.fromkeys(block.material for block in problem.surface.blocks if block.learn):
-        tau = float(np.mean(problem.surface.values(name, "specular_fraction", nodes)))
         shares = domains[name]
+        model = Model(problem.surface.model[problem.surface.materials.index(name)])
+        if model != Model.KA_SPM:
+            share = shares.get(model.name.lower(), 0.0)
+            if share > OUTSIDE:
+                part = f"{100.0 * share:.0f} % of its lit area"
+                found.append(f"{name} lies outside the domain of {model.name.lower()} on {part}")
+            continue
+        tau = float(np.mean(problem.surface.values(name, "specular_fraction", nodes)))
         outside = (1.0 - tau) * shares.get("spm", 0.0) + tau * shares.get("ka", 0.0)
         if outside > OUTSIDE:
             found.append(f"{name} lies outside its model's domain on {100.0 * outside:.0f} % of its lit area")

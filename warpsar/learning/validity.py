@@ -4,24 +4,28 @@ from __future__ import annotations
 
 import numpy as np
 
+from warpsar.kernels.codes import Model
 from warpsar.learning.problem import FitProblem
-from warpsar.render.domains import lit_areas
+from warpsar.render.domains import lit_areas, model_areas
 
 
 def outside_domains(problem: FitProblem, x: np.ndarray) -> dict[str, dict[str, float]]:
     """By material: the share of its lit area, over all views, that lies outside the domain of each model.
 
     `spm`: small perturbation, where tau < 1. `ka`: geometric optics, where tau > 0. A model that is not in use is left
-    out.
+    out. A material with another model than ka_spm has that one's share, under its name.
     """
     problem.modelled(x)
-    pieces = (piece for view in problem.views for piece in view.render.pieces())
+    pieces = [piece for view in problem.views for piece in view.render.pieces()]
     area = problem.ranks.sum(lit_areas(problem.stage, pieces))  # lit and outside, for SPM and KA
-    return {
-        name: {
-            model: float(area[m, column + 2] / area[m, column])
-            for column, model in ((0, "spm"), (1, "ka"))
-            if area[m, column] > 0
-        }
-        for m, name in enumerate(problem.surface.materials)
-    }
+    codes = problem.surface.model
+    other = problem.ranks.sum(model_areas(problem.stage, pieces)) if codes.any() else np.zeros((codes.size, 2))
+    found = {}
+    for m, name in enumerate(problem.surface.materials):
+        if codes[m] == Model.KA_SPM:
+            columns = [(0, "spm"), (1, "ka")]
+            found[name] = {k: float(area[m, c + 2] / area[m, c]) for c, k in columns if area[m, c] > 0}
+        else:
+            lit, outside = other[m]
+            found[name] = {Model(codes[m]).name.lower(): float(outside / lit)} if lit > 0 else {}
+    return found

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 import warp as wp
 
 from warpsar.kernels import domains as kernels
+from warpsar.kernels.codes import Model
 from warpsar.render.rendered import Piece
 from warpsar.surface.stage import Stage
+from warpsar.world import sigma0_table
 
 
 def lit_areas(stage: Stage, renders: Iterable[Piece]) -> np.ndarray:
@@ -33,4 +36,38 @@ def lit_areas(stage: Stage, renders: Iterable[Piece]) -> np.ndarray:
             outputs=[cells],
             device=device,
         )
+    return np.asarray(cells.numpy().sum(axis=0))
+
+
+ANY = (-1e30, 1e30)
+DOMAINS: dict[str, dict[str, object]] = {
+    "i2em": {"kh": (0.0, 3.0), "slope": 0.4},
+    "oh": {"incidence_deg": (10.0, 70.0), "kh": (0.13, 6.98), "moisture": (0.04, 0.291)},
+    "dubois": {"incidence_deg": (30.0, 90.0), "kh": (0.0, 2.5), "moisture": (0.0, 0.35)},
+}
+"""Of the models beside the default (docs/scattering.md); that of `facet` are its table's angles."""
+
+
+def model_areas(stage: Stage, renders: Iterable[Piece]) -> np.ndarray:
+    """Per material, shape (materials, 2): lit area, and what of it lies outside the domain of the material's model.
+
+    For materials with another model than the default, of renders that have run, in any one unit.
+    """
+    device, surface = stage.target.device, stage.surface
+    record: Any = kernels.Domain
+    domains: Any = np.zeros(len(surface.materials), record.numpy_dtype())
+    for m, (code, file) in enumerate(zip(surface.model, surface.sigma0, strict=True)):
+        stated = dict(DOMAINS.get(Model(code).name.lower(), {}))
+        if file is not None:
+            angles = sigma0_table.read(file).incidence_deg
+            stated["incidence_deg"] = angles[0], angles[-1]
+        for key, usual in (("incidence_deg", ANY), ("kh", ANY), ("moisture", ANY), ("slope", 1e30)):
+            domains[key][m] = stated.get(key, usual)
+    on_device: wp.array = wp.array(domains, dtype=record, device=device)
+    cells = wp.zeros((int(kernels.PARTIALS), len(surface.materials), 2), dtype=wp.float64, device=device)
+    for render in renders:
+        hits = render.shaded
+        inputs = [hits.geometry.wavenumber, on_device, hits.face, stage.face_material, hits.weight]
+        inputs += [hits.cos_incidence, render.zeta]
+        wp.launch(kernels.model_area_kernel, hits.count, inputs=inputs, outputs=[cells], device=device)
     return np.asarray(cells.numpy().sum(axis=0))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -9,7 +10,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from warpsar.kernels import facet, models, models_lanes
+from warpsar.kernels import facet, learned_term, models, models_lanes
 from warpsar.kernels.codes import Model
 from warpsar.runtime.launches import Launch, by_elements
 from warpsar.runtime.program import Program
@@ -87,6 +88,21 @@ def record(
             keeping=partial(_keeping, kernel, dim, inputs, sigma, slopes, mine, block),
             pieces=by_elements([mine], block),
         )
+
+
+def with_term(
+    program: Program, stage: Stage, hits: Hits, wavenumber: float, polarization: int, zeta: wp.array, sigma: wp.array
+) -> wp.array:
+    """Record the learned terms on `sigma`; without any it is `sigma`."""
+    terms = stage.terms
+    if terms is None:
+        return sigma
+    result = program.array(sigma.shape[0])
+    units = [terms.first, terms.inverse_width, terms.places, terms.weights]
+    places = [hits.face, stage.face_material, hits.cos_incidence]
+    inputs = [polarization, math.log(wavenumber), *units, *places, zeta, sigma]
+    program.launch(learned_term.term_kernel, sigma.shape[0], inputs, [result])
+    return result
 
 
 def _keeping(

@@ -288,8 +288,9 @@ class ViewRender:
             ),
             pieces=by_elements(per_hit, block),
         )
-        models.record(self.program, stage, hits, self.geometry.wavenumber, polarization, spectra, zeta, sigma, slopes)
-        return sigma
+        wavenumber = self.geometry.wavenumber
+        models.record(self.program, stage, hits, wavenumber, polarization, spectra, zeta, sigma, slopes)
+        return models.with_term(self.program, stage, hits, wavenumber, polarization, zeta, sigma)
 
     def set_parameters(self, nodes: np.ndarray | None, effects: Mapping[str, np.ndarray] | None = None) -> None:
         """As `Rendered.set_parameters`."""

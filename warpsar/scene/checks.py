@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from warpsar.errors import InputError
-from warpsar.world import sigma0_table
+from warpsar.world import scattering_term, sigma0_table
 from warpsar.world.mesh import Mesh
 from warpsar.world.pixels import Pixels, in_memory, mask, measured
 from warpsar.world.tables import SURFACE_KEYS, Grid, Material, Radar, View, allowed_values, within
@@ -70,6 +70,14 @@ def models(name: str, material: Material, radar: Radar, effects: Mapping[str, An
     crossed = [one for one in radar.polarizations if one in ("HV", "VH")]
     if model == "dubois" and crossed:
         problems.append(f'{key}.model: found "dubois" and {crossed[0]}; it has HH and VV alone')
+    if material.learned_term is not None:
+        try:
+            learned_for = scattering_term.read(material.learned_term).model
+            if learned_for != model:
+                found = f'{material.learned_term}: found a term of "{learned_for}"'
+                problems.append(f'{key}.learned_term: {found}; must be of "{model}"')
+        except InputError as error:
+            problems.append(f"{key}.learned_term: {error}")
     if material.sigma0 is not None:
         try:
             table = sigma0_table.read(material.sigma0)

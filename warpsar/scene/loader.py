@@ -203,6 +203,8 @@ class _Loader:
             self.problems += checks.fields(name, material, mesh)
         if material.sigma0 is not None:
             changed["sigma0"] = self.absolute(material.sigma0)
+        if material.learned_term is not None:
+            changed["learned_term"] = self.absolute(material.learned_term)
         for key in SURFACE_KEYS if material.layout == "texture" else ():
             value = getattr(material, key)
             if not isinstance(value, str):

@@ -29,6 +29,8 @@ _SURFACES: list[_Json] = [  # of the library, rough, smooth, or a conductor
     {"required": ["eps_r", "rms_height_m", "correlation_length_m"]},
     {"required": ["eps_r", "rms_height_m"], "properties": {"rms_height_m": {"const": 0}}},
     {"required": ["conductor"], "properties": {"conductor": {"const": True}}},
+    {"required": ["model", "eps_r", "rms_height_m"], "properties": {"model": {"enum": ["oh", "dubois"]}}},
+    {"required": ["model", "sigma0"], "properties": {"model": {"const": "facet"}}},
 ]
 
 

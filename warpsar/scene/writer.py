@@ -76,8 +76,9 @@ class _Writer:
 
     def material(self, material: Material) -> dict[str, Any]:
         table = _plain(material)
-        if material.sigma0 is not None:
-            table["sigma0"] = self.relative(material.sigma0)
+        for key in ("sigma0", "learned_term"):
+            if key in table:
+                table[key] = self.relative(Path(table[key]))
         if material.layout == "texture":
             for key in SURFACE_KEYS:
                 if isinstance(table.get(key), str):

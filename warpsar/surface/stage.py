@@ -12,6 +12,7 @@ from warpsar.kernels.codes import Variant
 from warpsar.runtime import devices
 from warpsar.surface.surface import Surface
 from warpsar.surface.tables import Tables
+from warpsar.surface.terms import Terms
 from warpsar.trace.target import Target
 from warpsar.world.world import World
 
@@ -38,6 +39,8 @@ class Stage:
     """float, (materials,)"""
     tables: Tables | None = None
     """Of materials whose sigma0 comes from a table; None without any"""
+    terms: Terms | None = None
+    """Of materials with a learned term; None without any"""
 
     @classmethod
     def of(cls, scene: World, device: wp.Device) -> Stage:
@@ -60,6 +63,7 @@ class Stage:
             eps_im=wp.array(surface.eps_im, dtype=float, device=device),
             aspect=wp.array(surface.aspect, dtype=float, device=device),
             tables=Tables.of(surface.sigma0, device),
+            terms=Terms.of(surface.learned_term, device),
         )
 
     @cached_property

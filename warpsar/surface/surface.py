@@ -112,7 +112,8 @@ class Surface:
 
     `nodes`, float64 (n,), are in the learned coordinates. `places`, int32 (materials, 4, 4), is the kernels' table of
     (layout, offset, width, height) for each parameter. `spectrum` (int), `eps_im` and `aspect` (l_y / l_x),
-    (materials,), are never learned; nor are `model` (int), and `sigma0`, the materials' tables in files.
+    (materials,), are never learned; nor are `model` (int), and the files of `sigma0` (tables) and of
+    `learned_term`.
     """
 
     materials: tuple[str, ...]
@@ -124,6 +125,7 @@ class Surface:
     aspect: np.ndarray
     model: np.ndarray
     sigma0: tuple[Path | None, ...]
+    learned_term: tuple[Path | None, ...]
 
     @classmethod
     def of(cls, scene: World) -> Surface:
@@ -174,7 +176,9 @@ class Surface:
                 values.append(kind.to_coordinate(value).ravel())
                 start += value.size
         tables = tuple(scene.materials[name].sigma0 for name in names)
-        return cls(names, tuple(blocks), np.concatenate(values), places, spectrum, eps_im, aspect, model, tables)
+        terms = tuple(scene.materials[name].learned_term for name in names)
+        nodes = np.concatenate(values)
+        return cls(names, tuple(blocks), nodes, places, spectrum, eps_im, aspect, model, tables, terms)
 
     def block(self, material: str, key: str) -> Block:
         """The nodes of one parameter of a material."""

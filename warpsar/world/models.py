@@ -29,6 +29,8 @@ def refusals(material: Any, stated: set[str]) -> list[str]:
             if model == "facet"
             else f'found sigma0 and model = "{model}"; allowed with model = "facet" alone'
         )
+    if material.learned_term is not None and model == "facet":
+        found.append('found learned_term and model = "facet"; a table needs none')
     if "learn" in stated:
         for key in material.learn:
             if key not in LEARNS[model]:

@@ -219,6 +219,11 @@ class Material(Table):
         description='CSV of sigma0 [dB]: incidence_deg, and HH, VV, HV (model = "facet" alone).',
         examples=["asphalt.csv"],
     )
+    learned_term: FileName | None = Field(
+        default=None,
+        description="JSON of a learned term: sigma0 is the model's times the exponential of it.",
+        examples=["soil.json"],
+    )
     level: Annotated[_Positive, Field(le=1e6)] = Field(
         default=1.0, description="Factor on the table's sigma0, linear; may be learned.", examples=[1.3]
     )

@@ -107,8 +107,7 @@ class World:
     def rasters(self) -> Iterator[Path | Pixels]:
         """Every image, mask, map and file of curves that the scene refers to, in a fixed order."""
         for material in self.materials.values():
-            if material.sigma0 is not None:
-                yield material.sigma0
+            yield from (file for file in (material.sigma0, material.learned_term) if file is not None)
             for key in SURFACE_KEYS:
                 value = getattr(material, key)
                 if isinstance(value, Pixels):
@@ -151,7 +150,7 @@ class World:
         plain += [one.model_dump(exclude={"file"}) for one in self.curves]
         plain += [] if self.collection is None else [self.collection.model_dump(exclude={"trajectory"})]
         for name, material in self.materials.items():
-            beside = {"sigma0"} if material.model != "ka_spm" else {"model", "sigma0", "level"}
+            beside = {"sigma0", "learned_term"} | (set() if material.model != "ka_spm" else {"model", "level"})
             given = {
                 key: value
                 for key, value in material

@@ -1,0 +1,228 @@
+"""Backscatter models against a full-wave table, and their speed.
+
+    python benchmarks/scattering.py DATA/nmm3d/NMM3D_LUT_NRCS_40degree.dat [--write]
+    python benchmarks/scattering.py --speed [--device cuda] [--write]
+
+The table has 162 exponential surfaces at 40 degrees: incidence, l / h, eps', eps'', h / wavelength, VV, HH, HV [dB].
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tables
+import warp as wp
+
+from warpsar.kernels import models, models_lanes, shade, shade_lanes
+from warpsar.kernels.codes import Model, Polarization, Spectrum
+from warpsar.kernels.models import modelled
+from warpsar.kernels.scattering import sigma0
+
+wp.set_module_options({"max_unroll": 1})
+FREQUENCY_HZ = 5.405e9  # the table has none; Dubois alone depends on it
+WAVENUMBER = 2 * np.pi * FREQUENCY_HZ / 299792458.0
+CHANNELS = ("VV", "HH", "HV")
+HITS = 2**18
+
+
+@wp.kernel(enable_backward=False)
+def surface_kernel(
+    model: int,
+    polarization: int,
+    wavenumber: wp.float64,
+    given: wp.array2d(dtype=wp.float64),
+    out: wp.array(dtype=wp.float64),
+):
+    """Rows of `given`: cos theta, eps', eps'', h, l, cos psi."""
+    i = wp.tid()
+    c, re, im = given[i, 0], given[i, 1], given[i, 2]
+    h, length, psi = given[i, 3], given[i, 4], given[i, 5]
+    if model == Model.KA_SPM:
+        zero = wp.float64(0.0)
+        out[i] = sigma0(polarization, Spectrum.EXPONENTIAL, 0, wavenumber, c, psi, re, im, h, length, length, zero, zero)
+    else:
+        found = modelled(model, polarization, Spectrum.EXPONENTIAL, wavenumber, c, psi, re, im, h, length)
+        out[i] = found[0]
+
+
+def sigma0_db(model: Model, polarization: str, rows: np.ndarray) -> np.ndarray:
+    """sigma0 [dB] of the table's surfaces, (rows,); -inf where a model has none."""
+    kh = 2 * np.pi * rows[:, 4]
+    columns = [np.cos(np.radians(rows[:, 0])), rows[:, 2], rows[:, 3], kh / WAVENUMBER, kh * rows[:, 1] / WAVENUMBER]
+    given = wp.array(np.stack([*columns, np.ones(len(rows))], axis=1), dtype=wp.float64, device="cpu")
+    out = wp.zeros(len(rows), dtype=wp.float64, device="cpu")
+    inputs = [int(model), int(Polarization[polarization]), WAVENUMBER, given]
+    wp.launch(surface_kernel, len(rows), inputs=inputs, outputs=[out], device="cpu")
+    with np.errstate(divide="ignore"):
+        return 10 * np.log10(out.numpy())
+
+
+def read(path: Path) -> np.ndarray:
+    """The surfaces, (n, 8); -Inf where the full-wave method has not converged."""
+    rows = np.loadtxt(path)
+    if rows.ndim != 2 or rows.shape[1] != 8:
+        raise SystemExit(f"{path}: found the shape {rows.shape}; must be rows of 8 numbers")
+    return rows
+
+
+def against(rows: np.ndarray) -> dict[str, dict[str, np.ndarray]]:
+    """By model and channel: model minus full wave [dB], (rows,), NaN where either has none."""
+    found: dict[str, dict[str, np.ndarray]] = {}
+    for model in (Model.KA_SPM, Model.I2EM, Model.OH, Model.DUBOIS):
+        off = {}
+        for column, channel in enumerate(CHANNELS, 5):
+            modelled_db, truth = sigma0_db(model, channel, rows), rows[:, column]
+            known = np.isfinite(modelled_db) & np.isfinite(truth)
+            off[channel] = np.full(len(rows), np.nan)
+            off[channel][known] = modelled_db[known] - truth[known]
+        off["VV-HH"] = off["VV"] - off["HH"]
+        found[model.name.lower()] = off
+    return found
+
+
+def _pair(off: np.ndarray) -> str:
+    off = off[np.isfinite(off)]
+    return "none" if not off.size else f"{np.sqrt(np.mean(off**2)):.2f}, {off.mean():+.2f}"
+
+
+def accuracy(path: Path, write: bool) -> None:
+    rows = read(path)
+    found = against(rows)
+    summary = [
+        [f"`{model}`", *(_pair(off[channel]) for channel in (*CHANNELS, "VV-HH"))] for model, off in found.items()
+    ]
+    heights = np.unique(rows[:, 4])
+    by_roughness = []
+    for height in heights:
+        here = rows[:, 4] == height
+        truth = (rows[here, 5] - rows[here, 6]).mean()
+        hv = rows[here, 7] - rows[here, 5]
+        level = hv[np.isfinite(hv)]
+        biases = [found[m]["VV-HH"][here].mean() for m in found]
+        line = found["i2em"]["HV"][here]
+        by_roughness.append(
+            [
+                f"{2 * np.pi * height:.2f}",
+                f"{truth:.2f}",
+                *(f"{bias:+.2f}" for bias in biases),
+                "none" if not level.size else f"{level.mean():.1f}",
+                "none" if not np.isfinite(line).any() else f"{np.nanmean(line):+.2f}",
+            ]
+        )
+    head = ["model", "VV", "HH", "HV", "VV - HH"]
+    rough = ["kh", "VV - HH, full wave", *(f"`{m}`" for m in found), "HV - VV, full wave", "`i2em` HV"]
+    made = {"models": tables.markdown(head, summary), "roughness": tables.markdown(rough, by_roughness)}
+    _told(made, write)
+
+
+def _told(made: dict[str, str], write: bool) -> None:
+    tables.publish({f"scattering.{name}": text for name, text in made.items()}, {"made": tables.made()}, write)
+
+
+def _arrays(device: str, kh: float, kl: float, spectrum: int) -> dict[str, Any]:
+    random = np.random.default_rng(0)
+
+    def put(values: Any, dtype: Any = float) -> wp.array:
+        return wp.array(np.ascontiguousarray(values), dtype=dtype, device=device)
+
+    zeta = np.tile(np.array([np.log(8.0), np.log(kh / 200), np.log(kl / 200), -50.0], np.float32), (HITS, 1))
+    zero = np.zeros(HITS, np.int32)
+    return {
+        "mine": put(np.arange(HITS, dtype=np.int32), int),
+        "face": put(zero, int),
+        "material": put(zero[:1], int),
+        "cosine": put(np.cos(random.uniform(0.3, 1.2, HITS)).astype(np.float32)),
+        "twist": put(np.ones(HITS, np.float32)),
+        "azimuth": put(np.full(HITS, 0.5, np.float32)),
+        "spectrum": put(np.array([spectrum], np.int32), int),
+        "loss": put(np.array([1.0], np.float32)),
+        "aspect": put(np.ones(1, np.float32)),
+        "zeta": put(zeta, wp.vec4),
+        "sigma": put(np.zeros(HITS, np.float32)),
+        "slopes": put(np.zeros((HITS, 4), np.float32), wp.vec4),
+        "none": wp.empty(0, dtype=wp.vec4, device=device),
+    }
+
+
+def launcher(model: Model, polarization: int, a: dict[str, Any], device: str, slopes: bool) -> Callable[[], None]:
+    """One pass over all hits, on the CPU by one thread."""
+    cpu = device == "cpu"
+    places = [a["face"], a["material"], a["cosine"], a["twist"]]
+    out = [a["sigma"], a["slopes"] if slopes else a["none"]]
+    if model == Model.KA_SPM:
+        inputs = [polarization, 0, 200.0, 0, *places, a["azimuth"], a["spectrum"], a["loss"], a["aspect"], a["zeta"]]
+        kernel = shade_lanes.scatter_kernel if cpu else shade.scatter_slopes_kernel if slopes else shade.scatter_kernel
+        out = out if cpu or slopes else out[:1]
+        block = shade_lanes.HITS if cpu else 1
+    else:
+        inputs = [int(model), a["mine"], polarization, 200.0, 0, *places, a["spectrum"], a["loss"], a["zeta"]]
+        kernel, block = (models_lanes.scatter_kernel, models_lanes.HITS) if cpu else (models.scatter_kernel, 1)
+    command = wp.launch(kernel, HITS // block, inputs=inputs, outputs=out, device=device, record_cmd=True)
+    return command.launch
+
+
+def nanoseconds(run: Callable[[], None], device: str, seconds: float = 0.3) -> float:
+    """Of a hit: the best of many passes."""
+    run()
+    wp.synchronize_device(device)
+    best, end = np.inf, time.perf_counter() + seconds
+    while time.perf_counter() < end:
+        begin = time.perf_counter()
+        run()
+        wp.synchronize_device(device)
+        best = min(best, time.perf_counter() - begin)
+    return float(best / HITS * 1e9)
+
+
+def speed(device: str, write: bool) -> None:
+    rows, found = [], {}
+    for spectrum in (Spectrum.GAUSSIAN, Spectrum.EXPONENTIAL):
+        for kh, kl in ((0.1, 1.0), (0.3, 3.0), (0.6, 5.0), (1.3, 10.0)):
+            arrays = _arrays(device, kh, kl, spectrum)
+            for polarization in (Polarization.HH, Polarization.HV):
+                took = {
+                    (model, slopes): nanoseconds(launcher(model, polarization, arrays, device, slopes), device)
+                    for model in (Model.KA_SPM, Model.I2EM, Model.OH, Model.DUBOIS)
+                    for slopes in (False, True)
+                }
+                base = [took[Model.KA_SPM, slopes] for slopes in (False, True)]
+                cells = [
+                    " / ".join(f"{took[model, slopes]:.3g}" for slopes in (False, True))
+                    for model in (Model.KA_SPM, Model.I2EM, Model.OH, Model.DUBOIS)
+                ]
+                ratio = " / ".join(f"{took[Model.I2EM, s] / base[s]:.1f}" for s in (False, True))
+                rows.append([spectrum.name.lower(), polarization.name, kh, *cells, ratio])
+                found[f"{spectrum.name} {polarization.name} {kh}"] = {
+                    f"{m.name} {'slopes' if s else 'value'}": t for (m, s), t in took.items()
+                }
+    head = ["spectrum", "channel", "kh", "`ka_spm`", "`i2em`", "`oh`", "`dubois`", "`i2em` over `ka_spm`"]
+    where = wp.get_device(device)
+    print(json.dumps({"device": where.name, "nanoseconds": found}, indent=1))
+    name = "speed-cuda" if where.is_cuda else "speed"
+    _told({name: tables.markdown(head, rows)}, write)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("table", type=Path, nargs="?", help="the full-wave table")
+    parser.add_argument("--speed", action="store_true", help="time the models instead")
+    parser.add_argument("--device", default="cpu")
+    parser.add_argument("--write", action="store_true", help="put the tables into docs/")
+    given = parser.parse_args()
+    wp.config.log_level = wp.LOG_WARNING
+    if given.speed:
+        speed(given.device, given.write)
+    elif given.table is None:
+        parser.error("needs the full-wave table, or --speed")
+    else:
+        accuracy(given.table, given.write)
+
+
+if __name__ == "__main__":
+    main()
