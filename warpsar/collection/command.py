@@ -142,7 +142,7 @@ def _slc(scene: Scene, plan: Plan, device: wp.Device, seed: int, index: int, out
     with replacing(out / files["npz"]) as temporary, temporary.open("wb") as file:
         np.savez(file, range_m=made.range_m, azimuth_m=made.azimuth_m, **made.images)  # type: ignore[arg-type]
     power = {pol: np.abs(image) ** 2 for pol, image in made.images.items()}
-    spacing = tuple(float(axis[1] - axis[0]) for axis in (made.range_m, made.azimuth_m))
+    spacing = (float(np.diff(made.range_m[:2])[0]), float(np.diff(made.azimuth_m[:2])[0]))
     draw_together([QuickLook.of(out / files["quick_look"], name, power, spacing)])
     for pol in made.images if find_spec("sarkit") is not None else ():
         files[f"sicd_{pol}"] = f"{name}.nitf" if len(made.images) == 1 else f"{name}_{pol}.nitf"
