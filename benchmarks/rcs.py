@@ -140,7 +140,8 @@ class Work:
         step = independent_deg(width_m(mesh, azimuth, incidence), frequency)
         terms = made.of(pol)
         if self.body.material is not None:
-            terms["normal"] = learned.normal_currents(made, azimuth, scene.materials["default"].eps_r, pol)
+            # A slab's edges are what its polarization sends beyond physical optics, and nothing else.
+            terms["normal"], terms["edges"] = terms["edges"], np.zeros_like(terms["edges"])
         return Observed(one.path.name, frequency, pol, one.role, azimuth, incidence, table.rcs_m2[keep], terms, step)
 
     def sector(self, one: Observed, name: str) -> NDArray[np.bool_]:

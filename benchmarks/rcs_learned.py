@@ -16,7 +16,7 @@ import rcs_bodies as bodies
 from numpy.typing import NDArray
 
 from warpsar.curves import metrics, sectors
-from warpsar.curves.amplitudes import Amplitudes, amplitudes
+from warpsar.curves.amplitudes import amplitudes
 from warpsar.curves.noise import Noises, densities, fit
 from warpsar.curves.observed import Observed
 from warpsar.curves.search import ask
@@ -33,18 +33,6 @@ HUMP_DB = 3.0
 """An excess over model and background, at one angle in every curve, that stands in the range and not on the body."""
 LOBES_DEG = 55.0
 """Of the dielectric plate: beyond them the background is stronger."""
-
-
-def normal_currents(made: Amplitudes, azimuth_deg: NDArray[np.float64], eps: Any, pol: str) -> NDArray[np.complex128]:
-    """What physical optics leaves out of a thin slab in HH: the polarization across the slab.
-
-    A thin slab's polarization sends back (eps - 1) k d / 2 x (cos^2 + sin^2 / eps) in HH. Physical optics with the
-    coefficient of reflection has cos^2 - sin^2 / eps: that is right in the specular direction, where the cross part
-    has the other sign. In VV both have 1. Plate to +X.
-    """
-    cos2 = np.sin(np.deg2rad(azimuth_deg)) ** 2
-    whole = made.of("VV")["single"] * (cos2 + (1.0 - cos2) / complex(*np.atleast_1d(eps)))
-    return whole - made.of("HH")["single"] if pol == "HH" else np.zeros(len(azimuth_deg), np.complex128)
 
 
 def slab(eps: complex, thickness_m: float, frequency_hz: float, cos: NDArray[np.float64]) -> NDArray[np.complex128]:

@@ -4,19 +4,27 @@ Run as `python data/make_coherent.py`; what it writes is committed, and the same
 whole wavelengths at 10 GHz (3 cm). X is east, Y north, Z up, all in metres.
 """
 
-import math
 from pathlib import Path
 
 FOLDER = Path(__file__).parent / "coherent"
 WAVELENGTH_M = 0.03
+MESH = """[scene]
+mesh = "{name}.obj"
+"""
+SPHERE = """[scene]                           # its body is an object
+
+[[objects]]
+primitive = "sphere"
+size_m = [{size:g}, {size:g}, {size:g}]
+position_m = [0.0, 0.0, {foot:g}]    # of its lowest point
+material = "body"
+"""
 
 Point = tuple[float, float, float]
 Faces = list[tuple[Point, ...]]
 
 SCENE = """# {about}
-[scene]
-mesh = "{name}.obj"
-
+{body}
 [radar]
 frequency_hz = 9993081933.333334  # a wavelength of 3 cm
 polarizations = ["HH", "VV"]
@@ -51,20 +59,6 @@ def trihedral(a: float) -> Faces:
     return [((0, 0, 0), (a, 0, 0), (0, a, 0)), ((0, 0, 0), (0, a, 0), (0, 0, a)), ((0, 0, 0), (0, 0, a), (a, 0, 0))]
 
 
-def sphere(radius: float, rings: int) -> Faces:
-    def point(i: int, j: int) -> Point:
-        polar, turn = math.pi * i / rings, math.pi * (j % (2 * rings)) / rings
-        across = radius * math.sin(polar) if 0 < i < rings else 0.0
-        return across * math.cos(turn), across * math.sin(turn), radius * math.cos(polar)
-
-    faces: Faces = []
-    for i in range(rings):
-        for j in range(2 * rings):
-            corners = (point(i, j), point(i + 1, j), point(i + 1, j + 1), point(i, j + 1))
-            faces.append(tuple(dict.fromkeys(corners)))  # at the poles two of them are one
-    return faces
-
-
 def duct(width: float, depth: float) -> Faces:
     """A square tube, open to the north, with a wall at its end."""
     x = z = width / 2
@@ -76,7 +70,7 @@ def duct(width: float, depth: float) -> Faces:
     return [*sides, tuple((a[0], -depth, a[1]) for a in corners)]
 
 
-def write(name: str, about: str, faces: Faces) -> None:
+def write_mesh(name: str, about: str, faces: Faces) -> None:
     numbers: dict[Point, int] = {}
     lines = [f"# {about}", "usemtl body"]
     for face in faces:
@@ -88,17 +82,22 @@ def write(name: str, about: str, faces: Faces) -> None:
     for face in faces:
         lines.append("f " + " ".join(str(numbers[tuple(round(x, 9) + 0.0 for x in p)]) for p in face))  # type: ignore[index]
     (FOLDER / f"{name}.obj").write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
-    (FOLDER / f"{name}.toml").write_text(SCENE.format(about=about, name=name), encoding="utf-8", newline="\n")
+    write_scene(name, about, MESH.format(name=name))
+
+
+def write_scene(name: str, about: str, body: str) -> None:
+    (FOLDER / f"{name}.toml").write_text(SCENE.format(about=about, body=body), encoding="utf-8", newline="\n")
 
 
 def main() -> None:
     FOLDER.mkdir(exist_ok=True)
     unit = WAVELENGTH_M
-    write("plate", "A conducting plate, 5 x 7 wavelengths.", plate(5 * unit, 7 * unit))
-    write("dihedral", "A conducting dihedral of two plates, 10 x 8 wavelengths.", dihedral(10 * unit, 8 * unit))
-    write("trihedral", "A conducting triangular trihedral with legs of 10 wavelengths.", trihedral(10 * unit))
-    write("sphere", "A conducting sphere with a radius of 5 wavelengths.", sphere(5 * unit, 60))
-    write("duct", "A conducting square duct, 10 wavelengths wide and 10 deep.", duct(10 * unit, 10 * unit))
+    write_mesh("plate", "A conducting plate, 5 x 7 wavelengths.", plate(5 * unit, 7 * unit))
+    write_mesh("dihedral", "A conducting dihedral of two plates, 10 x 8 wavelengths.", dihedral(10 * unit, 8 * unit))
+    write_mesh("trihedral", "A conducting triangular trihedral with legs of 10 wavelengths.", trihedral(10 * unit))
+    ball = SPHERE.format(size=10 * unit, foot=-5 * unit)
+    write_scene("sphere", "A conducting sphere with a radius of 5 wavelengths.", ball)
+    write_mesh("duct", "A conducting square duct, 10 wavelengths wide and 10 deep.", duct(10 * unit, 10 * unit))
 
 
 if __name__ == "__main__":

@@ -117,7 +117,7 @@ def seen(field: Field, back: Field, d: wp.vec3d, out: wp.vec3d, n: wp.vec3d, s: 
 
 @wp.func
 def slab_seen(face: Face, k: wp.float64, e: wp.vec3d, d: wp.vec3d, n: wp.vec3d, s: wp.vec3d, p: wp.vec3d) -> wp.vec2d:
-    """As `seen`, of the polarization currents of a slab in air: jk (eps - 1) p . INT E e^{jk s.z} dz over its thickness.
+    """As `seen`, of a slab's polarization currents: jk (eps - 1) p . INT E e^{jk s.z} dz over its thickness, in air.
 
     E is that of an endless slab that a wave `e` meets along `d`: of the wave that goes down, and of the one that comes
     up. Its normal part is what a surface with a coefficient of reflection has not (Le Vine, Schneider, Lang, Carter,

@@ -120,7 +120,9 @@ def test_a_very_thin_plate_has_the_normal_field_over_eps() -> None:
 def test_a_slab_so_thick_that_nothing_passes_is_finite() -> None:
     """Its wave that comes up would overflow: e^{+x} of a way through 5 m."""
     parts = [
-        amplitudes(plate(0.3, 0.2), 60.0, 90.0, material={"rms_height_m": 0.0, "eps_r": (60.0, -40.0), "thickness_m": d})
+        amplitudes(
+            plate(0.3, 0.2), 60.0, 90.0, material={"rms_height_m": 0.0, "eps_r": (60.0, -40.0), "thickness_m": d}
+        )
         for d in (0.1, 5.0)
     ]
     assert parts[1] == pytest.approx(parts[0], rel=1e-6)

@@ -50,7 +50,7 @@ class Rcs:
     """(a, i, f): of what the tubes meet after their first hit; NaN where none meets anything."""
     ray_spacing_m: float
     spacing_error_m: NDArray[np.float64]
-    """How far tubes of twice the width take the amplitude [m]: one standard deviation of what the spacing leaves open."""
+    """How far tubes of twice the width take the amplitude [m]: about what the spacing leaves open."""
     refined: NDArray[np.float64]
     """(a, i): share of the tubes that got too wide and were cut."""
     aliased: NDArray[np.float64]

@@ -247,6 +247,7 @@ class Worker:
         amplitude[:, :, 1] = further.sum(axis=2)
         fresnel = number[:, None] * self.k / (2.0 * np.pi)
         bounces = further if self.layers else None
+        first = np.where(first > 0.0, first, 1.0)  # a plate from its side has no tubes
         shares = total.refined / first, total.aliased / first
         return Sweep(amplitude, bounces, fresnel, spacing, *shares, int(total.segments), None)
 
