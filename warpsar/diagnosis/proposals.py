@@ -11,6 +11,7 @@ import warp as wp
 
 from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.geometry import GeometryCandidate
+from warpsar.diagnosis.lead import FAR_BEHIND, Lead
 from warpsar.diagnosis.proposals_bodies import Tried, likeliest, sound
 from warpsar.diagnosis.proposals_fit import Ground, Standing, alone, released
 from warpsar.diagnosis.proposals_left_out import explained, left_out
@@ -29,9 +30,9 @@ WORTH_A_FIT = 2.0  # times what a number costs: the best of all places where not
 LAST_STEPS, LAST_FLAT = 4, 0.1  # of the last descents
 
 
-def missing_objects(declared: Scene, bench: Bench, here: Fitted, price: float) -> list[GeometryCandidate]:
+def missing_objects(declared: Scene, bench: Bench, here: Fitted, price: float, lead: Lead) -> list[GeometryCandidate]:
     """`proposed` for a turn of a diagnosis, whose fitted model is `here`. `declared` is not asked."""
-    return proposed(here.scene, bench.device, bench.observations, price=price)
+    return proposed(here.scene, bench.device, bench.observations, price=price, least=FAR_BEHIND * lead.sharp)
 
 
 def proposed(
@@ -41,13 +42,15 @@ def proposed(
     *,
     loss: str = "gamma",
     price: float | None = None,
+    least: float = 0.0,
 ) -> list[GeometryCandidate]:
     """The object that explains most of what a fitted scene leaves, if it pays and views left out confirm it.
 
-    `observations`, by view name: the pixels that other models are compared on; by default those of the views with role
-    train that the scene lights. `price`: what a number costs in 2 ln L; by default the logarithm of looks times pixels
-    (Schwarz, Annals of Statistics 6, 1978). Returns one candidate or none: a second object is found once the first
-    one stands in the scene. One view cannot place an object, so a scene with one has none.
+    `observations`, by view name: the pixels that other models are compared on; by default those of the views with
+    role train that the scene lights. `price`: what a number costs in 2 ln L; by default the logarithm of looks times
+    pixels (Schwarz, Annals of Statistics 6, 1978). `least`: log-likelihood that a place must promise for a fit.
+    Returns one candidate or none: a second object is found once the first one stands in the scene. One view cannot
+    place an object, so a scene with one has none.
     """
     ground = Ground.of(scene, device, observations, loss)
     if len(ground.pixels) < 2:
@@ -55,7 +58,7 @@ def proposed(
     without = ground.settled(ground.scene)
     ground = replace(ground, scene=without.scene)
     cost = 0.5 * (price if price is not None else np.log(sum(s.looks * s.count for s in without.observations)))
-    places_tried = _worth_a_fit(ground, without, cost)
+    places_tried = _worth_a_fit(ground, without, max(WORTH_A_FIT * cost, least))
     found = [one for place in places_tried for one in likeliest(ground, without, place, cost)]
     best = max(found, key=lambda one: one.worth(cost), default=None)
     if best is None:
@@ -75,10 +78,10 @@ def proposed(
     return [GeometryCandidate(KIND, best.name, whole.scene, float(gain), size, values, words)]
 
 
-def _worth_a_fit(ground: Ground, without: Standing, cost: float) -> list[Place]:
-    """Places where bodies would explain enough, and no much better one is among them."""
+def _worth_a_fit(ground: Ground, without: Standing, least: float) -> list[Place]:
+    """Places where bodies would explain at least so much, and no much better one is among them."""
     found = [one for one in places(ground.scene, _ratios(without), LOOKED_AT) if one.share > EXPLAINED]
-    least = max(WORTH_A_FIT * cost, NEARLY * max((one.score for one in found), default=0.0))
+    least = max(least, NEARLY * max((one.score for one in found), default=0.0))
     return [one for one in found if one.score > least][:PLACES]
 
 
