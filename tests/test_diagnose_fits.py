@@ -96,6 +96,14 @@ def test_a_shift_of_bright_lines_is_searched_for(shifted: tuple[Bench, Scene]) -
     )
 
 
+def test_a_shift_that_aim_points_contain_is_not_searched_for(shifted: tuple[Bench, Scene]) -> None:
+    """A model with free aim points moves no number of registration, so a search has none to begin at."""
+    bench, scene = shifted
+    aimed = with_effect(scene, "aim_point", {"range_m": {"v0": 0.2}, "azimuth_m": {"v0": 0.0}})
+    for trial in get("registration").trials(Context(scene, 0.01)):
+        assert surveyed(bench, aimed, "registration", trial) == list(trial.starts)
+
+
 def test_the_search_leads_the_fit_where_the_slope_at_zero_does_not(shifted: tuple[Bench, Scene]) -> None:
     bench, scene = shifted
     base = fit_model(bench, scene, 0, 0)

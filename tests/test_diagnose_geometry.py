@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from learning_scenes import START, TRUTH, measured, starting
+from scipy.ndimage import gaussian_filter
 from test_diagnose import ANGLES, saved
 from worlds import box, ground, mesh_of, scene_of, view
 
@@ -19,6 +20,7 @@ from warpsar.diagnosis.found import DiagnoseOptions
 from warpsar.diagnosis.frozen import frozen
 from warpsar.diagnosis.geometry import changes, composed, heard, told, without_change, without_object
 from warpsar.diagnosis.geometry_search import _foretold, screening
+from warpsar.diagnosis.lead import Lead
 from warpsar.diagnosis.movable import bodies, disjoint, freed, refined_words
 from warpsar.diagnosis.refit import BOUND, Fitted, refit_as
 from warpsar.diagnosis.result import diagnose
@@ -219,6 +221,47 @@ def test_the_screening_finds_the_body(moved: Scene, tmp_path: Path) -> None:
     assert lit_shadows(fitted)
 
 
+def test_the_speckle_of_a_floor_lights_no_shadow(tmp_path: Path) -> None:
+    """A floor four times the limit of a lit shadow: the largest of its means of nine pixels lies above the limit."""
+    floored = {"noise_floor": {"level": 0.05, "fixed": True}}
+    seen = case(tmp_path, replace(true_scene(), effects=floored))
+    _, fitted = fitted_of(replace(seen, effects=floored))
+    assert not lit_shadows(fitted)
+
+
+def test_how_far_an_effect_is_ahead(tmp_path: Path) -> None:
+    """A shift of two pixels takes most of the loss of images blurred to 3 m, too; a body then waits for the next turn.
+    By hand: both losses of blurred images, the model's and the measured one's, each pixel's bounded."""
+    shift = {"registration": {"range_m": 1.0, "azimuth_m": -1.0}}
+    bench, here = fitted_of(case(tmp_path, replace(true_scene(), effects=shift)))
+    ahead = refit_as(bench, replace(here.scene, effects=shift))
+    lead = Lead.of(bench, here, ahead)
+    losses = [blurred_loss(bench, one, 3.0) for one in (here, ahead)]
+    assert lead.blurred == pytest.approx(losses[0] - losses[1], rel=1e-6)
+    assert lead.blurred > 0.5 * losses[0]
+    assert lead.most
+    assert lead.sharp == pytest.approx(log_likelihood(bench, ahead) - log_likelihood(bench, here))
+    assert lead.least >= lead.blurred
+    assert Lead.of(bench, here, None) == Lead()
+    assert not Lead.of(bench, here, here).most
+
+
+def blurred_loss(bench: Bench, fitted: Fitted, blur_m: float) -> float:
+    """By the definition: Gaussian blur of image and measurement, a common floor, and the bounded gamma loss."""
+    lit = [seen.values for found in bench.observations.values() for seen in found]
+    level = FLOOR_SHARE * np.median([np.median(values) for values in lit])
+    sigma = blur_m / np.sqrt(8.0 * np.log(2.0)) / 0.5
+    fitted.problem.modelled(fitted.x)
+    total = 0.0
+    for one in fitted.problem.views:
+        (seen,) = one.observations
+        images = (seen.measured, one.render.images["HH"].numpy().reshape(44, 44))
+        measured_here, image = (gaussian_filter(each.astype(float), sigma)[2:-2, 2:-2] + level for each in images)
+        ratio = measured_here / image
+        total += (BOUND * np.log1p(16.0 * (ratio - 1.0 - np.log(ratio)) / BOUND)).sum()
+    return float(total)
+
+
 # ---- what is found ----
 
 
@@ -302,6 +345,22 @@ def test_two_objects_are_found_turn_by_turn(tmp_path: Path) -> None:
     done = diagnose(case(tmp_path, truth), device="cpu", options=QUICK).diagnosis
     assert set(done.held) == {"object_pose cube", "absent_object hut"}
     np.testing.assert_allclose(done.objects["cube"]["position_m"], (-0.7, 0.5, 0.0), atol=0.05)
+
+
+BLUR = {"point_spread": {"range_fwhm_m": 0.9, "azimuth_fwhm_m": 0.7}}
+FLOOR = {"noise_floor": {"level": 0.003}}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("effects", [BLUR, FLOOR], ids=["blur", "floor"])
+@pytest.mark.parametrize("there", ["elsewhere", "absent"])
+def test_an_object_and_an_effect_are_both_found(there: str, effects: dict[str, Any], tmp_path: Path) -> None:
+    """The effect is the likelier one and is added first; the object waits, and is found beside it."""
+    truth = true_scene(**MOVED) if there == "elsewhere" else without_hut()
+    done = diagnose(case(tmp_path, replace(truth, effects=effects)), device="cpu", options=QUICK).diagnosis
+    change = "object_pose hut" if there == "elsewhere" else "absent_object hut"
+    assert set(done.held) == {change, *effects}
+    assert not done.unexplained
 
 
 @pytest.mark.slow

@@ -12,7 +12,7 @@ from learning_scenes import cube_scene, measured, noise_free, speckle, views_at
 from worlds import ground, mesh_of, plate, scene_of
 
 from warpsar.learning.command import LearnOptions, learn
-from warpsar.learning.identify import identify, of_information, residual_autocovariance, score_products
+from warpsar.learning.identify import LAGS, identify, of_information, residual_autocovariance, score_products
 from warpsar.learning.problem import FitProblem
 from warpsar.runtime import devices
 from warpsar.scene.scene import Scene
@@ -164,6 +164,23 @@ def blurred(random: np.random.Generator, shape: tuple[int, ...], looks: float, w
     for part in random.normal(size=(2 * int(looks), *shape)):
         total += gaussian_filter(part, width, mode="wrap") ** 2
     return total / (2 * int(looks) * variance)
+
+
+@pytest.mark.parametrize("shape", [(40, 31), (7, 33)])
+def test_the_autocovariance_is_the_mean_of_products(shape: tuple[int, int]) -> None:
+    """Of all pairs of interior pixels at a lag, one by one. An image may have fewer rows than there are lags."""
+    random = np.random.default_rng(4)
+    inside = random.random(shape) > 0.2
+    image = np.where(inside, blurred(random, shape, 4.0) - 1.0, 0.0)
+    seen = SimpleNamespace(measured=np.zeros(shape), interior=inside)
+    found = residual_autocovariance([(seen, image[inside])])  # type: ignore[list-item]
+    at = np.argwhere(inside)
+    for lag in ((0, 0), (1, 0), (0, 1), (1, 1), (-1, 0), (1, -1)):
+        there = [
+            (p, p + lag) for p in at if (p + lag >= 0).all() and (p + lag < shape).all() and inside[tuple(p + lag)]
+        ]
+        mean = np.mean([image[tuple(p)] * image[tuple(q)] for p, q in there])
+        assert found[LAGS + lag[0], LAGS + lag[1]] == pytest.approx(mean, rel=1e-9)  # near lags are not tapered
 
 
 def score_variance(noise: Any, looks: float, seed: int) -> tuple[float, float]:

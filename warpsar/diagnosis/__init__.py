@@ -7,6 +7,7 @@ search.py          the loop: score, add on trial, confirm, repeat
 geometry.py        an object elsewhere, absent or missing: what a scene holds of it
 movable.py         which bodies may stand elsewhere or be absent
 geometry_search.py which of them are worth a comparison with effects
+lead.py            how far the likeliest effect is ahead of any of them
 geometry_trial.py  the likeliest of them beside the likeliest effect
 geometry_confirmation.py  whether one holds beside everything else
 all_pixels.py      models compared on lit and unlit pixels

@@ -17,18 +17,20 @@ from warpsar.diagnosis.movable import standing
 from warpsar.diagnosis.refit import BOUND, Fitted
 from warpsar.learning.observation import Observation, usable_pixels
 from warpsar.learning.pose import Descended, PosedProblem, descend
-from warpsar.learning.pose_pixels import FLOOR_SHARE, compared
+from warpsar.learning.pose_pixels import FLOOR_SHARE, blurred, compared
 from warpsar.learning.verdict import TRACE
 from warpsar.scene.placing import with_objects
 from warpsar.scene.scene import Scene
 from warpsar.speckle.likelihood import bounded, loss_terms
 
+SPECKLED = 6.0  # standard deviations of a pixel's speckle, which the mean of 3 x 3 pixels has at most
 
-def log_likelihood(bench: Bench, fitted: Fitted) -> float:
+
+def log_likelihood(bench: Bench, fitted: Fitted, blur_m: float = 0.0) -> float:
     """Of all usable pixels above a common floor, with the model as it stands; each costs `BOUND` at most, about.
 
     The floor is a twentieth of the lit pixels' median. It stands in model and measurement alike, so it leaves the mean
-    as it is, and pixels that measure 0 count.
+    as it is, and pixels that measure 0 count. `blur_m`: full width at half maximum of a Gaussian that blurs both.
     """
     modelled = fitted.problem.modelled(fitted.x)
     gains = iter(fitted.problem.gains(modelled))
@@ -40,14 +42,15 @@ def log_likelihood(bench: Bench, fitted: Fitted) -> float:
         for seen in view.observations:
             image = float(next(gains)) * view.render.images[seen.polarization].numpy().reshape(seen.interior.shape)
             use = usable_pixels(fitted.scene, seen.view, seen.measured)
-            measured, mean = seen.measured[use] + level, np.maximum(image[use].astype(float), 0.0) + level
+            both = (np.asarray(seen.measured, float), np.maximum(image.astype(float), 0.0))
+            measured, mean = (blurred(fitted.scene.grid, each, blur_m)[use] + level for each in both)
             total -= float(bounded(loss_terms("gamma", measured, mean, seen.looks), BOUND).sum())
     return float(bench.ranks.same(total))
 
 
 def lit_shadows(fitted: Fitted) -> bool:
     """Whether a shadow of the model is none: 3 x 3 pixels that it does not light, nor their neighbours, measure more
-    than it has there by a trace of the lit pixels' median, on average.
+    than it has there by a trace of the lit pixels' median, on average, and by more than the speckle of what it has.
 
     These pixels belong to no scan: a blur reaches them, and pixels farther than six from anything lit are dark ones.
     """
@@ -58,8 +61,11 @@ def lit_shadows(fitted: Fitted) -> bool:
             unlit = minimum_filter((~view.render.lit(seen.polarization)).astype(np.uint8), size=3) > 0
             unlit &= usable_pixels(fitted.scene, seen.view, seen.measured) & ~seen.dark
             whole = minimum_filter(unlit.astype(np.uint8), size=3, mode="constant") > 0
-            more = uniform_filter(np.where(unlit, seen.measured - image, 0.0), size=3, mode="constant")
-            if (more[whole] > TRACE * np.median(seen.values)).any():
+            more, has = (
+                uniform_filter(np.where(unlit, each, 0.0), size=3, mode="constant")
+                for each in (seen.measured - image, image)
+            )
+            if (more > TRACE * np.median(seen.values) + SPECKLED / np.sqrt(seen.looks) * has)[whole].any():
                 return True
     return False
 
@@ -82,12 +88,17 @@ class Exact:
         pairs = zip(fitted.problem.observations, gains, strict=True)
         return cls(bench, {(seen.view.name, seen.polarization): float(gain) for seen, gain in pairs})
 
-    def problem(self, scene: Scene, views: Sequence[str] | None = None, blur_m: float = 0.0) -> PosedProblem:
-        """What `learn` of the scene's objects frees, with surface and effects; images blurred by `blur_m`."""
+    def problem(
+        self, scene: Scene, views: Sequence[str] | None = None, blur_m: float = 0.0, bound: float = 0.0
+    ) -> PosedProblem:
+        """What `learn` of the scene's objects frees, with surface and effects; images blurred by `blur_m`. `bound` is
+        that of the loss."""
         ready = scene if scene.assembly is not None else with_objects(scene, ())
         both = compared(ready, self.bench.observations, blur_m, self.gains)
         seen = {name: found for name, found in both.observations.items() if views is None or name in views}
-        return PosedProblem(both.scene, self.bench.device, seen, level=both.level, standing=standing(both.scene))
+        return PosedProblem(
+            both.scene, self.bench.device, seen, level=both.level, standing=standing(both.scene), bound=bound
+        )
 
     def settled(self, scene: Scene, views: Sequence[str] | None = None) -> tuple[PosedProblem, Descended]:
         """Surface and effects at their best, and what `learn` of the scene's objects frees."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from scipy.sparse import csc_array, diags_array
@@ -15,6 +16,7 @@ from warpsar.learning.optimise import levenberg_marquardt
 from warpsar.learning.problem import FitProblem
 from warpsar.learning.roughness import FieldPrior, Roughness
 from warpsar.learning.sparse_quadratic import whole_jacobian
+from warpsar.runtime.threads import side_by_side
 from warpsar.scene.scene import Scene
 from warpsar.surface.surface import Surface
 
@@ -72,9 +74,24 @@ def _errors(problem: FitProblem, x: np.ndarray, random: np.random.Generator) -> 
     drawn = tangent.T @ random.standard_normal((tangent.shape[0], DRAWS))
     drawn = drawn + prior.rows.T @ random.standard_normal((prior.rows.shape[0], DRAWS))
     weak = diags_array(np.full(x.size, 1e-6 * curvature.diagonal().mean()))
-    return factor(csc_array(curvature + weak)).solve(np.asarray(drawn)), information.diagonal() > TOLD
+    return solved(factor(csc_array(curvature + weak)), np.asarray(drawn)), information.diagonal() > TOLD
 
 
 def factor(matrix: csc_array) -> SuperLU:
     """The factors of a positive definite sparse matrix."""
     return splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+
+
+def solved(factors: SuperLU, right: np.ndarray) -> np.ndarray:
+    """The solution for every column of `right`, shape (p, k), each in a thread of ours.
+
+    For several columns at once BLAS starts threads of its own, which wait for one another in busy loops
+    (`runtime/matmul.py`).
+    """
+    found = np.empty(right.shape, order="F")
+
+    def one(k: int) -> None:
+        found[:, k] = factors.solve(right[:, k])
+
+    side_by_side([partial(one, k) for k in range(right.shape[1])])
+    return found

@@ -22,7 +22,7 @@ from scipy.sparse import csc_array, csr_array, diags_array, hstack, vstack
 
 from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.evidence import TRIALS, Evidence
-from warpsar.diagnosis.field_prior import factor
+from warpsar.diagnosis.field_prior import factor, solved
 from warpsar.diagnosis.found import Candidate
 from warpsar.diagnosis.partly_known import PartlyKnown
 from warpsar.diagnosis.score import REACH, Projection
@@ -72,7 +72,7 @@ class FieldProjection(Projection):
         pulled = self._tangent.T @ table
         if known is not None:
             pulled = pulled + self._rows.T @ known.reshape(len(known), table.shape[1])
-        return np.asarray(table - self._tangent @ self._factors.solve(pulled)).reshape(columns.shape)
+        return np.asarray(table - self._tangent @ solved(self._factors, pulled)).reshape(columns.shape)
 
     def left(self, columns: np.ndarray | csc_array) -> np.ndarray:
         """Share of energy of standardised columns of unit length that no move of the parameters imitates, however far
@@ -80,7 +80,7 @@ class FieldProjection(Projection):
         found = []
         for some in _batches(columns):
             pulled = np.asarray(self._tangent.T @ some)
-            found.append(1.0 - (pulled * self._free.solve(pulled)).sum(axis=0))
+            found.append(1.0 - (pulled * solved(self._free, pulled)).sum(axis=0))
         return np.maximum(np.concatenate([*found, np.zeros(0)]), 0.0)
 
     def compared(self, columns: np.ndarray) -> np.ndarray:
@@ -91,7 +91,7 @@ class FieldProjection(Projection):
         """Covariance, under speckle, of the scores of every trial of `k` projected columns, shape (trials, k, k)."""
         found = []
         for some in _batches(columns, max(1, TRIALS // k) * k):
-            moves = self._factors.solve(np.asarray(self._tangent.T @ some))
+            moves = solved(self._factors, np.asarray(self._tangent.T @ some))
             left, below = some - self._tangent @ moves, self._rows @ moves
             known = below.reshape(len(below), -1, k)
             found.append(evidence.products(left, k) + np.einsum("bti,btj->tij", known, known))

@@ -15,21 +15,22 @@ import numpy as np
 from warpsar.diagnosis.all_pixels import Exact, still
 from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.geometry import ABSENT, POSE, GeometryCandidate, heard, told, without_object
+from warpsar.diagnosis.lead import Lead
 from warpsar.diagnosis.movable import bodies, disjoint, freed, placeable
 from warpsar.diagnosis.proposals import missing_objects
-from warpsar.diagnosis.refit import Fitted
+from warpsar.diagnosis.refit import BOUND, Fitted
 from warpsar.effects.registry import get
 from warpsar.learning.pose import PosedProblem
 from warpsar.learning.pose_search import SEARCH_BLUR_M, find_poses
+from warpsar.runtime.matmul import transposed_times
 from warpsar.scene.scene import Scene
 from warpsar.world.objects.pose import foot
 from warpsar.world.objects.sound import misplaced, surfaces_at
 
 TOGETHER = 16  # bodies of one screening problem: four columns each, on all pixels
 FITTED = 2  # of the screened poses, how many are fitted
-FAR_BEHIND = 0.1  # of what the best effect gains: a body that is foretold less is no rival (blur takes most of a gain)
 
-Source = Callable[[Scene, Bench, Fitted, float], list[GeometryCandidate]]
+Source = Callable[[Scene, Bench, Fitted, float, Lead], list[GeometryCandidate]]
 
 
 @dataclass(frozen=True)
@@ -42,16 +43,16 @@ class Screened:
 
 
 def geometry_candidates(
-    declared: Scene, bench: Bench, here: Fitted, price: float, lead: float = 0.0
+    declared: Scene, bench: Bench, here: Fitted, price: float, lead: Lead
 ) -> list[GeometryCandidate]:
     """Changes of geometry that are worth a comparison with the effects, as the first rank finds them.
 
-    A number that a change frees costs `price` of 2 ln L. `lead`: log-likelihood that the best effect gains.
+    A number that a change frees costs `price` of 2 ln L. `lead`: of the best effect.
     """
     found = bench.ranks.agree(
         lambda: [
             *moved_or_absent(declared, bench, here, price, lead),
-            *(one for source in SOURCES for one in source(declared, bench, here, price)),
+            *(one for source in SOURCES for one in source(declared, bench, here, price, lead)),
         ]
     )
     mine = [
@@ -63,16 +64,14 @@ def geometry_candidates(
     ]
 
 
-def moved_or_absent(
-    declared: Scene, bench: Bench, here: Fitted, price: float, lead: float = 0.0
-) -> list[GeometryCandidate]:
+def moved_or_absent(declared: Scene, bench: Bench, here: Fitted, price: float, lead: Lead) -> list[GeometryCandidate]:
     """The bodies that stand elsewhere, or are not there, most likely.
 
-    One that is far behind the best effect is not fitted; the next turn tries it again.
+    One that is behind the best effect is not fitted; the next turn tries it again.
     """
     exact = Exact.of(bench, here)
     screened = screening(declared, exact, here)
-    least = max(0.5 * price, FAR_BEHIND * lead)
+    least = max(0.5 * price, lead.least)
     found = []
     for one in sorted(screened, key=lambda one: -one.moved)[:FITTED]:
         if one.moved > least:
@@ -88,7 +87,7 @@ def screening(declared: Scene, exact: Exact, here: Fitted) -> list[Screened]:
     blur_m = SEARCH_BLUR_M[0]
     found = []
     for labels in disjoint(bodies(declared, here.scene), TOGETHER):
-        problem = exact.problem(freed(here.scene, labels), blur_m=blur_m)
+        problem = exact.problem(freed(here.scene, labels), blur_m=blur_m, bound=BOUND)
         loss = problem.value(problem.x0)
         moved = _foretold(problem)
         for label in labels:
@@ -101,7 +100,7 @@ def _without(declared: Scene, exact: Exact, here: Fitted, label: str, blur_m: fl
     scene = still(without_object(declared, here.scene, label))
     if any(get(name).check(scene, table) for name, table in scene.effects.items()):
         return np.inf
-    problem = exact.problem(scene, blur_m=blur_m)
+    problem = exact.problem(scene, blur_m=blur_m, bound=BOUND)
     return problem.value(problem.x0)
 
 
@@ -113,7 +112,7 @@ def _foretold(problem: PosedProblem) -> dict[str, float]:
     for j, c in zip(jacobians, inner.curvatures(inner.modelled(rest)), strict=True):
         weighted = c.weight[:, None] * j
         gradient = gradient + weighted.T @ c.residual
-        hessian = hessian + j.T @ weighted
+        hessian = hessian + transposed_times(j, weighted)
     own, n = slice(0, problem.size), problem.size
     along = np.linalg.pinv(hessian[own, own], rcond=1e-9, hermitian=True) @ np.column_stack(
         [hessian[own, n:], gradient[own]]

@@ -11,6 +11,7 @@ import warp as wp
 
 from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.geometry import GeometryCandidate
+from warpsar.diagnosis.lead import FAR_BEHIND, Lead
 from warpsar.diagnosis.proposals_bodies import Tried, likeliest, sound
 from warpsar.diagnosis.proposals_fit import Ground, Standing, alone, released
 from warpsar.diagnosis.proposals_left_out import explained, left_out
@@ -29,9 +30,9 @@ WORTH_A_FIT = 2.0  # times what a number costs: the best of all places where not
 LAST_STEPS, LAST_FLAT = 4, 0.1  # of the last descents
 
 
-def missing_objects(declared: Scene, bench: Bench, here: Fitted, price: float) -> list[GeometryCandidate]:
+def missing_objects(declared: Scene, bench: Bench, here: Fitted, price: float, lead: Lead) -> list[GeometryCandidate]:
     """`proposed` for a turn of a diagnosis, whose fitted model is `here`. `declared` is not asked."""
-    return proposed(here.scene, bench.device, bench.observations, price=price)
+    return proposed(here.scene, bench.device, bench.observations, price=price, least=FAR_BEHIND * lead.sharp)
 
 
 def proposed(
@@ -41,13 +42,15 @@ def proposed(
     *,
     loss: str = "gamma",
     price: float | None = None,
+    least: float = 0.0,
 ) -> list[GeometryCandidate]:
     """The object that explains most of what a fitted scene leaves, if it pays and views left out confirm it.
 
-    `observations`, by view name: the pixels that other models are compared on; by default those of the views with role
-    train that the scene lights. `price`: what a number costs in 2 ln L; by default the logarithm of looks times pixels
-    (Schwarz, Annals of Statistics 6, 1978). Returns one candidate or none: a second object is found once the first
-    one stands in the scene. One view cannot place an object, so a scene with one has none.
+    `observations`, by view name: the pixels that other models are compared on; by default those of the views with
+    role train that the scene lights. `price`: what a number costs in 2 ln L; by default the logarithm of looks times
+    pixels (Schwarz, Annals of Statistics 6, 1978). `least`: log-likelihood that a place must promise for a fit.
+    Returns one candidate or none: a second object is found once the first one stands in the scene. One view cannot
+    place an object, so a scene with one has none.
     """
     ground = Ground.of(scene, device, observations, loss)
     if len(ground.pixels) < 2:
@@ -55,8 +58,8 @@ def proposed(
     without = ground.settled(ground.scene)
     ground = replace(ground, scene=without.scene)
     cost = 0.5 * (price if price is not None else np.log(sum(s.looks * s.count for s in without.observations)))
-    looked = Looked.at(ground.scene, _ratios(without))
-    places_tried = _worth_a_fit(looked.best(LOOKED_AT), cost)
+    looked, pays = Looked.at(ground.scene, _ratios(without)), WORTH_A_FIT * cost
+    places_tried = _worth_a_fit(looked.best(LOOKED_AT), max(pays, least))
     found = [one for place in places_tried for one in likeliest(ground, without, place, cost)]
     best = max(found, key=lambda one: one.worth(cost), default=None)
     if best is None:
@@ -67,7 +70,7 @@ def proposed(
     console.say(f"missing object: {best.shape.table.primitive}, log-likelihood up by {gain:.4g} with {size} numbers")
     if gain <= size * cost or not sound(whole.scene) or explained(without, whole) < EXPLAINED:
         return []
-    confirmed = left_out(ground, without, whole, lambda view: _likely(looked.best(LOOKED_AT, without=view), cost))
+    confirmed = left_out(ground, without, whole, lambda view: _likely(looked.best(LOOKED_AT, without=view), pays))
     console.say(f"missing object: views left out gain {confirmed.gain:.4g} +- {confirmed.error:.2g}")
     if not confirmed.passed:
         return []
@@ -76,16 +79,16 @@ def proposed(
     return [GeometryCandidate(KIND, best.name, whole.scene, float(gain), size, values, words)]
 
 
-def _worth_a_fit(places: list[Place], cost: float) -> list[Place]:
-    """Places where bodies would explain enough, and no much better one is among them."""
-    found = _likely(places, cost)
+def _worth_a_fit(places: list[Place], least: float) -> list[Place]:
+    """Places where bodies would explain at least so much, and no much better one is among them."""
+    found = _likely(places, least)
     least = NEARLY * max((one.score for one in found), default=0.0)
     return [one for one in found if one.score > least][:PLACES]
 
 
-def _likely(places: list[Place], cost: float) -> list[Place]:
-    """Places where a body would explain enough, and more than the best of all places where nothing stands."""
-    return [one for one in places if one.share > EXPLAINED and one.score > WORTH_A_FIT * cost]
+def _likely(places: list[Place], least: float) -> list[Place]:
+    """Places where a body would explain enough of what is there, and at least so much."""
+    return [one for one in places if one.share > EXPLAINED and one.score > least]
 
 
 def _ratios(standing: Standing) -> list[Ratios]:

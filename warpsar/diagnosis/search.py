@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 from warpsar.diagnosis.addition import add_the_best
-from warpsar.diagnosis.all_pixels import lit_shadows, log_likelihood
+from warpsar.diagnosis.all_pixels import lit_shadows
 from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.confirmation import Confirmation, confirm
 from warpsar.diagnosis.course import Course
@@ -18,6 +18,7 @@ from warpsar.diagnosis.found import Candidate, DiagnoseOptions, Rival, Turn
 from warpsar.diagnosis.geometry import changes, is_geometry, object_of
 from warpsar.diagnosis.geometry_search import geometry_candidates
 from warpsar.diagnosis.geometry_trial import add_the_likeliest, on_its_ground, posed_anew
+from warpsar.diagnosis.lead import Lead
 from warpsar.diagnosis.outcome import confirmation_lines, score_text, turn_lines
 from warpsar.diagnosis.pruning import prune, trimmed
 from warpsar.diagnosis.refit import Fitted, narrow, on_bounded_ground, refit_as, settle
@@ -155,8 +156,14 @@ class Search:
 
     def _with_bodies(self, bench: Bench, turn: Turn, here: Fitted, price: float) -> Bench:
         """Let bodies that may stand elsewhere, or be absent, contend with the effect that the turn has added. Returns
-        the bench of what is added then."""
-        lead = 0.0 if turn.fitted is None else log_likelihood(bench, turn.fitted) - log_likelihood(bench, here)
+        the bench of what is added then.
+
+        Bodies that are behind wait. Nothing is lost by that: the next turn tries them beside the effect, and in the end
+        each is asked beside all the others.
+        """
+        lead = Lead.of(bench, here, turn.fitted)
+        if lead.most:
+            return bench
         offered = geometry_candidates(self.scene, bench, here, price, lead)
         offered = [c for c in offered if c.name not in self._barred and self._times[c.name] < CHANCES]
         return add_the_likeliest(bench, turn, here, self.scene, offered, price)

@@ -22,13 +22,16 @@ HALVINGS = 4  # of the first step
 
 def surveyed(bench: Bench, scene: Scene, name: str, trial: Trial) -> list[Mapping[str, Any]]:
     """The trial's starts; where it names steps for a search (`Trial.survey`), moved to the lowest bounded loss that a
-    compass search finds with all else held (Kolda, Lewis and Torczon, SIAM Review 45, 2003)."""
+    compass search finds with all else held (Kolda, Lewis and Torczon, SIAM Review 45, 2003). An effect that another one
+    of the scene contains has nothing to move."""
     if not trial.survey:
         return list(trial.starts)
     found: list[Mapping[str, Any]] = []
     for table in trial.starts:
         problem = bench.problem(with_effect(scene, name, table), dark=False)
         moved = [c.parameter.name if c.effect == name else "" for c in problem.effect_coordinates]
+        if name not in {c.effect for c in problem.effect_coordinates}:
+            return list(trial.starts)
         columns = [problem.learned.size + moved.index(key) for key in trial.survey]
         spans = [problem.effect_coordinates[c - problem.learned.size].parameter.span for c in columns]
         x = _compass(problem, columns, np.array(list(trial.survey.values())) / spans)

@@ -82,18 +82,26 @@ def residual_autocovariance(pairs: Sequence[tuple[Observation, np.ndarray]], ran
         grid = np.zeros(seen.measured.shape)
         grid[seen.interior] = standardised
         inside = seen.interior.astype(float)
-        for i in range(size):
-            for j in range(size):
-                other = _shifted(_shifted(grid, i - lags, 0), j - lags, 1)
-                both = _shifted(_shifted(inside, i - lags, 0), j - lags, 1) * inside
-                total[i, j] += float((grid * other).sum())
-                count[i, j] += both.sum()
+        for i, j in np.ndindex(lags + 1, size):  # a lag and its opposite have one product
+            if i == lags and j > lags:
+                continue
+            for sums, image in ((total, grid), (count, inside)):
+                sums[i, j] += np.einsum("ij,ij->", *_overlapping(image, lags - i, lags - j))
+            total[-1 - i, -1 - j], count[-1 - i, -1 - j] = total[i, j], count[i, j]
     total, count = ranks.sum(total), ranks.sum(count)
     covariance = total / np.maximum(count, 1.0)
     variance = covariance[lags, lags]
     noise = covariance < 3.0 * variance / np.sqrt(np.maximum(count, 1.0))
     noise[lags, lags] = False
     return np.where(noise, 0.0, covariance) * TAPER
+
+
+def _overlapping(image: np.ndarray, rows: int, columns: int) -> tuple[np.ndarray, np.ndarray]:
+    """The image and the image moved by so many rows, 0 or more, and columns, where both are."""
+    right, left = max(columns, 0), max(-columns, 0)
+    height, width = (n - abs(move) for n, move in zip(image.shape, (rows, columns), strict=True))
+    one = image[: max(height, 0), left : left + max(width, 0)]
+    return one, image[rows:, right : right + max(width, 0)][: max(height, 0)]
 
 
 def score_products(scaled: np.ndarray, autocovariance: np.ndarray, seen: Observation) -> np.ndarray:
@@ -103,18 +111,6 @@ def score_products(scaled: np.ndarray, autocovariance: np.ndarray, seen: Observa
     """
     products = scaled.T @ correlated(scaled, seen.interior, autocovariance)
     return (products + products.T) / 2.0
-
-
-def _shifted(array: np.ndarray, lag: int, axis: int) -> np.ndarray:
-    """`array` moved by `lag` along `axis`; zeros come in."""
-    out = np.zeros_like(array)
-    n = array.shape[axis]
-    to = [slice(None)] * array.ndim
-    of = [slice(None)] * array.ndim
-    to[axis] = slice(max(lag, 0), n + min(lag, 0))
-    of[axis] = slice(max(-lag, 0), n - max(lag, 0))
-    out[tuple(to)] = array[tuple(of)]
-    return out
 
 
 def identify(problem: FitProblem, x: np.ndarray) -> Identified:

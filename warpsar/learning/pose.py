@@ -16,6 +16,7 @@ from warpsar.learning.pose_sharing import boxes, shared
 from warpsar.learning.prior import Known, Prior
 from warpsar.learning.problem import FitProblem
 from warpsar.learning.view import FitView
+from warpsar.runtime.matmul import transposed_times
 from warpsar.scene.scene import Scene
 from warpsar.simulation.exact_rays import ExactRays
 from warpsar.speckle.likelihood import residual_sd
@@ -49,14 +50,16 @@ class PosedProblem:
         held: bool = False,
         level: float = 0.0,
         standing: Collection[str] = (),
+        bound: float = 0.0,
     ) -> None:
         """`held`: nothing moves but the poses. `level` [beta0]: how much of the floor was added to the measurement.
+        `bound` is that of the loss, as in `FitProblem`.
 
         `standing`: labels of objects whose foot stays at its height, known to `STANDS_M`. Their height and that of the
         foot would trade otherwise: a body sunk into the ground looks like a lower one.
         """
         self.scene, self.device, self.loss, self._seen = scene, device, loss, observations
-        self.poses, self.level = Poses(scene), level
+        self.poses, self.level, self.bound = Poses(scene), level, bound
         self._kept: OrderedDict[bytes, FitProblem] = OrderedDict()
         self.count = len(self.poses.coordinates)
         start = self.standing(np.zeros(self.count))
@@ -99,7 +102,14 @@ class PosedProblem:
         rays = ExactRays(Stage.of(scene, self.device), seed=scene.sampling.seed)
         roles = ("train", "test")
         return FitProblem(
-            scene, self.device, loss=self.loss, roles=roles, views=views, rays=rays, observations=self._seen
+            scene,
+            self.device,
+            loss=self.loss,
+            roles=roles,
+            views=views,
+            rays=rays,
+            observations=self._seen,
+            bound=self.bound,
         )
 
     def split(self, x: np.ndarray) -> tuple[FitProblem, np.ndarray]:
@@ -174,7 +184,7 @@ class PosedProblem:
         information = products = self.prior.information(x)
         for seen, j, c, sd in zip(problem.observations, jacobians, curvatures, spreads, strict=True):
             weighted = c.weight[:, None] * j
-            information = information + j.T @ weighted
+            information = information + transposed_times(j, weighted)
             products = products + score_products(sd * weighted, autocovariance, seen)
         return of_information(self.labels, information, products)
 
@@ -227,7 +237,7 @@ def _quadratic(problem: PosedProblem, x: np.ndarray) -> tuple[np.ndarray, np.nda
     for j, c in zip(jacobians, inner.curvatures(inner.modelled(rest)), strict=True):
         weighted = c.weight[:, None] * j
         gradient = gradient - weighted.T @ c.residual
-        hessian = hessian + j.T @ weighted
+        hessian = hessian + transposed_times(j, weighted)
     return gradient, hessian
 
 

@@ -18,6 +18,7 @@ from scipy.ndimage import gaussian_filter
 from warpsar.effects.registry import validate
 from warpsar.learning.observation import Observation, usable_pixels
 from warpsar.scene.scene import Scene
+from warpsar.world.tables import Grid
 
 FLOOR_SHARE = 0.05  # of the median of the lit pixels
 FWHM = math.sqrt(8.0 * math.log(2.0))  # of a Gaussian, in standard deviations
@@ -69,11 +70,15 @@ def _wider(stated: Mapping[str, Any], blur_m: float) -> dict[str, Any]:
 def _prepared(scene: Scene, seen: Observation, level: float, blur_m: float) -> Observation:
     measured = np.asarray(seen.measured, float)
     usable = usable_pixels(scene, seen.view, measured)
-    if blur_m:
-        sigma = [blur_m / FWHM / step for step in scene.grid.spacing_m]
-        known = np.isfinite(measured).astype(float)
-        total = gaussian_filter(np.nan_to_num(measured), sigma)
-        measured = total / np.maximum(gaussian_filter(known, sigma), 1e-3)
-    measured = measured + level
+    measured = blurred(scene.grid, measured, blur_m) + level
     none = np.zeros_like(usable)
     return replace(seen, measured=measured, interior=usable & (measured > 0), silent=none, dark=none, least=None)
+
+
+def blurred(grid: Grid, image: np.ndarray, blur_m: float) -> np.ndarray:
+    """The image with a Gaussian blur of `blur_m` full width at half maximum; what is not finite counts for nothing."""
+    if not blur_m:
+        return image
+    sigma = [blur_m / FWHM / step for step in grid.spacing_m]
+    total = gaussian_filter(np.nan_to_num(image), sigma)
+    return np.asarray(total / np.maximum(gaussian_filter(np.isfinite(image).astype(float), sigma), 1e-3))
