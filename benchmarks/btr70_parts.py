@@ -14,12 +14,13 @@ from warpsar.world.mesh import read_mesh
 
 LENGTHS = 8
 LAYERS = (0.42, 0.80)  # of the height, where one layer ends and the next begins
+LAYER_NAMES = ("gear", "hull", "deck")  # upwards
 LONGEST = 0.06  # of the length: no edge is longer
 
 
 def names() -> list[str]:
     """The parts, from front to rear and up."""
-    return [f"part{along}{layer}" for along in range(LENGTHS) for layer in ("gear", "hull", "deck")]
+    return [f"part{along}{layer}" for along in range(LENGTHS) for layer in LAYER_NAMES]
 
 
 def split(corners: np.ndarray, longest: float) -> np.ndarray:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import tables
 from btr70_model import SPACING_M
+from btr70_parts import LAYER_NAMES, LENGTHS
 
 SETS = ("sector", "sector_15", "depression", "between")
 PREDICTIONS = ("declared", "final", "nearest", "mirrored", "mean", "other_depression")
@@ -72,6 +73,14 @@ def checked(known: Mapping[str, Any]) -> list[list[Any]]:
     return rows
 
 
+def by_part(shares: Mapping[str, float]) -> list[list[Any]]:
+    """Rows of a layer and its shares from the front to the rear; nothing where the vehicle has no such part."""
+    return [
+        [layer, *(f"{shares[name]:.2f}" if (name := f"part{k}{layer}") in shares else "" for k in range(LENGTHS))]
+        for layer in reversed(LAYER_NAMES)
+    ]
+
+
 def tables_of(content: Mapping[str, Any]) -> dict[str, str]:
     """The tables of the page, by name."""
     head = ("set", "views", "prediction", "correlation", "at best shift", "smoothed by 1", "deviance")
@@ -98,4 +107,7 @@ def tables_of(content: Mapping[str, Any]) -> dict[str, str]:
         ]
         head = ("region", "order", "held-out log score per pixel over plain speckle", "pixels")
         found["btr70.orders"] = tables.markdown(head, orders)
+    if shares := content["effects"].get("unresolved_detail", {}).get("share"):
+        head = ("layer", *(f"{k + 1}" for k in range(LENGTHS)))
+        found["btr70.parts"] = tables.markdown(head, by_part(shares))
     return found

@@ -81,8 +81,8 @@ def _entries(at: str, value: Any, keyed_by: str | None, views: Collection[str] |
         return [(at, value)]
     if not isinstance(value, dict):
         raise InputError(f"{at}: found {shown(value)}; allowed is a table of {keyed_by} names and values")
-    for name in value if keyed_by == "view" and views is not None else ():
-        if name not in views:
+    for name in value:
+        if keyed_by == "view" and views is not None and name not in views:
             raise InputError(f"{at}: found {name!r}; allowed are the views {', '.join(views)}")
     return [(f"{at}.{name}", one) for name, one in value.items()]
 

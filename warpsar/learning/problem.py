@@ -133,9 +133,7 @@ class FitProblem(SceneCoordinates):
 
     def _values(self, view: FitView, tables: Mapping[str, Mapping[str, Any]]) -> dict[str, np.ndarray]:
         """The values of every effect's parameters in a view."""
-        return {
-            e.effect.name: values_in(self.scene, view.view, e.effect, tables[e.effect.name]) for e in view.effects
-        }
+        return {e.effect.name: values_in(self.scene, view.view, e.effect, tables[e.effect.name]) for e in view.effects}
 
     def _set(self, view: FitView, nodes: np.ndarray | None, tables: Mapping[str, Mapping[str, Any]]) -> None:
         view.render.set_parameters(nodes, self._values(view, tables))

@@ -18,8 +18,8 @@ class Parameter:
     `neutral`: the value at which the effect is not there. NaN says that the parameter means nothing while the others
     are neutral (an offset, an albedo); it is then `start` where scene.toml says nothing. `low` and `high`: the
     smallest and largest value allowed. `unit` and `description`, a sentence, are for people. `per_view`: a table of
-    view name -> value. `zero_sum`: only differences from the mean over the scene's views act. `per_material`: a table of
-    material name -> value; it has a value for each of the mesh's materials, and stands last among the parameters.
+    view name -> value. `zero_sum`: only differences from the mean over the scene's views act. `per_material`: a table
+    of material name -> value; it has a value for each of the mesh's materials, and stands last among the parameters.
 
     A fit moves the coordinate x = ln(value / `span`) where `scale` is "log", and value / `span` where it is "linear".
     `span` is a large step of the value. The fit stays inside `fit_low` and `fit_high` (default: `low` and `high`).
