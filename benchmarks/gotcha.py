@@ -441,7 +441,7 @@ def effects_alone(path: Path, out: Path, options: DiagnoseOptions, device: str |
 KNOWN_SPREAD = {"range_fwhm_m": 0.594, "azimuth_fwhm_m": 1.48, "window": "sinc"}  # what theory says of this grid
 STEPS = ("read off, one brightness", "+ brightness by object", "+ poses", "+ shapes", "+ bounces")
 FINAL = STEPS[-1]
-ROUNDS = 1  # of poses and shapes once bounces are there
+ROUNDS = 2  # of poses and shapes once bounces are there
 
 
 def alike(scene: Scene) -> Scene:
@@ -515,7 +515,7 @@ def fitted(path: Path, out: Path) -> dict[str, Any]:
         "effects": {name: dict(table) for name, table in final.effects.items()},
         "pixels_of_one_speckle": spread,
         "scatter": float(np.median([one.scatter for one in objects])),
-        "objects": [described(one, spread, towards) for one in objects],
+        "objects": [described(one, towards) for one in objects],
     }
 
 

@@ -46,6 +46,7 @@ KNOWN |= {"side_curvature": 0.06, BRIGHTNESS: 1.2}
 THING = {"length": 0.5, "width": 0.5, "height": 0.5}  # of what is no car, nothing is known
 LARGEST = {"east": 0.6, "north": 0.8, "heading": 5.0}  # move in one step; of logarithms and shares 0.7
 LEAST = 0.1  # of an object's own image, that is left where the others' difference to the window's exceeds it
+SHARED = 3.5  # pixels that share one speckle, as the residuals of az001 and az002 say: the likelihood counts each once
 ENOUGH = 0.5  # gain in log-likelihood from which a further step is tried
 PROCESSES = 2
 
@@ -172,7 +173,7 @@ class Window:
 @dataclass(frozen=True)
 class Fitted:
     """An object after its fit; `information` is that of the images alone about `keys`, brightness last, for speckle of
-    the stated looks; `scatter` what is left of it: looks times the mean squared relative residual."""
+    the stated looks that `SHARED` pixels share; `scatter`: looks times the mean squared relative residual."""
 
     object: Object
     log_height: float
@@ -197,7 +198,7 @@ class _Fit:
         self.problems = self.posed(self.start)
         self.now = self.shot(self.problems, self.start)
         self.others = [w.seen.model[w.whole] - n for w, n in zip(self.windows, self.now, strict=True)]
-        self.data = [(w.seen.measured[w.whole], w.seen.usable[w.whole], w.seen.looks) for w in self.windows]
+        self.data = [(w.seen.measured[w.whole], w.seen.usable[w.whole], w.seen.looks / SHARED) for w in self.windows]
 
     def posed(self, vector: np.ndarray) -> list[FitProblem]:
         one = with_values(self.one, dict(zip(self.keys[:-1], vector[:-1], strict=True)))
@@ -234,7 +235,7 @@ class _Fit:
             residual = (measured / mu - 1.0)[usable]
             gradient = gradient - looks * matrix.T @ residual
             information = information + looks * matrix.T @ matrix
-            squares.append(looks * float(np.mean(residual**2)))
+            squares.append(SHARED * looks * float(np.mean(residual**2)))
         return gradient, information, float(np.mean(squares))
 
     def step(self, gradient: np.ndarray, information: np.ndarray, damping: float) -> np.ndarray:

@@ -59,22 +59,21 @@ def correlation_area(seen: Sequence[Seen]) -> float:
     return max(1.0, float(np.mean(sums)))
 
 
-def covariance(found: Fitted, spread: float) -> tuple[np.ndarray, np.ndarray]:
+def covariance(found: Fitted) -> tuple[np.ndarray, np.ndarray]:
     """Of the fitted numbers, with what was known before, and that knowledge's standard deviations.
 
-    `spread`: pixels that share one speckle. Information is divided by it and by the residuals' scatter: what no model
-    of speckle explains widens the intervals."""
+    Information is divided by the residuals' scatter: what speckle does not explain widens the intervals."""
     known = KNOWN if found.object.primitive == "car" else KNOWN | THING
     sd = np.array([known[key] for key in found.keys])
-    information = found.information / (spread * max(1.0, found.scatter))
+    information = found.information / max(1.0, found.scatter)
     return np.linalg.inv(information + np.diag(1.0 / sd**2)), sd
 
 
-def described(found: Fitted, spread: float, towards: np.ndarray) -> dict[str, Any]:
+def described(found: Fitted, towards: np.ndarray) -> dict[str, Any]:
     """An object's entry in gotcha.json."""
     one, keys = found.object, found.keys
     assert one.size_m is not None
-    cov, known = covariance(found, spread)
+    cov, known = covariance(found)
     sd = np.sqrt(np.diag(cov))
     by_key = dict(zip(keys, sd, strict=True))
     side = near_side(one, towards)
