@@ -195,7 +195,7 @@ def compare(data: Path, name: str, device: str | None, rays: float, figures: Pat
 
 def picture(path: Path, pictures: list[tuple[str, np.ndarray, np.ndarray]], gain: float) -> None:
     """Measured above, simulated below, in dB of the brightest measured pixel of each."""
-    figure, axes = new(2, len(pictures), figsize=(2.1 * len(pictures), 4.6))
+    figure, axes = new(2.1 * len(pictures), 4.6, nrows=2, ncols=len(pictures))
     for column, (name, left, right) in enumerate(pictures):
         top = left.max()
         for axis, power in zip(np.asarray(axes)[:, column], (left, gain * right), strict=True):
@@ -241,7 +241,7 @@ def main() -> None:
                 result |= {"made": tables.made(), "rays_per_wavelength": options.rays}
                 tables.save(options.out, result)
     header = ("view", "target", "centroid, simulated - measured: east, north [m]", "peak, the same [m]",
-              "widths measured: range, azimuth [m]", "widths simulated [m]", "energy, simulated / measured [dB]")  # fmt: skip
+              "widths measured: range, azimuth [m]", "simulated [m]", "energy, simulated / measured [dB]")  # fmt: skip
     body = tables.markdown(header, map(line, result["rows"]))
     tables.publish({"collection.gotcha": body}, result, options.write)
 
