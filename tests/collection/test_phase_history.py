@@ -287,3 +287,30 @@ def test_a_scene_without_collection_says_so() -> None:
         warpsar.phase_history(warpsar.Scene(**{**vars(scene(GROUND)), "collection": None}), device="cpu")
     assert isinstance(scene(GROUND).collection, Collection)
     assert SPOT["mode"] == "spotlight"
+
+
+def test_a_bistatic_cphd_passes_and_focuses(tmp_path: Path) -> None:
+    """Two antennas: the checker passes, and the file focuses a point where it is."""
+    pytest.importorskip("sarkit")
+    from sarkit.verification._cphd_consistency import CphdConsistency
+
+    from warpsar.collection import cphd
+
+    planned = plan(
+        origin=ORIGIN,
+        collection={**TRACKS["bistatic"], "resolution_m": (0.5, 0.5)},
+    )
+    place = np.array([[4.0, -3.0, 0.0]])
+    made = points(planned, place, np.ones(1), "cpu")
+    cphd.write(tmp_path / "two.cphd", made)
+    with (tmp_path / "two.cphd").open("rb") as file:
+        checker = CphdConsistency.from_file(file=file, thorough=True)
+        checker.check()
+    assert checker.failures() == {}
+    read = formats.read([tmp_path / "two.cphd"], frame=planned.site.frame)
+    assert isinstance(read, PhaseHistory)
+    assert read.transmitter_m is not None
+    where = np.array([[4.0, -3.0, 0.0], [4.0, -1.5, 0.0], [5.5, -3.0, 0.0]])  # the ellipsoid bends by 1e-6 m here
+    (image,) = focus(read, where, reference_point_m=np.zeros(3), device="cpu")
+    assert abs(image[0]) == pytest.approx(1.0, abs=0.01)
+    assert np.abs(image[1:]).max() < 0.4

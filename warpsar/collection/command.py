@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -24,7 +24,6 @@ from warpsar.runtime.busy import busy
 from warpsar.scene.scene import Scene
 from warpsar.simulation.outputs import make_folder, write_json
 
-Product = Literal["phase-history", "slc"]
 ALIASED = 0.01
 """Share of tubes that are too wide after a curved surface from which a warning is due."""
 
@@ -92,7 +91,7 @@ def _seed(scene: Scene, seed: int | None) -> int:
 
 
 def run(
-    scene_path: Path | str, out: Path | str, product: Product, *, device: str | None = None, seed: int | None = None
+    scene_path: Path | str, out: Path | str, product: str, *, device: str | None = None, seed: int | None = None
 ) -> dict[str, Any]:
     """`warpsar simulate --product`: files of every view, and simulate.json, in `out`. Returns the JSON's content."""
     started = time.perf_counter()

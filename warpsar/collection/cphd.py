@@ -21,8 +21,10 @@ if TYPE_CHECKING:
 NAMESPACE = "http://api.nsgreg.nga.mil/schema/cphd/1.1.0"
 START = "2026-01-01T00:00:00"
 """A simulated collection has no date of its own."""
-_FIELDS = ("TxTime", "TxPos", "TxVel", "RcvTime", "RcvPos", "RcvVel", "SRPPos", "aFDOP", "aFRR1", "aFRR2", "FX1", "FX2")
-_FIELDS += ("TOA1", "TOA2", "TDTropoSRP", "SC0", "SCSS", "SIGNAL")
+_FIELDS = (
+    *("TxTime", "TxPos", "TxVel", "RcvTime", "RcvPos", "RcvVel", "SRPPos", "aFDOP", "aFRR1", "aFRR2", "FX1", "FX2"),
+    *("TOA1", "TOA2", "TDTropoSRP", "SC0", "SCSS", "SIGNAL"),
+)
 
 
 def write(path: Path, made: Collected) -> None:

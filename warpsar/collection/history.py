@@ -15,6 +15,7 @@ import warp as wp
 from numpy.typing import NDArray
 from scipy import fft
 
+from warpsar.coherent.records import upload
 from warpsar.collection.plan import Plan, boresight
 from warpsar.collection.scatterers import Part, Scatterers
 from warpsar.errors import InputError
@@ -46,7 +47,7 @@ class Collected:
 
     @property
     def frequency_hz(self) -> NDArray[np.float64]:
-        return self.plan.start_hz + self.plan.step_hz * np.arange(self.plan.frequencies)
+        return np.asarray(self.plan.start_hz + self.plan.step_hz * np.arange(self.plan.frequencies), np.float64)
 
     def history(self, polarization: str) -> PhaseHistory:
         """One polarization as `warpsar.measured` knows it, its places in the frame of `Site`."""
@@ -135,12 +136,11 @@ class _Shared:
         both = (track.receiver_m, track.transmitter_m)
         axes, widths = boresight(plan)
         beam: Any = kernels.Beam()
-        beam.along = wp.array(axes[0], dtype=wp.vec3d, device=device)
-        beam.up = wp.array(axes[1], dtype=wp.vec3d, device=device)
+        beam.along, beam.up = upload(axes[0], wp.vec3d, device), upload(axes[1], wp.vec3d, device)
         beam.wide, beam.high = float(widths[0]), float(widths[1])
-        receiver, transmitter = (wp.array(place, dtype=wp.vec3d, device=device) for place in both)
-        own = [wp.array(np.linalg.norm(place, axis=1), dtype=wp.float64, device=device) for place in both]
-        time = wp.array(track.time_s, dtype=wp.float64, device=device)
+        receiver, transmitter = (upload(place, wp.vec3d, device) for place in both)
+        own = [upload(np.linalg.norm(place, axis=1), wp.float64, device) for place in both]
+        time = upload(track.time_s, wp.float64, device)
         return cls(device, time, receiver, transmitter, (own[0], own[1]), int(track.bistatic), beam)
 
 
@@ -159,9 +159,9 @@ class _Uploaded:
         moving = np.empty((0, 3)) if part.velocity is None else part.velocity
         return cls(
             part.weight,
-            wp.array(part.point, dtype=wp.vec3d, device=device),
-            wp.array(moving, dtype=wp.vec3d, device=device),
-            wp.array(values, dtype=wp.vec2, device=device),
+            upload(part.point, wp.vec3d, device),
+            upload(moving, wp.vec3d, device),
+            upload(values, wp.vec2, device),
         )
 
 
@@ -174,14 +174,14 @@ def deposited(
     pulses = np.arange(some.start, some.stop)
     out = wp.zeros((polarizations, len(pulses), bins), dtype=wp.vec2, device=device)
     middle = plan.frequencies // 2
-    rows = wp.array(pulses.astype(np.int32), dtype=int, device=device)
+    rows = upload(pulses.astype(np.int32), int, device)
     for part in parts:
         weight = part.weight[some]
         if not weight.any():
             continue
         inputs = [
             rows,
-            wp.array(weight, dtype=float, device=device),
+            upload(weight, float, device),
             shared.time,
             shared.receiver,
             shared.transmitter,

@@ -113,13 +113,13 @@ def _chosen(worker: Worker, direction: Directions, radar: wp.array, distance_m: 
     for i in (-1, 0, 1):  # a body may begin between the rays of two cells
         for j in (-1, 0, 1):
             wanted[at[:, 0] + i, at[:, 1] + j] = True
-    i, j = np.nonzero(wanted[1:-1, 1:-1])
+    chosen = np.argwhere(wanted[1:-1, 1:-1])
     part = (np.arange(COARSE) + 0.5) / COARSE
     inside = np.stack(np.meshgrid(part, part, indexing="ij"), axis=-1).reshape(-1, 2)
     blocks = []
     together = max(1, worker.together // COARSE**2)
-    for start in range(0, len(i), together):
-        corner = np.stack([i, j], axis=1)[start : start + together]
+    for start in range(0, len(chosen), together):
+        corner = chosen[start : start + together]
         place = (low + (corner[:, None] + inside[None]) * step).reshape(-1, 2)
         size = np.broadcast_to(step / COARSE, place.shape)
         n = len(place)

@@ -201,7 +201,7 @@ def plan_of(world: World, view: View, device: wp.Device) -> Plan:
             f"{low:g} to {high:g}"
         )
     low, high = _band(table, carrier, world.name)
-    if len(pieces := table.resolution_m or ()):
+    if (pieces := table.resolution_m) is not None:
         held = width_in_cells(str(table.window)) * SPEED_OF_LIGHT / (2.0 * (high - low))
         if held > pieces[0] * (1.0 + 1e-6):
             raise InputError(

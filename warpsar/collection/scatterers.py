@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -70,11 +71,18 @@ def body_of(world: World, plan: Plan, device: wp.Device, seed: int) -> CoherentB
     return CoherentBody.of(world, device, spacing_m=float(width), seed=seed)
 
 
-def scatterers_of(world: World, plan: Plan, body: CoherentBody, *, once: bool = False) -> Scatterers:
+def scatterers_of(
+    world: World,
+    plan: Plan,
+    body: CoherentBody,
+    *,
+    once: bool = False,
+    rays_per_wavelength: float = RAYS_PER_WAVELENGTH,
+) -> Scatterers:
     """All that `[radar] terms` asks for, seen along the track; `once`: from its middle alone."""
     k = 2.0 * np.pi * plan.centre_hz / SPEED_OF_LIGHT
     terms = world.radar.terms
-    worker = places.worker_of(body, k, terms, world.radar.max_bounces, RAYS_PER_WAVELENGTH)
+    worker = places.worker_of(body, k, terms, world.radar.max_bounces, rays_per_wavelength)
     chosen = [POLARIZATIONS.index(name) for name in world.radar.polarizations]
     sensor = plan.track.towards() * plan.track.reference_m()[:, None]
     velocity = _velocities(world, plan)
@@ -129,7 +137,7 @@ def _velocities(world: World, plan: Plan) -> F64 | None:
     for one in world.objects:
         if one.group is None:
             end = start + len(world.assembly.placed(one).faces)
-            some: slice | NDArray[np.bool_] = slice(start, end)
+            some: Any = slice(start, end)
             start = end
         else:
             mine = np.zeros(len(world.mesh.vertices), bool)

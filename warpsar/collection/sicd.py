@@ -86,11 +86,13 @@ def write(path: Path, made: Slc, polarization: str) -> None:
         "BetaZeroSFPoly": np.ones((1, 1)),
         "GammaZeroSFPoly": np.full((1, 1), np.cos(np.deg2rad(slope)) / np.sin(np.deg2rad(graze))),
     }
-    security = {"security": {"clas": "U"}}
+    security: Any = {"security": {"clas": "U"}}
+    made_by: Any = {"ostaid": "warpsar", **security}
+    source: Any = {"isorce": "warpsar", **security}
     metadata = sarkit_sicd.NitfMetadata(
         xmltree=root.getroottree(),
-        file_header_part={"ostaid": "warpsar", **security},
-        im_subheader_part={"isorce": "warpsar", **security},
+        file_header_part=made_by,
+        im_subheader_part=source,
         de_subheader_part=security,
     )
     with replacing(path) as temporary, temporary.open("wb") as file, sarkit_sicd.NitfWriter(file, metadata) as writer:

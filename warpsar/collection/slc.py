@@ -14,6 +14,7 @@ import warp as wp
 from numpy.typing import NDArray
 from scipy import fft
 
+from warpsar.coherent.records import upload
 from warpsar.collection.history import Collected, spread_transform
 from warpsar.collection.plan import Plan, plan_axes
 from warpsar.collection.response import band_weights
@@ -113,8 +114,14 @@ def focused(made: Collected, grid: Grid, device: wp.Device) -> Slc:
     carrier = turned(plan, way_at_centre(plan, points)) * np.float32(scale)
     images = {}
     for name in made.polarizations:
-        tapers = {"window_range": plan.windows[0], "window_azimuth": plan.windows[1]}
-        (image,) = focus(made.history(name), points, reference_point_m=np.zeros(3), **tapers, device=device.alias)
+        (image,) = focus(
+            made.history(name),
+            points,
+            reference_point_m=np.zeros(3),
+            window_range=plan.windows[0],
+            window_azimuth=plan.windows[1],
+            device=device.alias,
+        )
         images[name] = image * carrier
     return Slc(plan, images, range_m, azimuth_m, made.scatterers)
 
@@ -173,11 +180,11 @@ def direct(plan: Plan, scatterers: Scatterers, polarizations: tuple[str, ...], g
         fine = (place - [rows.start_m, columns.start_m]) / [rows.step_m, columns.step_m]
         some = ((fine > 3.0) & (fine < np.array([rows.count, columns.count]) - 4.0)).all(axis=1)
         phase = turned(plan, way_at_centre(plan, part.point[some]))
-        at = wp.array(fine[some], dtype=wp.vec2d, device=device)
+        at = upload(fine[some], wp.vec2d, device)
         for index, name in enumerate(polarizations):
             values = (part.amplitude[index, some] * phase).view(np.float32).reshape(-1, 2)
             out = wp.zeros((rows.count, columns.count), dtype=wp.vec2, device=device)
-            inputs = [at, wp.array(values, dtype=wp.vec2, device=device)]
+            inputs = [at, upload(values, wp.vec2, device)]
             wp.launch(kernels.image_deposit_kernel, len(at), inputs=inputs, outputs=[out], device=device)
             images[name] += np.ascontiguousarray(out.numpy()).view(np.complex64)[..., 0]
     made = {}
@@ -204,7 +211,8 @@ def _coordinates(plan: Plan, points_m: F64) -> tuple[F64, F64]:
 
 def _axes(plan: Plan, range_m: F64, azimuth_m: F64, grid: Grid) -> tuple[_Axis, _Axis]:
     """Both axes: the band's frequencies about its centre, and those of the aperture."""
-    band = 2.0 * (np.arange(plan.frequencies) - 0.5 * (plan.frequencies - 1)) * plan.step_hz / SPEED_OF_LIGHT
+    number: F64 = np.arange(plan.frequencies, dtype=np.float64) - 0.5 * (plan.frequencies - 1)
+    band = 2.0 * number * plan.step_hz / SPEED_OF_LIGHT
     weights = band_weights(plan.windows[0], plan.frequencies)
     rows = _Axis.of(range_m, grid.spacing_m[0], plan.cells_m[0], *_edged(band, weights))
     along = 2.0 * plan.centre_hz / SPEED_OF_LIGHT * (plan.track.towards() @ plan.geometry.u)
