@@ -50,9 +50,13 @@ spacing_m = {spacing:<14}  # of a pixel, likewise; the whole mesh lies inside in
 rays_per_pixel = 64.0       # more rays: less sampling noise, more time; the mean does not change
 
 # One table for each material of the mesh. The surface is a half space of relative permittivity eps_r, with small
-# random heights (standard deviation rms_height_m) that stay alike over correlation_length_m. The values below are
-# those of dry, fairly smooth ground, for every material: replace them by what you know.
+# random heights (standard deviation rms_height_m) that stay alike over correlation_length_m. {values}
 """
+
+_DRY = """The values below are
+# those of dry, fairly smooth ground, for every material: replace them by what you know."""
+_NAMED = """Below stand
+# surfaces by name (`warpsar materials` lists them); a key that you state takes the place of the surface's own."""
 
 _MATERIAL = """
 [materials.{name}]
@@ -63,7 +67,7 @@ correlation_length_m = 0.006
 
 _OF_LIBRARY = """
 [materials.{name}]
-library = "{surface}"       # a surface by name (`warpsar materials`): state any key to change it
+library = "{surface}"
 """
 
 _OBJECTS = """
@@ -196,6 +200,7 @@ def _scene(mesh: Mesh, mesh_name: str, source: str, library: Mapping[str, str] |
         frequency=f"{FREQUENCY_HZ / 1e9:g}e9",
         shape=str(list(grid.shape)),
         spacing=str(list(grid.spacing_m)),
+        values=_NAMED if library else _DRY,
     )
     names = dict.fromkeys(mesh.materials)
     materials = "".join(
