@@ -13,18 +13,27 @@ UNITS = ("m", "cm", "mm", "in", "ft")  # a copy from warpsar.scene.new, which im
 @click.argument("folder", type=click.Path(file_okay=False, path_type=Path))
 @click.argument("mesh", type=click.Path(exists=True, dir_okay=False, path_type=Path))
 @click.option("--units", type=click.Choice(UNITS), help="Unit of the mesh's coordinates. Default: guessed, and said.")
+@click.option(
+    "--dem",
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    help="Elevation model (GeoTIFF) under the buildings. Default: level ground.",
+)
 @click.option("--force", is_flag=True, help="Replace a scene.toml that is there.")
-def command(folder: Path, mesh: Path, units: str | None, force: bool) -> None:
+def command(folder: Path, mesh: Path, units: str | None, dem: Path | None, force: bool) -> None:
     """Write a commented scene.toml for MESH into FOLDER.
 
     It has a grid that holds the whole mesh, three X-band views, and a table with starting values for each material.
     It refers to MESH where it lies. If the unit of MESH is not the metre, FOLDER gets a copy in metres.
 
+    MESH may also be a file of buildings: GeoJSON outlines with heights, or CityGML (LoD1, LoD2). They become a mesh
+    with walls, roofs and ground, on the elevation model --dem or on level ground (needs warpsar[geo]).
+
     \b
     Examples:
       warpsar new car/ ~/models/car.obj
       warpsar new car/ ~/models/car.stl --units mm
+      warpsar new town/ buildings.geojson --dem dem.tif
     """
     from warpsar.scene.new import run
 
-    click.echo(run(folder, mesh, units=units, force=force))
+    click.echo(run(folder, mesh, units=units, dem=dem, force=force))

@@ -47,7 +47,20 @@ ROOMS = (
 """From the ground up: a room imports its own files and those of rooms below. docs/design.md says what lives in each."""
 
 SLOW = {"warp", "matplotlib", "trimesh", "OpenImageIO", "PIL"}
-EXTRAS = {"rasterio", "affine", "torch", "jax", "h5py", "sarkit", "lxml", "xatlas", "xarray", "h5netcdf", "zarr"}
+EXTRAS = {
+    "rasterio",
+    "affine",
+    "shapely",
+    "torch",
+    "jax",
+    "h5py",
+    "sarkit",
+    "lxml",
+    "xatlas",
+    "xarray",
+    "h5netcdf",
+    "zarr",
+}
 HEAVY = SLOW | EXTRAS
 """Slow to import, or in an extra that may be missing: they alone may be imported inside a function."""
 

@@ -14,9 +14,9 @@ def printed(notebook: Any) -> str:
     return "".join(o.get("text", "") for cell in notebook["cells"] for o in cell.get("outputs", []) if "name" in o)
 
 
-def run(name: str, folder: Path) -> tuple[str, str]:
+def run(name: str, folder: Path, *needs: str) -> tuple[str, str]:
     """What a notebook prints, and what it printed when it was stored. It draws, too, and takes less than a minute."""
-    for library in ("torch", "nbclient", "nbformat", "ipykernel"):
+    for library in (*needs, "nbclient", "nbformat", "ipykernel"):
         pytest.importorskip(library, reason=f"{library} is not installed: pip install 'warpsar[examples]'")
     import nbformat
     from nbclient import NotebookClient
@@ -32,7 +32,7 @@ def run(name: str, folder: Path) -> tuple[str, str]:
 
 
 def test_a_network_learns_roughness(tmp_path: Path) -> None:
-    found, stored = run("train-through-the-renderer.ipynb", tmp_path)
+    found, stored = run("train-through-the-renderer.ipynb", tmp_path, "torch")
     pattern = r"error of the roughness height: ([\d.]+) % \(at the start 24 %\)"
     (error,), (kept,) = re.findall(pattern, found), re.findall(pattern, stored)
     assert float(error) < 6
@@ -41,9 +41,44 @@ def test_a_network_learns_roughness(tmp_path: Path) -> None:
 
 def test_a_height_is_found(tmp_path: Path) -> None:
     """Within three of the standard deviations that it says, from 3 m away."""
-    found, stored = run("fit-a-height.ipynb", tmp_path)
+    found, stored = run("fit-a-height.ipynb", tmp_path, "torch")
     pattern = r"height: ([\d.]+) \+- ([\d.]+) m \(truth 6.00 m, start 9.00 m\)"
     ((height, sd),), ((kept, _),) = re.findall(pattern, found), re.findall(pattern, stored)
     assert float(sd) < 0.05
     assert abs(float(height) - 6.0) < 3.0 * float(sd)
     assert abs(float(height) - float(kept)) <= 0.01
+
+
+def test_a_first_image(tmp_path: Path) -> None:
+    """The brightest pixels are the corner of wall and lawn, near the middle."""
+    found, stored = run("first-image.ipynb", tmp_path)
+    assert found == stored
+    ((metres,),) = (re.findall(r"brightest pixel at ([+-][\d.]+) m in range", found),)
+    assert abs(float(metres)) < 4.0
+
+
+def test_surfaces_are_learned(tmp_path: Path) -> None:
+    """To the speckle floor: 3,000 pixels of the test view leave about 0.02 of noise in its deviance."""
+    found, stored = run("learn.ipynb", tmp_path)
+    pattern = r"test deviance: ([\d.]+) at the start, ([\d.]+) learned"
+    ((start, learned),), ((_, kept),) = re.findall(pattern, found), re.findall(pattern, stored)
+    assert float(start) > 3.0
+    assert abs(float(learned) - 1.0) < 0.06
+    assert abs(float(learned) - float(kept)) < 0.01
+
+
+def test_hidden_noise_is_named(tmp_path: Path) -> None:
+    found, stored = run("diagnose.ipynb", tmp_path)
+    assert "verdict: noise_floor\n" in found
+    assert "verdict: noise_floor\n" in stored
+    ((level,),) = (re.findall(r"level: ([\d.]+) \(hidden: 0.0040\)", found),)
+    assert abs(float(level) - 0.004) < 0.001
+
+
+def test_own_data_come_in(tmp_path: Path) -> None:
+    """The hidden gain is 300; some 40,000 pixels of four looks leave 0.3 % of it."""
+    found, stored = run("own-data.ipynb", tmp_path)
+    ((deviance, gain),) = re.findall(r"deviance ([\d.]+) \(1 is the speckle floor\), gain (\d+)", found)
+    assert abs(float(deviance) - 1.0) < 0.03
+    assert abs(int(gain) - 300) < 5
+    assert "looks 4" in stored

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,17 +14,18 @@ from warpsar.errors import InputError
 from warpsar.io.images import replacing
 from warpsar.io.ply import write_ply
 from warpsar.runtime import console
+from warpsar.scene import city, footprints
 from warpsar.scene.fitted_grid import fitted_grid
 from warpsar.scene.unwrap import write_obj
 from warpsar.world.frame import view_geometry
 from warpsar.world.mesh import Mesh, read_mesh
-from warpsar.world.meshes import dem
+from warpsar.world.meshes.dem import SUFFIXES as DEM_SUFFIXES
 from warpsar.world.objects.table import UNITS
 from warpsar.world.tables import Grid
 
 MILLIMETRES_FROM = 1000.0
 """Larger meshes whose format states no unit are taken as millimetres."""
-_IN_METRES = (".gltf", ".glb", *dem.SUFFIXES)  # by their standard, or turned into metres by their reader
+_IN_METRES = (".gltf", ".glb", *DEM_SUFFIXES)  # by their standard, or turned into metres by their reader
 
 FREQUENCY_HZ = 9.6e9
 INCIDENCE_DEG = 40.0
@@ -48,15 +50,24 @@ spacing_m = {spacing:<14}  # of a pixel, likewise; the whole mesh lies inside in
 rays_per_pixel = 64.0       # more rays: less sampling noise, more time; the mean does not change
 
 # One table for each material of the mesh. The surface is a half space of relative permittivity eps_r, with small
-# random heights (standard deviation rms_height_m) that stay alike over correlation_length_m. The values below are
-# those of dry, fairly smooth ground, for every material: replace them by what you know.
+# random heights (standard deviation rms_height_m) that stay alike over correlation_length_m. {values}
 """
+
+_DRY = """The values below are
+# those of dry, fairly smooth ground, for every material: replace them by what you know."""
+_NAMED = """Below stand
+# surfaces by name (`warpsar materials` lists them); a key that you state takes the place of the surface's own."""
 
 _MATERIAL = """
 [materials.{name}]
 eps_r = 5.0
 rms_height_m = 0.001
 correlation_length_m = 0.006
+"""
+
+_OF_LIBRARY = """
+[materials.{name}]
+library = "{surface}"
 """
 
 _OBJECTS = """
@@ -82,12 +93,20 @@ incidence_deg = {incidence}
 """
 
 
-def run(folder: Path | str, mesh_path: Path | str, *, units: str | None = None, force: bool = False) -> Path:
+def run(
+    folder: Path | str,
+    mesh_path: Path | str,
+    *,
+    units: str | None = None,
+    dem: Path | str | None = None,
+    force: bool = False,
+) -> Path:
     """`warpsar new`: `scene.toml` in `folder`, which is made if missing. Returns its path.
 
     The scene refers to the mesh where it lies. Where its unit is not the metre, a copy in metres is written into
     `folder`, and the scene refers to that. `units` is a key of `UNITS`; it is guessed where it is None, and what was
-    guessed is said.
+    guessed is said. Buildings of a GeoJSON or CityGML file (`footprints.SUFFIXES`) become a mesh in `folder`,
+    `city.obj`, on the ground of the GeoTIFF `dem`, or on level ground.
 
     Raises InputError where a scene file is there and `force` is false, and for a mesh that cannot be read.
     """
@@ -95,8 +114,14 @@ def run(folder: Path | str, mesh_path: Path | str, *, units: str | None = None, 
     path = folder / "scene.toml"
     if path.exists() and not force:
         raise InputError(f"{path}: found a scene file there already; --force replaces it")
+    if mesh_path.suffix.lower() in footprints.SUFFIXES:
+        if units is not None:
+            raise InputError(f"--units: found {units}; a file of buildings states its own unit, leave it out")
+        return _new_city(folder, mesh_path, None if dem is None else Path(dem))
+    if dem is not None:
+        raise InputError(f"--dem: found {dem}; it goes with buildings ({', '.join(footprints.SUFFIXES)}), not a mesh")
     mesh = read_mesh(mesh_path)
-    if units is not None and mesh_path.suffix.lower() in dem.SUFFIXES:
+    if units is not None and mesh_path.suffix.lower() in DEM_SUFFIXES:
         raise InputError(f"--units: found {units}; an elevation model states its own unit, leave it out")
     unit = units or _guessed_unit(mesh_path, mesh)
     folder.mkdir(parents=True, exist_ok=True)
@@ -105,11 +130,27 @@ def run(folder: Path | str, mesh_path: Path | str, *, units: str | None = None, 
         mesh_path, mesh = _in_metres(folder, mesh_path, mesh, UNITS[unit])
         console.say(f"{mesh_path}: the mesh in metres; the scene refers to it")
     grid, text = _scene(mesh, _relative(mesh_path, folder), source.name if unit == "m" else f"{source.name} in {unit}")
+    return _written(path, grid, text)
+
+
+def _written(path: Path, grid: Grid, text: str) -> Path:
     with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8", newline="\n")
     size = " x ".join(map(str, grid.shape))
     console.say(f"{path}: {len(AZIMUTHS_DEG)} views of {size} pixels of {grid.spacing_m[0]:g} m")
     return path
+
+
+def _new_city(folder: Path, source: Path, dem: Path | None) -> Path:
+    """The scene of a file of buildings, and its mesh."""
+    mesh, origin = city.mesh_of(source, dem)
+    folder.mkdir(parents=True, exist_ok=True)
+    write_obj(folder / "city.obj", mesh)
+    console.say(f"{folder / 'city.obj'}: {len(mesh.faces)} triangles")
+    grid, text = _scene(mesh, "city.obj", source.name if dem is None else f"{source.name} and {dem.name}", city.LIBRARY)
+    place = ", ".join(f"{key} = {value}" for key, value in origin.model_dump().items())
+    text = text.replace("\n\n[radar]", f"\norigin = {{ {place} }}\n\n[radar]", 1)
+    return _written(folder / "scene.toml", grid, text)
 
 
 def _guessed_unit(path: Path, mesh: Mesh) -> str:
@@ -143,8 +184,8 @@ def _relative(path: Path, folder: Path) -> str:
         return path.resolve().as_posix()
 
 
-def _scene(mesh: Mesh, mesh_name: str, source: str) -> tuple[Grid, str]:
-    """The grid that fits, and the text of the scene file."""
+def _scene(mesh: Mesh, mesh_name: str, source: str, library: Mapping[str, str] | None = None) -> tuple[Grid, str]:
+    """The grid that fits, and the text of the scene file; `library` names surfaces for the mesh's materials."""
     corners = mesh.vertices[np.unique(mesh.faces)]
     low, high = corners.min(axis=0), corners.max(axis=0)
     # Rounded to a hundredth of the mesh: a point to read, and still in the middle.
@@ -159,9 +200,15 @@ def _scene(mesh: Mesh, mesh_name: str, source: str) -> tuple[Grid, str]:
         frequency=f"{FREQUENCY_HZ / 1e9:g}e9",
         shape=str(list(grid.shape)),
         spacing=str(list(grid.spacing_m)),
+        values=_NAMED if library else _DRY,
     )
     names = dict.fromkeys(mesh.materials)
-    materials = "".join(_MATERIAL.format(name=tomlkit.key(name).as_string()) for name in names)
+    materials = "".join(
+        (_OF_LIBRARY if library else _MATERIAL).format(
+            name=tomlkit.key(name).as_string(), surface=(library or {}).get(name, "")
+        )
+        for name in names
+    )
     views = "".join(
         _VIEW.format(name=f"az{azimuth:03.0f}", azimuth=azimuth, incidence=INCIDENCE_DEG) for azimuth in AZIMUTHS_DEG
     )

@@ -1,0 +1,227 @@
+"""`warpsar new` for buildings of a real place: outlines or surfaces on an elevation model become one mesh."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from warpsar.errors import InputError
+from warpsar.io import geotiff
+from warpsar.runtime import console
+from warpsar.scene import footprints
+from warpsar.scene.footprints import Buildings, Outline, Ring, Surfaces
+from warpsar.world.mesh import Mesh
+from warpsar.world.tables import Origin
+
+if TYPE_CHECKING:
+    from affine import Affine
+
+LIBRARY = {"ground": "grass", "walls": "brick", "roofs": "roof_tiles"}
+"""The city's materials, and the surfaces of the library that they begin as."""
+NAMES = tuple(LIBRARY)
+MARGIN_M = 30.0
+MOST_CELLS = 1000
+"""Cells of the ground along a side."""
+_BURIED_M = 0.5  # walls begin below the ground, so that no gap shows on a slope
+
+
+@dataclass(frozen=True)
+class Terrain:
+    """Heights over a grid: `z` [m], (rows, cols), at `x` and `y` [m], ascending."""
+
+    x: NDArray[np.float64]
+    y: NDArray[np.float64]
+    z: NDArray[np.float64]
+
+    def at(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Bilinear heights at points (n, 2); of the border outside."""
+        column, fx = _cell(self.x, points[:, 0])
+        row, fy = _cell(self.y, points[:, 1])
+        z = self.z
+        low = z[row, column] * (1 - fx) + z[row, column + 1] * fx
+        high = z[row + 1, column] * (1 - fx) + z[row + 1, column + 1] * fx
+        return np.asarray(low * (1 - fy) + high * fy)
+
+
+def _cell(axis: NDArray[np.float64], value: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    index = np.clip(np.searchsorted(axis, value) - 1, 0, axis.size - 2)
+    return index, np.clip((value - axis[index]) / (axis[index + 1] - axis[index]), 0.0, 1.0)
+
+
+def mesh_of(path: Path, dem: Path | None) -> tuple[Mesh, Origin]:
+    """The buildings of a file on the ground, in metres about their middle, and where that is on the earth.
+
+    World metres are azimuthal equidistant about the origin. Heights count from the ground at the origin; without an
+    elevation model the ground is level, and every building stands on it. Raises InputError.
+    """
+    buildings = footprints.read(path)
+    flat = np.concatenate([ring[:, :2] for ring in _rings(buildings)])
+    with geotiff.projecting(path):
+        longitude, latitude = _moved(buildings.crs, "EPSG:4326", (flat.min(axis=0) + flat.max(axis=0))[None] / 2.0)[0]
+    local = f"+proj=aeqd +lat_0={latitude} +lon_0={longitude} +datum=WGS84 +units=m"
+    with geotiff.projecting(path):
+        moved = iter(np.split(_moved(buildings.crs, local, flat), np.cumsum([len(r) for r in _rings(buildings)])[:-1]))
+    outlines = [[next(moved) for _ in one.rings] for one in buildings.found if isinstance(one, Outline)]
+    surfaces = [
+        [[np.column_stack([next(moved), ring[:, 2]]) for ring in rings] for rings in one.polygons]
+        for one in buildings.found
+        if isinstance(one, Surfaces)
+    ]
+    plan = np.concatenate([ring[:, :2] for one in [*outlines, *(p for s in surfaces for p in s)] for ring in one])
+    if np.ptp(plan, axis=0).max() > 1e5:
+        raise InputError(
+            f"{path}: found buildings over {np.ptp(plan, axis=0).max() / 1e3:.0f} km; must be within 100 km"
+        )
+    terrain, base = _terrain(plan, dem, local)
+    made = _Made()
+    made.ground(terrain)
+    for one, rings in zip(buildings.found, outlines, strict=False):
+        assert isinstance(one, Outline)
+        made.prism(rings, one.height_m or footprints.UNKNOWN_M, terrain)
+    for one, polygons in zip(buildings.found, surfaces, strict=False):
+        assert isinstance(one, Surfaces)
+        lowest = min(float(ring[:, 2].min()) for rings in polygons for ring in rings)
+        made.solid(polygons, one.kinds, base if dem is not None else lowest)
+    _say(path, buildings)
+    origin = Origin(latitude_deg=round(latitude, 8), longitude_deg=round(longitude, 8), height_m=round(base, 3))
+    return made.mesh(), origin
+
+
+def _say(path: Path, buildings: Buildings) -> None:
+    unknown = sum(isinstance(one, Outline) and one.height_m is None for one in buildings.found)
+    said = f"; {unknown} without a height are {footprints.UNKNOWN_M:g} m high" if unknown else ""
+    console.say(f"{path}: {len(buildings.found)} buildings{said}")
+
+
+def _rings(buildings: Buildings) -> list[Ring]:
+    """Every ring of every building, in order."""
+    found: list[Ring] = []
+    for one in buildings.found:
+        found += one.rings if isinstance(one, Outline) else [ring for rings in one.polygons for ring in rings]
+    return found
+
+
+def _moved(source: str, target: str, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Points (n, 2) in another coordinate system, x or longitude first."""
+    from rasterio.crs import CRS
+    from rasterio.warp import transform
+
+    known = [CRS.from_string(name) for name in (source, target)]
+    return np.column_stack(transform(*known, points[:, 0], points[:, 1]))
+
+
+def _terrain(plan: NDArray[np.float64], dem: Path | None, local: str) -> tuple[Terrain, float]:
+    """The ground under the buildings, and the height [m] at the origin, which becomes zero."""
+    low, high = plan.min(axis=0) - MARGIN_M, plan.max(axis=0) + MARGIN_M
+    if dem is None:
+        x, y = (np.array([a, b]) for a, b in zip(low, high, strict=True))
+        return Terrain(x, y, np.zeros((2, 2))), 0.0
+    with geotiff.opened(dem) as source:
+        if source.crs is None:
+            raise InputError(f"{dem}: found no coordinate system; must have one, so that buildings find their place")
+        heights = np.ma.filled(source.read(1, masked=True).astype(float), np.nan) * source.scales[0] + source.offsets[0]
+        place, crs = source.transform, source.crs.to_string()
+    cell = max(1.0, float((high - low).max()) / MOST_CELLS, _pixel_m(crs, local, place))
+    x, y = (np.arange(a, b + cell, cell) for a, b in zip(low, high, strict=True))
+    grid = np.column_stack([axis.ravel() for axis in np.meshgrid(x, y)])
+    with geotiff.projecting(dem):
+        column, row = _applied(~place, _moved(local, crs, grid)).T - 0.5
+    rows, cols = heights.shape
+    if not ((row > -1.0) & (row < rows) & (column > -1.0) & (column < cols)).all():
+        raise InputError(f"{dem}: does not reach under all buildings and {MARGIN_M:g} m beyond; must cover them")
+    raster = Terrain(np.arange(cols, dtype=float), np.arange(rows, dtype=float), heights)
+    z = raster.at(np.column_stack([column, row])).reshape(y.size, x.size)
+    if not np.isfinite(z).all():
+        raise InputError(f"{dem}: found pixels without a height under the buildings; must have one everywhere there")
+    base = float(Terrain(x, y, z).at(np.zeros((1, 2)))[0])
+    return Terrain(x, y, z - base), base
+
+
+def _pixel_m(crs: str, local: str, place: Affine) -> float:
+    """A pixel of the elevation model [m], at the origin."""
+    at = _applied(~place, _moved(local, crs, np.zeros((1, 2))))
+    ends = _applied(place, np.concatenate([at, at + np.array([1.0, 0.0])]))
+    return float(np.linalg.norm(np.diff(_moved(crs, local, ends), axis=0)))
+
+
+def _applied(place: Affine, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """An affine map of points (n, 2)."""
+    x, y = points.T
+    return np.column_stack([place.a * x + place.b * y + place.c, place.d * x + place.e * y + place.f])
+
+
+class _Made:
+    """Triangles of the city by material, as they are added."""
+
+    def __init__(self) -> None:
+        self.vertices: list[NDArray[np.float64]] = []
+        self.faces: list[NDArray[np.int32]] = []
+        self.owner: list[int] = []
+        self.count = 0
+
+    def add(self, name: str, vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> None:
+        self.vertices.append(vertices)
+        self.faces.append((faces + self.count).astype(np.int32))
+        self.owner += [NAMES.index(name)] * len(faces)
+        self.count += len(vertices)
+
+    def ground(self, terrain: Terrain) -> None:
+        x, y = np.meshgrid(terrain.x, terrain.y)
+        at = np.arange(x.size).reshape(x.shape)
+        a, b, c, d = (corner.ravel() for corner in (at[:-1, :-1], at[:-1, 1:], at[1:, 1:], at[1:, :-1]))
+        vertices = np.column_stack([x.ravel(), y.ravel(), terrain.z.ravel()])
+        self.add("ground", vertices, np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)]))
+
+    def prism(self, rings: list[Ring], height: float, terrain: Terrain) -> None:
+        """Upright walls and a flat roof, `height` above the mean ground at the outline."""
+        foot = terrain.at(rings[0])
+        top = float(foot.mean()) + height
+        flat = np.concatenate(rings)
+        self.add("roofs", np.column_stack([flat, np.full(len(flat), top)]), _triangles(rings))
+        for ring in rings:
+            n = len(ring)
+            bottom = np.full(n, float(foot.min()) - _BURIED_M)
+            both = np.concatenate([np.column_stack([ring, z]) for z in (bottom, np.full(n, top))])
+            i, j = np.arange(n), (np.arange(n) + 1) % n
+            self.add("walls", both, np.concatenate([np.stack([i, j, j + n], 1), np.stack([i, j + n, i + n], 1)]))
+
+    def solid(self, polygons: list[list[Ring]], kinds: list[str], zero_m: float) -> None:
+        """Polygons in space; heights count from `zero_m`."""
+        for rings, kind in zip(polygons, kinds, strict=True):
+            corners = np.concatenate(rings) - (0.0, 0.0, zero_m)
+            up = footprints.normal(rings[0])
+            if not up.any():
+                continue
+            dropped = int(np.argmax(np.abs(up)))  # the plane on which the polygon is widest
+            faces = _triangles([np.delete(ring, dropped, axis=1) for ring in rings])
+            self.add("roofs" if kind == "roof" else "walls", corners, faces)
+
+    def mesh(self) -> Mesh:
+        """The whole; materials without a face are left out."""
+        owner = np.array(self.owner, np.int32)
+        used = np.unique(owner)
+        names = tuple(NAMES[index] for index in used)
+        return Mesh(
+            np.concatenate(self.vertices),
+            np.concatenate(self.faces),
+            np.searchsorted(used, owner).astype(np.int32),
+            names,
+        )
+
+
+def _triangles(rings: list[Ring]) -> NDArray[np.int64]:
+    """Triangles of a flat polygon with holes, as indices into its corners; none for one that crosses itself."""
+    import shapely
+
+    corners = np.concatenate(rings)
+    polygon = shapely.Polygon(rings[0], rings[1:])
+    if not polygon.is_valid or polygon.area <= 0.0:
+        return np.empty((0, 3), np.int64)
+    index = {tuple(corner): at for at, corner in enumerate(corners.tolist())}
+    parts = shapely.get_parts(shapely.constrained_delaunay_triangles(polygon))
+    found = [[index[tuple(corner)] for corner in shapely.get_coordinates(part)[:3].tolist()] for part in parts]
+    return np.array(found, np.int64).reshape(-1, 3)
