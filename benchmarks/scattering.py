@@ -1,6 +1,7 @@
 """Backscatter models against a full-wave table, and their speed.
 
     python benchmarks/scattering.py DATA/nmm3d/NMM3D_LUT_NRCS_40degree.dat [--write]
+    python benchmarks/scattering.py DATA/... --learned [--term soil.json] [--write]
     python benchmarks/scattering.py --speed [--device cuda] [--write]
 
 The table has 162 exponential surfaces at 40 degrees: incidence, l / h, eps', eps'', h / wavelength, VV, HH, HV [dB].
@@ -23,6 +24,7 @@ from warpsar.kernels import models, models_lanes, shade, shade_lanes
 from warpsar.kernels.codes import Model, Polarization, Spectrum
 from warpsar.kernels.models import modelled
 from warpsar.kernels.scattering import sigma0
+from warpsar.world.scattering_term import learned
 
 wp.set_module_options({"max_unroll": 1})
 FREQUENCY_HZ = 5.405e9  # the table has none; Dubois alone depends on it
@@ -45,7 +47,9 @@ def surface_kernel(
     h, length, psi = given[i, 3], given[i, 4], given[i, 5]
     if model == Model.KA_SPM:
         zero = wp.float64(0.0)
-        out[i] = sigma0(polarization, Spectrum.EXPONENTIAL, 0, wavenumber, c, psi, re, im, h, length, length, zero, zero)
+        out[i] = sigma0(
+            polarization, Spectrum.EXPONENTIAL, 0, wavenumber, c, psi, re, im, h, length, length, zero, zero
+        )
     else:
         found = modelled(model, polarization, Spectrum.EXPONENTIAL, wavenumber, c, psi, re, im, h, length)
         out[i] = found[0]
@@ -71,16 +75,20 @@ def read(path: Path) -> np.ndarray:
     return rows
 
 
+def against_one(rows: np.ndarray, model: Model, channel: str) -> np.ndarray:
+    """Model minus full wave [dB], (rows,), NaN where either has none."""
+    modelled_db, truth = sigma0_db(model, channel, rows), rows[:, 5 + CHANNELS.index(channel)]
+    known = np.isfinite(modelled_db) & np.isfinite(truth)
+    off = np.full(len(rows), np.nan)
+    off[known] = modelled_db[known] - truth[known]
+    return off
+
+
 def against(rows: np.ndarray) -> dict[str, dict[str, np.ndarray]]:
     """By model and channel: model minus full wave [dB], (rows,), NaN where either has none."""
     found: dict[str, dict[str, np.ndarray]] = {}
     for model in (Model.KA_SPM, Model.I2EM, Model.OH, Model.DUBOIS):
-        off = {}
-        for column, channel in enumerate(CHANNELS, 5):
-            modelled_db, truth = sigma0_db(model, channel, rows), rows[:, column]
-            known = np.isfinite(modelled_db) & np.isfinite(truth)
-            off[channel] = np.full(len(rows), np.nan)
-            off[channel][known] = modelled_db[known] - truth[known]
+        off = {channel: against_one(rows, model, channel) for channel in CHANNELS}
         off["VV-HH"] = off["VV"] - off["HH"]
         found[model.name.lower()] = off
     return found
@@ -123,6 +131,49 @@ def accuracy(path: Path, write: bool) -> None:
 
 def _told(made: dict[str, str], write: bool) -> None:
     tables.publish({f"scattering.{name}": text for name, text in made.items()}, {"made": tables.made()}, write)
+
+
+def places_of(rows: np.ndarray) -> np.ndarray:
+    """The features of the learned term, (n, 4)."""
+    kh = 2 * np.pi * rows[:, 4]
+    columns = [np.cos(np.radians(rows[:, 0])), np.log(kh), np.log(kh * rows[:, 1]), np.log(rows[:, 2] - 1)]
+    return np.stack(columns, axis=1)
+
+
+def left_out(rows: np.ndarray, model: Model, group: np.ndarray) -> list[list[str]]:
+    """A row for each value of `group`: error and expected error [dB] of surfaces of which the term has learned none."""
+    places, off = places_of(rows), {c: -against_one(rows, model, c) for c in CHANNELS}
+    made = []
+    for value in np.unique(group):
+        out = group == value
+        term = learned(model.name.lower(), places[~out], {c: one[~out] for c, one in off.items()})
+        cells = []
+        for channel in CHANNELS:
+            truth = off[channel][out]
+            known = np.isfinite(truth)
+            error = term.db(channel, places[out]) - truth
+            sd = term.sd_db(channel, places[out])
+            if known.any():
+                rms = np.sqrt(np.mean(error[known] ** 2))
+                inside = np.mean(np.abs(error[known]) < 1.96 * sd[known])
+                cells.append(f"{rms:.2f} / {sd[known].mean():.2f} / {100 * inside:.0f} %")
+            else:
+                cells.append("none")
+        made.append([f"{value:.3g}", *cells])
+    return made
+
+
+def teach(path: Path, term_path: Path | None, write: bool) -> None:
+    rows = read(path)
+    bodies = {}
+    for model in (Model.KA_SPM, Model.I2EM):
+        lines = [["l / h", *line] for line in left_out(rows, model, rows[:, 1])]
+        lines += [["kh", *line] for line in left_out(rows, model, np.round(2 * np.pi * rows[:, 4], 2))]
+        bodies[f"left-out-{model.name.lower()}"] = tables.markdown(["left out", "value", *CHANNELS], lines)
+    if term_path is not None:
+        off = {channel: -against_one(rows, Model.I2EM, channel) for channel in CHANNELS}
+        learned("i2em", places_of(rows), off).save(term_path)
+    _told(bodies, write)
 
 
 def _arrays(device: str, kh: float, kl: float, spectrum: int) -> dict[str, Any]:
@@ -211,6 +262,8 @@ def speed(device: str, write: bool) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("table", type=Path, nargs="?", help="the full-wave table")
+    parser.add_argument("--learned", action="store_true", help="learn a term from it, with parts left out")
+    parser.add_argument("--term", type=Path, help="where the term that has learned all of it goes (JSON, for i2em)")
     parser.add_argument("--speed", action="store_true", help="time the models instead")
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--write", action="store_true", help="put the tables into docs/")
@@ -220,6 +273,8 @@ def main() -> None:
         speed(given.device, given.write)
     elif given.table is None:
         parser.error("needs the full-wave table, or --speed")
+    elif given.learned:
+        teach(given.table, given.term, given.write)
     else:
         accuracy(given.table, given.write)
 

@@ -1,5 +1,6 @@
 """A material's `model`: images, gradients, tables of sigma0, and what is refused at the door."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -7,9 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 import scattering_reference as reference
+import warp as wp
 from worlds import SOIL, WAVENUMBER, box, ground, mesh_of, scene_of, sigma0, view
 
-from warpsar import InputError, Material, Scene, renderer
+from warpsar import InputError, Material, Scene, learn, renderer, simulate
+from warpsar.kernels import facet
+from warpsar.kernels.codes import Polarization
+from warpsar.surface.tables import Tables
 
 TABLE = "incidence_deg,HH,VV,HV\n20,-8,-7,-16\n40,-14,-12,-22\n60,-20,-16,-29\n"
 ROUGH = {"eps_r": (9.0, -0.8), "rms_height_m": 0.003, "correlation_length_m": 0.03, "spectrum": "exponential"}
@@ -178,3 +183,82 @@ def test_learned_coordinates_have_no_slope_to_what_a_model_has_not() -> None:
     """The default's small-perturbation image of the same surface stays what it was."""
     found = middle(lawn(SOIL), "HH")
     assert found == pytest.approx(float(sigma0(np.radians(40.0))), rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("material", "said"),
+    [
+        ({**ROUGH, "model": "i2em"}, None),
+        ({**ROUGH, "model": "i2em", "rms_height_m": 0.02, "correlation_length_m": 0.1}, "i2em .kh < 3"),
+        ({"model": "oh", "eps_r": 9.0, "rms_height_m": 0.003}, None),
+        ({"model": "oh", "eps_r": 40.0, "rms_height_m": 0.003}, "oh .kh from 0.13"),
+        ({"model": "dubois", "eps_r": 9.0, "rms_height_m": 0.02}, "dubois .kh < 2.5"),
+        ({"model": "facet", "level": 1.0}, None),
+    ],
+)
+def test_what_lies_outside_a_models_domain_is_said(
+    material: dict[str, Any], said: str | None, table: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = {**material, "sigma0": table} if material["model"] == "facet" else material
+    simulate(lawn(given, ("HH", "VV")), device="cpu")
+    message = capsys.readouterr().err
+    assert (said is None) == ("domain" not in message)
+    if said is not None:
+        assert re.search(f"100 % of its lit area lies outside the domain of {said}", message)
+
+
+def test_a_fit_with_the_right_model_finds_the_surface(table: Path) -> None:
+    """eps, h and l of an i2em surface from three incidences, HH and VV, without speckle; `level` of a table."""
+    truth = {**ROUGH, "eps_r": 9.0, "model": "i2em"}
+
+    def scene(material: dict[str, Any]) -> Scene:
+        seen = [view(120 * k, incidence, name=f"v{k}") for k, incidence in enumerate((30, 40, 50))]
+        return replace(lawn(material, ("HH", "VV")), views=seen)
+
+    def with_images(material: dict[str, Any], begin: dict[str, Any]) -> Scene:
+        made = scene(material)
+        images = {one.name: one.beta0 for one in simulate(made, device="cpu")}
+        seen = [one.model_copy(update={"images": images[one.name], "looks": 100.0}) for one in made.views]
+        return replace(made, views=seen, materials={"lawn": Material(**{**material, **begin})})
+
+    begun = with_images(truth, {"eps_r": 6.0, "rms_height_m": 0.004, "correlation_length_m": 0.024})
+    found = learn(begun, device="cpu")
+    soil = found.scene.materials["lawn"]
+    assert soil.eps_r == pytest.approx(9.0, rel=0.02)
+    assert soil.rms_height_m == pytest.approx(0.003, rel=0.01)
+    assert soil.correlation_length_m == pytest.approx(0.03, rel=0.03)
+    assert found.domains == {"lawn": {"i2em": 0.0}}
+    begun = with_images({"model": "facet", "sigma0": table, "level": 2.0}, {"level": 0.7})
+    begun = replace(begun, materials={"lawn": Material(model="facet", sigma0=table, level=0.7, learn=("level",))})
+    assert learn(begun, device="cpu").scene.materials["lawn"].level == pytest.approx(2.0, rel=1e-3)
+
+
+def test_a_tables_sigma0_has_the_derivatives_of_differences_to_its_values(table: Path) -> None:
+    """The kernel's adjoint by Warp: between 40 and 60 degrees two rows count, each with its share."""
+    tables = Tables.of([table], wp.get_device("cpu"))
+    assert tables is not None
+    angles = np.radians([44.0, 50.0, 75.0])
+
+    def put(values: Any, dtype: Any, grad: bool = False) -> wp.array:
+        return wp.array(values, dtype=dtype, device="cpu", requires_grad=grad)
+
+    def sigma(db: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        values, out = put(db.astype(np.float32), float, True), put(np.zeros(3, np.float32), float, True)
+        zero = put(np.zeros(3, np.int32), int)
+        inputs = [put(np.arange(3, dtype=np.int32), int), int(Polarization.VV), 1, zero, zero]
+        inputs += [put(np.cos(angles).astype(np.float32), float), put(np.ones(3, np.float32), float), tables.rows]
+        inputs += [tables.incidence_deg, values, put(np.zeros((3, 4), np.float32), wp.vec4)]
+        with wp.Tape() as tape:
+            none = wp.empty(0, dtype=wp.vec4, device="cpu")
+            wp.launch(facet.scatter_kernel, 3, inputs=inputs, outputs=[out, none], device="cpu")
+        tape.backward(grads={out: put(np.ones(3, np.float32), float)})
+        return out.numpy().astype(float), values.grad.numpy()
+
+    base = tables.sigma0_db.numpy().astype(float)
+    found = sigma(base)[1]
+    for row in range(3):
+        moved = np.zeros_like(base)
+        moved[row, Polarization.VV] = 0.05
+        expected = (sigma(base + moved)[0].sum() - sigma(base - moved)[0].sum()) / 0.1
+        assert found[row, Polarization.VV] == pytest.approx(expected, rel=2e-3, abs=1e-6)
+    assert not found[:, Polarization.HH].any()

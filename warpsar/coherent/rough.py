@@ -60,6 +60,11 @@ def surfaces(materials: Sequence[Material]) -> Any:
     """The parameters of the surface model, one for each material."""
     packed = records(rough.RoughSurface, len(materials))
     for m, material in enumerate(materials):
+        if material.model != "ka_spm" or material.learned_term is not None:
+            raise InputError(
+                f'materials: found model = "{material.model}", learned_term = {material.learned_term}; a coherent '
+                'product must have model = "ka_spm" and no learned term'
+            )
         eps = _CONDUCTOR if material.conductor else material.eps_r
         length = material.correlation_length_m or 1.0
         packed["spectrum"][m] = Spectrum[material.spectrum.upper()]

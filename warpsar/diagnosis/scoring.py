@@ -83,7 +83,7 @@ def _grouped(
     evidence = beside_fields(evidence, projection, seed)
     found = {}
     for name in names():
-        if name in base.scene.effects:
+        if name in base.scene.effects or get(name).last_resort:
             continue
         templates = maker.templates(name)
         if get(name).stage == "path":

@@ -2,5 +2,6 @@
 
 rendered: what every render offers.
 render: with a view's hits in memory.
+models: backscatter models beside the default, and learned terms.
 bands: with hits that are traced again, band by band.
 """

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from warpsar.render.domains import lit_areas
+from warpsar.render.domains import lit_areas, model_areas
 from warpsar.render.render import ViewRender
 from warpsar.surface.stage import Stage
 from warpsar.world.frame import ViewGeometry
@@ -68,7 +68,11 @@ class Findings:
     def add(self, stage: Stage, render: ViewRender, beta0: dict[str, np.ndarray], lit: np.ndarray) -> None:
         """Of one view whose render has run."""
         if not _surely_small(stage, render.geometry.wavenumber):
-            self.areas = self.areas + lit_areas(stage, [render])
+            areas = lit_areas(stage, [render])
+            if (other := stage.surface.model > 0).any():  # theirs in the place of small perturbation's
+                areas[other] = 0.0
+                areas[:, 0][other], areas[:, 2][other] = model_areas(stage, [render])[other].T
+            self.areas = self.areas + areas
         for polarization in beta0.keys() & {"HV", "VH"}:
             seen = beta0[polarization][lit] if lit.any() else np.zeros(min(render.hits.count, 1))
             share = float((seen == 0).mean()) if seen.size else 0.0
@@ -103,11 +107,20 @@ class Findings:
 SMALL = "small perturbation (kh < 0.3 and sqrt(2) h / l < 0.3)"
 OPTICS = "geometric optics (kh cos(theta) > 1.58, kl > 6 and l^2 > 2.76 h lambda)"
 
+DOMAINS_IN_WORDS = {
+    "i2em": "i2em (kh < 3, h / l < 0.4)",
+    "oh": "oh (kh from 0.13 to 6.98, incidence from 10 to 70 degrees, moisture from 0.04 to 0.291)",
+    "dubois": "dubois (kh < 2.5, incidence above 30 degrees, moisture below 0.35)",
+    "facet": "its table",
+}
+
 
 def _domain_warnings(scene: World, areas: np.ndarray) -> list[str]:
     found = []
     for name, (small, optics, small_out, optics_out) in zip(scene.mesh.materials, areas, strict=True):
-        if small and optics:  # no h and l lie in both domains: what is in neither is what is left
+        if (own := scene.materials[name].model) != "ka_spm":
+            model, share = DOMAINS_IN_WORDS[own], small_out / small if small else 0.0
+        elif small and optics:  # no h and l lie in both domains: what is in neither is what is left
             model, share = f"both {SMALL} and {OPTICS}", (small_out + optics_out) / small - 1
         elif small:
             model, share = SMALL, small_out / small
@@ -132,6 +145,8 @@ def _measures(scene: World, material: str) -> str:
 def _surely_small(stage: Stage, wavenumber: float) -> bool:
     """Whether every material is small perturbation alone and inside its domain, whatever is lit."""
     surface = stage.surface
+    if surface.model.any():
+        return False
     for name in surface.materials:
         h, length, tau = (
             surface.values(name, key) for key in ("rms_height_m", "correlation_length_m", "specular_fraction")

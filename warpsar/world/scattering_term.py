@@ -122,7 +122,7 @@ def learned(
     *,
     width: tuple[float, float, float, float] = (0.1, 1.0, 1.0, 1.0),
     spread_db: float = 3.0,
-    noise_db: float = 0.1,
+    noise_db: float = 0.25,
 ) -> ScatteringTerm:
     """The term that a table teaches: by polarization, truth minus `model` [dB] at places (n, 4); NaN where not known.
 
