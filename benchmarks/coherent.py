@@ -92,14 +92,16 @@ def main() -> None:
     if options.source:
         result = tables.stored(options.source)
     else:
-        sweeps, grown = [], []
+        sweeps: list[dict[str, Any]] = []
+        grown: list[dict[str, Any]] = []
+        result = {"made": tables.made(), "machine": machine(options.device), "sweeps": sweeps, "growth": grown}
         for name in (name for name in BODIES if options.only in (None, name.split()[0])):
             body, about = prepared(options.data, name, options.device)
             sweeps.append({**about, **measure(body, ANGLES, FREQUENCIES)})
+            tables.save(options.out, result)
             if options.growth and name.startswith("cobra"):
-                grown = growth(body, about, prepared(options.data, name, options.device, cuts=1))
-        result = {"made": tables.made(), "machine": machine(options.device), "sweeps": sweeps, "growth": grown}
-        tables.save(options.out, result)
+                grown += growth(body, about, prepared(options.data, name, options.device, cuts=1))
+                tables.save(options.out, result)
     header = ("sweep", "faces", "angles", "frequencies", "segments", "wall [s]", "CPU [s]", "segments per wall second",
               "prepare, CPU [s]")  # fmt: skip
     bodies = {f"coherent.{'cpu' if device.is_cpu else 'cuda'}": tables.markdown(header, map(row, result["sweeps"]))}

@@ -170,17 +170,24 @@ def parquet(found: Rcs, path: Path) -> bool:
 
 
 def plot(found: Rcs, path: Path) -> None:
-    """RCS against the angle that has more values, a panel for each frequency, a line for each polarization."""
+    """RCS against the angle that has more values, a panel for each frequency, a line for each polarization.
+
+    Shaded: what the spacing of the tubes leaves open.
+    """
     by_azimuth = found.azimuth_deg.size >= found.incidence_deg.size
     angle = found.azimuth_deg if by_azimuth else found.incidence_deg
-    decibels = found.rcs_dbsm[:, 0] if by_azimuth else found.rcs_dbsm[0]
+    decibels, errors = (each[:, 0] if by_azimuth else each[0] for each in (found.rcs_dbsm, found.spacing_error_db))
     other = f"incidence {found.incidence_deg[0]:g}°" if by_azimuth else f"azimuth {found.azimuth_deg[0]:g}°"
     count = found.frequency_hz.size
     figure, panels = figures.new(8.0, 1.0 + 2.6 * min(count, 6), nrows=min(count, 6), sharex=True, squeeze=False)
     for f, panel in enumerate(panels[:, 0]):
         highest = decibels[:, f].max()
         for p, name in enumerate(found.polarizations):
-            panel.plot(angle, np.maximum(decibels[:, f, p], highest - _FLOOR_DB), lw=1.0, ls=_STYLES[p], label=name)
+            line = np.maximum(decibels[:, f, p], highest - _FLOOR_DB)
+            (drawn,) = panel.plot(angle, line, lw=1.0, ls=_STYLES[p], label=name)
+            about = np.nan_to_num(errors[:, f, p], posinf=_FLOOR_DB)
+            low = np.maximum(line - about, highest - _FLOOR_DB)
+            panel.fill_between(angle, low, line + about, color=drawn.get_color(), alpha=0.2, lw=0.0)
         panel.set_ylabel("RCS [dBsm]")
         panel.set_title(f"{found.frequency_hz[f] / 1e9:g} GHz, {other}", fontsize=10)
         panel.grid(alpha=0.3)

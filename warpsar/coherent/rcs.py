@@ -22,8 +22,8 @@ from warpsar.world.world import World
 FREQUENCIES_HZ = (1e6, 1e13)
 FEW = 1.0
 """Fresnel number below which rays in a duct are no better than a constant level (docs/coherent.md)."""
-LARGE_DB = 1.0
-"""An error of the spacing that is said."""
+LARGE_DB, WEAK_DB = 1.0, 30.0
+"""An error of the spacing that is said, at values that are not so far under the strongest one."""
 _BYTES = 16 * len(POLARIZATIONS)
 _TUBE_BYTES = 120
 """Host memory for each tube of a direction, besides the hits, which go in blocks."""
@@ -254,10 +254,11 @@ def _warnings(scene: World, found: Rcs) -> list[str]:
             f"in {count} of {found.aliased.size} directions up to {100 * found.aliased.max():.2g} % of the tubes are "
             "too wide even so: their share of the amplitude is uncertain"
         )
-    if (count := int((found.spacing_error_db > LARGE_DB).sum())) > 0:
+    strong = found.rcs_m2 > 10.0 ** (-WEAK_DB / 10.0) * found.rcs_m2.max(axis=(0, 1))
+    if (count := int((strong & (found.spacing_error_db > LARGE_DB)).sum())) > 0:
         warnings.append(
-            f"at {count} of {found.spacing_error_db.size} values tubes of twice the width change the RCS by more than "
-            f"{LARGE_DB:g} dB (spacing_error_db): more --rays-per-wavelength take them nearer"
+            f"at {count} of {int(strong.sum())} values within {WEAK_DB:g} dB of the strongest tubes of twice the width "
+            f"change the RCS by more than {LARGE_DB:g} dB (spacing_error_db): ask for more --rays-per-wavelength"
         )
     low = found.fresnel_number < FEW
     if low.any() and "multibounce" in scene.radar.terms:
