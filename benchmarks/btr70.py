@@ -29,13 +29,14 @@ import btr70_checks as checks
 import btr70_parts as parts
 import tables
 from btr70_jobs import Job, done
-from btr70_measures import Chip, best_shift, judged, middle, rivals, terms, turn_deg
+from btr70_measures import Chip, judged, rivals, turn_deg
 from btr70_model import (
     LADDER,
     PARTS,
     SPACING_M,
     begun_with,
     fitted,
+    held_out,
     only,
     predicted,
     regions,
@@ -118,16 +119,6 @@ def prepare(data: Path, out: Path) -> Path:
     return path
 
 
-def held_out(scene: Scene, chips: Sequence[Chip]) -> list[float]:
-    """Mean gamma deviance of each held-out chip at the model's best aim point: lower is better."""
-    images = predicted(scene, chips)
-    scores = []
-    for chip in chips:
-        at = best_shift(chip.power, images[chip.name])[1]
-        scores.append(float(terms(middle(chip.power), middle(images[chip.name], at)).mean()))
-    return scores
-
-
 def tried(
     source: Path,
     to: Path,
@@ -135,13 +126,10 @@ def tried(
     names: Sequence[str],
     rung: tuple[str, dict[str, Any]] | None = None,
     mesh: Path | None = None,
-    pose: dict[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """Fits the scene in `source` on the views `names`, with one effect more or another `pose` of the vehicle, and keeps
-    it in `to`; the scores of the chips that were left out."""
+    """Fits the scene in `source` on the views `names`, with one effect more, and keeps it in `to`; the scores of the
+    chips that were left out."""
     begun = only(Scene.load(source), names)
-    if pose is not None:
-        begun = with_body(begun, **pose)
     if rung is not None and mesh is not None:
         begun = begun_with(begun, *rung, mesh)
     found, loss = fitted(begun)
@@ -213,16 +201,13 @@ def learned(
 ) -> tuple[Path, list[dict[str, Any]], dict[str, Any]]:
     """The final scene, the steps to it, and what the images say of the vehicle's attitude and size."""
     ladder = climbed(data, out, train, processes)
-    climbing = ladder.now[0]
-    attitude = checks.attitude(climbing, out / "attitude", processes)
-    pose: dict[str, Any] = {key: round(one["value"], 3) for key, one in attitude.items()}
-    size = checks.size(climbing, pose, out / "size", processes)
-    pose["scale"] = tuple(size["scale"])
-    stays = ladder.turn("tried_pose", "attitude and size", None, None, pose)
+    left = [[chip for chip in train if chip.name in fold] for fold in folds(train)]
+    shape = checks.shape(ladder.now, left, out / "shape", processes)
+    ladder.steps.append({"tried": "attitude and size", **{key: shape[key] for key in ("gain", "error", "stays")}})
+    pose = shape["pose"] if shape["stays"] else {}
     to = out / "final"
-    job = Job(out / "final.json", finished, (prepare(data, out), ladder.now[0], pose if stays else {}, train, to))
-    done([job], 1)
-    return to / "scene.toml", ladder.steps, {"size": size, "attitude": attitude}
+    done([Job(out / "final.json", finished, (prepare(data, out), ladder.now[0], pose, train, to))], 1)
+    return to / "scene.toml", ladder.steps, {"shape": shape}
 
 
 def judged_chips(scenes: dict[str, Path], chips: Sequence[Chip], train: Sequence[Chip]) -> dict[str, Any]:
@@ -285,18 +270,19 @@ def what_is_known(
     """The checks of btr70_checks.py on the final scene, each made once."""
     sector = [chip for chip in chips if set_of(chip, train) == "sector"]
     some = [sector[int(k)] for k in np.linspace(0, len(sector) - 1, min(EXPERIMENT, len(sector)))]
-    bounces, orders, levels, widths, rounding = done(
+    bounces, orders, levels, widths, rounding, coverage = done(
         [
             Job(out / "bounces.json", checks.bounces, (final, some)),
             Job(out / "orders.json", checks.orders, (final, train, some)),
             Job(out / "levels.json", checks.levels, (final, train)),
             Job(out / "widths.json", checks.widths, (final,)),
             Job(out / "rounding.json", checks.rounding, (final, train, some)),
+            Job(out / "coverage.json", checks.coverage, (final, train)),
         ],
         processes,
     )
     return {
-        "coverage": checks.coverage(final, out / "coverage", processes),
+        "coverage": coverage,
         "bounces": bounces,
         "orders": orders,
         "levels": levels,
