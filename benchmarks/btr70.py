@@ -17,7 +17,7 @@ import json
 import os
 import sys
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -29,13 +29,14 @@ import btr70_checks as checks
 import btr70_parts as parts
 import tables
 from btr70_jobs import Job, done
-from btr70_measures import Chip, best_shift, judged, middle, rivals, terms, turn_deg
+from btr70_measures import Chip, judged, rivals, turn_deg
 from btr70_model import (
     LADDER,
     PARTS,
     SPACING_M,
     begun_with,
     fitted,
+    held_out,
     only,
     predicted,
     regions,
@@ -118,16 +119,6 @@ def prepare(data: Path, out: Path) -> Path:
     return path
 
 
-def held_out(scene: Scene, chips: Sequence[Chip]) -> list[float]:
-    """Mean gamma deviance of each held-out chip at the model's best aim point: lower is better."""
-    images = predicted(scene, chips)
-    scores = []
-    for chip in chips:
-        at = best_shift(chip.power, images[chip.name])[1]
-        scores.append(float(terms(middle(chip.power), middle(images[chip.name], at)).mean()))
-    return scores
-
-
 def tried(
     source: Path,
     to: Path,
@@ -146,44 +137,54 @@ def tried(
     return {"loss": loss, "scores": held_out(found, left_out)}
 
 
-def climbed(data: Path, out: Path, train: Sequence[Chip], processes: int) -> tuple[Path, list[dict[str, Any]]]:
-    """Effects tried one after the other, with a third of the train chips left out at a time. One stays only if the
-    score of those left out falls by two standard errors. Returns the first third's scene, and what was tried."""
+@dataclass
+class Ladder:
+    """Trials on the train chips, a third of them left out at a time; `now` holds the best scene of each third."""
+
+    out: Path
+    train: Sequence[Chip]
+    processes: int
+    now: list[Path]
+    scores: np.ndarray | None = None
+    steps: list[dict[str, Any]] = field(default_factory=list)
+
+    def turn(self, name: str, label: str, *rung: Any) -> bool:
+        """Tries one thing. It stays only if the score of the chips left out falls by two standard errors."""
+        to = [self.out / f"{name}_{k}" for k in range(FOLDS)]
+        jobs = []
+        for k, fold in enumerate(folds(self.train)):
+            left = [chip for chip in self.train if chip.name in fold]
+            rest = [chip.name for chip in self.train if chip.name not in fold]
+            jobs.append(Job(to[k].with_suffix(".json"), tried, (self.now[k], to[k], left, rest, *rung)))
+        found = done(jobs, self.processes)
+        scores = np.concatenate([one["scores"] for one in found])
+        stays = True
+        if self.scores is not None:
+            gain = self.scores - scores
+            error = float(gain.std(ddof=1) / np.sqrt(gain.size))
+            stays = bool(gain.mean() > MARGIN * error)
+            said = {"gain": float(gain.mean()), "error": error, "stays": stays}
+            self.steps.append({"tried": label, "losses": [one["loss"] for one in found], **said})
+            verdict = "stays" if stays else "goes"
+            print(f"{label}: left-out gain {gain.mean():+.4f} +- {error:.4f}: {verdict}", file=sys.stderr)
+        if stays:
+            self.now, self.scores = [folder / "scene.toml" for folder in to], scores
+        return stays
+
+
+def climbed(data: Path, out: Path, train: Sequence[Chip], processes: int) -> Ladder:
+    """Effects tried one after the other."""
     declared = prepare(data, out)
     started = out / "aimed" / "scene.toml"
     if not started.exists():
         with_aim_points(Scene.load(declared), train).save(started)
-    mesh = declared.with_name("parts.obj")
-    left = [[chip for chip in train if chip.name in fold] for fold in folds(train)]
-    rest = [[chip.name for chip in train if chip not in some] for some in left]
-
-    def turn(name: str, sources: Sequence[Path], *rung: Any) -> tuple[list[Path], np.ndarray, list[float]]:
-        to = [out / f"{name}_{k}" for k in range(FOLDS)]
-        jobs = [
-            Job(to[k].with_suffix(".json"), tried, (sources[k], to[k], left[k], rest[k], *rung)) for k in range(FOLDS)
-        ]
-        found = done(jobs, processes)
-        return (
-            [folder / "scene.toml" for folder in to],
-            np.concatenate([one["scores"] for one in found]),
-            [one["loss"] for one in found],
-        )
-
-    now, score, _ = turn("begun", [started] * FOLDS)
-    steps: list[dict[str, Any]] = []
+    ladder = Ladder(out, train, processes, [started] * FOLDS)
+    ladder.turn("begun", "begun")
     for number, (name, table) in enumerate(LADDER):
-        if name == PARTS and not any(step["tried"] == "unresolved_detail" and step["stays"] for step in steps):
+        if name == PARTS and not any(step["tried"] == "unresolved_detail" and step["stays"] for step in ladder.steps):
             continue  # there is no detail to be shared out
-        trial, scores, losses = turn(f"tried{number}_{name}", now, (name, table), mesh)
-        gain = score - scores
-        error = float(gain.std(ddof=1) / np.sqrt(gain.size))
-        stays = bool(gain.mean() > MARGIN * error)
-        steps.append({"tried": name, "losses": losses, "gain": float(gain.mean()), "error": error, "stays": stays})
-        verdict = "stays" if stays else "goes"
-        print(f"{name}: left-out gain {gain.mean():+.4f} +- {error:.4f}: {verdict}", file=sys.stderr)
-        if stays:
-            now, score = trial, scores
-    return now[0], steps
+        ladder.turn(f"tried{number}_{name}", name, (name, table), declared.with_name("parts.obj"))
+    return ladder
 
 
 def finished(declared: Path, climbed_to: Path, pose: dict[str, Any], train: Sequence[Chip], to: Path) -> dict[str, Any]:
@@ -199,13 +200,14 @@ def learned(
     data: Path, out: Path, train: Sequence[Chip], processes: int
 ) -> tuple[Path, list[dict[str, Any]], dict[str, Any]]:
     """The final scene, the steps to it, and what the images say of the vehicle's attitude and size."""
-    climbing, steps = climbed(data, out, train, processes)
-    attitude = checks.attitude(climbing, out / "attitude", processes)
-    pose: dict[str, Any] = {key: round(one["value"], 3) for key, one in attitude.items()}
-    size = checks.size(climbing, pose, out / "size", processes)
-    pose["scale"] = tuple(size["scale"])
-    done([Job(out / "final.json", finished, (prepare(data, out), climbing, pose, train, out / "final"))], 1)
-    return out / "final" / "scene.toml", steps, {"size": size, "attitude": attitude}
+    ladder = climbed(data, out, train, processes)
+    left = [[chip for chip in train if chip.name in fold] for fold in folds(train)]
+    shape = checks.shape(ladder.now, left, out / "shape", processes)
+    ladder.steps.append({"tried": "attitude and size", **{key: shape[key] for key in ("gain", "error", "stays")}})
+    pose = shape["pose"] if shape["stays"] else {}
+    to = out / "final"
+    done([Job(out / "final.json", finished, (prepare(data, out), ladder.now[0], pose, train, to))], 1)
+    return to / "scene.toml", ladder.steps, {"shape": shape}
 
 
 def judged_chips(scenes: dict[str, Path], chips: Sequence[Chip], train: Sequence[Chip]) -> dict[str, Any]:
@@ -268,18 +270,19 @@ def what_is_known(
     """The checks of btr70_checks.py on the final scene, each made once."""
     sector = [chip for chip in chips if set_of(chip, train) == "sector"]
     some = [sector[int(k)] for k in np.linspace(0, len(sector) - 1, min(EXPERIMENT, len(sector)))]
-    bounces, orders, levels, widths, rounding = done(
+    bounces, orders, levels, widths, rounding, coverage = done(
         [
             Job(out / "bounces.json", checks.bounces, (final, some)),
             Job(out / "orders.json", checks.orders, (final, train, some)),
             Job(out / "levels.json", checks.levels, (final, train)),
             Job(out / "widths.json", checks.widths, (final,)),
             Job(out / "rounding.json", checks.rounding, (final, train, some)),
+            Job(out / "coverage.json", checks.coverage, (final, train)),
         ],
         processes,
     )
     return {
-        "coverage": checks.coverage(final, out / "coverage", processes),
+        "coverage": coverage,
         "bounces": bounces,
         "orders": orders,
         "levels": levels,

@@ -9,12 +9,11 @@ from typing import Any
 
 import numpy as np
 from btr70_jobs import Job, done
-from btr70_measures import Chip, best_shift, middle, own_shift, terms
-from btr70_model import SPACING_M, fitted, predicted, regions, thinned, with_body, with_effect
+from btr70_measures import SIZE, Chip, best_shift, middle, own_shift, terms
+from btr70_model import SPACING_M, fitted, held_out, predicted, regions, thinned, with_body, with_effect
 from scipy.ndimage import gaussian_filter
 
 from warpsar.scene.scene import Scene
-from warpsar.simulation.command import simulate
 from warpsar.speckle.compound import MOST, likeliest_order, minus_log_density
 
 CAD_M = (7.65, 2.66, 2.61)  # length, width, height
@@ -23,123 +22,106 @@ HEADER_DEG = {"roll_deg": -1.18, "pitch_deg": -1.42}
 HEADER_M = {"range_fwhm_m": 0.3013, "azimuth_fwhm_m": 0.3229}
 # Pixels of speckle that share a draw: spacing 0.20 m, widths 0.30 and 0.32 m.
 AREA_PX = 2.4
-PROFILED = 10  # train views of a profile
 TILTS_DEG = (-4.0, -2.0, 0.0, 2.0, 4.0)
-HEIGHTS = (0.8, 0.85, 0.9, 0.95, 1.0)
-REPLICATES = 12  # of the chips on which the interval of the height is tried
+SIZES = (0.85, 0.9, 0.95, 1.0, 1.05, 1.1)
+PROFILES: tuple[tuple[str, int | None, tuple[float, ...]], ...] = (
+    ("height", 2, SIZES),
+    ("pitch_deg", None, TILTS_DEG),
+    ("roll_deg", None, TILTS_DEG),
+    ("width", 1, SIZES),
+    ("length", 0, SIZES),
+)
+"""Key, axis of the size, and the places of its profile."""
+REPLICATES = 40  # of the chips on which the interval of the height is tried
 ERROR_DN = 9.75  # rms, the most that the chips' JPEG tables allow (measured.jpeg.read)
-STEPS = 3  # iterations of a fit where one number of the geometry moved
 
 
-def minimum(places: Sequence[float], losses: Sequence[float]) -> tuple[float, float]:
-    """Where a parabola through the three best of a profile has its least value, and its standard deviation."""
+def minimum(places: Sequence[float], losses: Sequence[float]) -> float:
+    """Where a parabola through the three best of a profile has its least value, inside the profile."""
     at, loss = np.array(places), np.array(losses)
     middle = int(np.clip(np.argmin(loss), 1, len(at) - 2))
     a, b, _ = np.polyfit(at[middle - 1 : middle + 2], loss[middle - 1 : middle + 2], 2)
-    if a <= 0:
-        return float(at[np.argmin(loss)]), float("nan")
-    return float(np.clip(-b / (2.0 * a), at.min(), at.max())), float(np.sqrt(AREA_PX / (2.0 * a)))
+    return float(np.clip(-b / (2.0 * a), at.min(), at.max())) if a > 0 else float(at[np.argmin(loss)])
 
 
-def at_place(source: Path, changed: dict[str, Any], views: int, images: Path | None = None) -> dict[str, Any]:
-    """The loss where keys of the vehicle have other values, all else fitted again on some of the views."""
-    scene = thinned(Scene.load(source), views)
-    if images is not None:
-        scene = with_images(scene, images)
-    return {"loss": fitted(with_body(scene, **changed), STEPS)[1]}
+def likeliest(places: Sequence[float], scores: np.ndarray, sd: float | None = None) -> tuple[float, float]:
+    """Where the chips' mean deviances, (places, chips), are least, and its standard deviation: the chips' jackknife.
+
+    With `sd`, the places are known to be 1 to so much before the images are asked."""
+    losses = 0.5 * SIZE**2 / AREA_PX * np.asarray(scores)
+    pull = np.zeros(len(places)) if sd is None else 0.5 * ((np.array(places) - 1.0) / sd) ** 2
+    whole, n = losses.sum(axis=1), losses.shape[1]
+    without = [minimum(places, ((whole - one) * n / (n - 1) + pull).tolist()) for one in losses.T]
+    return minimum(places, (whole + pull).tolist()), float(np.std(without) * np.sqrt(n - 1))
 
 
-def profile(
-    source: Path, key: str, places: Sequence[Any], out: Path, processes: int, pose: Mapping[str, Any] | None = None
-) -> list[float]:
-    """The loss at each place of one key of the vehicle; `pose` says where its other keys are."""
-    jobs = [
-        Job(out / f"{key}_{k}.json", at_place, (source, {**(pose or {}), key: place}, PROFILED))
-        for k, place in enumerate(places)
-    ]
-    return [one["loss"] for one in done(jobs, processes)]
+def left_out(sources: Sequence[Path], chips: Sequence[Sequence[Chip]], changed: Mapping[str, Any]) -> dict[str, Any]:
+    """The scores of the chips that each scene left out, with other values of the vehicle's table."""
+    pairs = zip(sources, chips, strict=True)
+    return {"scores": [s for source, some in pairs for s in held_out(with_body(Scene.load(source), **changed), some)]}
 
 
-def likeliest(places: Sequence[float], losses: Sequence[float], sd: float | None = None) -> tuple[float, float]:
-    """Where a profile is least, and its standard deviation; about 1 to `sd` before the images, if that is given."""
-    if sd is not None:
-        pull = [AREA_PX * 0.5 * ((place - 1.0) / sd) ** 2 for place in places]
-        losses = [loss + one for loss, one in zip(losses, pull, strict=True)]
-    return minimum(places, losses)
+def shape(sources: Sequence[Path], chips: Sequence[Sequence[Chip]], out: Path, processes: int) -> dict[str, Any]:
+    """Size and attitude, one after the other, by the score of the chips that each of `sources` left out.
 
-
-def size(source: Path, pose: Mapping[str, Any], out: Path, processes: int) -> dict[str, Any]:
-    """Factors on the CAD's size along, across and up, one after the other, with the CAD to 10 % as their prior."""
-    scale, found = [1.0, 1.0, 1.0], {}
-    for axis, name in ((2, "height"), (1, "width"), (0, "length")):
-        places = HEIGHTS if axis == 2 else (0.94, 1.0, 1.06)
-        trials = [(*scale[:axis], place, *scale[axis + 1 :]) for place in places]
-        losses = profile(source, "scale", trials, out / name, processes, pose)
-        at, sd = likeliest(places, losses, CAD_SD)
-        scale[axis] = round(at, 4)
-        metres = {"value_m": at * CAD_M[axis], "sd_m": sd * CAD_M[axis]}
-        found[name] = metres | {"places": list(places), "losses": losses}
-    return {"scale": scale, **found}
-
-
-def attitude(source: Path, out: Path, processes: int) -> dict[str, Any]:
-    """Roll and pitch by the images alone, beside the header's: pitch first, and roll at the pitch that was found."""
+    Sizes are factors on the CAD, known to 10 %; roll and pitch are said by the images alone. All else stays as fitted.
+    """
+    pose: dict[str, Any] = {"scale": (1.0, 1.0, 1.0), **HEADER_DEG}
     found: dict[str, Any] = {}
-    pose: dict[str, float] = {}
-    for key in ("pitch_deg", "roll_deg"):
-        losses = profile(source, key, TILTS_DEG, out, processes, pose)
-        at, sd = minimum(TILTS_DEG, losses)
-        pose[key] = round(at, 3)
-        found[key] = {"value": at, "sd": sd, "header": HEADER_DEG[key], "places": list(TILTS_DEG), "losses": losses}
-    return found
+    base = np.array(Job(out / "declared.json", left_out, (sources, chips, {}))()["scores"])
+    for name, axis, places in PROFILES:
+        jobs = [
+            Job(out / f"{name}_{k}.json", left_out, (sources, chips, moved(pose, name, axis, p)))
+            for k, p in enumerate(places)
+        ]
+        scores = np.array([one["scores"] for one in done(jobs, processes)])
+        best, sd = likeliest(places, scores, None if axis is None else CAD_SD)
+        pose = moved(pose, name, axis, round(best, 4))
+        found[name] = {"value": best, "sd": sd, "places": list(places), "scores": scores.mean(axis=1).tolist()}
+    last = np.array(Job(out / "found.json", left_out, (sources, chips, pose))()["scores"])
+    gain = base - last
+    error = float(gain.std(ddof=1) / np.sqrt(gain.size))
+    stays = bool(gain.mean() > 2.0 * error)
+    return {**found, "pose": pose, "gain": float(gain.mean()), "error": error, "stays": stays}
 
 
-def simulated(source: Path, seed: int, folder: Path) -> None:
-    """Chips that the model itself makes, of the views of a profile: speckle of one look, 8 bits, clipped as measured.
+def moved(pose: Mapping[str, Any], name: str, axis: int | None, place: float) -> dict[str, Any]:
+    """The pose with one more place: of an angle, or of the size along an axis."""
+    if axis is None:
+        return {**pose, name: place}
+    return {**pose, "scale": tuple(place if k == axis else one for k, one in enumerate(pose["scale"]))}
 
-    Speckle is correlated from pixel to pixel as the widths of the header make it."""
-    scene = thinned(Scene.load(source), PROFILED)
-    draws = np.random.default_rng(seed)
+
+def speckled(image: np.ndarray, draws: np.random.Generator) -> np.ndarray:
+    """A chip as the radar would give it, [DN^2]: speckle of one look, as wide as the header says, 8 bits, clipped."""
     sigma = [np.sqrt(2.0) / 2.3548 * w / s for w, s in zip(HEADER_M.values(), SPACING_M, strict=True)]
-    folder.mkdir(parents=True, exist_ok=True)
-    for view, image in zip(scene.views, simulate(scene, device="cpu"), strict=True):
-        mu = image.beta0["HH"].astype(float)
-        field = [gaussian_filter(draws.standard_normal(mu.shape), sigma) for _ in range(2)]
-        speckle = sum((one / one.std()) ** 2 for one in field) / 2.0
-        measured = scene.measured(view, "HH")
-        gain = np.median(measured[:4]) / np.median((mu * speckle)[:4])  # grass
-        levels = np.clip(np.round(np.sqrt(gain * mu * speckle)), 1.0, 255.0)
-        np.save(folder / f"{view.name}.npy", (levels**2).astype(np.float32))
+    field = [gaussian_filter(draws.standard_normal(image.shape), sigma) for _ in range(2)]
+    power = image * sum((one / one.std()) ** 2 for one in field) / 2.0
+    return np.asarray(np.clip(np.round(60.0 * np.sqrt(power / np.median(image))), 1.0, 255.0) ** 2)
 
 
-def with_images(scene: Scene, folder: Path) -> Scene:
-    """The scene with the chips of a folder in place of the measured ones."""
-    views = [view.model_copy(update={"images": {"HH": np.load(folder / f"{view.name}.npy")}}) for view in scene.views]
-    return replace(scene, views=views)
-
-
-def replicate(source: Path, seed: int, folder: Path) -> dict[str, Any]:
-    """The height that chips of a known height give back, as a factor on the model's own."""
-    simulated(source, seed, folder)
-    (body,) = (one for one in Scene.load(source).objects if one.name == "btr70")
+def coverage(source: Path, train: Sequence[Chip]) -> dict[str, Any]:
+    """How often the interval of the height holds the truth, on chips that the model made of the train views."""
+    scene, places = Scene.load(source), (0.9, 0.95, 1.0, 1.05, 1.1)
+    (body,) = (one for one in scene.objects if one.name == "btr70")
     along, across, up = body.scales
-    places = [round(factor, 4) for factor in (0.95, 1.0, 1.05)]
-    losses = [at_place(source, {"scale": (along, across, up * place)}, PROFILED, folder)["loss"] for place in places]
-    at, sd = likeliest(places, losses, CAD_SD)
-    return {"found": at, "sd": sd, "losses": losses}
-
-
-def coverage(source: Path, out: Path, processes: int) -> dict[str, Any]:
-    """How often the interval of the height holds the truth, on chips that the model made."""
-    jobs = [Job(out / f"{seed}.json", replicate, (source, seed, out / f"chips{seed}")) for seed in range(REPLICATES)]
-    found = done(jobs, processes)
-    off = np.array([(one["found"] - 1.0) / one["sd"] for one in found])
+    images = [predicted(with_body(scene, scale=(along, across, up * place)), train) for place in places]
+    draws, found = np.random.default_rng(0), []
+    for _ in range(REPLICATES):
+        scores = np.empty((len(places), len(train)))
+        for k, chip in enumerate(train):
+            power = middle(speckled(images[2][chip.name], draws))
+            for i, image in enumerate(images):
+                # a higher body lies nearer to the radar: the aim point gives way by rows
+                scores[i, k] = min(terms(power, middle(image[chip.name], (row, 0))).mean() for row in (-1, 0, 1))
+        found.append(likeliest(places, scores, CAD_SD))
+    off = np.array([(at - 1.0) / sd for at, sd in found])
     return {
         "replicates": REPLICATES,
         "inside": int((np.abs(off) < 1.96).sum()),
-        "bias": float(np.mean([one["found"] - 1.0 for one in found])),
-        "sd_of_found": float(np.std([one["found"] for one in found], ddof=1)),
-        "sd_stated": float(np.mean([one["sd"] for one in found])),
+        "bias": float(np.mean([at - 1.0 for at, _ in found])),
+        "sd_of_found": float(np.std([at for at, _ in found], ddof=1)),
+        "sd_stated": float(np.mean([sd for _, sd in found])),
     }
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from btr70_measures import Chip, best_shift
+from btr70_measures import Chip, best_shift, middle, terms
 
 from warpsar.diagnosis.refit import standing_at
 from warpsar.effects.registry import validate
@@ -222,3 +222,13 @@ def regions(scene: Scene, chips: Sequence[Chip]) -> dict[str, dict[str, np.ndarr
             name: np.pad(mask, before, constant_values=name == "ground") for name, mask in masks.items()
         }
     return found
+
+
+def held_out(scene: Scene, chips: Sequence[Chip]) -> list[float]:
+    """Mean gamma deviance of each held-out chip at the model's best aim point: lower is better."""
+    images = predicted(scene, chips)
+    scores = []
+    for chip in chips:
+        at = best_shift(chip.power, images[chip.name])[1]
+        scores.append(float(terms(middle(chip.power), middle(images[chip.name], at)).mean()))
+    return scores

@@ -48,14 +48,13 @@ def by_region(views: Sequence[Mapping[str, Any]]) -> list[list[Any]]:
 def checked(known: Mapping[str, Any]) -> list[list[Any]]:
     """Rows of what is known: what, found, stated elsewhere."""
     rows: list[list[Any]] = []
-    for name, stated in (("height", "2.24 to 2.32"), ("width", "2.80"), ("length", "7.53 to 7.54")):
-        one = known["size"][name]
-        rows.append(
-            [f"{name} [m], the CAD to 10 %", f"{one['value_m']:.2f} +- {one['sd_m']:.2f}", f"{stated}, published"]
-        )
-    for key, one in known["attitude"].items():
-        found = f"{one['value']:+.2f} +- {one['sd']:.2f}"
-        rows.append([f"{key.removesuffix('_deg')} [deg], images alone", found, f"{one['header']:+.2f}, header"])
+    shape = known["shape"]
+    for name, metres, stated in (("height", 2.61, "2.24 to 2.32"), ("width", 2.66, "2.80"), ("length", 7.65, "7.53")):
+        value, sd = (metres * shape[name][key] for key in ("value", "sd"))
+        rows.append([f"{name} [m], the CAD to 10 %", f"{value:.2f} +- {sd:.2f}", f"{stated}, published"])
+    for name, header in (("roll_deg", -1.18), ("pitch_deg", -1.42)):
+        found = f"{shape[name]['value']:+.2f} +- {shape[name]['sd']:.2f}"
+        rows.append([f"{name.removesuffix('_deg')} [deg], images alone", found, f"{header:+.2f}, header"])
     for key, header in known["widths"]["header"].items():
         found = f"{known['widths']['found'][key]:.3f}"
         rows.append([f"{key.removesuffix('_fwhm_m')} width [m], without a prior", found, f"{header:.3f}, header"])

@@ -79,9 +79,15 @@ def test_turned_chips_have_the_aspect_asked_for() -> None:
 
 
 def test_a_parabola_has_its_minimum() -> None:
-    at, sd = checks.minimum((0.8, 0.9, 1.0), [50.0 * (p - 0.93) ** 2 for p in (0.8, 0.9, 1.0)])
-    assert at == pytest.approx(0.93)
-    assert sd == pytest.approx(np.sqrt(checks.AREA_PX / 100.0))
+    """Of a mean of chips' parabolas; the jackknife of a mean is its standard error, sd / sqrt(n)."""
+    places, draws = np.linspace(0.8, 1.0, 5), np.random.default_rng(0)
+    truth = 0.93 + 0.01 * draws.standard_normal(30)
+    at, sd = checks.likeliest(places.tolist(), (places[:, None] - truth) ** 2)
+    assert at == pytest.approx(truth.mean(), abs=1e-6)
+    assert sd == pytest.approx(truth.std(ddof=1) / np.sqrt(30), rel=1e-3)
+    # a prior as sharp as the images: half way. 0.5 SIZE^2 / AREA_PX scores are a log-likelihood
+    curve = checks.AREA_PX / checks.SIZE**2 / 30 * np.repeat(((places - 0.9) / 0.1)[:, None] ** 2, 30, axis=1)
+    assert checks.likeliest(places.tolist(), curve, 0.1)[0] == pytest.approx(0.95)
 
 
 def test_parts_are_the_whole(tmp_path: Path) -> None:
