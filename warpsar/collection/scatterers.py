@@ -131,7 +131,8 @@ def _velocities(world: World, plan: Plan) -> F64 | None:
     movers = plan.table.velocity_m_s
     if not movers:
         return None
-    assert world.assembly is not None
+    if world.assembly is None:
+        raise InputError(f"{world.name}: collection.velocity_m_s: found {', '.join(movers)}, but no [[objects]]")
     found = np.zeros((len(world.mesh.faces), 3))
     start = 0 if world.assembly.base is None else len(world.assembly.base.faces)
     for one in world.objects:
