@@ -111,7 +111,7 @@ def _channels(made: Collected, names: list[str], times: np.ndarray, toa: float) 
                     "Identifier": name,
                     "RefVectorIndex": made.plan.middle,
                     **fixed,
-                    "Polarization": {"TxPol": pol[1], "RcvPol": pol[0]},
+                    "Polarization": {"TxPol": pol[0], "RcvPol": pol[1]},
                     "FxC": (low + high) / 2,
                     "FxBW": high - low,
                     "TOASaved": 2 * toa,

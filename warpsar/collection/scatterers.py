@@ -83,7 +83,8 @@ def scatterers_of(
     k = 2.0 * np.pi * plan.centre_hz / SPEED_OF_LIGHT
     terms = world.radar.terms
     worker = places.worker_of(body, k, terms, world.radar.max_bounces, rays_per_wavelength)
-    chosen = [POLARIZATIONS.index(name) for name in world.radar.polarizations]
+    # The engine names the received one first, [radar] the transmitted one.
+    chosen = [POLARIZATIONS.index(name[::-1]) for name in world.radar.polarizations]
     sensor = plan.track.towards() * plan.track.reference_m()[:, None]
     velocity = _velocities(world, plan)
     found: list[Part] = []

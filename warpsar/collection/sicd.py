@@ -69,7 +69,7 @@ def _tables(made: Slc, polarization: str) -> dict[str, Any]:
     plan, image = made.plan, made.images[polarization]
     low, high = plan.start_hz, plan.start_hz + (plan.frequencies - 1) * plan.step_hz
     times = plan.track.time_s - plan.track.time_s[0]
-    label = f"{polarization[1]}:{polarization[0]}"
+    label = f"{polarization[0]}:{polarization[1]}"
     return {
         "CollectionInfo": {
             "CollectorName": f"warpsar {__version__}",
@@ -90,7 +90,7 @@ def _tables(made: Slc, polarization: str) -> dict[str, Any]:
         "Position": {"ARPPoly": _polynomial(made, times)},
         "RadarCollection": {
             "TxFrequency": {"Min": low, "Max": high},
-            "TxPolarization": polarization[1],
+            "TxPolarization": polarization[0],
             "RcvChannels": {"@size": 1, "ChanParameters": [{"@index": 1, "TxRcvPolarization": label}]},
         },
         "ImageFormation": {
