@@ -209,7 +209,8 @@ def deposit_kernel(
 ):
     """Range-compressed pulses, (polarizations, pulses, bins): each scatterer e^{-j 2 pi turns} into WIDTH bins.
 
-    A thread takes every `lanes`-th scatterer of one pulse. The way is worked out in float64, from differences.
+    A thread takes every `lanes`-th scatterer of one pulse. The way is worked out in float64, from differences. A third
+    of the function's length is its arguments.
     """
     row, lane = wp.tid()
     pulse = pulse_in[row]

@@ -28,7 +28,11 @@ STRIPMAP = {
     "resolution_m": None,
     "bandwidth_hz": 3.6e8,
 }
-MODES = {"spotlight": {}, "stripmap": STRIPMAP}
+MODES = {
+    "spotlight": {},
+    "stripmap": STRIPMAP,
+    "a narrow beam": {"antenna": {"azimuth_deg": 0.1, "elevation_deg": 0.08}},
+}
 SHAPE, SPACING = (96, 96), (0.2, 0.25)
 
 
@@ -47,7 +51,7 @@ def backprojected(made: warpsar.Scene, plan: Plan, found: Scatterers, device: st
     return focused(recorded(plan, found, ("HH",), where), made.grid, where)
 
 
-@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("mode", ["spotlight", "stripmap"])
 def test_a_point_is_where_its_range_and_azimuth_are(mode: str, device: str) -> None:
     """Its power, times the response's area over the pixel's, is its RCS; its phase is -4 pi f r / c."""
     made, plan = planned(mode)

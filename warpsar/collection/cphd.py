@@ -36,76 +36,11 @@ def write(path: Path, made: Collected) -> None:
         raise InputError(f'{path}: CPHD needs sarkit: pip install "warpsar[sicd]"') from error
     root = lxml.etree.Element(f"{{{NAMESPACE}}}CPHD", nsmap={None: NAMESPACE})
     tables = sarkit_cphd.ElementWrapper(root)
-    low, high = made.frequency_hz[[0, -1]].tolist()
     times = made.plan.track.time_s - made.plan.track.time_s[0]
     toa = 0.5 * MOST / made.plan.step_hz
-    tables["CollectionID"] = {
-        "CollectorName": f"warpsar {__version__}",
-        "CoreName": made.plan.view.name,
-        "CollectType": "BISTATIC" if made.plan.track.bistatic else "MONOSTATIC",
-        "RadarMode": {"ModeType": "STRIPMAP" if made.plan.stripmap else "SPOTLIGHT"},
-        "Classification": "UNCLASSIFIED",
-        "ReleaseInfo": "UNRESTRICTED",
-    }
-    tables["Global"] = {
-        "DomainType": "FX",
-        "SGN": -1,
-        "Timeline": {
-            "CollectionStart": np.datetime64(START).astype(object),
-            "TxTime1": times[0],
-            "TxTime2": times[-1],
-        },
-        "FxBand": {"FxMin": low, "FxMax": high},
-        "TOASwath": {"TOAMin": -toa, "TOAMax": toa},
-    }
-    tables["SceneCoordinates"] = _scene(made)
-    layout, size = _layout()
-    pulses = len(times)
     names = [str(number) for number in range(1, len(made.polarizations) + 1)]
-    tables["Data"] = {
-        "SignalArrayFormat": "CF8",
-        "NumBytesPVP": size,
-        "NumCPHDChannels": len(names),
-        "Channel": [
-            {
-                "Identifier": name,
-                "NumVectors": pulses,
-                "NumSamples": made.plan.frequencies,
-                "SignalArrayByteOffset": index * pulses * made.plan.frequencies * 8,
-                "PVPArrayByteOffset": index * pulses * size,
-            }
-            for index, name in enumerate(names)
-        ],
-        "NumSupportArrays": 0,
-    }
-    fixed = {"FXFixed": True, "TOAFixed": True, "SRPFixed": True}
-    tables["Channel"] = {
-        "RefChId": "1",
-        "FXFixedCPHD": True,
-        "TOAFixedCPHD": True,
-        "SRPFixedCPHD": True,
-        "Parameters": [
-            {
-                "Identifier": name,
-                "RefVectorIndex": made.plan.middle,
-                **fixed,
-                "Polarization": {"TxPol": pol[1], "RcvPol": pol[0]},
-                "FxC": (low + high) / 2,
-                "FxBW": high - low,
-                "TOASaved": 2 * toa,
-                "DwellTimes": {"CODId": "1", "DwellId": "1"},
-            }
-            for name, pol in zip(names, made.polarizations, strict=True)
-        ],
-    }
-    tables["PVP"] = layout
-    middle, dwell = np.full((1, 1), times.mean()), np.full((1, 1), times[-1])
-    tables["Dwell"] = {
-        "NumCODTimes": 1,
-        "CODTime": [{"Identifier": "1", "CODTimePoly": middle}],
-        "NumDwellTimes": 1,
-        "DwellTime": [{"Identifier": "1", "DwellTimePoly": dwell}],
-    }
+    for name, table in (_head(made, times, toa) | _channels(made, names, times, toa)).items():
+        tables[name] = table
     vectors = _vectors(made, sarkit_cphd.get_pvp_dtype(root.getroottree()), times, toa)
     tables["ReferenceGeometry"] = sarkit_cphd.compute_reference_geometry(root.getroottree(), vectors)
     metadata = sarkit_cphd.Metadata(xmltree=root.getroottree())
@@ -113,6 +48,86 @@ def write(path: Path, made: Collected) -> None:
         for name, samples in zip(names, made.samples, strict=True):
             writer.write_signal(name, np.ascontiguousarray(samples.T))
             writer.write_pvp(name, vectors)
+
+
+def _head(made: Collected, times: np.ndarray, toa: float) -> dict[str, Any]:
+    """What was collected, when, and where."""
+    low, high = made.frequency_hz[[0, -1]].tolist()
+    return {
+        "CollectionID": {
+            "CollectorName": f"warpsar {__version__}",
+            "CoreName": made.plan.view.name,
+            "CollectType": "BISTATIC" if made.plan.track.bistatic else "MONOSTATIC",
+            "RadarMode": {"ModeType": "STRIPMAP" if made.plan.stripmap else "SPOTLIGHT"},
+            "Classification": "UNCLASSIFIED",
+            "ReleaseInfo": "UNRESTRICTED",
+        },
+        "Global": {
+            "DomainType": "FX",
+            "SGN": -1,
+            "Timeline": {
+                "CollectionStart": np.datetime64(START).astype(object),
+                "TxTime1": times[0],
+                "TxTime2": times[-1],
+            },
+            "FxBand": {"FxMin": low, "FxMax": high},
+            "TOASwath": {"TOAMin": -toa, "TOAMax": toa},
+        },
+        "SceneCoordinates": _scene(made),
+    }
+
+
+def _channels(made: Collected, names: list[str], times: np.ndarray, toa: float) -> dict[str, Any]:
+    """A channel for each polarization, and how its vectors lie in the file."""
+    low, high = made.frequency_hz[[0, -1]].tolist()
+    layout, size = _layout()
+    pulses = len(times)
+    fixed = {"FXFixed": True, "TOAFixed": True, "SRPFixed": True}
+    middle, dwell = np.full((1, 1), times.mean()), np.full((1, 1), times[-1])
+    return {
+        "Data": {
+            "SignalArrayFormat": "CF8",
+            "NumBytesPVP": size,
+            "NumCPHDChannels": len(names),
+            "Channel": [
+                {
+                    "Identifier": name,
+                    "NumVectors": pulses,
+                    "NumSamples": made.plan.frequencies,
+                    "SignalArrayByteOffset": index * pulses * made.plan.frequencies * 8,
+                    "PVPArrayByteOffset": index * pulses * size,
+                }
+                for index, name in enumerate(names)
+            ],
+            "NumSupportArrays": 0,
+        },
+        "Channel": {
+            "RefChId": "1",
+            "FXFixedCPHD": True,
+            "TOAFixedCPHD": True,
+            "SRPFixedCPHD": True,
+            "Parameters": [
+                {
+                    "Identifier": name,
+                    "RefVectorIndex": made.plan.middle,
+                    **fixed,
+                    "Polarization": {"TxPol": pol[0], "RcvPol": pol[1]},
+                    "FxC": (low + high) / 2,
+                    "FxBW": high - low,
+                    "TOASaved": 2 * toa,
+                    "DwellTimes": {"CODId": "1", "DwellId": "1"},
+                }
+                for name, pol in zip(names, made.polarizations, strict=True)
+            ],
+        },
+        "PVP": layout,
+        "Dwell": {
+            "NumCODTimes": 1,
+            "CODTime": [{"Identifier": "1", "CODTimePoly": middle}],
+            "NumDwellTimes": 1,
+            "DwellTime": [{"Identifier": "1", "DwellTimePoly": dwell}],
+        },
+    }
 
 
 def _layout() -> tuple[dict[str, Any], int]:

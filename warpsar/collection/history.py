@@ -107,8 +107,8 @@ def phase_history(plan: Plan, scatterers: Scatterers, polarizations: tuple[str, 
     shape = (len(polarizations), len(plan.track), plan.frequencies)
     spectrum = np.zeros(shape, np.complex64)
     step = _PULSES_TOGETHER["cpu" if device.is_cpu else "cuda"]
-    shared = _Shared.of(plan, device)
-    parts = [_Uploaded.of(part, device) for part in scatterers.parts]
+    shared = TrackOnDevice.of(plan, device)
+    parts = [PartOnDevice.of(part, device) for part in scatterers.parts]
     blocks = [slice(a, min(a + step, len(plan.track))) for a in range(0, len(plan.track), step)]
     tasks = [partial(_block, plan, shared, parts, len(polarizations), some) for some in blocks]
     for some, values in zip(blocks, threads.ordered(tasks, device), strict=True):
@@ -119,7 +119,7 @@ def phase_history(plan: Plan, scatterers: Scatterers, polarizations: tuple[str, 
 
 
 @dataclass(frozen=True)
-class _Shared:
+class TrackOnDevice:
     """A track on a device."""
 
     device: wp.Device
@@ -131,7 +131,7 @@ class _Shared:
     beam: Any
 
     @classmethod
-    def of(cls, plan: Plan, device: wp.Device) -> _Shared:
+    def of(cls, plan: Plan, device: wp.Device) -> TrackOnDevice:
         track = plan.track
         both = (track.receiver_m, track.transmitter_m)
         axes, widths = boresight(plan)
@@ -145,7 +145,7 @@ class _Shared:
 
 
 @dataclass(frozen=True)
-class _Uploaded:
+class PartOnDevice:
     """A part on a device."""
 
     weight: NDArray[np.float32]
@@ -154,7 +154,7 @@ class _Uploaded:
     amplitude: wp.array
 
     @classmethod
-    def of(cls, part: Part, device: wp.Device) -> _Uploaded:
+    def of(cls, part: Part, device: wp.Device) -> PartOnDevice:
         values = part.amplitude.view(np.float32).reshape(*part.amplitude.shape, 2)
         moving = np.empty((0, 3)) if part.velocity is None else part.velocity
         return cls(
@@ -166,7 +166,7 @@ class _Uploaded:
 
 
 def deposited(
-    plan: Plan, shared: _Shared, parts: list[_Uploaded], polarizations: int, some: slice, lanes: int
+    plan: Plan, shared: TrackOnDevice, parts: list[PartOnDevice], polarizations: int, some: slice, lanes: int
 ) -> wp.array:
     """Range bins of some pulses, (polarizations, pulses, bins), on the device."""
     device = shared.device
@@ -200,7 +200,7 @@ def deposited(
     return out
 
 
-def _block(plan: Plan, shared: _Shared, parts: list[_Uploaded], polarizations: int, some: slice) -> Any:
+def _block(plan: Plan, shared: TrackOnDevice, parts: list[PartOnDevice], polarizations: int, some: slice) -> Any:
     """Spectra of some pulses, (polarizations, pulses, frequencies)."""
     lanes = LANES["cpu" if shared.device.is_cpu else "cuda"]
     out = deposited(plan, shared, parts, polarizations, some, lanes)

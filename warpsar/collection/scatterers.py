@@ -83,7 +83,8 @@ def scatterers_of(
     k = 2.0 * np.pi * plan.centre_hz / SPEED_OF_LIGHT
     terms = world.radar.terms
     worker = places.worker_of(body, k, terms, world.radar.max_bounces, rays_per_wavelength)
-    chosen = [POLARIZATIONS.index(name) for name in world.radar.polarizations]
+    # The engine names the received one first, [radar] the transmitted one.
+    chosen = [POLARIZATIONS.index(name[::-1]) for name in world.radar.polarizations]
     sensor = plan.track.towards() * plan.track.reference_m()[:, None]
     velocity = _velocities(world, plan)
     found: list[Part] = []
@@ -131,7 +132,8 @@ def _velocities(world: World, plan: Plan) -> F64 | None:
     movers = plan.table.velocity_m_s
     if not movers:
         return None
-    assert world.assembly is not None
+    if world.assembly is None:
+        raise InputError(f"{world.name}: collection.velocity_m_s: found {', '.join(movers)}, but no [[objects]]")
     found = np.zeros((len(world.mesh.faces), 3))
     start = 0 if world.assembly.base is None else len(world.assembly.base.faces)
     for one in world.objects:

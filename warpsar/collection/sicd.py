@@ -40,43 +40,8 @@ def write(path: Path, made: Slc, polarization: str) -> None:
     root = lxml.etree.Element(f"{{{NAMESPACE}}}SICD", nsmap={None: NAMESPACE})
     tables = sarkit_sicd.ElementWrapper(root)
     plan, image = made.plan, made.images[polarization]
-    low, high = plan.start_hz, plan.start_hz + (plan.frequencies - 1) * plan.step_hz
-    times = plan.track.time_s - plan.track.time_s[0]
-    label = f"{polarization[1]}:{polarization[0]}"
-    tables["CollectionInfo"] = {
-        "CollectorName": f"warpsar {__version__}",
-        "CoreName": plan.view.name,
-        "CollectType": "BISTATIC" if plan.track.bistatic else "MONOSTATIC",
-        "RadarMode": {"ModeType": "STRIPMAP" if plan.stripmap else "SPOTLIGHT"},
-        "Classification": "UNCLASSIFIED",
-    }
-    tables["ImageCreation"] = {"Application": f"warpsar {__version__}"}
-    tables["ImageData"] = _image_data(image)
-    tables["GeoData"] = {
-        "EarthModel": "WGS_84",
-        "SCP": {"ECF": _centre(made), "LLH": ecef_to_geodetic(_centre(made))},
-        "ImageCorners": _corners(made),
-    }
-    tables["Grid"] = _grid(made, 0.5 * float(times[-1]))
-    tables["Timeline"] = {"CollectStart": np.datetime64(START).astype(object), "CollectDuration": float(times[-1])}
-    tables["Position"] = {"ARPPoly": _polynomial(made, times)}
-    tables["RadarCollection"] = {
-        "TxFrequency": {"Min": low, "Max": high},
-        "TxPolarization": polarization[1],
-        "RcvChannels": {"@size": 1, "ChanParameters": [{"@index": 1, "TxRcvPolarization": label}]},
-    }
-    tables["ImageFormation"] = {
-        "RcvChanProc": {"NumChanProc": 1, "ChanIndex": [1]},
-        "TxRcvPolarizationProc": label,
-        "TStartProc": 0.0,
-        "TEndProc": float(times[-1]),
-        "TxFrequencyProc": {"MinProc": low, "MaxProc": high},
-        "ImageFormAlgo": "OTHER",
-        "STBeamComp": "NO",
-        "ImageBeamComp": "NO",
-        "AzAutofocus": "NO",
-        "RgAutofocus": "NO",
-    }
+    for name, table in _tables(made, polarization).items():
+        tables[name] = table
     tables["SCPCOA"] = sarkit_sicd.compute_scp_coa(root.getroottree())
     area = plan.response_m2
     graze, slope = (float(root.findtext(f"{{*}}SCPCOA/{{*}}{name}")) for name in ("GrazeAng", "SlopeAng"))
@@ -97,6 +62,50 @@ def write(path: Path, made: Slc, polarization: str) -> None:
     )
     with replacing(path) as temporary, temporary.open("wb") as file, sarkit_sicd.NitfWriter(file, metadata) as writer:
         writer.write_image(np.ascontiguousarray(image))
+
+
+def _tables(made: Slc, polarization: str) -> dict[str, Any]:
+    """What was collected, what the pixels are and where they lie."""
+    plan, image = made.plan, made.images[polarization]
+    low, high = plan.start_hz, plan.start_hz + (plan.frequencies - 1) * plan.step_hz
+    times = plan.track.time_s - plan.track.time_s[0]
+    label = f"{polarization[0]}:{polarization[1]}"
+    return {
+        "CollectionInfo": {
+            "CollectorName": f"warpsar {__version__}",
+            "CoreName": plan.view.name,
+            "CollectType": "BISTATIC" if plan.track.bistatic else "MONOSTATIC",
+            "RadarMode": {"ModeType": "STRIPMAP" if plan.stripmap else "SPOTLIGHT"},
+            "Classification": "UNCLASSIFIED",
+        },
+        "ImageCreation": {"Application": f"warpsar {__version__}"},
+        "ImageData": _image_data(image),
+        "GeoData": {
+            "EarthModel": "WGS_84",
+            "SCP": {"ECF": _centre(made), "LLH": ecef_to_geodetic(_centre(made))},
+            "ImageCorners": _corners(made),
+        },
+        "Grid": _grid(made, 0.5 * float(times[-1])),
+        "Timeline": {"CollectStart": np.datetime64(START).astype(object), "CollectDuration": float(times[-1])},
+        "Position": {"ARPPoly": _polynomial(made, times)},
+        "RadarCollection": {
+            "TxFrequency": {"Min": low, "Max": high},
+            "TxPolarization": polarization[0],
+            "RcvChannels": {"@size": 1, "ChanParameters": [{"@index": 1, "TxRcvPolarization": label}]},
+        },
+        "ImageFormation": {
+            "RcvChanProc": {"NumChanProc": 1, "ChanIndex": [1]},
+            "TxRcvPolarizationProc": label,
+            "TStartProc": 0.0,
+            "TEndProc": float(times[-1]),
+            "TxFrequencyProc": {"MinProc": low, "MaxProc": high},
+            "ImageFormAlgo": "OTHER",
+            "STBeamComp": "NO",
+            "ImageBeamComp": "NO",
+            "AzAutofocus": "NO",
+            "RgAutofocus": "NO",
+        },
+    }
 
 
 def _image_data(image: NDArray[np.complex64]) -> dict[str, Any]:

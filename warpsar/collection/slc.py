@@ -16,7 +16,7 @@ from scipy import fft
 
 from warpsar.coherent.records import upload
 from warpsar.collection.history import Collected, spread_transform
-from warpsar.collection.plan import Plan, plan_axes
+from warpsar.collection.plan import Plan, beam, plan_axes
 from warpsar.collection.response import band_weights
 from warpsar.collection.scatterers import Scatterers
 from warpsar.errors import InputError
@@ -179,7 +179,11 @@ def direct(plan: Plan, scatterers: Scatterers, polarizations: tuple[str, ...], g
         place = np.stack(_coordinates(plan, part.point), axis=1)
         fine = (place - [rows.start_m, columns.start_m]) / [rows.step_m, columns.step_m]
         some = ((fine > 3.0) & (fine < np.array([rows.count, columns.count]) - 4.0)).all(axis=1)
-        phase = turned(plan, way_at_centre(plan, part.point[some]))
+        inside = part.point[some]
+        # A stripmap's beam passes over every point; what is left of it lies across the track.
+        seen = inside - place[some, 1:] * plan.geometry.u if plan.stripmap else inside
+        gain = beam(plan, seen, np.array([plan.middle]))[0].astype(np.float32)
+        phase = gain * turned(plan, way_at_centre(plan, inside))
         at = upload(fine[some], wp.vec2d, device)
         for index, name in enumerate(polarizations):
             values = (part.amplitude[index, some] * phase).view(np.float32).reshape(-1, 2)

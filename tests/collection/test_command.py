@@ -1,0 +1,62 @@
+"""`warpsar simulate --product`: its files, and what it refuses, in one message each."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+from scenes import field, scene
+
+from warpsar.cli.main import main
+from warpsar.errors import InputError
+
+PRODUCTS = {"slc": {"one.npz", "one.png"}, "phase-history": {"one.npz"}}
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    made = scene(field(6.0, 6.0), collection={"resolution_m": (1.0, 1.0)}, shape=(16, 16), spacing=(0.5, 0.5))
+    made.save(tmp_path / "scene.toml")
+    return tmp_path / "scene.toml"
+
+
+@pytest.mark.parametrize("product", PRODUCTS)
+def test_files_and_facts(path: Path, product: str) -> None:
+    out = path.parent / product
+    done = CliRunner().invoke(main, ["simulate", str(path), "-o", str(out), "--product", product, "--device", "cpu"])
+    assert done.exit_code == 0, done.output
+    facts = json.loads((out / "simulate.json").read_text(encoding="utf-8"))
+    (view,) = facts["views"]
+    assert PRODUCTS[product] <= set(view["files"].values())
+    assert all((out / name).exists() for name in view["files"].values())
+    assert facts["product"] == product
+    assert view["pulses"] > 0
+    assert any("origin" in warning for warning in facts["warnings"])
+
+
+def test_the_same_seed_gives_the_same_image(path: Path) -> None:
+    for name, seed in (("a", "3"), ("b", "3"), ("c", "4")):
+        words = ["simulate", str(path), "-o", str(path.parent / name), "--product", "phase-history", "--device", "cpu"]
+        assert CliRunner().invoke(main, [*words, "--seed", seed]).exit_code == 0
+    first, same, other = ((path.parent / name / "one.npz").read_bytes() for name in "abc")
+    assert first == same
+    assert first != other
+
+
+def test_options_of_power_images_are_refused(path: Path) -> None:
+    words = ["simulate", str(path), "-o", str(path.parent / "out"), "--product", "slc", "--layers"]
+    done = CliRunner().invoke(main, words)
+    assert done.exit_code == 2
+    assert "--layers" in done.output
+    assert not (path.parent / "out").exists()
+
+
+def test_a_scene_without_the_table_is_refused(path: Path) -> None:
+    text = path.read_text(encoding="utf-8")
+    path.write_text(text[: text.index("[collection]")] + text[text.index("[[views]]") :], encoding="utf-8")
+    words = ["simulate", str(path), "-o", str(path.parent / "out"), "--product", "slc"]
+    done = CliRunner().invoke(main, words)
+    assert isinstance(done.exception, InputError) or done.exit_code == 2
+    assert not (path.parent / "out").exists()
