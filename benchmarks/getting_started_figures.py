@@ -64,10 +64,9 @@ def main() -> None:
     options = parser.parse_args()
     declared, learned = (options.out / name / "scene.toml" for name in ("measured", "learned"))
     step(options.pictures / "measured.webp", [("before any fit", declared)], True)
+    step(options.pictures / "learned.webp", [("measured over learned surfaces", learned)], False)
     diagnosed = options.out / "diagnosed" / "scene.toml"
-    if diagnosed.exists():
-        pair = [("learned surfaces", learned), ("with the effect that diagnose found", diagnosed)]
-        step(options.pictures / "diagnosed.webp", pair, False)
+    step(options.pictures / "diagnosed.webp", [("measured over the diagnosed scene", diagnosed)], False)
 
 
 if __name__ == "__main__":
