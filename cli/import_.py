@@ -149,7 +149,7 @@ def command(
     Examples:
       warpsar import pass1.cphd --scene scene.toml --view pass1
       warpsar import image.tif --scene scene.toml --view north --quantity power --polarization HH
-      warpsar import chips/*.jpg --scene scene.toml --table angles.csv --scale unknown
+      warpsar import a.jpg b.jpg --scene scene.toml --table angles.csv --scale unknown
     """
     if file_format == "rcs" or (file_format == "auto" and all(s.suffix.lower() in CURVES for s in sources)):
         from warpsar.measured.curves import import_curves

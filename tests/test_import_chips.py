@@ -61,6 +61,8 @@ def test_chips_become_views_of_one_scene(folder: Path) -> None:
         spacing_m=SPACING,
         scale="unknown",
     )
+    assert done.sheet == folder / "scene_measured.png"
+    assert done.sheet.read_bytes().startswith(b"\x89PNG")
     scene = Scene.load(folder / "scene.toml")
     assert (folder / "scene.toml").read_text().startswith("# kept")
     assert not scene.grid.calibrated

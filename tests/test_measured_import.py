@@ -162,6 +162,8 @@ def test_samples_of_a_pixel_are_averaged_in_power(tmp_path: Path) -> None:
     path = scene_file(tmp_path, (12, 20), (1.5, 1.0), views=view_text("v", look))
     write_exr(tmp_path / "fine.exr", {"HH": amplitude})
     done = import_measured([tmp_path / "fine.exr"], path, "v", quantity="amplitude", polarization="HH")
+    assert done.picture_path == done.image_path.with_suffix(".png")
+    assert done.picture_path.read_bytes().startswith(b"\x89PNG")
     assert done.samples_per_pixel == (3, 2)
     expected = (amplitude.astype(float) ** 2).reshape(12, 3, 20, 2).mean(axis=(1, 3))
     np.testing.assert_allclose(done.power, expected, rtol=1e-5)  # float32

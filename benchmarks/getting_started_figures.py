@@ -1,0 +1,73 @@
+"""The pictures of docs/getting-started.md, from what its commands leave in out/.
+
+python benchmarks/getting_started_figures.py out --pictures docs/figures/getting-started
+"""
+
+from __future__ import annotations
+
+import argparse
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from PIL import Image
+
+import warpsar
+from warpsar.evaluation.image import EvaluatedImage
+from warpsar.io.figures import new
+
+LIMITS_DB = (-35.0, 0.0)
+
+
+def shown(figure: Figure, axis: Any, image: EvaluatedImage, values: np.ndarray, title: str, residual: bool) -> None:
+    """One image of the view, in metres."""
+    r, a = image.range_m, image.azimuth_m
+    low, high, colours = (-10.0, 10.0, "RdBu_r") if residual else (*LIMITS_DB, "gray")
+    drawn = axis.imshow(values, colours, vmin=low, vmax=high, extent=(a[0], a[-1], r[-1], r[0]))
+    axis.set_title(title, fontsize=9)
+    axis.set_xlabel("azimuth [m]", fontsize=8)
+    axis.tick_params(labelsize=7)
+    bar = figure.colorbar(drawn, ax=axis, shrink=0.8, extend="both")
+    bar.set_label("measured / modelled [dB]" if residual else "beta0 [dB]", fontsize=8)
+    bar.ax.tick_params(labelsize=7)
+
+
+def save(figure: Figure, path: Path) -> None:
+    stream = BytesIO()
+    figure.savefig(stream, format="png", dpi=95)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    Image.open(stream).convert("RGB").save(path, quality=65, method=6)
+    print(path)
+
+
+def step(path: Path, scenes: list[tuple[str, Path]], measured: bool) -> None:
+    """The test view `west`: the measured image where asked for, and the residual of every scene."""
+    found = [(words, warpsar.evaluate(warpsar.Scene.load(scene))) for words, scene in scenes]
+    figure, axes = new(4.2 * (len(found) + measured), 3.4, ncols=len(found) + measured, squeeze=False)
+    for index, (words, evaluation) in enumerate(found):
+        (image,) = [one for one in evaluation.images if one.view.name == "west"]
+        if measured and index == 0:
+            decibel = 10.0 * np.log10(np.maximum(image.measured, 1e-30))
+            shown(figure, axes[0, 0], image, decibel, "the measured image of the view west", False)
+        ratio = 10.0 * np.log10(np.maximum(image.measured, 1e-30) / np.maximum(image.simulated, 1e-12))
+        shown(figure, axes[0, index + measured], image, ratio, words, True)
+    axes[0, 0].set_ylabel("slant range [m], radar above", fontsize=8)
+    save(figure, path)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--pictures", type=Path, required=True)
+    options = parser.parse_args()
+    declared, learned = (options.out / name / "scene.toml" for name in ("measured", "learned"))
+    step(options.pictures / "measured.webp", [("before any fit", declared)], True)
+    step(options.pictures / "learned.webp", [("measured over learned surfaces", learned)], False)
+    diagnosed = options.out / "diagnosed" / "scene.toml"
+    step(options.pictures / "diagnosed.webp", [("measured over the diagnosed scene", diagnosed)], False)
+
+
+if __name__ == "__main__":
+    main()
