@@ -1,7 +1,9 @@
 """The last resort of diagnose: a law of backscatter learned from images, kept where views left out bear it."""
 
+from base64 import b64decode
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,6 +15,7 @@ from warpsar.diagnosis.confirmation import NOT_ELSEWHERE
 from warpsar.diagnosis.frozen import frozen
 from warpsar.diagnosis.last_resort import learned_law
 from warpsar.diagnosis.refit import Fitted, refit_as
+from warpsar.diagnosis.report_law import law_section
 from warpsar.effects.learned_scattering import shape_db
 from warpsar.runtime import devices
 from warpsar.simulation.rays import Rays
@@ -73,3 +76,16 @@ def test_what_one_view_has_is_no_law() -> None:
     found = learned_law(bench, here, PRICE)
     assert found is not None
     assert found[0].refused in (NOT_ELSEWHERE, TOO_LITTLE)
+
+
+def test_its_shape_is_drawn_in_the_report() -> None:
+    def done(effects: dict[str, dict[str, Any]]) -> Any:
+        scene = SimpleNamespace(effects=effects)
+        return SimpleNamespace(diagnosis=SimpleNamespace(final=SimpleNamespace(scene=scene)))
+
+    assert law_section(done({"vegetation": {}})) == []
+    (section,) = law_section(done({"learned_scattering": LAW}))
+    encoded = section.split("data:image/svg+xml;base64,")[1].split('"')[0]
+    drawn = b64decode(encoded).decode()
+    assert drawn.count('id="line2d_') > 10  # ticks, the zero line, and one for each channel
+    assert "learned factor on sigma0" in section
