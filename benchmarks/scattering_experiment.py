@@ -1,6 +1,7 @@
 """Images made with one backscatter model, learned with another: what bias the wrong model has, and what says so.
 
-    python benchmarks/scattering_experiment.py [--seeds 3] [--diagnose] [--device cpu] [--out FILE] [--from FILE] [--write]
+    python benchmarks/scattering_experiment.py [--seeds 3] [--device cpu] [--out FILE] [--from FILE] [--write]
+    python benchmarks/scattering_experiment.py --diagnose [--device cpu] [--out FILE] [--write]
 
 The ground of data/in_domain (rolling, three views at 30, 40 and 50 degrees, HH and VV), 16 looks of speckle. The images
 are those of `i2em` surfaces with an exponential spectrum, l = 10 h, eps 9. They are learned with `ka_spm` and `i2em`.
