@@ -1,7 +1,7 @@
 """Multiple scattering of I2EM: HV of level ground, by an integral over the waves that run along the surface.
 
 Source: Fung, Li and Chen 1992, equations 17, 18 and A28; Fung and Chen 2010, chapter 4. The published program takes
-waves that leave the surface alone (its r from 0.1 to 1), which loses up to 15 dB on short correlation lengths. Here the
+waves that leave the surface alone (its r from 0.1 to 1), which loses 3 to 10 dB. Here the
 integral runs over the evanescent waves too, as the paper's does. docs/scattering.md lists what else differs.
 """
 

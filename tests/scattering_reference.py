@@ -131,7 +131,15 @@ def shadowed(theta: float, kh: float, kl: float, spectrum: str, ways: int) -> fl
 
 
 def i2em_hv(
-    theta: float, eps: complex, kh: float, kl: float, spectrum: str = "exponential", rings: int = 400, spokes: int = 12
+    theta: float,
+    eps: complex,
+    kh: float,
+    kl: float,
+    spectrum: str = "exponential",
+    rings: int = 400,
+    spokes: int = 12,
+    *,
+    evanescent: bool = True,
 ) -> float:
     """The integral of Fung, Li and Chen 1992 over the whole plane, with the losses that the kernels have."""
     c, s = math.cos(theta), math.sin(theta)
@@ -142,6 +150,7 @@ def i2em_hv(
     z = 1e-4 * np.sinh(v)  # rho^2 - 1
     weight = 1e-4 * np.cosh(v) * (high - low) / rings / 2
     phi = (np.arange(spokes) + 0.5) * math.pi / 2 / spokes
+    weight = weight * ((z < 0) | evanescent)
     rho2 = np.maximum(1 + z, 0)
     q = np.sqrt(-z - 1e-4j)
     below = np.sqrt(eps - rho2 - 0.5j * eps.real)

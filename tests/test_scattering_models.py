@@ -230,3 +230,21 @@ def test_full_wave_table() -> None:
     by_roughness = {h: difference[table[:, 4] == h].mean() for h in np.unique(table[:, 4])}
     # below kh = 0.5 every first-order theory has the VV / HH of small perturbations: docs/scattering.md
     assert all(abs(bias) < (1.0 if h > 0.07 else 1.7) for h, bias in by_roughness.items())
+
+
+@pytest.mark.measured
+def test_choices_that_the_page_gives_numbers_for() -> None:
+    """docs/scattering.md, errata: the transition function, and evanescent waves in HV."""
+    table = np.loadtxt(MEASURED / "nmm3d" / "NMM3D_LUT_NRCS_40degree.dat")
+    off, lost = [], []
+    for incidence, ratio, re, im, height, vv, hh, _hv in table:
+        row = np.radians(incidence), re - 1j * im, 2 * np.pi * height, 2 * np.pi * height * ratio
+        pair = [reference.i2em(p, *row, transition=True) for p in ("VV", "HH")]
+        off.append(10 * np.log10(pair) - (vv, hh))
+        some, whole = (reference.i2em_hv(*row, evanescent=one) for one in (False, True))
+        lost.append(10 * np.log10(whole / some))
+    rmse = np.sqrt(np.mean(np.square(off), axis=0))
+    roughest = np.array(off)[table[:, 4] == table[:, 4].max()]
+    np.testing.assert_allclose(rmse, (1.29, 0.77), atol=0.005)
+    assert (roughest[:, 0] - roughest[:, 1]).mean() == pytest.approx(1.27, abs=0.005)
+    np.testing.assert_allclose([np.min(lost), np.max(lost)], (2.8, 9.6), atol=0.05)

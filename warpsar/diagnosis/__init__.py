@@ -36,6 +36,7 @@ refit.py           full fits of a model
 addition.py        which refitted candidate is added on trial
 confirmation.py    which added effects hold, each asked beside all the others
 rivals.py          which other effect would have done as well
+last_resort.py     a law of backscatter, where nothing named explains what is left
 left_out.py        what views left out say of an effect
 carried.py         whether the surface could be the cause
 pruning.py         what is needless beside the rest of a model
@@ -66,5 +67,6 @@ report_summary.py  its answer
 report_turns.py    its turns
 report_objects.py  its objects before and after
 report_surface.py  its parameters
+report_law.py      that law, drawn
 report_left.py     what is left
 """

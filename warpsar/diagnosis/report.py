@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from warpsar.diagnosis.found import Turn
+from warpsar.diagnosis.report_law import law_section
 from warpsar.diagnosis.report_left import left_section, residuals_section
 from warpsar.diagnosis.report_objects import objects_section
 from warpsar.diagnosis.report_summary import summary_section
@@ -31,6 +32,7 @@ def write_report(
         *objects_section(done, content),
         residuals_section(done),
         *(turn_section(turn, number, done, content) for number, turn in enumerate(found.turns)),
+        *law_section(done),
         parameters_section(done, moves, content),
         _not_tested(found.turns[-1]),
         left_section(done),

@@ -18,6 +18,7 @@ from warpsar.diagnosis.found import Candidate, DiagnoseOptions, Rival, Turn
 from warpsar.diagnosis.geometry import changes, is_geometry, object_of
 from warpsar.diagnosis.geometry_search import geometry_candidates
 from warpsar.diagnosis.geometry_trial import add_the_likeliest, on_its_ground, posed_anew
+from warpsar.diagnosis.last_resort import learned_law
 from warpsar.diagnosis.lead import Lead
 from warpsar.diagnosis.outcome import confirmation_lines, score_text, turn_lines
 from warpsar.diagnosis.pruning import prune, trimmed
@@ -67,6 +68,26 @@ class Search:
         while self._forward():
             if not self._confirmed():
                 break
+        self._resort()
+
+    def _resort(self) -> None:
+        """Learn a law of backscatter where nothing named explains what is left, if views left out bear it."""
+        last = self.turns[-1]
+        if not last.alarms or len(self._added(self._base)) >= self.options.most_effects:
+            return
+        bench, here = on_bounded_ground(self._bench, self._base, self.scene)
+        price = Evidence.of(here.problem, here.x, bench.ranks).price(bench.ranks)
+        found = learned_law(bench, here, price)
+        if found is None:
+            return
+        candidate, fitted = found
+        last.candidates.append(candidate)
+        console.say(f"last resort: {candidate.effect}: {candidate.refused or 'views left out bear it'}")
+        if not candidate.refused:
+            last.added, last.fitted = candidate.effect, fitted
+            self._times[candidate.effect] += 1
+            self._bench, self._base = narrow(self._bench, fitted)
+            self._forward()
 
     def final(self) -> Fitted:
         """The model that the search ended with, at its best; nothing that a pixel can cost is bounded."""

@@ -1,0 +1,32 @@
+"""The learned law of backscatter in diagnose's report: drawn over incidence, so that a person can name it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from warpsar.diagnosis.result import Diagnosed
+from warpsar.effects.learned_scattering import CHANNELS, shape_db
+from warpsar.io import html as report
+from warpsar.io.figures import new
+
+
+def law_section(done: Diagnosed) -> list[str]:
+    """A section, or none where no law was learned."""
+    table = done.diagnosis.final.scene.effects.get("learned_scattering")
+    if table is None:
+        return []
+    figure, axes = new(6.0, 3.4)
+    incidence = np.linspace(0.0, 90.0, 181)
+    for channel in CHANNELS:
+        if any(key.startswith(f"{channel.lower()}_") for key in table):
+            axes.plot(incidence, shape_db(table, channel, incidence), label=channel)
+    axes.set(xlabel="local incidence [deg]", ylabel="learned factor on sigma0 [dB]", xlim=(0.0, 90.0))
+    axes.axhline(0.0, color="0.6", linewidth=0.8)
+    axes.legend()
+    said = (
+        "No named effect explains what was left, so a factor on sigma0 was learned from the images. Its shape may tell "
+        "what it is: a slope over all angles is another roughness, a bend of one polarization another model, a step a "
+        "layer. It is no explanation by itself."
+    )
+    words = "The learned factor on sigma0 over local incidence, of each polarization"
+    return [report.section("The learned backscatter", report.paragraph(said), report.drawing(figure, words))]
