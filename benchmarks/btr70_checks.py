@@ -69,6 +69,9 @@ def shape(sources: Sequence[Path], chips: Sequence[Sequence[Chip]], out: Path, p
     pose: dict[str, Any] = {"scale": (1.0, 1.0, 1.0), **HEADER_DEG}
     found: dict[str, Any] = {}
     base = np.array(Job(out / "declared.json", left_out, (sources, chips, {}))()["scores"])
+    turned = np.array(Job(out / "turned.json", left_out, (sources, chips, {"heading_deg": 180.0}))()["scores"])
+    worse = turned - base
+    found["turned"] = {"value": float(worse.mean()), "sd": float(worse.std(ddof=1) / np.sqrt(worse.size))}
     for name, axis, places in PROFILES:
         jobs = [
             Job(out / f"{name}_{k}.json", left_out, (sources, chips, moved(pose, name, axis, p)))

@@ -52,6 +52,8 @@ def checked(known: Mapping[str, Any]) -> list[list[Any]]:
     for name, metres, stated in (("height", 2.61, "2.24 to 2.32"), ("width", 2.66, "2.80"), ("length", 7.65, "7.53")):
         value, sd = (metres * shape[name][key] for key in ("value", "sd"))
         rows.append([f"{name} [m], the CAD to 10 %", f"{value:.2f} +- {sd:.2f}", f"{stated}, published"])
+    found = f"{shape['turned']['value']:+.3f} +- {shape['turned']['sd']:.3f}"
+    rows.append(["front at +X: what the score of the train chips left out loses", found, "turret at -X"])
     for name, header in (("roll_deg", -1.18), ("pitch_deg", -1.42)):
         found = f"{shape[name]['value']:+.2f} +- {shape[name]['sd']:.2f}"
         rows.append([f"{name.removesuffix('_deg')} [deg], images alone", found, f"{header:+.2f}, header"])
