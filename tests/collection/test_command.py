@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
-from scenes import field, scene
+from collected_scenes import field, scene
 
 from warpsar.cli.main import main
 from warpsar.errors import InputError

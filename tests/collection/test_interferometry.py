@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import FREQUENCY, ROUGH, field, scene
+from collected_scenes import FREQUENCY, ROUGH, field, scene
 from test_slc import points
 
 import warpsar

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scenes import ROUGH, SPOT, WAVELENGTH, field, scene, square_trihedral
+from collected_scenes import ROUGH, SPOT, WAVELENGTH, field, scene, square_trihedral
 from scipy.interpolate import CubicSpline
 
 import warpsar

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import warp as wp
-from scenes import FREQUENCY, SPOT, WAVELENGTH, field, scene
+from collected_scenes import FREQUENCY, SPOT, WAVELENGTH, field, scene
 
 import warpsar
 from warpsar.collection.plan import Plan, plan_of

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import ROUGH, SPOT, scene
+from collected_scenes import ROUGH, SPOT, scene
 from scipy.ndimage import binary_erosion, convolve1d
 
 import warpsar
@@ -127,7 +127,7 @@ def test_statistics_are_speckles(ground: tuple[warpsar.Scene, Plan, np.ndarray])
 
 def test_a_trihedral_does_not_speckle() -> None:
     """On it power and phase hardly change from surface to surface."""
-    from scenes import square_trihedral
+    from collected_scenes import square_trihedral
 
     corner, side = square_trihedral(0.4), 6.0
     flat = np.array([[-side, -side, 0], [side, -side, 0], [side, side, 0], [-side, side, 0]]) - [0, 0, 0.01]

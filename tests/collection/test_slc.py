@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scenes import ROUGH, field, scene
+from collected_scenes import ROUGH, field, scene
 
 import warpsar
 from warpsar.collection.command import run
@@ -105,7 +105,7 @@ def written(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
     """A plate that shines, 3 m east and 2 m north of the reference point, and half a metre up."""
     pytest.importorskip("sarkit")
     folder = tmp_path_factory.mktemp(request.param)
-    from scenes import square_trihedral
+    from collected_scenes import square_trihedral
 
     corner = square_trihedral(0.3)
     mesh = warpsar.Mesh.of(corner.vertices + np.array([3.0, 2.0, 0.5]), corner.faces)
