@@ -86,7 +86,10 @@ def whole_run(name: str, seed: int, folder: Path) -> dict[str, Any]:
     kept = folder / name.replace(" ", "_") / f"{seed:04d}"
     with tempfile.TemporaryDirectory() as made:
         path = scene_file(case, seed, Path(made))
-        content = run(path, kept, device="cpu", options=DiagnoseOptions(seed=seed))
+        try:
+            content = run(path, kept, device="cpu", options=DiagnoseOptions(seed=seed))
+        except Exception as error:  # a run that fails is counted, and does not end the others
+            return {"verdict": [], "unexplained": True, "error": repr(error), "objects": {}, "numbers": []}
     shutil.rmtree(kept / "cache", ignore_errors=True)
     found = {name: {**one, "surface": content["materials"].get(name, {})} for name, one in content["objects"].items()}
     return {
@@ -185,7 +188,9 @@ def whole_rows(found: Sequence[Mapping[str, Any]]) -> list[list[str]]:
         if not mine:
             continue
         right = [one for one in mine if right_one(case, one)]
-        others = Counter(each for one in mine for each in {*one["verdict"], *(["unexplained"] * one["unexplained"])})
+        ended = [one for one in mine if "error" not in one]
+        others = Counter(each for one in ended for each in {*one["verdict"], *(["unexplained"] * one["unexplained"])})
+        others["failed"] = len(mine) - len(ended)
         bodies = [body for one in right for body in one["numbers"]]
         off = [body["off_m"] for body in bodies if body["found"]]
         size = [abs(ratio - 1.0) for body in bodies for ratio in body.get("size", ())]
@@ -199,10 +204,10 @@ def whole_rows(found: Sequence[Mapping[str, Any]]) -> list[list[str]]:
                 f"{100.0 * max(size):.0f} %" if size else "",
                 f"{sum(held)} of {len(held)}" if held else "",
                 f"{sum(made)} of {len(made)}" if made else "",
-                f"{np.mean([one['before'] for one in mine]):.2f}",
-                f"{np.mean([one['after'] for one in mine]):.3f}",
+                f"{np.mean([one['before'] for one in ended]):.2f}",
+                f"{np.mean([one['after'] for one in ended]):.3f}",
                 f"{np.median([one['cpu_seconds'] for one in mine]):.0f}",
-                ", ".join(f"{each} {n}" for each, n in sorted(others.items()) if each not in case.names),
+                ", ".join(f"{each} {n}" for each, n in sorted(others.items()) if n and each not in case.names),
             ]
         )
     return rows

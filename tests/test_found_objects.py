@@ -1,18 +1,23 @@
 """What a diagnosis fits of an object that it found, and what it writes of it."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from test_proposals import BODY, BOX, CPU, measured, plain, ratios_of
 
+from warpsar.diagnosis import geometry_confirmation
+from warpsar.diagnosis.geometry_confirmation import taken_back
 from warpsar.diagnosis.movable import found_words, own_material, refined_words, standing, with_words
 from warpsar.diagnosis.proposals_fit import Ground
 from warpsar.diagnosis.proposals_left_out import left_out
 from warpsar.diagnosis.proposals_place import Looked
 from warpsar.diagnosis.written_scene import annotate
+from warpsar.effects.registry import validate
 from warpsar.learning.pose import STANDS_M
 from warpsar.learning.pose_search import find_poses
 from warpsar.scene.placing import with_objects
@@ -127,3 +132,17 @@ def _read(path: Path) -> dict[str, Any]:
     import tomllib
 
     return tomllib.loads(path.read_text())
+
+
+def test_a_body_is_taken_back_with_the_effects_of_its_own_material(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without the body there is no such material; other effects stay."""
+    scene = with_box()
+    detail = {"level": 0.1, "spread_m": 1.0}
+    kept = {"noise_floor": validate("noise_floor", {"level": 0.01}, "")}
+    monkeypatch.setattr(geometry_confirmation, "fitted_beside", lambda _, without: (None, without))
+    for materials, left in ((["it"], kept), (["hut"], {**kept, "unresolved_detail": ...})):
+        effects = {**kept, "unresolved_detail": validate("unresolved_detail", {**detail, "materials": materials}, "")}
+        model = SimpleNamespace(scene=replace(scene, effects=effects))
+        without: Any = taken_back(None, model, plain(), "missing_object it")  # type: ignore[arg-type]
+        assert set(without.effects) == set(left)
+        assert not without.objects

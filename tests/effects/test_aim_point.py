@@ -7,6 +7,7 @@ import pytest
 from effect_worlds import ROUNDING, Case, plane, render_of, street, with_effect
 from worlds import ground, mesh_of, scene_of, view
 
+from warpsar.effects.registry import held_by
 from warpsar.learning.coordinates import SceneCoordinates
 from warpsar.learning.pose_coordinates import Poses
 from warpsar.scene.placing import with_objects
@@ -60,6 +61,9 @@ def test_it_holds_what_it_contains() -> None:
     assert labels(scene) == {"registration.range_m", "hut.heading", *place}
     assert labels(fixed) == labels(scene)
     assert labels(both) == {"aim_point.range_m[view]", "aim_point.azimuth_m[view]", "hut.heading"}
+    assert held_by(both.effects) == {"registration": "aim_point"}
+    assert Poses(both).held == ["hut.position: held, because aim_point shifts each view by itself"]
+    assert (held_by(fixed.effects), Poses(fixed).held) == ({}, [])
 
 
 def test_a_view_that_no_table_names_stays() -> None:

@@ -14,6 +14,7 @@ from warpsar.diagnosis.geometry_trial import fitted_beside
 from warpsar.diagnosis.left_out import LeftOut, summed
 from warpsar.diagnosis.movable import own_material, refined_words, standing, with_words
 from warpsar.diagnosis.refit import Fitted
+from warpsar.effects.registry import get
 from warpsar.learning.pose import PosedProblem, descend
 from warpsar.learning.pose_coordinates import Poses
 from warpsar.learning.results import learned_scene
@@ -23,8 +24,13 @@ from warpsar.world.world import posed
 
 
 def taken_back(bench: Bench, fitted: Fitted, declared: Scene, name: str) -> Fitted:
-    """The model without one of its changes of geometry, fitted to the pixels that both light."""
-    return fitted_beside(bench, without_change(declared, fitted.scene, name))[1]
+    """The model without one of its changes of geometry, fitted to the pixels that both light.
+
+    Effects of the changed body's own material go with it.
+    """
+    scene = without_change(declared, fitted.scene, name)
+    effects = {effect: table for effect, table in scene.effects.items() if not get(effect).check(scene, table)}
+    return fitted_beside(bench, replace(scene, effects=effects))[1]
 
 
 def asked_of(bench: Bench, fitted: Fitted, without: Fitted, declared: Scene, name: str) -> Confirmed:

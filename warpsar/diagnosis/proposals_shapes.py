@@ -12,10 +12,10 @@ LONGER = 1.4  # length over width of a first box, whose width and length have th
 HEADINGS_DEG = (0.0, 45.0, 90.0, 135.0)
 BODY: tuple[Learnable, ...] = ("position", "heading", "size")
 VEHICLES: dict[Primitive, tuple[tuple[float, float], ...]] = {
-    "car": ((2.5, 6.0), (1.3, 2.5), (1.0, 2.2)),
+    "car": ((2.5, 6.0), (1.0, 2.5), (0.8, 2.2)),
     "truck": ((4.0, 18.0), (1.7, 3.2), (1.8, 4.5)),
 }
-"""Least and largest length, width and height [m] of what may be one."""
+"""Least and largest length, width and height [m] of a box that may be one: a car slopes, so its box is narrower."""
 BRIGHTNESS = ("rms_height_m",)  # all that is free of a point's material
 POINT_PX = 1.0  # diameter of a point reflector, in pixels
 

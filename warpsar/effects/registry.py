@@ -166,6 +166,11 @@ def fitted_effects(effects: Mapping[str, Mapping[str, Any]]) -> list[str]:
     return [name for name, table in effects.items() if any(is_fitted(p.name, table) for p in get(name).parameters)]
 
 
+def held_by(effects: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
+    """The effects of a scene that a fit holds, each with the one that it moves and that can do all they do."""
+    return {one: name for name in fitted_effects(effects) for one in get(name).contains if one in effects}
+
+
 def setting_in(view: View, setting: Setting, table: Mapping[str, Any]) -> Any:
     """The value of a setting in one view: from `table`, or its default. None for a view that is not named."""
     value = table.get(setting.name, setting.default)

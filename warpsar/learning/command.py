@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from warpsar.curves import command as curve_command
+from warpsar.effects.registry import held_by
 from warpsar.io import checkpoint
 from warpsar.io.figures import convergence, save
 from warpsar.io.images import replacing
@@ -56,6 +57,8 @@ def run(
     for one in found.pulls:
         if not one.alarm:  # the others are doubts
             console.say(one.words)
+    for name, other in held_by(scene.effects).items():
+        console.say(f"{name}: held, because {other} can do all that it does")
     for sentence in () if found.objects is None else found.objects.words:
         console.say(sentence)
     if found.identified is not None:

@@ -11,7 +11,7 @@ import warp as wp
 
 from warpsar.effects.base.fitted import is_fitted
 from warpsar.effects.base.parameter import Parameter
-from warpsar.effects.registry import fitted_effects, get
+from warpsar.effects.registry import get, held_by
 from warpsar.errors import InputError
 from warpsar.scene.scene import Scene
 from warpsar.surface.surface import KINDS, Surface
@@ -171,7 +171,7 @@ class SceneCoordinates:
 
     def _effect_coordinates(self) -> list[EffectCoordinate]:
         found = []
-        contained = {one for name in fitted_effects(self.scene.effects) for one in get(name).contains}
+        contained = held_by(self.scene.effects)
         for name, table in self.scene.effects.items():
             for index, parameter in enumerate(get(name).parameters if name not in contained else ()):
                 if not is_fitted(parameter.name, table):

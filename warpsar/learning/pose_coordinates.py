@@ -71,7 +71,7 @@ class Poses:
 
     `known` says of each element about which value it is known, and to which standard deviation, in the key's unit; it
     is infinite without a tolerance. Positions are held where a fit moves an effect that can do what they do
-    (`Effect.sets_positions`).
+    (`Effect.sets_positions`); `held` has a sentence for each object.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -79,12 +79,14 @@ class Poses:
         self.objects = scene.objects
         self.coordinates: list[PoseCoordinate] = []
         self.known: list[tuple[float, float]] = []
-        held = any(get(name).sets_positions for name in fitted_effects(scene.effects))
+        self.held: list[str] = []
+        holding = next((name for name in fitted_effects(scene.effects) if get(name).sets_positions), None)
         for number, one in enumerate(scene.objects):
             vertices = scene.assembly.vertices_of(one)
             radius = float(np.linalg.norm(np.ptp(vertices, axis=0)) / 2.0)
             for word in one.learn:
-                if word == "position" and held:
+                if word == "position" and holding is not None:
+                    self.held.append(f"{one.label}.position: held, because {holding} shifts each view by itself")
                     continue
                 self._add(number, one, word, radius)
 

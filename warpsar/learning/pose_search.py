@@ -114,7 +114,7 @@ def find_poses(
         problem.count - len(problem.stood),
         summary(problem, end.x, identified),
         identified,
-        _words(problem, identified),
+        [*problem.poses.held, *_words(problem, identified)],
         [pull for pull in pulls(problem, end.x, identified) if pull.label in tolerated],
     )
 
