@@ -70,7 +70,8 @@ def children(rays: Rays, cut: NDArray[np.bool_], views: int) -> Rays:
         for side in (0, 1):
             copies = np.where(along[:, side], 2, 1)
             first = np.cumsum(copies) - copies
-            place, size, along = (np.repeat(each, copies, axis=0) for each in (place, size, along))
+            place, size = np.repeat(place, copies, axis=0), np.repeat(size, copies, axis=0)
+            along = np.repeat(along, copies, axis=0)
             halved = along[:, side]
             size[halved, side] *= 0.5
             place[halved, side] -= 0.5 * size[halved, side]
