@@ -22,7 +22,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 import numpy as np
 import tables
 import trimesh
-from rcs_checks import BODIES, ROOT, scene_of
+from rcs_checks import BODIES, MATERIALS, ROOT, scene_of
 from simulate import machine
 
 import warpsar
@@ -33,6 +33,7 @@ from warpsar.runtime import devices
 
 FREQUENCIES = (2.56e9, 5.12e9, 7e9, 10.24e9)
 ANGLES = 361
+METAL = [name for name in BODIES if name not in MATERIALS]
 
 
 def measure(body: CoherentBody, angles: int, frequencies: tuple[float, ...], **more: Any) -> dict[str, Any]:
@@ -84,7 +85,7 @@ def main() -> None:
     default = Path(os.environ.get("WARPSAR_MEASURED") or ROOT.parent / "shared" / "data") / "austin_rcs"
     parser.add_argument("data", type=Path, nargs="?", default=default)
     parser.add_argument("--device")
-    parser.add_argument("--only", choices=[name.split()[0] for name in BODIES], help="one body")
+    parser.add_argument("--only", choices=[name.split()[0] for name in METAL], help="one body")
     parser.add_argument("--growth", action="store_true", help="also how the time of the cobra duct grows")
     tables.add_options(parser)
     options = parser.parse_args()
@@ -95,7 +96,7 @@ def main() -> None:
         sweeps: list[dict[str, Any]] = []
         grown: list[dict[str, Any]] = []
         result = {"made": tables.made(), "machine": machine(options.device), "sweeps": sweeps, "growth": grown}
-        for name in (name for name in BODIES if options.only in (None, name.split()[0])):
+        for name in (n for n in METAL if options.only in (None, n.split()[0])):
             body, about = prepared(options.data, name, options.device)
             sweeps.append({**about, **measure(body, ANGLES, FREQUENCIES)})
             tables.save(options.out, result)
