@@ -84,9 +84,11 @@ def _grouped(
     evidence = beside_fields(evidence, projection, seed)
     found: dict[str, list[Group]] = {}
     for name in names():
-        if name in base.scene.effects or get(name).last_resort:
+        if name in base.scene.effects:
             continue
-        if any(name in effects_without(material.model) for material in scene.materials.values()):
+        if get(name).last_resort or any(
+            name in effects_without(material.model) for material in scene.materials.values()
+        ):
             found[name] = []
             continue
         templates = maker.templates(name)
@@ -97,6 +99,8 @@ def _grouped(
 
 
 def _candidate(name: str, found: list[Group], alone: float) -> Candidate:
+    if get(name).last_resort:
+        return Candidate(name, "absent", note="the last resort, where nothing named explains what is left")
     if not found:
         return Candidate(name, "absent", note="this scene has no place for it")
     eta = max(float(one.eta.max()) for one in found)
