@@ -167,6 +167,12 @@ def test_an_effect_of_the_default_alone_is_refused() -> None:
         replace(scene, effects={"two_scale": {"slope_variance": 0.02}})
 
 
+def test_effects_of_a_surface_are_refused_beside_a_table(table: Path) -> None:
+    scene = lawn({"model": "facet", "sigma0": table})
+    with pytest.raises(InputError, match="multibounce"):
+        replace(scene, effects={"multibounce": {"strength": 1.0}})
+
+
 def test_a_scene_file_keeps_model_and_table(table: Path) -> None:
     scene = lawn({"model": "facet", "sigma0": table, "level": 1.5})
     path = table.parent / "scene.toml"

@@ -22,6 +22,7 @@ from warpsar.runtime.distributed import Ranks
 from warpsar.scene.scene import Scene
 from warpsar.simulation.rays import Rays
 from warpsar.speckle.scan import Scan, Spot
+from warpsar.world.models import effects_without
 
 CLASS_COSINE = 0.9  # templates closer than this are one class: the data hardly tell them apart
 
@@ -81,9 +82,14 @@ def _grouped(
     paths = TemplateMaker(unmoved, bench.device, other_rays, observations, evidence.modelled)
     projection = projection_of(maker, bench, evidence)
     evidence = beside_fields(evidence, projection, seed)
-    found = {}
+    found: dict[str, list[Group]] = {}
     for name in names():
-        if name in base.scene.effects or get(name).last_resort:
+        if name in base.scene.effects:
+            continue
+        if get(name).last_resort or any(
+            name in effects_without(material.model) for material in scene.materials.values()
+        ):
+            found[name] = []
             continue
         templates = maker.templates(name)
         if get(name).stage == "path":
@@ -93,6 +99,8 @@ def _grouped(
 
 
 def _candidate(name: str, found: list[Group], alone: float) -> Candidate:
+    if get(name).last_resort:
+        return Candidate(name, "absent", note="the last resort, where nothing named explains what is left")
     if not found:
         return Candidate(name, "absent", note="this scene has no place for it")
     eta = max(float(one.eta.max()) for one in found)

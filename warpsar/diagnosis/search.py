@@ -81,7 +81,7 @@ class Search:
         if found is None:
             return
         candidate, fitted = found
-        last.candidates.append(candidate)
+        last.candidates = [c for c in last.candidates if c.effect != candidate.effect] + [candidate]
         console.say(f"last resort: {candidate.effect}: {candidate.refused or 'views left out bear it'}")
         if not candidate.refused:
             last.added, last.fitted = candidate.effect, fitted

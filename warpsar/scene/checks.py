@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from warpsar.errors import InputError
+from warpsar.world import models as model_rules
 from warpsar.world import scattering_term, sigma0_table
 from warpsar.world.mesh import Mesh
 from warpsar.world.pixels import Pixels, in_memory, mask, measured
@@ -65,8 +66,9 @@ def models(name: str, material: Material, radar: Radar, effects: Mapping[str, An
     """What a material's backscatter model does not have: a polarization, an effect that works on the default alone."""
     key, model = f"materials.{name}", material.model
     problems = []
-    if model != "ka_spm" and "two_scale" in effects:
-        problems.append(f'{key}.model: found "{model}" and effects.two_scale; allowed with it is "ka_spm"')
+    for name_of_effect in model_rules.effects_without(model):
+        if name_of_effect in effects:
+            problems.append(f'{key}.model: found "{model}" and effects.{name_of_effect}; allowed with it is "ka_spm"')
     crossed = [one for one in radar.polarizations if one in ("HV", "VH")]
     if model == "dubois" and crossed:
         problems.append(f'{key}.model: found "dubois" and {crossed[0]}; it has HH and VV alone')

@@ -14,6 +14,16 @@ LEARNS: dict[str, tuple[str, ...]] = {
 """The values that a model's sigma0 depends on, and so those that can be learned."""
 
 
+OF_THE_DEFAULT = ("two_scale",)
+OF_A_SURFACE = ("two_scale", "eps_gradient", "multibounce", "edge_diffraction")
+"""Effects that work on the default model's equations, and on a surface's permittivity, which a table has not."""
+
+
+def effects_without(model: str) -> tuple[str, ...]:
+    """Effects that a material with this model does not take."""
+    return () if model == "ka_spm" else OF_A_SURFACE if model == "facet" else OF_THE_DEFAULT
+
+
 def needless(model: str, key: str) -> bool:
     """Whether a material with this model may leave the value out."""
     return model != "ka_spm" and key not in LEARNS[model]
