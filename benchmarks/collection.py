@@ -64,9 +64,7 @@ def timed(work: Callable[[], Any], runs: int = RUNS) -> dict[str, Any]:
 def ground(side_m: float, **table: Any) -> Scene:
     """A square of even ground, X band."""
     h = side_m / 2
-    mesh = warpsar.Mesh.of(
-        np.array([[-h, -h, 0], [h, -h, 0], [h, h, 0], [-h, h, 0]]), np.array([[0, 1, 2], [0, 2, 3]])
-    )
+    mesh = warpsar.Mesh.of(np.array([[-h, -h, 0], [h, -h, 0], [h, h, 0], [-h, h, 0]]), np.array([[0, 1, 2], [0, 2, 3]]))
     return Scene(
         mesh=mesh,
         radar=warpsar.Radar(frequency_hz=9.6e9, polarizations=("HH",), terms=("rough",)),
@@ -182,6 +180,7 @@ def peer(made: histories.Collected, scene: Scene) -> dict[str, Any] | str:
     place = torch.from_numpy(plan.track.receiver_m.astype(np.float32)).to(where)
     cell = 299792458.0 / (2.0 * plan.step_hz * bins)
     try:
+
         def work() -> None:
             torchbp.ops.backprojection_cart_2d(data, grid, plan.centre_hz, cell, place)
             if where == "cuda":
@@ -196,9 +195,7 @@ def batch(device: wp.Device, small: bool) -> dict[str, Any]:
     """Direct images and their SICD, beside `warpsar.simulate` and its EXR, of the same views."""
     scene = town_scene(2_000 if small else 100_000, (128, 128) if small else (380, 423), 16.0)
     number = 2 if small else 16
-    views = [
-        warpsar.View(name=f"v{i:02d}", azimuth_deg=360.0 * i / number, incidence_deg=45.0) for i in range(number)
-    ]
+    views = [warpsar.View(name=f"v{i:02d}", azimuth_deg=360.0 * i / number, incidence_deg=45.0) for i in range(number)]
     radar = scene.radar.model_copy(update={"terms": ("rough",), "frequency_hz": 9.6e9})
     cell = max(scene.grid.spacing_m) * 1.2
     table = Collection(slant_range_m=10e3, resolution_m=(cell, cell), scatterers_per_cell=10.0, focus="direct")
