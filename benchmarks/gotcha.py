@@ -5,7 +5,7 @@
 DATA is a folder of public releases. It holds gotcha/data_3dsar_pass1_az001_HH.mat to az003, of the AFRL Gotcha
 volumetric data set; whatever other degrees lie there are test views, too (of an OUT that was begun without them they
 are not). Two scenes are built (data/gotcha): `flat`, regions on flat ground, and `objects`, where every car is an
-object of its own. Of the cars, brightness, poses, shapes and bounces are learned one after the other on az001 and
+object of its own. Of the cars, brightness, poses and shapes are learned one after the other on az001 and
 az002, and the last model is diagnosed. Every step's prediction of az003 (and of what follows it), which nothing was
 read off, fitted to or decided by, is compared with simple ones. OUT gets it all, with gotcha.json and gotcha.md; what
 lies there already is not made again. `--long` has the diagnosis fit from two starts and add as many effects as it may.
@@ -444,10 +444,12 @@ def effects_alone(path: Path, out: Path, options: DiagnoseOptions, device: str |
 # ---- the model with objects, step by step ----
 
 KNOWN_SPREAD = {"range_fwhm_m": 0.594, "azimuth_fwhm_m": 1.48, "window": "sinc"}  # what theory says of this grid
-STEPS = ("read off, one brightness", "+ brightness by object", "+ bounces", "+ poses", "+ shapes")
+STEPS = ("read off, one brightness", "+ brightness by object", "+ poses", "+ shapes")
 FINAL = STEPS[-1]
 ROUNDS = 2  # of poses and shapes
-BOUNCES = {"strength": 0.3, "max_bounces": 2}  # where their fit begins
+BOUNCES = {"strength": 0.3, "max_bounces": 2}
+"""Where the fit of bounces begins. They are no step: with them one train view foretells the other worse, at every step
+(benchmarks/gotcha_choice.py, `full` against `single`)."""
 
 
 def alike(scene: Scene) -> Scene:
@@ -477,10 +479,8 @@ def steps_of(path: Path, views: Sequence[str] = TRAIN) -> tuple[dict[str, Scene]
 
     told(STEPS[0], fit_common(alike(declared), views))
     scene = told(STEPS[1], fit_common(declared, views))
-    # before poses: a car that has no bounces moves to where they would be
-    scene = told(STEPS[2], fit_common(with_effects(scene, multibounce=BOUNCES), views))
     scene, _ = fit_round(scene, starts, views, POSE)
-    scene = told(STEPS[3], fit_common(scene, views))
+    scene = told(STEPS[2], fit_common(scene, views))
     for number in range(ROUNDS):
         scene, last = fit_round(scene, starts, views, (*POSE, *SHAPE), told=number == ROUNDS - 1)
         scene = fit_common(scene, views)
@@ -489,18 +489,17 @@ def steps_of(path: Path, views: Sequence[str] = TRAIN) -> tuple[dict[str, Scene]
 
 
 def without(scene: Scene, declared: Scene, views: Sequence[str] = TRAIN) -> dict[str, Scene]:
-    """The last model less one of its parts, everything that is left of brightness and effects fitted again."""
+    """The last model less one of its parts, and with bounces; brightness and effects are fitted again."""
     from warpsar.world.world import posed
 
     pairs = list(zip(scene.objects, declared.objects, strict=True))
     unshaped = [one.model_copy(update={"size_m": s.size_m, "side_curvature": s.side_curvature}) for one, s in pairs]
     unposed = [one.model_copy(update={"position_m": s.position_m, "heading_deg": s.heading_deg}) for one, s in pairs]
-    less = {k: table for k, table in scene.effects.items() if k != "multibounce"}
     changed = {
         "last, without brightness by object": alike(scene),
         "last, without poses": posed(scene, unposed),
         "last, without shapes": posed(scene, unshaped),
-        "last, without bounces": replace(scene, effects=less),
+        "last, with bounces": with_effects(scene, multibounce=BOUNCES),
     }
     return {name: fit_common(one, views) for name, one in changed.items()}
 
