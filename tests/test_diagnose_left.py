@@ -118,6 +118,20 @@ def test_power_where_the_model_has_none_is_impossible() -> None:
     assert Lines([one], white()).strongest([one.residual]).rows == (4, 5)
 
 
+def test_the_far_tail_of_a_smear_is_no_floor() -> None:
+    """A Gaussian is nowhere 0: 12 rows from what is lit, exp(-r^2 / 2) is 1e-31 of it. A floor 60 dB down is power."""
+    image, lit, dark = dark_image()
+    rows = np.arange(40)[:, None]
+    tail = np.exp(-0.5 * (np.maximum(np.abs(rows - 19.5) - 6.0, 0.0) / 1.0) ** 2)
+    smeared = DarkPixels.of(
+        observation(np.where(lit, 1.0, tail * np.ones((40, 40))), lit, dark), np.where(lit, 1.0, 0.0)
+    )
+    assert (smeared.measured[smeared.empty] > 0).all()
+    assert not smeared.measures_power.any()
+    floored = DarkPixels.of(observation(image + 1e-6, lit, dark), np.where(lit, 1.0, 0.0))
+    assert np.array_equal(floored.measures_power, floored.empty)
+
+
 def test_a_floor_that_the_model_has_is_judged_by_its_speckle() -> None:
     """sqrt(L) (I - mu) / mu, and no more than a trace where the floor is fainter."""
     image, lit, dark = dark_image()

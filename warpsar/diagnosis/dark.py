@@ -34,7 +34,7 @@ class Dark:
         if any(get(name).is_floor for name in base.scene.effects):
             return cls(0, 0)
         found = dark_pixels(base.problem, base.x)
-        positive = sum(int((one.measured[one.empty] > 0).sum()) for one in found)
+        positive = sum(int(one.measures_power.sum()) for one in found)
         power = impossible(found)
         free = [name for name in names() if name not in base.scene.effects]
         placed = [name for name in free if get(name).placed_in_the_dark(base.scene, {}, power) is not None]

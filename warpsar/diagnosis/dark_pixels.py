@@ -15,6 +15,8 @@ from warpsar.learning.problem import FitProblem
 from warpsar.learning.verdict import TRACE
 
 NOTHING = 0.01
+LEAST = 1e-6
+"""Of a trace: what is measured below is 0. The far tail of a smear leaves as much, and so does rounding."""
 UNSURE = 0.1  # of the modelled power, by which two sets of rays may differ where a pixel is judged
 
 
@@ -51,6 +53,11 @@ class DarkPixels:
     def empty(self) -> np.ndarray:
         """Judged pixels where the model puts nothing: less than `NOTHING` of a trace."""
         return self.interior & (self.modelled <= NOTHING * self.allowed)
+
+    @property
+    def measures_power(self) -> np.ndarray:
+        """Empty pixels that measure more than 0, whatever it is: all of them do under a floor."""
+        return self.empty & (self.measured > LEAST * self.allowed)
 
     @property
     def powered(self) -> np.ndarray:
