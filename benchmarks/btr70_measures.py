@@ -92,9 +92,10 @@ def lit_edge(power: np.ndarray, body: np.ndarray) -> float:
     for col in np.flatnonzero(body.any(axis=0)):
         first, last = np.flatnonzero(body[:, col])[[0, -1]]
         line = level[max(first - 6, 0) : last + 1, col]
-        above = np.flatnonzero(line > 0.5 * (ground + line.max()))
-        rows.append(max(first - 6, 0) + int(above[0]))
-    return float(np.median(rows))
+        if line.max() > ground:  # a column in the body's own shadow has no edge
+            above = np.flatnonzero(line > 0.5 * (ground + line.max()))
+            rows.append(max(first - 6, 0) + int(above[0]))
+    return float(np.median(rows)) if rows else float("nan")
 
 
 def judged(

@@ -41,7 +41,7 @@ def by_region(views: Sequence[Mapping[str, Any]]) -> list[list[Any]]:
         seen = [view["measures"][prediction] for view in views if prediction in view["measures"]]
         edges = [abs(one["lit_edge_rows"]) * SPACING_M[0] for one in seen]
         if edges:
-            rows.append([prediction, "lit edge, median error [m]", f"{np.median(edges):.2f}", ""])
+            rows.append([prediction, "lit edge, median error [m]", f"{np.nanmedian(edges):.2f}", ""])
     return rows
 
 

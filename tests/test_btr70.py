@@ -60,6 +60,15 @@ def test_the_lit_edge_is_where_the_block_begins() -> None:
     assert measures.lit_edge(np.roll(truth(), 3, 0), body) == pytest.approx(58, abs=1)
 
 
+def test_a_column_in_shadow_has_no_edge() -> None:
+    body = truth() > 6.0
+    image = truth()
+    image[:, 50:60] = np.where(body.any(axis=1)[:, None], 0.05, 1.0)
+    image[40:85, 50:60] = 0.05  # darker than the ground from top to bottom
+    assert measures.lit_edge(image, body) == pytest.approx(55, abs=1)
+    assert np.isnan(measures.lit_edge(np.where(body, 0.01, 0.01 + 0.0 * image), body))
+
+
 def test_turned_chips_have_the_aspect_asked_for() -> None:
     """A point in front of the middle, seen from the north, lies on the right when seen from the west, and the other way
     round where the vehicle is mirrored."""
