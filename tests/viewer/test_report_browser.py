@@ -23,8 +23,8 @@ def opened(tmp_path: Path) -> Iterator[tuple[Any, list[str]]]:
     table = html.table([f"column {i}" for i in range(30)], [["value"] * 30], "A caption that is long. " * 8)
     path = tmp_path / "report.html"
     html.write(path, html.page("A report", "of a test", html.section("Images", html.row(picture), table)))
-    with playwright.sync_playwright() as session:
-        browser = session.chromium.launch(executable_path=BROWSER, args=WITHOUT_GPU)
+    with playwright.sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=BROWSER, args=WITHOUT_GPU)
         page = browser.new_page(viewport={"width": 400, "height": 800})
         said: list[str] = []
         page.on("console", lambda message: said.append(f"{message.type}: {message.text}"))

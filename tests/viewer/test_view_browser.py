@@ -32,8 +32,8 @@ def shown(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Any, list[
         text = text.replace(old, new)
     (out / "scene.toml").write_text(text)
     path = run(out / "scene.toml", out / "page", before=out / "scene.toml", device="cpu")
-    with playwright.sync_playwright() as session:
-        browser = session.chromium.launch(executable_path=BROWSER, args=WITHOUT_GPU)
+    with playwright.sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=BROWSER, args=WITHOUT_GPU)
         page = browser.new_page(viewport={"width": 900, "height": 600})
         said: list[str] = []
         page.on("console", lambda message: said.append(f"{message.type}: {message.text}"))
