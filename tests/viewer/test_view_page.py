@@ -136,6 +136,17 @@ def test_the_page_holds_everything(tmp_path: Path, sheet: warpsar.Scene) -> None
     assert corners.max(axis=0) == pytest.approx([12.0, 12.0, 5.0])
 
 
+def test_a_smooth_body_is_shown_without_images(tmp_path: Path) -> None:
+    """It has a phase: no image of power, no parameter. Its views light it all the same."""
+    words = ["view", str(ROOT / "data/coherent/trihedral.toml"), "-o", str(tmp_path / "out"), "--device", "cpu"]
+    done = CliRunner().invoke(main, words)
+    assert done.exit_code == 0, done.output
+    (state,) = content_of((tmp_path / "out/view.html").read_text())["states"]
+    assert state["parameters"] == []
+    assert state["views"]
+    assert all(one["images"] == {} for one in state["views"])
+
+
 def test_before_and_after_share_one_scale(tmp_path: Path, sheet: warpsar.Scene) -> None:
     brighter = tmp_path / "brighter.toml"
     brighter.write_text(BOX.replace("eps_r = 5.0", "eps_r = 12.0"))

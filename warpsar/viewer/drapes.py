@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 
 from warpsar.diagnosis.projection import shift_px
 from warpsar.evaluation.command import evaluate
-from warpsar.runtime import devices
 from warpsar.scene.scene import Scene
 from warpsar.simulation.command import simulate
 from warpsar.simulation.rays import trace_view, view_seed
 from warpsar.surface.stage import Stage
 from warpsar.trace.hits import Hits
+from warpsar.viewer.surface import stage_of
 from warpsar.world.tables import View
 from warpsar.world.world import geometry_of
 
@@ -39,9 +39,11 @@ class Drape:
 
 
 def drapes(scene: Scene, device: str | None) -> list[Drape]:
-    """One for each view, in their order."""
-    stage = Stage.of(scene, devices.resolve_device(device))
+    """One for each view, in their order; without images and layover where the surfaces are smooth."""
+    stage = stage_of(scene, device)
     found = {view.name: _bare(scene, stage, view, index) for index, view in enumerate(scene.views)}
+    if stage is None:
+        return list(found.values())
     if any(view.images for view in scene.views):
         for image in evaluate(scene, device=device).images:
             planes = {"measured": image.measured, "modelled": image.simulated}
@@ -56,15 +58,17 @@ def drapes(scene: Scene, device: str | None) -> list[Drape]:
     return list(found.values())
 
 
-def _bare(scene: Scene, stage: Stage, view: View, index: int) -> Drape:
+def _bare(scene: Scene, stage: Stage | None, view: View, index: int) -> Drape:
     axes = geometry_of(scene, view)
-    hits = trace_view(scene, stage, view, seed=view_seed(scene.sampling.seed, index), effects=[], merge=True)
+    over = np.zeros(scene.grid.shape, bool)
+    if stage is not None:
+        over = layover(trace_view(scene, stage, view, seed=view_seed(scene.sampling.seed, index), effects=[]))
     return Drape(
         view=view,
         axes=np.stack([axes.d, axes.u, axes.v, axes.s]),
         slant_range_m=axes.slant_range_m,
         shift_px=shift_px(scene, view),
-        layover=layover(hits),
+        layover=over,
     )
 
 

@@ -39,7 +39,7 @@ class Drawn:
 def drawn(scene: Scene) -> Drawn:
     """The mesh of the scene. Corners are shared only where material and object are the same. Faces with a texture are
     cut into triangles of about a texel, as far as `FINEST` allows."""
-    stage = _stage(scene)
+    stage = stage_of(scene, "cpu")
     mesh, owner = scene.mesh, owners(scene)
     face, weights, triangles = _cut(_parts_of_edges(scene, stage))
     values = {} if stage is None else _parameters(stage, face, weights)
@@ -59,10 +59,10 @@ def drawn(scene: Scene) -> Drawn:
     )
 
 
-def _stage(scene: Scene) -> Stage | None:
-    """None for smooth or conducting surfaces, which have a phase and no parameters to show."""
+def stage_of(scene: Scene, device: str | None) -> Stage | None:
+    """None for smooth or conducting surfaces, which have a phase, and neither parameters nor images of power."""
     try:
-        return Stage.of(scene, devices.resolve_device("cpu"))
+        return Stage.of(scene, devices.resolve_device(device))
     except InputError:
         return None
 
