@@ -16,7 +16,6 @@ from warpsar.kernels.codes import Spectrum, Variant
 from warpsar.kernels.scattering import (
     amplitude_te,
     amplitude_tm,
-    complex_inverse,
     complex_product,
     factor_vv,
     refraction,
@@ -205,9 +204,3 @@ def complex_decaying_root(re: Any, im: Any):
     large = wp.sqrt((wp.sqrt(re * re + im * im) + wp.abs(re)) * half)
     small = half * im / large
     return wp.vector(wp.where(re < zero, -small, large), wp.where(re < zero, -large, small))
-
-
-@wp.func
-def inverse_square(a: Any):
-    b = complex_inverse(a)
-    return complex_product(b, b)

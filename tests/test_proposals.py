@@ -18,7 +18,7 @@ from warpsar.diagnosis.proposals_bodies import sound
 from warpsar.diagnosis.proposals_fit import Ground, Standing
 from warpsar.diagnosis.proposals_ground import free_ground
 from warpsar.diagnosis.proposals_left_out import explained
-from warpsar.diagnosis.proposals_place import Place, Ratios, places
+from warpsar.diagnosis.proposals_place import Looked, Place, Ratios
 from warpsar.differentiable.geometry import exact_images
 from warpsar.runtime import devices
 from warpsar.scene.placing import with_objects
@@ -97,7 +97,7 @@ def test_free_ground_has_the_height_of_the_ground_and_no_body() -> None:
 def test_views_agree_on_the_place_of_a_box() -> None:
     """Within a metre, of about its width and height, and it explains most of what is unlike speckle there."""
     scene = measured(plain(), (BOX,))
-    first, *rest = places(scene, ratios_of(scene), 3)
+    first, *rest = Looked.at(scene, ratios_of(scene)).best(3)
     assert np.hypot(first.position_m[0] - 2.0, first.position_m[1] + 1.5) < 1.0
     assert first.position_m[2] == 0.0
     assert 2.0 <= first.width_m <= 4.0
@@ -112,11 +112,11 @@ def test_what_one_view_alone_shows_makes_no_place() -> None:
     found = ratios_of(scene)
     rows = slice(20, 26)
     found[0].ratio[rows, rows] *= 20.0
-    assert all(one.score < 30.0 for one in places(scene, found, 3))
+    assert all(one.score < 30.0 for one in Looked.at(scene, found).best(3))
     for one in found[1:]:
         row, col = (int(at[0]) for at in pixel_of(scene, one.view, np.array([[0.0, 0.0, 0.0]])))
         one.ratio[row - 4 : row, col - 2 : col + 3] *= 20.0
-    assert places(scene, found, 1)[0].score > 1000.0
+    assert Looked.at(scene, found).best(1)[0].score > 1000.0
 
 
 # ---- what ----

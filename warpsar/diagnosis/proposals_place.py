@@ -49,11 +49,6 @@ class Place:
     share: float
 
 
-def places(scene: Scene, ratios: Sequence[Ratios], most: int) -> list[Place]:
-    """The `most` best places that do not overlap, the best first."""
-    return Looked.at(scene, ratios).best(most)
-
-
 @dataclass(frozen=True)
 class Looked:
     """What every image says of every place: `scores[k]`, shape (images, 2, places), are the log-likelihood and the

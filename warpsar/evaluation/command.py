@@ -269,7 +269,7 @@ def run(
     for image in found.images:
         _say_what_was_fitted(image, scene.grid.calibrated)
     write_learned_ply(out / "learned.ply", scene)
-    by_factor = profiles(found.images, scene.mesh.materials)
+    by_factor, expected = profiles(found.images, scene.mesh.materials), expected_db(found.images)
     content = {
         "verdict": {role: one.content() for role, one in found.verdicts.items()},
         "rays_per_pixel": found.rays_per_m2 * scene.grid.pixel_area_m2,
@@ -279,14 +279,14 @@ def run(
         "train": found.train,
         "test": found.test,
         "residuals_db": {name: profile.rows for name, profile in by_factor.items()},
-        "expected_residual_db": expected_db(found.images),
+        "expected_residual_db": expected,
         **({} if earlier is None else {"before": {"train": earlier.train, "test": earlier.test}}),
         **of_curves,
     }
     content = write_json(out / "evaluate.json", scene, where, seed, started, content)
     command = ["warpsar", "evaluate", str(scene_path), "-o", str(out), "--device", where.alias, "--seed", str(seed)]
     command += [] if before is None else ["--before", str(before)]
-    write_report(out / "report.html", scene, found, content, command, where, before=earlier)
+    write_report(out / "report.html", scene, found, by_factor, expected, content, command, where, before=earlier)
     console.say_written(out, "report.html", "evaluate.json", "learned.ply", "residual images")
     pooled = [(role, found_in) for role, found_in in (("train", found.train), ("test", found.test)) if found_in]
     words = [f"{role} deviance {m['deviance']:.4f} +- {m['deviance_error']:.4f}" for role, m in pooled]

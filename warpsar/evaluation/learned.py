@@ -7,7 +7,8 @@ from typing import Any
 
 from warpsar.evaluation.command import evaluate
 from warpsar.evaluation.report import write_report
-from warpsar.runtime import devices, distributed
+from warpsar.evaluation.residuals import expected_db, profiles
+from warpsar.runtime import console, devices, distributed
 from warpsar.scene.scene import Scene
 
 
@@ -25,6 +26,8 @@ def write_learn_report(scene_path: Path, out: Path, content: dict[str, Any], dev
         out / "report.html",
         after,
         models[1],
+        profiles(models[1].images, after.mesh.materials),
+        expected_db(models[1].images),
         content,
         ["warpsar", "learn", str(scene_path), "-o", str(out), "--device", where.alias],
         where,
@@ -32,3 +35,4 @@ def write_learn_report(scene_path: Path, out: Path, content: dict[str, Any], dev
         title=f"What {scene_path.name} learned from its images",
         beside="scene.toml (the learned scene), learn.json (all numbers), history.csv and figures",
     )
+    console.say_written(out, "report.html")

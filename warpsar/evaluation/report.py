@@ -13,7 +13,7 @@ from warpsar.evaluation.report_convergence import convergence_sections
 from warpsar.evaluation.report_images import images_section
 from warpsar.evaluation.report_numbers import summary_section
 from warpsar.evaluation.report_surface import identified_words, parameters_section
-from warpsar.evaluation.residuals import Profile, expected_db, profile_figure, profiles
+from warpsar.evaluation.residuals import Profile, profile_figure
 from warpsar.io import html as report
 from warpsar.scene.scene import Scene
 from warpsar.surface.stage import Stage
@@ -23,6 +23,8 @@ def write_report(
     path: Path,
     scene: Scene,
     found: Evaluation,
+    by_factor: dict[str, Profile],
+    expected: dict[str, float],
     content: dict[str, Any],
     command: Sequence[str],
     device: wp.Device,
@@ -31,8 +33,9 @@ def write_report(
     title: str = "",
     beside: str = "evaluate.json (all numbers), residual images as EXR and PNG, learned.ply",
 ) -> None:
-    """`content` is that of evaluate.json or learn.json, `command` the words that made it. `before` is another model of
-    the same images. `beside` names the other files."""
+    """`by_factor` and `expected` are `profiles` and `expected_db` of the images. `content` is that of evaluate.json or
+    learn.json, `command` the words that made it. `before` is another model of the same images. `beside` names the
+    other files."""
     stage = Stage.of(scene, device)
     identified, words = identified_words(scene, stage, found.rays_per_m2)
     title = title or f"How well {Path(scene.path or 'the scene').name} explains its measured images"
@@ -43,7 +46,7 @@ def write_report(
     sections = [
         summary_section(scene, found, before),
         images_section(scene, found, before),
-        _residuals_section(profiles(found.images, scene.mesh.materials), expected_db(found.images)),
+        _residuals_section(by_factor, expected),
         parameters_section(scene, stage, identified),
         report.section("What is not identifiable", *words),
         *convergence_sections(Path(scene.path).parent if scene.path else None),

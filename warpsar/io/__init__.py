@@ -2,6 +2,5 @@
 
 images: TIFF, EXR, NPY and PNG. curves: radar cross-sections as text. tiff, geotiff: checks and opening of TIFF
 files. ply: meshes with scalars. checkpoint: a run's state. figures: PNGs through matplotlib.
-quick_look: images in dB, with axes. html: the parts of a
-report.
+quick_look: images in dB, with axes. html, html_image: the parts of a report. assets: its style and script.
 """
