@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from btr70_measures import Chip, best_shift, middle, terms
 
-from warpsar.diagnosis.refit import standing_at
+from warpsar.diagnosis.models.refit import standing_at
 from warpsar.effects.registry import validate
 from warpsar.learning.optimise import levenberg_marquardt
 from warpsar.learning.problem import FitProblem

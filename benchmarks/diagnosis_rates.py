@@ -32,10 +32,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import tables
 
-from warpsar.diagnosis import search
 from warpsar.diagnosis.found import DiagnoseOptions
-from warpsar.diagnosis.geometry import is_geometry, without_object
+from warpsar.diagnosis.models.change import is_geometry, without_object
 from warpsar.diagnosis.result import diagnose
+from warpsar.diagnosis.search import loop as search
 from warpsar.effects.registry import get, names
 from warpsar.io.images import write_tiff
 from warpsar.scene.placing import with_objects

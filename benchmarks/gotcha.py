@@ -423,7 +423,7 @@ def effects_alone(path: Path, out: Path, options: DiagnoseOptions, device: str |
     """`diagnosed`, with the objects as they were learned: brightness held, none moved, left out or proposed.
 
     With bounces every number of every object costs a render of the whole scene: 129 objects would take hours."""
-    from warpsar.diagnosis import geometry_search
+    from warpsar.diagnosis.turn import geometry_search
 
     scene = Scene.load(path)
     held = {str(one.material) for one in scene.objects}

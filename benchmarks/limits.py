@@ -15,13 +15,13 @@ import numpy as np
 import warp as wp
 from scipy.ndimage import gaussian_filter
 
-from warpsar.diagnosis.bench import Bench
-from warpsar.diagnosis.evidence import LARGEST, Evidence
-from warpsar.diagnosis.frozen import frozen
-from warpsar.diagnosis.left_out import BLOCK, clipped
-from warpsar.diagnosis.refit import descend
-from warpsar.diagnosis.score import Group, Projection, group
-from warpsar.diagnosis.templates import TemplateMaker, with_effect
+from warpsar.diagnosis.models.bench import Bench
+from warpsar.diagnosis.models.frozen import frozen
+from warpsar.diagnosis.models.left_out import BLOCK, clipped
+from warpsar.diagnosis.models.refit import descend
+from warpsar.diagnosis.scores.evidence import LARGEST, Evidence
+from warpsar.diagnosis.scores.score import Group, Projection, group
+from warpsar.diagnosis.scores.templates import TemplateMaker, with_effect
 from warpsar.effects.registry import names
 from warpsar.io.images import write_tiff
 from warpsar.learning.observation import Observation

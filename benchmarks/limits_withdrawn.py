@@ -12,9 +12,9 @@ from dataclasses import replace
 import numpy as np
 from limits import Model, NoiseFree, covariance_sum, step_of
 
-from warpsar.diagnosis.bench import Bench
-from warpsar.diagnosis.frozen import frozen
 from warpsar.diagnosis.judge import turned
+from warpsar.diagnosis.models.bench import Bench
+from warpsar.diagnosis.models.frozen import frozen
 from warpsar.learning.observation import Observation
 from warpsar.simulation.rays import Rays
 

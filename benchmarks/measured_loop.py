@@ -16,7 +16,7 @@ import tables
 from warpsar.diagnosis.command import command_line, in_short
 from warpsar.diagnosis.content import content_of
 from warpsar.diagnosis.found import DiagnoseOptions
-from warpsar.diagnosis.report import write_report
+from warpsar.diagnosis.report.page import write_report
 from warpsar.diagnosis.result import diagnose, fitted_models, moved_parameters
 from warpsar.io.images import replacing
 from warpsar.measured.focus import taper

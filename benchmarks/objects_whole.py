@@ -19,7 +19,7 @@ import diagnosis_rates
 
 from warpsar.diagnosis.command import run
 from warpsar.diagnosis.found import DiagnoseOptions
-from warpsar.diagnosis.projection import pixel_of
+from warpsar.diagnosis.models.projection import pixel_of
 from warpsar.effects.registry import get
 from warpsar.scene.placing import with_objects
 from warpsar.scene.scene import Scene

@@ -19,11 +19,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import diagnosis_rates as rates
 
-from warpsar.diagnosis.bench import Bench
-from warpsar.diagnosis.frozen import frozen
-from warpsar.diagnosis.refit import Fitted
-from warpsar.diagnosis.signature import signature
-from warpsar.diagnosis.templates import with_effect
+from warpsar.diagnosis.models.bench import Bench
+from warpsar.diagnosis.models.frozen import frozen
+from warpsar.diagnosis.models.refit import Fitted
+from warpsar.diagnosis.scores.templates import with_effect
+from warpsar.diagnosis.turn.signature import signature
 from warpsar.effects.base.signature import Signature
 from warpsar.effects.registry import names
 from warpsar.runtime import devices

@@ -37,7 +37,7 @@ from measured_loop import (
 )
 
 from warpsar.diagnosis.found import DiagnoseOptions
-from warpsar.diagnosis.refit import descend
+from warpsar.diagnosis.models.refit import descend
 from warpsar.evaluation import command as evaluation
 from warpsar.io.figures import new, save
 from warpsar.learning.problem import FitProblem

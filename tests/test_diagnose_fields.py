@@ -16,16 +16,16 @@ from worlds import mesh_of, plate, scene_of, view
 
 import warpsar
 from warpsar.cli.main import main
-from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.field_content import identify_beside
-from warpsar.diagnosis.field_prior import has_fields, with_roughness
-from warpsar.diagnosis.field_projection import FREED, FieldProjection, bar_those_alone, known_of, sparse_tangent
 from warpsar.diagnosis.found import Candidate, DiagnoseOptions
-from warpsar.diagnosis.frozen import frozen
-from warpsar.diagnosis.partly_known import PartlyKnown
-from warpsar.diagnosis.refit import Fitted, fit_model
+from warpsar.diagnosis.models.bench import Bench
+from warpsar.diagnosis.models.field_prior import has_fields, with_roughness
+from warpsar.diagnosis.models.frozen import frozen
+from warpsar.diagnosis.models.refit import Fitted, fit_model
 from warpsar.diagnosis.result import diagnose
-from warpsar.diagnosis.score import REACH
+from warpsar.diagnosis.scores.partly_known import PartlyKnown
+from warpsar.diagnosis.scores.score import REACH
+from warpsar.diagnosis.turn.field_projection import FREED, FieldProjection, bar_those_alone, known_of, sparse_tangent
 from warpsar.errors import InputError
 from warpsar.learning.problem import FitProblem
 from warpsar.learning.roughness import FieldPrior, Roughness

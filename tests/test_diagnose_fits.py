@@ -9,18 +9,18 @@ import numpy as np
 import pytest
 from learning_scenes import cube_scene, measured, views_at
 
-from warpsar.diagnosis.addition import TOO_LITTLE
-from warpsar.diagnosis.bench import Bench
-from warpsar.diagnosis.carried import Carried, carried_over
-from warpsar.diagnosis.confirmation import confirm
 from warpsar.diagnosis.found import Turn
-from warpsar.diagnosis.frozen import frozen
-from warpsar.diagnosis.left_out import LeftOut, leave_one_view_out
-from warpsar.diagnosis.pruning import prune
-from warpsar.diagnosis.refit import BOUND, Fitted, fit_model, on_bounded_ground
-from warpsar.diagnosis.screening import GLANCE, Screening
-from warpsar.diagnosis.survey import surveyed
-from warpsar.diagnosis.templates import with_effect
+from warpsar.diagnosis.models.bench import Bench
+from warpsar.diagnosis.models.carried import Carried, carried_over
+from warpsar.diagnosis.models.frozen import frozen
+from warpsar.diagnosis.models.left_out import LeftOut, leave_one_view_out
+from warpsar.diagnosis.models.refit import BOUND, Fitted, fit_model, on_bounded_ground
+from warpsar.diagnosis.scores.templates import with_effect
+from warpsar.diagnosis.search.confirmation import confirm
+from warpsar.diagnosis.turn.addition import TOO_LITTLE
+from warpsar.diagnosis.turn.pruning import prune
+from warpsar.diagnosis.turn.screening import GLANCE, Screening
+from warpsar.diagnosis.turn.survey import surveyed
 from warpsar.effects.base.trial import Context
 from warpsar.effects.registry import get
 from warpsar.runtime import devices

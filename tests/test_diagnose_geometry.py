@@ -12,18 +12,18 @@ from scipy.ndimage import gaussian_filter
 from test_diagnose import ANGLES, saved
 from worlds import box, ground, mesh_of, scene_of, view
 
-from warpsar.diagnosis import search
-from warpsar.diagnosis.all_pixels import Exact, lit_shadows, log_likelihood, still
-from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.command import run
 from warpsar.diagnosis.found import DiagnoseOptions
-from warpsar.diagnosis.frozen import frozen
-from warpsar.diagnosis.geometry import changes, composed, heard, told, without_change, without_object
-from warpsar.diagnosis.geometry_search import _foretold, screening
-from warpsar.diagnosis.lead import Lead
-from warpsar.diagnosis.movable import bodies, disjoint, freed, refined_words
-from warpsar.diagnosis.refit import BOUND, Fitted, refit_as
+from warpsar.diagnosis.models.all_pixels import Exact, lit_shadows, log_likelihood, still
+from warpsar.diagnosis.models.bench import Bench
+from warpsar.diagnosis.models.change import changes, composed, heard, told, without_change, without_object
+from warpsar.diagnosis.models.frozen import frozen
+from warpsar.diagnosis.models.lead import Lead
+from warpsar.diagnosis.models.movable import bodies, disjoint, freed, refined_words
+from warpsar.diagnosis.models.refit import BOUND, Fitted, refit_as
 from warpsar.diagnosis.result import diagnose
+from warpsar.diagnosis.search import loop as search
+from warpsar.diagnosis.turn.geometry_search import _foretold, screening
 from warpsar.differentiable.geometry import exact_images
 from warpsar.io import checkpoint
 from warpsar.learning.pose import PosedProblem, descend

@@ -12,14 +12,14 @@ from test_diagnose import ANGLES, saved
 from test_report import assert_alone
 from worlds import view
 
-from warpsar.diagnosis.bench import Bench
 from warpsar.diagnosis.command import run
-from warpsar.diagnosis.dark_pixels import DarkPixels, impossible
-from warpsar.diagnosis.evidence import LARGEST
+from warpsar.diagnosis.dark.pixels import DarkPixels, impossible
 from warpsar.diagnosis.found import DiagnoseOptions
 from warpsar.diagnosis.judge import Judged, pool
-from warpsar.diagnosis.left_moves import moves_with
-from warpsar.diagnosis.left_shape import shape_of
+from warpsar.diagnosis.left.moves import moves_with
+from warpsar.diagnosis.left.shape import shape_of
+from warpsar.diagnosis.models.bench import Bench
+from warpsar.diagnosis.scores.evidence import LARGEST
 from warpsar.effects.registry import get
 from warpsar.learning.observation import Observation
 from warpsar.learning.problem import FitProblem

@@ -6,10 +6,10 @@ from typing import Any, cast
 
 import pytest
 
-from warpsar.diagnosis.confirmation import Confirmation
 from warpsar.diagnosis.found import Candidate, Confirmed, Turn
-from warpsar.diagnosis.left_out import LeftOut
-from warpsar.diagnosis.outcome import confirmation_lines, outcome, turn_lines
+from warpsar.diagnosis.models.left_out import LeftOut
+from warpsar.diagnosis.search.confirmation import Confirmation
+from warpsar.diagnosis.search.outcome import confirmation_lines, outcome, turn_lines
 from warpsar.speckle.scan import Spot
 
 FITTED = Candidate("point_spread", "testable", minus_log_p=50.0, refit_gain=1234.56, refit_size=2)

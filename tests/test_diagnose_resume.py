@@ -19,8 +19,8 @@ from click.testing import CliRunner
 from test_diagnose import SLOPE, scene_with
 
 from warpsar.cli.main import main
-from warpsar.diagnosis import course
 from warpsar.diagnosis.found import DiagnoseOptions
+from warpsar.diagnosis.search import course
 from warpsar.errors import InputError
 from warpsar.io import checkpoint
 from warpsar.runtime.distributed import ONE

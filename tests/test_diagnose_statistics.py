@@ -5,9 +5,9 @@ import pytest
 from scipy import optimize, special, stats
 from worlds import view
 
-from warpsar.diagnosis.bootstrap import Bootstrap
-from warpsar.diagnosis.score import REACH, Group, Projection, log_tail, minus_log_p
-from warpsar.diagnosis.templates import Template
+from warpsar.diagnosis.scores.bootstrap import Bootstrap
+from warpsar.diagnosis.scores.score import REACH, Group, Projection, log_tail, minus_log_p
+from warpsar.diagnosis.scores.templates import Template
 from warpsar.effects.base.trial import ScoreStep, Trial
 from warpsar.learning.observation import Observation
 from warpsar.speckle.draws import Speckle

@@ -10,10 +10,10 @@ from test_diagnose import SLOPE, Ran, saved, scene_with
 from test_held_effects import BLUR, declaring
 
 from warpsar.cli.main import main
-from warpsar.diagnosis.bench import Bench
-from warpsar.diagnosis.partly_known import PartlyKnown
-from warpsar.diagnosis.refit import Fitted, fit_model
-from warpsar.diagnosis.score import Projection
+from warpsar.diagnosis.models.bench import Bench
+from warpsar.diagnosis.models.refit import Fitted, fit_model
+from warpsar.diagnosis.scores.partly_known import PartlyKnown
+from warpsar.diagnosis.scores.score import Projection
 from warpsar.runtime import devices
 from warpsar.scene.scene import Scene
 from warpsar.simulation.rays import Rays

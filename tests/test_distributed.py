@@ -260,7 +260,7 @@ from dataclasses import asdict
 from pathlib import Path
 import numpy as np
 from warpsar.diagnosis.found import DiagnoseOptions
-from warpsar.diagnosis.procedure import diagnose_scene
+from warpsar.diagnosis.search.procedure import diagnose_scene
 from warpsar.learning.view import FitView
 from warpsar.runtime import devices, distributed
 from warpsar.scene.scene import Scene

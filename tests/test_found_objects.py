@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from test_proposals import BODY, BOX, CPU, measured, plain, ratios_of
 
-from warpsar.diagnosis import geometry_confirmation
-from warpsar.diagnosis.geometry_confirmation import taken_back
-from warpsar.diagnosis.movable import found_words, own_material, refined_words, standing, with_words
-from warpsar.diagnosis.proposals_fit import Ground
-from warpsar.diagnosis.proposals_left_out import left_out
-from warpsar.diagnosis.proposals_place import Looked
+from warpsar.diagnosis.models.movable import found_words, own_material, refined_words, standing, with_words
+from warpsar.diagnosis.proposals.fit import Ground
+from warpsar.diagnosis.proposals.left_out import left_out
+from warpsar.diagnosis.proposals.places import Looked
+from warpsar.diagnosis.search import geometry_confirmation
+from warpsar.diagnosis.search.geometry_confirmation import taken_back
 from warpsar.diagnosis.written_scene import annotate
 from warpsar.effects.registry import validate
 from warpsar.learning.pose import STANDS_M

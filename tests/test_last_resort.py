@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 
 from warpsar import Scene, simulate
-from warpsar.diagnosis.addition import TOO_LITTLE
-from warpsar.diagnosis.bench import Bench
-from warpsar.diagnosis.confirmation import NOT_ELSEWHERE
-from warpsar.diagnosis.frozen import frozen
-from warpsar.diagnosis.last_resort import learned_law
-from warpsar.diagnosis.refit import Fitted, refit_as
-from warpsar.diagnosis.report_law import law_section
+from warpsar.diagnosis.models.bench import Bench
+from warpsar.diagnosis.models.frozen import frozen
+from warpsar.diagnosis.models.refit import Fitted, refit_as
+from warpsar.diagnosis.report.law import law_section
+from warpsar.diagnosis.search.confirmation import NOT_ELSEWHERE
+from warpsar.diagnosis.search.last_resort import learned_law
+from warpsar.diagnosis.turn.addition import TOO_LITTLE
 from warpsar.effects.learned_scattering import shape_db
 from warpsar.runtime import devices
 from warpsar.simulation.rays import Rays

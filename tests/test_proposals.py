@@ -10,15 +10,15 @@ import pytest
 from learning_scenes import speckle
 from worlds import BRICK, SOIL, box, ground, mesh_of, plate, scene_of, view
 
-from warpsar.diagnosis import proposals_shapes as shapes
-from warpsar.diagnosis.geometry import GeometryCandidate
-from warpsar.diagnosis.projection import pixel_of
-from warpsar.diagnosis.proposals import proposed
-from warpsar.diagnosis.proposals_bodies import sound
-from warpsar.diagnosis.proposals_fit import Ground, Standing
-from warpsar.diagnosis.proposals_ground import free_ground
-from warpsar.diagnosis.proposals_left_out import explained
-from warpsar.diagnosis.proposals_place import Looked, Place, Ratios
+from warpsar.diagnosis.models.change import GeometryCandidate
+from warpsar.diagnosis.models.projection import pixel_of
+from warpsar.diagnosis.proposals import shapes
+from warpsar.diagnosis.proposals.bodies import sound
+from warpsar.diagnosis.proposals.fit import Ground, Standing
+from warpsar.diagnosis.proposals.ground import free_ground
+from warpsar.diagnosis.proposals.left_out import explained
+from warpsar.diagnosis.proposals.places import Looked, Place, Ratios
+from warpsar.diagnosis.proposals.search import proposed
 from warpsar.differentiable.geometry import exact_images
 from warpsar.runtime import devices
 from warpsar.scene.placing import with_objects

@@ -11,10 +11,10 @@ from learning_scenes import cube_scene, measured, noise_free, speckle
 from test_diagnose import ANGLES, SIZE
 from worlds import view
 
-from warpsar.diagnosis.bench import Bench
-from warpsar.diagnosis.frozen import frozen
-from warpsar.diagnosis.refit import Fitted, fit_model
-from warpsar.diagnosis.signature import scaled, signature
+from warpsar.diagnosis.models.bench import Bench
+from warpsar.diagnosis.models.frozen import frozen
+from warpsar.diagnosis.models.refit import Fitted, fit_model
+from warpsar.diagnosis.turn.signature import scaled, signature
 from warpsar.effects.base.signature import SeenImage, Signature, looks_on, of_all, power_in
 from warpsar.effects.registry import get, names
 from warpsar.runtime import devices

@@ -9,13 +9,13 @@ from typing import Any
 
 from warpsar.curves import command as curve_command
 from warpsar.diagnosis.content import content_of
-from warpsar.diagnosis.course import begun
 from warpsar.diagnosis.found import DiagnoseOptions
 from warpsar.diagnosis.judge import ROLES
-from warpsar.diagnosis.left_words import first_sentence
-from warpsar.diagnosis.procedure import diagnose_scene
-from warpsar.diagnosis.report import write_report
+from warpsar.diagnosis.left.words import first_sentence
+from warpsar.diagnosis.report.page import write_report
 from warpsar.diagnosis.result import Diagnosed, judged, moved_parameters
+from warpsar.diagnosis.search.course import begun
+from warpsar.diagnosis.search.procedure import diagnose_scene
 from warpsar.diagnosis.written_scene import annotate
 from warpsar.io import checkpoint
 from warpsar.runtime import console, distributed

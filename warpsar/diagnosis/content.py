@@ -8,12 +8,12 @@ from typing import Any
 
 from warpsar.diagnosis.field_content import fields_content
 from warpsar.diagnosis.found import Candidate, DiagnoseOptions, Diagnosis, Rival, Turn
-from warpsar.diagnosis.geometry import is_geometry, kind_of, object_of
 from warpsar.diagnosis.judge import ROLES, Judged, difference, pool
 from warpsar.diagnosis.known import known_content
-from warpsar.diagnosis.left_words import described
-from warpsar.diagnosis.outcome import outcome
+from warpsar.diagnosis.left.words import described
+from warpsar.diagnosis.models.change import is_geometry, kind_of, object_of
 from warpsar.diagnosis.result import Diagnosed, Moved, why_not
+from warpsar.diagnosis.search.outcome import outcome
 from warpsar.diagnosis.written_scene import own_materials
 from warpsar.effects.registry import get
 from warpsar.learning.identify import Identified

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from scipy.sparse import block_diag, csc_array, csr_array, diags_array
 
-from warpsar.diagnosis.field_prior import factor
-from warpsar.diagnosis.field_projection import sparse_tangent
-from warpsar.diagnosis.refit import Fitted
+from warpsar.diagnosis.models.field_prior import factor
+from warpsar.diagnosis.models.refit import Fitted
+from warpsar.diagnosis.turn.field_projection import sparse_tangent
 from warpsar.errors import InputError
 from warpsar.learning.identify import Identified, of_information, residual_autocovariance, score_products
 from warpsar.learning.problem import FitProblem

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from warpsar.diagnosis.bench import Bench
-from warpsar.diagnosis.carried import Carried
-from warpsar.diagnosis.geometry import changes, kind_of
-from warpsar.diagnosis.left_out import LeftOut
-from warpsar.diagnosis.refit import Fitted
-from warpsar.diagnosis.score import NOT_TESTABLE
+from warpsar.diagnosis.models.bench import Bench
+from warpsar.diagnosis.models.carried import Carried
+from warpsar.diagnosis.models.change import changes, kind_of
+from warpsar.diagnosis.models.left_out import LeftOut
+from warpsar.diagnosis.models.refit import Fitted
+from warpsar.diagnosis.scores.score import NOT_TESTABLE
 from warpsar.effects.base.signature import Signature
 from warpsar.errors import InputError
 from warpsar.learning.observation import Observation

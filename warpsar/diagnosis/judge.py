@@ -8,12 +8,12 @@ from typing import cast
 
 import numpy as np
 
-from warpsar.diagnosis.bench import Bench
-from warpsar.diagnosis.dark_pixels import DarkPixels
+from warpsar.diagnosis.dark.pixels import DarkPixels
 from warpsar.diagnosis.found import Diagnosis
-from warpsar.diagnosis.frozen import frozen
-from warpsar.diagnosis.geometry import changes
-from warpsar.diagnosis.refit import narrowed_to
+from warpsar.diagnosis.models.bench import Bench
+from warpsar.diagnosis.models.change import changes
+from warpsar.diagnosis.models.frozen import frozen
+from warpsar.diagnosis.models.refit import narrowed_to
 from warpsar.evaluation.image import Metrics
 from warpsar.evaluation.metrics import mean_deviance
 from warpsar.learning.identify import residual_autocovariance

@@ -11,10 +11,10 @@ from warpsar.diagnosis.alternatives import Deciding, deciding
 from warpsar.diagnosis.field_content import identify_beside
 from warpsar.diagnosis.found import Candidate, DiagnoseOptions, Diagnosis, Rival
 from warpsar.diagnosis.judge import ROLES, Judge, Judged, JudgedMetrics, difference, pool
-from warpsar.diagnosis.left import Left, left_of
-from warpsar.diagnosis.place import Place, place
-from warpsar.diagnosis.procedure import diagnose_scene
-from warpsar.diagnosis.refit import Fitted
+from warpsar.diagnosis.left.place import Place, place
+from warpsar.diagnosis.left.summary import Left, left_of
+from warpsar.diagnosis.models.refit import Fitted
+from warpsar.diagnosis.search.procedure import diagnose_scene
 from warpsar.learning.identify import Identified, identify
 from warpsar.runtime import devices, distributed
 from warpsar.scene.scene import Scene

@@ -19,8 +19,8 @@ from warpsar.world.library.fill import beyond, named
 from warpsar.world.mesh import Mesh, read_mesh
 from warpsar.world.objects.assembly import Assembly
 from warpsar.world.objects.groups import with_groups
-from warpsar.world.objects.sound import doubled
 from warpsar.world.objects.table import Object
+from warpsar.world.sound_objects import doubled
 from warpsar.world.tables import (
     SURFACE_KEYS,
     Material,

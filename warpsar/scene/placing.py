@@ -11,8 +11,8 @@ from warpsar.scene.file import refuse
 from warpsar.world.mesh import Mesh, read_mesh
 from warpsar.world.objects.assembly import Assembly
 from warpsar.world.objects.groups import with_groups
-from warpsar.world.objects.sound import doubled
 from warpsar.world.objects.table import Object
+from warpsar.world.sound_objects import doubled
 from warpsar.world.tables import Material
 from warpsar.world.world import World
 

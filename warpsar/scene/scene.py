@@ -11,7 +11,7 @@ from warpsar.scene.beside import written_beside
 from warpsar.scene.file import refuse
 from warpsar.scene.loader import contents
 from warpsar.scene.writer import save
-from warpsar.world.objects.sound import misplaced
+from warpsar.world.sound_objects import misplaced
 from warpsar.world.world import World
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from warpsar.diagnosis.projection import shift_px
+from warpsar.diagnosis.models.projection import shift_px
 from warpsar.evaluation.command import evaluate
 from warpsar.scene.scene import Scene
 from warpsar.simulation.command import simulate

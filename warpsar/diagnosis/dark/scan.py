@@ -1,0 +1,55 @@
+"""Whether dark pixels measure what the model does not put there: the scan of what lies far from everything lit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from warpsar.diagnosis.dark.pixels import DarkPixels, dark_pixels
+from warpsar.diagnosis.dark.said import DARK_PIXELS
+from warpsar.diagnosis.found import DarkScan
+from warpsar.diagnosis.models.bench import Bench
+from warpsar.diagnosis.models.refit import Fitted
+from warpsar.diagnosis.scores.evidence import LARGEST, Evidence
+from warpsar.simulation.rays import Rays
+from warpsar.speckle.lines import Lines
+
+
+def scan_dark(bench: Bench, other_rays: Rays, base: Fitted, evidence: Evidence, seed: int) -> DarkScan | None:
+    """The strongest row, column or window of dark pixels about `base`; None where there are too few
+    pixels, or where model and images hold nothing.
+
+    `other_rays` say where the model is unsure of its own power. The speckle is that of the lit pixels' `evidence`.
+    """
+    other = replace(bench, rays=other_rays).problem(base.scene)
+    pixels = dark_pixels(base.problem, base.x, other)
+    lines = Lines(pixels, evidence.autocovariance)
+    if lines.pixels < DARK_PIXELS:
+        return None
+    found = lines.strongest([one.residual for one in pixels])
+    if found.z == 0.0:
+        return None  # nothing is measured there, and nothing is modelled
+    score = float(lines.tail(seed, LARGEST)(abs(found.z)))
+    one = pixels[found.observation]
+    inside = _inside(one, found.rows, found.cols)
+    return DarkScan(
+        score,
+        found.z,
+        found.observation,
+        found.kind,
+        found.rows,
+        found.cols,
+        int(inside.sum()),
+        float(one.measured[inside].mean()),
+        float(one.modelled[inside].mean()),
+        bool((inside & ~one.empty).any()),
+    )
+
+
+def _inside(one: DarkPixels, rows: tuple[int, int], cols: tuple[int, int]) -> np.ndarray:
+    """The judged pixels of a box, shape of the image."""
+    found = np.zeros_like(one.interior)
+    box = tuple(slice(max(first, 0), end) for first, end in (rows, cols))
+    found[box] = one.interior[box]
+    return found

@@ -1,0 +1,171 @@
+"""Where on the surface something is left: a window of pixels back to the world, and the residual on the mesh."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import uniform_filter
+
+from warpsar.diagnosis.found import Diagnosis
+from warpsar.diagnosis.judge import Judged
+from warpsar.diagnosis.models.projection import pixel_of, shift_px
+from warpsar.evaluation.meshview import MeshView
+from warpsar.scene.scene import Scene
+from warpsar.speckle.scan import Spot
+from warpsar.trace.hits import Hits
+from warpsar.world.tables import View
+
+SMOOTHED = 5  # pixels on a side over which the residual on the mesh is averaged
+
+
+@dataclass(frozen=True)
+class Part:
+    """Lit surface of one material inside the window: its share of the window's lit area (dA), its middle and corners in
+    world coordinates [m]."""
+
+    material: str
+    share: float
+    centre_m: list[float]
+    low_m: list[float]
+    high_m: list[float]
+
+
+@dataclass(frozen=True)
+class InView:
+    """The place in one image, seen there or not: the pixel, and measured over modelled power about it [dB]."""
+
+    image: str
+    role: str
+    row: int
+    col: int
+    ratio_db: float
+
+
+@dataclass(frozen=True)
+class Place:
+    """The strongest window on the surface.
+
+    `range_m`, `azimuth_m`: its middle, about the reference point. `ratio_db`: measured over modelled power in it [dB].
+    `parts`: what is lit in it, largest first; none where nothing is. `views`: the middle of the largest part in every
+    image.
+    """
+
+    view: str
+    polarization: str
+    row: int
+    col: int
+    window: int
+    z: float
+    ratio_db: float
+    range_m: float
+    azimuth_m: float
+    parts: list[Part]
+    views: list[InView]
+
+
+def place(found: Diagnosis, images: Sequence[Judged], spot: Spot) -> Place:
+    """Back-project the spot; `images` are the final model's."""
+    scene = found.final.scene
+    seen = found.observations[spot.observation]
+    train = [image for image in images if image.role == "train"]
+    rows, cols = scene.grid.shape
+    hits = _hits(found, seen.view)
+    shift = shift_px(scene, seen.view)
+    pixel = hits.pixel.numpy()
+    half = spot.window // 2
+    inside = (np.abs(pixel // cols - (spot.row - shift[0])) <= half + 0.5) & (
+        np.abs(pixel % cols - (spot.col - shift[1])) <= half + 0.5
+    )
+    parts = _parts(scene, hits, inside)
+    middle = [
+        (i + 0.5 - n / 2) * s for i, n, s in zip((spot.row, spot.col), (rows, cols), scene.grid.spacing_m, strict=True)
+    ]
+    views = [] if not parts else [_in_view(found, image, np.array(parts[0].centre_m), half) for image in images]
+    return Place(
+        view=seen.view.name,
+        polarization=seen.polarization,
+        row=spot.row,
+        col=spot.col,
+        window=spot.window,
+        z=spot.z,
+        ratio_db=_window_db(train[spot.observation], spot.row, spot.col, half),
+        range_m=middle[0],
+        azimuth_m=middle[1],
+        parts=parts,
+        views=views,
+    )
+
+
+def _hits(found: Diagnosis, view: View) -> Hits:
+    """What the view lights, binned by its pixels."""
+    return found.bench.rays_of(found.final.scene).hits(found.final.scene, view, [])
+
+
+def _parts(scene: Scene, hits: Hits, inside: np.ndarray) -> list[Part]:
+    points = hits.point.numpy()[inside].astype(float) + np.asarray(scene.reference_point_m)
+    weight = hits.weight.numpy()[inside].astype(float)
+    material = scene.mesh.face_material[hits.face.numpy()[inside]]
+    found = []
+    for index in np.unique(material):
+        mine = material == index
+        found.append(
+            Part(
+                scene.mesh.materials[index],
+                float(weight[mine].sum() / weight.sum()),
+                np.average(points[mine], axis=0, weights=weight[mine]).tolist(),
+                points[mine].min(axis=0).tolist(),
+                points[mine].max(axis=0).tolist(),
+            )
+        )
+    return sorted(found, key=lambda part: -part.share)
+
+
+def _in_view(found: Diagnosis, image: Judged, world: np.ndarray, half: int) -> InView:
+    scene = found.final.scene
+    row, col = (
+        int(np.floor(at[0])) for at in pixel_of(scene, image.seen.view, (world - scene.reference_point_m)[None])
+    )
+    return InView(image.name, image.role, row, col, _window_db(image, row, col, half))
+
+
+def _window_db(image: Judged, row: int, col: int, half: int) -> float:
+    """10 log10 of measured over modelled power of the compared pixels in a window; nan where there are none."""
+    rows, cols = image.modelled.shape
+    box = (slice(max(row - half, 0), max(row + half + 1, 0)), slice(max(col - half, 0), max(col + half + 1, 0)))
+    use = image.seen.interior[box]
+    if row >= rows + half or col >= cols + half or not use.any():
+        return float("nan")
+    ratio = image.seen.measured[box][use].sum(dtype=float) / image.modelled[box][use].sum()
+    return float(10.0 * np.log10(ratio))
+
+
+def residual_on(side: MeshView, found: Diagnosis, images: Sequence[Judged]) -> np.ndarray:
+    """Measured over modelled power [dB] at every ray of a picture of the mesh, averaged over `SMOOTHED` pixels and the
+    train views that see the place; nan where none does, shape (n,)."""
+    scene = found.final.scene
+    rows, cols = scene.grid.shape
+    faces = len(scene.mesh.faces)
+    total, count = np.zeros((2, len(side.point)))
+    for image in images:
+        if image.role != "train":
+            continue
+        mask = image.seen.interior
+        power = [
+            uniform_filter(np.where(mask, plane, 0.0).astype(float), SMOOTHED, mode="constant")
+            for plane in (image.seen.measured, image.modelled)
+        ]
+        row, col = pixel_of(scene, image.seen.view, side.point)
+        shift = shift_px(scene, image.seen.view)
+        i, j = np.floor(row).astype(int), np.floor(col).astype(int)
+        on = (i >= 0) & (i < rows) & (j >= 0) & (j < cols)
+        i, j = np.clip(i, 0, rows - 1), np.clip(j, 0, cols - 1)
+        unmoved = np.floor(row - shift[0]).astype(int) * cols + np.floor(col - shift[1]).astype(int)
+        hits = _hits(found, image.seen.view)
+        lit = np.isin(unmoved * faces + side.face, hits.pixel.numpy().astype(np.int64) * faces + hits.face.numpy())
+        use = on & lit & mask[i, j]
+        total[use] += power[0][i, j][use] / power[1][i, j][use]
+        count[use] += 1
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(10.0 * np.log10(total / count))

@@ -1,0 +1,209 @@
+"""What is left at the end, in terms that a person can act on: where, how much, of what shape, and how it moves."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from warpsar.diagnosis.dark.pixels import NOTHING, DarkPixels, impossible
+from warpsar.diagnosis.found import Diagnosis
+from warpsar.diagnosis.judge import Judged
+from warpsar.diagnosis.left.moves import Moves, moves_with
+from warpsar.diagnosis.left.nearest import Near, nearest
+from warpsar.diagnosis.left.shape import Shape, Spectrum, shape_of
+from warpsar.diagnosis.turn.signature import surface_in_pixels
+from warpsar.speckle.own import Patch, own_autocovariance
+
+LARGEST = 8.0  # standard deviations at which a residual is cut off
+FEWEST = 20  # pixels of a share
+ANGLE_DEG = 10.0  # width of a range of incidence
+TOP = 1e-3  # below the largest value of an image: what counts as equal to it
+PILE, PILE_SHARE = 8, 2e-3  # pixels at the largest value, and their share, from which an image is clipped
+
+
+@dataclass(frozen=True)
+class Share:
+    """Measured over modelled power of some compared pixels [dB], its standard error, and z; `name` says which."""
+
+    name: str
+    pixels: int
+    ratio_db: float
+    error_db: float
+    z: float
+
+
+@dataclass(frozen=True)
+class InTheDark:
+    """Dark pixels of one image: how many, their mean measured and modelled beta0, and in how many of them the model
+    has nothing and the image more than a trace of its lit pixels' median."""
+
+    image: str
+    pixels: int
+    measured: float
+    modelled: float
+    impossible: int
+
+
+@dataclass(frozen=True)
+class Left:
+    """What the final model leaves of the train images.
+
+    `unexplained`: whether it has to be explained. `where`: "light" or "dark", where it is the strongest. `image`: the
+    train image that shows it best, `number` in the order of the train images. `shape`, `spectrum`: of its residual
+    there. `ratio_db`: measured over modelled power in the shape's rectangle with its standard error [dB], NaN where the
+    model has none. `residuals`: of all train images, in standard deviations, shape (rows, cols), 0 where nothing is
+    compared; `masks` say where something is. `spread`: the variance of a sum of them over that of white ones.
+    `clipped`: images with a top level, and how many pixels measure it.
+    """
+
+    unexplained: bool
+    where: str
+    image: str
+    number: int
+    shape: Shape
+    spectrum: Spectrum
+    ratio_db: float
+    error_db: float
+    moves: Moves
+    views: list[Share]
+    surfaces: list[Share]
+    incidences: list[Share]
+    polarizations: list[Share]
+    dark: list[InTheDark]
+    clipped: dict[str, int]
+    nearest: list[Near]
+    residuals: list[np.ndarray]
+    masks: list[np.ndarray]
+    spread: float
+
+
+def left_of(found: Diagnosis, images: Sequence[Judged]) -> Left:
+    """What `images`, the final model's, leave. Nothing is fitted or decided here."""
+    train = [image for image in images if image.role == "train"]
+    seen = [now.seen for now in train]
+    dark = [image.dark for image in train]
+    masks = [
+        (one.interior | (one.silent & (image.modelled > pixels.allowed))) & ~one.dark
+        for one, image, pixels in zip(found.observations, train, dark, strict=True)
+    ]
+    ratios = [_ratio(image, mask) for image, mask in zip(train, masks, strict=True)]
+    residuals = [
+        np.where(mask, np.clip(np.sqrt(one.looks) * (ratio - 1.0), -LARGEST, LARGEST), 0.0)
+        for one, ratio, mask in zip(seen, ratios, masks, strict=True)
+    ]
+    patches = [Patch(mask, ratio, one.looks) for mask, ratio, one in zip(masks, ratios, seen, strict=True)]
+    autocovariance, _ = own_autocovariance(patches)  # what is left shall not excuse itself
+    spread = max(float(autocovariance.sum()), 1e-3)
+    last = found.turns[-1]
+    in_the_dark = last.dark is not None and last.dark.minus_log_p > max(last.scan_minus_log_p, last.threshold)
+    number = last.dark.observation if in_the_dark and last.dark is not None else last.spot.observation
+    if in_the_dark:
+        field, mask = np.zeros_like(residuals[number]), dark[number].interior
+        field[mask] = dark[number].residual
+        residuals = [_with_dark(one, pixels) for one, pixels in zip(residuals, dark, strict=True)]
+    else:
+        field, mask = residuals[number], masks[number]
+    shape, spectrum = shape_of(field, mask, autocovariance, found.scene.grid.spacing_m)
+    ratio_db, error_db = _in_rectangle(train[number], mask, shape, spread, NOTHING * dark[number].allowed)
+    places = [surface_in_pixels(found.bench, found.final.scene, one.view) for one in seen]
+    materials = found.final.scene.mesh.materials
+
+    def shares(names: Sequence[str], of: Callable[[int], np.ndarray]) -> list[Share]:
+        """A share for each name; `of` gives its number in every pixel of an image."""
+        numbers = [of(k) for k in range(len(train))]
+        return [
+            one
+            for i, name in enumerate(names)
+            if (one := _share(name, train, masks, [at == i for at in numbers], spread)) is not None
+        ]
+
+    angles = [f"{a:g} to {a + ANGLE_DEG:g} deg" for a in np.arange(0.0, 90.0, ANGLE_DEG)]
+    kinds = sorted({one.polarization for one in seen})
+    return Left(
+        unexplained=found.unexplained,
+        where="dark" if in_the_dark else "light",
+        image=train[number].name,
+        number=number,
+        shape=shape,
+        spectrum=spectrum,
+        ratio_db=ratio_db,
+        error_db=error_db,
+        moves=moves_with(found.bench, found.final.scene, seen, residuals, spread),
+        views=shares([one.name for one in train], lambda k: np.full(masks[k].shape, k)),
+        surfaces=shares(materials, lambda k: places[k][0]),
+        incidences=shares(angles, lambda k: np.floor(np.nan_to_num(places[k][1], nan=-1.0) / ANGLE_DEG)),
+        polarizations=shares(kinds, lambda k: np.full(masks[k].shape, kinds.index(seen[k].polarization))),
+        dark=[_in_the_dark(image.name, one) for image, one in zip(train, dark, strict=True) if one.interior.any()],
+        clipped={image.name: n for image in train if (n := _clipped(image))},
+        nearest=nearest(last, impossible(dark)),
+        residuals=residuals,
+        masks=[m | pixels.interior for m, pixels in zip(masks, dark, strict=True)] if in_the_dark else masks,
+        spread=spread,
+    )
+
+
+def _ratio(image: Judged, mask: np.ndarray) -> np.ndarray:
+    """Measured over modelled power where `mask` holds, 1 elsewhere."""
+    found = np.ones(mask.shape)
+    found[mask] = image.seen.measured[mask] / image.modelled[mask]
+    return found
+
+
+def _with_dark(residual: np.ndarray, pixels: DarkPixels) -> np.ndarray:
+    found = residual.copy()
+    found[pixels.interior] = pixels.residual
+    return found
+
+
+def _decibels(ratio: float, error: float) -> tuple[float, float]:
+    """A ratio of powers and its standard error in dB."""
+    if not ratio > 0:
+        return float("nan"), float("nan")
+    return float(10.0 * np.log10(ratio)), float(10.0 / np.log(10.0) * error / ratio)
+
+
+def _share(
+    name: str, images: Sequence[Judged], masks: Sequence[np.ndarray], parts: Sequence[np.ndarray], spread: float
+) -> Share | None:
+    """The mean of measured over modelled power of the pixels of `parts`, each weighted by its looks."""
+    total, weight, count = 0.0, 0.0, 0
+    for image, mask, part in zip(images, masks, parts, strict=True):
+        use = mask & part
+        looks = image.seen.looks
+        total += looks * float((image.seen.measured[use] / image.modelled[use]).sum())
+        weight += looks * int(use.sum())
+        count += int(use.sum())
+    if count < FEWEST:
+        return None
+    ratio, error = total / weight, float(np.sqrt(spread / weight))
+    return Share(name, count, *_decibels(ratio, error), (ratio - 1.0) / error)
+
+
+def _in_rectangle(image: Judged, mask: np.ndarray, shape: Shape, spread: float, nothing: float) -> tuple[float, float]:
+    """Measured over modelled power in the shape's rectangle and its standard error [dB]; NaN where the model has no
+    more than `nothing` on average."""
+    box = np.zeros_like(mask)
+    top, left = shape.row - shape.rows // 2, shape.col - shape.cols // 2
+    box[max(top, 0) : top + shape.rows, max(left, 0) : left + shape.cols] = True
+    use = mask & box
+    modelled = float(image.modelled[use].sum())
+    if modelled <= nothing * int(use.sum()):
+        return float("nan"), float("nan")
+    ratio = float(np.nan_to_num(image.seen.measured[use]).sum()) / modelled
+    return _decibels(ratio, ratio * float(np.sqrt(spread / (max(int(use.sum()), 1) * image.seen.looks))))
+
+
+def _in_the_dark(name: str, one: DarkPixels) -> InTheDark:
+    inside = one.interior
+    impossible = int((one.empty & (one.measured > one.allowed)).sum())
+    measured, modelled = (float(plane[inside].mean()) for plane in (one.measured, one.modelled))
+    return InTheDark(name, int(inside.sum()), measured, modelled, impossible)
+
+
+def _clipped(image: Judged) -> int:
+    """How many pixels measure the largest value of an image, where they pile up there; 0 where they do not."""
+    values = image.seen.values
+    count = int((values >= (1.0 - TOP) * values.max()).sum())
+    return count if count >= max(PILE, PILE_SHARE * values.size) else 0

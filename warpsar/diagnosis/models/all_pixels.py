@@ -1,0 +1,120 @@
+"""Models compared on all usable pixels, lit or not, above a floor that they share.
+
+A change of geometry lights some pixels and darkens others. On the lit pixels of one model alone, the other would be
+judged by half of what it says.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.ndimage import minimum_filter, uniform_filter
+
+from warpsar.diagnosis.models.bench import Bench
+from warpsar.diagnosis.models.movable import standing
+from warpsar.diagnosis.models.refit import BOUND, Fitted
+from warpsar.learning.observation import Observation, usable_pixels
+from warpsar.learning.pose import Descended, PosedProblem, descend
+from warpsar.learning.pose_pixels import FLOOR_SHARE, blurred, compared
+from warpsar.learning.verdict import TRACE
+from warpsar.scene.placing import with_objects
+from warpsar.scene.scene import Scene
+from warpsar.speckle.likelihood import bounded, loss_terms
+
+SPECKLED = 6.0  # standard deviations of a pixel's speckle, which the mean of 3 x 3 pixels has at most
+
+
+def log_likelihood(bench: Bench, fitted: Fitted, blur_m: float = 0.0) -> float:
+    """Of all usable pixels above a common floor, with the model as it stands; each costs `BOUND` at most, about.
+
+    The floor is a twentieth of the lit pixels' median. It stands in model and measurement alike, so it leaves the mean
+    as it is, and pixels that measure 0 count. `blur_m`: full width at half maximum of a Gaussian that blurs both.
+    """
+    modelled = fitted.problem.modelled(fitted.x)
+    gains = iter(fitted.problem.gains(modelled))
+    level = FLOOR_SHARE * float(
+        np.median([np.median(s.values) for found in bench.observations.values() for s in found])
+    )
+    total = 0.0
+    for view in fitted.problem.views:
+        for seen in view.observations:
+            image = float(next(gains)) * view.render.images[seen.polarization].numpy().reshape(seen.interior.shape)
+            use = usable_pixels(fitted.scene, seen.view, seen.measured)
+            both = (np.asarray(seen.measured, float), np.maximum(image.astype(float), 0.0))
+            measured, mean = (blurred(fitted.scene.grid, each, blur_m)[use] + level for each in both)
+            total -= float(bounded(loss_terms("gamma", measured, mean, seen.looks), BOUND).sum())
+    return float(bench.ranks.same(total))
+
+
+def lit_shadows(fitted: Fitted) -> bool:
+    """Whether a shadow of the model is none: 3 x 3 pixels that it does not light, nor their neighbours, measure more
+    than it has there by a trace of the lit pixels' median, on average, and by more than the speckle of what it has.
+
+    These pixels belong to no scan: a blur reaches them, and pixels farther than six from anything lit are dark ones.
+    """
+    gains = iter(fitted.problem.gains(fitted.problem.modelled(fitted.x)))
+    for view in fitted.problem.views:
+        for seen in view.observations:
+            image = float(next(gains)) * view.render.images[seen.polarization].numpy().reshape(seen.interior.shape)
+            unlit = minimum_filter((~view.render.lit(seen.polarization)).astype(np.uint8), size=3) > 0
+            unlit &= usable_pixels(fitted.scene, seen.view, seen.measured) & ~seen.dark
+            whole = minimum_filter(unlit.astype(np.uint8), size=3, mode="constant") > 0
+            more, has = (
+                uniform_filter(np.where(unlit, each, 0.0), size=3, mode="constant")
+                for each in (seen.measured - image, image)
+            )
+            if (more > TRACE * np.median(seen.values) + SPECKLED / np.sqrt(seen.looks) * has)[whole].any():
+                return True
+    return False
+
+
+@dataclass(frozen=True)
+class Exact:
+    """Models by exact areas, without rays, on all usable pixels above a common floor: smooth in every pose.
+
+    `pixels` are the frozen observations by view name. `gains`, by view name and polarization, are those of images that
+    are not calibrated.
+    """
+
+    bench: Bench
+    gains: Mapping[tuple[str, str], float]
+
+    @classmethod
+    def of(cls, bench: Bench, fitted: Fitted) -> Exact:
+        """With the gains of a fitted model."""
+        gains = fitted.problem.gains(fitted.problem.modelled(fitted.x))
+        pairs = zip(fitted.problem.observations, gains, strict=True)
+        return cls(bench, {(seen.view.name, seen.polarization): float(gain) for seen, gain in pairs})
+
+    def problem(
+        self, scene: Scene, views: Sequence[str] | None = None, blur_m: float = 0.0, bound: float = 0.0
+    ) -> PosedProblem:
+        """What `learn` of the scene's objects frees, with surface and effects; images blurred by `blur_m`. `bound` is
+        that of the loss."""
+        ready = scene if scene.assembly is not None else with_objects(scene, ())
+        both = compared(ready, self.bench.observations, blur_m, self.gains)
+        seen = {name: found for name, found in both.observations.items() if views is None or name in views}
+        return PosedProblem(
+            both.scene, self.bench.device, seen, level=both.level, standing=standing(both.scene), bound=bound
+        )
+
+    def settled(self, scene: Scene, views: Sequence[str] | None = None) -> tuple[PosedProblem, Descended]:
+        """Surface and effects at their best, and what `learn` of the scene's objects frees."""
+        problem = self.problem(scene, views)
+        return problem, descend(problem, problem.x0)
+
+    def images(self, problem: PosedProblem, x: np.ndarray, name: str) -> list[tuple[Observation, np.ndarray]]:
+        """A view's observations and their modelled beta0 with its gain, shape (n,) each."""
+        inner, rest = problem.split(x)
+        modelled = inner.modelled(rest)
+        pairs = zip(inner.observations, modelled, inner.gains(modelled), strict=True)
+        return [(seen, gain * mu) for seen, mu, gain in pairs if seen.view.name == name]
+
+
+def still(scene: Scene) -> Scene:
+    """The scene, of whose objects nothing is learned."""
+    if not any(one.learn for one in scene.objects):
+        return scene
+    return replace(scene, objects=tuple(one.model_copy(update={"learn": ()}) for one in scene.objects))

@@ -1,0 +1,38 @@
+"""Which pixels a diagnosis compares: frozen once, by the declared model, for all that follows."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from warpsar.diagnosis.models.bench import Bench
+from warpsar.learning.observation import Observation
+from warpsar.scene.scene import Scene
+
+SLIVER = 0.25  # of a ray's share of a pixel: darker than this no pixel is called that was lit
+
+
+def frozen(one: Bench, other: Bench, scene: Scene) -> dict[str, list[Observation]]:
+    """Masks from the declared model, the same for all that follows; by view name.
+
+    A pixel counts as lit if both sets of rays light it and its neighbours. Where one of them misses, the pixel's share
+    of light is sampling noise. Where an effect has moved the light, a pixel may hold a sliver that no ray meets. Its
+    model is then at least `SLIVER` of one ray's share of its declared beta0. A share of any brighter pixel would take
+    dim surfaces for dark.
+    """
+    ranks = one.ranks
+    problems = ranks.agree(lambda: [bench.problem(scene, dark=False) for bench in (one, other)])
+    problems[0].modelled_as_declared()
+    density = one.rays.rays_per_m2 or scene.sampling.density_per_m2(scene.grid)
+    rays_per_pixel = density * scene.grid.pixel_area_m2
+    found: dict[str, list[Observation]] = {}
+    for a, b in zip(*(problem.views for problem in problems), strict=True):
+        for mine, theirs in zip(a.observations, b.observations, strict=True):
+            masks = ranks.same([mine.interior & theirs.interior, mine.silent, mine.dark & theirs.dark]) > 0
+            image = a.render.images[mine.polarization].numpy().reshape(mine.interior.shape)
+            looks = float(ranks.same(mine.looks))
+            interior, silent, dark = masks
+            interior &= ~dark  # additive effects that are declared had them in it
+            least = ranks.same(SLIVER / rays_per_pixel * image)
+            seen = replace(mine, interior=interior, silent=silent, dark=dark, looks=looks, least=least)
+            found.setdefault(a.view.name, []).append(seen)
+    return found

@@ -1,0 +1,145 @@
+"""Which bodies of a scene may stand elsewhere or be absent, and what a fit frees of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from warpsar.diagnosis.models.change import MISSING, changes, kind_of, object_of
+from warpsar.scene.placing import with_objects
+from warpsar.scene.scene import Scene
+from warpsar.world.objects.groups import group_names, with_groups
+from warpsar.world.objects.table import Learnable, Object
+
+MOST_OF_THE_SCENE = 0.5  # share of the faces' area in plan, from which a body is the ground, or all there is
+
+
+def bodies(declared: Scene, scene: Scene) -> dict[str, np.ndarray]:
+    """Names of objects and of groups that `declared` and `scene` have alike, with their faces' numbers, shape (n,).
+
+    The ground, and whatever else takes up most of the scene in plan, is none of them: its shift is `registration`.
+    Groups of the same faces are one. Faces of objects are counted from the last one of the mesh backwards.
+    """
+    changed = {object_of(name) for name in changes(declared, scene)}
+    total = float(_plan_area(scene.mesh.vertices, scene.mesh.faces))
+    found: dict[str, np.ndarray] = {}
+    seen: set[bytes] = set()
+    base = scene.mesh if scene.assembly is None else scene.assembly.base
+    if base is not None:
+        names = group_names(base, scene.mesh_path)
+        named = with_groups(base, scene.mesh_path, names)
+        moved = {one.group for one in scene.objects}
+        for name in names:
+            faces = named.groups.get(name, np.zeros(0, np.int32))
+            if name in changed or name in moved or not len(faces) or faces.tobytes() in seen:
+                continue
+            seen.add(faces.tobytes())
+            if _plan_area(named.vertices, named.faces[faces]) < MOST_OF_THE_SCENE * total:
+                found[name] = faces
+    last = 0
+    for one in scene.objects:
+        if one.label in changed:
+            continue
+        assert scene.assembly is not None
+        if one.group is not None:
+            found[one.label] = scene.assembly.base.groups[one.group]  # type: ignore[union-attr]
+            continue
+        mesh = scene.assembly.placed(one)
+        if _plan_area(mesh.vertices, mesh.faces) < MOST_OF_THE_SCENE * total:
+            found[one.label] = -1 - np.arange(last, last + len(mesh.faces))
+        last += len(mesh.faces)
+    return found
+
+
+def disjoint(found: dict[str, np.ndarray], most: int) -> Iterable[list[str]]:
+    """The names in lists of at most `most` bodies that share no face."""
+    lists: list[tuple[list[str], set[int]]] = []
+    for name, faces in found.items():
+        mine = set(faces.tolist())
+        for names, taken in lists:
+            if len(names) < most and not taken & mine:
+                names.append(name)
+                taken |= mine
+                break
+        else:
+            lists.append(([name], mine))
+    return [names for names, _ in lists]
+
+
+def freed(scene: Scene, labels: Sequence[str], learn: Sequence[Learnable] = ()) -> Scene:
+    """The scene with what a fit may change of the objects or groups `labels`, and nothing of the others.
+
+    `learn` goes for all of them; by default it is what their kind allows (`words_of`).
+    """
+    objects = [
+        one.model_copy(update={"learn": tuple(learn) or words_of(one) if one.label in labels else ()})
+        for one in scene.objects
+    ]
+    standing = {one.label for one in objects}
+    objects += [Object(group=name, learn=tuple(learn) or POSE_WORDS) for name in labels if name not in standing]
+    return with_objects(scene, objects)
+
+
+POSE_WORDS: tuple[Learnable, ...] = ("position", "heading")
+
+
+def words_of(one: Object) -> tuple[Learnable, ...]:
+    """Place and heading; a body that looks the same under every heading has none."""
+    return ("position",) if one.round else POSE_WORDS
+
+
+def found_words(one: Object) -> tuple[Learnable, ...]:
+    """What is fitted of an object that the scene did not have. A sphere is a point, whose size means nothing, and a
+    round cylinder, which has the heading 0, stays without one."""
+    if one.primitive == "sphere":
+        return ("position",)
+    return ("position", "size") if one.primitive == "cylinder" and one.heading_deg == 0.0 else (*POSE_WORDS, "size")
+
+
+def standing(scene: Scene) -> list[str]:
+    """Labels of the objects that stay on the ground: those whose size is fitted, with whose height that of the foot
+    would trade. A diagnosis fits no other object's size."""
+    return [one.label for one in scene.objects if "size" in one.learn]
+
+
+def own_material(declared: Scene, scene: Scene, label: str) -> str | None:
+    """The material of an object alone, which has its name; None where it is made of one of the declared scene's."""
+    own = next((one.material for one in scene.objects if one.label == label), None)
+    return own if own == label and own not in declared.materials else None
+
+
+def placeable(declared: Scene, scene: Scene, labels: Iterable[str]) -> bool:
+    """Whether the places of the bodies `labels` can be told: where the aim point of every view is free, only against
+    another body, which has not moved."""
+    table = scene.effects.get("aim_point")
+    free = table is not None and not table.get("fixed")
+    return not free or bool(set(bodies(declared, scene)) - set(labels))
+
+
+def refined_words(declared: Scene, scene: Scene) -> dict[str, tuple[Learnable, ...]]:
+    """What is fitted again of each changed object that stands in `scene`: of one that was missing, its size as well."""
+    kinds = {object_of(name): kind_of(name) for name in changes(declared, scene)}
+    changed = set(kinds)
+    words = {
+        one.label: found_words(one) if kinds[one.label] == MISSING else words_of(one)
+        for one in scene.objects
+        if one.label in changed
+    }
+    if not placeable(declared, scene, changed):
+        words = {label: tuple(word for word in found if word != "position") for label, found in words.items()}
+    return {label: found for label, found in words.items() if found}
+
+
+def with_words(scene: Scene, words: dict[str, tuple[Learnable, ...]]) -> Scene:
+    """The scene whose objects have these `learn`; the others have none."""
+    objects = tuple(one.model_copy(update={"learn": words.get(one.label, ())}) for one in scene.objects)
+    return replace(scene, objects=objects)
+
+
+def _plan_area(vertices: np.ndarray, faces: np.ndarray) -> float:
+    """Area of the faces as seen from above and from below [m2]."""
+    a, b, c = (vertices[faces[:, k], :2] for k in range(3))
+    u, v = b - a, c - a
+    return float(np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]).sum() / 2.0)

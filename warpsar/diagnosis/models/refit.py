@@ -1,0 +1,246 @@
+"""Full fits of a model, with an effect more or without."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+from scipy.ndimage import minimum_filter
+
+from warpsar.diagnosis.models.bench import Bench
+from warpsar.diagnosis.models.change import as_declared
+from warpsar.effects.registry import get
+from warpsar.learning.observation import Observation
+from warpsar.learning.optimise import FLAT, FitState, begin, levenberg_marquardt
+from warpsar.learning.problem import FitProblem
+from warpsar.learning.results import learned_scene
+from warpsar.runtime.distributed import ONE, Ranks
+from warpsar.scene.scene import Scene
+from warpsar.speckle.likelihood import deviance
+from warpsar.surface.surface import KEYS, Surface
+from warpsar.world.pixels import Pixels
+
+MOST_ITERATIONS = 40  # of one start
+# Where models are only ranked, or start where they belong: iterations of one start, and the promised log-likelihood at
+# which it has arrived; verdicts turn on several units.
+QUICK_ITERATIONS, QUICK_FLAT = 12, 0.05
+GLANCE = 4  # iterations after which candidates are compared for the first time
+KEPT_WITHIN = 0.2  # of a log coordinate, that a fit moves before its images are differentiated again
+# Log-likelihood from which on a pixel's cost is bounded where candidates are compared: a pixel of speckle costs 1.
+BOUND = 20.0
+# Log-likelihood behind the best, at which a fit is given up: of starts of one model after the quick iterations, and of
+# candidates at their present pace.
+HOPELESS = 100.0
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A model at its best: `scene` holds what was learned; `log_likelihood` over the lit interior alone, up to a
+    constant that all models share, and `whole` over all pixels that were fitted, both of what the scene knows to a
+    tolerance too; `size`, the number of fitted parameters. Both are bounded as the bench's losses are, on which the
+    model was fitted."""
+
+    scene: Scene
+    problem: FitProblem
+    x: np.ndarray
+    log_likelihood: float
+    whole: float
+    iterations: int
+
+    @property
+    def size(self) -> int:
+        """Parameters that count: of those that sum to zero over the views, one does not."""
+        zero_sums = {(c.effect, c.parameter.name) for c in self.problem.effect_coordinates if c.parameter.zero_sum}
+        return int(self.x.size) - len(zero_sums)
+
+    def told(self) -> dict[str, Any]:
+        """For other ranks (JSON's types): where the fit began and where it ended."""
+        begun = self.problem.scene
+        return {
+            "materials": {name: {key: _told(getattr(m, key)) for key in KEYS} for name, m in begun.materials.items()},
+            "effects": begun.effects,
+            "x": self.x.tolist(),
+            "log_likelihood": self.log_likelihood,
+            "whole": self.whole,
+            "iterations": self.iterations,
+        }
+
+    @classmethod
+    def heard(cls, bench: Bench, scene: Scene, told: Mapping[str, Any]) -> Fitted:
+        """The model that another rank has `told` of; `scene` is of the same mesh and views."""
+        materials = {}
+        for name, material in scene.materials.items():
+            values = {k: _heard(v) for k, v in told["materials"][name].items()}
+            # what stands at its default stays unstated
+            changed = {k: v for k, v in values.items() if v != getattr(material, k)}
+            materials[name] = material.model_copy(update=changed)
+        problem, x = bench.problem(replace(scene, materials=materials, effects=told["effects"])), np.array(told["x"])
+        return cls(learned_scene(problem, x), problem, x, told["log_likelihood"], told["whole"], told["iterations"])
+
+
+def _told(value: Any) -> Any:
+    """A material's value in JSON's types."""
+    return {"pixels": value.values.tolist()} if isinstance(value, Pixels) else value
+
+
+def _heard(told: Any) -> Any:
+    """The value that `_told` gave."""
+    if isinstance(told, Mapping):
+        return Pixels(told["pixels"])
+    return tuple(told) if isinstance(told, list) else told
+
+
+def descend(
+    problem: FitProblem,
+    starts: Iterable[np.ndarray],
+    moving: np.ndarray | None = None,
+    *,
+    quick: bool = False,
+    ranks: Ranks = ONE,
+) -> tuple[np.ndarray, float, int]:
+    """The best end of Levenberg-Marquardt from several starts, its loss and all iterations. The starts race, and
+    the hopeless are given up; `ranks` share them."""
+    flat = QUICK_FLAT if quick else FLAT
+
+    def on(state: FitState, until: int) -> FitState:
+        while not state.arrived and state.since_start < until:
+            state = levenberg_marquardt(problem, state, moving, flat=flat, kept_within=KEPT_WITHIN)
+        return state
+
+    states = [standing_at(problem, start) for start in starts]
+    for until in (QUICK_ITERATIONS,) if quick else (QUICK_ITERATIONS, MOST_ITERATIONS):
+        hopeless = min(state.best_loss for state in states) + HOPELESS
+        tasks = [partial(on, state, until if state.best_loss <= hopeless else 0) for state in states]
+        states = ranks.deal_out(tasks, state_told, FitState.from_arrays)
+    best = min(states, key=lambda state: state.best_loss)
+    return best.best_x, best.best_loss, sum(state.iteration for state in states)
+
+
+def onward(
+    problem: FitProblem, state: FitState, until: int, limit: float = -np.inf, *, flat: float = QUICK_FLAT
+) -> FitState:
+    """On to iteration `until`, or to where the log-likelihood `limit` is out of reach at the present pace."""
+    while not state.arrived and state.since_start < until:
+        before = state.best_loss
+        state = levenberg_marquardt(problem, state, flat=flat, kept_within=KEPT_WITHIN)
+        reached = state.best_loss - (before - state.best_loss) * (until - state.since_start)
+        if state.since_start >= GLANCE and reached > HOPELESS - limit:
+            break
+    return state
+
+
+def standing_at(problem: FitProblem, x: np.ndarray) -> FitState:
+    """A fit that begins at x, or where the bounds are nearest to it."""
+    inside = np.clip(x, *problem.bounds)
+    return FitState(inside, np.inf, inside, np.inf)
+
+
+def state_told(state: FitState) -> dict[str, Any]:
+    """What `FitState.from_arrays` reads, in JSON's types."""
+    return {name: array.tolist() for name, array in state.arrays().items()}
+
+
+def fit_model(bench: Bench, scene: Scene, further_starts: int, seed: int, started: np.ndarray | None = None) -> Fitted:
+    """The scene's model from its own start, or where it has `started`, and others drawn about the scene's own."""
+    problem = bench.problem(scene)
+    starts = [begin(problem, k, seed).x for k in range(further_starts + 1)]
+    return _fit(bench, problem, starts if started is None else [started, *starts[1:]])
+
+
+def _fit(bench: Bench, problem: FitProblem, starts: Iterable[np.ndarray], *, quick: bool = False) -> Fitted:
+    """By all ranks together."""
+    best = descend(problem, starts, quick=quick, ranks=bench.ranks)
+    return fitted_at(bench, problem, *best, bench.ranks)
+
+
+def on_bounded_ground(bench: Bench, base: Fitted, declared: Scene) -> tuple[Bench, Fitted]:
+    """Where scores are taken and candidates are compared: the bench that bounds what a pixel can cost, and `base`
+    fitted again on it.
+
+    A few pixels a thousand times too bright would else drag the surface to where the effect that made them leaves no
+    trace, and would hide every other effect that is missing. Where no pixel stands out, speckle alone makes the losses,
+    nothing is bounded, and this is `bench` with `base` as it is.
+    """
+    plain = replace(bench, bound=0.0)
+    if not bench.ranks.same(float(_stands_out(base))):
+        if base.problem.misfit.bound == 0.0:
+            return plain, base
+        return plain, _fit(plain, plain.problem(base.scene), [base.x], quick=True)
+    bounded = replace(bench, bound=BOUND)
+    problem = bounded.problem(base.scene)
+    start = base.x.copy()  # the surface as the scene file has it: what is missing may have dragged the fitted one away
+    start[: problem.learned.size] = Surface.of(as_declared(declared, base.scene)).nodes[problem.learned]
+    return bounded, _fit(bounded, problem, [base.x, start], quick=True)
+
+
+def _stands_out(base: Fitted) -> bool:
+    """Whether the model misses any pixel by more than `BOUND`: speckle does so in
+    less than one pixel in 1e8, from 1 to 64 looks."""
+    problem = base.problem
+    modelled = problem.modelled(base.x)
+    pairs = zip(problem.observations, modelled, problem.gains(modelled), strict=True)
+    return any((deviance(seen.values, gain * mu, seen.looks) > 2.0 * BOUND).any() for seen, mu, gain in pairs)
+
+
+def settle(bench: Bench, screened: Fitted, further_starts: int, seed: int) -> Fitted:
+    """The screened model at its best: on from where it stands, and from surfaces drawn anew about it."""
+    problem = bench.problem(screened.scene)
+    starts = [problem.x0]
+    for k in range(1, further_starts + 1):
+        start = begin(problem, k, seed).x
+        start[problem.learned.size :] = problem.x0[problem.learned.size :]  # the effects stay where they were found
+        starts.append(start)
+    return _fit(bench, problem, starts)
+
+
+def refit_without(bench: Bench, fitted: Fitted, name: str) -> Fitted:
+    """The model without one of its effects, fitted on from where it stands."""
+    effects = {other: table for other, table in fitted.scene.effects.items() if other != name}
+    return refit_as(bench, replace(fitted.scene, effects=effects))
+
+
+def refit_as(bench: Bench, scene: Scene) -> Fitted:
+    """The model that starts as the scene stands, fitted on from there."""
+    problem = bench.problem(scene)
+    return _fit(bench, problem, [problem.x0], quick=True)
+
+
+def narrow(bench: Bench, fitted: Fitted) -> tuple[Bench, Fitted]:
+    """The pixels that are lit, with all their neighbours, by `fitted` too, and the model fitted to those.
+
+    An effect that moves light leaves pixels at its edge where the model's share of light is next to nothing, and
+    whatever they measure would look like one more effect. All models of a turn see the same pixels.
+    """
+    fitted.problem.modelled(fitted.x)
+    narrowed = narrowed_to(bench, fitted.problem)
+    if narrowed is bench:
+        return bench, fitted
+    return narrowed, refit_as(replace(narrowed, bound=fitted.problem.misfit.bound), fitted.scene)
+
+
+def narrowed_to(bench: Bench, problem: FitProblem) -> Bench:
+    """The bench with those of its pixels that a problem, which has run, lights with all their neighbours."""
+    observations: dict[str, list[Observation]] = {}
+    for view in problem.views:
+        for seen in bench.observations[view.view.name]:
+            lit = view.render.lit(seen.polarization).astype(np.uint8)
+            inner = bench.ranks.same(minimum_filter(lit, size=3, mode="constant")) > 0
+            kept = replace(seen, interior=seen.interior & inner, silent=seen.silent & inner)
+            observations.setdefault(view.view.name, []).append(kept)
+    pairs = [(a, b) for name in observations for a, b in zip(observations[name], bench.observations[name], strict=True)]
+    if all((a.interior == b.interior).all() for a, b in pairs):
+        return bench
+    return replace(bench, observations=observations)
+
+
+def fitted_at(
+    bench: Bench, problem: FitProblem, x: np.ndarray, loss: float, iterations: int, ranks: Ranks = ONE
+) -> Fitted:
+    """A problem's model at x, where its loss is `loss`; of several `ranks`, as the first one sees it."""
+    scene = learned_scene(problem, x)
+    bare = problem if not any(get(n).additive for n in scene.effects) else bench.problem(scene, dark=False)
+    value = float(ranks.same(bare.value(bare.modelled(x)) + problem.prior.value(x)))
+    return Fitted(scene, problem, x, -value, -loss, iterations)

@@ -1,0 +1,158 @@
+"""Which body stands in a place: a box first, then others, and fewer numbers where these do."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from warpsar.diagnosis.proposals import shapes
+from warpsar.diagnosis.proposals.fit import Ground, Standing, alone
+from warpsar.diagnosis.proposals.left_out import explained
+from warpsar.diagnosis.proposals.places import Place
+from warpsar.diagnosis.proposals.shapes import Shape
+from warpsar.scene.scene import Scene
+from warpsar.world.tables import Material
+
+QUICK_STEPS, QUICK_FLAT = 10, 1.0  # of a descent that only compares
+GLANCE_STEPS = 3  # of a shape that may be given up
+HOPELESS, NOTHING_LEFT = 0.3, 0.97  # explained by a box: below and above, no other body is tried
+POINT_PX = 4.0  # a box smaller than this may be a point
+THINNEST_PX = 0.5
+
+
+@dataclass(frozen=True)
+class Tried:
+    """A shape, and the scene with it at its best while all else is held."""
+
+    shape: Shape
+    standing: Standing
+
+    @property
+    def name(self) -> str:
+        return self.standing.scene.objects[-1].label
+
+    @property
+    def numbers(self) -> int:
+        """How many are free: of pose and size, and of a material of its own."""
+        one = self.standing.scene.objects[-1]
+        return self.shape.numbers + (len(self.shape.learn) if one.material == one.name else 0)
+
+    @property
+    def is_point(self) -> bool:
+        return self.shape.learn == shapes.BRIGHTNESS
+
+    def worth(self, cost: float) -> float:
+        """Minus the loss, less what its numbers cost."""
+        return -self.standing.loss - cost * self.numbers
+
+
+def likeliest(ground: Ground, without: Standing, place: Place, cost: float) -> list[Tried]:
+    """The likeliest body in a place for its numbers, or none."""
+    name, pixel_m = _free_name(ground.scene), max(ground.scene.grid.spacing_m)
+    box = _first_box(ground, place, name)
+    share = explained(without, box.standing)
+    tried = [box] if sound(box.standing.scene) and share > HOPELESS else []
+    widest_m = max(box.standing.scene.objects[-1].size_m or ()) if tried else place.width_m
+    if tried and share < NOTHING_LEFT:
+        tried += _other_bodies(ground, box, cost)
+    if widest_m <= POINT_PX * pixel_m:
+        shape = shapes.point(place, name, pixel_m)
+        tried.append(_fitted(ground, shape, _own(box), QUICK_STEPS, blur_m=2.0 * pixel_m))
+    best = max(tried, key=lambda one: one.worth(cost), default=None)
+    if best is None:
+        return []
+    fewer = [best, *_rounded(ground, best)]
+    if not best.is_point:  # whose brightness is a number of its own
+        fewer += _of_known_materials(ground, best)
+    return [max(fewer, key=lambda one: one.worth(cost))]
+
+
+def _other_bodies(ground: Ground, box: Tried, cost: float) -> list[Tried]:
+    tried = []
+    for shape in shapes.others(box.standing.scene.objects[-1]):
+        found = _fitted(ground, shape, _own(box), GLANCE_STEPS)
+        tried.append(_again(ground, found) if found.worth(cost) > box.worth(cost) else found)
+    return tried
+
+
+def _first_box(ground: Ground, place: Place, name: str) -> Tried:
+    """A box from the place's width and height, through blurred images."""
+    blur_m = place.width_m / 2.0
+    first, *turned = shapes.boxes(place, name)
+    known = _materials(ground)
+    losses = [_as_it_stands(ground, _with(ground, first, each), blur_m).loss for each in known]
+    material = known[int(np.argmin(losses))]
+    starts = [(shape, _as_it_stands(ground, _with(ground, shape, material), blur_m)) for shape in (first, *turned)]
+    shape, start = min(starts, key=lambda one: one[1].loss)
+    blurred = ground.settled(start.scene, blur_m, most=QUICK_STEPS, flat=QUICK_FLAT)
+    found = _tidied(ground, blurred.scene)
+    return Tried(shape, ground.settled(found, most=2 * QUICK_STEPS, flat=QUICK_FLAT))
+
+
+def _fitted(ground: Ground, shape: Shape, material: Material, steps: int, blur_m: float = 0.0) -> Tried:
+    scene = _with(ground, shape, material)
+    if blur_m:
+        scene = ground.settled(scene, blur_m, most=steps, flat=QUICK_FLAT).scene
+    return Tried(shape, ground.settled(scene, most=steps, flat=QUICK_FLAT))
+
+
+def _again(ground: Ground, tried: Tried) -> Tried:
+    return replace(tried, standing=ground.settled(tried.standing.scene, most=QUICK_STEPS, flat=QUICK_FLAT))
+
+
+def _rounded(ground: Ground, tried: Tried) -> list[Tried]:
+    """A cylinder on a circle in the place of one on an ellipse."""
+    shape = shapes.round_one(Shape(tried.standing.scene.objects[-1], tried.shape.numbers, tried.shape.learn))
+    return [] if shape is None else [Tried(shape, _as_it_stands(ground, _with(ground, shape, _own(tried))))]
+
+
+def _of_known_materials(ground: Ground, tried: Tried) -> list[Tried]:
+    """The same body, of one of the scene's own materials."""
+    found = []
+    for name in ground.scene.materials:
+        table = tried.standing.scene.objects[-1].model_copy(update={"material": name})
+        scene = alone(ground.holding(table))
+        found.append(Tried(tried.shape, _as_it_stands(ground, scene)))
+    best = min(found, key=lambda one: one.standing.loss)
+    return [_again(ground, best)]
+
+
+def _as_it_stands(ground: Ground, scene: Scene, blur_m: float = 0.0) -> Standing:
+    problem = ground.problem(scene, blur_m)
+    return Standing(scene, problem.value(problem.x0), problem, problem.x0)
+
+
+def _with(ground: Ground, shape: Shape, material: Material) -> Scene:
+    return alone(ground.holding(shape.table, material.model_copy(update={"learn": shape.learn})))
+
+
+def _tidied(ground: Ground, scene: Scene) -> Scene:
+    own = scene.materials[str(scene.objects[-1].material)]
+    return alone(ground.holding(shapes.tidy(scene.objects[-1]), own))
+
+
+def _own(tried: Tried) -> Material:
+    scene = tried.standing.scene
+    return scene.materials[str(scene.objects[-1].material)]
+
+
+def _materials(ground: Ground) -> list[Material]:
+    """Starts for a material: the scene's own, without what is known of them."""
+    update: dict[str, Any] = {"tolerance": {}, "layout": "uniform"}
+    return [material.model_copy(update=update) for material in ground.scene.materials.values()]
+
+
+def _free_name(scene: Scene) -> str:
+    taken = {*scene.materials, *(one.label for one in scene.objects)}
+    return next(name for k in range(1, len(taken) + 2) if (name := f"found_{k}") not in taken)
+
+
+def sound(scene: Scene) -> bool:
+    """Whether the last object is a body: not flatter than half a pixel, of which neither layover nor shadow tells, nor
+    wider than half the image."""
+    grid, size = scene.grid, scene.objects[-1].size_m
+    assert size is not None
+    widest = max(n * step for n, step in zip(grid.shape, grid.spacing_m, strict=True)) / 2.0
+    return min(size) > THINNEST_PX * min(grid.spacing_m) and max(size) < widest

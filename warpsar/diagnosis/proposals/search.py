@@ -1,0 +1,127 @@
+"""What the mesh lacks: an object that several views agree on, in pose, size and material."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from warpsar.diagnosis.models.bench import Bench
+from warpsar.diagnosis.models.change import GeometryCandidate
+from warpsar.diagnosis.models.lead import FAR_BEHIND, Lead
+from warpsar.diagnosis.models.refit import Fitted
+from warpsar.diagnosis.proposals.bodies import Tried, likeliest, sound
+from warpsar.diagnosis.proposals.fit import Ground, Standing, alone, released
+from warpsar.diagnosis.proposals.left_out import explained, left_out
+from warpsar.diagnosis.proposals.places import Looked, Place, Ratios
+from warpsar.learning.observation import Observation
+from warpsar.learning.pose_search import summary
+from warpsar.runtime import console
+from warpsar.scene.scene import Scene
+
+KIND = "missing_object"
+LOOKED_AT = 4  # places that do not overlap
+PLACES, NEARLY = 2, 0.5  # that are tried, where the second scores such a share of the first
+EXPLAINED = 0.6  # of what is unlike speckle in the pixels that a body touches: where others are missing, it is less
+WORTH_A_FIT = 2.0  # times what a number costs: the best of all places where nothing stands scores less
+LAST_STEPS, LAST_FLAT = 4, 0.1  # of the last descents
+
+
+def missing_objects(declared: Scene, bench: Bench, here: Fitted, price: float, lead: Lead) -> list[GeometryCandidate]:
+    """`proposed` for a turn of a diagnosis, whose fitted model is `here`. `declared` is not asked."""
+    return proposed(here.scene, bench.device, bench.observations, price=price, least=FAR_BEHIND * lead.sharp)
+
+
+def proposed(
+    scene: Scene,
+    device: wp.Device,
+    observations: Mapping[str, list[Observation]] | None = None,
+    *,
+    loss: str = "gamma",
+    price: float | None = None,
+    least: float = 0.0,
+) -> list[GeometryCandidate]:
+    """The object that explains most of what a fitted scene leaves, if it pays and views left out confirm it.
+
+    `observations`, by view name: the pixels that other models are compared on; by default those of the views with
+    role train that the scene lights. `price`: what a number costs in 2 ln L; by default the logarithm of looks times
+    pixels (Schwarz, Annals of Statistics 6, 1978). `least`: log-likelihood that a place must promise for a fit.
+    Returns one candidate or none: a second object is found once the first one stands in the scene. One view cannot
+    place an object, so a scene with one has none.
+    """
+    ground = Ground.of(scene, device, observations, loss)
+    if len(ground.pixels) < 2:
+        return []
+    without = ground.settled(ground.scene)
+    ground = replace(ground, scene=without.scene)
+    cost = 0.5 * (price if price is not None else np.log(sum(s.looks * s.count for s in without.observations)))
+    looked, pays = Looked.at(ground.scene, _ratios(without)), WORTH_A_FIT * cost
+    places_tried = _worth_a_fit(looked.best(LOOKED_AT), max(pays, least))
+    found = [one for place in places_tried for one in likeliest(ground, without, place, cost)]
+    best = max(found, key=lambda one: one.worth(cost), default=None)
+    if best is None:
+        return []
+    whole = _with_all_else(ground, released(best.standing.scene, without.scene))
+    size = best.numbers
+    gain = without.loss - whole.loss
+    console.say(f"missing object: {best.shape.table.primitive}, log-likelihood up by {gain:.4g} with {size} numbers")
+    if gain <= size * cost or not sound(whole.scene) or explained(without, whole) < EXPLAINED:
+        return []
+    confirmed = left_out(ground, without, whole, lambda view: _likely(looked.best(LOOKED_AT, without=view), pays))
+    console.say(f"missing object: views left out gain {confirmed.gain:.4g} +- {confirmed.error:.2g}")
+    if not confirmed.passed:
+        return []
+    values, words = _told(whole, best)
+    words.append(f"views left out: log-likelihood up by {confirmed.gain:.4g} +- {confirmed.error:.2g}")
+    return [GeometryCandidate(KIND, best.name, whole.scene, float(gain), size, values, words)]
+
+
+def _worth_a_fit(places: list[Place], least: float) -> list[Place]:
+    """Places where bodies would explain at least so much, and no much better one is among them."""
+    found = _likely(places, least)
+    least = NEARLY * max((one.score for one in found), default=0.0)
+    return [one for one in found if one.score > least][:PLACES]
+
+
+def _likely(places: list[Place], least: float) -> list[Place]:
+    """Places where a body would explain enough of what is there, and at least so much."""
+    return [one for one in places if one.share > EXPLAINED and one.score > least]
+
+
+def _ratios(standing: Standing) -> list[Ratios]:
+    """Measured over modelled power of every image."""
+    found = []
+    for seen, mu in zip(standing.observations, standing.modelled(), strict=True):
+        image = np.zeros(seen.interior.shape)
+        image[seen.interior] = seen.values / mu
+        found.append(Ratios(seen.view, image, seen.interior, seen.looks))
+    return found
+
+
+def _with_all_else(ground: Ground, scene: Scene) -> Standing:
+    """Surfaces and effects with the object at their best: in turns, since a step is cheap where no object moves."""
+    for _ in range(2):
+        placed = replace(scene, objects=(*scene.objects[:-1], scene.objects[-1].model_copy(update={"learn": ()})))
+        surfaces = ground.settled(placed).scene
+        moving = alone(replace(surfaces, objects=scene.objects))
+        scene = released(ground.settled(moving, most=LAST_STEPS, flat=LAST_FLAT).scene, surfaces)
+    return ground.settled(scene, most=LAST_STEPS, flat=LAST_FLAT)
+
+
+def _told(whole: Standing, best: Tried) -> tuple[dict[str, Any], list[str]]:
+    """For diagnosis.json: the object's values with their standard deviations, and what is said beside them."""
+    identified = whole.problem.identified(whole.x)
+    one = whole.scene.objects[-1]
+    values = {"primitive": one.primitive, **summary(whole.problem, whole.x, identified)[one.label]}
+    east, north, _ = one.position_m
+    length, width, height = one.size_m or (0.0, 0.0, 0.0)
+    words = [
+        f"{one.label}: a {one.primitive} of {length:.2f} x {width:.2f} x {height:.2f} m at {east:.2f} m east, "
+        f"{north:.2f} m north"
+    ]
+    if best.is_point:
+        words = [f"{one.label}: a point reflector at {east:.2f} m east, {north:.2f} m north; its size means nothing"]
+    return values, words

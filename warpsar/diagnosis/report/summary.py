@@ -1,0 +1,162 @@
+"""The answer in diagnose's report: what was added, why, and how far the model is from the images before and after."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from warpsar.diagnosis.judge import ROLES
+from warpsar.diagnosis.models.carried import Carried
+from warpsar.diagnosis.models.change import SUMMARIES
+from warpsar.diagnosis.result import Diagnosed
+from warpsar.diagnosis.search.outcome import effect_table
+from warpsar.effects.registry import get
+from warpsar.evaluation.report_parts import plus_minus
+from warpsar.io import html as report
+
+_OUTCOME = {"confirmed": "confirmed", "against": "against it", "none": "nothing decisive"}
+ROLE_WORDS = {"train": "train", "test": "test (named nothing)"}
+
+
+def summary_section(done: Diagnosed, content: dict[str, Any]) -> str:
+    found = done.diagnosis
+    rows = []
+    for role in ROLES:
+        before, after, gain = done.before[role], done.after[role], content["gain"][role]
+        if before is None or after is None or gain is None:
+            continue
+        rows.append(
+            [
+                ROLE_WORDS[role],
+                str(before["images"]),
+                f"{before['pixels']:,}",
+                plus_minus(before["deviance"], before["deviance_error"]),
+                plus_minus(after["deviance"], after["deviance_error"]),
+                plus_minus(gain["deviance"], gain["error"]) if found.verdict else "–",
+                f"{before['rmse_db']:.2f} → {after['rmse_db']:.2f}",
+                f"{before['correlation']:.3f} → {after['correlation']:.3f}",
+            ]
+        )
+    head = ["views", "images", "pixels", "deviance before", "deviance after", "difference", "rmse [dB]", "correlation"]
+    explained = (
+        "Deviance is the mean of 2 L (I/mu - 1 - ln(I/mu)) over what speckle alone would leave: 1 is a perfect model. "
+        "Before: the declared model at its best fit. After: with everything that was added, all parameters fitted "
+        "again. Both on the same pixels, frozen from the declared model before the first fit: lit with all eight "
+        "neighbours, off the image's edge; where an object was moved, added or left out, those that both light. ± is "
+        "one standard error, with the correlation of neighbouring pixels; that of the difference is smaller, because "
+        "both models meet the same speckle. Test views were looked at once, "
+        f"after the last decision. Rays: {content['rays_per_pixel']:g} per pixel; looks x pixels x relative sampling "
+        f"variance of the model is {content['ray_noise']:.2g} over all train pixels: about what rays add to 2 ln L."
+    )
+    words = [report.paragraph(text) for text in _verdict(done, content)]
+    if content["per_view_effects_on_test_views"]:
+        words.append(report.paragraph(content["per_view_effects_on_test_views"]))
+    zeros = sum(image["zeros"] for image in content["images"])
+    if zeros:
+        words.append(
+            report.paragraph(
+                f"{zeros} lit pixels measure exactly 0, which no speckle makes; they are left out of all this."
+            )
+        )
+    if any(image["looks_estimated"] for image in content["images"]):
+        words.append(report.paragraph("The looks of the images were not declared; they were estimated."))
+    if not found.scene.grid.calibrated:
+        words.append(
+            report.paragraph("The images are not calibrated: each has a gain of its own, fitted, on test views too.")
+        )
+    blocks = [report.table(head, rows), *_in_the_dark(done), report.paragraph(explained, quiet=True)]
+    return report.section("In short", *words, *blocks)
+
+
+def _in_the_dark(done: Diagnosed) -> list[str]:
+    """A table of dark pixels before and after, where there are any."""
+    rows = []
+    for role in ROLES:
+        before, after = done.before[role], done.after[role]
+        if before is None or after is None or not before["dark_pixels"]:
+            continue
+        rows.append(
+            [
+                ROLE_WORDS[role],
+                f"{before['dark_pixels']:,}",
+                f"{before['dark_measured']:.3g}",
+                f"{before['dark_modelled']:.3g} → {after['dark_modelled']:.3g}",
+                f"{before['dark_impossible']} → {after['dark_impossible']}",
+                *("–" if one["dark_deviance"] is None else f"{one['dark_deviance']:.3f}" for one in (before, after)),
+            ]
+        )
+    if not rows:
+        return []
+    head = ["views", "dark pixels", "measured", "modelled", "impossible", "deviance before", "deviance after"]
+    caption = (
+        "Dark pixels: more than six from anything lit. Measured and modelled: mean beta0. Impossible: power where the "
+        "model has none. Deviance: where the model has a trace or more."
+    )
+    return [report.table(head, rows, caption)]
+
+
+def _named(step: dict[str, Any]) -> str:
+    """What was added, and what that means."""
+    of = f" of {step['object']}" if "object" in step else ""
+    return f"{step['effect']}{of} ({SUMMARIES.get(step['effect']) or get(step['effect']).summary})"
+
+
+def _verdict(done: Diagnosed, content: dict[str, Any]) -> list[str]:
+    found = done.diagnosis
+    error = 100.0 * content["options"]["family_error"]
+    said = []
+    for step in content["steps"]:
+        left = step["left_out"]
+        held = ""
+        if left is not None:
+            held = (
+                f" Each of {left['views']} train views was predicted from the others: with it ln L is higher by "
+                f"{plus_minus(left['gain'], left['error'])}, all views together."
+                if left["views"] > 1
+                else " There is one train view: none could be left out to ask."
+            )
+        tables = effect_table(step["parameters"])
+        over = None if "object" in step else step["carried_over"]
+        doubt = f" But {step['note']}." if over and Carried(**over).by_surface(step["effect"]) else ""
+        own = step["signature"]
+        earned = f" Its own test says: {_OUTCOME[own['outcome']]} ({own['text']})." if own else ""
+        said.append(f"Added: {_named(step)}, with {tables}.{held}{earned}{doubt}")
+    said += [
+        f"The data do not decide between {one.effect} and {one.other}: in its place it would fit as well, to within "
+        f"what speckle makes of the difference (2 ln L {one.gain:+.1f}). {by.sentence[0].upper()}{by.sentence[1:]}."
+        for one, by in done.alternatives
+    ]
+    if found.withdrawn:
+        said.append(
+            f"Tried, and not the answer: {', '.join(found.withdrawn)}. Added, it holds on the train views, but it made "
+            "the error on test views larger. So the declared model stands."
+        )
+    said += [
+        f"Tried, and taken back: {name}. {why[0].upper()}{why[1:]}."
+        for name, why in content["taken_back"].items()
+        if why
+    ]
+    said += [
+        f"Dropped again, being needless beside {turn['added']}: {name}."
+        for turn in content["turns"]
+        for name in turn["dropped"]
+    ]
+    if not said and any(c.refit_gain is not None for c in found.turns[0].candidates):
+        said.append(
+            "Nothing was added: none of the effects that passed the threshold held; the sections on the turns say why."
+        )
+    elif not said:
+        said.append(
+            "Nothing was added: no effect of the library explains what is left better than chance would, at a family "
+            f"error rate of {error:g} %."
+        )
+    said += [f"{content['tolerances'][label]['after']['words']}." for label in content["leaves_tolerance"]]
+    if found.unexplained:
+        said.append(
+            "Something is left that no effect of the library explains. It is not given a name; the section before the "
+            "last says where it is."
+        )
+    elif found.turns[-1].added is None:
+        said.append("What is left at the end looks like speckle, to the tests made here.")
+    else:
+        said.append("The limit of added effects was reached: whether anything is left was not asked.")
+    return said

@@ -1,0 +1,117 @@
+"""One turn in diagnose's report: what each effect scored, what was refitted, and why one was added or refused."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from warpsar.diagnosis.found import Candidate, Turn
+from warpsar.diagnosis.models.change import is_geometry
+from warpsar.diagnosis.result import Diagnosed
+from warpsar.diagnosis.search.outcome import by_score, gain_text, outcome, passed, score_text
+from warpsar.evaluation.report_parts import plus_minus
+from warpsar.io import html as report
+from warpsar.io.figures import new
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+MOST_RESEMBLING = 4
+
+
+def turn_section(turn: Turn, number: int, done: Diagnosed, content: dict[str, Any]) -> str:
+    effects = turn.base.scene.effects
+    about = f"with {', '.join(effects)}" if effects else "as declared"
+    tested = [c for c in turn.candidates if c.testability == "testable" and not is_geometry(c.effect)]
+    draws, error = content["options"]["draws"], 100.0 * content["options"]["family_error"]
+    said = (
+        f"The model {about}, fitted. Every effect's template (what it would change in the images to first order, "
+        f"rendered with rays of its own) is compared with what is left, after what the fitted parameters imitate is "
+        f"taken out of both. Scores are -ln p, calibrated by {draws} draws of speckle with the residual's own "
+        f"correlation; anything over {turn.threshold:.1f} turns up by chance in {error:g} % of scenes, all effects "
+        f"and the scan taken together. A score says that a template fits, not that it is the cause: the "
+        f"likeliest is added on trial, and has to hold beside all others at the end."
+    )
+    blocks = [
+        report.paragraph(said),
+        report.row(
+            report.drawing(_bars(turn, tested), f"What each effect scored in turn {number + 1}", show=False),
+            across=2,
+            least_px=300,
+        ),
+        _candidate_table(turn, tested, content),
+    ]
+    blocks += [report.paragraph(text) for text in _why(turn)]
+    return report.section(f"Turn {number + 1}: what each effect scored", *blocks)
+
+
+def _bars(turn: Turn, tested: Sequence[Candidate]) -> Figure:
+    """Calibrated scores as bars, the threshold as a line; linear below it, logarithmic above."""
+    named = [(c.effect, max(0.0, c.minus_log_p), c.effect == turn.added) for c in tested]
+    named = sorted(named, key=lambda item: item[1])
+    named.append(("scan for anything", max(0.0, turn.scan_minus_log_p), False))
+    figure, axis = new(6.4, 0.9 + 0.24 * len(named))
+    scores = [score for _, score, _ in named]
+    colours = ["C0" if added else ("0.45" if score > turn.threshold else "0.75") for _, score, added in named]
+    axis.barh(range(len(named)), scores, color=colours, height=0.7)
+    axis.axvline(turn.threshold, color="C3", lw=1.2)
+    axis.set_xscale("symlog", linthresh=2.0 * turn.threshold, linscale=2.0)
+    most = max([*scores, 2.0 * turn.threshold])
+    axis.set_xlim(0.0, 2.2 * most)
+    ticks = [0.0, 5.0, 10.0, *(10.0**k for k in range(2, 7) if 10.0**k <= 2.0 * most)]
+    axis.set_xticks(ticks, [f"{t:g}" for t in ticks])
+    axis.minorticks_off()
+    axis.set_yticks(range(len(named)), [name for name, _, _ in named])
+    for k, score in enumerate(scores):
+        axis.text(score, k, f" {score:.1f}" if score < 100 else f" {score:.0f}", va="center", fontsize=7)
+    axis.set_xlabel("score: -ln p   (blue: added; red line: threshold)")
+    axis.grid(axis="x", alpha=0.3, lw=0.4)
+    return figure
+
+
+def _candidate_table(turn: Turn, tested: Sequence[Candidate], content: dict[str, Any]) -> str:
+    rows = []
+    for c in sorted(tested, key=lambda c: -c.minus_log_p):
+        alike = c.resembles[:MOST_RESEMBLING]
+        rows.append(
+            [
+                c.effect,
+                score_text(c.minus_log_p),
+                _p(c.p_value, content),
+                f"{100 * c.eta:.3g} %",
+                "–" if c.refit_gain is None else f"{gain_text(c)} ({c.refit_size})",
+                "–" if c.left_out is None else plus_minus(c.left_out.gain, c.left_out.error),
+                ", ".join(alike) or "–",
+                c.note or "–",
+            ]
+        )
+    rows.append(
+        [
+            "scan for anything",
+            score_text(turn.scan_minus_log_p),
+            _p(turn.p_scan, content),
+            *["–"] * 4,
+            f"z {turn.spot.z:+.1f}",
+        ]
+    )
+    head = ["effect", "-ln p", "p (family)", "its own", "refit, 2 ln L", "views left out, ln L", "alike", "note"]
+    caption = (
+        "its own: share of the template that the surface's parameters cannot imitate. refit: gain of the full fit, and "
+        "by how many parameters. alike: effects whose templates the data hardly tell from this one."
+    )
+    return report.table(head, rows, caption)
+
+
+def _why(turn: Turn) -> list[str]:
+    """A sentence for every effect that passed: why it was added, or was not."""
+    chosen = [c for c in by_score(turn) if passed(c, turn)]
+    if not chosen:
+        return ["No effect passed the threshold: nothing was added, and the search ends here."]
+    said = [f"{c.effect} {'was' if c.effect == turn.added else 'was not'} added: {outcome(c, turn)}." for c in chosen]
+    return said + [f"{name}, added before, is needless beside {turn.added}, and was dropped." for name in turn.dropped]
+
+
+def _p(value: float, content: dict[str, Any]) -> str:
+    """A p-value by bootstrap, which ends at one over its draws."""
+    least = 1.0 / (content["options"]["draws"] + 1)
+    return f"< {least:.2g}" if value <= 1.01 * least else f"{value:.2g}"

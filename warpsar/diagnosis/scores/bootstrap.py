@@ -1,0 +1,82 @@
+"""How large the largest score gets by speckle alone: a parametric bootstrap at the looks declared."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from warpsar.diagnosis.scores.evidence import LARGEST, Evidence
+from warpsar.diagnosis.scores.score import Group, Projection
+from warpsar.runtime import threads
+from warpsar.runtime.distributed import ONE, Ranks
+from warpsar.speckle.draws import Speckle
+from warpsar.speckle.scan import Scan
+from warpsar.speckle.tail import Tail
+
+BATCH = 25  # draws at once; fixed, so that the numbers do not depend on the threads
+
+
+@dataclass(frozen=True)
+class Bootstrap:
+    """Calibrated scores. `tails`: per effect, and "scan" among them, of its largest score; every one so counts alike,
+    however many trials it has. `largest`: the largest -ln p of every draw over all of them, sorted."""
+
+    tails: Mapping[str, Tail]
+    largest: np.ndarray
+
+    def threshold(self, family_error: float) -> float:
+        """What any of them must exceed, in calibrated -ln p, at the family's error rate."""
+        return float(np.quantile(self.largest, 1.0 - family_error))
+
+    def with_another(self, seed: int) -> Bootstrap:
+        """One more member of the family, of pixels that no other member uses: a calibrated -ln p is exponential."""
+        more = np.random.default_rng([seed, self.largest.size]).exponential(size=self.largest.size)
+        return replace(self, largest=np.sort(np.maximum(self.largest, more)))
+
+    def p_family(self, minus_log_p: float) -> float:
+        """Share of the draws whose largest score is at least this; no less than 1 / (draws + 1)."""
+        return float((1 + np.sum(self.largest >= minus_log_p)) / (self.largest.size + 1))
+
+
+def bootstrap(
+    evidence: Evidence,
+    projection: Projection,
+    groups: Mapping[str, Sequence[Group]],
+    scan: Scan,
+    draws: int,
+    seed: int,
+    progress: Callable[[int], object] | None = None,
+    ranks: Ranks = ONE,
+) -> Bootstrap:
+    """Draw speckle with the residual's own correlation and take it through the projection, every score and the scan.
+
+    A draw stands for a refit: the tangent space is taken out of it as a fit would. `ranks` share the draws.
+    """
+    speckle = Speckle(evidence.observations, evidence.autocovariance)
+    seeds = np.random.SeedSequence(seed).spawn(-(-draws // BATCH))
+
+    def batch(sequence: np.random.SeedSequence) -> dict[str, np.ndarray]:
+        random = np.random.default_rng(sequence)
+        drawn = speckle(random, BATCH)
+        known = projection.known.drawn(random, BATCH)
+        limit = np.float32(LARGEST)
+        residuals = projection(np.clip(drawn, -limit, limit, out=drawn), known)  # as the evidence is
+        found = {name: np.max([g.largest(residuals) for g in members], axis=0) for name, members in groups.items()}
+        found["scan"] = scan.largest(evidence.split(residuals))
+        if progress is not None:
+            progress(BATCH * ranks.size)
+        return found
+
+    batches = ranks.deal_out(
+        [partial(batch, sequence) for sequence in seeds],
+        told=lambda found: {name: values.tolist() for name, values in found.items()},
+        heard=lambda found: {name: np.array(values) for name, values in found.items()},
+        run=threads.in_threads,
+    )
+    scores = {name: np.concatenate([b[name] for b in batches])[:draws] for name in batches[0]}
+    tails = {name: Tail.of(values) for name, values in scores.items()}
+    largest = np.max([tails[name](values) for name, values in scores.items()], axis=0)
+    return Bootstrap(tails, np.sort(largest))

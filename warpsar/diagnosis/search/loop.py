@@ -1,0 +1,236 @@
+"""The search for what is missing: add on trial until nothing more is found, then take back what does not hold."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+from warpsar.diagnosis.dark.said import Dark, worth_a_refit
+from warpsar.diagnosis.found import Candidate, DiagnoseOptions, Rival, Turn
+from warpsar.diagnosis.models.all_pixels import lit_shadows
+from warpsar.diagnosis.models.bench import Bench
+from warpsar.diagnosis.models.change import changes, is_geometry, object_of
+from warpsar.diagnosis.models.lead import Lead
+from warpsar.diagnosis.models.refit import Fitted, narrow, on_bounded_ground, refit_as, settle
+from warpsar.diagnosis.scores.evidence import Evidence
+from warpsar.diagnosis.search.confirmation import Confirmation, confirm
+from warpsar.diagnosis.search.course import Course
+from warpsar.diagnosis.search.last_resort import learned_law
+from warpsar.diagnosis.search.outcome import confirmation_lines, score_text, turn_lines
+from warpsar.diagnosis.turn.addition import add_the_best
+from warpsar.diagnosis.turn.geometry_search import geometry_candidates
+from warpsar.diagnosis.turn.geometry_trial import add_the_likeliest, on_its_ground, posed_anew
+from warpsar.diagnosis.turn.pruning import prune, trimmed
+from warpsar.diagnosis.turn.rivals import rivals_of
+from warpsar.diagnosis.turn.scoring import score_effects
+from warpsar.diagnosis.turn.screening import NO_DARK
+from warpsar.diagnosis.turn.settings import resettled
+from warpsar.diagnosis.turn.shortlist import refits
+from warpsar.learning.pose_search import FoundPoses
+from warpsar.runtime import console
+from warpsar.scene.scene import Scene
+from warpsar.simulation.rays import Rays
+
+CHANCES = 2  # how often one effect may be added: what is taken back may hold once something else was found
+
+
+class Search:
+    """Turns of adding on trial (stepwise forward), and their confirmation (stepwise backward), until both agree.
+
+    `turns` in their order; the last one adds nothing. No order of additions decides: what is asked of an effect is
+    asked beside all others, and an effect that was taken back has another chance once something else was found.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        bench: Bench,
+        other_rays: Rays,
+        declared: Fitted,
+        options: DiagnoseOptions,
+        course: Course,
+        progress: Callable[[int], object],
+    ) -> None:
+        self.scene, self.options, self.turns = scene, options, list[Turn]()
+        self._bench = bench  # fewer pixels where an added effect has moved the light
+        self._other = replace(bench, rays=other_rays)
+        self._declared, self._course, self._progress = declared, course, progress
+        self._base = declared
+        self._barred: set[str] = set()  # taken back, with nothing else found since
+        self._times: Counter[str] = Counter()  # that an effect was added
+        self._stage = 0
+        self._posed: FoundPoses | None = None  # changed objects of the final model
+
+    def run(self) -> None:
+        """Search to the end."""
+        while self._forward():
+            if not self._confirmed():
+                break
+        self._resort()
+
+    def _resort(self) -> None:
+        """Learn a law of backscatter where nothing named explains what is left, if views left out bear it."""
+        last = self.turns[-1]
+        if not last.alarms or len(self._added(self._base)) >= self.options.most_effects:
+            return
+        bench, here = on_bounded_ground(self._bench, self._base, self.scene)
+        price = Evidence.of(here.problem, here.x, bench.ranks).price(bench.ranks)
+        found = learned_law(bench, here, price)
+        if found is None:
+            return
+        candidate, fitted = found
+        last.candidates = [c for c in last.candidates if c.effect != candidate.effect] + [candidate]
+        console.say(f"last resort: {candidate.effect}: {candidate.refused or 'views left out bear it'}")
+        if not candidate.refused:
+            last.added, last.fitted = candidate.effect, fitted
+            self._times[candidate.effect] += 1
+            self._bench, self._base = narrow(self._bench, fitted)
+            self._forward()
+
+    def final(self) -> Fitted:
+        """The model that the search ended with, at its best; nothing that a pixel can cost is bounded."""
+        if not self._added(self._base):
+            return self._declared
+        plain, found = replace(self._bench, bound=0.0), self._base
+        if found.problem.misfit.bound > 0:
+            found = settle(plain, found, self.options.starts, self.options.seed)
+        scene, self._posed = posed_anew(plain, found, self.scene)
+        return found if self._posed is None else refit_as(plain, scene)
+
+    def objects(self, final: Fitted) -> dict[str, dict[str, Any]]:
+        """What became of the objects that were changed, by name, as diagnosis.json has it; `final` is `final()`."""
+        told, words = ({}, []) if self._posed is None else (self._posed.objects, self._posed.words)
+        found = {}
+        for name in changes(self.scene, final.scene):
+            label = object_of(name)
+            turn = next(turn for turn in reversed(self.turns) if turn.added == name)
+            first = next(c.table for c in turn.candidates if c.effect == name)
+            found[label] = {**(first or {}), **told.get(label, {})}
+            found[label]["not_told_apart"] = [w for w in words if w.startswith(f"{label}.")]
+        return found
+
+    def rivals(self) -> list[Rival]:
+        """Other effects in the place of those that hold."""
+        bench, here = on_bounded_ground(self._bench, self._base, self.scene)
+        return rivals_of(bench, here, self._effects(here), self.turns, needed)
+
+    @property
+    def unexplained(self) -> bool:
+        """Whether the last scan passed, or an effect was refused because something may stand there."""
+        last = self.turns[-1]
+        final = self._base.scene.effects
+        shared = any(c.shared and c.effect not in final for turn in self.turns for c in turn.candidates)
+        return last.alarms or shared
+
+    def _added(self, fitted: Fitted) -> list[str]:
+        """Effects of a model that the scene does not declare, and changes of its geometry."""
+        return [*self._effects(fitted), *changes(self.scene, fitted.scene)]
+
+    def _effects(self, fitted: Fitted) -> list[str]:
+        return [name for name in fitted.scene.effects if name not in self.scene.effects]
+
+    def _forward(self) -> bool:
+        """Turns until one adds nothing; whether any added something."""
+        found = False
+        while True:
+            turn = self._course.turn(self._stage, self._bench, self._base, self._turn)
+            self._stage += 1
+            console.say("\n".join(turn_lines(turn, len(self.turns))))
+            self.turns.append(turn)
+            if turn.fitted is None or turn.added is None:
+                return found
+            self._times[turn.added] += 1
+            self._barred = {name for name in self._barred if self._times[name] >= CHANCES}
+            found = True
+            if is_geometry(turn.added):
+                self._bench, self._base = on_its_ground(self._bench, self._other, turn.fitted)
+            else:
+                self._bench, self._base = narrow(self._bench, turn.fitted)
+
+    def _turn(self) -> Turn:
+        """Score every effect that is not in the model, fit the best, and add the likeliest. Drop those of earlier turns
+        that it makes needless."""
+        number, options = len(self.turns), self.options
+        bench, here = on_bounded_ground(self._bench, self._base, self.scene)
+        evidence = Evidence.of(here.problem, here.x, bench.ranks)
+        turn, templates = score_effects(
+            self.scene, bench, self._other.rays_of(here.scene), here, evidence, options, number, self._progress
+        )
+        dark = Dark.of(here)
+        passing = worth_a_refit(turn.candidates, turn.threshold, dark)
+        _say(turn, number, passing)
+        allowed = [c for c in passing if c.effect not in self._barred and self._times[c.effect] < CHANCES]
+        if dark.asks and not any(dark.answered_by(c.effect) for c in allowed):
+            dark = NO_DARK  # what could answer was taken back: lit pixels decide again
+        if len(self._added(here)) < options.most_effects:
+            price = evidence.price(bench.ranks)
+            found = refits(bench, here, self.scene, allowed, templates, dark, options.refits)
+            add_the_best(bench, turn, here, found, dark, price)
+            # a body puts no power where nothing is lit: what the dark pixels need is added first
+            if not dark.asks and (passing or turn.alarms or bench.ranks.same(float(lit_shadows(here)))):
+                bench = self._with_bodies(bench, turn, here, price)
+            if turn.fitted is not None:
+                prune(bench, turn, self._effects(here), price)
+        return turn
+
+    def _with_bodies(self, bench: Bench, turn: Turn, here: Fitted, price: float) -> Bench:
+        """Let bodies that may stand elsewhere, or be absent, contend with the effect that the turn has added. Returns
+        the bench of what is added then.
+
+        Bodies that are behind wait. Nothing is lost by that: the next turn tries them beside the effect, and in the end
+        each is asked beside all the others.
+        """
+        lead = Lead.of(bench, here, turn.fitted)
+        if lead.most:
+            return bench
+        offered = geometry_candidates(self.scene, bench, here, price, lead)
+        offered = [c for c in offered if c.name not in self._barred and self._times[c.name] < CHANCES]
+        return add_the_likeliest(bench, turn, here, self.scene, offered, price)
+
+    def _confirmed(self) -> bool:
+        """Ask everything that was added beside all others; whether any was taken back."""
+        any_refused = False
+        while self._added(self._base):
+            answers = self._course.confirmation(self._stage, self._bench, self._base, self._confirm)
+            self._stage += 1
+            console.say("\n".join(confirmation_lines(answers)))
+            for one in answers.asked:
+                turn = next(turn for turn in reversed(self.turns) if turn.added == one.effect)
+                next(c for c in turn.candidates if c.effect == one.effect).answered(one)
+            refused = {one.effect for one in answers.asked if one.refused}
+            self._barred |= refused
+            self._base = answers.fitted
+            any_refused |= bool(refused)
+            if not any(is_geometry(name) for name in refused):
+                break
+            self._bench, self._base = on_its_ground(self._bench, self._other, self._base)  # and the rest is asked there
+        return any_refused
+
+    def _confirm(self) -> Confirmation:
+        bench, here = on_bounded_ground(self._bench, self._base, self.scene)
+        scene, posed = posed_anew(bench, here, self.scene)
+        if posed is not None:
+            here = refit_as(bench, scene)
+        settled = settle(bench, here, self.options.starts, self.options.seed)
+        price = Evidence.of(settled.problem, settled.x, bench.ranks).price(bench.ranks)
+        last = self.turns[-1]
+        settled = resettled(bench, settled, self._effects(settled))
+        settled = trimmed(bench, settled, self._effects(settled), price)
+        return confirm(bench, settled, self._added(settled), needed, price, declared=self.scene, quiet=not last.alarms)
+
+
+def needed(without: Fitted, name: str) -> bool:
+    """Whether the dark pixels ask a model without an effect for it."""
+    dark = Dark.of(without)
+    return dark.asks and dark.answered_by(name)
+
+
+def _say(turn: Turn, number: int, passing: Sequence[Candidate]) -> None:
+    scores = ", ".join(f"{c.effect} {score_text(c.minus_log_p)}" for c in passing) or "none"
+    dark = "" if turn.dark is None else f", of dark pixels {score_text(turn.dark.minus_log_p)} (z {turn.dark.z:+.1f})"
+    console.say(
+        f"turn {number + 1}: worth a fit, by score (-ln p, threshold {turn.threshold:.1f}): {scores}; "
+        f"scan {score_text(turn.scan_minus_log_p)} (z {turn.spot.z:+.1f}){dark}"
+    )

@@ -1,0 +1,73 @@
+"""The procedure: how many rays, which pixels, the declared model's fit, and then the search for what is missing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+import warp as wp
+
+from warpsar.diagnosis.field_content import refuse_unsavable
+from warpsar.diagnosis.found import DiagnoseOptions, Diagnosis
+from warpsar.diagnosis.models.bench import Bench
+from warpsar.diagnosis.models.field_prior import has_fields, with_roughness
+from warpsar.diagnosis.models.frozen import frozen
+from warpsar.diagnosis.models.refit import fit_model
+from warpsar.diagnosis.search.course import Course
+from warpsar.diagnosis.search.loop import Search
+from warpsar.errors import InputError
+from warpsar.learning.observation import looks_of
+from warpsar.runtime import console
+from warpsar.runtime.distributed import ONE, Ranks
+from warpsar.scene.scene import Scene
+from warpsar.simulation.rays import Rays
+from warpsar.simulation.sampling import choose_density
+from warpsar.surface.stage import Stage
+from warpsar.world.tables import View
+
+MU_NOISE = 10.0  # looks x pixels x relative sampling variance of mu: the gain in 2 ln L that denoising mu could bring
+
+
+def diagnose_scene(
+    scene: Scene, device: wp.Device, options: DiagnoseOptions, ranks: Ranks = ONE, course: Course | None = None
+) -> Diagnosis:
+    """Run the procedure on the training views of a scene.
+
+    All `ranks` go through the whole procedure. They share the fits, folds and draws, and decide as the first one does.
+    What the `course` holds of an earlier part of the run is not done again. Raises InputError for scenes without
+    measured training views.
+    """
+    stage, views, looks = ranks.agree(lambda: _training(scene, device))
+    density = choose_density(scene, stage, views, looks, MU_NOISE, total=True, ranks=ranks)
+    console.say(
+        f"rays: {density.rays_per_pixel:g} per pixel; looks x pixels x relative sampling variance "
+        f"{density.noise:.2g} (wanted: under {MU_NOISE:g})"
+    )
+    rays = Rays(stage, density.rays_per_m2, 2 * scene.sampling.seed)
+    other_rays = Rays(stage, density.rays_per_m2, 2 * scene.sampling.seed + 1)
+    one, other = (Bench(device, each, {}, ranks, mesh=scene.mesh) for each in (rays, other_rays))
+    bench = replace(one, observations=frozen(one, other, scene))
+
+    bar = console.progress(2 * options.draws, "diagnose", "")
+    console.say("fit of the declared model")
+    course = course or Course()
+    started = None
+    if has_fields(scene):
+        refuse_unsavable(scene)
+        bench, started = with_roughness(bench, scene, options.seed)
+    declared = course.declared(bench, scene, partial(fit_model, bench, scene, options.starts, options.seed, started))
+    search = Search(scene, bench, other_rays, declared, options, course, bar.update)
+    search.run()
+    bar.close()
+    final, rivals = search.final(), search.rivals()
+    objects = search.objects(final)
+    return Diagnosis(scene, declared, final, search.turns, search.unexplained, density, bench, rivals, objects=objects)
+
+
+def _training(scene: Scene, device: wp.Device) -> tuple[Stage, list[View], list[float]]:
+    """What is tested: the surface, the training views and their looks."""
+    stage = Stage.of(scene, device)
+    views = [view for view in scene.views if view.role == "train" and view.images]
+    if not views:
+        raise InputError(f"{scene.name}: views: none with role train has measured images")
+    return stage, views, [looks_of(scene, view) for view in views]

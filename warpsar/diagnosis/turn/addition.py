@@ -1,0 +1,95 @@
+"""Which refitted candidate a turn adds: the likeliest, or the one that the dark pixels need.
+
+It is added on trial: whether it holds is asked at the end, beside everything else that was added (`confirmation.py`).
+Asked here, an effect would have to help while others are still missing, and the order of additions would decide.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from warpsar.diagnosis.dark.said import Dark
+from warpsar.diagnosis.found import Candidate, Turn
+from warpsar.diagnosis.models.bench import Bench
+from warpsar.diagnosis.models.refit import MOST_ITERATIONS, Fitted, fitted_at, onward, standing_at, state_told
+from warpsar.diagnosis.turn.screening import refined
+from warpsar.diagnosis.turn.shortlist import Refit
+from warpsar.learning.optimise import FLAT, FitState
+
+CONTENDERS = 3  # the likeliest candidates, whose fits are taken to their end before one is chosen
+TOO_LITTLE = "it gains less than its parameters cost"
+NEEDED = "no model without such an effect can hold that, so nothing else was asked"
+
+
+def add_the_best(bench: Bench, turn: Turn, here: Fitted, refits: Sequence[Refit], dark: Dark, price: float) -> None:
+    """Fill in `turn.added` and `turn.fitted`, or leave them None where no fit is worth its parameters.
+
+    `here` is the turn's model on `bench`, without any candidate. A parameter costs `price` of 2 ln L.
+    """
+    for refit in refits:
+        _gained(refit.candidate, here, refit.fitted)
+    if not dark.asks:
+        ahead = sorted(refits, key=lambda refit: -_worth(refit, price))
+        refits = [*_arrived(bench, here, ahead[:CONTENDERS], price), *ahead[CONTENDERS:]]
+    able = [refit for refit in refits if dark.asks or _worth(refit, price) > 0]
+    for refit in refits:
+        refit.candidate.refused = "" if refit in able else TOO_LITTLE
+    if not able:
+        return
+    if dark.asks:
+        best = max(able, key=lambda refit: refit.fitted.whole)
+        best.candidate.remark(NEEDED)
+        turn.fitted = refined(bench, best.fitted, best.candidate.effect, best.tables, dark)
+        _gained(best.candidate, here, turn.fitted)
+    else:
+        best = max(able, key=lambda refit: _worth(refit, price))
+        turn.fitted = best.fitted
+    turn.added = best.candidate.effect
+    for refit in able:
+        if refit is not best:
+            refit.candidate.refused = f"the dark pixels need {turn.added}" if dark.asks else f"{turn.added} is likelier"
+
+
+def _arrived(bench: Bench, here: Fitted, ahead: Sequence[Refit], price: float) -> list[Refit]:
+    """The fits of those `ahead` to their ends: at the same number of iterations one is nearer to its own than another.
+
+    The first one goes first. Another is given up where it cannot come up with it at its present pace.
+    """
+    found: list[Refit] = []
+    for some in (ahead[:1], ahead[1:]):
+        limits = [_level(found[0], refit, price) if found else -np.inf for refit in some]
+        problems = [bench.problem(refit.fitted.scene) for refit in some]
+        tasks = [
+            partial(onward, problem, standing_at(problem, problem.x0), MOST_ITERATIONS, limit, flat=FLAT)
+            for problem, limit in zip(problems, limits, strict=True)
+        ]
+        states = bench.deal_out(tasks, told=state_told, heard=FitState.from_arrays)
+        for refit, problem, state in zip(some, problems, states, strict=True):
+            best = state.best_x, state.best_loss, state.iteration
+            found.append(replace(refit, fitted=fitted_at(bench, problem, *best, bench.ranks)))
+            _gained(refit.candidate, here, found[-1].fitted)
+    return found
+
+
+def _level(first: Refit, other: Refit, price: float) -> float:
+    """Log-likelihood of all its pixels at which the `other` candidate is worth as much as the `first`."""
+    lit = first.fitted.log_likelihood + 0.5 * price * (other.fitted.size - first.fitted.size)
+    return lit + other.fitted.whole - other.fitted.log_likelihood  # dark pixels cost it what they cost it now
+
+
+def _gained(candidate: Candidate, here: Fitted, fitted: Fitted) -> None:
+    candidate.refit_gain = 2.0 * (fitted.log_likelihood - here.log_likelihood)
+    candidate.refit_size = fitted.size - here.size
+    candidate.table = fitted.scene.effects[candidate.effect]
+
+
+def _worth(refit: Refit, price: float) -> float:
+    """Gain in 2 ln L beyond what the parameters cost."""
+    candidate = refit.candidate
+    assert candidate.refit_gain is not None
+    assert candidate.refit_size is not None
+    return candidate.refit_gain - candidate.refit_size * price

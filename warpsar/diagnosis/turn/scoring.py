@@ -1,0 +1,148 @@
+"""What each effect scores in one turn: its templates against the residual, calibrated by draws of speckle."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict
+
+import numpy as np
+
+from warpsar.diagnosis.dark.scan import scan_dark
+from warpsar.diagnosis.found import Candidate, DarkScan, DiagnoseOptions, Turn
+from warpsar.diagnosis.models.bench import Bench
+from warpsar.diagnosis.models.change import as_declared
+from warpsar.diagnosis.models.refit import Fitted
+from warpsar.diagnosis.scores.bootstrap import Bootstrap, bootstrap
+from warpsar.diagnosis.scores.evidence import Evidence
+from warpsar.diagnosis.scores.score import NOT_TESTABLE, Group, Projection, group
+from warpsar.diagnosis.scores.templates import Template, TemplateMaker
+from warpsar.diagnosis.turn.field_projection import bar_those_alone, beside_fields, projection_of
+from warpsar.effects.registry import get, names
+from warpsar.runtime.distributed import Ranks
+from warpsar.scene.scene import Scene
+from warpsar.simulation.rays import Rays
+from warpsar.speckle.scan import Scan, Spot
+from warpsar.world.models import effects_without
+
+CLASS_COSINE = 0.9  # templates closer than this are one class: the data hardly tell them apart
+
+
+def score_effects(
+    scene: Scene,
+    bench: Bench,
+    other_rays: Rays,
+    base: Fitted,
+    evidence: Evidence,
+    options: DiagnoseOptions,
+    number: int,
+    progress: Callable[[int], object],
+) -> tuple[Turn, dict[str, list[Template]]]:
+    """The turn with the score of every effect that is not declared and of the scan, and each effect's templates, best
+    first. `scene` is the declared one, `base` the model that `evidence` was taken at; `number` counts turns from 0."""
+    ranks = bench.ranks
+    projection, evidence, found = ranks.agree(
+        lambda: _grouped(scene, bench, other_rays, base, evidence, options.seed + number)
+    )
+    candidates = {name: _candidate(name, members, projection.alone) for name, members in found.items()}
+    testable = ranks.gather([c.effect for c in candidates.values() if c.testability == "testable"])[0]
+    groups = {name: found[name] for name in testable}
+    scan = Scan(evidence.observations, evidence.autocovariance, evidence.silent)
+    boot = bootstrap(evidence, projection, groups, scan, options.draws, options.seed + number, progress, ranks)
+    dark = scan_dark(bench, other_rays, base, evidence, options.seed + number)
+    if dark is not None:
+        boot = boot.with_another(options.seed + number)
+    spot = scan.strongest(evidence.split(evidence.standardised))
+    best = _score(candidates, groups, projection, projection(evidence.standardised, projection.known.residual), boot)
+    bar_those_alone(list(candidates.values()), boot.threshold(options.family_error))
+    scanned = float(boot.tails["scan"](abs(spot.z)))
+    turn = Turn(
+        list(candidates.values()),
+        None,
+        spot,
+        scanned,
+        boot.p_family(scanned),
+        boot.threshold(options.family_error),
+        base,
+        dark=dark,
+    )
+    _as_the_first(turn, ranks)
+    return turn, best
+
+
+def _grouped(
+    scene: Scene, bench: Bench, other_rays: Rays, base: Fitted, evidence: Evidence, seed: int
+) -> tuple[Projection, Evidence, dict[str, list[Group]]]:
+    """The templates of every effect that is not in the model `base`, about it, and the tangent of what is fitted; and
+    the evidence with the speckle's own correlation."""
+    observations = {view.view.name: view.observations for view in base.problem.views}
+    maker = TemplateMaker(base.scene, bench.device, other_rays, observations, evidence.modelled)
+    # A fit without multiple bounces may have made the surface a poor mirror. Paths are invisible there, so their
+    # templates are taken at the declared surface too.
+    unmoved = as_declared(scene, base.scene)
+    paths = TemplateMaker(unmoved, bench.device, other_rays, observations, evidence.modelled)
+    projection = projection_of(maker, bench, evidence)
+    evidence = beside_fields(evidence, projection, seed)
+    found: dict[str, list[Group]] = {}
+    for name in names():
+        if name in base.scene.effects:
+            continue
+        if get(name).last_resort or any(
+            name in effects_without(material.model) for material in scene.materials.values()
+        ):
+            found[name] = []
+            continue
+        templates = maker.templates(name)
+        if get(name).stage == "path":
+            templates += paths.templates(name)
+        found[name] = group(templates, projection, evidence)
+    return projection, evidence, found
+
+
+def _candidate(name: str, found: list[Group], alone: float) -> Candidate:
+    if get(name).last_resort:
+        return Candidate(name, "absent", note="the last resort, where nothing named explains what is left")
+    if not found:
+        return Candidate(name, "absent", note="this scene has no place for it")
+    eta = max(float(one.eta.max()) for one in found)
+    return Candidate(name, "testable" if eta >= NOT_TESTABLE else "not_testable", eta=eta, least=alone)
+
+
+def _score(
+    candidates: dict[str, Candidate],
+    groups: dict[str, list[Group]],
+    projection: Projection,
+    residual: np.ndarray,
+    boot: Bootstrap,
+) -> dict[str, list[Template]]:
+    """Fill in each testable candidate's score and the effects that resemble it. Returns its templates, best first."""
+    ranked: dict[str, list[Template]] = {}
+    bases = {}
+    for name, members in groups.items():
+        candidate = candidates[name]
+        scored = []
+        for one in members:
+            statistics, minus_log_p = one.statistics(residual[:, None])
+            scored += [(float(minus_log_p[t, 0]), float(statistics[t, 0]), one, t) for t in range(len(one.templates))]
+        scored.sort(key=lambda item: -item[0])
+        ranked[name] = [one.templates[t] for _, _, one, t in scored]
+        largest, candidate.statistic, one, t = scored[0]
+        candidate.minus_log_p = float(boot.tails[name](largest))
+        candidate.p_value = boot.p_family(candidate.minus_log_p)
+        candidate.note = one.templates[t].trial.label
+        bases[name] = np.linalg.qr(projection.compared(one.columns_of(t)))[0]
+    for name, mine in bases.items():
+        candidates[name].resembles = [
+            other
+            for other, theirs in bases.items()
+            if other != name and np.linalg.svd(mine.T @ theirs, compute_uv=False)[0] > CLASS_COSINE
+        ]
+    return ranked
+
+
+def _as_the_first(turn: Turn, ranks: Ranks) -> None:
+    """All ranks go on with the scores of the first one: last bits differ from GPU to GPU."""
+    mine = [[asdict(c) for c in turn.candidates], asdict(turn.spot), turn.scan_minus_log_p, turn.p_scan, turn.threshold]
+    mine.append(None if turn.dark is None else asdict(turn.dark))
+    candidates, spot, turn.scan_minus_log_p, turn.p_scan, turn.threshold, dark = ranks.gather(mine)[0]
+    turn.candidates, turn.spot = [Candidate(**c) for c in candidates], Spot(**spot)
+    turn.dark = None if dark is None else DarkScan.of(dark)

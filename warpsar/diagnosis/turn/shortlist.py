@@ -1,0 +1,88 @@
+"""Which candidates get a full fit: those that look likeliest after a few iterations."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from warpsar.diagnosis.dark.said import Dark
+from warpsar.diagnosis.found import Candidate
+from warpsar.diagnosis.models.bench import Bench
+from warpsar.diagnosis.models.refit import Fitted
+from warpsar.diagnosis.scores.templates import Template
+from warpsar.diagnosis.turn.screening import Screening
+from warpsar.diagnosis.turn.survey import surveyed
+from warpsar.scene.scene import Scene
+
+GLANCED = 8  # candidates that get a few iterations
+OFFERED = 40  # of an effect's best trials that its refit may try
+
+
+@dataclass(frozen=True)
+class Refit:
+    """A candidate's fit, and the tables that it began from and that may refine it."""
+
+    candidate: Candidate
+    fitted: Fitted
+    tables: Sequence[Mapping[str, Any]]
+
+
+def refits(
+    bench: Bench,
+    base: Fitted,
+    declared: Scene,
+    passing: Sequence[Candidate],
+    templates: Mapping[str, Sequence[Template]],
+    dark: Dark,
+    most: int,
+) -> list[Refit]:
+    """Fits of the `most` candidates that look likeliest at a glance.
+
+    Each may be given up where it falls far behind the best other one; the next turn tries it again. Where dark pixels
+    decide, effects that can explain them are fitted alone, without refinements, and none is given up: lit pixels do not
+    decide then.
+    """
+    if dark.asks:
+        passing = [candidate for candidate in passing if dark.answered_by(candidate.effect)]
+
+    def glance(effect: str) -> Screening:
+        trials = [template.trial for template in templates[effect]][:OFFERED]
+        tables = [table for trial in trials for table in surveyed(bench, base.scene, effect, trial)]
+        return Screening(bench, base, declared, effect, _distinct(dark, base.scene, effect, tables))
+
+    screenings = bench.deal_out(
+        [partial(glance, candidate.effect) for candidate in passing[:GLANCED]],
+        told=Screening.told,
+        heard=partial(Screening.heard, bench, base, declared),
+    )
+    order = sorted(zip(passing, screenings, strict=False), key=lambda pair: -pair[1].glanced.log_likelihood)
+
+    def lead_over(one: Screening) -> float:
+        others = (other.glanced.log_likelihood for other in screenings if other is not one)
+        return -np.inf if dark.asks else max(others, default=-np.inf)
+
+    finished = bench.deal_out(
+        [partial(screening.finish, lead_over(screening), dark, refine=not dark.asks) for _, screening in order[:most]],
+        told=lambda result: [result[0].told(), result[1]],
+        heard=lambda told: (Fitted.heard(bench, base.scene, told[0]), told[1]),
+    )
+    found = []
+    for (candidate, screening), (fitted, given_up) in zip(order, finished, strict=False):
+        if given_up:
+            candidate.remark("its fit was given up, far behind")
+        found.append(Refit(candidate, fitted, screening.tables))
+    return found
+
+
+def _distinct(dark: Dark, scene: Scene, effect: str, tables: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    """The tables as the dark pixels complete them, each once; the first as it is where they leave none."""
+    found: list[Mapping[str, Any]] = []
+    for table in tables:
+        completed = dark.completed(scene, effect, table)
+        if completed and completed not in found:
+            found.append(completed)
+    return found or list(tables[:1])
