@@ -5,12 +5,11 @@ A = -j k / (4 pi) p . INT [eta J_t - s x M] e^{jk s.r} dS over the faces that th
 
 import warp as wp
 
+from warpsar.kernels.coherent.cells import RAYS
 from warpsar.kernels.coherent.numbers import product, sinc, turned
 from warpsar.kernels.coherent.reflection import Face, Field, reflected, seen, slab_seen
 from warpsar.kernels.coherent.tubes import Hit, Look, Radar, look
 
-RAYS = wp.constant(32)
-"""Rays that one thread adds up. The sum has the same order for any number of threads."""
 REGIONS = wp.constant(16)
 """Flat regions that one thread adds up."""
 HALF_PI = wp.constant(wp.float64(1.5707963267948966))
@@ -119,15 +118,18 @@ def tubes_kernel(
     more_vv = zero2
     for i in range(RAYS):
         ray = chunk * RAYS + i
-        if ray < count_in.shape[0] and used_in[ray] != 0:
+        if used_in[ray] != 0:
             view = view_in[ray]
             u = radar_in[view].u
             v = radar_in[view].v
             fields = Pair()
             fields.h = unit(u)
             fields.v = unit(v)
-            for b in range(count_in[ray]):
-                hit = hits_in[ray, b]
+            count = count_in[ray]
+            if only >= 0:
+                count = wp.where(only < count, only + 1, 0)
+            for b in range(count):
+                hit = hits_in[b, ray]
                 back = bounced_fields(stuff_in[f, material_in[hit.face]], k, fields, hit.d, hit.normal)
                 counts = hit.seen
                 if only >= 0 and b != only:
