@@ -142,7 +142,7 @@ def parts_kernel(
     place_out: wp.array[wp.vec2d],
     size_out: wp.array[wp.vec2d],
 ):
-    """The halves or quarters of cells that are cut, in the order of the cells; a view's ones from `part_first_in` on."""
+    """Halves or quarters of cells that are cut, in the order of the cells; a view's ones from `part_first_in` on."""
     i = wp.tid()
     parts = through_in[i] - before(through_in, i)
     if parts == 0:
