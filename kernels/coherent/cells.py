@@ -78,8 +78,7 @@ def judge_kernel(
     way = zero
     hits = int(0)
     deepest = int(0)
-    for i in range(RAYS):
-        ray = chunk * RAYS + i
+    for ray in range(chunk * RAYS, (chunk + 1) * RAYS):
         size = size_in[ray]
         area = size[0] * size[1]
         count = count_in[ray]

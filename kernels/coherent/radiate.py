@@ -116,8 +116,7 @@ def tubes_kernel(
     more_hv = zero2
     more_vh = zero2
     more_vv = zero2
-    for i in range(RAYS):
-        ray = chunk * RAYS + i
+    for ray in range(chunk * RAYS, (chunk + 1) * RAYS):  # with constant ends Warp would write it out
         if used_in[ray] != 0:
             view = view_in[ray]
             u = radar_in[view].u
@@ -259,21 +258,19 @@ def regions_kernel(
     hv = wp.vec2d()
     vh = wp.vec2d()
     vv = wp.vec2d()
-    for i in range(REGIONS):
-        r = chunk * REGIONS + i
-        if r < region_in.shape[0]:
-            if exact_in[view, r] != wp.uint8(0):
-                region = region_in[r]
-                integral = phase_integral(region, k, s, middle_in, edge_in)
-                four = Four()
-                if slabs != 0:
-                    four = slab_sent(stuff_in[f, region.material], k, integral, region.normal, s, u, v)
-                else:
-                    four = flat_sent(stuff_in[f, region.material], k, integral, region.normal, s, u, v)
-                hh += four.hh
-                hv += four.hv
-                vh += four.vh
-                vv += four.vv
+    for r in range(chunk * REGIONS, wp.min((chunk + 1) * REGIONS, region_in.shape[0])):
+        if exact_in[view, r] != wp.uint8(0):
+            region = region_in[r]
+            integral = phase_integral(region, k, s, middle_in, edge_in)
+            four = Four()
+            if slabs != 0:
+                four = slab_sent(stuff_in[f, region.material], k, integral, region.normal, s, u, v)
+            else:
+                four = flat_sent(stuff_in[f, region.material], k, integral, region.normal, s, u, v)
+            hh += four.hh
+            hv += four.hv
+            vh += four.vh
+            vv += four.vv
     amplitude_out[view, f, chunk, 0] = hh
     amplitude_out[view, f, chunk, 1] = hv
     amplitude_out[view, f, chunk, 2] = vh
