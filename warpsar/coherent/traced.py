@@ -59,7 +59,9 @@ class Tracer:
     def _follow(self, radars: wp.array, rays: Rays, level: int, waiting: list[list[Rays]]) -> Iterator[Judged]:
         traced = Judged(self, radars, rays, level)
         yield traced
-        if level < self.levels and (parts := traced.parts()) is not None:
+        parts = traced.parts() if level < self.levels else None
+        del traced  # with its hits, before there are those of others
+        if parts is not None:
             waiting[level + 1].append(parts)
             yield from self._ripe(radars, level + 1, self.together, waiting)
 
@@ -81,6 +83,7 @@ class Tracer:
         for traced in self.narrowed(radars, grid, start, stop):
             traced.add(traced.told, told, 0, 0, 1)
             traced.radiate(exact, radiated)
+            del traced
         amplitude = _over_lanes(radiated).reshape(views, self.count, self.layers, 4, 2)
         pairs = _over_lanes(told)[:, 0]
         return Sums(
