@@ -4,7 +4,10 @@
 
 DATA is the folder of the suite (benchmarks/rcs_checks.py). A sweep: 361 angles, 2.56, 5.12, 7 and 10.24 GHz, HH and VV,
 tubes of a tenth of the shortest wavelength. `wall` is the time of day, `cpu` that of the process on all its threads:
-on a busy machine the second says more. Reading the mesh and building the tree are `prepare`.
+on a busy machine the second says more. `with its error` is the wall time where a second sweep, of tubes of twice the
+width, tells the error of the spacing, as in `warpsar.rcs`. Reading the mesh and building the tree are `prepare`.
+
+`--profile` prints seconds for each kernel instead, on one thread: it waits for each launch to end.
 """
 
 from __future__ import annotations
@@ -22,6 +25,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 import numpy as np
 import tables
 import trimesh
+import warp as wp
 from rcs_checks import BODIES, MATERIALS, ROOT, scene_of
 from simulate import machine
 
@@ -42,7 +46,41 @@ def measure(body: CoherentBody, angles: int, frequencies: tuple[float, ...], **m
     wall, cpu = time.perf_counter(), time.process_time()
     found = sweep(body, directions, frequencies, **more)
     wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
-    return {"angles": angles, "frequencies": len(frequencies), "segments": found.segments, "wall_s": wall, "cpu_s": cpu}
+    started = time.perf_counter()
+    sweep(body, directions, frequencies, compare=True, **more)
+    both = time.perf_counter() - started
+    return {"angles": angles, "frequencies": len(frequencies), "segments": found.segments, "wall_s": wall, "cpu_s": cpu,
+            "with_error_s": both}  # fmt: skip
+
+
+def profile(body: CoherentBody, angles: int, frequencies: tuple[float, ...]) -> str:
+    """Where the time of a sweep goes: launches, threads and seconds of each kernel, and of the host."""
+    directions = Directions.of(90.0 - np.linspace(0.0, 180.0, angles), 90.0)
+    sweep(body, directions[:2], frequencies[:1])
+    rows: dict[str, list[float]] = {}
+    launch = wp.launch
+
+    def timed(kernel: Any, dim: Any, *args: Any, **more: Any) -> None:
+        wp.synchronize_device(body.device)
+        started = time.perf_counter()
+        launch(kernel, dim, *args, **more)
+        wp.synchronize_device(body.device)
+        row = rows.setdefault(kernel.key, [0, 0, 0.0])
+        for i, one in enumerate((1, np.prod(dim), time.perf_counter() - started)):
+            row[i] += one
+
+    os.environ["WARPSAR_THREADS"] = "1"
+    wp.launch = timed
+    try:
+        wall = time.perf_counter()
+        sweep(body, directions, frequencies)
+        wall = time.perf_counter() - wall
+    finally:
+        wp.launch = launch
+    rest = wall - sum(row[2] for row in rows.values())
+    lines = [(name, int(n), f"{threads / 1e6:.1f} M", f"{seconds:.3f}") for name, (n, threads, seconds) in rows.items()]
+    lines.sort(key=lambda line: -float(line[3]))
+    return tables.markdown(("kernel", "launches", "threads", "seconds"), [*lines, ("the rest", "", "", f"{rest:.3f}")])
 
 
 def prepared(data: Path, name: str, device: str | None, cuts: int = 0) -> tuple[CoherentBody, dict[str, Any]]:
@@ -77,7 +115,8 @@ def growth(
 def row(r: dict[str, Any]) -> tuple[Any, ...]:
     rate = r["segments"] / r["wall_s"]
     return (r.get("what", r["body"]), r["faces"], r["angles"], r["frequencies"], f"{r['segments'] / 1e6:.1f} M",
-            f"{r['wall_s']:.1f}", f"{r['cpu_s']:.1f}", f"{rate / 1e6:.2f} M", f"{r['prepare_cpu_s']:.1f}")  # fmt: skip
+            f"{r['wall_s']:.2f}", f"{r['cpu_s']:.2f}", f"{rate / 1e6:.2f} M", f"{r['with_error_s']:.2f}",
+            f"{r['prepare_cpu_s']:.1f}")  # fmt: skip
 
 
 def main() -> None:
@@ -86,6 +125,7 @@ def main() -> None:
     parser.add_argument("data", type=Path, nargs="?", default=default)
     parser.add_argument("--device")
     parser.add_argument("--only", choices=[name.split()[0] for name in METAL], help="one body")
+    parser.add_argument("--profile", action="store_true", help="seconds for each kernel")
     parser.add_argument("--growth", action="store_true", help="also how the time of the cobra duct grows")
     tables.add_options(parser)
     options = parser.parse_args()
@@ -98,13 +138,18 @@ def main() -> None:
         result = {"made": tables.made(), "machine": machine(options.device), "sweeps": sweeps, "growth": grown}
         for name in (n for n in METAL if options.only in (None, n.split()[0])):
             body, about = prepared(options.data, name, options.device)
+            if options.profile:
+                print(name, profile(body, ANGLES, FREQUENCIES), sep="\n\n")
+                continue
             sweeps.append({**about, **measure(body, ANGLES, FREQUENCIES)})
             tables.save(options.out, result)
             if options.growth and name.startswith("cobra"):
                 grown += growth(body, about, prepared(options.data, name, options.device, cuts=1))
                 tables.save(options.out, result)
     header = ("sweep", "faces", "angles", "frequencies", "segments", "wall [s]", "CPU [s]", "segments per wall second",
-              "prepare, CPU [s]")  # fmt: skip
+              "with its error, wall [s]", "prepare, CPU [s]")  # fmt: skip
+    if options.profile:
+        return
     bodies = {f"coherent.{'cpu' if device.is_cpu else 'cuda'}": tables.markdown(header, map(row, result["sweeps"]))}
     if result["growth"]:
         bodies["coherent.growth"] = tables.markdown(header, map(row, result["growth"]))

@@ -5,12 +5,11 @@ A = -j k / (4 pi) p . INT [eta J_t - s x M] e^{jk s.r} dS over the faces that th
 
 import warp as wp
 
+from warpsar.kernels.coherent.cells import RAYS
 from warpsar.kernels.coherent.numbers import product, sinc, turned
 from warpsar.kernels.coherent.reflection import Face, Field, reflected, seen, slab_seen
 from warpsar.kernels.coherent.tubes import Hit, Look, Radar, look
 
-RAYS = wp.constant(32)
-"""Rays that one thread adds up. The sum has the same order for any number of threads."""
 REGIONS = wp.constant(16)
 """Flat regions that one thread adds up."""
 HALF_PI = wp.constant(wp.float64(1.5707963267948966))
@@ -117,17 +116,19 @@ def tubes_kernel(
     more_hv = zero2
     more_vh = zero2
     more_vv = zero2
-    for i in range(RAYS):
-        ray = chunk * RAYS + i
-        if ray < count_in.shape[0] and used_in[ray] != 0:
+    for ray in range(chunk * RAYS, (chunk + 1) * RAYS):  # with constant ends Warp would write it out
+        if used_in[ray] != 0:
             view = view_in[ray]
             u = radar_in[view].u
             v = radar_in[view].v
             fields = Pair()
             fields.h = unit(u)
             fields.v = unit(v)
-            for b in range(count_in[ray]):
-                hit = hits_in[ray, b]
+            count = count_in[ray]
+            if only >= 0:
+                count = wp.where(only < count, only + 1, 0)
+            for b in range(count):
+                hit = hits_in[b, ray]
                 back = bounced_fields(stuff_in[f, material_in[hit.face]], k, fields, hit.d, hit.normal)
                 counts = hit.seen
                 if only >= 0 and b != only:
@@ -257,21 +258,19 @@ def regions_kernel(
     hv = wp.vec2d()
     vh = wp.vec2d()
     vv = wp.vec2d()
-    for i in range(REGIONS):
-        r = chunk * REGIONS + i
-        if r < region_in.shape[0]:
-            if exact_in[view, r] != wp.uint8(0):
-                region = region_in[r]
-                integral = phase_integral(region, k, s, middle_in, edge_in)
-                four = Four()
-                if slabs != 0:
-                    four = slab_sent(stuff_in[f, region.material], k, integral, region.normal, s, u, v)
-                else:
-                    four = flat_sent(stuff_in[f, region.material], k, integral, region.normal, s, u, v)
-                hh += four.hh
-                hv += four.hv
-                vh += four.vh
-                vv += four.vv
+    for r in range(chunk * REGIONS, wp.min((chunk + 1) * REGIONS, region_in.shape[0])):
+        if exact_in[view, r] != wp.uint8(0):
+            region = region_in[r]
+            integral = phase_integral(region, k, s, middle_in, edge_in)
+            four = Four()
+            if slabs != 0:
+                four = slab_sent(stuff_in[f, region.material], k, integral, region.normal, s, u, v)
+            else:
+                four = flat_sent(stuff_in[f, region.material], k, integral, region.normal, s, u, v)
+            hh += four.hh
+            hv += four.hv
+            vh += four.vh
+            vv += four.vv
     amplitude_out[view, f, chunk, 0] = hh
     amplitude_out[view, f, chunk, 1] = hv
     amplitude_out[view, f, chunk, 2] = vh

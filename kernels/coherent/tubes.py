@@ -305,7 +305,7 @@ def trace_kernel(
     span_out: wp.array[wp.float64],
     turn_out: wp.array[wp.vec2d],
 ):
-    """Each thread follows one ray: up to `most` hits.
+    """Each thread follows one ray: up to `most` hits, (most, rays). An empty cell has none.
 
     `span_out`: the way from its first to its last hit [m]. `turn_out`: how wide a tube gets along either of its sides
     after a curved surface [rad]. That is the change of phase over half a footprint that the radar sees, or half of the
@@ -313,8 +313,13 @@ def trace_kernel(
     """
     ray = wp.tid()
     zero = wp.float64(0.0)
-    radar = radar_in[view_in[ray]]
     size = size_in[ray]
+    if size[0] == zero and size[1] == zero:
+        count_out[ray] = 0
+        span_out[ray] = zero
+        turn_out[ray] = wp.vec2d()
+        return
+    radar = radar_in[view_in[ray]]
     tube = begun(radar, place_in[ray], wp.vec2d(size[0], zero), wp.vec2d(zero, size[1]), standoff, body.reach)
     start = tube.point
     caustics = int(0)
@@ -354,7 +359,7 @@ def trace_kernel(
                 turn_v = wp.max(turn_v, half_k * wp.abs(wp.dot(s - tube.d, at.pv)))
         if b == 0:
             first = at.path
-        hits_out[ray, b] = hit
+        hits_out[b, ray] = hit
         count = b + 1
         tube = bounced(tube, at)
         start = at.point + body.offset * at.flat

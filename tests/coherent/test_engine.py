@@ -104,12 +104,14 @@ def test_tubes_that_spread_are_cut_and_the_error_of_the_spacing_is_told(duct: wa
 
 def test_parts_of_a_cell_cover_it() -> None:
     place, size = np.array([[1.0, 2.0], [5.0, 6.0], [9.0, 9.0]]), np.array([[0.4, 0.2], [0.4, 0.2], [0.4, 0.2]])
-    rays = cells.Rays(np.zeros(3, np.int32), place, size, np.ones(3, np.int32))
-    found = cells.children(rays, np.array([[True, True], [False, True], [False, False]]), 1)
-    used = found.used != 0
+    rays = cells.Rays.of(place, size, wp.get_device("cpu"))
+    turn = wp.array([[2.0, 2.0], [1.0, 2.0], [1.0, 1.0]], dtype=wp.vec2d, device="cpu")
+    found = rays.parts(turn, 1.5, wp.array([4, 6, 6], dtype=int, device="cpu"))
+    assert found is not None
+    used = found.size.numpy().any(axis=1)
     expected = {(0.9, 1.95, 0.2, 0.1), (1.1, 1.95, 0.2, 0.1), (0.9, 2.05, 0.2, 0.1), (1.1, 2.05, 0.2, 0.1)}
     expected |= {(5.0, 5.95, 0.4, 0.1), (5.0, 6.05, 0.4, 0.1)}
-    parts = np.concatenate([found.place, found.size], axis=1)[used]
+    parts = np.concatenate([found.place.numpy(), found.size.numpy()], axis=1)[used]
     assert {tuple(map(float, row)) for row in np.round(parts, 9)} == expected
     assert used.sum() == len(expected)
 
@@ -118,19 +120,17 @@ def test_a_closed_duct_returns_what_enters(duct: warpsar.Mesh) -> None:
     """Flux: the cross-section of the tubes that leave through the mouth over that of those that enter, to 5 %."""
     body = CoherentBody.of(scene(duct), wp.get_device("cpu"))
     directions = Directions.of([75.0, 90.0, 100.0], 90.0)
-    rays = cells.grid(body, directions, WAVELENGTH / 10)
+    grid = cells.Grid(body, directions, WAVELENGTH / 10)
+    rays = grid[: len(grid)]
     radars = wp.array(radar_records(directions, body.origin, None), dtype=tubes.Radar, device="cpu")
     n, most = len(rays), 40
-    hits = wp.empty((n, most), dtype=tubes.Hit, device="cpu")
+    hits = wp.empty((most, n), dtype=tubes.Hit, device="cpu")
     count = wp.empty(n, dtype=int, device="cpu")
     span, turn = wp.empty(n, dtype=wp.float64, device="cpu"), wp.empty(n, dtype=wp.vec2d, device="cpu")
-    view, place, size = (
-        wp.array(a, dtype=d, device="cpu") for a, d in ((rays.view, int), (rays.place, wp.vec2d), (rays.size, wp.vec2d))
-    )
-    inputs = [body.rays, radars, view, place, size, 1.0, K, most]
+    inputs = [body.rays, radars, rays.view, rays.place, rays.size, 1.0, K, most]
     wp.launch(tubes.trace_kernel, n, inputs=inputs, outputs=[hits, count, span, turn], device="cpu")
-    found, times = hits.numpy(), count.numpy()
-    area = rays.size.prod(axis=1) * rays.used
+    found, times = hits.numpy().T, count.numpy()
+    area = rays.size.numpy().prod(axis=1)
     mouth = body.origin[0]  # the middle's distance behind the mouth
     first, last = found[:, 0], found[np.arange(n), np.maximum(times - 1, 0)]
     entering = (times > 0) & (first["d"] @ [1.0, 0.0, 0.0] < 0)

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from warpsar.coherent.held import Held, Paths, Sight, Slopes
 from warpsar.coherent.rays import Rays, frame
-from warpsar.coherent.records import host, upload
-from warpsar.coherent.sweep import Traced
+from warpsar.coherent.records import upload
+from warpsar.coherent.traced import Traced
 from warpsar.kernels.coherent import slopes, tubes
 
 HALVINGS = 18
@@ -71,12 +71,9 @@ class Crossings:
 def look_at(sight: Sight, place: NDArray[np.float64], step: NDArray[np.float64]) -> Seen:
     """What rays at places of the plane, (n, 2) [m], meet."""
     n, shape = len(place), sight.worker.body.shape
-    ones = np.ones(n, np.int32)
-    traced = Traced(sight.worker, sight.radars, Rays(0 * ones, place, np.broadcast_to(step, place.shape), ones))
-    hits, count = host(traced.hits), traced.count
-    hits = hits[:, : max(int(count.max(initial=0)), 1)].copy()
+    rays = Rays.of(place, np.broadcast_to(step, place.shape), sight.worker.body.device)
+    hits, count = Traced(sight.worker.tracer, sight.radars, rays).found()
     there = np.arange(hits.shape[1]) < count[:, None]
-    hits[~there] = 0
     mark = np.full(n, 1469598103934665603, np.uint64)
     for b in range(hits.shape[1]):
         what = 2 * shape.surface[hits["face"][:, b]].astype(np.uint64) + hits["seen"][:, b].astype(np.uint64) + 1
@@ -89,7 +86,7 @@ def crossings(
 ) -> Iterator[Crossings]:
     """The borders of a grid with one more cell at each of its sides, a strip at a time."""
     rows = int(count[1]) + 2
-    strip = max(sight.worker.together // rows, 2)
+    strip = max(sight.worker.tracer.together // rows, 2)
     for first in range(-1, int(count[0]) + 1, strip - 1):
         i = np.arange(first, min(first + strip, int(count[0]) + 1))
         if len(i) < 2:

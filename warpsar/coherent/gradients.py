@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from warpsar.coherent import rays as cells
 from warpsar.coherent.borders import border_slopes
 from warpsar.coherent.held import Held, Paths, Sight, Slopes
 from warpsar.coherent.learned import Learned, learned, moves_vertices
+from warpsar.coherent.rays import Grid
 from warpsar.coherent.rcs import Asked, Rcs, swept
-from warpsar.coherent.records import host
 from warpsar.coherent.shape import beyond
-from warpsar.coherent.sweep import LEVELS, POLARIZATIONS, RAYS_PER_WAVELENGTH, Worker, shift
+from warpsar.coherent.sweep import POLARIZATIONS, RAYS_PER_WAVELENGTH, Worker, shift
+from warpsar.coherent.traced import LEVELS
 from warpsar.errors import InputError
 from warpsar.runtime import devices, threads
 from warpsar.world.frame import SPEED_OF_LIGHT
@@ -85,9 +85,9 @@ class RcsGradients:
                 seed[:, :, chosen] = given * turn[index][:, None]
                 sight = Sight(worker, asked.directions, index, faces)
                 yield partial(_of_faces, sight, seed)
-                rays = cells.grid(asked.body, asked.directions[index : index + 1], worker.spacing, worker.distance)
-                for start in range(0, len(rays), worker.together):
-                    yield partial(_of_tubes, sight, rays[start : start + worker.together], seed)
+                grid = Grid(asked.body, asked.directions[index : index + 1], worker.spacing, worker.distance)
+                for start in range(0, len(grid), worker.tracer.together):
+                    yield partial(_of_tubes, sight, grid, start, seed)
                 if moves_vertices(self.parameters):
                     yield partial(_of_borders, sight, seed)
 
@@ -158,20 +158,21 @@ def _of_faces(sight: Sight, seed: NDArray[np.complex128]) -> tuple[int, list[Slo
     return sight.index, _backward(held, seed)
 
 
-def _of_tubes(sight: Sight, rays: cells.Rays, seed: NDArray[np.complex128]) -> tuple[int, list[Slopes]]:
+def _of_tubes(sight: Sight, grid: Grid, start: int, seed: NDArray[np.complex128]) -> tuple[int, list[Slopes]]:
     total = [Slopes.empty(sight.worker.body) for _ in seed]
-    for _, some, traced, kept in sight.worker.narrowed(sight.radars, rays):
-        chosen = np.flatnonzero(kept & (traced.count > 0))
+    tracer = sight.worker.tracer
+    for traced in tracer.narrowed(sight.radars, grid, start, min(start + tracer.together, len(grid))):
+        hits, count = traced.found()
+        chosen = np.flatnonzero((traced.kept.numpy() != 0) & (count > 0))
         if not len(chosen):
             continue
-        chosen = chosen[np.argsort(-traced.count[chosen], kind="stable")]
-        count = traced.count[chosen]
-        hits = host(traced.hits)[chosen, : int(count[0])]
-        hits[np.arange(hits.shape[1]) >= count[:, None]] = 0
+        chosen = chosen[np.argsort(-count[chosen], kind="stable")]
+        count = count[chosen]
+        hits = hits[chosen, : int(count[0])]
         zero = np.zeros(len(chosen))
-        size = some.size[chosen]
+        size = traced.rays.size.numpy()[chosen]
         paths = Paths(
-            some.place[chosen],
+            traced.rays.place.numpy()[chosen],
             np.stack([size[:, 0], zero], axis=1),
             np.stack([zero, size[:, 1]], axis=1),
             count,

@@ -1,50 +1,139 @@
-"""The rays of a direction: cells of a grid across it, and the parts of a cell whose tube gets too wide."""
+"""The rays of a direction: cells of a grid across it, and the parts of a cell whose tube gets too wide.
+
+They are on a device; the host knows how many cells each direction has.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+import warp as wp
 from numpy.typing import NDArray
 
 from warpsar.coherent.body import CoherentBody
 from warpsar.coherent.directions import Directions
-from warpsar.kernels.coherent.radiate import RAYS
+from warpsar.coherent.records import upload
+from warpsar.kernels.coherent import cells
 
 
 @dataclass(frozen=True)
 class Rays:
-    """Cells of several directions, a multiple of `RAYS` for each direction; the last ones may be unused."""
+    """Cells of several directions, a multiple of `RAYS` for each; the last ones of a direction may be empty."""
 
-    view: NDArray[np.int32]
-    """(n,)."""
-    place: NDArray[np.float64]
-    """Middle along u and v [m], (n, 2)."""
-    size: NDArray[np.float64]
-    """Width along u and v [m], (n, 2)."""
-    used: NDArray[np.int32]
-    """(n,)."""
+    first: NDArray[np.int32]
+    """The first cell of each direction, and the end, (directions + 1,)."""
+    view: Any
+    """Of each cell, (n,)."""
+    place: Any
+    """Middle along u and v [m], (n,) vec2d."""
+    size: Any
+    """Width along u and v [m], (n,) vec2d; zero for an empty cell."""
+
+    @classmethod
+    def of(cls, place: NDArray[np.float64], size: NDArray[np.float64], device: wp.Device) -> Rays:
+        """Cells of one direction, (n, 2) each."""
+        first = np.array([0, len(place)], np.int32)
+        view = wp.zeros(len(place), dtype=int, device=device)
+        return cls(first, view, upload(place, wp.vec2d, device), upload(size, wp.vec2d, device))
+
+    @classmethod
+    def empty(cls, counts: NDArray[np.int64], device: wp.Device) -> Rays:
+        """Empty cells, at least so many for each direction."""
+        first = _first(counts)
+        n = int(first[-1])
+        view = wp.zeros(n, dtype=int, device=device)
+        place, size = (wp.zeros(n, dtype=wp.vec2d, device=device) for _ in range(2))
+        return cls(first, view, place, size)
+
+    @classmethod
+    def joined(cls, parts: Sequence[Rays]) -> Rays:
+        """The cells of all parts; a direction's cells in two parts are the last of one and the first of the next."""
+        if len(parts) == 1:
+            return parts[0]
+        device = parts[0].view.device
+        n = sum(len(part) for part in parts)
+        found = cls(
+            sum((part.first for part in parts), np.zeros_like(parts[0].first)),
+            wp.empty(n, dtype=int, device=device),
+            wp.empty(n, dtype=wp.vec2d, device=device),
+            wp.empty(n, dtype=wp.vec2d, device=device),
+        )
+        start = 0
+        for part in parts:
+            for name in ("view", "place", "size"):
+                wp.copy(getattr(found, name), getattr(part, name), dest_offset=start, count=len(part))
+            start += len(part)
+        return found
 
     def __len__(self) -> int:
-        return len(self.view)
+        return int(self.first[-1])
 
     def __getitem__(self, some: slice) -> Rays:
-        return Rays(self.view[some], self.place[some], self.size[some], self.used[some])
+        start, stop, _ = some.indices(len(self))
+        if (start, stop) == (0, len(self)):
+            return self
+        return Rays(within(self.first, start, stop), self.view[some], self.place[some], self.size[some])
+
+    def parts(self, turn: wp.array, most: float, through: wp.array) -> Rays | None:
+        """Halves of cells, or quarters, of those whose tubes turn more than `most` [rad] along u or v.
+
+        `through`: how many parts the cells have up to each, (n,). None where no cell has any.
+        """
+        device, views = self.view.device, len(self.first) - 1
+        first = upload(self.first, int, device)
+        counts = wp.empty(views, dtype=int, device=device)
+        wp.launch(cells.share_kernel, views, inputs=[first, through], outputs=[counts], device=device)
+        found = Rays.empty(counts.numpy(), device)
+        if not len(found):
+            return None
+        starts = upload(found.first, int, device)
+        wp.launch(
+            cells.parts_kernel,
+            len(self),
+            inputs=[first, through, self.view, self.place, self.size, turn, most, starts],
+            outputs=[found.view, found.place, found.size],
+            device=device,
+        )
+        return found
 
 
-def grid(body: CoherentBody, directions: Directions, spacing_m: float, distance_m: float | None = None) -> Rays:
+class Grid:
     """Cells of at most `spacing_m` that cover the mesh as each direction sees it, without a rest at its sides.
 
-    They lie in the plane through the body's middle; with a distance as a radar there sees it.
+    They lie in the plane through the body's middle; with a distance as a radar there sees it. They are made when they
+    are asked for.
     """
-    parts = []
-    for index in range(len(directions)):
-        low, step, count = frame(body, directions, index, spacing_m, distance_m)
-        i, j = (axis.ravel() for axis in np.meshgrid(np.arange(count[0]), np.arange(count[1]), indexing="ij"))
-        place = low + (np.stack([i, j], axis=1) + 0.5) * step
-        parts.append((place, np.broadcast_to(step, place.shape)))
-    return _padded(parts)
+
+    def __init__(
+        self, body: CoherentBody, directions: Directions, spacing_m: float, distance_m: float | None = None
+    ) -> None:
+        self.device = body.device
+        frames = [frame(body, directions, index, spacing_m, distance_m) for index in range(len(directions))]
+        low, step, count = (np.stack([each[i] for each in frames]) for i in range(3))
+        self.area: NDArray[np.float64] = (step * count).prod(axis=1)
+        """Of all cells of each direction [m2]."""
+        self.first = _first(count.prod(axis=1))
+        self.inputs = [
+            upload(self.first, int, self.device),
+            upload(low, wp.vec2d, self.device),
+            upload(step, wp.vec2d, self.device),
+            upload(count.astype(np.int32), wp.vec2i, self.device),
+        ]
+
+    def __len__(self) -> int:
+        return int(self.first[-1])
+
+    def __getitem__(self, some: slice) -> Rays:
+        start, stop, _ = some.indices(len(self))
+        n, device = stop - start, self.device
+        view = wp.empty(n, dtype=int, device=device)
+        place, size = (wp.empty(n, dtype=wp.vec2d, device=device) for _ in range(2))
+        outputs = [view, place, size]
+        wp.launch(cells.grid_kernel, n, inputs=[*self.inputs, start], outputs=outputs, device=device)
+        return Rays(within(self.first, start, stop), view, place, size)
 
 
 def frame(
@@ -61,32 +150,12 @@ def frame(
     return ends[:, 0], width / count, count
 
 
-def children(rays: Rays, cut: NDArray[np.bool_], views: int) -> Rays:
-    """Halves of cells, or quarters: `cut` says along which sides, (n, 2). Cells without a cut are left out."""
-    parts = []
-    for view in range(views):
-        some = np.flatnonzero(cut.any(axis=1) & (rays.view == view))
-        place, size, along = rays.place[some], rays.size[some], cut[some]
-        for side in (0, 1):
-            copies = np.where(along[:, side], 2, 1)
-            first = np.cumsum(copies) - copies
-            place, size = np.repeat(place, copies, axis=0), np.repeat(size, copies, axis=0)
-            along = np.repeat(along, copies, axis=0)
-            halved = along[:, side]
-            size[halved, side] *= 0.5
-            place[halved, side] -= 0.5 * size[halved, side]
-            second = first[copies == 2] + 1
-            place[second, side] += size[second, side]
-        parts.append((place, size))
-    return _padded(parts)
+def within(first: NDArray[np.int32], start: int, stop: int) -> NDArray[np.int32]:
+    """The first cell of each direction among those from `start` to `stop`, and the end."""
+    return np.clip(first, start, stop) - np.int32(start)
 
 
-def _padded(parts: Sequence[tuple[NDArray[np.float64], NDArray[np.float64]]]) -> Rays:
-    view, place, size, used = [], [], [], []
-    for index, (places, sizes) in enumerate(parts):
-        more = -len(places) % RAYS
-        view.append(np.full(len(places) + more, index, np.int32))
-        place.append(np.concatenate([places, np.zeros((more, 2))]))
-        size.append(np.concatenate([sizes, np.zeros((more, 2))]))
-        used.append(np.repeat(np.array([1, 0], np.int32), [len(places), more]))
-    return Rays(np.concatenate(view), np.concatenate(place), np.concatenate(size), np.concatenate(used))
+def _first(counts: NDArray[Any]) -> NDArray[np.int32]:
+    """The first cell of each direction, and the end, where each has a multiple of `RAYS`."""
+    padded = -(-counts.astype(np.int64) // cells.RAYS) * cells.RAYS
+    return np.concatenate([[0], np.cumsum(padded)]).astype(np.int32)

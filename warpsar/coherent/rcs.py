@@ -128,7 +128,8 @@ class Asked:
         frequencies = np.atleast_1d(np.asarray(asked, np.float64))
         _refuse(scene, azimuths, incidences, frequencies, rays_per_wavelength)
         where = devices.resolve_device(device)
-        devices.load_kernels(where, "coherent.tubes", "coherent.radiate", "coherent.edges", "coherent.rough")
+        kernels = "tubes", "cells", "radiate", "edges", "rough"
+        devices.load_kernels(where, *(f"coherent.{name}" for name in kernels))
         _refuse_size(azimuths.size * incidences.size, frequencies.size, where, scene.radar.max_bounces * layers)
         body = CoherentBody.of(scene, where)
         _refuse_body(scene, body, SPEED_OF_LIGHT / frequencies.max(), rays_per_wavelength)
