@@ -68,7 +68,8 @@ def body_of(world: World, plan: Plan, device: wp.Device, seed: int) -> CoherentB
     """The mesh on the device; its rough places so dense that each cell of the system holds enough of them."""
     refuse_materials(world)
     width = np.sqrt(np.prod(plan.cells_m) / plan.table.scatterers_per_cell)
-    return CoherentBody.of(world, device, spacing_m=float(width), seed=seed)
+    alone = set(world.radar.terms) == {"rough"}
+    return CoherentBody.of(world, device, spacing_m=float(width), seed=seed, rough_only=alone)
 
 
 def scatterers_of(
