@@ -9,11 +9,13 @@ import pytest
 from collected_scenes import ROUGH, field, scene
 
 import warpsar
+from warpsar.collection.bodies import Bodies
 from warpsar.collection.command import run
+from warpsar.collection.direct import direct, direct_of_rough
 from warpsar.collection.history import phase_history as recorded
 from warpsar.collection.plan import Plan, plan_of
-from warpsar.collection.scatterers import Part, Scatterers
-from warpsar.collection.slc import Slc, direct, focused
+from warpsar.collection.scatterers import Part, Scatterers, scatterers_of
+from warpsar.collection.slc import Slc, focused
 from warpsar.measured import formats
 from warpsar.measured.data import ImageChip
 from warpsar.measured.placed import frame_of
@@ -76,6 +78,21 @@ def test_both_ways_make_one_image(mode: str, device: str) -> None:
     one = backprojected(made, plan, found, device).images["HH"]
     other = direct(plan, found, ("HH",), made.grid, devices.resolve_device(device)).images["HH"]
     assert np.abs(one - other).max() < 0.02 * np.abs(one).max()
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_rough_ground_alone_stays_on_the_device(mode: str, device: str) -> None:
+    """The same image as of scatterers on the host, whose columns and signs are their own; float32 sums."""
+    radar = {"polarizations": ("HH", "HV", "VV"), "terms": ("rough",)}
+    made, plan = planned(mode, radar=radar)
+    where = devices.resolve_device(device)
+    bodies = Bodies(made, [plan], where, 5)
+    one = direct_of_rough(bodies, plan)
+    found = scatterers_of(made, plan, bodies.of(plan), once=True)
+    other = direct(plan, found, made.radar.polarizations, made.grid, where)
+    assert one.scatterers == other.scatterers
+    for name, image in other.images.items():
+        assert np.abs(one.images[name] - image).max() < 1e-5 * np.abs(image).max()
 
 
 def test_direct_is_refused_where_it_has_no_one_response() -> None:

@@ -6,6 +6,7 @@ backprojected. Its projection into the world is then the standard's own, whateve
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +39,7 @@ def write(path: Path, made: Slc, polarization: str) -> None:
     except ImportError as error:
         raise InputError(f'{path}: SICD needs sarkit: pip install "warpsar[sicd]"') from error
     root = lxml.etree.Element(f"{{{NAMESPACE}}}SICD", nsmap={None: NAMESPACE})
-    tables = sarkit_sicd.ElementWrapper(root)
+    tables = sarkit_sicd.ElementWrapper(root, _schema())
     plan, image = made.plan, made.images[polarization]
     for name, table in _tables(made, polarization).items():
         tables[name] = table
@@ -62,6 +63,16 @@ def write(path: Path, made: Slc, polarization: str) -> None:
     )
     with replacing(path) as temporary, temporary.open("wb") as file, sarkit_sicd.NitfWriter(file, metadata) as writer:
         writer.write_image(np.ascontiguousarray(image))
+
+
+@cache
+def _schema() -> Any:
+    """What sarkit knows of the standard's elements, read once: by itself it reads it anew for every element."""
+    import sarkit.sicd as sarkit_sicd
+
+    found = sarkit_sicd.XsdHelper(NAMESPACE)
+    found.get_transcoder = cache(found.get_transcoder)
+    return found
 
 
 def _tables(made: Slc, polarization: str) -> dict[str, Any]:
