@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from warpsar.kernels import facet, learned_term, models, models_lanes
-from warpsar.kernels.codes import Model
+from warpsar.kernels import crossed_table, crossed_table_lanes, facet, learned_term, models, models_lanes
+from warpsar.kernels.codes import Layout, Model, Polarization
 from warpsar.runtime.launches import Launch, by_elements
 from warpsar.runtime.program import Program
 from warpsar.surface.stage import Stage
@@ -49,13 +49,17 @@ def record(
     zeta: wp.array,
     sigma: wp.array,
     slopes: Callable[[], wp.array],
+    *,
+    of_the_mesh: bool,
 ) -> None:
     """Record sigma0 of the hits of further models over that of the default, which has been recorded for all hits.
 
     `slopes()` makes the array of the slopes of all hits. The default's adjoint multiplies with them, whosever they are.
+    `of_the_mesh`: no effect has changed the coordinates, so they are the same all over a uniform material.
     """
     device: wp.Device = program.device
     local = int(stage.local_basis)
+    tabled = (Model.I2EM,) if of_the_mesh and Polarization(polarization).crossed else ()
     for model, mine in by_model(stage, hits).items():
         places = [hits.face, stage.face_material, hits.cos_incidence, hits.cos_twist]
         if model == Model.FACET:
@@ -73,6 +77,10 @@ def record(
                 zeta,
             ]
             block = 1
+        elif model in tabled and _uniform(stage, own := _one_of_each(stage, hits, mine)):
+            kernel = crossed_table_lanes.scatter_kernel if device.is_cpu else crossed_table.scatter_kernel
+            block = crossed_table_lanes.HITS if device.is_cpu else 1
+            inputs = [mine, local, *places, *_crossed_tables(program, stage, own, wavenumber, spectrum, zeta)]
         else:
             kernel = models_lanes.scatter_kernel if device.is_cpu else models.scatter_kernel
             block = models_lanes.HITS if device.is_cpu else 1
@@ -88,6 +96,42 @@ def record(
             keeping=partial(_keeping, kernel, dim, inputs, sigma, slopes, mine, block),
             pieces=by_elements([mine], block),
         )
+
+
+def _one_of_each(stage: Stage, hits: Hits, mine: wp.array) -> np.ndarray:
+    """The materials of some hits and one hit of each, int32, (n, 2); kept with the hits."""
+    key = "one of each", id(mine)
+    if key not in hits.derived:
+        numbers = mine.numpy()
+        material = stage.face_material.numpy()[hits.face.numpy()[numbers]]
+        found = np.flatnonzero(np.bincount(material))
+        hits.derived[key] = np.array([[m, numbers[np.argmax(material == m)]] for m in found], np.int32)
+    own: np.ndarray = hits.derived[key]
+    return own
+
+
+def _uniform(stage: Stage, own: np.ndarray) -> bool:
+    """Whether each of the materials `own` has one value of everything that sigma0 depends on."""
+    return bool(np.isin(stage.surface.places[own[:, 0], :, 0], (Layout.UNIFORM, Layout.HELD)).all())
+
+
+def _crossed_tables(
+    program: Program, stage: Stage, own: np.ndarray, wavenumber: float, spectrum: wp.array, zeta: wp.array
+) -> list[wp.array]:
+    """Record the tables of HV over incidence, one row for each material of the scene; `own` as of `_one_of_each`."""
+    n, materials = len(own), stage.surface.places.shape[0]
+    wave = program.array((n, crossed_table.DOUBLE, crossed_table.WAVES), wp.vec4d, grad=False)
+    once = program.array((materials, crossed_table.SINGLE), wp.vec4, grad=False)
+    twice = program.array((materials, crossed_table.DOUBLE), wp.vec4, grad=False)
+    given = [wp.float64(wavenumber), wp.array(own, dtype=wp.vec2i, device=program.device), spectrum]
+
+    def launch(kernel: wp.Kernel, dim: tuple[int, ...], inputs: list[Any], output: wp.array) -> None:
+        program.launch(kernel, dim, [*given, *inputs], [output], adjoint=lambda: None)
+
+    launch(crossed_table.wave_kernel, wave.shape, [stage.eps_im, zeta], wave)
+    launch(crossed_table.double_kernel, (n, crossed_table.DOUBLE), [zeta, wave], twice)
+    launch(crossed_table.single_kernel, (n, crossed_table.SINGLE), [stage.eps_im, zeta], once)
+    return [once, twice]
 
 
 def with_term(

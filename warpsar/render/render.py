@@ -289,7 +289,10 @@ class ViewRender:
             pieces=by_elements(per_hit, block),
         )
         wavenumber = self.geometry.wavenumber
-        models.record(self.program, stage, hits, wavenumber, polarization, spectra, zeta, sigma, slopes)
+        of_the_mesh = any(gathered.zeta is zeta for gathered in self.gathered)
+        models.record(
+            self.program, stage, hits, wavenumber, polarization, spectra, zeta, sigma, slopes, of_the_mesh=of_the_mesh
+        )
         return models.with_term(self.program, stage, hits, wavenumber, polarization, zeta, sigma)
 
     def set_parameters(self, nodes: np.ndarray | None, effects: Mapping[str, np.ndarray] | None = None) -> None:
