@@ -23,13 +23,15 @@ from PIL import Image
 from warpsar.evaluation.meshview import look
 from warpsar.io.figures import new
 from warpsar.io.images import read_channel
-from warpsar.io.quick_look import QuickLook, limits_db, shades
+from warpsar.io.quick_look import DEEPEST_DB, QuickLook, limits_db, shades
 from warpsar.runtime.devices import resolve_device
 from warpsar.scene.scene import Scene
 from warpsar.simulation.command import run
 from warpsar.surface.stage import Stage
 
 LOOKS = 4.0
+ABOVE_DB = 5.0
+"""White above the 99.5th percentile, so that ground is grey and bodies stand out."""
 COLOURS = {
     "asphalt": (0.30, 0.30, 0.33),
     "concrete": (0.72, 0.71, 0.68),
@@ -47,6 +49,13 @@ COLOURS = {
     "crowns": (0.20, 0.45, 0.22),
     "trunks": (0.45, 0.33, 0.22),
     "blades": (0.95, 0.95, 0.95),
+    "tower": (0.90, 0.90, 0.92),
+    "aircraft": (0.88, 0.89, 0.92),
+    "terminal": (0.60, 0.78, 0.85),
+    "ship": (0.62, 0.25, 0.20),
+    "containers": (0.45, 0.52, 0.62),
+    "hull": (0.50, 0.50, 0.33),
+    "tracks": (0.35, 0.35, 0.36),
 }
 
 _TEXT = """# {words}
@@ -117,16 +126,16 @@ def draw(scene: Scene, shot: Shot, folder: Path, path: Path) -> None:
     """Mesh and image side by side, as WebP."""
     power = read_channel(folder / "view_looks4.exr", "HH")
     image = QuickLook.of(path, "", {"HH": power}, scene.grid.spacing_m)
-    limits = limits_db(shades([image]))
-    figure, (left, right) = new(10.5, 4.4, ncols=2, width_ratios=[1.0, 1.15])
+    white = limits_db(shades([image]))[1] + ABOVE_DB
+    deep, wide = image.size_m
+    figure, (left, right) = new(10.5, 0.9 + 4.6 * deep / wide, ncols=2, width_ratios=[1.0, 1.15])
     left.imshow(mesh_picture(scene, shot))
     left.set_axis_off()
     left.set_title("the mesh, radar above", fontsize=9)
-    deep, wide = image.size_m
     with np.errstate(divide="ignore"):
         decibel = 10.0 * np.log10(image.power["HH"])
     extent = (-wide / 2.0, wide / 2.0, deep / 2.0, -deep / 2.0)
-    shown = right.imshow(decibel, "gray", vmin=limits[0], vmax=limits[1], extent=extent)
+    shown = right.imshow(decibel, "gray", vmin=white - DEEPEST_DB, vmax=white, extent=extent)
     right.set_title(f"HH at 9.6 GHz, incidence {shot.incidence_deg:g}°, {LOOKS:g} looks", fontsize=9)
     right.set_xlabel("azimuth [m]", fontsize=8)
     right.set_ylabel("slant range [m], radar above", fontsize=8)

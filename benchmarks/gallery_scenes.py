@@ -12,6 +12,7 @@ from gallery_shapes import Parts, all_of, fractal, turn
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+BOUNCES: dict[str, dict[str, Any]] = {"multibounce": {"strength": 1.0}}
 
 
 @dataclass(frozen=True)
@@ -25,9 +26,19 @@ class Shot:
     shape: tuple[int, int]
     spacing_m: float
     reference_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    effects: dict[str, dict[str, Any]] = field(default_factory=lambda: {"multibounce": {"strength": 1.0}})
+    effects: dict[str, dict[str, Any]] = field(default_factory=lambda: BOUNCES)
     extra: str = ""
     mesh: str = "scene.obj"
+
+
+def detailed(level: float, spread_m: float, *materials: str) -> dict[str, dict[str, Any]]:
+    """Bounces, and detail that the mesh does not have: hatches, rails, engines. The level is our choice."""
+    return BOUNCES | {"unresolved_detail": {"level": level, "spread_m": spread_m, "materials": list(materials)}}
+
+
+def tables(**library: str) -> str:
+    """Tables of materials that have a name of their own and a surface of the library."""
+    return "".join(f'\n[materials.{name}]\nlibrary = "{surface}"\n' for name, surface in library.items())
 
 
 def car(number: int, x: float, y: float, heading: float, size: tuple[float, float, float] = (4.6, 1.8, 1.5)) -> str:
@@ -62,17 +73,17 @@ def city_block(folder: Path) -> Shot:
 
 def _aeroplane(parts: Parts, x: float, y: float, heading: float) -> None:
     one = Parts()
-    one.rod("metal", (0.0, -16.0, 3.6), (0.0, 15.0, 3.6), 2.0, 32)
-    one.ball("metal", (0.0, 15.0, 3.6), (2.0, 4.5, 2.0))
+    one.rod("aircraft", (0.0, -16.0, 3.6), (0.0, 15.0, 3.6), 2.0, 32)
+    one.ball("aircraft", (0.0, 15.0, 3.6), (2.0, 4.5, 2.0))
     wing = [(0, 4, 3.2), (17, -5, 4.0), (17, -7, 4.0), (0, -3, 3.2)]
     tail = [(0, -13, 4.5), (6.5, -16, 5.0), (6.5, -17.5, 5.0), (0, -16, 4.5)]
     for sheet in (wing, tail):
         for side in (1.0, -1.0):
-            one.add("metal", np.array(sheet, float) * (side, 1.0, 1.0), np.array([[0, 1, 2], [0, 2, 3]]))
+            one.add("aircraft", np.array(sheet, float) * (side, 1.0, 1.0), np.array([[0, 1, 2], [0, 2, 3]]))
     fin = [(0, -11, 5.4), (0, -16, 11.0), (0, -18, 11.0), (0, -16.5, 5.0)]
-    one.add("metal", np.array(fin, float), np.array([[0, 1, 2], [0, 2, 3]]))
+    one.add("aircraft", np.array(fin, float), np.array([[0, 1, 2], [0, 2, 3]]))
     for side in (6.0, -6.0):
-        one.rod("metal", (side, -2.0, 2.0), (side, 3.0, 2.0), 1.1, 24)
+        one.rod("aircraft", (side, -2.0, 2.0), (side, 3.0, 2.0), 1.1, 24)
     for material, vertices, faces in one.pieces:
         parts.add(material, vertices @ turn(heading).T + (x, y, 0.0), faces)
 
@@ -86,7 +97,7 @@ def airport(folder: Path) -> Shot:
         return np.where(runway | taxiway, "asphalt", np.where(apron, "concrete", "grass"))
 
     parts.ground((300.0, 240.0), 3.0, ground)
-    parts.prism("glass", "concrete", [(-100, 75), (40, 75), (40, 100), (-100, 100)], 14.0)
+    parts.prism("terminal", "concrete", [(-100, 75), (40, 75), (40, 100), (-100, 100)], 14.0)
     for x in (70.0, 102.0):
         angle = np.linspace(0.0, np.pi, 25)
         arch = np.column_stack([13.0 * np.cos(angle), 11.0 * np.sin(angle)])
@@ -101,7 +112,15 @@ def airport(folder: Path) -> Shot:
         _aeroplane(parts, x, 40.0, heading)
     _aeroplane(parts, 90.0, -40.0, 180.0)
     parts.write(folder / "scene.obj")
-    return Shot("an airport: apron, runway, hangars, a terminal and four aeroplanes", 165.0, 45.0, (350, 480), 0.75)
+    return Shot(
+        "an airport: apron, runway, hangars, a terminal and four aeroplanes",
+        165.0,
+        45.0,
+        (350, 480),
+        0.75,
+        effects=detailed(0.15, 1.5, "aircraft", "terminal"),
+        extra=tables(aircraft="metal", terminal="glass"),
+    )
 
 
 def ship(folder: Path) -> Shot:
@@ -112,16 +131,16 @@ def ship(folder: Path) -> Shot:
     parts.prism("concrete", "concrete", [(-100, 0), (100, 0), (100, 45), (-100, 45)], 3.5)
     hull = [(-62, -14), (-66, -10), (-66, -8), (-62, -3), (48, -3), (62, -6), (70, -9), (62, -12), (48, -15)]
     hull = [(x, y - 1.0) for x, y in hull]
-    parts.prism("painted_steel", "painted_steel", hull[::-1] if _clockwise(hull) else hull, 9.0)
-    parts.box("painted_steel", (-52.0, -9.5, 9.0), (12.0, 11.0, 12.0))
-    parts.box("painted_steel", (-52.0, -9.5, 21.0), (9.0, 13.0, 3.0))
-    parts.cylinder("painted_steel", (-59.0, -9.5, 9.0), 1.8, 14.0)
-    parts.rod("painted_steel", (-50.0, -9.5, 24.0), (-50.0, -9.5, 32.0), 0.3)
+    parts.prism("ship", "ship", hull[::-1] if _clockwise(hull) else hull, 9.0)
+    parts.box("ship", (-52.0, -9.5, 9.0), (12.0, 11.0, 12.0))
+    parts.box("ship", (-52.0, -9.5, 21.0), (9.0, 13.0, 3.0))
+    parts.cylinder("ship", (-59.0, -9.5, 9.0), 1.8, 14.0)
+    parts.rod("ship", (-50.0, -9.5, 24.0), (-50.0, -9.5, 32.0), 0.3)
     random = np.random.default_rng(4)
     for x in np.arange(-38.0, 48.0, 6.6):
         for y in (-13.0, -9.5, -6.0):
             for level in range(int(random.integers(1, 5))):
-                parts.box("metal", (float(x), y, 9.0 + 2.6 * level), (6.1, 2.44, 2.55))
+                parts.box("containers", (float(x), y, 9.0 + 2.6 * level), (6.1, 2.44, 2.55))
     for x in (-10.0, 45.0):
         for a in (-7.0, 7.0):
             for y in (4.0, 18.0):
@@ -130,9 +149,14 @@ def ship(folder: Path) -> Shot:
             parts.box("painted_steel", (x + a, 3.0, 29.0), (1.2, 50.0, 1.6))
         parts.box("painted_steel", (x, 14.0, 31.0), (8.0, 8.0, 4.0))
     for x in range(-80, 90, 22):
-        parts.box("metal", (float(x), 32.0, 3.5), (12.2, 2.44, 2.6 * (1 + x % 3)))
+        parts.box("containers", (float(x), 32.0, 3.5), (12.2, 2.44, 2.6 * (1 + x % 3)))
     parts.write(folder / "scene.obj")
-    return Shot("a container ship at a quay with two cranes", 148.0, 48.0, (330, 420), 0.5)
+    # walls of containers are corrugated, and no mirrors
+    extra = tables(ship="painted_steel", containers="metal") + "rms_height_m = 0.003\n"
+    effects = detailed(0.3, 1.5, "ship", "containers")
+    return Shot(
+        "a container ship at a quay with two cranes", 148.0, 48.0, (330, 420), 0.5, effects=effects, extra=extra
+    )
 
 
 def _clockwise(outline: list[tuple[float, float]]) -> bool:
@@ -146,22 +170,23 @@ def vehicle(folder: Path) -> Shot:
     parts.ground((24.0, 24.0), 0.1, all_of("grass"), lambda x, y: rough.ravel() - 0.03)
     for side in (-1.35, 1.35):
         parts.prism(
-            "metal", "metal", [(side - 0.3, -3.0), (side + 0.3, -3.0), (side + 0.3, 3.0), (side - 0.3, 3.0)], 0.9
+            "tracks", "tracks", [(side - 0.3, -3.0), (side + 0.3, -3.0), (side + 0.3, 3.0), (side - 0.3, 3.0)], 0.9
         )
         for y in np.linspace(-2.5, 2.5, 6):
-            parts.rod("metal", (side - 0.32, y, 0.42), (side + 0.32, y, 0.42), 0.4, 24)
-    parts.prism("painted_steel", "painted_steel", [(-1.7, -3.2), (1.7, -3.2), (1.7, 2.3), (-1.7, 2.3)], 0.7, 0.85)
+            parts.rod("tracks", (side - 0.32, y, 0.42), (side + 0.32, y, 0.42), 0.4, 24)
+    parts.prism("hull", "hull", [(-1.7, -3.2), (1.7, -3.2), (1.7, 2.3), (-1.7, 2.3)], 0.7, 0.85)
     front = np.array(
         [(-1.7, 2.3, 0.85), (1.7, 2.3, 0.85), (1.7, 3.4, 1.0), (-1.7, 3.4, 1.0), (-1.7, 2.3, 1.55), (1.7, 2.3, 1.55)]
     )
-    parts.add("painted_steel", front, np.array([(4, 3, 2), (4, 2, 5), (0, 1, 2), (0, 2, 3), (0, 3, 4), (1, 5, 2)]))
-    parts.frustum("painted_steel", (0.0, -0.4, 1.55), (1.35, 1.0), 0.75, 10)
-    parts.rod("metal", (0.0, 0.6, 1.95), (0.0, 5.0, 2.05), 0.09)
-    parts.cylinder("metal", (0.5, -0.9, 2.3), 0.3, 0.25, 16)
+    parts.add("hull", front, np.array([(4, 3, 2), (4, 2, 5), (0, 1, 2), (0, 2, 3), (0, 3, 4), (1, 5, 2)]))
+    parts.frustum("hull", (0.0, -0.4, 1.55), (1.35, 1.0), 0.75, 10)
+    parts.rod("tracks", (0.0, 0.6, 1.95), (0.0, 5.0, 2.05), 0.09)
+    parts.cylinder("tracks", (0.5, -0.9, 2.3), 0.3, 0.25, 16)
     for x in (-1.2, 1.2):
-        parts.box("metal", (x, -2.9, 1.55), (0.7, 0.5, 0.35))
+        parts.box("tracks", (x, -2.9, 1.55), (0.7, 0.5, 0.35))
     parts.write(folder / "scene.obj")
-    return Shot("a tracked vehicle on grass", 35.0, 55.0, (200, 240), 0.08, (0.0, 0.0, 0.8))
+    effects, extra = detailed(0.4, 0.25, "hull", "tracks"), tables(hull="painted_steel", tracks="metal")
+    return Shot("a tracked vehicle on grass", 35.0, 55.0, (200, 240), 0.08, (0.0, 0.0, 0.8), effects, extra)
 
 
 def terrain(folder: Path) -> Shot:
@@ -181,7 +206,7 @@ def terrain(folder: Path) -> Shot:
         14.0,
         (0.0, 0.0, 1200.0),
         {},
-        '\n[materials.default]\nlibrary = "soil_wet"\n',
+        tables(default="soil_wet"),
         "dem.tif",
     )
 
@@ -218,7 +243,7 @@ def forest(folder: Path) -> Shot:
             parts.ball("crowns", (a, b, 0.68 * tall), (wide, wide, 0.34 * tall), 0.10, number)
             number += 1
     parts.write(folder / "scene.obj")
-    extra = '\n[materials.crowns]\nlibrary = "grass"\n\n[materials.trunks]\nlibrary = "wood"\n'
+    extra = tables(crowns="grass", trunks="wood")
     detail = {"unresolved_detail": {"level": 0.05, "spread_m": 2.0, "materials": ["crowns"]}}
     words = "a forest's edge: crowns are lumpy surfaces with unresolved detail; the models have no volume of leaves"
     return Shot(words, 270.0, 45.0, (280, 330), 0.45, (0.0, 0.0, 3.0), detail, extra)
@@ -295,10 +320,10 @@ def wind_turbine(folder: Path) -> Shot:
         return np.where((np.abs(x + 0.3 * y) < 2.5) | (np.hypot(x, y) < 14), "gravel", "grass")
 
     parts.ground((200.0, 200.0), 2.0, ground, lambda x, y: relief)
-    parts.frustum("painted_steel", (0.0, 0.0, 0.0), (2.3, 1.4), 80.0, 96)
-    parts.box("painted_steel", (0.0, -1.5, 80.0), (3.6, 10.0, 3.8))
+    parts.frustum("tower", (0.0, 0.0, 0.0), (2.3, 1.4), 80.0, 96)
+    parts.box("tower", (0.0, -1.5, 80.0), (3.6, 10.0, 3.8))
     hub = np.array([0.0, -7.5, 82.0])
-    parts.ball("painted_steel", tuple(hub), (1.7, 1.8, 1.7))
+    parts.ball("tower", tuple(hub), (1.7, 1.8, 1.7))
     for turn_deg in (15.0, 135.0, 255.0):
         out = np.array([np.sin(np.radians(turn_deg)), 0.0, np.cos(np.radians(turn_deg))])
         side = np.cross(out, (0.0, 1.0, 0.0))
@@ -320,8 +345,8 @@ def wind_turbine(folder: Path) -> Shot:
     parts.box("painted_steel", (9.0, 3.0, 0.6), (3.0, 5.0, 2.5))
     parts.write(folder / "scene.obj")
     words = "a wind turbine of 80 m: it lies towards the radar, and its shadow away from it"
-    extra = '\n[materials.blades]\nlibrary = "glass"\nrms_height_m = 0.0002\n'
-    return Shot(words, 200.0, 50.0, (400, 400), 0.5, (0.0, 0.0, 20.0), extra=extra)
+    extra = tables(tower="painted_steel", blades="glass") + "rms_height_m = 0.0002\n"
+    return Shot(words, 200.0, 50.0, (400, 400), 0.5, (0.0, 0.0, 20.0), detailed(0.3, 1.0, "tower", "blades"), extra)
 
 
 SCENES: dict[str, Callable[[Path], Shot]] = {

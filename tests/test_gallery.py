@@ -73,3 +73,14 @@ def test_one_command_makes_scene_images_and_picture(
 def test_pictures_are_small(gallery: ModuleType) -> None:
     assert sorted(gallery.SCENES) == sorted(NAMES) == sorted(path.stem for path in PICTURES.iterdir())
     assert all(path.stat().st_size < 100_000 for path in PICTURES.iterdir())
+
+
+def test_no_words_are_cut(gallery: ModuleType) -> None:
+    """Two rows and columns of white around every picture: title and axes end before the border."""
+    for path in PICTURES.iterdir():
+        with Image.open(path) as picture:
+            pixels = np.asarray(picture.convert("L"))
+        border = np.concatenate(
+            [pixels[:2].ravel(), pixels[-2:].ravel(), pixels[:, :2].ravel(), pixels[:, -2:].ravel()]
+        )
+        assert border.min() > 200, path.name

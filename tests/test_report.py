@@ -12,8 +12,10 @@ from learning_scenes import cube_scene, measured, views_at
 from matplotlib.image import imread
 from worlds import view
 
+from warpsar.diagnosis.report_left import ratio_words
 from warpsar.evaluation.command import run
 from warpsar.evaluation.report_images import reduced
+from warpsar.evaluation.report_surface import stated
 from warpsar.io import html as report
 from warpsar.io.figures import new
 from warpsar.io.html_image import Axis, image
@@ -163,6 +165,16 @@ def test_a_mark_stands_where_its_value_lies() -> None:
     down, along = (dict(re.findall(rf'<i style="{side}: ([\d.]+)%">([^<]+)</i>', made)) for side in ("top", "left"))
     assert down == {"0": "−10", "25": "−5", "50": "0", "75": "5", "100": "10"}
     assert along == {"16.67": "20", "50": "0", "83.33": "−20"}
+
+
+def test_no_ratio_where_no_pixel_is_compared() -> None:
+    assert ratio_words(float("nan")) == "no lit pixel is compared there"
+    assert ratio_words(-1.25) == "measured over modelled -1.25 dB"
+
+
+def test_parameters_of_effects_are_words() -> None:
+    table = {"level": 0.0029933207, "window": "taylor", "gain_db": {"north": 1.0}, "materials": ["lawn"]}
+    assert stated(table) == "level 0.002993, window taylor, gain_db of north 1, materials lawn"
 
 
 def test_table_has_a_cell_for_every_value() -> None:

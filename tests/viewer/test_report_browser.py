@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 from test_view_browser import BROWSER, WITHOUT_GPU, playwright
 
 from warpsar.io import html
-from warpsar.io.html_image import Axis, image
+from warpsar.io.figures import new
+from warpsar.io.html_image import MARKS, Axis, image
 
 pytestmark = pytest.mark.skipif(BROWSER is None, reason="no Chromium on this machine")
 
@@ -70,3 +73,52 @@ def test_a_caption_is_as_wide_as_the_page(opened: tuple[Any, list[str]]) -> None
     page, _ = opened
     assert page.locator("table").bounding_box()["width"] > 1000
     assert page.locator("caption span").bounding_box()["width"] <= 400 - 2 * 16
+
+
+ENDS = [(-36.0, 36.0), (0.0, 0.35), (5.0, -5.0), (1000.0, 1003.0), (-3412.5, 96.25), (0.021, 0.0245)]
+
+
+def test_both_statements_of_round_numbers_agree(opened: tuple[Any, list[str]]) -> None:
+    """Python labels the small picture, read without scripts and printed; the script labels what is enlarged."""
+    page, _ = opened
+    for ends in ENDS:
+        found = page.evaluate("([from, to, most]) => ticks(from, to, most)", [*ends, MARKS])
+        assert found == pytest.approx(Axis("", *ends).ticks(), rel=1e-9, abs=1e-12)
+
+
+def test_a_dark_page_has_dark_drawings(tmp_path: Path) -> None:
+    """A plot with white paper, and a picture of a mesh with nothing behind, on a page in dark colours."""
+    figure, axis = new(3.0, 2.0)
+    axis.plot([0, 1], [0, 1])
+    nothing = report_picture()
+    path = tmp_path / "dark.html"
+    html.write(path, html.page("A", "b", html.section("c", html.row(html.drawing(figure, "d"), nothing, across=2))))
+    with playwright.sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=BROWSER, args=WITHOUT_GPU)
+        for scheme, dark in (("light", False), ("dark", True)):
+            page = browser.new_context(color_scheme=scheme, viewport={"width": 800, "height": 600}).new_page()
+            page.goto(path.as_uri())
+            for kind in ("drawing", "picture"):
+                shot = page.locator(f"img.{kind}").screenshot()
+                corner = np.asarray(Image.open(BytesIO(shot)).convert("L"))[3:8, 3:8]
+                assert (corner.max() < 60) if dark else (corner.min() > 240), (scheme, kind)
+        browser.close()
+
+
+def report_picture() -> str:
+    return html.picture(html.png(np.zeros((40, 60, 4), np.uint8)), "nothing")
+
+
+def test_numbers_stay_whole_on_a_phone(tmp_path: Path) -> None:
+    """Facts beside four pictures, at 400 pixels: a value may break at a space, never inside a number."""
+    cells = [html.picture(html.png(np.zeros((9, 9, 3))), "a")] * 4
+    said = html.cell(html.facts([("deviance before", "1.285 \u00b1 0.088"), ("all pixels", "1.2120 \u00b1 0.0430")]))
+    path = tmp_path / "facts.html"
+    html.write(path, html.page("A", "b", html.section("c", html.row(*cells, said, across=5))))
+    with playwright.sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=BROWSER, args=WITHOUT_GPU)
+        page = browser.new_page(viewport={"width": 400, "height": 800})
+        page.goto(path.as_uri())
+        heights = page.eval_on_selector_all("dd", "all => all.map(one => one.getBoundingClientRect().height)")
+        browser.close()
+    assert max(heights) < 30.0  # one line each

@@ -69,9 +69,10 @@ def surfaces(materials: Sequence[Material]) -> Any:
     packed = records(rough.RoughSurface, len(materials))
     for m, material in enumerate(materials):
         if material.model != "ka_spm" or material.learned_term is not None:
+            found = f'found model = "{material.model}", learned_term = {material.learned_term}'
+            also = f', also beside library = "{material.library}"' if material.library else ""
             raise InputError(
-                f'materials: found model = "{material.model}", learned_term = {material.learned_term}; a coherent '
-                'product must have model = "ka_spm" and no learned term'
+                f'materials: {found}; a coherent product must have model = "ka_spm"{also}, and no learned term'
             )
         eps = _CONDUCTOR if material.conductor else material.eps_r
         length = material.correlation_length_m or 1.0

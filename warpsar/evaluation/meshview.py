@@ -56,15 +56,15 @@ class MeshView:
     light: np.ndarray
 
     def paint(self, colours: np.ndarray) -> np.ndarray:
-        """A picture, shape (rows, cols, 3), uint8, white behind; `colours` of the rays, (n, 3), 0 to 1."""
+        """A picture, shape (rows, cols, 4), RGBA uint8, nothing behind; `colours` of the rays, (n, 3), 0 to 1."""
         shaded = colours * (0.6 + 0.4 * self.light)[:, None]
         size = self.shape[0] * self.shape[1]
         sums = np.stack([np.bincount(self.pixel, shaded[:, k], size) for k in range(3)], axis=1)
         count = np.bincount(self.pixel, minlength=size)[:, None]
         # rays are jittered: inside an outline a pixel has some more or fewer than RAYS^2, hardly ever less than half
         cover = np.minimum(count / (0.5 * RAYS**2), 1.0)
-        picture = cover * sums / np.maximum(count, 1) + (1.0 - cover)
-        return np.round(255.0 * picture).astype(np.uint8).reshape(*self.shape, 3)
+        picture = np.concatenate([sums / np.maximum(count, 1), cover], axis=1)
+        return np.round(255.0 * picture).astype(np.uint8).reshape(*self.shape, 4)
 
 
 def look(stage: Stage, azimuth_deg: float, incidence_deg: float, width: int = 480) -> MeshView:

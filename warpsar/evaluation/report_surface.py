@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -71,6 +72,17 @@ def _number(value: float) -> str:
     return f"{value:.3g}"
 
 
+def stated(table: Mapping[str, Any]) -> str:
+    """The parameters of an effect: "level 0.00299, window taylor"; of tables by view or material, each entry."""
+    words = []
+    for key, value in table.items():
+        entries = {f"{key} of {one}": x for one, x in value.items()} if isinstance(value, Mapping) else {key: value}
+        for one, x in entries.items():
+            each = x if isinstance(x, list | tuple) else [x]
+            words.append(f"{one} " + " ".join(f"{y:.4g}" if isinstance(y, float) else str(y) for y in each))
+    return ", ".join(words)
+
+
 def parameters_section(scene: Scene, stage: Stage, identified: Identified | None) -> str:
     surface = stage.surface
     sd = {} if identified is None else dict(zip(identified.labels, identified.sd, strict=True))
@@ -96,7 +108,7 @@ def parameters_section(scene: Scene, stage: Stage, identified: Identified | None
     caption = "In brackets: 95 % intervals" if identified is not None else ""
     blocks = [report.table(["material", *(shown_as(kind.key)[0] for kind in KINDS)], rows, caption)]
     if scene.effects:
-        said = [[name, json.dumps(table)] for name, table in scene.effects.items()]
+        said = [[name, stated(table)] for name, table in scene.effects.items()]
         blocks.append(report.table(["declared effect", "parameters"], said))
     sides = both_sides(stage, INCIDENCE_DEG)
     chosen = [k for k in KINDS if any(b.learn for b in surface.blocks if b.kind is k)] or list(KINDS[:3])

@@ -86,12 +86,13 @@ def row(*cells: str, across: int = 4, least_px: int = 158) -> str:
 
 
 def cell(*blocks: str) -> str:
-    return "<div>" + "".join(blocks) + "</div>"
+    """Words in a row of pictures; on a phone they take the whole width."""
+    return '<div class="cell">' + "".join(blocks) + "</div>"
 
 
 def picture(png: bytes, caption: str) -> str:
     """A picture without axes; for an image of measurements there is `html_image.image`."""
-    return _figure(data_uri(png, "image/png"), caption)
+    return _figure(data_uri(png, "image/png"), caption, "picture")
 
 
 def drawing(figure: Figure, caption: str, *, show: bool = True) -> str:
@@ -101,12 +102,12 @@ def drawing(figure: Figure, caption: str, *, show: bool = True) -> str:
     stream = BytesIO()
     with matplotlib.rc_context({"svg.hashsalt": "warpsar"}):  # the same figure is the same bytes
         figure.savefig(stream, format="svg", metadata={"Date": None})
-    return _figure(data_uri(stream.getvalue(), "image/svg+xml"), caption, show=show)
+    return _figure(data_uri(stream.getvalue(), "image/svg+xml"), caption, "drawing", show=show)
 
 
-def _figure(uri: str, caption: str, *, show: bool = True) -> str:
+def _figure(uri: str, caption: str, kind: str, *, show: bool = True) -> str:
     said = f"<figcaption>{escape(caption)}</figcaption>" if show else ""
-    return f'<figure><img src="{uri}" alt="{escape(caption, quote=True)}">{said}</figure>'
+    return f'<figure><img class="{kind}" src="{uri}" alt="{escape(caption, quote=True)}">{said}</figure>'
 
 
 def data_uri(content: bytes, kind: str) -> str:
@@ -136,7 +137,7 @@ def colour(values: np.ndarray, colours: str, low: float, high: float) -> np.ndar
 
 
 def png(rgb: np.ndarray) -> bytes:
-    """A PNG file of an RGB picture, shape (rows, cols, 3), float from 0 to 1 or uint8."""
+    """A PNG file of a picture, RGB or RGBA, shape (rows, cols, 3 or 4), float from 0 to 1 or uint8."""
     from matplotlib.image import imsave
 
     stream = BytesIO()

@@ -14,7 +14,7 @@ from warpsar.effects.registry import validate
 from warpsar.errors import InputError, did_you_mean, shown
 from warpsar.world.collection import Antenna, Collection, Transmitter
 from warpsar.world.curve import Curve
-from warpsar.world.library.fill import filled
+from warpsar.world.library.fill import filled, of_one_frequency
 from warpsar.world.library.surfaces import SURFACES
 from warpsar.world.objects.table import Object
 from warpsar.world.tables import (
@@ -135,14 +135,26 @@ def _read_text(path: Path) -> str:
 
 def parse(raw: dict[str, Any]) -> tuple[SceneFile | None, list[str]]:
     """The checked tables, or None and what is wrong with them, a line each."""
+    stated: Any = raw.get("materials")
     raw, problems = _with_library(raw)
     try:
         file = SceneFile.model_validate(raw)
+        own = {name for name in file.materials if "eps_r" in stated[name]}
+        of_library = {name: one.library for name, one in file.materials.items() if one.library and name not in own}
+        problems += beside_the_radar(file, of_library)
         if file.scene.mesh is None and all(one.group is not None for one in file.objects):
             return None, ["scene.mesh: missing; it may be left out where [[objects]] holds a mesh or a primitive"]
         return (None, problems) if problems else (file, [])
     except ValidationError as error:
         return None, problems + [_problem(details, raw) for details in error.errors(include_url=False)]
+
+
+def beside_the_radar(file: SceneFile, libraries: Mapping[str, str]) -> list[str]:
+    """What is wrong where views have a frequency of their own; `libraries` names the surface of each material whose
+    permittivity is the library's."""
+    views = {view.name: view.frequency_hz for view in file.views if view.frequency_hz is not None}
+    found = (of_one_frequency(name, one, file.radar.frequency_hz, views) for name, one in libraries.items())
+    return [one for one in found if one is not None]
 
 
 def _with_library(raw: dict[str, Any]) -> tuple[dict[str, Any], list[str]]:

@@ -12,7 +12,7 @@ from warpsar.errors import InputError
 from warpsar.io import curves
 from warpsar.io.images import read_channel, read_mask
 from warpsar.scene import checks
-from warpsar.scene.file import SceneFile, parse, parse_effects, read, refuse
+from warpsar.scene.file import SceneFile, beside_the_radar, parse, parse_effects, read, refuse
 from warpsar.world.collection import Collection
 from warpsar.world.curve import Curve
 from warpsar.world.library.fill import beyond, named
@@ -63,7 +63,9 @@ class _Loader:
         self.problems += checks.view_names(views)
         frequency_hz = file.radar.frequency_hz
         unstated = [] if mesh is None else [name for name in mesh.materials if name not in file.materials]
-        tables = {**file.materials, **named(unstated, frequency_hz)}
+        of_library = named(unstated, frequency_hz)
+        self.problems += beside_the_radar(file, {name: name for name in of_library})
+        tables = {**file.materials, **of_library}
         materials = {name: self.material(name, table, mesh) for name, table in tables.items()}
         self.warnings += [w for name, table in tables.items() if (w := beyond(name, table, frequency_hz))]
         if mesh is not None:

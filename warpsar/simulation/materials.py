@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,7 +13,7 @@ import warp as wp
 
 from warpsar.errors import InputError, did_you_mean
 from warpsar.io import figures
-from warpsar.kernels.codes import Polarization, Spectrum
+from warpsar.kernels.codes import Model, Polarization, Spectrum
 from warpsar.kernels.incidence import sigma0_kernel
 from warpsar.runtime import console, devices
 from warpsar.world.frame import SPEED_OF_LIGHT
@@ -37,7 +38,8 @@ def sigma0_db(surface: Material, polarization: str, frequency_hz: float, inciden
     cosine: wp.array = wp.array(np.cos(np.radians(incidence_deg)), dtype=wp.float64, device=device)
     found = wp.zeros_like(cosine)
     wavenumber = 2.0 * math.pi * frequency_hz / SPEED_OF_LIGHT
-    codes = [int(Polarization[polarization]), int(Spectrum[surface.spectrum.upper()])]
+    model = int(Model[surface.model.upper()])
+    codes = [model, int(Polarization[polarization]), int(Spectrum[surface.spectrum.upper()])]
     inputs = [cosine, *codes, wavenumber, eps_re, -eps_im, height, length, surface.specular_fraction]
     wp.launch(sigma0_kernel, dim=cosine.size, inputs=inputs, outputs=[found], device=device)
     return np.asarray(10.0 * np.log10(np.maximum(found.numpy(), 1e-30)))
@@ -60,7 +62,7 @@ def run(names: Sequence[str], frequency_hz: float, picture: Path | None) -> list
 def _listed(names: Sequence[str], frequency_hz: float) -> list[str]:
     """A table in text: what a surface is, its values at this frequency, and where its permittivity comes from."""
     angle = f"{LISTED_DEG:g} deg"
-    rows = [["name", "eps_r", "h [mm]", "l [mm]", f"HH {angle}", f"VV {angle}", "surface; source of eps_r"]]
+    rows = [["name", "eps_r", "model", "h [mm]", "l [mm]", f"HH {angle}", f"VV {angle}", "surface; source of eps_r"]]
     for name in names:
         surface, one = material(name, frequency_hz), SURFACES[name]
         found = [sigma0_db(surface, pol, frequency_hz, np.array([LISTED_DEG]))[0] for pol in ("HH", "VV")]
@@ -69,7 +71,9 @@ def _listed(names: Sequence[str], frequency_hz: float) -> list[str]:
         lengths = one.roughness_mm(frequency_hz)
         spans = (one.height_range_mm, one.length_range_mm)
         ranges = [f"{value:g} ({low:g} to {high:g})" for value, (low, high) in zip(lengths, spans, strict=True)]
-        rows.append([name, shown, *ranges, *(f"{db:.1f} dB" for db in found), f"{one.words}; {one.source}"])
+        words = f"{one.words}, without {one.lacks}" if one.lacks else one.words
+        levels = [f"{db:.1f} dB" for db in found]
+        rows.append([name, shown, surface.model, *ranges, *levels, f"{words}; {one.source}"])
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
     return ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
 
@@ -90,6 +94,9 @@ def plot(names: Sequence[str], frequency_hz: float, path: Path) -> None:
             axis.plot(INCIDENCE_DEG, found, color=colour, label=f"{polarization}, warpsar")
         _published(axis, name, frequency_hz)
         axis.set_title(name, fontsize=9)
+        if lacks := SURFACES[name].lacks:
+            said = textwrap.fill(f"without {lacks}", 22)
+            axis.text(0.5, 0.04, said, transform=axis.transAxes, ha="center", va="bottom", fontsize=7)
         axis.grid(alpha=0.3, lw=0.4)
         axis.set_xlim(INCIDENCE_DEG[0], INCIDENCE_DEG[-1])
         axis.set_ylim(-60.0, 5.0)

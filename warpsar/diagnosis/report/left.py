@@ -98,6 +98,11 @@ def _nearest(done: Diagnosed) -> list[str]:
     return [report.table(head, rows, f"A score must exceed {left.nearest[0].threshold:.1f}")]
 
 
+def ratio_words(ratio_db: float) -> str:
+    """Measured over modelled power [dB] in words; NaN where a window holds dark pixels alone."""
+    return "no lit pixel is compared there" if np.isnan(ratio_db) else f"measured over modelled {ratio_db:+.2f} dB"
+
+
 def _strongest_window(done: Diagnosed) -> str:
     """Where the strongest window lies, and whether it has to be explained."""
     found, where = done.diagnosis, done.place
@@ -105,7 +110,7 @@ def _strongest_window(done: Diagnosed) -> str:
     text = (
         f"The strongest window of {where.window} x {where.window} pixels is in {where.view} {where.polarization} at "
         f"row {where.row}, column {where.col} (range {where.range_m:+.1f} m, azimuth {where.azimuth_m:+.1f} m): "
-        f"measured over modelled {where.ratio_db:+.2f} dB, z {where.z:+.1f}, score {last.scan_minus_log_p:.1f} against "
+        f"{ratio_words(where.ratio_db)}, z {where.z:+.1f}, score {last.scan_minus_log_p:.1f} against "
         f"a threshold of {last.threshold:.1f}."
     )
     surface = [c.effect for c in last.candidates if c.shared]

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import cmath
+import math
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from warpsar.errors import InputError, did_you_mean, shown
@@ -19,7 +21,7 @@ def filled(table: dict[str, Any], frequency_hz: float) -> dict[str, Any]:
     if not isinstance(name, str) or name not in SURFACES:
         listed = ", ".join(SURFACES)
         raise InputError(f"library: found {shown(name)}; must be one of {listed}{did_you_mean(name, SURFACES)}")
-    return {**SURFACES[name].table(frequency_hz), **table}
+    return {**SURFACES[name].table(frequency_hz, table.get("model")), **table}
 
 
 def material(name: str, frequency_hz: float, **changed: Any) -> Material:
@@ -33,6 +35,37 @@ def material(name: str, frequency_hz: float, **changed: Any) -> Material:
 def named(names: Iterable[str], frequency_hz: float) -> dict[str, Material]:
     """Those of the names that the library knows, each as a material."""
     return {name: material(name, frequency_hz) for name in names if name in SURFACES}
+
+
+LARGEST_STEP_DB = 0.5
+"""Change of the reflectivity at normal incidence that one permittivity for all views may hide."""
+
+
+def of_one_frequency(name: str, library: str, frequency_hz: float, views: Mapping[str, float]) -> str | None:
+    """What is wrong where a view's own frequency asks for another permittivity than the scene has, or None.
+
+    A material has one permittivity for all views, that of `frequency_hz`. `views` are the frequencies [Hz] of views
+    that state their own, by name.
+    """
+    permittivity = SURFACES[library].permittivity
+    here = permittivity(frequency_hz)
+    for view, other_hz in views.items():
+        other = permittivity(other_hz)
+        step_db = 20.0 * math.log10(_reflectivity(other) / _reflectivity(here))
+        if abs(step_db) > LARGEST_STEP_DB:
+            found, wanted = (f"{eps.real:.3g} - {-eps.imag:.3g}j" for eps in (here, other))
+            return (
+                f"materials.{name}: found eps_r of {library} at {frequency_hz / 1e9:g} GHz, {found}; view {view} has "
+                f"{other_hz / 1e9:g} GHz, where it is {wanted} ({step_db:+.1f} dB). A scene has one eps_r for all "
+                f"views: make a scene for each frequency, or state eps_r"
+            )
+    return None
+
+
+def _reflectivity(eps: complex) -> float:
+    """Magnitude of the field's reflection at normal incidence."""
+    root = cmath.sqrt(eps)
+    return abs((1.0 - root) / (1.0 + root))
 
 
 def beyond(name: str, material: Material, frequency_hz: float) -> str | None:

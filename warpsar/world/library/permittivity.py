@@ -24,11 +24,11 @@ BUILDING: dict[str, tuple[float, float, float, float, float, float]] = {
 """Table 3 of Recommendation ITU-R P.2040-3, the lowest band of each: eps' = a f^b, sigma = c f^d [S/m], f in GHz."""
 
 SOILS: dict[str, tuple[float, float, float]] = {
-    "sandy loam": (51.52, 13.43, 2.66),
+    "sandy loam": (51.52, 13.42, 2.66),
     "loam": (41.96, 8.53, 2.70),
     "silty clay": (5.02, 47.38, 2.56),
 }
-"""Table 1 of Recommendation ITU-R P.527: sand [%], clay [%], specific gravity of the solids."""
+"""Table 1 of Recommendation ITU-R P.527-4: sand [%], clay [%], specific gravity of the solids."""
 
 
 def building(name: str, frequency_hz: float) -> complex:

@@ -13,11 +13,13 @@ from warpsar.world.tables import SurfaceKey
 
 Range = tuple[float, float]
 KH, KL = 0.29, 1.5
-"""k h and k l of a surface rougher than the model takes: inside the domain of small perturbation (k h < 0.3)."""
+"""k h and k l of a surface rougher than small perturbation takes (k h < 0.3), where a scene asks for that model."""
 WATER_C = 15.0
 """Temperature of water [deg C]."""
 ROUGH: tuple[SurfaceKey, ...] = ("rms_height_m", "correlation_length_m")
 ALL: tuple[SurfaceKey, ...] = ("eps_r", *ROUGH)
+DEFAULT, NATURAL = "ka_spm", "i2em"
+"""The model of smooth surfaces, and that of ground, which is rougher than small perturbation takes."""
 
 
 @dataclass(frozen=True)
@@ -25,9 +27,8 @@ class Surface:
     """A material of the library. Lengths are in millimetres here, for people who read the list.
 
     `permittivity` takes a frequency [Hz] and gives eps' - j eps''; `band_ghz` is where its source holds. The ranges of
-    rms height and correlation length, and `stated_mm` of the two, are our choice and not a measurement. A surface
-    without `stated_mm` is rougher than the model takes: it gets the most that the model's domain allows at the
-    frequency, within its ranges.
+    rms height and correlation length, and `stated_mm` of the two, are our choice and not a measurement. `lacks` says
+    what makes the real surface brighter and has no model here.
     """
 
     words: str
@@ -36,12 +37,18 @@ class Surface:
     band_ghz: Range
     height_range_mm: Range
     length_range_mm: Range
-    stated_mm: tuple[float, float] | None = None
+    stated_mm: tuple[float, float]
+    model: str = DEFAULT
     learn: tuple[SurfaceKey, ...] = ALL
+    lacks: str = ""
 
-    def roughness_mm(self, frequency_hz: float) -> tuple[float, float]:
-        """The rms height and the correlation length that the surface has at this frequency."""
-        if self.stated_mm is not None:
+    def roughness_mm(self, frequency_hz: float, model: str | None = None) -> tuple[float, float]:
+        """The rms height and the correlation length for `model`, by default the surface's own.
+
+        A scene may ask for `ka_spm` where the surface is too rough for it. It then gets the most that small
+        perturbation allows at the frequency, within the surface's ranges.
+        """
+        if model != DEFAULT or self.model == DEFAULT:
             return self.stated_mm
         k = 2.0e-3 * math.pi * frequency_hz / SPEED_OF_LIGHT  # rad/mm
         h, length = (
@@ -50,17 +57,19 @@ class Surface:
         )
         return float(f"{h:.3g}"), float(f"{length:.3g}")
 
-    def table(self, frequency_hz: float) -> dict[str, object]:
-        """The keys of `[materials.NAME]` at this frequency."""
+    def table(self, frequency_hz: float, model: str | None = None) -> dict[str, object]:
+        """The keys of `[materials.NAME]` at this frequency; `model` as in `roughness_mm`."""
         value = self.permittivity(frequency_hz)
         real = float(f"{value.real:.4g}")
-        height, length = self.roughness_mm(frequency_hz)
+        height, length = self.roughness_mm(frequency_hz, model)
         table: dict[str, object] = {
             "eps_r": [real, float(f"{value.imag:.4g}")] if value.imag else real,
             "rms_height_m": round(height / 1000.0, 7),
             "correlation_length_m": round(length / 1000.0, 7),
             "spectrum": "exponential",
         }
+        if self.model != DEFAULT:
+            table["model"] = self.model
         return table if self.learn == ALL else {**table, "learn": list(self.learn)}
 
 
@@ -69,18 +78,21 @@ def _building(
     words: str,
     heights: Range,
     lengths: Range,
-    stated: tuple[float, float] | None,
+    stated: tuple[float, float],
+    model: str = DEFAULT,
     learn: tuple[SurfaceKey, ...] = ALL,
 ) -> Surface:
     band = eps.BUILDING[row][4:]
-    return Surface(words, partial(eps.building, row), f"ITU-R P.2040, {row}", band, heights, lengths, stated, learn)
+    source = f"ITU-R P.2040-3, {row}"
+    return Surface(words, partial(eps.building, row), source, band, heights, lengths, stated, model, learn)
 
 
-def _soil(kind: str, moisture: float) -> tuple[Callable[[float], complex], str, Range]:
+def _ground(words: str, kind: str, moisture: float, lengths: Range, stated: tuple[float, float]) -> Surface:
     def permittivity(frequency_hz: float) -> complex:
         return eps.soil(kind, frequency_hz, moisture)
 
-    return permittivity, f"ITU-R P.527, {kind}, {100 * moisture:g} % water", (1.0, 1000.0)
+    source = f"ITU-R P.527-4, {kind}, {100 * moisture:g} % water"
+    return Surface(words, permittivity, source, (1.0, 1000.0), (1.0, 30.0), lengths, stated, NATURAL)
 
 
 def _sea(frequency_hz: float) -> complex:
@@ -95,34 +107,39 @@ def _wet_snow(frequency_hz: float) -> complex:
     return eps.wet_snow(frequency_hz, 0.3, 3.0)
 
 
-_SEA = (_sea, "ITU-R P.527, sea water, 35 g/kg, 15 deg C", (0.01, 1000.0))
+_SEA = (_sea, "ITU-R P.527-4, sea water, 35 g/kg, 15 deg C", (0.01, 1000.0))
+_SNOW: tuple[Range, Range, tuple[float, float], str] = ((0.5, 10.0), (5.0, 100.0), (4.0, 50.0), NATURAL)
 
 SURFACES: dict[str, Surface] = {
     "asphalt": _building("asphalt", "a road of asphalt", (0.2, 2.0), (2.0, 20.0), (0.5, 6.0)),
     "concrete": _building("concrete", "cast concrete", (0.1, 1.0), (3.0, 50.0), (0.3, 8.0)),
     "brick": _building("brick", "a brick wall", (0.3, 2.0), (3.0, 30.0), (0.6, 7.0)),
     "roof_tiles": _building("brick", "a roof of fired clay tiles", (0.5, 5.0), (4.0, 50.0), (1.0, 8.0)),
-    "gravel": _building("very dry ground", "dry gravel", (1.0, 10.0), (5.0, 30.0), None),
+    "gravel": _building("very dry ground", "dry gravel", (1.0, 10.0), (5.0, 50.0), (5.0, 25.0), NATURAL),
     "stone": _building("marble", "cut stone", (0.05, 1.0), (3.0, 50.0), (0.3, 8.0)),
     "wood": _building("wood", "planks", (0.1, 2.0), (3.0, 50.0), (0.5, 8.0)),
     "glass": _building("glass", "window panes", (0.01, 0.1), (5.0, 100.0), (0.05, 20.0)),
-    "metal": _building("metal", "sheet metal", (0.01, 0.5), (5.0, 100.0), (0.15, 15.0), ROUGH),
-    "painted_steel": _building("metal", "steel under paint", (0.05, 0.5), (5.0, 100.0), (0.25, 12.0), ROUGH),
-    "soil_dry": Surface("bare dry soil", *_soil("sandy loam", 0.05), (1.0, 30.0), (5.0, 100.0)),
-    "soil_wet": Surface("bare wet soil", *_soil("loam", 0.30), (1.0, 30.0), (5.0, 100.0)),
-    "grass": Surface("short grass on moist soil", *_soil("sandy loam", 0.20), (1.0, 10.0), (5.0, 30.0)),
+    "metal": _building("metal", "sheet metal", (0.01, 0.5), (5.0, 100.0), (0.15, 15.0), learn=ROUGH),
+    "painted_steel": _building("metal", "steel under paint", (0.05, 0.5), (5.0, 100.0), (0.25, 12.0), learn=ROUGH),
+    "soil_dry": _ground("bare dry soil", "sandy loam", 0.05, (5.0, 200.0), (9.0, 90.0)),
+    "soil_wet": _ground("bare wet soil", "loam", 0.30, (5.0, 200.0), (6.0, 90.0)),
+    "grass": _ground("short grass on moist soil, as bare soil", "sandy loam", 0.20, (5.0, 200.0), (8.0, 150.0)),
     "water_calm": Surface("calm sea", *_SEA, (0.0, 0.5), (5.0, 50.0), (0.2, 15.0)),
     "water_rough": Surface("sea with ripples of wind", *_SEA, (0.5, 3.0), (5.0, 50.0), (0.8, 12.0)),
     "snow_dry": Surface(
-        "surface of dry snow, 0.3 g/cm3", _dry_snow, "Maetzler (1996)", (0.1, 40.0), (0.5, 10.0), (5.0, 100.0)
+        "surface of dry snow, 0.3 g/cm3",
+        _dry_snow,
+        "Maetzler (1996)",
+        (0.1, 40.0),
+        *_SNOW,
+        lacks="snow's grains and the ground below",
     ),
     "snow_wet": Surface(
         "surface of wet snow, 0.3 g/cm3, 3 % water",
         _wet_snow,
         "Hallikainen, Ulaby, Abdelrazik (1986)",
         (3.0, 37.0),
-        (0.5, 10.0),
-        (5.0, 100.0),
+        *_SNOW,
     ),
 }
 """Every surface, by the name that a scene file says."""
