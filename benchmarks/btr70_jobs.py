@@ -7,6 +7,7 @@ import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -30,19 +31,23 @@ def _alone(job: Job) -> dict[str, Any]:
     return job()
 
 
+def _shared(threads: int) -> None:
+    os.environ["WARPSAR_THREADS"] = str(threads)
+
+
+@cache
+def _workers(processes: int) -> ProcessPoolExecutor:
+    """Processes that share the cores, and stay until the command ends: each loads its kernels once."""
+    os.environ.update({"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"})  # read where NumPy is loaded: in theirs
+    spawn = multiprocessing.get_context("spawn")  # warp does not survive a fork
+    threads = max(1, (os.cpu_count() or 1) // processes)
+    return ProcessPoolExecutor(processes, spawn, initializer=_shared, initargs=(threads,))
+
+
 def done(jobs: Sequence[Job], processes: int) -> list[dict[str, Any]]:
-    """What every job found, in their order. Processes share the cores, and have one thread each for linear algebra."""
+    """What every job found, in their order. A job on its own gets all cores."""
     missing = [job for job in jobs if not job.path.exists()]
-    side_by_side = min(processes, len(missing))
-    if side_by_side > 1:
-        threads = max(1, (os.cpu_count() or 1) // side_by_side)
-        ours = {"WARPSAR_THREADS": str(threads), "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-        before = dict(os.environ)
-        os.environ.update(ours)
-        spawn = multiprocessing.get_context("spawn")  # warp does not survive a fork
-        with ProcessPoolExecutor(side_by_side, spawn) as pool:
-            for one in as_completed([pool.submit(_alone, job) for job in missing]):
-                one.result()
-        os.environ.clear()
-        os.environ.update(before)
+    if min(processes, len(missing)) > 1:
+        for one in as_completed([_workers(processes).submit(_alone, job) for job in missing]):
+            one.result()
     return [job() for job in jobs]

@@ -12,7 +12,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from scipy.ndimage import gaussian_filter, rotate
+from scipy.signal import fftconvolve
 
 SIZE = 80
 REACH = 9  # pixels of shift
@@ -56,10 +58,26 @@ def shifts() -> list[tuple[int, int]]:
     return [(i, j) for i in range(-REACH, REACH + 1) for j in range(-REACH, REACH + 1)]
 
 
+def correlations(a: np.ndarray, wide: np.ndarray) -> np.ndarray:
+    """The correlation of `a`, shape (n, n), with every window of its size in `wide`, (n + 2 r, n + 2 r), by a Fourier
+    transform; shape (2 r + 1, 2 r + 1)."""
+    wide = wide - wide.mean()  # the less there is to subtract below
+    own = a - a.mean()
+    total, squares = (
+        sliding_window_view(np.pad(one.cumsum(0).cumsum(1), ((1, 0), (1, 0))), [n + 1 for n in a.shape])
+        for one in (wide, wide**2)
+    )
+    sums, powers = (w[..., -1, -1] - w[..., 0, -1] - w[..., -1, 0] + w[..., 0, 0] for w in (total, squares))
+    spread = powers - sums**2 / a.size
+    return np.asarray(fftconvolve(wide, own[::-1, ::-1], mode="valid") / np.sqrt(spread * (own**2).sum()))
+
+
 def best_shift(chip: np.ndarray, prediction: np.ndarray, smooth: float = SMOOTH[0]) -> tuple[float, tuple[int, int]]:
     """The largest correlation over all shifts of the prediction, and its shift: what the measure likes best."""
     a, b = middle(roots(chip, smooth)), roots(prediction, smooth)
-    return max((correlation(a, middle(b, at)), at) for at in shifts())
+    found = correlations(a, middle(b, size=SIZE + 2 * REACH))
+    row, col = np.unravel_index(found.argmax(), found.shape)
+    return float(found[row, col]), (REACH - int(row), REACH - int(col))
 
 
 def terms(chip: np.ndarray, prediction: np.ndarray) -> np.ndarray:
@@ -67,10 +85,13 @@ def terms(chip: np.ndarray, prediction: np.ndarray) -> np.ndarray:
     mu = np.maximum(prediction, FAINTEST * np.median(prediction))
     ratio = np.maximum(chip, 1.0) / mu
     gain = float(np.median(ratio))
+    logarithm = np.log(ratio)
     for _ in range(12):
-        half = ratio / gain - 1.0 - np.log(ratio / gain)
-        gain = float(np.average(ratio, weights=1.0 / (1.0 + half / BOUND)))
-    return np.asarray(2.0 * (ratio / gain - 1.0 - np.log(ratio / gain)))
+        half = ratio / gain - 1.0 - logarithm + np.log(gain)
+        before, gain = gain, float(np.average(ratio, weights=1.0 / (1.0 + half / BOUND)))
+        if abs(gain / before - 1.0) < 1e-9:
+            break
+    return np.asarray(2.0 * (ratio / gain - 1.0 - logarithm + np.log(gain)))
 
 
 def own_shift(chip: np.ndarray, prediction: np.ndarray) -> tuple[int, int]:

@@ -3,11 +3,13 @@
 import numpy as np
 import pytest
 from effect_worlds import Case, pair, plane, refusal, render_of, street, with_effect
+from worlds import view
 
 WORKING = [
     Case({"level": 0.02, "spread_m": 1.3}),
     Case({"level": 0.05, "spread_m": 2.0, "materials": ["brick"]}, {"slant_range_m": 300.0}),
     Case({"level": 0.05, "spread_m": 1.0, "share": {"brick": 2.0, "soil": 0.5}}),
+    Case({"level": 0.05, "spread_m": 1.0, "flash": 2.0, "flash_deg": 20.0, "axis_deg": 10.0}),
 ]
 
 
@@ -74,3 +76,25 @@ def test_the_cross_polarized_image_stays() -> None:
 def test_a_material_that_is_not_there_is_refused() -> None:
     said = refusal("unresolved_detail", {"level": 0.1, "materials": ["glass"]})
     assert ".materials: found glass; allowed are" in said
+
+
+@pytest.mark.parametrize(
+    ("azimuth_deg", "axis_deg", "factor"),
+    [
+        (30.0, 30.0, 1.0 + 8.0),  # along the axis
+        (300.0, 30.0, 1.0 + 8.0),  # across it
+        (33.0, 30.0, 1.0 + 8.0 / 2.0),  # at the half width, on either side
+        (207.0, 30.0, 1.0 + 8.0 / 2.0),
+        (75.0, 30.0, 1.0 + 8.0 / (1.0 + 15.0**2)),  # half way between two axes
+    ],
+)
+def test_it_flashes_along_the_axes_of_the_body(azimuth_deg: float, axis_deg: float, factor: float) -> None:
+    """Lorentz's curve of the angle from the nearest axis, times the level. A round look at the same plane from any
+    azimuth holds the same outline, to the rays at its border."""
+    table = {"level": 0.3, "spread_m": 0.6}
+    flash = {**table, "flash": 8.0, "flash_deg": 3.0, "axis_deg": axis_deg}
+    scene = plane(views=view(azimuth_deg, 40.0))
+    without, plain = pair(scene, "unresolved_detail", table)
+    _, with_it = pair(scene, "unresolved_detail", flash)
+    # float32 sums beside the image's own power
+    assert (with_it - without).sum() / (plain - without).sum() == pytest.approx(factor, rel=1e-4)

@@ -23,6 +23,12 @@ from warpsar.world.world import World
 _WIDTHS_PX = (2.0, 6.0)  # of the spread that is tried
 
 
+def off_axis_deg(to_radar: np.ndarray, axis_deg: float) -> float:
+    """How far the azimuth of a direction (east, north, up) lies from the nearest of the axes, -45 to 45 degrees."""
+    azimuth = math.degrees(math.atan2(to_radar[0], to_radar[1]))
+    return (azimuth - axis_deg + 45.0) % 90.0 - 45.0
+
+
 def _names(value: Any) -> bool:
     return isinstance(value, list | tuple) and all(isinstance(one, str) for one in value)
 
@@ -33,6 +39,9 @@ class UnresolvedDetail(Effect):
     Detail turns to all sides, so its return does not depend on how the mesh's face lies. It stands out from the mesh,
     and sends power along ways of more than one bounce. So its power does not lie where the face does. It returns the
     same in HH and VV, and nothing in HV. The parts of a body differ: `share` has a factor for each material.
+
+    Racks and hatches stand square on the body, and make corners with it. Where the radar looks along one of the body's
+    axes, fore and aft or across, they flash: the level is `flash` times more there.
     """
 
     name = "unresolved_detail"
@@ -68,6 +77,30 @@ class UnresolvedDetail(Effect):
             description="Full width at half maximum over which this power is spread, in range and in azimuth.",
         ),
         Parameter(
+            "flash",
+            "1",
+            0.0,
+            0.0,
+            1e4,
+            1.0,
+            scale="log",
+            fit_low=1e-3,
+            fit_high=1e3,
+            description="What is added to `level` along an axis of the body, as a multiple of it.",
+        ),
+        Parameter(
+            "flash_deg",
+            "deg",
+            math.nan,
+            1e-2,
+            90.0,
+            3.0,
+            scale="log",
+            fit_low=0.3,
+            fit_high=30.0,
+            description="Angle from the axis at which half of the flash is left.",
+        ),
+        Parameter(
             "share",
             "1",
             1.0,
@@ -89,6 +122,14 @@ class UnresolvedDetail(Effect):
             "a list of materials; empty: all of them",
             description="Materials whose surfaces carry the detail; all if none is named.",
             schema={"type": "array", "items": {"type": "string"}},
+        ),
+        Setting(
+            "axis_deg",
+            0.0,
+            lambda value: isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < math.inf,
+            "a number [deg]",
+            description="Azimuth of the body's long axis, clockwise from north; the flashes lie at every 90 deg from it.",
+            schema={"type": "number"},
         ),
     )
 
@@ -122,10 +163,11 @@ class UnresolvedDetail(Effect):
         flags = np.array([name in wanted for name in names], np.int32)
         has_detail: wp.array = wp.array(flags, dtype=int, device=program.device)
         sigma = program.array(hits.count)
+        off_axis = off_axis_deg(render.geometry.s, render.settings[self.name]["axis_deg"])
         program.launch(
             kernels.detail_kernel,
             hits.count,
-            [p, stage.face_material, has_detail, hits.face, hits.cos_incidence],
+            [p, stage.face_material, has_detail, hits.face, hits.cos_incidence, off_axis],
             [sigma],
         )
         share = program.array(image.shape[0], sum_into=True)

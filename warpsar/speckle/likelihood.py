@@ -76,11 +76,13 @@ def curvature(
     """
     if loss == "gamma" and (clipped := measured >= top).any():
         shares = _shares(loss_terms(loss, measured, modelled, looks, top=top), bound)
-        level = np.full(measured.shape, top)
-        slope = hazard(level, modelled, looks)
-        bend = np.maximum(survival_curvature(slope, level, modelled, looks), TINY)
-        residual = np.where(clipped, slope / bend, measured / modelled - 1.0)
-        return Curvature(residual, weight * shares * np.where(clipped, bend, looks))
+        residual, weights = measured / modelled - 1.0, np.full(measured.shape, float(looks))
+        above = modelled[clipped]  # few pixels are clipped, and a survival costs as much as fifty deviances
+        level = np.full(above.shape, top)
+        slope = hazard(level, above, looks)
+        weights[clipped] = np.maximum(survival_curvature(slope, level, above, looks), TINY)
+        residual[clipped] = slope / weights[clipped]
+        return Curvature(residual, weight * shares * weights)
     if loss == "gamma":
         shares = _shares(0.5 * deviance(measured, modelled, looks), bound)
         return Curvature(measured / modelled - 1.0, weight * looks * shares)
@@ -117,7 +119,9 @@ def best_gain(
         gain = best_gain(loss, measured, modelled, looks, bound)
         for _ in range(GAIN_TURNS):
             here = curvature(loss, measured, gain * modelled, looks, 1.0, bound, top)
-            gain *= float(np.exp(np.average(here.residual, weights=here.weight)))
+            before, gain = gain, gain * float(np.exp(np.average(here.residual, weights=here.weight)))
+            if gain == before:
+                break  # to the bit: further turns change nothing
         return gain
     if loss == "gamma":
         ratio = measured / modelled
@@ -125,7 +129,10 @@ def best_gain(
             return float(np.mean(ratio))
         gain = float(np.median(ratio))
         for _ in range(GAIN_TURNS):
-            gain = float(np.average(ratio, weights=_shares(0.5 * deviance(ratio, np.array(gain), looks), bound)))
+            shares = _shares(0.5 * deviance(ratio, np.array(gain), looks), bound)
+            before, gain = gain, float(np.average(ratio, weights=shares))
+            if gain == before:
+                break
         return gain
     if loss == "mse":
         return float(np.sum(measured * modelled) / np.sum(modelled**2))
@@ -150,7 +157,8 @@ def loss_terms(
     if loss == "gamma":
         terms = 0.5 * deviance(measured, modelled, looks)
         if (clipped := measured >= top).any():
-            terms = np.where(clipped, minus_log_survival(np.full(measured.shape, top), modelled, looks), terms)
+            above = modelled[clipped]
+            terms[clipped] = minus_log_survival(np.full(above.shape, top), above, looks)
         return bounded(terms, bound)
     return 0.5 * (np.log(measured / modelled) - log_bias(looks)) ** 2
 
