@@ -402,12 +402,12 @@ def fit_round(
     return placed(scene, found), found
 
 
-def fit_common(scene: Scene, views: Sequence[str], *, most: int = 8, flat: float = 3.0) -> Scene:
+def fit_common(scene: Scene, views: Sequence[str], *, most: int = 30, flat: float = 1.0) -> Scene:
     """Every material's brightness and the effects, with all objects where they stand."""
     problem = problem_of(scene, views)
     state = begin(problem, 0, 0)
     for _ in range(most):
-        state = levenberg_marquardt(problem, state, flat=flat, kept_within=0.1)
+        state = levenberg_marquardt(problem, state, flat=flat, kept_within=0.3)
         if state.arrived:
             break
     return learned_scene(problem, np.asarray(state.best_x), None)
