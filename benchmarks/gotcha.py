@@ -422,23 +422,13 @@ def brightness(scene: Scene, found: evaluation.Evaluation, learned: dict[str, An
 def effects_alone(path: Path, out: Path, options: DiagnoseOptions, device: str | None) -> dict[str, Any]:
     """`diagnosed`, with the objects as they were learned: brightness held, none moved, left out or proposed.
 
-    With bounces every number of every object costs a render of the whole scene: 129 objects would take hours."""
-    from warpsar.diagnosis.turn import geometry_search
-
+    Every number of every object costs a render of the whole scene: 129 objects would take hours."""
     scene = Scene.load(path)
     held = {str(one.material) for one in scene.objects}
     materials = {k: m.model_copy(update={"learn": ()}) if k in held else m for k, m in scene.materials.items()}
     path = path.with_name("diagnosed.toml")
     replace(scene, materials=materials).save(path)
-    names = ("moved_or_absent", "SOURCES")
-    whole = {name: getattr(geometry_search, name) for name in names}
-    try:
-        geometry_search.moved_or_absent = lambda *_: []
-        geometry_search.SOURCES = ()
-        return diagnosed(path, out, options, device)
-    finally:
-        for name, one in whole.items():
-            setattr(geometry_search, name, one)
+    return diagnosed(path, out, replace(options, bodies=False), device)
 
 
 # ---- the model with objects, step by step ----

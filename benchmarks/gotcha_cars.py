@@ -11,13 +11,13 @@ from __future__ import annotations
 import math
 import multiprocessing
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from warpsar.effects.registry import validate
-from warpsar.learning.observation import Observation
+from warpsar.learning.observation import Observation, estimated_looks, usable_pixels
 from warpsar.learning.optimise import begin, levenberg_marquardt
 from warpsar.learning.problem import FitProblem
 from warpsar.learning.results import learned_scene
@@ -38,15 +38,25 @@ GROUND = "car_park"  # material of a window's ground: only its differences count
 SIZES = ("length", "width", "height")
 POSE, SHAPE = ("east", "north", "heading"), (*SIZES, "side_curvature")
 BRIGHTNESS = "brightness"  # ln of the material's rms height
+DETAIL = "detail"  # ln of the object's share of `unresolved_detail`
+SURFACE = (DETAIL, BRIGHTNESS)  # what is no pose and no shape, last in this order
 STEP = {"east": 0.06, "north": 0.10, "heading": 1.5, "length": 0.04, "width": 0.05, "height": 0.06}
-STEP |= {"side_curvature": 0.03, BRIGHTNESS: 0.1}
+STEP |= {"side_curvature": 0.03, DETAIL: 0.1, BRIGHTNESS: 0.1}
 KNOWN = {"east": 0.8, "north": 1.2, "heading": 6.0, "length": 0.10, "width": 0.08, "height": 0.12}
-KNOWN |= {"side_curvature": 0.06, BRIGHTNESS: 1.2}
+KNOWN |= {"side_curvature": 0.06, DETAIL: 1.0, BRIGHTNESS: 1.2}
 """Standard deviations about the start: of the reading [m], of a parked car [deg], of cars (shares of a size)."""
 THING = {"length": 0.5, "width": 0.5, "height": 0.5}  # of what is no car, nothing is known
 LARGEST = {"east": 0.6, "north": 0.8, "heading": 5.0}  # move in one step; of logarithms and shares 0.7
 LEAST = 0.1  # of an object's own image, that is left where the others' difference to the window's exceeds it
 SHARED = 3.5  # pixels that share one speckle, as the residuals of az001 and az002 say: the likelihood counts each once
+import os
+if os.environ.get('MIXED'):
+    import warpsar.effects.point_spread as ps
+    def _im(self, render, p, image):
+        for i, w in ((0, os.environ['MIXED']), (1, 'sinc')):
+            image = ps.blurred(render, ps.WINDOWS[w], p, i, image, axis=i)
+        return image
+    ps.PointSpread.image = _im
 ENOUGH = 0.5  # gain in log-likelihood from which a further step is tried
 PROCESSES = 2
 
@@ -64,6 +74,26 @@ def value(one: Object, key: str) -> float:
     if key in ("east", "north"):
         return one.position_m[("east", "north").index(key)]
     return one.heading_deg if key == "heading" else float(one.side_curvature or 0.0)
+
+
+def value_in(scene: Scene, one: Object, key: str) -> float:
+    """As `value`, and the logarithms of an object's rms height and share of detail, which the scene holds."""
+    if key == BRIGHTNESS:
+        return math.log(float(scene.materials[str(one.material)].rms_height_m))
+    if key == DETAIL:
+        return math.log(scene.effects["unresolved_detail"].get("share", {}).get(str(one.material), 1.0))
+    return value(one, key)
+
+
+@dataclass(frozen=True)
+class Belief:
+    """What a fit takes for known: how many pixels share one speckle, and standard deviations in place of `KNOWN`'s."""
+
+    shared: float = SHARED
+    sd: Mapping[str, float] = field(default_factory=dict)
+
+    def known(self, one: Object) -> dict[str, float]:
+        return KNOWN | dict(self.sd) if one.primitive == "car" else KNOWN | THING
 
 
 def with_values(one: Object, values: Mapping[str, float]) -> Object:
@@ -94,11 +124,26 @@ class Seen:
     looks: float
 
 
+def whole(scene: Scene, view: View) -> Observation:
+    """A view's image with its shadows. A model's own shadows hide what it misplaced: a fit that leaves them out, as
+    `observe` does, never pays for a glint that it put a shadow on."""
+    measured = np.asarray(scene.measured(view, "HH"))
+    usable = usable_pixels(scene, view, measured) & (np.nan_to_num(measured) > 0)
+    none = np.zeros_like(usable)
+    looks = estimated_looks(scene, view, np.where(usable, measured, np.nan))
+    return Observation(view, "HH", measured, usable, none, none, looks, True)
+
+
 def problem_of(scene: Scene, views: Sequence[str]) -> FitProblem:
-    """Exact hits of the given views, whatever their role."""
+    """Exact hits of the given views, whatever their role; every pixel of their images counts."""
     device = resolve_device("cpu")
     return FitProblem(
-        scene, device, roles=("train", "test"), views=list(views), rays=ExactRays(Stage.of(scene, device), seed=1)
+        scene,
+        device,
+        roles=("train", "test"),
+        views=list(views),
+        rays=ExactRays(Stage.of(scene, device), seed=1),
+        observations={view.name: [whole(scene, view)] for view in scene.views if view.name in views},
     )
 
 
@@ -145,6 +190,12 @@ class Window:
             name: table.model_copy(update={"learn": ("rms_height_m",) if name == one.material else ()})
             for name, table in scene.materials.items()
         }
+        objects = [one, *(scene.objects[k] for k in self.near)]
+        effects = {k: {**table, "fixed": True} for k, table in scene.effects.items() if k != "eps_gradient"}
+        if "unresolved_detail" in effects:
+            names, shares = [str(o.material) for o in objects], scene.effects["unresolved_detail"].get("share", {})
+            share = {name: float(shares.get(name, 1.0)) for name in names}
+            effects["unresolved_detail"] |= {"materials": names, "share": share, "fixed": False, "learn": ["share"]}
         own = replace(
             scene,
             mesh=self.ground,
@@ -154,19 +205,24 @@ class Window:
             grid=self.grid,
             reference_point_m=tuple(self.reference),
             views=[self.view],
-            effects={k: {**table, "fixed": True} for k, table in scene.effects.items() if k != "eps_gradient"},
+            effects={},
             path=None,
         )
-        own = with_objects(own, [one, *(scene.objects[k] for k in self.near)], materials)
+        own = replace(with_objects(own, objects, materials), effects=effects)
         every = np.ones((ROWS, COLS), bool)
         plain = Observation(self.view, "HH", every.astype(np.float32), every, ~every, ~every, 1.0, False)
         device = resolve_device("cpu")
         rays = ExactRays(Stage.of(own, device), seed=1)
         return FitProblem(own, device, views=[self.view.name], rays=rays, observations={self.view.name: [plain]})
 
-    def image(self, problem: FitProblem, log_height: float) -> np.ndarray:
+    def image(self, problem: FitProblem, material: str, log_height: float, log_share: float | None) -> np.ndarray:
         """beta0 of those pixels that lie in the whole image."""
-        (image,) = problem.modelled(np.array([log_height]))
+        x = np.array(problem.x0, float)
+        x[0] = log_height
+        if log_share is not None:
+            at = [c.material for c in problem.effect_coordinates].index(material)
+            x[problem.learned.size + at] = log_share
+        (image,) = problem.modelled(x)
         return image.reshape(ROWS, COLS)[self.part]
 
 
@@ -177,6 +233,7 @@ class Fitted:
 
     object: Object
     log_height: float
+    log_share: float | None
     gain: float
     keys: list[str]
     information: np.ndarray
@@ -186,26 +243,46 @@ class Fitted:
 class _Fit:
     """One object against everything else, which stays: `vector` holds its keys' values, brightness last."""
 
-    def __init__(self, scene: Scene, index: int, start: Object, seen: Sequence[Seen], keys: Sequence[str]) -> None:
+    def __init__(
+        self, scene: Scene, index: int, start: Object, seen: Sequence[Seen], keys: Sequence[str], belief: Belief
+    ) -> None:
         self.scene, self.one = scene, scene.objects[index]
         self.keys = [*keys_of(self.one, keys), BRIGHTNESS]
+        self.geometric = [k for k in self.keys if k not in SURFACE]
         self.windows = [Window(scene, each, index) for each in seen]
-        heights = {o.material: math.log(float(scene.materials[str(o.material)].rms_height_m)) for o in scene.objects}
-        self.start = np.array([*(value(self.one, k) for k in self.keys[:-1]), heights[self.one.material]])
-        self.about = np.array([*(value(start, k) for k in self.keys[:-1]), np.median(list(heights.values()))])
-        known = KNOWN if self.one.primitive == "car" else KNOWN | THING
+        self.start = np.array([value_in(scene, self.one, k) for k in self.keys])
+        kind = [o for o in scene.objects if o.primitive == self.one.primitive]
+        self.about = np.array(
+            [
+                float(np.median([value_in(scene, o, k) for o in kind])) if k in SURFACE else value(start, k)
+                for k in self.keys
+            ]
+        )
+        self.belief, known = belief, belief.known(self.one)
         self.sd = np.array([known[k] for k in self.keys])
         self.problems = self.posed(self.start)
         self.now = self.shot(self.problems, self.start)
         self.others = [w.seen.model[w.whole] - n for w, n in zip(self.windows, self.now, strict=True)]
-        self.data = [(w.seen.measured[w.whole], w.seen.usable[w.whole], w.seen.looks / SHARED) for w in self.windows]
+        shared = belief.shared
+        self.data = [(w.seen.measured[w.whole], w.seen.usable[w.whole], w.seen.looks / shared) for w in self.windows]
+
+    def at(self, vector: np.ndarray) -> Object:
+        """The object with the vector's pose and shape."""
+        return with_values(self.one, dict(zip(self.geometric, vector, strict=False)))
 
     def posed(self, vector: np.ndarray) -> list[FitProblem]:
-        one = with_values(self.one, dict(zip(self.keys[:-1], vector[:-1], strict=True)))
-        return [w.problem(self.scene, one) for w in self.windows]
+        return [w.problem(self.scene, self.at(vector)) for w in self.windows]
 
     def shot(self, problems: Sequence[FitProblem], vector: np.ndarray) -> list[np.ndarray]:
-        return [w.image(p, float(vector[-1])) for w, p in zip(self.windows, problems, strict=True)]
+        share = self.share(vector)
+        if share is None and "unresolved_detail" in self.scene.effects:
+            share = value_in(self.scene, self.one, DETAIL)
+        name = str(self.one.material)
+        return [w.image(p, name, float(vector[-1]), share) for w, p in zip(self.windows, problems, strict=True)]
+
+    def share(self, vector: np.ndarray) -> float | None:
+        """ln of the share of detail, where it is fitted."""
+        return float(vector[self.keys.index(DETAIL)]) if DETAIL in self.keys else None
 
     def total(self, images: Sequence[np.ndarray]) -> list[np.ndarray]:
         """The whole scene's pixels with the object's window as given."""
@@ -224,7 +301,7 @@ class _Fit:
         for k, key in enumerate(self.keys):
             moved = vector.copy()
             moved[k] += STEP[key]
-            problems = self.problems if key == BRIGHTNESS else self.posed(moved)
+            problems = self.problems if key in SURFACE else self.posed(moved)
             for found, other, mu in zip(slopes, self.total(self.shot(problems, moved)), mus, strict=True):
                 found.append(np.log(other / mu) / STEP[key])
         gradient = (vector - self.about) / self.sd**2
@@ -235,7 +312,7 @@ class _Fit:
             residual = (measured / mu - 1.0)[usable]
             gradient = gradient - looks * matrix.T @ residual
             information = information + looks * matrix.T @ matrix
-            squares.append(SHARED * looks * float(np.mean(residual**2)))
+            squares.append(self.belief.shared * looks * float(np.mean(residual**2)))
         return gradient, information, float(np.mean(squares))
 
     def step(self, gradient: np.ndarray, information: np.ndarray, damping: float) -> np.ndarray:
@@ -272,18 +349,18 @@ class _Fit:
             _, information, scatter = self.quadratic(vector)
         for window, mu in zip(self.windows, self.total(self.now), strict=True):
             window.seen.model[window.whole] = mu
-        one = with_values(self.one, dict(zip(self.keys[:-1], vector[:-1], strict=True)))
-        return Fitted(one, float(vector[-1]), first - current, self.keys, information, scatter)
+        gain, share = first - current, self.share(vector)
+        return Fitted(self.at(vector), float(vector[-1]), share, gain, self.keys, information, scatter)
 
 
-_Task = tuple[Scene, list[int], Sequence[Object], Sequence[str], Sequence[str], int, bool]
+_Task = tuple[Scene, list[int], Sequence[Object], Sequence[str], Sequence[str], int, bool, Belief]
 
 
 def _share(task: _Task) -> dict[int, Fitted]:
-    scene, mine, starts, views, keys, steps, told = task
+    scene, mine, starts, views, keys, steps, told, belief = task
     seen, found = seen_in(scene, views), {}
     for index in mine:
-        done = _Fit(scene, index, starts[index], seen, keys).descended(steps, told=told)
+        done = _Fit(scene, index, starts[index], seen, keys, belief).descended(steps, told=told)
         found[index], scene = done, placed(scene, {index: done})
     return found
 
@@ -295,7 +372,13 @@ def placed(scene: Scene, found: Mapping[int, Fitted]) -> Scene:
         objects[index] = one.object
         name = str(one.object.material)
         materials[name] = materials[name].model_copy(update={"rms_height_m": math.exp(one.log_height)})
-    return replace(posed(scene, objects), materials=materials)
+    scene = replace(posed(scene, objects), materials=materials)
+    shares = {str(one.object.material): math.exp(one.log_share) for one in found.values() if one.log_share is not None}
+    if not shares:
+        return scene
+    detail = scene.effects["unresolved_detail"]
+    table = {**detail, "share": {**detail.get("share", {}), **shares}}
+    return replace(scene, effects={**scene.effects, "unresolved_detail": table})
 
 
 def fit_round(
@@ -306,24 +389,25 @@ def fit_round(
     *,
     steps: int = 2,
     told: bool = False,
+    belief: Belief | None = None,
 ) -> tuple[Scene, dict[int, Fitted]]:
     """Every object fitted once, against all others as they stand: `PROCESSES` shares, from south to north.
 
     `starts` are the objects as they were read off, which the priors are about. `told`: as `_Fit.descended`."""
     order = sorted(range(len(scene.objects)), key=lambda k: scene.objects[k].position_m[1])
     shares = [part.tolist() for part in np.array_split(order, PROCESSES)]
-    tasks = [(scene, mine, starts, views, keys, steps, told) for mine in shares]
+    tasks = [(scene, mine, starts, views, keys, steps, told, belief or Belief()) for mine in shares]
     with multiprocessing.get_context("spawn").Pool(PROCESSES) as pool:
         found = {k: one for part in pool.map(_share, tasks) for k, one in part.items()}
     return placed(scene, found), found
 
 
-def fit_common(scene: Scene, views: Sequence[str], *, most: int = 8, flat: float = 3.0) -> Scene:
+def fit_common(scene: Scene, views: Sequence[str], *, most: int = 30, flat: float = 1.0) -> Scene:
     """Every material's brightness and the effects, with all objects where they stand."""
     problem = problem_of(scene, views)
     state = begin(problem, 0, 0)
     for _ in range(most):
-        state = levenberg_marquardt(problem, state, flat=flat, kept_within=0.1)
+        state = levenberg_marquardt(problem, state, flat=flat, kept_within=0.3)
         if state.arrived:
             break
     return learned_scene(problem, np.asarray(state.best_x), None)

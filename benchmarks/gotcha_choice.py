@@ -21,11 +21,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 import gotcha_cars as cars
 from gotcha import KNOWN_SPREAD, TRAIN, prepare
 
+from warpsar.scene.placing import with_objects
 from warpsar.scene.scene import Scene
 from warpsar.speckle.likelihood import best_gain, deviance, expected_deviance
 
 BOUNCES: dict[str, Any] = {"strength": 0.3, "max_bounces": 2}
-ROUNDS = 3
+ROUNDS = 5
 
 
 def left(scene: Scene, view: str) -> float:
@@ -38,15 +39,23 @@ def left(scene: Scene, view: str) -> float:
 
 def variant(scene: Scene, name: str) -> tuple[Scene, Sequence[str]]:
     """The scene with the effects of a variant, and what of an object is fitted."""
+    if "cars" in name:
+        kept = [one for one in scene.objects if one.primitive == "car"]
+        scene = with_objects(scene, kept, {k: m for k, m in scene.materials.items() if not k.startswith("thing")})
     bodies = [str(one.material) for one in scene.objects]
     scene = cars.with_effects(scene, point_spread=KNOWN_SPREAD)
     if "level" not in name:
         scene = cars.with_effects(scene, eps_gradient={"per_m_east": 0.0, "per_m_north": 0.0})
+    if "floor" in name:
+        scene = cars.with_effects(scene, noise_floor={"level": 5e-4})
     if "single" not in name:
         scene = cars.with_effects(scene, multibounce=BOUNCES)
     if "detail" in name:
-        scene = cars.with_effects(scene, unresolved_detail={"level": 0.05, "spread_m": 2.5, "materials": bodies})
-    return scene, cars.POSE if "rigid" in name else (*cars.POSE, *cars.SHAPE)
+        scene = cars.with_effects(scene, unresolved_detail={"level": 0.035, "spread_m": 2.2, "materials": bodies, "learn": ["level", "spread_m"]})
+    keys = cars.POSE if "rigid" in name else (*cars.POSE, *cars.SHAPE)
+    if "lean" in name:
+        keys = ("east", "north", "heading", "length", "height")
+    return scene, (*keys, cars.DETAIL) if "share" in name else keys
 
 
 def main() -> None:
@@ -55,8 +64,9 @@ def main() -> None:
     parser.add_argument("-o", "--out", type=Path, required=True)
     parser.add_argument("--variant", default="full", help="words of: full, single, detail, rigid, level")
     parser.add_argument("--fit", default=TRAIN[0])
+    parser.add_argument("--shared", type=float, default=cars.SHARED, help="pixels that share one speckle")
     given = parser.parse_args()
-    name = f"{given.variant}-{given.fit}"
+    name = f"{given.variant}-{given.shared:g}-{given.fit}"
     started, course = time.perf_counter(), []
     scene = Scene.load(prepare(given.data, given.out / name, flat=False))
     starts, fit = scene.objects, given.fit.split(",")
@@ -66,10 +76,11 @@ def main() -> None:
         course.append({"step": step, "s": round(time.perf_counter() - started), **{v: left(scene, v) for v in TRAIN}})
         print(name, course[-1], flush=True)
 
+    belief = cars.Belief(shared=given.shared)
     scene = cars.fit_common(scene, fit)
     told("brightness")
     for number in range(ROUNDS):
-        scene, _ = cars.fit_round(scene, starts, fit, keys)
+        scene, _ = cars.fit_round(scene, starts, fit, keys, belief=belief)
         scene = cars.fit_common(scene, fit)
         told(f"round {number + 1}")
     scene.save(given.out / name / "fitted.toml")

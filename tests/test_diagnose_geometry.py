@@ -291,6 +291,15 @@ def test_an_object_elsewhere_is_found(found: tuple[Path, dict[str, Any]]) -> Non
     assert turned < min(0.5, 4.0 * told_of["heading_sd_deg"])
 
 
+def test_bodies_stay_where_that_is_asked(moved: Scene, tmp_path: Path) -> None:
+    """The moved hut is then unexplained, or an effect's; no step has a body."""
+    assert moved.path is not None
+    content = run(moved.path, tmp_path, device="cpu", options=replace(QUICK, bodies=False, most_effects=1))
+    assert "object_pose" not in content["verdict"]
+    assert content["unexplained"] or content["verdict"]
+    assert not any(step.get("object") for step in content["steps"])
+
+
 def test_the_scene_has_the_object_there(found: tuple[Path, dict[str, Any]]) -> None:
     out, content = found
     scene = Scene.load(out / "scene.toml")

@@ -182,6 +182,8 @@ class Search:
         Bodies that are behind wait. Nothing is lost by that: the next turn tries them beside the effect, and in the end
         each is asked beside all the others.
         """
+        if not self.options.bodies:
+            return bench
         lead = Lead.of(bench, here, turn.fitted)
         if lead.most:
             return bench
