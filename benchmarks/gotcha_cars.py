@@ -50,12 +50,15 @@ LARGEST = {"east": 0.6, "north": 0.8, "heading": 5.0}  # move in one step; of lo
 LEAST = 0.1  # of an object's own image, that is left where the others' difference to the window's exceeds it
 SHARED = 3.5  # pixels that share one speckle, as the residuals of az001 and az002 say: the likelihood counts each once
 import os
-if os.environ.get('MIXED'):
+
+if os.environ.get("MIXED"):
     import warpsar.effects.point_spread as ps
+
     def _im(self, render, p, image):
-        for i, w in ((0, os.environ['MIXED']), (1, 'sinc')):
+        for i, w in ((0, os.environ["MIXED"]), (1, "sinc")):
             image = ps.blurred(render, ps.WINDOWS[w], p, i, image, axis=i)
         return image
+
     ps.PointSpread.image = _im
 ENOUGH = 0.5  # gain in log-likelihood from which a further step is tried
 PROCESSES = 2

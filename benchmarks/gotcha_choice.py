@@ -51,7 +51,10 @@ def variant(scene: Scene, name: str) -> tuple[Scene, Sequence[str]]:
     if "single" not in name:
         scene = cars.with_effects(scene, multibounce=BOUNCES)
     if "detail" in name:
-        scene = cars.with_effects(scene, unresolved_detail={"level": 0.035, "spread_m": 2.2, "materials": bodies, "learn": ["level", "spread_m"]})
+        scene = cars.with_effects(
+            scene,
+            unresolved_detail={"level": 0.035, "spread_m": 2.2, "materials": bodies, "learn": ["level", "spread_m"]},
+        )
     keys = cars.POSE if "rigid" in name else (*cars.POSE, *cars.SHAPE)
     if "lean" in name:
         keys = ("east", "north", "heading", "length", "height")

@@ -12,7 +12,7 @@ from learning_scenes import cube_scene, measured, views_at
 from matplotlib.image import imread
 from worlds import view
 
-from warpsar.diagnosis.report_left import ratio_words
+from warpsar.diagnosis.report.left import ratio_words
 from warpsar.evaluation.command import run
 from warpsar.evaluation.report_images import reduced
 from warpsar.evaluation.report_surface import stated
