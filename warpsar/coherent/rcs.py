@@ -27,7 +27,7 @@ LARGE_DB, WEAK_DB = 1.0, 30.0
 _BYTES = 16 * len(POLARIZATIONS)
 _TUBE_BYTES = 120
 """Memory for each tube of a direction with its parts; hits go in blocks."""
-_MOST_GIB = 120.0
+_MOST_GIB = 60.0
 """Of the tubes of a direction: they are numbered in 32 bits."""
 
 

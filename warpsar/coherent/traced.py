@@ -30,7 +30,7 @@ _RAYS_TOGETHER = {"cpu": 2**14, "cuda": 2**19}
 takes fewer."""
 _HIT_BYTES = 160
 _PART_BYTES = {"cpu": 2**24, "cuda": 2**28}
-"""Memory for what the chunks of one launch radiate, and for the partial sums of the directions of one task."""
+"""Memory for what the chunks of one launch radiate, and for what is kept of the directions of one task."""
 
 
 class Tracer:
@@ -48,7 +48,8 @@ class Tracer:
             together = min(together, int(0.25 * default_gib(body.device) * 2**30) // (bounces * _HIT_BYTES))
         self.together = max(together - together % cells.RAYS, cells.RAYS)
         self.radiating = max(_PART_BYTES[kind] // (self.count * 2 * 4 * 16), 1) * cells.RAYS
-        self.most_views = max(_PART_BYTES[kind] // (cells.LANES * self.count * layers * 4 * 16), 1)
+        bytes_of_view = cells.LANES * self.count * layers * 4 * 16 + body.regions.shape[0]
+        self.most_views = max(_PART_BYTES[kind] // bytes_of_view, 1)
 
     def narrowed(self, radars: wp.array, grid: Grid, start: int, stop: int) -> Iterator[Judged]:
         """The cells of a grid from `start` to `stop`, and the parts of those that are cut, level by level.
