@@ -129,7 +129,6 @@ def main() -> None:
     parser.add_argument("--growth", action="store_true", help="also how the time of the cobra duct grows")
     tables.add_options(parser)
     options = parser.parse_args()
-    device = devices.resolve_device(options.device)
     if options.source:
         result = tables.stored(options.source)
     else:
@@ -150,9 +149,10 @@ def main() -> None:
               "with its error, wall [s]", "prepare, CPU [s]")  # fmt: skip
     if options.profile:
         return
-    bodies = {f"coherent.{'cpu' if device.is_cpu else 'cuda'}": tables.markdown(header, map(row, result["sweeps"]))}
+    kind = result["machine"]["device"].split(":")[0]
+    bodies = {f"coherent.{kind}": tables.markdown(header, map(row, result["sweeps"]))}
     if result["growth"]:
-        bodies["coherent.growth"] = tables.markdown(header, map(row, result["growth"]))
+        bodies[f"coherent.growth.{kind}"] = tables.markdown(header, map(row, result["growth"]))
     tables.publish(bodies, result, options.write)
 
 

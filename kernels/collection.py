@@ -108,7 +108,6 @@ def tube_places_kernel(
     k: wp.float64,
     stuff_in: wp.array2d[Face],
     material_in: wp.array[int],
-    used_in: wp.array[int],
     hits_in: wp.array2d[Hit],
     count_in: wp.array[int],
     single: int,
@@ -126,10 +125,8 @@ def tube_places_kernel(
     fields = Pair()
     fields.h = unit(radar.u)
     fields.v = unit(radar.v)
-    if used_in[ray] == 0:
-        return
     for b in range(count_in[ray]):
-        hit = hits_in[ray, b]
+        hit = hits_in[b, ray]
         stuff = stuff_in[0, material_in[hit.face]]
         back = bounced_fields(stuff, k, fields, hit.d, hit.normal)
         counts = hit.seen
@@ -141,7 +138,7 @@ def tube_places_kernel(
             four = sent(tube_factor(k, hit, sight), fields, back, hit.d, hit.normal, sight.s, radar.u, radar.v)
             way = sight.back + hit.path
             turn = turned(k * way)
-            place_out[ray, b] = effective_place(radar, hits_in[ray, 0].point, hit.point, way)
+            place_out[ray, b] = effective_place(radar, hits_in[0, ray].point, hit.point, way)
             face_out[ray, b] = hit.face
             amplitude_out[ray, b, 0] = unphased(four.hh, turn)
             amplitude_out[ray, b, 1] = unphased(four.hv, turn)

@@ -288,7 +288,7 @@ def hit_of(tube: Tube, at: Meeting) -> Hit:
     return hit
 
 
-@wp.kernel(enable_backward=False)
+@wp.kernel(enable_backward=False, cuda_max_registers=128)  # with more a GPU follows too few rays at a time
 def trace_kernel(
     # In:
     body: Body,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 import trimesh
@@ -11,6 +13,8 @@ from scipy.special import fresnel
 
 import warpsar
 from warpsar.coherent import rays as cells
+from warpsar.coherent import sweep as sweeping
+from warpsar.coherent import traced
 from warpsar.coherent.body import CoherentBody
 from warpsar.coherent.directions import Directions, radar_records
 from warpsar.coherent.joints import joints
@@ -51,6 +55,46 @@ def test_same_bits_for_any_number_of_threads(duct: warpsar.Mesh, monkeypatch: py
         found.append(amplitudes(duct, np.linspace(60.0, 120.0, 9), 90.0, finer=20.0))
     assert np.array_equal(*found)
     assert np.abs(found[0]).max() > 0.01
+
+
+@pytest.mark.parametrize(
+    ("rays", "part_bytes", "task", "face_bytes"),
+    [
+        (
+            1000,
+            2**15,
+            2**14,
+            50_000,
+        ),  # several directions in a task and in a launch of faces
+        (200, 2**24, 1000, 2**26),  # several tasks for each direction
+    ],
+)
+def test_launches_may_be_small(
+    duct: warpsar.Mesh, monkeypatch: pytest.MonkeyPatch, rays: int, part_bytes: int, task: int, face_bytes: int
+) -> None:
+    """How much goes into one launch changes the order of sums, and nothing else: also where parts of cells wait."""
+    directions = Directions.of(np.linspace(60.0, 120.0, 5), 90.0)
+    material = {"eps_r": 4.0, "rms_height_m": 0.001, "correlation_length_m": 0.02}
+
+    def swept(**more: Any) -> list[Sweep]:
+        bodies = [CoherentBody.of(scene(duct, **of), wp.get_device("cpu")) for of in ({}, {"material": material})]
+        return [sweep(body, directions, [0.5 * FREQUENCY, FREQUENCY], compare=True, **more) for body in bodies]
+
+    large = swept() + swept(layers=True)
+    for module, name, value in (
+        (traced, "_RAYS_TOGETHER", rays),
+        (traced, "_PART_BYTES", part_bytes),
+        (sweeping, "_RAYS_OF_TASK", task),
+        (sweeping, "_FACE_BYTES", face_bytes),
+    ):
+        monkeypatch.setattr(module, name, {"cpu": value})
+    for one, other in zip(large, swept() + swept(layers=True), strict=True):
+        assert one.segments == other.segments
+        assert one.refined.max() > 0.1
+        for name in ("amplitude", "bounces", "fresnel_number", "refined", "aliased", "spacing_error"):
+            expected, found = getattr(one, name), getattr(other, name)
+            if expected is not None:
+                assert np.abs(found - expected).max() < 1e-11 * np.abs(expected).max()
 
 
 def test_frequencies_together_are_those_alone(duct: warpsar.Mesh) -> None:

@@ -6,7 +6,8 @@
 | `shape.py` | smooth surfaces with their normals, flat regions with their borders, wedges with their outer angles |
 | `rough.py` | the scatterers of rough faces |
 | `body.py` | a shape and its materials on a device |
-| `rays.py` | the rays of a direction, and their children where they alias |
+| `rays.py` | the rays of a direction, and the parts of those that get too wide |
+| `traced.py` | tubes on a device: traced, cut, and what they radiate, summed up for each direction |
 | `sweep.py` | amplitudes over directions and frequencies, term by term |
 | `directions.py` | axes of a direction |
 | `rcs.py` | `warpsar.rcs`: checks, the sweep, and what a user should know before trusting it |

@@ -26,7 +26,9 @@ LARGE_DB, WEAK_DB = 1.0, 30.0
 """An error of the spacing that is said, at values that are not so far under the strongest one."""
 _BYTES = 16 * len(POLARIZATIONS)
 _TUBE_BYTES = 120
-"""Host memory for each tube of a direction, besides the hits, which go in blocks."""
+"""Memory for each tube of a direction with its parts; hits go in blocks."""
+_MOST_GIB = 60.0
+"""Of the tubes of a direction: they are numbered in 32 bits."""
 
 
 @dataclass(frozen=True)
@@ -231,7 +233,7 @@ def _refuse_size(directions: int, frequencies: int, device: wp.Device, layers: i
 def _refuse_body(scene: World, body: CoherentBody, wavelength: float, rays_per_wavelength: float) -> None:
     """Refuse a body of too many tubes, and a radar inside it."""
     tubes = (2.0 * body.radius * rays_per_wavelength / wavelength) ** 2
-    if (needed := tubes * _TUBE_BYTES / 2**30) > (there := default_gib(body.device)):
+    if (needed := tubes * _TUBE_BYTES / 2**30) > (there := min(default_gib(body.device), _MOST_GIB)):
         raise InputError(
             f"{scene.name}: found a body of {2 * body.radius:.3g} m, {tubes:.2g} tubes of {wavelength:.2g} m / "
             f"{rays_per_wavelength:g} for a direction ({needed:.3g} GiB); must be up to {there:.3g} GiB"

@@ -17,6 +17,7 @@ from warpsar.coherent.body import CoherentBody
 from warpsar.coherent.rays import Grid, Rays, within
 from warpsar.coherent.records import host, upload
 from warpsar.kernels.coherent import cells, radiate, tubes
+from warpsar.runtime.memory import default_gib
 
 MOST_BOUNCES = 30
 TURN = np.pi / 2
@@ -25,9 +26,11 @@ footprint. Wider tubes are cut along the side that is too wide."""
 LEVELS = 5
 """How many times a side of a tube is halved at most."""
 _RAYS_TOGETHER = {"cpu": 2**14, "cuda": 2**19}
-"""Rays of one launch, with `MOST_BOUNCES`: 80 MB of hits for each thread of the CPU, 2.5 GB on CUDA."""
+"""Rays of one launch, with `MOST_BOUNCES`: 80 MB of hits for each thread of the CPU, 2.5 GB on CUDA. A small device
+takes fewer."""
+_HIT_BYTES = 160
 _PART_BYTES = {"cpu": 2**24, "cuda": 2**28}
-"""Memory for what the chunks of one launch radiate, and for the partial sums of the directions of one task."""
+"""Memory for what the chunks of one launch radiate, and for what is kept of the directions of one task."""
 
 
 class Tracer:
@@ -41,9 +44,12 @@ class Tracer:
         self.wavenumbers = upload(k, wp.float64, body.device)
         kind = "cpu" if body.device.is_cpu else "cuda"
         together = _RAYS_TOGETHER[kind] * MOST_BOUNCES // max(bounces, MOST_BOUNCES)
+        if kind == "cuda":
+            together = min(together, int(0.25 * default_gib(body.device) * 2**30) // (bounces * _HIT_BYTES))
         self.together = max(together - together % cells.RAYS, cells.RAYS)
         self.radiating = max(_PART_BYTES[kind] // (self.count * 2 * 4 * 16), 1) * cells.RAYS
-        self.most_views = max(_PART_BYTES[kind] // (cells.LANES * self.count * layers * 4 * 16), 1)
+        bytes_of_view = cells.LANES * self.count * layers * 4 * 16 + body.regions.shape[0]
+        self.most_views = max(_PART_BYTES[kind] // bytes_of_view, 1)
 
     def narrowed(self, radars: wp.array, grid: Grid, start: int, stop: int) -> Iterator[Judged]:
         """The cells of a grid from `start` to `stop`, and the parts of those that are cut, level by level.
@@ -185,12 +191,12 @@ class Judged(Traced):
 
     def add(self, part: wp.array, total: wp.array, source: int, target: int, bounces: int, start: int = 0) -> None:
         """Add sums of chunks from the ray `start` on to those of the directions; so many bounces from `source` on."""
-        chunks, frequencies, _, n = part.shape
+        device, (chunks, frequencies, _, n) = self.tracer.body.device, part.shape
         first = within(self.rays.first, start, start + chunks * cells.RAYS)
         wp.launch(
             cells.lanes_kernel,
             (*total.shape[:2], frequencies, bounces * n),
-            inputs=[upload(first, int, total.device), part, source, target, total.shape[2] // frequencies],
+            inputs=[upload(first, int, device), part, source, target, total.shape[2] // frequencies],
             outputs=[total],
-            device=total.device,
+            device=device,
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 
@@ -12,8 +13,9 @@ from numpy.typing import NDArray
 from warpsar.coherent import rays as cells
 from warpsar.coherent.body import CoherentBody
 from warpsar.coherent.directions import Directions
-from warpsar.coherent.records import records, upload
-from warpsar.coherent.sweep import TURN, Traced, Worker
+from warpsar.coherent.records import host, records, upload
+from warpsar.coherent.sweep import Worker
+from warpsar.coherent.traced import TURN, Traced
 from warpsar.kernels import collection as kernels
 from warpsar.kernels.coherent import tubes
 from warpsar.runtime import threads
@@ -95,49 +97,45 @@ def tube_places(worker: Worker, direction: Directions, radar: wp.array, distance
     body = worker.body
     found, wide, traced_all = [], 0, 0
     for rays in _chosen(worker, direction, radar, distance_m):
-        traced = Traced(worker, radar, rays)
-        wide += int((traced.turn > TURN).sum())
+        traced = Traced(worker.tracer, radar, rays)
+        wide += int((traced.turn.numpy() > TURN).any(axis=1).sum())
         traced_all += len(rays)
-        n, most = len(rays), worker.bounces
+        n, most = len(rays), worker.tracer.bounces
         place = wp.zeros((n, most), dtype=wp.vec3d, device=body.device)
         amplitude = wp.zeros((n, most, 4), dtype=wp.vec2, device=body.device)
         face = wp.zeros((n, most), dtype=int, device=body.device)
         inputs = [radar, float(worker.k[0]), worker.stuff, body.face_material]
-        inputs += [upload(rays.used, int, body.device), traced.hits, traced.counts, int("single" in worker.terms)]
+        inputs += [traced.hits, traced.count, int("single" in worker.terms)]
         wp.launch(kernels.tube_places_kernel, n, inputs=inputs, outputs=[place, amplitude, face], device=body.device)
         values = complex_of(amplitude).reshape(-1, 4)
         found.append(_kept(place.numpy().reshape(-1, 3), values, face.numpy().reshape(-1).astype(np.int64)))
     return joined(found), wide / max(traced_all, 1)
 
 
-def _chosen(worker: Worker, direction: Directions, radar: wp.array, distance_m: float) -> list[cells.Rays]:
+def _chosen(worker: Worker, direction: Directions, radar: wp.array, distance_m: float) -> Iterator[cells.Rays]:
     """Fine rays in blocks, of the coarse cells that matter."""
     body = worker.body
-    coarse = cells.grid(body, direction, COARSE * worker.spacing, distance_m)
-    traced = Traced(worker, radar, coarse)
-    hits = traced.hits.numpy() if worker.bounces == 1 else traced.hits[:, :1].contiguous().numpy()
+    coarse = cells.Grid(body, direction, COARSE * worker.spacing, distance_m)[:]
+    traced = Traced(worker.tracer, radar, coarse)
+    hits, hit_count = host(traced.hits[:1])[0], traced.count.numpy()
     smooth = np.array([not material.rms_height_m for material in body.materials])
-    met = traced.count > 0
-    first = np.where(met, hits["face"].reshape(-1), 0)
-    matters = met & (smooth[body.face_material.numpy()[first]] | (traced.count > 1)) & (coarse.used != 0)
+    met = hit_count > 0
+    first = np.where(met, hits["face"], 0)
+    matters = met & (smooth[body.face_material.numpy()[first]] | (hit_count > 1))
     low, step, count = cells.frame(body, direction, 0, COARSE * worker.spacing, distance_m)
     wanted = np.zeros(count + 2, bool)
-    at = np.round((coarse.place - low) / step - 0.5).astype(int)[matters] + 1
+    at = np.round((coarse.place.numpy() - low) / step - 0.5).astype(int)[matters] + 1
     for i in (-1, 0, 1):  # a body may begin between the rays of two cells
         for j in (-1, 0, 1):
             wanted[at[:, 0] + i, at[:, 1] + j] = True
     chosen = np.argwhere(wanted[1:-1, 1:-1])
     part = (np.arange(COARSE) + 0.5) / COARSE
     inside = np.stack(np.meshgrid(part, part, indexing="ij"), axis=-1).reshape(-1, 2)
-    blocks = []
-    together = max(1, worker.together // COARSE**2)
+    together = max(1, worker.tracer.together // COARSE**2)
     for start in range(0, len(chosen), together):
         corner = chosen[start : start + together]
         place = (low + (corner[:, None] + inside[None]) * step).reshape(-1, 2)
-        size = np.broadcast_to(step / COARSE, place.shape)
-        n = len(place)
-        blocks.append(cells.Rays(np.zeros(n, np.int32), place, np.array(size), np.ones(n, np.int32)))
-    return blocks
+        yield cells.Rays.of(place, np.broadcast_to(step / COARSE, place.shape), body.device)
 
 
 def joined(parts: list[Places]) -> Places:
