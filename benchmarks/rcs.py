@@ -1,11 +1,12 @@
 """The loop on measured RCS of exactly known bodies: what a model of single bounces lacks, and what its dimensions are.
 
-    python benchmarks/rcs.py DATA -o out/ [--write]
+    python benchmarks/rcs.py DATA -o out/ [--jobs N] [--write]
 
 DATA is the folder of measured data (with austin_rcs/ in it), or austin_rcs itself. `out/rcs.json` holds for every body
 the verdict, a row for each curve and sector, and what was learned; out/*.png the figures. Amplitudes are kept in
-out/cache, so a run that was interrupted goes on where it was. Curves at 2.56 and 5.12 GHz of the first measurement are
-train; all others, also such as are put into the folder later, are tests with rows of their own.
+out/cache, so a run that was interrupted goes on where it was; a change of the engine's sources makes them anew. Curves
+at 2.56 and 5.12 GHz of the first measurement are train; all others, also such as are put into the folder later, are
+tests with rows of their own.
 """
 
 from __future__ import annotations
@@ -118,8 +119,10 @@ def measured(data: Path) -> list[Measured]:
 class Work:
     """One body: its curves beside its model, sector by sector."""
 
-    def __init__(self, body: Body, files: Sequence[Measured], data: Path, cache: Path, device: str | None) -> None:
-        self.body, self.files, self.cache, self.device = body, files, cache, device
+    def __init__(
+        self, body: Body, files: Sequence[Measured], data: Path, cache: Path, device: str | None, jobs: int = 1
+    ) -> None:
+        self.body, self.files, self.cache, self.device, self.jobs = body, files, cache, device, jobs
         self.mesh = body.make(data)
         self.normals = sectors.apertures(self.mesh)
         self.low_db = DUCT_DB if len(self.normals) else OTHER_DB
@@ -261,6 +264,7 @@ def main() -> int:
         "--only", choices=[one.key for one in BODIES], help="one body; the others keep what rcs.json has"
     )
     parser.add_argument("--device", metavar="cpu|cuda", help="device to work on")
+    parser.add_argument("--jobs", type=int, default=1, help="processes that sweep a duct's shapes side by side")
     tables.add_write(parser)
     options = parser.parse_args()
     data = options.data / "austin_rcs" if (options.data / "austin_rcs").is_dir() else options.data
@@ -312,7 +316,7 @@ def one_body(
     body: Body, files: Sequence[Measured], data: Path, options: argparse.Namespace, others: Mapping[str, Any]
 ) -> dict[str, Any]:
     """Everything about one body, as rcs.json has it."""
-    work = Work(body, files, data, options.out / "cache", options.device)
+    work = Work(body, files, data, options.out / "cache", options.device, options.jobs)
     found = find(work)
     names = tuple(dict.fromkeys(term for one in found.values() for term in one.terms))
     what: dict[str, Any] = {}

@@ -5,9 +5,12 @@ Plate, ducts, calibration, background, and what stands in the range beside them.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, replace
 from itertools import product
+from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -131,11 +134,25 @@ def duct(work: Work, names: Sequence[str], cache: Path, device: str | None) -> t
     def twice_log(role: str, **moved: float) -> float:
         return likelihood(some(replace(bodies.MODEL, **moved), role), names)
 
+    def ahead(moved: Sequence[Mapping[str, float]]) -> None:
+        """Fill the cache with the sweeps of some shapes, several processes side by side."""
+        shapes = [replace(bodies.MODEL, **one) for one in moved]
+        tables = [
+            replace_rows(
+                file, given.where(work.sector(given, "aperture")).thinned(LEARN_PER_DIRECTION).azimuth_deg
+            ).table
+            for file, given in pairs
+            if given.role == "train"
+        ]
+        swept(work.jobs, [(shape, table, cache, device) for shape in shapes for table in tables])
+
     axes = {"radius_m": np.arange(0.1450, 0.1536, 0.0010), "length_m": np.arange(0.2970, 0.3031, 0.0015)}
+    ahead([dict(zip(axes, map(float, point), strict=True)) for point in product(*axes.values())])
     grid = on_grid(axes, lambda x: twice_log("train", **x))
     told = profiles(axes, grid)
     best = {name: one.value for name, one in told.items()}
     for name, axis in {"right_m": np.arange(-0.012, 0.0121, 0.004), "up_m": np.arange(-0.006, 0.0061, 0.002)}.items():
+        ahead([{**best, name: float(each)} for each in axis])
         line = on_grid({name: axis}, lambda x: twice_log("train", **best, **x))
         told |= profiles({name: axis}, line)
     result = replace(bodies.MODEL, **best)
@@ -144,6 +161,23 @@ def duct(work: Work, names: Sequence[str], cache: Path, device: str | None) -> t
     dimensions = {name: asdict(one) for name, one in stated.items()}
     return {"duct": {name: one.content() for name, one in told.items()}, "twice_log_likelihood": sums,
             "dimensions": dimensions}, result  # fmt: skip
+
+
+def swept(jobs: int, sweeps: Sequence[tuple[bodies.Duct, Any, Path, str | None]]) -> None:
+    """Put the amplitudes of shapes and curves into the cache, `jobs` processes side by side; nothing with one."""
+    if jobs > 1:
+        # a fresh process for each: Warp's threads do not survive a fork
+        with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+            list(pool.map(sweep_of, sweeps))
+
+
+def sweep_of(given: tuple[bodies.Duct, Any, Path, str | None]) -> None:
+    """One of `swept`, on one thread."""
+    duct, table, cache, device = given
+    os.environ["WARPSAR_THREADS"] = "1"
+    frequency, incidence = float(table.frequency_hz[0]), float(np.median(table.incidence_deg))
+    scene = bodies.scene(bodies.cylinder_box(duct))
+    amplitudes(scene, table.azimuth_deg, incidence, frequency, cache=cache, device=device)
 
 
 def replace_rows(file: Any, azimuth_deg: NDArray[np.float64]) -> Any:

@@ -6,18 +6,28 @@ A duct's sweep takes a minute, a fit asks for many.
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cache as once
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from warpsar import coherent as room_of_coherent
+from warpsar import kernels
+from warpsar import world as room_of_world
 from warpsar.coherent.rcs import rcs
 from warpsar.coherent.sweep import RAYS_PER_WAVELENGTH, TERMS
 from warpsar.io.images import replacing
+from warpsar.kernels import coherent as kernels_of_coherent
 from warpsar.version import __version__
 from warpsar.world.world import World
+
+_ROOMS = room_of_coherent, room_of_world, kernels, kernels_of_coherent
+ENGINE = tuple(Path(str(room.__file__)).parent for room in _ROOMS)
+"""Folders whose sources decide what `warpsar.rcs` returns."""
 
 
 @dataclass(frozen=True)
@@ -64,16 +74,31 @@ def amplitudes(
 
 
 def _key(world: World, azimuth_deg: NDArray[np.float64], incidence_deg: float, frequency_hz: float, rays: float) -> str:
-    """What the amplitudes depend on: mesh, materials, radar, directions, and the version of the code."""
-    total = hashlib.sha256()
+    """What the amplitudes depend on: mesh, materials, radar, directions, seed, and the sources of the engine."""
+    total = hashlib.sha256(engine_digest().encode())
     for array in (world.mesh.vertices, world.mesh.faces, world.mesh.face_material, azimuth_deg):
         total.update(np.ascontiguousarray(array).data)
     materials = [(name, world.materials[name].model_dump()) for name in world.mesh.materials]
-    radar = world.radar.model_dump()
-    total.update(
-        repr((__version__, materials, radar, world.reference_point_m, incidence_deg, frequency_hz, rays)).encode()
-    )
+    scene = __version__, materials, world.radar.model_dump(), world.reference_point_m, world.sampling.seed
+    total.update(repr((*scene, incidence_deg, frequency_hz, rays)).encode())
     return total.hexdigest()[:32]
+
+
+@once
+def engine_digest() -> str:
+    """SHA-256 of the engine's sources, so that no amplitude outlives the code that made it."""
+    return sources_digest(ENGINE)
+
+
+def sources_digest(folders: Iterable[Path]) -> str:
+    """SHA-256 of the names and the text of all Python files in some folders, without what lies below them."""
+    total = hashlib.sha256()
+    for folder in folders:
+        for path in sorted(folder.glob("*.py")):
+            text = path.read_bytes()
+            total.update(f"{folder.name}/{path.name} {len(text)} ".encode())
+            total.update(text)
+    return total.hexdigest()
 
 
 def _read(path: Path) -> Amplitudes | None:
