@@ -16,7 +16,7 @@ import hashlib
 import json
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -27,10 +27,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import btr70_checks as checks
 import btr70_parts as parts
+import btr70_shape as shapes
 import tables
 from btr70_jobs import Job, done
 from btr70_measures import Chip, judged, rivals, turn_deg
 from btr70_model import (
+    FLASH,
     LADDER,
     PARTS,
     SPACING_M,
@@ -41,7 +43,8 @@ from btr70_model import (
     predicted,
     regions,
     with_aim_points,
-    with_body,
+    with_other_rays,
+    with_tables,
     write_scene,
 )
 from btr70_tables import tables_of
@@ -56,7 +59,6 @@ TRAIN = tuple(Path(__file__).with_name("btr70_train.txt").read_text(encoding="ut
 SECTORS_DEG = ((85.0, 115.0), (205.0, 235.0), (315.0, 345.0))
 """Sectors without a train view. Sectors that the folder may lack are found by their distance from all train views."""
 FAR_DEG = 6.0
-MARGIN = 2.0  # standard errors by which an effect must better the views left out
 FOLDS, ARCS = 3, 3  # the train views are left out in as many parts, each of as many arcs of neighbours
 LAST = 6  # iterations of the final fit, which begins where the last one ended
 EXPERIMENT = 24  # views of the sectors on which bounces and orders are looked at
@@ -137,60 +139,112 @@ def tried(
     return {"loss": loss, "scores": held_out(found, left_out)}
 
 
+def settled(source: Path, to: Path, left_out: Sequence[Chip], names: Sequence[str]) -> dict[str, Any]:
+    """`tried` with nothing new: on other rays, with as many iterations more."""
+    begun = with_other_rays(only(Scene.load(source), names))
+    found, loss = fitted(begun)
+    return {"loss": loss, "scores": held_out(found, left_out)}
+
+
+def standing(source: Path, to: Path, tables_of_objects: shapes.Tables) -> dict[str, Any]:
+    """Keeps the scene in `source` in `to`, with other tables of its objects."""
+    with_tables(Scene.load(source), tables_of_objects).save(to / "scene.toml")
+    return {}
+
+
+def mean_and_error(gain: np.ndarray) -> tuple[float, float]:
+    return float(gain.mean()), float(gain.std(ddof=1) / np.sqrt(gain.size))
+
+
 @dataclass
 class Ladder:
-    """Trials on the train chips, a third of them left out at a time; `now` holds the best scene of each third."""
+    """Trials on the train chips, a third of them left out at a time; `now` holds the best scene of each third.
+
+    A trial stays if the gain of the chips left out, less its standard error, is above the noise: what a fit with
+    nothing new may gain, its mean and one standard error. `noise` is that of the model of the moment.
+    """
 
     out: Path
     train: Sequence[Chip]
     processes: int
     now: list[Path]
     scores: np.ndarray | None = None
+    noise: float | None = None
     steps: list[dict[str, Any]] = field(default_factory=list)
 
-    def turn(self, name: str, label: str, *rung: Any) -> bool:
-        """Tries one thing. It stays only if the score of the chips left out falls by two standard errors."""
+    @property
+    def left(self) -> list[list[Chip]]:
+        """The chips that each scene of `now` leaves out."""
+        return [[chip for chip in self.train if chip.name in fold] for fold in folds(self.train)]
+
+    def scored(self, name: str, make: Callable[..., dict[str, Any]], *more: Any) -> tuple[np.ndarray, list[Path]]:
+        """The scores of the chips left out, fold after fold, of what `make` fits to the others."""
         to = [self.out / f"{name}_{k}" for k in range(FOLDS)]
         jobs = []
-        for k, fold in enumerate(folds(self.train)):
-            left = [chip for chip in self.train if chip.name in fold]
-            rest = [chip.name for chip in self.train if chip.name not in fold]
-            jobs.append(Job(to[k].with_suffix(".json"), tried, (self.now[k], to[k], left, rest, *rung)))
-        found = done(jobs, self.processes)
-        scores = np.concatenate([one["scores"] for one in found])
-        stays = True
-        if self.scores is not None:
-            gain = self.scores - scores
-            error = float(gain.std(ddof=1) / np.sqrt(gain.size))
-            stays = bool(gain.mean() > MARGIN * error)
-            said = {"gain": float(gain.mean()), "error": error, "stays": stays}
-            self.steps.append({"tried": label, "losses": [one["loss"] for one in found], **said})
-            verdict = "stays" if stays else "goes"
-            print(f"{label}: left-out gain {gain.mean():+.4f} +- {error:.4f}: {verdict}", file=sys.stderr)
-        if stays:
+        for k, left in enumerate(self.left):
+            rest = [chip.name for chip in self.train if chip not in left]
+            jobs.append(Job(to[k].with_suffix(".json"), make, (self.now[k], to[k], left, rest, *more)))
+        return np.concatenate([one["scores"] for one in done(jobs, self.processes)]), to
+
+    def turn(self, name: str, label: str, *rung: Any) -> None:
+        """Tries one thing."""
+        scores, to = self.scored(name, tried, *rung)
+        if self.scores is None:
             self.now, self.scores = [folder / "scene.toml" for folder in to], scores
+            return
+        if self.noise is None:
+            again, _ = self.scored(f"{self.now[0].parent.name.removesuffix('_0')}_again", settled)
+            mean, error = mean_and_error(self.scores - again)
+            self.noise = max(mean, 0.0) + error
+        if self.judged(label, self.scores - scores):
+            self.now, self.scores, self.noise = [folder / "scene.toml" for folder in to], scores, None
+
+    def judged(self, label: str, gain: np.ndarray) -> bool:
+        """Whether a trial stays; notes it."""
+        mean, error = mean_and_error(gain)
+        noise = self.noise or 0.0
+        stays = bool(mean - error > noise)
+        self.steps.append({"tried": label, "gain": mean, "error": error, "noise": noise, "stays": stays})
+        verdict = "stays" if stays else "goes"
+        print(f"{label}: left-out gain {mean:+.4f} +- {error:.4f}, noise {noise:.4f}: {verdict}", file=sys.stderr)
         return stays
 
+    def shaped(self, name: str, label: str, begun: shapes.Tables, *, near: bool) -> dict[str, Any]:
+        """Moves size and slope, and keeps them where they stay."""
+        profiles = shapes.Profiles(self.now, self.left, self.out / name, self.processes)
+        found = shapes.shape(profiles, begun, near=near)
+        if not self.judged(label, np.array(found["gains"])):
+            return found | {"tables": begun}
+        to = [self.out / f"{name}_{k}" for k in range(FOLDS)]
+        both = zip(self.now, to, strict=True)
+        done([Job(one.with_suffix(".json"), standing, (at, one, found["tables"])) for at, one in both], 1)
+        self.now, self.noise = [folder / "scene.toml" for folder in to], None
+        self.scores = np.concatenate([held_out(Scene.load(p), c) for p, c in zip(self.now, self.left, strict=True)])
+        return found
 
-def climbed(data: Path, out: Path, train: Sequence[Chip], processes: int) -> Ladder:
-    """Effects tried one after the other."""
+
+def climbed(data: Path, out: Path, train: Sequence[Chip], processes: int) -> tuple[Ladder, dict[str, Any]]:
+    """Effects tried one after the other, the size as soon as the body looks like one and once more at the end."""
     declared = prepare(data, out)
     started = out / "aimed" / "scene.toml"
     if not started.exists():
         with_aim_points(Scene.load(declared), train).save(started)
     ladder = Ladder(out, train, processes, [started] * FOLDS)
     ladder.turn("begun", "begun")
+    found: dict[str, Any] = {"tables": shapes.START}
     for number, (name, table) in enumerate(LADDER):
-        if name == PARTS and not any(step["tried"] == "unresolved_detail" and step["stays"] for step in ladder.steps):
+        detail = any(step["tried"] == "unresolved_detail" and step["stays"] for step in ladder.steps)
+        if name in (PARTS, FLASH) and not detail:
             continue  # there is no detail to be shared out
         ladder.turn(f"tried{number}_{name}", name, (name, table), declared.with_name("parts.obj"))
-    return ladder
+        if name == "unresolved_detail":
+            found = ladder.shaped("size", "size and slope", shapes.START, near=False)
+    return ladder, ladder.shaped("shape", "size and slope again", found["tables"], near=True)
 
 
-def finished(declared: Path, climbed_to: Path, pose: dict[str, Any], train: Sequence[Chip], to: Path) -> dict[str, Any]:
-    """The last fit: all train views, with the attitude and the size that the images say."""
-    posed = with_body(Scene.load(climbed_to), **pose)
-    every = replace(posed, views=Scene.load(declared).views)
+def finished(declared: Path, climbed_to: Path, train: Sequence[Chip], to: Path) -> dict[str, Any]:
+    """The last fit: all train views."""
+    every = replace(Scene.load(climbed_to), views=Scene.load(declared).views)
     found, loss = fitted(with_aim_points(every, train), LAST)
     found.save(to / "scene.toml")
     return {"loss": loss}
@@ -200,13 +254,9 @@ def learned(
     data: Path, out: Path, train: Sequence[Chip], processes: int
 ) -> tuple[Path, list[dict[str, Any]], dict[str, Any]]:
     """The final scene, the steps to it, and what the images say of the vehicle's attitude and size."""
-    ladder = climbed(data, out, train, processes)
-    left = [[chip for chip in train if chip.name in fold] for fold in folds(train)]
-    shape = checks.shape(ladder.now, left, out / "shape", processes)
-    ladder.steps.append({"tried": "attitude and size", **{key: shape[key] for key in ("gain", "error", "stays")}})
-    pose = shape["pose"] if shape["stays"] else {}
+    ladder, shape = climbed(data, out, train, processes)
     to = out / "final"
-    done([Job(out / "final.json", finished, (prepare(data, out), ladder.now[0], pose, train, to))], 1)
+    done([Job(out / "final.json", finished, (prepare(data, out), ladder.now[0], train, to))], 1)
     return to / "scene.toml", ladder.steps, {"shape": shape}
 
 
@@ -270,19 +320,18 @@ def what_is_known(
     """The checks of btr70_checks.py on the final scene, each made once."""
     sector = [chip for chip in chips if set_of(chip, train) == "sector"]
     some = [sector[int(k)] for k in np.linspace(0, len(sector) - 1, min(EXPERIMENT, len(sector)))]
-    bounces, orders, levels, widths, rounding, coverage = done(
+    bounces, orders, levels, widths, rounding = done(
         [
             Job(out / "bounces.json", checks.bounces, (final, some)),
             Job(out / "orders.json", checks.orders, (final, train, some)),
             Job(out / "levels.json", checks.levels, (final, train)),
-            Job(out / "widths.json", checks.widths, (final,)),
+            Job(out / "widths.json", checks.widths, (final, train)),
             Job(out / "rounding.json", checks.rounding, (final, train, some)),
-            Job(out / "coverage.json", checks.coverage, (final, train)),
         ],
         processes,
     )
     return {
-        "coverage": coverage,
+        "coverage": shapes.coverage(final, train, out / "coverage", processes),
         "bounces": bounces,
         "orders": orders,
         "levels": levels,

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from scipy.ndimage import gaussian_filter, rotate
+from scipy.ndimage import gaussian_filter, rotate, shift
 from scipy.signal import fftconvolve
 
 SIZE = 80
@@ -39,9 +39,9 @@ def turn_deg(a: float, b: float) -> float:
     return (a - b + 180.0) % 360.0 - 180.0
 
 
-def middle(image: np.ndarray, shift: tuple[int, int] = (0, 0), size: int = SIZE) -> np.ndarray:
-    """The middle of an image that is moved by `shift` (rows, columns)."""
-    row, col = ((n - size) // 2 - s for n, s in zip(image.shape, shift, strict=True))
+def middle(image: np.ndarray, moved: tuple[int, int] = (0, 0), size: int = SIZE) -> np.ndarray:
+    """The middle of an image that is `moved` by (rows, columns)."""
+    row, col = ((n - size) // 2 - s for n, s in zip(image.shape, moved, strict=True))
     return image[row : row + size, col : col + size]
 
 
@@ -88,7 +88,8 @@ def terms(chip: np.ndarray, prediction: np.ndarray) -> np.ndarray:
     logarithm = np.log(ratio)
     for _ in range(12):
         half = ratio / gain - 1.0 - logarithm + np.log(gain)
-        before, gain = gain, float(np.average(ratio, weights=1.0 / (1.0 + half / BOUND)))
+        weights = 1.0 / (1.0 + half / BOUND)
+        before, gain = gain, float((weights * ratio).sum() / weights.sum())
         if abs(gain / before - 1.0) < 1e-9:
             break
     return np.asarray(2.0 * (ratio / gain - 1.0 - logarithm + np.log(gain)))
@@ -104,6 +105,31 @@ def own_shift(chip: np.ndarray, prediction: np.ndarray) -> tuple[int, int]:
     coarse = min(((i, j) for i, j in shifts() if i % 3 == 0 and j % 3 == 0), key=loss)
     near = [at for at in shifts() if max(abs(at[0] - coarse[0]), abs(at[1] - coarse[1])) <= 2]
     return min(near, key=loss)
+
+
+def aimed(power: np.ndarray, prediction: np.ndarray) -> float:
+    """Mean deviance at the model's best aim point, between the pixels: where parabolas through the best shift and its
+    neighbours have their least value. By whole pixels a profile would have steps, and its least value a bias."""
+    at, known = best_shift(power, prediction)[1], {}
+    chip = middle(power)
+
+    def score(one: tuple[int, int]) -> float:
+        if one not in known:
+            known[one] = float(terms(chip, middle(prediction, one)).mean())
+        return known[one]
+
+    cross = [(0, 0), (-1, 0), (1, 0), (0, -1), (0, 1)]
+    while (better := min(((at[0] + i, at[1] + j) for i, j in cross), key=score)) != at and max(
+        map(abs, better)
+    ) < REACH:
+        at = better
+    here, up, down, left, right = (score((at[0] + i, at[1] + j)) for i, j in cross)
+    step = [
+        (before - after) / (2.0 * (before + after - 2.0 * here)) if before + after > 2.0 * here else 0.0
+        for before, after in ((up, down), (left, right))
+    ]
+    between = shift(middle(prediction, at, SIZE + 8), np.clip(step, -0.5, 0.5), mode="nearest")
+    return min(here, float(terms(chip, middle(between)).mean()))
 
 
 def lit_edge(power: np.ndarray, body: np.ndarray) -> float:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from btr70_measures import Chip, best_shift, middle, terms
+from btr70_measures import Chip, aimed, best_shift
 
 from warpsar.diagnosis.models.refit import standing_at
 from warpsar.effects.registry import validate
@@ -25,6 +25,7 @@ from warpsar.world.mesh import read_mesh
 from warpsar.world.tables import View
 
 SPACING_M = (0.202148, 0.203125)
+HEADER_M = {"range_fwhm_m": 0.3013, "azimuth_fwhm_m": 0.3229}
 PREDICTED = 104  # pixels of a prediction: 80, 9 of shift and a margin for the blur
 FITTED_PX = 64
 ITERATIONS = 10
@@ -90,18 +91,19 @@ GLOSSY = {"rms_height_m": 0.002, "correlation_length_m": 0.022}
 """A body that returns power about its normals alone: where the fit with `unresolved_detail` begins. The rough one that
 stands in for detail without it is another valley."""
 
-PARTS = "parts"
+PARTS, FLASH = "parts", "flash"
 LADDER: tuple[tuple[str, dict[str, Any]], ...] = (
     ("noise_floor", {"level": 1e-4}),
     ("unresolved_detail", {"level": 0.1, "spread_m": 0.9, "materials": ["body"]}),
+    (FLASH, {"flash": 5.0, "flash_deg": 3.0}),
     ("exponential_spectrum", {"weight": 0.3}),
     ("two_scale", {"slope_variance": 0.05}),
     ("edge_diffraction", {"strength": 0.1}),
     ("multibounce", {"strength": 0.02, "max_bounces": 2}),
     (PARTS, {}),
 )
-"""Effects in the order in which they are tried, with the tables where their fits begin. `PARTS` frees the share of
-`unresolved_detail` on every part of the body."""
+"""Effects in the order in which they are tried, with the tables where their fits begin. `FLASH` and `PARTS` are of
+`unresolved_detail`: it flashes along the axes of the body, and every part of the body has a share of its own."""
 
 
 def write_scene(path: Path, mesh: Path) -> Path:
@@ -114,6 +116,8 @@ def begun_with(scene: Scene, name: str, table: Mapping[str, Any], mesh: Path) ->
     """The scene at which the fit with one effect more begins; `mesh` is the vehicle's in parts."""
     if name == PARTS:
         return in_parts(scene, mesh)
+    if name == FLASH:
+        return with_effect(scene, "unresolved_detail", {**scene.effects["unresolved_detail"], **table})
     found = with_effect(scene, name, table)
     if name != "unresolved_detail":
         return found
@@ -130,8 +134,10 @@ def in_parts(scene: Scene, mesh: Path) -> Scene:
         for one in scene.objects
     ]
     cut = with_objects(scene, objects, dict.fromkeys(found, body))
-    table = {"materials": list(found), "share": dict.fromkeys(found, 1.0), "learn": ["spread_m", "share"]}
-    return with_effect(cut, "unresolved_detail", {**scene.effects["unresolved_detail"], **table})
+    now = scene.effects["unresolved_detail"]
+    free = [key for key in ("spread_m", "flash", "flash_deg") if key in now]
+    table = {"materials": list(found), "share": dict.fromkeys(found, 1.0), "learn": [*free, "share"]}
+    return with_effect(cut, "unresolved_detail", {**now, **table})
 
 
 def with_effect(scene: Scene, name: str, table: Mapping[str, Any]) -> Scene:
@@ -151,10 +157,14 @@ def only(scene: Scene, names: Collection[str]) -> Scene:
     return with_effect(replace(scene, views=chosen), "aim_point", aim)
 
 
-def with_body(scene: Scene, **changed: Any) -> Scene:
-    """The scene with other values of the vehicle's table."""
-    objects = [one.model_copy(update=changed) if one.name == "btr70" else one for one in scene.objects]
-    return with_objects(scene, objects)
+def with_tables(scene: Scene, changed: Mapping[str, Mapping[str, Any]]) -> Scene:
+    """The scene with other values in the tables of its objects, by name."""
+    return with_objects(scene, [one.model_copy(update=changed.get(one.label, {})) for one in scene.objects])
+
+
+def with_other_rays(scene: Scene) -> Scene:
+    """The same model on rays of another seed."""
+    return replace(scene, sampling=scene.sampling.model_copy(update={"seed": scene.sampling.seed + 1}))
 
 
 def with_aim_points(scene: Scene, train: Sequence[Chip]) -> Scene:
@@ -227,8 +237,4 @@ def regions(scene: Scene, chips: Sequence[Chip]) -> dict[str, dict[str, np.ndarr
 def held_out(scene: Scene, chips: Sequence[Chip]) -> list[float]:
     """Mean gamma deviance of each held-out chip at the model's best aim point: lower is better."""
     images = predicted(scene, chips)
-    scores = []
-    for chip in chips:
-        at = best_shift(chip.power, images[chip.name])[1]
-        scores.append(float(terms(middle(chip.power), middle(images[chip.name], at)).mean()))
-    return scores
+    return [aimed(chip.power, images[chip.name]) for chip in chips]

@@ -9,6 +9,7 @@ import numpy as np
 import tables
 from btr70_model import SPACING_M
 from btr70_parts import LAYER_NAMES, LENGTHS
+from btr70_shape import CAD_M
 
 SETS = ("sector", "sector_15", "depression", "between")
 PREDICTIONS = ("declared", "final", "nearest", "mirrored", "mean", "other_depression")
@@ -48,21 +49,33 @@ def by_region(views: Sequence[Mapping[str, Any]]) -> list[list[Any]]:
 def checked(known: Mapping[str, Any]) -> list[list[Any]]:
     """Rows of what is known: what, found, stated elsewhere."""
     rows: list[list[Any]] = []
-    shape = known["shape"]
-    for name, metres, stated in (("height", 2.61, "2.24 to 2.32"), ("width", 2.66, "2.80"), ("length", 7.65, "7.53")):
-        value, sd = (metres * shape[name][key] for key in ("value", "sd"))
-        rows.append([f"{name} [m], the CAD to 10 %", f"{value:.2f} +- {sd:.2f}", f"{stated}, published"])
-    found = f"{shape['turned']['value']:+.3f} +- {shape['turned']['sd']:.3f}"
-    rows.append(["front at +X: what the score of the train chips left out loses", found, "turret at -X"])
-    for name, header in (("roll_deg", -1.18), ("pitch_deg", -1.42)):
-        found = f"{shape[name]['value']:+.2f} +- {shape[name]['sd']:.2f}"
-        rows.append([f"{name.removesuffix('_deg')} [deg], images alone", found, f"{header:+.2f}, header"])
-    for key, header in known["widths"]["header"].items():
-        found = f"{known['widths']['found'][key]:.3f}"
-        rows.append([f"{key.removesuffix('_fwhm_m')} width [m], without a prior", found, f"{header:.3f}, header"])
-    seen = known["coverage"]
-    share = f"{seen['inside']} of {seen['replicates']}"
-    rows.append(["height on chips that the model made: truth inside the 95 % interval", share, "19 of 20"])
+    shape, again = known["shape"], known["coverage"]
+    stated = {"height": "2.24 to 2.32", "width": "2.80", "length": "7.53"}
+    for name, metres in CAD_M.items():
+        value, half = (metres * shape[name][key] for key in ("value", "half"))
+        rows.append([f"{name} [m], the CAD to 10 %", f"{value:.2f} +- {half:.2f}", f"{stated[name]}, published"])
+    turned = f"{shape['turned']['value']:+.3f} +- {shape['turned']['sd']:.3f}"
+    rows.append(["front at +X: what the score of the train chips left out loses", turned, "turret at -X"])
+    header = {"roll_deg": -1.18, "pitch_deg": -1.42}
+    for name, of in (("roll_deg", "of the vehicle, on its ground"), ("pitch_deg", "of the vehicle, on its ground")):
+        found = f"{shape[name]['value']:+.2f} +- {shape[name]['half']:.2f}"
+        rows.append([f"{name.removesuffix('_deg')} {of} [deg]", found, f"{header[name]:+.2f}, header"])
+    for name, key in (("roll_deg", "ground_roll_deg"), ("pitch_deg", "ground_pitch_deg")):
+        found = f"{shape[key]['value']:+.2f} +- {shape[key]['half']:.2f}"
+        rows.append(
+            [f"{name.removesuffix('_deg')} of the ground [deg]", found, f"{header[name]:+.2f}, header's vehicle"]
+        )
+    for key, width in known["widths"]["header"].items():
+        name = key.removesuffix("_fwhm_m")
+        mean, sd = known["widths"]["speckle"][key]
+        rows.append([f"{name} width [m], from the grass's speckle", f"{mean:.3f} +- {sd:.3f}", f"{width:.3f}, header"])
+    for key, width in known["widths"]["header"].items():
+        name = key.removesuffix("_fwhm_m")
+        freed = f"{known['widths']['freed'][key]:.3f}"
+        rows.append([f"{name} width [m], freed in the model's fit", freed, f"{width:.3f}, header"])
+    for name, one in again.items():
+        share = f"{one['inside']} of {one['replicates']}, bias {one['bias']:+.3f} ({one['sd_of_found']:.3f})"
+        rows.append([f"{name} on chips that the model made: truth inside the 95 % interval", share, "19 of 20"])
     levels = known["levels"]
     low, high = (100.0 * share for share in levels["clipped_range"])
     rows.append(["pixels at the top of the scale", f"{low:.1f} to {high:.1f} %", "0.1 to 0.6 %"])
@@ -92,8 +105,9 @@ def tables_of(content: Mapping[str, Any]) -> dict[str, str]:
         ),
     }
     if content["steps"]:
-        rows = [[s["tried"], f"{s['gain']:+.4f}", f"{s['error']:.4f}", s.get("stays", "")] for s in content["steps"]]
-        found["btr70.steps"] = tables.markdown(("tried", "held-out gain", "standard error", "stays"), rows)
+        keys = ("gain", "error", "noise")
+        rows = [[s["tried"], *(f"{s[k]:+.4f}" for k in keys), "yes" if s["stays"] else ""] for s in content["steps"]]
+        found["btr70.steps"] = tables.markdown(("tried", "held-out gain", "standard error", "noise", "stays"), rows)
         found["btr70.checks"] = tables.markdown(("what", "found", "elsewhere"), checked(content["checks"]))
         bounces = [
             [b["ground"], f"{b['power']:.1f}", b["strength"], f"{b['correlation']:.3f}"]

@@ -128,7 +128,7 @@ class UnresolvedDetail(Effect):
             0.0,
             lambda value: isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < math.inf,
             "a number [deg]",
-            description="Azimuth of the body's long axis, clockwise from north; the flashes lie at every 90 deg from it.",
+            description="Azimuth of the body's long axis, clockwise from north. It flashes at every 90 deg from it.",
             schema={"type": "number"},
         ),
     )
