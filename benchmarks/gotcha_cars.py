@@ -49,7 +49,6 @@ KNOWN |= {"side_curvature": 0.06, DETAIL: 1.0, BRIGHTNESS: 1.2}
 THING = {"length": 0.5, "width": 0.5, "height": 0.5}  # of what is no car, nothing is known
 LARGEST = {"east": 0.6, "north": 0.8, "heading": 5.0}  # move in one step; of logarithms and shares 0.7
 LEAST = 0.1  # of an object's own image, that is left where the others' difference to the window's exceeds it
-SHARED = 3.5  # pixels that share one speckle, as the residuals of az001 and az002 say: the likelihood counts each once
 ENOUGH = 0.5  # gain in log-likelihood from which a further step is tried
 PROCESSES = 2
 
@@ -87,9 +86,10 @@ def value_in(scene: Scene, one: Object, key: str) -> float:
 
 @dataclass(frozen=True)
 class Belief:
-    """What a fit takes for known: how many pixels share one speckle, and standard deviations in place of `KNOWN`'s."""
+    """What a fit takes for known: how many pixels the likelihood counts as one speckle, and standard deviations of a
+    car's numbers in place of `KNOWN`'s."""
 
-    shared: float = SHARED
+    shared: float = 1.0
     sd: Mapping[str, float] = field(default_factory=dict)
 
     def known(self, one: Object) -> dict[str, float]:
@@ -130,8 +130,8 @@ def whole(scene: Scene, view: View) -> Observation:
     measured = np.asarray(scene.measured(view, "HH"))
     usable = usable_pixels(scene, view, measured) & (np.nan_to_num(measured) > 0)
     none = np.zeros_like(usable)
-    looks = estimated_looks(scene, view, np.where(usable, measured, np.nan))
-    return Observation(view, "HH", measured, usable, none, none, looks, True)
+    looks = view.looks or estimated_looks(scene, view, np.where(usable, measured, np.nan))
+    return Observation(view, "HH", measured, usable, none, none, looks, view.looks is None)
 
 
 def problem_of(scene: Scene, views: Sequence[str]) -> FitProblem:
@@ -230,7 +230,7 @@ class Window:
 @dataclass(frozen=True)
 class Fitted:
     """An object after its fit; `information` is that of the images alone about `keys`, brightness last, for speckle of
-    the stated looks that `SHARED` pixels share; `scatter`: looks times the mean squared relative residual."""
+    the stated looks that `Belief.shared` pixels share; `scatter`: looks times the mean squared relative residual."""
 
     object: Object
     log_height: float

@@ -60,7 +60,10 @@ def variant(scene: Scene, name: str) -> tuple[Scene, Sequence[str]]:
     if "single" not in name:
         scene = cars.with_effects(scene, multibounce=BOUNCES)
     if "detail" in name:
-        scene = cars.with_effects(scene, unresolved_detail={"level": 0.035, "spread_m": 2.2, "materials": bodies, "learn": ["level", "spread_m"]})
+        scene = cars.with_effects(
+            scene,
+            unresolved_detail={"level": 0.035, "spread_m": 2.2, "materials": bodies, "learn": ["level", "spread_m"]},
+        )
     keys = cars.POSE if "rigid" in name else (*cars.POSE, *cars.SHAPE)
     for word, lean in LEAN.items():
         keys = lean if word in name else keys
@@ -73,7 +76,7 @@ def main() -> None:
     parser.add_argument("-o", "--out", type=Path, required=True)
     parser.add_argument("--variant", default="full", help="words of: full, single, detail, rigid, level")
     parser.add_argument("--fit", default=TRAIN[0])
-    parser.add_argument("--shared", type=float, default=cars.SHARED, help="pixels that share one speckle")
+    parser.add_argument("--shared", type=float, default=1.0, help="pixels that the likelihood counts as one speckle")
     given = parser.parse_args()
     name = f"{given.variant}-{given.shared:g}-{given.fit}"
     started, course = time.perf_counter(), []

@@ -53,7 +53,7 @@ def gain_at(scene: Scene, seen: Sequence[Seen], place: np.ndarray, shared: float
     return best
 
 
-def with_glints(scene: Scene, views: Sequence[str], shared: float) -> Scene:
+def with_glints(scene: Scene, views: Sequence[str], shared: float = 1.0) -> Scene:
     """The scene with a glint for each car where the residual of the views has one."""
     seen = seen_in(scene, views)
     d = geometry_of(scene, seen[0].view).d

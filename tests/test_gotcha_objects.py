@@ -98,7 +98,7 @@ def test_a_window_has_the_pixels_of_the_whole_image(scene: Scene, cars: Any) -> 
         window = cars.Window(single, seen, 0)
         one = single.objects[0]
         height = float(single.materials[str(one.material)].rms_height_m)
-        image = window.image(window.problem(single, one), np.log(height))
+        image = window.image(window.problem(single, one), str(one.material), np.log(height), None)
         whole = seen.model[window.whole]
         body = whole > 1.5 * np.median(whole)
         assert body.sum() > 5
@@ -122,7 +122,9 @@ def test_a_car_is_found_with_its_bounces(scene: Scene, cars: Any) -> None:
         },
     )
     start = replace(posed(seen, [moved]), views=seen.views)
-    fitted = cars._Fit(start, 0, one, cars.seen_in(start, VIEWS), (*cars.POSE, *cars.SHAPE)).descended(8, told=True)
+    keys = (*cars.POSE, *cars.SHAPE)
+    fit = cars._Fit(start, 0, one, cars.seen_in(start, VIEWS), keys, cars.Belief())
+    fitted = fit.descended(8, told=True)
     sd = np.sqrt(np.diag(np.linalg.inv(fitted.information + 1e-6 * np.eye(len(fitted.keys)))))
     for key, deviation in zip(fitted.keys[:-1], sd, strict=False):
         assert abs(cars.value(fitted.object, key) - cars.value(one, key)) < 3.0 * deviation + 0.02, key
