@@ -26,7 +26,8 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import tables
-from gotcha_cars import POSE, SHAPE, Fitted, fit_common, fit_round, seen_in, with_effects
+from gotcha_cars import DETAIL, GLINT, POSE, Fitted, fit_common, fit_round, kind_of, seen_in, with_effects
+from gotcha_glints import with_glints
 from gotcha_objects import correlation_area, described, near_side, surveyed, towards_radar
 from measured_loop import (
     TURNS,
@@ -320,7 +321,7 @@ def simple_predictions(scene: Scene, found: evaluation.Evaluation, view: str = T
 
 GRASS = ("grass", "lawn", "lawn_west", "verge")
 STRIP = ("west_strip", "west_bright")
-BODIES = ("car0", "car1", "thing", "reflector")  # what names of bodies' materials begin with
+BODIES = ("car0", "car1", "thing", GLINT, "reflector")  # what names of bodies' materials begin with
 
 
 def classes(image: evaluation.EvaluatedImage, materials: Sequence[str]) -> dict[str, np.ndarray]:
@@ -433,27 +434,41 @@ def effects_alone(path: Path, out: Path, options: DiagnoseOptions, device: str |
 
 # ---- the model with objects, step by step ----
 
-KNOWN_SPREAD = {"range_fwhm_m": 0.594, "azimuth_fwhm_m": 1.48, "window": "sinc"}  # what theory says of this grid
-STEPS = ("read off, one brightness", "+ brightness by object", "+ poses", "+ shapes")
+KNOWN_SPREAD = {"range_fwhm_m": 0.608, "azimuth_fwhm_m": 1.48, "window": ["taylor", "sinc"]}  # theory, of this grid
+DETAIL_AT = {"level": 0.035, "spread_m": 2.2, "learn": ["level", "spread_m"]}  # where its fit begins
+CAR = ("east", "north", "heading", "height", DETAIL)  # brightness, and a glint's three numbers, are fitted always
+STEPS = ("read off, one brightness", "+ brightness by object", "+ poses", "+ heights and detail", "+ glints")
 FINAL = STEPS[-1]
-ROUNDS = 2  # of poses and shapes
+ROUNDS = 2  # of either of the last steps
 BOUNCES = {"strength": 0.3, "max_bounces": 2}
 """Where the fit of bounces begins. They are no step: with them one train view foretells the other worse, at every step
 (benchmarks/gotcha_choice.py, `full` against `single`)."""
 
 
 def alike(scene: Scene) -> Scene:
-    """All cars of one brightness, and all things of one."""
+    """All cars of one brightness and one share of detail, and so all things, and all glints."""
     from warpsar.scene.placing import with_objects
 
-    objects = [
-        one.model_copy(update={"material": f"{'car' if one.primitive == 'car' else 'thing'}0"}) for one in scene.objects
-    ]
-    first = {
-        name: scene.materials[str(one.material)]
-        for name, one in (("car0", scene.objects[0]), ("thing0", scene.objects[-1]))
-    }
-    return with_objects(scene, objects, first)
+    first: dict[str, Any] = {}
+    for one in scene.objects:
+        first.setdefault(f"{kind_of(one)}0", scene.materials[str(one.material)])
+    objects = [one.model_copy(update={"material": f"{kind_of(one)}0"}) for one in scene.objects]
+    effects = {k: dict(table) for k, table in scene.effects.items()}
+    if "unresolved_detail" in effects:
+        effects["unresolved_detail"] |= {"materials": [name for name in first if name != f"{GLINT}0"], "share": {}}
+    return replace(with_objects(replace(scene, effects={}), objects, first), effects=effects)
+
+
+def with_detail(scene: Scene) -> Scene:
+    """Cars and things with detail that their primitives lack."""
+    return with_effects(scene, unresolved_detail={**DETAIL_AT, "materials": [str(o.material) for o in scene.objects]})
+
+
+def without_glints(scene: Scene) -> Scene:
+    from warpsar.scene.placing import with_objects
+
+    kept = [one for one in scene.objects if kind_of(one) != GLINT]
+    return with_objects(scene, kept, {str(one.material): scene.materials[str(one.material)] for one in kept})
 
 
 def steps_of(path: Path, views: Sequence[str] = TRAIN) -> tuple[dict[str, Scene], list[Fitted]]:
@@ -470,9 +485,14 @@ def steps_of(path: Path, views: Sequence[str] = TRAIN) -> tuple[dict[str, Scene]
     told(STEPS[0], fit_common(alike(declared), views))
     scene = told(STEPS[1], fit_common(declared, views))
     scene, _ = fit_round(scene, starts, views, POSE)
-    scene = told(STEPS[2], fit_common(scene, views))
+    scene = with_detail(told(STEPS[2], fit_common(scene, views)))
+    for _ in range(ROUNDS):
+        scene, last = fit_round(scene, starts, views, CAR)
+        scene = fit_common(scene, views)
+    scene = with_glints(told(STEPS[3], scene), views)
+    starts = (*starts, *scene.objects[len(starts) :])
     for number in range(ROUNDS):
-        scene, last = fit_round(scene, starts, views, (*POSE, *SHAPE), told=number == ROUNDS - 1)
+        scene, last = fit_round(scene, starts, views, CAR, told=number == ROUNDS - 1)
         scene = fit_common(scene, views)
     told(FINAL, scene)
     return found, [last[k] for k in range(len(starts))]
@@ -482,13 +502,17 @@ def without(scene: Scene, declared: Scene, views: Sequence[str] = TRAIN) -> dict
     """The last model less one of its parts, and with bounces; brightness and effects are fitted again."""
     from warpsar.world.world import posed
 
-    pairs = list(zip(scene.objects, declared.objects, strict=True))
-    unshaped = [one.model_copy(update={"size_m": s.size_m, "side_curvature": s.side_curvature}) for one, s in pairs]
+    count = len(declared.objects)
+    pairs, glints = list(zip(scene.objects[:count], declared.objects, strict=True)), scene.objects[count:]
+    unshaped = [one.model_copy(update={"size_m": s.size_m}) for one, s in pairs]
     unposed = [one.model_copy(update={"position_m": s.position_m, "heading_deg": s.heading_deg}) for one, s in pairs]
+    effects = {k: table for k, table in scene.effects.items() if k != "unresolved_detail"}
     changed = {
         "last, without brightness by object": alike(scene),
-        "last, without poses": posed(scene, unposed),
-        "last, without shapes": posed(scene, unshaped),
+        "last, without poses": posed(scene, [*unposed, *glints]),
+        "last, without heights": posed(scene, [*unshaped, *glints]),
+        "last, without detail": replace(scene, effects=effects),
+        "last, without glints": without_glints(scene),
         "last, with bounces": with_effects(scene, multibounce=BOUNCES),
     }
     return {name: fit_common(one, views) for name, one in changed.items()}
@@ -509,7 +533,8 @@ def fitted(path: Path, out: Path) -> dict[str, Any]:
         "effects": {name: dict(table) for name, table in final.effects.items()},
         "pixels_of_one_speckle": spread,
         "scatter": float(np.median([one.scatter for one in objects])),
-        "objects": [described(one, towards) for one in objects],
+        "objects": [described(one, towards, spread) for one in objects if kind_of(one.object) != GLINT],
+        "glints": [str(one.object.name) for one in objects if kind_of(one.object) == GLINT],
     }
 
 
@@ -738,7 +763,7 @@ def survey_table(rows: list[dict[str, Any]]) -> str:
                 row["vehicle"],
                 row["object"] or "none",
                 said(row, "line_off_m", "line_sd_m"),
-                said(row, "along_off_m", "north_sd_m"),
+                said(row, "along_off_m", "along_sd_m"),
                 said(row, "heading_off_deg", "heading_sd_deg"),
             ]
             for row in rows
@@ -750,7 +775,7 @@ def told_table(objects: list[dict[str, Any]]) -> str:
     """Of how many cars each number is told, its median standard deviation, and what it trades with."""
     cars = [one for one in objects if one["primitive"] == "car"]
     rows = []
-    for key in (*POSE, *SHAPE, "brightness"):
+    for key in (*CAR, "brightness"):
         trades: dict[str, int] = {}
         for one in cars:
             for a, b, _ in one["trade"]:

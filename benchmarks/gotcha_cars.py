@@ -37,6 +37,7 @@ NEIGHBOURS_M, GROUND_M = 10.0, 11.0  # how far objects and ground reach from the
 GROUND = "car_park"  # material of a window's ground: only its differences count, where shadows move
 SIZES = ("length", "width", "height")
 POSE, SHAPE = ("east", "north", "heading"), (*SIZES, "side_curvature")
+GLINT = "glint"
 BRIGHTNESS = "brightness"  # ln of the material's rms height
 DETAIL = "detail"  # ln of the object's share of `unresolved_detail`
 SURFACE = (DETAIL, BRIGHTNESS)  # what is no pose and no shape, last in this order
@@ -48,25 +49,20 @@ KNOWN |= {"side_curvature": 0.06, DETAIL: 1.0, BRIGHTNESS: 1.2}
 THING = {"length": 0.5, "width": 0.5, "height": 0.5}  # of what is no car, nothing is known
 LARGEST = {"east": 0.6, "north": 0.8, "heading": 5.0}  # move in one step; of logarithms and shares 0.7
 LEAST = 0.1  # of an object's own image, that is left where the others' difference to the window's exceeds it
-SHARED = 3.5  # pixels that share one speckle, as the residuals of az001 and az002 say: the likelihood counts each once
-import os
-
-if os.environ.get("MIXED"):
-    import warpsar.effects.point_spread as ps
-
-    def _im(self, render, p, image):
-        for i, w in ((0, os.environ["MIXED"]), (1, "sinc")):
-            image = ps.blurred(render, ps.WINDOWS[w], p, i, image, axis=i)
-        return image
-
-    ps.PointSpread.image = _im
 ENOUGH = 0.5  # gain in log-likelihood from which a further step is tried
 PROCESSES = 2
 
 
 def keys_of(one: Object, wanted: Sequence[str]) -> list[str]:
-    """Those of the wanted numbers that the object has. A box has neither front nor curved sides."""
+    """Those of the wanted numbers that the object has. A box has neither front nor curved sides, a glint no size."""
+    if kind_of(one) == GLINT:
+        return [key for key in wanted if key in ("east", "north")]
     return [key for key in wanted if one.primitive == "car" or key not in ("heading", "side_curvature")]
+
+
+def kind_of(one: Object) -> str:
+    """car, thing or glint: what the names of such objects begin with."""
+    return str(one.name).rstrip("0123456789")
 
 
 def value(one: Object, key: str) -> float:
@@ -90,9 +86,10 @@ def value_in(scene: Scene, one: Object, key: str) -> float:
 
 @dataclass(frozen=True)
 class Belief:
-    """What a fit takes for known: how many pixels share one speckle, and standard deviations in place of `KNOWN`'s."""
+    """What a fit takes for known: how many pixels the likelihood counts as one speckle, and standard deviations of a
+    car's numbers in place of `KNOWN`'s."""
 
-    shared: float = SHARED
+    shared: float = 1.0
     sd: Mapping[str, float] = field(default_factory=dict)
 
     def known(self, one: Object) -> dict[str, float]:
@@ -133,8 +130,8 @@ def whole(scene: Scene, view: View) -> Observation:
     measured = np.asarray(scene.measured(view, "HH"))
     usable = usable_pixels(scene, view, measured) & (np.nan_to_num(measured) > 0)
     none = np.zeros_like(usable)
-    looks = estimated_looks(scene, view, np.where(usable, measured, np.nan))
-    return Observation(view, "HH", measured, usable, none, none, looks, True)
+    looks = view.looks or estimated_looks(scene, view, np.where(usable, measured, np.nan))
+    return Observation(view, "HH", measured, usable, none, none, looks, view.looks is None)
 
 
 def problem_of(scene: Scene, views: Sequence[str]) -> FitProblem:
@@ -195,10 +192,11 @@ class Window:
         }
         objects = [one, *(scene.objects[k] for k in self.near)]
         effects = {k: {**table, "fixed": True} for k, table in scene.effects.items() if k != "eps_gradient"}
-        if "unresolved_detail" in effects:
-            names, shares = [str(o.material) for o in objects], scene.effects["unresolved_detail"].get("share", {})
-            share = {name: float(shares.get(name, 1.0)) for name in names}
-            effects["unresolved_detail"] |= {"materials": names, "share": share, "fixed": False, "learn": ["share"]}
+        if detail := effects.pop("unresolved_detail", None):
+            names = [str(o.material) for o in objects if str(o.material) in detail["materials"]]
+            share = {name: float(detail.get("share", {}).get(name, 1.0)) for name in names}
+            table = {**detail, "materials": names, "share": share, "fixed": False, "learn": ["share"]}
+            effects |= {"unresolved_detail": table} if names else {}
         own = replace(
             scene,
             mesh=self.ground,
@@ -232,7 +230,7 @@ class Window:
 @dataclass(frozen=True)
 class Fitted:
     """An object after its fit; `information` is that of the images alone about `keys`, brightness last, for speckle of
-    the stated looks that `SHARED` pixels share; `scatter`: looks times the mean squared relative residual."""
+    the stated looks that `Belief.shared` pixels share; `scatter`: looks times the mean squared relative residual."""
 
     object: Object
     log_height: float
@@ -254,7 +252,7 @@ class _Fit:
         self.geometric = [k for k in self.keys if k not in SURFACE]
         self.windows = [Window(scene, each, index) for each in seen]
         self.start = np.array([value_in(scene, self.one, k) for k in self.keys])
-        kind = [o for o in scene.objects if o.primitive == self.one.primitive]
+        kind = [o for o in scene.objects if kind_of(o) == kind_of(self.one)]
         self.about = np.array(
             [
                 float(np.median([value_in(scene, o, k) for o in kind])) if k in SURFACE else value(start, k)
@@ -277,11 +275,8 @@ class _Fit:
         return [w.problem(self.scene, self.at(vector)) for w in self.windows]
 
     def shot(self, problems: Sequence[FitProblem], vector: np.ndarray) -> list[np.ndarray]:
-        share = self.share(vector)
-        if share is None and "unresolved_detail" in self.scene.effects:
-            share = value_in(self.scene, self.one, DETAIL)
-        name = str(self.one.material)
-        return [w.image(p, name, float(vector[-1]), share) for w, p in zip(self.windows, problems, strict=True)]
+        name, height, share = str(self.one.material), float(vector[-1]), self.share(vector)
+        return [w.image(p, name, height, share) for w, p in zip(self.windows, problems, strict=True)]
 
     def share(self, vector: np.ndarray) -> float | None:
         """ln of the share of detail, where it is fitted."""

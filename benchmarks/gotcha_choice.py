@@ -20,13 +20,20 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import gotcha_cars as cars
 from gotcha import KNOWN_SPREAD, TRAIN, prepare
+from gotcha_glints import with_glints
 
 from warpsar.scene.placing import with_objects
 from warpsar.scene.scene import Scene
 from warpsar.speckle.likelihood import best_gain, deviance, expected_deviance
 
+LEAN = {
+    "lean": ("east", "north", "heading", "length", "height"),
+    "straight": ("east", "north", "length", "height"),
+    "short": ("east", "north", "heading", "height"),
+    "place": ("east", "north"),
+}
 BOUNCES: dict[str, Any] = {"strength": 0.3, "max_bounces": 2}
-ROUNDS = 5
+ROUNDS = 6
 
 
 def left(scene: Scene, view: str) -> float:
@@ -44,6 +51,8 @@ def variant(scene: Scene, name: str) -> tuple[Scene, Sequence[str]]:
         scene = with_objects(scene, kept, {k: m for k, m in scene.materials.items() if not k.startswith("thing")})
     bodies = [str(one.material) for one in scene.objects]
     scene = cars.with_effects(scene, point_spread=KNOWN_SPREAD)
+    if "taylor" in name:
+        scene = cars.with_effects(scene, point_spread={**KNOWN_SPREAD, "window": ["taylor", "sinc"]})
     if "level" not in name:
         scene = cars.with_effects(scene, eps_gradient={"per_m_east": 0.0, "per_m_north": 0.0})
     if "floor" in name:
@@ -56,8 +65,8 @@ def variant(scene: Scene, name: str) -> tuple[Scene, Sequence[str]]:
             unresolved_detail={"level": 0.035, "spread_m": 2.2, "materials": bodies, "learn": ["level", "spread_m"]},
         )
     keys = cars.POSE if "rigid" in name else (*cars.POSE, *cars.SHAPE)
-    if "lean" in name:
-        keys = ("east", "north", "heading", "length", "height")
+    for word, lean in LEAN.items():
+        keys = lean if word in name else keys
     return scene, (*keys, cars.DETAIL) if "share" in name else keys
 
 
@@ -67,7 +76,7 @@ def main() -> None:
     parser.add_argument("-o", "--out", type=Path, required=True)
     parser.add_argument("--variant", default="full", help="words of: full, single, detail, rigid, level")
     parser.add_argument("--fit", default=TRAIN[0])
-    parser.add_argument("--shared", type=float, default=cars.SHARED, help="pixels that share one speckle")
+    parser.add_argument("--shared", type=float, default=1.0, help="pixels that the likelihood counts as one speckle")
     given = parser.parse_args()
     name = f"{given.variant}-{given.shared:g}-{given.fit}"
     started, course = time.perf_counter(), []
@@ -83,6 +92,9 @@ def main() -> None:
     scene = cars.fit_common(scene, fit)
     told("brightness")
     for number in range(ROUNDS):
+        if "glints" in name and number == ROUNDS - 4:
+            scene = with_glints(scene, fit, belief.shared)
+            starts = (*starts, *scene.objects[len(starts) :])
         scene, _ = cars.fit_round(scene, starts, fit, keys, belief=belief)
         scene = cars.fit_common(scene, fit)
         told(f"round {number + 1}")

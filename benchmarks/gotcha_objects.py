@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from gotcha_cars import KNOWN, THING, Fitted, Seen, value, with_values
+from gotcha_cars import KNOWN, SURFACE, THING, Fitted, Seen, value, with_values
 
 from warpsar.scene.scene import Scene
 from warpsar.world.objects.table import Object
@@ -18,6 +18,10 @@ from warpsar.world.world import geometry_of
 LAGS = 2  # pixels within which speckle is correlated: the point response is no wider
 TOLD = 0.5  # of what was known before, below which the images have told a number
 TRADES = 0.7  # correlation from which two numbers trade
+LINE_M, ALONG_M, HEADING_DEG = 0.25, 0.8, 5.0
+"""Standard deviations of what the straight car cannot say, beside those of its fit. Its side may shine anywhere between
+sill and window line, on ground that need not be at z = 0: 0.25 m across. A side that bows shines where it faces the
+radar, up to 2 m from its middle: 0.8 m along. Such a line does not turn with the car: 5 degrees."""
 FOUND_M = 4.0  # between the middles of an object and a surveyed vehicle, at most
 
 
@@ -59,33 +63,35 @@ def correlation_area(seen: Sequence[Seen]) -> float:
     return max(1.0, float(np.mean(sums)))
 
 
-def covariance(found: Fitted) -> tuple[np.ndarray, np.ndarray]:
+def covariance(found: Fitted, spread: float) -> tuple[np.ndarray, np.ndarray]:
     """Of the fitted numbers, with what was known before, and that knowledge's standard deviations.
 
-    Information is divided by the residuals' scatter: what speckle does not explain widens the intervals."""
+    Information is divided by the pixels that share one speckle, and by the residuals' scatter: what speckle does not
+    explain widens the intervals."""
     known = KNOWN if found.object.primitive == "car" else KNOWN | THING
     sd = np.array([known[key] for key in found.keys])
-    information = found.information / max(1.0, found.scatter)
+    information = found.information / (spread * max(1.0, found.scatter))
     return np.linalg.inv(information + np.diag(1.0 / sd**2)), sd
 
 
-def described(found: Fitted, towards: np.ndarray) -> dict[str, Any]:
-    """An object's entry in gotcha.json."""
+def described(found: Fitted, towards: np.ndarray, spread: float) -> dict[str, Any]:
+    """An object's entry in gotcha.json; `spread`: pixels that share one speckle."""
     one, keys = found.object, found.keys
     assert one.size_m is not None
-    cov, known = covariance(found)
+    cov, known = covariance(found, spread)
     sd = np.sqrt(np.diag(cov))
     by_key = dict(zip(keys, sd, strict=True))
     side = near_side(one, towards)
-    slope = np.zeros(len(keys))  # of the line's distance from where it is, to each number
     along = (side[1] - side[0]) / np.linalg.norm(side[1] - side[0])
     normal = np.array([along[1], -along[0]])
-    values = {key: value(one, key) for key in keys[:-1]}
-    for k, key in enumerate(keys[:-1]):
+    ways = np.zeros((len(keys), 2))
+    values = {key: value(one, key) for key in keys if key not in SURFACE}
+    for k, key in enumerate(values):
         if key in ("heading", "side_curvature"):
             continue  # about the middle of the line, neither moves it to first order
         moved = near_side(with_values(one, {key: values[key] + 1e-3}), towards)
-        slope[k] = (moved - side).mean(axis=0) @ normal / 1e-3
+        ways[k] = (moved - side).mean(axis=0) / 1e-3
+    line, end = (float(np.sqrt(w @ cov @ w)) for w in (ways @ normal, ways @ along))
     correlation = cov / np.outer(sd, sd)
     return {
         "name": one.name,
@@ -93,7 +99,7 @@ def described(found: Fitted, towards: np.ndarray) -> dict[str, Any]:
         "position_m": [round(float(p), 3) for p in one.position_m],
         "position_sd_m": [round(float(by_key.get(k, 0.0)), 3) for k in ("east", "north")],
         "heading_deg": round(one.heading_deg, 2),
-        "heading_sd_deg": round(float(by_key["heading"]), 2) if "heading" in by_key else None,
+        "heading_sd_deg": round(math.hypot(by_key["heading"], HEADING_DEG), 2) if "heading" in by_key else None,
         "size_m": [round(float(s), 3) for s in one.size_m],
         "size_sd_m": [
             round(float(s * by_key[k]), 3) if k in by_key else None
@@ -101,7 +107,8 @@ def described(found: Fitted, towards: np.ndarray) -> dict[str, Any]:
         ],
         "side_curvature": one.side_curvature,
         "near_side_m": [[round(float(c), 3) for c in end] for end in side],
-        "near_side_sd_m": round(float(np.sqrt(slope @ cov @ slope)), 3),
+        "near_side_sd_m": round(math.hypot(line, LINE_M), 3),
+        "along_sd_m": round(math.hypot(end, ALONG_M), 3),
         "told": [key for key, now, before in zip(keys, sd, known, strict=True) if now < TOLD * before],
         "not_told": [key for key, now, before in zip(keys, sd, known, strict=True) if now >= TOLD * before],
         "trade": [
@@ -116,6 +123,22 @@ def described(found: Fitted, towards: np.ndarray) -> dict[str, Any]:
 def turned(degrees: float) -> float:
     """An angle between two lines, from -90 to 90 degrees."""
     return (degrees + 90.0) % 180.0 - 90.0
+
+
+def beside(truth: Object, said: Mapping[str, Any], towards: np.ndarray) -> dict[str, Any]:
+    """What was said of an object less the truth: its near side's line, its place along that, its heading; with the
+    standard deviations that were said."""
+    theirs, mine = near_side(truth, towards), np.array(said["near_side_m"])
+    along = (theirs[1] - theirs[0]) / np.linalg.norm(theirs[1] - theirs[0])
+    offset, normal = mine.mean(axis=0) - theirs.mean(axis=0), np.array([along[1], -along[0]])
+    return {
+        "line_off_m": float(offset @ normal * np.sign(normal @ towards)),
+        "line_sd_m": said["near_side_sd_m"],
+        "along_off_m": float(offset @ along),
+        "along_sd_m": said["along_sd_m"],
+        "heading_off_deg": turned(said["heading_deg"] - truth.heading_deg),
+        "heading_sd_deg": said["heading_sd_deg"],
+    }
 
 
 def surveyed(path: Path, objects: Sequence[Mapping[str, Any]], towards: np.ndarray) -> list[dict[str, Any]]:
@@ -136,16 +159,6 @@ def surveyed(path: Path, objects: Sequence[Mapping[str, Any]], towards: np.ndarr
         apart = float(np.linalg.norm(np.array(nearest["position_m"][:2]) - place))
         row: dict[str, Any] = {"vehicle": vehicle["name"], "object": nearest["name"] if apart < FOUND_M else None}
         if apart < FOUND_M:
-            theirs, mine = near_side(truth, towards), np.array(nearest["near_side_m"])
-            along = (theirs[1] - theirs[0]) / np.linalg.norm(theirs[1] - theirs[0])
-            offset = mine.mean(axis=0) - theirs.mean(axis=0)
-            row |= {
-                "line_off_m": float(offset @ np.array([along[1], -along[0]]) * np.sign(along[1])),
-                "line_sd_m": nearest["near_side_sd_m"],
-                "along_off_m": float(offset @ along),
-                "north_sd_m": nearest["position_sd_m"][1],
-                "heading_off_deg": turned(nearest["heading_deg"] - truth.heading_deg),
-                "heading_sd_deg": nearest["heading_sd_deg"],
-            }
+            row |= beside(truth, nearest, towards)
         rows.append(row)
     return rows

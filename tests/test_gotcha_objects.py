@@ -15,7 +15,7 @@ from warpsar.scene.placing import with_objects
 from warpsar.scene.scene import Scene
 from warpsar.world.objects.table import Object
 from warpsar.world.pixels import Pixels
-from warpsar.world.world import posed
+from warpsar.world.world import geometry_of, posed
 
 VIEWS = ("az001", "az002")
 
@@ -72,11 +72,15 @@ def measured(scene: Scene, cars: Any, generator: np.random.Generator | None, loo
 
 
 def test_every_car_has_fewer_than_ten_numbers_and_a_brightness_of_its_own(scene: Scene, cars: Any) -> None:
+    """Those of its body, its brightness, and its glint's place and brightness."""
+    car, glint = script("gotcha").CAR, Object(name="glint000", primitive="box", size_m=(0.3, 0.3, 0.1))
+    numbers_of_a_glint = len(cars.keys_of(glint, car)) + 1
+    assert numbers_of_a_glint == 3
     materials = [one.material for one in scene.objects]
     assert len(set(materials)) == len(materials)
     assert sum(one.primitive == "car" for one in scene.objects) == 101
     for one in scene.objects:
-        assert len(cars.keys_of(one, (*cars.POSE, *cars.SHAPE))) + 1 < 10
+        assert len(cars.keys_of(one, car)) + 1 + numbers_of_a_glint < 10
         assert tuple(scene.materials[str(one.material)].learn) == ("rms_height_m",)
     assert not scene.warnings
 
@@ -98,12 +102,71 @@ def test_a_window_has_the_pixels_of_the_whole_image(scene: Scene, cars: Any) -> 
         window = cars.Window(single, seen, 0)
         one = single.objects[0]
         height = float(single.materials[str(one.material)].rms_height_m)
-        image = window.image(window.problem(single, one), np.log(height))
+        image = window.image(window.problem(single, one), str(one.material), np.log(height), None)
         whole = seen.model[window.whole]
         body = whole > 1.5 * np.median(whole)
         assert body.sum() > 5
         # sums of float32 areas; the border of the window's ground lies elsewhere
         np.testing.assert_allclose(image[body], whole[body], rtol=1e-4)
+
+
+def test_every_pixel_counts_in_shadow_too(scene: Scene, cars: Any) -> None:
+    own = replace(alone(scene, cars), effects={})
+    for seen in cars.problem_of(own, VIEWS).observations:
+        edge = np.ones(seen.interior.shape, bool)
+        edge[2:-2, 2:-2] = False
+        # a pixel that the noiseless image has no power in cannot count
+        assert np.array_equal(seen.interior, ~edge & (seen.measured > 0))
+        assert seen.interior.sum() > 0.99 * (~edge).sum()
+
+
+def test_a_window_has_the_detail_of_the_whole_image(scene: Scene, cars: Any) -> None:
+    """With a share of its own, told in the window's coordinates."""
+    own = replace(alone(scene, cars), effects={})
+    one = own.objects[0]
+    name, share = str(one.material), 2.5
+    detail = {"level": 0.5, "spread_m": 2.0, "materials": [name], "share": {name: share}}
+    own = cars.with_effects(own, unresolved_detail=detail)
+    plain = replace(own, effects={})
+    height = np.log(float(own.materials[name].rms_height_m))
+    for seen, bare in zip(cars.seen_in(own, VIEWS), cars.seen_in(plain, VIEWS), strict=True):
+        window = cars.Window(own, seen, 0)
+        image = window.image(window.problem(own, one), name, height, np.log(share))
+        added = seen.model[window.whole] - bare.model[window.whole]
+        body = added > 0.1 * added.max()
+        assert body.sum() > 5
+        without = cars.Window(plain, bare, 0)
+        bare_image = without.image(without.problem(plain, one), name, height, None)
+        np.testing.assert_allclose((image - bare_image)[body], added[body], rtol=1e-3)
+
+
+def test_a_glint_is_found_where_the_residual_has_one(scene: Scene, cars: Any) -> None:
+    """A point of power beside a car: a glint is seen within a pixel of it. Without the point there is none."""
+    glints = script("gotcha_glints")
+    own = alone(scene, cars)
+    own = measured(cars.with_effects(replace(own, effects={}), point_spread=script("gotcha").KNOWN_SPREAD), cars, None)
+    assert len(glints.with_glints(own, VIEWS).objects) == 1
+    place = np.add(own.objects[0].position_m, (1.0, -1.5, 0.0))
+    views = []
+    for view, seen in zip(own.views, cars.seen_in(own, VIEWS), strict=True):
+        image = np.array(view.images["HH"])
+        geometry = geometry_of(own, view)
+        row, col = (
+            place @ axis / s + n / 2.0 - 0.5
+            for axis, s, n in zip((geometry.d, geometry.u), own.grid.spacing_m, own.grid.shape, strict=True)
+        )
+        i, j = np.indices(image.shape)
+        power = np.exp(-(((i - row) * 0.5 / 0.4) ** 2) - ((j - col) / 0.9) ** 2)
+        image = image + 20.0 * np.median(seen.measured) * power
+        views.append(view.model_copy(update={"images": {"HH": Pixels(image.astype(np.float32))}}))
+    found = glints.with_glints(replace(own, views=views), VIEWS)
+    assert [one.name for one in found.objects] == ["car094", "glint094"]
+    glint = found.objects[1]
+    for view in found.views:
+        geometry = geometry_of(found, view)
+        apart = np.subtract(glint.position_m, place)
+        assert abs(apart @ geometry.d) < 0.5
+        assert abs(apart @ geometry.u) < 1.0
 
 
 @pytest.mark.slow
@@ -122,7 +185,9 @@ def test_a_car_is_found_with_its_bounces(scene: Scene, cars: Any) -> None:
         },
     )
     start = replace(posed(seen, [moved]), views=seen.views)
-    fitted = cars._Fit(start, 0, one, cars.seen_in(start, VIEWS), (*cars.POSE, *cars.SHAPE)).descended(8, told=True)
+    keys = (*cars.POSE, *cars.SHAPE)
+    fit = cars._Fit(start, 0, one, cars.seen_in(start, VIEWS), keys, cars.Belief())
+    fitted = fit.descended(8, told=True)
     sd = np.sqrt(np.diag(np.linalg.inv(fitted.information + 1e-6 * np.eye(len(fitted.keys)))))
     for key, deviation in zip(fitted.keys[:-1], sd, strict=False):
         assert abs(cars.value(fitted.object, key) - cars.value(one, key)) < 3.0 * deviation + 0.02, key
@@ -155,6 +220,7 @@ def test_a_survey_beside_what_was_found(objects: Any, tmp_path: Path) -> None:
         "heading_sd_deg": 1.0,
         "near_side_m": objects.near_side(one, towards).tolist(),
         "near_side_sd_m": 0.1,
+        "along_sd_m": 0.2,
     }
     a, b = objects.surveyed(path, [said], towards)
     assert b == {"vehicle": "B", "object": None}

@@ -10,7 +10,7 @@ import warp as wp
 
 from warpsar.effects.base.blur import WINDOWS, blurred
 from warpsar.effects.base.effect import Effect
-from warpsar.effects.base.parameter import Parameter, one_of
+from warpsar.effects.base.parameter import Parameter, Setting
 from warpsar.effects.base.recorder import Recorder
 from warpsar.effects.base.signature import SeenImage
 from warpsar.effects.base.trial import Context, ScoreStep, Trial
@@ -22,11 +22,32 @@ def _width(name: str) -> Parameter:
     return Parameter(name, "m", 0.0, 0.0, 1e4, 1.0, description=meaning, scale="log", fit_low=1e-3, fit_high=1e4)
 
 
+def _is_window(value: Any) -> bool:
+    pair = isinstance(value, list | tuple) and len(value) == 2
+    return all(isinstance(one, str) and one in WINDOWS for one in (value if pair else [value]))
+
+
+_WINDOW = Setting(
+    "window",
+    "gaussian",
+    _is_window,
+    f"{' or '.join(map(repr, WINDOWS))}, or a pair of these for range and azimuth",
+    description="Window of the aperture, which shapes the kernel; a pair where range and azimuth differ.",
+    schema={
+        "anyOf": [
+            {"enum": list(WINDOWS)},
+            {"type": "array", "items": {"enum": list(WINDOWS)}, "minItems": 2, "maxItems": 2},
+        ]
+    },
+)
+
+
 class PointSpread(Effect):
     """Convolves the power image with a separable kernel, sampled at pixel centres and normalised to one.
 
     Its widths are full widths at half maximum; a width of 0 leaves its axis sharp. `window` is the weighting of the
-    aperture: "sinc" (none: the kernel is sinc^2), "taylor" (-35 dB, nbar 5), or "gaussian" for a Gaussian kernel.
+    aperture: "sinc" (none: the kernel is sinc^2), "taylor" (-35 dB, nbar 5), or "gaussian" for a Gaussian kernel. Many
+    systems weight the band and not the aperture: a pair of windows is that of range and that of azimuth.
     """
 
     name = "point_spread"
@@ -38,7 +59,7 @@ class PointSpread(Effect):
     example: ClassVar[dict[str, Any]] = {"range_fwhm_m": 1.2, "azimuth_fwhm_m": 1.2, "window": "sinc"}
     rate_case: ClassVar[dict[str, Any]] = {"range_fwhm_m": 0.9, "azimuth_fwhm_m": 0.7, "window": "gaussian"}
     parameters = (_width("range_fwhm_m"), _width("azimuth_fwhm_m"))
-    settings = (one_of("window", "gaussian", *WINDOWS, description="Window of the aperture, which shapes the kernel."),)
+    settings = (_WINDOW,)
 
     def parts(self, image: SeenImage, table: Mapping[str, Any]) -> Mapping[str, np.ndarray]:
         """It shows on edges and on points alike."""
@@ -61,9 +82,9 @@ class PointSpread(Effect):
         return [Trial(steps, starts)]
 
     def image(self, render: Recorder, p: wp.array, image: wp.array) -> wp.array:
-        window = WINDOWS[render.settings[self.name]["window"]]
-        for index in (0, 1):
-            image = blurred(render, window, p, index, image, axis=index)
+        stated = render.settings[self.name]["window"]
+        for index, window in enumerate([stated] * 2 if isinstance(stated, str) else stated):
+            image = blurred(render, WINDOWS[window], p, index, image, axis=index)
         return image
 
 
