@@ -202,9 +202,10 @@ def _grid(made: Slc, centre_s: float) -> dict[str, Any]:
 def _axis(at: F64, weight: F64, places_m: F64) -> dict[str, Any]:
     """One direction of the grid, with its samples at spatial frequencies `at` [1/m]."""
     step = float(places_m[1] - places_m[0])
-    half = min(0.5 * float(np.ptp(at)) * len(at) / (len(at) - 1), 0.5 / step)
+    width = float(np.ptp(at)) * len(at) / (len(at) - 1)
+    half = min(0.5 * width, 0.5 / step)
     order = np.argsort(at)
-    middles = at.min() + (np.arange(_WEIGHTS) + 0.5) / _WEIGHTS * np.ptp(at)
+    middles = 0.5 * (at.min() + at.max()) + ((np.arange(_WEIGHTS) + 0.5) / _WEIGHTS - 0.5) * width
     return {
         "SS": step,
         "ImpRespWid": half_power_width(at, weight),
