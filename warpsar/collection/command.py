@@ -19,6 +19,7 @@ from warpsar.collection.noise import with_image_noise, with_noise
 from warpsar.collection.plan import Plan, plan_of
 from warpsar.collection.scatterers import Scatterers, rough_alone, scatterers_of
 from warpsar.collection.slc import Slc, focused
+from warpsar.io import complex_image
 from warpsar.io.images import replacing
 from warpsar.io.quick_look import QuickLook, draw_together
 from warpsar.runtime import console, devices
@@ -145,8 +146,7 @@ def _slc(bodies: Bodies, plan: Plan, index: int, out: Path) -> dict[str, Any]:
     made = image_of(bodies, plan, index)
     name = plan.view.name
     files = {"npz": f"{name}.npz", "quick_look": f"{name}.png"}
-    with replacing(out / files["npz"]) as temporary, temporary.open("wb") as file:
-        np.savez(file, range_m=made.range_m, azimuth_m=made.azimuth_m, **made.images)  # type: ignore[arg-type]
+    complex_image.write(out / files["npz"], made.range_m, made.azimuth_m, made.images)
     power = {pol: np.abs(image) ** 2 for pol, image in made.images.items()}
     draw_together([QuickLook.of(out / files["quick_look"], name, power, bodies.world.grid.spacing_m)])
     for pol in made.images if find_spec("sarkit") is not None else ():
