@@ -9,7 +9,7 @@ import click
 from warpsar.cli import options
 
 
-@click.command(name="diagnose")
+@click.command(name="diagnose", short_help="Name the effects that the model lacks, and add them.")
 @click.argument("scene", type=click.Path(exists=True, dir_okay=False, path_type=Path))
 @click.option(
     "-o",

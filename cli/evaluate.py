@@ -9,7 +9,7 @@ import click
 from warpsar.cli import options
 
 
-@click.command(name="evaluate")
+@click.command(name="evaluate", short_help="Compare model and measured images, in a report.")
 @click.argument("scene", type=click.Path(exists=True, dir_okay=False, path_type=Path))
 @click.option(
     "-o",

@@ -15,7 +15,7 @@ FORMATS = ("gotcha", "cphd", "sicd", "mstar", "nisar", "geotiff", "tiff", "exr",
 CURVES = (".csv", ".txt")
 
 
-@click.command(name="import")
+@click.command(name="import", short_help="Bring a measured image onto the grid of a view.")
 @click.argument(
     "sources",
     nargs=-1,

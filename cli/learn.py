@@ -9,7 +9,7 @@ import click
 from warpsar.cli import options
 
 
-@click.command(name="learn")
+@click.command(name="learn", short_help="Find surface parameters from measured images.")
 @click.argument("scene", type=click.Path(exists=True, dir_okay=False, path_type=Path))
 @click.option(
     "-o",

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 
-@click.command(name="materials")
+@click.command(name="materials", short_help="List the surfaces that a scene file may name.")
 @click.argument("names", nargs=-1, metavar="[NAME]...")
 @click.option(
     "--frequency",

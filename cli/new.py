@@ -9,7 +9,7 @@ import click
 UNITS = ("m", "cm", "mm", "in", "ft")  # a copy from warpsar.scene.new, which imports NumPy; a test compares them
 
 
-@click.command(name="new")
+@click.command(name="new", short_help="Write a first scene file for a mesh or for buildings.")
 @click.argument("folder", type=click.Path(file_okay=False, path_type=Path))
 @click.argument("mesh", type=click.Path(exists=True, dir_okay=False, path_type=Path))
 @click.option("--units", type=click.Choice(UNITS), help="Unit of the mesh's coordinates. Default: guessed, and said.")

@@ -9,7 +9,7 @@ import click
 from warpsar.cli import options
 
 
-@click.command(name="rcs")
+@click.command(name="rcs", short_help="Radar cross-sections and complex amplitudes, with phase.")
 @click.argument("scene", type=click.Path(exists=True, dir_okay=False, path_type=Path))
 @click.option(
     "-o",

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 
-@click.command(name="schema")
+@click.command(name="schema", short_help="Write the JSON schema of scene.toml, for editors.")
 @click.option(
     "-o", "--out", type=click.Path(dir_okay=False, path_type=Path), help="File to write. Default: print on stdout."
 )

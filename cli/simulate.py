@@ -14,7 +14,7 @@ PRODUCTS = ("beta0", "slc", "phase-history")
 FORMATS = ("exr", "geotiff", "netcdf", "zarr")
 
 
-@click.command(name="simulate")
+@click.command(name="simulate", short_help="Make an image of every view.")
 @click.argument("scenes", nargs=-1, required=True, type=click.Path(exists=True, dir_okay=False, path_type=Path))
 @click.option(
     "-o",

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 
-@click.command(name="uv")
+@click.command(name="uv", short_help="Give a mesh texture coordinates.")
 @click.argument("scene", type=click.Path(exists=True, dir_okay=False, path_type=Path))
 @click.option(
     "-o",

@@ -9,7 +9,7 @@ import click
 from warpsar.cli import options
 
 
-@click.command(name="view")
+@click.command(name="view", short_help="Show a scene, its images and residuals in 3D in a browser.")
 @click.argument("scene", type=click.Path(exists=True, path_type=Path))
 @click.option(
     "-o",

@@ -122,8 +122,39 @@ def test_a_drag_turns_and_a_pointer_reads(shown: tuple[Any, list[str]]) -> None:
 
 def test_before_and_after_are_chosen(shown: tuple[Any, list[str]]) -> None:
     page, said = shown
-    assert page.is_checked("input[value='before']")
-    page.check("input[value='after']")
-    assert picture(page).std() > 5.0
+    assert page.is_checked("input[value='after']")
     page.check("input[value='before']")
+    assert picture(page).std() > 5.0
+    page.check("input[value='after']")
     assert said == []
+
+
+def test_before_and_after_are_a_switch(tmp_path: Path) -> None:
+    """The page opens on the scene asked for; the switch shows the other one's surface and images, and back."""
+    scene = (ROOT / "data/example/scene.toml").read_text()
+    mesh = (ROOT / "data/example/scene.obj").as_posix()
+    small = (
+        scene.replace('"scene.obj"', f'"{mesh}"').replace("[160, 160]", "[40, 40]").replace("[0.45, 0.5]", "[1.8, 2.0]")
+    )
+    (tmp_path / "first.toml").write_text(small.replace("256.0", "16.0"))
+    lines = small.replace("256.0", "16.0").splitlines()
+    at = lines.index("[materials.lawn]")
+    height = next(i for i in range(at, len(lines)) if lines[i].startswith("rms_height_m"))
+    lines[height] = "rms_height_m = 0.0025"
+    (tmp_path / "then.toml").write_text("\n".join(lines))
+    path = run(tmp_path / "then.toml", tmp_path / "page", before=tmp_path / "first.toml", device="cpu")
+    with playwright.sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=BROWSER, args=WITHOUT_GPU)
+        page = browser.new_page(viewport={"width": 900, "height": 600})
+        page.goto(path.as_uri())
+        page.wait_for_function("document.body.dataset.drawn > 0")
+        assert page.is_checked("input[value=after]")
+        for quantity in ("h [mm]", "modelled HH"):
+            page.select_option("#quantity", quantity)
+            page.check("input[value=after]")
+            after = picture(page)
+            page.check("input[value=before]")
+            assert np.abs(picture(page) - after).max() > 30.0, quantity
+            page.check("input[value=after]")
+            assert np.abs(picture(page) - after).max() < 30.0, quantity
+        browser.close()

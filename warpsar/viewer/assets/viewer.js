@@ -276,7 +276,7 @@ function lookFrom(direction, distance) {
 
 // ---- what is chosen ---------------------------------------------------------------------------------------------------
 
-let state = states[0];
+let state = states.at(-1); // the scene asked for; the one before it is for comparison
 const chosenView = () => state.views[byId("view").selectedIndex] ?? state.views[0];
 
 function options(select, names) {
@@ -388,7 +388,7 @@ function choose(next) {
 }
 
 states.forEach((one, k) => {
-  const radio = Object.assign(element("input"), { type: "radio", name: "state", value: one.name, checked: k === 0 });
+  const radio = Object.assign(element("input"), { type: "radio", name: "state", value: one.name, checked: one === state });
   radio.addEventListener("change", () => choose(one));
   const wrap = element("label");
   wrap.append(radio, ` ${one.name}`);
@@ -451,6 +451,6 @@ function point() {
   byId("pointed").textContent = said.join(" · ");
 }
 
-choose(states[0]);
+choose(state);
 fit();
 lookFrom(HOME, 4.4);
