@@ -136,6 +136,8 @@ def _summary(found: Learned, options: LearnOptions) -> dict[str, Any]:
         "pixels": of_all(problem, lambda s: {"used": s.count, "left_out": s.left_out, "zeros": s.zeros}),
         "processes": problem.ranks.size,
     }
+    if found.terms:
+        content["learned_terms"] = {name: one.content() for name, one in found.terms.items()}
     if found.objects is not None:
         content["objects"] = found.objects.content()
     if not problem.scene.grid.calibrated:

@@ -100,7 +100,7 @@ def descend(
 def stand(
     problem: FitProblem, tests: FitProblem | None, options: LearnOptions, course: Course, *, stoppable: bool
 ) -> tuple[FitState, str]:
-    """A run of no iteration, where nothing but poses is learned: `descend` without anything to change."""
+    """A run of no iteration, where nothing but poses or a learned term is learned: `descend` without a change."""
     x = problem.x0
     loss = problem.value(problem.modelled(x))
     course.state = FitState(x, loss, x, loss)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TypeVar
 
@@ -24,6 +24,7 @@ from warpsar.learning.options import LearnOptions, refuse_options, refuse_starts
 from warpsar.learning.problem import FitProblem
 from warpsar.learning.pull import Pull, pulls
 from warpsar.learning.results import learned_scene
+from warpsar.learning.term import Trained, as_asked, with_trained_terms
 from warpsar.learning.trust import doubts, fit_verdict
 from warpsar.learning.validity import outside_domains
 from warpsar.learning.verdict import Verdict
@@ -45,7 +46,8 @@ class Learned:
     outside the domain of each model. `train` and `test`: `pooled_metrics`. `identified` is None for fields (see
     fields.py), which have too many parameters for one information matrix. `verdicts`, by role: whether anything is
     left beside speckle. `pulls`: every value known to a tolerance, before and after. `doubts`: why the intervals do
-    not hold; empty where nothing speaks against them. `objects`: poses and sizes, where any is learned.
+    not hold; empty where nothing speaks against them. `objects`: poses and sizes, where any is learned. `terms`, by
+    material: learned terms that were trained.
     """
 
     scene: Scene
@@ -65,6 +67,7 @@ class Learned:
     doubts: list[str]
     problem: FitProblem
     objects: LearnedObjects | None = None
+    terms: Mapping[str, Trained] = field(default_factory=dict)
 
 
 def learn(
@@ -78,21 +81,23 @@ def learn(
     """Fit the materials' learnable parameters, and the declared effects' unless they are held, to the `train` views.
 
     With `folder` the run keeps a checkpoint there, and `resume` goes on from it. Each of several processes
-    (`distributed`) holds a share of the views; all return the same, and the first one writes. Raises InputError for
-    scenes that cannot be learned from, and WarpsarError where the gradient check fails.
+    (`distributed`) holds a share of the views; all return the same, and the first one writes. A learned term that a
+    material's `learn` names is trained first, and then held. Raises InputError for scenes that cannot be learned from,
+    and WarpsarError where the gradient check fails.
     """
     options = options or LearnOptions()
     refuse_starts(scene)
-    declared = scene
+    declared = asked = scene
     where = devices.resolve_device(device)
     ranks = distributed.ranks(where)
     folder = None if folder is None else Path(folder)
     if folder is not None and ranks.first and distributed.restarts() == 0 and not resume:
         checkpoint.remove(folder)  # of an earlier run: torchrun's restarts shall find this one's
+    declared, terms = with_trained_terms(asked, folder, ranks, lambda one: prepare(one, where, options)[0])
     poses = ranks.agree(lambda: learned_objects(declared, where, options.loss))
     scene = declared if poses is None else poses.scene
     problem, density = ranks.agree(lambda: prepare(scene, where, options, ranks))
-    if not problem.x0.size and poses is None:
+    if not problem.x0.size and poses is None and not terms:
         raise InputError(
             f"{scene.name}: materials: nothing to learn: every `learn` is empty, and no effect's parameter is fitted"
         )
@@ -102,9 +107,11 @@ def learn(
     course = _course(declared, options, folder, ranks, resume)
     runs = descend if problem.x0.size else stand
     state, stopped = runs(problem, tests, options, course, stoppable=folder is not None)
+    if terms and not problem.x0.size:
+        stopped = "nothing but a learned term is learned"
     x = np.asarray(state.best_x)
     train = pooled_metrics(problem, x)
-    final = learned_scene(problem, x, folder if ranks.first else None)
+    final = as_asked(learned_scene(problem, x, folder if ranks.first else None), asked, terms)
     test = None if tests is None else pooled_metrics(tests, tests.follow(problem, x))
     verdicts = {"train": fit_verdict(problem, x, density.noise)}
     if tests is not None:
@@ -130,6 +137,7 @@ def learn(
         doubts=[*doubts(problem, x, verdicts, domains), *(one.words for one in pulled if one.alarm)],
         problem=problem,
         objects=poses,
+        terms=terms,
     )
 
 

@@ -14,6 +14,9 @@ LEARNS: dict[str, tuple[str, ...]] = {
 """The values that a model's sigma0 depends on, and so those that can be learned."""
 
 
+TERM = "learned_term"
+"""What `learn` calls the learned term of a material: it is trained while the material's values are held."""
+
 OF_THE_DEFAULT = ("two_scale",)
 OF_A_SURFACE = ("two_scale", "eps_gradient", "multibounce", "edge_diffraction")
 """Effects that work on the default model's equations, and on a surface's permittivity, which a table has not."""
@@ -42,8 +45,12 @@ def refusals(material: Any, stated: set[str]) -> list[str]:
     if material.learned_term is not None and model == "facet":
         found.append('found learned_term and model = "facet"; a table needs none')
     if "learn" in stated:
+        if TERM in material.learn and (len(material.learn) > 1 or model == "facet"):
+            found.append(
+                f"learn: found {', '.join(material.learn)} with a material of {model}; {TERM} is learned alone"
+            )
         for key in material.learn:
-            if key not in LEARNS[model]:
+            if key not in (*LEARNS[model], TERM):
                 found.append(
                     f"learn: found {key}; sigma0 of the model {model} does not depend on it; "
                     f"allowed: {', '.join(LEARNS[model])}"

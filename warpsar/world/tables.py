@@ -27,7 +27,7 @@ DEFAULT_RAYS_PER_PIXEL = 64.0
 Polarization = Literal["HH", "HV", "VH", "VV"]
 Term = Literal["single", "edges", "multibounce", "rough"]
 SurfaceKey = Literal["eps_r", "rms_height_m", "correlation_length_m", "specular_fraction"]
-LearnedKey = Literal["eps_r", "rms_height_m", "correlation_length_m", "specular_fraction", "level"]
+LearnedKey = Literal["eps_r", "rms_height_m", "correlation_length_m", "specular_fraction", "level", "learned_term"]
 SURFACE_KEYS: tuple[SurfaceKey, ...] = ("eps_r", "rms_height_m", "correlation_length_m", "specular_fraction")
 
 LIMITS: dict[str, tuple[float, float]] = {
@@ -270,7 +270,8 @@ class Material(Table):
     )
     learn: tuple[LearnedKey, ...] = Field(
         default=("eps_r", "rms_height_m", "correlation_length_m"),
-        description="The values that a fit may change; by default the first three, as far as the model has them.",
+        description="The values that a fit may change; by default the first three, as far as the model has them. "
+        '["learned_term"] trains the term, and holds the others.',
         examples=[["eps_r"]],
     )
     tolerance: dict[SurfaceKey, Any] = Field(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -29,6 +30,7 @@ from warpsar.diagnosis.turn.screening import NO_DARK
 from warpsar.diagnosis.turn.settings import resettled
 from warpsar.diagnosis.turn.shortlist import refits
 from warpsar.learning.pose_search import FoundPoses
+from warpsar.learning.trust import fit_verdict
 from warpsar.runtime import console
 from warpsar.scene.scene import Scene
 from warpsar.simulation.rays import Rays
@@ -71,11 +73,16 @@ class Search:
         self._resort()
 
     def _resort(self) -> None:
-        """Learn a law of backscatter where nothing named explains what is left, if views left out bear it."""
+        """Learn a law of backscatter where nothing named explains what is left, if views left out bear it.
+
+        A law over incidence bends whole images, and need not raise an alarm anywhere: the deviance of all tells it.
+        """
         last = self.turns[-1]
-        if not last.alarms or len(self._added(self._base)) >= self.options.most_effects:
+        if len(self._added(self._base)) >= self.options.most_effects:
             return
         bench, here = on_bounded_ground(self._bench, self._base, self.scene)
+        if not last.alarms and not fit_verdict(here.problem, here.x, math.nan).wrong:
+            return
         price = Evidence.of(here.problem, here.x, bench.ranks).price(bench.ranks)
         found = learned_law(bench, here, price)
         if found is None:

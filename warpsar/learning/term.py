@@ -1,0 +1,180 @@
+"""The learned term of a material's sigma0, trained through the renderer from the measured images.
+
+Its units stand at the material's own eps, h and l, steps of incidence apart, over what the images have seen of it. The
+weights minimise the loss of all `train` views, with the size that is expected of the term as their prior: what
+`scattering_term.learned` does for a table, here by Warp's adjoint of the images to the weights.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.optimize import minimize
+
+from warpsar.errors import InputError
+from warpsar.kernels.codes import Polarization
+from warpsar.learning.metrics import pooled_metrics
+from warpsar.learning.problem import FitProblem
+from warpsar.runtime.distributed import Ranks
+from warpsar.scene.beside import file_stem
+from warpsar.scene.scene import Scene
+from warpsar.surface.surface import KEYS
+from warpsar.world.models import TERM
+from warpsar.world.scattering_term import DB, ScatteringTerm
+
+WIDTH = (0.1, 1.0, 1.0, 1.0)  # of a unit: cos theta, ln kh, ln kl, ln(eps - 1)
+SPREAD_DB = 3.0
+NOISE_DB = 0.25
+MOST_STEPS = 200
+SEEN = (0.5, 99.5)  # percentiles of the hits' cos theta: units stand between them
+
+Prepared = Callable[[Scene], FitProblem]
+"""The fit problem of a scene's `train` views."""
+
+
+@dataclass(frozen=True)
+class Trained:
+    """A term and its `file`; pooled metrics of the `train` views without and with it, and the steps that it took."""
+
+    term: ScatteringTerm
+    file: Path
+    before: dict[str, float]
+    after: dict[str, float]
+    steps: int
+
+    def content(self) -> dict[str, Any]:
+        """What learn.json says of it."""
+        return {
+            "file": self.file.name,
+            "units": len(self.term.places),
+            "cos_incidence": [float(self.term.places[:, 0].min()), float(self.term.places[:, 0].max())],
+            "before": self.before,
+            "after": self.after,
+            "steps": self.steps,
+        }
+
+
+def taught(scene: Scene) -> list[str]:
+    """The materials whose `learn` names the learned term."""
+    return [name for name, material in scene.materials.items() if TERM in material.learn]
+
+
+def with_trained_terms(
+    scene: Scene, folder: Path | None, ranks: Ranks, prepared: Prepared
+) -> tuple[Scene, dict[str, Trained]]:
+    """The scene with a trained term in each material that asks for one, one after the other, and what was found.
+
+    The materials' eps, h and l are held, and what effects declare. Files go into `folder`. Raises InputError without
+    one, with several processes, and where a view's hits do not fit into memory.
+    """
+    found = {}
+    for name in taught(scene):
+        if folder is None or ranks.size > 1:
+            why = "needs a folder for its file" if folder is None else f"found {ranks.size} processes; must be one"
+            raise InputError(f"{scene.name}: materials.{name}.learn: {TERM}: {why}")
+        folder.mkdir(parents=True, exist_ok=True)
+        found[name] = _trained(
+            scene, name, folder / f"{file_stem(tuple(scene.materials), name, 'term')}.json", prepared
+        )
+        scene = _with_file(scene, name, found[name].file)
+    return scene, found
+
+
+def _with_file(scene: Scene, name: str, file: Path) -> Scene:
+    material = scene.materials[name].model_copy(update={TERM: file.resolve(), "learn": ()})
+    return replace(scene, materials=scene.materials | {name: material})
+
+
+def as_asked(final: Scene, asked: Scene, terms: Collection[str]) -> Scene:
+    """The learned scene, whose materials with a trained term ask for it again."""
+    again = {name: final.materials[name].model_copy(update={"learn": asked.materials[name].learn}) for name in terms}
+    return replace(final, materials=final.materials | again)
+
+
+def _trained(scene: Scene, name: str, file: Path, prepared: Prepared) -> Trained:
+    channels = sorted({"HV" if one == "VH" else one for one in scene.radar.polarizations})
+    model = scene.materials[name].model
+    start = np.zeros((1, len(WIDTH)))
+    empty = ScatteringTerm(model, start, np.array(WIDTH), {c: np.zeros(1) for c in channels}, SPREAD_DB, NOISE_DB)
+    empty.save(file)
+    places = _places(prepared(_with_file(scene, name, file)), name)
+    used = {c: np.ones(len(places), bool) for c in channels}
+    none = {c: np.zeros(len(places)) for c in channels}
+    term = replace(empty, places=places, weights=none, used=used)
+    term.save(file)
+    problem = prepared(_with_file(scene, name, file))
+    before = pooled_metrics(problem, problem.x0)
+    columns = [[int(p) for p in Polarization if ("HV" if p.crossed else p.name) == c] for c in channels]
+    first = int(problem.stage.terms.first.numpy()[problem.surface.materials.index(name), 0])
+    weights, steps = _fitted(problem, term, columns, slice(first, first + len(places)))
+    term = replace(term, weights=dict(zip(channels, weights, strict=True)))
+    term.save(file)
+    after = pooled_metrics(problem, problem.x0)
+    return Trained(term, file, before, after, steps)
+
+
+def _places(problem: FitProblem, name: str) -> np.ndarray:
+    """Places of the units, (n, 4), at the middle of the material's eps, h and l, over what was seen of it."""
+    material, wavenumber = problem.surface.materials.index(name), 0.0
+    seen = []
+    for view in problem.views:
+        if not view.render.keeps_hits:
+            raise InputError(
+                f"{problem.scene.name}: {TERM} is trained with all hits in memory; --max-memory is too low"
+            )
+        hits = view.render.whole.shaded
+        wavenumber = hits.geometry.wavenumber
+        seen.append(hits.cos_incidence.numpy()[problem.stage.face_material.numpy()[hits.face.numpy()] == material])
+    cosines = np.concatenate(seen)
+    if not cosines.size:
+        raise InputError(f"{problem.scene.name}: materials.{name}.learn: {TERM}: no train view sees the material")
+    low, high = np.percentile(cosines, SEEN)
+    count = max(int(np.ceil((high - low) / WIDTH[0])), 1) + 1
+    middle = (low + high) / 2 + (np.arange(count) - (count - 1) / 2) * WIDTH[0]
+    eps, height, length = (float(np.median(problem.surface.values(name, key))) for key in KEYS[:3])
+    here = [np.log(wavenumber * height), np.log(wavenumber * length), np.log(eps - 1.0)]
+    return np.column_stack([middle, np.tile(here, (count, 1))])
+
+
+def _fitted(problem: FitProblem, term: ScatteringTerm, columns: list[list[int]], rows: slice) -> tuple[np.ndarray, int]:
+    """The weights of each channel, (channels, units), that minimise loss and prior, and the steps taken.
+
+    They are sought in coordinates of which the prior expects a standard normal distribution: then all have one scale.
+    """
+    terms = problem.stage.terms
+    assert terms is not None
+    terms.weights.requires_grad = True
+    everywhere = terms.weights.numpy().copy()
+    root = np.linalg.cholesky(term.units(term.places) + (NOISE_DB / SPREAD_DB) ** 2 * np.eye(len(term.places)))
+    unit = np.linalg.inv(root).T * (SPREAD_DB / DB)
+    problem.loss_at(problem.x0)  # the surface and the effects, at which everything else stays
+
+    def put(z: np.ndarray) -> np.ndarray:
+        weights = z.reshape(len(columns), -1) @ unit.T
+        for own, column in zip(weights, columns, strict=True):
+            everywhere[rows, column] = own[:, None]
+        terms.weights.assign(everywhere)
+        return np.asarray(weights)
+
+    def loss_and_slope(z: np.ndarray) -> tuple[float, np.ndarray]:
+        put(z)
+        total, slope = 0.5 * float(z @ z), np.zeros(everywhere.shape)
+        for view in problem.views:
+            if not problem.scene.grid.calibrated:
+                view.run_images()
+                gains = [problem.misfit.gain(*pair) for pair in zip(view.observations, view.modelled(), strict=True)]
+                view.gain.assign(np.array(gains, np.float32))
+            view.forward(gradient=True)
+            view.backward()
+            total += float(view.loss.numpy().sum())
+            slope += terms.weights.grad.numpy()
+        own = np.stack([slope[rows, column].sum(axis=1) for column in columns])
+        return total, z + (own @ unit).ravel()
+
+    size = len(columns) * len(term.places)
+    done: Any = minimize(loss_and_slope, np.zeros(size), jac=True, method="L-BFGS-B", options={"maxiter": MOST_STEPS})
+    return put(done.x), int(done.nit)
