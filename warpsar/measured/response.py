@@ -12,7 +12,6 @@ from warpsar.measured.ground import plane_points
 from warpsar.world.tables import View
 from warpsar.world.world import World, geometry_of
 
-
 KNOWN = 0.05
 """Share of its width to which a header knows it: products round it, and weights are not told to the last digit."""
 _ALONG = 0.2
