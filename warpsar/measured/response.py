@@ -1,4 +1,4 @@
-"""The response of a system to a point, as a complex image's header declares it: `[effects.point_spread]` of the scene."""
+"""The response of a system to a point: `[effects.point_spread]`, as the header of a complex image declares it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from warpsar.measured.data import ImageChip
 from warpsar.measured.ground import plane_points
 from warpsar.world.tables import View
 from warpsar.world.world import World, geometry_of
-
 
 KNOWN = 0.05
 """Share of its width to which a header knows it: products round it, and weights are not told to the last digit."""
