@@ -34,7 +34,7 @@ import warpsar
 from warpsar.collection.command import load_kernels
 from warpsar.collection.history import phase_history
 from warpsar.collection.plan import plan_of
-from warpsar.collection.scatterers import body_of, scatterers_of
+from warpsar.collection.scatterers import body_of, scatterers_of, spacing_m
 from warpsar.io.figures import new, save
 from warpsar.io.ply import write_ply
 from warpsar.measured.data import PhaseHistory
@@ -138,7 +138,7 @@ def simulated(data: Path, name: str, bodies: list[dict[str, Any]], device: str |
     with tempfile.TemporaryDirectory() as folder:
         scene = scene_of(Path(folder), measured, bodies, name)
         plan = plan_of(scene, scene.views[0], where)
-        found = scatterers_of(scene, plan, body_of(scene, plan, where, 0), rays_per_wavelength=rays)
+        found = scatterers_of(scene, plan, body_of(scene, spacing_m(plan), where, 0), rays_per_wavelength=rays)
         print(f"{name}: {found.count} scatterers, {len(plan.track)} pulses", file=sys.stderr, flush=True)
         return phase_history(plan, found, ("HH",), where).history("HH")
 

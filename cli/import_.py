@@ -214,6 +214,11 @@ def command(
     for message in done.messages:
         console.say(f"note: {message}")
     console.say(f"written: {done.image_path}, {done.picture_path}; {scene} names the image")
+    if done.slc_path is not None:
+        console.say(f"written: {done.slc_path}, the complex samples")
+    if (blur := done.point_spread) is not None:
+        widths = " x ".join(f"{blur[key]:g} +- {sd:g} m" for key, sd in blur["tolerance"].items())
+        console.say(f"point_spread, as the header has it: {widths}")
     looks = "not estimated" if done.looks is None else f"{done.looks:.2f}"
     samples = " x ".join(map(str, done.samples_per_pixel))
     click.echo(f"{done.image_path}: {done.polarization}, {samples} samples per pixel, looks {looks}")

@@ -250,26 +250,86 @@ def deposit_kernel(
                 wp.atomic_add(bins_out, p, row, bin, spread_weight(offset + float(w)) * value)
 
 
+Six = wp.types.vector(length=6, dtype=float)
+"""Weights of a deposit along one axis."""
+
+
+@wp.struct
+class ImageFrame:
+    """The fine grid of a direct image, and where the sensor is."""
+
+    place: wp.vec3d  # of the sensor, abeam of the reference point [m]
+    slant: wp.float64  # its distance [m]
+    centre: wp.vec3d  # of the track [m]
+    centre_slant: wp.float64
+    u: wp.vec3d  # along azimuth
+    start: wp.vec2d  # of the grid's rows and columns [m]
+    step: wp.vec2d
+    turns_per_metre: wp.float64
+    stripmap: int
+    beam: Beam
+    receiver: wp.vec3d  # of the pulse in the middle
+    pulse: int
+
+
+@wp.func
+def weights_from(first: float) -> Six:
+    """Weights of WIDTH bins, of which the first lies at `first`."""
+    found = Six()
+    for i in range(WIDTH):
+        found[i] = spread_weight(first + float(i))
+    return found
+
+
 @wp.kernel(enable_backward=False)
 def image_deposit_kernel(
     # In:
-    place_in: wp.array[wp.vec2d],  # (row, column) on the fine grid
-    amplitude_in: wp.array[wp.vec2],
+    frame: ImageFrame,
+    point_in: wp.array[wp.vec3d],  # about the reference point [m]
+    amplitude_in: wp.array2d[wp.vec2],
+    column_in: wp.array[int],  # of amplitude_in, for each polarization
+    scale: float,
     # Out:
-    grid_out: wp.array2d[wp.vec2],
+    grid_out: wp.array3d[wp.vec2],
 ):
-    """Scatterers into WIDTH x WIDTH cells of a grid, around its borders."""
+    """Scatterers times e^{-j 2 pi turns} into WIDTH x WIDTH cells of a grid, (polarizations, rows, columns).
+
+    Rows are ranges from the track, columns azimuths. Scatterers near the grid's border are left out.
+    """
     i = wp.tid()
-    rows = grid_out.shape[0]
-    columns = grid_out.shape[1]
-    at = place_in[i]
-    row = int(wp.ceil(at[0] - HALF))
-    column = int(wp.ceil(at[1] - HALF))
-    down = float(wp.float64(row) - at[0])
-    aside = float(wp.float64(column) - at[1])
-    for r in range(WIDTH):
-        weight = spread_weight(down + float(r))
-        y = ((row + r) % rows + rows) % rows
-        for c in range(WIDTH):
-            x = ((column + c) % columns + columns) % columns
-            wp.atomic_add(grid_out, y, x, weight * spread_weight(aside + float(c)) * amplitude_in[i])
+    some = float(0.0)
+    for p in range(column_in.shape[0]):
+        some += wp.length_sq(amplitude_in[i, column_in[p]])
+    if some == 0.0:
+        return
+    point = point_in[i]
+    azimuth = wp.dot(point, frame.u)
+    across = point - azimuth * frame.u
+    way = way_less_reference(frame.place, across, frame.slant)
+    row_at = (way - frame.start[0]) / frame.step[0]
+    column_at = (azimuth - frame.start[1]) / frame.step[1]
+    rows = grid_out.shape[1]
+    columns = grid_out.shape[2]
+    three = wp.float64(3.0)
+    if row_at <= three or row_at >= wp.float64(rows - 4) or column_at <= three or column_at >= wp.float64(columns - 4):
+        return
+    # A stripmap's beam passes over every point: its phase is that abeam, and its gain what lies across the track.
+    aimed = across
+    if frame.stripmap == 0:
+        way = way_less_reference(frame.centre, point, frame.centre_slant)
+        aimed = point
+    one_way = gain(frame.beam, frame.pulse, frame.receiver, aimed)
+    turns = way * frame.turns_per_metre
+    phase = -TWO_PI * float(turns - wp.round(turns))
+    c = scale * one_way * one_way * wp.cos(phase)
+    s = scale * one_way * one_way * wp.sin(phase)
+    row = int(wp.ceil(row_at - HALF))
+    column = int(wp.ceil(column_at - HALF))
+    down = weights_from(float(wp.float64(row) - row_at))
+    aside = weights_from(float(wp.float64(column) - column_at))
+    for p in range(column_in.shape[0]):
+        a = amplitude_in[i, column_in[p]]
+        value = wp.vec2(a[0] * c - a[1] * s, a[0] * s + a[1] * c)
+        for r in range(WIDTH):
+            for q in range(WIDTH):
+                wp.atomic_add(grid_out, p, row + r, column + q, down[r] * aside[q] * value)

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from warpsar.learning.command import LearnOptions, learn
     from warpsar.scene.scene import Scene
     from warpsar.simulation.command import simulate
+    from warpsar.speckle.coherence import coherence
     from warpsar.world.mesh import Mesh
     from warpsar.world.tables import Grid, Material, Radar, Sampling, View
 
@@ -37,6 +38,7 @@ _LAZY = {
     "Sampling": "warpsar.world.tables",
     "Scene": "warpsar.scene.scene",
     "View": "warpsar.world.tables",
+    "coherence": "warpsar.speckle.coherence",
     "diagnose": "warpsar.diagnosis.result",
     "evaluate": "warpsar.evaluation.command",
     "learn": "warpsar.learning.command",
@@ -62,6 +64,7 @@ __all__ = [
     "View",
     "WarpsarError",
     "__version__",
+    "coherence",
     "diagnose",
     "evaluate",
     "learn",

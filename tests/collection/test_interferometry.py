@@ -10,9 +10,10 @@ from collected_scenes import FREQUENCY, ROUGH, field, scene
 from test_slc import points
 
 import warpsar
+from warpsar.collection.bodies import Bodies
 from warpsar.collection.history import phase_history as recorded
 from warpsar.collection.plan import plan_of
-from warpsar.collection.scatterers import Part, Scatterers
+from warpsar.collection.scatterers import Part, Scatterers, body_of, spacing_m
 from warpsar.collection.slc import focused
 from warpsar.runtime import devices
 from warpsar.world.frame import SPEED_OF_LIGHT
@@ -154,3 +155,19 @@ incidence_deg = 50.0
     expected = 3.0 * np.cos(np.deg2rad(30.0)) - 10e3 * 0.05 * np.cos(np.deg2rad(50.0)) / 100.0
     assert np.abs(strongest[:8] - 0.0).min() < 0.4
     assert np.abs(strongest[:8] - expected).min() < 0.5
+
+
+def test_views_of_much_the_same_cells_share_a_surface() -> None:
+    """A view's cells differ a little from those of others, and with them the number of scatterers of each face."""
+    cpu = devices.resolve_device("cpu")
+    made = scene(field(24.0, 24.0), radar={"terms": ("rough",)})
+    first = plan_of(made, made.views[0], cpu)
+    plans = [replace(first, step_hz=factor * first.step_hz) for factor in (1.0, 1.02, 0.5)]
+    assert spacing_m(plans[0]) > spacing_m(plans[1])
+    bodies = Bodies(made, plans, cpu, 0)
+    shared = bodies.of(plans[0])
+    assert bodies.of(plans[1]) is shared
+    assert bodies.of(plans[2]) is not shared
+    assert shared.scatterer_points.numpy() == pytest.approx(
+        body_of(made, spacing_m(plans[1]), cpu, 0).scatterer_points.numpy()
+    )

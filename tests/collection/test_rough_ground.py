@@ -10,11 +10,12 @@ from collected_scenes import ROUGH, SPOT, scene
 from scipy.ndimage import binary_erosion, convolve1d
 
 import warpsar
+from warpsar.coherent.body import CoherentBody
 from warpsar.collection.command import load_kernels
+from warpsar.collection.direct import direct
 from warpsar.collection.plan import Plan, plan_of
 from warpsar.collection.response import band_weights
-from warpsar.collection.scatterers import body_of, scatterers_of
-from warpsar.collection.slc import direct
+from warpsar.collection.scatterers import body_of, scatterers_of, spacing_m
 from warpsar.runtime import devices
 
 IMAGES = 200
@@ -56,7 +57,7 @@ def ground() -> tuple[warpsar.Scene, Plan, np.ndarray]:
     plan = plan_of(made, made.views[0], cpu)
     images = []
     for seed in range(IMAGES):
-        found = scatterers_of(made, plan, body_of(made, plan, cpu, seed), once=True)
+        found = scatterers_of(made, plan, body_of(made, spacing_m(plan), cpu, seed), once=True)
         images.append(direct(plan, found, ("HH",), made.grid, cpu).images["HH"])
     return made, plan, np.array(images)
 
@@ -153,3 +154,16 @@ def test_a_trihedral_does_not_speckle() -> None:
     power = np.abs(values) ** 2
     assert power.std() / power.mean() < 0.1
     assert np.ptp(np.angle(np.array(values) / values[0])) < 0.1
+
+
+def test_a_body_for_rough_terms_alone_sends_back_the_same(ground: tuple[warpsar.Scene, Plan, np.ndarray]) -> None:
+    """Surfaces, regions and wedges, which it does not work out, have no part in what rough faces send back."""
+    made, plan, _ = ground
+    cpu = devices.resolve_device("cpu")
+    assert made.radar.terms == ("rough",)
+    whole = CoherentBody.of(made, cpu, spacing_m=spacing_m(plan), seed=0)
+    assert whole.shape.wedges.start.size > 0
+    bodies = (body_of(made, spacing_m(plan), cpu, 0), whole)
+    (one,), (other,) = (scatterers_of(made, plan, body, once=True).parts for body in bodies)
+    assert np.array_equal(one.point, other.point)
+    assert np.array_equal(one.amplitude, other.amplitude)

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 import pytest
 from collected_scenes import ROUGH, field, scene
+from scipy.signal import resample
 
 import warpsar
+from warpsar.collection.bodies import Bodies
 from warpsar.collection.command import run
+from warpsar.collection.direct import direct, direct_of_rough
 from warpsar.collection.history import phase_history as recorded
 from warpsar.collection.plan import Plan, plan_of
-from warpsar.collection.scatterers import Part, Scatterers
-from warpsar.collection.slc import Slc, direct, focused
+from warpsar.collection.scatterers import Part, Scatterers, scatterers_of
+from warpsar.collection.slc import Slc, focused
 from warpsar.measured import formats
 from warpsar.measured.data import ImageChip
 from warpsar.measured.placed import frame_of
@@ -76,6 +80,21 @@ def test_both_ways_make_one_image(mode: str, device: str) -> None:
     one = backprojected(made, plan, found, device).images["HH"]
     other = direct(plan, found, ("HH",), made.grid, devices.resolve_device(device)).images["HH"]
     assert np.abs(one - other).max() < 0.02 * np.abs(one).max()
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_rough_ground_alone_stays_on_the_device(mode: str, device: str) -> None:
+    """The same image as of scatterers on the host, whose columns and signs are their own; float32 sums."""
+    radar = {"polarizations": ("HH", "HV", "VV"), "terms": ("rough",)}
+    made, plan = planned(mode, radar=radar)
+    where = devices.resolve_device(device)
+    bodies = Bodies(made, [plan], where, 5)
+    one = direct_of_rough(bodies, plan)
+    found = scatterers_of(made, plan, bodies.of(plan), once=True)
+    other = direct(plan, found, made.radar.polarizations, made.grid, where)
+    assert one.scatterers == other.scatterers
+    for name, image in other.images.items():
+        assert np.abs(one.images[name] - image).max() < 1e-5 * np.abs(image).max()
 
 
 def test_direct_is_refused_where_it_has_no_one_response() -> None:
@@ -149,6 +168,48 @@ def test_sicd_holds_the_image_and_places_it(written: Path) -> None:
     facts = read.facts(np.zeros(3))
     assert facts.azimuth_deg == pytest.approx(45.0, abs=0.05)
     assert facts.incidence_deg == pytest.approx(50.0, abs=0.05)
+
+
+def cut(image: np.ndarray, axis: int, spacing: float) -> float:
+    """Half-power width of the brightest point along an axis [m], from samples made 64 times finer."""
+    row, column = np.unravel_index(np.abs(image).argmax(), image.shape)
+    line = image[:, column] if axis == 0 else image[row]
+    power = np.abs(resample(line, 64 * len(line))) ** 2
+    return np.count_nonzero(power > 0.5 * power.max()) * spacing / 64
+
+
+def test_sicd_declares_the_widths_that_a_point_has(written: Path) -> None:
+    """To 2 %. An antenna's beam widens the response of a stripmap, and a squint that of the image's plane."""
+    sarkit_sicd = pytest.importorskip("sarkit.sicd")
+    with (written / "out" / "one.nitf").open("rb") as file:
+        helper = sarkit_sicd.XmlHelper(sarkit_sicd.NitfReader(file).metadata.xmltree)
+    with np.load(written / "out" / "one.npz") as held:
+        image = held["HH"]
+    for axis, name in enumerate(("Row", "Col")):
+        stated = helper.load(f"./{{*}}Grid/{{*}}{name}/{{*}}ImpRespWid")
+        assert cut(image, axis, helper.load(f"./{{*}}Grid/{{*}}{name}/{{*}}SS")) == pytest.approx(stated, rel=0.02)
+
+
+@pytest.mark.skipif(find_spec("sarpy") is None, reason="sarpy is not installed: pip install sarpy")
+def test_sicd_opens_in_sarpy(written: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """The pixels to the bit, the corner at the brightest one, and none of sarpy's own validation errors.
+
+    One is left out: sarpy takes the area of a level plane's cell for that of the slant plane, which beta0 is about.
+    """
+    from sarpy.io.complex.converter import open_complex
+
+    reader = open_complex(str(written / "out" / "one.nitf"))
+    with np.load(written / "out" / "one.npz") as held:
+        image = held["HH"]
+    assert np.array_equal(reader[:, :], image)
+    place = frame_of(warpsar.Scene.load(written / "scene.toml")).to_ecef(np.array([3.0, 2.0, 0.5]))
+    found = reader.sicd_meta.project_ground_to_image(place)[0]
+    assert np.abs(found - np.unravel_index(np.abs(image).argmax(), image.shape)).max() < 0.6
+    with caplog.at_level("ERROR", logger="validation"):
+        reader.sicd_meta.is_valid(recursive=True, stack=False)
+    wrong = [record.getMessage() for record in caplog.records if record.levelname == "ERROR"]
+    level = reader.sicd_meta.Grid.ImagePlane == "GROUND"
+    assert [one for one in wrong if not (level and "BetaZeroSFPoly" in one)] == []
 
 
 def test_several_polarizations_and_xarray(tmp_path: Path) -> None:

@@ -11,9 +11,9 @@ import warp as wp
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
-from warpsar.coherent.records import records, upload
+from warpsar.coherent.records import field, records, upload
 from warpsar.coherent.rough import scatterers, surfaces
-from warpsar.coherent.shape import Shape, shape_of
+from warpsar.coherent.shape import Shape, faces_alone, shape_of
 from warpsar.kernels.codes import Variant
 from warpsar.kernels.coherent import edges, radiate, reflection, rough, tubes
 from warpsar.world.frame import SPEED_OF_LIGHT
@@ -53,16 +53,23 @@ class CoherentBody:
 
     @classmethod
     def of(
-        cls, world: World, device: wp.Device, *, spacing_m: float | None = None, seed: int | None = None
+        cls,
+        world: World,
+        device: wp.Device,
+        *,
+        spacing_m: float | None = None,
+        seed: int | None = None,
+        rough_only: bool = False,
     ) -> CoherentBody:
         """Upload the mesh of a scene. Rays see it about its own middle, where float32 is finest.
 
         `spacing_m`: of the scatterers of rough faces, half a wavelength without it; `seed`: theirs, else the scene's.
+        `rough_only`: for the term "rough" alone. Smooth surfaces, regions and wedges are then not worked out.
         """
         mesh = world.mesh
         middle = 0.5 * (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0))
         vertices = mesh.vertices - middle
-        shape = shape_of(vertices, mesh.faces, mesh.face_material)
+        shape = faces_alone(vertices, mesh.faces) if rough_only else shape_of(vertices, mesh.faces, mesh.face_material)
         constructor, leaf = ("sah", None) if device.is_cpu else ("cubql", 2)
         points = upload(vertices.astype(np.float32), wp.vec3, device)
         indices = upload(mesh.faces.ravel(), int, device)
@@ -82,7 +89,8 @@ class CoherentBody:
         materials = tuple(world.materials[name] for name in mesh.materials)
         spacing = spacing_m or 0.5 * SPEED_OF_LIGHT / world.radar.frequency_hz
         seed = world.sampling.seed if seed is None else seed
-        places, owners = scatterers(shape, mesh.face_material, materials, spacing, seed)
+        found, owners = scatterers(shape, mesh.face_material, materials, spacing, seed)
+        places = upload(found, rough.Scatterer, device)
         return cls(
             device,
             shape,
@@ -98,9 +106,9 @@ class CoherentBody:
             middle - np.asarray(world.reference_point_m, np.float64),
             int(Variant[world.radar.variant.upper()]),
             upload(surfaces(materials), rough.RoughSurface, device),
-            upload(places, rough.Scatterer, device) if len(places) else None,
-            upload(places["point"], wp.vec3d, device),
-            upload(places["normal"], wp.vec3d, device),
+            places if len(found) else None,
+            field(places, "point", wp.vec3d),
+            field(places, "normal", wp.vec3d),
             owners,
         )
 

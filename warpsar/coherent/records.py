@@ -15,13 +15,27 @@ _parser = Lock()
 def records(kind: Any, shape: int | tuple[int, ...]) -> Any:
     """Zeros of a Warp struct, as a NumPy array with its fields."""
     with _parser:
-        return np.zeros(shape, kind.numpy_dtype())
+        dtype = np.dtype(kind.numpy_dtype())
+    raw = np.empty(int(np.prod(shape)) * dtype.itemsize, np.uint8)  # large pages, which `np.zeros` does not take
+    raw[:] = 0
+    return raw.view(dtype).reshape(shape)
 
 
 def upload(values: Any, dtype: Any, device: wp.Device) -> Any:
     """A copy on the device."""
     with _parser:
         return wp.array(values, dtype=dtype, device=device)
+
+
+def field(array: wp.array, name: str, dtype: Any) -> wp.array:
+    """One field of an array of structs, (n,), where it lies: no copy."""
+    with _parser:
+        offset = np.dtype(array.dtype.numpy_dtype()).fields[name][1]
+    found: Any = wp.array(
+        ptr=(array.ptr or 0) + offset, dtype=dtype, shape=array.shape, strides=array.strides, device=array.device
+    )
+    found._whole = array  # which must live as long
+    return found
 
 
 def host(array: wp.array) -> Any:

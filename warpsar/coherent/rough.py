@@ -17,6 +17,8 @@ from warpsar.world.tables import Material
 
 MOST = 20_000_000
 """Scatterers of a scene: 2.5 GB."""
+_TOGETHER = 2**15
+"""Scatterers placed at a time: what they need stays in the cache."""
 _CONDUCTOR = (1e9, 0.0)
 
 
@@ -30,7 +32,9 @@ def scatterers(
     is_rough = np.array([material.rms_height_m != 0.0 for material in materials])
     faces = np.flatnonzero(is_rough[face_material])
     corners = shape.vertices[shape.faces[faces]]
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    start = corners[:, 0].copy()
+    first, second = corners[:, 1] - start, corners[:, 2] - start
+    cross = np.cross(first, second)
     twice = np.linalg.norm(cross, axis=1)
     # The expected number of scatterers is exact, so small faces get one now and then, with the area of a whole cell.
     wanted = 0.5 * twice / spacing_m**2
@@ -44,14 +48,18 @@ def scatterers(
     of = np.repeat(np.arange(len(faces)), count)
     a, b = random.random((2, len(of)))
     outside = a + b > 1.0
-    a, b = np.where(outside, 1.0 - a, a), np.where(outside, 1.0 - b, b)
-    gauss = random.standard_normal((len(of), 4)) * np.sqrt(0.5)
+    for part in (a, b):
+        np.subtract(1.0, part, out=part, where=outside)
     made = records(rough.Scatterer, len(of))
-    p0, p1, p2 = (corners[of, i] for i in range(3))
-    made["point"] = p0 + a[:, None] * (p1 - p0) + b[:, None] * (p2 - p0)
-    made["normal"] = (cross / twice[:, None])[of]
+    normal = cross / twice[:, None]
+    for low in range(0, len(of), _TOGETHER):
+        some = slice(low, low + _TOGETHER)
+        face = of[some]
+        made["point"][some] = start[face] + a[some, None] * first[face] + b[some, None] * second[face]
+        made["normal"][some] = normal[face]
+        gauss = random.standard_normal((len(face), 4)) * np.sqrt(0.5)
+        made["diffuse"][some], made["specular"][some] = gauss[:, :2], gauss[:, 2:]
     made["area"] = spacing_m**2
-    made["diffuse"], made["specular"] = gauss[:, :2], gauss[:, 2:]
     made["material"] = face_material[faces][of]
     return made, faces[of]
 

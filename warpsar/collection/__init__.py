@@ -2,6 +2,8 @@
 
 presets: published systems. track: where the sensor is at each pulse. track_file: the same from CSV and CPHD. plan:
 band, track and system of a view, checked. response: widths and cells of a system. scatterers: what sends back, from the
-coherent engine. places: the same of one direction. history: phase history. slc: complex images. noise: the receiver's.
+coherent engine. places: the same of one direction. bodies: the mesh on the device, kept from view to view.
+history: phase history. slc: complex images, and focusing. direct: each scatterer times the response. noise: of the
+receiver.
 cphd, sicd: files of the standards. command: `warpsar simulate --product`.
 """

@@ -11,12 +11,15 @@ import numpy as np
 import warp as wp
 
 from warpsar.collection import cphd, sicd
+from warpsar.collection.bodies import Bodies
+from warpsar.collection.direct import direct, direct_of_rough, refuse_direct
 from warpsar.collection.history import Collected
 from warpsar.collection.history import phase_history as recorded
 from warpsar.collection.noise import with_image_noise, with_noise
 from warpsar.collection.plan import Plan, plan_of
-from warpsar.collection.scatterers import Scatterers, body_of, scatterers_of
-from warpsar.collection.slc import Slc, direct, focused, refuse_direct
+from warpsar.collection.scatterers import Scatterers, rough_alone, scatterers_of
+from warpsar.collection.slc import Slc, focused
+from warpsar.io import complex_image
 from warpsar.io.images import replacing
 from warpsar.io.quick_look import QuickLook, draw_together
 from warpsar.runtime import console, devices
@@ -36,15 +39,16 @@ def phase_history(scene: Scene, *, device: str | None = None, seed: int | None =
     """
     where = devices.resolve_device(device)
     plans = [plan_of(scene, view, where) for view in scene.views]
-    return [collected(scene, plan, where, _seed(scene, seed), index) for index, plan in enumerate(plans)]
+    bodies = Bodies(scene, plans, where, _seed(scene, seed))
+    return [collected(bodies, plan, index) for index, plan in enumerate(plans)]
 
 
-def collected(scene: Scene, plan: Plan, device: wp.Device, seed: int, index: int) -> Collected:
+def collected(bodies: Bodies, plan: Plan, index: int) -> Collected:
     """One view; `index` is its number, which tells its noise from that of others."""
-    found = seen(scene, plan, device, seed)
+    found = seen(bodies, plan)
     with busy(f"{plan.view.name}: {found.count} scatterers, {len(plan.track)} pulses"):
-        made = recorded(plan, found, tuple(scene.radar.polarizations), device)
-    return with_noise(made, seed + 7919 * index)
+        made = recorded(plan, found, tuple(bodies.world.radar.polarizations), bodies.device)
+    return with_noise(made, bodies.seed + 7919 * index)
 
 
 def slc(scene: Scene, *, device: str | None = None, seed: int | None = None) -> list[Slc]:
@@ -55,27 +59,32 @@ def slc(scene: Scene, *, device: str | None = None, seed: int | None = None) -> 
     """
     where = devices.resolve_device(device)
     plans = [plan_of(scene, view, where) for view in scene.views]
-    return [image_of(scene, plan, where, _seed(scene, seed), index) for index, plan in enumerate(plans)]
+    bodies = Bodies(scene, plans, where, _seed(scene, seed))
+    return [image_of(bodies, plan, index) for index, plan in enumerate(plans)]
 
 
-def image_of(scene: Scene, plan: Plan, device: wp.Device, seed: int, index: int) -> Slc:
-    """The complex image of one view."""
+def image_of(bodies: Bodies, plan: Plan, index: int) -> Slc:
+    """The complex image of one view; `index` as in `collected`."""
+    world, device = bodies.world, bodies.device
     if plan.table.focus == "backprojection":
-        made = collected(scene, plan, device, seed, index)
+        made = collected(bodies, plan, index)
         with busy(f"{plan.view.name}: focusing"):
-            return focused(made, scene.grid, device)
-    refuse_direct(plan, scene.name)
-    found = seen(scene, plan, device, seed, once=True)
-    with busy(f"{plan.view.name}: {found.count} scatterers into the image"):
-        image = direct(plan, found, tuple(scene.radar.polarizations), scene.grid, device)
-    return with_image_noise(image, seed + 7919 * index)
+            return focused(made, world.grid, device)
+    refuse_direct(plan, world.name)
+    with busy(f"{plan.view.name}: scatterers into the image"):
+        if rough_alone(world):
+            load_kernels(device)
+            image = direct_of_rough(bodies, plan)
+        else:
+            image = direct(plan, seen(bodies, plan, once=True), tuple(world.radar.polarizations), world.grid, device)
+    return with_image_noise(image, bodies.seed + 7919 * index)
 
 
-def seen(scene: Scene, plan: Plan, device: wp.Device, seed: int, *, once: bool = False) -> Scatterers:
+def seen(bodies: Bodies, plan: Plan, *, once: bool = False) -> Scatterers:
     """The scatterers of one view; `once`: as the middle of the track sees them."""
-    load_kernels(device)
+    load_kernels(bodies.device)
     with busy(f"{plan.view.name}: scatterers"):
-        found = scatterers_of(scene, plan, body_of(scene, plan, device, seed), once=once)
+        found = scatterers_of(bodies.world, plan, bodies.of(plan), once=once)
     if found.aliased > ALIASED:
         console.warn([f"{plan.view.name}: {100 * found.aliased:.2g} % of the tubes are too wide after curved surfaces"])
     return found
@@ -103,10 +112,9 @@ def run(
     console.say_device(where)
     warnings = [*scene.warnings, *_warnings(scene)]
     console.warn(warnings)
-    entries = []
-    for index, plan in enumerate(plans):
-        write = _phase_history if product == "phase-history" else _slc
-        entries.append(write(scene, plan, where, _seed(scene, seed), index, out))
+    bodies = Bodies(scene, plans, where, _seed(scene, seed))
+    write = _phase_history if product == "phase-history" else _slc
+    entries = [write(bodies, plan, index, out) for index, plan in enumerate(plans)]
     content = {"product": product, "warnings": warnings, "views": entries}
     content = write_json(out / "simulate.json", scene, where, _seed(scene, seed), started, content)
     names = [name for entry in entries for name in entry["files"].values()]
@@ -123,8 +131,8 @@ def _warnings(scene: Scene) -> list[str]:
     return found
 
 
-def _phase_history(scene: Scene, plan: Plan, device: wp.Device, seed: int, index: int, out: Path) -> dict[str, Any]:
-    made = collected(scene, plan, device, seed, index)
+def _phase_history(bodies: Bodies, plan: Plan, index: int, out: Path) -> dict[str, Any]:
+    made = collected(bodies, plan, index)
     files = {"npz": f"{plan.view.name}.npz"}
     with replacing(out / files["npz"]) as temporary, temporary.open("wb") as file:
         np.savez(file, **made.arrays())
@@ -134,15 +142,13 @@ def _phase_history(scene: Scene, plan: Plan, device: wp.Device, seed: int, index
     return {**facts(plan), "files": files, "scatterers": made.scatterers}
 
 
-def _slc(scene: Scene, plan: Plan, device: wp.Device, seed: int, index: int, out: Path) -> dict[str, Any]:
-    made = image_of(scene, plan, device, seed, index)
+def _slc(bodies: Bodies, plan: Plan, index: int, out: Path) -> dict[str, Any]:
+    made = image_of(bodies, plan, index)
     name = plan.view.name
     files = {"npz": f"{name}.npz", "quick_look": f"{name}.png"}
-    with replacing(out / files["npz"]) as temporary, temporary.open("wb") as file:
-        np.savez(file, range_m=made.range_m, azimuth_m=made.azimuth_m, **made.images)  # type: ignore[arg-type]
+    complex_image.write(out / files["npz"], made.range_m, made.azimuth_m, made.images)
     power = {pol: np.abs(image) ** 2 for pol, image in made.images.items()}
-    spacing = (float(np.diff(made.range_m[:2])[0]), float(np.diff(made.azimuth_m[:2])[0]))
-    draw_together([QuickLook.of(out / files["quick_look"], name, power, spacing)])
+    draw_together([QuickLook.of(out / files["quick_look"], name, power, bodies.world.grid.spacing_m)])
     for pol in made.images if find_spec("sarkit") is not None else ():
         files[f"sicd_{pol}"] = f"{name}.nitf" if len(made.images) == 1 else f"{name}_{pol}.nitf"
         sicd.write(out / files[f"sicd_{pol}"], made, pol)

@@ -118,6 +118,15 @@ def phase_history(plan: Plan, scatterers: Scatterers, polarizations: tuple[str, 
     )
 
 
+def beam_of(plan: Plan, device: wp.Device) -> Any:
+    """The antenna's beam at each pulse, as the kernels know it."""
+    axes, widths = boresight(plan)
+    beam: Any = kernels.Beam()
+    beam.along, beam.up = upload(axes[0], wp.vec3d, device), upload(axes[1], wp.vec3d, device)
+    beam.wide, beam.high = float(widths[0]), float(widths[1])
+    return beam
+
+
 @dataclass(frozen=True)
 class TrackOnDevice:
     """A track on a device."""
@@ -134,14 +143,10 @@ class TrackOnDevice:
     def of(cls, plan: Plan, device: wp.Device) -> TrackOnDevice:
         track = plan.track
         both = (track.receiver_m, track.transmitter_m)
-        axes, widths = boresight(plan)
-        beam: Any = kernels.Beam()
-        beam.along, beam.up = upload(axes[0], wp.vec3d, device), upload(axes[1], wp.vec3d, device)
-        beam.wide, beam.high = float(widths[0]), float(widths[1])
         receiver, transmitter = (upload(place, wp.vec3d, device) for place in both)
         own = [upload(np.linalg.norm(place, axis=1), wp.float64, device) for place in both]
         time = upload(track.time_s, wp.float64, device)
-        return cls(device, time, receiver, transmitter, (own[0], own[1]), int(track.bistatic), beam)
+        return cls(device, time, receiver, transmitter, (own[0], own[1]), int(track.bistatic), beam_of(plan, device))
 
 
 @dataclass(frozen=True)

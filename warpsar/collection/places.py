@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import warp as wp
@@ -17,12 +18,16 @@ from warpsar.coherent.sweep import Worker
 from warpsar.coherent.traced import TURN, Traced
 from warpsar.kernels import collection as kernels
 from warpsar.kernels.coherent import tubes
+from warpsar.runtime import threads
 
 F64 = NDArray[np.float64]
 COARSE = 16
 """Cells of the first, coarse tracing are so many tubes wide. It finds where smooth faces and second bounces are."""
 FAINT = 1e-6
 """Power of a tube, as a share of the strongest one's, under which it is left out: -60 dB."""
+
+_TOGETHER = 2**14
+"""Rough places that a thread of the CPU takes at a time."""
 
 
 @dataclass(frozen=True)
@@ -53,15 +58,23 @@ def worker_of(body: CoherentBody, k: float, terms: tuple[str, ...], max_bounces:
     return Worker(body, np.array([k]), spacing, terms, max_bounces, 0, 1.0)
 
 
-def rough_amplitudes(worker: Worker, radar: wp.array) -> NDArray[np.complex64]:
-    """Of the body's rough places, (n, 4)."""
+def rough_amplitudes(worker: Worker, radar: wp.array) -> tuple[wp.array, int]:
+    """Of the body's rough places, (n, 4) on the device, 0 where they are not seen; and how many are seen."""
     body, device = worker.body, worker.body.device
     assert body.scatterers is not None
-    seen = worker.free(radar, body.scatterer_points, body.scatterer_normals, both_sides=True)
-    out = wp.zeros((body.scatterers.shape[0], 4), dtype=wp.vec2, device=device)
-    inputs = [radar, float(worker.k[0]), body.surfaces, body.variant, body.scatterers, seen]
-    wp.launch(kernels.rough_places_kernel, out.shape[0], inputs=inputs, outputs=[out], device=device)
-    return _complex(out)
+    places, count = body.scatterers, body.scatterers.shape[0]
+    out = wp.zeros((count, 4), dtype=wp.vec2, device=device)
+
+    def some(first: int, last: int) -> int:
+        part = slice(first, last)
+        seen = worker.free(radar, body.scatterer_points[part], body.scatterer_normals[part], both_sides=True)
+        inputs = [radar, float(worker.k[0]), body.surfaces, body.variant, places[part], seen]
+        wp.launch(kernels.rough_places_kernel, last - first, inputs=inputs, outputs=[out[part]], device=device)
+        return int(np.count_nonzero(seen.numpy()))
+
+    step = _TOGETHER if device.is_cpu else count
+    tasks = [partial(some, first, min(first + step, count)) for first in range(0, count, step)]
+    return out, sum(threads.ordered(tasks, device))
 
 
 def edge_places(worker: Worker, radar: wp.array) -> Places:
@@ -72,7 +85,7 @@ def edge_places(worker: Worker, radar: wp.array) -> Places:
     inputs = [radar, float(worker.k[0]), worker.edges, seen]
     wp.launch(kernels.edge_places_kernel, out.shape[0], inputs=inputs, outputs=[out], device=device)
     which = worker.body.cuts(np.pi / float(worker.k.max()))[0]
-    return _kept(worker.edge_middle.numpy(), _complex(out), worker.body.shape.wedges.face[which, 0])
+    return _kept(worker.edge_middle.numpy(), complex_of(out), worker.body.shape.wedges.face[which, 0])
 
 
 def tube_places(worker: Worker, direction: Directions, radar: wp.array, distance_m: float) -> tuple[Places, float]:
@@ -94,7 +107,7 @@ def tube_places(worker: Worker, direction: Directions, radar: wp.array, distance
         inputs = [radar, float(worker.k[0]), worker.stuff, body.face_material]
         inputs += [traced.hits, traced.count, int("single" in worker.terms)]
         wp.launch(kernels.tube_places_kernel, n, inputs=inputs, outputs=[place, amplitude, face], device=body.device)
-        values = _complex(amplitude).reshape(-1, 4)
+        values = complex_of(amplitude).reshape(-1, 4)
         found.append(_kept(place.numpy().reshape(-1, 3), values, face.numpy().reshape(-1).astype(np.int64)))
     return joined(found), wide / max(traced_all, 1)
 
@@ -142,5 +155,6 @@ def _kept(point: F64, amplitude: NDArray[np.complex64], face: NDArray[np.int64])
     return Places(point[some], amplitude[some], face[some])
 
 
-def _complex(array: wp.array) -> NDArray[np.complex64]:
+def complex_of(array: wp.array) -> NDArray[np.complex64]:
+    """Pairs of numbers of a device as complex ones."""
     return np.ascontiguousarray(array.numpy()).view(np.complex64)[..., 0]

@@ -24,6 +24,8 @@ ROUGH_STEP_DEG = 2.0
 """Between the places of the track from which rough faces are seen: sigma0 and shadows change slowly."""
 TUBE_STEP_DEG = 0.5
 """Between those from which tubes are traced: the effective place of several bounces is right to first order."""
+FAR_FIELD = float(np.sqrt(np.float32(4.0 * np.pi)))
+"""From the engine's amplitude A to one whose power is the RCS."""
 
 
 @dataclass(frozen=True)
@@ -64,11 +66,20 @@ def refuse_materials(world: World) -> None:
                 )
 
 
-def body_of(world: World, plan: Plan, device: wp.Device, seed: int) -> CoherentBody:
-    """The mesh on the device; its rough places so dense that each cell of the system holds enough of them."""
+def rough_alone(world: World) -> bool:
+    """Whether `[radar] terms` asks for rough faces and nothing else."""
+    return set(world.radar.terms) == {"rough"}
+
+
+def spacing_m(plan: Plan) -> float:
+    """Between scatterers of rough faces [m]: each cell of the system holds enough of them."""
+    return float(np.sqrt(np.prod(plan.cells_m) / plan.table.scatterers_per_cell))
+
+
+def body_of(world: World, spacing_m: float, device: wp.Device, seed: int) -> CoherentBody:
+    """The mesh on the device, with its rough places at a spacing."""
     refuse_materials(world)
-    width = np.sqrt(np.prod(plan.cells_m) / plan.table.scatterers_per_cell)
-    return CoherentBody.of(world, device, spacing_m=float(width), seed=seed)
+    return CoherentBody.of(world, device, spacing_m=spacing_m, seed=seed, rough_only=rough_alone(world))
 
 
 def scatterers_of(
@@ -93,7 +104,7 @@ def scatterers_of(
     def add(some: Places, weight: NDArray[np.float32]) -> None:
         if len(some.face):
             point = plan.site.about(some.point + body.origin + plan.site.reference_m)
-            amplitude = np.sqrt(np.float32(4.0 * np.pi)) * some.amplitude[:, chosen].T
+            amplitude = np.float32(FAR_FIELD) * some.amplitude[:, chosen].T
             moving = None if velocity is None else velocity[some.face]
             found.append(Part(point, np.ascontiguousarray(amplitude), weight, moving))
 
@@ -101,7 +112,7 @@ def scatterers_of(
         knots = np.array([plan.middle]) if once else plan.knots(ROUGH_STEP_DEG)
         point = body.scatterer_points.numpy()
         for knot, weight in zip(knots, _fading(plan, knots), strict=True):
-            amplitude = places.rough_amplitudes(worker, places.sight(body, sensor[knot])[1])
+            amplitude = places.complex_of(places.rough_amplitudes(worker, places.sight(body, sensor[knot])[1])[0])
             some = (amplitude != 0.0).any(axis=1)
             add(Places(point[some], amplitude[some], body.scatterer_faces[some]), weight)
     smooth = {"single", "multibounce", "edges"} & set(terms)

@@ -6,6 +6,7 @@ backprojected. Its projection into the world is then the standard's own, whateve
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from warpsar.collection.plan import plan_axes
-from warpsar.collection.response import width_in_cells
+from warpsar.collection.response import band_weights
 from warpsar.collection.slc import Slc
 from warpsar.errors import InputError
 from warpsar.io.images import replacing
+from warpsar.measured.declared import half_power_width
 from warpsar.measured.earth import ecef_to_geodetic
+from warpsar.measured.focus import TAYLOR_NBAR, TAYLOR_SIDELOBE_DB
 from warpsar.version import __version__
 from warpsar.world.frame import SPEED_OF_LIGHT
 
@@ -26,7 +29,17 @@ START = "2026-01-01T00:00:00"
 """A simulated collection has no date of its own."""
 _ORDER = 4
 """Of the polynomial of the track: a circle of a few degrees to a micrometre."""
-FAINT = 0.1
+WINDOWS: dict[str, dict[str, Any]] = {
+    "none": {"WindowName": "UNIFORM"},
+    "hann": {"WindowName": "HANNING"},
+    "taylor": {"WindowName": "TAYLOR", "Parameter": [("NBAR", f"{TAYLOR_NBAR}"), ("SLL", f"-{TAYLOR_SIDELOBE_DB}")]},
+    "unknown": {"WindowName": "UNKNOWN"},
+}
+"""What the standard calls them."""
+_WEIGHTS = 512
+"""Of an aperture, as the standard recommends."""
+F64 = NDArray[np.float64]
+FAINT = 0.02
 """Share of the strongest weight under which pulses do not count for the width of the aperture."""
 
 
@@ -38,7 +51,7 @@ def write(path: Path, made: Slc, polarization: str) -> None:
     except ImportError as error:
         raise InputError(f'{path}: SICD needs sarkit: pip install "warpsar[sicd]"') from error
     root = lxml.etree.Element(f"{{{NAMESPACE}}}SICD", nsmap={None: NAMESPACE})
-    tables = sarkit_sicd.ElementWrapper(root)
+    tables = sarkit_sicd.ElementWrapper(root, _schema())
     plan, image = made.plan, made.images[polarization]
     for name, table in _tables(made, polarization).items():
         tables[name] = table
@@ -62,6 +75,16 @@ def write(path: Path, made: Slc, polarization: str) -> None:
     )
     with replacing(path) as temporary, temporary.open("wb") as file, sarkit_sicd.NitfWriter(file, metadata) as writer:
         writer.write_image(np.ascontiguousarray(image))
+
+
+@cache
+def _schema() -> Any:
+    """What sarkit knows of the standard's elements, read once: by itself it reads it anew for every element."""
+    import sarkit.sicd as sarkit_sicd
+
+    found = sarkit_sicd.XsdHelper(NAMESPACE)
+    found.get_transcoder = cache(found.get_transcoder)
+    return found
 
 
 def _tables(made: Slc, polarization: str) -> dict[str, Any]:
@@ -150,29 +173,20 @@ def _grid(made: Slc, centre_s: float) -> dict[str, Any]:
     plan = made.plan
     along, across = plan_axes(plan)
     steep = float(-along @ plan.geometry.s)
-    spacing = [float(axis[1] - axis[0]) for axis in (made.range_m, made.azimuth_m)]
+    carrier = 2.0 * plan.centre_hz / SPEED_OF_LIGHT
+    band = 2.0 * plan.step_hz / SPEED_OF_LIGHT * steep * np.arange(plan.frequencies)
+    aperture = carrier * (plan.track.towards() @ plan.geometry.u)
     used = plan.azimuth_weights > FAINT * plan.azimuth_weights.max()  # of a beam: its main lobe
-    widths = [steep / plan.cells_m[0], float(used.mean()) / plan.cells_m[1]]
-    centres = [2.0 * plan.centre_hz / SPEED_OF_LIGHT * steep, 0.0]
-    axes = []
-    for step, width, centre, vector, window in zip(
-        spacing, widths, centres, (along, across), plan.windows, strict=True
+    rows = _axis(band, band_weights(plan.windows[0], plan.frequencies), made.range_m)
+    columns = _axis(aperture[used], plan.azimuth_weights[used], made.azimuth_m)
+    beamed = np.ptp(plan.beam_gain) > 1e-3  # the beam tapers the aperture, too: no window has that name
+    for axis, vector, centre, window in (
+        (rows, along, carrier * steep, plan.windows[0]),
+        (columns, across, 0.0, "unknown" if beamed else plan.windows[1]),
     ):
-        half = min(0.5 * width, 0.5 / step)
-        axes.append(
-            {
-                "UVectECF": vector @ plan.site.axes,
-                "SS": step,
-                "ImpRespWid": width_in_cells(window) / width,
-                "Sgn": -1,
-                "ImpRespBW": 2.0 * half,
-                "KCtr": centre,
-                "DeltaK1": -half,
-                "DeltaK2": half,
-                "DeltaKCOAPoly": np.zeros((1, 1)),
-                "WgtType": {"WindowName": {"none": "UNIFORM"}.get(window, window.upper())},
-            }
-        )
+        axis |= {"UVectECF": vector @ plan.site.axes, "KCtr": centre, "WgtType": WINDOWS[window]}
+        if window == "none":
+            del axis["WgtFunct"]
     coefficients = np.full((1, 1), centre_s)
     if plan.stripmap and plan.track.straight is not None:  # each column has its own centre of aperture
         rate = float(across @ plan.track.straight) / float(np.linalg.norm(plan.track.velocity_m_s()[0][plan.middle]))
@@ -181,8 +195,27 @@ def _grid(made: Slc, centre_s: float) -> dict[str, Any]:
         "ImagePlane": "GROUND" if plan.ground else "SLANT",
         "Type": "PLANE",
         "TimeCOAPoly": coefficients,
-        "Row": axes[0],
-        "Col": axes[1],
+        "Row": rows,
+        "Col": columns,
+    }
+
+
+def _axis(at: F64, weight: F64, places_m: F64) -> dict[str, Any]:
+    """One direction of the grid, with its samples at spatial frequencies `at` [1/m]."""
+    step = float(places_m[1] - places_m[0])
+    width = float(np.ptp(at)) * len(at) / (len(at) - 1)
+    half = min(0.5 * width, 0.5 / step)
+    order = np.argsort(at)
+    middles = 0.5 * (at.min() + at.max()) + ((np.arange(_WEIGHTS) + 0.5) / _WEIGHTS - 0.5) * width
+    return {
+        "SS": step,
+        "ImpRespWid": half_power_width(at, weight),
+        "Sgn": -1,
+        "ImpRespBW": 2.0 * half,
+        "DeltaK1": -half,
+        "DeltaK2": half,
+        "DeltaKCOAPoly": np.zeros((1, 1)),
+        "WgtFunct": np.interp(middles, at[order], weight[order]) / weight.max(),
     }
 
 

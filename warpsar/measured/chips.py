@@ -13,7 +13,7 @@ from warpsar.io.images import write_exr
 from warpsar.io.quick_look import contact_sheet
 from warpsar.measured import formats, view_table
 from warpsar.measured.data import ImageChip, Quantity, RadarAt
-from warpsar.measured.gridding import Gridding, power_on_grid
+from warpsar.measured.gridding import Gridding, on_grid
 from warpsar.measured.importer import Scale, clip_level, declare, editing, opened, polarization_of, quick_look, rounding
 from warpsar.speckle.looks import equivalent_looks
 
@@ -67,7 +67,8 @@ def import_chips(
         if not isinstance(chip, ImageChip) or chip.locate is not None:
             raise InputError(f"{source}: is no picture in the slant plane; import it by itself, without --table")
         pol = polarization_of(chip.source, None, polarization or scene.radar.polarizations[0], scene)
-        power, per_pixel, told = power_on_grid(chip, scene, view, Gridding())
+        gridded = on_grid(chip, scene, view, Gridding())
+        power, per_pixel, told = gridded.power, gridded.samples, gridded.messages
         top = clip_level(chip, per_pixel)
         clipped.append(float(np.mean(power >= top)) if top is not None else 0.0)
         looks = view.looks or equivalent_looks(power)

@@ -13,6 +13,7 @@ from typing import Literal, Protocol
 import numpy as np
 
 from warpsar.errors import InputError
+from warpsar.measured.declared import Declared
 from warpsar.measured.earth import EarthFrame, axes_at
 from warpsar.world.frame import SPEED_OF_LIGHT
 
@@ -198,6 +199,7 @@ class ImageChip:
     `gain` at (row, column) turns |samples|^2 into beta0; only `calibrated` images have it.
     `top`: the largest sample that the format can say. Brighter pixels have it too.
     `error`: the most that the format's rounding changes a sample, rms.
+    `response`: what the header says of the response to a point.
     """
 
     source: str
@@ -210,6 +212,7 @@ class ImageChip:
     gain: Callable[[np.ndarray], np.ndarray] | None = None
     top: float | None = None
     error: float | None = None
+    response: Declared | None = None
 
     def __post_init__(self) -> None:
         if len(self.samples.shape) != 2 or min(self.samples.shape) < 1:

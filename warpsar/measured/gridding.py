@@ -13,7 +13,7 @@ from warpsar.errors import InputError
 from warpsar.measured.data import ImageChip, PhaseHistory
 from warpsar.measured.focus import cell_m, focus
 from warpsar.measured.ground import mesh_points, pixel_centres, plane_points
-from warpsar.measured.resample import averaged, sample_power
+from warpsar.measured.resample import averaged, sample_complex, sample_power
 from warpsar.world.tables import View
 from warpsar.world.world import World, geometry_of
 
@@ -36,10 +36,25 @@ class Gridding:
     device: str | None = None
 
 
-def power_on_grid(
-    measured: PhaseHistory | ImageChip, world: World, view: View, how: Gridding
-) -> tuple[np.ndarray, tuple[int, int], list[str]]:
-    """Linear power, float32 (rows, cols), NaN where nothing was measured; samples per pixel; and what to tell the user.
+@dataclass(frozen=True)
+class Gridded:
+    """A measurement on the grid of a view; NaN where nothing was measured."""
+
+    power: np.ndarray
+    """Linear power, float32 (rows, cols)."""
+    samples: tuple[int, int]
+    """Per pixel (range, azimuth)."""
+    messages: list[str]
+    """What to tell the user."""
+    range_m: np.ndarray
+    """Of the samples, (rows * samples[0],) [m]."""
+    azimuth_m: np.ndarray
+    slc: np.ndarray | None
+    """The samples of a complex image, complex64 (rows * samples[0], cols * samples[1])."""
+
+
+def on_grid(measured: PhaseHistory | ImageChip, world: World, view: View, how: Gridding) -> Gridded:
+    """A measurement on the grid of a view.
 
     Raises InputError where no pixel of the grid lies wholly inside the image.
     """
@@ -47,8 +62,9 @@ def power_on_grid(
     looks = _samples_per_pixel(measured, world, reference, how.samples)
     messages: list[str] = []
     range_m, azimuth_m = pixel_centres(world.grid.shape, world.grid.spacing_m, looks)
+    slc = None
     if isinstance(measured, ImageChip) and measured.locate is None:
-        fine = _from_slant_plane(measured, world, range_m, azimuth_m, looks)
+        fine, slc = _sampled(measured, _in_slant_plane(measured, world, range_m, azimuth_m, looks))
     else:
         geometry = geometry_of(world, view)
         if how.surface == "mesh":
@@ -62,7 +78,7 @@ def power_on_grid(
         if isinstance(measured, PhaseHistory):
             fine = _focused(measured, points, reference, how)
         else:
-            fine = sample_power(measured, _located(measured, points, reference))
+            fine, slc = _sampled(measured, _located(measured, points, reference))
     with np.errstate(all="ignore"):  # beyond float32 is infinite, and no power
         power = averaged(fine, looks).astype(np.float32)
     power[~np.isfinite(power)] = np.nan
@@ -71,7 +87,12 @@ def power_on_grid(
         raise InputError(f"{measured.source}: no pixel of the view's grid lies wholly inside what was measured")
     if unseen:
         messages.append(f"{unseen} of {power.size} pixels lie outside what was measured; they are NaN, and masked")
-    return power, looks, messages
+    return Gridded(power, looks, messages, range_m, azimuth_m, slc)
+
+
+def _sampled(chip: ImageChip, pixel: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+    """Power at (row, column) of a chip, and the samples themselves where it is complex."""
+    return sample_power(chip, pixel), sample_complex(chip, pixel) if chip.quantity == "complex" else None
 
 
 def _samples_per_pixel(
@@ -99,10 +120,10 @@ def _samples_per_pixel(
     return counts[0], counts[1]
 
 
-def _from_slant_plane(
+def _in_slant_plane(
     chip: ImageChip, world: World, range_m: np.ndarray, azimuth_m: np.ndarray, looks: tuple[int, int]
 ) -> np.ndarray:
-    """Power of an image whose axes are those of the view, and whose middle is the reference point."""
+    """(row, column) of samples in an image whose axes are those of the view, its middle the reference point."""
     spacing = chip.spacing_m
     if spacing is None:
         wanted = tuple(size * n for size, n in zip(world.grid.shape, looks, strict=True))
@@ -115,7 +136,7 @@ def _from_slant_plane(
     rows, cols = chip.samples.shape
     row = range_m / spacing[0] + (rows - 1) / 2.0
     col = azimuth_m / spacing[1] + (cols - 1) / 2.0
-    return sample_power(chip, np.stack(np.meshgrid(row, col, indexing="ij"), axis=-1))
+    return np.stack(np.meshgrid(row, col, indexing="ij"), axis=-1)
 
 
 def _focused(history: PhaseHistory, points: np.ndarray, reference: np.ndarray, how: Gridding) -> np.ndarray:

@@ -13,13 +13,15 @@ import numpy as np
 import tomlkit
 
 from warpsar.errors import InputError
+from warpsar.io import complex_image
 from warpsar.io.images import replacing, write_exr
 from warpsar.io.quick_look import QuickLook, draw_together
 from warpsar.measured import formats
 from warpsar.measured.data import Facts, ImageChip, PhaseHistory, Quantity, RadarAt
 from warpsar.measured.earth import EarthFrame, Origin
-from warpsar.measured.gridding import Gridding, power_on_grid
+from warpsar.measured.gridding import Gridding, on_grid
 from warpsar.measured.placed import frame_of
+from warpsar.measured.response import contradicts, point_spread
 from warpsar.scene import file as scenefile
 from warpsar.scene.scene import Scene
 from warpsar.speckle.looks import equivalent_looks
@@ -46,6 +48,10 @@ class Imported:
     samples_per_pixel: tuple[int, int]
     messages: tuple[str, ...]
     picture_path: Path
+    slc_path: Path | None = None
+    """The complex samples, where the measurement is a complex image: `warpsar.io.complex_image` reads them."""
+    point_spread: Mapping[str, Any] | None = None
+    """What the header declares of the response to a point."""
 
 
 def import_measured(
@@ -70,7 +76,11 @@ def import_measured(
     """Bring a measurement onto the slant-plane grid of a view and declare it in the scene file.
 
     The image, float32 linear power, is written beside the scene file as `<view>_<polarization>.exr`. The view gets
-    `images` and `looks` (the equivalent number, estimated). A missing view is made from the file's own geometry.
+    `images` and `looks` (the equivalent number, estimated). A complex image keeps its phase: its samples are written as
+    `<view>_<polarization>.npz`, the view's `slc`. What the header of a SICD says of its resolution becomes
+    `[effects.point_spread]`, known to a tolerance, where the scene file has none. A missing view is made from the
+    file's own geometry.
+
     `origin` (latitude, longitude [deg], height [m]) says where the world lies on the earth, for formats in earth
     coordinates. `Gridding` describes the windows, `subapertures`, `samples` and `surface`. `radar_at` and `spacing_m`
     are for pictures (`formats.read`). `scale` "unknown" writes `calibrated = false`. A picture with a top level gives
@@ -106,8 +116,11 @@ def import_measured(
             "set calibrated = false"
         )
     how = Gridding(window_range, window_azimuth, subapertures, samples, surface, device)
-    power, per_pixel, told = power_on_grid(measured, scene, view, how)
-    messages += told + rounding(measured)
+    gridded = on_grid(measured, scene, view, how)
+    power, per_pixel = gridded.power, gridded.samples
+    messages += gridded.messages + rounding(measured)
+    blur, told = point_spread(measured, scene, view, per_pixel) if isinstance(measured, ImageChip) else (None, [])
+    messages += told
     looks = equivalent_looks(power)
     if looks is None:
         messages.append("too little homogeneous ground to estimate looks from; none written")
@@ -116,6 +129,9 @@ def import_measured(
     write_exr(image_path, {pol: power})
     picture = quick_look(image_path, view, pol, power, scene)
     draw_together([picture])
+    slc_path = None if gridded.slc is None else image_path.with_suffix(".npz")
+    if slc_path is not None:
+        complex_image.write(slc_path, gridded.range_m, gridded.azimuth_m, {pol: gridded.slc})
     stated = {"looks": None if looks is None else round(looks, 2), "clipped_at": clip_level(measured, per_pixel)}
     with editing(scene_path) as document:
         if origin is not None and "origin" not in document["scene"]:
@@ -125,8 +141,10 @@ def import_measured(
         if scale == "unknown":
             document["image"]["calibrated"] = False
         messages += _pose(document, facts)
-        declare(document, view, exists, pol, image_path.name, stated)
-    return Imported(image_path, power, pol, looks, facts, per_pixel, tuple(messages), picture.path)
+        if blur is not None:
+            messages += _blur(document, measured.source, blur)
+        declare(document, view, exists, pol, image_path.name, stated, None if slc_path is None else slc_path.name)
+    return Imported(image_path, power, pol, looks, facts, per_pixel, tuple(messages), picture.path, slc_path, blur)
 
 
 def quick_look(image: Path, view: View, polarization: str, power: np.ndarray, scene: Scene) -> QuickLook:
@@ -146,8 +164,8 @@ def opened(path: Path, view_name: str | None) -> tuple[Scene, bool]:
     for view in views if isinstance(views, list) else []:
         if isinstance(view, dict):
             exists |= view.get("name") == view_name
-            view.pop("images", None)
-            view.pop("mask", None)
+            for key in ("images", "mask", "slc"):
+                view.pop(key, None)
     if not exists and isinstance(views, list) and (view_name is not None or not views):
         views.append({"name": view_name or _NOBODY, **_NEW_VIEW})
     with tempfile.NamedTemporaryFile("w", suffix=".toml", dir=path.parent, encoding="utf-8") as file:
@@ -266,8 +284,33 @@ def rounding(measured: PhaseHistory | ImageChip) -> list[str]:
     return [f"the JPEG rounds its levels, by up to {error:.1f} rms; pixels that are no brighter show little else"]
 
 
-def declare(document: Any, view: View, exists: bool, pol: str, image: str, stated: Mapping[str, float | None]) -> None:
-    """The view's image, and what is `stated` of it, in the document of a scene file."""
+def _blur(document: Any, source: str, table: Mapping[str, Any]) -> list[str]:
+    """The system's response in the document, where it has none yet; else where the two contradict each other."""
+    if "effects" not in document:
+        document.append("effects", tomlkit.table(is_super_table=True))
+    stated = document["effects"].get("point_spread")
+    if stated is not None:
+        wrong = contradicts(table, stated)
+        return [f"effects.point_spread: {one}; it stays as it is" for one in wrong]
+    made = tomlkit.table()
+    made.update({key: value for key, value in table.items() if key != "tolerance"})
+    made["tolerance"] = tomlkit.inline_table()
+    made["tolerance"].update(table["tolerance"])
+    made.comment(f"as {Path(source).name} declares it")
+    document["effects"]["point_spread"] = made
+    return []
+
+
+def declare(
+    document: Any,
+    view: View,
+    exists: bool,
+    pol: str,
+    image: str,
+    stated: Mapping[str, float | None],
+    slc: str | None = None,
+) -> None:
+    """The view's image, its complex samples, and what is `stated` of it, in the document of a scene file."""
     if not exists:
         if "views" not in document:
             document.append("views", tomlkit.aot())
@@ -278,6 +321,8 @@ def declare(document: Any, view: View, exists: bool, pol: str, image: str, state
     if "images" not in table:
         table["images"] = tomlkit.inline_table()
     table["images"][pol] = image
+    if slc is not None:
+        table.setdefault("slc", tomlkit.inline_table())[pol] = slc
     for key, value in stated.items():
         if value is not None:
             table[key] = value

@@ -1,4 +1,4 @@
-"""Linear power of a complex or detected image between its pixels, without aliasing."""
+"""Linear power of a complex or detected image between its pixels, and complex samples, without aliasing."""
 
 from __future__ import annotations
 
@@ -24,11 +24,57 @@ def sample_power(chip: ImageChip, pixel: np.ndarray) -> np.ndarray:
     linearly, which keeps them positive. A point on a pixel centre gets that pixel's value. A point in the outer half of
     a border pixel gets the border's value. Raises InputError for an image without a usable pixel under the grid.
     """
+    power = np.full(pixel.shape[:-1], np.nan)
+    found = _under(chip, pixel)
+    if found is None:
+        return power
+    inside, at, samples, bad = found
+    if chip.quantity == "power" and (samples[~bad] < 0).any():
+        raise InputError(f"{chip.source}: negative values, down to {samples[~bad].min():g}; linear power has none")
+    with np.errstate(all="ignore"):  # what overflows is infinite, and no power
+        power[inside] = _interpolated(np.where(bad, 0, samples), bad, at, chip.quantity)
+        if chip.gain is not None:
+            power *= chip.gain(pixel)
+    power[~np.isfinite(power)] = np.nan
+    return power
+
+
+def sample_complex(chip: ImageChip, pixel: np.ndarray) -> np.ndarray:
+    """Samples of a complex `chip` at fractional (row, column), complex64: |s|^2 is beta0 where it is calibrated.
+
+    NaN outside the image, and where a sample that is not finite has a part. The spectrum of each axis, wherever it
+    lies, is centred and made three times as fine, interpolated by splines, and put back. On the image's own pixels the
+    samples come back as they are.
+    """
+    values = np.full(pixel.shape[:-1], np.nan, np.complex64)
+    found = _under(chip, pixel)
+    if found is None:
+        return values
+    inside, at, samples, bad = found
+    samples = np.where(bad, 0, samples)
+    nearest = np.rint(at).astype(int)
+    if np.abs(at - nearest).max() < _COINCIDENT:
+        own, spoilt = samples[nearest[:, 0], nearest[:, 1]], bad[nearest[:, 0], nearest[:, 1]]
+    else:
+        fine, turns = _finer(samples * _faded_both(samples.shape, at))
+        places = _FINER * at.T
+        parts = [map_coordinates(part, places, order=5, mode="mirror") for part in (fine.real, fine.imag)]
+        own = (parts[0] + 1j * parts[1]) * np.exp(1j * (at @ np.array(turns)))
+        spoilt = map_coordinates(bad.astype(np.float64), at.T, order=1, mode="nearest") > _COINCIDENT
+    own = np.where(spoilt, np.nan, own)
+    if chip.gain is not None:
+        with np.errstate(invalid="ignore"):
+            own = own * np.sqrt(chip.gain(pixel[inside]))
+    values[inside] = own
+    return values
+
+
+def _under(chip: ImageChip, pixel: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None:
+    """Which points are inside; where they lie in a window of the image, (n, 2); the window, and which of it is bad."""
     last = np.array(chip.samples.shape) - 1
     inside = (np.abs(pixel - last / 2.0) <= last / 2.0 + 0.5).all(-1)  # false for NaN
-    power = np.full(pixel.shape[:-1], np.nan)
     if not inside.any():
-        return power
+        return None
     wanted = np.clip(pixel[inside], 0, last)
     low = np.maximum(np.floor(wanted.min(axis=0)).astype(int) - _MARGIN, 0)
     high = np.minimum(np.ceil(wanted.max(axis=0)).astype(int) + _MARGIN, last) + 1
@@ -41,14 +87,7 @@ def sample_power(chip: ImageChip, pixel: np.ndarray) -> np.ndarray:
     bad = ~np.isfinite(samples)
     if bad.all():
         raise InputError(f"{chip.source}: every pixel under the view's grid is NaN or infinite")
-    if chip.quantity == "power" and (samples[~bad] < 0).any():
-        raise InputError(f"{chip.source}: negative values, down to {samples[~bad].min():g}; linear power has none")
-    with np.errstate(all="ignore"):  # what overflows is infinite, and no power
-        power[inside] = _interpolated(np.where(bad, 0, samples), bad, wanted - low, chip.quantity)
-        if chip.gain is not None:
-            power *= chip.gain(pixel)
-    power[~np.isfinite(power)] = np.nan
-    return power
+    return inside, wanted - low, samples, bad
 
 
 def _interpolated(samples: np.ndarray, bad: np.ndarray, at: np.ndarray, quantity: str) -> np.ndarray:
@@ -57,8 +96,7 @@ def _interpolated(samples: np.ndarray, bad: np.ndarray, at: np.ndarray, quantity
         values = _power(samples[nearest[:, 0], nearest[:, 1]], quantity)
         return np.where(bad[nearest[:, 0], nearest[:, 1]], np.nan, values)
     if quantity == "complex":
-        faded = samples * np.outer(*(_faded(n, at[:, axis]) for axis, n in enumerate(samples.shape)))
-        fine = _power(_finer(faded), quantity)
+        fine = _power(_finer(samples * _faded_both(samples.shape, at))[0], quantity)
         values = np.maximum(map_coordinates(fine, _FINER * at.T, order=5, mode="mirror"), 0.0)
     else:
         values = map_coordinates(_power(samples, quantity), at.T, order=1, mode="nearest")
@@ -69,6 +107,11 @@ def _interpolated(samples: np.ndarray, bad: np.ndarray, at: np.ndarray, quantity
 
 def _power(samples: np.ndarray, quantity: str) -> np.ndarray:
     return samples.astype(np.float64) if quantity == "power" else np.abs(samples).astype(np.float64) ** 2
+
+
+def _faded_both(shape: tuple[int, ...], at: np.ndarray) -> np.ndarray:
+    """`_faded` of rows times that of columns."""
+    return np.outer(*(_faded(n, at[:, axis]) for axis, n in enumerate(shape)))
 
 
 def _faded(count: int, at: np.ndarray) -> np.ndarray:
@@ -82,19 +125,22 @@ def _faded(count: int, at: np.ndarray) -> np.ndarray:
     return weight
 
 
-def _finer(samples: np.ndarray) -> np.ndarray:
-    """The image on a grid `_FINER` times as fine, up to phase: each axis' spectrum is centred first."""
+def _finer(samples: np.ndarray) -> tuple[np.ndarray, list[float]]:
+    """The image on a grid `_FINER` times as fine, its spectrum centred; and the phase from pixel to pixel of each axis
+    that was taken away for it [rad]."""
+    turns = []
     for axis in (0, 1):
         moved = np.moveaxis(samples, axis, 0)
         count = moved.shape[0]
         centroid = np.angle(np.vdot(moved[:-1], moved[1:])) if count > 1 else 0.0
+        turns.append(float(centroid))
         index = np.arange(count)[:, None]
         spectrum = fft.fftshift(fft.fft(moved * np.exp(-1j * centroid * index), axis=0), axes=0)
         padded = np.zeros((_FINER * count, spectrum.shape[1]), np.complex64)
         first = _FINER * count // 2 - count // 2  # zero frequency stays zero frequency
         padded[first : first + count] = spectrum
         samples = np.moveaxis(_FINER * fft.ifft(fft.ifftshift(padded, axes=0), axis=0), 0, axis)
-    return samples
+    return samples, turns
 
 
 def averaged(fine: np.ndarray, looks: tuple[int, int]) -> np.ndarray:

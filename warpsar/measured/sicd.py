@@ -13,6 +13,7 @@ import numpy as np
 
 from warpsar.errors import InputError
 from warpsar.measured.data import Facts, ImageChip, direction_deg, reading
+from warpsar.measured.declared import Declared, cells_of
 from warpsar.measured.earth import EarthFrame, Origin, ecef_to_geodetic
 
 if TYPE_CHECKING:
@@ -126,6 +127,7 @@ def read(path: Path, frame: EarthFrame | None) -> ImageChip:
         locate=locate,
         calibrated=header.beta0 is not None,
         gain=header.gain if header.beta0 is not None else None,
+        response=header.response,
     )
 
 
@@ -148,6 +150,7 @@ class _Header:
     """Coefficients of the scale factor's polynomial in the metres along rows and columns, two powers."""
     lookup: np.ndarray | None
     """Amplitude of each of 256 codes, where pixels are codes."""
+    response: Declared | None
 
     def gain(self, pixel: np.ndarray) -> np.ndarray:
         """The scale factor to beta0 at (row, column), (..., 2)."""
@@ -178,4 +181,12 @@ class _Header:
         lookup = load("ImageData/AmpTable") if load("ImageData/PixelType") == _AMPLITUDE_LOOKUP else None
         if lookup is not None and (np.shape(lookup) != (256,) or not np.isfinite(lookup).all()):
             raise InputError(f"{path}: the header's AmpTable must be 256 finite numbers")
-        return cls(centre, shape, (row_m, col_m), middle, antenna, polarization, float(band.mean()), beta0, lookup)
+        widths, bands, names, weights = (
+            (load(f"Grid/Row/{name}"), load(f"Grid/Col/{name}"))
+            for name in ("ImpRespWid", "ImpRespBW", "WgtType/WindowName", "WgtFunct")
+        )
+        usable = all(number is not None and 0.0 < number < np.inf for number in (*widths, *bands))
+        cells = (cells_of(names[0], weights[0]), cells_of(names[1], weights[1]))
+        response = Declared(widths, bands, cells) if usable else None
+        middle_hz = float(band.mean())
+        return cls(centre, shape, (row_m, col_m), middle, antenna, polarization, middle_hz, beta0, lookup, response)

@@ -131,6 +131,11 @@ class _Loader:
         for polarization, path in images.items():
             self.check_image(f"{key}.images.{polarization}", path, polarization)
         changed: dict[str, Any] = {"images": images} if images else {}
+        if view.slc:
+            changed["slc"] = {polarization: self.absolute(name) for polarization, name in view.slc.items()}
+            for polarization, path in changed["slc"].items():
+                if not path.is_file():
+                    self.problems.append(f"{key}.slc.{polarization}: found {path}; there is no such file")
         if view.mask is not None:
             changed["mask"] = self.absolute(view.mask)
             self.check_mask(f"{key}.mask", changed["mask"])

@@ -91,8 +91,8 @@ class _Writer:
 
     def view(self, view: View) -> dict[str, Any]:
         table = _plain(view)
-        if "images" in table:
-            table["images"] = {name: self.relative(Path(path)) for name, path in table["images"].items()}
+        for key in {"images", "slc"} & set(table):
+            table[key] = {name: self.relative(Path(path)) for name, path in table[key].items()}
         if "mask" in table:
             table["mask"] = self.relative(Path(table["mask"]))
         return table

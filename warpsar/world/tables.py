@@ -425,6 +425,11 @@ class View(Table):
         description="Measured image of each polarization: a file of linear power (beta0).",
         examples=[{"HH": "north.tif"}],
     )
+    slc: dict[Polarization, FileName] = Field(
+        default_factory=dict,
+        description="Complex samples of each polarization, whose power `images` has: an NPZ of `warpsar import`.",
+        examples=[{"HH": "north_HH.npz"}],
+    )
     mask: Mask | None = Field(
         default=None, description="Image that is not zero where pixels are used.", examples=["north_mask.png"]
     )

@@ -158,7 +158,13 @@ class World:
             }
             plain.append((name, material.layout, material.spectrum, given))
         for view in self.views:
-            plain.append([(key, sorted(value) if key == "images" else value) for key, value in view if key != "mask"])
+            plain.append(
+                [
+                    (key, sorted(value) if key == "images" else value)
+                    for key, value in view
+                    if key not in ("mask", "slc")
+                ]
+            )
         return repr(plain)
 
 
