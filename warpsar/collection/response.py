@@ -23,18 +23,6 @@ def width_in_cells(window: str) -> float:
     return 0.5 * (low + high)
 
 
-def half_power_width(at: NDArray[np.float64], weight: NDArray[np.float64]) -> float:
-    """Of the response to samples with their weights at spatial frequencies `at` [1/m], both ways counted, (n,) [m]."""
-    about = at - (weight @ at) / weight.sum()
-    reach = float(np.ptp(at)) * weight.sum() / (len(at) * weight.max())  # of a band without a taper
-    low, high = 0.2 / reach, 1.0 / reach
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        power = np.abs(weight @ np.exp(2j * np.pi * middle * about)) ** 2 / weight.sum() ** 2
-        low, high = (middle, high) if power > 0.5 else (low, middle)
-    return float(low + high)
-
-
 def band_weights(window: str, count: int) -> NDArray[np.float64]:
     """The taper of a band's `count` samples, as `measured.focus` applies it."""
     return taper(window, (np.arange(count) + 0.5) / count - 0.5)

@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from warpsar.collection.plan import plan_axes
-from warpsar.collection.response import band_weights, half_power_width
+from warpsar.collection.response import band_weights
 from warpsar.collection.slc import Slc
 from warpsar.errors import InputError
 from warpsar.io.images import replacing
+from warpsar.measured.declared import half_power_width
 from warpsar.measured.earth import ecef_to_geodetic
 from warpsar.measured.focus import TAYLOR_NBAR, TAYLOR_SIDELOBE_DB
 from warpsar.version import __version__

@@ -78,7 +78,9 @@ def import_measured(
     The image, float32 linear power, is written beside the scene file as `<view>_<polarization>.exr`. The view gets
     `images` and `looks` (the equivalent number, estimated). A complex image keeps its phase: its samples are written as
     `<view>_<polarization>.npz`, the view's `slc`. What the header of a SICD says of its resolution becomes
-    `[effects.point_spread]`, known to a tolerance, where the scene file has none. A missing view is made from the file's own geometry.
+    `[effects.point_spread]`, known to a tolerance, where the scene file has none. A missing view is made from the
+    file's own geometry.
+
     `origin` (latitude, longitude [deg], height [m]) says where the world lies on the earth, for formats in earth
     coordinates. `Gridding` describes the windows, `subapertures`, `samples` and `surface`. `radar_at` and `spacing_m`
     are for pictures (`formats.read`). `scale` "unknown" writes `calibrated = false`. A picture with a top level gives

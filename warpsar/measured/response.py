@@ -1,4 +1,4 @@
-"""The response of a system to a point, as a complex image's header declares it: `[effects.point_spread]` of the scene."""
+"""The response of a system to a point: `[effects.point_spread]`, as the header of a complex image declares it."""
 
 from __future__ import annotations
 

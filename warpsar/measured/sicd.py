@@ -13,7 +13,7 @@ import numpy as np
 
 from warpsar.errors import InputError
 from warpsar.measured.data import Facts, ImageChip, direction_deg, reading
-from warpsar.measured.declared import Declared
+from warpsar.measured.declared import Declared, cells_of
 from warpsar.measured.earth import EarthFrame, Origin, ecef_to_geodetic
 
 if TYPE_CHECKING:
@@ -181,11 +181,12 @@ class _Header:
         lookup = load("ImageData/AmpTable") if load("ImageData/PixelType") == _AMPLITUDE_LOOKUP else None
         if lookup is not None and (np.shape(lookup) != (256,) or not np.isfinite(lookup).all()):
             raise InputError(f"{path}: the header's AmpTable must be 256 finite numbers")
-        widths, bands, names = (
+        widths, bands, names, weights = (
             (load(f"Grid/Row/{name}"), load(f"Grid/Col/{name}"))
-            for name in ("ImpRespWid", "ImpRespBW", "WgtType/WindowName")
+            for name in ("ImpRespWid", "ImpRespBW", "WgtType/WindowName", "WgtFunct")
         )
         usable = all(number is not None and 0.0 < number < np.inf for number in (*widths, *bands))
-        response = Declared(widths, bands, names) if usable else None
+        cells = (cells_of(names[0], weights[0]), cells_of(names[1], weights[1]))
+        response = Declared(widths, bands, cells) if usable else None
         middle_hz = float(band.mean())
         return cls(centre, shape, (row_m, col_m), middle, antenna, polarization, middle_hz, beta0, lookup, response)

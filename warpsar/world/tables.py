@@ -428,7 +428,7 @@ class View(Table):
     )
     slc: dict[Polarization, FileName] = Field(
         default_factory=dict,
-        description="Complex samples of each polarization, whose power `images` has: an NPZ that `warpsar import` wrote.",
+        description="Complex samples of each polarization, whose power `images` has: an NPZ of `warpsar import`.",
         examples=[{"HH": "north_HH.npz"}],
     )
     mask: Mask | None = Field(
