@@ -12,6 +12,7 @@ sys.path.insert(0, str(BENCHMARKS))
 
 import btr70  # noqa: E402
 import btr70_classes as classes  # noqa: E402
+import btr70_ladder as ladder  # noqa: E402
 import btr70_measures as measures  # noqa: E402
 import btr70_parts as parts  # noqa: E402
 import btr70_shape as shapes  # noqa: E402
@@ -123,11 +124,11 @@ def test_parts_are_the_whole(tmp_path: Path) -> None:
 
 def test_folds_leave_out_arcs() -> None:
     chips = [measures.Chip(f"c{k}", 12.0 * k, 17.0, np.zeros((1, 1))) for k in range(30)]
-    found = btr70.folds(chips)
+    found = ladder.folds(chips)
     assert sorted(name for fold in found for name in fold) == sorted(chip.name for chip in chips)
     for fold in found:
         left = sorted(int(name[1:]) for name in fold)
-        assert int(np.sum(np.diff(left) > 1)) + 1 <= btr70.ARCS
+        assert int(np.sum(np.diff(left) > 1)) + 1 <= ladder.ARCS
 
 
 def test_a_template_is_found_though_it_is_shifted() -> None:
