@@ -183,11 +183,20 @@ def judged_chips(scenes: dict[str, Path], chips: Sequence[Chip], train: Sequence
     return found
 
 
+def asked(scene: Path, chips: Sequence[Chip]) -> str:
+    """A name for a scene with its mesh and for what it is asked: another vehicle's chips may have the same names."""
+    found = hashlib.sha256(scene.read_bytes())
+    found.update(Scene.load(scene).mesh.vertices.tobytes())
+    for chip in chips:
+        found.update(chip.power.astype(np.uint16).tobytes())
+    return found.hexdigest()[:8]
+
+
 def tested(
     out: Path, scenes: dict[str, Path], chips: Sequence[Chip], train: Sequence[Chip], processes: int
 ) -> list[dict[str, Any]]:
     """All measures of every test view; what this scene was asked before is not made again."""
-    folder = out / f"views_{hashlib.sha256(scenes['final'].read_bytes()).hexdigest()[:8]}"
+    folder = out / f"views_{asked(scenes['final'], chips)}"
     unseen = [chip for chip in chips if chip.name not in TRAIN]
     measured: dict[str, Any] = {}
     for path in sorted(folder.glob("*.json")):
