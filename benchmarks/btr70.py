@@ -16,8 +16,8 @@ import hashlib
 import json
 import os
 import sys
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -30,26 +30,24 @@ import btr70_parts as parts
 import btr70_shape as shapes
 import tables
 from btr70_jobs import Job, done
-from btr70_measures import Chip, judged, rivals, turn_deg
+from btr70_ladder import FOLDS, Ladder
+from btr70_measures import Chip, judged, middle, rivals, turn_deg
 from btr70_model import (
     FLASH,
     LADDER,
     PARTS,
+    PREDICTED,
     SPACING_M,
-    begun_with,
     fitted,
-    held_out,
-    only,
     predicted,
     regions,
     with_aim_points,
-    with_other_rays,
-    with_tables,
     write_scene,
 )
 from btr70_tables import tables_of
 from measured_loop import kept, written
 
+from warpsar.errors import InputError, WarpsarError
 from warpsar.measured import jpeg
 from warpsar.measured.chips import import_chips
 from warpsar.scene.scene import Scene
@@ -59,7 +57,6 @@ TRAIN = tuple(Path(__file__).with_name("btr70_train.txt").read_text(encoding="ut
 SECTORS_DEG = ((85.0, 115.0), (205.0, 235.0), (315.0, 345.0))
 """Sectors without a train view. Sectors that the folder may lack are found by their distance from all train views."""
 FAR_DEG = 6.0
-FOLDS, ARCS = 3, 3  # the train views are left out in as many parts, each of as many arcs of neighbours
 LAST = 6  # iterations of the final fit, which begins where the last one ended
 EXPERIMENT = 24  # views of the sectors on which bounces and orders are looked at
 CHUNK = 10  # views of one job
@@ -67,20 +64,38 @@ MEASURES = ("correlation", "best_shift", "deviance")
 
 
 def folder_of(data: Path) -> Path:
-    """The folder of the chips: DATA itself where it has a views.csv."""
-    return data if (data / "views.csv").exists() else data / "mstar_btr70"
+    """The folder of the chips: DATA itself where it has a views.csv. Raises InputError where there is none."""
+    for folder in (data, data / "mstar_btr70"):
+        if (folder / "views.csv").is_file():
+            return folder
+    raise InputError(f"{data}: found no views.csv, neither there nor in mstar_btr70; must have one")
 
 
 def chips_of(data: Path) -> list[Chip]:
-    """Every chip in the folder that views.csv names, radar on top."""
+    """Every chip in the folder that views.csv names, radar on top. Raises InputError where there is none, and for one
+    that is too small."""
     folder = folder_of(data)
     with (folder / "views.csv").open(newline="", encoding="utf-8") as stream:
-        rows = {row["chip"]: row for row in csv.DictReader(stream)}
-    found = []
-    for path in sorted((folder / "chips").glob("*.jpeg")):
-        if (row := rows.get(path.stem)) is not None:
-            power = jpeg.read(path)[0][::-1].astype(float) ** 2
-            found.append(Chip(path.stem, float(row["azimuth_deg"]), float(row["depression_deg"]), power))
+        lines = csv.DictReader(stream)
+        if missing := {"chip", "azimuth_deg", "depression_deg"} - set(lines.fieldnames or ()):
+            raise InputError(f"{folder / 'views.csv'}: found no column {', '.join(sorted(missing))}; must have it")
+        rows = {row["chip"]: row for row in lines}
+    found, nameless = [], 0
+    for path in sorted((folder / "chips").glob("*.jp*g")):
+        row = rows.get(path.stem)
+        if row is None:
+            nameless += 1
+            continue
+        power = jpeg.read(path)[0][::-1].astype(float) ** 2
+        if min(power.shape) < PREDICTED:
+            size = " x ".join(map(str, power.shape))
+            raise InputError(f"{path}: found {size} pixels; must be at least {PREDICTED} x {PREDICTED}")
+        power = middle(power, size=min(power.shape))
+        found.append(Chip(path.stem, float(row["azimuth_deg"]), float(row["depression_deg"]), power))
+    if nameless:
+        print(f"{folder / 'chips'}: {nameless} chips are left out: views.csv does not name them", file=sys.stderr)
+    if not found:
+        raise InputError(f"{folder}: found no chip in chips/ that views.csv names; must have one")
     return found
 
 
@@ -92,13 +107,6 @@ def set_of(chip: Chip, train: Sequence[Chip]) -> str:
     if inside or far:
         return "sector_15" if shallow else "sector"
     return "depression" if shallow else "between"
-
-
-def folds(train: Sequence[Chip]) -> list[tuple[str, ...]]:
-    """The train chips in `FOLDS` parts. Each has arcs of neighbours, so the chips left out are not among their like."""
-    ordered = sorted(train, key=lambda chip: chip.azimuth_deg)
-    arcs = np.array_split([chip.name for chip in ordered], FOLDS * ARCS)
-    return [tuple(str(name) for arc in arcs[k::FOLDS] for name in arc) for k in range(FOLDS)]
 
 
 def prepare(data: Path, out: Path) -> Path:
@@ -119,108 +127,6 @@ def prepare(data: Path, out: Path) -> Path:
         )
         fresh.rename(path)
     return path
-
-
-def tried(
-    source: Path,
-    to: Path,
-    left_out: Sequence[Chip],
-    names: Sequence[str],
-    rung: tuple[str, dict[str, Any]] | None = None,
-    mesh: Path | None = None,
-) -> dict[str, Any]:
-    """Fits the scene in `source` on the views `names`, with one effect more, and keeps it in `to`; the scores of the
-    chips that were left out."""
-    begun = only(Scene.load(source), names)
-    if rung is not None and mesh is not None:
-        begun = begun_with(begun, *rung, mesh)
-    found, loss = fitted(begun)
-    found.save(to / "scene.toml")
-    return {"loss": loss, "scores": held_out(found, left_out)}
-
-
-def settled(source: Path, to: Path, left_out: Sequence[Chip], names: Sequence[str]) -> dict[str, Any]:
-    """`tried` with nothing new: on other rays, with as many iterations more."""
-    begun = with_other_rays(only(Scene.load(source), names))
-    found, loss = fitted(begun)
-    return {"loss": loss, "scores": held_out(found, left_out)}
-
-
-def standing(source: Path, to: Path, tables_of_objects: shapes.Tables) -> dict[str, Any]:
-    """Keeps the scene in `source` in `to`, with other tables of its objects."""
-    with_tables(Scene.load(source), tables_of_objects).save(to / "scene.toml")
-    return {}
-
-
-def mean_and_error(gain: np.ndarray) -> tuple[float, float]:
-    return float(gain.mean()), float(gain.std(ddof=1) / np.sqrt(gain.size))
-
-
-@dataclass
-class Ladder:
-    """Trials on the train chips, a third of them left out at a time; `now` holds the best scene of each third.
-
-    A trial stays if the gain of the chips left out, less its standard error, is above the noise: what a fit with
-    nothing new may gain, its mean and one standard error. `noise` is that of the model of the moment.
-    """
-
-    out: Path
-    train: Sequence[Chip]
-    processes: int
-    now: list[Path]
-    scores: np.ndarray | None = None
-    noise: float | None = None
-    steps: list[dict[str, Any]] = field(default_factory=list)
-
-    @property
-    def left(self) -> list[list[Chip]]:
-        """The chips that each scene of `now` leaves out."""
-        return [[chip for chip in self.train if chip.name in fold] for fold in folds(self.train)]
-
-    def scored(self, name: str, make: Callable[..., dict[str, Any]], *more: Any) -> tuple[np.ndarray, list[Path]]:
-        """The scores of the chips left out, fold after fold, of what `make` fits to the others."""
-        to = [self.out / f"{name}_{k}" for k in range(FOLDS)]
-        jobs = []
-        for k, left in enumerate(self.left):
-            rest = [chip.name for chip in self.train if chip not in left]
-            jobs.append(Job(to[k].with_suffix(".json"), make, (self.now[k], to[k], left, rest, *more)))
-        return np.concatenate([one["scores"] for one in done(jobs, self.processes)]), to
-
-    def turn(self, name: str, label: str, *rung: Any) -> None:
-        """Tries one thing."""
-        scores, to = self.scored(name, tried, *rung)
-        if self.scores is None:
-            self.now, self.scores = [folder / "scene.toml" for folder in to], scores
-            return
-        if self.noise is None:
-            again, _ = self.scored(f"{self.now[0].parent.name.removesuffix('_0')}_again", settled)
-            mean, error = mean_and_error(self.scores - again)
-            self.noise = max(mean, 0.0) + error
-        if self.judged(label, self.scores - scores):
-            self.now, self.scores, self.noise = [folder / "scene.toml" for folder in to], scores, None
-
-    def judged(self, label: str, gain: np.ndarray) -> bool:
-        """Whether a trial stays; notes it."""
-        mean, error = mean_and_error(gain)
-        noise = self.noise or 0.0
-        stays = bool(mean - error > noise)
-        self.steps.append({"tried": label, "gain": mean, "error": error, "noise": noise, "stays": stays})
-        verdict = "stays" if stays else "goes"
-        print(f"{label}: left-out gain {mean:+.4f} +- {error:.4f}, noise {noise:.4f}: {verdict}", file=sys.stderr)
-        return stays
-
-    def shaped(self, name: str, label: str, begun: shapes.Tables, *, near: bool) -> dict[str, Any]:
-        """Moves size and slope, and keeps them where they stay."""
-        profiles = shapes.Profiles(self.now, self.left, self.out / name, self.processes)
-        found = shapes.shape(profiles, begun, near=near)
-        if not self.judged(label, np.array(found["gains"])):
-            return found | {"tables": begun}
-        to = [self.out / f"{name}_{k}" for k in range(FOLDS)]
-        both = zip(self.now, to, strict=True)
-        done([Job(one.with_suffix(".json"), standing, (at, one, found["tables"])) for at, one in both], 1)
-        self.now, self.noise = [folder / "scene.toml" for folder in to], None
-        self.scores = np.concatenate([held_out(Scene.load(p), c) for p, c in zip(self.now, self.left, strict=True)])
-        return found
 
 
 def climbed(data: Path, out: Path, train: Sequence[Chip], processes: int) -> tuple[Ladder, dict[str, Any]]:
@@ -277,11 +183,20 @@ def judged_chips(scenes: dict[str, Path], chips: Sequence[Chip], train: Sequence
     return found
 
 
+def asked(scene: Path, chips: Sequence[Chip]) -> str:
+    """A name for a scene with its mesh and for what it is asked: another vehicle's chips may have the same names."""
+    found = hashlib.sha256(scene.read_bytes())
+    found.update(Scene.load(scene).mesh.vertices.tobytes())
+    for chip in chips:
+        found.update(chip.power.astype(np.uint16).tobytes())
+    return found.hexdigest()[:8]
+
+
 def tested(
     out: Path, scenes: dict[str, Path], chips: Sequence[Chip], train: Sequence[Chip], processes: int
 ) -> list[dict[str, Any]]:
     """All measures of every test view; what this scene was asked before is not made again."""
-    folder = out / f"views_{hashlib.sha256(scenes['final'].read_bytes()).hexdigest()[:8]}"
+    folder = out / f"views_{asked(scenes['final'], chips)}"
     unseen = [chip for chip in chips if chip.name not in TRAIN]
     measured: dict[str, Any] = {}
     for path in sorted(folder.glob("*.json")):
@@ -340,6 +255,47 @@ def what_is_known(
     }
 
 
+def pose_of(scene: Scene) -> dict[str, Any]:
+    """Where the first object with a mesh stands, and its size; nothing for a scene without one."""
+    body = next((one for one in scene.objects if one.mesh is not None), None)
+    if body is None:
+        return {"pose": {}, "size_m": []}
+    pose = {key: getattr(body, key) for key in ("position_m", "heading_deg", "roll_deg", "pitch_deg")}
+    return {"pose": pose, "size_m": checks.size_m(scene)}
+
+
+def run(given: argparse.Namespace) -> None:
+    made = kept(given.out / "made.json", tables.made)
+    chips = chips_of(given.data)
+    train = [chip for chip in chips if chip.name in TRAIN]
+    place, steps, shape = given.scene, [], {}
+    if place is None:
+        if len(train) < len(TRAIN):
+            seen = f"found {len(train)} of the {len(TRAIN)} train chips (btr70_train.txt)"
+            raise InputError(f"{given.data}: {seen}; must have all of them, or --scene, which learns nothing")
+        place, steps, shape = learned(given.data, given.out, train, given.jobs)
+    final = Scene.load(place)
+    scenes = {"final": place}
+    if len(train) == len(TRAIN):
+        scenes["declared"] = prepare(given.data, given.out)
+    views = tested(given.out, scenes, chips, train, given.jobs)
+    known = shape | what_is_known(given.out, place, chips, train, given.jobs) if steps else {}
+    content = {
+        "made": made,
+        "views": views,
+        "verdict": [step["tried"] for step in steps if step.get("stays")],
+        "scene": str(place),
+        **pose_of(final),
+        "effects": {key: value for key, value in final.effects.items() if key != "aim_point"},
+        "materials": {name: one.model_dump(exclude_unset=True, mode="json") for name, one in final.materials.items()},
+        "steps": steps,
+        "checks": known,
+    }
+    found = tables_of(content)
+    written(given.out, "btr70", json.loads(json.dumps(content, default=float)), found)
+    tables.publish(found, content, given.write)
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("data", type=Path, help="folder of public releases")
@@ -349,34 +305,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     tables.add_write(parser)
     given = parser.parse_args(arguments)
     given.out.mkdir(parents=True, exist_ok=True)
-    made = kept(given.out / "made.json", tables.made)
-    chips = chips_of(given.data)
-    train = [chip for chip in chips if chip.name in TRAIN]
-    place, steps, shape = given.scene, [], {}
-    if place is None:
-        place, steps, shape = learned(given.data, given.out, train, given.jobs)
-    scenes = {"final": place}
-    if len(train) == len(TRAIN):
-        scenes["declared"] = prepare(given.data, given.out)
-    views = tested(given.out, scenes, chips, train, given.jobs)
-    known = shape | what_is_known(given.out, place, chips, train, given.jobs) if steps else {}
-    final = Scene.load(place)
-    bodies = [one for one in final.objects if one.mesh is not None]
-    content = {
-        "made": made,
-        "views": views,
-        "verdict": [step["tried"] for step in steps if step.get("stays")],
-        "scene": str(place),
-        "pose": {key: getattr(bodies[0], key) for key in ("position_m", "heading_deg", "roll_deg", "pitch_deg")},
-        "size_m": checks.size_m(final),
-        "effects": {key: value for key, value in final.effects.items() if key != "aim_point"},
-        "materials": {name: one.model_dump(exclude_unset=True, mode="json") for name, one in final.materials.items()},
-        "steps": steps,
-        "checks": known,
-    }
-    found = tables_of(content)
-    written(given.out, "btr70", json.loads(json.dumps(content, default=float)), found)
-    tables.publish(found, content, given.write)
+    try:
+        run(given)
+    except WarpsarError as error:
+        sys.exit(f"error: {error}")
 
 
 if __name__ == "__main__":

@@ -107,10 +107,12 @@ def own_shift(chip: np.ndarray, prediction: np.ndarray) -> tuple[int, int]:
     return min(near, key=loss)
 
 
-def aimed(power: np.ndarray, prediction: np.ndarray) -> float:
+def aimed(power: np.ndarray, prediction: np.ndarray, near: tuple[int, int] | None = None) -> float:
     """Mean deviance at the model's best aim point, between the pixels: where parabolas through the best shift and its
-    neighbours have their least value. By whole pixels a profile would have steps, and its least value a bias."""
-    at, known = best_shift(power, prediction)[1], {}
+    neighbours have their least value. By whole pixels a profile would have steps, and its least value a bias.
+
+    The search begins at the shift `near`; by default where the correlation is best."""
+    at, known = near or best_shift(power, prediction)[1], {}
     chip = middle(power)
 
     def score(one: tuple[int, int]) -> float:

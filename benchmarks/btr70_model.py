@@ -216,7 +216,10 @@ def predicted(scene: Scene, chips: Sequence[Chip]) -> dict[str, np.ndarray]:
 
 
 def regions(scene: Scene, chips: Sequence[Chip]) -> dict[str, dict[str, np.ndarray]]:
-    """Masks of the body, its shadow and the ground in each prediction: what rays meet in a pixel."""
+    """Masks of the body, its shadow and the ground in each prediction: what rays meet in a pixel. None in a scene
+    that has no material `ground`."""
+    if "ground" not in scene.mesh.materials:
+        return {chip.name: {} for chip in chips}
     seen = replace(seen_from(scene, chips), effects={})
     stage = Stage.of(seen, devices.resolve_device("cpu"))
     ground = seen.mesh.materials.index("ground")

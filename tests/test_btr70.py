@@ -12,11 +12,13 @@ sys.path.insert(0, str(BENCHMARKS))
 
 import btr70  # noqa: E402
 import btr70_classes as classes  # noqa: E402
+import btr70_ladder as ladder  # noqa: E402
 import btr70_measures as measures  # noqa: E402
 import btr70_parts as parts  # noqa: E402
 import btr70_shape as shapes  # noqa: E402
 import btr70_speckle as speckle  # noqa: E402
 
+from warpsar.errors import InputError  # noqa: E402
 from warpsar.measured.focus import taper  # noqa: E402
 from warpsar.world.mesh import read_mesh  # noqa: E402
 
@@ -123,11 +125,11 @@ def test_parts_are_the_whole(tmp_path: Path) -> None:
 
 def test_folds_leave_out_arcs() -> None:
     chips = [measures.Chip(f"c{k}", 12.0 * k, 17.0, np.zeros((1, 1))) for k in range(30)]
-    found = btr70.folds(chips)
+    found = ladder.folds(chips)
     assert sorted(name for fold in found for name in fold) == sorted(chip.name for chip in chips)
     for fold in found:
         left = sorted(int(name[1:]) for name in fold)
-        assert int(np.sum(np.diff(left) > 1)) + 1 <= btr70.ARCS
+        assert int(np.sum(np.diff(left) > 1)) + 1 <= ladder.ARCS
 
 
 def test_a_template_is_found_though_it_is_shifted() -> None:
@@ -181,3 +183,42 @@ def test_speckle_tells_the_width_of_a_point() -> None:
         found, sd = speckle.width_m(chips, axis, spacing)
         assert found == pytest.approx(width, rel=0.02)
         assert abs(found - width) < 4.0 * sd
+
+
+@pytest.mark.parametrize(
+    ("gain", "spread", "noise", "stays"),
+    [
+        (0.02, 0.01, 0.01, True),  # 30 chips: the standard error is 0.0018
+        (0.02, 0.01, 0.019, False),  # above the noise, but by less than its error
+        (0.02, 0.2, 0.0, False),  # error 0.037
+        (-0.02, 0.01, 0.0, False),
+    ],
+)
+def test_a_trial_stays_only_above_the_noise(gain: float, spread: float, noise: float, stays: bool) -> None:
+    gains = gain + spread * np.tile([-1.0, 1.0], 15)
+    climbing = ladder.Ladder(Path(), [], 1, [], noise=noise)
+    assert climbing.judged("", gains) is stays
+    assert climbing.steps[0]["error"] == pytest.approx(spread * np.sqrt(30 / 29) / np.sqrt(30))
+
+
+def test_a_moved_quantity_moves_alone() -> None:
+    """Of five numbers that are moved and two that are asked, each changes itself, and no table but its own."""
+    for one in (*shapes.MOVED, *shapes.ASKED):
+        moved = one.moved(shapes.START, 0.7)
+        assert one.of(moved) == 0.7
+        others = [other for other in (*shapes.MOVED, *shapes.ASKED) if (other.body, other.key) != (one.body, one.key)]
+        assert all(other.of(moved) == other.of(shapes.START) for other in others)
+        assert one.of(shapes.START) != 0.7
+
+
+def test_a_folder_without_chips_says_what_it_lacks(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"no views\.csv"):
+        btr70.chips_of(tmp_path)
+    (tmp_path / "views.csv").write_text("chip,azimuth\n")
+    with pytest.raises(InputError, match="no column azimuth_deg, depression_deg"):
+        btr70.chips_of(tmp_path)
+    (tmp_path / "views.csv").write_text("chip,azimuth_deg,depression_deg\nA,1.0,17.0\n")
+    with pytest.raises(InputError, match="no chip in chips/"):
+        btr70.chips_of(tmp_path)
+    with pytest.raises(SystemExit, match=r"error: .*no chip in chips/"):
+        btr70.main([str(tmp_path), "-o", str(tmp_path / "out")])
