@@ -59,6 +59,7 @@ from warpsar.scene.scene import Scene
 from warpsar.speckle.likelihood import best_gain, deviance, expected_deviance
 from warpsar.speckle.looks import equivalent_looks
 from warpsar.world.frame import ViewGeometry
+from warpsar.world.objects.table import Object
 from warpsar.world.tables import View
 from warpsar.world.world import geometry_of
 
@@ -472,30 +473,39 @@ def without_glints(scene: Scene) -> Scene:
 
 
 def steps_of(path: Path, views: Sequence[str] = TRAIN) -> tuple[dict[str, Scene], list[Fitted]]:
-    """The scene after every step by its name, and the objects' last fit."""
+    """The scene after every step by its name, and what the images tell of every object in the last.
+
+    Every step is kept beside the scene file as it is made, so an interrupted run goes on from there."""
     declared = Scene.load(path)
     declared = with_effects(declared, point_spread=KNOWN_SPREAD, eps_gradient={"per_m_east": 0.0, "per_m_north": 0.0})
     starts, found = declared.objects, {}
 
-    def told(name: str, scene: Scene) -> Scene:
-        print(f"{name} ...", file=sys.stderr)
-        found[name] = scene
+    def step(make: Callable[[], Scene]) -> Scene:
+        name = STEPS[len(found)]
+        file = path.with_name(f"step{len(found)}.toml")
+        if not file.exists():
+            print(f"{name} ...", file=sys.stderr)
+            make().save(file)
+        found[name] = Scene.load(file)
+        return found[name]
+
+    def rounds(scene: Scene, about: Sequence[Object], keys: Sequence[str], count: int) -> Scene:
+        for _ in range(count):
+            scene, _ = fit_round(scene, about, views, keys)
+            scene = fit_common(scene, views)
         return scene
 
-    told(STEPS[0], fit_common(alike(declared), views))
-    scene = told(STEPS[1], fit_common(declared, views))
-    scene, _ = fit_round(scene, starts, views, POSE)
-    scene = with_detail(told(STEPS[2], fit_common(scene, views)))
-    for _ in range(ROUNDS):
-        scene, last = fit_round(scene, starts, views, CAR)
-        scene = fit_common(scene, views)
-    scene = with_glints(told(STEPS[3], scene), views)
-    starts = (*starts, *scene.objects[len(starts) :])
-    for number in range(ROUNDS):
-        scene, last = fit_round(scene, starts, views, CAR, told=number == ROUNDS - 1)
-        scene = fit_common(scene, views)
-    told(FINAL, scene)
-    return found, [last[k] for k in range(len(starts))]
+    def last(scene: Scene) -> Scene:
+        more = with_glints(scene, views)
+        return rounds(more, (*starts, *more.objects[len(starts) :]), CAR, ROUNDS)
+
+    step(lambda: fit_common(alike(declared), views))
+    scene = step(lambda: fit_common(declared, views))
+    scene = step(lambda: rounds(scene, starts, POSE, 1))
+    scene = step(lambda: rounds(with_detail(scene), starts, CAR, ROUNDS))
+    scene = step(lambda: last(scene))
+    _, told = fit_round(scene, (*starts, *scene.objects[len(starts) :]), views, CAR, steps=0, told=True)
+    return found, [told[k] for k in range(len(scene.objects))]
 
 
 def without(scene: Scene, declared: Scene, views: Sequence[str] = TRAIN) -> dict[str, Scene]:
@@ -521,10 +531,9 @@ def without(scene: Scene, declared: Scene, views: Sequence[str] = TRAIN) -> dict
 def fitted(path: Path, out: Path) -> dict[str, Any]:
     """All steps, kept as scenes in OUT/objects, and the objects' table."""
     found, objects = steps_of(path)
-    found |= without(found[FINAL], Scene.load(path))
-    files = {}
-    for k, (name, scene) in enumerate(found.items()):
-        files[name] = f"step{k}.toml"
+    files = {name: f"step{k}.toml" for k, name in enumerate(found)}
+    for name, scene in without(found[FINAL], Scene.load(path)).items():
+        files[name] = f"step{len(files)}.toml"
         scene.save(out / files[name])
     final = found[FINAL]
     spread, towards = correlation_area(seen_in(final, TRAIN)), towards_radar(final)
