@@ -5,10 +5,11 @@
 DATA is a folder of public releases. It holds gotcha/data_3dsar_pass1_az001_HH.mat to az003, of the AFRL Gotcha
 volumetric data set; whatever other degrees lie there are test views, too (of an OUT that was begun without them they
 are not). Two scenes are built (data/gotcha): `flat`, regions on flat ground, and `objects`, where every car is an
-object of its own. Of the cars, brightness, poses and shapes are learned one after the other on az001 and
-az002, and the last model is diagnosed. Every step's prediction of az003 (and of what follows it), which nothing was
-read off, fitted to or decided by, is compared with simple ones. OUT gets it all, with gotcha.json and gotcha.md; what
-lies there already is not made again. `--long` has the diagnosis fit from two starts and add as many effects as it may.
+object of its own. Of the cars, brightness, places, sizes and what their bodies lack are learned one after the other
+on az001 and az002, and the last model is diagnosed. Every step's prediction of az003 (and of what follows it), which
+nothing was read off, fitted to or decided by, is compared with simple ones. OUT gets it all, with gotcha.json and
+gotcha.md; what lies there already is not made again. `--long` has the diagnosis fit from two starts and add as many
+effects as it may.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import tables
-from gotcha_cars import DETAIL, GLINT, POSE, Fitted, fit_common, fit_round, kind_of, seen_in, with_effects
+from gotcha_cars import DETAIL, GLINT, Fitted, fit_common, fit_round, kind_of, seen_in, with_effects
 from gotcha_glints import with_glints
 from gotcha_objects import correlation_area, described, near_side, surveyed, towards_radar
 from measured_loop import (
@@ -437,8 +438,9 @@ def effects_alone(path: Path, out: Path, options: DiagnoseOptions, device: str |
 
 KNOWN_SPREAD = {"range_fwhm_m": 0.608, "azimuth_fwhm_m": 1.48, "window": ["taylor", "sinc"]}  # theory, of this grid
 DETAIL_AT = {"level": 0.035, "spread_m": 2.2, "learn": ["level", "spread_m"]}  # where its fit begins
-CAR = ("east", "north", "heading", "height", DETAIL)  # brightness, and a glint's three numbers, are fitted always
-STEPS = ("read off, one brightness", "+ brightness by object", "+ poses", "+ heights and detail", "+ glints")
+PLACE = ("east", "north")
+CAR = (*PLACE, "length", "height", DETAIL)  # brightness, and a glint's three numbers, are fitted always
+STEPS = ("read off, one brightness", "+ brightness by object", "+ places", "+ sizes and detail", "+ glints")
 FINAL = STEPS[-1]
 ROUNDS = 2  # of either of the last steps
 BOUNCES = {"strength": 0.3, "max_bounces": 2}
@@ -501,7 +503,7 @@ def steps_of(path: Path, views: Sequence[str] = TRAIN) -> tuple[dict[str, Scene]
 
     step(lambda: fit_common(alike(declared), views))
     scene = step(lambda: fit_common(declared, views))
-    scene = step(lambda: rounds(scene, starts, POSE, 1))
+    scene = step(lambda: rounds(scene, starts, PLACE, 1))
     scene = step(lambda: rounds(with_detail(scene), starts, CAR, ROUNDS))
     scene = step(lambda: last(scene))
     _, told = fit_round(scene, (*starts, *scene.objects[len(starts) :]), views, CAR, steps=0, told=True)
@@ -515,12 +517,12 @@ def without(scene: Scene, declared: Scene, views: Sequence[str] = TRAIN) -> dict
     count = len(declared.objects)
     pairs, glints = list(zip(scene.objects[:count], declared.objects, strict=True)), scene.objects[count:]
     unshaped = [one.model_copy(update={"size_m": s.size_m}) for one, s in pairs]
-    unposed = [one.model_copy(update={"position_m": s.position_m, "heading_deg": s.heading_deg}) for one, s in pairs]
+    unplaced = [one.model_copy(update={"position_m": s.position_m}) for one, s in pairs]
     effects = {k: table for k, table in scene.effects.items() if k != "unresolved_detail"}
     changed = {
         "last, without brightness by object": alike(scene),
-        "last, without poses": posed(scene, [*unposed, *glints]),
-        "last, without heights": posed(scene, [*unshaped, *glints]),
+        "last, without places": posed(scene, [*unplaced, *glints]),
+        "last, without sizes": posed(scene, [*unshaped, *glints]),
         "last, without detail": replace(scene, effects=effects),
         "last, without glints": without_glints(scene),
         "last, with bounces": with_effects(scene, multibounce=BOUNCES),
