@@ -298,6 +298,13 @@ def seen_from(scene: Scene, images: dict[str, np.ndarray], target: str, order: i
     return np.asarray(np.mean(resampled, axis=0))
 
 
+def smoothed(image: np.ndarray) -> np.ndarray:
+    """The mean over 3 x 3 pixels; NaN stays."""
+    from scipy.ndimage import uniform_filter
+
+    return np.where(np.isfinite(image), uniform_filter(np.nan_to_num(image), 3), np.nan)
+
+
 def image_of(found: evaluation.Evaluation, view: str) -> evaluation.EvaluatedImage:
     """The image of a view."""
     return next(i for i in found.images if i.view.name == view)
@@ -306,13 +313,11 @@ def image_of(found: evaluation.Evaluation, view: str) -> evaluation.EvaluatedIma
 def simple_predictions(scene: Scene, found: evaluation.Evaluation, view: str = TEST) -> dict[str, np.ndarray]:
     """What a user would try for a test view, from the flat scene's regions and the train images; each (rows, cols),
     NaN where it has nothing to say."""
-    from scipy.ndimage import uniform_filter
-
     train, test = [image_of(found, name) for name in TRAIN], image_of(found, view)
     pixels = [Pixels(i.observation.values, regions(scene, i.view)[i.interior], i.observation.looks) for i in train]
     means = region_means(pixels, len(scene.mesh.materials))
     mean = seen_from(scene, {i.view.name: i.measured for i in train}, test.view.name)
-    smooth = np.where(np.isfinite(mean), uniform_filter(np.nan_to_num(mean), 3), np.nan)
+    smooth = smoothed(mean)
     return {
         "one constant": np.ones(mean.shape),
         "one constant per flat region": means[regions(scene, test.view)],
