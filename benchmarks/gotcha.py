@@ -5,10 +5,11 @@
 DATA is a folder of public releases. It holds gotcha/data_3dsar_pass1_az001_HH.mat to az003, of the AFRL Gotcha
 volumetric data set; whatever other degrees lie there are test views, too (of an OUT that was begun without them they
 are not). Two scenes are built (data/gotcha): `flat`, regions on flat ground, and `objects`, where every car is an
-object of its own. Of the cars, brightness, poses and shapes are learned one after the other on az001 and
-az002, and the last model is diagnosed. Every step's prediction of az003 (and of what follows it), which nothing was
-read off, fitted to or decided by, is compared with simple ones. OUT gets it all, with gotcha.json and gotcha.md; what
-lies there already is not made again. `--long` has the diagnosis fit from two starts and add as many effects as it may.
+object of its own. Of the cars, brightness, places, sizes and what their bodies lack are learned one after the other
+on az001 and az002, and the last model is diagnosed. Every step's prediction of az003 (and of what follows it), which
+nothing was read off, fitted to or decided by, is compared with simple ones. OUT gets it all, with gotcha.json and
+gotcha.md; what lies there already is not made again. `--long` has the diagnosis fit from two starts and add as many
+effects as it may.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import tables
-from gotcha_cars import DETAIL, GLINT, POSE, Fitted, fit_common, fit_round, kind_of, seen_in, with_effects
+from gotcha_cars import DETAIL, GLINT, Fitted, fit_common, fit_round, kind_of, seen_in, with_effects
 from gotcha_glints import with_glints
 from gotcha_objects import correlation_area, described, near_side, surveyed, towards_radar
 from measured_loop import (
@@ -59,6 +60,7 @@ from warpsar.scene.scene import Scene
 from warpsar.speckle.likelihood import best_gain, deviance, expected_deviance
 from warpsar.speckle.looks import equivalent_looks
 from warpsar.world.frame import ViewGeometry
+from warpsar.world.objects.table import Object
 from warpsar.world.tables import View
 from warpsar.world.world import geometry_of
 
@@ -296,6 +298,13 @@ def seen_from(scene: Scene, images: dict[str, np.ndarray], target: str, order: i
     return np.asarray(np.mean(resampled, axis=0))
 
 
+def smoothed(image: np.ndarray) -> np.ndarray:
+    """The mean over 3 x 3 pixels; NaN stays."""
+    from scipy.ndimage import uniform_filter
+
+    return np.where(np.isfinite(image), uniform_filter(np.nan_to_num(image), 3), np.nan)
+
+
 def image_of(found: evaluation.Evaluation, view: str) -> evaluation.EvaluatedImage:
     """The image of a view."""
     return next(i for i in found.images if i.view.name == view)
@@ -304,13 +313,11 @@ def image_of(found: evaluation.Evaluation, view: str) -> evaluation.EvaluatedIma
 def simple_predictions(scene: Scene, found: evaluation.Evaluation, view: str = TEST) -> dict[str, np.ndarray]:
     """What a user would try for a test view, from the flat scene's regions and the train images; each (rows, cols),
     NaN where it has nothing to say."""
-    from scipy.ndimage import uniform_filter
-
     train, test = [image_of(found, name) for name in TRAIN], image_of(found, view)
     pixels = [Pixels(i.observation.values, regions(scene, i.view)[i.interior], i.observation.looks) for i in train]
     means = region_means(pixels, len(scene.mesh.materials))
     mean = seen_from(scene, {i.view.name: i.measured for i in train}, test.view.name)
-    smooth = np.where(np.isfinite(mean), uniform_filter(np.nan_to_num(mean), 3), np.nan)
+    smooth = smoothed(mean)
     return {
         "one constant": np.ones(mean.shape),
         "one constant per flat region": means[regions(scene, test.view)],
@@ -436,8 +443,9 @@ def effects_alone(path: Path, out: Path, options: DiagnoseOptions, device: str |
 
 KNOWN_SPREAD = {"range_fwhm_m": 0.608, "azimuth_fwhm_m": 1.48, "window": ["taylor", "sinc"]}  # theory, of this grid
 DETAIL_AT = {"level": 0.035, "spread_m": 2.2, "learn": ["level", "spread_m"]}  # where its fit begins
-CAR = ("east", "north", "heading", "height", DETAIL)  # brightness, and a glint's three numbers, are fitted always
-STEPS = ("read off, one brightness", "+ brightness by object", "+ poses", "+ heights and detail", "+ glints")
+PLACE = ("east", "north")
+CAR = (*PLACE, "length", "height", DETAIL)  # brightness, and a glint's three numbers, are fitted always
+STEPS = ("read off, one brightness", "+ brightness by object", "+ places", "+ sizes and detail", "+ glints")
 FINAL = STEPS[-1]
 ROUNDS = 2  # of either of the last steps
 BOUNCES = {"strength": 0.3, "max_bounces": 2}
@@ -472,30 +480,39 @@ def without_glints(scene: Scene) -> Scene:
 
 
 def steps_of(path: Path, views: Sequence[str] = TRAIN) -> tuple[dict[str, Scene], list[Fitted]]:
-    """The scene after every step by its name, and the objects' last fit."""
+    """The scene after every step by its name, and what the images tell of every object in the last.
+
+    Every step is kept beside the scene file as it is made, so an interrupted run goes on from there."""
     declared = Scene.load(path)
     declared = with_effects(declared, point_spread=KNOWN_SPREAD, eps_gradient={"per_m_east": 0.0, "per_m_north": 0.0})
     starts, found = declared.objects, {}
 
-    def told(name: str, scene: Scene) -> Scene:
-        print(f"{name} ...", file=sys.stderr)
-        found[name] = scene
+    def step(make: Callable[[], Scene]) -> Scene:
+        name = STEPS[len(found)]
+        file = path.with_name(f"step{len(found)}.toml")
+        if not file.exists():
+            print(f"{name} ...", file=sys.stderr)
+            make().save(file)
+        found[name] = Scene.load(file)
+        return found[name]
+
+    def rounds(scene: Scene, about: Sequence[Object], keys: Sequence[str], count: int) -> Scene:
+        for _ in range(count):
+            scene, _ = fit_round(scene, about, views, keys)
+            scene = fit_common(scene, views)
         return scene
 
-    told(STEPS[0], fit_common(alike(declared), views))
-    scene = told(STEPS[1], fit_common(declared, views))
-    scene, _ = fit_round(scene, starts, views, POSE)
-    scene = with_detail(told(STEPS[2], fit_common(scene, views)))
-    for _ in range(ROUNDS):
-        scene, last = fit_round(scene, starts, views, CAR)
-        scene = fit_common(scene, views)
-    scene = with_glints(told(STEPS[3], scene), views)
-    starts = (*starts, *scene.objects[len(starts) :])
-    for number in range(ROUNDS):
-        scene, last = fit_round(scene, starts, views, CAR, told=number == ROUNDS - 1)
-        scene = fit_common(scene, views)
-    told(FINAL, scene)
-    return found, [last[k] for k in range(len(starts))]
+    def last(scene: Scene) -> Scene:
+        more = with_glints(scene, views)
+        return rounds(more, (*starts, *more.objects[len(starts) :]), CAR, ROUNDS)
+
+    step(lambda: fit_common(alike(declared), views))
+    scene = step(lambda: fit_common(declared, views))
+    scene = step(lambda: rounds(scene, starts, PLACE, 1))
+    scene = step(lambda: rounds(with_detail(scene), starts, CAR, ROUNDS))
+    scene = step(lambda: last(scene))
+    _, told = fit_round(scene, (*starts, *scene.objects[len(starts) :]), views, CAR, steps=0, told=True)
+    return found, [told[k] for k in range(len(scene.objects))]
 
 
 def without(scene: Scene, declared: Scene, views: Sequence[str] = TRAIN) -> dict[str, Scene]:
@@ -505,12 +522,12 @@ def without(scene: Scene, declared: Scene, views: Sequence[str] = TRAIN) -> dict
     count = len(declared.objects)
     pairs, glints = list(zip(scene.objects[:count], declared.objects, strict=True)), scene.objects[count:]
     unshaped = [one.model_copy(update={"size_m": s.size_m}) for one, s in pairs]
-    unposed = [one.model_copy(update={"position_m": s.position_m, "heading_deg": s.heading_deg}) for one, s in pairs]
+    unplaced = [one.model_copy(update={"position_m": s.position_m}) for one, s in pairs]
     effects = {k: table for k, table in scene.effects.items() if k != "unresolved_detail"}
     changed = {
         "last, without brightness by object": alike(scene),
-        "last, without poses": posed(scene, [*unposed, *glints]),
-        "last, without heights": posed(scene, [*unshaped, *glints]),
+        "last, without places": posed(scene, [*unplaced, *glints]),
+        "last, without sizes": posed(scene, [*unshaped, *glints]),
         "last, without detail": replace(scene, effects=effects),
         "last, without glints": without_glints(scene),
         "last, with bounces": with_effects(scene, multibounce=BOUNCES),
@@ -521,10 +538,9 @@ def without(scene: Scene, declared: Scene, views: Sequence[str] = TRAIN) -> dict
 def fitted(path: Path, out: Path) -> dict[str, Any]:
     """All steps, kept as scenes in OUT/objects, and the objects' table."""
     found, objects = steps_of(path)
-    found |= without(found[FINAL], Scene.load(path))
-    files = {}
-    for k, (name, scene) in enumerate(found.items()):
-        files[name] = f"step{k}.toml"
+    files = {name: f"step{k}.toml" for k, name in enumerate(found)}
+    for name, scene in without(found[FINAL], Scene.load(path)).items():
+        files[name] = f"step{len(files)}.toml"
         scene.save(out / files[name])
     final = found[FINAL]
     spread, towards = correlation_area(seen_in(final, TRAIN)), towards_radar(final)

@@ -2,14 +2,15 @@
 
 A bounce between car and ground is followed by rays, and an image by rays has no derivative over millimetres. So each
 object's derivatives are differences over centimetres, of a small scene about it: the object, its neighbours, a piece of
-ground, and the pixels that they reach. Objects are fitted in turn, each against what all others give; two processes
-share them. Whatever all objects have in common (ground, point spread, bounces) is fitted between two rounds.
+ground, and the pixels that they reach. Objects are fitted in turn, each against what all others give; processes share
+them. Whatever all objects have in common (ground, point spread, bounces) is fitted between two rounds.
 """
 
 from __future__ import annotations
 
 import math
 import multiprocessing
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -50,7 +51,7 @@ THING = {"length": 0.5, "width": 0.5, "height": 0.5}  # of what is no car, nothi
 LARGEST = {"east": 0.6, "north": 0.8, "heading": 5.0}  # move in one step; of logarithms and shares 0.7
 LEAST = 0.1  # of an object's own image, that is left where the others' difference to the window's exceeds it
 ENOUGH = 0.5  # gain in log-likelihood from which a further step is tried
-PROCESSES = 2
+SHARES = 8  # of the objects, each fitted by a process; as many on any machine, so that the result is the same
 
 
 def keys_of(one: Object, wanted: Sequence[str]) -> list[str]:
@@ -389,14 +390,14 @@ def fit_round(
     told: bool = False,
     belief: Belief | None = None,
 ) -> tuple[Scene, dict[int, Fitted]]:
-    """Every object fitted once, against all others as they stand: `PROCESSES` shares, from south to north.
+    """Every object fitted once, against all others as they stand: `SHARES` shares, from south to north.
 
     `starts` are the objects as they were read off, which the priors are about. `told`: as `_Fit.descended`."""
     order = sorted(range(len(scene.objects)), key=lambda k: scene.objects[k].position_m[1])
-    shares = [part.tolist() for part in np.array_split(order, PROCESSES)]
+    shares = [part.tolist() for part in np.array_split(order, min(SHARES, len(order)))]
     tasks = [(scene, mine, starts, views, keys, steps, told, belief or Belief()) for mine in shares]
-    with multiprocessing.get_context("spawn").Pool(PROCESSES) as pool:
-        found = {k: one for part in pool.map(_share, tasks) for k, one in part.items()}
+    with multiprocessing.get_context("spawn").Pool(min(len(tasks), os.cpu_count() or 1)) as pool:
+        found = {k: one for part in pool.map(_share, tasks, chunksize=1) for k, one in part.items()}
     return placed(scene, found), found
 
 

@@ -18,10 +18,10 @@ from warpsar.world.world import geometry_of
 LAGS = 2  # pixels within which speckle is correlated: the point response is no wider
 TOLD = 0.5  # of what was known before, below which the images have told a number
 TRADES = 0.7  # correlation from which two numbers trade
-LINE_M, ALONG_M, HEADING_DEG = 0.25, 0.8, 5.0
+LINE_M, ALONG_M = 0.25, 0.8
 """Standard deviations of what the straight car cannot say, beside those of its fit. Its side may shine anywhere between
 sill and window line, on ground that need not be at z = 0: 0.25 m across. A side that bows shines where it faces the
-radar, up to 2 m from its middle: 0.8 m along. Such a line does not turn with the car: 5 degrees."""
+radar, up to 2 m from its middle: 0.8 m along."""
 FOUND_M = 4.0  # between the middles of an object and a surveyed vehicle, at most
 
 
@@ -99,7 +99,7 @@ def described(found: Fitted, towards: np.ndarray, spread: float) -> dict[str, An
         "position_m": [round(float(p), 3) for p in one.position_m],
         "position_sd_m": [round(float(by_key.get(k, 0.0)), 3) for k in ("east", "north")],
         "heading_deg": round(one.heading_deg, 2),
-        "heading_sd_deg": round(math.hypot(by_key["heading"], HEADING_DEG), 2) if "heading" in by_key else None,
+        "heading_sd_deg": round(float(by_key.get("heading", KNOWN["heading"])), 2) if one.primitive == "car" else None,
         "size_m": [round(float(s), 3) for s in one.size_m],
         "size_sd_m": [
             round(float(s * by_key[k]), 3) if k in by_key else None

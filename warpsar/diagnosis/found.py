@@ -29,8 +29,8 @@ class DiagnoseOptions:
     `family_error`: chance of naming anything, or calling the rest unexplained, where nothing is missing. `draws`:
     bootstrap size. `refits`: how many of the likeliest candidates get a full fit. `starts`: further starts of every
     fit. `most_effects`: how many may be added; by default as many as there are. `bodies`: whether bodies may be moved,
-    left out or proposed; each takes renders of the whole scene, so a hundred of them take hours. Raises InputError where
-    the draws are too few for the error rate.
+    left out or proposed; each takes renders of the whole scene, so a hundred of them take hours. Raises InputError
+    where the draws are too few for the error rate.
     """
 
     family_error: float = 0.01
