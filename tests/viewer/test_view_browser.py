@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -151,10 +151,15 @@ def test_before_and_after_are_a_switch(tmp_path: Path) -> None:
         assert page.is_checked("input[value=after]")
         for quantity in ("h [mm]", "modelled HH"):
             page.select_option("#quantity", quantity)
-            page.check("input[value=after]")
+            page.wait_for_timeout(1000)
             after = picture(page)
             page.check("input[value=before]")
-            assert np.abs(picture(page) - after).max() > 30.0, quantity
+            assert drawn_within_10_s(page, lambda now, was=after: np.abs(now - was).max() > 30.0), quantity
             page.check("input[value=after]")
-            assert np.abs(picture(page) - after).max() < 30.0, quantity
+            assert drawn_within_10_s(page, lambda now, was=after: np.abs(now - was).max() < 30.0), quantity
         browser.close()
+
+
+def drawn_within_10_s(page: Any, wanted: Callable[[np.ndarray], bool]) -> bool:
+    """Whether the canvas comes to look as wanted: a busy machine draws late."""
+    return any(wanted(picture(page)) for _ in range(40))
