@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,9 @@ ROOT = Path(__file__).resolve().parents[2]
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 WITHOUT_GPU = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 
-playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+playwright = pytest.importorskip(
+    "playwright.sync_api", reason="playwright is not installed: pip install 'warpsar[browser]'"
+)
 pytestmark = pytest.mark.skipif(BROWSER is None, reason="no Chromium on this machine")
 
 
@@ -129,7 +131,7 @@ def test_before_and_after_are_chosen(shown: tuple[Any, list[str]]) -> None:
     assert said == []
 
 
-def test_before_and_after_are_a_switch(tmp_path: Path) -> None:
+def test_before_and_after_are_a_switch(shown: tuple[Any, list[str]], tmp_path: Path) -> None:
     """The page opens on the scene asked for; the switch shows the other one's surface and images, and back."""
     scene = (ROOT / "data/example/scene.toml").read_text()
     mesh = (ROOT / "data/example/scene.obj").as_posix()
@@ -143,18 +145,21 @@ def test_before_and_after_are_a_switch(tmp_path: Path) -> None:
     lines[height] = "rms_height_m = 0.0025"
     (tmp_path / "then.toml").write_text("\n".join(lines))
     path = run(tmp_path / "then.toml", tmp_path / "page", before=tmp_path / "first.toml", device="cpu")
-    with playwright.sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=BROWSER, args=WITHOUT_GPU)
-        page = browser.new_page(viewport={"width": 900, "height": 600})
-        page.goto(path.as_uri())
-        page.wait_for_function("document.body.dataset.drawn > 0")
-        assert page.is_checked("input[value=after]")
-        for quantity in ("h [mm]", "modelled HH"):
-            page.select_option("#quantity", quantity)
-            page.check("input[value=after]")
-            after = picture(page)
-            page.check("input[value=before]")
-            assert np.abs(picture(page) - after).max() > 30.0, quantity
-            page.check("input[value=after]")
-            assert np.abs(picture(page) - after).max() < 30.0, quantity
-        browser.close()
+    page = shown[0].context.browser.new_page(viewport={"width": 900, "height": 600})
+    page.goto(path.as_uri())
+    page.wait_for_function("document.body.dataset.drawn > 0")
+    assert page.is_checked("input[value=after]")
+    for quantity in ("h [mm]", "modelled HH"):
+        page.select_option("#quantity", quantity)
+        page.wait_for_timeout(1000)
+        after = picture(page)
+        page.check("input[value=before]")
+        assert drawn_within_10_s(page, lambda now, was=after: np.abs(now - was).max() > 30.0), quantity
+        page.check("input[value=after]")
+        assert drawn_within_10_s(page, lambda now, was=after: np.abs(now - was).max() < 30.0), quantity
+    page.close()
+
+
+def drawn_within_10_s(page: Any, wanted: Callable[[np.ndarray], bool]) -> bool:
+    """Whether the canvas comes to look as wanted: a busy machine draws late."""
+    return any(wanted(picture(page)) for _ in range(40))

@@ -26,6 +26,10 @@ NAMES = tuple(LIBRARY)
 MARGIN_M = 30.0
 MOST_CELLS = 1000
 """Cells of the ground along a side."""
+MERCATOR = ("EPSG:3857", "EPSG:3395")
+"""Systems whose metre is shorter than a metre far from the equator, and means to be."""
+MOST_STRETCH = 0.02
+"""Twenty times what UTM and the grids of countries stretch a length by."""
 _BURIED_M = 0.5  # walls begin below the ground, so that no gap shows on a slope
 
 
@@ -58,10 +62,16 @@ def mesh_of(path: Path, dem: Path | None) -> tuple[Mesh, Origin]:
     World metres are azimuthal equidistant about the origin. Heights count from the ground at the origin; without an
     elevation model the ground is level, and every building stands on it. Raises InputError.
     """
-    buildings = footprints.read(path)
+    buildings = _whole(path, footprints.read(path))
     flat = np.concatenate([ring[:, :2] for ring in _rings(buildings)])
     with geotiff.projecting(path):
+        geographic = _geographic(buildings.crs)
+        if geographic:
+            flat = flat[:, ::-1] if buildings.latitude_first else flat
+            _on_earth(path, flat)
         longitude, latitude = _moved(buildings.crs, "EPSG:4326", (flat.min(axis=0) + flat.max(axis=0))[None] / 2.0)[0]
+    if not np.isfinite([longitude, latitude]).all():
+        raise InputError(f"{path}: found x, y of {flat[0, 0]:g}, {flat[0, 1]:g}; must lie where {buildings.crs} holds")
     local = f"+proj=aeqd +lat_0={latitude} +lon_0={longitude} +datum=WGS84 +units=m"
     with geotiff.projecting(path):
         moved = iter(np.split(_moved(buildings.crs, local, flat), np.cumsum([len(r) for r in _rings(buildings)])[:-1]))
@@ -86,15 +96,63 @@ def mesh_of(path: Path, dem: Path | None) -> tuple[Mesh, Origin]:
         assert isinstance(one, Surfaces)
         lowest = min(float(ring[:, 2].min()) for rings in polygons for ring in rings)
         made.solid(polygons, one.kinds, base if dem is not None else lowest)
-    _say(path, buildings)
+    _say(path, buildings, latitude, longitude)
+    if not geographic and buildings.crs not in MERCATOR:
+        _check_stretch(path, buildings, flat, plan, (latitude, longitude))
     origin = Origin(latitude_deg=round(latitude, 8), longitude_deg=round(longitude, 8), height_m=round(base, 3))
     return made.mesh(), origin
 
 
-def _say(path: Path, buildings: Buildings) -> None:
+def _whole(path: Path, buildings: Buildings) -> Buildings:
+    """Without outlines that cross themselves or have no area. Raises InputError where none is left."""
+    import shapely
+
+    kept = [one for one in buildings.found if isinstance(one, Outline)]
+    if not kept:
+        return buildings
+    made = [shapely.Polygon(one.rings[0], one.rings[1:]) for one in kept]
+    sound = [one for one, polygon in zip(kept, made, strict=True) if polygon.is_valid and polygon.area > 0.0]
+    if not sound:
+        raise InputError(f"{path}: found {len(kept)} outlines that cross themselves or have no area; must be others")
+    if len(sound) < len(kept):
+        console.warn([f"{path}: {len(kept) - len(sound)} outlines cross themselves or have no area, and are left out"])
+    return Buildings(buildings.crs, sound, buildings.latitude_first)
+
+
+def _on_earth(path: Path, flat: NDArray[np.float64]) -> None:
+    """Raises InputError for what is no longitude and latitude."""
+    wrong = np.flatnonzero((np.abs(flat) > (180.0, 90.0)).any(axis=1))
+    if wrong.size:
+        x, y = flat[wrong[0]]
+        raise InputError(
+            f"{path}: found longitude {x:g}, latitude {y:g}; must lie within 180 and 90 degrees. In GeoJSON longitude "
+            f'comes first, and metres need a member "crs" that names their system'
+        )
+
+
+def _check_stretch(
+    path: Path, buildings: Buildings, flat: NDArray[np.float64], plan: NDArray[np.float64], at: tuple[float, float]
+) -> None:
+    """Warn where lengths in the file's own metres, `flat`, are far from those on the ground, `plan`."""
+    from rasterio.crs import CRS
+
+    unit_m = CRS.from_string(buildings.crs).linear_units_factor[1]
+    along, across = (float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum()) for points in (plan, flat))
+    stretch = along / (across * unit_m)
+    if abs(stretch - 1.0) > MOST_STRETCH:
+        console.warn(
+            [
+                f"{path}: a metre of {buildings.crs} is {stretch:.2f} m there, at latitude {at[0]:.3f}, longitude "
+                f"{at[1]:.3f}; x was taken as east and y as north: are they exchanged?"
+            ]
+        )
+
+
+def _say(path: Path, buildings: Buildings, latitude: float, longitude: float) -> None:
     unknown = sum(isinstance(one, Outline) and one.height_m is None for one in buildings.found)
     said = f"; {unknown} without a height are {footprints.UNKNOWN_M:g} m high" if unknown else ""
-    console.say(f"{path}: {len(buildings.found)} buildings{said}")
+    place = f"; about latitude {latitude:.4f}, longitude {longitude:.4f}"
+    console.say(f"{path}: {len(buildings.found)} buildings{said}{place}")
 
 
 def _rings(buildings: Buildings) -> list[Ring]:
@@ -103,6 +161,12 @@ def _rings(buildings: Buildings) -> list[Ring]:
     for one in buildings.found:
         found += one.rings if isinstance(one, Outline) else [ring for rings in one.polygons for ring in rings]
     return found
+
+
+def _geographic(crs: str) -> bool:
+    from rasterio.crs import CRS
+
+    return bool(CRS.from_string(crs).is_geographic)
 
 
 def _moved(source: str, target: str, points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -182,7 +246,8 @@ class _Made:
         top = float(foot.mean()) + height
         flat = np.concatenate(rings)
         self.add("roofs", np.column_stack([flat, np.full(len(flat), top)]), _triangles(rings))
-        for ring in rings:
+        for number, ring in enumerate(rings):
+            ring = ring if _counterclockwise(ring) == (number == 0) else ring[::-1]  # so that walls look outward
             n = len(ring)
             bottom = np.full(n, float(foot.min()) - _BURIED_M)
             both = np.concatenate([np.column_stack([ring, z]) for z in (bottom, np.full(n, top))])
@@ -198,6 +263,8 @@ class _Made:
                 continue
             dropped = int(np.argmax(np.abs(up)))  # the plane on which the polygon is widest
             faces = _triangles([np.delete(ring, dropped, axis=1) for ring in rings])
+            if up[dropped] * (-1.0, 1.0)[dropped != 1] < 0.0:  # the plane's own third axis is x, -y or z
+                faces = faces[:, ::-1]
             self.add("roofs" if kind == "roof" else "walls", corners, faces)
 
     def mesh(self) -> Mesh:
@@ -213,8 +280,14 @@ class _Made:
         )
 
 
+def _counterclockwise(ring: Ring) -> bool:
+    x, y = (ring - ring[0]).T
+    return float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))) > 0.0
+
+
 def _triangles(rings: list[Ring]) -> NDArray[np.int64]:
-    """Triangles of a flat polygon with holes, as indices into its corners; none for one that crosses itself."""
+    """Counterclockwise triangles of a flat polygon with holes, as indices into its corners; none for one that crosses
+    itself."""
     import shapely
 
     corners = np.concatenate(rings)
@@ -223,5 +296,6 @@ def _triangles(rings: list[Ring]) -> NDArray[np.int64]:
         return np.empty((0, 3), np.int64)
     index = {tuple(corner): at for at, corner in enumerate(corners.tolist())}
     parts = shapely.get_parts(shapely.constrained_delaunay_triangles(polygon))
+    parts = shapely.orient_polygons(parts)
     found = [[index[tuple(corner)] for corner in shapely.get_coordinates(part)[:3].tolist()] for part in parts]
     return np.array(found, np.int64).reshape(-1, 3)

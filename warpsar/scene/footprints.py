@@ -22,6 +22,7 @@ LARGEST_FILE = 2**28
 """Bytes: some 200,000 buildings."""
 STOREY_M, UNKNOWN_M = 3.0, 6.0
 """Height of a storey (`building:levels`), and of a building that says nothing."""
+FOOT_M = 0.3048
 _WGS_84 = "EPSG:4326"
 _NO_ROOF = ("GroundSurface", "ClosureSurface", "InteriorWallSurface", "FloorSurface", "CeilingSurface")
 
@@ -47,10 +48,12 @@ class Surfaces:
 
 @dataclass(frozen=True)
 class Buildings:
-    """`crs`: the coordinate system of x and y, as "EPSG:..."; longitude before latitude where it is geographic."""
+    """`crs`: the coordinate system of x and y, as "EPSG:...". `latitude_first` where it is geographic: in CityGML the
+    axes stand in the order of the system's own definition, in GeoJSON longitude comes first."""
 
     crs: str
     found: list[Outline] | list[Surfaces]
+    latitude_first: bool
 
 
 def read(path: Path) -> Buildings:
@@ -76,26 +79,32 @@ def _geojson(path: Path, data: bytes) -> Buildings:
         outlines = [outline for feature in features for outline in _outlines(feature)]
     except (ValueError, KeyError, TypeError, AttributeError, IndexError, RecursionError) as error:
         raise InputError(f"{path}: cannot be read as GeoJSON ({type(error).__name__}: {error})") from error
-    return Buildings(_WGS_84 if "CRS84" in name else _epsg(path, name), outlines)
+    return Buildings(_WGS_84 if "CRS84" in name else _epsg(path, name), outlines, latitude_first=False)
 
 
 def _outlines(feature: dict[str, Any]) -> Iterator[Outline]:
     geometry = feature.get("geometry") or {}
-    polygons = {"Polygon": lambda c: [c], "MultiPolygon": lambda c: c}.get(geometry.get("type", ""))
-    if polygons is None:
-        return
-    for rings in polygons(geometry["coordinates"]):
-        flat = [np.array([point[:2] for point in ring], float) for ring in rings]
-        if all(len(ring) >= 4 and np.isfinite(ring).all() for ring in flat):
-            yield Outline([ring[:-1] for ring in flat], _height(feature.get("properties") or {}))
+    for one in geometry.get("geometries", [geometry]):
+        kind = one.get("type")
+        polygons = [one["coordinates"]] if kind == "Polygon" else one["coordinates"] if kind == "MultiPolygon" else []
+        for rings in polygons:
+            flat = [np.array([point[:2] for point in ring], float) for ring in rings]
+            if all(len(ring) >= 4 and np.isfinite(ring).all() for ring in flat):
+                yield Outline([ring[:-1] for ring in flat], _height(feature.get("properties") or {}))
 
 
 def _height(properties: dict[str, Any]) -> float | None:
-    """OpenStreetMap's `height` ("12.5 m", or a number), else its `building:levels`."""
+    """OpenStreetMap's `height` ("12.5 m", a number, or feet as 39'4" and 39 ft), else its `building:levels`."""
     for key, metres in (("height", 1.0), ("building:levels", STOREY_M), ("levels", STOREY_M)):
-        number = re.match(r"\s*(\d+(\.\d*)?)", str(properties.get(key, "")))
-        if number is not None and 0.0 < float(number[1]) * metres < 2000.0:
-            return float(number[1]) * metres
+        said = str(properties.get(key, "")).replace(",", ".")
+        number = re.match(r"\s*(\d+(?:\.\d*)?)\s*(?:(ft|feet)\b|'\s*(?:(\d+(?:\.\d*)?)\s*(?:\"|''))?)?", said)
+        if number is None:
+            continue
+        height = float(number[1]) * metres
+        if number[0] != number[1] and re.search(r"ft|feet|'", number[0]):
+            height = FOOT_M * (float(number[1]) + float(number[3] or 0.0) / 12.0)
+        if 0.0 < height < 2000.0:
+            return height
     return None
 
 
@@ -120,7 +129,7 @@ def _citygml(path: Path, data: bytes) -> Buildings:
                 raise InputError(f"{path}: cannot be read as CityGML ({error})") from error
             if surfaces.polygons:
                 found.append(surfaces)
-    return Buildings(crs, found)
+    return Buildings(crs, found, latitude_first=True)
 
 
 def _surfaces(building: ElementTree.Element) -> Surfaces:
