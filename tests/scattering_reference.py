@@ -25,14 +25,25 @@ def power_spectrum(n: int, kl: float, k_wave: np.ndarray | float, spectrum: str)
 
 
 def published_coefficients(polarization: str, theta: float, eps: complex, case: int, up: int) -> complex:
-    """F of equation 3 in backscatter with k = 1: case 1 along the incident wave, 2 along the scattered one."""
+    """F of I2EM in backscatter with k = 1: case 1 along the incident wave, 2 along the scattered one."""
+    c = math.cos(theta)
+    return sum(above_and_below(polarization, theta, eps, case, up, phase=up * c))
+
+
+def above_and_below(
+    polarization: str, theta: float, eps: complex, case: int, up: int, phase: float | None = None
+) -> tuple[complex, complex]:
+    """The parts of F that belong to the wave above and to the one below (Fung, Liu, Chen and Tsay 2002, equation 3).
+
+    `phase`: the vertical wave number in both waves' phases; None: each has its own, as in the advanced model.
+    """
     c, s = math.cos(theta), math.sin(theta)
     below = np.sqrt(eps - s * s + 0j)
     r = fresnel(theta, eps)[polarization == "HH"]
     across = -2 * s  # sin(theta_s) cos(phi_s) - sin(theta)
-    q = up * c
 
     def five(g: complex) -> tuple[complex, ...]:
+        q = g if phase is None else phase
         if case == 1:
             return (
                 -(c - q),
@@ -48,18 +59,12 @@ def published_coefficients(polarization: str, theta: float, eps: complex, case: 
     p, m = 1 + r, 1 - r
     if polarization == "VV":
         return (
-            p * (-m * a[0] / c + p * b[0] / below)
-            + m * (m * a[1] / c - p * b[1] / below)
-            + p * (m * a[2] / c - p * b[2] / (eps * below))
-            + m * (p * a[3] / c - eps * m * b[3] / below)
-            + p * (p * a[4] / c - m * b[4] / below)
+            (-p * m * a[0] + m * m * a[1] + p * m * a[2] + m * p * a[3] + p * p * a[4]) / c,
+            (p * p * b[0] - m * p * b[1] - p * p * b[2] / eps - eps * m * m * b[3] - p * m * b[4]) / below,
         )
     return (
-        p * (m * a[0] / c - eps * p * b[0] / below)
-        - m * (m * a[1] / c - p * b[1] / below)
-        - p * (m * a[2] / c - p * b[2] / below)
-        - m * (p * a[3] / c - m * b[3] / below)
-        - p * (p * a[4] / c - m * b[4] / below)
+        (p * m * a[0] - m * m * a[1] - p * m * a[2] - m * p * a[3] - p * p * a[4]) / c,
+        (-eps * p * p * b[0] + m * p * b[1] + p * p * b[2] + m * m * b[3] + p * m * b[4]) / below,
     )
 
 
@@ -106,6 +111,68 @@ def i2em(
         w = float(power_spectrum(n, kl, 2 * s, spectrum))
         total += abs(amplitude) ** 2 * math.exp(log_share - 4 * a) * w
     return total / 2 * (shadowed(theta, kh, kl, spectrum, ways=2) if shadow else 1.0)
+
+
+def iem(
+    polarization: str,
+    theta: float,
+    eps: complex,
+    kh: float,
+    kl: float,
+    spectrum: str = "exponential",
+    *,
+    terms: int = 60,
+) -> float:
+    """HH or VV of Fung, Li and Chen 1992, equations 82, 91 and 95, without shadow: what SMRT's iem_fung92 has."""
+    c, s = math.cos(theta), math.sin(theta)
+    vv = polarization == "VV"
+    r = fresnel(theta, eps)[0 if vv else 1]
+    kirchhoff = (2 if vv else -2) * r / c
+    if vv:
+        field = s**2 / c * (1 + r) ** 2 * (1 - 1 / eps) * (1 + (s / c) ** 2 / eps)
+    else:
+        field = -(s**2) / c * (1 + r) ** 2 * (eps - 1) / c**2
+    total, share = 0.0, 1.0
+    for n in range(1, terms):
+        share *= kh**2 / n
+        amplitude = (2 * c) ** n * kirchhoff * math.exp(-((kh * c) ** 2)) + c**n * field
+        total += share * abs(amplitude) ** 2 * float(power_spectrum(n, kl, 2 * s, spectrum))
+    return total / 2 * math.exp(-2 * (kh * c) ** 2)
+
+
+def aiem(
+    polarization: str,
+    theta: float,
+    eps: complex,
+    kh: float,
+    kl: float,
+    spectrum: str = "exponential",
+    *,
+    terms: int = 60,
+) -> float:
+    """HH or VV of the advanced model (Chen, Wu, Tsang, Li, Shi and Fung 2003), with the transition of Fung and Chen 2004.
+
+    Its waves below the surface keep their own phases, which I2EM takes from the waves above.
+    """
+    c, s = math.cos(theta), math.sin(theta)
+    below = np.sqrt(eps - s * s + 0j)
+    sign = 1 if polarization == "VV" else -1
+    r = fresnel(theta, eps)[polarization == "HH"]
+    r0 = sign * (np.sqrt(eps + 0j) - 1) / (np.sqrt(eps + 0j) + 1)
+    kirchhoff = sign * 2 / c * (r + (r0 - r) * transition_share(theta, eps, kh, kl, spectrum))
+    waves = []
+    for case, up in ((1, 1), (1, -1), (2, 1), (2, -1)):
+        own = above_and_below(polarization, theta, eps, case, up)
+        for field, q in zip(own, (up * c, up * below), strict=True):
+            waves.append((field * np.exp(-((kh * q) ** 2)), c - q if case == 1 else c + q))
+    total, share = 0.0, 1.0
+    for n in range(1, terms):
+        share *= kh**2 / n
+        amplitude = (2 * c) ** n * kirchhoff * math.exp(-((kh * c) ** 2))
+        amplitude += sum(field * (phase ** (n - 1) if n > 1 else 1.0) for field, phase in waves) / 4
+        total += share * abs(amplitude) ** 2 * float(power_spectrum(n, kl, 2 * s, spectrum))
+    both_ways = shadowed(theta, kh, kl, spectrum, ways=2)
+    return float(total / 2 * math.exp(-2 * (kh * c) ** 2) * both_ways)
 
 
 def transition_share(theta: float, eps: complex, kh: float, kl: float, spectrum: str) -> float:
