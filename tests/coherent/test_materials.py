@@ -322,3 +322,65 @@ def test_bad_arrays_are_refused(azimuths: Any, more: dict[str, Any], message: st
 def test_a_body_of_too_many_tubes_is_refused() -> None:
     with pytest.raises(InputError, match=r"found a body of .* tubes of .* must be up to .* GiB"):
         warpsar.rcs(scene(plate(2000.0, 2000.0)), 90.0, device="cpu")
+
+
+GLASS = {"eps_r": (2.6, -0.04), "rms_height_m": 0.0}
+
+
+def holed() -> warpsar.Mesh:
+    box = trimesh.creation.box((0.1, 0.1, 0.1))
+    return warpsar.Mesh.of(box.vertices, box.faces[~(box.face_normals[:, 0] > 0.9)])
+
+
+@pytest.mark.parametrize(
+    ("mesh", "azimuths"),
+    [
+        (plate(0.1, 0.1), [90.0, 270.0]),
+        (warpsar.Mesh.of(plate(0.1, 0.1).vertices, [[0, 1, 2], [0, 3, 2]]), [90.0, 270.0]),  # wound either way round
+        (holed(), [0.0, 80.0]),
+    ],
+)
+def test_the_inside_of_a_half_space_is_refused(mesh: warpsar.Mesh, azimuths: list[float]) -> None:
+    """A slab without a thickness, and a body with a hole: no wave comes from inside a half-space."""
+    with pytest.raises(
+        InputError, match=r"materials\.default\.thickness_m: found none, .* open at 4 edges .*; must be"
+    ):
+        warpsar.rcs(scene(mesh, material=GLASS), azimuths, 90.0, device="cpu")
+    for material in ({"conductor": True}, {**GLASS, "thickness_m": 0.001}):
+        warpsar.rcs(scene(mesh, material=material), azimuths, 90.0, device="cpu")
+
+
+def test_one_side_of_an_open_half_space_is_ground() -> None:
+    """Hills that hide their own lee sides, a corner that is seen into, and a box with a hole on its far side."""
+    x, y = np.meshgrid(np.linspace(-1.0, 1.0, 21), np.linspace(-1.0, 1.0, 21), indexing="ij")
+    vertices = np.stack([x.ravel(), y.ravel(), 0.2 * np.cos(6 * x.ravel()) * np.cos(5 * y.ravel())], axis=1)
+    i, j = (each.ravel() for each in np.meshgrid(np.arange(20), np.arange(20), indexing="ij"))
+    a, b = 21 * i + j, 21 * (i + 1) + j
+    faces = np.concatenate([np.stack([a, b, b + 1], 1), np.stack([a, b + 1, a + 1], 1)])
+    ground = warpsar.Mesh.of(vertices, faces)
+    for mesh, azimuths, incidence in ((ground, [0.0, 130.0], 60.0), (dihedral(0.1, 0.1), [30.0, 60.0], 80.0),
+                                      (holed(), [200.0, 270.0, 340.0], 60.0)):  # fmt: skip
+        body = scene(mesh, material={**GLASS, "rms_height_m": 0.001, "correlation_length_m": 0.01}, terms=("single",))
+        warpsar.rcs(body, azimuths, incidence, 1e9, device="cpu")
+
+
+@pytest.mark.parametrize(
+    ("radar", "options", "message"),
+    [
+        ("slant_range_m = 0.05", [], r"scene\.toml: radar\.slant_range_m: found 0\.05; must be at least"),
+        ("", ["--frequencies", "1e13"], r"scene\.toml: found a body of .* must be up to .* GiB"),
+        ("terms = []", [], r"radar\.terms: found \[\]; must hold at least 1"),
+        ('terms = ["magic"]', [], r"radar\.terms\[0\]: found 'magic'"),
+        ("max_bounces = 0", [], r"radar\.max_bounces: found 0; must be"),
+        ("", ["--azimuths", "0:360:0.00001"], r"--azimuths: found .*, 36000000 angles; allowed are up to 10000000"),
+    ],
+)
+def test_what_is_refused_writes_nothing(files: Path, radar: str, options: list[str], message: str) -> None:
+    """One line, and no folder."""
+    path = files / "scene.toml"
+    path.write_text(path.read_text().replace("[radar]", f"[radar]\n{radar}"))
+    done = CliRunner().invoke(main, ["rcs", str(path), "-o", str(files / "out"), "--azimuths", "90", *options])
+    assert done.exit_code == 2, done.output
+    assert re.search(message, done.output), done.output
+    assert len(done.output.strip().splitlines()) == 1
+    assert not (files / "out").exists()

@@ -10,6 +10,7 @@
 | `traced.py` | tubes on a device: traced, cut, and what they radiate, summed up for each direction |
 | `sweep.py` | amplitudes over directions and frequencies, term by term |
 | `directions.py` | axes of a direction |
+| `sides.py` | which side of an open surface the radar sees |
 | `rcs.py` | `warpsar.rcs`: checks, the sweep, and what a user should know before trusting it |
 | `held.py` | amplitudes of one direction with all that is discrete held, as programs that run backward |
 | `borders.py` | borders of light, and what a moving border adds to a derivative |

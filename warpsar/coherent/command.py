@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from warpsar.coherent.rcs import FREQUENCIES_HZ, Rcs, cautions, rcs
+from warpsar.coherent.rcs import FREQUENCIES_HZ, Asked, Rcs, swept
 from warpsar.coherent.sweep import RAYS_PER_WAVELENGTH
 from warpsar.errors import InputError
 from warpsar.io import figures
 from warpsar.io.images import replacing
-from warpsar.runtime import console, devices
+from warpsar.runtime import console
 from warpsar.scene.scene import Scene
 from warpsar.simulation.naming import angles
 from warpsar.simulation.outputs import make_folder, write_json
@@ -63,20 +63,13 @@ def run(
             raise InputError(f"--frequencies: found {frequencies!r}; must ascend")
     scene = Scene.load(scene_path)
     out = Path(out)
-    where = devices.resolve_device(device)
-    make_folder(out)
+    asked = Asked.of(scene, azimuth, incidence, frequency, device, rays_per_wavelength, layers)
+    where = asked.body.device
+    make_folder(out)  # nothing is written for what is refused
     console.say_device(where)
-    console.warn((*scene.warnings, *(early := cautions(scene))))
-    found = rcs(
-        scene,
-        azimuth,
-        incidence,
-        frequency,
-        device=where.alias,
-        rays_per_wavelength=rays_per_wavelength,
-        layers=layers,
-    )
-    console.warn(found.warnings[len(early) :])
+    console.warn((*scene.warnings, *asked.cautions))
+    found = swept(scene, asked, layers)
+    console.warn(found.warnings[len(asked.cautions) :])
     files = ["rcs.csv", "rcs.png", "rcs.json"]
     _write(out / "rcs.csv", COLUMNS, rows(found))
     if layers:

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from warpsar.coherent.body import CoherentBody
 from warpsar.coherent.directions import Directions
 from warpsar.coherent.joints import joints
+from warpsar.coherent.sides import refuse_inside
 from warpsar.coherent.sweep import POLARIZATIONS, RAYS_PER_WAVELENGTH, TERMS, sweep
 from warpsar.errors import InputError
 from warpsar.runtime import console, devices
@@ -135,7 +136,9 @@ class Asked:
         _refuse_size(azimuths.size * incidences.size, frequencies.size, where, scene.radar.max_bounces * layers)
         body = CoherentBody.of(scene, where)
         _refuse_body(scene, body, SPEED_OF_LIGHT / frequencies.max(), rays_per_wavelength)
-        return cls(azimuths, incidences, frequencies, rays_per_wavelength, body, tuple(cautions(scene)))
+        asked = cls(azimuths, incidences, frequencies, rays_per_wavelength, body, tuple(cautions(scene)))
+        refuse_inside(scene, body, asked.directions)
+        return asked
 
     @cached_property
     def directions(self) -> Directions:
@@ -241,7 +244,9 @@ def _refuse_body(scene: World, body: CoherentBody, wavelength: float, rays_per_w
     distance = scene.radar.slant_range_m
     nearest = float(np.linalg.norm(body.origin)) + body.standoff + body.radius
     if distance is not None and distance < nearest:
-        raise InputError(f"radar.slant_range_m: found {distance:g}; must be at least {nearest:.4g} for this body")
+        raise InputError(
+            f"{scene.name}: radar.slant_range_m: found {distance:g}; must be at least {nearest:.4g} for this body"
+        )
 
 
 def _warnings(scene: World, found: Rcs) -> list[str]:

@@ -146,7 +146,13 @@ def parse(raw: dict[str, Any]) -> tuple[SceneFile | None, list[str]]:
             return None, ["scene.mesh: missing; it may be left out where [[objects]] holds a mesh or a primitive"]
         return (None, problems) if problems else (file, [])
     except ValidationError as error:
-        return None, problems + [_problem(details, raw) for details in error.errors(include_url=False)]
+        wrong = [details for details in error.errors(include_url=False) if not _emptied(details)]
+        return None, problems + [_problem(details, raw) for details in wrong]
+
+
+def _emptied(details: Mapping[str, Any]) -> bool:
+    """Whether pydantic finds a list too short only since it has taken wrong values out of it, which it says too."""
+    return details["type"] == "too_short" and len(details["input"]) >= details["ctx"]["min_length"]
 
 
 def beside_the_radar(file: SceneFile, libraries: Mapping[str, str]) -> list[str]:
@@ -212,6 +218,8 @@ def _problem(details: Mapping[str, Any], raw: dict[str, Any]) -> str:
     message = re.sub(r"^(Value error, |Input )", "", details["msg"]).replace("should", "must")
     if kind == "string_pattern_mismatch":
         message = "must be up to 50 letters, digits, '_', '-', '+' and '.', the first a letter, digit or '_'"
+    if kind == "too_short":
+        message = f"must hold at least {details['ctx']['min_length']}"
     if isinstance(found, dict) and kind == "value_error":
         return f"{key}: {message}"
     return f"{key}: found {shown(found)}; {message}"

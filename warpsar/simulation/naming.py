@@ -29,7 +29,9 @@ def angles(
         if ":" in text:
             start, stop, step = parts
             count = math.ceil((stop - start) / step) if step > 0 else 0
-            if not 0 < count <= MOST_VIEWS:
+            if count > MOST_VIEWS:
+                raise InputError(f"{option}: found {text!r}, {count} {what}; allowed are up to {MOST_VIEWS}")
+            if count <= 0:
                 raise InputError(f"{option}: found {text!r}; {allowed}, STEP above 0 and STOP above START")
             parts = [start + i * step for i in range(count)]
         outside = [angle for angle in parts if not (low < angle < high or (ends and angle in (low, high)))]
