@@ -25,8 +25,10 @@ from scipy.ndimage import gaussian_filter
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import gotcha_cars as cars
+import tables
 from gotcha import CAR, KNOWN_SPREAD, MAKE_OBJECTS, TRAIN, with_detail
 from gotcha_objects import beside, correlation_area, described, towards_radar
+from measured_loop import rounded
 
 from warpsar.scene.placing import with_objects
 from warpsar.scene.scene import Scene
@@ -158,7 +160,7 @@ def start_of(one: Object, generator: np.random.Generator) -> Object:
     )
 
 
-NUMBERS = (("line_off_m", "line_sd_m"), ("along_off_m", "along_sd_m"), ("heading_off_deg", "heading_sd_deg"))
+NUMBERS = (("line_off_m", "line_sd_m"), ("along_off_m", "along_sd_m"))  # heading is held where it was read
 
 
 def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
@@ -177,15 +179,24 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
     return found
 
 
+def table_of(numbers: dict[str, Any]) -> str:
+    words = {"line_off_m": "near side's line [m]", "along_off_m": "along it [m]"}
+    head = ["error of", "mean", "rms", "standard deviation said, median", "95 % intervals that hold", "cars"]
+    keys = ("mean", "rms", "sd", "held_95", "cars")
+    return rounded(head, [[words[name], *(one[key] for key in keys)] for name, one in numbers.items()])
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("-o", "--out", type=Path, required=True)
     parser.add_argument("--repeats", type=int, default=1, help="car parks of 25 cars")
+    tables.add_write(parser)
     given = parser.parse_args()
+    made = tables.made()
     rows = [row for seed in range(given.repeats) for row in repeat(given.out, seed)]
-    content = {"numbers": summary(rows), "cars": rows}
+    content = {"made": made, "numbers": summary(rows), "cars": rows}
     (given.out / "coverage.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-    print(json.dumps(content["numbers"], indent=1))
+    tables.publish({"gotcha.coverage": table_of(content["numbers"])}, content, given.write)
 
 
 if __name__ == "__main__":
