@@ -29,8 +29,10 @@ def upload(values: Any, dtype: Any, device: wp.Device) -> Any:
 
 def field(array: wp.array, name: str, dtype: Any) -> wp.array:
     """One field of an array of structs, (n,), where it lies: no copy."""
+    struct: Any = array.dtype
     with _parser:
-        offset = np.dtype(array.dtype.numpy_dtype()).fields[name][1]
+        layout: Any = np.dtype(struct.numpy_dtype()).fields
+    offset = layout[name][1]
     found: Any = wp.array(
         ptr=(array.ptr or 0) + offset, dtype=dtype, shape=array.shape, strides=array.strides, device=array.device
     )

@@ -142,7 +142,7 @@ def faces_alone(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> Shap
         pairs,
         np.full(len(faces), -1, np.int32),
         Regions(places, places, numbers, numbers, none, none, none, places, places, places, none),
-        Wedges(*[places] * 6, numbers, numbers, pairs, pairs, pairs, np.empty((0, 2))),
+        Wedges(places, places, places, places, places, places, numbers, numbers, pairs, pairs, pairs, np.empty((0, 2))),
         float(np.ptp(vertices, axis=0).max()),
     )
 
