@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -104,9 +105,47 @@ def test_csv_track(tmp_path: Path) -> None:
         plan(collection=more)
 
 
+@pytest.mark.parametrize(
+    ("step", "more", "message"),
+    [
+        (0.0, {"bandwidth_hz": 1e8}, "in one direction all the time"),
+        (0.05, {"resolution_m": (2.0, 0.5)}, "resolution_m: found 0.5 m in azimuth, but the track of"),
+        (20.0, {"bandwidth_hz": 1e8}, "collection.trajectory: found 81 pulses, so far apart"),
+    ],
+)
+def test_tracks_of_files_are_held_against_the_image(
+    step: float, more: dict[str, object], message: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "track.csv"
+    rows = [f"{0.01 * i},{step * i},-8000,6000" for i in range(81)]
+    path.write_text("time_s,x_m,y_m,z_m\n" + "\n".join(rows) + "\n", encoding="utf-8")
+    table = Collection(mode="file", trajectory=path, **more)
+    made = replace(scene(HOUSE), collection=table)
+    with pytest.raises(warpsar.InputError, match=message):
+        plan_of(made, made.views[0], wp.get_device("cpu"))
+
+
+def test_a_track_with_a_short_line_says_which(tmp_path: Path) -> None:
+    path = tmp_path / "track.csv"
+    path.write_text("time_s,x_m,y_m,z_m\n0,0,-8000,6000\n1,0,-8000\n", encoding="utf-8")
+    with pytest.raises(warpsar.InputError, match="pulse 2: found 3 cells; must be 4"):
+        plan(collection={"mode": "file", "trajectory": path})
+
+
+@pytest.mark.parametrize(
+    ("mode", "key", "value"), [("circular", "squint_deg", 10.0), ("inverse", "squint_deg", 5.0), ("file", "pulses", 64)]
+)
+def test_a_key_that_a_mode_has_no_use_for_is_refused(mode: str, key: str, value: float) -> None:
+    given = {"mode": mode, key: value} | ({"trajectory": Path("a.csv")} if mode == "file" else {})
+    with pytest.raises(ValueError, match=f'found {key} with mode = "{mode}"'):
+        Collection(**given)
+
+
 REFUSED = {
     "below the mesh": ({"slant_range_m": 5.0, "aperture_deg": 10.0, "pulses": 64}, "under the ground"),
     "pulses too far apart": ({"pulses": 8}, "ambiguous"),
+    "too few pulses a second": ({"prf_hz": 0.2}, "collection.prf_hz: found 0.2, 32 pulses"),
+    "a carrier beside the band": ({"start_hz": 1e9, "stop_hz": 1.4e9}, "must hold the carrier frequency, 9.6e"),
     "too few frequencies": ({"frequencies": 16}, "collection.frequencies"),
     "a band too narrow": ({"bandwidth_hz": 1e8}, "holds 1.78 m"),
     "an aperture too narrow": ({"aperture_deg": 1.0}, "takes an aperture"),

@@ -212,6 +212,14 @@ def test_sicd_opens_in_sarpy(written: Path, caplog: pytest.LogCaptureFixture) ->
     assert [one for one in wrong if not (level and "BetaZeroSFPoly" in one)] == []
 
 
+def test_a_scene_that_sends_nothing_back_is_dark(capsys: pytest.CaptureFixture[str]) -> None:
+    """No conductor, and so no edge: said, and no error."""
+    made = scene(field(6.0, 6.0), radar={"terms": ("edges",)}, shape=(16, 16))
+    (image,) = warpsar.slc(made, device="cpu")
+    assert not image.images["HH"].any()
+    assert "nothing sends back" in capsys.readouterr().err
+
+
 def test_several_polarizations_and_xarray(tmp_path: Path) -> None:
     made = scene(
         field(6.0, 6.0),

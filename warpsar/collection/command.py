@@ -85,6 +85,8 @@ def seen(bodies: Bodies, plan: Plan, *, once: bool = False) -> Scatterers:
     load_kernels(bodies.device)
     with busy(f"{plan.view.name}: scatterers"):
         found = scatterers_of(bodies.world, plan, bodies.of(plan), once=once)
+    if not found.count:
+        console.warn([f"{plan.view.name}: nothing sends back; radar.terms are {', '.join(bodies.world.radar.terms)}"])
     if found.aliased > ALIASED:
         console.warn([f"{plan.view.name}: {100 * found.aliased:.2g} % of the tubes are too wide after curved surfaces"])
     return found

@@ -215,6 +215,7 @@ def plan_of(world: World, view: View, device: wp.Device) -> Plan:
     corners = np.stack(np.meshgrid(*ends.T, indexing="ij"), axis=-1).reshape(-1, 3)
     made = Plan(view, table, geometry_of(world, view), site, _dot(), low, high - low, 2, corners)
     made = replace(made, track=_track(world, made, 0.5 * (low + high)))
+    _refuse_narrow(world, made)
     _refuse_ground(world, made, device)
     made = _sampled_band(world, made, low, high)
     _refuse_gaps(world, made)
@@ -228,6 +229,11 @@ def _dot() -> Track:
 def _band(table: Collection, carrier: float, name: str) -> tuple[float, float]:
     """The first and the last frequency."""
     if table.start_hz is not None and table.stop_hz is not None:
+        if not table.start_hz <= carrier <= table.stop_hz:
+            raise InputError(
+                f"{name}: collection.start_hz, stop_hz: found {table.start_hz:g} to {table.stop_hz:g}; must hold the "
+                f"carrier frequency, {carrier:g}"
+            )
         return table.start_hz, table.stop_hz
     width = table.bandwidth_hz
     if width is None and table.resolution_m is not None:
@@ -312,6 +318,25 @@ def _aperture(world: World, plan: Plan, frequency: float) -> float:
     return float(needed) if given is None else given
 
 
+def _refuse_narrow(world: World, plan: Plan) -> None:
+    """Raise InputError for a track from a file whose aperture is none, or does not hold the resolution asked for."""
+    table = plan.table
+    if table.trajectory is None:
+        return
+    if np.ptp(plan.cosine) < 1e-12:
+        raise InputError(
+            f"{world.name}: collection.trajectory: found {table.trajectory}, whose sensor the reference point sees in "
+            "one direction all the time; must move across it"
+        )
+    if table.resolution_m is not None:
+        held = width_in_cells(plan.windows[1]) * plan.cells_m[1]
+        if held > table.resolution_m[1] * (1.0 + 1e-6):
+            raise InputError(
+                f"{world.name}: collection.resolution_m: found {table.resolution_m[1]:g} m in azimuth, but the track "
+                f"of {table.trajectory} with the window {plan.windows[1]!r} holds {held:.3g} m; must be at least that"
+            )
+
+
 def _places(world: World, plan: Plan) -> F64:
     """The scene's corners and points between them, and the image's corners, (n, 3)."""
     low, high = plan.corners_m.min(axis=0), plan.corners_m.max(axis=0)
@@ -344,11 +369,16 @@ def _refuse_gaps(world: World, plan: Plan) -> None:
     """Raise InputError where pulses are too far apart for the scene."""
     turns = _turns(world, plan, plan.centre_hz + 0.5 * plan.bandwidth_hz)
     if turns.max() >= 1.0:
-        more = math.ceil(len(plan.track) * turns.max() / SPARE)
+        table, times = plan.table, turns.max() / SPARE
+        found = f"{table.pulses}", "pulses", f"{math.ceil(len(plan.track) * times)} pulses"
+        if table.pulses is None and table.prf_hz is not None:
+            found = f"{table.prf_hz:g}, {len(plan.track)} pulses", "prf_hz", f"{table.prf_hz * times:.3g} 1/s"
+        elif table.trajectory is not None:
+            found = f"{len(plan.track)} pulses", "trajectory", f"{math.ceil(len(plan.track) * times)} pulses"
         raise InputError(
-            f"{world.name}: collection.pulses: found {len(plan.track)}, so far apart that the ends of scene or image "
+            f"{world.name}: collection.{found[1]}: found {found[0]}, so far apart that the ends of scene or image "
             f"differ by {turns.max():.3g} turns of phase from one to the next (ambiguous); must be below 1: "
-            f"about {more} pulses"
+            f"about {found[2]}"
         )
 
 

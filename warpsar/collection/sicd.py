@@ -82,7 +82,7 @@ def _schema() -> Any:
     """What sarkit knows of the standard's elements, read once: by itself it reads it anew for every element."""
     import sarkit.sicd as sarkit_sicd
 
-    found = sarkit_sicd.XsdHelper(NAMESPACE)
+    found: Any = sarkit_sicd.XsdHelper(NAMESPACE)
     found.get_transcoder = cache(found.get_transcoder)
     return found
 
@@ -174,8 +174,8 @@ def _grid(made: Slc, centre_s: float) -> dict[str, Any]:
     along, across = plan_axes(plan)
     steep = float(-along @ plan.geometry.s)
     carrier = 2.0 * plan.centre_hz / SPEED_OF_LIGHT
-    band = 2.0 * plan.step_hz / SPEED_OF_LIGHT * steep * np.arange(plan.frequencies)
-    aperture = carrier * (plan.track.towards() @ plan.geometry.u)
+    band: F64 = 2.0 * plan.step_hz / SPEED_OF_LIGHT * steep * np.arange(plan.frequencies, dtype=np.float64)
+    aperture: F64 = carrier * (plan.track.towards() @ plan.geometry.u)
     used = plan.azimuth_weights > FAINT * plan.azimuth_weights.max()  # of a beam: its main lobe
     rows = _axis(band, band_weights(plan.windows[0], plan.frequencies), made.range_m)
     columns = _axis(aperture[used], plan.azimuth_weights[used], made.azimuth_m)

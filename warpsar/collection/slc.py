@@ -106,6 +106,9 @@ def focused(made: Collected, grid: Grid, device: wp.Device) -> Slc:
     carrier = turned(plan, way_at_centre(plan, points)) * np.float32(scale)
     images = {}
     for name in made.polarizations:
+        if not made.samples.any():  # nothing sends back, and there is no noise
+            images[name] = np.zeros((len(range_m), len(azimuth_m)), np.complex64)
+            continue
         (image,) = focus(
             made.history(name),
             points,

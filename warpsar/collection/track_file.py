@@ -44,7 +44,11 @@ def _csv(path: Path, reference_m: NDArray[np.float64]) -> Track:
         wanted = ("time_s", *_PLACE)
         if not set(wanted) <= set(names):
             raise InputError(f"{path}: found the columns {', '.join(names) or 'none'}; must have {', '.join(wanted)}")
-        table = np.array([[float(cell) for cell in row] for row in rows], np.float64).reshape(-1, len(names))
+        lines = list(rows)
+        for number, row in enumerate(lines, 1):
+            if len(row) != len(names):
+                raise InputError(f"{path}: pulse {number}: found {len(row)} cells; must be {len(names)}, one a column")
+        table = np.array([[float(cell) for cell in row] for row in lines], np.float64).reshape(-1, len(names))
 
     def column(name: str) -> NDArray[np.float64]:
         return table[:, names.index(name)]

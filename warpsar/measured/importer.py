@@ -129,8 +129,9 @@ def import_measured(
     write_exr(image_path, {pol: power})
     picture = quick_look(image_path, view, pol, power, scene)
     draw_together([picture])
-    slc_path = None if gridded.slc is None else image_path.with_suffix(".npz")
-    if slc_path is not None:
+    slc_path = None
+    if gridded.slc is not None:
+        slc_path = image_path.with_suffix(".npz")
         complex_image.write(slc_path, gridded.range_m, gridded.azimuth_m, {pol: gridded.slc})
     stated = {"looks": None if looks is None else round(looks, 2), "clipped_at": clip_level(measured, per_pixel)}
     with editing(scene_path) as document:

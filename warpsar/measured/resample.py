@@ -72,7 +72,7 @@ def sample_complex(chip: ImageChip, pixel: np.ndarray) -> np.ndarray:
 def _under(chip: ImageChip, pixel: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None:
     """Which points are inside; where they lie in a window of the image, (n, 2); the window, and which of it is bad."""
     last = np.array(chip.samples.shape) - 1
-    inside = (np.abs(pixel - last / 2.0) <= last / 2.0 + 0.5).all(-1)  # false for NaN
+    inside = np.asarray((np.abs(pixel - last / 2.0) <= last / 2.0 + 0.5).all(-1))  # false for NaN
     if not inside.any():
         return None
     wanted = np.clip(pixel[inside], 0, last)

@@ -67,8 +67,8 @@ def scene_schema() -> _Json:
     tables["materials"]["additionalProperties"]["properties"]["library"]["enum"] = list(SURFACES)
     view = tables["views"]["items"]
     view["oneOf"] = [{"required": [key]} for key in ("incidence_deg", "depression_deg", "grazing_deg")]
-    for key in ("images", "slc"):
-        view["properties"][key].update(propertyNames={"enum": list(get_args(Polarization))})
+    for named in ("images", "slc"):
+        view["properties"][named].update(propertyNames={"enum": list(get_args(Polarization))})
     one = tables["objects"]["items"]
     one["oneOf"] = [{"required": [key]} for key in ("mesh", "primitive", "group")]
     number: _Json = {"type": "number"}

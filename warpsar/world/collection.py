@@ -21,6 +21,14 @@ _Width = Annotated[Number, Field(gt=0.0, le=120.0)]
 _Point = tuple[_Place, _Place, _Place]
 
 
+_NOT_WITH: dict[str, tuple[str, ...]] = {
+    "circular": ("squint_deg",),
+    "inverse": ("squint_deg",),
+    "file": ("pulses", "prf_hz", "aperture_deg", "squint_deg", "side", "transmitter"),
+}
+"""What a mode cannot follow. A range or a speed beside a track from a file says what the track says."""
+
+
 class Antenna(Table):
     """`[collection] antenna`: half-power widths of the one-way pattern of a rectangular antenna."""
 
@@ -133,4 +141,7 @@ class Collection(Table):
             raise ValueError(f"found start_hz = {self.start_hz:g}, stop_hz = {self.stop_hz:g}; the first must be lower")
         if (self.mode == "file") != (self.trajectory is not None):
             raise ValueError('trajectory and mode = "file" go together; found one without the other')
+        wrong = [name for name in _NOT_WITH.get(self.mode or "", ()) if name in self.model_fields_set]
+        if wrong:
+            raise ValueError(f'found {", ".join(wrong)} with mode = "{self.mode}", which has no use for it')
         return self
