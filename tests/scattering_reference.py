@@ -150,7 +150,7 @@ def aiem(
     *,
     terms: int = 60,
 ) -> float:
-    """HH or VV of the advanced model (Chen, Wu, Tsang, Li, Shi and Fung 2003), with the transition of Fung and Chen 2004.
+    """HH or VV of the advanced model (Chen, Wu, Tsang, Li, Shi and Fung 2003), with Fung and Chen's transition (2004).
 
     Its waves below the surface keep their own phases, which I2EM takes from the waves above.
     """

@@ -1,5 +1,6 @@
 """The last resort of diagnose: a law of backscatter learned from images, kept where views left out bear it."""
 
+import sys
 from base64 import b64decode
 from dataclasses import replace
 from pathlib import Path
@@ -7,6 +8,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pytest
 
 from warpsar import Scene, simulate
 from warpsar.diagnosis.models.bench import Bench
@@ -20,6 +22,9 @@ from warpsar.effects.learned_scattering import shape_db
 from warpsar.runtime import devices
 from warpsar.simulation.rays import Rays
 from warpsar.surface.stage import Stage
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "benchmarks"))
+import scattering_resort as resort
 
 ROOT = Path(__file__).resolve().parent.parent
 LAW = {"hh_20": 2.0, "hh_40": -2.0, "hh_60": 2.0, "vv_20": -2.0, "vv_40": 2.0, "vv_60": -2.0}
@@ -89,3 +94,26 @@ def test_its_shape_is_drawn_in_the_report() -> None:
     drawn = b64decode(encoded).decode()
     assert drawn.count('id="line2d_') > 10  # ticks, the zero line, and one for each channel
     assert "learned factor on sigma0" in section
+
+
+@pytest.mark.slow
+def test_it_is_accepted_where_no_window_raises_an_alarm() -> None:
+    """A table's images, HH bent up and VV down: the deviance tells, views left out and a test view bear it."""
+    done = resort.diagnosed("table", "cpu")
+    assert not any(turn.alarms for turn in done.diagnosis.turns)
+    assert done.diagnosis.verdict == ["learned_scattering"]
+    for role in ("train", "test"):
+        before, after = done.before[role], done.after[role]
+        assert before is not None
+        assert after is not None
+        assert before["deviance"] > 1.25
+        assert after["deviance"] < 1.08  # bumps 80 degrees wide leave something of a bend 20 degrees wide
+    law = done.diagnosis.final.scene.effects["learned_scattering"]
+    apart = shape_db(law, "HH", np.array([28.0, 40.0, 52.0])) - shape_db(law, "VV", np.array([28.0, 40.0, 52.0]))
+    assert apart[1] > apart[[0, 2]].max() + 0.5  # HH over VV about 40 degrees, which no eps, h and l has
+
+
+@pytest.mark.slow
+def test_it_is_not_named_where_a_named_effect_explains_the_images() -> None:
+    done = resort.diagnosed("saturation", "cpu")
+    assert done.diagnosis.verdict == ["saturation"]

@@ -32,7 +32,7 @@ def test_the_first_order_is_braggs(theta: float) -> None:
 
 
 def test_a_surface_that_is_moved_up_has_another_phase_alone() -> None:
-    """h + c scatters exp(-i (q_u + q_0) c) times what h does: it ties the second order to the first, and the third to it."""
+    """h + c scatters exp(-i (q_u + q_0) c) times what h does: each order is tied to the one below it."""
     kernels = Perturbation(EPS, P0)
     phase = -1j * (vertical(U) + vertical(P0))
     np.testing.assert_allclose(kernels.k2(U, U) + kernels.k2(U, P0), phase * kernels.k1(U), atol=1e-12)
@@ -41,7 +41,7 @@ def test_a_surface_that_is_moved_up_has_another_phase_alone() -> None:
 
 
 def test_kernels_are_reciprocal() -> None:
-    """Sent along p0 and received along u, or the other way: the same, over the vertical wave numbers (HV with a sign)."""
+    """Sent along p0 and received along u, or the other way: the same with its vertical wave number."""
     one, other = Perturbation(EPS, P0), Perturbation(EPS, -U)
     for there, back in (
         (one.k1(U), other.k1(-P0)),

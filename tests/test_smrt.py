@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 import scattering_reference as reference
 
-ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT / "benchmarks"))
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "benchmarks"))
 import scattering_smrt as peer
 
-GOLDEN = ROOT / "tests" / "data" / "smrt_iem.csv"
+GOLDEN = Path(__file__).resolve().parent / "data" / "smrt_iem.csv"
 
 
 def rows() -> list[dict[str, Any]]:

@@ -96,7 +96,7 @@ def as_asked(final: Scene, asked: Scene, terms: Collection[str]) -> Scene:
 
 
 def _trained(scene: Scene, name: str, file: Path, prepared: Prepared) -> Trained:
-    channels = sorted({"HV" if one == "VH" else one for one in scene.radar.polarizations})
+    channels: list[str] = sorted({"HV" if one == "VH" else one for one in scene.radar.polarizations})
     model = scene.materials[name].model
     start = np.zeros((1, len(WIDTH)))
     empty = ScatteringTerm(model, start, np.array(WIDTH), {c: np.zeros(1) for c in channels}, SPREAD_DB, NOISE_DB)
@@ -109,6 +109,7 @@ def _trained(scene: Scene, name: str, file: Path, prepared: Prepared) -> Trained
     problem = prepared(_with_file(scene, name, file))
     before = pooled_metrics(problem, problem.x0)
     columns = [[int(p) for p in Polarization if ("HV" if p.crossed else p.name) == c] for c in channels]
+    assert problem.stage.terms is not None
     first = int(problem.stage.terms.first.numpy()[problem.surface.materials.index(name), 0])
     weights, steps = _fitted(problem, term, columns, slice(first, first + len(places)))
     term = replace(term, weights=dict(zip(channels, weights, strict=True)))
