@@ -21,6 +21,7 @@ from warpsar.runtime import console, devices
 from warpsar.scene.scene import Scene
 from warpsar.simulation.naming import angles
 from warpsar.simulation.outputs import make_folder, write_json
+from warpsar.world.library.fill import held
 
 COLUMNS = (
     "azimuth_deg",
@@ -66,7 +67,8 @@ def run(
     where = devices.resolve_device(device)
     make_folder(out)
     console.say_device(where)
-    console.warn((*scene.warnings, *(early := cautions(scene))))
+    fixed = held(scene.materials, scene.radar.frequency_hz, frequency or ())
+    console.warn((*scene.warnings, *fixed, *(early := cautions(scene))))
     found = rcs(
         scene,
         azimuth,
@@ -95,7 +97,7 @@ def run(
         "segments": found.segments,
         "refined_share": float(found.refined.max()),
         "aliased_share": float(found.aliased.max()),
-        "warnings": [*scene.warnings, *found.warnings],
+        "warnings": [*scene.warnings, *fixed, *found.warnings],
         "files": files,
     }
     content = write_json(out / "rcs.json", scene, where, None, started, content)
