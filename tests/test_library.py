@@ -13,6 +13,7 @@ from click.testing import CliRunner
 from worlds import WAVENUMBER, sigma0
 
 from warpsar.cli.main import main
+from warpsar.coherent.rough import surfaces as rough_surfaces
 from warpsar.errors import InputError
 from warpsar.runtime.devices import resolve_device
 from warpsar.scene.scene import Scene
@@ -21,7 +22,7 @@ from warpsar.simulation.materials import sigma0_db
 from warpsar.surface.stage import Stage
 from warpsar.world.library import clutter
 from warpsar.world.library import permittivity as eps
-from warpsar.world.library.fill import material
+from warpsar.world.library.fill import held, material
 from warpsar.world.library.surfaces import SURFACES
 from warpsar.world.tables import Material
 
@@ -349,9 +350,9 @@ def test_a_view_with_another_permittivity_is_refused(tables: str, mesh_name: str
     """At 35 GHz wet soil reflects 1.6 dB less than at 9.6 GHz, and a scene has one eps_r."""
     with pytest.raises(InputError) as refused:
         Scene.load(two_frequencies(tmp_path, tables, mesh_name))
-    assert f"materials.{mesh_name}: found eps_r of soil_wet at 9.6 GHz, 15.3 - 4.62j; view a has 35 GHz" in str(
-        refused.value
-    )
+    said = str(refused.value)
+    assert f"materials.{mesh_name}: found eps_r of soil_wet at 9.6 GHz; view a has 35 GHz" in said
+    assert "where it is 7.47 - 4.11j in place of 15.3 - 4.62j (-1.6 dB)" in said
     assert "make a scene for each frequency, or state eps_r" in str(refused.value)
 
 
@@ -359,6 +360,22 @@ def test_a_view_with_another_permittivity_is_refused(tables: str, mesh_name: str
 def test_a_view_with_the_same_reflection_is_not_refused(name: str, tmp_path: Path) -> None:
     """Concrete's eps_r hardly changes. A metal's does, but it reflects all at every frequency."""
     assert Scene.load(two_frequencies(tmp_path, "", name)).views[0].frequency_hz == 35e9
+
+
+def test_a_sweep_says_that_permittivity_stays() -> None:
+    """`rcs` over frequencies: a sentence for the last that differs; none for concrete and for a stated eps_r."""
+    surfaces = {name: material(name, 9.6e9) for name in ("soil_wet", "concrete")}
+    said = held({**surfaces, "own": material("soil_wet", 9.6e9, eps_r=5.0)}, 9.6e9, [9e9, 20e9, 35e9])
+    assert said == [
+        "materials.soil_wet: eps_r of soil_wet at 9.6 GHz is used at every frequency; at 35 GHz it is 7.47 - 4.11j in "
+        "place of 15.3 - 4.62j (-1.6 dB)"
+    ]
+
+
+def test_a_coherent_product_says_what_ground_needs() -> None:
+    with pytest.raises(InputError, match='must have model = "ka_spm", also beside library = "grass"'):
+        rough_surfaces([material("grass", 9.6e9)])
+    assert rough_surfaces([material("grass", 9.6e9, model="ka_spm")])["rms_height"][0] == pytest.approx(0.00144)
 
 
 def test_a_stated_permittivity_is_for_all_views(tmp_path: Path) -> None:

@@ -21,6 +21,7 @@ from warpsar.runtime import console
 from warpsar.scene.scene import Scene
 from warpsar.simulation.naming import angles
 from warpsar.simulation.outputs import make_folder, write_json
+from warpsar.world.library.fill import held
 
 COLUMNS = (
     "azimuth_deg",
@@ -67,7 +68,8 @@ def run(
     where = asked.body.device
     make_folder(out)  # nothing is written for what is refused
     console.say_device(where)
-    console.warn((*scene.warnings, *asked.cautions))
+    fixed = held(scene.materials, scene.radar.frequency_hz, frequency or ())
+    console.warn((*scene.warnings, *fixed, *asked.cautions))
     found = swept(scene, asked, layers)
     console.warn(found.warnings[len(asked.cautions) :])
     files = ["rcs.csv", "rcs.png", "rcs.json"]
@@ -88,7 +90,7 @@ def run(
         "segments": found.segments,
         "refined_share": float(found.refined.max()),
         "aliased_share": float(found.aliased.max()),
-        "warnings": [*scene.warnings, *found.warnings],
+        "warnings": [*scene.warnings, *fixed, *found.warnings],
         "files": files,
     }
     content = write_json(out / "rcs.json", scene, where, None, started, content)

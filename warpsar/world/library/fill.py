@@ -47,19 +47,39 @@ def of_one_frequency(name: str, library: str, frequency_hz: float, views: Mappin
     A material has one permittivity for all views, that of `frequency_hz`. `views` are the frequencies [Hz] of views
     that state their own, by name.
     """
-    permittivity = SURFACES[library].permittivity
-    here = permittivity(frequency_hz)
     for view, other_hz in views.items():
-        other = permittivity(other_hz)
-        step_db = 20.0 * math.log10(_reflectivity(other) / _reflectivity(here))
-        if abs(step_db) > LARGEST_STEP_DB:
-            found, wanted = (f"{eps.real:.3g} - {-eps.imag:.3g}j" for eps in (here, other))
+        if step := _step(library, frequency_hz, other_hz):
             return (
-                f"materials.{name}: found eps_r of {library} at {frequency_hz / 1e9:g} GHz, {found}; view {view} has "
-                f"{other_hz / 1e9:g} GHz, where it is {wanted} ({step_db:+.1f} dB). A scene has one eps_r for all "
-                f"views: make a scene for each frequency, or state eps_r"
+                f"materials.{name}: found eps_r of {library} at {frequency_hz / 1e9:g} GHz; view {view} has "
+                f"{other_hz / 1e9:g} GHz, where it is {step}. A scene has one eps_r for all views: make a scene for "
+                f"each frequency, or state eps_r"
             )
     return None
+
+
+def held(materials: Mapping[str, Material], frequency_hz: float, others_hz: Iterable[float]) -> list[str]:
+    """What to say where a sweep uses the library's permittivity at `frequency_hz` for other frequencies [Hz] too."""
+    found = []
+    for name, one in materials.items():
+        if one.library in SURFACES and one.eps_r == material(one.library, frequency_hz).eps_r:
+            steps = {other: step for other in others_hz if (step := _step(one.library, frequency_hz, other))}
+            for other, step in list(steps.items())[-1:]:
+                found.append(
+                    f"materials.{name}: eps_r of {one.library} at {frequency_hz / 1e9:g} GHz is used at every "
+                    f"frequency; at {other / 1e9:g} GHz it is {step}"
+                )
+    return found
+
+
+def _step(library: str, frequency_hz: float, other_hz: float) -> str | None:
+    """The permittivity at another frequency and what it changes, in words, where that is more than
+    `LARGEST_STEP_DB`."""
+    here, other = (SURFACES[library].permittivity(each) for each in (frequency_hz, other_hz))
+    step_db = 20.0 * math.log10(_reflectivity(other) / _reflectivity(here))
+    if abs(step_db) <= LARGEST_STEP_DB:
+        return None
+    known, wanted = (f"{eps.real:.3g} - {-eps.imag:.3g}j" for eps in (here, other))
+    return f"{wanted} in place of {known} ({step_db:+.1f} dB)"
 
 
 def _reflectivity(eps: complex) -> float:
