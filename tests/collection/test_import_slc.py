@@ -203,3 +203,17 @@ def test_a_chip_of_mstar_keeps_its_phase(tmp_path: Path) -> None:
     assert np.abs(values) ** 2 == pytest.approx(done.power, rel=1e-5)
     assert values == pytest.approx(formats.read([chip]).samples[:, :], rel=1e-5)
     assert np.ptp(np.angle(values)) > 5.0
+
+
+def test_another_import_leaves_no_samples_of_the_first(tmp_path: Path) -> None:
+    """A detected image over a complex one: the view names no phase any more."""
+    random = np.random.default_rng(0)
+    chip = write_phoenix(tmp_path / "chip", random.rayleigh(size=(20, 24)), random.uniform(-3, 3, (20, 24)))
+    np.save(tmp_path / "power.npy", random.exponential(size=(20, 24)).astype(np.float32))
+    path = tmp_path / "scene.toml"
+    view = warpsar.View(name="v", azimuth_deg=30.0, incidence_deg=40.0)
+    replace(yard_scene(((20, 24), (0.5, 0.5)), [view]), collection=None).save(path)
+    import_measured([chip], path, "v")
+    assert set(warpsar.Scene.load(path).views[0].slc) == {"HH"}
+    import_measured([tmp_path / "power.npy"], path, "v", quantity="power", polarization="HH")
+    assert warpsar.Scene.load(path).views[0].slc == {}

@@ -330,6 +330,10 @@ def declare(
     table["images"][pol] = image
     if slc is not None:
         table.setdefault("slc", tomlkit.inline_table())[pol] = slc.name
+    elif pol in table.get("slc", {}):  # of an earlier import: its phase is not this image's
+        del table["slc"][pol]
+        if not table["slc"]:
+            del table["slc"]
     for key, value in stated.items():
         if value is not None:
             table[key] = value
