@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from collected_scenes import scene
+from measured_files import write_phoenix
 from test_rough_ground import MATERIALS, yard
 
 import warpsar
@@ -18,8 +19,11 @@ from warpsar.cli.main import main
 from warpsar.collection.command import run
 from warpsar.collection.response import width_in_cells
 from warpsar.io import complex_image
+from warpsar.measured import formats
+from warpsar.measured.data import Facts, ImageChip
 from warpsar.measured.declared import WINDOWS
 from warpsar.measured.importer import Imported, import_measured
+from warpsar.measured.resample import sample_complex
 from warpsar.world.tables import Origin
 
 pytest.importorskip("sarkit")
@@ -161,3 +165,55 @@ def test_a_width_that_is_declared_wrongly_is_told(around: tuple[Path, list[warps
 
     assert "point_spread.range_fwhm_m" in content["leaves_tolerance"]
     assert "point_spread.range_fwhm_m leaves its tolerance: known as 1.8" in said
+
+
+def test_phase_between_the_pixels_is_the_fields() -> None:
+    """A band-limited periodic field off its carrier, in closed form, sampled far from the border.
+
+    Splines of fifth order, on a spectrum that fills a fifth of their band."""
+    random = np.random.default_rng(0)
+    count, k = 64, np.arange(-20, 21)
+    spectrum = random.normal(size=(41, 41)) + 1j * random.normal(size=(41, 41))
+
+    def field(row: np.ndarray, column: np.ndarray) -> np.ndarray:
+        left = np.exp(2j * np.pi * np.outer(row, k + 19) / count)
+        return np.asarray(left @ spectrum @ np.exp(2j * np.pi * np.outer(column, k - 7) / count).T)
+
+    pixels = np.arange(float(count))
+    chip = ImageChip("made", field(pixels, pixels).astype(np.complex64), "complex", lambda _: Facts())
+    rows, columns = np.linspace(20.3, 44.0, 60), np.linspace(20.0, 43.9, 47)
+    found = sample_complex(chip, np.stack(np.meshgrid(rows, columns, indexing="ij"), axis=-1))
+    wanted = field(rows, columns)
+    assert np.linalg.norm(found - wanted) < 5e-3 * np.linalg.norm(wanted)
+    whole = sample_complex(chip, np.stack(np.meshgrid(pixels, pixels, indexing="ij"), axis=-1))
+    assert np.array_equal(whole, chip.samples)
+
+
+def test_a_chip_of_mstar_keeps_its_phase(tmp_path: Path) -> None:
+    """Magnitude and phase of a Phoenix chip, on a grid of its own pixels: turned by 180 degrees, as its power is."""
+    random = np.random.default_rng(0)
+    magnitude, phase = random.rayleigh(size=(20, 24)), random.uniform(-3, 3, (20, 24))
+    chip = write_phoenix(tmp_path / "chip", magnitude, phase)
+    view = warpsar.View(name="v", azimuth_deg=30.0, incidence_deg=40.0)
+    path = tmp_path / "scene.toml"
+    replace(yard_scene(((20, 24), (0.5, 0.5)), [view]), collection=None).save(path)
+    done = import_measured([chip], path, "v")
+    assert done.slc_path is not None
+    values = complex_image.read(done.slc_path, "HH")[0]
+    assert np.abs(values) ** 2 == pytest.approx(done.power, rel=1e-5)
+    assert values == pytest.approx(formats.read([chip]).samples[:, :], rel=1e-5)
+    assert np.ptp(np.angle(values)) > 5.0
+
+
+def test_another_import_leaves_no_samples_of_the_first(tmp_path: Path) -> None:
+    """A detected image over a complex one: the view names no phase any more."""
+    random = np.random.default_rng(0)
+    chip = write_phoenix(tmp_path / "chip", random.rayleigh(size=(20, 24)), random.uniform(-3, 3, (20, 24)))
+    np.save(tmp_path / "power.npy", random.exponential(size=(20, 24)).astype(np.float32))
+    path = tmp_path / "scene.toml"
+    view = warpsar.View(name="v", azimuth_deg=30.0, incidence_deg=40.0)
+    replace(yard_scene(((20, 24), (0.5, 0.5)), [view]), collection=None).save(path)
+    import_measured([chip], path, "v")
+    assert set(warpsar.Scene.load(path).views[0].slc) == {"HH"}
+    import_measured([tmp_path / "power.npy"], path, "v", quantity="power", polarization="HH")
+    assert warpsar.Scene.load(path).views[0].slc == {}

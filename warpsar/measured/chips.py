@@ -14,7 +14,17 @@ from warpsar.io.quick_look import contact_sheet
 from warpsar.measured import formats, view_table
 from warpsar.measured.data import ImageChip, Quantity, RadarAt
 from warpsar.measured.gridding import Gridding, on_grid
-from warpsar.measured.importer import Scale, clip_level, declare, editing, opened, polarization_of, quick_look, rounding
+from warpsar.measured.importer import (
+    Scale,
+    clip_level,
+    declare,
+    editing,
+    keep_phase,
+    opened,
+    polarization_of,
+    quick_look,
+    rounding,
+)
 from warpsar.speckle.looks import equivalent_looks
 
 
@@ -78,16 +88,17 @@ def import_chips(
             messages[one] = messages.get(one, 0) + 1
         image = scene_path.parent / f"{view.name}_{pol}.exr"
         write_exr(image, {pol: power})
+        slc = keep_phase(image, pol, gridded)
         pictures.append(quick_look(image, view, pol, power, scene))
         stated = {"looks": None if looks is None else round(looks, 2), "clipped_at": top}
-        done.append((view, pol, image.name, stated))
+        done.append((view, pol, image.name, stated, slc))
     sheet = scene_path.parent / f"{scene_path.stem}_measured.png"
     contact_sheet(sheet, pictures)
     with editing(scene_path) as document:
         if scale == "unknown":
             document["image"]["calibrated"] = False
-        for view, pol, name, stated in done:
-            declare(document, view, view.name in known, pol, name, stated)
+        for view, pol, name, stated, slc in done:
+            declare(document, view, view.name in known, pol, name, stated, slc)
     if scale != "unknown" and scene.grid.calibrated:
         messages[f"{scene_path}: image.calibrated is true, but pictures give no beta0: use --scale unknown"] = 1
     said = tuple(text if count == 1 else f"{text} ({count} chips)" for text, count in messages.items())

@@ -19,7 +19,7 @@ from warpsar.io.quick_look import QuickLook, draw_together
 from warpsar.measured import formats
 from warpsar.measured.data import Facts, ImageChip, PhaseHistory, Quantity, RadarAt
 from warpsar.measured.earth import EarthFrame, Origin
-from warpsar.measured.gridding import Gridding, on_grid
+from warpsar.measured.gridding import Gridded, Gridding, on_grid
 from warpsar.measured.placed import frame_of
 from warpsar.measured.response import contradicts, point_spread
 from warpsar.scene import file as scenefile
@@ -129,10 +129,7 @@ def import_measured(
     write_exr(image_path, {pol: power})
     picture = quick_look(image_path, view, pol, power, scene)
     draw_together([picture])
-    slc_path = None
-    if gridded.slc is not None:
-        slc_path = image_path.with_suffix(".npz")
-        complex_image.write(slc_path, gridded.range_m, gridded.azimuth_m, {pol: gridded.slc})
+    slc_path = keep_phase(image_path, pol, gridded)
     stated = {"looks": None if looks is None else round(looks, 2), "clipped_at": clip_level(measured, per_pixel)}
     with editing(scene_path) as document:
         if origin is not None and "origin" not in document["scene"]:
@@ -144,8 +141,17 @@ def import_measured(
         messages += _pose(document, facts)
         if blur is not None:
             messages += _blur(document, measured.source, blur)
-        declare(document, view, exists, pol, image_path.name, stated, None if slc_path is None else slc_path.name)
+        declare(document, view, exists, pol, image_path.name, stated, slc_path)
     return Imported(image_path, power, pol, looks, facts, per_pixel, tuple(messages), picture.path, slc_path, blur)
+
+
+def keep_phase(image: Path, polarization: str, gridded: Gridded) -> Path | None:
+    """Write the samples of a complex image beside its power; None where the measurement is none."""
+    if gridded.slc is None:
+        return None
+    path = image.with_suffix(".npz")
+    complex_image.write(path, gridded.range_m, gridded.azimuth_m, {polarization: gridded.slc})
+    return path
 
 
 def quick_look(image: Path, view: View, polarization: str, power: np.ndarray, scene: Scene) -> QuickLook:
@@ -309,7 +315,7 @@ def declare(
     pol: str,
     image: str,
     stated: Mapping[str, float | None],
-    slc: str | None = None,
+    slc: Path | None = None,
 ) -> None:
     """The view's image, its complex samples, and what is `stated` of it, in the document of a scene file."""
     if not exists:
@@ -323,7 +329,11 @@ def declare(
         table["images"] = tomlkit.inline_table()
     table["images"][pol] = image
     if slc is not None:
-        table.setdefault("slc", tomlkit.inline_table())[pol] = slc
+        table.setdefault("slc", tomlkit.inline_table())[pol] = slc.name
+    elif pol in table.get("slc", {}):  # of an earlier import: its phase is not this image's
+        del table["slc"][pol]
+        if not table["slc"]:
+            del table["slc"]
     for key, value in stated.items():
         if value is not None:
             table[key] = value
