@@ -132,18 +132,31 @@ def test_the_polarization_across_a_slab() -> None:
     assert agrees(jacobian["vertices"][..., 2, 1], (ends[0] - ends[1]) / (2 * step), 1e-6)
 
 
-def test_two_bounces_on_slabs() -> None:
-    """Differences of the engine: the tubes do not change with what faces are made of."""
+@pytest.mark.parametrize("conductor", [False, True])
+def test_two_bounces_on_slabs(conductor: bool) -> None:
+    """Differences of the engine, slabs in air and on a conductor: tubes do not change with what faces are made of."""
     mesh, angles, step = dihedral(0.3, 0.24), ([40.0, 52.0], 80.0), 1e-6
-    more = {"terms": ("multibounce",)}
-    _, jacobian = slopes(mesh, *angles, "default.eps_r", "default.thickness_m", material=SLAB, **more)
+    slab, more = {**SLAB, "conductor": conductor}, {"terms": ("multibounce",)}
+    _, jacobian = slopes(mesh, *angles, "default.eps_r", "default.thickness_m", material=slab, **more)
     for name, values in (
         ("thickness_m", [0.003 + step, 0.003 - step]),
         ("eps_r", [(2.6 + step, -0.2), (2.6 - step, -0.2)]),
     ):
-        ends = [amplitude(mesh, *angles, material={**SLAB, name: value}, **more) for value in values]
+        ends = [amplitude(mesh, *angles, material={**slab, name: value}, **more) for value in values]
         found = jacobian[f"default.{name}"]
         assert agrees(found[..., 0] if name == "eps_r" else found, (ends[0] - ends[1]) / (2 * step), 1e-6)
+
+
+def test_two_bounces_on_half_spaces() -> None:
+    """Both parts of eps_r, against differences of the engine."""
+    mesh, angles, step = dihedral(0.3, 0.24), ([40.0, 52.0], 80.0), 1e-6
+    more = {"terms": ("multibounce",)}
+    half = {"eps_r": (5.0, -0.7), "rms_height_m": 0.0}
+    _, jacobian = slopes(mesh, *angles, "default.eps_r", material=half, **more)
+    for part in (0, 1):
+        moved = [(5.0 + s * step * (part == 0), -0.7 + s * step * (part == 1)) for s in (1, -1)]
+        ends = [amplitude(mesh, *angles, material={**half, "eps_r": value}, **more) for value in moved]
+        assert agrees(jacobian["default.eps_r"][..., part], (ends[0] - ends[1]) / (2 * step), 1e-6)
 
 
 def test_the_coherent_part_of_a_rough_face() -> None:
@@ -215,6 +228,18 @@ def test_a_trihedral_that_grows() -> None:
     found = (jacobian["vertices"][0, 0, 0] * mesh.vertices / a).sum(axis=(1, 2))
     expected = 2 * np.sqrt(3) * a / WAVELENGTH
     assert np.abs(found[[0, 3]]) == pytest.approx(expected, rel=0.02)
+
+
+def test_a_trihedral_that_turns() -> None:
+    """Three bounces off the axis, against differences over azimuth: a heading of 1 degree is an azimuth of -1 degree.
+
+    Tubes of lambda / 60 and a step of 0.5 degrees leave the differences 2 %.
+    """
+    mesh, incidence, more = square_trihedral(10 * WAVELENGTH), DIAGONAL - 6.0, {"terms": ("multibounce",)}
+    _, jacobian = slopes(mesh, 38.0, incidence, "pose.heading_deg", finer=20.0, **more)
+    beside = scene(mesh, **more)
+    ends = warpsar.rcs(beside, [37.5, 38.5], incidence, device="cpu", rays_per_wavelength=60.0).amplitude_m[:, 0, 0]
+    assert agrees(jacobian["pose.heading_deg"][0, 0, 0][[0, 3]], (ends[0] - ends[1])[[0, 3]], 0.04)
 
 
 def test_a_sphere_that_grows() -> None:

@@ -136,9 +136,9 @@ class Asked:
         _refuse_size(azimuths.size * incidences.size, frequencies.size, where, scene.radar.max_bounces * layers)
         body = CoherentBody.of(scene, where)
         _refuse_body(scene, body, SPEED_OF_LIGHT / frequencies.max(), rays_per_wavelength)
-        asked = cls(azimuths, incidences, frequencies, rays_per_wavelength, body, tuple(cautions(scene)))
-        refuse_inside(scene, body, asked.directions)
-        return asked
+        found = cls(azimuths, incidences, frequencies, rays_per_wavelength, body, tuple(cautions(scene)))
+        refuse_inside(scene, body, found.directions)
+        return found
 
     @cached_property
     def directions(self) -> Directions:

@@ -91,19 +91,19 @@ def _seen_on_both(
     cast = directions.s @ area.T  # (directions, faces)
     if np.where(cast > 0.0, cast, 0.0).sum() < np.where(cast < 0.0, -cast, 0.0).sum():
         cast, area = -cast, -area
-    behind = cast < 0.0
-    some = np.flatnonzero(behind.any(axis=1))
+    some = np.flatnonzero((cast < 0.0).any(axis=1))
+    told, cast = Directions(directions.s[some], directions.u[some], directions.v[some]), cast[some]
     step = max(1, _PAIRS // len(middle))
     points = upload(middle, wp.vec3d, body.device)
     normals = upload(area / np.linalg.norm(area, axis=1)[:, None], wp.vec3d, body.device)
     for i in range(0, len(some), step):
-        part = some[i : i + step]
-        radars = upload(radar_records(directions[part], body.origin, distance_m), tubes.Radar, body.device)
-        seen = wp.empty((len(part), len(middle)), dtype=wp.uint8, device=body.device)
+        part = slice(i, i + step)
+        radars = upload(radar_records(told[part], body.origin, distance_m), tubes.Radar, body.device)
+        seen = wp.empty((radars.shape[0], len(middle)), dtype=wp.uint8, device=body.device)
         inputs = [body.rays, radars, points, normals, 1]
         wp.launch(tubes.free_kernel, seen.shape, inputs=inputs, outputs=[seen], device=body.device)
-        inside = np.where(behind[part] & (seen.numpy() != 0), -cast[part], 0.0).sum(axis=1)
+        inside = np.where((cast[part] < 0.0) & (seen.numpy() != 0), -cast[part], 0.0).sum(axis=1)
         found = np.flatnonzero(inside > SHARE * np.abs(cast[part]).sum(axis=1))
         if len(found):
-            return int(part[found[0]])
+            return int(some[i + found[0]])
     return None
