@@ -14,7 +14,6 @@ import argparse
 import csv
 import hashlib
 import json
-import os
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
@@ -50,6 +49,7 @@ from measured_loop import kept, written
 from warpsar.errors import InputError, WarpsarError
 from warpsar.measured import jpeg
 from warpsar.measured.chips import import_chips
+from warpsar.runtime.threads import thread_count
 from warpsar.scene.scene import Scene
 
 # 17 degrees of depression, none from the sectors below
@@ -300,7 +300,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("data", type=Path, help="folder of public releases")
     parser.add_argument("-o", "--out", type=Path, required=True)
-    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes side by side; all cores")
+    parser.add_argument("--jobs", type=int, default=thread_count(), help="processes side by side; all cores")
     parser.add_argument("--scene", type=Path, help="predict with this scene; learn nothing")
     tables.add_write(parser)
     given = parser.parse_args(arguments)

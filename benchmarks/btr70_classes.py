@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -29,6 +28,7 @@ from btr70_measures import SIZE, SMOOTH, Chip, middle, roots, turn_deg
 from btr70_model import predicted
 from measured_loop import written
 
+from warpsar.runtime.threads import thread_count
 from warpsar.scene.scene import Scene
 
 STEP_DEG = 3.0
@@ -124,7 +124,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("data", type=Path, help="folder of public releases")
     parser.add_argument("-o", "--out", type=Path, required=True, help="folder of btr70.py")
-    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes side by side; all cores")
+    parser.add_argument("--jobs", type=int, default=thread_count(), help="processes side by side; all cores")
     tables.add_write(parser)
     given = parser.parse_args(arguments)
     content = run(given.data, given.out, given.jobs)

@@ -13,6 +13,8 @@ from typing import Any
 
 from measured_loop import kept
 
+from warpsar.runtime.threads import thread_count
+
 
 @dataclass(frozen=True)
 class Job:
@@ -40,7 +42,7 @@ def _workers(processes: int) -> ProcessPoolExecutor:
     """Processes that share the cores, and stay until the command ends: each loads its kernels once."""
     os.environ.update({"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"})  # read where NumPy is loaded: in theirs
     spawn = multiprocessing.get_context("spawn")  # warp does not survive a fork
-    threads = max(1, (os.cpu_count() or 1) // processes)
+    threads = max(1, thread_count() // processes)
     return ProcessPoolExecutor(processes, spawn, initializer=_shared, initargs=(threads,))
 
 

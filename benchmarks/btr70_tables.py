@@ -105,8 +105,15 @@ def tables_of(content: Mapping[str, Any]) -> dict[str, str]:
         ),
     }
     if content["steps"]:
-        keys = ("gain", "error", "noise")
-        rows = [[s["tried"], *(f"{s[k]:+.4f}" for k in keys), "yes" if s["stays"] else ""] for s in content["steps"]]
+        rows = [
+            [
+                s["tried"],
+                f"{s['gain']:+.4f}",
+                *(f"{s[key]:.4f}" for key in ("error", "noise")),
+                "yes" if s["stays"] else "",
+            ]
+            for s in content["steps"]
+        ]
         found["btr70.steps"] = tables.markdown(("tried", "held-out gain", "standard error", "noise", "stays"), rows)
         found["btr70.checks"] = tables.markdown(("what", "found", "elsewhere"), checked(content["checks"]))
         bounces = [
