@@ -738,6 +738,7 @@ def widths(content: dict[str, Any]) -> str:
     if content["point_spread_found"]:
         values = content["point_spread_found"].values()
         window = content["diagnosis"]["effects"]["point_spread"].get("window", "gaussian")
+        window = window if isinstance(window, str) else " and ".join(window)
         rows.append(
             [f"found, {window}", *(f"{v['value_m']:.3g} ({v['low_m']:.3g} to {v['high_m']:.3g})" for v in values)]
         )

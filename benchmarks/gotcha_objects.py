@@ -18,10 +18,11 @@ from warpsar.world.world import geometry_of
 LAGS = 2  # pixels within which speckle is correlated: the point response is no wider
 TOLD = 0.5  # of what was known before, below which the images have told a number
 TRADES = 0.7  # correlation from which two numbers trade
-LINE_M, ALONG_M = 0.25, 0.8
-"""Standard deviations of what the straight car cannot say, beside those of its fit. Its side may shine anywhere between
-sill and window line, on ground that need not be at z = 0: 0.25 m across. A side that bows shines where it faces the
-radar, up to 2 m from its middle: 0.8 m along."""
+LINE_M, ALONG_M = 0.34, 0.8
+"""Standard deviations of what the straight car cannot say, beside those of its fit. Across: 0.25 m, since its side may
+shine anywhere between sill and window line, on ground that need not be at z = 0; and 0.23 m, by which cars fitted to
+az001 alone and to az002 alone lie apart beyond what the fits say. Along: a side that bows shines where it faces the
+radar, up to 2 m from its middle."""
 FOUND_M = 4.0  # between the middles of an object and a surveyed vehicle, at most
 
 
