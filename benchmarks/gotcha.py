@@ -73,6 +73,7 @@ SAMPLES = (3, 2)  # per pixel of 0.5 x 1 m: no fewer than the resolution asks fo
 REFERENCE = "grass"  # gains are unknown, so brightness is against this region's
 NEAR = 3  # pixels from a body within which ground is called `near`: sidelobes, and cars not quite where they are
 FEWEST = 30  # pixels of a class that is told apart
+TILE = 10  # pixels
 FINE_M = 0.05
 DIAGNOSE = DiagnoseOptions(starts=1, draws=400)  # the fewest draws that a family error of 1 % allows
 SHORT = DiagnoseOptions(starts=0, draws=400, refits=1, most_effects=2)
@@ -369,6 +370,16 @@ def compare(test: evaluation.EvaluatedImage, made: dict[str, np.ndarray], mask: 
     return found
 
 
+def ahead(less: np.ndarray, mask: np.ndarray) -> dict[str, float]:
+    """Mean of `less`, a difference per pixel of the mask, and its standard deviation from tiles of `TILE` pixels: wider
+    than speckle is correlated, and than an object."""
+    rows, cols = (i // TILE for i in np.nonzero(mask))
+    tile = rows * mask.shape[1] + cols
+    count, total = np.bincount(tile), np.bincount(tile, less)
+    mean = float(less.mean())
+    return {"by": mean, "sd": float(np.sqrt(np.sum((total - mean * count) ** 2)) / less.size)}
+
+
 def scatter_floor(
     scene: Scene, found: evaluation.Evaluation, test: evaluation.EvaluatedImage, mask: np.ndarray
 ) -> float:
@@ -590,6 +601,7 @@ def _compared(
             label: float(np.mean(result.deviances[FINAL][part] < best[part]))
             for label, part in {"all": np.ones(best.shape, bool), **parts}.items()
         },
+        "ahead_of_mean3x3": ahead(best - result.deviances[FINAL], mask),
         "scatter_floor": {
             label: scatter_floor(scene, flat, test, full & mask)
             for label, full in {"all": mask, **classes(of, materials)}.items()
