@@ -53,19 +53,20 @@ def sample_complex(chip: ImageChip, pixel: np.ndarray) -> np.ndarray:
     inside, at, samples, bad = found
     samples = np.where(bad, 0, samples)
     nearest = np.rint(at).astype(int)
-    if np.abs(at - nearest).max() < _COINCIDENT:
-        own, spoilt = samples[nearest[:, 0], nearest[:, 1]], bad[nearest[:, 0], nearest[:, 1]]
-    else:
-        fine, turns = _finer(samples * _faded_both(samples.shape, at))
-        places = _FINER * at.T
-        parts = [map_coordinates(part, places, order=5, mode="mirror") for part in (fine.real, fine.imag)]
-        own = (parts[0] + 1j * parts[1]) * np.exp(1j * (at @ np.array(turns)))
-        spoilt = map_coordinates(bad.astype(np.float64), at.T, order=1, mode="nearest") > _COINCIDENT
-    own = np.where(spoilt, np.nan, own)
-    if chip.gain is not None:
-        with np.errstate(invalid="ignore"):
+    with np.errstate(all="ignore"):  # what overflows is infinite, and no sample
+        if np.abs(at - nearest).max() < _COINCIDENT:
+            own, spoilt = samples[nearest[:, 0], nearest[:, 1]], bad[nearest[:, 0], nearest[:, 1]]
+        else:
+            fine, turns = _finer(samples * _faded_both(samples.shape, at))
+            places = _FINER * at.T
+            parts = [map_coordinates(part, places, order=5, mode="mirror") for part in (fine.real, fine.imag)]
+            own = (parts[0] + 1j * parts[1]) * np.exp(1j * (at @ np.array(turns)))
+            spoilt = map_coordinates(bad.astype(np.float64), at.T, order=1, mode="nearest") > _COINCIDENT
+        own = np.where(spoilt, np.nan, own)
+        if chip.gain is not None:
             own = own * np.sqrt(chip.gain(pixel[inside]))
-    values[inside] = own
+        values[inside] = own
+    values[~np.isfinite(values)] = np.nan
     return values
 
 
