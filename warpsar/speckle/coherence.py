@@ -10,7 +10,8 @@ from warpsar.errors import InputError
 
 
 def coherence(one: ArrayLike, other: ArrayLike, window: tuple[int, int] = (7, 7)) -> NDArray[np.complex64]:
-    """Complex coherence of two images (rows, cols) on one grid: sum s1 s2* / sqrt(sum |s1|^2 sum |s2|^2) over windows.
+    """Complex coherence of two images (rows, cols) on one grid: over windows,
+    `sum s1 conj(s2) / sqrt(sum abs(s1)^2 sum abs(s2)^2)`.
 
     Its magnitude is 0 to 1, its angle the interferogram's phase [rad] (Bamler and Hartl, Inverse Problems 14, 1998,
     eq. 35). Of L independent samples the magnitude is sqrt(pi / 4L) in the mean where nothing is alike. NaN where a
