@@ -200,6 +200,17 @@ def test_the_design_page_lists_the_rooms_in_their_order() -> None:
     ]
 
 
+def test_each_folder_says_what_its_files_do() -> None:
+    """By name, in its `__init__.py`. Effects are found by looking into their folder, and are listed nowhere."""
+    unlisted = []
+    for text in (*(ROOT / "warpsar").glob("*/**/__init__.py"), ROOT / "kernels" / "coherent" / "__init__.py"):
+        if text.parent == ROOT / "warpsar" / "effects":
+            continue
+        said = set(re.findall(r"\w+", text.read_text(encoding="utf-8")))
+        unlisted += [path for path in text.parent.glob("*.py") if path != text and path.stem not in said]
+    assert unlisted == []
+
+
 def test_lazy_imports_are_of_heavy_libraries() -> None:
     """cli/ apart, whose commands import their work when they are called: help needs no engine; and the faces of the
     package, which name by string what is imported when it is asked for."""

@@ -1,1 +1,6 @@
-"""Kernels of the coherent engine: rays and their tubes, what facets, tubes and edges radiate."""
+"""Kernels of the coherent engine: rays and their tubes, what facets, tubes and edges radiate.
+
+cells: cells across the line of sight, their parts, and sums over them. tubes: rays, their hits and how they spread.
+reflection: at a face, and the currents on it. radiate: what faces and tubes send back. edges: what edges send back.
+rough: scatterers of rough faces. slopes: the same for reverse mode. numbers: complex numbers in float64.
+"""

@@ -6,4 +6,5 @@ coherent engine. places: the same of one direction. bodies: the mesh on the devi
 history: phase history. slc: complex images, and focusing. direct: each scatterer times the response. noise: of the
 receiver.
 cphd, sicd: files of the standards. command: `warpsar simulate --product`.
+site: where the scene lies on the earth.
 """

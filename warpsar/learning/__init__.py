@@ -13,4 +13,5 @@ likeliest pose. learned_objects: poses in `learn`. object_figures: objects befor
 term: the learned term of a material's sigma0, from images.
 metrics: how well the images agree. verdict: is anything left beside speckle? trust: do the intervals hold?
 results: what was learned, as a scene. command: `warpsar learn`.
+jacobian: how one view's image changes with x.
 """

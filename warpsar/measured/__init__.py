@@ -4,4 +4,7 @@ importer: `warpsar import`. formats: which reader a file needs. cphd, gotcha (wi
 the readers. data: what they give. earth: where the world lies on the earth. gridding: a measurement onto a view's grid.
 focus: phase history to image. ground: where pixels lie. resample: power between pixels. curves: radar
 cross-sections.
+chips, view_table: many chips and a table of their angles, in one call. jpeg: 8-bit pictures of amplitude. declared:
+widths of the response that a header declares. response: the same as `[effects.point_spread]`. placed: where a scene
+lies on a map.
 """

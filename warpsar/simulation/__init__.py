@@ -4,4 +4,7 @@ rays: a scene's views traced. exact_rays: the same without rays. sampling: how m
 command: one scene's images and files. outputs: the JSON that every command writes.
 batch: many images in one command. naming: their views and names. shares: who makes which.
 maker: one scene of a batch. index: what is there already.
+checks: what a user should be told. estimate: how long it will take. metadata: what an image says of itself.
+view: one view, simulated. speckle: speckle on images. ground: images on a map. dataset: views through xarray.
+materials: `warpsar materials`.
 """

@@ -4,4 +4,5 @@ likelihood: losses, their constants, and metrics. censored: the loss of clipped 
 than speckle. looks: the equivalent number of looks of an image. draws: speckle for a bootstrap. own: correlation and
 variance of speckle in a residual with structure. scan: the strongest window of a residual. lines: its strongest row,
 column or window. tail: how improbable a value is. compared: what these must know of an image.
+covariance: of correlated residuals, as an operator. coherence: how alike two complex images are.
 """

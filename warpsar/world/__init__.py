@@ -5,4 +5,5 @@ for each mesh format. mesh_door: are these arrays a mesh? mesh_memory: a mesh fr
 written. models: what a backscatter model takes. sigma0_table, scattering_term: files that a material names. curve:
 `[[curves]]`. pixels: an image in memory. frame: the axes of a view.
 objects/: bodies that a scene places. sound_objects: those that cannot be meant. library/: surfaces by name.
+collection: `[collection]`. tolerance: how well the value at a key is known.
 """
