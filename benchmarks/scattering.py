@@ -243,8 +243,11 @@ def launcher(
         kernel, block = (crossed_table_lanes, crossed_table_lanes.HITS) if cpu else (crossed_table, 1)
         kernel = kernel.scatter_kernel
     else:
-        inputs = [int(model), a["mine"], polarization, 200.0, 0, *places, a["spectrum"], a["loss"], a["zeta"]]
-        kernel, block = (models_lanes.scatter_kernel, models_lanes.HITS) if cpu else (models.scatter_kernel, 1)
+        inputs = [a["mine"], 200.0, 0, *places, a["spectrum"], a["loss"], a["zeta"]]
+        if cpu:
+            kernel, block, inputs = models_lanes.scatter_kernel, models_lanes.HITS, [int(model), polarization, *inputs]
+        else:
+            kernel, block = models.scatter_kernel(model, Polarization(polarization), slopes), 1
     command = wp.launch(kernel, HITS // block, inputs=inputs, outputs=out, device=device, record_cmd=True)
 
     def run() -> None:

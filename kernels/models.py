@@ -4,11 +4,12 @@
 `modelled`; kernels/models_lanes.py writes the CPU's vector code from it.
 """
 
+from functools import cache
 from typing import Any
 
 import warp as wp
 
-from warpsar.kernels.codes import Coordinate, Model
+from warpsar.kernels.codes import Coordinate, Model, Polarization
 from warpsar.kernels.empirical import dubois, oh
 from warpsar.kernels.i2em import hidden_share, i2em_single, slope_deviation
 from warpsar.kernels.i2em_crossed import i2em_multiple
@@ -113,41 +114,49 @@ def modelled_of(
     )
 
 
-@wp.kernel(enable_backward=False)
-def scatter_kernel(
-    # In:
-    model: int,
-    mine: wp.array(dtype=int),
-    polarization: int,
-    wavenumber: float,
-    local_basis: int,
-    face: wp.array(dtype=int),
-    face_material: wp.array(dtype=int),
-    cos_incidence: wp.array(dtype=float),
-    cos_twist: wp.array(dtype=float),
-    spectrum: wp.array(dtype=int),
-    eps_im: wp.array(dtype=float),
-    zeta: wp.array(dtype=wp.vec4),
-    # Out:
-    sigma_out: wp.array(dtype=float),
-    slopes_out: wp.array(dtype=wp.vec4),
-):
-    """sigma0 of the hits `mine`, whose materials have `model`; with `slopes_out` not empty their slopes too."""
-    i = read_int(mine, wp.tid())
-    material = read_int(face_material, read_int(face, i))
-    twist = read_float(cos_twist, i)
-    if local_basis != 0:
-        twist = 1.0
-    found = modelled_of(
-        model,
-        polarization,
-        read_int(spectrum, material),
-        wavenumber,
-        read_float(cos_incidence, i),
-        twist,
-        read_float(eps_im, material),
-        read_vec4(zeta, i),
-    )
-    sigma_out[i] = found[0]
-    if slopes_out.shape[0] > 0:
-        write_vec4(slopes_out, i, wp.vec4(found[1], found[2], found[3], found[4]))
+@cache
+def scatter_kernel(model: Model, polarization: Polarization, slopes: bool) -> wp.Kernel:
+    """The kernel of sigma0 for the hits `mine`, whose materials have `model`; with `slopes` of its slopes too.
+
+    There is a kernel for each. One kernel for all would take the registers of its longest branch, HV of I2EM, and be
+    three times slower on a GPU.
+    """
+    model_code, polarization_code = int(model), int(polarization)
+
+    @wp.kernel(enable_backward=False, module="unique", module_options={"max_unroll": 1})
+    def scatter_kernel(
+        # In:
+        mine: wp.array(dtype=int),
+        wavenumber: float,
+        local_basis: int,
+        face: wp.array(dtype=int),
+        face_material: wp.array(dtype=int),
+        cos_incidence: wp.array(dtype=float),
+        cos_twist: wp.array(dtype=float),
+        spectrum: wp.array(dtype=int),
+        eps_im: wp.array(dtype=float),
+        zeta: wp.array(dtype=wp.vec4),
+        # Out:
+        sigma_out: wp.array(dtype=float),
+        slopes_out: wp.array(dtype=wp.vec4),
+    ):
+        i = read_int(mine, wp.tid())
+        material = read_int(face_material, read_int(face, i))
+        twist = read_float(cos_twist, i)
+        if local_basis != 0:
+            twist = 1.0
+        found = modelled_of(
+            wp.static(model_code),
+            wp.static(polarization_code),
+            read_int(spectrum, material),
+            wavenumber,
+            read_float(cos_incidence, i),
+            twist,
+            read_float(eps_im, material),
+            read_vec4(zeta, i),
+        )
+        sigma_out[i] = found[0]
+        if wp.static(slopes):
+            write_vec4(slopes_out, i, wp.vec4(found[1], found[2], found[3], found[4]))
+
+    return scatter_kernel

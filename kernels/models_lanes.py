@@ -1,4 +1,4 @@
-"""`models.scatter_kernel` on the CPU: sixteen hits at once.
+"""`models.scatter_kernel` on the CPU, for all models: sixteen hits at once.
 
 The equations are those of kernels/models.py, written out by kernels/lanes.py; only loads and stores are by hand.
 """
@@ -48,8 +48,8 @@ _SCATTER = """
 def scatter_block(
     block: int,
     model: int,
-    mine: wp.array(dtype=int),
     polarization: int,
+    mine: wp.array(dtype=int),
     wavenumber: float,
     local_basis: int,
     face: wp.array(dtype=int),
@@ -68,8 +68,8 @@ def scatter_block(
 def scatter_kernel(
     # In:
     model: int,
-    mine: wp.array(dtype=int),
     polarization: int,
+    mine: wp.array(dtype=int),
     wavenumber: float,
     local_basis: int,
     face: wp.array(dtype=int),
@@ -83,12 +83,12 @@ def scatter_kernel(
     sigma_out: wp.array(dtype=float),
     slopes_out: wp.array(dtype=wp.vec4),
 ):
-    """`models.scatter_kernel` for HITS hits."""
+    """sigma0 of HITS of the hits `mine`; with `slopes_out` not empty its slopes too."""
     scatter_block(
         wp.tid(),
         model,
-        mine,
         polarization,
+        mine,
         wavenumber,
         local_basis,
         face,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import partial
+from itertools import chain, repeat
 from typing import Any
 
 import numpy as np
@@ -39,6 +40,11 @@ def by_model(stage: Stage, hits: Hits) -> dict[Model, wp.array]:
     return found
 
 
+def has_default(stage: Stage, hits: Hits) -> bool:
+    """Whether a hit's material has the default model."""
+    return sum(mine.shape[0] for mine in by_model(stage, hits).values()) < hits.count
+
+
 def record(
     program: Program,
     stage: Stage,
@@ -49,23 +55,26 @@ def record(
     zeta: wp.array,
     sigma: wp.array,
     slopes: Callable[[], wp.array],
+    adjoint: Callable[[], None],
     *,
     of_the_mesh: bool,
 ) -> None:
-    """Record sigma0 of the hits of further models over that of the default, which has been recorded for all hits.
+    """Record sigma0 of the hits of further models over that of the default, which has been recorded where it has hits.
 
-    `slopes()` makes the array of the slopes of all hits. The default's adjoint multiplies with them, whosever they are.
-    `of_the_mesh`: no effect has changed the coordinates, so they are the same all over a uniform material.
+    `slopes()` makes the array of the slopes of all hits. `adjoint` multiplies with them, whosever they are; it belongs
+    to the first of the launches. `of_the_mesh`: no effect has changed the coordinates, so they are the same all over a
+    uniform material.
     """
     device: wp.Device = program.device
     local = int(stage.local_basis)
     tabled = (Model.I2EM,) if of_the_mesh and Polarization(polarization).crossed else ()
+    adjoints = chain([] if has_default(stage, hits) else [adjoint], repeat(lambda: None))
     for model, mine in by_model(stage, hits).items():
         places = [hits.face, stage.face_material, hits.cos_incidence, hits.cos_twist]
         if model == Model.FACET:
             tables = stage.tables
             assert tables is not None
-            kernel = facet.scatter_kernel
+            kernel = keeping = facet.scatter_kernel
             inputs: list[Any] = [
                 mine,
                 polarization,
@@ -78,22 +87,25 @@ def record(
             ]
             block = 1
         elif model in tabled and _uniform(stage, own := _one_of_each(stage, hits, mine)):
-            kernel = crossed_table_lanes.scatter_kernel if device.is_cpu else crossed_table.scatter_kernel
+            kernel = keeping = crossed_table_lanes.scatter_kernel if device.is_cpu else crossed_table.scatter_kernel
             block = crossed_table_lanes.HITS if device.is_cpu else 1
             inputs = [mine, local, *places, *_crossed_tables(program, stage, own, wavenumber, spectrum, zeta)]
         else:
-            kernel = models_lanes.scatter_kernel if device.is_cpu else models.scatter_kernel
-            block = models_lanes.HITS if device.is_cpu else 1
-            inputs = [int(model), mine, polarization, wavenumber, local, *places, spectrum, stage.eps_im, zeta]
+            inputs = [mine, wavenumber, local, *places, spectrum, stage.eps_im, zeta]
+            if device.is_cpu:
+                kernel = keeping = models_lanes.scatter_kernel
+                block, inputs = models_lanes.HITS, [int(model), polarization, *inputs]
+            else:
+                kernel, keeping = (models.scatter_kernel(model, Polarization(polarization), s) for s in (False, True))
+                block = 1
         dim, none = -(-mine.shape[0] // block), wp.empty(0, dtype=wp.vec4, device=device)
-
         program.launch(
             kernel,
             dim,
             inputs,
             [sigma, none],
-            adjoint=lambda: None,
-            keeping=partial(_keeping, kernel, dim, inputs, sigma, slopes, mine, block),
+            adjoint=next(adjoints),
+            keeping=partial(_keeping, keeping, dim, inputs, sigma, slopes, mine, block),
             pieces=by_elements([mine], block),
         )
 

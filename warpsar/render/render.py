@@ -270,6 +270,9 @@ class ViewRender:
             pieces = by_elements([slopes(), sigma.grad, zeta.grad])
             return Launch(shade.scatter_adjoint_kernel, n, [slopes(), sigma.grad], [zeta.grad], device, pieces)
 
+        def back() -> None:
+            adjoint().launch()
+
         if device.is_cpu:
             kernel = keeping = shade_lanes.scatter_kernel
             block, outputs = shade_lanes.HITS, [sigma, wp.empty(0, dtype=wp.vec4, device=device)]
@@ -277,21 +280,22 @@ class ViewRender:
             kernel, keeping = shade.scatter_kernel, shade.scatter_slopes_kernel
             block, outputs = 1, [sigma]
         dim = -(-n // block)
-        self.program.launch(
-            kernel,
-            dim,
-            inputs,
-            outputs,
-            adjoint=lambda: adjoint().launch(),
-            keeping=lambda: Launch(
-                keeping, dim, inputs, [sigma, slopes()], device, by_elements([*per_hit, slopes()], block)
-            ),
-            pieces=by_elements(per_hit, block),
-        )
+        if models.has_default(stage, hits):
+            self.program.launch(
+                kernel,
+                dim,
+                inputs,
+                outputs,
+                adjoint=back,
+                keeping=lambda: Launch(
+                    keeping, dim, inputs, [sigma, slopes()], device, by_elements([*per_hit, slopes()], block)
+                ),
+                pieces=by_elements(per_hit, block),
+            )
         wavenumber = self.geometry.wavenumber
-        of_the_mesh = any(gathered.zeta is zeta for gathered in self.gathered)
+        mesh = any(gathered.zeta is zeta for gathered in self.gathered)
         models.record(
-            self.program, stage, hits, wavenumber, polarization, spectra, zeta, sigma, slopes, of_the_mesh=of_the_mesh
+            self.program, stage, hits, wavenumber, polarization, spectra, zeta, sigma, slopes, back, of_the_mesh=mesh
         )
         return models.with_term(self.program, stage, hits, wavenumber, polarization, zeta, sigma)
 
