@@ -156,6 +156,20 @@ def test_the_ground_is_no_body() -> None:
     assert list(disjoint(found, 2)) == [["a", "c"], ["b"]]
 
 
+def test_a_group_that_holds_a_part_of_an_object_is_no_body() -> None:
+    """A material that the moved hut shares with the house: the two cannot move each by itself."""
+    plain = true_scene()
+    both = np.flatnonzero(plain.mesh.face_material > 0).astype(np.int32)
+    scene = replace(plain, mesh=replace(plain.mesh, groups={"plaster": both}))
+    assert list(bodies(scene, scene)) == ["cube", "hut", "plaster"]
+    other = composed(scene, scene, [Object(group="hut", **MOVED)], ())
+    assert list(bodies(scene, other)) == ["cube"]
+    declared = with_objects(scene, [Object(group="hut")])
+    assert set(bodies(declared, declared)) == {"cube", "hut"}
+    for labels in disjoint(bodies(declared, declared), 4):
+        freed(declared, labels)  # refuses bodies that share a face
+
+
 def test_free_aim_points_hold_places_where_no_body_stays() -> None:
     """A view's own shift and a body's are one, if nothing else stands there that both could be told from."""
     scene = true_scene()

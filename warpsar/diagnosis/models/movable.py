@@ -20,7 +20,8 @@ def bodies(declared: Scene, scene: Scene) -> dict[str, np.ndarray]:
     """Names of objects and of groups that `declared` and `scene` have alike, with their faces' numbers, shape (n,).
 
     The ground, and whatever else takes up most of the scene in plan, is none of them: its shift is `registration`.
-    Groups of the same faces are one. Faces of objects are counted from the last one of the mesh backwards.
+    Groups of the same faces are one. A group that shares a face with an object is none: one of them would move alone.
+    Faces of objects are counted from the last one of the mesh backwards.
     """
     changed = {object_of(name) for name in changes(declared, scene)}
     total = float(_plan_area(scene.mesh.vertices, scene.mesh.faces))
@@ -30,10 +31,11 @@ def bodies(declared: Scene, scene: Scene) -> dict[str, np.ndarray]:
     if base is not None:
         names = group_names(base, scene.mesh_path)
         named = with_groups(base, scene.mesh_path, names)
-        moved = {one.group for one in scene.objects}
+        taken = [base.groups[one.group] for one in scene.objects if one.group is not None]
+        moved = np.concatenate([np.zeros(0, np.int32), *taken])
         for name in names:
             faces = named.groups.get(name, np.zeros(0, np.int32))
-            if name in changed or name in moved or not len(faces) or faces.tobytes() in seen:
+            if name in changed or np.isin(faces, moved).any() or not len(faces) or faces.tobytes() in seen:
                 continue
             seen.add(faces.tobytes())
             if _plan_area(named.vertices, named.faces[faces]) < MOST_OF_THE_SCENE * total:
