@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,7 @@ import warp as wp
 from warpsar.kernels import crossed_table, crossed_table_lanes, facet, learned_term, models, models_lanes
 from warpsar.kernels.codes import Layout, Model, Polarization
 from warpsar.runtime.launches import Launch, by_elements
-from warpsar.runtime.program import Program
+from warpsar.runtime.program import Program, adjoint_of
 from warpsar.surface.stage import Stage
 from warpsar.trace.hits import Hits
 
@@ -62,21 +62,14 @@ def record(
     tabled = (Model.I2EM,) if of_the_mesh and Polarization(polarization).crossed else ()
     for model, mine in by_model(stage, hits).items():
         places = [hits.face, stage.face_material, hits.cos_incidence, hits.cos_twist]
+        adjoint: Callable[[], None] = _nothing
         if model == Model.FACET:
             tables = stage.tables
             assert tables is not None
             kernel = facet.scatter_kernel
-            inputs: list[Any] = [
-                mine,
-                polarization,
-                local,
-                *places,
-                tables.rows,
-                tables.incidence_deg,
-                tables.sigma0_db,
-                zeta,
-            ]
-            block = 1
+            own_tables = [tables.rows, tables.incidence_deg, tables.sigma0_db]
+            inputs: list[Any] = [mine, polarization, local, *places, *own_tables, zeta]
+            block, adjoint = 1, _to_the_table(mine.shape[0], inputs, sigma)
         elif model in tabled and _uniform(stage, own := _one_of_each(stage, hits, mine)):
             kernel = crossed_table_lanes.scatter_kernel if device.is_cpu else crossed_table.scatter_kernel
             block = crossed_table_lanes.HITS if device.is_cpu else 1
@@ -92,10 +85,28 @@ def record(
             dim,
             inputs,
             [sigma, none],
-            adjoint=lambda: None,
+            adjoint=adjoint,
             keeping=partial(_keeping, kernel, dim, inputs, sigma, slopes, mine, block),
             pieces=by_elements([mine], block),
         )
+
+
+def _nothing() -> None:
+    """The default's adjoint has done it: it multiplies with the slopes."""
+
+
+def _to_the_table(hits: int, inputs: list[Any], sigma: wp.array) -> Callable[[], None]:
+    """What adds sigma's gradient to that of the tables' values, where they have one: Warp's adjoint of the kernel."""
+    *others, values, zeta = inputs
+
+    @cache
+    def recorded() -> wp.Launch:
+        # The slopes carry the gradient of zeta. Without a `grad` of its own this adjoint leaves it alone.
+        held = wp.array(ptr=zeta.ptr, dtype=wp.vec4, shape=zeta.shape, device=zeta.device)
+        none = wp.empty(0, dtype=wp.vec4, device=zeta.device)
+        return adjoint_of(facet.scatter_kernel, hits, [*others, values, held], [sigma, none], zeta.device)
+
+    return lambda: recorded().launch() if values.requires_grad else None
 
 
 def _one_of_each(stage: Stage, hits: Hits, mine: wp.array) -> np.ndarray:
