@@ -138,6 +138,8 @@ def _summary(found: Learned, options: LearnOptions) -> dict[str, Any]:
     }
     if found.terms:
         content["learned_terms"] = {name: one.content() for name, one in found.terms.items()}
+    if found.tables:
+        content["learned_tables"] = {name: one.content() for name, one in found.tables.items()}
     if found.objects is not None:
         content["objects"] = found.objects.content()
     if not problem.scene.grid.calibrated:
