@@ -53,6 +53,13 @@ class LearnedTable:
     after: dict[str, float]
     steps: int
 
+    @property
+    def words(self) -> str:
+        """What is known, in short."""
+        low, high = self.seen_deg
+        best = ", ".join(f"{channel} to {sd.min():.2g} dB" for channel, sd in self.sd_db.items())
+        return f"sigma0 seen from {low:.1f} to {high:.1f} degrees, known at best: {best}"
+
     def content(self) -> dict[str, Any]:
         """What learn.json says of it."""
         return {
@@ -104,7 +111,7 @@ def with_learned_tables(
 def _learned(problem: FitProblem, files: dict[str, Path]) -> dict[str, LearnedTable]:
     tables = problem.stage.tables
     assert tables is not None
-    angles = {name: np.degrees(np.arccos(seen_cosines(problem, name, TABLE))) for name in files}
+    angles = {n: np.degrees(np.arccos(np.clip(seen_cosines(problem, n, TABLE), 0.0, 1.0))) for n in files}
     given = {name: sigma0_table.read(Path(str(problem.scene.materials[name].sigma0))) for name in files}
     polarizations = problem.scene.radar.polarizations
     channels = [c for c in sigma0_table.CHANNELS if c in polarizations or (c == "HV" and "VH" in polarizations)]
@@ -114,11 +121,11 @@ def _learned(problem: FitProblem, files: dict[str, Path]) -> dict[str, LearnedTa
     before = pooled_metrics(problem, problem.x0)
     values, steps = most_likely(problem, tables.sigma0_db, blocks)
     values = [np.round(one, DECIMALS) for one in values]
-    for name, one in zip(files, values, strict=True):
-        if not (np.abs(one) <= LARGEST_DB).all():
+    for name, its in zip(files, values, strict=True):
+        if not (np.abs(its) <= LARGEST_DB).all():
             raise InputError(
                 f"{problem.scene.name}: materials.{name}.learn: {TABLE}: the images say "
-                f"{one.flat[np.abs(one).argmax()]:.0f} dB; must be within -{LARGEST_DB:g} and {LARGEST_DB:g} dB"
+                f"{its.flat[np.abs(its).argmax()]:.0f} dB; must be within -{LARGEST_DB:g} and {LARGEST_DB:g} dB"
             )
     put(tables.sigma0_db, blocks, values)
     after = pooled_metrics(problem, problem.x0)

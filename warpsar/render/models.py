@@ -100,13 +100,22 @@ def _to_the_table(hits: int, inputs: list[Any], sigma: wp.array) -> Callable[[],
     *others, values, zeta = inputs
 
     @cache
-    def recorded() -> wp.Launch:
-        # The slopes carry the gradient of zeta. Without a `grad` of its own this adjoint leaves it alone.
-        held = wp.array(ptr=zeta.ptr, dtype=wp.vec4, shape=zeta.shape, device=zeta.device)
+    def recorded() -> tuple[wp.array, wp.Launch]:
+        # The adjoint of a store sets its gradient to 0, and the default's adjoint needs it still: this has a copy. The
+        # slopes carry the gradient of zeta, which so has none here.
+        kept = wp.empty_like(sigma.grad)
+        power: wp.array = wp.array(ptr=sigma.ptr, dtype=float, shape=sigma.shape, device=sigma.device, grad=kept)
+        held: wp.array = wp.array(ptr=zeta.ptr, dtype=wp.vec4, shape=zeta.shape, device=zeta.device)
         none = wp.empty(0, dtype=wp.vec4, device=zeta.device)
-        return adjoint_of(facet.scatter_kernel, hits, [*others, values, held], [sigma, none], zeta.device)
+        return kept, adjoint_of(facet.scatter_kernel, hits, [*others, values, held], [power, none], zeta.device)
 
-    return lambda: recorded().launch() if values.requires_grad else None
+    def run() -> None:
+        if values.requires_grad:
+            kept, launch = recorded()
+            wp.copy(kept, sigma.grad)
+            launch.launch()
+
+    return run
 
 
 def _one_of_each(stage: Stage, hits: Hits, mine: wp.array) -> np.ndarray:

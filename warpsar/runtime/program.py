@@ -58,7 +58,11 @@ class _Step:
 
 
 def adjoint_of(
-    kernel: wp.Kernel, dim: int | tuple[int, ...], inputs: Sequence[Any], outputs: Sequence[Any], device: wp.Device
+    kernel: wp.Kernel,
+    dim: int | tuple[int, ...],
+    inputs: Sequence[Any],
+    outputs: Sequence[Any],
+    device: wp.Device | None,
 ) -> wp.Launch:
     """The adjoint that Warp makes of a launch: it adds the outputs' gradients to those of the inputs that have one."""
     gradient_of = wp.Tape().get_adjoint
