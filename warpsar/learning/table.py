@@ -16,7 +16,6 @@ import warp as wp
 from scipy.linalg import block_diag
 
 from warpsar.errors import InputError
-from warpsar.kernels.codes import Polarization
 from warpsar.learning.device_values import SEEN, Block, most_likely, put, refuse_run, seen_cosines
 from warpsar.learning.identify import information_of
 from warpsar.learning.metrics import pooled_metrics
@@ -147,7 +146,7 @@ def _block(given: Sigma0Table, channels: Sequence[str], rows: np.ndarray) -> Blo
     """
     apart = (given.incidence_deg[:, None] - given.incidence_deg) / WIDTH_DEG
     covariance = SPREAD_DB**2 * np.exp(-0.5 * apart**2) + ROW_DB**2 * np.eye(len(apart))
-    columns = [[int(p) for p in Polarization if given.column(p.name) == channel] for channel in channels]
+    columns = [given.filled(channel) for channel in channels]
     start = np.stack([given.sigma0_db[channel] for channel in channels])
     return Block(slice(int(rows[0]), int(rows.sum())), columns, start, np.linalg.cholesky(covariance))
 

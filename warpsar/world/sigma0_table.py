@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from warpsar.errors import InputError
 from warpsar.io.images import replacing
+from warpsar.kernels.codes import Polarization
 
 LARGEST_FILE = 2**22
 """Bytes: more rows than an angle has."""
@@ -33,6 +34,10 @@ class Sigma0Table:
         own = "HV" if polarization == "VH" else polarization
         other = {"HH": "VV", "VV": "HH"}.get(polarization, "")
         return next((name for name in (own, other) if name in self.sigma0_db), None)
+
+    def filled(self, column: str) -> list[int]:
+        """The polarizations, as `kernels.codes` numbers them, whose values a column gives."""
+        return [int(one) for one in Polarization if self.column(one.name) == column]
 
     def channel(self, polarization: str) -> NDArray[np.float64]:
         """The values of a polarization's column; -300 dB without one."""
