@@ -74,8 +74,8 @@ def written(folder: Path, **tables: Sigma0Table) -> dict[str, Path]:
     return {name: folder / f"{name}.csv" for name in tables}
 
 
-def standing(scene: Scene) -> FitProblem:
-    return FitProblem(scene, devices.resolve_device("cpu"))
+def standing(scene: Scene, device: str) -> FitProblem:
+    return FitProblem(scene, devices.resolve_device(device))
 
 
 def test_a_table_is_written_as_it_is_read(tmp_path: Path) -> None:
@@ -88,12 +88,12 @@ def test_a_table_is_written_as_it_is_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("basis", ["radar", "local"])
-def test_the_loss_has_the_derivatives_of_differences_to_the_values(basis: str, tmp_path: Path) -> None:
+def test_the_loss_has_the_derivatives_of_differences_to_the_values(basis: str, device: str, tmp_path: Path) -> None:
     """Warp's adjoint through the images of ground and block, whose walls are turned: their HH holds VV."""
     files = written(tmp_path, given=GIVEN, truth=bent())
     truth = site({name: {"sigma0": files["truth"]} for name in PARTS}, polarization_basis=basis)
     scene = site({name: {"sigma0": files["given"], "learn": ()} for name in PARTS}, polarization_basis=basis)
-    problem = standing(seeing(scene, truth, 0))
+    problem = standing(seeing(scene, truth, 0), device)
     tables = problem.stage.tables
     assert tables is not None
     tables.sigma0_db.requires_grad = True
@@ -115,16 +115,16 @@ def test_the_loss_has_the_derivatives_of_differences_to_the_values(basis: str, t
         assert float((slope * direction).sum()) == pytest.approx(expected, rel=1e-3)  # float32 images
 
 
-def test_the_gradient_to_level_stays_where_the_values_have_one_too(tmp_path: Path) -> None:
+def test_the_gradient_to_level_stays_where_the_values_have_one_too(device: str, tmp_path: Path) -> None:
     files = written(tmp_path, given=GIVEN, truth=bent())
     scene = site({name: {"sigma0": files["given"], "learn": ("level",)} for name in PARTS})
     scene = seeing(scene, site({name: {"sigma0": files["truth"]} for name in PARTS}), 0)
-    plain, both = standing(scene), standing(scene)
+    plain, both = standing(scene, device), standing(scene, device)
     assert both.stage.tables is not None
     both.stage.tables.sigma0_db.requires_grad = True
     expected, found = plain.gradient(plain.x0), both.gradient(both.x0)
-    assert found[0] == expected[0]
-    np.testing.assert_array_equal(found[1], expected[1])
+    assert found[0] == pytest.approx(expected[0], rel=1e-7)
+    np.testing.assert_allclose(found[1], expected[1], rtol=1e-5)  # CUDA adds up in any order
 
 
 def learned(folder: Path, materials: tuple[str, ...], truth: Sigma0Table, polarizations: tuple[str, ...]) -> Learned:

@@ -34,9 +34,9 @@ def total(images: Any, weights: dict[str, dict[str, np.ndarray]]) -> float:
 
 
 @pytest.mark.parametrize("vertices", [False, True])
-def test_gradients_to_a_tables_columns_are_those_of_differences(scene: Scene, vertices: bool) -> None:
+def test_gradients_to_a_tables_columns_are_those_of_differences(scene: Scene, vertices: bool, device: str) -> None:
     """Also where the mesh's vertices are free, and beside the level of the other table and an effect."""
-    render = renderer(scene, device="cpu", vertices=vertices)
+    render = renderer(scene, device=device, vertices=vertices)
     assert [name for name in render.parameters if "sigma0" in name] == NAMES
     weights, values = weights_of(render), render.values
     gradient = render.vjp(values, weights)
