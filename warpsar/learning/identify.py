@@ -156,7 +156,7 @@ def of_information(
     held = np.zeros((0, len(labels))) if known is None else known
     stated = sum((np.outer(row, row) * (row**2 @ np.diag(information)) for row in held), np.zeros_like(information))
     unit_values, unit_vectors = np.linalg.eigh((information + stated) / np.outer(scale, scale))
-    seen = unit_values > RANK_TOLERANCE * unit_values.max()
+    seen = unit_values > RANK_TOLERANCE * unit_values.max(initial=0.0)
     inverse = (unit_vectors[:, seen] / unit_values[seen]) @ unit_vectors[:, seen].T / np.outer(scale, scale)
     covariance = inverse @ products @ inverse
     unseen = unit_vectors[:, ~seen].T / scale
