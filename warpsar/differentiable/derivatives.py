@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -10,7 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from warpsar.differentiable.moves import Moves
-from warpsar.differentiable.parameters import RenderParameter, coordinate, parameters_of, refuse_unknown, slope
+from warpsar.differentiable.parameters import (
+    RenderParameter,
+    coordinate,
+    learned_tables,
+    parameters_of,
+    refuse_unknown,
+    slope,
+)
 from warpsar.differentiable.vertex_slopes import vertex_slopes
 from warpsar.effects.registry import declared
 from warpsar.errors import InputError
@@ -53,10 +61,11 @@ class Derivatives:
         """The effects' values as the scene has them, by view and effect."""
         self.last_run: object = None
         self._at: dict[bytes, object] = {}
+        self._tabled = bool(learned_tables(scene))
         self._placed: dict[str, NDArray[np.float64]] | None = None
         self.place({})
         self.parameters: dict[str, RenderParameter] = {
-            **parameters_of(scene, self.stage.surface),
+            **parameters_of(scene, self.stage.surface, self.stage.tables),
             **self.moves.parameters,
         }
         """What may change, by name."""
@@ -89,10 +98,10 @@ class Derivatives:
         seeds = self._seeds(cotangents)
         self._run(given, gradient=True)
         self.backward(seeds)
-        nodes = np.zeros(self.stage.surface.nodes.size)
-        moved = self.moved_gradients(seeds)
+        nodes = np.zeros(self.start.size)
         for name in seeds:
-            nodes += self.renders[name].nodes.grad.numpy()
+            nodes += np.concatenate([array.grad.numpy().ravel() for array in self.arrays(self.renders[name])])
+        moved = self.moved_gradients(seeds)
         effects = {
             name: {e: p.grad.numpy().astype(float) for e, p in self.renders[name].effect_values.items()}
             for name in seeds
@@ -137,9 +146,27 @@ class Derivatives:
         for view in scene.views:
             effects = self._effects[view.name]
             hits = rays.trace(scene, view, effects, max_memory_gib=self._memory)
-            its = ViewRender(self.stage, view, hits, scene.grid.shape, scene.radar.polarizations, effects)
+            tables = self.stage.tables
+            own = replace(self.stage, tables=tables.copied()) if tables is not None and self._tabled else self.stage
+            its = ViewRender(own, view, hits, scene.grid.shape, scene.radar.polarizations, effects)
             self.renders[view.name] = its
         self._placed, self.last_run = moved, None
+
+    @property
+    def start(self) -> NDArray[np.float64]:
+        """The surface's nodes as declared, and behind them, where any table is learned, the values of all tables."""
+        tables = self.stage.tables
+        values = [] if tables is None or not self._tabled else [tables.sigma0_db.numpy().astype(float).ravel()]
+        return np.concatenate([self.stage.surface.nodes, *values])
+
+    def arrays(self, render: ViewRender) -> list[Any]:
+        """A view's own arrays on the device that hold what `start` does, in its order."""
+        tables = render.stage.tables
+        return [render.nodes] if tables is None or not self._tabled else [render.nodes, tables.sigma0_db]
+
+    def places(self, column: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Where the values of a table's column stand in `start`."""
+        return np.asarray(self.stage.surface.nodes.size + column)
 
     def moved_gradients(self, views: Iterable[str]) -> dict[str, NDArray[np.float64]]:
         """Gradients to the geometry's parameters, after `backward` has run for these views."""
@@ -196,12 +223,14 @@ class Derivatives:
         if self.last_run is not None and self.last_run is self._at.get(key):
             return
         self.place(given)
-        nodes = self.stage.surface.nodes.copy()
+        nodes = self.start
         for name, value in given.items():
             parameter = self.parameters[name]
             if (block := parameter.block) is not None:
                 used = np.atleast_1d(value)[parameter.used].ravel()
                 nodes[block.start : block.stop] = coordinate(block.kind.key, used, np.log)
+            elif parameter.column is not None:
+                nodes[self.places(parameter.column)] = value[:, None]
 
         def set_parameters(render: ViewRender) -> None:
             effects = {name: values.copy() for name, values in self.declared[render.view.name].items()}
@@ -210,7 +239,9 @@ class Derivatives:
                 if parameter.effect is not None:
                     effect, _, index, _ = parameter.effect
                     effects[effect][index] += self.share(parameter, render.view) * float(value - parameter.value)
-            render.set_parameters(nodes, effects)
+            render.set_parameters(nodes[: render.nodes.size], effects)
+            for table in self.arrays(render)[1:]:
+                table.assign(nodes[render.nodes.size :].reshape(table.shape))
 
         self._at = {key: self.run(set_parameters, gradient=gradient)}
 
@@ -241,6 +272,8 @@ class Derivatives:
             along = nodes[block.start : block.stop].reshape(used.shape)
             gradient[parameter.used] = along * slope(block.kind.key, used)
             return gradient.reshape(parameter.shape)
+        if parameter.column is not None:
+            return np.asarray(nodes[self.places(parameter.column)].sum(axis=1))
         assert parameter.effect is not None
         effect, _, index, _ = parameter.effect
         parts = [
@@ -265,6 +298,8 @@ class Derivatives:
         move = np.abs(np.atleast_1d(move)[parameter.used])
         if parameter.block is not None:
             per_unit = np.abs(slope(parameter.block.kind.key, value))
+        elif parameter.column is not None:
+            per_unit = np.full(value.shape, np.log(10.0) / 10.0)  # of ln(sigma0)
         else:
             assert parameter.effect is not None
             its = parameter.effect[1]

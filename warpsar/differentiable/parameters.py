@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,11 @@ from warpsar.effects.base.parameter import Parameter
 from warpsar.effects.registry import get
 from warpsar.errors import InputError, shown
 from warpsar.surface.surface import Block, Surface
+from warpsar.surface.tables import Tables
+from warpsar.world import sigma0_table
+from warpsar.world.models import TABLE
 from warpsar.world.objects.table import KEYS
+from warpsar.world.sigma0_table import LARGEST_DB
 from warpsar.world.world import World
 
 
@@ -21,15 +26,17 @@ from warpsar.world.world import World
 class RenderParameter:
     """One parameter of a renderer.
 
-    Surfaces are called "material.key", such as "ground.eps_r"; effects "effect.key", such as "noise_floor.level", with
-    the view where each has its own: "registration.range_m[north]". Objects are called "object.key", such as
-    "tower.heading_deg", and the mesh's vertices "mesh.vertices".
+    Surfaces are called "material.key", such as "ground.eps_r", and columns of a table "material.sigma0[HH]". Effects
+    are called "effect.key", such as "noise_floor.level", with the view where each has its own:
+    "registration.range_m[north]". Objects are called "object.key", such as "tower.heading_deg", and the mesh's vertices
+    "mesh.vertices".
     """
 
     name: str
     value: NDArray[np.float64]
     """As the scene declares it, in the units of scene.toml. Shape () of a number, (n,) over the mesh's vertices for the
-    layout "vertex", (rows, cols) for "texture". Of eps' - j eps'' it is eps', of (lx, ly) it is lx."""
+    layout "vertex", (rows, cols) for "texture", (rows,) of a table's column [dB]. Of eps' - j eps'' it is eps', of
+    (lx, ly) it is lx."""
     low: float
     """The least that it may be."""
     high: float
@@ -38,6 +45,8 @@ class RenderParameter:
     """Of a surface: its nodes."""
     effect: tuple[str, Parameter, int, str | None] | None = field(default=None, repr=False)
     """Of an effect: its name, the parameter, its place in the effect's array, and the view where it is per view."""
+    column: NDArray[np.int64] | None = field(default=None, repr=False)
+    """Of a table: where its values stand among those of all tables, (rows, polarizations that it gives)."""
     moves: bool = False
     """Of the geometry: surfaces, silhouettes and shadows move with it."""
 
@@ -67,13 +76,15 @@ class RenderParameter:
         return found
 
 
-def parameters_of(world: World, surface: Surface) -> dict[str, RenderParameter]:
+def parameters_of(world: World, surface: Surface, tables: Tables | None) -> dict[str, RenderParameter]:
     """All that may change: what the materials' `learn` names, and what the tables of the effects state."""
     found = []
     for block in surface.blocks:
         if block.learn:
             name, kind = f"{block.material}.{block.kind.key}", block.kind
             found.append(RenderParameter(name, _declared(world, surface, block), kind.low, kind.high, block=block))
+    if tables is not None:
+        found += _columns(world, surface, tables)
     for effect, table in world.effects.items():
         for index, parameter in enumerate(get(effect).parameters):
             stated = table.get(parameter.name)
@@ -84,6 +95,21 @@ def parameters_of(world: World, surface: Surface) -> dict[str, RenderParameter]:
                 place = (effect, parameter, index, view)
                 found.append(RenderParameter(name, np.array(float(value)), *ends, effect=place))
     return {parameter.name: parameter for parameter in found}
+
+
+def learned_tables(world: World) -> dict[str, Path]:
+    """The tables that `learn` names, by material."""
+    return {name: one.sigma0 for name, one in world.materials.items() if TABLE in one.learn and one.sigma0 is not None}
+
+
+def _columns(world: World, surface: Surface, tables: Tables) -> Iterator[RenderParameter]:
+    rows, (_, width) = tables.rows.numpy(), tables.sigma0_db.shape
+    for name, file in learned_tables(world).items():
+        first, count = rows[surface.materials.index(name)]
+        given = sigma0_table.read(file)
+        for key, values in given.sigma0_db.items():
+            places = np.arange(first, first + count)[:, None] * width + np.array(given.filled(key))
+            yield RenderParameter(f"{name}.{TABLE}[{key}]", values, -LARGEST_DB, LARGEST_DB, column=places)
 
 
 def _declared(world: World, surface: Surface, block: Block) -> NDArray[np.float64]:
@@ -104,8 +130,9 @@ def refuse_unknown(world: World, known: Mapping[str, RenderParameter], name: str
         parameter = get(first).parameter(key)  # refuses settings, and what is no parameter at all
         if parameter.name not in world.effects[first]:
             raise InputError(f"{name}: effects.{first} does not state it; state it to take a derivative to it")
-    if first in world.materials and key in type(world.materials[first]).model_fields:
-        learn = ", ".join(world.materials[first].learn) or "nothing"
+    material = world.materials.get(first)
+    if material is not None and key in type(material).model_fields and key not in material.learn:
+        learn = ", ".join(material.learn) or "nothing"
         raise InputError(f"{name}: is held: materials.{first}.learn names {learn}; only what it names has a derivative")
     labels = {one.label: one for one in world.objects}
     if first in labels and key in KEYS.values():

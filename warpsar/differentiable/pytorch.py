@@ -29,7 +29,7 @@ class TorchRenderer:
             raise InputError('renderer.torch: needs PyTorch: pip install "warpsar[torch]"') from error
         self._renderer, self._torch = renderer, torch
         self.device = torch.device(wp.device_to_torch(renderer.device))
-        self._nodes = torch.as_tensor(renderer.stage.surface.nodes, dtype=torch.float64, device=self.device)
+        self._nodes = torch.as_tensor(renderer.start, dtype=torch.float64, device=self.device)
         self._order = [(view, name) for view, render in renderer.renders.items() for name in render.images]
 
     def __call__(self, values: Mapping[str, Any] | None = None) -> dict[str, dict[str, Any]]:
@@ -45,6 +45,9 @@ class TorchRenderer:
             if (block := parameter.block) is not None:
                 used = self._torch.atleast_1d(value)[parameter.used].reshape(-1)
                 nodes[block.start : block.stop] = coordinate(block.kind.key, used, self._torch.log)
+            elif parameter.column is not None:
+                places = self._torch.as_tensor(self._renderer.places(parameter.column), device=self.device)
+                nodes[places] = value[:, None].expand(places.shape)
         effects = [
             self._effect(render, effect, given)
             for render in self._renderer.renders.values()
@@ -106,8 +109,10 @@ class TorchRenderer:
         }
 
         def set_parameters(render: ViewRender) -> None:
+            arrays = self._renderer.arrays(render)
+            parts = nodes.split([array.size for array in arrays])
             for array, tensor in [
-                (render.nodes, nodes),
+                *((a, part.reshape(a.shape)) for a, part in zip(arrays, parts, strict=True)),
                 *((render.effect_values[e], values) for e, values in by_view[render.view.name].items()),
             ]:
                 given: Any = wp.from_torch(tensor.detach().contiguous())
@@ -131,7 +136,10 @@ class TorchRenderer:
             flat = cotangent.detach().to(self._torch.float32).contiguous().reshape(-1)
             seeds[view][renders[view].images[p]] = wp.from_torch(flat)
         self._renderer.backward(seeds)
-        nodes = sum(wp.to_torch(render.nodes.grad) for render in renders.values())
+        nodes = sum(
+            self._torch.cat([wp.to_torch(array.grad).reshape(-1) for array in self._renderer.arrays(render)])
+            for render in renders.values()
+        )
         effects = [wp.to_torch(values.grad).clone() for r in renders.values() for values in r.effect_values.values()]
         moved = self._renderer.moved_gradients(renders).values()
         return (nodes, *effects, *(self._torch.as_tensor(gradient, device=self.device) for gradient in moved))

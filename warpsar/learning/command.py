@@ -22,6 +22,7 @@ from warpsar.learning.learn import Learned, learn, of_all
 from warpsar.learning.object_figures import figure_of_objects
 from warpsar.learning.options import LearnOptions
 from warpsar.learning.pull import leaving
+from warpsar.learning.table_figure import figure_of_table
 from warpsar.runtime import console, distributed
 from warpsar.scene.scene import Scene
 from warpsar.simulation.outputs import opened, write_json
@@ -52,11 +53,15 @@ def run(
         _write_history(out / "history.csv", found.history)
         convergence(out / "convergence.png", found.history)
         _draw_objects(out / "objects.png", scene, found)
+        for name, table in found.tables.items():
+            save(figure_of_table(name, table), table.file.with_suffix(".png"))
     content = _summary(found, options)
     _say_doubts(found, scene_path)
     for one in found.pulls:
         if not one.alarm:  # the others are doubts
             console.say(one.words)
+    for name, table in found.tables.items():
+        console.say(f"{name}: {table.words}")
     for name, other in held_by(scene.effects).items():
         console.say(f"{name}: held, because {other} can do all that it does")
     for sentence in () if found.objects is None else found.objects.words:
@@ -138,6 +143,8 @@ def _summary(found: Learned, options: LearnOptions) -> dict[str, Any]:
     }
     if found.terms:
         content["learned_terms"] = {name: one.content() for name, one in found.terms.items()}
+    if found.tables:
+        content["learned_tables"] = {name: one.content() for name, one in found.tables.items()}
     if found.objects is not None:
         content["objects"] = found.objects.content()
     if not problem.scene.grid.calibrated:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -116,21 +116,31 @@ def score_products(scaled: np.ndarray, autocovariance: np.ndarray, seen: Observa
 def identify(problem: FitProblem, x: np.ndarray) -> Identified:
     """Fisher information and intervals of a handful of parameters at the solution x; the prior counts with the data."""
     modelled = problem.modelled(x)
-    curvatures, jacobians = problem.curvatures(modelled), problem.jacobian(x)
+    information, products = information_of(problem, modelled, problem.jacobian(x), x.size)
+    known = problem.prior.information(x)  # as of one more measurement, whose error is its own
+    return of_information(problem.labels, information + known, products + known, problem.zero_sum_means)
+
+
+def information_of(
+    problem: FitProblem, modelled: Sequence[np.ndarray], jacobians: Iterable[np.ndarray], size: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Fisher information of the loss and variance of its gradient, (p, p) each, of all ranks, without any prior.
+
+    `modelled` is beta0 of each observation, `jacobians` d ln(beta0) of it to `size` = p values, (pixels, p).
+    """
+    curvatures = problem.curvatures(modelled)
     spreads = [residual_sd(problem.loss, seen.looks) for seen in problem.observations]
     autocovariance = residual_autocovariance(
         [(s, c.residual / spread) for s, c, spread in zip(problem.observations, curvatures, spreads, strict=True)],
         ranks=problem.ranks,
     )
-    information = np.zeros((x.size, x.size))
+    information = np.zeros((size, size))
     products = np.zeros_like(information)
     for seen, j, c, spread in zip(problem.observations, jacobians, curvatures, spreads, strict=True):
         weighted = c.weight[:, None] * j
         information += j.T @ weighted
         products += score_products(spread * weighted, autocovariance, seen)
-    known = problem.prior.information(x)  # as of one more measurement, whose error is its own
-    total, products = problem.ranks.sum(information) + known, problem.ranks.sum(products) + known
-    return of_information(problem.labels, total, products, problem.zero_sum_means)
+    return problem.ranks.sum(information), problem.ranks.sum(products)
 
 
 def of_information(
@@ -146,7 +156,7 @@ def of_information(
     held = np.zeros((0, len(labels))) if known is None else known
     stated = sum((np.outer(row, row) * (row**2 @ np.diag(information)) for row in held), np.zeros_like(information))
     unit_values, unit_vectors = np.linalg.eigh((information + stated) / np.outer(scale, scale))
-    seen = unit_values > RANK_TOLERANCE * unit_values.max()
+    seen = unit_values > RANK_TOLERANCE * unit_values.max(initial=0.0)
     inverse = (unit_vectors[:, seen] / unit_values[seen]) @ unit_vectors[:, seen].T / np.outer(scale, scale)
     covariance = inverse @ products @ inverse
     unseen = unit_vectors[:, ~seen].T / scale

@@ -24,6 +24,7 @@ from warpsar.learning.options import LearnOptions, refuse_options, refuse_starts
 from warpsar.learning.problem import FitProblem
 from warpsar.learning.pull import Pull, pulls
 from warpsar.learning.results import learned_scene
+from warpsar.learning.table import LearnedTable, with_learned_tables
 from warpsar.learning.term import Trained, as_asked, with_trained_terms
 from warpsar.learning.trust import doubts, fit_verdict
 from warpsar.learning.validity import outside_domains
@@ -47,7 +48,7 @@ class Learned:
     fields.py), which have too many parameters for one information matrix. `verdicts`, by role: whether anything is
     left beside speckle. `pulls`: every value known to a tolerance, before and after. `doubts`: why the intervals do
     not hold; empty where nothing speaks against them. `objects`: poses and sizes, where any is learned. `terms`, by
-    material: learned terms that were trained.
+    material: learned terms that were trained. `tables`, by material: tables of sigma0 that were learned.
     """
 
     scene: Scene
@@ -68,6 +69,7 @@ class Learned:
     problem: FitProblem
     objects: LearnedObjects | None = None
     terms: Mapping[str, Trained] = field(default_factory=dict)
+    tables: Mapping[str, LearnedTable] = field(default_factory=dict)
 
 
 def learn(
@@ -81,9 +83,9 @@ def learn(
     """Fit the materials' learnable parameters, and the declared effects' unless they are held, to the `train` views.
 
     With `folder` the run keeps a checkpoint there, and `resume` goes on from it. Each of several processes
-    (`distributed`) holds a share of the views; all return the same, and the first one writes. A learned term that a
-    material's `learn` names is trained first, and then held. Raises InputError for scenes that cannot be learned from,
-    and WarpsarError where the gradient check fails.
+    (`distributed`) holds a share of the views; all return the same, and the first one writes. A learned term or a table
+    that a material's `learn` names is trained first, and then held. Raises InputError for scenes that cannot be learned
+    from, and WarpsarError where the gradient check fails.
     """
     options = options or LearnOptions()
     refuse_starts(scene)
@@ -93,11 +95,16 @@ def learn(
     folder = None if folder is None else Path(folder)
     if folder is not None and ranks.first and distributed.restarts() == 0 and not resume:
         checkpoint.remove(folder)  # of an earlier run: torchrun's restarts shall find this one's
-    declared, terms = with_trained_terms(asked, folder, ranks, lambda one: prepare(one, where, options)[0])
+
+    def prepared(one: Scene) -> FitProblem:
+        return prepare(one, where, options)[0]
+
+    declared, terms = with_trained_terms(asked, folder, ranks, prepared)
+    declared, tables = with_learned_tables(declared, folder, ranks, prepared, options.loss)
     poses = ranks.agree(lambda: learned_objects(declared, where, options.loss))
     scene = declared if poses is None else poses.scene
     problem, density = ranks.agree(lambda: prepare(scene, where, options, ranks))
-    if not problem.x0.size and poses is None and not terms:
+    if not problem.x0.size and poses is None and not terms and not tables:
         raise InputError(
             f"{scene.name}: materials: nothing to learn: every `learn` is empty, and no effect's parameter is fitted"
         )
@@ -107,8 +114,8 @@ def learn(
     course = _course(declared, options, folder, ranks, resume)
     runs = descend if problem.x0.size else stand
     state, stopped = runs(problem, tests, options, course, stoppable=folder is not None)
-    if terms and not problem.x0.size:
-        stopped = "nothing but a learned term is learned"
+    if (terms or tables) and not problem.x0.size:
+        stopped = f"nothing but {'a learned term' if terms else 'a table'} is learned"
     x = np.asarray(state.best_x)
     train = pooled_metrics(problem, x)
     final = as_asked(learned_scene(problem, x, folder if ranks.first else None), asked, terms)
@@ -138,6 +145,7 @@ def learn(
         problem=problem,
         objects=poses,
         terms=terms,
+        tables=tables,
     )
 
 

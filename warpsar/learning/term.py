@@ -13,10 +13,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.optimize import minimize
 
-from warpsar.errors import InputError
 from warpsar.kernels.codes import Polarization
+from warpsar.learning.device_values import SEEN, Block, most_likely, refuse_run, seen_cosines
 from warpsar.learning.metrics import pooled_metrics
 from warpsar.learning.problem import FitProblem
 from warpsar.runtime.distributed import Ranks
@@ -29,8 +28,6 @@ from warpsar.world.scattering_term import DB, ScatteringTerm
 WIDTH = (0.1, 1.0, 1.0, 1.0)  # of a unit: cos theta, ln kh, ln kl, ln(eps - 1)
 SPREAD_DB = 3.0
 NOISE_DB = 0.25
-MOST_STEPS = 200
-SEEN = (0.5, 99.5)  # percentiles of the hits' cos theta: units stand between them
 
 Prepared = Callable[[Scene], FitProblem]
 """The fit problem of a scene's `train` views."""
@@ -73,9 +70,7 @@ def with_trained_terms(
     """
     found = {}
     for name in taught(scene):
-        if folder is None or ranks.size > 1:
-            why = "needs a folder for its file" if folder is None else f"found {ranks.size} processes; must be one"
-            raise InputError(f"{scene.name}: materials.{name}.learn: {TERM}: {why}")
+        folder = refuse_run(scene, name, TERM, folder, ranks)
         folder.mkdir(parents=True, exist_ok=True)
         found[name] = _trained(
             scene, name, folder / f"{file_stem(tuple(scene.materials), name, 'term')}.json", prepared
@@ -111,7 +106,11 @@ def _trained(scene: Scene, name: str, file: Path, prepared: Prepared) -> Trained
     columns = [[int(p) for p in Polarization if ("HV" if p.crossed else p.name) == c] for c in channels]
     assert problem.stage.terms is not None
     first = int(problem.stage.terms.first.numpy()[problem.surface.materials.index(name), 0])
-    weights, steps = _fitted(problem, term, columns, slice(first, first + len(places)))
+    root = np.linalg.cholesky(term.units(places) + (NOISE_DB / SPREAD_DB) ** 2 * np.eye(len(places)))
+    unit = np.linalg.inv(root).T * (SPREAD_DB / DB)
+    start = np.zeros((len(channels), len(places)))
+    block = Block(slice(first, first + len(places)), columns, start, unit)
+    [weights], steps = most_likely(problem, problem.stage.terms.weights, [block])
     term = replace(term, weights=dict(zip(channels, weights, strict=True)))
     term.save(file)
     after = pooled_metrics(problem, problem.x0)
@@ -120,62 +119,10 @@ def _trained(scene: Scene, name: str, file: Path, prepared: Prepared) -> Trained
 
 def _places(problem: FitProblem, name: str) -> np.ndarray:
     """Places of the units, (n, 4), at the middle of the material's eps, h and l, over what was seen of it."""
-    material, wavenumber = problem.surface.materials.index(name), 0.0
-    seen = []
-    for view in problem.views:
-        if not view.render.keeps_hits:
-            raise InputError(
-                f"{problem.scene.name}: {TERM} is trained with all hits in memory; --max-memory is too low"
-            )
-        hits = view.render.whole.shaded
-        wavenumber = hits.geometry.wavenumber
-        seen.append(hits.cos_incidence.numpy()[problem.stage.face_material.numpy()[hits.face.numpy()] == material])
-    cosines = np.concatenate(seen)
-    if not cosines.size:
-        raise InputError(f"{problem.scene.name}: materials.{name}.learn: {TERM}: no train view sees the material")
+    cosines, wavenumber = seen_cosines(problem, name, TERM), problem.views[-1].render.whole.shaded.geometry.wavenumber
     low, high = np.percentile(cosines, SEEN)
     count = max(int(np.ceil((high - low) / WIDTH[0])), 1) + 1
     middle = (low + high) / 2 + (np.arange(count) - (count - 1) / 2) * WIDTH[0]
     eps, height, length = (float(np.median(problem.surface.values(name, key))) for key in KEYS[:3])
     here = [np.log(wavenumber * height), np.log(wavenumber * length), np.log(eps - 1.0)]
     return np.column_stack([middle, np.tile(here, (count, 1))])
-
-
-def _fitted(problem: FitProblem, term: ScatteringTerm, columns: list[list[int]], rows: slice) -> tuple[np.ndarray, int]:
-    """The weights of each channel, (channels, units), that minimise loss and prior, and the steps taken.
-
-    They are sought in coordinates of which the prior expects a standard normal distribution: then all have one scale.
-    """
-    terms = problem.stage.terms
-    assert terms is not None
-    terms.weights.requires_grad = True
-    everywhere = terms.weights.numpy().copy()
-    root = np.linalg.cholesky(term.units(term.places) + (NOISE_DB / SPREAD_DB) ** 2 * np.eye(len(term.places)))
-    unit = np.linalg.inv(root).T * (SPREAD_DB / DB)
-    problem.loss_at(problem.x0)  # the surface and the effects, at which everything else stays
-
-    def put(z: np.ndarray) -> np.ndarray:
-        weights = z.reshape(len(columns), -1) @ unit.T
-        for own, column in zip(weights, columns, strict=True):
-            everywhere[rows, column] = own[:, None]
-        terms.weights.assign(everywhere)
-        return np.asarray(weights)
-
-    def loss_and_slope(z: np.ndarray) -> tuple[float, np.ndarray]:
-        put(z)
-        total, slope = 0.5 * float(z @ z), np.zeros(everywhere.shape)
-        for view in problem.views:
-            if not problem.scene.grid.calibrated:
-                view.run_images()
-                gains = [problem.misfit.gain(*pair) for pair in zip(view.observations, view.modelled(), strict=True)]
-                view.gain.assign(np.array(gains, np.float32))
-            view.forward(gradient=True)
-            view.backward()
-            total += float(view.loss.numpy().sum())
-            slope += terms.weights.grad.numpy()
-        own = np.stack([slope[rows, column].sum(axis=1) for column in columns])
-        return total, z + (own @ unit).ravel()
-
-    size = len(columns) * len(term.places)
-    done: Any = minimize(loss_and_slope, np.zeros(size), jac=True, method="L-BFGS-B", options={"maxiter": MOST_STEPS})
-    return put(done.x), int(done.nit)

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from functools import partial
-from itertools import chain, repeat
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,7 @@ import warp as wp
 from warpsar.kernels import crossed_table, crossed_table_lanes, facet, learned_term, models, models_lanes
 from warpsar.kernels.codes import Layout, Model, Polarization
 from warpsar.runtime.launches import Launch, by_elements
-from warpsar.runtime.program import Program
+from warpsar.runtime.program import Program, adjoint_of
 from warpsar.surface.stage import Stage
 from warpsar.trace.hits import Hits
 
@@ -75,17 +74,10 @@ def record(
             tables = stage.tables
             assert tables is not None
             kernel = keeping = facet.scatter_kernel
-            inputs: list[Any] = [
-                mine,
-                polarization,
-                local,
-                *places,
-                tables.rows,
-                tables.incidence_deg,
-                tables.sigma0_db,
-                zeta,
-            ]
+            own_tables = [tables.rows, tables.incidence_deg, tables.sigma0_db]
+            inputs: list[Any] = [mine, polarization, local, *places, *own_tables, zeta]
             block = 1
+            adjoints.append(_to_the_table(mine.shape[0], inputs, sigma))
         elif model in tabled and _uniform(stage, own := _one_of_each(stage, hits, mine)):
             kernel = keeping = crossed_table_lanes.scatter_kernel if device.is_cpu else crossed_table.scatter_kernel
             block = crossed_table_lanes.HITS if device.is_cpu else 1
@@ -104,10 +96,37 @@ def record(
             dim,
             inputs,
             [sigma, none],
-            adjoint=next(adjoints),
+            adjoint=_one_after_the_other(adjoints),
             keeping=partial(_keeping, keeping, dim, inputs, sigma, slopes, mine, block),
             pieces=by_elements([mine], block),
         )
+
+
+def _nothing() -> None:
+    """The default's adjoint has done it: it multiplies with the slopes."""
+
+
+def _to_the_table(hits: int, inputs: list[Any], sigma: wp.array) -> Callable[[], None]:
+    """What adds sigma's gradient to that of the tables' values, where they have one: Warp's adjoint of the kernel."""
+    *others, values, zeta = inputs
+
+    @cache
+    def recorded() -> tuple[wp.array, wp.Launch]:
+        # The adjoint of a store sets its gradient to 0, and the default's adjoint needs it still: this has a copy. The
+        # slopes carry the gradient of zeta, which so has none here.
+        kept = wp.empty_like(sigma.grad)
+        power: wp.array = wp.array(ptr=sigma.ptr, dtype=float, shape=sigma.shape, device=sigma.device, grad=kept)
+        held: wp.array = wp.array(ptr=zeta.ptr, dtype=wp.vec4, shape=zeta.shape, device=zeta.device)
+        none = wp.empty(0, dtype=wp.vec4, device=zeta.device)
+        return kept, adjoint_of(facet.scatter_kernel, hits, [*others, values, held], [power, none], zeta.device)
+
+    def run() -> None:
+        if values.requires_grad:
+            kept, launch = recorded()
+            wp.copy(kept, sigma.grad)
+            launch.launch()
+
+    return run
 
 
 def _one_of_each(stage: Stage, hits: Hits, mine: wp.array) -> np.ndarray:

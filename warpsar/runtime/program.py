@@ -54,20 +54,31 @@ class _Step:
         if not (self.kernel.module.options.get("enable_backward") if enabled is None else enabled):
             return None
         device = next(a.device for a in self.outputs if isinstance(a, wp.array))
-        adjoint_of = wp.Tape().get_adjoint
-        recorded: wp.Launch = wp.launch(
-            self.kernel,
-            self.dim,
-            inputs=self.inputs,
-            outputs=self.outputs,
-            adj_inputs=[adjoint_of(a) for a in self.inputs],
-            adj_outputs=[adjoint_of(a) for a in self.outputs],
-            device=device,
-            adjoint=True,
-            record_tape=False,
-            record_cmd=True,
-        )
-        return recorded.launch
+        return adjoint_of(self.kernel, self.dim, self.inputs, self.outputs, device).launch
+
+
+def adjoint_of(
+    kernel: wp.Kernel,
+    dim: int | tuple[int, ...],
+    inputs: Sequence[Any],
+    outputs: Sequence[Any],
+    device: wp.Device | None,
+) -> wp.Launch:
+    """The adjoint that Warp makes of a launch: it adds the outputs' gradients to those of the inputs that have one."""
+    gradient_of = wp.Tape().get_adjoint
+    recorded: wp.Launch = wp.launch(
+        kernel,
+        dim,
+        inputs=inputs,
+        outputs=outputs,
+        adj_inputs=[gradient_of(a) for a in inputs],
+        adj_outputs=[gradient_of(a) for a in outputs],
+        device=device,
+        adjoint=True,
+        record_tape=False,
+        record_cmd=True,
+    )
+    return recorded
 
 
 class Part:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +23,10 @@ class Tables:
     """float, (rows,)"""
     sigma0_db: wp.array
     """float, (rows, polarizations)"""
+
+    def copied(self) -> Tables:
+        """The same, with values of its own, which take a gradient."""
+        return replace(self, sigma0_db=wp.clone(self.sigma0_db, requires_grad=True))
 
     @classmethod
     def of(cls, files: Sequence[Path | None], device: wp.Device) -> Tables | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 LEARNS: dict[str, tuple[str, ...]] = {
@@ -16,6 +17,8 @@ LEARNS: dict[str, tuple[str, ...]] = {
 
 TERM = "learned_term"
 """What `learn` calls the learned term of a material: it is trained while the material's values are held."""
+TABLE = "sigma0"
+"""What `learn` calls the values of a material's table."""
 
 OF_THE_DEFAULT = ("two_scale",)
 OF_A_SURFACE = ("two_scale", "eps_gradient", "multibounce", "edge_diffraction")
@@ -45,16 +48,7 @@ def refusals(material: Any, stated: set[str]) -> list[str]:
     if material.learned_term is not None and model == "facet":
         found.append('found learned_term and model = "facet"; a table needs none')
     if "learn" in stated:
-        if TERM in material.learn and (len(material.learn) > 1 or model == "facet"):
-            found.append(
-                f"learn: found {', '.join(material.learn)} with a material of {model}; {TERM} is learned alone"
-            )
-        for key in material.learn:
-            if key not in (*LEARNS[model], TERM):
-                found.append(
-                    f"learn: found {key}; sigma0 of the model {model} does not depend on it; "
-                    f"allowed: {', '.join(LEARNS[model])}"
-                )
+        found += _not_learned(model, material.learn)
     if model == "ka_spm":
         return found
     if material.specular_fraction != 0.0:
@@ -66,3 +60,19 @@ def refusals(material: Any, stated: set[str]) -> list[str]:
     if model == "facet" and material.layout != "uniform":
         found.append(f'found layout = "{material.layout}" and model = "facet"; allowed is "uniform"')
     return found
+
+
+def _not_learned(model: str, learn: Sequence[str]) -> Iterator[str]:
+    """What `learn` must not name with the model, in words."""
+    if TERM in learn and (len(learn) > 1 or model == "facet"):
+        yield f"learn: found {', '.join(learn)} with a material of {model}; {TERM} is learned alone"
+    if TABLE in learn and model != "facet":
+        yield f'learn: found {TABLE} and model = "{model}"; allowed with model = "facet" alone'
+    elif TABLE in learn and len(learn) > 1:
+        yield f"learn: found {', '.join(learn)}; {TABLE} is learned alone"
+    allowed = LEARNS[model] if model != "facet" else (*LEARNS[model], TABLE)
+    for key in learn:
+        if key not in (*allowed, TERM, TABLE):
+            yield (
+                f"learn: found {key}; sigma0 of the model {model} does not depend on it; allowed: {', '.join(allowed)}"
+            )

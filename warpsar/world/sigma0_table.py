@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from warpsar.errors import InputError
+from warpsar.io.images import replacing
+from warpsar.kernels.codes import Polarization
 
 LARGEST_FILE = 2**22
 """Bytes: more rows than an angle has."""
@@ -27,13 +29,28 @@ class Sigma0Table:
     incidence_deg: NDArray[np.float64]
     sigma0_db: dict[str, NDArray[np.float64]]
 
+    def column(self, polarization: str) -> str | None:
+        """The column of a polarization; a like one that is missing has the other one's, and HV that is missing none."""
+        own = "HV" if polarization == "VH" else polarization
+        other = {"HH": "VV", "VV": "HH"}.get(polarization, "")
+        return next((name for name in (own, other) if name in self.sigma0_db), None)
+
+    def filled(self, column: str) -> list[int]:
+        """The polarizations, as `kernels.codes` numbers them, whose values a column gives."""
+        return [int(one) for one in Polarization if self.column(one.name) == column]
+
     def channel(self, polarization: str) -> NDArray[np.float64]:
-        """A column; a like polarization that is missing has the other one's, and HV that is missing is none."""
-        found = self.sigma0_db.get("HV" if polarization == "VH" else polarization)
-        if found is not None:
-            return found
-        other = self.sigma0_db.get({"HH": "VV", "VV": "HH"}.get(polarization, ""))
-        return np.full(self.incidence_deg.size, -300.0) if other is None else other
+        """The values of a polarization's column; -300 dB without one."""
+        name = self.column(polarization)
+        return np.full(self.incidence_deg.size, -300.0) if name is None else self.sigma0_db[name]
+
+    def write(self, path: Path) -> None:
+        """Write it as CSV, which `read` gives back to the bit."""
+        columns = [self.incidence_deg, *self.sigma0_db.values()]
+        with replacing(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
+            writer = csv.writer(stream)
+            writer.writerow([ANGLE, *self.sigma0_db])
+            writer.writerows(np.column_stack(columns).tolist())
 
 
 def read(path: Path) -> Sigma0Table:

@@ -27,7 +27,9 @@ DEFAULT_RAYS_PER_PIXEL = 64.0
 Polarization = Literal["HH", "HV", "VH", "VV"]
 Term = Literal["single", "edges", "multibounce", "rough"]
 SurfaceKey = Literal["eps_r", "rms_height_m", "correlation_length_m", "specular_fraction"]
-LearnedKey = Literal["eps_r", "rms_height_m", "correlation_length_m", "specular_fraction", "level", "learned_term"]
+LearnedKey = Literal[
+    "eps_r", "rms_height_m", "correlation_length_m", "specular_fraction", "level", "learned_term", "sigma0"
+]
 SURFACE_KEYS: tuple[SurfaceKey, ...] = ("eps_r", "rms_height_m", "correlation_length_m", "specular_fraction")
 
 LIMITS: dict[str, tuple[float, float]] = {
@@ -271,7 +273,7 @@ class Material(Table):
     learn: tuple[LearnedKey, ...] = Field(
         default=("eps_r", "rms_height_m", "correlation_length_m"),
         description="The values that a fit may change; by default the first three, as far as the model has them. "
-        '["learned_term"] trains the term, and holds the others.',
+        '["learned_term"] trains the term, and holds the others; ["sigma0"] does so with a table\'s values.',
         examples=[["eps_r"]],
     )
     tolerance: dict[SurfaceKey, Any] = Field(
