@@ -1,6 +1,6 @@
 """VV - HH of smooth surfaces to all orders of h, beside the fourth order, I2EM and the full-wave table.
 
-    python benchmarks/scattering_orders.py DATA/nmm3d/NMM3D_LUT_NRCS_40degree.dat [--results orders.json] [--device cuda] [--write]
+    python benchmarks/scattering_orders.py DATA/nmm3d/NMM3D_LUT_NRCS_40degree.dat [--results FILE] [--write]
 
 All orders: tests/rayleigh_reference.py, on the table's surfaces without their waves beyond `CUT` k. `--results` keeps
 what is done, so that a run goes on where one has ended. `--device cuda` takes CuPy.

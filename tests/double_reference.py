@@ -93,7 +93,7 @@ def waves(
     return found if own_phases else [(sum(field for field, _ in found), 0 * square)]  # type: ignore[list-item]
 
 
-def series(x: np.ndarray, kl: float, square: np.ndarray, lowest: bool) -> np.ndarray:
+def series(x: np.ndarray, kl: float, square: np.ndarray, *, lowest: bool = False) -> np.ndarray:
     """Sum of x^n / n! times the exponential spectrum of the n-th power at K^2 = `square`; `lowest`: its first term."""
     total, share = np.zeros(np.broadcast(x, square).shape, complex), 1 + 0j
     largest = float(np.abs(x).max())
@@ -103,15 +103,54 @@ def series(x: np.ndarray, kl: float, square: np.ndarray, lowest: bool) -> np.nda
     return total
 
 
-def _disc(finest: float, rings: int, spokes: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Waves up to `finest` and their weights, dense where they graze: v above 0 alone, which stands for both sides."""
-    low, high = -math.asinh(1 / LOSS), math.asinh((finest**2 - 1) / LOSS)
-    at = low + (np.arange(rings) + 0.5) * (high - low) / rings
-    radius = np.sqrt(np.maximum(1 + LOSS * np.sinh(at), 0))
-    weight = LOSS * np.cosh(at) * (high - low) / rings / 2
-    angle = (np.arange(spokes) + 0.5) * math.pi / spokes
-    u, v = np.outer(radius, np.cos(angle)), np.outer(radius, np.sin(angle))
-    return u.ravel(), v.ravel(), np.repeat(weight * 2 * math.pi / spokes, spokes)
+class Disc:
+    """Waves up to `finest`, dense where they graze, and what a surface makes of them. v > 0 stands for both sides."""
+
+    def __init__(
+        self, theta: float, kh: float, kl: float, finest: float, rings: int, spokes: int, lowest: bool
+    ) -> None:
+        self.theta, self.kh, self.kl, self.lowest = theta, kh, kl, lowest
+        low, high = -math.asinh(1 / LOSS), math.asinh((finest**2 - 1) / LOSS)
+        at = low + (np.arange(rings) + 0.5) * (high - low) / rings
+        radius = np.sqrt(np.maximum(1 + LOSS * np.sinh(at), 0))
+        angle = (np.arange(spokes) + 0.5) * math.pi / spokes
+        self.u, self.v = (np.outer(radius, turn(angle)).ravel() for turn in (np.cos, np.sin))
+        self.weight = np.repeat(LOSS * np.cosh(at) * (high - low) / rings * math.pi / spokes, spokes)
+        s = math.sin(theta)
+        self.near, self.far = ((self.u + side * s) ** 2 + self.v**2 for side in (1, -1))
+        self.bragg = 4 * s * s + 0 * self.u
+
+    def fallen(self, exponent: np.ndarray) -> np.ndarray:
+        return np.ones(1) if self.lowest else np.exp(-(self.kh**2) * exponent)
+
+    def pair(self, x: np.ndarray, one: np.ndarray, y: np.ndarray, other: np.ndarray) -> np.ndarray:
+        """The spectra of two correlations whose phases are x and y, at K^2 = `one` and `other`."""
+        h2 = self.kh**2
+        first = series(h2 * x, self.kl, one, lowest=self.lowest)
+        return self.weight * first * series(h2 * y, self.kl, other, lowest=self.lowest)
+
+    def with_kirchhoff(self, q: np.ndarray, rest: bool) -> np.ndarray:
+        """g of kc 1 and, with `rest`, of kc 2 and 3."""
+        c = math.cos(self.theta)
+        up, down, meet = (c - q) * 2 * c, (c + q) * 2 * c, -(c - q) * (c + q)
+        total = self.pair(down, self.near, up, self.far)
+        if rest:
+            total = total + self.pair(down, self.bragg, meet, self.far) + self.pair(up, self.bragg, meet, self.near)
+        return total * self.fallen(3 * c * c + q * q)
+
+    def alone(self, q: np.ndarray, k: np.ndarray) -> np.ndarray:
+        """g of c 1; of c 2 with k turned over."""
+        c = math.cos(self.theta)
+        found = self.pair((c - q) * (c - k), self.far, (c + q) * (c + k), self.near)
+        return found * self.fallen(2 * c * c + q * q + k * k)
+
+    def with_single(self, q: np.ndarray, k: np.ndarray, side: int) -> np.ndarray:
+        """g of c 3 to 5 (side 1, the scattered wave) or of c 6 to 8 (side -1, the incident one)."""
+        c = math.cos(self.theta)
+        up, down, meet = (c - q) * (c + side * k), (c + q) * (c + side * k), -(c - q) * (c + q)
+        total = self.pair(up, self.far, down, self.near)
+        total = total + self.pair(up, self.bragg, meet, self.near) + self.pair(down, self.bragg, meet, self.far)
+        return total * self.fallen(2 * c * c + q * q + k * k)
 
 
 def double(
@@ -122,63 +161,32 @@ def double(
     kl: float,
     *,
     own_phases: bool = False,
-    finest: float | None = None,
     rest: bool = False,
     lowest: bool = False,
     rings: int = 120,
     spokes: int = 32,
 ) -> tuple[float, float]:
-    """sigma0 of double scattering off an exponential surface: Kirchhoff times complementary field, complementary alone.
+    """sigma0 of double scattering off an exponential surface: with the Kirchhoff field, and complementary alone.
 
-    `own_phases`: as Chen et al. 2003, and else as Fung, Li and Chen 1992. `finest`: the finest wave, 1 (those that leave
-    the surface: beyond, the powers of waves with phases of their own grow without bound) or 32. `rest`: the terms too
-    in which the two places are no loop of two waves (kc 2 and 3, c 3 to 14 of 2017). `lowest`: to h^4 alone.
+    `own_phases`: as Chen et al. 2003, over waves that leave the surface (the powers of others grow without bound), and
+    else as Fung, Li and Chen 1992. `rest`: the terms too that are no loop of two waves (kc 2 and 3, c 3 to 14 of 2017).
+    `lowest`: to h^4 alone.
     """
     c, s = math.cos(theta), math.sin(theta)
-    h2 = kh * kh
-    r = fresnel(theta, eps)[polarization == "HH"]
-    f = {"VV": 2 * r / c, "HH": -2 * r / c, "HV": 0j}[polarization]
-    u, v, weight = _disc(finest or (1.0 if own_phases else 32.0), rings, spokes)
-    near, far, bragg = (u + s) ** 2 + v * v, (u - s) ** 2 + v * v, 4 * s * s + 0 * u
-
-    def fallen(exponent: np.ndarray) -> np.ndarray:
-        return np.ones(1) if lowest else np.exp(-h2 * exponent)
-
-    def loop(x: np.ndarray, one: np.ndarray, y: np.ndarray, other: np.ndarray) -> np.ndarray:
-        return weight * series(h2 * x, kl, one, lowest) * series(h2 * y, kl, other, lowest)
-
+    r_v, r_h = fresnel(theta, eps)
+    f = {"VV": 2 * r_v / c, "HH": -2 * r_h / c, "HV": 0j}[polarization]
+    disc = Disc(theta, kh, kl, 1.0 if own_phases else 32.0, rings, spokes, lowest)
+    there = waves(polarization, theta, eps, disc.u, disc.v, own_phases=own_phases)
+    back = waves(polarization, theta, eps, -disc.u, -disc.v, own_phases=own_phases)
     crossed = alone = 0j
-    there = waves(polarization, theta, eps, u, v, own_phases=own_phases)
-    back = waves(polarization, theta, eps, -u, -v, own_phases=own_phases)
     for field, q in there:
-        drop = np.conj(f) * field * fallen(3 * c * c + q * q)
-        crossed += (drop * loop((c + q) * 2 * c, near, (c - q) * 2 * c, far)).sum()
-        if rest:
-            meet = -(c - q) * (c + q)
-            crossed += (drop * (loop((c + q) * 2 * c, bragg, meet, far) + loop((c - q) * 2 * c, bragg, meet, near))).sum()
-        for (other, p), turned in [(one, False) for one in there] + [(one, True) for one in back]:
-            k = -np.conj(p) if turned else np.conj(p)
-            drop = field * np.conj(other) * fallen(2 * c * c + q * q + k * k)
-            alone += (drop * loop((c - q) * (c - k), far, (c + q) * (c + k), near)).sum()
-    if rest:
-        alone += _rest(polarization, theta, eps, there, fallen, loop, (near, far, bragg), own_phases)
+        crossed += (np.conj(f) * field * disc.with_kirchhoff(q, rest)).sum()
+        alone += sum((field * np.conj(other) * disc.alone(q, np.conj(p))).sum() for other, p in there)
+        alone += sum((field * np.conj(other) * disc.alone(q, -np.conj(p))).sum() for other, p in back)
+        for side in (1, -1) if rest else ():
+            at = np.array([side * s])
+            for other, p in waves(polarization, theta, eps, at, 0 * at, own_phases=own_phases, loss=0.0):
+                # twice: c 9 to 14 are their conjugates
+                alone += 2 * (field * np.conj(other) * disc.with_single(q, np.conj(p), side)).sum()
     once = shadowed(theta, kh, kl, "exponential", ways=1)
     return float(crossed.real) / (8 * math.pi) * once, float(alone.real) / (64 * math.pi) * once
-
-
-def _rest(polarization, theta, eps, there, fallen, loop, squares, own_phases):  # type: ignore[no-untyped-def]
-    """c 3 to 14: a wave of the loop with one of the two that single scattering has."""
-    c, s = math.cos(theta), math.sin(theta)
-    near, far, bragg = squares
-    total = 0j
-    for side in (1.0, -1.0):  # along the scattered wave, along the incident one
-        at = np.array([side * s])
-        for other, p in waves(polarization, theta, eps, at, 0 * at, own_phases=own_phases, loss=0.0):
-            k = np.conj(p)
-            step = c + side * k
-            for field, q in there:
-                drop = 2 * field * np.conj(other) * fallen(2 * c * c + q * q + k * k)
-                meet = -(c - q) * (c + q)
-                total += (drop * loop((c - q) * step, far, (c + q) * step, near)).sum()
-                total += (drop * (loop((c - q) * step, bragg, meet, near) + loop((c + q) * step, bragg, meet, far))).sum()
-    return total

@@ -59,15 +59,13 @@ class Period:
         """Amplitudes of backscatter, (azimuths, 2, 2): all orders, and the first alone. `height`: (n, n), over k."""
         count = len(self.at)
         transforms = [np.fft.fft2(height**power) / height.size for power in range(orders + 1)]
-        phases = self._shifted(
-            transforms, self.at[:, None], self.at[None], self.above[None, :] + self.below[:, None]
-        )
+        phases = self._shifted(transforms, self.at[:, None], self.at[None], self.above[None, :] + self.below[:, None])
         matrix = (self.scattered * phases[..., None, None]).transpose(0, 2, 1, 3).reshape(2 * count, 2 * count)
-        right = [
-            -(driven * self._shifted(transforms, self.at, self.at[int(i)], self.below - self.above[int(i)])[:, None, None])
-            for i, driven in zip(self.incident, self.driven, strict=True)
-        ]
-        solved = np.linalg.solve(matrix, np.concatenate([one.reshape(2 * count, 2) for one in right], 1))
+        right = []
+        for i, driven in zip(self.incident, self.driven, strict=True):
+            phases = self._shifted(transforms, self.at, self.at[int(i)], self.below - self.above[int(i)])
+            right.append(-(driven * phases[:, None, None]).reshape(2 * count, 2))
+        solved = np.linalg.solve(matrix, np.concatenate(right, 1))
         solved = solved.reshape(count, 2, len(self.incident), 2)
         found, first = [], []
         for azimuth, (i, j) in enumerate(zip(self.incident, self.back, strict=True)):
