@@ -25,6 +25,7 @@ import scattering_reference as reference
 from perturbation_reference import backscatter
 
 CUT = 4.0
+FINEST = 32.0  # k, of the fourth order
 BEYOND = 0.7  # a wave is scattered by up to `CUT` from the incident one
 PERIODS = 4
 SURFACES = 40
@@ -65,13 +66,25 @@ def table(rows: np.ndarray, done: dict[str, Any]) -> str:
                 one = done[f"{re:g} {ratio:g} {height:g}"]
                 row = rows[(rows[:, 2] == re) & (rows[:, 1] == ratio) & (rows[:, 4] == height)][0]
                 surface = theta, re - 1j * row[3], 2 * np.pi * height, 2 * np.pi * height * ratio
-                second, fourth = (10 * np.log10(p[1, 1] / p[0, 0]) for p in backscatter(*surface, CUT))
+                of = [*backscatter(*surface, CUT), backscatter(*surface, FINEST)[1]]
+                second, fourth, finer = (10 * np.log10(p[1, 1] / p[0, 0]) for p in of)
                 vv, hh = (reference.i2em(p, *surface) for p in ("VV", "HH"))
                 exact = f"{second + one['dB'][2]:.2f} ± {one['error'][2]:.2f}"
                 cells = [f"{each:.2f}" for each in (row[5] - row[6], 10 * math.log10(vv / hh), second, fourth)]
                 reverse = f"{10 * math.log10(one['HV over VH']):+.2f}"
-                lines.append([f"{2 * np.pi * height:.2f}", f"{re:g}", f"{ratio:g}", *cells, exact, reverse])
+                lines.append(
+                    [
+                        f"{2 * np.pi * height:.2f}",
+                        f"{re:g}",
+                        f"{ratio:g}",
+                        *cells,
+                        exact,
+                        reverse,
+                        f"{finer - fourth:+.2f}",
+                    ]
+                )
     head = ["kh", "eps'", "l / h", "full wave", "`i2em`", "second order", "fourth order", "all orders", "HV - VH"]
+    head.append("finer waves, fourth order")
     return tables.markdown(head, lines)
 
 
