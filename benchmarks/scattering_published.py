@@ -40,19 +40,21 @@ def with_double(single: Model, *, crossed: bool = True, **kind: bool) -> Model:
 turned = partial(reference.i2em, transition=True)
 MODELS: dict[str, Model] = {
     "IEM (Fung, Li and Chen 1992)": reference.iem,
-    "the same, with its double scattering": with_double(reference.iem),
+    "IEM (1992) with its double scattering": with_double(reference.iem),
     "I2EM (Fung et al. 2002), as here": reference.i2em,
-    "the same, as printed: not reciprocal": partial(reference.i2em, reciprocal=False),
+    "I2EM as printed: not reciprocal": partial(reference.i2em, reciprocal=False),
     "I2EM with the transition (Fung and Chen 2004)": turned,
-    "the same, sin θ for sin² θ (programs)": partial(turned, sine_power=1),
-    "the same, opposed in H (the AIEM program)": partial(turned, opposed=True),
+    "I2EM with the transition, sin θ for sin² θ (programs)": partial(turned, sine_power=1),
+    "I2EM with the transition, F_t reversed in H": partial(turned, opposed=True),
     "I2EM with double scattering (1992)": with_double(reference.i2em),
-    "the same, without its part with the Kirchhoff field": with_double(reference.i2em, crossed=False),
+    "I2EM with the complementary part of it alone": with_double(reference.i2em, crossed=False),
     "AIEM without a transition (Chen et al. 2003)": partial(reference.aiem, transition=False),
     "AIEM with the transition": reference.aiem,
-    "the same, opposed in H (its program)": partial(reference.aiem, opposed=True),
+    "AIEM with the transition, F_t reversed in H (its program)": partial(reference.aiem, opposed=True),
     "AIEM with the transition, and loops of double scattering": with_double(reference.aiem, own_phases=True),
-    "the same, with all terms (Yang et al. 2017)": with_double(reference.aiem, own_phases=True, rest=True),
+    "AIEM with the transition, and all terms (Yang et al. 2017)": with_double(
+        reference.aiem, own_phases=True, rest=True
+    ),
 }
 SMOOTH = 0.3  # kh, below which the limit is compared
 CUTS = (8.0, 32.0)
