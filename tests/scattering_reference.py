@@ -78,11 +78,14 @@ def i2em(
     *,
     reciprocal: bool = True,
     transition: bool = False,
+    sine_power: int = 2,
+    opposed: bool = False,
     shadow: bool = True,
 ) -> float:
     """HH or VV. `reciprocal`: the wave that goes down along the scattered one as the one up along the incident one.
 
-    `transition`: Fresnel coefficients by Fung and Chen 2004, between the local angle and normal incidence.
+    `transition`: Fresnel coefficients by Fung and Chen 2004, between the local angle and normal incidence; `sine_power`
+    and `opposed` as in `transition_share`.
     """
     c, s = math.cos(theta), math.sin(theta)
     terms = range(1, 160)
@@ -90,7 +93,8 @@ def i2em(
     r = reflected = fresnel(theta, eps)[polarization == "HH"]
     if transition:
         r0 = sign * (np.sqrt(eps + 0j) - 1) / (np.sqrt(eps + 0j) + 1)
-        reflected = r + (r0 - r) * transition_share(theta, eps, kh, kl, spectrum)
+        share = transition_share(theta, eps, kh, kl, spectrum, sine_power, opposed=opposed and sign < 0)
+        reflected = r + (r0 - r) * share
     kirchhoff = sign * 2 * reflected / c
     up_i = published_coefficients(polarization, theta, eps, 1, 1)
     down_i = published_coefficients(polarization, theta, eps, 1, -1)
@@ -148,38 +152,49 @@ def aiem(
     kl: float,
     spectrum: str = "exponential",
     *,
+    transition: bool = True,
+    opposed: bool = False,
     terms: int = 60,
 ) -> float:
     """HH or VV of the advanced model (Chen, Wu, Tsang, Li, Shi and Fung 2003), with Fung and Chen's transition (2004).
 
-    Its waves below the surface keep their own phases, which I2EM takes from the waves above.
+    Its waves below the surface keep their own phases, which I2EM takes from the waves above. `opposed` as in
+    `transition_share`.
     """
     c, s = math.cos(theta), math.sin(theta)
     below = np.sqrt(eps - s * s + 0j)
     sign = 1 if polarization == "VV" else -1
     r = fresnel(theta, eps)[polarization == "HH"]
     r0 = sign * (np.sqrt(eps + 0j) - 1) / (np.sqrt(eps + 0j) + 1)
-    kirchhoff = sign * 2 / c * (r + (r0 - r) * transition_share(theta, eps, kh, kl, spectrum))
+    share = transition_share(theta, eps, kh, kl, spectrum, opposed=opposed and sign < 0) if transition else 0.0
+    kirchhoff = sign * 2 / c * (r + (r0 - r) * share)
     waves = []
     for case, up in ((1, 1), (1, -1), (2, 1), (2, -1)):
         own = above_and_below(polarization, theta, eps, case, up)
         for field, q in zip(own, (up * c, up * below), strict=True):
             waves.append((field * np.exp(-((kh * q) ** 2)), c - q if case == 1 else c + q))
-    total, share = 0.0, 1.0
+    total, part = 0.0, 1.0
     for n in range(1, terms):
-        share *= kh**2 / n
+        part *= kh**2 / n
         amplitude = (2 * c) ** n * kirchhoff * math.exp(-((kh * c) ** 2))
         amplitude += sum(field * (phase ** (n - 1) if n > 1 else 1.0) for field, phase in waves) / 4
-        total += share * abs(amplitude) ** 2 * float(power_spectrum(n, kl, 2 * s, spectrum))
+        total += part * abs(amplitude) ** 2 * float(power_spectrum(n, kl, 2 * s, spectrum))
     both_ways = shadowed(theta, kh, kl, spectrum, ways=2)
     return float(total / 2 * math.exp(-2 * (kh * c) ** 2) * both_ways)
 
 
-def transition_share(theta: float, eps: complex, kh: float, kl: float, spectrum: str) -> float:
+def transition_share(
+    theta: float, eps: complex, kh: float, kl: float, spectrum: str, sine_power: int = 2, *, opposed: bool = False
+) -> float:
+    """How far Fresnel's coefficient has gone to that of normal incidence, by V's coefficient for both channels.
+
+    `sine_power`: 1 as programs have it. `opposed`: F_t has the other sign beside V's coefficient, as AIEM's program
+    has it for H.
+    """
     c, s = math.cos(theta), math.sin(theta)
     r0 = (np.sqrt(eps + 0j) - 1) / (np.sqrt(eps + 0j) + 1)
     below = np.sqrt(eps - s * s + 0j)
-    f = 8 * r0**2 * s**2 * (c + below) / (c * below)
+    f = (-8 if opposed else 8) * r0**2 * s**sine_power * (c + below) / (c * below)
     a = (kh * c) ** 2
     up = down = 0.0
     share = 1.0
