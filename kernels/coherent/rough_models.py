@@ -1,0 +1,299 @@
+"""Rough faces of the models beside `ka_spm`, and of any model with a learned term, as complex scatterers.
+
+A scatterer sends back a sum of independent complex Gaussian parts, whose powers add up to the model's sigma0:
+
+- of I2EM the first power of the correlation and all higher ones, each with a pair of amplitudes (`kernels/i2em.py`),
+  and in HV double scattering. So the covariances of HH, VV and HV are the model's;
+- of the models that know powers alone HH and VV as if fully correlated, and HV of level ground by itself.
+
+A kernel is made for each model: one for all would have the registers of its longest branch. HV is VH: one number.
+"""
+
+from functools import cache
+
+import warp as wp
+
+from warpsar.kernels.codes import Model, Polarization, Variant
+from warpsar.kernels.coherent.numbers import product, root, turned
+from warpsar.kernels.coherent.radiate import FOUR_PI, Four
+from warpsar.kernels.coherent.rough import (
+    SCATTERERS,
+    Facet,
+    RoughSurface,
+    Scatterer,
+    facet_of,
+    scattering_of,
+    turned_into_radar,
+)
+from warpsar.kernels.coherent.tubes import Radar
+from warpsar.kernels.crossed_table import DOUBLE, interpolated
+from warpsar.kernels.empirical import dubois, oh
+from warpsar.kernels.facet import powers_at
+from warpsar.kernels.i2em import (
+    TOLERANCE,
+    hidden_share,
+    higher_amplitude,
+    poisson_series,
+    power_spectrum,
+    slope_deviation,
+)
+from warpsar.kernels.learned_term import term_at
+from warpsar.kernels.scattering import amplitude_te, amplitude_tm, factor_vv, refraction, sine_squared
+
+
+@wp.struct
+class Tables:
+    """What models look up of a material. An array that no material needs is empty."""
+
+    double: wp.array2d[wp.vec4]  # ln of double scattering over incidence; rows: frequencies times materials
+    rows: wp.array[wp.vec2i]  # of `sigma0_db`: the first row of a material, and how many it has
+    incidence_deg: wp.array[float]
+    sigma0_db: wp.array2d[float]
+    level: wp.array[float]  # factor on a material's table
+    units: wp.array[wp.vec2i]  # of a learned term: the first unit of a material, and how many it has
+    inverse_width: wp.array[wp.vec4]
+    places: wp.array[wp.vec4]
+    weights: wp.array2d[float]
+
+
+@wp.struct
+class Parts:
+    """Amplitudes whose squares are sigma0, of three independent numbers of unit power."""
+
+    first_hh: wp.vec2d  # in the facet's own basis
+    first_vv: wp.vec2d
+    second_hh: wp.vec2d
+    second_vv: wp.vec2d
+    crossed: wp.float64  # in the radar's basis, of HV and VH
+
+
+@wp.func
+def real(x: wp.float64) -> wp.vec2d:
+    return wp.vec2d(x, wp.float64(0.0))
+
+
+@wp.func
+def ka_spm_parts(
+    rough: RoughSurface, variant: int, k: wp.float64, facet: Facet, tables: Tables, row: int, material: int
+) -> Parts:
+    """Small perturbation, and geometric optics, which does not turn."""
+    model = scattering_of(rough, variant, k, facet)
+    bragg = root((wp.float64(1.0) - rough.specular_fraction) * model.scale)
+    mirror = root(rough.specular_fraction * model.lobe) * model.mirror
+    found = Parts()
+    found.first_hh = bragg * model.hh
+    found.first_vv = bragg * model.vv
+    found.second_hh = mirror
+    found.second_vv = mirror
+    return found
+
+
+@wp.func
+def i2em_parts(
+    rough: RoughSurface, variant: int, k: wp.float64, facet: Facet, tables: Tables, row: int, material: int
+) -> Parts:
+    """The terms of `i2em_single` less what lies in shadow, and double scattering from its table."""
+    one = wp.float64(1.0)
+    two = wp.float64(2.0)
+    four = wp.float64(4.0)
+    c = facet.cosine
+    eps = rough.permittivity
+    height = k * rough.rms_height
+    length = k * rough.length[0]
+    q = refraction(c, eps)
+    a_hh = amplitude_te(c, eps, q)
+    a_vv = amplitude_tm(c, eps, q, factor_vv(c, int(Variant.STANDARD)))
+    r_v = amplitude_tm(c, eps, q, c * c)  # -R_v: the sign falls out of its square
+    mean = four * height * height * c * c
+    square = four * sine_squared(c) * length * length
+    total, _by_height, _by_length = poisson_series(2, TOLERANCE, rough.spectrum, mean, square)
+    value, _slope = power_spectrum(rough.spectrum, one, square)
+    hidden, _by_slope = hidden_share(c, slope_deviation(rough.spectrum, height, length))
+    scale = two * length * length / (one + two * hidden)
+    first = root(scale * c * c * mean * wp.exp(-mean) * value)
+    higher = root(scale * total)
+    double = interpolated(tables.double, row, float(c), DOUBLE)
+    found = Parts()
+    found.first_hh = first * a_hh
+    found.first_vv = first * a_vv
+    found.second_hh = higher * higher_amplitude(c, a_hh, a_hh, -one)
+    found.second_vv = higher * higher_amplitude(c, a_vv, r_v, one)
+    found.crossed = c * root(wp.exp(wp.float64(double[0])))
+    return found
+
+
+@wp.func
+def of_powers(hh: wp.float64, vv: wp.float64, hv: wp.float64) -> Parts:
+    """HH and VV with one phase, as `empirical.turned_power` mixes them."""
+    found = Parts()
+    found.first_hh = real(root(hh))
+    found.first_vv = real(root(vv))
+    found.crossed = root(hv)
+    return found
+
+
+@wp.func
+def oh_parts(
+    rough: RoughSurface, variant: int, k: wp.float64, facet: Facet, tables: Tables, row: int, material: int
+) -> Parts:
+    one = wp.float64(1.0)
+    eps = rough.permittivity[0]
+    height = k * rough.rms_height
+    hh, _a, _b, _c = oh(int(Polarization.HH), facet.cosine, one, eps, height)
+    vv, _d, _e, _f = oh(int(Polarization.VV), facet.cosine, one, eps, height)
+    hv, _g, _h, _i = oh(int(Polarization.HV), facet.cosine, one, eps, height)
+    return of_powers(hh, vv, hv)
+
+
+@wp.func
+def dubois_parts(
+    rough: RoughSurface, variant: int, k: wp.float64, facet: Facet, tables: Tables, row: int, material: int
+) -> Parts:
+    one = wp.float64(1.0)
+    eps = rough.permittivity[0]
+    height = k * rough.rms_height
+    hh, _a, _b, _c = dubois(int(Polarization.HH), k, facet.cosine, one, eps, height)
+    vv, _d, _e, _f = dubois(int(Polarization.VV), k, facet.cosine, one, eps, height)
+    return of_powers(hh, vv, wp.float64(0.0))
+
+
+@wp.func
+def facet_parts(
+    rough: RoughSurface, variant: int, k: wp.float64, facet: Facet, tables: Tables, row: int, material: int
+) -> Parts:
+    """A table of sigma0 over incidence."""
+    power = tables.level[material] * powers_at(
+        tables.incidence_deg, tables.sigma0_db, tables.rows[material], float(facet.cosine)
+    )
+    return of_powers(wp.float64(power[0]), wp.float64(power[1]), wp.float64(power[2]))
+
+
+PARTS = {
+    Model.KA_SPM: ka_spm_parts,
+    Model.I2EM: i2em_parts,
+    Model.OH: oh_parts,
+    Model.DUBOIS: dubois_parts,
+    Model.FACET: facet_parts,
+}
+
+
+@wp.func
+def sent_back(parts: Parts, facet: Facet, place: Scatterer, crossed: wp.vec2d, phase: wp.vec2d) -> Four:
+    """Amplitudes [m] in the radar's basis; `crossed`: a complex Gaussian number of unit power, as those of `place`."""
+    outer = root(place.area / FOUR_PI) * phase
+    once = turned_into_radar(parts.first_hh, parts.first_vv, facet.turn, product(place.diffuse, outer))
+    more = turned_into_radar(parts.second_hh, parts.second_vv, facet.turn, product(place.specular, outer))
+    found = Four()
+    found.hh = once.hh + more.hh
+    found.hv = once.hv + more.hv + parts.crossed * product(crossed, outer)
+    found.vh = found.hv
+    found.vv = once.vv + more.vv
+    return found
+
+
+@wp.func
+def with_term(four: Four, tables: Tables, rough: RoughSurface, k: wp.float64, facet: Facet, material: int) -> Four:
+    """Amplitudes times exp(g / 2), g the learned term of each channel (`kernels/learned_term.py`)."""
+    at = wp.vec4(
+        float(facet.cosine),
+        float(wp.log(rough.rms_height * k)),
+        float(wp.log(rough.length[0] * k)),
+        float(wp.log(rough.permittivity[0] - wp.float64(1.0))),
+    )
+    scale = tables.inverse_width[material]
+    units = tables.units[material]
+    hh = term_at(int(Polarization.HH), at, scale, units, tables.places, tables.weights)
+    vv = term_at(int(Polarization.VV), at, scale, units, tables.places, tables.weights)
+    hv = term_at(int(Polarization.HV), at, scale, units, tables.places, tables.weights)
+    found = Four()
+    found.hh = wp.exp(wp.float64(0.5 * hh)) * four.hh
+    found.hv = wp.exp(wp.float64(0.5 * hv)) * four.hv
+    found.vh = found.hv
+    found.vv = wp.exp(wp.float64(0.5 * vv)) * four.vv
+    return found
+
+
+@cache
+def rough_kernel(model: Model, termed: bool) -> wp.Kernel:
+    """`rough.rough_kernel` for faces of a model, and `termed` for those with a learned term."""
+    parts_of = PARTS[model]
+
+    @wp.kernel(enable_backward=False, module="unique", module_options={"max_unroll": 1})
+    def rough_kernel(
+        # In:
+        radar_in: wp.array[Radar],
+        wavenumber_in: wp.array[wp.float64],
+        surface_in: wp.array[RoughSurface],
+        variant: int,
+        scatterer_in: wp.array[Scatterer],
+        seen_in: wp.array2d[wp.uint8],
+        tables: Tables,
+        crossed_in: wp.array[wp.vec2d],
+        # Out:
+        amplitude_out: wp.array4d[wp.vec2d],
+    ):
+        view, f, chunk = wp.tid()
+        k = wavenumber_in[f]
+        hh = wp.vec2d()
+        hv = wp.vec2d()
+        vv = wp.vec2d()
+        for i in range(SCATTERERS):
+            j = chunk * SCATTERERS + i
+            if j < scatterer_in.shape[0]:
+                if seen_in[view, j] != wp.uint8(0):
+                    place = scatterer_in[j]
+                    material = place.material
+                    rough = surface_in[material]
+                    facet = facet_of(radar_in[view], place)
+                    parts = parts_of(rough, variant, k, facet, tables, f * surface_in.shape[0] + material, material)
+                    phase = facet.spread * turned(-wp.float64(2.0) * k * facet.back)
+                    four = sent_back(parts, facet, place, crossed_in[j], phase)
+                    if wp.static(termed):
+                        four = with_term(four, tables, rough, k, facet, material)
+                    hh += four.hh
+                    hv += four.hv
+                    vv += four.vv
+        amplitude_out[view, f, chunk, 0] = hh
+        amplitude_out[view, f, chunk, 1] = hv
+        amplitude_out[view, f, chunk, 2] = hv
+        amplitude_out[view, f, chunk, 3] = vv
+
+    return rough_kernel
+
+
+@cache
+def rough_places_kernel(model: Model, termed: bool) -> wp.Kernel:
+    """`collection.rough_places_kernel` for faces of a model, and `termed` for those with a learned term."""
+    parts_of = PARTS[model]
+
+    @wp.kernel(enable_backward=False, module="unique", module_options={"max_unroll": 1})
+    def rough_places_kernel(
+        # In:
+        radar_in: wp.array[Radar],
+        k: wp.float64,
+        surface_in: wp.array[RoughSurface],
+        variant: int,
+        scatterer_in: wp.array[Scatterer],
+        seen_in: wp.array2d[wp.uint8],
+        tables: Tables,
+        crossed_in: wp.array[wp.vec2d],
+        # Out:
+        amplitude_out: wp.array2d[wp.vec2],
+    ):
+        i = wp.tid()
+        if seen_in[0, i] == wp.uint8(0):
+            return
+        place = scatterer_in[i]
+        material = place.material
+        rough = surface_in[material]
+        facet = facet_of(radar_in[0], place)
+        parts = parts_of(rough, variant, k, facet, tables, material, material)
+        four = sent_back(parts, facet, place, crossed_in[i], real(facet.spread))
+        if wp.static(termed):
+            four = with_term(four, tables, rough, k, facet, material)
+        amplitude_out[i, 0] = wp.vec2(four.hh)
+        amplitude_out[i, 1] = wp.vec2(four.hv)
+        amplitude_out[i, 2] = wp.vec2(four.vh)
+        amplitude_out[i, 3] = wp.vec2(four.vv)
+
+    return rough_places_kernel
