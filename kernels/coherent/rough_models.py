@@ -45,7 +45,7 @@ from warpsar.kernels.scattering import amplitude_te, amplitude_tm, factor_vv, re
 class Tables:
     """What models look up of a material. An array that no material needs is empty."""
 
-    double: wp.array2d[wp.vec4]  # ln of double scattering over incidence; rows: frequencies times materials
+    twice: wp.array2d[wp.vec4]  # ln of double scattering over incidence; rows: frequencies times materials
     rows: wp.array[wp.vec2i]  # of `sigma0_db`: the first row of a material, and how many it has
     incidence_deg: wp.array[float]
     sigma0_db: wp.array2d[float]
@@ -112,13 +112,13 @@ def i2em_parts(
     scale = two * length * length / (one + two * hidden)
     first = root(scale * c * c * mean * wp.exp(-mean) * value)
     higher = root(scale * total)
-    double = interpolated(tables.double, row, float(c), DOUBLE)
+    twice = interpolated(tables.twice, row, float(c), DOUBLE)
     found = Parts()
     found.first_hh = first * a_hh
     found.first_vv = first * a_vv
     found.second_hh = higher * higher_amplitude(c, a_hh, a_hh, -one)
     found.second_vv = higher * higher_amplitude(c, a_vv, r_v, one)
-    found.crossed = c * root(wp.exp(wp.float64(double[0])))
+    found.crossed = c * root(wp.exp(wp.float64(twice[0])))
     return found
 
 

@@ -54,7 +54,11 @@ class Group:
         """The kernel, and its inputs beyond those of the `default` one, which is that of `ka_spm`."""
         if self.crossed is None:
             return default, []
-        return make(Model(self.kind // 2), bool(self.kind % 2)), [tables, self.crossed]
+        return self.kernel(make), [tables, self.crossed]
+
+    def kernel(self, make: Callable[[Model, bool], wp.Kernel]) -> wp.Kernel:
+        """That of its model, with or without a learned term."""
+        return make(Model(self.kind // 2), bool(self.kind % 2))
 
     def cut(self, step: int) -> Iterator[Group]:
         """In pieces of `step` scatterers at most."""
@@ -87,15 +91,14 @@ def groups_of(
 def load(groups: Sequence[Group], make: Callable[[Model, bool], wp.Kernel], device: wp.Device) -> None:
     """Compile the groups' kernels, or load them from Warp's cache, before threads launch them."""
     for group in groups:
-        kernel, _ = group.launched(None, make, None)
-        if kernel is not None:
-            wp.load_module(kernel.module, device=device)
+        if group.crossed is not None:
+            wp.load_module(group.kernel(make).module, device=device)
 
 
 def tables_of(materials: Sequence[Material], k: NDArray[np.float64], device: wp.Device) -> Any:
     """What the models look up at each wavenumber [1/m]. Raises InputError for files that are no tables or terms."""
     found: Any = rough_models.Tables()
-    found.double = _double_scattering(materials, k, device)
+    found.twice = _double_scattering(materials, k, device)
     found.level = upload(np.array([each.level for each in materials], np.float32), float, device)
     tables = sigma0_tables.Tables.of([each.sigma0 for each in materials], device)
     if tables is not None:
