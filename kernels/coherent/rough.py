@@ -36,26 +36,34 @@ class RoughSurface:
 
 
 @wp.struct
-class Facet:
-    """A rough face as the radar sees it."""
+class Scattering:
+    """A facet's complex amplitudes in the radar's basis: of small perturbation, and of geometric optics."""
 
-    cosine: wp.float64  # of the incidence
-    cos2: wp.float64  # squared cosine between the facet's x axis and the ray on the facet
-    turn: wp.vec2d  # cosine and sine of the turn of the facet's basis about the line of sight
-    spread: wp.float64  # field over that at the reference point's distance, both ways
-    back: wp.float64  # way to the radar [m]
+    hh: wp.vec2d
+    hv: wp.vec2d
+    vv: wp.vec2d
+    scale: wp.float64  # sigma0 over |hh|^2
+    mirror: wp.vec2d
+    lobe: wp.float64
 
 
 @wp.func
-def facet_of(radar: Radar, place: Scatterer) -> Facet:
+def turn_of(d: wp.vec3d, n: wp.vec3d, u: wp.vec3d, v: wp.vec3d) -> wp.vec2d:
+    """Cosine and sine of the turn of the facet's basis about the line of sight."""
+    across = wp.cross(n, d)
+    if wp.length(across) < wp.float64(1.0e-9):
+        across = u
+    across = wp.normalize(across)
+    return wp.vec2d(wp.dot(u, across), wp.dot(v, across))
+
+
+@wp.func
+def scattering_of(
+    rough: RoughSurface, variant: int, k: wp.float64, d: wp.vec3d, n: wp.vec3d, u: wp.vec3d, v: wp.vec3d
+) -> Scattering:
+    """The model of `kernels/scattering.py` with its phases. The facet's basis is turned about the line of sight."""
     one = wp.float64(1.0)
-    sight = look(radar, place.point, 0.0)
-    n = place.normal
-    if wp.dot(n, sight.s) < wp.float64(0.0):
-        n = -n
-    d = -sight.s
-    found = Facet()
-    found.cosine = bounded_cosine(-wp.dot(n, d))
+    c = bounded_cosine(-wp.dot(n, d))
     x = wp.vec3d(-n[1], n[0], wp.float64(0.0))  # the facet's x axis, as in kernels/geometry.py
     if wp.length(x) < wp.float64(1.0e-6):
         x = wp.vec3d(one, wp.float64(0.0), wp.float64(0.0))
@@ -64,47 +72,24 @@ def facet_of(radar: Radar, place: Scatterer) -> Facet:
     if wp.length(along) > wp.float64(1.0e-6):
         ratio = wp.dot(wp.normalize(along), wp.normalize(x))
         cos2 = ratio * ratio
-    found.cos2 = cos2
-    across = wp.cross(n, d)
-    if wp.length(across) < wp.float64(1.0e-9):
-        across = radar.u
-    across = wp.normalize(across)
-    found.turn = wp.vec2d(wp.dot(radar.u, across), wp.dot(radar.v, across))
-    found.spread = sight.spread * sight.spread
-    found.back = sight.back
-    return found
-
-
-@wp.struct
-class Scattering:
-    """A facet's complex amplitudes in its own basis: of small perturbation, and of geometric optics."""
-
-    hh: wp.vec2d
-    vv: wp.vec2d
-    scale: wp.float64  # sigma0 over |hh|^2
-    mirror: wp.vec2d
-    lobe: wp.float64
-
-
-@wp.func
-def scattering_of(rough: RoughSurface, variant: int, k: wp.float64, facet: Facet) -> Scattering:
-    """The model of `kernels/scattering.py` with its phases."""
-    one = wp.float64(1.0)
-    c = facet.cosine
     lx = rough.length[0]
     ly = rough.length[1]
     h = rough.rms_height
     eps = rough.permittivity
     scale, a_hh, _q, _h, _v = bragg_terms(
-        int(Polarization.HH), rough.spectrum, variant, k, c, one, eps, h, lx, ly, facet.cos2
+        int(Polarization.HH), rough.spectrum, variant, k, c, one, eps, h, lx, ly, cos2
     )
     _scale, a_vv, _q2, _h2, _v2 = bragg_terms(
-        int(Polarization.VV), rough.spectrum, variant, k, c, one, eps, h, lx, ly, facet.cos2
+        int(Polarization.VV), rough.spectrum, variant, k, c, one, eps, h, lx, ly, cos2
     )
     lobe, r, _q0, _variance = mirror_terms(rough.spectrum, c, eps, h, lx, ly)
+    turn = turn_of(d, n, u, v)
+    cosine = turn[0]
+    sine = turn[1]
     found = Scattering()
-    found.hh = a_hh
-    found.vv = a_vv
+    found.hh = cosine * cosine * a_hh + sine * sine * a_vv
+    found.hv = sine * cosine * (a_hh - a_vv)
+    found.vv = sine * sine * a_hh + cosine * cosine * a_vv
     found.scale = scale
     found.mirror = r
     found.lobe = lobe
@@ -112,31 +97,24 @@ def scattering_of(rough: RoughSurface, variant: int, k: wp.float64, facet: Facet
 
 
 @wp.func
-def turned_into_radar(hh: wp.vec2d, vv: wp.vec2d, turn: wp.vec2d, number: wp.vec2d) -> Four:
-    """A pair of amplitudes of the facet's own basis in the radar's, times one complex number."""
-    cosine = turn[0]
-    sine = turn[1]
-    found = Four()
-    found.hh = product(number, cosine * cosine * hh + sine * sine * vv)
-    found.hv = product(number, sine * cosine * (hh - vv))
-    found.vh = found.hv
-    found.vv = product(number, sine * sine * hh + cosine * cosine * vv)
-    return found
-
-
-@wp.func
 def scattered(radar: Radar, k: wp.float64, rough: RoughSurface, variant: int, place: Scatterer) -> Four:
     """What a scatterer sends back."""
     one = wp.float64(1.0)
-    facet = facet_of(radar, place)
-    model = scattering_of(rough, variant, k, facet)
-    phase = facet.spread * turned(-wp.float64(2.0) * k * facet.back)
+    sight = look(radar, place.point, 0.0)
+    s = sight.s
+    n = place.normal
+    if wp.dot(n, s) < wp.float64(0.0):
+        n = -n
+    model = scattering_of(rough, variant, k, -s, n, radar.u, radar.v)
+    phase = sight.spread * sight.spread * turned(-wp.float64(2.0) * k * sight.back)
     share = place.area / FOUR_PI
     bragg = root(share * (one - rough.specular_fraction) * model.scale) * product(place.diffuse, phase)
     mirror = root(share * rough.specular_fraction * model.lobe) * product(product(place.specular, phase), model.mirror)
-    found = turned_into_radar(model.hh, model.vv, facet.turn, bragg)
-    found.hh = found.hh + mirror
-    found.vv = found.vv + mirror
+    found = Four()
+    found.hh = product(bragg, model.hh) + mirror
+    found.hv = product(bragg, model.hv)
+    found.vh = found.hv
+    found.vv = product(bragg, model.vv) + mirror
     return found
 
 

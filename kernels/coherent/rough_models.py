@@ -16,16 +16,8 @@ import warp as wp
 from warpsar.kernels.codes import Model, Polarization, Variant
 from warpsar.kernels.coherent.numbers import product, root, turned
 from warpsar.kernels.coherent.radiate import FOUR_PI, Four
-from warpsar.kernels.coherent.rough import (
-    SCATTERERS,
-    Facet,
-    RoughSurface,
-    Scatterer,
-    facet_of,
-    scattering_of,
-    turned_into_radar,
-)
-from warpsar.kernels.coherent.tubes import Radar
+from warpsar.kernels.coherent.rough import SCATTERERS, RoughSurface, Scatterer, scattered, turn_of
+from warpsar.kernels.coherent.tubes import Radar, look
 from warpsar.kernels.crossed_table import DOUBLE, interpolated
 from warpsar.kernels.empirical import dubois, oh
 from warpsar.kernels.facet import powers_at
@@ -38,7 +30,14 @@ from warpsar.kernels.i2em import (
     slope_deviation,
 )
 from warpsar.kernels.learned_term import term_at
-from warpsar.kernels.scattering import amplitude_te, amplitude_tm, factor_vv, refraction, sine_squared
+from warpsar.kernels.scattering import (
+    amplitude_te,
+    amplitude_tm,
+    bounded_cosine,
+    factor_vv,
+    refraction,
+    sine_squared,
+)
 
 
 @wp.struct
@@ -73,30 +72,11 @@ def real(x: wp.float64) -> wp.vec2d:
 
 
 @wp.func
-def ka_spm_parts(
-    rough: RoughSurface, variant: int, k: wp.float64, facet: Facet, tables: Tables, row: int, material: int
-) -> Parts:
-    """Small perturbation, and geometric optics, which does not turn."""
-    model = scattering_of(rough, variant, k, facet)
-    bragg = root((wp.float64(1.0) - rough.specular_fraction) * model.scale)
-    mirror = root(rough.specular_fraction * model.lobe) * model.mirror
-    found = Parts()
-    found.first_hh = bragg * model.hh
-    found.first_vv = bragg * model.vv
-    found.second_hh = mirror
-    found.second_vv = mirror
-    return found
-
-
-@wp.func
-def i2em_parts(
-    rough: RoughSurface, variant: int, k: wp.float64, facet: Facet, tables: Tables, row: int, material: int
-) -> Parts:
+def i2em_parts(rough: RoughSurface, k: wp.float64, c: wp.float64, tables: Tables, row: int, material: int) -> Parts:
     """The terms of `i2em_single` less what lies in shadow, and double scattering from its table."""
     one = wp.float64(1.0)
     two = wp.float64(2.0)
     four = wp.float64(4.0)
-    c = facet.cosine
     eps = rough.permittivity
     height = k * rough.rms_height
     length = k * rough.length[0]
@@ -133,43 +113,34 @@ def of_powers(hh: wp.float64, vv: wp.float64, hv: wp.float64) -> Parts:
 
 
 @wp.func
-def oh_parts(
-    rough: RoughSurface, variant: int, k: wp.float64, facet: Facet, tables: Tables, row: int, material: int
-) -> Parts:
+def oh_parts(rough: RoughSurface, k: wp.float64, c: wp.float64, tables: Tables, row: int, material: int) -> Parts:
     one = wp.float64(1.0)
     eps = rough.permittivity[0]
     height = k * rough.rms_height
-    hh, _a, _b, _c = oh(int(Polarization.HH), facet.cosine, one, eps, height)
-    vv, _d, _e, _f = oh(int(Polarization.VV), facet.cosine, one, eps, height)
-    hv, _g, _h, _i = oh(int(Polarization.HV), facet.cosine, one, eps, height)
+    hh, _a, _b, _c = oh(int(Polarization.HH), c, one, eps, height)
+    vv, _d, _e, _f = oh(int(Polarization.VV), c, one, eps, height)
+    hv, _g, _h, _i = oh(int(Polarization.HV), c, one, eps, height)
     return of_powers(hh, vv, hv)
 
 
 @wp.func
-def dubois_parts(
-    rough: RoughSurface, variant: int, k: wp.float64, facet: Facet, tables: Tables, row: int, material: int
-) -> Parts:
+def dubois_parts(rough: RoughSurface, k: wp.float64, c: wp.float64, tables: Tables, row: int, material: int) -> Parts:
     one = wp.float64(1.0)
     eps = rough.permittivity[0]
     height = k * rough.rms_height
-    hh, _a, _b, _c = dubois(int(Polarization.HH), k, facet.cosine, one, eps, height)
-    vv, _d, _e, _f = dubois(int(Polarization.VV), k, facet.cosine, one, eps, height)
+    hh, _a, _b, _c = dubois(int(Polarization.HH), k, c, one, eps, height)
+    vv, _d, _e, _f = dubois(int(Polarization.VV), k, c, one, eps, height)
     return of_powers(hh, vv, wp.float64(0.0))
 
 
 @wp.func
-def facet_parts(
-    rough: RoughSurface, variant: int, k: wp.float64, facet: Facet, tables: Tables, row: int, material: int
-) -> Parts:
+def facet_parts(rough: RoughSurface, k: wp.float64, c: wp.float64, tables: Tables, row: int, material: int) -> Parts:
     """A table of sigma0 over incidence."""
-    power = tables.level[material] * powers_at(
-        tables.incidence_deg, tables.sigma0_db, tables.rows[material], float(facet.cosine)
-    )
+    power = tables.level[material] * powers_at(tables.incidence_deg, tables.sigma0_db, tables.rows[material], float(c))
     return of_powers(wp.float64(power[0]), wp.float64(power[1]), wp.float64(power[2]))
 
 
 PARTS = {
-    Model.KA_SPM: ka_spm_parts,
     Model.I2EM: i2em_parts,
     Model.OH: oh_parts,
     Model.DUBOIS: dubois_parts,
@@ -178,24 +149,35 @@ PARTS = {
 
 
 @wp.func
-def sent_back(parts: Parts, facet: Facet, place: Scatterer, crossed: wp.vec2d, phase: wp.vec2d) -> Four:
+def turned_into_radar(hh: wp.vec2d, vv: wp.vec2d, turn: wp.vec2d, number: wp.vec2d) -> Four:
+    """A pair of amplitudes of the facet's own basis in the radar's, times one complex number."""
+    cosine = turn[0]
+    sine = turn[1]
+    found = Four()
+    found.hh = product(number, cosine * cosine * hh + sine * sine * vv)
+    found.hv = product(number, sine * cosine * (hh - vv))
+    found.vv = product(number, sine * sine * hh + cosine * cosine * vv)
+    return found
+
+
+@wp.func
+def sent_back(parts: Parts, turn: wp.vec2d, place: Scatterer, crossed: wp.vec2d, factor: wp.vec2d) -> Four:
     """Amplitudes [m] in the radar's basis; `crossed`: a complex Gaussian number of unit power, as those of `place`."""
-    outer = root(place.area / FOUR_PI) * phase
-    once = turned_into_radar(parts.first_hh, parts.first_vv, facet.turn, product(place.diffuse, outer))
-    more = turned_into_radar(parts.second_hh, parts.second_vv, facet.turn, product(place.specular, outer))
+    once = turned_into_radar(parts.first_hh, parts.first_vv, turn, product(place.diffuse, factor))
+    more = turned_into_radar(parts.second_hh, parts.second_vv, turn, product(place.specular, factor))
     found = Four()
     found.hh = once.hh + more.hh
-    found.hv = once.hv + more.hv + parts.crossed * product(crossed, outer)
+    found.hv = once.hv + more.hv + parts.crossed * product(crossed, factor)
     found.vh = found.hv
     found.vv = once.vv + more.vv
     return found
 
 
 @wp.func
-def with_term(four: Four, tables: Tables, rough: RoughSurface, k: wp.float64, facet: Facet, material: int) -> Four:
+def with_term(four: Four, tables: Tables, rough: RoughSurface, k: wp.float64, c: wp.float64, material: int) -> Four:
     """Amplitudes times exp(g / 2), g the learned term of each channel (`kernels/learned_term.py`)."""
     at = wp.vec4(
-        float(facet.cosine),
+        float(c),
         float(wp.log(rough.rms_height * k)),
         float(wp.log(rough.length[0] * k)),
         float(wp.log(rough.permittivity[0] - wp.float64(1.0))),
@@ -214,9 +196,46 @@ def with_term(four: Four, tables: Tables, rough: RoughSurface, k: wp.float64, fa
 
 
 @cache
+def scattered_by(model: Model, termed: bool) -> wp.Function:
+    """`rough.scattered` for faces of a model, and `termed` for those with a learned term."""
+    parts_of = PARTS.get(model)
+
+    @wp.func
+    def scattered_by_it(
+        radar: Radar,
+        k: wp.float64,
+        surfaces: wp.array[RoughSurface],
+        variant: int,
+        place: Scatterer,
+        tables: Tables,
+        first_row: int,
+        crossed: wp.vec2d,
+    ) -> Four:
+        material = place.material
+        rough = surfaces[material]
+        sight = look(radar, place.point, 0.0)
+        n = place.normal
+        if wp.dot(n, sight.s) < wp.float64(0.0):
+            n = -n
+        c = bounded_cosine(wp.dot(n, sight.s))
+        if wp.static(model == Model.KA_SPM):
+            four = scattered(radar, k, rough, variant, place)
+        else:
+            parts = parts_of(rough, k, c, tables, first_row + material, material)
+            factor = root(place.area / FOUR_PI) * sight.spread * sight.spread
+            phase = turned(-wp.float64(2.0) * k * sight.back)
+            four = sent_back(parts, turn_of(-sight.s, n, radar.u, radar.v), place, crossed, factor * phase)
+        if wp.static(termed):
+            four = with_term(four, tables, rough, k, c, material)
+        return four
+
+    return scattered_by_it
+
+
+@cache
 def rough_kernel(model: Model, termed: bool) -> wp.Kernel:
     """`rough.rough_kernel` for faces of a model, and `termed` for those with a learned term."""
-    parts_of = PARTS[model]
+    scattered_by_it = scattered_by(model, termed)
 
     @wp.kernel(enable_backward=False, module="unique", module_options={"max_unroll": 1})
     def rough_kernel(
@@ -242,14 +261,8 @@ def rough_kernel(model: Model, termed: bool) -> wp.Kernel:
             if j < scatterer_in.shape[0]:
                 if seen_in[view, j] != wp.uint8(0):
                     place = scatterer_in[j]
-                    material = place.material
-                    rough = surface_in[material]
-                    facet = facet_of(radar_in[view], place)
-                    parts = parts_of(rough, variant, k, facet, tables, f * surface_in.shape[0] + material, material)
-                    phase = facet.spread * turned(-wp.float64(2.0) * k * facet.back)
-                    four = sent_back(parts, facet, place, crossed_in[j], phase)
-                    if wp.static(termed):
-                        four = with_term(four, tables, rough, k, facet, material)
+                    row = f * surface_in.shape[0]
+                    four = scattered_by_it(radar_in[view], k, surface_in, variant, place, tables, row, crossed_in[j])
                     hh += four.hh
                     hv += four.hv
                     vv += four.vv
@@ -264,7 +277,7 @@ def rough_kernel(model: Model, termed: bool) -> wp.Kernel:
 @cache
 def rough_places_kernel(model: Model, termed: bool) -> wp.Kernel:
     """`collection.rough_places_kernel` for faces of a model, and `termed` for those with a learned term."""
-    parts_of = PARTS[model]
+    scattered_by_it = scattered_by(model, termed)
 
     @wp.kernel(enable_backward=False, module="unique", module_options={"max_unroll": 1})
     def rough_places_kernel(
@@ -284,16 +297,11 @@ def rough_places_kernel(model: Model, termed: bool) -> wp.Kernel:
         if seen_in[0, i] == wp.uint8(0):
             return
         place = scatterer_in[i]
-        material = place.material
-        rough = surface_in[material]
-        facet = facet_of(radar_in[0], place)
-        parts = parts_of(rough, variant, k, facet, tables, material, material)
-        four = sent_back(parts, facet, place, crossed_in[i], real(facet.spread))
-        if wp.static(termed):
-            four = with_term(four, tables, rough, k, facet, material)
-        amplitude_out[i, 0] = wp.vec2(four.hh)
-        amplitude_out[i, 1] = wp.vec2(four.hv)
-        amplitude_out[i, 2] = wp.vec2(four.vh)
-        amplitude_out[i, 3] = wp.vec2(four.vv)
+        four = scattered_by_it(radar_in[0], k, surface_in, variant, place, tables, 0, crossed_in[i])
+        turn = turned(wp.float64(2.0) * k * look(radar_in[0], place.point, 0.0).back)
+        amplitude_out[i, 0] = wp.vec2(product(four.hh, turn))
+        amplitude_out[i, 1] = wp.vec2(product(four.hv, turn))
+        amplitude_out[i, 2] = wp.vec2(product(four.vh, turn))
+        amplitude_out[i, 3] = wp.vec2(product(four.vv, turn))
 
     return rough_places_kernel
