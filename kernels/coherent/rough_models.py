@@ -29,7 +29,6 @@ from warpsar.kernels.i2em import (
     power_spectrum,
     slope_deviation,
 )
-from warpsar.kernels.learned_term import term_at
 from warpsar.kernels.scattering import (
     amplitude_te,
     amplitude_tm,
@@ -182,16 +181,19 @@ def with_term(four: Four, tables: Tables, rough: RoughSurface, k: wp.float64, c:
         float(wp.log(rough.length[0] * k)),
         float(wp.log(rough.permittivity[0] - wp.float64(1.0))),
     )
-    scale = tables.inverse_width[material]
+    g = wp.vec3()  # of HH, HV and VV; one exponential of a unit serves all three
     units = tables.units[material]
-    hh = term_at(int(Polarization.HH), at, scale, units, tables.places, tables.weights)
-    vv = term_at(int(Polarization.VV), at, scale, units, tables.places, tables.weights)
-    hv = term_at(int(Polarization.HV), at, scale, units, tables.places, tables.weights)
+    for j in range(units[0], units[0] + units[1]):
+        apart = wp.cw_mul(at - tables.places[j], tables.inverse_width[material])
+        weights = wp.vec3(
+            tables.weights[j, Polarization.HH], tables.weights[j, Polarization.HV], tables.weights[j, Polarization.VV]
+        )
+        g += wp.exp(-0.5 * wp.dot(apart, apart)) * weights
     found = Four()
-    found.hh = wp.exp(wp.float64(0.5 * hh)) * four.hh
-    found.hv = wp.exp(wp.float64(0.5 * hv)) * four.hv
+    found.hh = wp.exp(wp.float64(0.5 * g[0])) * four.hh
+    found.hv = wp.exp(wp.float64(0.5 * g[1])) * four.hv
     found.vh = found.hv
-    found.vv = wp.exp(wp.float64(0.5 * vv)) * four.vv
+    found.vv = wp.exp(wp.float64(0.5 * g[2])) * four.vv
     return found
 
 
