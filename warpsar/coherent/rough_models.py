@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -80,7 +81,7 @@ def groups_of(
     kind = np.array([kind_of(each) for each in materials])[material]
     starts = np.flatnonzero(np.diff(kind, prepend=-1))
     found = []
-    for start, stop in zip(starts.tolist(), [*starts[1:].tolist(), len(kind)], strict=True):
+    for start, stop in pairwise([*starts.tolist(), len(kind)]):
         crossed = None
         if kind[start]:
             crossed = upload(random.standard_normal((stop - start, 2)) * np.sqrt(0.5), wp.vec2d, device)
