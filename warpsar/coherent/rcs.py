@@ -137,7 +137,8 @@ class Asked:
         devices.load_kernels(where, *(f"coherent.{name}" for name in kernels))
         _refuse_size(azimuths.size * incidences.size, frequencies.size, where, scene.radar.max_bounces * layers)
         body = CoherentBody.of(scene, where)
-        load(body.scatterer_groups, rough_kernel, where)
+        if "rough" in scene.radar.terms:
+            load(body.scatterer_groups, rough_kernel, where)
         _refuse_body(scene, body, SPEED_OF_LIGHT / frequencies.max(), rays_per_wavelength)
         found = cls(azimuths, incidences, frequencies, rays_per_wavelength, body, tuple(cautions(scene)))
         refuse_inside(scene, body, found.directions)
