@@ -30,6 +30,20 @@ def share_above(incidence_deg: wp.array(dtype=float), row: int, angle: float) ->
     return wp.clamp((angle - incidence_deg[row]) / step, 0.0, 1.0)
 
 
+@wp.func
+def powers_at(
+    incidence_deg: wp.array(dtype=float), sigma0_db: wp.array2d(dtype=float), rows: wp.vec2i, cosine: float
+) -> wp.vec3:
+    """sigma0 of HH, VV and HV of level ground; `rows`: the first row of the table, and how many it has."""
+    angle = wp.atan2(wp.sqrt(wp.max(sine_squared(cosine), 0.0)), cosine) * 57.29577951308232
+    row = row_below(incidence_deg, rows, angle)
+    above = share_above(incidence_deg, row, angle)
+    hh = linear((1.0 - above) * sigma0_db[row, Polarization.HH] + above * sigma0_db[row + 1, Polarization.HH])
+    vv = linear((1.0 - above) * sigma0_db[row, Polarization.VV] + above * sigma0_db[row + 1, Polarization.VV])
+    hv = linear((1.0 - above) * sigma0_db[row, Polarization.HV] + above * sigma0_db[row + 1, Polarization.HV])
+    return wp.vec3(hh, vv, hv)
+
+
 @wp.kernel
 def scatter_kernel(
     # In:
@@ -52,16 +66,11 @@ def scatter_kernel(
     i = read_int(mine, wp.tid())
     material = face_material[face[i]]
     cosine = cos_incidence[i]
-    angle = wp.atan2(wp.sqrt(wp.max(sine_squared(cosine), 0.0)), cosine) * 57.29577951308232
-    row = row_below(incidence_deg, rows[material], angle)
-    above = share_above(incidence_deg, row, angle)
-    hh = linear((1.0 - above) * sigma0_db[row, Polarization.HH] + above * sigma0_db[row + 1, Polarization.HH])
-    vv = linear((1.0 - above) * sigma0_db[row, Polarization.VV] + above * sigma0_db[row + 1, Polarization.VV])
-    hv = linear((1.0 - above) * sigma0_db[row, Polarization.HV] + above * sigma0_db[row + 1, Polarization.HV])
+    power = powers_at(incidence_deg, sigma0_db, rows[material], cosine)
     twist = float(1.0)
     if local_basis == 0:
         twist = read_float(cos_twist, i)
-    value, _slope = turned_power(polarization, twist, hh, vv, hv, 0.0, 0.0, 0.0)
+    value, _slope = turned_power(polarization, twist, power[0], power[1], power[2], 0.0, 0.0, 0.0)
     level = read_vec4(zeta, i)
     sigma = value * wp.exp(level[Coordinate.EPS])
     sigma_out[i] = sigma

@@ -15,6 +15,7 @@ from worlds import WAVENUMBER, sigma0
 from warpsar.cli.main import main
 from warpsar.coherent.rough import surfaces as rough_surfaces
 from warpsar.errors import InputError
+from warpsar.kernels.codes import Spectrum
 from warpsar.runtime.devices import resolve_device
 from warpsar.scene.scene import Scene
 from warpsar.simulation.command import simulate
@@ -228,7 +229,7 @@ def test_grass_and_soil_beside_the_handbook(name: str, beside: str, apart_db: fl
 
 
 def test_ground_for_small_perturbation() -> None:
-    """A coherent product takes ka_spm alone; it gets the roughest surface that this model admits."""
+    """A scene that asks for ka_spm gets the roughest surface that this model admits."""
     for frequency_hz in (1.3e9, 9.6e9):
         found = material("soil_dry", frequency_hz, model="ka_spm")
         assert isinstance(found.rms_height_m, float)
@@ -372,10 +373,11 @@ def test_a_sweep_says_that_permittivity_stays() -> None:
     ]
 
 
-def test_a_coherent_product_says_what_ground_needs() -> None:
-    with pytest.raises(InputError, match='must have model = "ka_spm", also beside library = "grass"'):
-        rough_surfaces([material("grass", 9.6e9)])
-    assert rough_surfaces([material("grass", 9.6e9, model="ka_spm")])["rms_height"][0] == pytest.approx(0.00144)
+def test_a_coherent_product_takes_ground_as_it_is() -> None:
+    """With its own model and roughness, or with those that ka_spm admits."""
+    packed = rough_surfaces([material("grass", 9.6e9), material("grass", 9.6e9, model="ka_spm")])
+    assert packed["rms_height"] == pytest.approx([SURFACES["grass"].stated_mm[0] * 1e-3, 0.00144])
+    assert packed["spectrum"].tolist() == [Spectrum.EXPONENTIAL] * 2
 
 
 def test_a_stated_permittivity_is_for_all_views(tmp_path: Path) -> None:

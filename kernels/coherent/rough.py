@@ -14,13 +14,13 @@ SCATTERERS = wp.constant(64)
 
 @wp.struct
 class Scatterer:
-    """A place of a rough face: what it sends back is a complex Gaussian number whose mean power is sigma0."""
+    """A place of a rough face. What it sends back is a sum of complex Gaussian numbers, whose mean power is sigma0."""
 
     point: wp.vec3d  # [m]
     normal: wp.vec3d
     area: wp.float64  # [m2]
     diffuse: wp.vec2d  # complex Gaussian, of unit power: of small perturbation
-    specular: wp.vec2d  # and of geometric optics
+    specular: wp.vec2d  # of geometric optics; with another model of the higher powers of the correlation
     material: int
 
 
@@ -45,6 +45,16 @@ class Scattering:
     scale: wp.float64  # sigma0 over |hh|^2
     mirror: wp.vec2d
     lobe: wp.float64
+
+
+@wp.func
+def turn_of(d: wp.vec3d, n: wp.vec3d, u: wp.vec3d, v: wp.vec3d) -> wp.vec2d:
+    """Cosine and sine of the turn of the facet's basis about the line of sight."""
+    across = wp.cross(n, d)
+    if wp.length(across) < wp.float64(1.0e-9):
+        across = u
+    across = wp.normalize(across)
+    return wp.vec2d(wp.dot(u, across), wp.dot(v, across))
 
 
 @wp.func
@@ -73,12 +83,9 @@ def scattering_of(
         int(Polarization.VV), rough.spectrum, variant, k, c, one, eps, h, lx, ly, cos2
     )
     lobe, r, _q0, _variance = mirror_terms(rough.spectrum, c, eps, h, lx, ly)
-    across = wp.cross(n, d)
-    if wp.length(across) < wp.float64(1.0e-9):
-        across = u
-    across = wp.normalize(across)
-    cosine = wp.dot(u, across)  # of the turn of the facet's basis about the line of sight
-    sine = wp.dot(v, across)
+    turn = turn_of(d, n, u, v)
+    cosine = turn[0]
+    sine = turn[1]
     found = Scattering()
     found.hh = cosine * cosine * a_hh + sine * sine * a_vv
     found.hv = sine * cosine * (a_hh - a_vv)

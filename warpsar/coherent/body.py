@@ -13,6 +13,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from warpsar.coherent.records import field, records, upload
 from warpsar.coherent.rough import scatterers, surfaces
+from warpsar.coherent.rough_models import Group, groups_of, refuse_tables
 from warpsar.coherent.shape import Shape, faces_alone, shape_of
 from warpsar.kernels.codes import Variant
 from warpsar.kernels.coherent import edges, radiate, reflection, rough, tubes
@@ -46,6 +47,8 @@ class CoherentBody:
     surfaces: wp.array
     scatterers: wp.array | None
     """Of rough faces; None without."""
+    scatterer_groups: tuple[Group, ...]
+    """By their models; that of `ka_spm` comes first."""
     scatterer_points: wp.array
     scatterer_normals: wp.array
     scatterer_faces: NDArray[np.int64]
@@ -65,7 +68,9 @@ class CoherentBody:
 
         `spacing_m`: of the scatterers of rough faces, half a wavelength without it; `seed`: theirs, else the scene's.
         `rough_only`: for the term "rough" alone. Smooth surfaces, regions and wedges are then not worked out.
+        Raises InputError for materials that lack what a term needs.
         """
+        refuse_tables(world)
         mesh = world.mesh
         middle = 0.5 * (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0))
         vertices = mesh.vertices - middle
@@ -107,6 +112,7 @@ class CoherentBody:
             int(Variant[world.radar.variant.upper()]),
             upload(surfaces(materials), rough.RoughSurface, device),
             places if len(found) else None,
+            groups_of(found["material"], materials, seed, device),
             field(places, "point", wp.vec3d),
             field(places, "normal", wp.vec3d),
             owners,
@@ -121,7 +127,7 @@ class CoherentBody:
             eps = material.eps_r if isinstance(material.eps_r, tuple) else (material.eps_r or 1.0, 0.0)
             packed["permittivity"][:, m] = eps
             packed["thickness"][:, m] = material.thickness_m or 0.0
-            packed["rms_height"][:, m] = material.rms_height_m
+            packed["rms_height"][:, m] = material.rms_height_m or 0.0
         return upload(packed, reflection.Face, self.device)
 
     @property

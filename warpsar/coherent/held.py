@@ -130,6 +130,8 @@ class Held:
             self.program.launch(slopes.seams_kernel, (len(seams), count), inputs, [self.amplitude])
         if body.scatterers is not None and "rough" in worker.terms:
             seen = worker.free(radars, body.scatterer_points, body.scatterer_normals, both_sides=True).numpy()[0] != 0
+            for group in body.scatterer_groups:  # those of other models are held: `learned` refuses what moves them
+                seen[group.part] &= group.crossed is None
             face, at = body.scatterer_faces[seen], _weights(body)[seen]
             inputs = [radars, worker.wavenumbers, self.surfaces, body.variant, self.vertices, body.rays.faces]
             inputs += [

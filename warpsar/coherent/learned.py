@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from warpsar.coherent.held import Slopes
+from warpsar.coherent.rough_models import kind_of
 from warpsar.errors import InputError
 from warpsar.world.objects.pose import rotation
 from warpsar.world.tables import Material
@@ -45,13 +46,26 @@ def learned(scene: World, names: Sequence[str]) -> dict[str, Learned]:
             found[name] = _vertices(scene)
         elif owner in scene.materials and key in MATERIAL:
             found[name] = _material(scene, owner, key)
+            _refuse_models(scene, name, [owner])
         elif owner == "pose" and key in POSE:
-            found[name] = _moved(scene, partial(_turned, scene, key), key)
+            found[name] = _moved(scene, name, partial(_turned, scene, key), key)
         elif key in POSE and any(one.label == owner for one in scene.objects):
-            found[name] = _moved(scene, partial(_placed, scene, owner, key), key)
+            found[name] = _moved(scene, name, partial(_placed, scene, owner, key), key)
         else:
             raise InputError(f"parameters: {name}: {_why(scene, owner, key)}")
     return found
+
+
+def _refuse_models(scene: World, name: str, materials: Collection[str]) -> None:
+    """Refuse what changes the scatterers of materials that have no derivative."""
+    for one in materials:
+        material = scene.materials[one]
+        if "rough" in scene.radar.terms and material.rms_height_m != 0.0 and kind_of(material):
+            found = "a learned term" if material.learned_term is not None else f'model = "{material.model}"'
+            raise InputError(
+                f"parameters: {name}: materials.{one} has {found}, whose scatterers have no derivative; must be "
+                'model = "ka_spm" without a learned term, or leave "rough" out of radar.terms'
+            )
 
 
 def _why(scene: World, owner: str, key: str) -> str:
@@ -104,13 +118,18 @@ def _material(scene: World, name: str, key: str) -> Learned:
     return Learned((2,) if pair else (), gradient)
 
 
-def _moved(scene: World, vertices: Callable[[Any], NDArray[np.float64]], key: str) -> Learned:
+def _moved(scene: World, name: str, vertices: Callable[[Any], NDArray[np.float64]], key: str) -> Learned:
     """A pose: the chain rule through the vertices, whose slopes are differences of a closed form in float64."""
     if key == "position_m":
         slopes = np.stack([vertices(0.5 * step) - vertices(-0.5 * step) for step in np.eye(3)])
+    else:
+        slopes = (vertices(_STEP_DEG) - vertices(-_STEP_DEG))[None] / (2.0 * _STEP_DEG)
+    mesh = scene.mesh
+    some = np.any(slopes != 0.0, axis=(0, 2))[mesh.faces].any(axis=1)
+    _refuse_models(scene, name, [mesh.materials[m] for m in np.unique(mesh.face_material[some])])
+    if key == "position_m":
         return Learned((3,), lambda found: np.einsum("ijk,jk->i", slopes, found.vertices))
-    slope = (vertices(_STEP_DEG) - vertices(-_STEP_DEG)) / (2.0 * _STEP_DEG)
-    return Learned((), lambda found: np.asarray((slope * found.vertices).sum()))
+    return Learned((), lambda found: np.asarray((slopes[0] * found.vertices).sum()))
 
 
 def _turned(scene: World, key: str, step: Any) -> NDArray[np.float64]:

@@ -12,9 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 from warpsar.coherent.body import CoherentBody
 from warpsar.coherent.directions import Directions
 from warpsar.coherent.joints import joints
+from warpsar.coherent.rough_models import load
 from warpsar.coherent.sides import refuse_inside
 from warpsar.coherent.sweep import POLARIZATIONS, RAYS_PER_WAVELENGTH, TERMS, sweep
 from warpsar.errors import InputError
+from warpsar.kernels.coherent.rough_models import rough_kernel
 from warpsar.runtime import console, devices
 from warpsar.runtime.memory import default_gib
 from warpsar.world.frame import SPEED_OF_LIGHT
@@ -135,6 +137,8 @@ class Asked:
         devices.load_kernels(where, *(f"coherent.{name}" for name in kernels))
         _refuse_size(azimuths.size * incidences.size, frequencies.size, where, scene.radar.max_bounces * layers)
         body = CoherentBody.of(scene, where)
+        if "rough" in scene.radar.terms:
+            load(body.scatterer_groups, rough_kernel, where)
         _refuse_body(scene, body, SPEED_OF_LIGHT / frequencies.max(), rays_per_wavelength)
         found = cls(azimuths, incidences, frequencies, rays_per_wavelength, body, tuple(cautions(scene)))
         refuse_inside(scene, body, found.directions)
@@ -216,7 +220,7 @@ def _refuse(
     for name, material in scene.materials.items():
         if material.layout != "uniform" and any(isinstance(getattr(material, key), str) for key in ("eps_r",)):
             problems.append(f'materials.{name}.layout: found "{material.layout}"; must be "uniform" for an RCS')
-        elif not isinstance(material.rms_height_m, float):
+        elif not isinstance(material.rms_height_m, float | None):
             problems.append(f"materials.{name}.rms_height_m: found a field; must be a number for an RCS")
     if problems:
         raise InputError("\n  ".join([f"{scene.name}:", *problems]) if problems[1:] else problems[0])

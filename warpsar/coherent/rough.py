@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from warpsar.coherent.records import records
+from warpsar.coherent.rough_models import kind_of
 from warpsar.coherent.shape import Shape
 from warpsar.errors import InputError
 from warpsar.kernels.codes import Spectrum
@@ -27,10 +28,12 @@ def scatterers(
 ) -> tuple[Any, NDArray[np.int64]]:
     """Scatterers at about `spacing_m`, each at a random place of an equal part of its face; and the face of each, (n,).
 
-    Raises InputError for more than `MOST`.
+    Those of a kind lie together, and those of `ka_spm` first. Raises InputError for more than `MOST`.
     """
     is_rough = np.array([material.rms_height_m != 0.0 for material in materials])
     faces = np.flatnonzero(is_rough[face_material])
+    kind = np.array([kind_of(material) for material in materials])
+    faces = faces[np.argsort(kind[face_material[faces]], kind="stable")]
     corners = shape.vertices[shape.faces[faces]]
     start = corners[:, 0].copy()
     first, second = corners[:, 1] - start, corners[:, 2] - start
@@ -65,20 +68,14 @@ def scatterers(
 
 
 def surfaces(materials: Sequence[Material]) -> Any:
-    """The parameters of the surface model, one for each material."""
+    """The parameters of the surface model, one for each material. A model does not look at those that it has not."""
     packed = records(rough.RoughSurface, len(materials))
     for m, material in enumerate(materials):
-        if material.model != "ka_spm" or material.learned_term is not None:
-            found = f'found model = "{material.model}", learned_term = {material.learned_term}'
-            also = f', also beside library = "{material.library}"' if material.library else ""
-            raise InputError(
-                f'materials: {found}; a coherent product must have model = "ka_spm"{also}, and no learned term'
-            )
-        eps = _CONDUCTOR if material.conductor else material.eps_r
+        eps = _CONDUCTOR if material.conductor else material.eps_r or 1.0
         length = material.correlation_length_m or 1.0
         packed["spectrum"][m] = Spectrum[material.spectrum.upper()]
         packed["permittivity"][m] = eps if isinstance(eps, tuple) else (eps, 0.0)
-        packed["rms_height"][m] = material.rms_height_m
+        packed["rms_height"][m] = material.rms_height_m or 0.0
         packed["length"][m] = length if isinstance(length, tuple) else (length, length)
         packed["specular_fraction"][m] = material.specular_fraction
     return packed

@@ -11,12 +11,14 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from warpsar.coherent import rough_models
 from warpsar.coherent.body import CoherentBody
 from warpsar.coherent.directions import Directions, radar_records
 from warpsar.coherent.rays import Grid
 from warpsar.coherent.records import upload
 from warpsar.coherent.traced import LEVELS, MOST_BOUNCES, Sums, Tracer
 from warpsar.kernels.coherent import cells, edges, radiate, rough, tubes
+from warpsar.kernels.coherent.rough_models import rough_kernel
 from warpsar.runtime import threads
 from warpsar.world.frame import SPEED_OF_LIGHT
 
@@ -142,6 +144,8 @@ class Worker:
         device, kind = body.device, "cpu" if body.device.is_cpu else "cuda"
         bounces = max_bounces if "multibounce" in terms else 1
         self.stuff = body.stuff(len(k))
+        others = "rough" in terms and any(group.crossed is not None for group in body.scatterer_groups)
+        self.tables = rough_models.tables_of(body.materials, k, device) if others else None
         self.tracer = Tracer(body, k, self.stuff, bounces, levels, max(bounces, 2) if layers else 2)
         self.wavenumbers, self.task = self.tracer.wavenumbers, _RAYS_OF_TASK[kind]
         regions = body.shape.regions
@@ -235,8 +239,10 @@ class Worker:
             self._add(edges.edges_kernel, -(-count // edges.EDGES), [*start, self.edges, seen], total, 2)
         if (places := body.scatterers) is not None and "rough" in self.terms:
             seen = self.free(radars, body.scatterer_points, body.scatterer_normals, both_sides=True)
-            inputs = [*start, body.surfaces, body.variant, places, seen]
-            self._add(rough.rough_kernel, -(-places.shape[0] // rough.SCATTERERS), inputs, total, 3)
+            for group in body.scatterer_groups:
+                kernel, more = group.launched(rough.rough_kernel, rough_kernel, self.tables)
+                inputs = [*start, body.surfaces, body.variant, places[group.part], seen[:, group.part], *more]
+                self._add(kernel, -(-(group.part.stop - group.part.start) // rough.SCATTERERS), inputs, total, 3)
 
     def _add(self, kernel: wp.Kernel, chunks: int, inputs: list[Any], total: wp.array, term: int) -> None:
         """Add the chunks of a launch to a term."""

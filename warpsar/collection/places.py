@@ -14,10 +14,12 @@ from warpsar.coherent import rays as cells
 from warpsar.coherent.body import CoherentBody
 from warpsar.coherent.directions import Directions
 from warpsar.coherent.records import host, records, upload
+from warpsar.coherent.rough_models import Group, load
 from warpsar.coherent.sweep import Worker
 from warpsar.coherent.traced import TURN, Traced
 from warpsar.kernels import collection as kernels
 from warpsar.kernels.coherent import tubes
+from warpsar.kernels.coherent.rough_models import rough_places_kernel
 from warpsar.runtime import threads
 
 F64 = NDArray[np.float64]
@@ -65,15 +67,17 @@ def rough_amplitudes(worker: Worker, radar: wp.array) -> tuple[wp.array, int]:
     places, count = body.scatterers, body.scatterers.shape[0]
     out = wp.zeros((count, 4), dtype=wp.vec2, device=device)
 
-    def some(first: int, last: int) -> int:
-        part = slice(first, last)
+    def some(piece: Group) -> int:
+        part = piece.part
         seen = worker.free(radar, body.scatterer_points[part], body.scatterer_normals[part], both_sides=True)
-        inputs = [radar, float(worker.k[0]), body.surfaces, body.variant, places[part], seen]
-        wp.launch(kernels.rough_places_kernel, last - first, inputs=inputs, outputs=[out[part]], device=device)
+        kernel, more = piece.launched(kernels.rough_places_kernel, rough_places_kernel, worker.tables)
+        inputs = [radar, float(worker.k[0]), body.surfaces, body.variant, places[part], seen, *more]
+        wp.launch(kernel, part.stop - part.start, inputs=inputs, outputs=[out[part]], device=device)
         return int(np.count_nonzero(seen.numpy()))
 
+    load(body.scatterer_groups, rough_places_kernel, device)
     step = _TOGETHER if device.is_cpu else count
-    tasks = [partial(some, first, min(first + step, count)) for first in range(0, count, step)]
+    tasks = [partial(some, piece) for group in body.scatterer_groups for piece in group.cut(step)]
     return out, sum(threads.ordered(tasks, device))
 
 

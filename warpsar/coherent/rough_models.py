@@ -1,0 +1,137 @@
+"""Models of rough faces beside `ka_spm`: which scatterers have which, and what their kernels look up."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from warpsar.coherent.records import upload
+from warpsar.errors import InputError
+from warpsar.kernels import crossed_table
+from warpsar.kernels.codes import Coordinate, Model, Spectrum
+from warpsar.kernels.coherent import rough_models
+from warpsar.surface import tables as sigma0_tables
+from warpsar.surface.terms import Terms
+from warpsar.world.tables import Material
+from warpsar.world.world import World
+
+REFLECTING = ("single", "multibounce")
+"""Terms in which a rough face reflects as a half-space, with the loss of its roughness."""
+
+
+def refuse_tables(world: World) -> None:
+    """Raise InputError where a term needs the permittivity of a material that has a table of sigma0 alone."""
+    terms = [term for term in world.radar.terms if term in REFLECTING]
+    for name in world.mesh.materials:
+        material = world.materials[name]
+        if terms and material.model == "facet" and None in (material.eps_r, material.rms_height_m):
+            raise InputError(
+                f'{world.name}: materials.{name}: found model = "facet" without eps_r and rms_height_m, which the '
+                f"terms {', '.join(terms)} need; state both, or leave these terms out of radar.terms"
+            )
+
+
+def kind_of(material: Material) -> int:
+    """0 for `ka_spm`; materials of another model, or with a learned term, have another number."""
+    return 2 * Model[material.model.upper()] + (material.learned_term is not None)
+
+
+@dataclass(frozen=True)
+class Group:
+    """Scatterers of one kind, which lie together."""
+
+    kind: int
+    part: slice
+    crossed: wp.array | None
+    """(n,), vec2d: complex Gaussian numbers of double scattering; None for `ka_spm`, which has none."""
+
+    def launched(self, default: wp.Kernel, make: Callable[[Model, bool], wp.Kernel], tables: Any) -> Any:
+        """The kernel, and its inputs beyond those of the `default` one, which is that of `ka_spm`."""
+        if self.crossed is None:
+            return default, []
+        return self.kernel(make), [tables, self.crossed]
+
+    def kernel(self, make: Callable[[Model, bool], wp.Kernel]) -> wp.Kernel:
+        """That of its model, with or without a learned term."""
+        return make(Model(self.kind // 2), bool(self.kind % 2))
+
+    def cut(self, step: int) -> Iterator[Group]:
+        """In pieces of `step` scatterers at most."""
+        start, stop = self.part.start, self.part.stop
+        for first in range(start, stop, step):
+            last = min(first + step, stop)
+            crossed = None if self.crossed is None else self.crossed[first - start : last - start]
+            yield replace(self, part=slice(first, last), crossed=crossed)
+
+
+def groups_of(
+    material: NDArray[np.int32], materials: Sequence[Material], seed: int, device: wp.Device
+) -> tuple[Group, ...]:
+    """The kinds of scatterers with these materials, (n,), which lie together by their kinds.
+
+    Numbers of double scattering are a stream of their own. So those of `ka_spm` do not depend on them.
+    """
+    random = np.random.default_rng(seed).spawn(1)[0]
+    kind = np.array([kind_of(each) for each in materials])[material]
+    starts = np.flatnonzero(np.diff(kind, prepend=-1))
+    found = []
+    for start, stop in pairwise([*starts.tolist(), len(kind)]):
+        crossed = None
+        if kind[start]:
+            crossed = upload(random.standard_normal((stop - start, 2)) * np.sqrt(0.5), wp.vec2d, device)
+        found.append(Group(int(kind[start]), slice(start, stop), crossed))
+    return tuple(found)
+
+
+def load(groups: Sequence[Group], make: Callable[[Model, bool], wp.Kernel], device: wp.Device) -> None:
+    """Compile the groups' kernels, or load them from Warp's cache, before threads launch them."""
+    for group in groups:
+        if group.crossed is not None:
+            wp.load_module(group.kernel(make).module, device=device)
+
+
+def tables_of(materials: Sequence[Material], k: NDArray[np.float64], device: wp.Device) -> Any:
+    """What the models look up at each wavenumber [1/m]. Raises InputError for files that are no tables or terms."""
+    found: Any = rough_models.Tables()
+    found.twice = _double_scattering(materials, k, device)
+    found.level = upload(np.array([each.level for each in materials], np.float32), float, device)
+    tables = sigma0_tables.Tables.of([each.sigma0 for each in materials], device)
+    if tables is not None:
+        found.rows, found.incidence_deg, found.sigma0_db = tables.rows, tables.incidence_deg, tables.sigma0_db
+    terms = Terms.of([each.learned_term for each in materials], device)
+    if terms is not None:
+        found.units, found.inverse_width = terms.first, terms.inverse_width
+        found.places, found.weights = terms.places, terms.weights
+    return found
+
+
+def _double_scattering(materials: Sequence[Material], k: NDArray[np.float64], device: wp.Device) -> wp.array:
+    """HV of `i2em` by double scattering: the intensity renderer's tables, (wavenumbers * materials, nodes)."""
+    own = [m for m, each in enumerate(materials) if each.model == "i2em"]
+    if not own:
+        return wp.empty((0, 0), dtype=wp.vec4, device=device)
+    zeta = np.zeros((len(materials), len(Coordinate)), np.float32)
+    eps_im = np.zeros(len(materials), np.float32)
+    spectrum = np.zeros(len(materials), np.int32)
+    for m in own:
+        each: Any = materials[m]
+        eps = each.eps_r if isinstance(each.eps_r, tuple) else (each.eps_r, 0.0)
+        zeta[m, :3] = np.log([eps[0] - 1.0, each.rms_height_m, each.correlation_length_m])
+        eps_im[m], spectrum[m] = -eps[1], Spectrum[each.spectrum.upper()]
+    shared = upload(np.array([own, own], np.int32).T.copy(), wp.vec2i, device), upload(spectrum, int, device)
+    losses, surface = upload(eps_im, float, device), upload(zeta, wp.vec4, device)
+    wave = wp.empty((len(own), crossed_table.DOUBLE, crossed_table.WAVES), dtype=wp.vec4d, device=device)
+    out = wp.zeros((len(k) * len(materials), crossed_table.DOUBLE), dtype=wp.vec4, device=device)
+    for i, wavenumber in enumerate(k.tolist()):
+        inputs = [wavenumber, *shared, losses, surface]
+        wp.launch(crossed_table.wave_kernel, wave.shape, inputs=inputs, outputs=[wave], device=device)
+        rows = out[i * len(materials) : (i + 1) * len(materials)]
+        inputs = [wavenumber, *shared, surface, wave]
+        wp.launch(crossed_table.double_kernel, wave.shape[:2], inputs=inputs, outputs=[rows], device=device)
+    return out
