@@ -10,8 +10,18 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from warpsar.kernels import crossed_table, crossed_table_lanes, facet, learned_term, models, models_lanes
+from warpsar.kernels import (
+    crossed_spline,
+    crossed_spline_lanes,
+    crossed_table,
+    crossed_table_lanes,
+    facet,
+    learned_term,
+    models,
+    models_lanes,
+)
 from warpsar.kernels.codes import Layout, Model, Polarization
+from warpsar.render.crossed_spline import table
 from warpsar.runtime.launches import Launch, by_elements
 from warpsar.runtime.program import Program
 from warpsar.surface.stage import Stage
@@ -59,7 +69,6 @@ def record(
     """
     device: wp.Device = program.device
     local = int(stage.local_basis)
-    tabled = (Model.I2EM,) if of_the_mesh and Polarization(polarization).crossed else ()
     for model, mine in by_model(stage, hits).items():
         places = [hits.face, stage.face_material, hits.cos_incidence, hits.cos_twist]
         if model == Model.FACET:
@@ -77,10 +86,17 @@ def record(
                 zeta,
             ]
             block = 1
-        elif model in tabled and _uniform(stage, own := _one_of_each(stage, hits, mine)):
-            kernel = crossed_table_lanes.scatter_kernel if device.is_cpu else crossed_table.scatter_kernel
-            block = crossed_table_lanes.HITS if device.is_cpu else 1
-            inputs = [mine, local, *places, *_crossed_tables(program, stage, own, wavenumber, spectrum, zeta)]
+        elif model == Model.I2EM and Polarization(polarization).crossed:
+            own = _one_of_each(stage, hits, mine)
+            if of_the_mesh and _uniform(stage, own):
+                kernel = crossed_table_lanes.scatter_kernel if device.is_cpu else crossed_table.scatter_kernel
+                block = crossed_table_lanes.HITS if device.is_cpu else 1
+                inputs = [mine, local, *places, *_crossed_tables(program, stage, own, wavenumber, spectrum, zeta)]
+            else:
+                kernel = crossed_spline_lanes.scatter_kernel if device.is_cpu else crossed_spline.scatter_kernel
+                block = crossed_spline_lanes.HITS if device.is_cpu else 1
+                spline = _crossed_spline(stage, own, spectrum)
+                inputs = [mine, wavenumber, local, *places, spectrum, stage.eps_im, zeta, *spline]
         else:
             kernel = models_lanes.scatter_kernel if device.is_cpu else models.scatter_kernel
             block = models_lanes.HITS if device.is_cpu else 1
@@ -132,6 +148,16 @@ def _crossed_tables(
     launch(crossed_table.double_kernel, (n, crossed_table.DOUBLE), [zeta, wave], twice)
     launch(crossed_table.single_kernel, (n, crossed_table.SINGLE), [stage.eps_im, zeta], once)
     return [once, twice]
+
+
+def _crossed_spline(stage: Stage, own: np.ndarray, spectrum: wp.array) -> list[wp.array]:
+    """The row of each material of the scene, and the coefficients of HV; `own` as of `_one_of_each`."""
+    spectra, device = spectrum.numpy(), stage.target.device
+    surfaces = [(int(spectra[m]), float(stage.surface.eps_im[m])) for m in own[:, 0]]
+    rows = sorted(set(surfaces))
+    row = np.zeros(spectra.size, np.int32)
+    row[own[:, 0]] = [rows.index(surface) for surface in surfaces]
+    return [wp.array(row, dtype=int, device=device), table(tuple(rows), device)]
 
 
 def with_term(
