@@ -240,6 +240,7 @@ def launcher(model: Model, channel: str, a: dict[str, Any], device: str, *, slop
     """
     polarization = CHANNELS_TIMED[channel]
     before: list[Any] = []
+    after: list[Any] = []
     cpu = device == "cpu"
     places = [a["face"], a["material"], a["cosine"], a["twist"]]
     out = [a["sigma"], a["slopes"] if slopes else a["none"]]
@@ -259,13 +260,16 @@ def launcher(model: Model, channel: str, a: dict[str, Any], device: str, *, slop
         inputs = [a["mine"], 200.0, 0, *places, a["spectrum"], a["loss"], a["varying"], row, made]
         kernel, block = (crossed_spline_lanes, crossed_spline_lanes.HITS) if cpu else (crossed_spline, 1)
         kernel = kernel.scatter_kernel
+        if not cpu:
+            beyond = crossed_spline.beyond_kernel
+            after = [wp.launch(beyond, HITS, inputs=inputs[:-2], outputs=out, device=device, record_cmd=True)]
     else:
         inputs = [int(model), a["mine"], polarization, 200.0, 0, *places, a["spectrum"], a["loss"], a["zeta"]]
         kernel, block = (models_lanes.scatter_kernel, models_lanes.HITS) if cpu else (models.scatter_kernel, 1)
     command = wp.launch(kernel, HITS // block, inputs=inputs, outputs=out, device=device, record_cmd=True)
 
     def run() -> None:
-        for launch in (*before, command):
+        for launch in (*before, command, *after):
             launch.launch()
 
     return run

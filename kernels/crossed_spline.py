@@ -249,26 +249,57 @@ def scatter_kernel(
     sigma_out: wp.array(dtype=float),
     slopes_out: wp.array(dtype=wp.vec4),
 ):
-    """sigma0 of HV and VH of the hits `mine`; with `slopes_out` not empty its slopes too. `row`: of each material."""
+    """sigma0 of HV and VH of the hits `mine`; with `slopes_out` not empty its slopes too. `row`: of each material.
+
+    `beyond_kernel` has yet to set the hits that have no place in the lattice.
+    """
     i = read_int(mine, wp.tid())
     material = read_int(face_material, read_int(face, i))
     kind = read_int(spectrum, material)
-    loss = read_float(eps_im, material)
     cosine = read_float(cos_incidence, i)
     twist = read_float(cos_twist, i)
     if local_basis != 0:
         twist = 1.0
     z = read_vec4(zeta, i)
-    place = place_of(kind, wavenumber, cosine, z)
-    slopes = wp.vec4()
-    if is_beyond(place):
-        whole = modelled_of(int(Model.I2EM), int(Polarization.HV), kind, wavenumber, cosine, twist, loss, z)
-        sigma_out[i] = whole[0]
-        slopes = wp.vec4(whole[1], whole[2], whole[3], 0.0)
-    else:
-        twice = splined(table, read_int(row, material), place)
-        found = varying_sigma0(kind, wavenumber, cosine, twist, loss, z, twice)
-        sigma_out[i] = found[0]
-        slopes = wp.vec4(found[1], found[2], found[3], 0.0)
+    twice = splined(table, read_int(row, material), place_of(kind, wavenumber, cosine, z))
+    found = varying_sigma0(kind, wavenumber, cosine, twist, read_float(eps_im, material), z, twice)
+    sigma_out[i] = found[0]
     if slopes_out.shape[0] > 0:
-        write_vec4(slopes_out, i, slopes)
+        write_vec4(slopes_out, i, wp.vec4(found[1], found[2], found[3], 0.0))
+
+
+# A kernel of its own: the integral needs so many registers that few hits would be under way at once.
+@wp.kernel(enable_backward=False)
+def beyond_kernel(
+    # In:
+    mine: wp.array(dtype=int),
+    wavenumber: float,
+    local_basis: int,
+    face: wp.array(dtype=int),
+    face_material: wp.array(dtype=int),
+    cos_incidence: wp.array(dtype=float),
+    cos_twist: wp.array(dtype=float),
+    spectrum: wp.array(dtype=int),
+    eps_im: wp.array(dtype=float),
+    zeta: wp.array(dtype=wp.vec4),
+    # Out:
+    sigma_out: wp.array(dtype=float),
+    slopes_out: wp.array(dtype=wp.vec4),
+):
+    """`scatter_kernel` by the integral, for those of the hits `mine` that have no place in the lattice."""
+    i = read_int(mine, wp.tid())
+    material = read_int(face_material, read_int(face, i))
+    kind = read_int(spectrum, material)
+    cosine = read_float(cos_incidence, i)
+    z = read_vec4(zeta, i)
+    if not is_beyond(place_of(kind, wavenumber, cosine, z)):
+        return
+    twist = read_float(cos_twist, i)
+    if local_basis != 0:
+        twist = 1.0
+    found = modelled_of(
+        int(Model.I2EM), int(Polarization.HV), kind, wavenumber, cosine, twist, read_float(eps_im, material), z
+    )
+    sigma_out[i] = found[0]
+    if slopes_out.shape[0] > 0:
+        write_vec4(slopes_out, i, wp.vec4(found[1], found[2], found[3], 0.0))

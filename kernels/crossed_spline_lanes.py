@@ -1,4 +1,4 @@
-"""`crossed_spline.scatter_kernel` on the CPU: sixteen hits at once.
+"""`crossed_spline.scatter_kernel` and `beyond_kernel` on the CPU: sixteen hits at once.
 
 The equations are those of kernels/crossed_spline.py, written out by kernels/lanes.py. Loads, stores and the sum over
 the coefficients are by hand.
@@ -178,7 +178,7 @@ def scatter_kernel(
     sigma_out: wp.array(dtype=float),
     slopes_out: wp.array(dtype=wp.vec4),
 ):
-    """`crossed_spline.scatter_kernel` for HITS hits."""
+    """`crossed_spline.scatter_kernel` and `beyond_kernel` for HITS hits."""
     scatter_block(
         wp.tid(),
         mine,

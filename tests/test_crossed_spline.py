@@ -66,6 +66,8 @@ def read(
         coefficients,
     ]
     wp.launch(kernels.scatter_kernel, -(-n // block), inputs=inputs, outputs=[sigma, slopes], device=device)
+    if block == 1:
+        wp.launch(kernels.beyond_kernel, n, inputs=inputs[:-2], outputs=[sigma, slopes], device=device)
     return sigma.numpy().astype(float), slopes.numpy().astype(float)
 
 

@@ -21,11 +21,14 @@ from warpsar.kernels import (
     models_lanes,
 )
 from warpsar.kernels.codes import Layout, Model, Polarization
-from warpsar.render.crossed_spline import table
+from warpsar.render.crossed_spline import table as crossed_spline_table
 from warpsar.runtime.launches import Launch, by_elements
 from warpsar.runtime.program import Program
 from warpsar.surface.stage import Stage
 from warpsar.trace.hits import Hits
+
+_Launches = list[tuple[wp.Kernel, list[Any]]]
+"""Kernels and their inputs"""
 
 
 def by_model(stage: Stage, hits: Hits) -> dict[Model, wp.array]:
@@ -71,47 +74,38 @@ def record(
     local = int(stage.local_basis)
     for model, mine in by_model(stage, hits).items():
         places = [hits.face, stage.face_material, hits.cos_incidence, hits.cos_twist]
+        block = 1
         if model == Model.FACET:
             tables = stage.tables
             assert tables is not None
-            kernel = facet.scatter_kernel
-            inputs: list[Any] = [
-                mine,
-                polarization,
-                local,
-                *places,
-                tables.rows,
-                tables.incidence_deg,
-                tables.sigma0_db,
-                zeta,
-            ]
-            block = 1
+            rows = [tables.rows, tables.incidence_deg, tables.sigma0_db]
+            launches: _Launches = [(facet.scatter_kernel, [mine, polarization, local, *places, *rows, zeta])]
         elif model == Model.I2EM and Polarization(polarization).crossed:
             own = _one_of_each(stage, hits, mine)
             if of_the_mesh and _uniform(stage, own):
                 kernel = crossed_table_lanes.scatter_kernel if device.is_cpu else crossed_table.scatter_kernel
                 block = crossed_table_lanes.HITS if device.is_cpu else 1
-                inputs = [mine, local, *places, *_crossed_tables(program, stage, own, wavenumber, spectrum, zeta)]
+                made = _crossed_tables(program, stage, own, wavenumber, spectrum, zeta)
+                launches = [(kernel, [mine, local, *places, *made])]
             else:
-                kernel = crossed_spline_lanes.scatter_kernel if device.is_cpu else crossed_spline.scatter_kernel
-                block = crossed_spline_lanes.HITS if device.is_cpu else 1
-                spline = _crossed_spline(stage, own, spectrum)
-                inputs = [mine, wavenumber, local, *places, spectrum, stage.eps_im, zeta, *spline]
+                inputs = [mine, wavenumber, local, *places, spectrum, stage.eps_im, zeta]
+                block, launches = _splined(stage, own, spectrum, inputs)
         else:
             kernel = models_lanes.scatter_kernel if device.is_cpu else models.scatter_kernel
             block = models_lanes.HITS if device.is_cpu else 1
             inputs = [int(model), mine, polarization, wavenumber, local, *places, spectrum, stage.eps_im, zeta]
+            launches = [(kernel, inputs)]
         dim, none = -(-mine.shape[0] // block), wp.empty(0, dtype=wp.vec4, device=device)
-
-        program.launch(
-            kernel,
-            dim,
-            inputs,
-            [sigma, none],
-            adjoint=lambda: None,
-            keeping=partial(_keeping, kernel, dim, inputs, sigma, slopes, mine, block),
-            pieces=by_elements([mine], block),
-        )
+        for kernel, inputs in launches:
+            program.launch(
+                kernel,
+                dim,
+                inputs,
+                [sigma, none],
+                adjoint=lambda: None,
+                keeping=partial(_keeping, kernel, dim, inputs, sigma, slopes, mine, block),
+                pieces=by_elements([mine], block),
+            )
 
 
 def _one_of_each(stage: Stage, hits: Hits, mine: wp.array) -> np.ndarray:
@@ -150,14 +144,17 @@ def _crossed_tables(
     return [once, twice]
 
 
-def _crossed_spline(stage: Stage, own: np.ndarray, spectrum: wp.array) -> list[wp.array]:
-    """The row of each material of the scene, and the coefficients of HV; `own` as of `_one_of_each`."""
-    spectra, device = spectrum.numpy(), stage.target.device
+def _splined(stage: Stage, own: np.ndarray, spectrum: wp.array, inputs: list[Any]) -> tuple[int, _Launches]:
+    """The launches of HV from a spline, and how many hits a thread of theirs takes; `own` as of `_one_of_each`."""
+    device, spectra = stage.target.device, spectrum.numpy()
     surfaces = [(int(spectra[m]), float(stage.surface.eps_im[m])) for m in own[:, 0]]
     rows = sorted(set(surfaces))
     row = np.zeros(spectra.size, np.int32)
     row[own[:, 0]] = [rows.index(surface) for surface in surfaces]
-    return [wp.array(row, dtype=int, device=device), table(tuple(rows), device)]
+    read = [*inputs, wp.array(row, dtype=int, device=device), crossed_spline_table(tuple(rows), device)]
+    if device.is_cpu:
+        return crossed_spline_lanes.HITS, [(crossed_spline_lanes.scatter_kernel, read)]
+    return 1, [(crossed_spline.scatter_kernel, read), (crossed_spline.beyond_kernel, inputs)]
 
 
 def with_term(
