@@ -15,6 +15,7 @@ from worlds import WAVENUMBER, ground, join, plate, scene_of, view
 from warpsar import Mesh, Scene, renderer
 from warpsar.kernels import crossed_spline, crossed_spline_lanes
 from warpsar.kernels.codes import Model, Spectrum
+from warpsar.render import models
 from warpsar.render.crossed_spline import spline, table
 from warpsar.runtime import launches
 
@@ -245,6 +246,15 @@ def test_materials_have_rows_of_their_own() -> None:
     even, uneven = (renderer(one, device="cpu")()["view"]["HV"] for one in (scene, still))
     assert even[10, 15] > 1.3 * even[10, 4]
     np.testing.assert_allclose(uneven[8:12, 1:-1], even[8:12, 1:-1], rtol=5e-3)  # 0.02 dB
+
+
+def test_too_many_materials_have_the_integral(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = field(**FIELDS["vertex"][0])
+    splined = renderer(scene, device="cpu")()["view"]["HV"]
+    monkeypatch.setattr(models, "MOST_ROWS", 0)
+    integrated = renderer(scene, device="cpu")()["view"]["HV"]
+    assert not np.array_equal(integrated, splined)
+    np.testing.assert_allclose(integrated[8:12, 1:-1], splined[8:12, 1:-1], rtol=7e-3)  # 0.03 dB
 
 
 def test_threads_leave_every_bit(monkeypatch: pytest.MonkeyPatch) -> None:

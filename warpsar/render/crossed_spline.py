@@ -11,12 +11,14 @@ import warp as wp
 from warpsar.kernels import crossed_spline as kernels
 from warpsar.kernels.i2em_crossed import RINGS
 
+MOST_ROWS = 32
+"""Of a table, 4.3 MB each: with more there is none, and every hit has the integral"""
 _NODES = kernels.COSINES, kernels.HEIGHTS, kernels.LENGTHS, kernels.CONTRASTS
 _making = threading.Lock()  # views are recorded side by side: the first makes the table, and the others wait
 
 
 def table(surfaces: tuple[tuple[int, float], ...], device: wp.Device) -> wp.array:
-    """The coefficients of each (spectrum, eps_im), one row after the other, float; 4.3 MB a row.
+    """The coefficients of each (spectrum, eps_im), one row after the other, float.
 
     They depend on nothing else. So they are made once for all views and fits of a process.
     """

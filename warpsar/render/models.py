@@ -21,7 +21,7 @@ from warpsar.kernels import (
     models_lanes,
 )
 from warpsar.kernels.codes import Layout, Model, Polarization
-from warpsar.render.crossed_spline import table as crossed_spline_table
+from warpsar.render.crossed_spline import MOST_ROWS, table
 from warpsar.runtime.launches import Launch, by_elements
 from warpsar.runtime.program import Program
 from warpsar.surface.stage import Stage
@@ -75,21 +75,22 @@ def record(
     for model, mine in by_model(stage, hits).items():
         places = [hits.face, stage.face_material, hits.cos_incidence, hits.cos_twist]
         block = 1
+        crossed = model == Model.I2EM and Polarization(polarization).crossed
+        own = _one_of_each(stage, hits, mine) if crossed else np.zeros((0, 2), np.int32)
+        surfaces = _surfaces(stage, own, spectrum)
         if model == Model.FACET:
             tables = stage.tables
             assert tables is not None
             rows = [tables.rows, tables.incidence_deg, tables.sigma0_db]
             launches: _Launches = [(facet.scatter_kernel, [mine, polarization, local, *places, *rows, zeta])]
-        elif model == Model.I2EM and Polarization(polarization).crossed:
-            own = _one_of_each(stage, hits, mine)
-            if of_the_mesh and _uniform(stage, own):
-                kernel = crossed_table_lanes.scatter_kernel if device.is_cpu else crossed_table.scatter_kernel
-                block = crossed_table_lanes.HITS if device.is_cpu else 1
-                made = _crossed_tables(program, stage, own, wavenumber, spectrum, zeta)
-                launches = [(kernel, [mine, local, *places, *made])]
-            else:
-                inputs = [mine, wavenumber, local, *places, spectrum, stage.eps_im, zeta]
-                block, launches = _splined(stage, own, spectrum, inputs)
+        elif crossed and of_the_mesh and _uniform(stage, own):
+            kernel = crossed_table_lanes.scatter_kernel if device.is_cpu else crossed_table.scatter_kernel
+            block = crossed_table_lanes.HITS if device.is_cpu else 1
+            made = _crossed_tables(program, stage, own, wavenumber, spectrum, zeta)
+            launches = [(kernel, [mine, local, *places, *made])]
+        elif crossed and len(set(surfaces.values())) <= MOST_ROWS:
+            inputs = [mine, wavenumber, local, *places, spectrum, stage.eps_im, zeta]
+            block, launches = _splined(stage, surfaces, inputs)
         else:
             kernel = models_lanes.scatter_kernel if device.is_cpu else models.scatter_kernel
             block = models_lanes.HITS if device.is_cpu else 1
@@ -144,14 +145,20 @@ def _crossed_tables(
     return [once, twice]
 
 
-def _splined(stage: Stage, own: np.ndarray, spectrum: wp.array, inputs: list[Any]) -> tuple[int, _Launches]:
-    """The launches of HV from a spline, and how many hits a thread of theirs takes; `own` as of `_one_of_each`."""
-    device, spectra = stage.target.device, spectrum.numpy()
-    surfaces = [(int(spectra[m]), float(stage.surface.eps_im[m])) for m in own[:, 0]]
-    rows = sorted(set(surfaces))
-    row = np.zeros(spectra.size, np.int32)
-    row[own[:, 0]] = [rows.index(surface) for surface in surfaces]
-    read = [*inputs, wp.array(row, dtype=int, device=device), crossed_spline_table(tuple(rows), device)]
+def _surfaces(stage: Stage, own: np.ndarray, spectrum: wp.array) -> dict[int, tuple[int, float]]:
+    """Spectrum and eps_im of the materials `own`."""
+    spectra = spectrum.numpy()
+    return {int(m): (int(spectra[m]), float(stage.surface.eps_im[m])) for m in own[:, 0]}
+
+
+def _splined(stage: Stage, surfaces: dict[int, tuple[int, float]], inputs: list[Any]) -> tuple[int, _Launches]:
+    """The launches of HV from a spline, and how many hits a thread of theirs takes."""
+    device = stage.target.device
+    rows = sorted(set(surfaces.values()))
+    row = np.zeros(len(stage.surface.materials), np.int32)
+    for m, surface in surfaces.items():
+        row[m] = rows.index(surface)
+    read = [*inputs, wp.array(row, dtype=int, device=device), table(tuple(rows), device)]
     if device.is_cpu:
         return crossed_spline_lanes.HITS, [(crossed_spline_lanes.scatter_kernel, read)]
     return 1, [(crossed_spline.scatter_kernel, read), (crossed_spline.beyond_kernel, inputs)]
