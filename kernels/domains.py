@@ -54,10 +54,11 @@ def area_kernel(
 
 @wp.struct
 class Domain:
-    """Where a model has been found good: incidence [deg], kh, moisture [m^3/m^3] and h / l, from and up to."""
+    """Where a model has been found good: incidence [deg], kh, kl, moisture [m^3/m^3] and h / l, from and up to."""
 
     incidence_deg: wp.vec2
     kh: wp.vec2
+    kl: wp.vec2
     moisture: wp.vec2
     slope: float
 
@@ -87,8 +88,9 @@ def model_area_kernel(
     domain = domains[material]
     kh = wavenumber * wp.exp(z[Coordinate.HEIGHT])
     moisture, _slope = topp_moisture(1.0 + wp.exp(z[Coordinate.EPS]))
+    kl = wavenumber * wp.exp(z[Coordinate.LENGTH])
     inside = within(wp.acos(cos_incidence[i]) * 57.29577951308232, domain.incidence_deg) and within(kh, domain.kh)
     steep = wp.exp(z[Coordinate.HEIGHT] - z[Coordinate.LENGTH]) > domain.slope
     wp.atomic_add(area_out, i % PARTIALS, material, 0, wp.float64(weight[i]))
-    if steep or not inside or not within(moisture, domain.moisture):
+    if steep or not inside or not within(kl, domain.kl) or not within(moisture, domain.moisture):
         wp.atomic_add(area_out, i % PARTIALS, material, 1, wp.float64(weight[i]))

@@ -14,6 +14,8 @@ from worlds import SOIL, WAVENUMBER, box, ground, mesh_of, scene_of, sigma0, vie
 from warpsar import InputError, Material, Scene, learn, renderer, simulate
 from warpsar.kernels import facet
 from warpsar.kernels.codes import Polarization
+from warpsar.learning.problem import FitProblem
+from warpsar.learning.validity import outside_domains
 from warpsar.surface.tables import Tables
 
 TABLE = "incidence_deg,HH,VV,HV\n20,-8,-7,-16\n40,-14,-12,-22\n60,-20,-16,-29\n"
@@ -189,6 +191,29 @@ def test_learned_coordinates_have_no_slope_to_what_a_model_has_not() -> None:
     """The default's small-perturbation image of the same surface stays what it was."""
     found = middle(lawn(SOIL), "HH")
     assert found == pytest.approx(float(sigma0(np.radians(40.0))), rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("kl", "spectrum", "polarization", "outside"),
+    [
+        (3.6, "gaussian", "HV", 0.0),
+        (4.4, "gaussian", "HV", 1.0),
+        (4.4, "gaussian", "VH", 1.0),
+        (4.4, "gaussian", "HH", 0.0),
+        (4.4, "exponential", "HV", 0.0),
+    ],
+)
+def test_hv_of_a_gaussian_has_a_domain_of_its_own(
+    kl: float, spectrum: str, polarization: str, outside: float, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its integral has too few waves beyond kl = 4: `learn` counts that area, and `simulate` warns of it."""
+    soil = {**ROUGH, "model": "i2em", "spectrum": spectrum, "correlation_length_m": kl / WAVENUMBER}
+    scene = lawn(soil, ("VV", polarization))
+    images = simulate(scene, device="cpu")[0].beta0
+    assert ("kl < 4 for HV of a gaussian" in capsys.readouterr().err) == bool(outside)
+    seen = [view(30, 40).model_copy(update={"images": images, "looks": 4.0})]
+    problem = FitProblem(replace(scene, views=seen), wp.get_device("cpu"))
+    assert outside_domains(problem, problem.x0) == {"lawn": {"i2em": pytest.approx(outside)}}
 
 
 @pytest.mark.parametrize(

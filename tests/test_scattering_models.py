@@ -113,6 +113,21 @@ def test_hv_is_the_integral_over_the_plane(spectrum: str) -> None:
     np.testing.assert_allclose(found, fine, rtol=0.16)  # 0.65 dB: 16 x 5 points against 400 x 12
 
 
+@pytest.mark.parametrize(
+    ("spectrum", "kl", "low", "high"),
+    [("exponential", 60.0, -1.0, 0.4), ("gaussian", 4.0, -0.7, 0.3), ("gaussian", 5.0, -5.2, 0.3)],
+)
+def test_hv_has_too_few_waves_for_a_gaussian_beyond_kl_4(spectrum: str, kl: float, low: float, high: float) -> None:
+    """Its lobes are as narrow as the spokes are apart; a rougher surface has higher powers, whose lobes are wider."""
+    surfaces = [(t, eps, kh) for t in (0.1, 0.7, 1.3) for eps in (4 - 0.4j, 15 - 3j) for kh in (0.05, 0.2, 0.5, 1.0)]
+    off = []
+    for theta, eps, kh in surfaces:
+        found = values(Model.I2EM, "HV", spectrum, theta, eps, kh, kl)[0, 0]
+        off.append(10 * math.log10(found / reference.i2em_hv(theta, eps, kh, kl, spectrum)))
+    assert low < min(off) < low + 0.2
+    assert max(off) < high
+
+
 def test_oh_and_dubois_are_their_papers() -> None:
     for theta, eps_re, kh in ((0.35, 5.0, 0.3), (0.7, 12.0, 1.0), (1.1, 22.0, 2.0)):
         for polarization in ("HH", "VV", "HV"):

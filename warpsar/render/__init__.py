@@ -3,6 +3,7 @@
 rendered: what every render offers.
 render: with a view's hits in memory.
 models: backscatter models beside the default, and learned terms.
+crossed_spline: coefficients from which HV of `i2em` is read where a surface varies.
 bands: with hits that are traced again, band by band.
 domains: how much of the lit surface lies outside its model's domain.
 tangents: how images change with the nodes of a surface, in forward mode.

@@ -9,9 +9,10 @@ import numpy as np
 import warp as wp
 
 from warpsar.kernels import domains as kernels
-from warpsar.kernels.codes import Model
+from warpsar.kernels.codes import Model, Polarization, Spectrum
 from warpsar.render.rendered import Piece
 from warpsar.surface.stage import Stage
+from warpsar.surface.surface import Surface
 from warpsar.world import sigma0_table
 
 
@@ -46,6 +47,8 @@ DOMAINS: dict[str, dict[str, object]] = {
     "dubois": {"incidence_deg": (30.0, 90.0), "kh": (0.0, 2.5), "moisture": (0.0, 0.35)},
 }
 """Of the models beside the default (docs/scattering.md); that of `facet` are its table's angles."""
+CROSSED_GAUSSIAN_KL = (0.0, 4.0)
+"""Where `i2em` has enough waves for HV of a gaussian spectrum."""
 
 
 def model_areas(stage: Stage, renders: Iterable[Piece]) -> np.ndarray:
@@ -54,6 +57,19 @@ def model_areas(stage: Stage, renders: Iterable[Piece]) -> np.ndarray:
     For materials with another model than the default, of renders that have run, in any one unit.
     """
     device, surface = stage.target.device, stage.surface
+    by_crossed = {crossed: _domains(surface, device, crossed=crossed) for crossed in (False, True)}
+    cells = wp.zeros((int(kernels.PARTIALS), len(surface.materials), 2), dtype=wp.float64, device=device)
+    for render in renders:
+        hits = render.shaded
+        domains = by_crossed[any(Polarization[name].crossed for name in render.images)]
+        inputs = [hits.geometry.wavenumber, domains, hits.face, stage.face_material, hits.weight]
+        inputs += [hits.cos_incidence, render.zeta]
+        wp.launch(kernels.model_area_kernel, hits.count, inputs=inputs, outputs=[cells], device=device)
+    return np.asarray(cells.numpy().sum(axis=0))
+
+
+def _domains(surface: Surface, device: wp.Device, *, crossed: bool) -> wp.array:
+    """The domain of each material's model, (materials,); `crossed`: where there are images of HV or VH."""
     record: Any = kernels.Domain
     domains: Any = np.zeros(len(surface.materials), record.numpy_dtype())
     for m, (code, file) in enumerate(zip(surface.model, surface.sigma0, strict=True)):
@@ -61,13 +77,8 @@ def model_areas(stage: Stage, renders: Iterable[Piece]) -> np.ndarray:
         if file is not None:
             angles = sigma0_table.read(file).incidence_deg
             stated["incidence_deg"] = angles[0], angles[-1]
-        for key, usual in (("incidence_deg", ANY), ("kh", ANY), ("moisture", ANY), ("slope", 1e30)):
+        if crossed and code == Model.I2EM and surface.spectrum[m] == Spectrum.GAUSSIAN:
+            stated["kl"] = CROSSED_GAUSSIAN_KL
+        for key, usual in (("incidence_deg", ANY), ("kh", ANY), ("kl", ANY), ("moisture", ANY), ("slope", 1e30)):
             domains[key][m] = stated.get(key, usual)
-    on_device: wp.array = wp.array(domains, dtype=record, device=device)
-    cells = wp.zeros((int(kernels.PARTIALS), len(surface.materials), 2), dtype=wp.float64, device=device)
-    for render in renders:
-        hits = render.shaded
-        inputs = [hits.geometry.wavenumber, on_device, hits.face, stage.face_material, hits.weight]
-        inputs += [hits.cos_incidence, render.zeta]
-        wp.launch(kernels.model_area_kernel, hits.count, inputs=inputs, outputs=[cells], device=device)
-    return np.asarray(cells.numpy().sum(axis=0))
+    return wp.array(domains, dtype=record, device=device)

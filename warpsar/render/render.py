@@ -294,9 +294,9 @@ class ViewRender:
             )
         wavenumber = self.geometry.wavenumber
         mesh = any(gathered.zeta is zeta for gathered in self.gathered)
-        models.record(
-            self.program, stage, hits, wavenumber, polarization, spectra, zeta, sigma, slopes, back, of_the_mesh=mesh
-        )
+        channel = Polarization(polarization)
+        asked = models.Asked(self.program, stage, hits, wavenumber, channel, spectra, zeta, of_the_mesh=mesh)
+        models.record(asked, sigma, slopes, back)
         return models.with_term(self.program, stage, hits, wavenumber, polarization, zeta, sigma)
 
     def set_parameters(self, nodes: np.ndarray | None, effects: Mapping[str, np.ndarray] | None = None) -> None:

@@ -108,7 +108,7 @@ SMALL = "small perturbation (kh < 0.3 and sqrt(2) h / l < 0.3)"
 OPTICS = "geometric optics (kh cos(theta) > 1.58, kl > 6 and l^2 > 2.76 h lambda)"
 
 DOMAINS_IN_WORDS = {
-    "i2em": "i2em (kh < 3, h / l < 0.4)",
+    "i2em": "i2em (kh < 3, h / l < 0.4, and kl < 4 for HV of a gaussian spectrum)",
     "oh": "oh (kh from 0.13 to 6.98, incidence from 10 to 70 degrees, moisture from 0.04 to 0.291)",
     "dubois": "dubois (kh < 2.5, incidence above 30 degrees, moisture below 0.35)",
     "facet": "its table",

@@ -49,8 +49,8 @@ class Stage:
         devices.load_kernels(device, "trace", "merge", "shade", "raster", *own)
         surface = Surface.of(scene)
         if surface.model.any():
-            own = ["models_lanes", "crossed_table_lanes"] if device.is_cpu else []
-            devices.load_kernels(device, "models", "facet", "crossed_table", *own)
+            own = ["models_lanes", "crossed_table_lanes", "crossed_spline_lanes"] if device.is_cpu else []
+            devices.load_kernels(device, "models", "facet", "crossed_table", "crossed_spline", *own)
         uv = np.zeros((0, 2), np.float32) if scene.mesh.uv is None else scene.mesh.uv
         return cls(
             target=Target.upload(scene.mesh, scene.reference_point_m, device),

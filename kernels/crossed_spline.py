@@ -1,0 +1,305 @@
+"""HV of I2EM where a surface varies: double scattering from a spline, single scattering at every hit.
+
+B, double scattering, is a sum over rings of waves: sum P(ring; eps, theta) S(ring; kh, kl, theta). Permittivity enters
+P alone, and roughness S alone. So S is computed once for each spectrum. From it follows a lattice of B over incidence,
+ln kh, ln kl and ln(eps_re - 1), for each spectrum and eps_im. Powers of cos theta, kh and kl are taken out first. The
+logarithm of the rest is a quadratic spline along each axis, and a hit reads 81 coefficients. Its slopes have no jumps,
+and they are the exact ones of what is interpolated.
+
+The lattice does not depend on the surface. B of a smooth surface grows with h^4, so below the least kh the spline stays
+as it is there. Beyond any other end a hit has the integral. docs/scattering.md says how far the spline is from it.
+"""
+
+import math
+
+import warp as wp
+
+from warpsar.kernels.codes import Coordinate, Model, Polarization, Spectrum
+from warpsar.kernels.crossed_table import LEAST, TOLERANCE, node_cosine
+from warpsar.kernels.i2em import hidden_share, i2em_single, slope_deviation
+from warpsar.kernels.i2em_crossed import RINGS, SPOKES, half_difference, ring_power, spoke_series
+from warpsar.kernels.models import modelled_of
+from warpsar.kernels.scattering import bounded_cosine, sine_squared
+from warpsar.kernels.wide import read_float, read_int, read_vec4, write_vec4
+
+# Loops over a spline's three nodes are written out; the series stay loops.
+wp.set_module_options({"max_unroll": 3})
+
+# Nodes along the axes of incidence, ln kh, ln kl and ln(eps_re - 1). Of each there are two coefficients more.
+COSINES = wp.constant(24)
+HEIGHTS = wp.constant(32)
+LENGTHS = wp.constant(36)
+CONTRASTS = wp.constant(29)
+ROW = wp.constant(32)  # coefficients over the contrast, and one that fills 128 bytes
+# The first node and the step: kh from 0.01 to 4.9, eps_re from 1.1 to 147, and kl from 0.03 to 94. A gaussian needs
+# finer steps, from 0.1 to 7.9: its integral has too few waves beyond 4.
+HEIGHT_LOW = wp.constant(math.log(0.01))
+HEIGHT_STEP = wp.constant(0.2)
+GAUSSIAN_LOW = wp.constant(math.log(0.1))
+GAUSSIAN_STEP = wp.constant(0.125)
+LENGTH_LOW = wp.constant(math.log(0.03))
+LENGTH_STEP = wp.constant(0.23)
+CONTRAST_LOW = wp.constant(math.log(0.1))
+CONTRAST_STEP = wp.constant(0.26)
+
+
+@wp.func
+def length_low(spectrum: int):
+    return wp.where(spectrum == Spectrum.GAUSSIAN, GAUSSIAN_LOW, LENGTH_LOW)
+
+
+@wp.func
+def length_step(spectrum: int):
+    return wp.where(spectrum == Spectrum.GAUSSIAN, GAUSSIAN_STEP, LENGTH_STEP)
+
+
+@wp.func
+def node_of(node: int, low: float, step: float):
+    """The number whose logarithm a node stands for, float64."""
+    return wp.exp(wp.float64(low) + wp.float64(step) * wp.float64(float(node)))
+
+
+@wp.kernel(enable_backward=False)
+def series_kernel(
+    # In:
+    spectrum: int,
+    # Out:
+    series_out: wp.array4d(dtype=wp.float64),
+):
+    """S over (kh cos theta)^4; (cosines, heights, lengths, rings)."""
+    i, j, k, ring = wp.tid()
+    cosine = node_cosine(i, COSINES)
+    height = node_of(j, HEIGHT_LOW, HEIGHT_STEP)
+    length = node_of(k, length_low(spectrum), length_step(spectrum))
+    mean = height * height * cosine * cosine
+    sine = wp.sqrt(sine_squared(cosine))
+    _power, _by_eps, rho2 = ring_power(ring, wp.vec2d(wp.float64(2.0), wp.float64(0.0)), wp.vec2d(), wp.vec2d())
+    total = wp.float64(0.0)
+    for spoke in range(SPOKES):
+        part, _by_height, _by_length = spoke_series(spoke, TOLERANCE, spectrum, rho2, sine, mean, length * length)
+        total += part
+    series_out[i, j, k, ring] = total / (mean * mean)
+
+
+@wp.kernel(enable_backward=False)
+def power_kernel(
+    # In:
+    eps_im: wp.float64,
+    # Out:
+    power_out: wp.array3d(dtype=wp.float64),
+):
+    """P; (cosines, contrasts, rings)."""
+    i, m, ring = wp.tid()
+    eps = wp.vec2d(wp.float64(1.0) + node_of(m, CONTRAST_LOW, CONTRAST_STEP), -eps_im)
+    r, dr = half_difference(node_cosine(i, COSINES), eps)
+    power, _by_eps, _rho2 = ring_power(ring, eps, r, dr)
+    power_out[i, m, ring] = power
+
+
+@wp.kernel(enable_backward=False)
+def lattice_kernel(
+    # In:
+    power: wp.array3d(dtype=wp.float64),
+    series: wp.array4d(dtype=wp.float64),
+    # Out:
+    lattice_out: wp.array4d(dtype=wp.float64),
+):
+    """ln of the sum of P S over the rings; (cosines, heights, lengths, contrasts)."""
+    i, j, k, m = wp.tid()
+    total = wp.float64(0.0)
+    for ring in range(RINGS):
+        total += power[i, m, ring] * series[i, j, k, ring]
+    lattice_out[i, j, k, m] = wp.log(wp.max(total, LEAST))
+
+
+@wp.func
+def place_of(spectrum: int, wavenumber: float, cos_incidence: float, zeta: wp.vec4):
+    """Where a hit lies along the axes of incidence, ln kh, ln kl and contrast, in steps from the first node."""
+    cosine = bounded_cosine(cos_incidence)
+    scale = wp.log(wavenumber)
+    return wp.vector(
+        0.5 * (wp.sqrt(cosine) - wp.sqrt(1.0 - cosine) + 1.0) * (float(COSINES) - 1.0),
+        (zeta[Coordinate.HEIGHT] + scale - HEIGHT_LOW) / HEIGHT_STEP,
+        (zeta[Coordinate.LENGTH] + scale - length_low(spectrum)) / length_step(spectrum),
+        (zeta[Coordinate.EPS] - CONTRAST_LOW) / CONTRAST_STEP,
+    )
+
+
+@wp.func
+def is_beyond(place: wp.vec4):
+    """Whether a hit has no place in the lattice."""
+    return (
+        place[1] > float(HEIGHTS) - 1.0
+        or place[2] < 0.0
+        or place[2] > float(LENGTHS) - 1.0
+        or place[3] < 0.0
+        or place[3] > float(CONTRASTS) - 1.0
+    )
+
+
+@wp.func
+def stencil(place: float, nodes: float):
+    """The first of the three coefficients about a place along an axis, their weights, and these' slopes; (7,).
+
+    Before the first node, and beyond the last, values stay as they are there.
+    """
+    held = wp.clamp(place, 0.0, nodes - 1.0)
+    low = wp.floor(held + 0.5)
+    x = held - low
+    share = wp.where(held == place, 1.0, 0.0)
+    return wp.vector(
+        low,
+        0.5 * (0.5 - x) * (0.5 - x),
+        0.75 - x * x,
+        0.5 * (0.5 + x) * (0.5 + x),
+        share * (x - 0.5),
+        share * (-2.0 * x),
+        share * (x + 0.5),
+    )
+
+
+@wp.func
+def varying_sigma0(
+    spectrum: int,
+    wavenumber: float,
+    cos_incidence: float,
+    cos_twist: float,
+    eps_im: float,
+    zeta: wp.vec4,
+    twice: wp.vec4,
+):
+    """sigma0 of HV and its slopes to the learned coordinates, (4,); `twice`: the spline, and its slopes to steps."""
+    cosine = bounded_cosine(cos_incidence)
+    contrast = wp.exp(zeta[Coordinate.EPS])
+    height = wavenumber * wp.exp(zeta[Coordinate.HEIGHT])
+    length = wavenumber * wp.exp(zeta[Coordinate.LENGTH])
+    value, by_eps, by_height, by_length = i2em_single(
+        Polarization.HV, spectrum, cosine, cos_twist, wp.vector(1.0 + contrast, -eps_im), height, length
+    )
+    hidden, hidden_by_slope = hidden_share(cosine, slope_deviation(spectrum, height, length))
+    seen = 1.0 / (1.0 + 2.0 * hidden)
+    lost = 2.0 * hidden_by_slope * seen
+    single = value * seen
+    once = 1.0 / (1.0 + hidden)
+    lost_once = hidden_by_slope * once
+    area = height * length
+    area = area * area
+    paired = once * area * area * cosine * cosine / (4.0 * wp.pi) * wp.exp(twice[0])
+    return wp.vector(
+        single + paired,
+        by_eps * contrast * seen + paired * twice[3] / CONTRAST_STEP,
+        by_height * seen - single * lost + paired * (4.0 + twice[1] / HEIGHT_STEP - lost_once),
+        by_length * seen + single * lost + paired * (4.0 + twice[2] / length_step(spectrum) + lost_once),
+    )
+
+
+@wp.func
+def read_three(table: wp.array(dtype=float), i: int):
+    return wp.vec3(read_float(table, i), read_float(table, i + 1), read_float(table, i + 2))
+
+
+@wp.func
+def splined(table: wp.array(dtype=float), row: int, place: wp.vec4):
+    """The spline of a row of the table, and its slopes to the places along the axes of height, length and contrast."""
+    cosines = stencil(place[0], float(COSINES))
+    heights = stencil(place[1], float(HEIGHTS))
+    lengths = stencil(place[2], float(LENGTHS))
+    contrasts = stencil(place[3], float(CONTRASTS))
+    first = ((row * (COSINES + 2) + int(cosines[0])) * (HEIGHTS + 2) + int(heights[0])) * (LENGTHS + 2)
+    first = (first + int(lengths[0])) * ROW + int(contrasts[0])
+    value = wp.vec3()
+    by_height = wp.vec3()
+    by_length = wp.vec3()
+    for j in range(3):
+        inner = wp.vec3()
+        inner_by_length = wp.vec3()
+        for k in range(3):
+            innermost = wp.vec3()
+            for i in range(3):
+                at = first + ((i * (HEIGHTS + 2) + j) * (LENGTHS + 2) + k) * ROW
+                innermost += cosines[1 + i] * read_three(table, at)
+            inner += lengths[1 + k] * innermost
+            inner_by_length += lengths[4 + k] * innermost
+        value += heights[1 + j] * inner
+        by_height += heights[4 + j] * inner
+        by_length += heights[1 + j] * inner_by_length
+    weights = wp.vec3(contrasts[1], contrasts[2], contrasts[3])
+    slopes = wp.vec3(contrasts[4], contrasts[5], contrasts[6])
+    return wp.vec4(
+        wp.dot(value, weights), wp.dot(by_height, weights), wp.dot(by_length, weights), wp.dot(value, slopes)
+    )
+
+
+@wp.kernel(enable_backward=False)
+def scatter_kernel(
+    # In:
+    mine: wp.array(dtype=int),
+    wavenumber: float,
+    local_basis: int,
+    face: wp.array(dtype=int),
+    face_material: wp.array(dtype=int),
+    cos_incidence: wp.array(dtype=float),
+    cos_twist: wp.array(dtype=float),
+    spectrum: wp.array(dtype=int),
+    eps_im: wp.array(dtype=float),
+    zeta: wp.array(dtype=wp.vec4),
+    row: wp.array(dtype=int),
+    table: wp.array(dtype=float),
+    # Out:
+    sigma_out: wp.array(dtype=float),
+    slopes_out: wp.array(dtype=wp.vec4),
+):
+    """sigma0 of HV and VH of the hits `mine`; with `slopes_out` not empty its slopes too. `row`: of each material.
+
+    `beyond_kernel` has yet to set the hits that have no place in the lattice.
+    """
+    i = read_int(mine, wp.tid())
+    material = read_int(face_material, read_int(face, i))
+    kind = read_int(spectrum, material)
+    cosine = read_float(cos_incidence, i)
+    twist = read_float(cos_twist, i)
+    if local_basis != 0:
+        twist = 1.0
+    z = read_vec4(zeta, i)
+    twice = splined(table, read_int(row, material), place_of(kind, wavenumber, cosine, z))
+    found = varying_sigma0(kind, wavenumber, cosine, twist, read_float(eps_im, material), z, twice)
+    sigma_out[i] = found[0]
+    if slopes_out.shape[0] > 0:
+        write_vec4(slopes_out, i, wp.vec4(found[1], found[2], found[3], 0.0))
+
+
+# A kernel of its own: the integral needs so many registers that few hits would be under way at once.
+@wp.kernel(enable_backward=False)
+def beyond_kernel(
+    # In:
+    mine: wp.array(dtype=int),
+    wavenumber: float,
+    local_basis: int,
+    face: wp.array(dtype=int),
+    face_material: wp.array(dtype=int),
+    cos_incidence: wp.array(dtype=float),
+    cos_twist: wp.array(dtype=float),
+    spectrum: wp.array(dtype=int),
+    eps_im: wp.array(dtype=float),
+    zeta: wp.array(dtype=wp.vec4),
+    # Out:
+    sigma_out: wp.array(dtype=float),
+    slopes_out: wp.array(dtype=wp.vec4),
+):
+    """`scatter_kernel` by the integral, for those of the hits `mine` that have no place in the lattice."""
+    i = read_int(mine, wp.tid())
+    material = read_int(face_material, read_int(face, i))
+    kind = read_int(spectrum, material)
+    cosine = read_float(cos_incidence, i)
+    z = read_vec4(zeta, i)
+    if not is_beyond(place_of(kind, wavenumber, cosine, z)):
+        return
+    twist = read_float(cos_twist, i)
+    if local_basis != 0:
+        twist = 1.0
+    found = modelled_of(
+        int(Model.I2EM), int(Polarization.HV), kind, wavenumber, cosine, twist, read_float(eps_im, material), z
+    )
+    sigma_out[i] = found[0]
+    if slopes_out.shape[0] > 0:
+        write_vec4(slopes_out, i, wp.vec4(found[1], found[2], found[3], 0.0))
