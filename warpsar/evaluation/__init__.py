@@ -11,6 +11,7 @@ report.py              the report's page
 report_numbers.py      its metrics and verdict
 report_images.py       its images
 report_surface.py      its surface parameters
+report_tables.py       its learned tables of sigma0
 report_convergence.py  its history of the fit
 report_parts.py        what it shares with the report of diagnose
 """

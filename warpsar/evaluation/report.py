@@ -13,6 +13,7 @@ from warpsar.evaluation.report_convergence import convergence_sections
 from warpsar.evaluation.report_images import images_section
 from warpsar.evaluation.report_numbers import summary_section
 from warpsar.evaluation.report_surface import identified_words, parameters_section
+from warpsar.evaluation.report_tables import tables_section
 from warpsar.evaluation.residuals import Profile, profile_figure
 from warpsar.io import html as report
 from warpsar.scene.scene import Scene
@@ -48,6 +49,7 @@ def write_report(
         images_section(scene, found, before),
         _residuals_section(by_factor, expected),
         parameters_section(scene, stage, identified),
+        *tables_section(content),
         report.section("What is not identifiable", *words),
         *convergence_sections(Path(scene.path).parent if scene.path else None),
         report.reproduce(

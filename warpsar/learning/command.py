@@ -54,7 +54,7 @@ def run(
         convergence(out / "convergence.png", found.history)
         _draw_objects(out / "objects.png", scene, found)
         for name, table in found.tables.items():
-            save(figure_of_table(name, table), table.file.with_suffix(".png"))
+            save(figure_of_table(name, table.content()), table.file.with_suffix(".png"))
     content = _summary(found, options)
     _say_doubts(found, scene_path)
     for one in found.pulls:
