@@ -31,16 +31,16 @@ HEIGHTS = wp.constant(32)
 LENGTHS = wp.constant(36)
 CONTRASTS = wp.constant(29)
 ROW = wp.constant(32)  # coefficients over the contrast, and one that fills 128 bytes
-# The first node and the step: kh from 0.01 to 4.9, eps_re from 1.1 to 147, and kl from 0.03 to 94. A gaussian needs
-# finer steps, from 0.1 to 7.9: its integral has too few waves beyond 4.
+# The first node, and how many there are to a unit of the logarithm: kh from 0.01 to 4.9, eps_re from 1.1 to 111, and kl
+# from 0.03 to 189. A gaussian needs more, from 0.1 to 7.9: its integral has too few waves beyond 4.
 HEIGHT_LOW = wp.constant(math.log(0.01))
-HEIGHT_STEP = wp.constant(0.2)
+HEIGHT_DENSITY = wp.constant(5.0)
 GAUSSIAN_LOW = wp.constant(math.log(0.1))
-GAUSSIAN_STEP = wp.constant(0.125)
+GAUSSIAN_DENSITY = wp.constant(8.0)
 LENGTH_LOW = wp.constant(math.log(0.03))
-LENGTH_STEP = wp.constant(0.23)
+LENGTH_DENSITY = wp.constant(4.0)
 CONTRAST_LOW = wp.constant(math.log(0.1))
-CONTRAST_STEP = wp.constant(0.26)
+CONTRAST_DENSITY = wp.constant(4.0)
 
 
 @wp.func
@@ -49,14 +49,14 @@ def length_low(spectrum: int):
 
 
 @wp.func
-def length_step(spectrum: int):
-    return wp.where(spectrum == Spectrum.GAUSSIAN, GAUSSIAN_STEP, LENGTH_STEP)
+def length_density(spectrum: int):
+    return wp.where(spectrum == Spectrum.GAUSSIAN, GAUSSIAN_DENSITY, LENGTH_DENSITY)
 
 
 @wp.func
-def node_of(node: int, low: float, step: float):
+def node_of(node: int, low: float, density: float):
     """The number whose logarithm a node stands for, float64."""
-    return wp.exp(wp.float64(low) + wp.float64(step) * wp.float64(float(node)))
+    return wp.exp(wp.float64(low) + wp.float64(float(node)) / wp.float64(density))
 
 
 @wp.kernel(enable_backward=False)
@@ -69,8 +69,8 @@ def series_kernel(
     """S over (kh cos theta)^4; (cosines, heights, lengths, rings)."""
     i, j, k, ring = wp.tid()
     cosine = node_cosine(i, COSINES)
-    height = node_of(j, HEIGHT_LOW, HEIGHT_STEP)
-    length = node_of(k, length_low(spectrum), length_step(spectrum))
+    height = node_of(j, HEIGHT_LOW, HEIGHT_DENSITY)
+    length = node_of(k, length_low(spectrum), length_density(spectrum))
     mean = height * height * cosine * cosine
     sine = wp.sqrt(sine_squared(cosine))
     _power, _by_eps, rho2 = ring_power(ring, wp.vec2d(wp.float64(2.0), wp.float64(0.0)), wp.vec2d(), wp.vec2d())
@@ -90,7 +90,7 @@ def power_kernel(
 ):
     """P; (cosines, contrasts, rings)."""
     i, m, ring = wp.tid()
-    eps = wp.vec2d(wp.float64(1.0) + node_of(m, CONTRAST_LOW, CONTRAST_STEP), -eps_im)
+    eps = wp.vec2d(wp.float64(1.0) + node_of(m, CONTRAST_LOW, CONTRAST_DENSITY), -eps_im)
     r, dr = half_difference(node_cosine(i, COSINES), eps)
     power, _by_eps, _rho2 = ring_power(ring, eps, r, dr)
     power_out[i, m, ring] = power
@@ -119,9 +119,9 @@ def place_of(spectrum: int, wavenumber: float, cos_incidence: float, zeta: wp.ve
     scale = wp.log(wavenumber)
     return wp.vector(
         0.5 * (wp.sqrt(cosine) - wp.sqrt(1.0 - cosine) + 1.0) * (float(COSINES) - 1.0),
-        (zeta[Coordinate.HEIGHT] + scale - HEIGHT_LOW) / HEIGHT_STEP,
-        (zeta[Coordinate.LENGTH] + scale - length_low(spectrum)) / length_step(spectrum),
-        (zeta[Coordinate.EPS] - CONTRAST_LOW) / CONTRAST_STEP,
+        (zeta[Coordinate.HEIGHT] + scale - HEIGHT_LOW) * HEIGHT_DENSITY,
+        (zeta[Coordinate.LENGTH] + scale - length_low(spectrum)) * length_density(spectrum),
+        (zeta[Coordinate.EPS] - CONTRAST_LOW) * CONTRAST_DENSITY,
     )
 
 
@@ -184,12 +184,12 @@ def varying_sigma0(
     lost_once = hidden_by_slope * once
     area = height * length
     area = area * area
-    paired = once * area * area * cosine * cosine / (4.0 * wp.pi) * wp.exp(twice[0])
+    paired = once * area * area * cosine * cosine * (0.25 / wp.pi) * wp.exp(twice[0])
     return wp.vector(
         single + paired,
-        by_eps * contrast * seen + paired * twice[3] / CONTRAST_STEP,
-        by_height * seen - single * lost + paired * (4.0 + twice[1] / HEIGHT_STEP - lost_once),
-        by_length * seen + single * lost + paired * (4.0 + twice[2] / length_step(spectrum) + lost_once),
+        by_eps * contrast * seen + paired * twice[3] * CONTRAST_DENSITY,
+        by_height * seen - single * lost + paired * (4.0 + twice[1] * HEIGHT_DENSITY - lost_once),
+        by_length * seen + single * lost + paired * (4.0 + twice[2] * length_density(spectrum) + lost_once),
     )
 
 
