@@ -11,6 +11,7 @@ as it is there. Beyond any other end a hit has the integral. docs/scattering.md 
 """
 
 import math
+from functools import cache
 
 import warp as wp
 
@@ -230,42 +231,48 @@ def splined(table: wp.array(dtype=float), row: int, place: wp.vec4):
     )
 
 
-@wp.kernel(enable_backward=False)
-def scatter_kernel(
-    # In:
-    mine: wp.array(dtype=int),
-    wavenumber: float,
-    local_basis: int,
-    face: wp.array(dtype=int),
-    face_material: wp.array(dtype=int),
-    cos_incidence: wp.array(dtype=float),
-    cos_twist: wp.array(dtype=float),
-    spectrum: wp.array(dtype=int),
-    eps_im: wp.array(dtype=float),
-    zeta: wp.array(dtype=wp.vec4),
-    row: wp.array(dtype=int),
-    table: wp.array(dtype=float),
-    # Out:
-    sigma_out: wp.array(dtype=float),
-    slopes_out: wp.array(dtype=wp.vec4),
-):
-    """sigma0 of HV and VH of the hits `mine`; with `slopes_out` not empty its slopes too. `row`: of each material.
+@cache
+def scatter_kernel(slopes: bool) -> wp.Kernel:
+    """The kernel of sigma0 of HV and VH for the hits `mine`, with `slopes` of its slopes too; `row`: of each material.
 
-    `beyond_kernel` has yet to set the hits that have no place in the lattice.
+    There are two, because slopes need almost twice the registers. `beyond_kernel` has yet to set the hits that have no
+    place in the lattice.
     """
-    i = read_int(mine, wp.tid())
-    material = read_int(face_material, read_int(face, i))
-    kind = read_int(spectrum, material)
-    cosine = read_float(cos_incidence, i)
-    twist = read_float(cos_twist, i)
-    if local_basis != 0:
-        twist = 1.0
-    z = read_vec4(zeta, i)
-    twice = splined(table, read_int(row, material), place_of(kind, wavenumber, cosine, z))
-    found = varying_sigma0(kind, wavenumber, cosine, twist, read_float(eps_im, material), z, twice)
-    sigma_out[i] = found[0]
-    if slopes_out.shape[0] > 0:
-        write_vec4(slopes_out, i, wp.vec4(found[1], found[2], found[3], 0.0))
+
+    @wp.kernel(enable_backward=False, module="unique", module_options={"max_unroll": 3})
+    def scatter_kernel(
+        # In:
+        mine: wp.array(dtype=int),
+        wavenumber: float,
+        local_basis: int,
+        face: wp.array(dtype=int),
+        face_material: wp.array(dtype=int),
+        cos_incidence: wp.array(dtype=float),
+        cos_twist: wp.array(dtype=float),
+        spectrum: wp.array(dtype=int),
+        eps_im: wp.array(dtype=float),
+        zeta: wp.array(dtype=wp.vec4),
+        row: wp.array(dtype=int),
+        table: wp.array(dtype=float),
+        # Out:
+        sigma_out: wp.array(dtype=float),
+        slopes_out: wp.array(dtype=wp.vec4),
+    ):
+        i = read_int(mine, wp.tid())
+        material = read_int(face_material, read_int(face, i))
+        kind = read_int(spectrum, material)
+        cosine = read_float(cos_incidence, i)
+        twist = read_float(cos_twist, i)
+        if local_basis != 0:
+            twist = 1.0
+        z = read_vec4(zeta, i)
+        twice = splined(table, read_int(row, material), place_of(kind, wavenumber, cosine, z))
+        found = varying_sigma0(kind, wavenumber, cosine, twist, read_float(eps_im, material), z, twice)
+        sigma_out[i] = found[0]
+        if wp.static(slopes):
+            write_vec4(slopes_out, i, wp.vec4(found[1], found[2], found[3], 0.0))
+
+    return scatter_kernel
 
 
 # A kernel of its own: the integral needs so many registers that few hits would be under way at once.
@@ -286,7 +293,7 @@ def beyond_kernel(
     sigma_out: wp.array(dtype=float),
     slopes_out: wp.array(dtype=wp.vec4),
 ):
-    """`scatter_kernel` by the integral, for those of the hits `mine` that have no place in the lattice."""
+    """sigma0 by the integral for those of the hits `mine` that have no place in the lattice; its slopes as above."""
     i = read_int(mine, wp.tid())
     material = read_int(face_material, read_int(face, i))
     kind = read_int(spectrum, material)

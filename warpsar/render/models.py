@@ -27,8 +27,8 @@ from warpsar.runtime.program import Program
 from warpsar.surface.stage import Stage
 from warpsar.trace.hits import Hits
 
-_Launches = list[tuple[wp.Kernel, list[Any]]]
-"""Kernels and their inputs"""
+_Launches = list[tuple[wp.Kernel, wp.Kernel, list[Any]]]
+"""Kernels without and with slopes, and their inputs"""
 
 
 def by_model(stage: Stage, hits: Hits) -> dict[Model, wp.array]:
@@ -82,12 +82,13 @@ def record(
             tables = stage.tables
             assert tables is not None
             rows = [tables.rows, tables.incidence_deg, tables.sigma0_db]
-            launches: _Launches = [(facet.scatter_kernel, [mine, polarization, local, *places, *rows, zeta])]
+            kernel = facet.scatter_kernel
+            launches: _Launches = [(kernel, kernel, [mine, polarization, local, *places, *rows, zeta])]
         elif crossed and of_the_mesh and _uniform(stage, own):
             kernel = crossed_table_lanes.scatter_kernel if device.is_cpu else crossed_table.scatter_kernel
             block = crossed_table_lanes.HITS if device.is_cpu else 1
             made = _crossed_tables(program, stage, own, wavenumber, spectrum, zeta)
-            launches = [(kernel, [mine, local, *places, *made])]
+            launches = [(kernel, kernel, [mine, local, *places, *made])]
         elif crossed and len(set(surfaces.values())) <= MOST_ROWS:
             inputs = [mine, wavenumber, local, *places, spectrum, stage.eps_im, zeta]
             block, launches = _splined(stage, surfaces, inputs)
@@ -95,16 +96,16 @@ def record(
             kernel = models_lanes.scatter_kernel if device.is_cpu else models.scatter_kernel
             block = models_lanes.HITS if device.is_cpu else 1
             inputs = [int(model), mine, polarization, wavenumber, local, *places, spectrum, stage.eps_im, zeta]
-            launches = [(kernel, inputs)]
+            launches = [(kernel, kernel, inputs)]
         dim, none = -(-mine.shape[0] // block), wp.empty(0, dtype=wp.vec4, device=device)
-        for kernel, inputs in launches:
+        for kernel, keeping, inputs in launches:
             program.launch(
                 kernel,
                 dim,
                 inputs,
                 [sigma, none],
                 adjoint=lambda: None,
-                keeping=partial(_keeping, kernel, dim, inputs, sigma, slopes, mine, block),
+                keeping=partial(_keeping, keeping, dim, inputs, sigma, slopes, mine, block),
                 pieces=by_elements([mine], block),
             )
 
@@ -160,8 +161,11 @@ def _splined(stage: Stage, surfaces: dict[int, tuple[int, float]], inputs: list[
         row[m] = rows.index(surface)
     read = [*inputs, wp.array(row, dtype=int, device=device), table(tuple(rows), device)]
     if device.is_cpu:
-        return crossed_spline_lanes.HITS, [(crossed_spline_lanes.scatter_kernel, read)]
-    return 1, [(crossed_spline.scatter_kernel, read), (crossed_spline.beyond_kernel, inputs)]
+        kernel = crossed_spline_lanes.scatter_kernel
+        return crossed_spline_lanes.HITS, [(kernel, kernel, read)]
+    kernel, keeping = (crossed_spline.scatter_kernel(slopes) for slopes in (False, True))
+    beyond = crossed_spline.beyond_kernel
+    return 1, [(kernel, keeping, read), (beyond, beyond, inputs)]
 
 
 def with_term(
