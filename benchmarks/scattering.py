@@ -262,9 +262,9 @@ def launcher(model: Model, channel: str, a: dict[str, Any], device: str, *, slop
         made = table(((int(a["spectrum"].numpy()[0]), 1.0),), wp.get_device(device))
         row = wp.zeros(1, dtype=int, device=device)
         inputs = [a["mine"], 200.0, 0, *places, a["spectrum"], a["loss"], a["varying"], row, made]
-        kernel, block = (crossed_spline_lanes, crossed_spline_lanes.HITS) if cpu else (crossed_spline, 1)
-        kernel = kernel.scatter_kernel
+        kernel, block = crossed_spline_lanes.scatter_kernel, crossed_spline_lanes.HITS
         if not cpu:
+            kernel, block = crossed_spline.scatter_kernel(slopes), 1
             beyond = crossed_spline.beyond_kernel
             after = [wp.launch(beyond, HITS, inputs=inputs[:-2], outputs=out, device=device, record_cmd=True)]
     else:

@@ -11,6 +11,7 @@ as it is there. Beyond any other end a hit has the integral. docs/scattering.md 
 """
 
 import math
+from functools import cache
 
 import warp as wp
 
@@ -31,16 +32,16 @@ HEIGHTS = wp.constant(32)
 LENGTHS = wp.constant(36)
 CONTRASTS = wp.constant(29)
 ROW = wp.constant(32)  # coefficients over the contrast, and one that fills 128 bytes
-# The first node and the step: kh from 0.01 to 4.9, eps_re from 1.1 to 147, and kl from 0.03 to 94. A gaussian needs
-# finer steps, from 0.1 to 7.9: its integral has too few waves beyond 4.
+# The first node, and how many there are to a unit of the logarithm: kh from 0.01 to 4.9, eps_re from 1.1 to 111, and kl
+# from 0.03 to 189. A gaussian needs more, from 0.1 to 7.9: its integral has too few waves beyond 4.
 HEIGHT_LOW = wp.constant(math.log(0.01))
-HEIGHT_STEP = wp.constant(0.2)
+HEIGHT_DENSITY = wp.constant(5.0)
 GAUSSIAN_LOW = wp.constant(math.log(0.1))
-GAUSSIAN_STEP = wp.constant(0.125)
+GAUSSIAN_DENSITY = wp.constant(8.0)
 LENGTH_LOW = wp.constant(math.log(0.03))
-LENGTH_STEP = wp.constant(0.23)
+LENGTH_DENSITY = wp.constant(4.0)
 CONTRAST_LOW = wp.constant(math.log(0.1))
-CONTRAST_STEP = wp.constant(0.26)
+CONTRAST_DENSITY = wp.constant(4.0)
 
 
 @wp.func
@@ -49,14 +50,14 @@ def length_low(spectrum: int):
 
 
 @wp.func
-def length_step(spectrum: int):
-    return wp.where(spectrum == Spectrum.GAUSSIAN, GAUSSIAN_STEP, LENGTH_STEP)
+def length_density(spectrum: int):
+    return wp.where(spectrum == Spectrum.GAUSSIAN, GAUSSIAN_DENSITY, LENGTH_DENSITY)
 
 
 @wp.func
-def node_of(node: int, low: float, step: float):
+def node_of(node: int, low: float, density: float):
     """The number whose logarithm a node stands for, float64."""
-    return wp.exp(wp.float64(low) + wp.float64(step) * wp.float64(float(node)))
+    return wp.exp(wp.float64(low) + wp.float64(float(node)) / wp.float64(density))
 
 
 @wp.kernel(enable_backward=False)
@@ -69,8 +70,8 @@ def series_kernel(
     """S over (kh cos theta)^4; (cosines, heights, lengths, rings)."""
     i, j, k, ring = wp.tid()
     cosine = node_cosine(i, COSINES)
-    height = node_of(j, HEIGHT_LOW, HEIGHT_STEP)
-    length = node_of(k, length_low(spectrum), length_step(spectrum))
+    height = node_of(j, HEIGHT_LOW, HEIGHT_DENSITY)
+    length = node_of(k, length_low(spectrum), length_density(spectrum))
     mean = height * height * cosine * cosine
     sine = wp.sqrt(sine_squared(cosine))
     _power, _by_eps, rho2 = ring_power(ring, wp.vec2d(wp.float64(2.0), wp.float64(0.0)), wp.vec2d(), wp.vec2d())
@@ -90,7 +91,7 @@ def power_kernel(
 ):
     """P; (cosines, contrasts, rings)."""
     i, m, ring = wp.tid()
-    eps = wp.vec2d(wp.float64(1.0) + node_of(m, CONTRAST_LOW, CONTRAST_STEP), -eps_im)
+    eps = wp.vec2d(wp.float64(1.0) + node_of(m, CONTRAST_LOW, CONTRAST_DENSITY), -eps_im)
     r, dr = half_difference(node_cosine(i, COSINES), eps)
     power, _by_eps, _rho2 = ring_power(ring, eps, r, dr)
     power_out[i, m, ring] = power
@@ -119,9 +120,9 @@ def place_of(spectrum: int, wavenumber: float, cos_incidence: float, zeta: wp.ve
     scale = wp.log(wavenumber)
     return wp.vector(
         0.5 * (wp.sqrt(cosine) - wp.sqrt(1.0 - cosine) + 1.0) * (float(COSINES) - 1.0),
-        (zeta[Coordinate.HEIGHT] + scale - HEIGHT_LOW) / HEIGHT_STEP,
-        (zeta[Coordinate.LENGTH] + scale - length_low(spectrum)) / length_step(spectrum),
-        (zeta[Coordinate.EPS] - CONTRAST_LOW) / CONTRAST_STEP,
+        (zeta[Coordinate.HEIGHT] + scale - HEIGHT_LOW) * HEIGHT_DENSITY,
+        (zeta[Coordinate.LENGTH] + scale - length_low(spectrum)) * length_density(spectrum),
+        (zeta[Coordinate.EPS] - CONTRAST_LOW) * CONTRAST_DENSITY,
     )
 
 
@@ -184,12 +185,12 @@ def varying_sigma0(
     lost_once = hidden_by_slope * once
     area = height * length
     area = area * area
-    paired = once * area * area * cosine * cosine / (4.0 * wp.pi) * wp.exp(twice[0])
+    paired = once * area * area * cosine * cosine * (0.25 / wp.pi) * wp.exp(twice[0])
     return wp.vector(
         single + paired,
-        by_eps * contrast * seen + paired * twice[3] / CONTRAST_STEP,
-        by_height * seen - single * lost + paired * (4.0 + twice[1] / HEIGHT_STEP - lost_once),
-        by_length * seen + single * lost + paired * (4.0 + twice[2] / length_step(spectrum) + lost_once),
+        by_eps * contrast * seen + paired * twice[3] * CONTRAST_DENSITY,
+        by_height * seen - single * lost + paired * (4.0 + twice[1] * HEIGHT_DENSITY - lost_once),
+        by_length * seen + single * lost + paired * (4.0 + twice[2] * length_density(spectrum) + lost_once),
     )
 
 
@@ -230,42 +231,48 @@ def splined(table: wp.array(dtype=float), row: int, place: wp.vec4):
     )
 
 
-@wp.kernel(enable_backward=False)
-def scatter_kernel(
-    # In:
-    mine: wp.array(dtype=int),
-    wavenumber: float,
-    local_basis: int,
-    face: wp.array(dtype=int),
-    face_material: wp.array(dtype=int),
-    cos_incidence: wp.array(dtype=float),
-    cos_twist: wp.array(dtype=float),
-    spectrum: wp.array(dtype=int),
-    eps_im: wp.array(dtype=float),
-    zeta: wp.array(dtype=wp.vec4),
-    row: wp.array(dtype=int),
-    table: wp.array(dtype=float),
-    # Out:
-    sigma_out: wp.array(dtype=float),
-    slopes_out: wp.array(dtype=wp.vec4),
-):
-    """sigma0 of HV and VH of the hits `mine`; with `slopes_out` not empty its slopes too. `row`: of each material.
+@cache
+def scatter_kernel(slopes: bool) -> wp.Kernel:
+    """The kernel of sigma0 of HV and VH for the hits `mine`, with `slopes` of its slopes too; `row`: of each material.
 
-    `beyond_kernel` has yet to set the hits that have no place in the lattice.
+    There are two, because slopes need almost twice the registers. `beyond_kernel` has yet to set the hits that have no
+    place in the lattice.
     """
-    i = read_int(mine, wp.tid())
-    material = read_int(face_material, read_int(face, i))
-    kind = read_int(spectrum, material)
-    cosine = read_float(cos_incidence, i)
-    twist = read_float(cos_twist, i)
-    if local_basis != 0:
-        twist = 1.0
-    z = read_vec4(zeta, i)
-    twice = splined(table, read_int(row, material), place_of(kind, wavenumber, cosine, z))
-    found = varying_sigma0(kind, wavenumber, cosine, twist, read_float(eps_im, material), z, twice)
-    sigma_out[i] = found[0]
-    if slopes_out.shape[0] > 0:
-        write_vec4(slopes_out, i, wp.vec4(found[1], found[2], found[3], 0.0))
+
+    @wp.kernel(enable_backward=False, module="unique", module_options={"max_unroll": 3})
+    def scatter_kernel(
+        # In:
+        mine: wp.array(dtype=int),
+        wavenumber: float,
+        local_basis: int,
+        face: wp.array(dtype=int),
+        face_material: wp.array(dtype=int),
+        cos_incidence: wp.array(dtype=float),
+        cos_twist: wp.array(dtype=float),
+        spectrum: wp.array(dtype=int),
+        eps_im: wp.array(dtype=float),
+        zeta: wp.array(dtype=wp.vec4),
+        row: wp.array(dtype=int),
+        table: wp.array(dtype=float),
+        # Out:
+        sigma_out: wp.array(dtype=float),
+        slopes_out: wp.array(dtype=wp.vec4),
+    ):
+        i = read_int(mine, wp.tid())
+        material = read_int(face_material, read_int(face, i))
+        kind = read_int(spectrum, material)
+        cosine = read_float(cos_incidence, i)
+        twist = read_float(cos_twist, i)
+        if local_basis != 0:
+            twist = 1.0
+        z = read_vec4(zeta, i)
+        twice = splined(table, read_int(row, material), place_of(kind, wavenumber, cosine, z))
+        found = varying_sigma0(kind, wavenumber, cosine, twist, read_float(eps_im, material), z, twice)
+        sigma_out[i] = found[0]
+        if wp.static(slopes):
+            write_vec4(slopes_out, i, wp.vec4(found[1], found[2], found[3], 0.0))
+
+    return scatter_kernel
 
 
 # A kernel of its own: the integral needs so many registers that few hits would be under way at once.
@@ -286,7 +293,7 @@ def beyond_kernel(
     sigma_out: wp.array(dtype=float),
     slopes_out: wp.array(dtype=wp.vec4),
 ):
-    """`scatter_kernel` by the integral, for those of the hits `mine` that have no place in the lattice."""
+    """sigma0 by the integral for those of the hits `mine` that have no place in the lattice; its slopes as above."""
     i = read_int(mine, wp.tid())
     material = read_int(face_material, read_int(face, i))
     kind = read_int(spectrum, material)

@@ -42,7 +42,7 @@ def coordinates(eps: np.ndarray, kh: np.ndarray, kl: np.ndarray) -> np.ndarray:
 
 def read(
     spectrum: str, theta: np.ndarray, zeta: np.ndarray, cos_psi: float = 1.0, kernels: Any = crossed_spline_lanes,
-    device: str = "cpu",
+    device: str = "cpu", *, with_slopes: bool = True,
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """sigma0 of HV and its slopes to the learned coordinates, (n,) and (n, 4), from the second row of a table."""
     n, block, code = len(theta), getattr(kernels, "HITS", 1), int(Spectrum[spectrum.upper()])
@@ -66,9 +66,11 @@ def read(
         put(np.ones(1, np.int32), int),
         coefficients,
     ]
-    wp.launch(kernels.scatter_kernel, -(-n // block), inputs=inputs, outputs=[sigma, slopes], device=device)
+    out = [sigma, slopes if with_slopes else wp.empty(0, dtype=wp.vec4, device=device)]
+    kernel = kernels.scatter_kernel(with_slopes) if block == 1 else kernels.scatter_kernel
+    wp.launch(kernel, -(-n // block), inputs=inputs, outputs=out, device=device)
     if block == 1:
-        wp.launch(kernels.beyond_kernel, n, inputs=inputs[:-2], outputs=[sigma, slopes], device=device)
+        wp.launch(kernels.beyond_kernel, n, inputs=inputs[:-2], outputs=out, device=device)
     return sigma.numpy().astype(float), slopes.numpy().astype(float)
 
 
@@ -124,7 +126,7 @@ def test_beyond_its_ends(spectrum: str) -> None:
     expected = values(Model.I2EM, "HV", spectrum, theta, eps, 1e-4, 1.0)[:, 0]
     np.testing.assert_allclose(10 * np.log10(smooth / expected), 0.0, atol=0.02)
     np.testing.assert_allclose(slopes[:, 1] / smooth, 4.0, rtol=1e-5)
-    far = 10.0 if spectrum == "gaussian" else 110.0
+    far = 10.0 if spectrum == "gaussian" else 250.0
     for one, kh, kl in ((9.0, 6.0, 5.0), (9.0, 0.01, 0.02), (9.0, 3.0, far), (1.05, 0.5, 2.0), (200.0, 0.5, 2.0)):
         eps = np.full(3, one - 1j * LOSS[spectrum])
         found, slopes = read(spectrum, theta, coordinates(eps, kh, kl))
@@ -154,14 +156,28 @@ def test_lanes_are_hits_one_by_one(spectrum: str) -> None:
     np.testing.assert_allclose(slopes[some].T / many[some], expected[some].T / one[some], atol=1e-3)
 
 
+@pytest.mark.parametrize("kernels", [crossed_spline, crossed_spline_lanes])
+def test_values_without_slopes_are_the_same(kernels: Any) -> None:
+    theta, zeta = everywhere("exponential")
+    values, none = read("exponential", theta, zeta, 0.8, kernels, with_slopes=False)
+    # the compiler may join products to sums in other places
+    np.testing.assert_allclose(values, read("exponential", theta, zeta, 0.8, kernels)[0], rtol=2e-6)
+    assert not none.any()
+
+
 @pytest.mark.cuda
 @pytest.mark.parametrize("spectrum", SPECTRA)
 def test_cuda_is_the_cpu(spectrum: str) -> None:
     theta, zeta = everywhere(spectrum)
     one, other = (read(spectrum, theta, zeta, 0.8, crossed_spline, device) for device in ("cpu", "cuda"))
     some = one[0] > 1e-30
-    np.testing.assert_allclose(other[0], one[0], rtol=1e-4, atol=1e-30)
-    np.testing.assert_allclose(other[1][some].T / other[0][some], one[1][some].T / one[0][some], atol=1e-3)
+    # single scattering is a difference of two amplitudes, which falls with sin^2: their last digits are most of it
+    lost = 1e-4 + 1e-6 / np.maximum(np.sin(theta) ** 2, 1e-6)
+    assert (np.abs(other[0] - one[0]) < lost * one[0] + 1e-30).all()
+    alone = read(spectrum, theta, zeta, 0.8, crossed_spline, "cuda", with_slopes=False)[0]
+    assert (np.abs(alone - other[0]) < lost * one[0] + 1e-30).all()
+    apart = other[1][some].T / other[0][some] - one[1][some].T / one[0][some]
+    assert (np.abs(apart) < 10 * lost[some]).all()
 
 
 def field(effects: dict[str, Any] | None = None, **more: Any) -> Scene:

@@ -177,8 +177,9 @@ def _splined(asked: Asked, mine: wp.array, surfaces: dict[int, tuple[int, float]
     if device.is_cpu:
         kernel = crossed_spline_lanes.scatter_kernel
         return [_Way(kernel, kernel, read, crossed_spline_lanes.HITS)]
-    within, beyond = crossed_spline.scatter_kernel, crossed_spline.beyond_kernel
-    return [_Way(within, within, read), _Way(beyond, beyond, inputs)]
+    within, keeping = (crossed_spline.scatter_kernel(kept) for kept in (False, True))
+    beyond = crossed_spline.beyond_kernel
+    return [_Way(within, keeping, read), _Way(beyond, beyond, inputs)]
 
 
 def _one_of_each(stage: Stage, hits: Hits, mine: wp.array) -> np.ndarray:
