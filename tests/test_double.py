@@ -68,7 +68,7 @@ def parts(eps: complex, kh: float, kl: float) -> np.ndarray:
 
 @pytest.mark.parametrize("eps", [3 - 1j, 9 - 2.5j, 30 - 4.5j])
 def test_against_the_fourth_order(eps: complex) -> None:
-    """What docs/scattering.md says of it: its loops help H as the theory does, but what the theory takes is not in it.
+    """docs/scattering-checks.md: its loops help H as the theory does, but what the theory takes is not in it.
 
     The theory takes more from VV than from HH, by Bragg's wave with the third order. The published terms of that kind
     (`rest`) give to VV.
@@ -145,7 +145,7 @@ def test_the_matrix_of_a_flat_surface_is_fresnels(period: rayleigh.Period) -> No
 
 @pytest.mark.measured
 def test_loops_bring_aiem_near_the_table_but_not_within_1_db() -> None:
-    """docs/scattering.md, other published models: the nearest of them."""
+    """docs/scattering-checks.md, other published models: the nearest of them."""
     table = np.loadtxt(MEASURED / "nmm3d" / "NMM3D_LUT_NRCS_40degree.dat")
     off = []
     for incidence, ratio, re, im, height, vv, hh, _hv in table:

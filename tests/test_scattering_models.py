@@ -286,7 +286,7 @@ def test_full_wave_table() -> None:
         assert rmse[polarization] < most
     difference = off["VV"] - off["HH"]
     by_roughness = {h: difference[table[:, 4] == h].mean() for h in np.unique(table[:, 4])}
-    # below kh = 0.5 the table has less VV / HH than the theory of small perturbations: docs/scattering.md
+    # below kh = 0.5 the table has less VV / HH than the theory of small perturbations: docs/scattering-checks.md
     assert all(abs(bias) < (1.0 if h > 0.07 else 1.7) for h, bias in by_roughness.items())
 
 
