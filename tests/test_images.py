@@ -83,6 +83,49 @@ def test_truncated_files_are_refused(tmp_path: Path, suffix: str, kept: float) -
     assert str(whole) in str(error.value)
 
 
+LAYOUTS = [{}, {"tile": 16}, {"planarconfig": "separate"}, {"tiff:RowsPerStrip": 5}, {"tiff:bigtiff": 1}]
+
+
+def deflated(path: Path, pixels: np.ndarray, layout: dict[str, int | str]) -> None:
+    """A TIFF as others may write it."""
+    rows, cols, channels = pixels.shape
+    spec = oiio.ImageSpec(cols, rows, channels, oiio.FLOAT)
+    spec.attribute("compression", "zip")
+    for key, value in layout.items():
+        if key == "tile":
+            spec.tile_width = spec.tile_height = value
+        else:
+            spec.attribute(key, value)
+    target = oiio.ImageOutput.create(str(path))
+    assert target.open(str(path), spec)
+    assert target.write_image(pixels)
+    assert target.close()
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_a_broken_strip_is_refused(tmp_path: Path, layout: dict[str, int | str]) -> None:
+    """OpenImageIO gives no error for one, but values that happened to stand in memory."""
+    random = np.random.default_rng(2)
+    whole = random.exponential(0.1, (37, 41, 3)).astype(np.float32)
+    deflated(tmp_path / "a.tif", whole, layout)
+    np.testing.assert_array_equal(read_image(tmp_path / "a.tif"), whole)
+    data = (tmp_path / "a.tif").read_bytes()
+    refused = 0
+    for at in random.integers(0, len(data), 60):
+        broken = data[:at] + bytes([data[at] ^ 0x55]) + data[at + 1 :]
+        (tmp_path / "b.tif").write_bytes(broken)
+        found = set()
+        for size in random.integers(10, 3000, 3):
+            random.random(size)  # what happens to stand in memory
+            try:
+                found.add(read_image(tmp_path / "b.tif").tobytes())
+            except InputError as error:
+                found.add(str(error))
+        assert len(found) == 1
+        refused += isinstance(found.pop(), str)
+    assert refused > 30  # most of the file's bytes are pixels
+
+
 @pytest.mark.parametrize(
     ("name", "data"),
     [

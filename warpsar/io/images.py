@@ -113,8 +113,14 @@ def _open_oiio(path: Path, kind: str, shape: tuple[int, int] | None) -> Iterator
         except UnicodeDecodeError as error:
             raise InputError(f"{path}: broken (its channels' names are not UTF-8)") from error
 
+        @cache
+        def check_pixels() -> None:
+            if kind == "tiff":
+                tiff.check_deflated(path)
+
         def pixels(first: int, end: int) -> NDArray[Any]:
             _check_size(path, spec.height * (end - first), spec.width, None)
+            check_pixels()
             found = source.read_image(0, 0, first, end, oiio.FLOAT)
             if found is None:
                 raise InputError(f"{path}: broken or truncated ({_reason(source.geterror)})")
