@@ -141,7 +141,16 @@ def accuracy(path: Path, write: bool) -> None:
         )
     head = ["model", "VV", "HH", "HV", "VV - HH"]
     rough = ["kh", "VV - HH, full wave", *(f"`{m}`" for m in found), "HV - VV, full wave", "`i2em` HV"]
-    made = {"models": tables.markdown(head, summary), "roughness": tables.markdown(rough, by_roughness)}
+    by_permittivity = []
+    for eps in np.unique(rows[:, 2]):
+        here = rows[:, 2] == eps
+        biases = [found["i2em"][channel][here] for channel in (*CHANNELS, "VV-HH")]
+        by_permittivity.append([f"{eps:g}", *(f"{np.nanmean(one):+.2f}" for one in biases)])
+    made = {
+        "models": tables.markdown(head, summary),
+        "roughness": tables.markdown(rough, by_roughness),
+        "permittivity": tables.markdown(["eps'", *head[1:]], by_permittivity),
+    }
     _told(made, write)
 
 
