@@ -164,6 +164,15 @@ def test_a_table_that_is_none_is_refused(text: str, said: str, table: Path) -> N
         lawn({"model": "facet", "sigma0": table})
 
 
+@pytest.mark.parametrize("eps_r", [300.0, 1e9])
+def test_dubois_is_finite_for_what_is_no_soil(eps_r: float) -> None:
+    """Its powers of ten of eps' tan(theta) leave float32 within the bounds of a fit, 300."""
+    scene = replace(lawn({**ROUGH, "model": "dubois", "eps_r": eps_r}, ("HH", "VV")), views=[view(30, 80)])
+    for image in simulate(scene, device="cpu")[0].beta0.values():
+        assert np.isfinite(image).all()
+        assert image.max() > 1.0
+
+
 def test_an_effect_of_the_default_alone_is_refused() -> None:
     scene = lawn({**ROUGH, "model": "i2em"})
     with pytest.raises(InputError, match=r"two_scale; allowed with it: ka_spm$"):
