@@ -15,6 +15,7 @@ DRIEST = wp.constant(0.01)
 # cos of 80 and of 10 degrees: Dubois' model is held beyond them, where it has no bound.
 DUBOIS_LOW = wp.constant(0.17364817766693036)
 DUBOIS_HIGH = wp.constant(0.984807753012208)
+DUBOIS_MOST = wp.constant(60.0)  # of ln(sigma0), which grows with eps' tan(theta) and would leave float32
 
 
 @wp.func
@@ -129,8 +130,8 @@ def dubois(polarization: int, wavenumber: Any, cosine: Any, cos_twist: Any, eps_
         + type(cosine)(1.1) * log_height
         + log_wave
     )
-    hh = wp.exp(log_hh)
-    vv = wp.exp(log_vv)
+    hh = wp.exp(wp.min(log_hh, type(cosine)(DUBOIS_MOST)))
+    vv = wp.exp(wp.min(log_vv, type(cosine)(DUBOIS_MOST)))
     value, by_eps = turned_power(polarization, cos_twist, hh, vv, zero, h_by_eps, v_by_eps, zero)
     _value, by_height = turned_power(polarization, cos_twist, hh, vv, zero, type(cosine)(1.4), type(cosine)(1.1), zero)
     return value, by_eps, by_height, zero

@@ -1,5 +1,7 @@
 """Images survive the way out and in; broken ones are refused; quick looks say what their greys mean."""
 
+import struct
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -81,6 +83,47 @@ def test_truncated_files_are_refused(tmp_path: Path, suffix: str, kept: float) -
     with pytest.raises(InputError) as error:
         read_mask(whole) if suffix == "png" else read_image(whole)
     assert str(whole) in str(error.value)
+
+
+def test_tiles_of_64_bit_numbers_are_refused(tmp_path: Path) -> None:
+    """OpenImageIO reads them wrongly where all channels of a pixel lie together; strips, and channels apart, well."""
+    pixels = np.random.default_rng(3).exponential(0.1, (37, 41, 2))
+    for tile, planes, read in ((0, "contig", True), (16, "separate", True), (16, "contig", False)):
+        spec = oiio.ImageSpec(41, 37, 2, oiio.DOUBLE)
+        spec.attribute("planarconfig", planes)
+        spec.tile_width = spec.tile_height = tile
+        target = oiio.ImageOutput.create(str(tmp_path / "a.tif"))
+        assert target.open(str(tmp_path / "a.tif"), spec)
+        assert target.write_image(pixels)
+        assert target.close()
+        if read:
+            np.testing.assert_array_equal(read_image(tmp_path / "a.tif"), pixels.astype(np.float32))
+        else:
+            with pytest.raises(InputError, match="found tiles of 64-bit numbers; allowed are strips, or 32 bits"):
+                read_image(tmp_path / "a.tif")
+
+
+@pytest.mark.parametrize("compression", [1, 8])
+def test_a_strip_that_was_never_written_is_refused(tmp_path: Path, compression: int) -> None:
+    """Its place is byte 0 in a sparse GeoTIFF, where libtiff finds the head of the file."""
+    strips = [np.full((4, 16), value, "<f4").tobytes() for value in (1.0, 2.0)]
+    strips = [zlib.compress(strip) if compression == 8 else strip for strip in strips]
+    places, counts = [8, 8 + len(strips[0])], [len(strip) for strip in strips]
+
+    def written(places: list[int], counts: list[int]) -> Path:
+        end = 8 + sum(len(strip) for strip in strips)
+        short = {256: 16, 257: 8, 258: 32, 259: compression, 262: 1, 277: 1, 278: 4, 339: 3}
+        entries = {tag: struct.pack("<HHIHH", tag, 3, 1, value, 0) for tag, value in short.items()}
+        entries |= {tag: struct.pack("<HHII", tag, 4, 2, at) for tag, at in ((273, end), (279, end + 8))}
+        table = struct.pack("<H", len(entries)) + b"".join(entries[tag] for tag in sorted(entries)) + bytes(4)
+        body = b"".join(strips) + struct.pack("<4I", *places, *counts) + table
+        (tmp_path / "a.tif").write_bytes(b"II*\0" + struct.pack("<I", end + 16) + body)
+        return tmp_path / "a.tif"
+
+    expected = np.repeat([1.0, 2.0], 4)[:, None] * np.ones(16)
+    np.testing.assert_array_equal(read_image(written(places, counts))[:, :, 0], expected)
+    with pytest.raises(InputError, match="strip or tile 1 was never written"):
+        read_image(written([8, 0], [counts[0], 0]))
 
 
 LAYOUTS = [{}, {"tile": 16}, {"planarconfig": "separate"}, {"tiff:RowsPerStrip": 5}, {"tiff:bigtiff": 1}]

@@ -284,6 +284,11 @@ def test_a_loss_that_is_no_likelihood_is_refused(tmp_path: Path) -> None:
     refused(run(saved(tmp_path, bent()), "-o", tmp_path / "out", "--loss", "mse"), "found mse", tmp_path / "out")
 
 
+def test_an_option_that_the_fit_refuses_is_refused_before_a_table_is_written(tmp_path: Path) -> None:
+    done = run(saved(tmp_path, bent()), "-o", tmp_path / "out", "--validity", "1")
+    refused(done, "--validity: found a material whose model is not ka_spm", tmp_path / "out")
+
+
 def test_images_that_no_table_explains_are_refused(tmp_path: Path) -> None:
     path = saved(tmp_path, bent())
     for one in Scene.load(path).views:

@@ -147,6 +147,7 @@ TABLES = [
     ("incidence_deg,HH\n20,-8\n40,-14\n", "must have VV, HV too"),
     ("incidence_deg,HH,VV,HV\n40,-8,-8,-9\n20,-14,-8,-9\n", "must ascend"),
     ("incidence_deg,HH,VV,HV\n20,-8,-8,-9\n20,-14,-8,-9\n", "must ascend"),
+    ("incidence_deg,HH,VV,HV\n40,-8,-8,-9\n40.0000001,-14,-8,-9\n", "must ascend"),  # one angle in float32
     ("incidence_deg,HH,VV,HV\n20,-8,-8,-9\n", "two or more"),
     ("incidence_deg,HH,VV,HV\n20,-8,-8,nan\n30,-8,-8,-9\n", "must be numbers"),
     ("incidence_deg,HH,VV,HV\n20,-8,-8\n30,-8,-8,-9\n", "must be 4 numbers"),
@@ -163,15 +164,24 @@ def test_a_table_that_is_none_is_refused(text: str, said: str, table: Path) -> N
         lawn({"model": "facet", "sigma0": table})
 
 
+@pytest.mark.parametrize("eps_r", [300.0, 1e9])
+def test_dubois_is_finite_for_what_is_no_soil(eps_r: float) -> None:
+    """Its powers of ten of eps' tan(theta) leave float32 within the bounds of a fit, 300."""
+    scene = replace(lawn({**ROUGH, "model": "dubois", "eps_r": eps_r}, ("HH", "VV")), views=[view(30, 80)])
+    for image in simulate(scene, device="cpu")[0].beta0.values():
+        assert np.isfinite(image).all()
+        assert image.max() > 1.0
+
+
 def test_an_effect_of_the_default_alone_is_refused() -> None:
     scene = lawn({**ROUGH, "model": "i2em"})
-    with pytest.raises(InputError, match="two_scale"):
+    with pytest.raises(InputError, match=r"two_scale; allowed with it: ka_spm$"):
         replace(scene, effects={"two_scale": {"slope_variance": 0.02}})
 
 
 def test_effects_of_a_surface_are_refused_beside_a_table(table: Path) -> None:
     scene = lawn({"model": "facet", "sigma0": table})
-    with pytest.raises(InputError, match="multibounce"):
+    with pytest.raises(InputError, match=r"multibounce; allowed with it: ka_spm, i2em, oh, dubois$"):
         replace(scene, effects={"multibounce": {"strength": 1.0}})
 
 

@@ -116,7 +116,7 @@ def _open_oiio(path: Path, kind: str, shape: tuple[int, int] | None) -> Iterator
         @cache
         def check_pixels() -> None:
             if kind == "tiff":
-                tiff.check_deflated(path)
+                tiff.check_pixels(path)
 
         def pixels(first: int, end: int) -> NDArray[Any]:
             _check_size(path, spec.height * (end - first), spec.width, None)

@@ -1,7 +1,7 @@
 """Check a TIFF file before OpenImageIO reads it.
 
-libtiff makes room for what directories claim before it reads them. And of a deflated strip that is broken OpenImageIO
-returns what happened to stand in memory, without a word.
+libtiff makes room for what directories claim before it reads them. And of some files OpenImageIO returns what happened
+to stand in memory, without a word: of a deflated strip that is broken, and of tiles of 64-bit numbers.
 """
 
 from __future__ import annotations
@@ -64,14 +64,21 @@ def check(path: Path) -> None:
                 waiting.append(struct.unpack(number, following)[0])
 
 
-def check_deflated(path: Path) -> None:
-    """Raise InputError where a strip or tile of the first image is deflated and does not hold all its pixels.
+def check_pixels(path: Path) -> None:
+    """Raise InputError where the pixels of the first image would be read wrongly.
 
-    The file has passed `check`.
+    That is: a strip or tile that was never written (byte 0, where libtiff finds the file's head), tiles of 64-bit
+    numbers of all channels together, and a deflated strip or tile that does not hold all its pixels. The file has
+    passed `check`.
     """
     with path.open("rb") as file:
         try:
             tags = _first_directory(file)
+            offsets = tags.get(_TILES[0], tags.get(_STRIPS[0], []))
+            if 0 in offsets:
+                raise InputError(f"{path}: strip or tile {offsets.index(0)} was never written; must hold pixels")
+            if _TILES[0] in tags and tags.get(_BITS, [1])[0] == 64 and tags.get(_PLANES, [1])[0] == 1:
+                raise InputError(f"{path}: found tiles of 64-bit numbers; allowed are strips, or 32 bits")
             if tags.get(_COMPRESSION, [1])[0] not in _DEFLATE:
                 return
             offsets, counts, sizes = _chunks(tags)

@@ -97,7 +97,9 @@ def learn(
         checkpoint.remove(folder)  # of an earlier run: torchrun's restarts shall find this one's
 
     def prepared(one: Scene) -> FitProblem:
-        return prepare(one, where, options)[0]
+        problem, _ = prepare(one, where, options)
+        refuse_options(problem, options)  # before a term or a table is learned and written
+        return problem
 
     declared, terms = with_trained_terms(asked, folder, ranks, prepared)
     declared, tables = with_learned_tables(declared, folder, ranks, prepared, options.loss)

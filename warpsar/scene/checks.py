@@ -68,7 +68,10 @@ def models(name: str, material: Material, radar: Radar, effects: Mapping[str, An
     problems = []
     for name_of_effect in model_rules.effects_without(model):
         if name_of_effect in effects:
-            problems.append(f'{key}.model: found "{model}" and effects.{name_of_effect}; allowed with it is "ka_spm"')
+            taken = (one for one in model_rules.LEARNS if name_of_effect not in model_rules.effects_without(one))
+            problems.append(
+                f'{key}.model: found "{model}" and effects.{name_of_effect}; allowed with it: {", ".join(taken)}'
+            )
     crossed = [one for one in radar.polarizations if one in ("HV", "VH")]
     if model == "dubois" and crossed:
         problems.append(f'{key}.model: found "dubois" and {crossed[0]}; it has HH and VV alone')

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from warpsar.errors import InputError
+from warpsar.errors import InputError, shown
 from warpsar.io.images import replacing
 from warpsar.kernels.codes import Polarization
 
@@ -84,8 +84,9 @@ def read(path: Path) -> Sigma0Table:
     angles = columns.pop(ANGLE)
     if angles.size < 2:
         raise InputError(f"{path}: found {angles.size} rows; must be two or more")
-    if not ((angles >= 0) & (angles <= 90)).all() or not (np.diff(angles) > 0).all():
-        raise InputError(f"{path}: {ANGLE}: found {angles.tolist()}; must ascend, within 0 to 90")
+    # as float32, because kernels divide by the difference of two rows
+    if not ((angles >= 0) & (angles <= 90)).all() or not (np.diff(angles.astype(np.float32)) > 0).all():
+        raise InputError(f"{path}: {ANGLE}: found {shown(angles.tolist())}; must ascend, within 0 to 90, in float32")
     for name, column in columns.items():
         if not (np.abs(column) <= LARGEST_DB).all():
             raise InputError(f"{path}: {name}: must be numbers within -{LARGEST_DB:g} and {LARGEST_DB:g} dB")
