@@ -145,6 +145,22 @@ def deflated(path: Path, pixels: np.ndarray, layout: dict[str, int | str]) -> No
     assert target.close()
 
 
+@pytest.mark.parametrize("tag", [273, 279])
+def test_a_strip_beyond_the_file_is_refused(tmp_path: Path, tag: int) -> None:
+    """A BigTIFF has room for a place, and for a count of bytes, that no file can have."""
+    pixels = np.ones((5, 4, 1), np.float32)
+    deflated(tmp_path / "a.tif", pixels, {"tiff:bigtiff": 1})
+    data = bytearray((tmp_path / "a.tif").read_bytes())
+    (directory,) = struct.unpack_from("<Q", data, 8)
+    (entries,) = struct.unpack_from("<Q", data, directory)
+    starts = [directory + 8 + 20 * k for k in range(entries)]
+    (at,) = (start for start in starts if struct.unpack_from("<H", data, start)[0] == tag)
+    struct.pack_into("<HQQ", data, at + 2, 16, 1, 2**64 - 1)
+    (tmp_path / "b.tif").write_bytes(data)
+    with pytest.raises(InputError, match=r"b\.tif"):
+        read_image(tmp_path / "b.tif")
+
+
 @pytest.mark.parametrize("layout", LAYOUTS)
 def test_a_broken_strip_is_refused(tmp_path: Path, layout: dict[str, int | str]) -> None:
     """OpenImageIO gives no error for one, but values that happened to stand in memory."""

@@ -30,10 +30,8 @@ def check(path: Path) -> None:
         head = file.read(16)
         if head[:4] not in MAGIC or len(head) < 16:
             raise InputError(f"{path}: cannot be read as TIFF (its first bytes are of none)")
-        order, big = "<" if head[:2] == b"II" else ">", 43 in head[2:4]
-        number = f"{order}Q" if big else f"{order}I"
-        count_format, entry = (f"{order}Q", f"{order}HHQ8s") if big else (f"{order}H", f"{order}HHI4s")
-        waiting, seen = [struct.unpack_from(number, head, 8 if big else 4)[0]], set[int]()
+        first, number, count_format, entry = _formats(head)
+        waiting, seen = [first], set[int]()
         while waiting:
             place = waiting.pop()
             if place == 0 or place in seen:  # no more, or a circle: libtiff finds those itself
@@ -64,6 +62,15 @@ def check(path: Path) -> None:
                 waiting.append(struct.unpack(number, following)[0])
 
 
+def _formats(head: bytes) -> tuple[int, str, str, str]:
+    """By a file's first 16 bytes: where its first directory begins, and the formats of struct for an offset, for a
+    directory's count and for an entry of it. The first letter of each is the order of bytes."""
+    order, big = "<" if head[:2] == b"II" else ">", 43 in head[2:4]
+    number = f"{order}Q" if big else f"{order}I"
+    (first,) = struct.unpack_from(number, head, 8 if big else 4)
+    return (first, number, f"{order}Q", f"{order}HHQ8s") if big else (first, number, f"{order}H", f"{order}HHI4s")
+
+
 def check_pixels(path: Path) -> None:
     """Raise InputError where the pixels of the first image would be read wrongly.
 
@@ -82,17 +89,19 @@ def check_pixels(path: Path) -> None:
             if tags.get(_COMPRESSION, [1])[0] not in _DEFLATE:
                 return
             offsets, counts, sizes = _chunks(tags)
-        except (ArithmeticError, LookupError, ValueError) as error:
+        except (ArithmeticError, LookupError, ValueError, struct.error) as error:
             raise InputError(f"{path}: its TIFF directory is broken ({type(error).__name__}: {error})") from error
         if not len(offsets) == len(counts) == len(sizes):
             raise InputError(f"{path}: found {len(offsets)} strips or tiles; must be {len(sizes)}, by its size: broken")
         whole = max(sizes, default=0)
         for number, (offset, count, size) in enumerate(zip(offsets, counts, sizes, strict=True)):
+            if offset + count > path.stat().st_size:
+                raise InputError(f"{path}: strip or tile {number} claims {count} bytes at byte {offset}: truncated")
+            file.seek(offset)
             try:
-                file.seek(offset)
                 # a last strip may be as long as the others; one byte more is too many
                 found = len(zlib.decompressobj().decompress(file.read(count), whole + 1))
-            except (zlib.error, OSError, OverflowError) as error:
+            except zlib.error as error:
                 raise InputError(f"{path}: strip or tile {number} is broken ({error})") from error
             if not size <= found <= whole:
                 raise InputError(f"{path}: strip or tile {number} holds {found} bytes; must be {size}: broken")
@@ -100,11 +109,8 @@ def check_pixels(path: Path) -> None:
 
 def _first_directory(file: BinaryIO) -> dict[int, list[int]]:
     """The whole numbers of each tag of the first image."""
-    head = file.read(16)
-    order, big = "<" if head[:2] == b"II" else ">", 43 in head[2:4]
-    number = f"{order}Q" if big else f"{order}I"
-    count_format, entry = (f"{order}Q", f"{order}HHQ8s") if big else (f"{order}H", f"{order}HHI4s")
-    file.seek(struct.unpack_from(number, head, 8 if big else 4)[0])
+    first, number, count_format, entry = _formats(file.read(16))
+    file.seek(first)
     (entries,) = struct.unpack(count_format, file.read(struct.calcsize(count_format)))
     table = file.read(entries * struct.calcsize(entry))
     tags = {}
@@ -115,7 +121,7 @@ def _first_directory(file: BinaryIO) -> dict[int, list[int]]:
         if room > len(value):
             file.seek(struct.unpack_from(number, value)[0])
             value = file.read(room)
-        tags[tag] = list(struct.unpack(f"{order}{count}{_INTEGERS[kind]}", value[:room]))
+        tags[tag] = list(struct.unpack(f"{number[0]}{count}{_INTEGERS[kind]}", value[:room]))
     return tags
 
 
