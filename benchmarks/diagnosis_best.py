@@ -31,12 +31,12 @@ from diagnosis_rates import CORRELATION_PX, LOOKS, SINGLE, judged, speckle, stor
 from limits import Model, NoiseFree
 from limits_withdrawn import HeldViews
 
+from warpsar.compare.observation import Observation
 from warpsar.diagnosis.dark.said import Dark
 from warpsar.diagnosis.scores.bootstrap import Bootstrap, bootstrap
 from warpsar.diagnosis.scores.evidence import LARGEST, Evidence
 from warpsar.diagnosis.scores.score import Group, Projection, minus_log_p
 from warpsar.effects.registry import get, names
-from warpsar.learning.observation import Observation
 from warpsar.speckle.scan import Scan
 from warpsar.speckle.tail import Tail
 

@@ -183,8 +183,8 @@ def one_run(number: int, options: DiagnoseOptions, device: str, out: Path) -> di
     found = report.diagnosis
     return {
         **vars(one),
-        "verdict": found.verdict,
-        "unexplained": found.unexplained,
+        "verdict": report.verdict,
+        "unexplained": report.unexplained,
         "alternatives": getattr(found, "alternatives", []),
         "fitted": found.final.scene.effects,
         "turns": [

@@ -15,13 +15,13 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 import warpsar
-from warpsar.evaluation.image import EvaluatedImage
+from warpsar.compare.comparison import Comparison
 from warpsar.io.figures import new
 
 LIMITS_DB = (-35.0, 0.0)
 
 
-def shown(figure: Figure, axis: Any, image: EvaluatedImage, values: np.ndarray, title: str, residual: bool) -> None:
+def shown(figure: Figure, axis: Any, image: Comparison, values: np.ndarray, title: str, residual: bool) -> None:
     """One image of the view, in metres."""
     r, a = image.range_m, image.azimuth_m
     low, high, colours = (-10.0, 10.0, "RdBu_r") if residual else (*LIMITS_DB, "gray")

@@ -44,6 +44,8 @@ from measured_loop import (
     written,
 )
 
+from warpsar.compare.comparison import Comparison
+from warpsar.compare.evaluation import Evaluation
 from warpsar.diagnosis.found import DiagnoseOptions
 from warpsar.evaluation import command as evaluation
 from warpsar.io.figures import new, save
@@ -306,16 +308,16 @@ def smoothed(image: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(image), uniform_filter(np.nan_to_num(image), 3), np.nan)
 
 
-def image_of(found: evaluation.Evaluation, view: str) -> evaluation.EvaluatedImage:
+def image_of(found: Evaluation, view: str) -> Comparison:
     """The image of a view."""
     return next(i for i in found.images if i.view.name == view)
 
 
-def simple_predictions(scene: Scene, found: evaluation.Evaluation, view: str = TEST) -> dict[str, np.ndarray]:
+def simple_predictions(scene: Scene, found: Evaluation, view: str = TEST) -> dict[str, np.ndarray]:
     """What a user would try for a test view, from the flat scene's regions and the train images; each (rows, cols),
     NaN where it has nothing to say."""
     train, test = [image_of(found, name) for name in TRAIN], image_of(found, view)
-    pixels = [Pixels(i.observation.values, regions(scene, i.view)[i.interior], i.observation.looks) for i in train]
+    pixels = [Pixels(i.seen.values, regions(scene, i.view)[i.interior], i.seen.looks) for i in train]
     means = region_means(pixels, len(scene.mesh.materials))
     mean = seen_from(scene, {i.view.name: i.measured for i in train}, test.view.name)
     smooth = smoothed(mean)
@@ -332,7 +334,7 @@ STRIP = ("west_strip", "west_bright")
 BODIES = ("car0", "car1", "thing", GLINT, "reflector")  # what names of bodies' materials begin with
 
 
-def classes(image: evaluation.EvaluatedImage, materials: Sequence[str]) -> dict[str, np.ndarray]:
+def classes(image: Comparison, materials: Sequence[str]) -> dict[str, np.ndarray]:
     """Masks by what the scene with objects lights most in a pixel, and ground within `NEAR` pixels of a body apart."""
     from scipy.ndimage import maximum_filter
 
@@ -359,8 +361,8 @@ class Compared:
     decibels: dict[str, np.ndarray]
 
 
-def compare(test: evaluation.EvaluatedImage, made: dict[str, np.ndarray], mask: np.ndarray) -> Compared:
-    looks, measured = test.observation.looks, test.measured[mask].astype(float)
+def compare(test: Comparison, made: dict[str, np.ndarray], mask: np.ndarray) -> Compared:
+    looks, measured = test.seen.looks, test.measured[mask].astype(float)
     floor = expected_deviance(looks)
     found = Compared(looks, mask, {}, {})
     for name, image in made.items():
@@ -380,9 +382,7 @@ def ahead(less: np.ndarray, mask: np.ndarray) -> dict[str, float]:
     return {"by": mean, "sd": float(np.sqrt(np.sum((total - mean * count) ** 2)) / less.size)}
 
 
-def scatter_floor(
-    scene: Scene, found: evaluation.Evaluation, test: evaluation.EvaluatedImage, mask: np.ndarray
-) -> float:
+def scatter_floor(scene: Scene, found: Evaluation, test: Comparison, mask: np.ndarray) -> float:
     """What the scatter between the two train views would leave of a perfect prediction, in the table's unit: the looks
     that var(ln I1 - ln I2) = 2 psi'(L) gives on the mask's pixels. What glints from view to view counts as noise."""
     from scipy.optimize import brentq
@@ -392,16 +392,14 @@ def scatter_floor(
     first, second = (seen_from(scene, {i.view.name: np.log(i.measured)}, test.view.name, 0)[mask] for i in train)
     spread = float(np.var(first - second)) / 2.0
     looks = float(brentq(lambda value: float(polygamma(1, value)) - spread, 1e-2, 1e3))
-    stated = test.observation.looks
+    stated = test.seen.looks
     return float((np.log(looks) - digamma(looks)) / (np.log(stated) - digamma(stated)))
 
 
-def speckle_floor(
-    scene: Scene, test: evaluation.EvaluatedImage, speckle: dict[str, np.ndarray], mask: np.ndarray
-) -> dict[str, Any]:
+def speckle_floor(scene: Scene, test: Comparison, speckle: dict[str, np.ndarray], mask: np.ndarray) -> dict[str, Any]:
     """What uniform ground leaves of a constant, and of the mean of two views, in the table's unit: from views made of
     nothing but noise."""
-    looks = test.observation.looks
+    looks = test.seen.looks
     alone = speckle[test.view.name][mask]
     mean = seen_from(scene, {n: speckle[n] for n in TRAIN}, test.view.name)[mask]
     left = {}
@@ -415,7 +413,7 @@ def speckle_floor(
     }
 
 
-def brightness(scene: Scene, found: evaluation.Evaluation, learned: dict[str, Any]) -> dict[str, Any]:
+def brightness(scene: Scene, found: Evaluation, learned: dict[str, Any]) -> dict[str, Any]:
     """Each flat region's modelled beta0 against grass [dB], the median over its pixels, and its 95 % interval: what is
     learned of h alone is 20 log10 h, so the interval's half width is 1.96 sd(ln h) 20 / ln 10."""
     level = {}
@@ -565,9 +563,7 @@ def fitted(path: Path, out: Path) -> dict[str, Any]:
     }
 
 
-def compared(
-    data: Path, out: Path, found: dict[str, evaluation.Evaluation], device: str | None
-) -> dict[str, dict[str, Any]]:
+def compared(data: Path, out: Path, found: dict[str, Evaluation], device: str | None) -> dict[str, dict[str, Any]]:
     """Every prediction of each test view, over all pixels and by class."""
     scene = Scene.load(out / "flat" / "learned" / "scene.toml")
     speckle = pure_speckle(data, scene, SAMPLES, device)
@@ -575,7 +571,7 @@ def compared(
 
 
 def _compared(
-    view: str, scene: Scene, out: Path, found: dict[str, evaluation.Evaluation], speckle: dict[str, np.ndarray]
+    view: str, scene: Scene, out: Path, found: dict[str, Evaluation], speckle: dict[str, np.ndarray]
 ) -> dict[str, Any]:
     flat, last = found["flat, learned"], found[FINAL]
     materials = Scene.load(out / "objects" / f"step{STEPS.index(FINAL)}.toml").mesh.materials
@@ -636,7 +632,7 @@ def outlines(scene: Scene, view: View) -> list[np.ndarray]:
     return found
 
 
-def figures(out: Path, found: dict[str, evaluation.Evaluation], folder: Path) -> None:
+def figures(out: Path, found: dict[str, Evaluation], folder: Path) -> None:
     """The objects over the train views' mean; the test view, the model, and what is left of it."""
     from matplotlib.collections import LineCollection
 

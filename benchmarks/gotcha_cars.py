@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
+from warpsar.compare.observation import Observation, estimated_looks, usable_pixels
 from warpsar.effects.registry import validate
-from warpsar.learning.observation import Observation, estimated_looks, usable_pixels
 from warpsar.learning.optimise import begin, levenberg_marquardt
 from warpsar.learning.problem import FitProblem
 from warpsar.learning.results import learned_scene

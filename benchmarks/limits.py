@@ -15,6 +15,7 @@ import numpy as np
 import warp as wp
 from scipy.ndimage import gaussian_filter
 
+from warpsar.compare.observation import Observation
 from warpsar.diagnosis.models.bench import Bench
 from warpsar.diagnosis.models.frozen import frozen
 from warpsar.diagnosis.models.left_out import BLOCK, clipped
@@ -24,7 +25,6 @@ from warpsar.diagnosis.scores.score import Group, Projection, group
 from warpsar.diagnosis.scores.templates import TemplateMaker, with_effect
 from warpsar.effects.registry import names
 from warpsar.io.images import write_tiff
-from warpsar.learning.observation import Observation
 from warpsar.learning.optimise import begin
 from warpsar.learning.problem import FitProblem
 from warpsar.learning.results import learned_scene

@@ -12,14 +12,20 @@ from dataclasses import replace
 import numpy as np
 from limits import Model, NoiseFree, covariance_sum, step_of
 
-from warpsar.diagnosis.judge import turned
+from warpsar.compare.observation import Observation
 from warpsar.diagnosis.models.bench import Bench
 from warpsar.diagnosis.models.frozen import frozen
-from warpsar.learning.observation import Observation
+from warpsar.scene.scene import Scene
 from warpsar.simulation.rays import Rays
 
 Speckle = Callable[[Observation], np.ndarray]
 """Draws of speckle for an image's compared pixels, shape (draws, pixels)."""
+
+
+def turned(scene: Scene) -> Scene:
+    """The scene with train and test views exchanged."""
+    other = {"train": "test", "test": "train"}
+    return replace(scene, views=[v.model_copy(update={"role": other[v.role]}) for v in scene.views])
 
 
 class HeldViews:

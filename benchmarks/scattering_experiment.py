@@ -76,7 +76,7 @@ def diagnosed(height_m: float, device: str | None) -> dict[str, Any]:
     images = clean_images(scene_with("i2em", truth))
     with tempfile.TemporaryDirectory() as folder:
         observed = measured(scene_with("ka_spm", truth), images, Path(folder), LOOKS, 0)
-        found = diagnose(observed, device=device).diagnosis
+        found = diagnose(observed, device=device)
     return {"height_m": height_m, "verdict": list(found.verdict), "unexplained": bool(found.unexplained)}
 
 

@@ -73,8 +73,8 @@ def content_of(case: str, done: Diagnosed) -> dict[str, Any]:
     pairs = {"before": done.before, "after": done.after}
     return {
         "case": case,
-        "verdict": list(found.verdict),
-        "unexplained": bool(found.unexplained),
+        "verdict": list(done.verdict),
+        "unexplained": bool(done.unexplained),
         "deviance": {
             when: {role: None if one is None else one["deviance"] for role, one in pooled.items()}
             for when, pooled in pairs.items()

@@ -1,4 +1,4 @@
-"""How often the verdict of `warpsar evaluate` calls speckle alone something else, white and blurred speckle.
+"""How often the judgement calls speckle alone something else, white and blurred speckle.
 
 python benchmarks/verdict_rates.py --repeats 50
 """
@@ -6,16 +6,15 @@ python benchmarks/verdict_rates.py --repeats 50
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from warpsar.learning.observation import Observation
-from warpsar.learning.verdict import verdict
-from warpsar.scene.scene import Scene
+from warpsar.compare.comparison import LEVEL_SHARE, Comparison
+from warpsar.compare.judgement import judge
+from warpsar.compare.observation import Observation
+from warpsar.world.tables import View
 
-EXAMPLE = Path(__file__).resolve().parent.parent / "data" / "example" / "scene.toml"
 SIDE, IMAGES = 40, 3
 LOOKS = (1.0, 4.0, 16.0)
 BLURS = (0.0, 0.7, 1.2)  # pixels, standard deviation of the field's
@@ -35,21 +34,40 @@ def speckle(random: np.random.Generator, looks: float, blur: float) -> np.ndarra
     return total[20:-20, 20:-20] / looks
 
 
-def alarms(scene: Scene, looks: float, blur: float, repeats: int) -> int:
-    """How many of `repeats` scenes of speckle about the true model get another verdict than speckle."""
+def alarms(looks: float, blur: float, repeats: int) -> int:
+    """How many of `repeats` scenes of speckle about the true model get another finding than speckle."""
     rows, cols = np.mgrid[:SIDE, :SIDE]
     inside = (rows > 2) & (rows < SIDE - 3) & (cols > 2) & (cols < SIDE - 3)
     shadow = (np.abs(cols - SIDE // 2) < 5) & (rows > SIDE // 3) & (rows < 2 * SIDE // 3)
     interior, nowhere = inside & ~shadow, np.zeros((SIDE, SIDE), bool)
-    modelled = np.where(cols > SIDE / 2, 0.1, 0.02)
+    modelled = np.where(shadow, 0.0, np.where(cols > SIDE / 2, 0.1, 0.02))
     found = 0
     for repeat in range(repeats):
         random = np.random.default_rng([repeat, int(looks), int(10 * blur)])
         images = []
-        for view in scene.views[:1] * IMAGES:
+        for k in range(IMAGES):
+            view = View(name=f"v{k}", azimuth_deg=0.0, incidence_deg=40.0)
             measured = modelled * speckle(random, looks, blur)
-            images.append((Observation(view, "HH", measured, interior, nowhere, nowhere, looks, False), modelled))
-        found += verdict(scene, images).finding != "speckle"
+            seen = Observation(view, "HH", measured, interior, nowhere, nowhere, looks, False)
+            images.append(
+                Comparison(
+                    seen=seen,
+                    simulated=modelled,
+                    gain=1.0,
+                    level=LEVEL_SHARE * float(np.median(modelled[interior])),
+                    usable=inside,
+                    slopes=np.zeros((2, SIDE, SIDE)),
+                    moves=np.zeros((0, SIDE, SIDE)),
+                    exact=True,
+                    reach_px=(0.1, 0.1),
+                    sampling_noise=0.0,
+                    incidence_deg=np.full((SIDE, SIDE), 40.0),
+                    material=np.zeros((SIDE, SIDE), int),
+                    start_m=(0.0, 0.0),
+                    spacing_m=(0.5, 0.5),
+                )
+            )
+        found += judge(images).finding != "speckle"
     return found
 
 
@@ -57,12 +75,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--repeats", type=int, default=50, help="scenes of each kind")
     repeats = parser.parse_args().repeats
-    scene = Scene.load(EXAMPLE)
     for blur in BLURS:
         for looks in LOOKS:
-            print(
-                f"blur {blur:g} pixels, {looks:g} looks: {alarms(scene, looks, blur, repeats)} of {repeats}", flush=True
-            )
+            print(f"blur {blur:g} pixels, {looks:g} looks: {alarms(looks, blur, repeats)} of {repeats}", flush=True)
 
 
 if __name__ == "__main__":

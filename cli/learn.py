@@ -117,5 +117,6 @@ def command(
         max_memory_gib=max_memory,
     )
     with options.resumable(out):
-        content = learning.run(scene, out, device=device, options=chosen, resume=resume)
-    write_learn_report(scene, out, content, device)
+        found, content = learning.fitted(scene, out, device=device, options=chosen, resume=resume)
+    if found is not None:
+        write_learn_report(scene, out, found, content)

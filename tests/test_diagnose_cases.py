@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from warpsar.diagnosis.judge import pool
+from warpsar.compare.metrics import pool
 from warpsar.diagnosis.result import Diagnosed, diagnose
 from warpsar.scene.scene import Scene
 from warpsar.world.tables import SURFACE_KEYS
@@ -52,9 +52,9 @@ def truth_of(folder: Path, scene: Scene) -> Scene:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_exactly_what_is_missing_is_named(name: str, independent_cases: Path) -> None:
-    found = diagnosed(independent_cases / name).diagnosis
-    assert found.verdict == ([] if name == "none" else [name])
-    assert not found.unexplained
+    done = diagnosed(independent_cases / name)
+    assert done.verdict == ([] if name == "none" else [name])
+    assert done.reasons == []
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -62,7 +62,7 @@ def test_held_out_error_falls_to_that_of_the_true_model(name: str, independent_c
     """Mean deviance on the test views, the same pixels and rays for both: within 3 standard errors."""
     folder = independent_cases / name
     done = diagnosed(folder)
-    ours, true = done.after["test"], pool(done.judge(truth_of(folder, done.diagnosis.scene)), "test")
+    ours, true = done.after["test"], pool(done.diagnosis.judge(truth_of(folder, done.diagnosis.scene), "test"))
     assert ours is not None
     assert true is not None
     assert ours["pixels"] == true["pixels"]

@@ -7,12 +7,12 @@ import pytest
 from scipy.sparse import csc_array
 from worlds import view
 
+from warpsar.compare.observation import Observation
 from warpsar.diagnosis.scores.evidence import TRIALS, Evidence
 from warpsar.diagnosis.scores.score import Group, Projection, group
 from warpsar.diagnosis.scores.templates import Template
 from warpsar.effects.base.trial import ScoreStep, Trial
 from warpsar.learning.identify import score_products
-from warpsar.learning.observation import Observation
 from warpsar.runtime.matmul import times, transposed_times
 
 RANDOM = np.random.default_rng(7)

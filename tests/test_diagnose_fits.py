@@ -236,7 +236,7 @@ def test_what_one_view_has_is_not_carried_to_the_others(
     bench = replace(one, observations=frozen(one, other, scene))
     base = fit_model(bench, scene, 0, 0)
     fitted = fitted_to(bench, scene, {"point_spread": BLUR})
-    assert fitted.log_likelihood > base.log_likelihood + 5.0
+    assert fitted.log_likelihood > base.log_likelihood + 4.0  # two numbers gain 1 by chance
     assert not leave_one_view_out(bench, base, fitted, "point_spread").passed
 
 

@@ -7,25 +7,28 @@ from typing import Any
 
 import numpy as np
 import pytest
+from comparisons import comparison
 from learning_scenes import cube_scene, measured, noise_free
 from test_diagnose import ANGLES, saved
 from test_report import assert_alone
 from worlds import view
 
+from warpsar.compare.comparison import Comparison
+from warpsar.compare.observation import Observation
 from warpsar.diagnosis.command import run
 from warpsar.diagnosis.dark.pixels import DarkPixels, impossible
 from warpsar.diagnosis.found import DiagnoseOptions
-from warpsar.diagnosis.judge import Judged, pool
 from warpsar.diagnosis.left.moves import moves_with
 from warpsar.diagnosis.left.shape import shape_of
 from warpsar.diagnosis.models.bench import Bench
+from warpsar.diagnosis.role_metrics import role_metrics
 from warpsar.diagnosis.scores.evidence import LARGEST
 from warpsar.effects.registry import get
-from warpsar.learning.observation import Observation
 from warpsar.learning.problem import FitProblem
 from warpsar.runtime import devices
 from warpsar.scene.scene import Scene
 from warpsar.simulation.rays import Rays
+from warpsar.speckle.law import Law
 from warpsar.speckle.lines import Lines
 from warpsar.surface.stage import Stage
 from warpsar.world.tables import Sampling
@@ -41,6 +44,10 @@ LEVEL = 0.05
 class Plane:
     interior: np.ndarray
     looks: float = LOOKS
+
+    @property
+    def law(self) -> Law:
+        return Law(self.looks)
 
 
 def white() -> np.ndarray:
@@ -142,13 +149,17 @@ def test_a_floor_that_the_model_has_is_judged_by_its_speckle() -> None:
         assert not one.empty.any()
 
 
+def of(seen: Observation, modelled: np.ndarray) -> Comparison:
+    return replace(comparison(seen.measured, modelled, border=0), seen=seen)
+
+
 def test_metrics_count_dark_pixels() -> None:
     image, lit, dark = dark_image()
     image[4] += 0.5
     random = np.random.default_rng(1)
     image = np.where(lit, random.gamma(LOOKS, 1.0 / LOOKS, image.shape), image)
     seen = observation(image, lit, dark)
-    found = pool([Judged("train", seen, np.where(lit, 1.0, 0.0), 1.0)], "train")
+    found = role_metrics([of(seen, np.where(lit, 1.0, 0.0))])
     assert found is not None
     assert (found["dark_pixels"], found["dark_impossible"]) == (360, 36)
     assert found["dark_measured"] == pytest.approx(0.05)
@@ -156,12 +167,12 @@ def test_metrics_count_dark_pixels() -> None:
     assert found["dark_deviance"] is None
     modelled = np.where(lit, 1.0, 0.0)
     modelled[4] = 0.5
-    after = pool([Judged("train", seen, modelled, 1.0)], "train")
+    after = role_metrics([of(seen, modelled)])
     assert after is not None
     assert (after["dark_impossible"], after["dark_modelled"]) == (0, pytest.approx(0.05))
     assert after["dark_deviance"] == pytest.approx(0.0)  # measured is modelled, to the bit
     assert after["deviance"] == found["deviance"]
-    without = pool([Judged("train", replace(seen, dark=np.zeros_like(dark)), modelled, 1.0)], "train")
+    without = role_metrics([of(replace(seen, dark=np.zeros_like(dark)), modelled)])
     assert without is not None
     assert (without["dark_pixels"], without["dark_measured"]) == (0, None)
 

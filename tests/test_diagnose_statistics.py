@@ -5,11 +5,11 @@ import pytest
 from scipy import optimize, special, stats
 from worlds import view
 
+from warpsar.compare.observation import Observation
 from warpsar.diagnosis.scores.bootstrap import Bootstrap
 from warpsar.diagnosis.scores.score import REACH, Group, Projection, log_tail, minus_log_p
 from warpsar.diagnosis.scores.templates import Template
 from warpsar.effects.base.trial import ScoreStep, Trial
-from warpsar.learning.observation import Observation
 from warpsar.speckle.draws import Speckle
 from warpsar.speckle.scan import Scan
 from warpsar.speckle.tail import Tail

@@ -9,23 +9,24 @@ from typing import Any
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from comparisons import comparison
 from learning_scenes import TRUTH, cube_scene, measured, starting, views_at
 from scipy import integrate, special, stats
 from worlds import box, ground, mesh_of, scene_of, view
 
 from warpsar.cli.main import main
+from warpsar.compare.comparison import Comparison
+from warpsar.compare.metrics import mean_deviance, nuisance_floor, pool
 from warpsar.errors import InputError
 from warpsar.evaluation.command import evaluate, run
-from warpsar.evaluation.image import EvaluatedImage
 from warpsar.evaluation.meshview import RAYS, look, write_learned_ply
-from warpsar.evaluation.metrics import mean_deviance, nuisance_floor, pool
 from warpsar.evaluation.residuals import expected_db, profiles, residual_db
 from warpsar.io.images import read_channel, write_tiff
 from warpsar.io.ply import write_ply
-from warpsar.learning.observation import Observation
 from warpsar.runtime import devices
 from warpsar.scene.scene import Scene
 from warpsar.scene.unwrap import write_obj
+from warpsar.speckle.law import Law
 from warpsar.speckle.likelihood import deviance, expected_deviance, metrics
 from warpsar.surface.stage import Stage
 from warpsar.world.mesh import read_mesh
@@ -34,39 +35,20 @@ from warpsar.world.tables import SURFACE_KEYS
 LOOKS = (1.0, 4.0, 16.0)
 
 
-def observation(measured: np.ndarray, looks: float) -> Observation:
-    """An image of which every pixel is compared."""
-    everywhere = np.ones(measured.shape, bool)
-    masks = {"interior": everywhere, "silent": ~everywhere, "dark": ~everywhere}
-    return Observation(view(0, 40), "HH", measured, **masks, looks=looks, looks_estimated=False)
-
-
 def synthetic(
     looks: float, shape: tuple[int, int] = (200, 300), modelled: Any = 0.02, seed: int = 0, floor: float = 0.0
-) -> EvaluatedImage:
-    """Gamma speckle about `modelled`: what a perfect model leaves."""
+) -> Comparison:
+    """Gamma speckle about `modelled`: what a perfect model leaves. Every pixel is compared."""
     speckle = np.random.default_rng(seed).gamma(looks, 1.0 / looks, shape)
     simulated = np.broadcast_to(np.asarray(modelled, float), shape)
-    return EvaluatedImage(
-        observation=observation((simulated + floor) * speckle, looks),
-        simulated=simulated,
-        valid=np.ones(shape, bool),
-        gain=1.0,
-        floor=0.0,
-        incidence_deg=np.full(shape, 40.0),
-        material=np.zeros(shape, int),
-        range_m=np.arange(shape[0]) * 0.5,
-        azimuth_m=np.arange(shape[1]) * 0.5,
-        sampling_noise=0.0,
-        metrics={},
-    )
+    return comparison((simulated + floor) * speckle, simulated, looks, border=0)
 
 
 # Metrics
 
 
 def test_metrics_by_hand() -> None:
-    found = metrics(np.array([1.0, 2.0, 4.0]), np.array([2.0, 2.0, 2.0]) * [1, 1, 2], 4.0)
+    found = metrics(np.array([1.0, 2.0, 4.0]), np.array([2.0, 2.0, 2.0]) * [1, 1, 2], Law(4.0))
     assert found["rmse"] == pytest.approx(np.sqrt(1 / 3))
     assert found["nrmse"] == pytest.approx(np.sqrt(1 / 21))
     assert found["rmse_db"] == pytest.approx(10 * np.log10(2) / np.sqrt(3))
@@ -97,7 +79,7 @@ def test_expected_deviance_is_the_integral_over_speckle(looks: float) -> None:
 @pytest.mark.parametrize("looks", LOOKS)
 def test_speckle_alone_leaves_a_deviance_of_one(looks: float) -> None:
     image = synthetic(looks)
-    mean, error = mean_deviance(image.observation, image.simulated, image.interior)
+    mean, error = mean_deviance(image.seen, image.simulated, image.interior)
     # var d = 4 L^2 (psi'(L) - 1/L), since var x = cov(x, ln x) = 1/L and var ln x = psi'(L)
     variance = 4 * looks**2 * (special.polygamma(1, looks) - 1 / looks) / expected_deviance(looks) ** 2
     # a sample variance of 60,000 heavy-tailed values, and lags that stand out by chance: a few per cent
@@ -108,8 +90,8 @@ def test_speckle_alone_leaves_a_deviance_of_one(looks: float) -> None:
 def test_error_knows_that_neighbours_share_their_speckle() -> None:
     """2 x 2 equal pixels are one sample: the true error of the mean is twice that of independent pixels."""
     small = synthetic(4.0, (100, 150))
-    twice = observation(np.kron(small.measured, np.ones((2, 2))), 4.0)
-    _, alone = mean_deviance(small.observation, small.simulated, small.interior)
+    twice = comparison(np.kron(small.measured, np.ones((2, 2))), 0.02, border=0).seen
+    _, alone = mean_deviance(small.seen, small.simulated, small.interior)
     simulated = np.full(twice.measured.shape, 0.02)
     _, error = mean_deviance(twice, simulated, twice.interior)
     # four times the pixels, none of them new: the same error; the autocovariance is itself estimated
@@ -134,11 +116,7 @@ def test_floor_is_none_where_there_is_none() -> None:
 def test_pooled_metrics_are_those_of_all_pixels_together() -> None:
     images = [synthetic(4.0, (40, 50), 0.02, seed=1), synthetic(16.0, (60, 50), 0.05, seed=2)]
     for image in images:
-        found = metrics(image.observation.values, image.simulated.ravel(), image.observation.looks)
-        counts = {"left_out": 1, "zeros": 2, "pixels": image.interior.sum()}
-        counts |= {"pixels_all": image.valid.sum(), "left_out_all": 3}
-        errors = {"deviance_error": 0.03, "deviance_all": found["deviance"], "deviance_all_error": 0.03}
-        image.metrics.update(found | counts | errors)
+        image.metrics.update({"left_out": 1, "zeros": 2, "left_out_all": 3, "deviance_error": 0.03})
     together = pool(images)
     assert together is not None
     i, mu = (np.concatenate(a) for a in zip(*((m.measured.ravel(), m.simulated.ravel()) for m in images), strict=True))
@@ -225,7 +203,7 @@ def test_verdict_on_images_of_another_renderer(case: str, independent_cases: Pat
     if case == "none":
         assert verdicts == {"train": "speckle", "test": "speckle"}
     else:
-        assert set(verdicts.values()) <= {"structure", "level"}
+        assert set(verdicts.values()) <= {"structure", "edges", "level"}
 
 
 def test_nuisance_floor_is_the_one_that_was_added(independent_cases: Path) -> None:
@@ -233,7 +211,7 @@ def test_nuisance_floor_is_the_one_that_was_added(independent_cases: Path) -> No
     scene = with_truth(independent_cases / "noise_floor", (0,))
     (image,) = evaluate(scene, device="cpu").images
     # 10,000 unlit pixels of 16 looks know the level to 0.25 %
-    assert image.floor == pytest.approx(0.004, rel=0.01)
+    assert image.metrics["floor"] == pytest.approx(0.004, rel=0.01)
     assert image.metrics["deviance"] > 1.3
     assert abs(image.metrics["deviance_all"] - 1) < 3.5 * image.metrics["deviance_all_error"]
 

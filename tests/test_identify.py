@@ -12,10 +12,12 @@ from learning_scenes import cube_scene, measured, noise_free, speckle, views_at
 from worlds import ground, mesh_of, plate, scene_of
 
 from warpsar.learning.command import LearnOptions, learn
-from warpsar.learning.identify import LAGS, identify, of_information, residual_autocovariance, score_products
+from warpsar.learning.identify import identify, of_information, score_products
 from warpsar.learning.problem import FitProblem
 from warpsar.runtime import devices
 from warpsar.scene.scene import Scene
+from warpsar.speckle.own import LAGS
+from warpsar.speckle.residual import residual_autocovariance
 from warpsar.surface.surface import KEYS
 from warpsar.world.tables import Material
 

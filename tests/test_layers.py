@@ -32,6 +32,7 @@ ROOMS = (
     "measured",
     "render",
     "simulation",
+    "compare",
     "coherent",
     "collection",
     "curves",

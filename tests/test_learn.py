@@ -601,8 +601,8 @@ def test_metrics_from_sums_are_those_of_the_pixels(tmp_path: Path) -> None:
             one.add_moments([sums[2 * number], sums[2 * number + 1]])
         for seen, mu, moments in zip(problem.observations, modelled, sums.numpy().sum(axis=1), strict=True):
             assert seen.count == seen.values.size
-            found = metrics_of(moments, seen.count, seen.looks)
-            for key, value in metrics(seen.values, mu, seen.looks).items():
+            found = metrics_of(moments, seen.count, seen.law)
+            for key, value in metrics(seen.values, mu, seen.law).items():
                 assert found[key] == pytest.approx(value, rel=1e-12), key
 
 

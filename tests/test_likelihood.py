@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import optimize, stats
 
+from warpsar.speckle.law import Law
 from warpsar.speckle.likelihood import (
     best_gain,
     curvature,
@@ -96,7 +97,7 @@ def test_deviance_is_never_negative(looks: float) -> None:
 
 def test_metrics_written_out() -> None:
     measured, mu = np.array([0.0, 1.0, 2.0, 4.0]), np.array([1.0, 1.0, 1.0, 2.0])
-    found = metrics(measured, mu, 3.0)
+    found = metrics(measured, mu, Law(3.0))
     assert found["rmse"] == pytest.approx(np.sqrt((1 + 0 + 1 + 4) / 4))
     assert found["nrmse"] == pytest.approx(np.sqrt(6 / 4) / np.sqrt(21 / 4))
     assert found["rmse_db"] == pytest.approx(np.sqrt(2 * (10 * np.log10(2)) ** 2 / 3))
@@ -109,5 +110,5 @@ def test_a_perfect_model_leaves_a_deviance_of_1() -> None:
     random = np.random.default_rng(1)
     mu = random.lognormal(0.0, 1.0, 40_000)
     for looks in (1.0, 4.0, 16.0):
-        found = metrics(mu * random.gamma(looks, 1 / looks, mu.size), mu, looks)
+        found = metrics(mu * random.gamma(looks, 1 / looks, mu.size), mu, Law(looks))
         assert found["deviance"] == pytest.approx(1.0, abs=0.03)

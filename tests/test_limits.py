@@ -9,8 +9,8 @@ import pytest
 import warp as wp
 from test_experiments import module
 
-from warpsar.learning.identify import residual_autocovariance
 from warpsar.speckle.own import LAGS
+from warpsar.speckle.residual import residual_autocovariance
 
 LOOKS = 4.0
 

@@ -8,10 +8,10 @@ import pytest
 from learning_scenes import cube_scene, measured, noise_free, views_at
 from worlds import ground, mesh_of, scene_of
 
+from warpsar.compare.observation import observe
 from warpsar.errors import InputError
 from warpsar.io.images import read_channel, write_exr, write_tiff
 from warpsar.learning.command import LearnOptions, learn
-from warpsar.learning.observation import observe
 from warpsar.learning.problem import FitProblem
 from warpsar.runtime import devices
 from warpsar.scene.scene import Scene

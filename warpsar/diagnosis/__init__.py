@@ -9,7 +9,7 @@ written_scene.py    what the written scene and diagnosis.json say of found objec
 known.py            what became of values known to a tolerance
 field_content.py    what is said of learned fields
 alternatives.py     which measurement would decide between two explanations
-judge.py            how far models are from all images, test views among them
+role_metrics.py     metrics of all images of a role, dark pixels among them
 found.py            options, candidates, turns and the verdict
 
 The rooms, each importing from those below it:

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import time
 from pathlib import Path
 from typing import Any
 
+from warpsar.compare.evaluation import ROLES
 from warpsar.curves import command as curve_command
 from warpsar.diagnosis.content import content_of
 from warpsar.diagnosis.found import DiagnoseOptions
-from warpsar.diagnosis.judge import ROLES
 from warpsar.diagnosis.left.words import first_sentence
 from warpsar.diagnosis.report.page import write_report
 from warpsar.diagnosis.result import Diagnosed, judged, moved_parameters
@@ -20,6 +21,9 @@ from warpsar.diagnosis.written_scene import annotate
 from warpsar.io import checkpoint
 from warpsar.runtime import console, distributed
 from warpsar.simulation.outputs import opened, write_json
+
+UNEXPLAINED = 4
+"""Exit status of the command where something is left that nothing found explains."""
 
 
 def run(
@@ -58,11 +62,19 @@ def run(
         content = content_of(done, moves, identified, options) | {"processes": ranks.size}
         content = write_json(out / "diagnosis.json", scene, where, options.seed, started, content)
         write_report(out / "report.html", done, moves, content, command_line(scene_path, out, where.alias, options))
-        checkpoint.remove(out)
+        if not found.not_asked:
+            checkpoint.remove(out)
         for one in content["tolerances"].values():
             console.say(one["after"]["words"])
-        if found.unexplained:
+        if done.speckle.departs:
+            console.say(f"train views: {done.speckle.words}")
+        for reason in done.reasons:
+            console.say(reason)
+        if done.unexplained:
             console.say(first_sentence(done.left))
+        for role, one in done.verdicts.items():
+            if not one.wrong:
+                console.say(f"{role} views: {one.words}")
         console.say_written(out, "report.html", "diagnosis.json", "scene.toml")
         print(in_short(done), file=sys.stdout)
         return content
@@ -78,19 +90,42 @@ def command_line(scene_path: Path | str, out: Path, device: str, options: Diagno
 
 
 def in_short(done: Diagnosed) -> str:
-    """One line: the verdict, and what it did to the views that named nothing."""
+    """One line: what is left unexplained first, then the names, and what they did to the views that named nothing."""
     found = done.diagnosis
     others = {one.effect: "" for one, _ in done.alternatives}
     for one, _ in done.alternatives:
         others[one.effect] += f" or {one.other}"
-    text = ", ".join(name + others.get(name, "") for name in found.verdict) or "nothing missing"
-    if found.unexplained:
-        text = f"{text}; and something is unexplained" if found.verdict else "unexplained"
+    others |= {name: "".join(f" or {other}" for other in done.speckle.rivals) for name in done.speckle.names}
+    names = ", ".join(name + others.get(name, "") for name in done.verdict)
+    said = []
+    if done.unexplained:
+        why = dict.fromkeys(_WORDS[kind] for one in done.verdicts.values() for kind in one.findings)
+        said.append(f"unexplained: {', '.join(why) or 'something is left'}")
+        said += [f"found: {names}"] if names else []
+    else:
+        said.append(names or "nothing missing")
+    if found.not_asked:
+        said.append("the time was over before all was asked")
+    if not done.unexplained:
+        edges = [one.edges for one in done.verdicts.values()]
+        said.append(max(edges, key=lambda one: one.most_m if one.judged else math.inf).words)
+        few = [role for role, one in done.verdicts.items() if one.finding == "cannot be told"]
+        said += [f"too few pixels of {' and '.join(few)} views to tell their level"] if few else []
     for role in reversed(ROLES):
         before, after = done.before[role], done.after[role]
         if before is not None and after is not None:
-            return (
-                f"{text}; {role} deviance {before['deviance']:.4f} -> {after['deviance']:.4f} "
-                f"+- {after['deviance_error']:.4f}"
+            said.append(
+                f"{role} deviance {before['deviance']:.4f} -> {after['deviance']:.4f} +- {after['deviance_error']:.4f}"
             )
-    return text
+            break
+    return "; ".join(one for one in said if one)
+
+
+_WORDS = {
+    "structure": "structure",
+    "edges": "edges that do not agree",
+    "looks": "looks",
+    "texture": "texture",
+    "distribution": "speckle of another distribution",
+    "level": "a deviance that speckle does not leave",
+}

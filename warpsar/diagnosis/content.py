@@ -6,13 +6,15 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
+from warpsar.compare.comparison import Comparison
+from warpsar.compare.evaluation import ROLES
+from warpsar.compare.metrics import difference, pool
 from warpsar.diagnosis.field_content import fields_content
 from warpsar.diagnosis.found import Candidate, DiagnoseOptions, Diagnosis, Rival, Turn
-from warpsar.diagnosis.judge import ROLES, Judged, difference, pool
 from warpsar.diagnosis.known import known_content
 from warpsar.diagnosis.left.words import described
 from warpsar.diagnosis.models.change import is_geometry, kind_of, object_of
-from warpsar.diagnosis.result import Diagnosed, Moved, why_not
+from warpsar.diagnosis.result import Diagnosed, Moved, of_role, why_not
 from warpsar.diagnosis.search.outcome import outcome
 from warpsar.diagnosis.written_scene import own_materials
 from warpsar.effects.registry import get
@@ -31,9 +33,17 @@ def content_of(
     untestable = [c for c in last.candidates if c.testability != "testable"]
     return {
         "options": asdict(options),
-        "verdict": found.verdict,
-        "unexplained": found.unexplained,
-        "alternatives": [[one.effect, one.other] for one, _ in done.alternatives],
+        "verdict": done.verdict,
+        "unexplained": done.unexplained,
+        "reasons": done.reasons,
+        "judgement": {role: one.content() for role, one in done.verdicts.items()},
+        "own_numbers_fitted_to_test_views": done.own_numbers,
+        "speckle": asdict(done.speckle),
+        "not_asked": found.not_asked,
+        "alternatives": [
+            *([one.effect, one.other] for one, _ in done.alternatives),
+            *([name, other] for name in done.speckle.names for other in done.speckle.rivals),
+        ],
         "alternatives_because": [_rival(one) | {"deciding": by.told()} for one, by in done.alternatives],
         "before": done.before,
         "after": done.after,
@@ -93,8 +103,8 @@ def _rival(one: Rival) -> dict[str, Any]:
     }
 
 
-def _gain(before: Sequence[Judged], after: Sequence[Judged], role: str) -> dict[str, float] | None:
-    pair = difference(before, after, role)
+def _gain(before: Sequence[Comparison], after: Sequence[Comparison], role: str) -> dict[str, float] | None:
+    pair = difference(of_role(before, role), of_role(after, role))
     return None if pair is None else {"deviance": pair[0], "error": pair[1]}
 
 
@@ -124,12 +134,12 @@ def _declared(effect: str) -> dict[str, Any]:
 
 
 def _addition(
-    turn: Turn, options: DiagnoseOptions, before: Sequence[Judged], after: Sequence[Judged], found: Diagnosis
+    turn: Turn, options: DiagnoseOptions, before: Sequence[Comparison], after: Sequence[Comparison], found: Diagnosis
 ) -> dict[str, Any]:
     """What a turn added, as the final model has it, and how far the models before and after it are from the
     images."""
     chosen = next(c for c in turn.candidates if c.effect == turn.added)
-    train, test = pool(after, "train"), pool(after, "test")
+    train, test = (pool(of_role(after, role)) for role in ROLES)
     assert train is not None
     return {
         **_candidate(chosen, turn),
@@ -167,7 +177,7 @@ def _moved(m: Moved) -> dict[str, float]:
     }
 
 
-def _image(before: Judged, after: Judged) -> dict[str, Any]:
+def _image(before: Comparison, after: Comparison) -> dict[str, Any]:
     seen = before.seen
     return {
         "name": seen.view.name,

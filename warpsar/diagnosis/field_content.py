@@ -13,10 +13,11 @@ from warpsar.diagnosis.models.field_prior import factor
 from warpsar.diagnosis.models.refit import Fitted
 from warpsar.diagnosis.turn.field_projection import sparse_tangent
 from warpsar.errors import InputError
-from warpsar.learning.identify import Identified, of_information, residual_autocovariance, score_products
+from warpsar.learning.identify import Identified, of_information, score_products
 from warpsar.learning.problem import FitProblem
 from warpsar.learning.roughness import FieldPrior
 from warpsar.scene.scene import Scene
+from warpsar.speckle.residual import residual_autocovariance
 from warpsar.world.mesh import DEFAULT_MATERIAL
 
 

@@ -8,17 +8,19 @@ from typing import Any
 
 import numpy as np
 
+from warpsar.compare.observation import Observation
 from warpsar.diagnosis.models.bench import Bench
 from warpsar.diagnosis.models.carried import Carried
 from warpsar.diagnosis.models.change import changes, kind_of
+from warpsar.diagnosis.models.judge import Judge
 from warpsar.diagnosis.models.left_out import LeftOut
 from warpsar.diagnosis.models.refit import Fitted
 from warpsar.diagnosis.scores.score import NOT_TESTABLE
 from warpsar.effects.base.signature import Signature
 from warpsar.errors import InputError
-from warpsar.learning.observation import Observation
 from warpsar.scene.scene import Scene
 from warpsar.simulation.sampling import Density
+from warpsar.speckle.facts import SpeckleFact
 from warpsar.speckle.scan import Spot
 
 
@@ -29,8 +31,9 @@ class DiagnoseOptions:
     `family_error`: chance of naming anything, or calling the rest unexplained, where nothing is missing. `draws`:
     bootstrap size. `refits`: how many of the likeliest candidates get a full fit. `starts`: further starts of every
     fit. `most_effects`: how many may be added; by default as many as there are. `bodies`: whether bodies may be moved,
-    left out or proposed; each takes renders of the whole scene, so a hundred of them take hours. Raises InputError
-    where the draws are too few for the error rate.
+    left out or proposed; each takes renders of the whole scene, so a hundred of them take hours. `time_limit_s`: when
+    the search ends with what it has found; None for no limit. Raises InputError where the draws are too few for the
+    error rate.
     """
 
     family_error: float = 0.01
@@ -40,6 +43,7 @@ class DiagnoseOptions:
     most_effects: int = 15
     seed: int = 0
     bodies: bool = True
+    time_limit_s: float | None = None
 
     def __post_init__(self) -> None:
         if not 0.0 < self.family_error < 1.0:
@@ -49,6 +53,8 @@ class DiagnoseOptions:
                 f"--draws: found {self.draws}; a family error rate of {self.family_error} needs "
                 f"{int(np.ceil(4 / self.family_error))} draws or more"
             )
+        if self.time_limit_s is not None and not self.time_limit_s > 0.0:
+            raise InputError(f"--time-limit: found {self.time_limit_s / 60.0:g} minutes; allowed is more than 0")
 
 
 @dataclass
@@ -196,10 +202,11 @@ class Rival:
 @dataclass
 class Diagnosis:
     """`turns` in their order: the last one added nothing, unless the limit was reached. `declared` is the model of the
-    scene file, fitted. `final` is the one with every added effect that holds. `rivals`: other effects in the place of
-    these. `objects`: what became of those that were changed, by name. `withdrawn`: effects that held on the train
-    views, but made the error on test views larger; `final` is then
-    `declared` again."""
+    scene file, fitted. `final` is the one with every added effect that holds. Both have the looks and texture that
+    `speckle`, found about the declared model, names. `rivals`: other effects in the place of these. `objects`: what
+    became of those that were changed, by name. `withdrawn`: effects that held on the train views, but made the error on
+    test views larger. `not_asked`: what a limit of time left out, in words; empty where the search came to its end.
+    `judge` compares models with all images."""
 
     scene: Scene
     declared: Fitted
@@ -208,9 +215,12 @@ class Diagnosis:
     unexplained: bool
     density: Density
     bench: Bench
+    judge: Judge
+    speckle: SpeckleFact
     rivals: list[Rival] = field(default_factory=list)
     withdrawn: list[str] = field(default_factory=list)
     objects: dict[str, dict[str, Any]] = field(default_factory=dict)
+    not_asked: list[str] = field(default_factory=list)
 
     @property
     def observations(self) -> list[Observation]:

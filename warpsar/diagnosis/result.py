@@ -2,48 +2,88 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
+from warpsar.compare.comparison import Comparison
+from warpsar.compare.evaluation import ROLES
+from warpsar.compare.judgement import Judgement, judge, speckle_of
+from warpsar.compare.metrics import difference
 from warpsar.diagnosis.alternatives import Deciding, deciding
 from warpsar.diagnosis.field_content import identify_beside
 from warpsar.diagnosis.found import Candidate, DiagnoseOptions, Diagnosis, Rival
-from warpsar.diagnosis.judge import ROLES, Judge, Judged, JudgedMetrics, difference, pool
 from warpsar.diagnosis.left.place import Place, place
 from warpsar.diagnosis.left.summary import Left, left_of
-from warpsar.diagnosis.models.refit import Fitted
+from warpsar.diagnosis.models.bench import Bench
+from warpsar.diagnosis.models.change import changes, is_geometry, kind_of, object_of
+from warpsar.diagnosis.models.judge import under, with_speckle
+from warpsar.diagnosis.models.refit import Fitted, refit_without
+from warpsar.diagnosis.role_metrics import RoleMetrics, role_metrics
+from warpsar.diagnosis.search.geometry_confirmation import taken_back
 from warpsar.diagnosis.search.procedure import diagnose_scene
 from warpsar.learning.identify import Identified, identify
 from warpsar.runtime import devices, distributed
 from warpsar.scene.scene import Scene
+from warpsar.speckle.facts import SpeckleFact
+from warpsar.speckle.scan import Spot
 
 SAME_SD = 2.0  # a parameter that moved by more of its standard deviations than this is said to have moved
 
 
 @dataclass(frozen=True)
 class Diagnosed:
-    """A diagnosis with what came of it on all views. `models`: the declared model and the one after every addition,
-    each as `Judged` images of train and test views; `place`: the strongest window of what is left at the end; `left`:
-    what is left altogether. `alternatives`: rivals that the data do not decide against, and which measurement would."""
+    """A diagnosis with what came of it on all views.
+
+    `models`: the declared model, the one after every addition, and the final one, each beside the images of train and
+    test views. `speckle`: what the final model says of the declared looks and texture. `verdicts`, by role: the
+    judgement on the final model, under the speckle that was found; `own_numbers`: whether what effects hold for each
+    view by itself was fitted to the test views for it. `reasons`: what speaks against an all-clear, a sentence each.
+    `place`: the strongest window of what is left at the end; `left`: what is left altogether. `alternatives`: rivals
+    that the data do not decide against, and which measurement would.
+    """
 
     diagnosis: Diagnosis
-    judge: Judge
-    models: list[list[Judged]]
+    models: list[list[Comparison]]
+    speckle: SpeckleFact
+    verdicts: dict[str, Judgement]
+    reasons: list[str]
+    own_numbers: bool
     place: Place
     left: Left
     alternatives: list[tuple[Rival, Deciding]] = field(default_factory=list)
 
-    @property
-    def before(self) -> dict[str, JudgedMetrics | None]:
+    @cached_property
+    def before(self) -> dict[str, RoleMetrics | None]:
         """Metrics of the declared model, fitted, on `train` and `test`."""
-        return {role: pool(self.models[0], role) for role in ROLES}
+        return {role: role_metrics(of_role(self.models[0], role)) for role in ROLES}
+
+    @cached_property
+    def after(self) -> dict[str, RoleMetrics | None]:
+        """The same of the model with every added effect."""
+        return {role: role_metrics(of_role(self.models[-1], role)) for role in ROLES}
+
+    @cached_property
+    def gain(self) -> dict[str, tuple[float, float] | None]:
+        """Mean deviance before less after, pixel by pixel, with its error, by role."""
+        first, last = (self.models[k] for k in (0, -1))
+        return {role: difference(of_role(first, role), of_role(last, role)) for role in ROLES}
 
     @property
-    def after(self) -> dict[str, JudgedMetrics | None]:
-        """The same of the model with every added effect."""
-        return {role: pool(self.models[-1], role) for role in ROLES}
+    def verdict(self) -> list[str]:
+        """The plain names of what was found: effects, bodies, looks and texture."""
+        return [*self.diagnosis.verdict, *self.speckle.names]
+
+    @property
+    def unexplained(self) -> bool:
+        """Whether something is left that nothing found explains, or what was found does not pay on test views."""
+        return bool(self.reasons)
+
+
+def of_role(images: Sequence[Comparison], role: str) -> list[Comparison]:
+    return [image for image in images if image.role == role]
 
 
 def diagnose(scene: Scene, *, device: str | None = None, options: DiagnoseOptions | None = None) -> Diagnosed:
@@ -59,32 +99,118 @@ def diagnose(scene: Scene, *, device: str | None = None, options: DiagnoseOption
 def judged(found: Diagnosis) -> Diagnosed:
     """Judge every turn's model on all views.
 
-    A model that is farther from the test views than the declared one is never the answer: the declared model stands
-    then, what was found is `withdrawn`, and what it was to explain is left unexplained.
+    Whatever makes the test views worse is taken out of the answer, one after the other: it is `withdrawn`, and what it
+    was to explain is left unexplained.
     """
-    judge = Judge(found)
-    models = [judge(fitted.scene) for fitted in fitted_models(found)]
-    if found.verdict and _worse(models[0], models[-1]):
-        withdrawn = found.verdict
-        found = replace(found, final=found.declared, withdrawn=withdrawn, unexplained=True, objects={})
-        models.append(models[0])
+    judge_of = found.judge
+    found = _without_what_hurts(found)
+    fitted = found.final.scene
+    speckle = speckle_of(under(judge_of(fitted, "train"), found.scene))
+    final = with_speckle(_with_views(fitted, found.scene), speckle)
+    if final.views != fitted.views:
+        found = replace(found, final=replace(found.final, scene=final))
+    own = judge_of.with_own_numbers(fitted)
+    tested = {"train": judge_of(fitted, "train"), "test": own}
+    verdicts = {role: judge(under(images, final)) for role, images in tested.items() if images}
+    models = [
+        [image for role in ROLES for image in under(judge_of(one.scene, role, edges=False), found.scene)]
+        for one in fitted_models(found)[:-1]
+    ]
+    models.append([image for role in ROLES for image in under(judge_of(fitted, role), final)])
+    reasons = _reasons(found, [*found.verdict, *speckle.names], verdicts, models[0], models[-1])
     undecided = [rival for rival in found.rivals if rival.undecided and rival.effect in found.verdict]
     looks = float(np.median([seen.looks for seen in found.observations]))
-    alternatives = [(one, deciding(found.final.scene, one.scene, looks, found.bench.device)) for one in undecided]
+    alternatives = [(one, deciding(final, one.scene, looks, found.bench.device)) for one in undecided]
     last = models[-1]
-    return Diagnosed(found, judge, models, place(found, last, found.turns[-1].spot), left_of(found, last), alternatives)
+    spot = _spot(found, verdicts["train"])
+    where = place(found, last, spot)
+    left = left_of(found, last, spot, bool(reasons))
+    own_numbers = own is not judge_of(fitted, "test")
+    return Diagnosed(found, models, speckle, verdicts, reasons, own_numbers, where, left, alternatives)
 
 
-def _worse(before: Sequence[Judged], after: Sequence[Judged]) -> bool:
-    """Whether the mean deviance of the test views rose, by more than the standard error of the rise."""
-    gained = difference(before, after, "test")
-    return gained is not None and gained[0] < -gained[1]
+def _spot(found: Diagnosis, verdict: Judgement) -> Spot:
+    """The strongest window: of the search's scan where it has an alarm, else of the judgement on all pixels."""
+    last, window = found.turns[-1], verdict.window
+    if last.alarms or "structure" not in verdict.findings:
+        return last.spot
+    names = [(seen.view.name, seen.polarization) for seen in found.observations]
+    at = names.index((window.view, window.polarization))
+    return Spot(window.z, at, window.row, window.col, window.pixels)
+
+
+def _with_views(scene: Scene, given: Scene) -> Scene:
+    """The scene with the looks and textures that another one's views declare."""
+    stated = {view.name: {"looks": view.looks, "texture": view.texture} for view in given.views}
+    return replace(scene, views=[view.model_copy(update=stated[view.name]) for view in scene.views])
+
+
+def _reasons(
+    found: Diagnosis,
+    names: Sequence[str],
+    verdicts: Mapping[str, Judgement],
+    before: Sequence[Comparison],
+    after: Sequence[Comparison],
+) -> list[str]:
+    """What speaks against an all-clear, a sentence each."""
+    said = [f"{role} views: {one.words}" for role, one in verdicts.items() if one.wrong]
+    if found.withdrawn:
+        said.append(f"{', '.join(found.withdrawn)} made the test views worse")
+    if found.unexplained and not said:
+        said.append("train views: the scan finds something that no effect explains")
+    first, last = (of_role(images, "test") for images in (before, after))
+    touched = any(
+        not np.array_equal(a.simulated, b.simulated) or a.seen.law != b.seen.law
+        for a, b in zip(first, last, strict=True)
+    )
+    gained = difference(first, last)
+    if names and touched and gained is not None and gained[0] <= 0.0:
+        said.append(f"{', '.join(names)} does not pay on test views: their deviance did not fall")
+    return said
+
+
+def _without_what_hurts(found: Diagnosis) -> Diagnosis:
+    """The diagnosis without what makes the error on test views larger, by more than the standard error of the rise.
+
+    What hurts most goes first, and the rest is fitted and judged again.
+    """
+    judge_of, bench, withdrawn, kept = found.judge, replace(found.bench, bound=0.0), list[str](), found.final
+    before = judge_of(found.declared.scene, "test", edges=False)
+
+    def gained(fitted: Fitted) -> tuple[float, float]:
+        return difference(before, judge_of.with_own_numbers(fitted.scene, edges=False)) or (0.0, 0.0)
+
+    while before and (names := _added(found, kept)):
+        gain, error = gained(kept)
+        if gain >= -error:
+            break
+        without = [_without(bench, kept, found.scene, name) for name in names]
+        best = max(range(len(names)), key=lambda k: gained(without[k])[0])
+        withdrawn.append(names[best])
+        kept = without[best] if len(names) > 1 else found.declared
+    if not withdrawn:
+        return found
+    objects = {name: one for name, one in found.objects.items() if name not in map(object_of, withdrawn)}
+    plain = list(dict.fromkeys(kind_of(name) for name in withdrawn))
+    return replace(found, final=kept, withdrawn=plain, unexplained=True, objects=objects)
+
+
+def _added(found: Diagnosis, fitted: Fitted) -> list[str]:
+    """Effects that the scene does not declare, and changes of its geometry."""
+    effects = [name for name in fitted.scene.effects if name not in found.scene.effects]
+    return [*effects, *changes(found.scene, fitted.scene)]
+
+
+def _without(bench: Bench, fitted: Fitted, declared: Scene, name: str) -> Fitted:
+    if is_geometry(name):
+        return taken_back(bench, fitted, declared, name)
+    return refit_without(bench, fitted, name)
 
 
 def fitted_models(found: Diagnosis) -> list[Fitted]:
     """The declared model, the one after every addition, and the final one, fitted."""
     models = [found.declared, *(turn.fitted for turn in found.turns if turn.fitted is not None)]
-    return models if models[-1] is found.final else [*models, found.final]
+    return models if models[-1] is found.final and len(models) > 1 else [*models, found.final]
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from typing import Any
 
 import warp as wp
 
-from warpsar.evaluation.image import Evaluation
+from warpsar.compare.evaluation import Evaluation
 from warpsar.evaluation.report_convergence import convergence_sections
 from warpsar.evaluation.report_images import images_section
 from warpsar.evaluation.report_numbers import summary_section

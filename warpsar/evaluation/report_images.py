@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from warpsar.evaluation.image import EvaluatedImage, Evaluation, ratio_db
+from warpsar.compare.comparison import Comparison, ratio_db
+from warpsar.compare.evaluation import Evaluation
 from warpsar.evaluation.report_numbers import METRICS, metric_cells
 from warpsar.evaluation.report_parts import image_axes, plus_minus, reach_db, residual_rgb, residual_scale
 from warpsar.io import html as report
@@ -16,17 +17,17 @@ from warpsar.scene.scene import Scene
 PICTURE_PIXELS = 1.5e6  # of all pictures of images together: the file stays under some 5 MB
 
 
-def residual_picture(image: EvaluatedImage) -> bytes:
+def residual_picture(image: Comparison) -> bytes:
     """PNG of the residual [dB] on the compared pixels, grey elsewhere; red: the measured image is brighter."""
     residual = np.where(image.interior, image.ratio_db, np.nan)
     return report.png(residual_rgb(residual, _reach([image])))
 
 
-def _reach(images: Sequence[EvaluatedImage]) -> float:
+def _reach(images: Sequence[Comparison]) -> float:
     return reach_db([image.ratio_db[image.interior] for image in images], 90.0)
 
 
-def _deviance(image: EvaluatedImage) -> tuple[float, float]:
+def _deviance(image: Comparison) -> tuple[float, float]:
     return image.metrics["deviance"], image.metrics["deviance_error"]
 
 
@@ -77,7 +78,7 @@ def images_section(scene: Scene, found: Evaluation, before: Evaluation | None) -
         panels.append((name, report.png(residual_rgb(ratio_db(*inner), reach))))
         v, m = image.view, image.metrics
         blocks.append(report.heading(f"{v.name} · {image.polarization} · {v.role}"))
-        looks = f"{image.observation.looks:.3g}" + (" (estimated)" if image.observation.looks_estimated else "")
+        looks = f"{image.seen.looks:.3g}" + (" (estimated)" if image.seen.looks_estimated else "")
         said = [] if first is None else [("deviance before", plus_minus(*_deviance(first)))]
         said += [
             ("azimuth", f"{v.azimuth_deg:g}°"),

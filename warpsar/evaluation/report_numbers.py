@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from warpsar.evaluation.image import Evaluation, ImageMetrics, PooledMetrics
+from warpsar.compare.evaluation import Evaluation
+from warpsar.compare.judgement import ERROR_RATE, Judgement
+from warpsar.compare.metrics import ImageMetrics, PooledMetrics
 from warpsar.evaluation.report_parts import plus_minus
 from warpsar.io import html as report
-from warpsar.learning.verdict import ERROR_RATE, Verdict
 from warpsar.scene.scene import Scene
 
 METRICS = (
@@ -77,6 +78,6 @@ def _roles(found: Evaluation) -> list[tuple[str, PooledMetrics]]:
     return [(role, m) for role, m in (("train", found.train), ("test", found.test)) if m is not None]
 
 
-def _verdict(role: str, one: Verdict) -> str:
+def _verdict(role: str, one: Judgement) -> str:
     name = {"train": "On the train views", "test": "On the test views, which no fit has touched"}[role]
     return f"{name}, {one.words}.".replace("+- ", "±\u00a0")

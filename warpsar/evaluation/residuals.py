@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.stats import gamma
 
-from warpsar.evaluation.image import EvaluatedImage
+from warpsar.compare.comparison import Comparison
 from warpsar.io.figures import new
 from warpsar.speckle.likelihood import log_bias
 
@@ -32,31 +32,31 @@ class Profile:
     rows: list[dict[str, Any]]
 
 
-def residual_db(image: EvaluatedImage) -> np.ndarray:
+def residual_db(image: Comparison) -> np.ndarray:
     """10 log10(measured / simulated) of the interior, shape (n,), less the mean that speckle of its looks has there
     (10 / ln 10) (psi(L) - ln L): zero on average for a true model."""
-    ratio = image.observation.values / image.simulated[image.interior]
-    return DECIBEL * (np.log(ratio) - log_bias(image.observation.looks))
+    ratio = image.seen.values / image.simulated[image.interior]
+    return DECIBEL * (np.log(ratio) - log_bias(image.seen.looks))
 
 
-def expected_db(images: Sequence[EvaluatedImage]) -> dict[str, float]:
+def expected_db(images: Sequence[Comparison]) -> dict[str, float]:
     """Percentiles [dB] of `residual_db` over all images' interiors if there is nothing but speckle, gamma of their
     looks."""
     db = np.linspace(-60.0, 30.0, 9001)
     share = np.zeros_like(db)
     for image in images:
-        looks = image.observation.looks
+        looks = image.seen.looks
         power = np.exp(db / DECIBEL + log_bias(looks))
         share += image.interior.sum() * gamma.cdf(power, looks, scale=1.0 / looks)
     found = np.interp(np.array(PERCENTILES) / 100.0, share / share[-1], db)
     return dict(zip(("p16", "median", "p84"), found.tolist(), strict=True))
 
 
-def profiles(images: Sequence[EvaluatedImage], materials: Sequence[str]) -> dict[str, Profile]:
+def profiles(images: Sequence[Comparison], materials: Sequence[str]) -> dict[str, Profile]:
     """The residual of all images' interiors against each factor; bins of fewer than 30 pixels are left out."""
     residual = np.concatenate([residual_db(i) for i in images])
 
-    def gather(plane: Callable[[EvaluatedImage], np.ndarray]) -> np.ndarray:
+    def gather(plane: Callable[[Comparison], np.ndarray]) -> np.ndarray:
         return np.concatenate([np.broadcast_to(plane(i), i.interior.shape)[i.interior] for i in images])
 
     brightness = 10.0 * np.log10(gather(lambda i: i.simulated))

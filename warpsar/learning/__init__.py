@@ -1,6 +1,6 @@
 """Which surface and effect parameters explain measured images, and how well the images determine them.
 
-options: how to fit. coordinates: what x is. observation: which measured pixels count. misfit: the loss.
+options: how to fit. coordinates: what x is. misfit: the loss.
 held: which views a process holds. view: one of them. streams: tasks side by side on a GPU.
 prior: what the scene knows to a tolerance. pull: where the images pull against it.
 roughness: what is expected of fields in diagnosis. sparse_quadratic: their steps.
@@ -12,7 +12,7 @@ as one problem, and its descent. pose_sharing: objects that share a render. pose
 likeliest pose. learned_objects: poses in `learn`. object_figures: objects before and after.
 term: the learned term of a material's sigma0, from images. table: its table of sigma0, from images. table_figure: that
 table before and after. device_values: what both are fitted by.
-metrics: how well the images agree. verdict: is anything left beside speckle? trust: do the intervals hold?
+metrics: how well the images of a fit agree. trust: do the intervals hold, and what did a fit make worse?
 results: what was learned, as a scene. command: `warpsar learn`.
 jacobian: how one view's image changes with x.
 """

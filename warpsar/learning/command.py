@@ -36,15 +36,28 @@ def run(
     options: LearnOptions | None = None,
     resume: bool = False,
 ) -> dict[str, Any]:
-    """`warpsar learn`: scene.toml with what was learned, history.csv, learn.json and figures in `out`."""
+    """`warpsar learn`: scene.toml with what was learned, history.csv, learn.json and figures in `out`. Returns the
+    JSON's content."""
+    return fitted(scene_path, out, device=device, options=options, resume=resume)[1]
+
+
+def fitted(
+    scene_path: Path | str,
+    out: Path | str,
+    *,
+    device: str | None = None,
+    options: LearnOptions | None = None,
+    resume: bool = False,
+) -> tuple[Learned | None, dict[str, Any]]:
+    """What `run` does: the fit, and the content of learn.json. No fit where the scene has curves alone."""
     started = time.perf_counter()
     options = options or LearnOptions()
     scene, out, where = opened(scene_path, out, device)
     if curve_command.alone(scene):
-        fitted = curve_command.learned(scene, out / "cache", where.alias)
-        fitted.scene.save(out / "scene.toml")
-        print(curve_command.in_short(fitted.content["after"]["curves"]), file=sys.stdout)
-        return write_json(out / "learn.json", scene, where, options.seed, started, fitted.content)
+        of_curves = curve_command.learned(scene, out / "cache", where.alias)
+        of_curves.scene.save(out / "scene.toml")
+        print(curve_command.in_short(of_curves.content["after"]["curves"]), file=sys.stdout)
+        return None, write_json(out / "learn.json", scene, where, options.seed, started, of_curves.content)
     resume = resume or bool(distributed.restarts())
     found = learn(scene, device=where.alias, options=options, folder=out, resume=resume)
     ranks = found.problem.ranks
@@ -74,7 +87,7 @@ def run(
         content["fields"] = write_field_uncertainty(found.problem, found.x, out)
     ranks.barrier()  # a rank that dies from here on takes no result with it
     if not ranks.first:
-        return content
+        return found, content
     content = write_json(out / "learn.json", scene, where, options.seed, started, content)
     checkpoint.remove(out)
     console.say_written(out, "scene.toml", "learn.json", "history.csv", "figures")
@@ -83,7 +96,7 @@ def run(
         + ("" if found.test is None else f", test deviance {found.test['deviance']:.4f}"),
         file=sys.stdout,
     )
-    return content
+    return found, content
 
 
 def _draw_objects(path: Path, scene: Scene, found: Learned) -> None:
@@ -96,8 +109,10 @@ def _draw_objects(path: Path, scene: Scene, found: Learned) -> None:
 def _say_doubts(found: Learned, scene_path: Path | str) -> None:
     """What a reader must know before any number."""
     for role, one in found.verdicts.items():
-        if one.finding == "cannot be told":
+        if not one.wrong:
             console.say(f"{role} views: {one.words}")
+    for sentence in found.worse:
+        console.say(sentence)
     if not found.doubts:
         return
     console.say("the intervals do not hold:")
@@ -122,6 +137,7 @@ def _summary(found: Learned, options: LearnOptions) -> dict[str, Any]:
         "intervals_hold": not found.doubts,
         "reasons": found.doubts,
         "verdict": {role: one.content() for role, one in found.verdicts.items()},
+        "worse": found.worse,
         "options": asdict(options),
         "rays_per_pixel": found.density.rays_per_pixel,
         "rays_chosen": found.density.chosen,
@@ -132,6 +148,7 @@ def _summary(found: Learned, options: LearnOptions) -> dict[str, Any]:
         "stopped": found.stopped,
         "train": found.train,
         "test": found.test,
+        "before": {"train": found.before.train, "test": found.before.test},
         "materials": _material_summary(found),
         "effects": found.scene.effects,
         "tolerances": {one.label: one.content() for one in found.pulls},

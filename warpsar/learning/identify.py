@@ -9,12 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from warpsar.learning.observation import Observation
+from warpsar.compare.observation import Observation
 from warpsar.learning.problem import FitProblem
-from warpsar.runtime.distributed import ONE, Ranks
 from warpsar.speckle.covariance import correlated
 from warpsar.speckle.likelihood import residual_sd
-from warpsar.speckle.own import LAGS, TAPER
+from warpsar.speckle.residual import residual_autocovariance
 from warpsar.surface.surface import KINDS
 
 # A log coordinate known to worse than this (a factor e either way within two standard deviations) is not determined.
@@ -65,43 +64,6 @@ class Identified:
             "eigenvectors": self.eigenvectors.T,
             "words": self.words,
         }
-
-
-def residual_autocovariance(pairs: Sequence[tuple[Observation, np.ndarray]], ranks: Ranks = ONE) -> np.ndarray:
-    """Autocovariance of the standardised residuals, shape (2 LAGS + 1, 2 LAGS + 1).
-
-    `pairs`: an observation, and the residual of its interior pixels divided by the speckle's own standard deviation.
-    The sums run over the observations of all `ranks`. The taper is flat to half the lags (Politis and Romano, 1995).
-    One that falls from the first lag on makes intervals a quarter too short where speckle is correlated over two
-    pixels. Lags below three times their sampling error are set to zero, and so are negative ones: correlation can
-    only widen an interval.
-    """
-    lags, size = LAGS, 2 * LAGS + 1
-    total, count = np.zeros((size, size)), np.zeros((size, size))
-    for seen, standardised in pairs:
-        grid = np.zeros(seen.measured.shape)
-        grid[seen.interior] = standardised
-        inside = seen.interior.astype(float)
-        for i, j in np.ndindex(lags + 1, size):  # a lag and its opposite have one product
-            if i == lags and j > lags:
-                continue
-            for sums, image in ((total, grid), (count, inside)):
-                sums[i, j] += np.einsum("ij,ij->", *_overlapping(image, lags - i, lags - j))
-            total[-1 - i, -1 - j], count[-1 - i, -1 - j] = total[i, j], count[i, j]
-    total, count = ranks.sum(total), ranks.sum(count)
-    covariance = total / np.maximum(count, 1.0)
-    variance = covariance[lags, lags]
-    noise = covariance < 3.0 * variance / np.sqrt(np.maximum(count, 1.0))
-    noise[lags, lags] = False
-    return np.where(noise, 0.0, covariance) * TAPER
-
-
-def _overlapping(image: np.ndarray, rows: int, columns: int) -> tuple[np.ndarray, np.ndarray]:
-    """The image and the image moved by so many rows, 0 or more, and columns, where both are."""
-    right, left = max(columns, 0), max(-columns, 0)
-    height, width = (n - abs(move) for n, move in zip(image.shape, (rows, columns), strict=True))
-    one = image[: max(height, 0), left : left + max(width, 0)]
-    return one, image[rows:, right : right + max(width, 0)][: max(height, 0)]
 
 
 def score_products(scaled: np.ndarray, autocovariance: np.ndarray, seen: Observation) -> np.ndarray:

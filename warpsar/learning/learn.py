@@ -12,23 +12,25 @@ from typing import TypeVar
 import numpy as np
 import warp as wp
 
+from warpsar.compare.comparison import compare
+from warpsar.compare.evaluation import Evaluation
+from warpsar.compare.judgement import Judgement
+from warpsar.compare.metrics import PooledMetrics
+from warpsar.compare.observation import Observation, looks_of
 from warpsar.errors import InputError, WarpsarError
 from warpsar.io import checkpoint
 from warpsar.learning.descent import Course, History, descend, stand
 from warpsar.learning.gradcheck import GradientCheck, check_gradient
 from warpsar.learning.identify import Identified, identify
 from warpsar.learning.learned_objects import LearnedObjects, learned_objects
-from warpsar.learning.metrics import pooled_metrics
-from warpsar.learning.observation import Observation, looks_of
 from warpsar.learning.options import LearnOptions, refuse_options, refuse_starts
 from warpsar.learning.problem import FitProblem
 from warpsar.learning.pull import Pull, pulls
 from warpsar.learning.results import learned_scene
 from warpsar.learning.table import LearnedTable, with_learned_tables
 from warpsar.learning.term import Trained, as_asked, with_trained_terms
-from warpsar.learning.trust import doubts, fit_verdict
+from warpsar.learning.trust import doubts, worse
 from warpsar.learning.validity import outside_domains
-from warpsar.learning.verdict import Verdict
 from warpsar.runtime import console, devices, distributed
 from warpsar.runtime.distributed import Ranks
 from warpsar.scene.scene import Scene
@@ -44,10 +46,11 @@ class Learned:
     """What a fit found.
 
     `scene` holds the learned parameters, `x` the same as a vector. `domains`, by material: share of its lit area
-    outside the domain of each model. `train` and `test`: `pooled_metrics`. `identified` is None for fields (see
-    fields.py), which have too many parameters for one information matrix. `verdicts`, by role: whether anything is
-    left beside speckle. `pulls`: every value known to a tolerance, before and after. `doubts`: why the intervals do
-    not hold; empty where nothing speaks against them. `objects`: poses and sizes, where any is learned. `terms`, by
+    outside the domain of each model. `before` and `after`: the scene as it was given and `scene`, each beside all
+    measured images, as `evaluate` has them; `worse`: what got worse from one to the other, in words. `identified` is
+    None for fields (see fields.py), which have too many parameters for one information matrix. `pulls`: every value
+    known to a tolerance, before and after. `doubts`: why the intervals do not hold; empty where nothing speaks against
+    them. `objects`: poses and sizes, where any is learned. `terms`, by
     material: learned terms that were trained. `tables`, by material: tables of sigma0 that were learned.
     """
 
@@ -61,15 +64,31 @@ class Learned:
     density: Density
     identified: Identified | None
     domains: dict[str, dict[str, float]]
-    train: dict[str, float]
-    test: dict[str, float] | None
-    verdicts: dict[str, Verdict]
+    before: Evaluation
+    after: Evaluation
+    worse: list[str]
     pulls: list[Pull]
     doubts: list[str]
     problem: FitProblem
     objects: LearnedObjects | None = None
     terms: Mapping[str, Trained] = field(default_factory=dict)
     tables: Mapping[str, LearnedTable] = field(default_factory=dict)
+
+    @property
+    def train(self) -> PooledMetrics:
+        """Metrics of the train views."""
+        assert self.after.train is not None
+        return self.after.train
+
+    @property
+    def test(self) -> PooledMetrics | None:
+        """Metrics of the test views; None where there are none."""
+        return self.after.test
+
+    @property
+    def verdicts(self) -> dict[str, Judgement]:
+        """Whether anything is left beside speckle, by role."""
+        return self.after.verdicts
 
 
 def learn(
@@ -119,12 +138,8 @@ def learn(
     if (terms or tables) and not problem.x0.size:
         stopped = f"nothing but {'a learned term' if terms else 'a table'} is learned"
     x = np.asarray(state.best_x)
-    train = pooled_metrics(problem, x)
     final = as_asked(learned_scene(problem, x, folder if ranks.first else None), asked, terms)
-    test = None if tests is None else pooled_metrics(tests, tests.follow(problem, x))
-    verdicts = {"train": fit_verdict(problem, x, density.noise)}
-    if tests is not None:
-        verdicts["test"] = fit_verdict(tests, np.asarray(tests.follow(problem, x)), density.noise)
+    before, after = (_evaluated(one, where, ranks) for one in (asked, final))
     domains = outside_domains(problem, x)
     identified = _identified(problem, x, poses)
     pulled = [*pulls(problem, x, identified), *([] if poses is None else poses.found.pulls)]
@@ -139,16 +154,22 @@ def learn(
         density=density,
         identified=identified,
         domains=domains,
-        train=train,
-        test=test,
-        verdicts=verdicts,
+        before=before,
+        after=after,
+        worse=ranks.gather(worse(before.images, after.images))[0],
         pulls=pulled,
-        doubts=[*doubts(problem, x, verdicts, domains), *(one.words for one in pulled if one.alarm)],
+        doubts=[*doubts(problem, x, after.verdicts, domains), *(one.words for one in pulled if one.alarm)],
         problem=problem,
         objects=poses,
         terms=terms,
         tables=tables,
     )
+
+
+def _evaluated(scene: Scene, device: wp.Device, ranks: Ranks) -> Evaluation:
+    """The scene beside all measured images."""
+    found = compare(scene, device, ranks=ranks, progress="compare")
+    return ranks.agree(lambda: Evaluation.of(found)).shared(ranks)
 
 
 def _identified(problem: FitProblem, x: np.ndarray, poses: LearnedObjects | None) -> Identified | None:

@@ -17,11 +17,11 @@ def pooled_metrics(problem: FitProblem, x: np.ndarray | DeviceX) -> dict[str, fl
     observations = problem.observations
     if isinstance(x, DeviceX) and problem.scene.grid.calibrated:
         moments = problem.moments(x)
-        parts = [metrics_of(sums, seen.count, seen.looks) for seen, sums in zip(observations, moments, strict=True)]
+        parts = [metrics_of(sums, seen.count, seen.law) for seen, sums in zip(observations, moments, strict=True)]
     else:
         modelled = problem.modelled(x)
         pairs = zip(observations, modelled, problem.gains(modelled), strict=True)
-        parts = [metrics(seen.values, gain * mu, seen.looks) for seen, mu, gain in pairs]
+        parts = [metrics(seen.values, gain * mu, seen.law) for seen, mu, gain in pairs]
     total = np.zeros(len(METRICS) + 1)
     for seen, found in zip(observations, parts, strict=True):
         total += seen.count * np.array([*(found[key] for key in METRICS), 1.0])

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from warpsar.learning.observation import Observation
+from warpsar.compare.observation import Observation
 from warpsar.speckle.likelihood import Curvature, best_gain, curvature, loss_terms, loss_weight
 
 

@@ -17,6 +17,7 @@ from warpsar.learning.coordinates import DeviceX
 from warpsar.learning.problem import FitProblem
 from warpsar.learning.roughness import FieldPrior
 from warpsar.learning.sparse_quadratic import SparseQuadratic
+from warpsar.runtime.deadline import check
 from warpsar.runtime.distributed import Ranks
 from warpsar.runtime.matmul import transposed_times
 
@@ -109,6 +110,7 @@ def levenberg_marquardt(
     and so do those that `moving`, shape (p,), leaves out. The fit has arrived where a Jacobian made on the spot, and a
     step that is hardly damped, promise a gain of less than `flat` in log-likelihood.
     """
+    check()
     x = np.asarray(state.x)
     origin = state.differentiated_at
     if origin is None or np.abs(x - origin).max() > kept_within or problem.slopes_tell_all:

@@ -9,17 +9,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 import warp as wp
 
-from warpsar.learning.identify import Identified, of_information, residual_autocovariance, score_products
-from warpsar.learning.observation import Observation
+from warpsar.compare.observation import Observation
+from warpsar.learning.identify import Identified, of_information, score_products
 from warpsar.learning.pose_coordinates import Poses
 from warpsar.learning.pose_sharing import boxes, shared
 from warpsar.learning.prior import Known, Prior
 from warpsar.learning.problem import FitProblem
 from warpsar.learning.view import FitView
+from warpsar.runtime.deadline import check
 from warpsar.runtime.matmul import transposed_times
 from warpsar.scene.scene import Scene
 from warpsar.simulation.exact_rays import ExactRays
 from warpsar.speckle.likelihood import residual_sd
+from warpsar.speckle.residual import residual_autocovariance
 from warpsar.surface.stage import Stage
 from warpsar.world.world import posed
 
@@ -207,6 +209,7 @@ def descend(problem: PosedProblem, x: np.ndarray, *, most: int = MOST_STEPS, fla
     x = np.clip(x, low, high)
     loss, damping = problem.value(x), 1e-3
     for step_number in range(most):
+        check()
         gradient, hessian = _quadratic(problem, x)
         free = ~((x <= low) & (gradient > 0) | (x >= high) & (gradient < 0)) & (np.diag(hessian) > 0)
         if not free.any():

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
+from warpsar.compare.observation import Observation, usable_pixels
 from warpsar.effects.registry import validate
-from warpsar.learning.observation import Observation, usable_pixels
 from warpsar.scene.scene import Scene
 from warpsar.world.tables import Grid
 

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from warpsar.compare.observation import Observation
 from warpsar.errors import InputError
 from warpsar.learning.identify import Identified
-from warpsar.learning.observation import Observation
 from warpsar.learning.pose import Descended, PosedProblem, descend
 from warpsar.learning.pose_coordinates import PoseCoordinate, values_of
 from warpsar.learning.pose_pixels import compared

@@ -15,6 +15,7 @@ import numpy as np
 import warp as wp
 from scipy.sparse import csr_array, hstack
 
+from warpsar.compare.observation import Observation
 from warpsar.effects.base.effect import DeclaredEffect
 from warpsar.effects.registry import values_in
 from warpsar.errors import InputError
@@ -24,7 +25,6 @@ from warpsar.learning.coordinates import DeviceX, EffectCoordinate, SceneCoordin
 from warpsar.learning.held import views_held, with_render
 from warpsar.learning.jacobian import Move, Nodes, ViewJacobian
 from warpsar.learning.misfit import Misfit
-from warpsar.learning.observation import Observation
 from warpsar.learning.prior import DevicePrior, Prior, refuse_prior
 from warpsar.learning.regularise import TotalVariation
 from warpsar.learning.roughness import FieldPrior, Roughness

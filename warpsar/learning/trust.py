@@ -1,61 +1,27 @@
-"""Whether the intervals of a fit hold, and if not, why."""
+"""Whether the intervals of a fit hold, and if not, why; and what a fit made worse."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict
+from collections.abc import Mapping, Sequence
+from typing import cast
 
 import numpy as np
 
+from warpsar.compare.comparison import Comparison
+from warpsar.compare.judgement import Judgement
 from warpsar.kernels.codes import Model
-from warpsar.learning.observation import Observation
 from warpsar.learning.problem import FitProblem
-from warpsar.learning.verdict import Verdict, Window, verdict
 
 OUTSIDE = 0.5  # share of a material's lit area outside its model's domain, from which its values mean little
+LESS_ALIKE = 0.05  # of a correlation, by which an image must have become less like the measured one to be told
+FARTHER = 1.1  # times the error of before, from which an image is told to have become worse
 AT_BOUND = 1e-3  # of a log coordinate, within which a value lies on its bound
-
-
-def fit_verdict(problem: FitProblem, x: np.ndarray, ray_noise: float) -> Verdict:
-    """The verdict on all images of a fit at x, the same on all ranks; `ray_noise` as in `verdict`, or NaN."""
-    images = _all_images(problem, x)
-    first = problem.ranks.first
-    found = verdict(problem.scene, images, np.nan_to_num(ray_noise)) if first else None
-    told = problem.ranks.gather(None if found is None else asdict(found))[0]
-    return found or Verdict(**{**told, "window": Window(**told["window"])})
-
-
-def _all_images(problem: FitProblem, x: np.ndarray) -> list[tuple[Observation, np.ndarray]]:
-    """Every observation beside the modelled beta0 with its gain, shape (rows, cols), on the first rank."""
-    ranks = problem.ranks
-    gains = iter(problem.gains(problem.modelled(x)))
-    mine = []
-    for one in problem.views:
-        for seen in one.observations:
-            image = one.render.images[seen.polarization].numpy().reshape(seen.measured.shape).astype(float)
-            image[seen.interior] = np.maximum(image[seen.interior], seen.darkest)
-            mine.append((seen, float(next(gains)) * image))
-    if ranks.size == 1:
-        return mine
-    parts = ("measured", "interior", "silent", "dark")
-    arrays = {f"{k} {part}": getattr(seen, part) for k, (seen, _) in enumerate(mine) for part in parts}
-    arrays |= {f"{k} modelled": image for k, (_, image) in enumerate(mine)}
-    said = ranks.gather([[s.view.name, s.polarization, s.looks, s.looks_estimated] for s, _ in mine])
-    order = [view.name for view in problem.chosen]
-    found = []
-    for about, stored in zip(said, ranks.collect(arrays), strict=False):
-        for k, (name, polarization, looks, estimated) in enumerate(about):
-            measured, interior, silent, dark = (stored[f"{k} {part}"] for part in parts)
-            of = problem.chosen[order.index(name)]
-            seen = Observation(of, polarization, measured, interior, silent, dark, looks, estimated)
-            found.append((seen, stored[f"{k} modelled"]))
-    return sorted(found, key=lambda one: order.index(one[0].view.name))
 
 
 def doubts(
     problem: FitProblem,
     x: np.ndarray,
-    verdicts: Mapping[str, Verdict],
+    verdicts: Mapping[str, Judgement],
     domains: Mapping[str, Mapping[str, float]],
 ) -> list[str]:
     """Why the intervals at x do not hold, a sentence each; none where nothing speaks against them.
@@ -65,6 +31,31 @@ def doubts(
     """
     found = [f"{role} views: {one.words}" for role, one in verdicts.items() if one.wrong]
     return found + _at_bounds(problem, np.asarray(x)) + _outside(problem, np.asarray(x), domains)
+
+
+def worse(before: Sequence[Comparison], after: Sequence[Comparison]) -> list[str]:
+    """What got worse than at the start, a sentence for each image; none where nothing did.
+
+    A likelihood can improve while an image becomes less like the measured one: then the model buys a few pixels by many
+    others.
+    """
+    found = []
+    for one, two in zip(before, after, strict=True):
+        a, b = (cast(dict[str, float], image.metrics) for image in (one, two))
+        said = [
+            f"{name} {a[key]:.3f} -> {b[key]:.3f}"
+            for key, name, lost in (
+                ("deviance", "deviance", b["deviance"] > FARTHER * a["deviance"]),
+                ("correlation", "correlation", b["correlation"] < a["correlation"] - LESS_ALIKE),
+                ("nrmse", "nrmse", b["nrmse"] > FARTHER * a["nrmse"]),
+                ("rmse_db", "rmse [dB]", b["rmse_db"] > FARTHER * a["rmse_db"]),
+            )
+            if lost
+        ]
+        if said:
+            where = f"{two.name} ({two.role})"
+            found.append(f"{where} is farther from the measured image than at the start: {', '.join(said)}")
+    return found
 
 
 def _at_bounds(problem: FitProblem, x: np.ndarray) -> list[str]:

@@ -9,11 +9,11 @@ import numpy as np
 import warp as wp
 from scipy.special import gammaln
 
+from warpsar.compare.observation import Observation, observe
 from warpsar.effects.base.effect import DeclaredEffect
 from warpsar.kernels import loss as loss_kernels
 from warpsar.kernels import metrics as metrics_kernels
 from warpsar.learning.misfit import Misfit
-from warpsar.learning.observation import Observation, observe
 from warpsar.render.rendered import Rendered, Replayed
 from warpsar.runtime.program import Part, Program
 from warpsar.scene.scene import Scene
@@ -47,7 +47,7 @@ class FitView:
         self.view, self.effects, self.render = view, effects, render
         if observations is None:
             render.program.forward()
-            observations = [observe(scene, view, pol, self.render.lit(pol)) for pol in view.images]
+            observations = [observe(scene, view, pol, self.render.covered(pol)) for pol in view.images]
             if any(e.effect.additive for e in self.effects):
                 observations = [seen.with_dark() for seen in observations]
         self.observations = observations

@@ -21,6 +21,7 @@ from warpsar.errors import InputError
 from warpsar.kernels import bands as kernels
 from warpsar.kernels.codes import Polarization
 from warpsar.render.render import ViewRender
+from warpsar.render.rendered import COVERED
 from warpsar.runtime.program import Program
 from warpsar.surface.stage import Stage
 from warpsar.trace.hits import BinGrid, Hits
@@ -106,6 +107,11 @@ class BandedRender:
     def lit(self, polarization: str) -> np.ndarray:
         """As `Rendered.lit`."""
         return self.light[polarization].numpy().reshape(self.shape) > 0
+
+    def covered(self, polarization: str) -> np.ndarray:
+        """As `Rendered.covered`: every band is traced once more."""
+        area = sum((piece.coverage() for piece in self.pieces()), np.zeros(self.shape))
+        return self.lit(polarization) & (area >= COVERED)
 
     def set_parameters(self, nodes: np.ndarray | None, effects: Mapping[str, np.ndarray] | None = None) -> None:
         """As `Rendered.set_parameters`."""

@@ -16,6 +16,7 @@ from warpsar.kernels import binning, shade, shade_lanes
 from warpsar.kernels.codes import Layout, Polarization
 from warpsar.kernels.wide import LANES
 from warpsar.render import models
+from warpsar.render.rendered import COVERED
 from warpsar.runtime.launches import Launch, by_elements, by_stretches
 from warpsar.runtime.program import Program
 from warpsar.surface.samples import shading_samples
@@ -138,6 +139,38 @@ class ViewRender:
         """As `Rendered.lit`."""
         return self._light[polarization].numpy().reshape(self.shape) > 0
 
+    def covered(self, polarization: str) -> np.ndarray:
+        """As `Rendered.covered`."""
+        return self.lit(polarization) & (self.coverage() >= COVERED)
+
+    def coverage(self) -> np.ndarray:
+        """Area of the lit surface in every pixel over the pixel's area, after a forward run, shape (rows, cols)."""
+        (bin_rows, bin_cols), fine, (rows, cols) = self.hits.grid.shape, self.hits.grid.bins_per_pixel, self.shape
+        filled = np.bincount(self.hits.pixel.numpy(), self.hits.weight.numpy().astype(float), bin_rows * bin_cols)
+        if not self._moves:
+            return filled.reshape(self.shape)
+        device = self.program.device
+        area: wp.array = wp.array(filled.astype(np.float32), dtype=float, device=device)
+        image: wp.array = wp.zeros(rows * cols, dtype=float, device=device)
+        inputs = [bin_rows, bin_cols, fine, rows, cols, self._shift, area]
+        wp.launch(binning.slide_kernel, (rows, cols), inputs=inputs, outputs=[image], device=device)
+        return image.numpy().reshape(self.shape).astype(float)
+
+    def moved(self, rows: float, cols: float) -> dict[str, np.ndarray]:
+        """beta0 by polarization, shape (rows, cols), float32, with all power moved by so many pixels before it is dealt
+        to them. The hits' bins must be finer than pixels: within a bin power is spread evenly."""
+        assert self._moves
+        self._offset.assign(np.array([rows, cols], np.float32))
+        try:
+            return self.forward()
+        finally:
+            self._offset.zero_()
+
+    @property
+    def _moves(self) -> bool:
+        """Whether bins are finer or wider than the pixels, or are moved."""
+        return bool(self._at("position")) or self.hits.grid.shape != self.shape
+
     def _at(self, stage: str) -> list[tuple[Effect, wp.array]]:
         return [(e.effect, self.effect_values[e.effect.name]) for e in self._effects if e.effect.stage == stage]
 
@@ -191,7 +224,7 @@ class ViewRender:
             taken = self.program.array(bins.shape[0])
             self.program.launch(shade.take_kernel, bins.shape[0], [sample, sigma], [taken])
             sigma = taken
-        if not self._at("position") and self.hits.grid.shape == self.shape:
+        if not self._moves:
             self._note(weight, bins, None)
             self._deposit(sigma, weight, bins, image)
         else:
@@ -216,9 +249,9 @@ class ViewRender:
 
     @cached_property
     def _shift(self) -> wp.array:
-        """How far (rows, columns) [pixels] the position effects move the bins, together."""
+        """How far (rows, columns) [pixels] the bins are moved: an offset (`moved`), and what position effects add."""
         movers = self._at("position")
-        shift = self.program.array(2, grad=bool(movers))
+        shift = self._offset = self.program.array(2, grad=bool(movers))
         for effect, p in movers:
             shift = effect.shift(self, p, shift)
         return shift

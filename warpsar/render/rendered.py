@@ -11,6 +11,10 @@ import warp as wp
 from warpsar.effects.base.effect import DeclaredEffect
 from warpsar.trace.hits import Hits
 
+COVERED = 0.125
+"""Lit surface in a pixel, over the pixel's area, from which a pixel is compared with a measured one. A few rays alone
+tell how much smaller a sliver is, and what they tell of it is noise."""
+
 
 class Replayed(Protocol):
     """A recorded sequence of launches; `warpsar.runtime.program.Program` says what each method does."""
@@ -88,6 +92,9 @@ class Rendered(Protocol):
 
         A blur or a noise floor lights nothing.
         """
+
+    def covered(self, polarization: str) -> np.ndarray:
+        """Those of the `lit` pixels in which the lit surface has `COVERED` of the pixel's area or more."""
 
     def set_parameters(self, nodes: np.ndarray | None, effects: Mapping[str, np.ndarray] | None = None) -> None:
         """Parameters of the next run: nodes in learned coordinates (None: as before), effects' values by name."""

@@ -48,6 +48,12 @@ class SceneTable(Table):
         description="World point in the middle of every image [m]: range and azimuth are zero.",
         examples=[[0.0, 0.0, 9.0]],
     )
+    accuracy_m: Annotated[Number, Field(gt=0.0, le=100.0)] | None = Field(
+        default=None,
+        description="Standard deviation of the mesh's outlines about their true places along each axis [m], by which "
+        "edges are judged. If not stated, they are taken to be right to a tenth of a pixel.",
+        examples=[0.1],
+    )
     origin: Origin | None = Field(
         default=None,
         description="Where the world's zero lies on the earth; not for a DEM, which says it itself.",

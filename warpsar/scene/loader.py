@@ -83,6 +83,7 @@ class _Loader:
             "sampling": file.sampling,
             "effects": self.effects,
             "reference_point_m": file.scene.reference_point_m,
+            "accuracy_m": file.scene.accuracy_m,
             "origin": file.scene.origin,
             "path": self.path,
             "mesh_path": mesh_path,

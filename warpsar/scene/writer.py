@@ -55,6 +55,8 @@ class _Writer:
         head: dict[str, Any] = {} if scene.mesh_path is None else {"mesh": self.relative(scene.mesh_path)}
         if any(scene.reference_point_m):
             head["reference_point_m"] = list(scene.reference_point_m)
+        if scene.accuracy_m is not None:
+            head["accuracy_m"] = scene.accuracy_m
         if scene.origin is not None:
             head["origin"] = _plain(scene.origin)
         tables: dict[str, Any] = {"scene": head, "radar": _plain(scene.radar), "image": _plain(scene.grid)}

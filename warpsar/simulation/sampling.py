@@ -48,7 +48,7 @@ def relative_variance(
         hits = trace_view(scene, stage, view, seed=seed, effects=effects, rays_per_m2=rays_per_m2)
         render = ViewRender(stage, view, hits, scene.grid.shape, scene.radar.polarizations[:1], effects)
         pair.append(next(iter(render.forward().values())).astype(float))
-        lit.append(render.lit(scene.radar.polarizations[0]))
+        lit.append(render.covered(scene.radar.polarizations[0]))
     mean = (pair[0] + pair[1]) / 2.0
     interior = minimum_filter((lit[0] & lit[1]).astype(np.uint8), size=3, mode="constant") > 0
     if not interior.any():

@@ -1,4 +1,4 @@
-"""What statistics of speckle must know of an image: its compared pixels and its looks."""
+"""What statistics of speckle must know of an image: its compared pixels and the law of its speckle."""
 
 from __future__ import annotations
 
@@ -6,12 +6,18 @@ from typing import Protocol
 
 import numpy as np
 
+from warpsar.speckle.law import Law
+
 
 class Compared(Protocol):
-    """One image. `interior`: the pixels that are compared, shape (rows, cols), bool."""
+    """One image. `interior`: the pixels that are compared, shape (rows, cols), bool. `looks` are the law's
+    equivalent ones."""
 
     @property
     def interior(self) -> np.ndarray: ...
 
     @property
     def looks(self) -> float: ...
+
+    @property
+    def law(self) -> Law: ...

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 from scipy.fft import fft2, ifft2, next_fast_len
-from scipy.stats import gamma, norm
 
 from warpsar.speckle.compared import Compared
+from warpsar.speckle.law import Law
 
 
 class Speckle:
@@ -23,22 +23,22 @@ class Speckle:
         self.white = np.count_nonzero(autocovariance) == 1
         self.sd = float(np.sqrt(autocovariance.max()))
         self.spectra = []
-        # gamma quantiles over those of the normal distribution, once for every number of looks
+        # quantiles of power over those of the normal distribution, once for every law
         self._normal = np.linspace(-7.0, 7.0, 4001)
-        self._power: dict[float, np.ndarray] = {}
+        self._power: dict[Law, np.ndarray] = {}
         if not self.white:
             lags = autocovariance.shape[0] // 2
             correlation = autocovariance / autocovariance[lags, lags]
             for seen in self.observations:
                 inside = _box(seen.interior)
                 kernel = np.zeros([next_fast_len(n + lags) for n in inside.shape])
-                if seen.looks not in self._power:
-                    self._power[seen.looks] = self._quantiles(seen.looks)
+                if seen.law not in self._power:
+                    self._power[seen.law] = seen.law.quantiles(self._normal)
                 at = np.arange(-lags, lags + 1)
                 np.add.at(
                     kernel,
                     (at[:, None] % kernel.shape[0], at % kernel.shape[1]),
-                    self._underlying(correlation, seen.looks),
+                    self._underlying(correlation, seen.law),
                 )
                 spectrum = np.sqrt(np.maximum(fft2(kernel).real, 0.0))
                 if spectrum.any():
@@ -53,12 +53,11 @@ class Speckle:
         sizes = [int(seen.interior.sum()) for seen in self.observations]
         drawn = np.empty((sum(sizes), draws), np.float32)
         for index, part in enumerate(np.split(drawn, np.cumsum(sizes)[:-1])):
-            looks = self.observations[index].looks
+            looks, law = self.observations[index].looks, self.observations[index].law
             if self.white:
-                part[:] = random.standard_gamma(looks, part.shape)
-                part /= np.float32(looks)
+                part[:] = law.draw(random, part.shape)
             else:
-                part[:] = self._power_of(self._field(random, index, draws), looks)
+                part[:] = self._power_of(self._field(random, index, draws), law)
             part -= np.float32(1.0)
             part *= np.float32(np.sqrt(looks) * max(self.sd, 1.0))
         return drawn
@@ -75,27 +74,22 @@ class Speckle:
         field = ifft2(noise, norm="ortho", overwrite_x=True)[:, : inside.shape[0], : inside.shape[1]][:, inside]
         return np.ascontiguousarray(field.T).view(np.float32)[:, :draws]
 
-    def _power_of(self, normal: np.ndarray, looks: float) -> np.ndarray:
+    def _power_of(self, normal: np.ndarray, law: Law) -> np.ndarray:
         """The table of quantiles at `normal`, interpolated: its steps are equal, so that no step has to be searched."""
-        table = self._power[looks].astype(np.float32)
+        table = self._power[law].astype(np.float32)
         first, step = np.float32(self._normal[0]), np.float32(self._normal[1] - self._normal[0])
         at = np.clip((normal - first) / step, np.float32(0.0), np.float32(table.size - 1.0))
         below = at.astype(np.int32)
         at -= below
         return table.take(below) + at * np.diff(table, append=table[-1]).take(below)
 
-    def _quantiles(self, looks: float) -> np.ndarray:
-        below = gamma.ppf(norm.cdf(self._normal), looks)
-        above = gamma.isf(norm.sf(self._normal), looks)
-        return np.where(self._normal < 0, below, above) / looks
-
-    def _underlying(self, correlation: np.ndarray, looks: float) -> np.ndarray:
+    def _underlying(self, correlation: np.ndarray, law: Law) -> np.ndarray:
         """Correlations of normal variables whose gamma ones have `correlation` (not negative), any shape.
 
         The transform's Hermite coefficients c_k make it sum(c_k^2 rho^k) / sum(c_k^2) (Lancaster, 1957).
         """
         z, w = np.polynomial.hermite_e.hermegauss(120)
-        power = np.interp(z, self._normal, self._power[looks])
+        power = np.interp(z, self._normal, self._power[law])
         order = np.arange(1, 25)
         hermite = np.polynomial.hermite_e.hermevander(z, order[-1])[:, 1:]
         shares = ((w * power) @ hermite) ** 2 / np.cumprod(order.astype(float))

@@ -9,9 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import digamma, polygamma
+from scipy.special import polygamma
 
 from warpsar.speckle.censored import hazard, minus_log_survival, survival_curvature
+from warpsar.speckle.law import Law
 
 TINY = 1e-12  # a clipped pixel that is modelled far over its level bends the loss no more
 LOSSES = {"gamma": 0, "mse": 1, "log": 2}  # codes of kernels/loss.py
@@ -19,18 +20,23 @@ LOSSES = {"gamma": 0, "mse": 1, "log": 2}  # codes of kernels/loss.py
 
 def expected_deviance(looks: float) -> float:
     """E[d] = 2 L (ln L - psi(L)), the deviance of one pixel of pure speckle."""
-    return float(2.0 * looks * (np.log(looks) - digamma(looks)))
+    return Law(looks).expected_deviance
 
 
 def log_bias(looks: float) -> float:
     """E[ln(I / mu)] = psi(L) - ln L."""
-    return -expected_deviance(looks) / (2.0 * looks)
+    return Law(looks).log_mean
 
 
 def deviance(measured: np.ndarray, modelled: np.ndarray, looks: float) -> np.ndarray:
     """d = 2 L (I / mu - 1 - ln(I / mu)) per pixel, any shape."""
     ratio = measured / modelled
     return 2.0 * looks * (ratio - 1.0 - np.log(ratio))
+
+
+def scaled_deviance(measured: np.ndarray, modelled: np.ndarray, law: Law) -> np.ndarray:
+    """d / E[d] of each pixel, any shape: 1 on average where the law alone is left."""
+    return deviance(measured, modelled, law.equivalent_looks) / law.expected_deviance
 
 
 @dataclass(frozen=True)
@@ -166,7 +172,7 @@ def loss_terms(
 METRICS = ("rmse", "nrmse", "rmse_db", "deviance", "correlation")
 
 
-def metrics(measured: np.ndarray, modelled: np.ndarray, looks: float) -> dict[str, float]:
+def metrics(measured: np.ndarray, modelled: np.ndarray, law: Law) -> dict[str, float]:
     """How well a modelled image agrees with a measured one, both flat arrays of the pixels compared.
 
     `rmse` [beta0]; `nrmse` = rmse / rms(I); `correlation`; and over the pixels where both are positive `rmse_db` and
@@ -178,13 +184,13 @@ def metrics(measured: np.ndarray, modelled: np.ndarray, looks: float) -> dict[st
         error=np.mean((measured - modelled) ** 2),
         power=np.mean(measured**2),
         rmse_db=np.sqrt(np.mean((10.0 * np.log10(i / mu)) ** 2)),
-        deviance=np.mean(deviance(i, mu, looks)) / expected_deviance(looks),
+        deviance=np.mean(scaled_deviance(i, mu, law)),
         covariance=np.mean((measured - measured.mean()) * (modelled - modelled.mean())),
         spread=measured.std() * modelled.std(),
     )
 
 
-def metrics_of(moments: np.ndarray, pixels: int, looks: float) -> dict[str, float]:
+def metrics_of(moments: np.ndarray, pixels: int, law: Law) -> dict[str, float]:
     """`metrics` of `pixels` pixels from the sums of kernels/metrics.py, shape (9,), float64."""
     i, ii, mu, mumu, imu, error = moments[:6] / pixels
     both, logarithm, excess = moments[6:]
@@ -192,7 +198,7 @@ def metrics_of(moments: np.ndarray, pixels: int, looks: float) -> dict[str, floa
         error=error,
         power=ii,
         rmse_db=10.0 / np.log(10.0) * np.sqrt(logarithm / both),
-        deviance=2.0 * looks * excess / both / expected_deviance(looks),
+        deviance=2.0 * law.equivalent_looks * excess / both / law.expected_deviance,
         covariance=imu - i * mu,
         spread=np.sqrt(max(ii - i**2, 0.0) * max(mumu - mu**2, 0.0)),
     )

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import gamma
+
+from warpsar.speckle.law import Law
 
 LAGS = 6  # pixels, each way, over which neighbours are taken to be correlated
 _FALL = np.minimum(1.0, 2.0 - 2.0 * np.abs(np.arange(-LAGS, LAGS + 1)) / (LAGS + 1.0))
@@ -19,11 +20,15 @@ LARGEST = 8.0  # standard deviations at which a residual is cut off
 
 @dataclass(frozen=True)
 class Patch:
-    """`ratio`: measured over modelled power, shape (rows, cols), where `interior` holds; `looks` of its speckle."""
+    """`ratio`: measured over modelled power, shape (rows, cols), where `interior` holds; `law` of its speckle."""
 
     interior: np.ndarray
     ratio: np.ndarray
-    looks: float
+    law: Law
+
+    @property
+    def looks(self) -> float:
+        return self.law.equivalent_looks
 
     @property
     def values(self) -> np.ndarray:
@@ -73,7 +78,7 @@ def _levels(patch: Patch) -> np.ndarray:
     down, across = (n // BLOCK for n in values.shape)
     blocks = values.reshape(down, BLOCK, across, BLOCK).swapaxes(1, 2).reshape(-1, BLOCK**2)
     level, some = np.ones(len(blocks)), np.isfinite(blocks).any(axis=1)
-    level[some] = np.nanmedian(blocks[some], axis=1) * patch.looks / gamma.median(patch.looks)
+    level[some] = np.nanmedian(blocks[some], axis=1) / patch.law.median
     return np.kron(level.reshape(down, across), np.ones((BLOCK, BLOCK)))[:rows, :cols]
 
 

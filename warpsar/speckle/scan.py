@@ -80,16 +80,23 @@ class Scan:
                     found[some] = np.maximum(found[some], np.maximum(*ends))
         return found
 
-    def strongest(self, parts: Sequence[np.ndarray]) -> Spot:
-        """The strongest window of one residual, an array (pixels,) per observation."""
+    def strongest(self, parts: Sequence[np.ndarray], granted: Sequence[np.ndarray] | None = None) -> Spot:
+        """The strongest window of one residual, an array (pixels,) per observation.
+
+        `granted`, of the same shapes: a residual that is granted either way. A window's z is less by what it makes
+        there, and 0 where that is more.
+        """
         best = Spot(0.0, 0, 0, 0, self.sides[0])
         for index, part in enumerate(parts):
-            for window, z in zip(self.sides, self._windows(index, part[:, None], silent=True), strict=True):
-                row, col = np.unravel_index(int(np.argmax(np.abs(z[0]))), z[0].shape)
-                if abs(z[0, row, col]) > abs(best.z):
+            windows = self._windows(index, part[:, None], silent=True)
+            less = [np.zeros(1)] * len(windows) if granted is None else self._windows(index, granted[index][:, None])
+            for window, z, free in zip(self.sides, windows, less, strict=True):
+                z = np.sign(z[0]) * np.maximum(np.abs(z[0]) - free[0], 0.0)
+                row, col = np.unravel_index(int(np.argmax(np.abs(z))), z.shape)
+                if abs(z[row, col]) > abs(best.z):
                     box = self.boxes[index]
                     place = (int(row + box[0].start), int(col + box[1].start))
-                    best = Spot(float(z[0, row, col]), index, *place, window)
+                    best = Spot(float(z[row, col]), index, *place, window)
         return best
 
 

@@ -437,7 +437,13 @@ class View(Table):
         default=None, description="Image that is not zero where pixels are used.", examples=["north_mask.png"]
     )
     looks: Annotated[_Positive, Field(le=1e9)] | None = Field(
-        default=None, description="Equivalent number of looks of the images.", examples=[4.0]
+        default=None, description="Equivalent number of looks of the images' speckle.", examples=[4.0]
+    )
+    texture: Annotated[_Positive, Field(ge=0.05, le=1e6)] | None = Field(
+        default=None,
+        description="Shape of the gamma law by which the power itself varies from pixel to pixel beside speckle; none "
+        "if not stated.",
+        examples=[6.0],
     )
     clipped_at: Annotated[_Positive, Field(le=1e30)] | None = Field(
         default=None,

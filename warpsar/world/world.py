@@ -46,6 +46,8 @@ class World:
     """Parameters of the declared effects, as `warpsar.effects.registry.validate` gives them."""
     reference_point_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Where range and azimuth are zero [m], world."""
+    accuracy_m: float | None = None
+    """Standard deviation of the mesh's outlines about their true places along each axis [m]; None if not stated."""
     origin: Origin | None = None
     """Where the world lies on the earth; None where it is not said, or said by a DEM."""
     path: Path | None = None
@@ -145,7 +147,7 @@ class World:
 
     def _tables(self) -> str:
         """The tables as text, without what names a file."""
-        plain: list[Any] = [self.radar, self.grid, self.sampling, self.effects, self.reference_point_m]
+        plain: list[Any] = [self.radar, self.grid, self.sampling, self.effects, self.reference_point_m, self.accuracy_m]
         plain += [one.model_dump(exclude={"mesh"}) for one in self.objects]
         plain += [one.model_dump(exclude={"file"}) for one in self.curves]
         plain += [] if self.collection is None else [self.collection.model_dump(exclude={"trajectory"})]

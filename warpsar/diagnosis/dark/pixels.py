@@ -9,10 +9,10 @@ from functools import cached_property
 import numpy as np
 from scipy.ndimage import maximum_filter
 
+from warpsar.compare.observation import TRACE, Observation
 from warpsar.diagnosis.scores.evidence import LARGEST
-from warpsar.learning.observation import Observation
 from warpsar.learning.problem import FitProblem
-from warpsar.learning.verdict import TRACE
+from warpsar.speckle.law import Law
 
 NOTHING = 0.01
 LEAST = 1e-6
@@ -43,6 +43,10 @@ class DarkPixels:
     @property
     def looks(self) -> float:
         return self.seen.looks
+
+    @property
+    def law(self) -> Law:
+        return self.seen.law
 
     @cached_property
     def measured(self) -> np.ndarray:

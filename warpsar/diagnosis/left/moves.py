@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import uniform_filter
 
+from warpsar.compare.observation import Observation
 from warpsar.diagnosis.models.bench import Bench
 from warpsar.diagnosis.models.carried import on_the_surface
-from warpsar.learning.observation import Observation
 from warpsar.scene.scene import Scene
 
 SMOOTHED = 3  # pixels on a side, over which the other views' residual is averaged

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import uniform_filter
 
+from warpsar.compare.comparison import Comparison
 from warpsar.diagnosis.found import Diagnosis
-from warpsar.diagnosis.judge import Judged
 from warpsar.diagnosis.models.projection import pixel_of, shift_px
 from warpsar.evaluation.meshview import MeshView
 from warpsar.scene.scene import Scene
@@ -65,7 +65,7 @@ class Place:
     views: list[InView]
 
 
-def place(found: Diagnosis, images: Sequence[Judged], spot: Spot) -> Place:
+def place(found: Diagnosis, images: Sequence[Comparison], spot: Spot) -> Place:
     """Back-project the spot; `images` are the final model's."""
     scene = found.final.scene
     seen = found.observations[spot.observation]
@@ -122,7 +122,7 @@ def _parts(scene: Scene, hits: Hits, inside: np.ndarray) -> list[Part]:
     return sorted(found, key=lambda part: -part.share)
 
 
-def _in_view(found: Diagnosis, image: Judged, world: np.ndarray, half: int) -> InView:
+def _in_view(found: Diagnosis, image: Comparison, world: np.ndarray, half: int) -> InView:
     scene = found.final.scene
     row, col = (
         int(np.floor(at[0])) for at in pixel_of(scene, image.seen.view, (world - scene.reference_point_m)[None])
@@ -130,18 +130,18 @@ def _in_view(found: Diagnosis, image: Judged, world: np.ndarray, half: int) -> I
     return InView(image.name, image.role, row, col, _window_db(image, row, col, half))
 
 
-def _window_db(image: Judged, row: int, col: int, half: int) -> float:
+def _window_db(image: Comparison, row: int, col: int, half: int) -> float:
     """10 log10 of measured over modelled power of the compared pixels in a window; nan where there are none."""
-    rows, cols = image.modelled.shape
+    rows, cols = image.simulated.shape
     box = (slice(max(row - half, 0), max(row + half + 1, 0)), slice(max(col - half, 0), max(col + half + 1, 0)))
     use = image.seen.interior[box]
     if row >= rows + half or col >= cols + half or not use.any():
         return float("nan")
-    ratio = image.seen.measured[box][use].sum(dtype=float) / image.modelled[box][use].sum()
+    ratio = image.seen.measured[box][use].sum(dtype=float) / image.simulated[box][use].sum()
     return float(10.0 * np.log10(ratio))
 
 
-def residual_on(side: MeshView, found: Diagnosis, images: Sequence[Judged]) -> np.ndarray:
+def residual_on(side: MeshView, found: Diagnosis, images: Sequence[Comparison]) -> np.ndarray:
     """Measured over modelled power [dB] at every ray of a picture of the mesh, averaged over `SMOOTHED` pixels and the
     train views that see the place; nan where none does, shape (n,)."""
     scene = found.final.scene
@@ -154,7 +154,7 @@ def residual_on(side: MeshView, found: Diagnosis, images: Sequence[Judged]) -> n
         mask = image.seen.interior
         power = [
             uniform_filter(np.where(mask, plane, 0.0).astype(float), SMOOTHED, mode="constant")
-            for plane in (image.seen.measured, image.modelled)
+            for plane in (image.seen.measured, image.simulated)
         ]
         row, col = pixel_of(scene, image.seen.view, side.point)
         shift = shift_px(scene, image.seen.view)

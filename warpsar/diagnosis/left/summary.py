@@ -7,16 +7,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from warpsar.compare.comparison import Comparison
 from warpsar.diagnosis.dark.pixels import NOTHING, DarkPixels, impossible
 from warpsar.diagnosis.found import Diagnosis
-from warpsar.diagnosis.judge import Judged
 from warpsar.diagnosis.left.moves import Moves, moves_with
 from warpsar.diagnosis.left.nearest import Near, nearest
 from warpsar.diagnosis.left.shape import Shape, Spectrum, shape_of
+from warpsar.diagnosis.role_metrics import dark_of
 from warpsar.diagnosis.turn.signature import surface_in_pixels
 from warpsar.speckle.own import Patch, own_autocovariance
+from warpsar.speckle.scan import Spot
 
-LARGEST = 8.0  # standard deviations at which a residual is cut off
 FEWEST = 20  # pixels of a share
 ANGLE_DEG = 10.0  # width of a range of incidence
 TOP = 1e-3  # below the largest value of an image: what counts as equal to it
@@ -79,26 +80,23 @@ class Left:
     spread: float
 
 
-def left_of(found: Diagnosis, images: Sequence[Judged]) -> Left:
-    """What `images`, the final model's, leave. Nothing is fitted or decided here."""
+def left_of(found: Diagnosis, images: Sequence[Comparison], spot: Spot, unexplained: bool) -> Left:
+    """What `images`, the final model's, leave; `spot` is the strongest window. Nothing is fitted or decided here."""
     train = [image for image in images if image.role == "train"]
     seen = [now.seen for now in train]
-    dark = [image.dark for image in train]
-    masks = [
-        (one.interior | (one.silent & (image.modelled > pixels.allowed))) & ~one.dark
+    dark = [dark_of(image) for image in train]
+    lit = [
+        ((one.interior & image.interior) | (one.silent & (image.simulated > pixels.allowed))) & ~one.dark
         for one, image, pixels in zip(found.observations, train, dark, strict=True)
     ]
-    ratios = [_ratio(image, mask) for image, mask in zip(train, masks, strict=True)]
-    residuals = [
-        np.where(mask, np.clip(np.sqrt(one.looks) * (ratio - 1.0), -LARGEST, LARGEST), 0.0)
-        for one, ratio, mask in zip(seen, ratios, masks, strict=True)
-    ]
-    patches = [Patch(mask, ratio, one.looks) for mask, ratio, one in zip(masks, ratios, seen, strict=True)]
+    masks = [(one | (image.scatters & image.usable)) & ~image.seen.dark for one, image in zip(lit, train, strict=True)]
+    residuals = [np.where(mask, image.residual, 0.0) for image, mask in zip(train, masks, strict=True)]
+    patches = [Patch(mask, _ratio(image, mask), image.seen.law) for image, mask in zip(train, lit, strict=True)]
     autocovariance, _ = own_autocovariance(patches)  # what is left shall not excuse itself
     spread = max(float(autocovariance.sum()), 1e-3)
     last = found.turns[-1]
     in_the_dark = last.dark is not None and last.dark.minus_log_p > max(last.scan_minus_log_p, last.threshold)
-    number = last.dark.observation if in_the_dark and last.dark is not None else last.spot.observation
+    number = last.dark.observation if in_the_dark and last.dark is not None else spot.observation
     if in_the_dark:
         field, mask = np.zeros_like(residuals[number]), dark[number].interior
         field[mask] = dark[number].residual
@@ -116,13 +114,13 @@ def left_of(found: Diagnosis, images: Sequence[Judged]) -> Left:
         return [
             one
             for i, name in enumerate(names)
-            if (one := _share(name, train, masks, [at == i for at in numbers], spread)) is not None
+            if (one := _share(name, train, lit, [at == i for at in numbers], spread)) is not None
         ]
 
     angles = [f"{a:g} to {a + ANGLE_DEG:g} deg" for a in np.arange(0.0, 90.0, ANGLE_DEG)]
     kinds = sorted({one.polarization for one in seen})
     return Left(
-        unexplained=found.unexplained,
+        unexplained=unexplained,
         where="dark" if in_the_dark else "light",
         image=train[number].name,
         number=number,
@@ -131,10 +129,10 @@ def left_of(found: Diagnosis, images: Sequence[Judged]) -> Left:
         ratio_db=ratio_db,
         error_db=error_db,
         moves=moves_with(found.bench, found.final.scene, seen, residuals, spread),
-        views=shares([one.name for one in train], lambda k: np.full(masks[k].shape, k)),
+        views=shares([one.name for one in train], lambda k: np.full(lit[k].shape, k)),
         surfaces=shares(materials, lambda k: places[k][0]),
         incidences=shares(angles, lambda k: np.floor(np.nan_to_num(places[k][1], nan=-1.0) / ANGLE_DEG)),
-        polarizations=shares(kinds, lambda k: np.full(masks[k].shape, kinds.index(seen[k].polarization))),
+        polarizations=shares(kinds, lambda k: np.full(lit[k].shape, kinds.index(seen[k].polarization))),
         dark=[_in_the_dark(image.name, one) for image, one in zip(train, dark, strict=True) if one.interior.any()],
         clipped={image.name: n for image in train if (n := _clipped(image))},
         nearest=nearest(last, impossible(dark)),
@@ -144,10 +142,10 @@ def left_of(found: Diagnosis, images: Sequence[Judged]) -> Left:
     )
 
 
-def _ratio(image: Judged, mask: np.ndarray) -> np.ndarray:
+def _ratio(image: Comparison, mask: np.ndarray) -> np.ndarray:
     """Measured over modelled power where `mask` holds, 1 elsewhere."""
     found = np.ones(mask.shape)
-    found[mask] = image.seen.measured[mask] / image.modelled[mask]
+    found[mask] = image.seen.measured[mask] / image.simulated[mask]
     return found
 
 
@@ -165,14 +163,14 @@ def _decibels(ratio: float, error: float) -> tuple[float, float]:
 
 
 def _share(
-    name: str, images: Sequence[Judged], masks: Sequence[np.ndarray], parts: Sequence[np.ndarray], spread: float
+    name: str, images: Sequence[Comparison], masks: Sequence[np.ndarray], parts: Sequence[np.ndarray], spread: float
 ) -> Share | None:
     """The mean of measured over modelled power of the pixels of `parts`, each weighted by its looks."""
     total, weight, count = 0.0, 0.0, 0
     for image, mask, part in zip(images, masks, parts, strict=True):
         use = mask & part
         looks = image.seen.looks
-        total += looks * float((image.seen.measured[use] / image.modelled[use]).sum())
+        total += looks * float((image.seen.measured[use] / image.simulated[use]).sum())
         weight += looks * int(use.sum())
         count += int(use.sum())
     if count < FEWEST:
@@ -181,14 +179,16 @@ def _share(
     return Share(name, count, *_decibels(ratio, error), (ratio - 1.0) / error)
 
 
-def _in_rectangle(image: Judged, mask: np.ndarray, shape: Shape, spread: float, nothing: float) -> tuple[float, float]:
+def _in_rectangle(
+    image: Comparison, mask: np.ndarray, shape: Shape, spread: float, nothing: float
+) -> tuple[float, float]:
     """Measured over modelled power in the shape's rectangle and its standard error [dB]; NaN where the model has no
     more than `nothing` on average."""
     box = np.zeros_like(mask)
     top, left = shape.row - shape.rows // 2, shape.col - shape.cols // 2
     box[max(top, 0) : top + shape.rows, max(left, 0) : left + shape.cols] = True
     use = mask & box
-    modelled = float(image.modelled[use].sum())
+    modelled = float(image.simulated[use].sum())
     if modelled <= nothing * int(use.sum()):
         return float("nan"), float("nan")
     ratio = float(np.nan_to_num(image.seen.measured[use]).sum()) / modelled
@@ -202,7 +202,7 @@ def _in_the_dark(name: str, one: DarkPixels) -> InTheDark:
     return InTheDark(name, int(inside.sum()), measured, modelled, impossible)
 
 
-def _clipped(image: Judged) -> int:
+def _clipped(image: Comparison) -> int:
     """How many pixels measure the largest value of an image, where they pile up there; 0 where they do not."""
     values = image.seen.values
     count = int((values >= (1.0 - TOP) * values.max()).sum())

@@ -3,6 +3,7 @@
 other_meshes.py  rays through changed meshes
 bench.py         rays and pixels that all fits share
 frozen.py        which pixels are compared
+judge.py         models beside all measured images, test views among them
 refit.py         full fits of a model
 change.py        a change of geometry that may explain what is left
 movable.py       which bodies may stand elsewhere or be absent

@@ -12,13 +12,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import minimum_filter, uniform_filter
 
+from warpsar.compare.observation import TRACE, Observation, usable_pixels
 from warpsar.diagnosis.models.bench import Bench
 from warpsar.diagnosis.models.movable import standing
 from warpsar.diagnosis.models.refit import BOUND, Fitted
-from warpsar.learning.observation import Observation, usable_pixels
 from warpsar.learning.pose import Descended, PosedProblem, descend
 from warpsar.learning.pose_pixels import FLOOR_SHARE, blurred, compared
-from warpsar.learning.verdict import TRACE
 from warpsar.scene.placing import with_objects
 from warpsar.scene.scene import Scene
 from warpsar.speckle.likelihood import bounded, loss_terms

@@ -9,9 +9,9 @@ from typing import Any, TypeVar
 
 import warp as wp
 
+from warpsar.compare.observation import Observation
 from warpsar.diagnosis.models.other_meshes import OtherMeshes, same_surface
 from warpsar.effects.registry import get
-from warpsar.learning.observation import Observation
 from warpsar.learning.problem import FitProblem
 from warpsar.learning.roughness import Roughness
 from warpsar.runtime import threads

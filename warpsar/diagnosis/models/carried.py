@@ -7,12 +7,12 @@ from functools import partial
 
 import numpy as np
 
+from warpsar.compare.observation import Observation
 from warpsar.diagnosis.models.bench import Bench
 from warpsar.diagnosis.models.left_out import clipped
 from warpsar.diagnosis.models.projection import pixel_of, shift_px
 from warpsar.diagnosis.models.refit import Fitted
 from warpsar.effects.registry import get
-from warpsar.learning.observation import Observation
 from warpsar.scene.scene import Scene
 from warpsar.speckle.likelihood import loss_terms
 from warpsar.world.tables import View

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from warpsar.compare.observation import Observation
 from warpsar.diagnosis.models.bench import Bench
-from warpsar.learning.observation import Observation
 from warpsar.scene.scene import Scene
 
 SLIVER = 0.25  # of a ray's share of a pixel: darker than this no pixel is called that was lit

@@ -8,13 +8,13 @@ from functools import partial
 
 import numpy as np
 
+from warpsar.compare.observation import Observation
 from warpsar.diagnosis.models.bench import Bench
 from warpsar.diagnosis.models.refit import Fitted, descend
-from warpsar.learning.identify import residual_autocovariance
-from warpsar.learning.observation import Observation
 from warpsar.learning.results import learned_scene
 from warpsar.scene.scene import Scene
 from warpsar.speckle.likelihood import loss_terms
+from warpsar.speckle.residual import residual_autocovariance
 
 BLOCK = 8  # columns: what a view's own parameters are fitted on and judged on alternates
 # Share of a gain that is gained again by letting a view's own parameter vary over its columns: at most, and where the

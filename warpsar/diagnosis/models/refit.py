@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import minimum_filter
 
+from warpsar.compare.observation import Observation
 from warpsar.diagnosis.models.bench import Bench
 from warpsar.diagnosis.models.change import as_declared
 from warpsar.effects.registry import get
-from warpsar.learning.observation import Observation
 from warpsar.learning.optimise import FLAT, FitState, begin, levenberg_marquardt
 from warpsar.learning.problem import FitProblem
 from warpsar.learning.results import learned_scene
@@ -226,7 +226,7 @@ def narrowed_to(bench: Bench, problem: FitProblem) -> Bench:
     observations: dict[str, list[Observation]] = {}
     for view in problem.views:
         for seen in bench.observations[view.view.name]:
-            lit = view.render.lit(seen.polarization).astype(np.uint8)
+            lit = view.render.covered(seen.polarization).astype(np.uint8)
             inner = bench.ranks.same(minimum_filter(lit, size=3, mode="constant")) > 0
             kept = replace(seen, interior=seen.interior & inner, silent=seen.silent & inner)
             observations.setdefault(view.view.name, []).append(kept)

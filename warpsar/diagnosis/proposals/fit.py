@@ -11,8 +11,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import warp as wp
 
+from warpsar.compare.observation import Observation
 from warpsar.diagnosis.models.movable import standing
-from warpsar.learning.observation import Observation
 from warpsar.learning.pose import FLAT, MOST_STEPS, PosedProblem, descend
 from warpsar.learning.pose_pixels import Compared, compared
 from warpsar.learning.problem import FitProblem

@@ -7,13 +7,13 @@ from collections.abc import Callable
 
 import numpy as np
 
+from warpsar.compare.observation import Observation
 from warpsar.diagnosis.models.left_out import LeftOut, clipped
 from warpsar.diagnosis.proposals.fit import Ground, Standing, alone
 from warpsar.diagnosis.proposals.places import Place
-from warpsar.learning.identify import residual_autocovariance
-from warpsar.learning.observation import Observation
 from warpsar.scene.scene import Scene
-from warpsar.speckle.likelihood import expected_deviance, loss_terms
+from warpsar.speckle.likelihood import loss_terms
+from warpsar.speckle.residual import residual_autocovariance
 
 TOUCHED = 0.1  # change of ln power, from which an object touches a pixel
 STEPS, FLAT = 4, 1.0  # of the fit without a view: it begins where all views have the object
@@ -75,7 +75,7 @@ def explained(without: Standing, whole: Standing) -> float:
     pairs = zip(without.observations, without.modelled(), whole.modelled(), strict=True)
     for seen, plain, mu in pairs:
         touched = np.abs(np.log(mu / plain)) > TOUCHED
-        speckle = 0.5 * expected_deviance(seen.looks)
+        speckle = 0.5 * seen.law.expected_deviance
         losses = (loss_terms("gamma", seen.values[touched], each[touched], seen.looks) for each in (plain, mu))
         lost, left = (float((clipped(each) - speckle).sum()) for each in losses)
         before, after = before + lost, after + left

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from warpsar.compare.observation import Observation
 from warpsar.diagnosis.models.bench import Bench
 from warpsar.diagnosis.models.change import GeometryCandidate
 from warpsar.diagnosis.models.lead import FAR_BEHIND, Lead
@@ -17,7 +18,6 @@ from warpsar.diagnosis.proposals.bodies import Tried, likeliest, sound
 from warpsar.diagnosis.proposals.fit import Ground, Standing, alone, released
 from warpsar.diagnosis.proposals.left_out import explained, left_out
 from warpsar.diagnosis.proposals.places import Looked, Place, Ratios
-from warpsar.learning.observation import Observation
 from warpsar.learning.pose_search import summary
 from warpsar.runtime import console
 from warpsar.scene.scene import Scene

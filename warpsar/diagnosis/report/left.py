@@ -6,12 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from warpsar.diagnosis.judge import Judged
+from warpsar.compare.comparison import Comparison, ratio_db
 from warpsar.diagnosis.left.figures import in_plan, spectrum, worst_view
 from warpsar.diagnosis.left.place import Place, residual_on
 from warpsar.diagnosis.left.words import sentences
 from warpsar.diagnosis.result import Diagnosed
-from warpsar.evaluation.image import ratio_db
 from warpsar.evaluation.report_parts import both_sides, image_axes, reach_db, residual_rgb, residual_scale
 from warpsar.io import html as report
 from warpsar.io import html_image
@@ -24,7 +23,7 @@ INCIDENCE_DEG = 45.0  # of the two looks at the mesh
 def residuals_section(done: Diagnosed) -> str:
     first, last = done.models[0], done.models[-1]
     reach = _reach(first)
-    same = not done.diagnosis.verdict
+    same = not done.verdict
     blocks = [
         report.paragraph(
             "Measured over modelled power on the compared pixels, grey elsewhere; one scale for all. The radar is at "
@@ -48,11 +47,11 @@ def residuals_section(done: Diagnosed) -> str:
     return report.section("The residual before and after", *blocks, report.row(*cells))
 
 
-def _residual_db(image: Judged) -> np.ndarray:
-    return np.where(image.seen.interior, ratio_db(image.seen.measured, image.modelled), np.nan)
+def _residual_db(image: Comparison) -> np.ndarray:
+    return np.where(image.seen.interior, ratio_db(image.seen.measured, image.simulated), np.nan)
 
 
-def _reach(images: Sequence[Judged]) -> float:
+def _reach(images: Sequence[Comparison]) -> float:
     return reach_db([_residual_db(image)[image.seen.interior] for image in images], 98.0)
 
 
@@ -116,9 +115,9 @@ def _strongest_window(done: Diagnosed) -> str:
     surface = [c.effect for c in last.candidates if c.shared]
     verdict = (
         f"What was tried as {' and '.join(surface)} lies on the surface: something the mesh lacks is left unexplained."
-        if found.unexplained and surface
+        if done.unexplained and surface
         else "Nothing in the library explains it: it is left unexplained."
-        if found.unexplained
+        if done.unexplained
         else "Speckle alone leaves such a window somewhere: nothing has to be explained."
         if last.scan_minus_log_p <= last.threshold
         else "The limit of added effects was reached before it was explained."

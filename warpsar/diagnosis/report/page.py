@@ -22,7 +22,7 @@ def write_report(
 ) -> None:
     """`content` is that of diagnosis.json, `command` the words that made it."""
     found = done.diagnosis
-    title = f"What {Path(found.scene.path or 'the scene').name} lacks: {', '.join(found.verdict) or _nothing(done)}"
+    title = f"What {Path(found.scene.path or 'the scene').name} lacks: {', '.join(done.verdict) or _nothing(done)}"
     lead = (
         f"warpsar {content['version']} diagnose; {len(done.models[0])} images of {found.scene.grid.shape[0]} x "
         f"{found.scene.grid.shape[1]} pixels, {content['rays_per_pixel']:.3g} rays per pixel, on {content['device']}"
@@ -44,7 +44,7 @@ def write_report(
 
 
 def _nothing(done: Diagnosed) -> str:
-    return "something unexplained" if done.diagnosis.unexplained else "nothing"
+    return "something unexplained" if done.unexplained else "nothing"
 
 
 def _not_tested(turn: Turn) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from warpsar.diagnosis.judge import ROLES
+from warpsar.compare.evaluation import ROLES
 from warpsar.diagnosis.models.carried import Carried
 from warpsar.diagnosis.models.change import SUMMARIES
 from warpsar.diagnosis.result import Diagnosed
@@ -31,7 +31,7 @@ def summary_section(done: Diagnosed, content: dict[str, Any]) -> str:
                 f"{before['pixels']:,}",
                 plus_minus(before["deviance"], before["deviance_error"]),
                 plus_minus(after["deviance"], after["deviance_error"]),
-                plus_minus(gain["deviance"], gain["error"]) if found.verdict else "–",
+                plus_minus(gain["deviance"], gain["error"]) if done.verdict else "–",
                 f"{before['rmse_db']:.2f} → {after['rmse_db']:.2f}",
                 f"{before['correlation']:.3f} → {after['correlation']:.3f}",
             ]
@@ -39,15 +39,16 @@ def summary_section(done: Diagnosed, content: dict[str, Any]) -> str:
     head = ["views", "images", "pixels", "deviance before", "deviance after", "difference", "rmse [dB]", "correlation"]
     explained = (
         "Deviance is the mean of 2 L (I/mu - 1 - ln(I/mu)) over what speckle alone would leave: 1 is a perfect model. "
-        "Before: the declared model at its best fit. After: with everything that was added, all parameters fitted "
-        "again. Both on the same pixels, frozen from the declared model before the first fit: lit with all eight "
-        "neighbours, off the image's edge; where an object was moved, added or left out, those that both light. ± is "
-        "one standard error, with the correlation of neighbouring pixels; that of the difference is smaller, because "
-        "both models meet the same speckle. Test views were looked at once, "
-        f"after the last decision. Rays: {content['rays_per_pixel']:g} per pixel; looks x pixels x relative sampling "
-        f"variance of the model is {content['ray_noise']:.2g} over all train pixels: about what rays add to 2 ln L."
+        "Before: the declared model at its best fit, with the looks of the scene file. After: with everything that was "
+        "found, all parameters fitted again. Each on its interior: pixels that its surface covers with all eight "
+        "neighbours, off the image's edge; the difference on the pixels of both. ± is one standard error, with the "
+        "correlation of neighbouring pixels; that of the difference is smaller, because both models meet the same "
+        "speckle. warpsar evaluate gives the same numbers of the written scene. Test views were looked at once, after "
+        f"the last decision. Rays of the fits: {content['rays_per_pixel']:g} per pixel; looks x pixels x relative "
+        f"sampling variance of the model is {content['ray_noise']:.2g} over all train pixels: about what rays add to "
+        "2 ln L."
     )
-    words = [report.paragraph(text) for text in _verdict(done, content)]
+    words = [*_first(done), *(report.paragraph(text) for text in _verdict(done, content))]
     if content["per_view_effects_on_test_views"]:
         words.append(report.paragraph(content["per_view_effects_on_test_views"]))
     zeros = sum(image["zeros"] for image in content["images"])
@@ -92,6 +93,32 @@ def _in_the_dark(done: Diagnosed) -> list[str]:
         "model has none. Deviance: where the model has a trace or more."
     )
     return [report.table(head, rows, caption)]
+
+
+def _first(done: Diagnosed) -> list[str]:
+    """What a reader must know before any name: whether the answer is whole."""
+    found, blocks = done.diagnosis, []
+    if done.unexplained:
+        names = f" {', '.join(done.verdict)} was found, and does not explain it." if done.verdict else ""
+        blocks.append(report.paragraph(f"Something is left that nothing found explains.{names}"))
+        blocks.append(report.bullets([f"{one[0].upper()}{one[1:]}" for one in done.reasons]))
+    elif done.verdict:
+        blocks.append(report.paragraph("With what was found, nothing but speckle is left, to the tests made here."))
+    else:
+        blocks.append(report.paragraph("Nothing is missing, to the tests made here: what is left looks like speckle."))
+    if found.not_asked:
+        blocks.append(report.paragraph("The time was over before all was asked. Not asked:"))
+        blocks.append(report.bullets(found.not_asked))
+    if done.speckle.departs:
+        blocks.append(report.paragraph(f"{done.speckle.words[0].upper()}{done.speckle.words[1:]}."))
+    said = [
+        f"{ROLE_WORDS[role][0].upper()}{ROLE_WORDS[role][1:]} views: {one.words}"
+        for role, one in done.verdicts.items()
+        if not one.wrong
+    ]
+    if done.own_numbers:
+        said.append("For this, what effects hold for each view by itself was fitted to the test views, too")
+    return [*blocks, report.bullets(said)] if said else blocks
 
 
 def _named(step: dict[str, Any]) -> str:
@@ -150,13 +177,4 @@ def _verdict(done: Diagnosed, content: dict[str, Any]) -> list[str]:
             f"error rate of {error:g} %."
         )
     said += [f"{content['tolerances'][label]['after']['words']}." for label in content["leaves_tolerance"]]
-    if found.unexplained:
-        said.append(
-            "Something is left that no effect of the library explains. It is not given a name; the section before the "
-            "last says where it is."
-        )
-    elif found.turns[-1].added is None:
-        said.append("What is left at the end looks like speckle, to the tests made here.")
-    else:
-        said.append("The limit of added effects was reached: whether anything is left was not asked.")
     return said

@@ -11,6 +11,7 @@ import numpy as np
 from warpsar.diagnosis.scores.evidence import LARGEST, Evidence
 from warpsar.diagnosis.scores.score import Group, Projection
 from warpsar.runtime import threads
+from warpsar.runtime.deadline import check
 from warpsar.runtime.distributed import ONE, Ranks
 from warpsar.speckle.draws import Speckle
 from warpsar.speckle.scan import Scan
@@ -59,6 +60,7 @@ def bootstrap(
     seeds = np.random.SeedSequence(seed).spawn(-(-draws // BATCH))
 
     def batch(sequence: np.random.SeedSequence) -> dict[str, np.ndarray]:
+        check()
         random = np.random.default_rng(sequence)
         drawn = speckle(random, BATCH)
         known = projection.known.drawn(random, BATCH)

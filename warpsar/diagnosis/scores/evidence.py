@@ -8,13 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import csc_array, csr_array
 
-from warpsar.learning.identify import residual_autocovariance
-from warpsar.learning.observation import Observation
+from warpsar.compare.observation import TRACE, Observation
 from warpsar.learning.problem import FitProblem
-from warpsar.learning.verdict import TRACE
 from warpsar.runtime.distributed import ONE, Ranks
 from warpsar.speckle.covariance import correlated
 from warpsar.speckle.own import Patch, own_autocovariance
+from warpsar.speckle.residual import residual_autocovariance
 
 # Standard deviations at which a residual is cut off. Speckle hardly ever goes further (e^-9 at one look). Without the
 # cut, a few pixels of what is missing would decide every score and the correlation of speckle.
@@ -73,7 +72,7 @@ class Evidence:
         for seen, part in zip(self.observations, self.split(self.standardised), strict=True):
             ratio = np.zeros(seen.interior.shape)
             ratio[seen.interior] = part / np.sqrt(seen.looks) + 1.0
-            patches.append(Patch(seen.interior, ratio, seen.looks))
+            patches.append(Patch(seen.interior, ratio, seen.law))
         correlation, variance = own_autocovariance(patches)
         told = variance != 1.0  # where no block has pixels enough, nothing is told, and the variance is set
         return max(float(correlation.sum()), 1.0) if told else np.inf

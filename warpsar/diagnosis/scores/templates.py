@@ -15,9 +15,9 @@ import numpy as np
 import warp as wp
 from scipy.sparse import csc_array
 
+from warpsar.compare.observation import Observation
 from warpsar.effects.base.trial import Context, ScoreStep, Trial
 from warpsar.effects.registry import declared, get, names, validate
-from warpsar.learning.observation import Observation
 from warpsar.learning.problem import FitProblem
 from warpsar.scene.scene import Scene
 from warpsar.simulation.rays import Rays, effects_grid

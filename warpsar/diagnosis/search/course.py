@@ -81,7 +81,8 @@ def begun(scene: Scene, options: DiagnoseOptions, folder: Path, ranks: Ranks, re
     another scene, other options or another version. Under torchrun, a job that is started again before its first
     checkpoint begins anew.
     """
-    tag = tag_of(scene, {"command": "diagnose", "version": __version__, **asdict(options)})
+    chosen = {key: value for key, value in asdict(options).items() if key != "time_limit_s"}
+    tag = tag_of(scene, {"command": "diagnose", "version": __version__, **chosen})
     restarts = distributed.restarts()
     if ranks.first and restarts == 0 and not resume:
         checkpoint.remove(folder)  # of an earlier run: torchrun's restarts shall find this one's

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
+from warpsar.compare.judgement import judge
 from warpsar.diagnosis.dark.said import Dark, worth_a_refit
 from warpsar.diagnosis.found import Candidate, DiagnoseOptions, Rival, Turn
 from warpsar.diagnosis.models.all_pixels import lit_shadows
 from warpsar.diagnosis.models.bench import Bench
 from warpsar.diagnosis.models.change import changes, is_geometry, object_of
+from warpsar.diagnosis.models.judge import Judge
 from warpsar.diagnosis.models.lead import Lead
 from warpsar.diagnosis.models.refit import Fitted, narrow, on_bounded_ground, refit_as, settle
 from warpsar.diagnosis.scores.evidence import Evidence
+from warpsar.diagnosis.scores.templates import Template
 from warpsar.diagnosis.search.confirmation import Confirmation, confirm
 from warpsar.diagnosis.search.course import Course
 from warpsar.diagnosis.search.last_resort import learned_law
@@ -23,15 +25,16 @@ from warpsar.diagnosis.search.outcome import confirmation_lines, score_text, tur
 from warpsar.diagnosis.turn.addition import add_the_best
 from warpsar.diagnosis.turn.geometry_search import geometry_candidates
 from warpsar.diagnosis.turn.geometry_trial import add_the_likeliest, on_its_ground, posed_anew
-from warpsar.diagnosis.turn.pruning import prune, trimmed
+from warpsar.diagnosis.turn.pruning import prune, trimmed, with_smaller
 from warpsar.diagnosis.turn.rivals import rivals_of
 from warpsar.diagnosis.turn.scoring import score_effects
 from warpsar.diagnosis.turn.screening import NO_DARK
 from warpsar.diagnosis.turn.settings import resettled
 from warpsar.diagnosis.turn.shortlist import refits
+from warpsar.effects.registry import get
 from warpsar.learning.pose_search import FoundPoses
-from warpsar.learning.trust import fit_verdict
 from warpsar.runtime import console
+from warpsar.runtime.deadline import TimeUp, deadline
 from warpsar.scene.scene import Scene
 from warpsar.simulation.rays import Rays
 
@@ -54,8 +57,11 @@ class Search:
         options: DiagnoseOptions,
         course: Course,
         progress: Callable[[int], object],
+        judge: Judge,
     ) -> None:
         self.scene, self.options, self.turns = scene, options, list[Turn]()
+        self.not_asked: list[str] = []  # what a limit of time left out, in words
+        self._judge, self._doing = judge, ""
         self._bench = bench  # fewer pixels where an added effect has moved the light
         self._other = replace(bench, rays=other_rays)
         self._declared, self._course, self._progress = declared, course, progress
@@ -63,14 +69,41 @@ class Search:
         self._barred: set[str] = set()  # taken back, with nothing else found since
         self._times: Counter[str] = Counter()  # that an effect was added
         self._stage = 0
+        self._asked: set[str] = set()  # of the model's additions: those that hold beside all the others
         self._posed: FoundPoses | None = None  # changed objects of the final model
 
     def run(self) -> None:
-        """Search to the end."""
+        """Search to the end, or until the time is over: then what was found so far stands."""
+        try:
+            with deadline(self.options.time_limit_s):
+                self._search()
+        except TimeUp:
+            self._ended_early()
+
+    def _search(self) -> None:
         while self._forward():
             if not self._confirmed():
                 break
+        self._doing = "a law of backscatter that is learned from the images"
         self._resort()
+
+    def _ended_early(self) -> None:
+        """Say what was not asked. A run whose first scores did not come gets them now: nothing can be said without."""
+        if not self.turns:
+            self.turns.append(self._scored()[0])
+        last = self.turns[-1]
+        waiting = [
+            c.effect
+            for c in last.candidates
+            if c.testability == "testable" and c.minus_log_p > last.threshold and c.refit_gain is None
+        ]
+        self.not_asked = [self._doing]
+        if last.added is None and waiting:
+            self.not_asked.append(f"whether one of these explains what is left: {', '.join(waiting)}")
+        held = [name for name in self._added(self._base) if name not in self._asked]
+        if held:
+            self.not_asked.append(f"whether each of these holds beside all the others: {', '.join(held)}")
+        console.say("the time is over; not asked: " + "; ".join(self.not_asked))
 
     def _resort(self) -> None:
         """Learn a law of backscatter where nothing named explains what is left, if views left out bear it.
@@ -81,7 +114,7 @@ class Search:
         if len(self._added(self._base)) >= self.options.most_effects:
             return
         bench, here = on_bounded_ground(self._bench, self._base, self.scene)
-        if not last.alarms and not fit_verdict(here.problem, here.x, math.nan).wrong:
+        if not last.alarms and not self._left(here.scene):
             return
         price = Evidence.of(here.problem, here.x, bench.ranks).price(bench.ranks)
         found = learned_law(bench, here, price)
@@ -95,6 +128,12 @@ class Search:
             self._times[candidate.effect] += 1
             self._bench, self._base = narrow(self._bench, fitted)
             self._forward()
+
+    def _left(self, scene: Scene) -> bool:
+        """Whether the train views hold structure, or a deviance that even ground does not have, and not at edges: no
+        law of backscatter moves an outline."""
+        found = set(judge(self._judge(scene, "train")).findings)
+        return bool(self._bench.ranks.same(float("edges" not in found and bool({"structure", "level"} & found))))
 
     def final(self) -> Fitted:
         """The model that the search ended with, at its best; nothing that a pixel can cost is bounded."""
@@ -142,6 +181,7 @@ class Search:
         """Turns until one adds nothing; whether any added something."""
         found = False
         while True:
+            self._doing = f"turn {len(self.turns) + 1}: what explains what is left"
             turn = self._course.turn(self._stage, self._bench, self._base, self._turn)
             self._stage += 1
             console.say("\n".join(turn_lines(turn, len(self.turns))))
@@ -160,11 +200,7 @@ class Search:
         """Score every effect that is not in the model, fit the best, and add the likeliest. Drop those of earlier turns
         that it makes needless."""
         number, options = len(self.turns), self.options
-        bench, here = on_bounded_ground(self._bench, self._base, self.scene)
-        evidence = Evidence.of(here.problem, here.x, bench.ranks)
-        turn, templates = score_effects(
-            self.scene, bench, self._other.rays_of(here.scene), here, evidence, options, number, self._progress
-        )
+        turn, bench, here, evidence, templates = self._scored()
         dark = Dark.of(here)
         passing = worth_a_refit(turn.candidates, turn.threshold, dark)
         _say(turn, number, passing)
@@ -181,6 +217,16 @@ class Search:
             if turn.fitted is not None:
                 prune(bench, turn, self._effects(here), price)
         return turn
+
+    def _scored(self) -> tuple[Turn, Bench, Fitted, Evidence, dict[str, list[Template]]]:
+        """The turn with all scores, where it was scored, and each effect's templates."""
+        bench, here = on_bounded_ground(self._bench, self._base, self.scene)
+        evidence = Evidence.of(here.problem, here.x, bench.ranks)
+        rays = self._other.rays_of(here.scene)
+        turn, templates = score_effects(
+            self.scene, bench, rays, here, evidence, self.options, len(self.turns), self._progress
+        )
+        return turn, bench, here, evidence, templates
 
     def _with_bodies(self, bench: Bench, turn: Turn, here: Fitted, price: float) -> Bench:
         """Let bodies that may stand elsewhere, or be absent, contend with the effect that the turn has added. Returns
@@ -202,9 +248,12 @@ class Search:
         """Ask everything that was added beside all others; whether any was taken back."""
         any_refused = False
         while self._added(self._base):
+            self._doing = "whether what was added holds"
             answers = self._course.confirmation(self._stage, self._bench, self._base, self._confirm)
             self._stage += 1
             console.say("\n".join(confirmation_lines(answers)))
+            self._asked = set(self._added(answers.fitted))
+            self._rename(answers)
             for one in answers.asked:
                 turn = next(turn for turn in reversed(self.turns) if turn.added == one.effect)
                 next(c for c in turn.candidates if c.effect == one.effect).answered(one)
@@ -217,6 +266,19 @@ class Search:
             self._bench, self._base = on_its_ground(self._bench, self._other, self._base)  # and the rest is asked there
         return any_refused
 
+    def _rename(self, answers: Confirmation) -> None:
+        """Let the turn that added an effect have the smaller one that took its place (`with_smaller`)."""
+        for one in answers.asked:
+            if is_geometry(one.effect) or any(turn.added == one.effect for turn in self.turns):
+                continue
+            turn = next(t for t in reversed(self.turns) if t.added and one.effect in _contained(t.added))
+            larger = next(c for c in turn.candidates if c.effect == turn.added)
+            larger.refused = f"{one.effect} can do what it did, with fewer numbers"
+            if all(c.effect != one.effect for c in turn.candidates):
+                turn.candidates.append(Candidate(one.effect, "testable"))
+            turn.added = one.effect
+            self._times[one.effect] += 1
+
     def _confirm(self) -> Confirmation:
         bench, here = on_bounded_ground(self._bench, self._base, self.scene)
         scene, posed = posed_anew(bench, here, self.scene)
@@ -227,7 +289,13 @@ class Search:
         last = self.turns[-1]
         settled = resettled(bench, settled, self._effects(settled))
         settled = trimmed(bench, settled, self._effects(settled), price)
+        settled = with_smaller(bench, settled, self._effects(settled), price)
         return confirm(bench, settled, self._added(settled), needed, price, declared=self.scene, quiet=not last.alarms)
+
+
+def _contained(name: str) -> tuple[str, ...]:
+    """The effects that an added one can do all that they do."""
+    return () if is_geometry(name) else get(name).contains
 
 
 def needed(without: Fitted, name: str) -> bool:

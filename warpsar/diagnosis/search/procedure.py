@@ -2,26 +2,30 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import math
+from dataclasses import asdict, replace
 from functools import partial
 
 import warp as wp
 
+from warpsar.compare.judgement import speckle_of
+from warpsar.compare.observation import declared_looks, looks_of
 from warpsar.diagnosis.field_content import refuse_unsavable
 from warpsar.diagnosis.found import DiagnoseOptions, Diagnosis
 from warpsar.diagnosis.models.bench import Bench
 from warpsar.diagnosis.models.field_prior import has_fields, with_roughness
 from warpsar.diagnosis.models.frozen import frozen
-from warpsar.diagnosis.models.refit import fit_model
+from warpsar.diagnosis.models.judge import Judge, with_speckle
+from warpsar.diagnosis.models.refit import fit_model, refit_as
 from warpsar.diagnosis.search.course import Course
 from warpsar.diagnosis.search.loop import Search
 from warpsar.errors import InputError
-from warpsar.learning.observation import looks_of
 from warpsar.runtime import console
 from warpsar.runtime.distributed import ONE, Ranks
 from warpsar.scene.scene import Scene
 from warpsar.simulation.rays import Rays
 from warpsar.simulation.sampling import choose_density
+from warpsar.speckle.facts import SpeckleFact
 from warpsar.surface.stage import Stage
 from warpsar.world.tables import View
 
@@ -35,8 +39,10 @@ def diagnose_scene(
 
     All `ranks` go through the whole procedure. They share the fits, folds and draws, and decide as the first one does.
     What the `course` holds of an earlier part of the run is not done again. Raises InputError for scenes without
-    measured training views.
+    measured training views, and for a limit of time on several processes.
     """
+    if ranks.size > 1 and options.time_limit_s is not None:
+        raise InputError("--time-limit: found several processes; allowed with one, whose clock alone decides")
     stage, views, looks = ranks.agree(lambda: _training(scene, device))
     density = choose_density(scene, stage, views, looks, MU_NOISE, total=True, ranks=ranks)
     console.say(
@@ -56,12 +62,47 @@ def diagnose_scene(
         refuse_unsavable(scene)
         bench, started = with_roughness(bench, scene, options.seed)
     declared = course.declared(bench, scene, partial(fit_model, bench, scene, options.starts, options.seed, started))
-    search = Search(scene, bench, other_rays, declared, options, course, bar.update)
+    judge = Judge(device)
+    speckle = SpeckleFact.heard(ranks.gather(asdict(speckle_of(judge(declared.scene, "train"))))[0])
+    asked = scene
+    if speckle.departs:
+        console.say(f"train views: {speckle.words}")
+    if speckle.names:
+        asked = with_speckle(scene, speckle)
+        bench = with_looks(bench, asked)
+        declared = refit_as(bench, with_speckle(declared.scene, speckle))
+    search = Search(asked, bench, other_rays, declared, options, course, bar.update, judge)
     search.run()
     bar.close()
     final, rivals = search.final(), search.rivals()
     objects = search.objects(final)
-    return Diagnosis(scene, declared, final, search.turns, search.unexplained, density, bench, rivals, objects=objects)
+    return Diagnosis(
+        scene,
+        declared,
+        final,
+        search.turns,
+        search.unexplained,
+        density,
+        bench,
+        judge,
+        speckle,
+        rivals,
+        objects=objects,
+        not_asked=search.not_asked,
+    )
+
+
+def with_looks(bench: Bench, scene: Scene) -> Bench:
+    """The bench whose pixels have the looks and the texture that the scene's views declare."""
+    views = {view.name: view for view in scene.views}
+    observations = {
+        name: [
+            replace(seen, looks=declared_looks(views[name]) or seen.looks, texture=views[name].texture or math.inf)
+            for seen in found
+        ]
+        for name, found in bench.observations.items()
+    }
+    return replace(bench, observations=observations)
 
 
 def _training(scene: Scene, device: wp.Device) -> tuple[Stage, list[View], list[float]]:

@@ -27,10 +27,10 @@ from warpsar.diagnosis.scores.evidence import TRIALS, Evidence
 from warpsar.diagnosis.scores.partly_known import PartlyKnown
 from warpsar.diagnosis.scores.score import REACH, Projection
 from warpsar.diagnosis.scores.templates import TemplateMaker
-from warpsar.learning.identify import residual_autocovariance
 from warpsar.learning.problem import FitProblem
 from warpsar.learning.roughness import Roughness
 from warpsar.speckle.draws import Speckle
+from warpsar.speckle.residual import residual_autocovariance
 
 FREED = 1e-3  # of the fields' inverse variances, that scores keep: enough to hold what no pixel sees
 # Share of a template's energy outside the fields' tangent space. A field that lies a tenth off the truth changes the

@@ -83,7 +83,10 @@ def on_its_ground(bench: Bench, other: Bench, fitted: Fitted) -> tuple[Bench, Fi
     one, two = (replace(each, observations={}) for each in (bench, other))
     pixels = frozen(one, two, fitted.scene)
     observations = {
-        name: [replace(seen, looks=before.looks) for seen, before in zip(found, bench.observations[name], strict=True)]
+        name: [
+            replace(seen, looks=before.looks, texture=before.texture)
+            for seen, before in zip(found, bench.observations[name], strict=True)
+        ]
         for name, found in pixels.items()
     }
     made = replace(bench, observations=observations)

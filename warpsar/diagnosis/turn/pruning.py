@@ -1,8 +1,11 @@
-"""What is needless beside the rest of a model: an earlier effect, or a part of one."""
+"""What is needless beside the rest of a model: an earlier effect, a part of one, or numbers that are all alike."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from statistics import mean
+from typing import Any
 
 from warpsar.diagnosis.found import Turn
 from warpsar.diagnosis.models.bench import Bench
@@ -38,3 +41,28 @@ def trimmed(bench: Bench, fitted: Fitted, names: Sequence[str], price: float) ->
                     fitted, trimming = without, True
                     break
     return fitted
+
+
+def with_smaller(bench: Bench, fitted: Fitted, names: Sequence[str], price: float) -> Fitted:
+    """The model with smaller effects in the place of those `names` that contain them (`Effect.contains`), where this
+    costs less likelihood than the further numbers do: `price` of 2 ln L each.
+
+    Shifts of single views that are all alike are one shift. Only that one carries over to other views.
+    """
+    for name in names:
+        for smaller in get(name).contains:
+            if smaller in fitted.scene.effects or name not in fitted.scene.effects:
+                continue
+            rest = {other: table for other, table in fitted.scene.effects.items() if other != name}
+            start = _means(name, smaller, fitted.scene.effects[name])
+            trial = refit_as(bench, with_effect(replace(fitted.scene, effects=rest), smaller, start))
+            if 2.0 * (fitted.whole - trial.whole) < (fitted.size - trial.size) * price:
+                fitted = trial
+    return fitted
+
+
+def _means(name: str, smaller: str, table: Mapping[str, Any]) -> dict[str, Any]:
+    """The smaller effect's table, with the means of the larger one's numbers of single views."""
+    shared = {p.name for p in get(smaller).parameters} & {p.name for p in get(name).parameters}
+    stated = {key: table[key] for key in shared if key in table}
+    return {key: mean(one.values()) if isinstance(one, Mapping) else one for key, one in stated.items()}

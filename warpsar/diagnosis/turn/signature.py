@@ -30,9 +30,9 @@ from warpsar.effects.base.signature import (
     of_all,
 )
 from warpsar.effects.registry import get
-from warpsar.learning.identify import residual_autocovariance
 from warpsar.learning.problem import FitProblem
 from warpsar.scene.scene import Scene
+from warpsar.speckle.residual import residual_autocovariance
 
 STEP = 0.05  # of the effect's amplitude, by which it is changed for a derivative
 CUT = 5.0  # standard deviations at which a residual is cut off

@@ -119,6 +119,13 @@ class Object(Table):
         examples=[{"position_m": 0.3, "heading_deg": 2.0}],
     )
 
+    accuracy_m: Annotated[Number, Field(gt=0.0, le=100.0)] | None = Field(
+        default=None,
+        description="Standard deviation of the body's outline about its true place along each axis [m], by which its "
+        "edges are judged; else that of [scene].",
+        examples=[0.1],
+    )
+
     @field_validator("scale", mode="wrap")
     @classmethod
     def _one_scale(cls, value: Any, handler: Any) -> Any:

@@ -1,4 +1,4 @@
-"""Which measured pixels are compared with the model, and at how many looks (docs/diagnosis.md)."""
+"""Which measured pixels are compared with a model, and how their speckle is distributed (docs/diagnosis.md)."""
 
 from __future__ import annotations
 
@@ -12,11 +12,13 @@ from scipy.ndimage import distance_transform_edt, minimum_filter
 from warpsar.errors import InputError
 from warpsar.kernels.loss import DARKEST
 from warpsar.scene.scene import Scene
+from warpsar.speckle.law import Law
 from warpsar.speckle.looks import equivalent_looks
 from warpsar.world.tables import View
 
 BORDER = 2  # pixels at the image's edge that are left out
 FAINT = 1e-4  # of the median of `Observation.least`: some 60 dB under the lit pixels
+TRACE = 0.1  # of the median beta0: less is a border pixel's share of light
 FAR = 6  # pixels from any lit one: from here on nothing but additive effects can be seen
 
 
@@ -24,11 +26,13 @@ FAR = 6  # pixels from any lit one: from here on nothing but additive effects ca
 class Observation:
     """One measured image, and which of its pixels are used; arrays of shape (rows, cols).
 
-    `interior`: lit by the declared model with all eight neighbours, off the image's edge, unmasked, finite and
-    positive. `silent`: the same, but exactly 0, which the gamma likelihood does not allow. `dark`: far from
+    `interior`: covered by the declared model's surface with all eight neighbours, off the image's edge, unmasked,
+    finite and positive. `silent`: the same, but exactly 0, which the gamma likelihood does not allow. `dark`: far from
     everything lit, off the edge, unmasked and finite; zeros are included.
     `least` [beta0 before any gain], if given, is a lower bound of the modelled beta0 of each pixel that is not `dark`:
     a model's rays can miss so much. `faint` is that of a dark pixel.
+    `looks`: mean^2 / variance of a pixel about its mean. Where the view has `texture`, the shape of its gamma law,
+    these are fewer than the looks of the speckle.
     """
 
     view: View
@@ -41,6 +45,12 @@ class Observation:
     looks_estimated: bool
     least: np.ndarray | None = None
     faint: float = 0.0
+    texture: float = math.inf
+
+    @property
+    def law(self) -> Law:
+        """How a pixel scatters about its mean."""
+        return Law.of_equivalent(self.looks, self.texture)
 
     @property
     def top(self) -> float:
@@ -104,10 +114,18 @@ def estimated_looks(scene: Scene, view: View, measured: np.ndarray) -> float:
     return float(looks)
 
 
+def declared_looks(view: View) -> float | None:
+    """Mean^2 / variance of a pixel by the looks and the texture that a view declares; None without looks."""
+    if view.looks is None:
+        return None
+    return Law(view.looks, view.texture or math.inf).equivalent_looks
+
+
 def looks_of(scene: Scene, view: View) -> float:
-    """The declared looks of a view, or an estimate from its first image."""
-    if view.looks is not None:
-        return view.looks
+    """`declared_looks` of a view, or an estimate from its first image."""
+    declared = declared_looks(view)
+    if declared is not None:
+        return declared
     return estimated_looks(scene, view, scene.measured(view, next(iter(view.images))))
 
 
@@ -123,7 +141,7 @@ def usable_pixels(scene: Scene, view: View, measured: np.ndarray) -> np.ndarray:
 
 
 def observe(scene: Scene, view: View, polarization: str, lit: np.ndarray) -> Observation:
-    """The measured image of a view with its masks; `lit`, (rows, cols) bool, is where the declared model puts light.
+    """The measured image of a view with its masks; `lit`, (rows, cols) bool: what the declared model's surface covers.
 
     Looks that are not declared are estimated from the image. Raises InputError where they cannot be, or where no
     pixel is left.
@@ -139,7 +157,7 @@ def observe(scene: Scene, view: View, polarization: str, lit: np.ndarray) -> Obs
             f"positive at once; the image and the mesh do not meet, or sigma0 is 0 at the declared parameters"
         )
     distance = distance_transform_edt(~lit) if lit.any() else np.full(lit.shape, np.inf)
-    looks, estimated = view.looks, view.looks is None
+    looks, estimated = declared_looks(view), view.looks is None
     if looks is None:
         looks = estimated_looks(scene, view, np.where(interior, measured, np.nan))
     return Observation(
@@ -151,4 +169,5 @@ def observe(scene: Scene, view: View, polarization: str, lit: np.ndarray) -> Obs
         usable & (distance > FAR),
         float(looks),
         estimated,
+        texture=view.texture or math.inf,
     )

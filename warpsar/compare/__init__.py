@@ -1,0 +1,10 @@
+"""How well does a model explain measured images? `learn`, `evaluate` and `diagnose` ask here, and nowhere else.
+
+observation.py  which measured pixels are compared, and how their speckle is distributed
+modelled.py     a view as the model has it, by exact areas where they can be had
+metrics.py      how far one image is from the model, and several together
+comparison.py   one measured image beside its model; all images of a scene
+edges.py        whether edges and borders of shadows lie where the model has them
+judgement.py    is anything left beside speckle?
+evaluation.py   all images of a scene, what they give together, and the judgement on each role's
+"""

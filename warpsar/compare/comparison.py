@@ -1,0 +1,291 @@
+"""One measured image beside what a model makes of it; and all measured images of a scene."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from warpsar.compare.metrics import ImageMetrics, image_metrics
+from warpsar.compare.modelled import SURE_SDS, Modelled, modelled
+from warpsar.compare.observation import Observation, declared_looks, looks_of, observe, usable_pixels
+from warpsar.effects.registry import get
+from warpsar.errors import InputError
+from warpsar.runtime import console, distributed
+from warpsar.runtime.distributed import ONE, Ranks
+from warpsar.scene.scene import Scene
+from warpsar.simulation.rays import hit_grid
+from warpsar.simulation.sampling import RAY_NOISE, choose_density
+from warpsar.speckle.likelihood import best_gain, scaled_deviance
+from warpsar.surface.stage import Stage
+from warpsar.trace.rays import ray_count
+from warpsar.world.tables import View
+from warpsar.world.world import geometry_of
+
+ALLOWED_PX = 0.1  # pixels by which outlines may lie off that nobody states the accuracy of
+LEVEL_SHARE = 0.05  # of the interior's median: power in pixels that are not lit as a whole is judged against so much
+LARGEST = 8.0  # standard deviations at which a residual is cut off
+SCATTERS = 1e-4  # share of a pixel's variance, below which its own scatter is nothing
+AT_EDGES = 0.02  # share of a pixel's variance that the allowed displacement makes, from which it belongs to edges
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """One measured image beside the model's. Arrays have shape (rows, cols) = (range, azimuth) unless said otherwise.
+
+    `seen` holds the measured beta0 and the interior, whose pixels the metrics compare. `simulated`: beta0 of the model,
+    with `gain`. `level` [beta0]: what power outside of the interior is judged against. `usable`: finite, unmasked, off
+    the image's edge. `slopes`, `moves`, `exact`, `incidence_deg` and `material` are those of `Modelled`, with the gain.
+    `reach_px`: pixels by which outlines may lie off in range and in azimuth.
+    `sampling_noise`: looks x relative variance of the model that its rays leave, averaged over the interior.
+    `start_m`, `spacing_m`: range and azimuth of the first pixel's outer corner about the reference point, and steps.
+    """
+
+    seen: Observation
+    simulated: np.ndarray
+    gain: float
+    level: float
+    usable: np.ndarray
+    slopes: np.ndarray
+    moves: np.ndarray
+    exact: bool
+    reach_px: tuple[float, float]
+    sampling_noise: float
+    incidence_deg: np.ndarray
+    material: np.ndarray
+    start_m: tuple[float, float]
+    spacing_m: tuple[float, float]
+
+    @property
+    def view(self) -> View:
+        return self.seen.view
+
+    @property
+    def role(self) -> str:
+        return self.seen.view.role
+
+    @property
+    def polarization(self) -> str:
+        return self.seen.polarization
+
+    @property
+    def name(self) -> str:
+        return f"{self.view.name} {self.polarization}"
+
+    @property
+    def measured(self) -> np.ndarray:
+        """beta0, linear power, NaN where it is not finite."""
+        return self.seen.measured
+
+    @property
+    def interior(self) -> np.ndarray:
+        return self.seen.interior
+
+    @cached_property
+    def valid(self) -> np.ndarray:
+        """Pixels that measure power, wherever they lie but on masked ground."""
+        return np.asarray(self.usable & (np.nan_to_num(self.measured) > 0))
+
+    @property
+    def range_m(self) -> np.ndarray:
+        """Slant range of the rows' centres about the reference point, shape (rows,)."""
+        return np.asarray(self.start_m[0] + (np.arange(self.simulated.shape[0]) + 0.5) * self.spacing_m[0])
+
+    @property
+    def azimuth_m(self) -> np.ndarray:
+        """Azimuth of the columns' centres about the reference point, shape (cols,)."""
+        return np.asarray(self.start_m[1] + (np.arange(self.simulated.shape[1]) + 0.5) * self.spacing_m[1])
+
+    @cached_property
+    def metrics(self) -> ImageMetrics:
+        """As evaluate.json has them."""
+        return image_metrics(self.seen, self.simulated, self.valid)
+
+    @property
+    def ratio_db(self) -> np.ndarray:
+        """10 log10(measured / simulated) [dB]; NaN where either is not positive."""
+        return ratio_db(self.measured, self.simulated)
+
+    @property
+    def scaled_deviance(self) -> np.ndarray:
+        """d / E[d] of every interior pixel, shape (n,): 1 on average where speckle alone is left."""
+        return scaled_deviance(self.seen.values, self.simulated[self.interior], self.seen.law)
+
+    @cached_property
+    def displaced(self) -> np.ndarray:
+        """The square of what the allowed displacement of outlines changes, at most."""
+        reach = np.array(self.reach_px)[:, None, None]
+        return np.maximum(((reach * self.slopes) ** 2).sum(axis=0), (self.moves**2).sum(axis=0))
+
+    @cached_property
+    def sd(self) -> np.ndarray:
+        """Standard deviation of a pixel about the model: speckle's, and what outlines change that lie a little off."""
+        power = self.simulated + np.where(self.interior, 0.0, self.level)
+        return np.sqrt(np.maximum(power, 1e-30) ** 2 / self.seen.looks + self.displaced)
+
+    @cached_property
+    def residual(self) -> np.ndarray:
+        """(measured - simulated) / sd of usable pixels within +-`LARGEST`; 0 elsewhere."""
+        away = (np.nan_to_num(self.measured).astype(float) - self.simulated) / self.sd
+        return np.where(self.usable, np.clip(away, -LARGEST, LARGEST), 0.0)
+
+    @cached_property
+    def at_edges(self) -> np.ndarray:
+        """Usable pixels that the allowed displacement of outlines changes beside speckle."""
+        return np.asarray(self.usable & (self.displaced > AT_EDGES * self.sd**2))
+
+    @cached_property
+    def even(self) -> np.ndarray:
+        """Pixels of the interior that no edge is in."""
+        return np.asarray(self.interior & ~self.at_edges)
+
+    @cached_property
+    def scatters(self) -> np.ndarray:
+        """Usable pixels that speckle or displaced outlines make scatter; in the others the model has nothing."""
+        return np.asarray(self.usable & (self.simulated**2 / self.seen.looks + self.displaced > SCATTERS * self.sd**2))
+
+    def under(self, view: View) -> Comparison:
+        """The same with looks and texture as `view` declares them."""
+        looks = declared_looks(view)
+        if looks is None:
+            return self
+        seen = replace(self.seen, view=view, looks=looks, looks_estimated=False, texture=view.texture or math.inf)
+        return replace(self, seen=seen)
+
+    def part(self, rows: slice, cols: slice) -> Comparison:
+        """A rectangle of it."""
+        seen = self.seen
+        planes = {k: getattr(seen, k)[rows, cols] for k in ("measured", "interior", "silent", "dark")}
+        least = None if seen.least is None else seen.least[rows, cols]
+        own = {k: getattr(self, k)[rows, cols] for k in ("simulated", "usable", "incidence_deg", "material")}
+        own |= {k: getattr(self, k)[:, rows, cols] for k in ("slopes", "moves")}
+        return replace(self, seen=replace(seen, **planes, least=least), **own)
+
+
+def ratio_db(measured: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """10 log10(measured / other) [dB], any shape; NaN where either is not positive."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = 10.0 * np.log10(measured.astype(float) / other)
+    return np.where((measured > 0) & (other > 0), ratio, np.nan)
+
+
+@dataclass(frozen=True)
+class Compared:
+    """All images of a scene that were measured, in the order of its views, and the rays per square metre that sample
+    what exact areas do not. Of several processes the first one holds all of them, the others none; `own` are those of
+    this one."""
+
+    images: list[Comparison]
+    own: list[Comparison]
+    rays_per_m2: float
+
+    def of(self, role: str) -> list[Comparison]:
+        return [image for image in self.images if image.role == role]
+
+
+def compare(
+    scene: Scene,
+    device: wp.Device,
+    *,
+    seed: int | None = None,
+    roles: Sequence[str] = ("train", "test"),
+    ranks: Ranks = ONE,
+    progress: str = "",
+    edges: bool = True,
+) -> Compared:
+    """Every measured image of the scene, of these roles, beside the declared model. Nothing is fitted but one gain for
+    an image where the images are not calibrated.
+
+    `seed` overrides the scene's. `progress`: what the bar is called; empty for none. Several `ranks` share the views.
+    Without `edges` there are metrics alone, and no judgement: `slopes` and `moves` are 0. Raises InputError for a scene
+    without measured images, or where image and mesh do not meet.
+    """
+    views = [(index, view) for index, view in enumerate(scene.views) if view.images and view.role in roles]
+    if not views:
+        raise InputError(f"{scene.name}: views: none with role {' or '.join(roles)} has measured images")
+    stage, seed = Stage.of(scene, device), scene.sampling.seed if seed is None else seed
+    # Image effects only lower the noise of what is lit, but spread light where next to none is left to measure it on.
+    plain = replace(scene, effects={name: t for name, t in scene.effects.items() if get(name).stage != "image"})
+    looks = [looks_of(scene, view) for _, view in views]
+    density = ranks.agree(
+        lambda: choose_density(plain, stage, [view for _, view in views], looks, RAY_NOISE, ranks=ranks)
+    ).rays_per_m2
+    grid = hit_grid(scene)
+    costs = [ray_count(stage.target, geometry_of(scene, view), grid, density) * len(view.images) for _, view in views]
+    mine = distributed.deal(costs, ranks.size)[ranks.rank]
+    bar = console.progress(len(mine), progress, "view") if progress else None
+
+    def images() -> list[Comparison]:
+        found = []
+        for index, view in (views[i] for i in mine):
+            planes = modelled(scene, stage, view, index, seed, density, edges=edges)
+            found += [beside(scene, view, pol, plane) for pol, plane in planes.items()]
+            if bar is not None:
+                bar.update()
+        return found
+
+    found = ranks.agree(images)
+    if bar is not None:
+        bar.close()
+    return Compared(_collected(scene, found, ranks) if ranks.size > 1 else found, found, density)
+
+
+def beside(scene: Scene, view: View, polarization: str, model: Modelled) -> Comparison:
+    """The view's measured image of a polarization beside its model.
+
+    Raises InputError where no pixel is lit by the model, unmasked and positive at once.
+    """
+    seen = observe(scene, view, polarization, model.covered & (model.beta0 > 0))
+    mu = model.beta0[seen.interior]
+    gain = 1.0 if scene.grid.calibrated else best_gain("gamma", seen.values, mu, seen.looks)
+    accuracy = scene.accuracy_m or 0.0
+    reach = [max(ALLOWED_PX, SURE_SDS * accuracy / step) for step in scene.grid.spacing_m]
+    grid = hit_grid(scene)
+    return Comparison(
+        seen=seen,
+        simulated=gain * model.beta0,
+        gain=gain,
+        level=LEVEL_SHARE * gain * float(np.median(mu)),
+        usable=usable_pixels(scene, view, seen.measured),
+        slopes=gain * model.slopes,
+        moves=gain * model.moves,
+        exact=model.exact,
+        reach_px=(reach[0], reach[1]),
+        sampling_noise=seen.looks * float(np.mean(model.variance[seen.interior] / mu**2)),
+        incidence_deg=model.incidence_deg,
+        material=model.material,
+        start_m=grid.start_m,
+        spacing_m=grid.spacing_m,
+    )
+
+
+def _collected(scene: Scene, images: Sequence[Comparison], ranks: Ranks) -> list[Comparison]:
+    """The images of all ranks on the first one, in the order of the scene's views."""
+    arrays: dict[str, np.ndarray] = {}
+    said = []
+    for number, image in enumerate(images):
+        facts = {}
+        for part, of in (("", image), ("seen.", image.seen)):
+            for one in fields(of):
+                value = getattr(of, one.name)
+                if isinstance(value, np.ndarray):
+                    arrays[f"{number} {part}{one.name}"] = value
+                elif one.name not in ("seen", "view"):
+                    facts[f"{part}{one.name}"] = value
+        said.append({"view": image.view.name, "facts": facts})
+    order = [view.name for view in scene.views]
+    found = []
+    for about, stored in zip(ranks.gather(said), ranks.collect(arrays), strict=False):
+        for number, one in enumerate(about):
+            values: dict[str, Any] = {**one["facts"]}
+            values |= {key.partition(" ")[2]: a for key, a in stored.items() if key.partition(" ")[0] == str(number)}
+            own = {key.removeprefix("seen."): value for key, value in values.items() if key.startswith("seen.")}
+            seen = Observation(view=scene.views[order.index(one["view"])], **own)
+            rest = {key: value for key, value in values.items() if not key.startswith("seen.")}
+            found.append(Comparison(seen=seen, **rest))
+    return sorted(found, key=lambda image: order.index(image.view.name)) if ranks.first else []

@@ -1,0 +1,351 @@
+"""Is anything left beside speckle? One judgement of a model against its images, for `learn`, `evaluate` and `diagnose`.
+
+Four things are asked of the images of one role. Each says how small a departure matters, so that many pixels do not
+condemn what is right to a few percent.
+
+structure  the strongest window of the residual, on all usable pixels, edges and shadows among them
+edges      how far outlines lie off (`edges.py`)
+speckle    how the power of even ground scatters (`speckle.facts`): looks, texture, or neither
+level      whether the deviance of the lit interior is that of even ground
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
+from typing import Any, Literal
+
+import numpy as np
+from scipy.special import erfc
+
+from warpsar.compare.comparison import LARGEST, Comparison
+from warpsar.compare.edges import Edges, displaced, edges_of
+from warpsar.runtime import threads
+from warpsar.speckle.draws import Speckle
+from warpsar.speckle.even import EvenGround, even_ground
+from warpsar.speckle.facts import Scatter, SpeckleFact, speckle_fact
+from warpsar.speckle.law import Law
+from warpsar.speckle.likelihood import scaled_deviance
+from warpsar.speckle.own import Patch, own_autocovariance
+from warpsar.speckle.scan import Scan
+from warpsar.speckle.tail import Tail
+
+ERROR_RATE = 0.01  # chance that a right model is called anything else: half for the scan, half for edges and level
+SIDES = (1, 3, 5, 9, 17)  # pixels on a side of a window
+WINDOW_DB = 0.2  # by which a window's power may be off
+LEVEL_MATTERS = 0.05  # of the mean deviance, beyond what even ground scatters by
+WIDEST = 0.1  # standard deviation of the mean deviance beyond which nothing can be told
+DRAWN, MOST_DRAWS, FEWEST_DRAWS = 2e7, 1000, 200  # pixels drawn altogether, and draws
+BATCH = 2e6  # pixels drawn at once
+SAMPLE, TILE = 200_000, 256  # pixels that are drawn; beyond them tiles stand for the whole
+SEED = 20  # of the draws
+
+Finding = Literal["speckle", "structure", "edges", "looks", "texture", "distribution", "level", "cannot be told"]
+
+
+@dataclass(frozen=True)
+class Window:
+    """A window of `pixels` x `pixels` about (`row`, `col`), or (`range_m`, `azimuth_m`) about the reference point.
+
+    `ratio_db`: measured over modelled power of its usable pixels [dB]; infinite where the model has none. `z`: the mean
+    residual beyond what is granted, over the standard deviation that speckle gives it.
+    """
+
+    view: str
+    polarization: str
+    row: int
+    col: int
+    pixels: int
+    range_m: float
+    azimuth_m: float
+    ratio_db: float
+    z: float
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What is left of the images of one role.
+
+    `findings`: what departs from speckle, the chief one first; empty where nothing does. `deviance`: mean of d / E[d]
+    over the interior without edges; `own_deviance`: what the scatter of even ground makes of it; `deviance_error`: how
+    far the deviance would scatter about that by speckle. `p_level`, `p_structure`: chances of a deviance so far from it
+    and of a window so strong, by speckle alone. `window`: the strongest one, whatever its chance. `looks_estimated`:
+    whether the looks are the images' own, so that they are not tested.
+    """
+
+    findings: list[Finding]
+    deviance: float
+    own_deviance: float
+    deviance_error: float
+    p_level: float
+    p_structure: float
+    pixels: int
+    window: Window
+    edges: Edges
+    speckle: SpeckleFact
+    looks_estimated: bool
+
+    @property
+    def finding(self) -> Finding:
+        """The chief finding; "speckle" where nothing else is left, "cannot be told" from too few pixels."""
+        if self.findings:
+            return self.findings[0]
+        return "cannot be told" if self.deviance_error > WIDEST else "speckle"
+
+    @property
+    def wrong(self) -> bool:
+        """Whether anything departs from the model with its declared speckle."""
+        return bool(self.findings)
+
+    @property
+    def words(self) -> str:
+        """What was found, and the deviance."""
+        said = [_SAID[one](self) for one in self.findings]
+        if not said and self.finding == "cannot be told":
+            said = [f"cannot be told from {self.pixels} pixels"]
+        elif not said:
+            said = ["nothing but speckle is found"]
+        own = f"{self.own_deviance:.3f} +- {self.deviance_error:.3f}"
+        said += [f"deviance {self.deviance:.3f}, where speckle leaves {own}"]
+        if self.looks_estimated:
+            said += ["the looks were estimated from the images, so they are not tested"]
+        if "edges" not in self.findings:
+            said += [self.edges.words]
+        return "; ".join(said)
+
+    @classmethod
+    def heard(cls, told: Mapping[str, Any]) -> Judgement:
+        """The judgement that another process has as `asdict`, sent as JSON."""
+        parts = {
+            "window": Window(**told["window"]),
+            "edges": Edges.heard(told["edges"]),
+            "speckle": SpeckleFact.heard(told["speckle"]),
+        }
+        return cls(**{**told, **parts})
+
+    def content(self) -> dict[str, Any]:
+        """For the JSON files."""
+        about = {key: value for key, value in asdict(self).items() if key not in ("edges", "speckle")}
+        return {
+            "finding": self.finding,
+            **about,
+            "edges": self.edges.content(),
+            "speckle": asdict(self.speckle),
+            "error_rate": ERROR_RATE,
+            "words": self.words,
+        }
+
+
+def _said_structure(found: Judgement) -> str:
+    w = found.window
+    size = "is one pixel" if w.pixels == 1 else f"has {w.pixels} x {w.pixels} pixels"
+    power = f"{w.ratio_db:+.1f} dB" if np.isfinite(w.ratio_db) else "power where the model has none"
+    return (
+        f"structure is left ({_p(found.p_structure)}): the strongest window {size}, in {w.view} {w.polarization} at "
+        f"range {w.range_m:.1f} m, azimuth {w.azimuth_m:.1f} m, {power}"
+    )
+
+
+def _said_edges(found: Judgement) -> str:
+    off = found.edges.off(ERROR_RATE / 4)
+    each = ", ".join(f"{one.displacement_m:.2g} m or more in {one.image}" for one in off[:3])
+    rest = f" and {len(off) - 3} more" if len(off) > 3 else ""
+    return (
+        f"edges do not agree ({_p(off[0].p)}): as if outlines lay off by {each}{rest}, where {off[0].allowed_m:.2g} m "
+        f"are granted"
+    )
+
+
+def _said_speckle(found: Judgement) -> str:
+    return found.speckle.words
+
+
+def _said_level(found: Judgement) -> str:
+    return f"the level is off ({_p(found.p_level)})"
+
+
+_SAID = {
+    "structure": _said_structure,
+    "edges": _said_edges,
+    "looks": _said_speckle,
+    "texture": _said_speckle,
+    "distribution": _said_speckle,
+    "level": _said_level,
+}
+
+
+def _p(chance: float) -> str:
+    return f"p {chance:.1g}" if chance >= 1e-6 else "p < 1e-6"
+
+
+def judge(images: Sequence[Comparison]) -> Judgement:
+    """The judgement of measured images beside one model's.
+
+    Draws of speckle calibrate the scan and the level. They have the residual's own correlation, and the scatter that it
+    shows where this is more than declared: wrong looks alone are no structure.
+    """
+    sample, share = _sample(images)
+    correlation, variance = own_autocovariance([_patch(image) for image in sample])
+    shown = max(variance, 1.0)
+    strongest, levels = _drawn(sample, correlation, shown)
+
+    scan = Scan([_of_usable(image) for image in images], correlation, sides=SIDES)
+    granted = 10.0 ** (WINDOW_DB / 10.0) - 1.0
+    spot = scan.strongest(
+        [image.residual[image.usable] for image in images],
+        [granted * (image.simulated / image.sd)[image.usable] for image in images],
+    )
+    in_sample = min(np.exp(-float(Tail.of(strongest)(abs(spot.z)))), 1.0 - 1e-9)
+    p_structure = float(-np.expm1(np.log1p(-in_sample) / share))
+
+    edges = edges_of(images, shown, correlation)
+    grounds = [_ground(image, correlation) for image in images]
+    speckle = _speckle(images, grounds)
+    counts = np.array([image.seen.count for image in images])
+    even = np.array([int(image.even.sum()) for image in images])
+    mean = float(sum(image.scaled_deviance[image.even[image.interior]].sum() for image in images) / max(even.sum(), 1))
+    own, own_error = _own_level(images, grounds, speckle, even / max(even.sum(), 1))
+    error = float(np.hypot(levels.std() * np.sqrt(share), own_error))
+    noise = max(image.sampling_noise for image in images)
+    off = max(abs(mean - own) - LEVEL_MATTERS - (noise if mean > own else 0.0), 0.0)
+    p_level = float(erfc(off / error / np.sqrt(2.0)))
+
+    findings: list[Finding] = []
+    if p_structure < ERROR_RATE / 2:
+        findings.append("structure")
+    if edges.off(ERROR_RATE / 4):
+        findings.append("edges")
+    if speckle.departs:
+        findings.append(_kind(speckle))
+    if p_level < ERROR_RATE / 4:
+        findings.append("level")
+    window = _window(images[spot.observation], spot.row, spot.col, spot.window, spot.z)
+    estimated = any(image.seen.looks_estimated for image in images)
+    return Judgement(
+        findings, mean, own, error, p_level, p_structure, int(counts.sum()), window, edges, speckle, estimated
+    )
+
+
+def speckle_of(images: Sequence[Comparison]) -> SpeckleFact:
+    """What even ground says of the speckle that the views declare; a part of `judge`."""
+    correlation, _ = own_autocovariance([_patch(image) for image in _sample(images)[0]])
+    return _speckle(images, [_ground(image, correlation) for image in images])
+
+
+def _speckle(images: Sequence[Comparison], grounds: Sequence[EvenGround | None]) -> SpeckleFact:
+    told = [(image.name, image.seen.law, image.seen.looks_estimated) for image in images]
+    return speckle_fact(
+        [
+            Scatter(name, None if estimated else law.looks, law.texture, ground)
+            for (name, law, estimated), ground in zip(told, grounds, strict=True)
+        ]
+    )
+
+
+def _kind(speckle: SpeckleFact) -> Finding:
+    if speckle.kind == "looks":
+        return "looks"
+    return "distribution" if speckle.kind == "none of them" else "texture"
+
+
+def _patch(image: Comparison) -> Patch:
+    """Measured over modelled power where nothing but speckle should be."""
+    even = image.even & (np.nan_to_num(image.measured) > 0)
+    ratio = np.ones(image.simulated.shape)
+    ratio[even] = image.measured[even] / image.simulated[even]
+    return Patch(even, ratio, image.seen.law)
+
+
+def _of_usable(image: Comparison, mask: np.ndarray | None = None) -> Patch:
+    """Usable pixels, or others, as scan and draws take them."""
+    return Patch(image.usable if mask is None else mask, image.simulated, image.seen.law)
+
+
+def _sample(images: Sequence[Comparison]) -> tuple[list[Comparison], float]:
+    """What is drawn, and its share of all pixels that scatter: everything, or tiles of it taken at random."""
+    total = sum(int(image.scatters.sum()) for image in images)
+    if total <= SAMPLE:
+        return list(images), 1.0
+    tiles = [
+        (image, slice(row, row + TILE), slice(col, col + TILE))
+        for image in images
+        for row in range(0, image.usable.shape[0], TILE)
+        for col in range(0, image.usable.shape[1], TILE)
+    ]
+    found: list[Comparison] = []
+    taken = 0
+    for k in np.random.default_rng(SEED).permutation(len(tiles)):
+        image, rows, cols = tiles[k]
+        count = int(image.scatters[rows, cols].sum())
+        if taken < SAMPLE and image.interior[rows, cols].any():
+            found.append(image.part(rows, cols))
+            taken += count
+    return found, taken / total
+
+
+def _drawn(sample: Sequence[Comparison], correlation: np.ndarray, shown: float) -> tuple[np.ndarray, np.ndarray]:
+    """The strongest window and the mean deviance of draws of speckle, outlines displaced as is granted, shape (draws,)
+    each; `shown`: the variance of the residual over that of the declared law."""
+    laws = [Law.of_equivalent(i.seen.looks / shown, i.seen.texture) for i in sample]
+    patches = [Patch(i.scatters, i.simulated, law) for i, law in zip(sample, laws, strict=True)]
+    counts = [int(p.interior.sum()) for p in patches]
+    speckle, scan = Speckle(patches, correlation), Scan([_of_usable(i) for i in sample], correlation, sides=SIDES)
+    draws = int(np.clip(DRAWN / sum(counts), FEWEST_DRAWS, MOST_DRAWS))
+    size = int(np.clip(BATCH / sum(counts), 1, 25))
+    interior = max(sum(int((i.even & i.scatters).sum()) for i in sample), 1)
+
+    def batch(sequence: np.random.SeedSequence) -> tuple[np.ndarray, np.ndarray]:
+        random = np.random.default_rng(sequence)
+        parts = np.split(speckle(random, size), np.cumsum(counts)[:-1])
+        residuals, total = [], np.zeros(size)
+        for image, patch, law, part in zip(sample, patches, laws, parts, strict=True):
+            ratio = np.maximum(1.0 + part / np.float32(np.sqrt(patch.looks)), np.float32(1e-12))
+            total += scaled_deviance(ratio[image.even[patch.interior]], np.ones(()), law).sum(axis=0)
+            power = image.simulated[patch.interior][:, None]
+            away = power * (ratio - 1.0)
+            at_edges = image.at_edges[patch.interior]
+            away[at_edges] = displaced(image, random, size) * ratio[at_edges] - power[at_edges]
+            residual = np.zeros((int(image.usable.sum()), size), np.float32)
+            limit = image.sd[patch.interior][:, None]
+            residual[patch.interior[image.usable]] = np.clip(away / limit, -LARGEST, LARGEST)
+            residuals.append(residual)
+        return scan.largest(residuals), total / interior
+
+    seeds = np.random.SeedSequence(SEED).spawn(-(-draws // size))
+    strongest, levels = zip(*threads.in_threads(partial(batch, one) for one in seeds), strict=True)
+    return np.concatenate(strongest), np.concatenate(levels)
+
+
+def _own_level(
+    images: Sequence[Comparison], grounds: Sequence[EvenGround | None], speckle: SpeckleFact, shares: np.ndarray
+) -> tuple[float, float]:
+    """The mean deviance that the scatter of even ground makes of the interior, and its standard error; 1 in images
+    without even ground. Which law scatters so is what was found of the `speckle`, or declared."""
+    levels, errors = [], []
+    for image, ground in zip(images, grounds, strict=True):
+        if ground is None:
+            levels.append(1.0)
+            errors.append(0.0)
+            continue
+        declared = image.seen.law
+        texture = declared.texture if speckle.texture is None else speckle.texture.value
+        own = Law.of_second_cumulant(ground.second, texture)
+        levels.append(own.log_mean / declared.log_mean)
+        errors.append(levels[-1] * ground.looks_error)
+    return float(shares @ levels), float(np.linalg.norm(shares * errors))
+
+
+def _ground(image: Comparison, correlation: np.ndarray) -> EvenGround | None:
+    patch = _patch(image)
+    return even_ground(patch.ratio, patch.interior, max(float(correlation.sum()), 1.0))
+
+
+def _window(image: Comparison, row: int, col: int, pixels: int, z: float) -> Window:
+    around = tuple(slice(max(k - pixels // 2, 0), k + pixels // 2 + 1) for k in (row, col))
+    counted = image.usable[around]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        measured = np.nan_to_num(image.measured[around][counted]).sum()
+        ratio_db = 10.0 * np.log10(measured / image.simulated[around][counted].sum())
+    place = float(image.range_m[row]), float(image.azimuth_m[col])
+    return Window(image.view.name, image.polarization, row, col, pixels, *place, float(ratio_db), z)

@@ -1,0 +1,177 @@
+"""A view as the model has it: by exact areas where they can be had, else by two independent sets of rays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from warpsar.effects.base.effect import DeclaredEffect
+from warpsar.effects.registry import declared
+from warpsar.render.render import ViewRender
+from warpsar.scene.scene import Scene
+from warpsar.simulation.rays import hit_grid, trace_view, view_seed
+from warpsar.surface.samples import image_pixels
+from warpsar.surface.stage import Stage
+from warpsar.trace.exact import exact_hits
+from warpsar.world.objects.table import Object
+from warpsar.world.tables import View
+from warpsar.world.world import geometry_of, posed
+
+MOST_FACES, MOST_PIXELS = 2**15, 2**20
+"""For exact areas: beyond them rays are several times as fast, and their noise lies far below speckle's."""
+BINS = 4  # of a pixel along each axis: a quarter of a pixel is what images are moved by
+SURE_SDS = 3.0  # standard deviations by which an object with a stated accuracy is moved
+
+
+@dataclass(frozen=True)
+class Modelled:
+    """One polarization of a view. Arrays of shape (rows, cols) unless said otherwise.
+
+    `beta0`: linear power. `slopes`, (2, rows, cols): its change for a pixel of shift in range and in azimuth.
+    `moves`, (k, rows, cols): its change where each object that states an accuracy is moved by `SURE_SDS` of it along
+    one axis of the world. `covered`: what single bounces reach, and the surface covers (`Rendered.covered`).
+    `variance`: of beta0, by the rays. `exact`: whether areas are exact. `incidence_deg` and `material` (index into the
+    mesh's) are those of the surface in the pixel, weighted by its modelled power; NaN and -1 where there is none.
+    """
+
+    beta0: np.ndarray
+    slopes: np.ndarray
+    moves: np.ndarray
+    covered: np.ndarray
+    variance: np.ndarray
+    exact: bool
+    incidence_deg: np.ndarray
+    material: np.ndarray
+
+
+def exact_areas(scene: Scene) -> bool:
+    """Whether the scene's images are compared by exact areas."""
+    return len(scene.mesh.faces) <= MOST_FACES and int(np.prod(scene.grid.shape)) <= MOST_PIXELS
+
+
+def modelled(
+    scene: Scene, stage: Stage, view: View, index: int, seed: int, rays_per_m2: float, *, edges: bool = True
+) -> dict[str, Modelled]:
+    """The polarizations of which the view has measured images. Without `edges`, slopes and moves are 0.
+
+    Rays sample what exact areas do not: ways over several surfaces, and all light of large scenes. Then two independent
+    sets of them are rendered. Their mean is the model, and their difference tells its variance. `index` is the view's
+    number in the scene.
+    """
+    effects, exact = declared(scene, view), exact_areas(scene)
+    sampled = not exact or any(one.effect.stage == "path" for one in effects)
+    seeds = [view_seed(seed, index)] + [view_seed(seed + 1, index + len(scene.views))] * sampled
+    bins = BINS if edges else 1
+    renders = [_render(scene, stage, view, effects, each, rays_per_m2, exact, bins) for each in seeds]
+    images = [render.forward() for render in renders]
+    shifted = _shifted(renders[0]) if exact and edges else {}
+    moves = _moves(scene, stage, view, effects, seeds[0], rays_per_m2) if edges else {}
+    found: dict[str, Modelled] = {}
+    for pol in view.images:
+        planes = [image[pol].astype(float) for image in images]
+        mean = np.mean(planes, axis=0)
+        variance = np.zeros_like(mean) if len(planes) == 1 else (planes[0] - planes[1]) ** 2 / 4.0
+        covered = np.logical_and.reduce([render.covered(pol) for render in renders])
+        slopes = np.zeros((2, *mean.shape)) if not edges else shifted[pol] if exact else _between_pixels(mean)
+        moved = moves.get(pol, np.zeros((0, *mean.shape)))
+        about = _surface_in_pixels(scene, renders[0], pol)
+        found[pol] = Modelled(mean, slopes, moved, covered, variance, exact, *about)
+    return found
+
+
+def _render(
+    scene: Scene,
+    stage: Stage,
+    view: View,
+    effects: list[DeclaredEffect],
+    seed: int,
+    rays_per_m2: float,
+    exact: bool,
+    bins: int,
+) -> ViewRender:
+    shape, polarizations = scene.grid.shape, tuple(view.images)
+    if not exact:
+        hits = trace_view(scene, stage, view, seed=seed, effects=effects, rays_per_m2=rays_per_m2)
+        return ViewRender(stage, view, hits, shape, polarizations, effects)
+    margin = sum(e.effect.margin_m(scene.grid, e.values) for e in effects)
+    margin += max(scene.grid.spacing_m) if bins > 1 else 0.0
+    fine = max([bins, *(e.effect.bins_per_pixel for e in effects)])
+    hits = exact_hits(
+        stage.target,
+        geometry_of(scene, view),
+        hit_grid(scene, fine, margin),
+        rays_per_m2,
+        seed=seed,
+        pixel_area_m2=scene.grid.pixel_area_m2,
+    )
+    return ViewRender(stage, view, hits, shape, polarizations, effects)
+
+
+def _shifted(render: ViewRender) -> dict[str, np.ndarray]:
+    """Differences of images moved by one bin to either side, for a pixel of shift. The render ends as it was."""
+    found: dict[str, list[np.ndarray]] = {}
+    for step in (np.array([1.0, 0.0]) / BINS, np.array([0.0, 1.0]) / BINS):
+        ahead, behind = render.moved(*step), render.moved(*-step)
+        for pol in ahead:
+            change = (ahead[pol].astype(float) - behind[pol]) * (BINS / 2.0)
+            found.setdefault(pol, []).append(change)
+    render.forward()
+    return {pol: np.stack(both) for pol, both in found.items()}
+
+
+def _between_pixels(image: np.ndarray) -> np.ndarray:
+    """The larger of the differences to both neighbours along each axis: no less than what a shift changes."""
+    found = []
+    for axis in (0, 1):
+        step = np.diff(image, axis=axis, prepend=0.0, append=0.0)
+        behind, ahead = (-np.take(step, range(k, k + image.shape[axis]), axis=axis) for k in (0, 1))
+        found.append(np.where(np.abs(behind) > np.abs(ahead), behind, ahead))
+    return np.stack(found)
+
+
+def _moves(
+    scene: Scene, stage: Stage, view: View, effects: list[DeclaredEffect], seed: int, rays_per_m2: float
+) -> dict[str, np.ndarray]:
+    """`Modelled.moves` by polarization; empty where no object states an accuracy.
+
+    All such objects are moved at once: each pixel is changed by those that are near it, or shade it.
+    """
+    if all(one.accuracy_m is None for one in scene.objects):
+        return {}
+    found: dict[str, list[np.ndarray]] = {}
+    for axis in range(3):
+        ends = []
+        for way in (SURE_SDS, -SURE_SDS):
+            moved = posed(scene, [_moved(one, axis, way) for one in scene.objects])
+            there = Stage.of(moved, stage.target.device)
+            render = _render(moved, there, view, effects, seed, rays_per_m2, exact_areas(scene), 1)
+            ends.append(render.forward())
+        for pol in ends[0]:
+            found.setdefault(pol, []).append((ends[0][pol].astype(float) - ends[1][pol]) / 2.0)
+    return {pol: np.stack(planes) for pol, planes in found.items()}
+
+
+def _moved(one: Object, axis: int, sds: float) -> Object:
+    position = list(one.position_m)
+    position[axis] += sds * (one.accuracy_m or 0.0)
+    return one.model_copy(update={"position_m": tuple(position)})
+
+
+def _surface_in_pixels(scene: Scene, render: ViewRender, polarization: str) -> tuple[np.ndarray, np.ndarray]:
+    """Incidence angle [deg] and index of the strongest material of every pixel, weighted by modelled power."""
+    hits, (rows, cols) = render.shaded, render.shape
+    pixel = image_pixels(hits, render.shape)
+    inside = pixel >= 0
+    pixel = pixel[inside]
+    power = (hits.weight.numpy().astype(float) * render.sigma[polarization].numpy())[inside]
+    total = np.bincount(pixel, power, rows * cols)
+    angle = np.rad2deg(np.arccos(np.minimum(hits.cos_incidence.numpy()[inside].astype(float), 1.0)))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        incidence = np.bincount(pixel, power * angle, rows * cols) / total
+    of_hit = scene.mesh.face_material[hits.face.numpy()[inside]]
+    shares = np.stack(
+        [np.bincount(pixel[of_hit == m], power[of_hit == m], rows * cols) for m in range(len(scene.mesh.materials))]
+    )
+    material = np.where(total > 0, shares.argmax(axis=0), -1)
+    return incidence.reshape(rows, cols), material.reshape(rows, cols)
