@@ -148,3 +148,18 @@ def difference(before: Sequence[Image], after: Sequence[Image]) -> tuple[float, 
     sizes = np.array([part.size for part in parts])
     shares = sizes / sizes.sum()
     return float(np.concatenate(parts).mean()), float(np.linalg.norm(shares * errors))
+
+
+def likelihood_gain(before: Sequence[Image], after: Sequence[Image]) -> float:
+    """Mean log-likelihood of a pixel after less before, each under the looks and texture of its own observation: what
+    deviances of two laws cannot say. On the pixels that both compare."""
+    parts = []
+    for a, b in zip(before, after, strict=True):
+        both = a.seen.interior & b.seen.interior
+        measured = a.seen.measured[both].astype(float)
+        one, two = (
+            image.seen.law.log_density(measured / image.simulated[both]) - np.log(image.simulated[both])
+            for image in (a, b)
+        )
+        parts.append(two - one)
+    return float(np.concatenate(parts).mean())

@@ -11,7 +11,7 @@ import numpy as np
 from warpsar.compare.comparison import Comparison
 from warpsar.compare.evaluation import ROLES
 from warpsar.compare.judgement import Judgement, judge, speckle_of
-from warpsar.compare.metrics import difference
+from warpsar.compare.metrics import difference, likelihood_gain
 from warpsar.diagnosis.alternatives import Deciding, deciding
 from warpsar.diagnosis.field_content import identify_beside
 from warpsar.diagnosis.found import Candidate, DiagnoseOptions, Diagnosis, Rival
@@ -159,14 +159,19 @@ def _reasons(
     if found.unexplained and not said:
         said.append("train views: the scan finds something that no effect explains")
     first, last = (of_role(images, "test") for images in (before, after))
-    touched = any(
-        not np.array_equal(a.simulated, b.simulated) or a.seen.law != b.seen.law
-        for a, b in zip(first, last, strict=True)
-    )
-    gained = difference(first, last)
-    if names and touched and gained is not None and gained[0] <= 0.0:
-        said.append(f"{', '.join(names)} does not pay on test views: their deviance did not fall")
+    if names and (unpaid := _unpaid(first, last)):
+        said.append(f"{', '.join(names)} does not pay on test views: their {unpaid}")
     return said
+
+
+def _unpaid(before: Sequence[Comparison], after: Sequence[Comparison]) -> str:
+    """What did not get better on images that were changed; empty where it did, or nothing was changed."""
+    pairs = list(zip(before, after, strict=True))
+    if any(a.seen.law != b.seen.law for a, b in pairs):
+        return "likelihood did not rise" if likelihood_gain(before, after) <= 0.0 else ""
+    touched = any(not np.array_equal(a.simulated, b.simulated) for a, b in pairs)
+    gained = difference(before, after) if touched else None
+    return "deviance did not fall" if gained is not None and gained[0] <= 0.0 else ""
 
 
 def _without_what_hurts(found: Diagnosis) -> Diagnosis:

@@ -11,7 +11,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import digamma, gammainc, gammaincc, polygamma
+from scipy.special import digamma, gammainc, gammaincc, gammaln, kve, polygamma
 from scipy.stats import gamma, norm
 
 _NODES = 400  # of the texture's quantiles, over which speckle is averaged
@@ -70,6 +70,24 @@ class Law:
     def expected_deviance(self) -> float:
         """E[d] of one pixel about its mean, d = 2 L (I - 1 - ln I) with L the equivalent looks."""
         return -2.0 * self.equivalent_looks * self.log_mean
+
+    def log_density(self, intensity: np.ndarray) -> np.ndarray:
+        """ln of the density of intensities > 0 of mean 1, any shape: gamma, or K (Jakeman and Pusey, as above).
+
+        Texture so weak that the Bessel function is beyond a double leaves the gamma law of the equivalent looks.
+        """
+        gamma_part = sum(shape * np.log(shape) - gammaln(shape) for shape in self._shapes)
+        if math.isinf(self.texture):
+            return np.asarray(gamma_part + (self.looks - 1.0) * np.log(intensity) - self.looks * intensity)
+        order, mean = self.texture - self.looks, 0.5 * (self.looks + self.texture)
+        product = self.looks * self.texture
+        x = 2.0 * np.sqrt(product * intensity)
+        bessel = kve(order, x)
+        powers = 0.5 * order * np.log(self.looks / self.texture) + (mean - 1.0) * np.log(intensity)
+        with np.errstate(invalid="ignore"):
+            found = math.log(2.0) + gamma_part + powers + np.log(bessel) - x
+        plain = Law(self.equivalent_looks).log_density(intensity)
+        return np.asarray(np.where(np.isfinite(bessel), found, plain))
 
     def draw(self, random: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
         """Independent intensities, float64."""
