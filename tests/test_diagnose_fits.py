@@ -18,7 +18,7 @@ from warpsar.diagnosis.models.refit import BOUND, Fitted, fit_model, on_bounded_
 from warpsar.diagnosis.scores.templates import with_effect
 from warpsar.diagnosis.search.confirmation import confirm
 from warpsar.diagnosis.turn.addition import TOO_LITTLE
-from warpsar.diagnosis.turn.pruning import prune
+from warpsar.diagnosis.turn.pruning import prune, with_smaller
 from warpsar.diagnosis.turn.screening import GLANCE, Screening
 from warpsar.diagnosis.turn.survey import surveyed
 from warpsar.effects.base.trial import Context
@@ -178,6 +178,25 @@ def test_what_the_newest_effect_makes_needless_is_dropped(
     turn.fitted = fitted_to(bench, scene, {"point_spread": BLUR, "registration": SHIFT})
     prune(bench, turn, ["point_spread"], np.log(1e4))
     assert turn.dropped == []
+
+
+def test_shifts_of_views_that_are_all_alike_become_one(
+    shifted: tuple[Bench, Scene], tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    """The same shift in every view is `registration`; another shift in each stays `aim_point`."""
+    bench, scene = shifted
+    views = [view.name for view in scene.views]
+    aimed = {key: dict.fromkeys(views, value) for key, value in SHIFT.items()}
+    price = float(np.log(1e4))
+    found = with_smaller(bench, fitted_to(bench, scene, {**scene.effects, "aim_point": aimed}), ["aim_point"], price)
+    assert set(found.scene.effects) == {"multibounce", "registration"}
+    for key, value in SHIFT.items():  # as in the test of the search
+        assert found.scene.effects["registration"][key] == pytest.approx(value, abs=0.02)
+
+    apart = {key: {name: value * (-1) ** k for k, name in enumerate(views)} for key, value in SHIFT.items()}
+    bench, scene = bench_of({"aim_point": apart}, tmp_path_factory.mktemp("apart"))
+    found = with_smaller(bench, fitted_to(bench, scene, {"aim_point": apart}), ["aim_point"], price)
+    assert set(found.scene.effects) == {"aim_point"}
 
 
 # Views left out

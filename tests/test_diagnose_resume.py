@@ -19,10 +19,12 @@ from click.testing import CliRunner
 from test_diagnose import SLOPE, scene_with
 
 from warpsar.cli.main import main
-from warpsar.diagnosis.found import DiagnoseOptions
-from warpsar.diagnosis.search import course
+from warpsar.diagnosis.command import UNEXPLAINED
+from warpsar.diagnosis.found import DiagnoseOptions, Turn
+from warpsar.diagnosis.search import course, loop
 from warpsar.errors import InputError
 from warpsar.io import checkpoint
+from warpsar.runtime.deadline import TimeUp
 from warpsar.runtime.distributed import ONE
 from warpsar.scene.scene import Scene
 
@@ -118,6 +120,51 @@ def test_ctrl_c_says_how_to_go_on(stage: int, whole: tuple[Path, Path, int], mon
     assert done.exit_code == 0, done.output
     assert len(seen) == stages
     assert outcome(out) == outcome(expected)
+
+
+def test_a_limit_of_time_ends_with_what_there_is_and_goes_on(whole: tuple[Path, Path, int]) -> None:
+    """Over before the first turn: the declared model is judged, what was not asked is said, and the run goes on to where
+    it would have ended. So is one that ends after the first turn, with what was added on trial."""
+    scene, expected, _ = whole
+    out = expected.parent / "limited"
+    done = CliRunner().invoke(main, command(scene, out, "--time-limit", "1e-6"))
+    content = json.loads((out / "diagnosis.json").read_text())
+    assert done.exit_code == UNEXPLAINED, done.output
+    assert (content["verdict"], content["unexplained"]) == ([], True)
+    first, second = content["not_asked"]
+    assert first == "turn 1: what explains what is left"
+    assert "eps_gradient" in second
+    assert "the time was over before all was asked" in done.stdout
+    assert first in (out / "report.html").read_text()
+    assert (out / checkpoint.NAME).exists()
+    done = CliRunner().invoke(main, command(scene, out, "--resume"))
+    assert done.exit_code == 0, done.output
+    assert outcome(out) == outcome(expected)
+    assert not (out / checkpoint.NAME).exists()
+
+
+def test_what_was_added_on_trial_stays_when_the_time_is_over(
+    whole: tuple[Path, Path, int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene, expected, _ = whole
+    out = expected.parent / "after_a_turn"
+    turns = []
+    forward = loop.Search._turn
+
+    def over(search: loop.Search) -> Turn:
+        if turns:
+            raise TimeUp
+        turns.append(forward(search))
+        return turns[0]
+
+    monkeypatch.setattr(loop.Search, "_turn", over)
+    CliRunner().invoke(main, command(scene, out, "--time-limit", "1000"))
+    content = json.loads((out / "diagnosis.json").read_text())
+    assert content["verdict"] == [turns[0].added]
+    assert content["not_asked"] == [
+        "turn 2: what explains what is left",
+        f"whether each of these holds beside all the others: {turns[0].added}",
+    ]
 
 
 def test_nothing_to_resume_is_refused(whole: tuple[Path, Path, int], tmp_path: Path) -> None:

@@ -105,7 +105,7 @@ def judged(found: Diagnosis) -> Diagnosed:
     judge_of = found.judge
     found = _without_what_hurts(found)
     fitted = found.final.scene
-    speckle = speckle_of(under(judge_of(fitted, "train"), found.scene))
+    speckle = _earned(found.scene, fitted, judge_of(fitted, "train"))
     final = with_speckle(_with_views(fitted, found.scene), speckle)
     if final.views != fitted.views:
         found = replace(found, final=replace(found.final, scene=final))
@@ -127,6 +127,15 @@ def judged(found: Diagnosis) -> Diagnosed:
     left = left_of(found, last, spot, bool(reasons))
     own_numbers = own is not judge_of(fitted, "test")
     return Diagnosed(found, models, speckle, verdicts, reasons, own_numbers, where, left, alternatives)
+
+
+def _earned(declared: Scene, fitted: Scene, images: Sequence[Comparison]) -> SpeckleFact:
+    """What even ground says of the declared looks and texture; no name for it where structure is left beside it."""
+    told = speckle_of(under(images, declared))
+    if not told.names:
+        return told
+    with_it = judge(under(images, with_speckle(_with_views(fitted, declared), told)))
+    return told.beside_structure if {"structure", "edges"} & set(with_it.findings) else told
 
 
 def _spot(found: Diagnosis, verdict: Judgement) -> Spot:

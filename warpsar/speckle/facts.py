@@ -90,6 +90,14 @@ class SpeckleFact:
         """What was found, by name: `looks`, `texture`, both, or nothing."""
         return [name for name in ("looks", "texture") if name in self.kind]
 
+    @property
+    def beside_structure(self) -> SpeckleFact:
+        """The fact where structure is left: that scatters, too, so looks and texture cannot be told from it."""
+        if not self.names:
+            return self
+        words = f"{self.words}; structure that is left may make it seem so"
+        return SpeckleFact("not told", words, measured=self.measured)
+
     @classmethod
     def heard(cls, told: Mapping[str, Any]) -> SpeckleFact:
         """The fact that `asdict` gave, back from JSON."""
