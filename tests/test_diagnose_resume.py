@@ -123,8 +123,8 @@ def test_ctrl_c_says_how_to_go_on(stage: int, whole: tuple[Path, Path, int], mon
 
 
 def test_a_limit_of_time_ends_with_what_there_is_and_goes_on(whole: tuple[Path, Path, int]) -> None:
-    """Over before the first turn: the declared model is judged, what was not asked is said, and the run goes on to where
-    it would have ended. So is one that ends after the first turn, with what was added on trial."""
+    """Over before the first turn: the declared model is judged, and what was not asked is said. The run goes on
+    to where it would have ended."""
     scene, expected, _ = whole
     out = expected.parent / "limited"
     done = CliRunner().invoke(main, command(scene, out, "--time-limit", "1e-6"))

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import ndimage
 
 from warpsar.effects.base.effect import DeclaredEffect
 from warpsar.effects.registry import declared
@@ -74,6 +76,8 @@ def modelled(
         variance = np.zeros_like(mean) if len(planes) == 1 else (planes[0] - planes[1]) ** 2 / 4.0
         covered = np.logical_and.reduce([render.covered(pol) for render in renders])
         slopes = np.zeros((2, *mean.shape)) if not edges else shifted[pol] if exact else _between_pixels(mean)
+        if edges and scene.accuracy_m is not None:
+            slopes = _over_far(slopes, mean, [scene.accuracy_m / step for step in scene.grid.spacing_m])
         moved = moves.get(pol, np.zeros((0, *mean.shape)))
         about = _surface_in_pixels(scene, renders[0], pol)
         found[pol] = Modelled(mean, slopes, moved, covered, variance, exact, *about)
@@ -118,6 +122,21 @@ def _shifted(render: ViewRender) -> dict[str, np.ndarray]:
             found.setdefault(pol, []).append(change)
     render.forward()
     return {pol: np.stack(both) for pol, both in found.items()}
+
+
+def _over_far(slopes: np.ndarray, image: np.ndarray, sd_px: Sequence[float]) -> np.ndarray:
+    """The slopes, or what a shift by 1, 2 or 3 standard deviations changes for a pixel of it, where that is more.
+
+    An edge may be nearer than an accuracy of some pixels, and farther than the step that a slope is taken by.
+    """
+    found = slopes.copy()
+    for axis, sd in enumerate(sd_px):
+        for sds in range(1, int(SURE_SDS) + 1):
+            for way in (sds * sd, -sds * sd):
+                step = (way, 0.0) if axis == 0 else (0.0, way)
+                change = (ndimage.shift(image, step, order=1, mode="nearest") - image) / way
+                found[axis] = np.where(np.abs(change) > np.abs(found[axis]), change, found[axis])
+    return found
 
 
 def _between_pixels(image: np.ndarray) -> np.ndarray:

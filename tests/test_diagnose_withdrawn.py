@@ -1,0 +1,74 @@
+"""What test views take back: the one addition that makes them worse, and no other; numbers that a view holds."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from learning_scenes import cube_scene, measured
+from worlds import view
+
+from warpsar.diagnosis.found import DiagnoseOptions, Diagnosis
+from warpsar.diagnosis.models.judge import Judge
+from warpsar.diagnosis.models.refit import fit_model
+from warpsar.diagnosis.result import judged
+from warpsar.diagnosis.scores.templates import with_effect
+from warpsar.diagnosis.search.procedure import diagnose_scene
+from warpsar.runtime import devices
+from warpsar.scene.scene import Scene
+
+CPU = devices.resolve_device("cpu")
+FLOOR = {"level": 0.01}
+ANGLES = ((15.0, 35.0, "train"), (135.0, 48.0, "train"), (250.0, 42.0, "train"), (330.0, 40.0, "test"))
+
+
+def scene_of(effects: dict[str, Any], folder: Path) -> Scene:
+    views = [view(a, i, name=f"v{k}", role=role) for k, (a, i, role) in enumerate(ANGLES)]
+    truth = replace(cube_scene(views, polarizations=("HH",), shape=44), effects=effects)
+    return replace(measured(truth, folder), effects={})
+
+
+@pytest.fixture(scope="module")
+def floored(tmp_path_factory: pytest.TempPathFactory) -> Diagnosis:
+    """A floor, found."""
+    found = diagnose_scene(
+        scene_of({"noise_floor": FLOOR}, tmp_path_factory.mktemp("floored")), CPU, DiagnoseOptions(draws=400, starts=0)
+    )
+    assert found.verdict == ["noise_floor"]
+    return found
+
+
+def test_what_hurts_is_withdrawn_and_the_rest_stays(floored: Diagnosis) -> None:
+    """A loss along range that the images do not have, held fixed in the final model: it goes, and the floor stays."""
+    both = with_effect(floored.final.scene, "range_loss", {"per_m": 0.05, "fixed": True})
+    hurt = replace(floored, final=fit_model(floored.bench, both, 0, 0))
+    done = judged(hurt)
+    assert done.diagnosis.withdrawn == ["range_loss"]
+    assert set(done.diagnosis.final.scene.effects) == {"noise_floor"}
+    assert done.verdict == ["noise_floor"]
+    assert done.unexplained
+    assert any("range_loss made the test views worse" in one for one in done.reasons)
+    after, before = done.after["test"], done.before["test"]
+    assert after is not None
+    assert before is not None
+    assert after["deviance"] < before["deviance"]
+
+
+def test_nothing_is_withdrawn_where_nothing_hurts(floored: Diagnosis) -> None:
+    done = judged(floored)
+    assert done.diagnosis.withdrawn == []
+    assert (done.verdict, done.unexplained) == (["noise_floor"], False)
+
+
+def test_numbers_of_single_views_are_fitted_to_test_views(tmp_path: Path) -> None:
+    """A gain of its own in every view: no other view tells that of the test view, so the judgement fits it there."""
+    gains = {"v0": 1.5, "v1": -1.0, "v2": 0.5, "v3": 3.0}
+    scene = scene_of({"view_gain": {"gain_db": gains}}, tmp_path)
+    train = {name: gains[name] for name in ("v0", "v1", "v2")}
+    known = with_effect(scene, "view_gain", {"gain_db": train})
+    judge = Judge(CPU)
+    (plain,) = judge(known, "test")
+    (own,) = judge.with_own_numbers(known)
+    assert plain.metrics["deviance"] > 2.0  # 3 dB off, at 16 looks
+    assert own.metrics["deviance"] == pytest.approx(1.0, abs=0.15)  # 1,300 pixels of deviance: 0.06 of their mean
+    assert judge.with_own_numbers(scene)[0] is judge(scene, "test")[0]
