@@ -163,7 +163,8 @@ def test_a_sliver_far_from_the_origin_is_kept(tmp_path: Path) -> None:
 
 def test_millimetres_are_suspected(tmp_path: Path) -> None:
     mesh = read_mesh(write(tmp_path, "a.obj", "v 0 0 0\nv 12000 0 0\nv 0 8000 0\nf 1 2 3\n"))
-    assert "millimetres" in mesh.warnings[0]
+    assert "12000 m across" in mesh.warnings[0]
+    assert "likely the millimetre" in mesh.warnings[0]
 
 
 @pytest.mark.parametrize(
