@@ -24,18 +24,33 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import tables
 
-from warpsar.diagnosis import command, procedure, search
+from warpsar.diagnosis import command
+from warpsar.diagnosis.search import loop, procedure
 from warpsar.learning.problem import FitProblem
 from warpsar.runtime import devices, threads
 
 # Phase -> where its calls are made: a module or a class, and the name that is called there.
 PHASES: dict[str, list[tuple[Any, str]]] = {
     "rays and pixels": [(procedure, "choose_density"), (procedure, "frozen")],
-    "declared fit": [(procedure, "fit_model")],
-    "scores": [(search, "score_effects")],
-    "candidates": [(search, "refits"), (search, "add_the_best"), (search, "prune"), (search, "on_bounded_ground")],
-    "confirmation": [(search, "settle"), (search, "trimmed"), (search, "confirm")],
-    "rivals": [(search, "rivals_of")],
+    "declared fit": [(procedure, "fit_model"), (procedure, "speckle_of"), (procedure, "refit_as")],
+    "scores": [(loop, "score_effects"), (loop, "on_bounded_ground")],
+    "candidates": [
+        (loop, "refits"),
+        (loop, "add_the_best"),
+        (loop, "geometry_candidates"),
+        (loop, "add_the_likeliest"),
+        (loop, "prune"),
+        (loop, "learned_law"),
+    ],
+    "confirmation": [
+        (loop, "posed_anew"),
+        (loop, "settle"),
+        (loop, "resettled"),
+        (loop, "trimmed"),
+        (loop, "with_smaller"),
+        (loop, "confirm"),
+    ],
+    "rivals": [(loop, "rivals_of")],
     "report": [(command, "judged"), (command, "content_of"), (command, "write_report")],
 }
 WORK = {

@@ -31,9 +31,8 @@ from warpsar.cli import options
 @click.option(
     "--most-effects",
     type=click.IntRange(min=0),
-    default=15,
-    show_default=True,
-    help="Effects that may be added, at most; 15: all there are.",
+    show_default="all there are",
+    help="Effects that may be added, at most.",
 )
 @click.option(
     "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the bootstrap and the starts."
@@ -52,7 +51,7 @@ def command(
     family_error: float,
     draws: int,
     starts: int,
-    most_effects: int,
+    most_effects: int | None,
     seed: int,
     time_limit: float | None,
     resume: bool,
@@ -76,9 +75,9 @@ def command(
         family_error=family_error,
         draws=draws,
         starts=starts,
-        most_effects=most_effects,
         seed=seed,
         time_limit_s=None if time_limit is None else 60.0 * time_limit,
+        **({} if most_effects is None else {"most_effects": most_effects}),
     )
     with options.resumable(out):
         content = diagnosis.run(scene, out, device=device, options=chosen, resume=resume)

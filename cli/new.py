@@ -6,7 +6,10 @@ from pathlib import Path
 
 import click
 
+from warpsar.cli import options
+
 UNITS = ("m", "cm", "mm", "in", "ft")  # a copy from warpsar.scene.new, which imports NumPy; a test compares them
+UP = ("y", "z")
 
 
 @click.command(name="new", short_help="Write a first scene file for a mesh or for buildings.")
@@ -14,16 +17,25 @@ UNITS = ("m", "cm", "mm", "in", "ft")  # a copy from warpsar.scene.new, which im
 @click.argument("mesh", type=click.Path(exists=True, dir_okay=False, path_type=Path))
 @click.option("--units", type=click.Choice(UNITS), help="Unit of the mesh's coordinates. Default: guessed, and said.")
 @click.option(
+    "--up",
+    type=click.Choice(UP),
+    help="Axis of the mesh's file that points up. Default: as its format has it, Y for glTF, else Z.",
+)
+@options.yes
+@click.option(
     "--dem",
     type=click.Path(exists=True, dir_okay=False, path_type=Path),
     help="Elevation model (GeoTIFF) under the buildings. Default: level ground.",
 )
 @click.option("--force", is_flag=True, help="Replace a scene.toml that is there.")
-def command(folder: Path, mesh: Path, units: str | None, dem: Path | None, force: bool) -> None:
+def command(
+    folder: Path, mesh: Path, units: str | None, up: str | None, yes: bool, dem: Path | None, force: bool
+) -> None:
     """Write a commented scene.toml for MESH into FOLDER.
 
     It has a grid that holds the whole mesh, three X-band views, and a table with starting values for each material.
-    It refers to MESH where it lies. If the unit of MESH is not the metre, FOLDER gets a copy in metres.
+    It refers to MESH where it lies. If the unit of MESH is not the metre, or Z is not up, FOLDER gets
+    a copy in metres with Z up.
 
     MESH may also be a file of buildings: GeoJSON outlines with heights, or CityGML (LoD1, LoD2). They become a mesh
     with walls, roofs and ground, on the elevation model --dem or on level ground (needs warpsar[geo]).
@@ -31,9 +43,9 @@ def command(folder: Path, mesh: Path, units: str | None, dem: Path | None, force
     \b
     Examples:
       warpsar new car/ ~/models/car.obj
-      warpsar new car/ ~/models/car.stl --units mm
+      warpsar new car/ ~/models/car.stl --units mm --up y
       warpsar new town/ buildings.geojson --dem dem.tif
     """
     from warpsar.scene.new import run
 
-    click.echo(run(folder, mesh, units=units, dem=dem, force=force))
+    click.echo(run(folder, mesh, units=units, up=up, yes=yes, dem=dem, force=force))

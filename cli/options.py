@@ -19,6 +19,8 @@ device = click.option(
 
 resume = click.option("--resume", is_flag=True, help="Continue from the checkpoint in the output folder.")
 
+yes = click.option("--yes", is_flag=True, help="Take a mesh that is more than 5000 m across for what it says it is.")
+
 
 def quiet() -> click.Option:
     """-q of every command: only results, warnings and errors."""

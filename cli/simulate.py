@@ -77,6 +77,7 @@ FORMATS = ("exr", "geotiff", "netcdf", "zarr")
     metavar="GIB",
     help="Memory for rays and hits. Less memory only takes longer.",
 )
+@options.yes
 def command(
     scenes: tuple[Path, ...],
     out: Path,
@@ -92,6 +93,7 @@ def command(
     max_memory: float | None,
     looks: float | None,
     declare: bool,
+    yes: bool,
 ) -> None:
     """Simulate every view of SCENES, each a scene.toml beside its mesh.
 
@@ -106,7 +108,7 @@ def command(
       warpsar simulate scene.toml -o out/ --azimuths 0:360:10 --incidences 30,45
     """
     if product != "beta0":
-        _with_phase(scenes, out, product, device, seed)
+        _with_phase(scenes, out, product, device, seed, yes)
         return
     if len(scenes) > 1 or azimuths is not None or incidences is not None:
         from warpsar.simulation import batch
@@ -127,6 +129,7 @@ def command(
             variance=variance,
             per_ray=per_ray,
             max_memory_gib=max_memory,
+            yes=yes,
         )
         return
     from warpsar.simulation.command import run
@@ -143,12 +146,15 @@ def command(
         formats=formats,
         looks=looks,
         declare=declare,
+        yes=yes,
     )
 
 
-def _with_phase(scenes: tuple[Path, ...], out: Path, product: str, device: str | None, seed: int | None) -> None:
+def _with_phase(
+    scenes: tuple[Path, ...], out: Path, product: str, device: str | None, seed: int | None, yes: bool
+) -> None:
     context = click.get_current_context()
-    known = ("scenes", "out", "product", "device", "seed")
+    known = ("scenes", "out", "product", "device", "seed", "yes")
     given = [
         p.opts[0]
         for p in context.command.params
@@ -156,7 +162,7 @@ def _with_phase(scenes: tuple[Path, ...], out: Path, product: str, device: str |
     ]
     if len(scenes) > 1 or given:
         found = ", ".join(given) or f"{len(scenes)} scenes"
-        raise click.UsageError(f"--product {product}: found {found}; it takes one scene, --out, --device and --seed")
+        raise click.UsageError(f"--product {product}: found {found}; allowed: a scene, --out, --device, --seed, --yes")
     from warpsar.collection.command import run
 
-    run(scenes[0], out, product, device=device, seed=seed)
+    run(scenes[0], out, product, device=device, seed=seed, yes=yes)

@@ -88,12 +88,13 @@ def test_wrong_usage_is_exit_2(arguments: list[str], tmp_path: Path, monkeypatch
                 "formats": ("exr",),
                 "looks": None,
                 "declare": False,
+                "yes": False,
             },
         ),
         (
             [
                 *("--device", "cuda:1", "--seed", "7", "--layers", "--variance", "--per-ray", "--max-memory", "1.5"),
-                *("--format", "geotiff", "--format", "zarr", "--looks", "4", "--declare"),
+                *("--format", "geotiff", "--format", "zarr", "--looks", "4", "--declare", "--yes"),
             ],
             {
                 "device": "cuda:1",
@@ -105,6 +106,7 @@ def test_wrong_usage_is_exit_2(arguments: list[str], tmp_path: Path, monkeypatch
                 "formats": ("geotiff", "zarr"),
                 "looks": 4.0,
                 "declare": True,
+                "yes": True,
             },
         ),
     ],

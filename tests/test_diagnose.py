@@ -77,6 +77,20 @@ def graded(tmp_path_factory: pytest.TempPathFactory) -> Ran:
     return Ran(scene, folder / "out", content, done.stdout, done.stderr)
 
 
+def test_as_many_effects_may_be_added_as_there_are(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By the command, whose help states no number that could grow old, and from Python."""
+    asked: list[DiagnoseOptions] = []
+    monkeypatch.setattr("warpsar.diagnosis.command.run", lambda *_, options, **__: asked.append(options) or {})
+    words = ["diagnose", __file__, "-o", "out"]  # the scene is not read
+    for more in ([], ["--most-effects", "3"]):
+        done = CliRunner().invoke(main, [*words, *more])
+        assert done.exit_code == 0, done.output
+    assert [one.most_effects for one in asked] == [len(names()), 3]
+    assert DiagnoseOptions().most_effects == len(names())
+    help_text = " ".join(CliRunner().invoke(main, ["diagnose", "--help"]).output.split())
+    assert "Effects that may be added, at most. [default: (all there are); x>=0]" in help_text
+
+
 def test_a_gradient_is_found(graded: Ran) -> None:
     assert graded.content["verdict"] == ["eps_gradient"]
     assert graded.content["unexplained"] is False

@@ -85,12 +85,16 @@ def sources(root: Path) -> dict[str, Path]:
     return found
 
 
-def _nodes(node: ast.AST, lazy: bool = False) -> Iterator[tuple[ast.AST, bool]]:
-    for child in ast.iter_child_nodes(node):
-        type_only = isinstance(child, ast.If) and "TYPE_CHECKING" in ast.unparse(child.test)
-        inside = lazy or type_only or isinstance(child, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda)
-        yield child, lazy
-        yield from _nodes(child, inside)
+def _nodes(tree: ast.AST) -> Iterator[tuple[ast.AST, bool]]:
+    """Every node below `tree`, and whether it runs later than the file: in a function, or for types alone."""
+    waiting = [(tree, False)]
+    while waiting:
+        node, lazy = waiting.pop()
+        type_only = isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
+        lazy = lazy or type_only or isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda)
+        below = [(child, lazy) for child in ast.iter_child_nodes(node)]
+        yield from below
+        waiting += below
 
 
 def _named(text: str, whole: bool, modules: dict[str, Path]) -> list[str]:
@@ -103,9 +107,9 @@ def _named(text: str, whole: bool, modules: dict[str, Path]) -> list[str]:
 
 def imports(path: Path, name: str, modules: dict[str, Path]) -> Iterator[tuple[str, bool]]:
     """What a file imports: names of this package's modules, or of other libraries, and whether lazily."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    pieces = {part for node in ast.walk(tree) if isinstance(node, ast.JoinedStr) for part in node.values}
-    for node, lazy in _nodes(tree):
+    nodes = list(_nodes(ast.parse(path.read_text(encoding="utf-8"))))
+    pieces = {part for node, _ in nodes if isinstance(node, ast.JoinedStr) for part in node.values}
+    for node, lazy in nodes:
         if isinstance(node, ast.Import):
             yield from ((alias.name, lazy) for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -168,21 +172,27 @@ def circles(found: list[Arrow]) -> list[list[str]]:
     return rings
 
 
-def test_no_arrow_runs_up() -> None:
-    assert upward(arrows(ROOT)) == []
+@pytest.fixture(scope="session")
+def found() -> list[Arrow]:
+    """The arrows of this house: every file is parsed once for all tests, not once for each."""
+    return arrows(ROOT)
 
 
-def test_no_circle() -> None:
-    assert circles(arrows(ROOT)) == []
+def test_no_arrow_runs_up(found: list[Arrow]) -> None:
+    assert upward(found) == []
 
 
-def test_no_circle_between_the_folders_of_a_room() -> None:
+def test_no_circle(found: list[Arrow]) -> None:
+    assert circles(found) == []
+
+
+def test_no_circle_between_the_folders_of_a_room(found: list[Arrow]) -> None:
     """A folder inside a room counts as one module. Two folders that need each other are one folder."""
     modules = sources(ROOT)
     folder = {name: name.rpartition(".")[0] if name.count(".") > 2 else name for name in modules}
     between = [
         Arrow(folder[a.importer], folder[a.imported], a.lazy)
-        for a in arrows(ROOT)
+        for a in found
         if a.imported in folder and folder[a.importer] != folder[a.imported]
     ]
     assert circles(between) == []
@@ -212,18 +222,18 @@ def test_each_folder_says_what_its_files_do() -> None:
     assert unlisted == []
 
 
-def test_lazy_imports_are_of_heavy_libraries() -> None:
+def test_lazy_imports_are_of_heavy_libraries(found: list[Arrow]) -> None:
     """cli/ apart, whose commands import their work when they are called: help needs no engine; and the faces of the
     package, which name by string what is imported when it is asked for."""
     by_string = {"warpsar", "warpsar.effects.registry", "warpsar.runtime.devices"}
-    lazy = [a for a in arrows(ROOT) if a.lazy and room(a.importer) != "cli" and a.importer not in by_string]
+    lazy = [a for a in found if a.lazy and room(a.importer) != "cli" and a.importer not in by_string]
     assert [f"{a.importer} -> {a.imported}" for a in lazy if a.imported.split(".")[0] not in HEAVY] == []
 
 
-def test_extras_are_never_imported_at_the_top() -> None:
+def test_extras_are_never_imported_at_the_top(found: list[Arrow]) -> None:
     """A plain installation has none of them; and nothing is imported that pyproject.toml does not ask for."""
     asked = {"click", "numpy", "pydantic", "scipy", "tomlkit", "tqdm", "warpsar"} | SLOW | set(sys.stdlib_module_names)
-    top = [a for a in arrows(ROOT) if not a.lazy]
+    top = [a for a in found if not a.lazy]
     assert [f"{a.importer} -> {a.imported}" for a in top if a.imported.split(".")[0] not in asked] == []
 
 

@@ -1,5 +1,6 @@
 """Mesh files of every kind become the same triangles, names and scalars; what is broken is refused."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -162,7 +163,8 @@ def test_a_sliver_far_from_the_origin_is_kept(tmp_path: Path) -> None:
 
 def test_millimetres_are_suspected(tmp_path: Path) -> None:
     mesh = read_mesh(write(tmp_path, "a.obj", "v 0 0 0\nv 12000 0 0\nv 0 8000 0\nf 1 2 3\n"))
-    assert "millimetres" in mesh.warnings[0]
+    assert "12000 m across" in mesh.warnings[0]
+    assert "likely the millimetre" in mesh.warnings[0]
 
 
 @pytest.mark.parametrize(
@@ -213,6 +215,61 @@ def test_truncated_meshes_are_refused(tmp_path: Path) -> None:
         data = box.export(file_type=kind)
         with pytest.raises(InputError):
             read_mesh(write(tmp_path, f"a.{kind}", data[: len(data) * 2 // 3]))
+
+
+TEXTURED = SQUARE + "vt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nvn 0 0 1\nusemtl a\nf 1/1/1 2/2/1 3/3/1\nf 1/1/1 3/3/1 4/4/1\n"
+STL = "".join(
+    f"facet normal 0 0 1\nouter loop\n{corners}endloop\nendfacet\n"
+    for corners in ("vertex 0 0 0\nvertex 1 0 0\nvertex 1 1 0\n", "vertex 0 0 0\nvertex 1 1 0\nvertex 0 1 0\n")
+)
+WHERE = r"line \d+[,:]|of 4 vertex entries: truncated|of 2 face entries: truncated|no line 'end_header'"
+ENDS = r"the mesh is empty|has vertices and no faces|have zero area"
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("a.obj", SQUARE + "f 1 2 3\nf 1 3 4\n"),
+        ("a.obj", SQUARE + "f -4 -3 -2\nf -4 -2 -1\n"),
+        ("a.obj", TEXTURED),
+        ("a.ply", PLY),
+        ("a.stl", f"solid a\n{STL}endsolid a\n"),
+    ],
+)
+def test_a_text_cut_anywhere_is_read_or_says_where(tmp_path: Path, name: str, text: str) -> None:
+    """A file that ends with a whole face is sound, for all that its text says; else the message names line or entry."""
+    assert area(read_mesh(write(tmp_path, name, text))) == pytest.approx(1.0)
+    for kept in range(1, len(text)):
+        path = write(tmp_path, name, text[:kept])
+        try:
+            assert len(read_mesh(path).faces) in (1, 2)
+        except InputError as error:
+            said = str(error).removeprefix(f"{path}: ")
+            assert re.search(f"{WHERE}|^{ENDS}" if kept > 8 else "", said), f"{kept} bytes: {said}"
+            assert "Error" not in said, f"{kept} bytes: {said}"
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("a.obj", SQUARE + "v 0 1", "line 5, the last: found 2 numbers; must be 3 or more (x, y and z)"),
+        ("a.obj", SQUARE + "v 0 1\nf 1 2 3\n", "line 5: found 2 numbers"),
+        ("a.obj", SQUARE + "\n# two\nv 0 1 2-\nf 1 2 3\n", "line 7: found '2-'; must be a number"),
+        ("a.obj", SQUARE + "f 1 2 \\\n3\nf 1 3\nf 1 3 4\n", "line 7: found a face of 2 corners"),
+        ("a.obj", SQUARE + "f 1 2 3\nf 1 2 9\n", "line 6, the last: a face refers to entry 9 of v, which is not there"),
+        ("a.obj", SQUARE + "f -1 -2 -3x\n", "line 5, the last: a face has the index '-3x'"),
+        ("a.ply", PLY.replace("1 1 0 4", "1 1 4"), "line 13: found 3 numbers; must be 4 (vertex 2 of 4)"),
+        ("a.ply", PLY[: PLY.index("end_header")], "no line 'end_header'"),
+        ("a.stl", f"solid a\n{STL[:51]}", "line 5, the last, is 'vertex 1'"),
+        ("a.stl", b"\x80" * 80 + b"\x02\0\0\0" + b"\x80" * 60, "2 triangles take 184 bytes, found 144"),
+    ],
+)
+def test_a_broken_line_is_named(tmp_path: Path, name: str, text: str | bytes, message: str) -> None:
+    path = write(tmp_path, name, text)
+    with pytest.raises(InputError) as error:
+        read_mesh(path)
+    assert str(error.value).startswith(f"{path}: ")
+    assert message in str(error.value)
 
 
 # ---- GeoTIFF ----

@@ -108,7 +108,8 @@ def test_unit_is_guessed_and_said(tmp_path: Path) -> None:
     house().export(tmp_path / "m.stl")
     assert "taken as m, a guess" in warpsar("new", tmp_path / "c", tmp_path / "m.stl").output
     house(1000.0).export(tmp_path / "large.glb")
-    assert "a guess" not in warpsar("new", tmp_path / "d", tmp_path / "large.glb").output  # metres, by its standard
+    said = warpsar("new", tmp_path / "d", tmp_path / "large.glb", "--yes").output
+    assert "a guess" not in said  # metres, by its standard
 
 
 def test_scalars_of_a_ply_are_kept_in_metres(tmp_path: Path) -> None:
@@ -133,6 +134,83 @@ def test_scene_file_that_is_there_is_kept(tmp_path: Path) -> None:
 def test_elevation_model_states_its_own_unit(tmp_path: Path) -> None:
     dem(tmp_path / "dem.tif")
     assert "--units" in warpsar("new", tmp_path / "a", tmp_path / "dem.tif", "--units", "ft", status=2).output
+    assert not (tmp_path / "a").exists()
+
+
+def test_a_mesh_of_unlikely_size_needs_a_yes(tmp_path: Path) -> None:
+    """Kilometres of a building: nothing is written, and the message says what would scale it."""
+    house(1000.0).export(tmp_path / "large.glb")
+    said = warpsar("new", tmp_path / "a", tmp_path / "large.glb", status=2).output
+    for words in ("large.glb: taken as m", "40000 m across", "likely the millimetre", "--units", "--yes"):
+        assert words in said
+    assert not (tmp_path / "a").exists()
+    warpsar("new", tmp_path / "b", tmp_path / "large.glb", "--units", "mm")
+    assert sizes_m(tmp_path / "b" / "scene.toml") == pytest.approx([40, 30, 7.1])
+    warpsar("new", tmp_path / "c", tmp_path / "large.glb", "--yes")
+    assert sizes_m(tmp_path / "c" / "scene.toml") == pytest.approx([40000, 30000, 7100])
+    dem(tmp_path / "dem.tif")
+    warpsar("new", tmp_path / "d", tmp_path / "dem.tif")  # 1.8 km; and elevation models may be of any size
+
+
+def lying(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """The mesh as a program with Y up writes it: (x, y, z) of ours is its (x, z, -y)."""
+    turned = mesh.copy()
+    turned.vertices = np.stack([mesh.vertices[:, 0], mesh.vertices[:, 2], -mesh.vertices[:, 1]], axis=1)
+    return turned
+
+
+@pytest.mark.parametrize("name", ["a.obj", "a.ply", "a.stl"])
+def test_y_up_is_seen_and_turned(name: str, tmp_path: Path) -> None:
+    lying(house()).export(tmp_path / name)
+    said = warpsar("new", tmp_path / "as_it_is", tmp_path / name).output
+    assert "it seems to have Y up (it stands across Y), and the world has Z up; `warpsar new --up y` turns it" in said
+    loaded = Scene.load(tmp_path / "as_it_is" / "scene.toml")  # and every command that loads it warns
+    assert any("seems to have Y up" in warning for warning in loaded.warnings)
+
+    said = warpsar("new", tmp_path / "turned", tmp_path / name, "--up", "y").output
+    assert "a_z_up.obj: the mesh with Z up" in said
+    assert "seems" not in said
+    turned = Scene.load(tmp_path / "turned" / "scene.toml")
+    assert not turned.warnings
+    np.testing.assert_allclose(turned.mesh.vertices.min(axis=0), house().vertices.min(axis=0), atol=1e-4)
+    np.testing.assert_allclose(turned.mesh.vertices.max(axis=0), house().vertices.max(axis=0), atol=1e-4)
+    assert volume(turned) == pytest.approx(house().volume, rel=1e-4)  # not mirrored: that of a mirror image is negative
+
+    said = warpsar("new", tmp_path / "stated", tmp_path / name, "--up", "z").output
+    assert "seems" not in said  # the user has said it
+
+
+def volume(scene: Scene) -> float:
+    a, b, c = (scene.mesh.vertices[scene.mesh.faces[:, i]] for i in range(3))
+    return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6)
+
+
+def test_y_up_and_millimetres_are_one_copy(tmp_path: Path) -> None:
+    lying(house(1000.0)).export(tmp_path / "a.obj")
+    said = warpsar("new", tmp_path / "a", tmp_path / "a.obj", "--up", "y").output
+    assert "a_in_metres.obj: the mesh in metres with Z up" in said
+    assert sizes_m(tmp_path / "a" / "scene.toml") == pytest.approx([40, 30, 7.1])
+    assert "# Made from a.obj in mm, y up." in (tmp_path / "a" / "scene.toml").read_text()
+
+
+def test_what_is_up_in_gltf(tmp_path: Path) -> None:
+    """Y by its standard; Z where trimesh wrote it; and what the user says before both."""
+    house().export(tmp_path / "by_trimesh.glb")
+    data = (tmp_path / "by_trimesh.glb").read_bytes().replace(b"mikedh/trimesh", b"mikedh/another")
+    (tmp_path / "a.glb").write_bytes(data)
+    assert "glTF has Y up by its standard; turned to Z up" in warpsar("new", tmp_path / "1", tmp_path / "a.glb").output
+    assert sizes_m(tmp_path / "1" / "scene.toml") == pytest.approx([40, 7.1, 30])
+    warpsar("new", tmp_path / "2", tmp_path / "a.glb", "--up", "z")
+    assert sizes_m(tmp_path / "2" / "scene.toml") == pytest.approx([40, 30, 7.1])
+    assert "by trimesh" in warpsar("new", tmp_path / "3", tmp_path / "by_trimesh.glb").output
+    assert sizes_m(tmp_path / "3" / "scene.toml") == pytest.approx([40, 30, 7.1])
+    warpsar("new", tmp_path / "4", tmp_path / "by_trimesh.glb", "--up", "y")
+    assert sizes_m(tmp_path / "4" / "scene.toml") == pytest.approx([40, 7.1, 30])
+
+
+def test_an_elevation_model_has_heights(tmp_path: Path) -> None:
+    dem(tmp_path / "dem.tif")
+    assert "--up" in warpsar("new", tmp_path / "a", tmp_path / "dem.tif", "--up", "y", status=2).output
     assert not (tmp_path / "a").exists()
 
 

@@ -97,6 +97,23 @@ def test_a_file_in_other_axes_and_units(tmp_path: Path) -> None:
         assert np.abs(vertices - one).max(axis=1).min() < 1e-9
 
 
+def test_a_file_with_y_up_is_told_once(tmp_path: Path) -> None:
+    """A tent whose ridge is along y lies on its side: its table has a key for that."""
+    corners = "v -5 0 -4\nv 5 0 -4\nv 5 0 4\nv -5 0 4\nv -5 3 0\nv 5 3 0\n"
+    (tmp_path / "tent.obj").write_text(corners + "f 1 2 6 5\nf 3 4 5 6\nf 4 1 5\nf 2 3 6\nf 1 4 3 2\n")
+    several = [
+        {"name": f"tent{k}", "mesh": "tent.obj", "material": "body", "position_m": [2.0 * k, 0.0, 0.0]}
+        for k in range(3)
+    ]
+    (told,) = Scene.load(written(tmp_path, [FLOOR, *several])).warnings
+    assert told.startswith("objects[1] (tent0).mesh: ")
+    assert told.endswith(
+        'it seems to have Y up (it stands across Y), and the world has Z up; up = "+Y" with front = "+Z" turns it'
+    )
+    turned = [{**one, "up": "+Y", "front": "+Z"} for one in several]
+    assert Scene.load(written(tmp_path, [FLOOR, *turned])).warnings == ()
+
+
 @pytest.mark.parametrize("primitive", ["box", "cylinder", "sphere", "plate", "car", "truck", "dihedral", "trihedral"])
 def test_primitives_fill_their_size_and_close(primitive: Any) -> None:
     """The extent is the stated one, the foot is in the origin; bodies are closed: every edge belongs to two faces."""

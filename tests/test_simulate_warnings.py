@@ -3,6 +3,7 @@
 import io
 import json
 import os
+import re
 import sys
 import time
 from dataclasses import replace
@@ -10,9 +11,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from click.testing import CliRunner
 from test_cli_simulate import MESH, SCENE, warpsar
 from worlds import ground, mesh_of, scene_of, view
 
+from warpsar.cli.main import main
+from warpsar.errors import InputError
 from warpsar.runtime import busy as busy_module
 from warpsar.runtime.busy import busy
 from warpsar.runtime.devices import resolve_device
@@ -21,6 +25,7 @@ from warpsar.scene.scene import Scene
 from warpsar.simulation import estimate as estimating
 from warpsar.simulation.checks import Findings, grid_warnings
 from warpsar.simulation.command import Simulation, simulate
+from warpsar.simulation.outputs import refuse_unlikely_size
 from warpsar.surface.stage import Stage
 
 OPTICS = {"eps_r": 6.0, "rms_height_m": 0.02, "correlation_length_m": 0.2, "specular_fraction": 1.0}
@@ -133,6 +138,63 @@ def test_warnings_stand_on_stderr_and_in_the_json(tmp_path: Path) -> None:
     (said,) = json.loads((tmp_path / "out" / "simulate.json").read_text())["warnings"]
     assert said.startswith("materials.soil")
     assert f"warning: {said}\n" in done.stderr
+
+
+MILLIMETRES = re.sub(r"^v (\S+) (\S+) (\S+)", r"v \g<1>e3 \g<2>e3 \g<3>e3", MESH, flags=re.MULTILINE)
+"""The same mesh in millimetres: 24 km across, if they are read as metres."""
+COLLECTION = '[collection]\nfocus = "direct"\nresolution_m = [1.0, 1.0]\n[materials.soil]'
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        ([], "`warpsar new FOLDER scene.obj --units mm` writes a copy in metres, --yes takes it as it is"),
+        (["--azimuths", "0:30:10", "--incidences", "40"], "1 failed; everything else is made"),
+        (["--product", "slc"], "--yes takes it as it is"),
+        (["--product", "phase-history"], "--yes takes it as it is"),
+    ],
+)
+def test_a_mesh_of_unlikely_size_needs_a_yes(tmp_path: Path, more: list[str], words: str) -> None:
+    """No work begins, and no folder is made for one scene."""
+    (tmp_path / "scene.obj").write_text(MILLIMETRES)
+    path, out = tmp_path / "scene.toml", tmp_path / "out"
+    path.write_text(SCENE.replace("[materials.soil]", COLLECTION) if "--product" in more else SCENE)
+    done = CliRunner().invoke(main, ["simulate", str(path), "-o", str(out), "--device", "cpu", *more])
+    assert done.exit_code == 2, done.output
+    assert "scene.obj: the mesh is 24000 m across, more than 5000 m: its unit is likely the millimetre" in done.stderr
+    assert words in done.stderr
+    assert not list(out.glob("**/*.exr")) if "--azimuths" in more else not out.exists()
+
+
+@pytest.mark.parametrize("more", [["--yes"], ["--yes", "--azimuths", "0", "--incidences", "40"]])
+def test_a_mesh_of_unlikely_size_with_a_yes(tmp_path: Path, more: list[str]) -> None:
+    (tmp_path / "scene.obj").write_text(MILLIMETRES)
+    (tmp_path / "scene.toml").write_text(SCENE)
+    words = ["simulate", str(tmp_path / "scene.toml"), "-o", str(tmp_path / "out"), "--device", "cpu", *more]
+    assert CliRunner().invoke(main, words).exit_code == 0
+    assert list((tmp_path / "out").glob("**/*.exr"))
+
+
+def test_a_place_of_the_earth_may_be_large(tmp_path: Path) -> None:
+    """A scene that says where it lies, as those of `warpsar new` from buildings do, is taken as it is."""
+    (tmp_path / "scene.obj").write_text(MILLIMETRES)
+    place = "origin = { latitude_deg = 48.1, longitude_deg = 11.6, height_m = 500.0 }"
+    (tmp_path / "scene.toml").write_text(SCENE.replace("[radar]", f"{place}\n[radar]"))
+    scene = Scene.load(tmp_path / "scene.toml")
+    assert any("24000 m across" in warning for warning in scene.warnings)
+    refuse_unlikely_size(scene, yes=False)
+
+
+def test_an_object_of_unlikely_size_needs_a_yes(tmp_path: Path) -> None:
+    """Its table has the unit; the mesh of the scene is of a likely size."""
+    (tmp_path / "scene.obj").write_text(MESH)
+    (tmp_path / "body.obj").write_text(MILLIMETRES.replace("usemtl soil", "usemtl wall"))
+    body = '[[objects]]\nname = "shed"\nmesh = "body.obj"\n'
+    (tmp_path / "scene.toml").write_text(f"{SCENE}\n{body}")
+    with pytest.raises(InputError, match=r'objects\[0\] \(shed\): .*24000 m across.* units = "m" may be wrong'):
+        refuse_unlikely_size(Scene.load(tmp_path / "scene.toml"), yes=False)
+    (tmp_path / "scene.toml").write_text(f'{SCENE}\n{body}units = "mm"\n')
+    refuse_unlikely_size(Scene.load(tmp_path / "scene.toml"), yes=False)
 
 
 def test_a_batch_says_them_once(tmp_path: Path) -> None:

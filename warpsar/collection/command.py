@@ -25,7 +25,7 @@ from warpsar.io.quick_look import QuickLook, draw_together
 from warpsar.runtime import console, devices
 from warpsar.runtime.busy import busy
 from warpsar.scene.scene import Scene
-from warpsar.simulation.outputs import make_folder, write_json
+from warpsar.simulation.outputs import make_folder, refuse_unlikely_size, write_json
 
 ALIASED = 0.01
 """Share of tubes that are too wide after a curved surface from which a warning is due."""
@@ -102,12 +102,22 @@ def _seed(scene: Scene, seed: int | None) -> int:
 
 
 def run(
-    scene_path: Path | str, out: Path | str, product: str, *, device: str | None = None, seed: int | None = None
+    scene_path: Path | str,
+    out: Path | str,
+    product: str,
+    *,
+    device: str | None = None,
+    seed: int | None = None,
+    yes: bool = False,
 ) -> dict[str, Any]:
-    """`warpsar simulate --product`: files of every view, and simulate.json, in `out`. Returns the JSON's content."""
+    """`warpsar simulate --product`: files of every view, and simulate.json, in `out`. Returns the JSON's content.
+
+    `yes` takes a mesh whose size is unlikely.
+    """
     started = time.perf_counter()
     with busy("reading the scene"):
         scene = Scene.load(scene_path)
+    refuse_unlikely_size(scene, yes)
     where, out = devices.resolve_device(device), Path(out)
     plans = [plan_of(scene, view, where) for view in scene.views]
     make_folder(out)

@@ -17,6 +17,7 @@ from warpsar.diagnosis.models.left_out import LeftOut
 from warpsar.diagnosis.models.refit import Fitted
 from warpsar.diagnosis.scores.score import NOT_TESTABLE
 from warpsar.effects.base.signature import Signature
+from warpsar.effects.registry import names
 from warpsar.errors import InputError
 from warpsar.scene.scene import Scene
 from warpsar.simulation.sampling import Density
@@ -40,7 +41,7 @@ class DiagnoseOptions:
     draws: int = 1000
     refits: int = 4
     starts: int = 2
-    most_effects: int = 15
+    most_effects: int = field(default_factory=lambda: len(names()))
     seed: int = 0
     bodies: bool = True
     time_limit_s: float | None = None

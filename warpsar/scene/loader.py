@@ -26,6 +26,7 @@ from warpsar.world.tables import (
     Material,
     View,
 )
+from warpsar.world.upright import y_up
 
 
 def contents(path: Path) -> dict[str, Any]:
@@ -109,10 +110,17 @@ class _Loader:
         """The scene's mesh and its objects. The mesh of several objects is read once."""
         self.problems += doubled(objects)
         bodies: dict[Path, Mesh] = {}
+        upright: dict[Path, str | None] = {}
         for index, one in enumerate(objects):
             if one.mesh is not None and one.mesh not in bodies:
                 found = self.mesh(f"objects[{index}] ({one.label}).mesh", one.mesh)
                 bodies |= {} if found is None else {one.mesh: found}
+            if one.mesh in bodies and one.up == "+Z" and one.mesh not in upright:
+                body = bodies[one.mesh]
+                upright[one.mesh] = y_up(body.vertices, body.faces)
+                if upright[one.mesh] is not None:
+                    key = f"objects[{index}] ({one.label}).mesh: {one.mesh}"
+                    self.warnings.append(f'{key}: {upright[one.mesh]}; up = "+Y" with front = "+Z" turns it')
         if self.problems:
             return None
         try:

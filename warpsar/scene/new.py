@@ -18,14 +18,14 @@ from warpsar.scene import city, footprints
 from warpsar.scene.fitted_grid import fitted_grid
 from warpsar.scene.unwrap import write_obj
 from warpsar.world.frame import view_geometry
-from warpsar.world.mesh import Mesh, read_mesh
+from warpsar.world.mesh import GLTF, Mesh, read_mesh, unlikely_size
 from warpsar.world.meshes.dem import SUFFIXES as DEM_SUFFIXES
 from warpsar.world.objects.table import UNITS
 from warpsar.world.tables import Grid
 
 MILLIMETRES_FROM = 1000.0
 """Larger meshes whose format states no unit are taken as millimetres."""
-_IN_METRES = (".gltf", ".glb", *DEM_SUFFIXES)  # by their standard, or turned into metres by their reader
+_IN_METRES = (*GLTF, *DEM_SUFFIXES)  # by their standard, or turned into metres by their reader
 
 FREQUENCY_HZ = 9.6e9
 INCIDENCE_DEG = 40.0
@@ -98,17 +98,22 @@ def run(
     mesh_path: Path | str,
     *,
     units: str | None = None,
+    up: str | None = None,
+    yes: bool = False,
     dem: Path | str | None = None,
     force: bool = False,
 ) -> Path:
     """`warpsar new`: `scene.toml` in `folder`, which is made if missing. Returns its path.
 
-    The scene refers to the mesh where it lies. Where its unit is not the metre, a copy in metres is written into
-    `folder`, and the scene refers to that. `units` is a key of `UNITS`; it is guessed where it is None, and what was
-    guessed is said. Buildings of a GeoJSON or CityGML file (`footprints.SUFFIXES`) become a mesh in `folder`,
-    `city.obj`, on the ground of the GeoTIFF `dem`, or on level ground.
+    The scene refers to the mesh where it lies. Where its unit is not the metre, or Z is not up, a copy in metres with Z
+    up is written into `folder`, and the scene refers to that. `units` is a key of `UNITS`; it is guessed where it is
+    None, and what was guessed is said. `up` is the axis of the file that points up, "y" or "z"; where it is None that
+    of the format is taken, and it is said where the mesh seems to contradict. `yes` takes a mesh whose size is
+    unlikely. Buildings of a GeoJSON or CityGML file (`footprints.SUFFIXES`) become a mesh in `folder`, `city.obj`, on
+    the ground of the GeoTIFF `dem`, or on level ground.
 
-    Raises InputError where a scene file is there and `force` is false, and for a mesh that cannot be read.
+    Raises InputError where a scene file is there and `force` is false, for a mesh that cannot be read, and for one of
+    unlikely size.
     """
     folder, mesh_path = Path(folder), Path(mesh_path)
     path = folder / "scene.toml"
@@ -117,20 +122,54 @@ def run(
     if mesh_path.suffix.lower() in footprints.SUFFIXES:
         if units is not None:
             raise InputError(f"--units: found {units}; a file of buildings states its own unit, leave it out")
+        if up is not None:
+            raise InputError(f"--up: found {up}; a file of buildings says itself what is up, leave it out")
         return _new_city(folder, mesh_path, None if dem is None else Path(dem))
     if dem is not None:
         raise InputError(f"--dem: found {dem}; it goes with buildings ({', '.join(footprints.SUFFIXES)}), not a mesh")
-    mesh = read_mesh(mesh_path)
-    if units is not None and mesh_path.suffix.lower() in DEM_SUFFIXES:
-        raise InputError(f"--units: found {units}; an elevation model states its own unit, leave it out")
+    suffix = mesh_path.suffix.lower()
+    for option, given, what in (("--units", units, "its own unit"), ("--up", up, "heights, which point up")):
+        if given is not None and suffix in DEM_SUFFIXES:
+            raise InputError(f"{option}: found {given}; an elevation model states {what}, leave it out")
+    mesh = read_mesh(mesh_path, up=up)
+    if up is None:
+        _say_what_is_up(mesh_path, mesh)
     unit = units or _guessed_unit(mesh_path, mesh)
+    _refuse_unlikely_size(mesh_path, mesh, unit, yes)
     folder.mkdir(parents=True, exist_ok=True)
-    source = mesh_path
-    if unit != "m":
-        mesh_path, mesh = _in_metres(folder, mesh_path, mesh, UNITS[unit])
-        console.say(f"{mesh_path}: the mesh in metres; the scene refers to it")
-    grid, text = _scene(mesh, _relative(mesh_path, folder), source.name if unit == "m" else f"{source.name} in {unit}")
+    made = mesh_path.name
+    turned = _turned(mesh_path, mesh, up)
+    if unit != "m" or turned:
+        made = made if unit == "m" else f"{made} in {unit}"
+        made = f"{made}, {up} up" if turned else made
+        how = " ".join([*(["in metres"] if unit != "m" else []), *(["with Z up"] if turned else [])])
+        mesh_path, mesh = _copy(folder, mesh_path, mesh, UNITS[unit], "in_metres" if unit != "m" else "z_up")
+        console.say(f"{mesh_path}: the mesh {how}; the scene refers to it")
+    grid, text = _scene(mesh, _relative(mesh_path, folder), made)
     return _written(path, grid, text)
+
+
+def _say_what_is_up(path: Path, mesh: Mesh) -> None:
+    """What is taken as up where nobody said it, if that is not plain."""
+    doubts = [f"{path}: {warning}" for warning in mesh.warnings if "Z up" in warning]
+    console.warn(doubts)
+    if path.suffix.lower() in GLTF and not doubts:
+        console.say(f"{path}: glTF has Y up by its standard; turned to Z up. If this file has not: --up z")
+
+
+def _turned(path: Path, mesh: Mesh, up: str | None) -> bool:
+    """Whether `up` has turned the mesh against what its file alone would be read as."""
+    if path.suffix.lower() not in GLTF:
+        return up == "y"
+    return up is not None and not np.array_equal(mesh.vertices, read_mesh(path).vertices)
+
+
+def _refuse_unlikely_size(path: Path, mesh: Mesh, unit: str, yes: bool) -> None:
+    if yes or path.suffix.lower() in DEM_SUFFIXES:
+        return
+    found = unlikely_size(UNITS[unit] * mesh.vertices)
+    if found is not None:
+        raise InputError(f"{path}: taken as {unit}, {found}; --units with {', '.join(UNITS)} scales it, --yes takes it")
 
 
 def _written(path: Path, grid: Grid, text: str) -> Path:
@@ -165,11 +204,11 @@ def _guessed_unit(path: Path, mesh: Mesh) -> str:
     return unit
 
 
-def _in_metres(folder: Path, path: Path, mesh: Mesh, metres: float) -> tuple[Path, Mesh]:
+def _copy(folder: Path, path: Path, mesh: Mesh, metres: float, ending: str) -> tuple[Path, Mesh]:
     """A copy of the mesh in metres: a PLY where it has scalars, else an OBJ; its path, and the mesh as written."""
     names = [" ".join(name.split()) for name in mesh.materials]  # a line of an OBJ holds a name
     mesh = replace(mesh, vertices=mesh.vertices * metres, materials=tuple(names))
-    written = folder / f"{path.stem}_in_metres{'.ply' if mesh.vertex_scalars else '.obj'}"
+    written = folder / f"{path.stem}_{ending}{'.ply' if mesh.vertex_scalars else '.obj'}"
     if mesh.vertex_scalars:
         write_ply(written, mesh.vertices, mesh.faces, mesh.vertex_scalars)
     else:

@@ -68,12 +68,13 @@ def run(
     variance: bool = False,
     per_ray: bool = False,
     max_memory_gib: float | None = None,
+    yes: bool = False,
 ) -> dict[str, Any]:
     """`warpsar simulate` of several scenes, or at angles: images, index.csv and simulate.json in `out`.
 
     An image's file is `<scene>/<number // 1000>/<view>.exr`; `layers` and `variance` add channels to it. Images that
-    are there, whole and of the same inputs, stay as they are. Returns the JSON's content. Raises InputError for scenes
-    that cannot be read, after all others are made.
+    are there, whole and of the same inputs, stay as they are. `yes` takes meshes whose size is unlikely. Returns the
+    JSON's content. Raises InputError for scenes that cannot be read, after all others are made.
     """
     started = time.perf_counter()
     made = _views_made(azimuths, incidences)
@@ -87,7 +88,7 @@ def run(
     options = ImageOptions(seed, layers, variance, not per_ray, max_memory_gib or DEFAULT_MEMORY_GIB)
 
     def maker(scene: int) -> Maker:
-        return Maker(scenes[scene], names[scene], made, where, options, index)
+        return Maker(scenes[scene], names[scene], made, where, options, index, yes)
 
     counts = [len(made) if made is not None else _views_in(path) for path in scenes]
     tally = _make(scenes, counts, maker, ranks)

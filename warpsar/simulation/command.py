@@ -25,7 +25,7 @@ from warpsar.simulation.estimate import Estimate, estimate
 from warpsar.simulation.files import Output, refuse_formats, written
 from warpsar.simulation.ground import Ground
 from warpsar.simulation.metadata import metadata
-from warpsar.simulation.outputs import make_folder, write_json
+from warpsar.simulation.outputs import make_folder, refuse_unlikely_size, write_json
 from warpsar.simulation.rays import effects_grid, hit_grid, trace_view, view_seed
 from warpsar.simulation.speckle import declare as declare_speckled
 from warpsar.simulation.speckle import refuse_declaring
@@ -224,16 +224,19 @@ def run(
     looks: float | None = None,
     declare: bool = False,
     formats: Sequence[str] = ("exr",),
+    yes: bool = False,
 ) -> dict[str, Any]:
     """`warpsar simulate`: images (EXR), quick looks (PNG) and simulate.json in `out`. Returns the JSON's content.
 
     `formats`: of the images, any of `files.FORMATS`. `looks` adds images with speckle; `declare` a scene.toml that
-    names them as measured. Several processes (`distributed`) share the views by the number of their rays.
+    names them as measured. `yes` takes a mesh whose size is unlikely. Several processes (`distributed`) share the views
+    by the number of their rays.
     """
     started = time.perf_counter()
     refuse_formats(formats)
     with busy("reading the scene"):
         scene = Scene.load(scene_path)
+    refuse_unlikely_size(scene, yes)
     out = Path(out)
     if declare:
         refuse_declaring(scene, out, looks)

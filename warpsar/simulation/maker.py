@@ -19,6 +19,7 @@ from warpsar.scene.scene import Scene
 from warpsar.simulation.checks import grid_warnings
 from warpsar.simulation.command import Simulation
 from warpsar.simulation.index import Index, Row
+from warpsar.simulation.outputs import refuse_unlikely_size
 from warpsar.simulation.view import SimulatedView
 from warpsar.surface.stage import Stage
 from warpsar.version import __version__
@@ -45,16 +46,25 @@ class ImageOptions:
 
 
 class Maker:
-    """One scene of a batch. `label` is its folder; `made` are the views to make in place of the scene's own.
+    """One scene of a batch. `label` is its folder; `made` are the views to make in place of the scene's own. `yes`
+    takes a mesh whose size is unlikely.
 
     Raises InputError for a scene that cannot be read, and for effects whose values belong to views that are not made.
     """
 
     def __init__(
-        self, path: Path, label: str, made: list[View] | None, device: wp.Device, options: ImageOptions, index: Index
+        self,
+        path: Path,
+        label: str,
+        made: list[View] | None,
+        device: wp.Device,
+        options: ImageOptions,
+        index: Index,
+        yes: bool = False,
     ) -> None:
         self.path, self.label, self.device, self.options, self.index = path, label, device, options, index
         self.scene = Scene.load(path)
+        refuse_unlikely_size(self.scene, yes)
         console.warn(self.scene.warnings)
         self._told = False
         self.fresh = made is not None

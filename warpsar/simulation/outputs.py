@@ -17,6 +17,9 @@ from warpsar.io.images import replacing
 from warpsar.runtime import console, devices
 from warpsar.scene.scene import Scene
 from warpsar.version import __version__
+from warpsar.world.mesh import unlikely_size
+from warpsar.world.meshes.dem import SUFFIXES as DEM_SUFFIXES
+from warpsar.world.objects.table import UNITS
 
 
 def make_folder(out: Path) -> None:
@@ -33,6 +36,30 @@ def make_folder(out: Path) -> None:
             f"--out: found {out}; nothing can be written there ({error.strerror}); allowed is a folder, there or new, "
             f"that can be written to"
         ) from error
+
+
+def refuse_unlikely_size(scene: Scene, yes: bool) -> None:
+    """Raise InputError where a mesh of the scene is likely in another unit than it says, unless `yes`.
+
+    Work grows with the square of a mesh's size. Elevation models and scenes with an `origin` are places of the earth,
+    which may be large.
+    """
+    if yes or scene.origin is not None:
+        return
+    how = "--yes takes it as it is"
+    assembly = scene.assembly
+    own = scene.mesh if assembly is None else assembly.base
+    path = scene.mesh_path
+    if own is not None and path is not None and path.suffix.lower() not in DEM_SUFFIXES:
+        found = unlikely_size(own.vertices)
+        if found is not None:
+            copy = f"`warpsar new FOLDER {path.name} --units mm` writes a copy in metres"
+            raise InputError(f"{scene.name}: scene.mesh: {path}: {found}; {copy}, {how}")
+    for index, one in enumerate(scene.objects):
+        found = None if assembly is None or one.mesh is None else unlikely_size(assembly.vertices_of(one))
+        if found is not None:
+            unit = f'units = "{one.units}" may be wrong; allowed are {", ".join(UNITS)}'
+            raise InputError(f"{scene.name}: objects[{index}] ({one.label}): {one.mesh}: {found}; {unit}; {how}")
 
 
 def opened(scene_path: Path | str, out: Path | str, device: str | None) -> tuple[Scene, Path, wp.Device]:

@@ -17,8 +17,10 @@ from warpsar.world.mesh_door import LARGEST_COORDINATE_M, checked
 from warpsar.world.mesh_memory import arrays_of
 from warpsar.world.meshes import dem, gltf, obj, ply, stl
 from warpsar.world.meshes.part import DEFAULT_MATERIAL, Part
+from warpsar.world.upright import y_up, z_up
 
-SUFFIXES = (".obj", ".ply", ".stl", ".gltf", ".glb", *dem.SUFFIXES)
+GLTF = (".gltf", ".glb")
+SUFFIXES = (".obj", ".ply", ".stl", *GLTF, *dem.SUFFIXES)
 # A radar scene of more than 5 km that is not a DEM is far more often a building in millimetres.
 SUSPICIOUS_EXTENT_M = 5e3
 _TOGETHER = 1 << 16  # faces that a core looks at: some 20 arrays of three numbers each stay in its cache
@@ -75,15 +77,24 @@ class Mesh:
         return replace(mesh, faces=faces, face_material=face_material, warnings=(dropped, *warnings))
 
 
-def _extent_warnings(vertices: NDArray[np.float64]) -> tuple[str, ...]:
+def unlikely_size(vertices: NDArray[np.float64]) -> str | None:
+    """How large a mesh is, in words, where that is more likely a wrong unit than its size; `vertices` [m], (n, 3)."""
     extent = float(np.ptp(vertices, axis=0).max())
     if extent <= SUSPICIOUS_EXTENT_M:
-        return ()
-    return (f"the mesh is {extent:g} m across: are its units millimetres? They must be metres",)
+        return None
+    return f"the mesh is {extent:g} m across, more than {SUSPICIOUS_EXTENT_M:g} m: its unit is likely the millimetre"
 
 
-def read_mesh(path: str | Path, *, groups: bool = False) -> Mesh:
+def _extent_warnings(vertices: NDArray[np.float64]) -> tuple[str, ...]:
+    found = unlikely_size(vertices)
+    return () if found is None else (f"{found}, and must be the metre",)
+
+
+def read_mesh(path: str | Path, *, groups: bool = False, up: str | None = None) -> Mesh:
     """Read an OBJ, PLY, STL, glTF or GLB file, or a DEM in GeoTIFF (extra `geo`).
+
+    `up` is the axis of the file that points up, "y" or "z": Y up is turned, (x, y, z) to (x, -z, y). None takes it as
+    the format has it, and warns where the mesh seems to have Y up (`upright.y_up`).
 
     With `groups` the faces of an OBJ are kept apart by each of the names `usemtl`, `o` and `g`, and the mesh has
     `groups`: of an OBJ the faces under each name, of a glTF those at each node or below it. A name that an OBJ gives
@@ -115,8 +126,14 @@ def read_mesh(path: str | Path, *, groups: bool = False) -> Mesh:
     elif suffix in dem.SUFFIXES:
         parts = dem.read(path, warnings)
     else:
-        parts = gltf.read(path, warnings)
-    return _join(path, parts, scalars, warnings, groups=groups)
+        parts = gltf.read(path, warnings, up)
+    if up == "y" and suffix not in GLTF:
+        parts = [replace(part, vertices=z_up(part.vertices)) for part in parts]
+    mesh = _join(path, parts, scalars, warnings, groups=groups)
+    seems = y_up(mesh.vertices, mesh.faces) if up is None and suffix not in dem.SUFFIXES else None
+    if seems is None:
+        return mesh
+    return replace(mesh, warnings=(*mesh.warnings, f"{seems}; `warpsar new --up y` turns it"))
 
 
 def _join(

@@ -9,20 +9,17 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from warpsar.errors import InputError, shown
 from warpsar.world.meshes.part import DEFAULT_MATERIAL, Part
 from warpsar.world.meshes.through_trimesh import load, material_name, parts, refusing_broken
+from warpsar.world.upright import z_up
 
-_Y_UP_TO_Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 
-
-def read(path: Path, warnings: list[str]) -> list[Part]:
+def read(path: Path, warnings: list[str], up: str | None = None) -> list[Part]:
     """The primitives at their places, by material, else by the name of the mesh.
 
     glTF is Y up by its standard and is turned to Z up. trimesh writes coordinates as they are: its files stay so, and
-    that goes into `warnings`.
+    that goes into `warnings`. `up`, "y" or "z", says which it is.
     """
     tree, binary = _chunks(path)
     with refusing_broken(path):
@@ -37,10 +34,10 @@ def read(path: Path, warnings: list[str]) -> list[Part]:
         text = _glb(text, binary)
     scene = load(path, BytesIO(text), file_type=path.suffix[1:].lower(), resolver=buffers)
     found = parts(path, scene, lambda key, geometry: material_name(geometry) or str(key) or DEFAULT_MATERIAL)
-    if "trimesh" in generator:
+    if up is None and "trimesh" in generator:
         warnings.append("glTF by trimesh: coordinates taken as they are, Z up")
-        return found
-    return [replace(part, vertices=part.vertices @ _Y_UP_TO_Z_UP) for part in found]
+        up = "z"
+    return found if up == "z" else [replace(part, vertices=z_up(part.vertices)) for part in found]
 
 
 def _chunks(path: Path) -> tuple[dict[str, Any], bytes | None]:

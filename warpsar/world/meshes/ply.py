@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from functools import partial
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from warpsar.errors import InputError
+from warpsar.world.meshes import broken_lines
 from warpsar.world.meshes.part import DEFAULT_MATERIAL, Part
 from warpsar.world.meshes.through_trimesh import load, parts, refusing_broken
 
@@ -23,14 +26,16 @@ def read(path: Path, warnings: list[str]) -> tuple[list[Part], dict[str, NDArray
     Where texture coordinates are per face, vertices are split and scalars lost: that goes into `warnings`.
     """
     # fix_texture splits vertices at the seams of per-face texture coordinates; the order is kept without it.
-    scene = load(path, path, fix_texture=False)
+    content = path.read_bytes()
+    fault = partial(broken_lines.of_ply, content)
+    scene = load(path, BytesIO(content), file_type="ply", fix_texture=False, fault=fault)
     if not scene.geometry:
         return [], {}
     (geometry,) = scene.geometry.values()
     elements = geometry.metadata["_ply_raw"]
     for name, element in elements.items():
         data = element.get("data")
-        with refusing_broken(path):
+        with refusing_broken(path, fault):
             rows = len(next(iter(data.values())) if isinstance(data, dict) else data) if data is not None else 0
         if rows != element["length"]:  # trimesh takes the lines that there are
             raise InputError(f"{path}: found {rows} of {element['length']} {name} entries: truncated")
@@ -39,7 +44,7 @@ def read(path: Path, warnings: list[str]) -> tuple[list[Part], dict[str, NDArray
         scene = load(path, path, fix_texture=True)
         warnings.append("texture coordinates are per face: vertices were split, their scalars are not available")
     else:
-        with refusing_broken(path):
+        with refusing_broken(path, fault):
             vertex = elements["vertex"]
             scalars = {
                 name: np.asarray(vertex["data"][name], np.float64).reshape(-1)

@@ -7,14 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
-from warpsar.errors import InputError
+from warpsar.errors import InputError, shown
 from warpsar.world.meshes.part import DEFAULT_MATERIAL, Part
 from warpsar.world.meshes.through_trimesh import load, parts, refusing_broken
 
 
 def read(path: Path) -> list[Part]:
     """The one part of the file; corners at one place become one vertex."""
-    _refuse_other_text(path)
+    _refuse_truncated(path)
     scene = load(path, path)
     with refusing_broken(path):
         for geometry in scene.geometry.values():
@@ -23,15 +23,24 @@ def read(path: Path) -> list[Part]:
     return parts(path, scene, lambda _key, _geometry: DEFAULT_MATERIAL)
 
 
-def _refuse_other_text(path: Path) -> None:
-    """Raise InputError for a file that is neither binary STL of its stated length nor UTF-8.
+def _refuse_truncated(path: Path) -> None:
+    """Raise InputError for a file that is neither binary STL of its stated length nor text in UTF-8 that ends.
 
-    trimesh would guess an encoding, if the package for that happens to be installed, and find no triangles.
+    trimesh would guess an encoding, if the package for that happens to be installed, and find no triangles; in text
+    without an end it finds none either.
     """
     data = path.read_bytes()
-    if len(data) >= 84 and 84 + 50 * struct.unpack_from("<I", data, 80)[0] == len(data):
+    triangles = struct.unpack_from("<I", data, 80)[0] if len(data) >= 84 else 0
+    if len(data) >= 84 and 84 + 50 * triangles == len(data):
         return
     try:
-        data.decode()
+        text = data.decode()
     except UnicodeDecodeError as error:
-        raise InputError(f"{path}: cannot be read as STL (truncated, or text that is not UTF-8)") from error
+        stated = f"{triangles} triangles take {84 + 50 * triangles} bytes, found {len(data)}"
+        raise InputError(
+            f"{path}: cannot be read as STL (truncated, or text that is not UTF-8; if binary, its {stated})"
+        ) from error
+    lines = text.rstrip().split("\n")
+    if lines[0].split()[:1] == ["solid"] and lines[-1].split()[:1] != ["endsolid"]:
+        last = f"line {len(lines)}, the last, is {shown(lines[-1].strip())}"
+        raise InputError(f"{path}: cannot be read as STL ({last}; must be 'endsolid': truncated)")

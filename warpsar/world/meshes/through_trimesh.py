@@ -27,24 +27,27 @@ logging.getLogger("trimesh").addHandler(logging.NullHandler())  # our message ho
 
 
 @contextmanager
-def refusing_broken(path: Path) -> Iterator[None]:
-    """A `with` block around trimesh and its results: what it raises becomes one message, and NumPy stays silent."""
+def refusing_broken(path: Path, fault: Callable[[], str | None] | None = None) -> Iterator[None]:
+    """A `with` block around trimesh and its results: what it raises becomes one message, and NumPy stays silent.
+
+    `fault` says, of a file that trimesh cannot read, which of its lines is broken, or None.
+    """
     suffix = path.suffix.lower()
     try:
         with np.errstate(all="ignore"):
             yield
     except _BROKEN as error:
-        what = f"{type(error).__name__}: {' '.join(str(error).split())[:500]}"
-        if isinstance(error, IndexError) and suffix == ".obj":
-            what = f"a face refers to an entry that is not there: {error}"
+        what = (fault and fault()) or f"{type(error).__name__}: {' '.join(str(error).split())[:500]}"
         raise InputError(f"{path}: cannot be read as {suffix[1:].upper()} ({what})") from error
 
 
-def load(path: Path, source: Path | BytesIO, **how: Any) -> trimesh.Scene:
+def load(
+    path: Path, source: Path | BytesIO, *, fault: Callable[[], str | None] | None = None, **how: Any
+) -> trimesh.Scene:
     """The file as trimesh reads it. Of the files that it refers to only those in `resolver` are there."""
     import trimesh
 
-    with refusing_broken(path):
+    with refusing_broken(path, fault):
         return trimesh.load_scene(source, process=False, **{"resolver": {}, **how})
 
 
