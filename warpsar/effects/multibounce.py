@@ -84,6 +84,7 @@ class Multibounce(Effect):
             0.0,
             1e6,
             1.0,
+            unstated=1.0,
             scale="log",
             fit_low=1e-6,
             fit_high=1e4,

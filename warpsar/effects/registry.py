@@ -66,6 +66,7 @@ def validate(name: str, table: Any, where: str, views: Collection[str] | None = 
             allowed = ", ".join([*parameters, *settings, *FITTED_KEYS])
             raise InputError(f"{at}: unknown key; allowed are {allowed}")
     refuse_fitted_keys(table, parameters, where)
+    _refuse_nothing(effect, table, where)
     for key, known in table.get("tolerance", {}).items():
         if isinstance(known, Mapping):
             at, p = f"{where}.tolerance.{key}.about", parameters[key]
@@ -73,6 +74,15 @@ def validate(name: str, table: Any, where: str, views: Collection[str] | None = 
                 _check_number(place, one, p)
     # Parameters stay as stated: a fit moves those and no others (`is_fitted`). Settings get their defaults.
     return {**table, **{s.name: table.get(s.name, s.default) for s in effect.settings}}
+
+
+def _refuse_nothing(effect: Effect, table: Mapping[str, Any], where: str) -> None:
+    """Raise InputError for a table that says nothing by which the effect is there, not even a neutral value."""
+    needed = effect.needed()
+    if needed is not None and not any(p.name in table for p in needed):
+        found = ", ".join(table) or "no key"
+        keys = " or ".join(p.name for p in needed)
+        raise InputError(f"{where}: found {found}; without {keys} it has no effect: state one, or leave the table out")
 
 
 def _entries(at: str, value: Any, keyed_by: str | None, views: Collection[str] | None) -> list[tuple[str, Any]]:
