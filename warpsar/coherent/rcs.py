@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from warpsar.coherent.body import CoherentBody
 from warpsar.coherent.directions import Directions
 from warpsar.coherent.joints import joints
+from warpsar.coherent.left_out import said_left_out
 from warpsar.coherent.rough_models import load
 from warpsar.coherent.sides import refuse_inside
 from warpsar.coherent.sweep import POLARIZATIONS, RAYS_PER_WAVELENGTH, TERMS, sweep
@@ -283,7 +284,7 @@ def _warnings(scene: World, found: Rcs) -> list[str]:
 
 def cautions(scene: World) -> list[str]:
     """What a scene may mean otherwise than it says, known before any ray is sent."""
-    found = []
+    found = said_left_out(scene, "an RCS")
     mesh = scene.mesh
     used = {name: scene.materials[name] for name in mesh.materials}
     for name, material in used.items():

@@ -16,7 +16,7 @@ from warpsar.collection.direct import direct, direct_of_rough, refuse_direct
 from warpsar.collection.history import Collected
 from warpsar.collection.history import phase_history as recorded
 from warpsar.collection.noise import with_image_noise, with_noise
-from warpsar.collection.plan import Plan, plan_of
+from warpsar.collection.plan import Plan, plans_of
 from warpsar.collection.scatterers import Scatterers, rough_alone, scatterers_of
 from warpsar.collection.slc import Slc, focused
 from warpsar.io import complex_image
@@ -38,7 +38,7 @@ def phase_history(scene: Scene, *, device: str | None = None, seed: int | None =
     surface. `Collected.samples` is complex64, (polarizations, frequencies, pulses). Raises InputError and DeviceError.
     """
     where = devices.resolve_device(device)
-    plans = [plan_of(scene, view, where) for view in scene.views]
+    plans = plans_of(scene, where)
     bodies = Bodies(scene, plans, where, _seed(scene, seed))
     return [collected(bodies, plan, index) for index, plan in enumerate(plans)]
 
@@ -58,7 +58,7 @@ def slc(scene: Scene, *, device: str | None = None, seed: int | None = None) -> 
     `phase_history`. Raises InputError and DeviceError.
     """
     where = devices.resolve_device(device)
-    plans = [plan_of(scene, view, where) for view in scene.views]
+    plans = plans_of(scene, where)
     bodies = Bodies(scene, plans, where, _seed(scene, seed))
     return [image_of(bodies, plan, index) for index, plan in enumerate(plans)]
 
@@ -109,7 +109,7 @@ def run(
     with busy("reading the scene"):
         scene = Scene.load(scene_path)
     where, out = devices.resolve_device(device), Path(out)
-    plans = [plan_of(scene, view, where) for view in scene.views]
+    plans = plans_of(scene, where)
     make_folder(out)
     console.say_device(where)
     warnings = [*scene.warnings, *_warnings(scene)]

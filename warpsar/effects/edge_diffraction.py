@@ -52,6 +52,7 @@ class EdgeDiffraction(Effect):
     order = 20
     needs_all_hits = True
     summary = "lines along sharp edges"
+    with_phase = "edges in radar.terms"
     example: ClassVar[dict[str, Any]] = {"strength": 3.0}
     rate_case: ClassVar[dict[str, Any]] = {"strength": 3.0}
     parameters = (

@@ -74,6 +74,7 @@ class Multibounce(Effect):
     order = 10
     needs_all_hits = True
     summary = "double and triple bounces between surfaces"
+    with_phase = "multibounce in radar.terms"
     example: ClassVar[dict[str, Any]] = {"strength": 1.0}
     rate_case: ClassVar[dict[str, Any]] = {"strength": 1.0}
     parameters = (

@@ -51,6 +51,7 @@ class Effect:
     contains: ClassVar[tuple[str, ...]] = ()  # effects that a fit holds while it moves this one: it can do all they do
     last_resort: ClassVar[bool] = False  # can do what named effects do: none of the candidates of a search
     sets_positions: ClassVar[bool] = False  # a fit that moves it holds the positions of objects
+    with_phase: ClassVar[str] = ""  # what products with phase have in its place: they refuse it, and say so
     bins_per_pixel: ClassVar[int] = 1  # how much finer than the image, per axis, the hits are binned for it
 
     def margin_m(self, grid: Grid, values: np.ndarray) -> float:
