@@ -167,6 +167,7 @@ spectrum = "separable"
 [effects.noise_floor]
 level = 0.002
 [effects.point_spread]
+range_fwhm_m = 0.6
 [[views]]
 name = "first"
 azimuth_deg = 0.0

@@ -73,6 +73,34 @@ def test_has_its_tables(name: str) -> None:
         assert any(declared(scene, view) for view in scene.views), f"{name}.{key} changes no view"
 
 
+def unstated(name: str) -> list[str]:
+    """Parameters with a value of their own where the table stands without them."""
+    return [p.name for p in get(name).parameters if p.unstated is not None]
+
+
+@pytest.mark.parametrize("name", names())
+def test_a_table_that_states_nothing_acts_or_is_refused(name: str) -> None:
+    """Without a value that brings the effect its table would do nothing, and nobody would say so."""
+    effect, scene = get(name), street()
+    bring = [p.name for p in effect.parameters if p.brings_it]
+    others = {key: value for key, value in effect.example.items() if key not in bring}
+    for table in ({}, others, {"fixed": True}):
+        if unstated(name):
+            of_view = declared(with_effect(scene, name, table), scene.views[0])
+            assert [one.effect.name for one in of_view] == [name]
+            continue
+        with pytest.raises(InputError, match=rf"effects\.{name}: found .*{'.*'.join(bring)}.*has no effect"):
+            validate(name, table, f"effects.{name}")
+
+
+@pytest.mark.parametrize("name", [name for name in names() if unstated(name)])
+def test_the_values_of_an_empty_table_are_those_that_it_could_state(name: str) -> None:
+    stated = {p.name: p.unstated for p in get(name).parameters if p.unstated is not None}
+    both = [simulate(with_effect(street(), name, table), device="cpu")[0].beta0["HH"] for table in ({}, stated)]
+    assert np.array_equal(*both)
+    assert not np.array_equal(both[0], simulate(street(), device="cpu")[0].beta0["HH"])
+
+
 def test_the_page_of_effects_has_a_section_for_each() -> None:
     page = (ROOT / "docs" / "effects.md").read_text(encoding="utf-8")
     sections = re.findall(r"^### (\w+)$", page, re.MULTILINE)
@@ -110,7 +138,7 @@ def test_program_at_neutral_is_the_image_without(name: str, table: dict[str, Any
     """On the same hits, with the effect in the program: a fit may start there, a template is taken there."""
     render = render_of(with_effect(street(**radar), name, table))
     bare = ViewRender(render.stage, render.view, render.hits, render.shape, ("HH", "VV"), [])
-    at = [p.default for p in get(name).parameters]
+    at = [p.start if math.isnan(p.neutral) else p.neutral for p in get(name).parameters]
     render.set_parameters(render.stage.surface.nodes, {name: np.array(at)})
     for polarization, image in bare.forward().items():
         # float32: a sum in another order, or a product with 1 - 1e-7

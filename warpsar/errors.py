@@ -1,9 +1,12 @@
 """The errors that a user can meet; the command line turns `exit_code` into the exit status."""
 
-from collections.abc import Iterable
+import math
+import numbers
+from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 
 LONGEST_MESSAGE = 10_000
+_MOST_SHOWN = 50  # problems in one message
 
 
 def shown(value: object) -> str:
@@ -50,3 +53,26 @@ class DeviceError(WarpsarError):
     """The device that was asked for is not there."""
 
     exit_code = 3
+
+
+def listed(where: object, problems: Sequence[str]) -> str:
+    """One message for all that is wrong at a place; there is something."""
+    if len(problems) == 1:
+        return f"{where}: {problems[0]}"
+    more = [f"and {len(problems) - _MOST_SHOWN} more"] if len(problems) > _MOST_SHOWN else []
+    return "\n  ".join([f"{where}: {len(problems)} things are wrong", *problems[:_MOST_SHOWN], *more])
+
+
+def refuse_number(value: object, where: str, *, whole: bool = False, low: float = 0.0, above: bool = False) -> None:
+    """Raise InputError for what is no number from `low` on, or `above` it; `whole`: no whole one. Infinity is one."""
+    kind = numbers.Integral if whole else numbers.Real
+    sound = isinstance(value, kind) and not isinstance(value, bool) and not math.isnan(value)
+    if not sound or not (value > low if above else value >= low):  # type: ignore[operator]
+        bound = f"above {low:g}" if above else f"from {low:g} on"
+        raise InputError(f"{where}: found {shown(value)}; must be a {'whole ' * whole}number {bound}")
+
+
+def refuse_kind(value: object, kind: type, where: str) -> None:
+    """Raise InputError for what is no `kind`, a class of the package's own."""
+    if not isinstance(value, kind):
+        raise InputError(f"{where}: found {shown(value)}; must be a warpsar.{kind.__name__}")

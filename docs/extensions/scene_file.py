@@ -5,7 +5,6 @@ A page asks for it with the comments `<!-- scene tables -->` and `<!-- effect ta
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING, Any
 
 import tomlkit
@@ -135,7 +134,7 @@ def _parameter(effect: Effect, parameter: Parameter) -> str:
     value = f"number from {_number(parameter.low)} to {_number(parameter.high)}{unit}"
     if parameter.keyed_by:
         value = f"table of {parameter.keyed_by} name = {value}"
-    default = f"`{_number(parameter.default)}`" + ("" if math.isnan(parameter.neutral) else " (neutral)")
+    default = f"`{_number(parameter.default)}`" + (" (neutral)" if parameter.default == parameter.neutral else "")
     example = effect.example.get(parameter.name, parameter.start or parameter.span)
     return _cells(f"`{parameter.name}`", value, default, _shown(example), parameter.description)
 

@@ -16,6 +16,7 @@
 | `rcs.py` | `warpsar.rcs`: checks, the sweep, and what a user should know before trusting it |
 | `held.py` | amplitudes of one direction with all that is discrete held, as programs that run backward |
 | `borders.py` | borders of light, and what a moving border adds to a derivative |
+| `left_out.py` | what a scene declares and a product with phase does not have |
 | `learned.py` | what has a derivative, by name |
 | `gradients.py` | `warpsar.rcs_gradients` |
 | `command.py` | the command `rcs`: table, plot, JSON |

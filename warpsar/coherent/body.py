@@ -93,7 +93,7 @@ class CoherentBody:
             packed[name] = getattr(flat, name)
         materials = tuple(world.materials[name] for name in mesh.materials)
         spacing = spacing_m or 0.5 * SPEED_OF_LIGHT / world.radar.frequency_hz
-        seed = world.sampling.seed if seed is None else seed
+        seed = world.seed(seed)
         found, owners = scatterers(shape, mesh.face_material, materials, spacing, seed)
         places = upload(found, rough.Scatterer, device)
         return cls(

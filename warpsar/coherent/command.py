@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from warpsar.coherent.left_out import left_out
 from warpsar.coherent.rcs import FREQUENCIES_HZ, Asked, Rcs, swept
 from warpsar.coherent.sweep import RAYS_PER_WAVELENGTH
 from warpsar.errors import InputError
@@ -85,6 +86,7 @@ def run(
         "frequencies_hz": found.frequency_hz,
         "polarizations": found.polarizations,
         "terms": list(found.terms_m),
+        "not_applied": list(left_out(scene)),
         "ray_spacing_m": found.ray_spacing_m,
         "spacing_error_db": {"median": _finite(np.median, found), "largest": _finite(np.max, found)},
         "segments": found.segments,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
+from os import PathLike
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from warpsar.coherent.sweep import POLARIZATIONS, RAYS_PER_WAVELENGTH, Worker, s
 from warpsar.coherent.traced import LEVELS
 from warpsar.errors import InputError
 from warpsar.runtime import devices, threads
+from warpsar.scene.scene import scene_or_file
 from warpsar.world.frame import SPEED_OF_LIGHT
 from warpsar.world.world import World
 
@@ -102,7 +104,7 @@ class RcsGradients:
 
 
 def rcs_gradients(
-    scene: World,
+    scene: World | PathLike[str] | str,
     azimuths_deg: ArrayLike,
     incidences_deg: ArrayLike = 90.0,
     frequencies_hz: ArrayLike | None = None,
@@ -132,6 +134,7 @@ def rcs_gradients(
 
     Raises InputError as `warpsar.rcs` does, and for parameters that have no derivative; DeviceError.
     """
+    scene = scene_or_file(scene)
     found = learned(scene, parameters)
     asked = Asked.of(scene, azimuths_deg, incidences_deg, frequencies_hz, device, rays_per_wavelength)
     devices.load_kernels(asked.body.device, "coherent.slopes")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from os import PathLike
 
 import numpy as np
 import warp as wp
@@ -12,13 +13,15 @@ from numpy.typing import ArrayLike, NDArray
 from warpsar.coherent.body import CoherentBody
 from warpsar.coherent.directions import Directions
 from warpsar.coherent.joints import joints
+from warpsar.coherent.left_out import said_left_out
 from warpsar.coherent.rough_models import load
 from warpsar.coherent.sides import refuse_inside
 from warpsar.coherent.sweep import POLARIZATIONS, RAYS_PER_WAVELENGTH, TERMS, sweep
-from warpsar.errors import InputError
+from warpsar.errors import InputError, refuse_number, shown
 from warpsar.kernels.coherent.rough_models import rough_kernel
 from warpsar.runtime import console, devices
 from warpsar.runtime.memory import default_gib
+from warpsar.scene.scene import scene_or_file
 from warpsar.world.frame import SPEED_OF_LIGHT
 from warpsar.world.world import World
 
@@ -82,7 +85,7 @@ class Rcs:
 
 
 def rcs(
-    scene: World,
+    scene: World | PathLike[str] | str,
     azimuths_deg: ArrayLike,
     incidences_deg: ArrayLike = 90.0,
     frequencies_hz: ArrayLike | None = None,
@@ -91,7 +94,7 @@ def rcs(
     rays_per_wavelength: float = RAYS_PER_WAVELENGTH,
     layers: bool = False,
 ) -> Rcs:
-    """Monostatic radar cross-sections of a scene at every pair of angles and every frequency.
+    """Monostatic radar cross-sections of a scene, or of a scene file, at every pair of angles and every frequency.
 
     The wave is plane. With `[radar] slant_range_m` it comes from a place at that distance to the reference point.
 
@@ -101,6 +104,7 @@ def rcs(
 
     Raises InputError for angles and frequencies out of range, and DeviceError.
     """
+    scene = scene_or_file(scene)
     asked = Asked.of(scene, azimuths_deg, incidences_deg, frequencies_hz, device, rays_per_wavelength, layers)
     return swept(scene, asked, layers)
 
@@ -128,9 +132,8 @@ class Asked:
         layers: bool = False,
     ) -> Asked:
         """Raises InputError and DeviceError."""
-        azimuths, incidences = (np.atleast_1d(np.asarray(a, np.float64)) for a in (azimuths_deg, incidences_deg))
-        asked = scene.radar.frequency_hz if frequencies_hz is None else frequencies_hz
-        frequencies = np.atleast_1d(np.asarray(asked, np.float64))
+        azimuths, incidences = _numbers(azimuths_deg, "azimuths"), _numbers(incidences_deg, "incidences")
+        frequencies = _numbers(scene.radar.frequency_hz if frequencies_hz is None else frequencies_hz, "frequencies")
         _refuse(scene, azimuths, incidences, frequencies, rays_per_wavelength)
         where = devices.resolve_device(device)
         kernels = "tubes", "cells", "radiate", "edges", "rough"
@@ -196,6 +199,13 @@ def swept(scene: World, asked: Asked, layers: bool = False) -> Rcs:
     return replace(made, warnings=(*asked.cautions, *_warnings(scene, made)))
 
 
+def _numbers(given: ArrayLike, where: str) -> NDArray[np.float64]:
+    try:
+        return np.atleast_1d(np.asarray(given, np.float64))
+    except (TypeError, ValueError):
+        raise InputError(f"{where}: found {shown(given)}; must be one or more numbers") from None
+
+
 def _refuse(
     scene: World,
     azimuths: NDArray[np.float64],
@@ -215,6 +225,7 @@ def _refuse(
             problems.append(f"{name}: found {values[bad][0]:g}; must be from {low:g} to {high:g}")
     if frequencies.ndim == 1 and (np.diff(frequencies) <= 0.0).any():
         problems.append("frequencies: found a value that is not above the one before it; must ascend")
+    refuse_number(rays_per_wavelength, "rays_per_wavelength")
     if not 4.0 <= rays_per_wavelength <= 100.0:
         problems.append(f"rays_per_wavelength: found {rays_per_wavelength:g}; must be from 4 to 100")
     for name, material in scene.materials.items():
@@ -283,7 +294,7 @@ def _warnings(scene: World, found: Rcs) -> list[str]:
 
 def cautions(scene: World) -> list[str]:
     """What a scene may mean otherwise than it says, known before any ray is sent."""
-    found = []
+    found = said_left_out(scene, "an RCS")
     mesh = scene.mesh
     used = {name: scene.materials[name] for name in mesh.materials}
     for name, material in used.items():

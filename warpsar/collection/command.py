@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from importlib.util import find_spec
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from warpsar.collection.direct import direct, direct_of_rough, refuse_direct
 from warpsar.collection.history import Collected
 from warpsar.collection.history import phase_history as recorded
 from warpsar.collection.noise import with_image_noise, with_noise
-from warpsar.collection.plan import Plan, plan_of
+from warpsar.collection.plan import Plan, plans_of
 from warpsar.collection.scatterers import Scatterers, rough_alone, scatterers_of
 from warpsar.collection.slc import Slc, focused
 from warpsar.io import complex_image
@@ -24,22 +25,25 @@ from warpsar.io.images import replacing
 from warpsar.io.quick_look import QuickLook, draw_together
 from warpsar.runtime import console, devices
 from warpsar.runtime.busy import busy
-from warpsar.scene.scene import Scene
+from warpsar.scene.scene import Scene, scene_or_file
 from warpsar.simulation.outputs import make_folder, refuse_unlikely_size, write_json
+from warpsar.world.world import World
 
 ALIASED = 0.01
 """Share of tubes that are too wide after a curved surface from which a warning is due."""
 
 
-def phase_history(scene: Scene, *, device: str | None = None, seed: int | None = None) -> list[Collected]:
-    """The phase history of every view of a scene with `[collection]`.
+def phase_history(
+    scene: World | PathLike[str] | str, *, device: str | None = None, seed: int | None = None
+) -> list[Collected]:
+    """The phase history of every view of a scene, or of a scene file, with `[collection]`.
 
     `seed` (else that of `[sampling]`) draws the scatterers of rough faces and the noise: views with one seed see one
     surface. `Collected.samples` is complex64, (polarizations, frequencies, pulses). Raises InputError and DeviceError.
     """
-    where = devices.resolve_device(device)
-    plans = [plan_of(scene, view, where) for view in scene.views]
-    bodies = Bodies(scene, plans, where, _seed(scene, seed))
+    scene, where = scene_or_file(scene), devices.resolve_device(device)
+    plans = plans_of(scene, where)
+    bodies = Bodies(scene, plans, where, scene.seed(seed))
     return [collected(bodies, plan, index) for index, plan in enumerate(plans)]
 
 
@@ -51,15 +55,17 @@ def collected(bodies: Bodies, plan: Plan, index: int) -> Collected:
     return with_noise(made, bodies.seed + 7919 * index)
 
 
-def slc(scene: Scene, *, device: str | None = None, seed: int | None = None) -> list[Slc]:
-    """The complex image of every view of a scene with `[collection]`: backprojected, or direct, as the table says.
+def slc(scene: World | PathLike[str] | str, *, device: str | None = None, seed: int | None = None) -> list[Slc]:
+    """The complex image of every view of a scene, or of a scene file, with `[collection]`.
+
+    It is backprojected, or direct, as the table says.
 
     `Slc.images` holds complex64 arrays, (rows, columns), whose power is beta0 in the mean. `seed` as in
     `phase_history`. Raises InputError and DeviceError.
     """
-    where = devices.resolve_device(device)
-    plans = [plan_of(scene, view, where) for view in scene.views]
-    bodies = Bodies(scene, plans, where, _seed(scene, seed))
+    scene, where = scene_or_file(scene), devices.resolve_device(device)
+    plans = plans_of(scene, where)
+    bodies = Bodies(scene, plans, where, scene.seed(seed))
     return [image_of(bodies, plan, index) for index, plan in enumerate(plans)]
 
 
@@ -97,10 +103,6 @@ def load_kernels(device: wp.Device) -> None:
     devices.load_kernels(device, *names)
 
 
-def _seed(scene: Scene, seed: int | None) -> int:
-    return scene.sampling.seed if seed is None else seed
-
-
 def run(
     scene_path: Path | str,
     out: Path | str,
@@ -119,16 +121,16 @@ def run(
         scene = Scene.load(scene_path)
     refuse_unlikely_size(scene, yes)
     where, out = devices.resolve_device(device), Path(out)
-    plans = [plan_of(scene, view, where) for view in scene.views]
+    plans = plans_of(scene, where)
     make_folder(out)
     console.say_device(where)
     warnings = [*scene.warnings, *_warnings(scene)]
     console.warn(warnings)
-    bodies = Bodies(scene, plans, where, _seed(scene, seed))
+    bodies = Bodies(scene, plans, where, scene.seed(seed))
     write = _phase_history if product == "phase-history" else _slc
     entries = [write(bodies, plan, index, out) for index, plan in enumerate(plans)]
     content = {"product": product, "warnings": warnings, "views": entries}
-    content = write_json(out / "simulate.json", scene, where, _seed(scene, seed), started, content)
+    content = write_json(out / "simulate.json", scene, where, scene.seed(seed), started, content)
     names = [name for entry in entries for name in entry["files"].values()]
     console.say(f"{out}:\n  {', '.join(names[:4])}{f' and {len(names) - 4} more' if len(names) > 4 else ''}")
     return content

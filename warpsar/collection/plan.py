@@ -11,6 +11,7 @@ import warp as wp
 from numpy.typing import NDArray
 from scipy import fft
 
+from warpsar.coherent.left_out import refuse_left_out
 from warpsar.collection import track_file
 from warpsar.collection.presets import BANDS_HZ, filled
 from warpsar.collection.response import band_weights, width_in_cells
@@ -186,6 +187,13 @@ def boresight(plan: Plan) -> tuple[F64, F64]:
     level /= np.linalg.norm(level, axis=1, keepdims=True)
     widths = [antenna.azimuth_deg, antenna.elevation_deg or 0.0]
     return np.stack([level, np.cross(level, look)]), np.sin(np.deg2rad(widths))
+
+
+def plans_of(world: World, device: wp.Device) -> list[Plan]:
+    """The plans of all views. Raises InputError as `plan_of` does, and for what a product with phase does not have."""
+    if world.collection is not None:
+        refuse_left_out(world)
+    return [plan_of(world, view, device) for view in world.views]
 
 
 def plan_of(world: World, view: View, device: wp.Device) -> Plan:

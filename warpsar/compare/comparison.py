@@ -208,7 +208,7 @@ def compare(
     views = [(index, view) for index, view in enumerate(scene.views) if view.images and view.role in roles]
     if not views:
         raise InputError(f"{scene.name}: views: none with role {' or '.join(roles)} has measured images")
-    stage, seed = Stage.of(scene, device), scene.sampling.seed if seed is None else seed
+    stage, seed = Stage.of(scene, device), scene.seed(seed)
     # Image effects only lower the noise of what is lit, but spread light where next to none is left to measure it on.
     plain = replace(scene, effects={name: t for name, t in scene.effects.items() if get(name).stage != "image"})
     looks = [looks_of(scene, view) for _, view in views]

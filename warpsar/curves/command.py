@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from warpsar.coherent.left_out import left_out, said_left_out
 from warpsar.curves import metrics, rivals
 from warpsar.curves.noise import Fit, fit
 from warpsar.curves.observe import observe
@@ -17,6 +18,7 @@ from warpsar.curves.search import CANDIDATES, Found, by_sector
 from warpsar.curves.sectors import apertures
 from warpsar.curves.shape import Told, likelihood, on_grid, profiles
 from warpsar.errors import InputError
+from warpsar.runtime import console
 from warpsar.scene.scene import Scene
 
 PEAK_DB = 80.0
@@ -38,8 +40,18 @@ def alone(scene: Scene) -> bool:
     return bool(scene.curves)
 
 
+def _said(scene: Scene) -> dict[str, Any]:
+    """Warn of what curves do not have, and the entry of it in a command's JSON."""
+    console.warn(said_left_out(scene, "a curve"))
+    return {"not_applied_to_curves": list(left_out(scene))}
+
+
 def evaluated(scene: Scene, cache: Path, device: str | None = None) -> dict[str, Any]:
     """How well the declared terms explain each curve, beside what needs no physics."""
+    return {**_said(scene), **_evaluated(scene, cache, device)}
+
+
+def _evaluated(scene: Scene, cache: Path, device: str | None) -> dict[str, Any]:
     curves = observe(scene, cache=cache, device=device)
     terms = scene.radar.terms
     noise = _noise(curves, terms)
@@ -114,6 +126,7 @@ def learned(scene: Scene, cache: Path, device: str | None = None) -> LearnedCurv
             f"{scene.name}: found nothing to learn from curves; a material must be no conductor and have "
             '"eps_r" in learn'
         )
+    said = _said(scene)
     train = replace(scene, curves=tuple(curve for curve in scene.curves if curve.role == "train"))
     told: dict[str, Told] = {}
     now = scene
@@ -130,10 +143,11 @@ def learned(scene: Scene, cache: Path, device: str | None = None) -> LearnedCurv
             told[f"{name}.eps_r"] = found
             now = replace(now, materials=_with(now, name, found.value))
     content = {
+        **said,
         "materials": {key: one.content() for key, one in told.items()},
         "fitted_together": len(wanted),
-        "before": evaluated(scene, cache, device),
-        "after": evaluated(now, cache, device),
+        "before": _evaluated(scene, cache, device),
+        "after": _evaluated(now, cache, device),
     }
     return LearnedCurves(now, told, content)
 
@@ -165,6 +179,7 @@ def diagnosed(scene: Scene, cache: Path, device: str | None = None) -> Diagnosed
     """
     if not any(curve.role == "train" for curve in scene.curves):
         raise InputError(f"{scene.name}: curves: found no train curve; must have one to name anything")
+    said = _said(scene)
     declared = scene.radar.terms
     every = tuple(dict.fromkeys((*declared, *CANDIDATES.values())))
     whole = replace(scene, radar=scene.radar.model_copy(update={"terms": every}))
@@ -175,6 +190,7 @@ def diagnosed(scene: Scene, cache: Path, device: str | None = None) -> Diagnosed
     level = list(dict.fromkeys(effect for one in found.values() for effect in one.level_only))
     after = replace(scene, radar=scene.radar.model_copy(update={"terms": terms}))
     content = {
+        **said,
         "verdict": verdict,
         "level_only": [one for one in level if one not in verdict],
         "sectors": {name: [asdict(each) for each in one.asked] for name, one in found.items()},

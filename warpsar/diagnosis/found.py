@@ -18,7 +18,7 @@ from warpsar.diagnosis.models.refit import Fitted
 from warpsar.diagnosis.scores.score import NOT_TESTABLE
 from warpsar.effects.base.signature import Signature
 from warpsar.effects.registry import names
-from warpsar.errors import InputError
+from warpsar.errors import InputError, refuse_number
 from warpsar.scene.scene import Scene
 from warpsar.simulation.sampling import Density
 from warpsar.speckle.facts import SpeckleFact
@@ -47,6 +47,11 @@ class DiagnoseOptions:
     time_limit_s: float | None = None
 
     def __post_init__(self) -> None:
+        for name in ("draws", "refits", "starts", "most_effects", "seed"):
+            refuse_number(getattr(self, name), f"--{name.replace('_', '-')}", whole=True)
+        refuse_number(self.family_error, "--family-error")
+        if self.time_limit_s is not None:
+            refuse_number(self.time_limit_s, "--time-limit")
         if not 0.0 < self.family_error < 1.0:
             raise InputError(f"--family-error: found {self.family_error}; allowed is between 0 and 1")
         if self.draws * self.family_error < 4:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from os import PathLike
 
 import numpy as np
 
@@ -24,9 +25,10 @@ from warpsar.diagnosis.models.refit import Fitted, refit_without
 from warpsar.diagnosis.role_metrics import RoleMetrics, role_metrics
 from warpsar.diagnosis.search.geometry_confirmation import taken_back
 from warpsar.diagnosis.search.procedure import diagnose_scene
+from warpsar.errors import refuse_kind
 from warpsar.learning.identify import Identified, identify
 from warpsar.runtime import devices, distributed
-from warpsar.scene.scene import Scene
+from warpsar.scene.scene import Scene, scene_or_file
 from warpsar.speckle.facts import SpeckleFact
 from warpsar.speckle.scan import Spot
 
@@ -86,14 +88,19 @@ def of_role(images: Sequence[Comparison], role: str) -> list[Comparison]:
     return [image for image in images if image.role == role]
 
 
-def diagnose(scene: Scene, *, device: str | None = None, options: DiagnoseOptions | None = None) -> Diagnosed:
+def diagnose(
+    scene: Scene | PathLike[str] | str, *, device: str | None = None, options: DiagnoseOptions | None = None
+) -> Diagnosed:
     """Run the procedure of docs/diagnosis.md on the train views. Then judge every turn's model, once, on all views.
 
     Several processes (`distributed`) share the work, and all return the same. Raises InputError for scenes without
     measured train views.
     """
+    scene = scene_or_file(scene)
+    options = options or DiagnoseOptions()
+    refuse_kind(options, DiagnoseOptions, "options")
     where = devices.resolve_device(device)
-    return judged(diagnose_scene(scene, where, options or DiagnoseOptions(), distributed.ranks(where)))
+    return judged(diagnose_scene(scene, where, options, distributed.ranks(where)))
 
 
 def judged(found: Diagnosis) -> Diagnosed:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from functools import cached_property
+from os import PathLike
 
 from warpsar.differentiable.derivatives import Derivatives
 from warpsar.differentiable.jax_callback import JaxRenderer
 from warpsar.differentiable.pytorch import TorchRenderer
+from warpsar.errors import refuse_number
 from warpsar.runtime import devices
-from warpsar.scene.scene import Scene
+from warpsar.scene.scene import Scene, scene_or_file
 from warpsar.trace.hits import DEFAULT_MEMORY_GIB
 
 
@@ -27,7 +29,7 @@ class Renderer(Derivatives):
 
 
 def renderer(
-    scene: Scene,
+    scene: Scene | PathLike[str] | str,
     *,
     device: str | None = None,
     seed: int | None = None,
@@ -48,5 +50,7 @@ def renderer(
     `seed` overrides the scene's. Raises DeviceError for a device that is not there, and InputError where no view can be
     rendered, or where the geometry is free and the images have no derivative to it.
     """
+    scene = scene_or_file(scene)
+    refuse_number(max_memory_gib, "max_memory_gib", above=True)
     where = devices.resolve_device(device)
-    return Renderer(scene, where, scene.sampling.seed if seed is None else seed, max_memory_gib, vertices=vertices)
+    return Renderer(scene, where, scene.seed(seed), max_memory_gib, vertices=vertices)

@@ -59,6 +59,7 @@ class AntennaPattern(Effect):
     stage = "gain"
     order = 10
     summary = "two-way elevation pattern of the antenna"
+    with_phase = "collection.antenna"
     example: ClassVar[dict[str, Any]] = {"beamwidth_m": 45.0, "boresight_m": 8.0}
     rate_case: ClassVar[dict[str, Any]] = {"beamwidth_m": 40.0, "boresight_m": 4.0}
     parameters = (*_pair("deg", 1e-3, 90.0, 20.0, 1e3), *_pair("m", 1e-3, 1e7, 100.0, 1e7))

@@ -52,6 +52,7 @@ class EdgeDiffraction(Effect):
     order = 20
     needs_all_hits = True
     summary = "lines along sharp edges"
+    with_phase = "edges in radar.terms"
     example: ClassVar[dict[str, Any]] = {"strength": 3.0}
     rate_case: ClassVar[dict[str, Any]] = {"strength": 3.0}
     parameters = (
@@ -62,6 +63,7 @@ class EdgeDiffraction(Effect):
             0.0,
             1e6,
             1.0,
+            unstated=1.0,
             scale="log",
             fit_low=1e-6,
             fit_high=1e4,

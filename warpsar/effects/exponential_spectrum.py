@@ -28,6 +28,7 @@ class ExponentialSpectrum(Effect):
     by_incidence = True
     order = 20
     summary = "a roughness spectrum with a longer tail"
+    with_phase = 'spectrum = "exponential" in the materials'
     example: ClassVar[dict[str, Any]] = {"weight": 1.0}
     rate_case: ClassVar[dict[str, Any]] = {"weight": 0.5}
     parameters = (

@@ -74,6 +74,7 @@ class Multibounce(Effect):
     order = 10
     needs_all_hits = True
     summary = "double and triple bounces between surfaces"
+    with_phase = "multibounce in radar.terms"
     example: ClassVar[dict[str, Any]] = {"strength": 1.0}
     rate_case: ClassVar[dict[str, Any]] = {"strength": 1.0}
     parameters = (
@@ -84,6 +85,7 @@ class Multibounce(Effect):
             0.0,
             1e6,
             1.0,
+            unstated=1.0,
             scale="log",
             fit_low=1e-6,
             fit_high=1e4,

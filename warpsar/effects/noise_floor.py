@@ -25,6 +25,7 @@ class NoiseFloor(Effect):
     additive = True
     is_floor = True
     summary = "noise of the receiver, the same in every pixel"
+    with_phase = "collection.noise_beta0"
     example: ClassVar[dict[str, Any]] = {"level": 0.002}
     rate_case: ClassVar[dict[str, Any]] = {"level": 0.004}
     parameters = (

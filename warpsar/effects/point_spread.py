@@ -56,6 +56,7 @@ class PointSpread(Effect):
     affine = True
     in_image = True
     summary = "finite resolution in range and azimuth"
+    with_phase = "the system's own response, by collection.resolution_m and collection.window"
     example: ClassVar[dict[str, Any]] = {"range_fwhm_m": 1.2, "azimuth_fwhm_m": 1.2, "window": "sinc"}
     rate_case: ClassVar[dict[str, Any]] = {"range_fwhm_m": 0.9, "azimuth_fwhm_m": 0.7, "window": "gaussian"}
     parameters = (_width("range_fwhm_m"), _width("azimuth_fwhm_m"))

@@ -66,6 +66,7 @@ def validate(name: str, table: Any, where: str, views: Collection[str] | None = 
             allowed = ", ".join([*parameters, *settings, *FITTED_KEYS])
             raise InputError(f"{at}: unknown key; allowed are {allowed}")
     refuse_fitted_keys(table, parameters, where)
+    _refuse_nothing(effect, table, where)
     for key, known in table.get("tolerance", {}).items():
         if isinstance(known, Mapping):
             at, p = f"{where}.tolerance.{key}.about", parameters[key]
@@ -73,6 +74,15 @@ def validate(name: str, table: Any, where: str, views: Collection[str] | None = 
                 _check_number(place, one, p)
     # Parameters stay as stated: a fit moves those and no others (`is_fitted`). Settings get their defaults.
     return {**table, **{s.name: table.get(s.name, s.default) for s in effect.settings}}
+
+
+def _refuse_nothing(effect: Effect, table: Mapping[str, Any], where: str) -> None:
+    """Raise InputError for a table that says nothing by which the effect is there, not even a neutral value."""
+    needed = effect.needed()
+    if needed is not None and not any(p.name in table for p in needed):
+        found = ", ".join(table) or "no key"
+        keys = " or ".join(p.name for p in needed)
+        raise InputError(f"{where}: found {found}; without {keys} it has no effect: state one, or leave the table out")
 
 
 def _entries(at: str, value: Any, keyed_by: str | None, views: Collection[str] | None) -> list[tuple[str, Any]]:
@@ -125,14 +135,27 @@ def declared(scene: World, view: View, *, neutral: bool = False) -> list[Declare
         if name not in scene.effects:
             continue
         effect, table = get(name), scene.effects[name]
-        values = values_in(scene, view, effect, table)
-        # values per material say nothing alone, and stand last
-        single = [p for p in effect.parameters if not p.per_material]
-        if not neutral and all(v == p.neutral or math.isnan(p.neutral) for v, p in zip(values, single, strict=False)):
+        if not neutral and not _acts(scene, view, effect):
             continue
         settings = {s.name: setting_in(view, s, table) for s in effect.settings}
-        found.append(DeclaredEffect(effect, values, settings))
+        found.append(DeclaredEffect(effect, values_in(scene, view, effect, table), settings))
     return found
+
+
+def acting(scene: World) -> list[str]:
+    """The declared effects that are not neutral in every view, in the order in which they act.
+
+    Raises InputError as `check` does.
+    """
+    check(scene)
+    some = [name for name in names() if name in scene.effects] if scene.effects else []
+    return [name for name in some if any(_acts(scene, view, get(name)) for view in scene.views)]
+
+
+def _acts(scene: World, view: View, effect: Effect) -> bool:
+    """Whether a value in this view is not neutral. Those per material say nothing alone."""
+    table = scene.effects[effect.name]
+    return any(p.brings_it and _values_of(scene, view, p, table) != [p.neutral] for p in effect.parameters)
 
 
 def values_in(scene: World, view: View, effect: Effect, table: Mapping[str, Any]) -> np.ndarray:

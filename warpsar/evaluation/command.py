@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Sequence
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -19,11 +20,11 @@ from warpsar.evaluation.report_images import residual_picture
 from warpsar.evaluation.residuals import expected_db, profiles
 from warpsar.io.images import replacing, write_exr
 from warpsar.runtime import console, devices, distributed
-from warpsar.scene.scene import Scene
+from warpsar.scene.scene import Scene, scene_or_file
 from warpsar.simulation.outputs import make_folder, write_json
 
 
-def evaluate(scene: Scene, *, device: str | None = None, seed: int | None = None) -> Evaluation:
+def evaluate(scene: Scene | PathLike[str] | str, *, device: str | None = None, seed: int | None = None) -> Evaluation:
     """Compare every measured image of the scene, of all roles, with the declared model; nothing is fitted but one
     gain per image where the images are not calibrated, and the floor of `deviance_all`.
 
@@ -32,6 +33,7 @@ def evaluate(scene: Scene, *, device: str | None = None, seed: int | None = None
     (`distributed`) share the views; all of them are in what the first one returns, none in what the others do. Raises
     InputError for a scene without measured images, or where image and mesh do not meet.
     """
+    scene = scene_or_file(scene)
     where = devices.resolve_device(device)
     ranks = distributed.ranks(where)
     found = compare(scene, where, seed=seed, ranks=ranks, progress="evaluate")
@@ -122,7 +124,7 @@ def run(
     ranks = distributed.ranks(where)
     console.say_device(where)
     console.warn(scene.warnings)
-    seed = scene.sampling.seed if seed is None else seed
+    seed = scene.seed(seed)
     of_curves = curve_command.evaluated(scene, out / "cache", where.alias) if scene.curves and ranks.first else {}
     if of_curves and not any(view.images for view in scene.views):
         console.say(curve_command.in_short(of_curves["curves"]))

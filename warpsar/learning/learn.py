@@ -6,6 +6,7 @@ import hashlib
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
+from os import PathLike
 from pathlib import Path
 from typing import TypeVar
 
@@ -17,7 +18,7 @@ from warpsar.compare.evaluation import Evaluation
 from warpsar.compare.judgement import Judgement
 from warpsar.compare.metrics import PooledMetrics
 from warpsar.compare.observation import Observation, looks_of
-from warpsar.errors import InputError, WarpsarError
+from warpsar.errors import InputError, WarpsarError, refuse_kind
 from warpsar.io import checkpoint
 from warpsar.learning.descent import Course, History, descend, stand
 from warpsar.learning.gradcheck import GradientCheck, check_gradient
@@ -33,7 +34,7 @@ from warpsar.learning.trust import doubts, worse
 from warpsar.learning.validity import outside_domains
 from warpsar.runtime import console, devices, distributed
 from warpsar.runtime.distributed import Ranks
-from warpsar.scene.scene import Scene
+from warpsar.scene.scene import Scene, scene_or_file
 from warpsar.simulation.rays import Rays
 from warpsar.simulation.sampling import RAY_NOISE, Density, choose_density
 from warpsar.surface.stage import Stage
@@ -92,7 +93,7 @@ class Learned:
 
 
 def learn(
-    scene: Scene,
+    scene: Scene | PathLike[str] | str,
     *,
     device: str | None = None,
     options: LearnOptions | None = None,
@@ -106,7 +107,9 @@ def learn(
     that a material's `learn` names is trained first, and then held. Raises InputError for scenes that cannot be learned
     from, and WarpsarError where the gradient check fails.
     """
+    scene = scene_or_file(scene)
     options = options or LearnOptions()
+    refuse_kind(options, LearnOptions, "options")
     refuse_starts(scene)
     declared = asked = scene
     where = devices.resolve_device(device)

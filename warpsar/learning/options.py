@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from warpsar.errors import InputError
+from warpsar.errors import InputError, refuse_number, shown
 from warpsar.learning.problem import FitProblem
 from warpsar.scene.scene import Scene
 from warpsar.speckle.likelihood import LOSSES
@@ -35,12 +35,23 @@ class LearnOptions:
     max_memory_gib: float | None = None
 
     def __post_init__(self) -> None:
+        for name in ("starts", "iterations", "checkpoint_every"):
+            refuse_number(getattr(self, name), f"--{name.replace('_', '-')}", whole=True, low=1)
+        refuse_number(self.seed, "--seed", whole=True)
+        refuse_number(self.max_time_s, "--max-time", above=True)
+        refuse_number(self.rate, "--rate", above=True)
+        refuse_number(self.validity, "--validity")
+        if self.max_memory_gib is not None:
+            refuse_number(self.max_memory_gib, "--max-memory", above=True)
+        if not isinstance(self.total_variation, Mapping):
+            raise InputError(f"--tv: found {shown(self.total_variation)}; allowed is a dict of keys and weights")
         if self.loss not in LOSSES:
             raise InputError(f"--loss: found {self.loss!r}; allowed are {', '.join(LOSSES)}")
         if self.optimiser not in ("auto", "lm", "adam"):
             raise InputError(f"--optimiser: found {self.optimiser!r}; allowed are auto, lm, adam")
         for key, weight in self.total_variation.items():
-            if key not in KEYS or not 0 <= weight < float("inf"):
+            refuse_number(weight, f"--tv: {key}")
+            if key not in KEYS or not weight < float("inf"):
                 raise InputError(f"--tv: found {key}={weight}; allowed is one of {', '.join(KEYS)} and a number >= 0")
 
 

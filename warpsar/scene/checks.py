@@ -9,12 +9,97 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from warpsar.errors import InputError
+from warpsar.effects.registry import validate
+from warpsar.errors import InputError, refuse_number, shown
 from warpsar.world import models as model_rules
 from warpsar.world import scattering_term, sigma0_table
+from warpsar.world.collection import Collection
+from warpsar.world.curve import Curve
+from warpsar.world.library import fill
 from warpsar.world.mesh import Mesh
+from warpsar.world.objects.table import Object
 from warpsar.world.pixels import Pixels, in_memory, mask, measured
-from warpsar.world.tables import SURFACE_KEYS, Grid, Material, Radar, View, allowed_values, within
+from warpsar.world.tables import (
+    SURFACE_KEYS,
+    Grid,
+    Material,
+    Origin,
+    Radar,
+    Sampling,
+    View,
+    allowed_values,
+    within,
+)
+from warpsar.world.world import World
+
+_SURFACE = "each a warpsar.Material or the name of a surface of the library"
+
+
+def kinds(world: World) -> list[str]:
+    """What a scene made in memory holds that is of another kind than a scene has."""
+    effects: Any = world.effects
+    found = [
+        f"{key}: found {shown(getattr(world, key))}; must be {allowed}"
+        for key, sound, allowed in (
+            ("mesh", isinstance(world.mesh, Mesh), "a warpsar.Mesh"),
+            ("radar", isinstance(world.radar, Radar), "a warpsar.Radar"),
+            ("grid", isinstance(world.grid, Grid), "a warpsar.Grid"),
+            ("sampling", isinstance(world.sampling, Sampling), "a warpsar.Sampling"),
+            ("materials", _named(world.materials, Material, str), f"a dict of names and materials, {_SURFACE}"),
+            ("views", _row(world.views, View), "a list of warpsar.View"),
+            ("effects", _named(effects, Mapping), "a dict of names and tables"),
+            ("reference_point_m", _point(world.reference_point_m), "three numbers"),
+            ("origin", isinstance(world.origin, Origin | None), "a warpsar.world.tables.Origin"),
+            ("collection", isinstance(world.collection, Collection | None), "a warpsar.world.collection.Collection"),
+            ("objects", _row(world.objects, Object), "warpsar.world.objects.table.Object, one or more"),
+            ("curves", _row(world.curves, Curve), "warpsar.world.curve.Curve, one or more"),
+        )
+        if not sound
+    ]
+    try:
+        if world.accuracy_m is not None:
+            refuse_number(world.accuracy_m, "accuracy_m", above=True)
+        for name, table in effects.items() if _named(effects, Mapping) else ():
+            validate(name, dict(table), f"effects.{name}")
+    except InputError as error:
+        found.append(str(error))
+    return found
+
+
+def _named(given: object, *allowed: type) -> bool:
+    return isinstance(given, Mapping) and all(isinstance(one, allowed) for one in given.values())
+
+
+def _row(given: object, allowed: type) -> bool:
+    return isinstance(given, list | tuple) and all(isinstance(one, allowed) for one in given)
+
+
+def _point(given: Any) -> bool:
+    try:
+        return bool(np.shape(given) == (3,) and np.isfinite(np.asarray(given, float)).all())
+    except (TypeError, ValueError):
+        return False
+
+
+def with_surfaces(
+    given: Mapping[str, Material | str], radar: Radar, views: Sequence[View]
+) -> tuple[dict[str, Material], list[str], list[str]]:
+    """The materials, with those that are named surfaces of the library at the radar's frequency; what is wrong, and
+    what should be said."""
+    found, problems, said = {}, [], []
+    others = {view.name: view.frequency_hz for view in views if view.frequency_hz is not None}
+    for name, one in given.items():
+        if isinstance(one, Material):
+            found[name] = one
+            continue
+        try:
+            found[name] = fill.material(one, radar.frequency_hz)
+        except InputError as error:
+            problems.append(f"materials.{name}: {error}")
+            continue
+        problems += [wrong for wrong in [fill.of_one_frequency(name, one, radar.frequency_hz, others)] if wrong]
+        said += [warning for warning in [fill.beyond(name, found[name], radar.frequency_hz)] if warning]
+    return found, problems, said
 
 
 def view_names(views: Sequence[View]) -> list[str]:

@@ -11,12 +11,13 @@ from typing import Annotated, Any
 from pydantic import Field, ValidationError, field_validator
 
 from warpsar.effects.registry import validate
-from warpsar.errors import InputError, did_you_mean, shown
+from warpsar.errors import InputError, listed, shown
 from warpsar.world.collection import Antenna, Collection, Transmitter
 from warpsar.world.curve import Curve
 from warpsar.world.library.fill import filled, of_one_frequency
 from warpsar.world.library.surfaces import SURFACES
 from warpsar.world.objects.table import Object
+from warpsar.world.problems import keys_of, problem
 from warpsar.world.tables import (
     FileName,
     Grid,
@@ -32,7 +33,6 @@ from warpsar.world.tables import (
 LARGEST_FILE = 2**24
 """Bytes of a scene file: 50,000 views."""
 _MOST_KEY_PARTS = 100
-_MOST_SHOWN = 50  # problems in one message
 
 
 class SceneTable(Table):
@@ -201,34 +201,16 @@ def parse_effects(raw: Mapping[str, Any], problems: list[str]) -> dict[str, dict
 
 def refuse(path: Path, problems: list[str]) -> None:
     """Raise one InputError for all problems; nothing where there are none."""
-    if len(problems) == 1:
-        raise InputError(f"{path}: {problems[0]}")
     if problems:
-        more = [f"and {len(problems) - _MOST_SHOWN} more"] if len(problems) > _MOST_SHOWN else []
-        listed = [f"{path}: {len(problems)} things are wrong", *problems[:_MOST_SHOWN], *more]
-        raise InputError("\n  ".join(listed))
+        raise InputError(listed(path, problems))
 
 
 def _problem(details: Mapping[str, Any], raw: dict[str, Any]) -> str:
     """One of pydantic's errors as: key, what was found, what is allowed."""
     place = tuple(part for part in details["loc"] if part != "[key]")
-    key = _key(place, raw)
-    found, kind = details["input"], details["type"]
-    if kind == "missing" or found is None:  # TOML has no null
-        return f"{key}: missing"
-    if kind == "extra_forbidden":
-        model = _TABLES[str(place[0])] if len(place) > 1 else SceneFile
-        model = _INNER.get(place[:2], model) if len(place) > 2 else model
-        known = [info.alias or name for name, info in model.model_fields.items()]
-        return f"{key}: unknown key; must be one of {', '.join(known)}{did_you_mean(place[-1], known)}"
-    message = re.sub(r"^(Value error, |Input )", "", details["msg"]).replace("should", "must")
-    if kind == "string_pattern_mismatch":
-        message = "must be up to 50 letters, digits, '_', '-', '+' and '.', the first a letter, digit or '_'"
-    if kind == "too_short":
-        message = f"must hold at least {details['ctx']['min_length']}"
-    if isinstance(found, dict) and kind == "value_error":
-        return f"{key}: {message}"
-    return f"{key}: found {shown(found)}; {message}"
+    model = _TABLES.get(str(place[0]), SceneFile) if len(place) > 1 else SceneFile
+    model = _INNER.get(place[:2], model) if len(place) > 2 else model
+    return problem(_key(place, raw), details, keys_of(model))
 
 
 def _key(place: tuple[int | str, ...], raw: dict[str, Any]) -> str:

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from os import PathLike
 from pathlib import Path
+from typing import TypeVar, overload
 
 from warpsar.effects.registry import check
+from warpsar.errors import InputError, shown
 from warpsar.scene import checks
 from warpsar.scene.beside import written_beside
 from warpsar.scene.file import refuse
@@ -14,16 +17,24 @@ from warpsar.scene.writer import save
 from warpsar.world.sound_objects import misplaced
 from warpsar.world.world import World
 
+W = TypeVar("W", bound=World)
+
 
 @dataclass(frozen=True, eq=False)
 class Scene(World):
     """A `World` that is read from a scene file and written to one, or made in memory.
 
-    In memory: a `Mesh`, a `Radar`, a `Grid`, a `Material` for each of the mesh's, and a list of `View`, whose measured
-    images may be arrays. Raises InputError, one message with everything that does not fit together.
+    In memory: a `Mesh`, a `Radar`, a `Grid`, a `Material` or the name of a surface of the library for each material of
+    the mesh, and a list of `View`, whose measured images may be arrays. Raises InputError, one message with everything
+    that does not fit together.
     """
 
     def __post_init__(self) -> None:
+        refuse(Path(self.name), checks.kinds(self))
+        named, problems, said = checks.with_surfaces(self.materials, self.radar, self.views)
+        refuse(Path(self.name), problems)
+        object.__setattr__(self, "materials", named)
+        object.__setattr__(self, "warnings", (*self.warnings, *said))
         object.__setattr__(self, "views", [checks.with_pixels(view) for view in self.views])
         names = list(self.materials)
         problems = [*checks.view_names(self.views), *checks.material_names(names, self.mesh, "the mesh")]
@@ -35,7 +46,7 @@ class Scene(World):
             problems += checks.fields(name, material, self.mesh)
             problems += checks.models(name, material, self.radar, self.effects)
         refuse(Path(self.name), problems)
-        object.__setattr__(self, "materials", {name: self.materials[name] for name in self.mesh.materials})
+        object.__setattr__(self, "materials", {name: named[name] for name in self.mesh.materials})
 
     @classmethod
     def load(cls, path: str | Path) -> Scene:
@@ -44,7 +55,7 @@ class Scene(World):
         Raises `InputError`, one message with everything that is wrong: in the file itself, or, where that is sound, in
         the files that it names.
         """
-        scene = cls(**contents(Path(path)))
+        scene = cls(**contents(_path(path)))
         check(scene)
         refuse(Path(scene.name), misplaced(scene))
         return scene
@@ -58,4 +69,27 @@ class Scene(World):
         and maps become float32 TIFF: `scene_<view>_<polarization>.tif`. Raises InputError for a mesh that neither
         format holds.
         """
-        save(written_beside(self, Path(path)), Path(path))
+        save(written_beside(self, _path(path)), _path(path))
+
+
+def _path(given: object) -> Path:
+    if not isinstance(given, str | PathLike):
+        raise InputError(f"path: found {shown(given)}; must be the path of a scene file")
+    return Path(given)
+
+
+@overload
+def scene_or_file(scene: W) -> W: ...
+
+
+@overload
+def scene_or_file(scene: PathLike[str] | str) -> Scene: ...
+
+
+def scene_or_file(scene: World | PathLike[str] | str) -> World:
+    """A scene itself, or that of a scene file. Raises InputError for what is neither, and as `Scene.load` does."""
+    if isinstance(scene, World):
+        return scene
+    if isinstance(scene, str | PathLike):
+        return Scene.load(Path(scene))
+    raise InputError(f"scene: found {shown(scene)}; must be a warpsar.Scene, or the path of a scene file")

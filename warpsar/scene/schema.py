@@ -135,7 +135,10 @@ def _effect(name: str) -> _Json:
         {each.name: _tolerance(_value(each, _number(each))) for each in effect.parameters},
         "How well fitted parameters are known: one standard deviation each, in the key's unit or in percent.",
     )
-    return _table(keys, f"{effect.summary[:1].upper()}{effect.summary[1:]}.")
+    table = _table(keys, f"{effect.summary[:1].upper()}{effect.summary[1:]}.")
+    if (bring := effect.needed()) is not None:
+        table["anyOf"] = [{"required": [each.name]} for each in bring]
+    return table
 
 
 def _number(parameter: Parameter) -> _Json:

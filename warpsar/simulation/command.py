@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable, Sequence
 from functools import partial
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import numpy as np
 
 from warpsar.effects.base.effect import DeclaredEffect
 from warpsar.effects.registry import declared
+from warpsar.errors import refuse_number
 from warpsar.io.quick_look import draw, limits_db, shades
 from warpsar.render.bands import BandedRender, stretches
 from warpsar.render.render import ViewRender
@@ -19,7 +21,7 @@ from warpsar.runtime import console, devices, distributed
 from warpsar.runtime.busy import busy
 from warpsar.runtime.distributed import Ranks
 from warpsar.runtime.memory import PARTS, OutOfMemoryError, in_parts, ran_out
-from warpsar.scene.scene import Scene
+from warpsar.scene.scene import Scene, scene_or_file
 from warpsar.simulation.checks import Findings, grid_warnings
 from warpsar.simulation.estimate import Estimate, estimate
 from warpsar.simulation.files import Output, refuse_formats, written
@@ -57,7 +59,7 @@ class Simulation:
         bar: Any = None,
     ) -> None:
         self.scene, self.stage, self.bar = scene, stage, bar
-        self.seed = scene.sampling.seed if seed is None else seed
+        self.seed = scene.seed(seed)
         self.layers, self.variance, self.merge, self.max_memory_gib = layers, variance, merge, max_memory_gib
         self.findings = Findings()
         self.grid, self.density = hit_grid(scene), scene.sampling.density_per_m2(scene.grid)
@@ -159,7 +161,7 @@ def _lit(render: ViewRender | BandedRender, polarizations: Iterable[str]) -> np.
 
 
 def simulate(
-    scene: Scene,
+    scene: Scene | PathLike[str] | str,
     *,
     device: str | None = None,
     seed: int | None = None,
@@ -168,11 +170,13 @@ def simulate(
     merge: bool = True,
     max_memory_gib: float = DEFAULT_MEMORY_GIB,
 ) -> list[SimulatedView]:
-    """Images of every view of the scene, with its declared materials and effects.
+    """Images of every view of the scene, or of a scene file, with its declared materials and effects.
 
     `seed` overrides the scene's; `merge` false keeps every ray's hit. Raises DeviceError for a device that is
     not there.
     """
+    scene = scene_or_file(scene)
+    refuse_number(max_memory_gib, "max_memory_gib", above=True)
     stage = Stage.of(scene, devices.resolve_device(device))
     made = Simulation(
         scene, stage, seed=seed, layers=layers, variance=variance, merge=merge, max_memory_gib=max_memory_gib

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import uniform_filter
 
-from warpsar.errors import InputError
+from warpsar.errors import InputError, shown
 
 
 def coherence(one: ArrayLike, other: ArrayLike, window: tuple[int, int] = (7, 7)) -> NDArray[np.complex64]:
@@ -18,7 +18,10 @@ def coherence(one: ArrayLike, other: ArrayLike, window: tuple[int, int] = (7, 7)
     window holds a sample that is not finite. Raises InputError for images of different shapes, and for a window that is
     not odd.
     """
-    first, second = np.asarray(one, np.complex128), np.asarray(other, np.complex128)
+    try:
+        first, second = np.asarray(one, np.complex128), np.asarray(other, np.complex128)
+    except (TypeError, ValueError):
+        raise InputError(f"coherence: found {shown(one)} and {shown(other)}; must be two arrays of numbers") from None
     if first.shape != second.shape or first.ndim != 2:
         raise InputError(f"coherence: found shapes {first.shape} and {second.shape}; must be one shape (rows, cols)")
     if any(size < 1 or size % 2 == 0 for size in window):

@@ -10,15 +10,17 @@ from pydantic import (
     BeforeValidator,
     ConfigDict,
     Field,
+    ValidationError,
     ValidationInfo,
     WrapValidator,
     field_validator,
     model_validator,
 )
 
-from warpsar.errors import InputError
+from warpsar.errors import InputError, listed
 from warpsar.io.images import LARGEST_IMAGE
 from warpsar.world import models, pixels
+from warpsar.world.problems import keys_of, problem
 from warpsar.world.tolerance import refusal
 
 DEFAULT_RAYS_PER_PIXEL = 64.0
@@ -74,6 +76,21 @@ class Table(BaseModel):
     """A table of scene.toml. It refuses unknown keys, and is never changed in place: `model_copy` makes a new one."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
+
+    def __init__(self, **keys: Any) -> None:
+        """Raises InputError, one message with everything that is wrong."""
+        try:
+            super().__init__(**keys)
+        except ValidationError as error:
+            known = keys_of(type(self))
+            wrong = [
+                problem(".".join(str(part) for part in details["loc"] if part != "[key]"), details, known)
+                for details in error.errors(include_url=False)
+            ]
+            raise InputError(listed(type(self).__name__, wrong)) from None
+
+    # pydantic then checks tables inside others by itself, and collects all that is wrong in a file
+    __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]
 
 
 class Radar(Table):

@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from warpsar.errors import InputError
+from warpsar.errors import InputError, refuse_number
 from warpsar.io.images import read_channel, read_mask
 from warpsar.world.collection import Collection
 from warpsar.world.curve import Curve
@@ -66,6 +66,13 @@ class World:
     """Measured radar cross-sections; their files are absolute."""
     collection: Collection | None = None
     """How a sensor collects the views; its file is absolute."""
+
+    def seed(self, given: int | None) -> int:
+        """The seed that was given, else that of `[sampling]`. Raises InputError for what is none."""
+        if given is None:
+            return self.sampling.seed
+        refuse_number(given, "seed", whole=True)
+        return int(given)
 
     @property
     def name(self) -> str:

@@ -51,6 +51,7 @@ class Effect:
     contains: ClassVar[tuple[str, ...]] = ()  # effects that a fit holds while it moves this one: it can do all they do
     last_resort: ClassVar[bool] = False  # can do what named effects do: none of the candidates of a search
     sets_positions: ClassVar[bool] = False  # a fit that moves it holds the positions of objects
+    with_phase: ClassVar[str] = ""  # what products with phase have in its place: they refuse it, and say so
     bins_per_pixel: ClassVar[int] = 1  # how much finer than the image, per axis, the hits are binned for it
 
     def margin_m(self, grid: Grid, values: np.ndarray) -> float:
@@ -106,6 +107,11 @@ class Effect:
     def check(self, scene: World, table: Mapping[str, Any]) -> str | None:
         """What is wrong with a valid table in this scene; None if nothing. The text follows `effects.<name>`."""
         return None
+
+    def needed(self) -> list[Parameter] | None:
+        """The parameters of which a table must state one, since it would do nothing without; None if it acts anyway."""
+        bring = [p for p in self.parameters if p.brings_it]
+        return None if any(p.unstated is not None for p in bring) else bring
 
     def parameter(self, name: str) -> Parameter:
         """The continuous parameter `name`. Raises InputError for a setting: it has no derivative to learn by."""

@@ -16,10 +16,12 @@ class Parameter:
     """A continuous parameter of an effect, as it stands in scene.toml.
 
     `neutral`: the value at which the effect is not there. NaN says that the parameter means nothing while the others
-    are neutral (an offset, an albedo); it is then `start` where scene.toml says nothing. `low` and `high`: the
-    smallest and largest value allowed. `unit` and `description`, a sentence, are for people. `per_view`: a table of
-    view name -> value. `zero_sum`: only differences from the mean over the scene's views act. `per_material`: a table
-    of material name -> value; it has a value for each of the mesh's materials, and stands last among the parameters.
+    are neutral (an offset, an albedo); it is then `start` where scene.toml says nothing. `unstated`: the value where
+    the effect's table stands without it, for a parameter whose natural value is known (all of the bounces' power);
+    None leaves it neutral. `low` and `high`: the smallest and largest value allowed. `unit` and `description`, a
+    sentence, are for people. `per_view`: a table of view name -> value. `zero_sum`: only differences from the mean over
+    the scene's views act. `per_material`: a table of material name -> value; it has a value for each of the mesh's
+    materials, and stands last among the parameters.
 
     A fit moves the coordinate x = ln(value / `span`) where `scale` is "log", and value / `span` where it is "linear".
     `span` is a large step of the value. The fit stays inside `fit_low` and `fit_high` (default: `low` and `high`).
@@ -36,6 +38,7 @@ class Parameter:
     per_view: bool = False
     zero_sum: bool = False
     per_material: bool = False
+    unstated: float | None = None
     scale: Literal["linear", "log"] = "linear"
     span: float = 1.0
     fit_low: float | None = None
@@ -48,8 +51,15 @@ class Parameter:
 
     @property
     def default(self) -> float:
-        """The value where scene.toml says nothing."""
+        """The value where the effect's table stands and does not state it."""
+        if self.unstated is not None:
+            return self.unstated
         return self.start if math.isnan(self.neutral) else self.neutral
+
+    @property
+    def brings_it(self) -> bool:
+        """Whether a value of it can bring the effect by itself; others only shape one that is there."""
+        return not math.isnan(self.neutral) and not self.per_material
 
     @property
     def fit_bounds(self) -> tuple[float, float]:
