@@ -1,4 +1,4 @@
-"""What `simulate` says in time: domains, grids that miss, units, empty polarizations, long work, and signs of life."""
+"""What `simulate` says in time: domains, grids that miss, units, empty polarizations, and signs of life."""
 
 import io
 import json
@@ -22,7 +22,6 @@ from warpsar.runtime.busy import busy
 from warpsar.runtime.devices import resolve_device
 from warpsar.runtime.driver import no_driver_warning
 from warpsar.scene.scene import Scene
-from warpsar.simulation import estimate as estimating
 from warpsar.simulation.checks import Findings, grid_warnings
 from warpsar.simulation.command import Simulation, simulate
 from warpsar.simulation.outputs import refuse_unlikely_size
@@ -211,23 +210,6 @@ def test_from_python_they_stand_on_stderr(capsys: pytest.CaptureFixture[str]) ->
     rough = {"eps_r": 6.0, "rms_height_m": 0.05, "correlation_length_m": 0.010}
     simulate(scene_of(mesh_of(soil=ground(30)), view(0, 40), materials={"soil": rough}), device="cpu")
     assert "warning: materials.soil: 100 %" in capsys.readouterr().err
-
-
-def test_long_work_is_estimated(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Rays and pixels are counted, and the time is that of the rays to a factor of three."""
-    short = scene_of(mesh_of(soil=ground(30)), view(0, 40))
-    assert Simulation(short, stage_of(short)).estimate(short.views) is None
-    scene = scene_of(mesh_of(soil=ground(30)), view(0, 40), rays_per_pixel=20000.0)
-    monkeypatch.setattr(estimating, "LONG_S", 0.0)
-    made = Simulation(scene, stage_of(scene))
-    said = made.estimate(scene.views)
-    assert said is not None
-    started = time.perf_counter()
-    image = made.view(scene.views[0], 0)
-    took = time.perf_counter() - started
-    assert (said.views, said.pixels, said.rays) == (1, 1600, image.rays)
-    assert took / 4 < said.seconds < took * 4
-    assert f"about {said.seconds:.0f} s" in str(said)
 
 
 def test_a_sign_of_life(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from os import PathLike
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -14,7 +16,7 @@ import numpy as np
 from warpsar.effects.base.effect import DeclaredEffect
 from warpsar.effects.registry import declared
 from warpsar.errors import refuse_number
-from warpsar.io.quick_look import draw, limits_db, shades
+from warpsar.io.quick_look import LARGEST, QuickLook, draw, draw_together, limits_db, shades
 from warpsar.render.bands import BandedRender, stretches
 from warpsar.render.render import ViewRender
 from warpsar.runtime import console, devices, distributed
@@ -43,7 +45,8 @@ from warpsar.world.world import geometry_of
 class Simulation:
     """Images of a scene's views, with its declared materials and effects, one at a time.
 
-    `seed` overrides the scene's; `merge` false keeps every ray's hit; `bar` counts rays.
+    `seed` overrides the scene's; `merge` false keeps every ray's hit; `bar` counts rays. `part`: as for
+    `trace_view`.
     """
 
     def __init__(
@@ -57,12 +60,14 @@ class Simulation:
         merge: bool = True,
         max_memory_gib: float = DEFAULT_MEMORY_GIB,
         bar: Any = None,
+        part: Mapping[str, float] | None = None,
     ) -> None:
-        self.scene, self.stage, self.bar = scene, stage, bar
+        self.scene, self.stage, self.bar, self.part = scene, stage, bar, part or {}
         self.seed = scene.seed(seed)
         self.layers, self.variance, self.merge, self.max_memory_gib = layers, variance, merge, max_memory_gib
         self.findings = Findings()
-        self.grid, self.density = hit_grid(scene), scene.sampling.density_per_m2(scene.grid)
+        self.grid = replace(hit_grid(scene), **self.part)
+        self.density = scene.sampling.density_per_m2(scene.grid)
 
     def rays(self, view: View) -> int:
         """How many rays the view takes."""
@@ -95,23 +100,33 @@ class Simulation:
                 one.layers = layers_of(stage.target, scene.mesh, hits, self.density) | shares
         return one
 
-    def estimate(self, views: Sequence[View]) -> Estimate | None:
-        """What the images of `views` will take; None where they are there in a moment."""
-        costs = [self.rays(view) for view in views]
-        if not costs:
-            return None
-        dearest = views[int(np.argmax(costs))]
+    def strip(self, view: View, first: int, columns: int) -> Simulation:
+        """The same of some columns of the image of `view`, from `first` on, with the rays that they have in the whole.
 
-        def traced(begin: int, end: int, share: float) -> Hits:
-            some = {"only_columns": (begin, end), "rays_per_m2": share * self.density}
-            return self._trace(dearest, self.seed, [], merge=self.merge, **some)
-
-        pixels = self.grid.shape[0] * self.grid.shape[1]
-        return estimate(costs, pixels, self.grid.shape[1], len(self.scene.radar.polarizations), traced)
+        Of the rays that enter beside the image for several bounces, a strip has a part as large as itself.
+        """
+        grid, step = self.scene.grid, self.scene.grid.spacing_m[1]
+        low, high = (ends[1] for ends in self.stage.target.ends(geometry_of(self.scene, view)))
+        width = grid.shape[1] * step
+        seen = min(high, width) - max(low, -width)  # of twice the image, what has mesh
+        part = grid.model_copy(update={"shape": (grid.shape[0], columns)})
+        return Simulation(
+            replace(self.scene, grid=part),
+            self.stage,
+            seed=self.seed,
+            layers=self.layers,
+            variance=self.variance,
+            merge=self.merge,
+            max_memory_gib=self.max_memory_gib,
+            part={
+                "azimuth_m": (first + 0.5 * columns - 0.5 * grid.shape[1]) * step,
+                "beside": float(np.clip(0.5 * (seen / width - 1.0), 0.0, 0.5)),
+            },
+        )
 
     def _trace(self, view: View, seed: int, effects: list[DeclaredEffect], **more: Any) -> Hits:
-        gib = self.max_memory_gib
-        return trace_view(self.scene, self.stage, view, seed=seed, effects=effects, max_memory_gib=gib, **more)
+        more |= {"max_memory_gib": self.max_memory_gib, "part": self.part}
+        return trace_view(self.scene, self.stage, view, seed=seed, effects=effects, **more)
 
     def _images(
         self, view: View, seed: int
@@ -199,8 +214,8 @@ def _written_views(made: Simulation, output: Output, ranks: Ranks) -> tuple[list
     scene = made.scene
     costs = [made.rays(view) for view in scene.views]
     mine = distributed.deal(costs, ranks.size)[ranks.rank]
-    if (expected := made.estimate([scene.views[index] for index in mine])) is not None:
-        console.say(str(expected))
+    if (told := expected(made, output, mine)) is not None:
+        console.say(str(told))
     made.bar = console.progress(sum(costs[index] for index in mine), "rays", "ray")
     summary = [[index, output.write(made.view(scene.views[index], index), index)] for index in mine]
     made.bar.close()
@@ -213,6 +228,32 @@ def _written_views(made: Simulation, output: Output, ranks: Ranks) -> tuple[list
     found = Findings.together([findings for _, findings, _ in everything]).warnings(scene)
     console.warn(found)
     return [entry for _, entry in entries], found
+
+
+def expected(made: Simulation, output: Output, mine: Sequence[int]) -> Estimate | None:
+    """What the images of the scene's views number `mine`, and their files, will take; None where that is not long."""
+    if not mine:
+        return None
+    scene = made.scene
+    costs = [made.rays(scene.views[index]) for index in mine]
+    index = mine[int(np.argmax(costs))]
+
+    def strip(first: int, columns: int) -> int:
+        part = made.strip(scene.views[index], first, columns)
+        ground = None if output.ground is None else Ground.of(part.scene, part.stage)
+        with TemporaryDirectory() as folder:
+            image = part.view(scene.views[index], index)
+            replace(output, out=Path(folder), ground=ground, looks_at=[]).write(image, index)
+        return image.hits
+
+    def picture() -> None:
+        shape = [min(n, LARGEST) for n in scene.grid.shape]
+        power = dict.fromkeys(scene.radar.polarizations, np.ones(shape, np.float32))
+        with TemporaryDirectory() as folder:
+            draw_together([QuickLook.of(Path(folder) / "quick_look.png", "", power, scene.grid.spacing_m)])
+
+    pictures = len(mine) * (1 if output.looks is None else 2)
+    return estimate(costs, scene.grid.shape, len(scene.radar.polarizations), strip, pictures, picture)
 
 
 def run(

@@ -6,14 +6,19 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from warpsar.runtime.memory import kept_bytes
-from warpsar.trace.hits import Hits
+import numpy as np
 
-LONG_S = 2.0
-_FEW_RAYS, _FEW_PIXELS = 2**23, 2**22  # so few take less than LONG_S on one core
-_SAMPLE_RAYS = 2**20
-# One view of 8000 x 8000 pixels on two cores: 36 s from the last ray to the last file, of which the quick look is 16.
-_SECONDS_PER_PIXEL = 5e-7
+from warpsar.runtime.forecast import LONG_S, duration
+from warpsar.runtime.memory import kept_bytes
+
+STRIPS = 5
+"""Places of a view where a stretch of its columns is made."""
+_FEW_RAYS = 2**17
+"""Of a first strip."""
+_SHARE, _MOST_S = 0.05, 4.0
+"""How long the strips may take: a share of the whole, and seconds."""
+_PICTURE_S = 0.2
+"""Least time of a quick look: so short, it is timed where it could matter."""
 _BYTES_PER_PIXEL = 40  # the quick look's copies in float64
 
 
@@ -28,32 +33,57 @@ class Estimate:
     gib: float
 
     def __str__(self) -> str:
-        took = f"{self.seconds:.0f} s" if self.seconds < 120 else f"{self.seconds / 60:.0f} min"
         return (
             f"{self.views} view{'s' if self.views > 1 else ''} of {self.pixels:.3g} pixels, {self.rays:.3g} rays: "
-            f"about {took} and {self.gib:.2g} GiB"
+            f"about {duration(self.seconds)} and {self.gib:.2g} GiB"
         )
 
 
 def estimate(
-    rays: Sequence[int], pixels: int, columns: int, polarizations: int, traced: Callable[[int, int, float], Hits]
+    rays: Sequence[int],
+    shape: tuple[int, int],
+    polarizations: int,
+    strip: Callable[[int, int], int],
+    pictures: int,
+    picture: Callable[[], object],
 ) -> Estimate | None:
-    """What views of so many `rays` each, and so many `pixels` and `columns`, will take; None where that is not long.
+    """What views of so many `rays` each, and images of `shape`, will take; None where that is not long.
 
-    `traced(begin, end, share)` makes the hits of some columns of the view with the most rays, from a share of them. A
-    first, small piece only warms up; the second is timed, and stands for the rest.
+    `strip(first, columns)` makes so many columns of the view with the most rays, with all that is made of them, and
+    returns their hits. Strips at `STRIPS` places, of one column and of several, tell what a column takes, and what a
+    view takes whatever its width. `picture()` makes one of the `pictures`, which do not grow with the image.
     """
-    if sum(rays) < _FEW_RAYS and len(rays) * pixels < _FEW_PIXELS:
-        return None
-    width = max(1, min(columns, columns * _SAMPLE_RAYS // max(max(rays), 1)))
-    share = min(1.0, _SAMPLE_RAYS * columns / width / max(max(rays), 1))
-    middle = (columns - width) // 2
-    traced(middle, middle + 1, share)
+    rows, columns = shape
+    most = max(max(rays), 1)
+    strip(columns // 2, 1)  # compiles, loads, and builds what is kept
+    narrow, hits = _timed(strip, columns, 1)
+    widest = max(columns // STRIPS, min(columns, 2))
+    width = min(max(2, min(columns * _FEW_RAYS // most, columns // (10 * STRIPS))), widest)
+    wide, each = narrow, 0.0
+    while width > 1:
+        wide, hits = _timed(strip, columns, width)
+        each = max(wide - narrow, 0.0) / (width - 1)
+        room = min(_MOST_S, _SHARE * each * columns) / STRIPS
+        if room < 2.0 * wide or width == widest:
+            break
+        width = min(widest, round(width * room / wide))
+    fixed = max(narrow - each, 0.0)
+    whole = fixed + each * columns if width > 1 else narrow * columns
+    seconds = fixed * len(rays) + (whole - fixed) * sum(rays) / most
+    if seconds + pictures * _PICTURE_S > LONG_S / 2:
+        picture()  # loads the library that draws
+        started = time.perf_counter()
+        picture()
+        seconds += pictures * (time.perf_counter() - started)
+    gib = (kept_bytes(hits, polarizations, 0) + rows * columns * (_BYTES_PER_PIXEL + 8 * polarizations)) / 2**30
+    return Estimate(len(rays), rows * columns, sum(rays), seconds, gib) if seconds > LONG_S else None
+
+
+def _timed(strip: Callable[[int, int], int], columns: int, width: int) -> tuple[float, int]:
+    """Seconds of a strip of `width` columns, in the mean over the middles of equal parts of the image's `columns`; and
+    the hits of all columns."""
+    middles = (np.arange(STRIPS) + 0.5) * columns / STRIPS
+    firsts = np.clip(np.round(middles - 0.5 * width), 0, columns - width).astype(int).tolist()
     started = time.perf_counter()
-    hits = traced(middle, middle + width, share)
-    spent = time.perf_counter() - started
-    seconds = len(rays) * pixels * _SECONDS_PER_PIXEL
-    seconds += sum(rays) * spent / hits.rays if hits.rays else 0.0
-    held = kept_bytes(round(hits.count * columns / width), polarizations, 0)
-    gib = (held + pixels * (_BYTES_PER_PIXEL + 8 * polarizations)) / 2**30
-    return Estimate(len(rays), pixels, sum(rays), seconds, gib) if seconds > LONG_S else None
+    hits = sum(strip(first, width) for first in firsts)
+    return (time.perf_counter() - started) / STRIPS, round(hits * columns / (STRIPS * width))

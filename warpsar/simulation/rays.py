@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import threading
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 from warpsar.effects.base.effect import DeclaredEffect
@@ -34,13 +36,15 @@ def trace_view(
     rays_per_m2: float | None = None,
     merge: bool = True,
     max_memory_gib: float = DEFAULT_MEMORY_GIB,
+    part: Mapping[str, float] | None = None,
     **options: Any,
 ) -> Hits:
     """Hits of one view, with the scene's sampling unless `rays_per_m2` is given, binned as its effects need.
 
+    `part`: the fields `azimuth_m` and `beside` of its `BinGrid`, where the scene's image is a part of another.
     `options` go to `trace`. Raises OutOfMemoryError where even the smallest parts of the work are too large.
     """
-    geometry, grid = geometry_of(scene, view), effects_grid(scene, effects)
+    geometry, grid = geometry_of(scene, view), replace(effects_grid(scene, effects), **(part or {}))
 
     def traced(parts: int) -> Hits:
         return trace(

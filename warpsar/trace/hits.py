@@ -17,17 +17,21 @@ class BinGrid:
     """Bins of (range, azimuth) about the reference point: `shape` (rows, cols), `spacing_m` (range, azimuth) [m].
 
     A pixel of the image has `bins_per_pixel` bins along each axis. The grid may be wider than the image, by whole
-    pixels and by as much on each side.
+    pixels and by as much on each side. `azimuth_m`: of its middle, where it is a part of an image [m]. `beside`: how
+    far on each side of it rays of several bounces enter, in widths of it.
     """
 
     shape: tuple[int, int]
     spacing_m: tuple[float, float]
     bins_per_pixel: int = 1
+    azimuth_m: float = 0.0
+    beside: float = 0.5
 
     @property
     def start_m(self) -> tuple[float, float]:
         """Range of row 0's and azimuth of column 0's outer edge [m]."""
-        return (-self.shape[0] / 2 * self.spacing_m[0], -self.shape[1] / 2 * self.spacing_m[1])
+        first_column = self.azimuth_m - self.shape[1] / 2 * self.spacing_m[1]
+        return (-self.shape[0] / 2 * self.spacing_m[0], first_column)
 
     @property
     def pixel_area_m2(self) -> float:
