@@ -103,7 +103,7 @@ def _fitted(
         kept = power <= highest * mu
         rows = np.sqrt(looks[kept]) / mu[kept]
         # least squares of n equations with parts of 0 or more: those of its triangle are as many as parts
-        triangle = np.linalg.qr(np.column_stack([columns[kept], power[kept]]) * rows[:, None], mode="r")
+        triangle = np.asarray(np.linalg.qr(np.column_stack([columns[kept], power[kept]]) * rows[:, None], mode="r"))
         before, weights = weights, nnls(triangle[:, :-1], triangle[:, -1])[0]
         mu = np.maximum(columns @ weights, faintest)
         if np.allclose(weights, before, rtol=_SETTLED, atol=_SETTLED * weights.max()):
