@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -77,8 +78,9 @@ def command(
         starts=starts,
         seed=seed,
         time_limit_s=None if time_limit is None else 60.0 * time_limit,
-        **({} if most_effects is None else {"most_effects": most_effects}),
     )
+    if most_effects is not None:
+        chosen = replace(chosen, most_effects=most_effects)
     with options.resumable(out):
         content = diagnosis.run(scene, out, device=device, options=chosen, resume=resume)
     if content.get("unexplained"):

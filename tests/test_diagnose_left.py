@@ -139,6 +139,16 @@ def test_the_far_tail_of_a_smear_is_no_floor() -> None:
     assert np.array_equal(floored.measures_power, floored.empty)
 
 
+def test_what_a_models_sidelobes_explain_is_no_unexplained_power() -> None:
+    """Sidelobes of 4 dB more than the model has, 40 dB down: a response is not known better. Twenty times is power."""
+    _, lit, dark = dark_image()
+    modelled = np.where(lit, 1.0, 1e-4)
+    for factor, share in ((2.5, 0.0), (20.0, 1.0)):
+        one = DarkPixels.of(observation(np.where(lit, 1.0, factor * modelled), lit, dark), modelled)
+        assert one.measures_power.sum() == dark.sum()  # a floor is not ruled out by zeros
+        assert one.unexplained.sum() == share * dark.sum()
+
+
 def test_a_floor_that_the_model_has_is_judged_by_its_speckle() -> None:
     """sqrt(L) (I - mu) / mu, and no more than a trace where the floor is fainter."""
     image, lit, dark = dark_image()

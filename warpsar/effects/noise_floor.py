@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
@@ -10,7 +11,16 @@ import warp as wp
 from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import Parameter
 from warpsar.effects.base.recorder import Recorder
-from warpsar.effects.base.signature import SeenImage, Signature, power_in
+from warpsar.effects.base.sidelobes import beside_sidelobes
+from warpsar.effects.base.signature import (
+    AT_LEAST,
+    AT_MOST,
+    FEWEST,
+    KNOWN,
+    SURE,
+    SeenImage,
+    Signature,
+)
 from warpsar.effects.base.trial import Context, ScoreStep, Trial
 from warpsar.kernels.effects import noise_floor as kernels
 
@@ -44,8 +54,18 @@ class NoiseFloor(Effect):
     )
 
     def own_test(self, images: Sequence[SeenImage], table: Mapping[str, Any]) -> Signature:
-        """A floor is seen in shadows."""
-        return power_in(images, [one.dark for one in images], "the floor", "in shadows")
+        """A floor is seen in shadows, and does not fall with distance from what is bright, as sidelobes do."""
+        share, error, pixels = beside_sidelobes(images, [one.gain * float(table["level"]) for one in images])
+        numbers = {"pixels": float(pixels), "share": share, "error": error}
+        if pixels < FEWEST or not math.isfinite(share + error):
+            return Signature("none", f"{pixels} pixels in shadows: too few for a test", {"pixels": float(pixels)})
+        said = f"{pixels} pixels in shadows measure {share:.2f} +- {error:.2f} of the floor"
+        beside = "beside what falls with distance from bright pixels, as sidelobes do"
+        if share + SURE * error < AT_LEAST or share - SURE * error > AT_MOST:
+            return Signature("against", f"{said} {beside}", numbers)
+        if error < KNOWN and AT_LEAST < share < AT_MOST:
+            return Signature("confirmed", f"{said} {beside}", numbers)
+        return Signature("none", f"{said}: it cannot be told here from sidelobes of what is bright", numbers)
 
     def trials(self, context: Context) -> list[Trial]:
         size = 0.1 * context.level

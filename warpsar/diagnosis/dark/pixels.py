@@ -15,6 +15,7 @@ from warpsar.learning.problem import FitProblem
 from warpsar.speckle.law import Law
 
 NOTHING = 0.01
+EXPLAINED = 10.0  # times the modelled power: speckle and a response known to some dB scatter by less
 LEAST = 1e-6
 """Of a trace: what is measured below is 0. The far tail of a smear leaves as much, and so does rounding."""
 UNSURE = 0.1  # of the modelled power, by which two sets of rays may differ where a pixel is judged
@@ -64,6 +65,11 @@ class DarkPixels:
         return self.empty & (self.measured > LEAST * self.allowed)
 
     @property
+    def unexplained(self) -> np.ndarray:
+        """Those of them that measure far more than the little that the model puts there, such as its sidelobes."""
+        return self.measures_power & (self.measured > EXPLAINED * self.modelled)
+
+    @property
     def powered(self) -> np.ndarray:
         """Judged pixels where the model puts a trace or more."""
         return self.interior & (self.modelled >= self.allowed)
@@ -110,6 +116,6 @@ def impossible(pixels: Sequence[DarkPixels]) -> dict[str, np.ndarray]:
     the model has power or the pixel is not judged. Of several polarizations, their mean."""
     found: dict[str, list[np.ndarray]] = {}
     for one in pixels:
-        power = np.where(one.measured > NOTHING * one.allowed, one.measured, 0.0)
+        power = np.where(one.unexplained & (one.measured > NOTHING * one.allowed), one.measured, 0.0)
         found.setdefault(one.seen.view.name, []).append(np.where(one.empty, power, np.nan))
     return {name: np.mean(planes, axis=0) for name, planes in found.items()}

@@ -20,13 +20,15 @@ SILENT_SHARE = 0.01  # of the dark pixels that may measure exactly 0 under a flo
 
 @dataclass(frozen=True)
 class Dark:
-    """Pixels far from everything lit in which the model puts nothing: how many there are, how many of them measure
-    power, and how much, by view name (see `impossible`). `placed`: effects that put power exactly there."""
+    """Pixels far from everything lit in which the model puts next to nothing: how many there are, how many of them
+    measure power, and how much, by view name (see `impossible`). `placed`: effects that put power exactly there.
+    `unexplained`: how many measure far more than the model's sidelobes."""
 
     pixels: int
     positive: int
     power: Mapping[str, np.ndarray] = field(default_factory=dict)
     placed: Sequence[str] = ()
+    unexplained: int = 0
 
     @classmethod
     def of(cls, base: Fitted) -> Dark:
@@ -38,12 +40,13 @@ class Dark:
         power = impossible(found)
         free = [name for name in names() if name not in base.scene.effects]
         placed = [name for name in free if get(name).placed_in_the_dark(base.scene, {}, power) is not None]
-        return cls(sum(int(one.empty.sum()) for one in found), positive, power, placed)
+        unexplained = sum(int(one.unexplained.sum()) for one in found)
+        return cls(sum(int(one.empty.sum()) for one in found), positive, power, placed, unexplained)
 
     @property
     def everywhere(self) -> bool:
-        """Most of them measure power, and no multiple of a model's darkness explains it."""
-        return self.pixels >= DARK_PIXELS and self.positive > 0.5 * self.pixels
+        """Most of them measure power that the model has not, and no multiple of a model's darkness explains it."""
+        return self.pixels >= DARK_PIXELS and self.unexplained > 0.5 * self.pixels
 
     @property
     def asks(self) -> bool:
@@ -85,6 +88,6 @@ def worth_a_refit(candidates: Sequence[Candidate], threshold: float, dark: Dark)
     if dark.asks:
         able = [c for c in order if c.testability == "testable" and dark.answered_by(c.effect)]
         for candidate in able:
-            candidate.note = f"{dark.positive} of {dark.pixels} dark pixels measure power"
+            candidate.note = f"{dark.unexplained} of {dark.pixels} dark pixels measure power that the model has not"
         found = able + [c for c in found if c not in able]
     return found

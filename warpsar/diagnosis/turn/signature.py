@@ -210,8 +210,9 @@ def seen_images(bench: Bench, without: Scene, with_it: Scene) -> list[SeenImage]
     """Every train image beside both models, with the gains of each."""
     problem = bench.problem(with_it, dark=False)
     planes = [_whole(bench.problem(scene, dark=False)) for scene in (without, with_it)]
+    gains = problem.gains(problem.modelled_as_declared())
     found = []
-    for seen, before, after in zip(problem.observations, *planes, strict=True):
+    for seen, before, after, gain in zip(problem.observations, *planes, gains, strict=True):
         found.append(
             SeenImage(
                 seen.view,
@@ -226,6 +227,7 @@ def seen_images(bench: Bench, without: Scene, with_it: Scene) -> list[SeenImage]
                 seen.dark,
                 surface_in_pixels(bench, with_it, seen.view)[0],
                 with_it.mesh.materials,
+                float(gain),
             )
         )
     return found

@@ -52,6 +52,8 @@ class SeenImage:
     dark: np.ndarray
     material: np.ndarray
     materials: tuple[str, ...]
+    gain: float = 1.0
+    """Of the model with the effect, which its image has already."""
 
     @cached_property
     def points(self) -> np.ndarray:
