@@ -25,6 +25,7 @@ from references import DATA, KEYS, NO_SPECKLE_LOOKS, changed, clean_images, logs
 
 from warpsar.io.images import replacing
 from warpsar.learning.command import Learned, LearnOptions, learn
+from warpsar.learning.metrics import pooled_metrics
 from warpsar.scene.scene import Scene
 from warpsar.world.tables import Sampling
 
@@ -241,14 +242,15 @@ def sampling_error(
                 begun = changed(replace(observed, sampling=sampling), "building", **start)
                 found = learn(begun, device=device, options=LearnOptions(starts=1))
                 errors = logs(values_of(found, "building")) - logs(truth)
+                by_rays = pooled_metrics(found.problem, found.x)  # of the fit's own rays, where `train` has exact areas
                 rows.append(
                     {
                         "deposit": deposit,
                         "rays_per_pixel": count,
                         "seed": seed,
                         "parameter_error": float(np.sqrt(np.mean(errors**2))),
-                        "rmse": found.train["rmse"] / largest,
-                        "rms_db": found.train["rmse_db"],
+                        "rmse": by_rays["rmse"] / largest,
+                        "rms_db": by_rays["rmse_db"],
                     }
                 )
     return rows

@@ -70,7 +70,7 @@ def test_a_reader_gets_from_nothing_to_a_diagnosis_that_finds_it(checkout: Path)
     assert passed is not None
     assert int(passed[1]) >= 10
     run(make, checkout)
-    assert run(diagnose, checkout).startswith("azimuth_drift; test deviance ")
+    assert run(diagnose, checkout).startswith("azimuth_drift; edges agree to ")
     found = json.loads((checkout / "out" / "found" / "diagnosis.json").read_text())
     assert found["verdict"] == ["azimuth_drift"]
     at = found["identifiability"]["parameters"].index("azimuth_drift.db_per_m")

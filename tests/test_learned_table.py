@@ -259,7 +259,8 @@ def test_the_command_leaves_a_table_that_its_scene_names(tmp_path: Path) -> None
     assert told["incidence_deg"] == ANGLES.tolist()
     assert told["incidence_seen_deg"] == pytest.approx([30.0, 50.0], abs=1e-3)
     assert told["before"]["deviance"] > 1.3 > 1.1 > told["after"]["deviance"]
-    assert told["after"]["deviance"] == pytest.approx(content["train"]["deviance"], rel=1e-6)
+    # of the fit's own rays, where `train` has exact areas: 64 rays leave a hundredth or two of the deviance of 16 looks
+    assert told["after"]["deviance"] == pytest.approx(content["train"]["deviance"], abs=0.03)
     assert "Learned tables of sigma0" in (out / "report.html").read_text()
     assert (out / "lawn_sigma0.png").stat().st_size > 10000
     np.testing.assert_array_equal(sigma0_table.read(tmp_path / "lawn.csv").sigma0_db["HH"], GIVEN.sigma0_db["HH"])

@@ -94,7 +94,7 @@ MYPY = """
 "list[warpsar.simulation.view.SimulatedView]"
 "float"
 "warpsar.diagnosis.result.Diagnosed"
-"warpsar.evaluation.image.Evaluation"
+"warpsar.compare.evaluation.Evaluation"
 "def (values: Mapping[str, Any] | None, cotangents:
 error: Argument 1 to "simulate" has incompatible type "str"; expected "Scene"
 error: Module has no attribute "imagine"

@@ -23,6 +23,7 @@ from warpsar.differentiable.geometry import exact_images
 from warpsar.runtime import devices
 from warpsar.scene.placing import with_objects
 from warpsar.scene.scene import Scene
+from warpsar.speckle.law import Law
 from warpsar.speckle.likelihood import expected_deviance
 from warpsar.world.objects.assembly import Assembly
 from warpsar.world.objects.table import Object
@@ -185,6 +186,7 @@ def test_explained_is_one_for_the_truth_and_none_for_no_change() -> None:
 
     class Seen:
         looks = LOOKS
+        law = Law(LOOKS)
 
     Seen.values = values  # type: ignore[attr-defined]
     wrong = truth.copy()

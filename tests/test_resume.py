@@ -186,7 +186,7 @@ def test_ctrl_c_before_the_first_checkpoint(tmp_path: Path, monkeypatch: pytest.
     def pressed(*arguments: object, **options: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("warpsar.learning.command.run", pressed)
+    monkeypatch.setattr("warpsar.learning.command.fitted", pressed)
     scene = small_scene(tmp_path / "scene", "lm")
     done = CliRunner().invoke(main, ["learn", str(scene), "-o", str(tmp_path / "out")])
     assert done.exit_code == 130

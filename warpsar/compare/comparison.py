@@ -154,7 +154,9 @@ class Comparison:
         looks = declared_looks(view)
         if looks is None:
             return self
-        seen = replace(self.seen, view=view, looks=looks, looks_estimated=False, texture=view.texture or math.inf)
+        seen = replace(
+            self.seen, view=view, looks=looks, looks_estimated=view.looks_estimated, texture=view.texture or math.inf
+        )
         return replace(self, seen=seen)
 
     def part(self, rows: slice, cols: slice) -> Comparison:

@@ -157,7 +157,7 @@ def observe(scene: Scene, view: View, polarization: str, lit: np.ndarray) -> Obs
             f"positive at once; the image and the mesh do not meet, or sigma0 is 0 at the declared parameters"
         )
     distance = distance_transform_edt(~lit) if lit.any() else np.full(lit.shape, np.inf)
-    looks, estimated = declared_looks(view), view.looks is None
+    looks, estimated = declared_looks(view), view.looks is None or view.looks_estimated
     if looks is None:
         looks = estimated_looks(scene, view, np.where(interior, measured, np.nan))
     return Observation(

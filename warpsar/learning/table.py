@@ -40,7 +40,7 @@ class LearnedTable:
     """A table and its `file`, beside the one that was `given`; `sd_db`, by learned channel, each (rows,).
 
     `seen_deg`: the incidences between which images saw the material. `before` and `after`: pooled metrics of the
-    `train` views, with all tables as given and as learned, and the `steps` that it took.
+    `train` views by the fit's own rays, with all tables as given and as learned, and the `steps` that it took.
     """
 
     file: Path

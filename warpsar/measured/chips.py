@@ -90,7 +90,11 @@ def import_chips(
         write_exr(image, {pol: power})
         slc = keep_phase(image, pol, gridded)
         pictures.append(quick_look(image, view, pol, power, scene))
-        stated = {"looks": None if looks is None else round(looks, 2), "clipped_at": top}
+        stated = {
+            "looks": None if looks is None else round(looks, 2),
+            "looks_estimated": None if looks is None or (view.looks and not view.looks_estimated) else True,
+            "clipped_at": top,
+        }
         done.append((view, pol, image.name, stated, slc))
     sheet = scene_path.parent / f"{scene_path.stem}_measured.png"
     contact_sheet(sheet, pictures)

@@ -130,7 +130,11 @@ def import_measured(
     picture = quick_look(image_path, view, pol, power, scene)
     draw_together([picture])
     slc_path = keep_phase(image_path, pol, gridded)
-    stated = {"looks": None if looks is None else round(looks, 2), "clipped_at": clip_level(measured, per_pixel)}
+    stated = {
+        "looks": None if looks is None else round(looks, 2),
+        "looks_estimated": None if looks is None else True,
+        "clipped_at": clip_level(measured, per_pixel),
+    }
     with editing(scene_path) as document:
         if origin is not None and "origin" not in document["scene"]:
             document["scene"]["origin"] = tomlkit.inline_table()

@@ -4,6 +4,6 @@ devices: the Warp device of a name. threads: tasks on all cores. launches: launc
 program: a sequence of launches and its gradients. memory: bounds, and smaller parts where memory runs out. background:
 files written beside the work. console: messages and progress. matmul: products inside one thread. distributed,
 torchrun: the processes of one run.
-deadline: a time by which work shall end. busy: a sign of life for work that cannot say how far it is.
-driver: Warp's start.
+deadline: a time by which work shall end. forecast: how long work will take, in words. busy: a sign of life for work
+that cannot say how far it is. driver: Warp's start.
 """

@@ -28,6 +28,7 @@ CLOSE = 6.0  # of chi-square, within which another explanation is listed beside 
 POOR = 4.0  # chi-square for each degree of freedom, from which an explanation is none
 BETWEEN_95 = 1.96
 WIDEST = 5.0  # of a logarithm, that an interval reaches to either side
+TOLD = 3.0  # factor to either side, within which an interval must lie for its number to be found
 
 Kind = Literal["declared", "looks", "texture", "looks and texture", "none of them", "not told"]
 
@@ -59,6 +60,11 @@ class Estimate:
     def times(self, factor: float) -> Estimate:
         return Estimate(self.value * factor, self.low * factor, self.high * factor)
 
+    @property
+    def told(self) -> bool:
+        """Whether the interval says something of the number."""
+        return self.high < TOLD * self.value
+
     def __str__(self) -> str:
         return f"{self.value:.3g} ({self.low:.3g} to {self.high:.3g})"
 
@@ -89,6 +95,12 @@ class SpeckleFact:
     def names(self) -> list[str]:
         """What was found, by name: `looks`, `texture`, both, or nothing."""
         return [name for name in ("looks", "texture") if name in self.kind]
+
+    @property
+    def told(self) -> bool:
+        """Whether every number that was found has an interval that says something of it."""
+        numbers = [*self.looks.values(), *([] if self.texture is None else [self.texture])]
+        return all(one.told for one in numbers)
 
     @property
     def beside_structure(self) -> SpeckleFact:
@@ -127,7 +139,14 @@ def speckle_fact(images: Sequence[Scatter]) -> SpeckleFact:
     if best == "saturation":
         words = f"{_unlike(data)}: as if the measured power were compressed (saturation)"
         return SpeckleFact("none of them", words, rivals=rivals, measured=measured)
-    return _found(data, best, fits[best], rivals, measured)
+    found = _found(data, best, fits[best], rivals, measured)
+    if found.told:
+        return found
+    words = f"{_unlike(data)}: the cumulants do not tell how much of it is looks, and how much texture"
+    if data.estimated.any():
+        words += "; nor whether pixels are means of correlated samples, as looks were estimated from the images"
+        return SpeckleFact("not told", words, measured=measured)
+    return SpeckleFact("none of them", words, measured=measured)
 
 
 @dataclass(frozen=True)

@@ -456,6 +456,11 @@ class View(Table):
     looks: Annotated[_Positive, Field(le=1e9)] | None = Field(
         default=None, description="Equivalent number of looks of the images' speckle.", examples=[4.0]
     )
+    looks_estimated: bool = Field(
+        default=False,
+        description="Whether `looks` were estimated from the images themselves, as `import` does: no test of speckle "
+        "can then speak against them.",
+    )
     texture: Annotated[_Positive, Field(ge=0.05, le=1e6)] | None = Field(
         default=None,
         description="Shape of the gamma law by which the power itself varies from pixel to pixel beside speckle; none "
