@@ -148,7 +148,7 @@ def command(
 
 def _with_phase(scenes: tuple[Path, ...], out: Path, product: str, device: str | None, seed: int | None) -> None:
     context = click.get_current_context()
-    known = ("scenes", "out", "product", "device", "seed")
+    known = ("scenes", "out", "product", "device", "seed", "quiet")
     given = [
         p.opts[0]
         for p in context.command.params
