@@ -154,7 +154,7 @@ def _with_phase(
     scenes: tuple[Path, ...], out: Path, product: str, device: str | None, seed: int | None, yes: bool
 ) -> None:
     context = click.get_current_context()
-    known = ("scenes", "out", "product", "device", "seed", "yes")
+    known = ("scenes", "out", "product", "device", "seed", "quiet", "yes")
     given = [
         p.opts[0]
         for p in context.command.params

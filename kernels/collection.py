@@ -111,6 +111,7 @@ def tube_places_kernel(
     hits_in: wp.array2d[Hit],
     count_in: wp.array[int],
     single: int,
+    apart: wp.vec3d,  # half of the unit vector to the transmitter less that to the receiver
     # Out:
     place_out: wp.array2d[wp.vec3d],
     amplitude_out: wp.array3d[wp.vec2],
@@ -137,7 +138,8 @@ def tube_places_kernel(
             sight = look(radar, hit.point, 0.0)
             four = sent(tube_factor(k, hit, sight), fields, back, hit.d, hit.normal, sight.s, radar.u, radar.v)
             way = sight.back + hit.path
-            turn = turned(k * way)
+            # The way of two antennas changes by -apart . (entry - leave) over that of one halfway between them.
+            turn = turned(k * (way + wp.dot(apart, hits_in[0, ray].point - hit.point)))
             place_out[ray, b] = effective_place(radar, hits_in[0, ray].point, hit.point, way)
             face_out[ray, b] = hit.face
             amplitude_out[ray, b, 0] = unphased(four.hh, turn)

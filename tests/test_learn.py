@@ -117,7 +117,7 @@ def test_no_train_images_are_refused(cube: Scene) -> None:
 
 @pytest.mark.parametrize("key", ["eps", "noise_floor", "max_bounces", "looks", ""])
 def test_a_key_that_has_no_derivative_cannot_be_learned(key: str) -> None:
-    with pytest.raises(ValueError, match="eps_r"):
+    with pytest.raises(InputError, match="eps_r"):
         Material(**SOIL, learn=(key,))
 
 

@@ -86,7 +86,7 @@ reveal_type(warpsar.learn(scene, options=warpsar.LearnOptions(starts=1)).loss)
 reveal_type(warpsar.diagnose(scene, options=warpsar.DiagnoseOptions(starts=1)))
 reveal_type(warpsar.evaluate(scene))
 reveal_type(warpsar.renderer(scene).vjp)
-warpsar.simulate("scene.toml")
+warpsar.simulate(3)
 warpsar.imagine(scene)
 """
 MYPY = """
@@ -96,7 +96,7 @@ MYPY = """
 "warpsar.diagnosis.result.Diagnosed"
 "warpsar.compare.evaluation.Evaluation"
 "def (values: Mapping[str, Any] | None, cotangents:
-error: Argument 1 to "simulate" has incompatible type "str"; expected "Scene"
+error: Argument 1 to "simulate" has incompatible type "int"; expected "Scene | str | PathLike[str]"
 error: Module has no attribute "imagine"
 """
 

@@ -7,10 +7,13 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
+import warp as wp
 from click.testing import CliRunner
 from collected_scenes import field, scene
 
 from warpsar.cli.main import main
+from warpsar.collection.plan import plans_of
+from warpsar.collection.scatterers import body_of, spacing_m
 from warpsar.errors import InputError
 
 PRODUCTS = {"slc": {"one.npz", "one.png"}, "phase-history": {"one.npz"}}
@@ -63,3 +66,20 @@ def test_a_scene_without_the_table_is_refused(path: Path) -> None:
     done = CliRunner().invoke(main, words)
     assert isinstance(done.exception, InputError) or done.exit_code == 2
     assert not (path.parent / "out").exists()
+
+
+@pytest.mark.parametrize("product", PRODUCTS)
+def test_quiet_is_for_all_products(path: Path, product: str) -> None:
+    words = ["simulate", str(path), "-o", str(path.parent / "out"), "--product", product, "--device", "cpu", "-q"]
+    done = CliRunner().invoke(main, words)
+    assert done.exit_code == 0, done.output
+    assert "device:" not in done.output
+    assert (path.parent / "out" / "one.npz").exists()
+
+
+def test_too_many_scatterers_say_their_own_spacing(path: Path) -> None:
+    """That of the cells, not half a wavelength."""
+    made = scene(field(4e4, 4e4), collection={"resolution_m": (1.0, 1.0)}, shape=(16, 16), spacing=(0.5, 0.5))
+    (plan,) = plans_of(made, wp.get_device("cpu"))
+    with pytest.raises(InputError, match=rf"scatterers {spacing_m(plan):.3g} m apart".replace(".", r"\.")):
+        body_of(made, spacing_m(plan), wp.get_device("cpu"), 0)

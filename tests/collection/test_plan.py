@@ -137,7 +137,7 @@ def test_a_track_with_a_short_line_says_which(tmp_path: Path) -> None:
 )
 def test_a_key_that_a_mode_has_no_use_for_is_refused(mode: str, key: str, value: float) -> None:
     given = {"mode": mode, key: value} | ({"trajectory": Path("a.csv")} if mode == "file" else {})
-    with pytest.raises(ValueError, match=f'found {key} with mode = "{mode}"'):
+    with pytest.raises(warpsar.InputError, match=f'found {key} with mode = "{mode}"'):
         Collection(**given)
 
 

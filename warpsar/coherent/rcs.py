@@ -30,6 +30,12 @@ FEW = 1.0
 """Fresnel number below which rays in a duct are no better than a constant level (docs/coherent.md)."""
 LARGE_DB, WEAK_DB = 1.0, 30.0
 """An error of the spacing that is said, at values that are not so far under the strongest one."""
+NOTHING = 1e-20
+"""Power of a polarization that has no return, over that of the strongest one: -200 dB.
+
+Sums of float64 round at 1e-16 in amplitude for each of up to 1e6 tubes, 1e-10 together. No radar tells polarizations
+apart by half as many decibels.
+"""
 _BYTES = 16 * len(POLARIZATIONS)
 _TUBE_BYTES = 120
 """Memory for each tube of a direction with its parts; hits go in blocks."""
@@ -180,6 +186,8 @@ def swept(scene: World, asked: Asked, layers: bool = False) -> Rcs:
         each = found.bounces[..., chosen].reshape(*shape, frequencies.size, -1, len(chosen))
         met = np.flatnonzero(each.any(axis=(0, 1, 2, 4)))
         bounces = {int(b) + 2: each[:, :, :, b] for b in met}
+    # (frequencies,) [m2]: of all four polarizations, whether they are asked for or not
+    strongest = 4.0 * np.pi * (np.abs(found.amplitude.sum(axis=-2)) ** 2).max(axis=(0, -1))
     made = Rcs(
         azimuths,
         incidences,
@@ -196,7 +204,7 @@ def swept(scene: World, asked: Asked, layers: bool = False) -> Rcs:
         found.segments,
         asked.cautions,
     )
-    return replace(made, warnings=(*asked.cautions, *_warnings(scene, made)))
+    return replace(made, warnings=(*asked.cautions, *_warnings(scene, made, strongest)))
 
 
 def _numbers(given: ArrayLike, where: str) -> NDArray[np.float64]:
@@ -264,8 +272,8 @@ def _refuse_body(scene: World, body: CoherentBody, wavelength: float, rays_per_w
         )
 
 
-def _warnings(scene: World, found: Rcs) -> list[str]:
-    """What a user should know before trusting the numbers."""
+def _warnings(scene: World, found: Rcs, strongest: NDArray[np.float64]) -> list[str]:
+    """What a user should know before trusting the numbers; `strongest` (f,) is the largest RCS of any polarization."""
     warnings = []
     if (count := int((found.refined > 0.0).sum())) > 0:
         warnings.append(
@@ -277,7 +285,14 @@ def _warnings(scene: World, found: Rcs) -> list[str]:
             f"in {count} of {found.aliased.size} directions up to {100 * found.aliased.max():.2g} % of the tubes are "
             "too wide even so: their share of the amplitude is uncertain"
         )
-    strong = found.rcs_m2 > 10.0 ** (-WEAK_DB / 10.0) * found.rcs_m2.max(axis=(0, 1))
+    # (f, p)
+    nothing = found.rcs_m2.max(axis=(0, 1)) <= NOTHING * strongest[:, None]
+    for p in np.flatnonzero((nothing & (strongest[:, None] > 0.0)).all(axis=0)):
+        warnings.append(
+            f"there is no {found.polarizations[p]} return: its numbers are what rounding leaves, "
+            f"{-10.0 * np.log10(NOTHING):g} dB and more under the strongest polarization"
+        )
+    strong = ~nothing & (found.rcs_m2 > 10.0 ** (-WEAK_DB / 10.0) * found.rcs_m2.max(axis=(0, 1)))
     if (count := int((strong & (found.spacing_error_db > LARGE_DB)).sum())) > 0:
         warnings.append(
             f"at {count} of {int(strong.sum())} values within {WEAK_DB:g} dB of the strongest tubes of twice the width "

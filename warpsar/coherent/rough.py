@@ -43,7 +43,7 @@ def scatterers(
     wanted = 0.5 * twice / spacing_m**2
     if wanted.sum() > MOST:
         raise InputError(
-            f"rough faces: found {0.5 * twice.sum():.3g} m2, {wanted.sum():.3g} scatterers half a wavelength apart; "
+            f"rough faces: found {0.5 * twice.sum():.3g} m2, {wanted.sum():.3g} scatterers {spacing_m:.3g} m apart; "
             f'must be at most {MOST:.3g}, or leave "rough" out of radar.terms'
         )
     random = np.random.default_rng(seed)

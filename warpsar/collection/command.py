@@ -18,7 +18,7 @@ from warpsar.collection.history import Collected
 from warpsar.collection.history import phase_history as recorded
 from warpsar.collection.noise import with_image_noise, with_noise
 from warpsar.collection.plan import Plan, plans_of
-from warpsar.collection.scatterers import Scatterers, rough_alone, scatterers_of
+from warpsar.collection.scatterers import Scatterers, band_error_db, rough_alone, scatterers_of
 from warpsar.collection.slc import Slc, focused
 from warpsar.io import complex_image
 from warpsar.io.images import replacing
@@ -29,6 +29,9 @@ from warpsar.scene.scene import Scene, scene_or_file
 from warpsar.simulation.outputs import make_folder, refuse_unlikely_size, write_json
 from warpsar.world.world import World
 
+WIDE_BAND, SAID_DB = 0.06, 0.5
+"""Share of the middle frequency from which a band's amplitudes are looked at, and the error at its ends that is said:
+even an amplitude that goes as the frequency squared, as of small roughness, changes by less in a narrower band."""
 ALIASED = 0.01
 """Share of tubes that are too wide after a curved surface from which a warning is due."""
 
@@ -93,6 +96,16 @@ def seen(bodies: Bodies, plan: Plan, *, once: bool = False) -> Scatterers:
         found = scatterers_of(bodies.world, plan, bodies.of(plan), once=once)
     if not found.count:
         console.warn([f"{plan.view.name}: nothing sends back; radar.terms are {', '.join(bodies.world.radar.terms)}"])
+    if plan.bandwidth_hz > WIDE_BAND * plan.centre_hz:
+        error = band_error_db(bodies.world, plan, bodies.of(plan))
+        if error > SAID_DB:
+            share = 100.0 * plan.bandwidth_hz / plan.centre_hz
+            console.warn(
+                [
+                    f"{plan.view.name}: a band of {share:.2g} % of its middle frequency has the amplitudes of "
+                    f"{plan.centre_hz / 1e9:.4g} GHz; at its ends they are wrong by up to {error:.2g} dB"
+                ]
+            )
     if found.aliased > ALIASED:
         console.warn([f"{plan.view.name}: {100 * found.aliased:.2g} % of the tubes are too wide after curved surfaces"])
     return found

@@ -179,6 +179,10 @@ def _vectors(made: Collected, kind: np.dtype, times: np.ndarray, toa: float) -> 
     toward = [place / np.linalg.norm(place, axis=1, keepdims=True) for place in (track.transmitter_m, track.receiver_m)]
     rate = (toward[0] * sent + toward[1] * received).sum(axis=1)  # of both ways [m/s]
     vectors["aFDOP"] = -rate / SPEED_OF_LIGHT
+    # Of the shortest pulse that has the band: its sweep takes 1 / B, in which a sensor moves by v / B, 0.03 mm. Zeros
+    # say an endless rate, by which readers divide.
+    vectors["aFRR2"] = 2.0 / (SPEED_OF_LIGHT * plan.bandwidth_hz**2)
+    vectors["aFRR1"] = 0.5 * (made.frequency_hz[0] + made.frequency_hz[-1]) * vectors["aFRR2"]
     vectors["FX1"], vectors["FX2"] = made.frequency_hz[[0, -1]]
     vectors["SC0"], vectors["SCSS"] = plan.start_hz, plan.step_hz
     vectors["TOA1"], vectors["TOA2"], vectors["SIGNAL"] = -toa, toa, 1

@@ -92,8 +92,12 @@ def edge_places(worker: Worker, radar: wp.array) -> Places:
     return _kept(worker.edge_middle.numpy(), complex_of(out), worker.body.shape.wedges.face[which, 0])
 
 
-def tube_places(worker: Worker, direction: Directions, radar: wp.array, distance_m: float) -> tuple[Places, float]:
+def tube_places(
+    worker: Worker, direction: Directions, radar: wp.array, distance_m: float, apart: F64
+) -> tuple[Places, float]:
     """Hits of tubes, and the share of tubes that alias.
+
+    `apart` (3,) is half of the unit vector to the transmitter less that to the receiver: zero for one antenna.
 
     A coarse tracing first finds the cells where a smooth face is met, or a second one; they and their neighbours are
     traced with tubes of the worker's width.
@@ -109,7 +113,7 @@ def tube_places(worker: Worker, direction: Directions, radar: wp.array, distance
         amplitude = wp.zeros((n, most, 4), dtype=wp.vec2, device=body.device)
         face = wp.zeros((n, most), dtype=int, device=body.device)
         inputs = [radar, float(worker.k[0]), worker.stuff, body.face_material]
-        inputs += [traced.hits, traced.count, int("single" in worker.terms)]
+        inputs += [traced.hits, traced.count, int("single" in worker.terms), wp.vec3d(*apart)]
         wp.launch(kernels.tube_places_kernel, n, inputs=inputs, outputs=[place, amplitude, face], device=body.device)
         values = complex_of(amplitude).reshape(-1, 4)
         found.append(_kept(place.numpy().reshape(-1, 3), values, face.numpy().reshape(-1).astype(np.int64)))

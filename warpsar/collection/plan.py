@@ -35,6 +35,9 @@ SPARE = 0.7
 MOST = 0.8
 """Share that it may take at most: CPHD asks for samples of frequency a little denser than needed."""
 FEWEST = 32
+WIDEST_DEG = 12.0
+"""Between transmitter and receiver. Amplitudes are those of one antenna halfway between them: physical optics of a face
+tilted by 45 degrees to it is then wrong by tan(45) tan(6 degrees), 1 dB, and that of a face across it by 0.02 dB."""
 _SHOWN = 200
 """Pulses that are looked at for ambiguity, with the one after each."""
 
@@ -223,6 +226,7 @@ def plan_of(world: World, view: View, device: wp.Device) -> Plan:
     corners = np.stack(np.meshgrid(*ends.T, indexing="ij"), axis=-1).reshape(-1, 3)
     made = Plan(view, table, geometry_of(world, view), site, _dot(), low, high - low, 2, corners)
     made = replace(made, track=_track(world, made, 0.5 * (low + high)))
+    _refuse_wide(world, made)
     _refuse_narrow(world, made)
     _refuse_ground(world, made, device)
     made = _sampled_band(world, made, low, high)
@@ -324,6 +328,17 @@ def _aperture(world: World, plan: Plan, frequency: float) -> float:
             f"aperture of {needed:.3g} degrees; aperture_deg is {given:g}; must be at least that"
         )
     return float(needed) if given is None else given
+
+
+def _refuse_wide(world: World, plan: Plan) -> None:
+    """Raise InputError for antennas so far apart that the amplitudes of one between them are no longer theirs."""
+    if (angle := plan.track.bistatic_deg()) > WIDEST_DEG:
+        key = "trajectory" if plan.table.trajectory is not None else "transmitter"
+        raise InputError(
+            f"{world.name}: collection.{key}: found the transmitter {angle:.3g} degrees from the receiver, as the "
+            f"reference point sees them in view {plan.view.name}; must be at most {WIDEST_DEG:g}: amplitudes are those "
+            "of one antenna halfway between them, wrong by more than 1 dB beyond"
+        )
 
 
 def _refuse_narrow(world: World, plan: Plan) -> None:

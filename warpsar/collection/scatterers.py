@@ -121,12 +121,36 @@ def scatterers_of(
     for knot, weight in zip(knots, _fading(plan, knots), strict=True):
         direction, radar = places.sight(body, sensor[knot])
         if smooth - {"edges"}:
-            some, wide = places.tube_places(worker, direction, radar, float(np.linalg.norm(sensor[knot])))
+            distance = float(np.linalg.norm(sensor[knot]))
+            some, wide = places.tube_places(worker, direction, radar, distance, plan.track.apart()[knot])
             aliased = max(aliased, wide)
             add(some, weight)
         if "edges" in terms and worker.edges.shape[0]:
             add(places.edge_places(worker, radar), weight)
     return Scatterers(tuple(found), aliased)
+
+
+def band_error_db(world: World, plan: Plan, body: CoherentBody) -> float:
+    """How far amplitudes at an end of the band lie from those of its middle, which stand for the whole band [dB].
+
+    Currents on smooth faces send back in proportion to the frequency. Rough places are computed at both ends, as the
+    middle of the track sees them: the change is that of their power.
+    """
+    ends = np.array([-0.5, 0.5]) * plan.bandwidth_hz + plan.centre_hz
+    found = [0.0]
+    if {"single", "multibounce"} & set(world.radar.terms) and not all(m.rms_height_m for m in body.materials):
+        found += (20.0 * np.log10(ends / plan.centre_hz)).tolist()
+    if "rough" in world.radar.terms and body.scatterers is not None:
+        sensor = plan.track.towards()[plan.middle] * plan.track.reference_m()[plan.middle]
+        radar = places.sight(body, sensor)[1]
+        powers = []
+        for frequency in (plan.centre_hz, *ends):
+            k = 2.0 * np.pi * frequency / SPEED_OF_LIGHT
+            worker = places.worker_of(body, k, ("rough",), 1, RAYS_PER_WAVELENGTH)
+            powers.append(float((np.abs(places.complex_of(places.rough_amplitudes(worker, radar)[0])) ** 2).sum()))
+        if powers[0] > 0.0:
+            found += (10.0 * np.log10(np.maximum(np.divide(powers[1:], powers[0]), 1e-30))).tolist()
+    return max(map(abs, found))
 
 
 def _fading(plan: Plan, knots: NDArray[np.int64]) -> NDArray[np.float32]:

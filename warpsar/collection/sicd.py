@@ -1,4 +1,4 @@
-"""SICD 1.4.0 (NGA.STND.0024) of a complex image, written with sarkit.
+"""SICD 1.3.0 (NGA.STND.0024) of a complex image, written with sarkit.
 
 The grid is of the type PLANE: each pixel is a place of the image's plane, onto which the phase history was
 backprojected. Its projection into the world is then the standard's own, whatever the track.
@@ -24,7 +24,8 @@ from warpsar.measured.focus import TAYLOR_NBAR, TAYLOR_SIDELOBE_DB
 from warpsar.version import __version__
 from warpsar.world.frame import SPEED_OF_LIGHT
 
-NAMESPACE = "urn:SICD:1.4.0"
+NAMESPACE = "urn:SICD:1.3.0"
+"""The newest that sarpy 2.1 knows; nothing that is written here is of a newer one."""
 START = "2026-01-01T00:00:00"
 """A simulated collection has no date of its own."""
 _ORDER = 4

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from numbers import Real
 
 from warpsar.errors import InputError, refuse_number, shown
 from warpsar.learning.problem import FitProblem
@@ -50,8 +51,7 @@ class LearnOptions:
         if self.optimiser not in ("auto", "lm", "adam"):
             raise InputError(f"--optimiser: found {self.optimiser!r}; allowed are auto, lm, adam")
         for key, weight in self.total_variation.items():
-            refuse_number(weight, f"--tv: {key}")
-            if key not in KEYS or not weight < float("inf"):
+            if key not in KEYS or not isinstance(weight, Real) or not 0 <= weight < float("inf"):
                 raise InputError(f"--tv: found {key}={weight}; allowed is one of {', '.join(KEYS)} and a number >= 0")
 
 
