@@ -177,7 +177,7 @@ VIEW = {
 """Of a view, what says how it is made."""
 OF_A_VIEW = {"depression_deg", "grazing_deg"}
 """Other words for the incidence."""
-MEASURED = {"name", "images", "slc", "mask", "looks", "texture", "clipped_at", "role"}
+MEASURED = {"name", "images", "slc", "mask", "looks", "looks_estimated", "texture", "clipped_at", "role"}
 """Of a view, what says how its measured images are read and compared; nothing of how an image is made."""
 
 

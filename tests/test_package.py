@@ -96,7 +96,7 @@ MYPY = """
 "warpsar.diagnosis.result.Diagnosed"
 "warpsar.compare.evaluation.Evaluation"
 "def (values: Mapping[str, Any] | None, cotangents:
-error: Argument 1 to "simulate" has incompatible type "int"; expected "Scene | str | PathLike[str]"
+error: Argument 1 to "simulate" has incompatible type "int"; expected "Scene | PathLike[str] | str"
 error: Module has no attribute "imagine"
 """
 

@@ -60,7 +60,7 @@ class Simulation:
         merge: bool = True,
         max_memory_gib: float = DEFAULT_MEMORY_GIB,
         bar: Any = None,
-        part: Mapping[str, float] | None = None,
+        part: Mapping[str, Any] | None = None,
     ) -> None:
         self.scene, self.stage, self.bar, self.part = scene, stage, bar, part or {}
         self.seed = scene.seed(seed)
@@ -248,7 +248,7 @@ def expected(made: Simulation, output: Output, mine: Sequence[int]) -> Estimate 
 
     def picture() -> None:
         shape = [min(n, LARGEST) for n in scene.grid.shape]
-        power = dict.fromkeys(scene.radar.polarizations, np.ones(shape, np.float32))
+        power = {str(pol): np.ones(shape, np.float32) for pol in scene.radar.polarizations}
         with TemporaryDirectory() as folder:
             draw_together([QuickLook.of(Path(folder) / "quick_look.png", "", power, scene.grid.spacing_m)])
 

@@ -36,7 +36,7 @@ def trace_view(
     rays_per_m2: float | None = None,
     merge: bool = True,
     max_memory_gib: float = DEFAULT_MEMORY_GIB,
-    part: Mapping[str, float] | None = None,
+    part: Mapping[str, Any] | None = None,
     **options: Any,
 ) -> Hits:
     """Hits of one view, with the scene's sampling unless `rays_per_m2` is given, binned as its effects need.
