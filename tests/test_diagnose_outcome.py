@@ -1,16 +1,25 @@
 """What a diagnosis says of every effect in a turn: why it was added, or was not."""
 
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
+from test_diagnose import scene_with
 
-from warpsar.diagnosis.found import Candidate, Confirmed, Turn
+from warpsar.diagnosis.found import Candidate, Confirmed, DiagnoseOptions, Turn
+from warpsar.diagnosis.models.bench import Bench
+from warpsar.diagnosis.models.frozen import frozen
 from warpsar.diagnosis.models.left_out import LeftOut
 from warpsar.diagnosis.search.confirmation import Confirmation
+from warpsar.diagnosis.search.forecast import Forecast, forecast
 from warpsar.diagnosis.search.outcome import confirmation_lines, outcome, turn_lines
+from warpsar.runtime import devices
+from warpsar.runtime.forecast import LONG_S
+from warpsar.simulation.rays import Rays
 from warpsar.speckle.scan import Spot
+from warpsar.surface.stage import Stage
 
 FITTED = Candidate("point_spread", "testable", minus_log_p=50.0, refit_gain=1234.56, refit_size=2)
 
@@ -101,3 +110,20 @@ def test_a_turn_on_the_console() -> None:
         "  not over the threshold of 8.0: range_loss 2.0",
         "  not testable: vegetation",
     ]
+
+
+# ---- how long it will take ----
+
+
+def test_two_times_are_announced(tmp_path: Path) -> None:
+    """What is long is announced: the time if nothing is missing, and that of each effect."""
+    scene = scene_with({}, tmp_path)
+    device = devices.resolve_device("cpu")
+    rays = Rays(Stage.of(scene, device), 64.0, 1)
+    bench = replace(one := Bench(device, rays, {}), observations=frozen(one, one, scene))
+    long = forecast(bench, scene, DiagnoseOptions(draws=10**6))
+    assert long is not None
+    assert long.effect_s > long.nothing_s > LONG_S
+    assert str(Forecast(20.0, 300.0)).startswith(
+        "about 20 s if nothing is missing, and about 5 min more for each effect"
+    )

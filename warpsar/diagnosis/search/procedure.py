@@ -18,6 +18,7 @@ from warpsar.diagnosis.models.frozen import frozen
 from warpsar.diagnosis.models.judge import Judge, with_speckle
 from warpsar.diagnosis.models.refit import fit_model, refit_as
 from warpsar.diagnosis.search.course import Course
+from warpsar.diagnosis.search.forecast import forecast
 from warpsar.diagnosis.search.loop import Search
 from warpsar.errors import InputError
 from warpsar.runtime import console
@@ -54,6 +55,8 @@ def diagnose_scene(
     one, other = (Bench(device, each, {}, ranks, mesh=scene.mesh) for each in (rays, other_rays))
     bench = replace(one, observations=frozen(one, other, scene))
 
+    if ranks.size == 1 and not has_fields(scene) and (expected := forecast(bench, scene, options)) is not None:
+        console.say(str(expected))
     bar = console.progress(2 * options.draws, "diagnose", "")
     console.say("fit of the declared model")
     course = course or Course()
