@@ -106,7 +106,7 @@ def command(
       warpsar simulate scene.toml -o out/ --azimuths 0:360:10 --incidences 30,45
     """
     if product != "beta0":
-        _with_phase(scenes, out, product, device, seed)
+        _with_phase(scenes, out, product, device, seed, max_memory)
         return
     if len(scenes) > 1 or azimuths is not None or incidences is not None:
         from warpsar.simulation import batch
@@ -146,9 +146,16 @@ def command(
     )
 
 
-def _with_phase(scenes: tuple[Path, ...], out: Path, product: str, device: str | None, seed: int | None) -> None:
+def _with_phase(
+    scenes: tuple[Path, ...],
+    out: Path,
+    product: str,
+    device: str | None,
+    seed: int | None,
+    max_memory: float | None,
+) -> None:
     context = click.get_current_context()
-    known = ("scenes", "out", "product", "device", "seed")
+    known = ("scenes", "out", "product", "device", "seed", "max_memory")
     given = [
         p.opts[0]
         for p in context.command.params
@@ -156,7 +163,9 @@ def _with_phase(scenes: tuple[Path, ...], out: Path, product: str, device: str |
     ]
     if len(scenes) > 1 or given:
         found = ", ".join(given) or f"{len(scenes)} scenes"
-        raise click.UsageError(f"--product {product}: found {found}; it takes one scene, --out, --device and --seed")
+        raise click.UsageError(
+            f"--product {product}: found {found}; it takes one scene, --out, --device, --seed and --max-memory"
+        )
     from warpsar.collection.command import run
 
-    run(scenes[0], out, product, device=device, seed=seed)
+    run(scenes[0], out, product, device=device, seed=seed, max_memory_gib=max_memory)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -13,11 +15,13 @@ import warp as wp
 from warpsar.collection import cphd, sicd
 from warpsar.collection.bodies import Bodies
 from warpsar.collection.direct import direct, direct_of_rough, refuse_direct
+from warpsar.collection.forecast import forecast, together
 from warpsar.collection.history import Collected
 from warpsar.collection.history import phase_history as recorded
 from warpsar.collection.noise import with_image_noise, with_noise
+from warpsar.collection.places import Tally
 from warpsar.collection.plan import Plan, plan_of
-from warpsar.collection.scatterers import Scatterers, rough_alone, scatterers_of
+from warpsar.collection.scatterers import Stream, rough_alone
 from warpsar.collection.slc import Slc, focused
 from warpsar.io import complex_image
 from warpsar.io.images import replacing
@@ -28,7 +32,7 @@ from warpsar.scene.scene import Scene
 from warpsar.simulation.outputs import make_folder, write_json
 
 ALIASED = 0.01
-"""Share of tubes that are too wide after a curved surface from which a warning is due."""
+"""Share of the tubes' power, in tubes that are too wide after a curved surface, from which a warning is due."""
 
 
 def phase_history(scene: Scene, *, device: str | None = None, seed: int | None = None) -> list[Collected]:
@@ -45,8 +49,8 @@ def phase_history(scene: Scene, *, device: str | None = None, seed: int | None =
 
 def collected(bodies: Bodies, plan: Plan, index: int) -> Collected:
     """One view; `index` is its number, which tells its noise from that of others."""
-    found = seen(bodies, plan)
-    with busy(f"{plan.view.name}: {found.count} scatterers, {len(plan.track)} pulses"):
+    load_kernels(bodies.device)
+    with _stream(bodies, plan) as found:
         made = recorded(plan, found, tuple(bodies.world.radar.polarizations), bodies.device)
     return with_noise(made, bodies.seed + 7919 * index)
 
@@ -71,25 +75,43 @@ def image_of(bodies: Bodies, plan: Plan, index: int) -> Slc:
         with busy(f"{plan.view.name}: focusing"):
             return focused(made, world.grid, device)
     refuse_direct(plan, world.name)
-    with busy(f"{plan.view.name}: scatterers into the image"):
-        if rough_alone(world):
-            load_kernels(device)
+    load_kernels(device)
+    if rough_alone(world):
+        with busy(f"{plan.view.name}: scatterers into the image"):
             image = direct_of_rough(bodies, plan)
-        else:
-            image = direct(plan, seen(bodies, plan, once=True), tuple(world.radar.polarizations), world.grid, device)
+    else:
+        with _stream(bodies, plan, once=True) as found:
+            image = direct(plan, found, tuple(world.radar.polarizations), world.grid, device)
     return with_image_noise(image, bodies.seed + 7919 * index)
 
 
-def seen(bodies: Bodies, plan: Plan, *, once: bool = False) -> Scatterers:
-    """The scatterers of one view; `once`: as the middle of the track sees them."""
-    load_kernels(bodies.device)
-    with busy(f"{plan.view.name}: scatterers"):
-        found = scatterers_of(bodies.world, plan, bodies.of(plan), once=once)
+@contextmanager
+def _stream(bodies: Bodies, plan: Plan, *, once: bool = False) -> Iterator[Stream]:
+    """The scatterers of one view, under a bar; `once`: as the middle of the track sees them. Warns at the end."""
+    name = plan.view.name
+    with busy(f"{name}: rough faces"):
+        body = bodies.of(plan)
+    found = Stream(bodies.world, plan, body, once=once, together=bodies.together)
+    with console.share(f"{name}: scatterers", found.looks) as bar:
+        found.progress = bar
+        yield found
     if not found.count:
-        console.warn([f"{plan.view.name}: nothing sends back; radar.terms are {', '.join(bodies.world.radar.terms)}"])
-    if found.aliased > ALIASED:
-        console.warn([f"{plan.view.name}: {100 * found.aliased:.2g} % of the tubes are too wide after curved surfaces"])
-    return found
+        console.warn([f"{name}: nothing sends back; radar.terms are {', '.join(bodies.world.radar.terms)}"])
+    console.warn(f"{name}: {told}" for told in wide_tubes(found.tally))
+
+
+def wide_tubes(tally: Tally) -> list[str]:
+    """What tubes that are too wide mean for a product; empty where they hold little of the tubes' power."""
+    if tally.power_share <= ALIASED:
+        return []
+    without = 10.0 * np.log10(max(1.0 - tally.power_share, 1e-9))
+    return [
+        f"{100 * tally.share:.2g} % of the tubes get wider than half a wavelength after curved faces, and hold "
+        f"{100 * tally.power_share:.2g} % of the power of single and multibounce, which is {-without:.2g} dB lower "
+        f"without them: each adds up as if its face were flat, so it is too strong toward the mirror direction and too "
+        f"weak beside it. Rough ground, edges and flat faces are not touched. `warpsar rcs` cuts such tubes: compare "
+        f"the level of the curved parts with it, or leave single and multibounce out of radar.terms"
+    ]
 
 
 def load_kernels(device: wp.Device) -> None:
@@ -102,19 +124,34 @@ def _seed(scene: Scene, seed: int | None) -> int:
 
 
 def run(
-    scene_path: Path | str, out: Path | str, product: str, *, device: str | None = None, seed: int | None = None
+    scene_path: Path | str,
+    out: Path | str,
+    product: str,
+    *,
+    device: str | None = None,
+    seed: int | None = None,
+    max_memory_gib: float | None = None,
 ) -> dict[str, Any]:
-    """`warpsar simulate --product`: files of every view, and simulate.json, in `out`. Returns the JSON's content."""
+    """`warpsar simulate --product`: files of every view, and simulate.json, in `out`. Returns the JSON's content.
+
+    `max_memory_gib` bounds what is held at a time. Raises InputError where the product itself does not fit into it.
+    """
     started = time.perf_counter()
     with busy("reading the scene"):
         scene = Scene.load(scene_path)
     where, out = devices.resolve_device(device), Path(out)
     plans = [plan_of(scene, view, where) for view in scene.views]
+    most = together(scene, plans, product, where, max_memory_gib)
     make_folder(out)
     console.say_device(where)
     warnings = [*scene.warnings, *_warnings(scene)]
     console.warn(warnings)
-    bodies = Bodies(scene, plans, where, _seed(scene, seed))
+    bodies = Bodies(scene, plans, where, _seed(scene, seed), most)
+    load_kernels(where)
+    with busy("estimating time and memory"):
+        told = forecast(bodies, plans, product)
+    if told is not None:
+        console.say(str(told))
     write = _phase_history if product == "phase-history" else _slc
     entries = [write(bodies, plan, index, out) for index, plan in enumerate(plans)]
     content = {"product": product, "warnings": warnings, "views": entries}

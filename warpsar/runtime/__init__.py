@@ -5,5 +5,6 @@ program: a sequence of launches and its gradients. memory: bounds, and smaller p
 files written beside the work. console: messages and progress. matmul: products inside one thread. distributed,
 torchrun: the processes of one run.
 deadline: a time by which work shall end. busy: a sign of life for work that cannot say how far it is.
+forecast: what is said of the time of long work.
 driver: Warp's start.
 """
