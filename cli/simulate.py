@@ -108,7 +108,7 @@ def command(
       warpsar simulate scene.toml -o out/ --azimuths 0:360:10 --incidences 30,45
     """
     if product != "beta0":
-        _with_phase(scenes, out, product, device, seed, yes)
+        _with_phase(scenes, out, product, device, seed, max_memory, yes)
         return
     if len(scenes) > 1 or azimuths is not None or incidences is not None:
         from warpsar.simulation import batch
@@ -151,10 +151,16 @@ def command(
 
 
 def _with_phase(
-    scenes: tuple[Path, ...], out: Path, product: str, device: str | None, seed: int | None, yes: bool
+    scenes: tuple[Path, ...],
+    out: Path,
+    product: str,
+    device: str | None,
+    seed: int | None,
+    max_memory: float | None,
+    yes: bool,
 ) -> None:
     context = click.get_current_context()
-    known = ("scenes", "out", "product", "device", "seed", "quiet", "yes")
+    known = ("scenes", "out", "product", "device", "seed", "quiet", "max_memory", "yes")
     given = [
         p.opts[0]
         for p in context.command.params
@@ -162,7 +168,9 @@ def _with_phase(
     ]
     if len(scenes) > 1 or given:
         found = ", ".join(given) or f"{len(scenes)} scenes"
-        raise click.UsageError(f"--product {product}: found {found}; allowed: a scene, --out, --device, --seed, --yes")
+        raise click.UsageError(
+            f"--product {product}: found {found}; allowed: a scene, --out, --device, --seed, --max-memory, --yes"
+        )
     from warpsar.collection.command import run
 
-    run(scenes[0], out, product, device=device, seed=seed, yes=yes)
+    run(scenes[0], out, product, device=device, seed=seed, max_memory_gib=max_memory, yes=yes)

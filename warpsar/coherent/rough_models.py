@@ -61,11 +61,12 @@ class Group:
         """That of its model, with or without a learned term."""
         return make(Model(self.kind // 2), bool(self.kind % 2))
 
-    def cut(self, step: int) -> Iterator[Group]:
-        """In pieces of `step` scatterers at most."""
-        start, stop = self.part.start, self.part.stop
-        for first in range(start, stop, step):
-            last = min(first + step, stop)
+    def cut(self, step: int, some: slice) -> Iterator[Group]:
+        """Of the scatterers `some`, those of this kind, in pieces of `step` at most."""
+        start = self.part.start
+        end = min(self.part.stop, some.stop)
+        for first in range(max(start, some.start), end, step):
+            last = min(first + step, end)
             crossed = None if self.crossed is None else self.crossed[first - start : last - start]
             yield replace(self, part=slice(first, last), crossed=crossed)
 

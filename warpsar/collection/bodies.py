@@ -10,7 +10,7 @@ import warp as wp
 from warpsar.coherent.body import CoherentBody
 from warpsar.coherent.records import upload
 from warpsar.collection.plan import Plan
-from warpsar.collection.scatterers import body_of, spacing_m
+from warpsar.collection.scatterers import TOGETHER, body_of, spacing_m
 from warpsar.world.world import World
 
 ALIKE = 0.9
@@ -24,8 +24,11 @@ class Bodies:
     the same cells therefore share a body: only so do they see one surface.
     """
 
-    def __init__(self, world: World, plans: Sequence[Plan], device: wp.Device, seed: int) -> None:
-        self.world, self.device, self.seed = world, device, seed
+    def __init__(
+        self, world: World, plans: Sequence[Plan], device: wp.Device, seed: int, together: int = TOGETHER
+    ) -> None:
+        """`together`: scatterers that are held at a time while they are seen."""
+        self.world, self.device, self.seed, self.together = world, device, seed, together
         self._spacings = sorted(map(spacing_m, plans))
         self._spacing = 0.0
         self._body: CoherentBody | None = None

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib.util import find_spec
 from os import PathLike
 from pathlib import Path
@@ -14,11 +16,13 @@ import warp as wp
 from warpsar.collection import cphd, sicd
 from warpsar.collection.bodies import Bodies
 from warpsar.collection.direct import direct, direct_of_rough, refuse_direct
+from warpsar.collection.forecast import forecast, together
 from warpsar.collection.history import Collected
 from warpsar.collection.history import phase_history as recorded
 from warpsar.collection.noise import with_image_noise, with_noise
+from warpsar.collection.places import Tally
 from warpsar.collection.plan import Plan, plans_of
-from warpsar.collection.scatterers import Scatterers, band_error_db, rough_alone, scatterers_of
+from warpsar.collection.scatterers import Stream, band_error_db, rough_alone
 from warpsar.collection.slc import Slc, focused
 from warpsar.io import complex_image
 from warpsar.io.images import replacing
@@ -33,7 +37,7 @@ WIDE_BAND, SAID_DB = 0.06, 0.5
 """Share of the middle frequency from which a band's amplitudes are looked at, and the error at its ends that is said:
 even an amplitude that goes as the frequency squared, as of small roughness, changes by less in a narrower band."""
 ALIASED = 0.01
-"""Share of tubes that are too wide after a curved surface from which a warning is due."""
+"""Share of the tubes' power, in tubes that are too wide after a curved surface, from which a warning is due."""
 
 
 def phase_history(
@@ -52,8 +56,8 @@ def phase_history(
 
 def collected(bodies: Bodies, plan: Plan, index: int) -> Collected:
     """One view; `index` is its number, which tells its noise from that of others."""
-    found = seen(bodies, plan)
-    with busy(f"{plan.view.name}: {found.count} scatterers, {len(plan.track)} pulses"):
+    load_kernels(bodies.device)
+    with _stream(bodies, plan) as found:
         made = recorded(plan, found, tuple(bodies.world.radar.polarizations), bodies.device)
     return with_noise(made, bodies.seed + 7919 * index)
 
@@ -80,35 +84,53 @@ def image_of(bodies: Bodies, plan: Plan, index: int) -> Slc:
         with busy(f"{plan.view.name}: focusing"):
             return focused(made, world.grid, device)
     refuse_direct(plan, world.name)
-    with busy(f"{plan.view.name}: scatterers into the image"):
-        if rough_alone(world):
-            load_kernels(device)
+    load_kernels(device)
+    if rough_alone(world):
+        with busy(f"{plan.view.name}: scatterers into the image"):
             image = direct_of_rough(bodies, plan)
-        else:
-            image = direct(plan, seen(bodies, plan, once=True), tuple(world.radar.polarizations), world.grid, device)
+    else:
+        with _stream(bodies, plan, once=True) as found:
+            image = direct(plan, found, tuple(world.radar.polarizations), world.grid, device)
     return with_image_noise(image, bodies.seed + 7919 * index)
 
 
-def seen(bodies: Bodies, plan: Plan, *, once: bool = False) -> Scatterers:
-    """The scatterers of one view; `once`: as the middle of the track sees them."""
-    load_kernels(bodies.device)
-    with busy(f"{plan.view.name}: scatterers"):
-        found = scatterers_of(bodies.world, plan, bodies.of(plan), once=once)
+@contextmanager
+def _stream(bodies: Bodies, plan: Plan, *, once: bool = False) -> Iterator[Stream]:
+    """The scatterers of one view, under a bar; `once`: as the middle of the track sees them. Warns at the end."""
+    name = plan.view.name
+    with busy(f"{name}: rough faces"):
+        body = bodies.of(plan)
+    found = Stream(bodies.world, plan, body, once=once, together=bodies.together)
+    with console.share(f"{name}: scatterers", found.looks) as bar:
+        found.progress = bar
+        yield found
     if not found.count:
-        console.warn([f"{plan.view.name}: nothing sends back; radar.terms are {', '.join(bodies.world.radar.terms)}"])
+        console.warn([f"{name}: nothing sends back; radar.terms are {', '.join(bodies.world.radar.terms)}"])
     if plan.bandwidth_hz > WIDE_BAND * plan.centre_hz:
-        error = band_error_db(bodies.world, plan, bodies.of(plan))
+        error = band_error_db(bodies.world, plan, body)
         if error > SAID_DB:
             share = 100.0 * plan.bandwidth_hz / plan.centre_hz
             console.warn(
                 [
-                    f"{plan.view.name}: a band of {share:.2g} % of its middle frequency has the amplitudes of "
+                    f"{name}: a band of {share:.2g} % of its middle frequency has the amplitudes of "
                     f"{plan.centre_hz / 1e9:.4g} GHz; at its ends they are wrong by up to {error:.2g} dB"
                 ]
             )
-    if found.aliased > ALIASED:
-        console.warn([f"{plan.view.name}: {100 * found.aliased:.2g} % of the tubes are too wide after curved surfaces"])
-    return found
+    console.warn(f"{name}: {told}" for told in wide_tubes(found.tally))
+
+
+def wide_tubes(tally: Tally) -> list[str]:
+    """What tubes that are too wide mean for a product; empty where they hold little of the tubes' power."""
+    if tally.power_share <= ALIASED:
+        return []
+    without = 10.0 * np.log10(max(1.0 - tally.power_share, 1e-9))
+    return [
+        f"{100 * tally.share:.2g} % of the tubes get wider than half a wavelength after curved faces, and hold "
+        f"{100 * tally.power_share:.2g} % of the power of single and multibounce, which is {-without:.2g} dB lower "
+        f"without them: each adds up as if its face were flat, so it is too strong toward the mirror direction and too "
+        f"weak beside it. Rough ground, edges and flat faces are not touched. `warpsar rcs` cuts such tubes: compare "
+        f"the level of the curved parts with it, or leave single and multibounce out of radar.terms"
+    ]
 
 
 def load_kernels(device: wp.Device) -> None:
@@ -123,11 +145,13 @@ def run(
     *,
     device: str | None = None,
     seed: int | None = None,
+    max_memory_gib: float | None = None,
     yes: bool = False,
 ) -> dict[str, Any]:
     """`warpsar simulate --product`: files of every view, and simulate.json, in `out`. Returns the JSON's content.
 
-    `yes` takes a mesh whose size is unlikely.
+    `max_memory_gib` bounds what is held at a time; `yes` takes a mesh whose size is unlikely. Raises InputError where
+    the product itself does not fit into the memory.
     """
     started = time.perf_counter()
     with busy("reading the scene"):
@@ -135,11 +159,17 @@ def run(
     refuse_unlikely_size(scene, yes)
     where, out = devices.resolve_device(device), Path(out)
     plans = plans_of(scene, where)
+    most = together(scene, plans, product, where, max_memory_gib)
     make_folder(out)
     console.say_device(where)
     warnings = [*scene.warnings, *_warnings(scene)]
     console.warn(warnings)
-    bodies = Bodies(scene, plans, where, scene.seed(seed))
+    bodies = Bodies(scene, plans, where, scene.seed(seed), most)
+    load_kernels(where)
+    with busy("estimating time and memory"):
+        told = forecast(bodies, plans, product)
+    if told is not None:
+        console.say(str(told))
     write = _phase_history if product == "phase-history" else _slc
     entries = [write(bodies, plan, index, out) for index, plan in enumerate(plans)]
     content = {"product": product, "warnings": warnings, "views": entries}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,7 +18,7 @@ from warpsar.collection.bodies import Bodies
 from warpsar.collection.history import beam_of, spread_transform
 from warpsar.collection.plan import Plan
 from warpsar.collection.response import band_weights
-from warpsar.collection.scatterers import FAR_FIELD, Scatterers
+from warpsar.collection.scatterers import FAR_FIELD, Scatterers, Stream
 from warpsar.collection.slc import Slc
 from warpsar.errors import InputError
 from warpsar.kernels import collection as kernels
@@ -94,16 +94,19 @@ class Seen:
     count: int
 
 
-def direct(plan: Plan, scatterers: Scatterers, polarizations: tuple[str, ...], grid: Grid, device: wp.Device) -> Slc:
+def direct(
+    plan: Plan, scatterers: Scatterers | Stream, polarizations: tuple[str, ...], grid: Grid, device: wp.Device
+) -> Slc:
     """Each scatterer at its slant range and azimuth, times the response of band and aperture."""
     columns = tuple(range(len(polarizations)))
-    seen = []
-    for part in scatterers.parts:
-        values = np.ascontiguousarray(part.amplitude.T).view(np.float32).reshape(-1, len(columns), 2)
-        seen.append(
-            Seen(upload(part.point, wp.vec3d, device), upload(values, wp.vec2, device), columns, 1.0, len(part))
-        )
-    return image_of_seen(plan, seen, polarizations, grid, device)
+
+    def seen() -> Iterator[Seen]:
+        for part in scatterers.parts:
+            values = np.ascontiguousarray(part.amplitude.T).view(np.float32).reshape(-1, len(columns), 2)
+            place, amplitude = upload(part.point, wp.vec3d, device), upload(values, wp.vec2, device)
+            yield Seen(place, amplitude, columns, 1.0, len(part))
+
+    return image_of_seen(plan, seen(), polarizations, grid, device)
 
 
 def direct_of_rough(bodies: Bodies, plan: Plan) -> Slc:
@@ -120,14 +123,16 @@ def direct_of_rough(bodies: Bodies, plan: Plan) -> Slc:
 
 
 def image_of_seen(
-    plan: Plan, seen: Sequence[Seen], polarizations: tuple[str, ...], grid: Grid, device: wp.Device
+    plan: Plan, seen: Iterable[Seen], polarizations: tuple[str, ...], grid: Grid, device: wp.Device
 ) -> Slc:
     """The image of scatterers that are on the device."""
     range_m, azimuth_m = pixel_centres(grid.shape, grid.spacing_m, (1, 1))
     rows, columns = _axes(plan, range_m, azimuth_m, grid)
     out = wp.zeros((len(polarizations), rows.count, columns.count), dtype=wp.vec2, device=device)
     frame = _frame(plan, rows, columns, device)
+    count = 0
     for one in seen:
+        count += one.count
         chosen = upload(np.array(one.columns, np.int32), int, device)
         inputs = [frame, one.point, one.amplitude, chosen, one.scale]
         wp.launch(kernels.image_deposit_kernel, one.point.shape[0], inputs=inputs, outputs=[out], device=device)
@@ -138,7 +143,7 @@ def image_of_seen(
     spectrum *= weights
     whole = fft.ifft2(spectrum, workers=workers)[:, rows.pixels(len(range_m)), columns.pixels(len(azimuth_m))]
     images = {name: np.ascontiguousarray(image) for name, image in zip(polarizations, whole, strict=True)}
-    return Slc(plan, images, range_m, azimuth_m, sum(one.count for one in seen))
+    return Slc(plan, images, range_m, azimuth_m, count)
 
 
 def _frame(plan: Plan, rows: _Axis, columns: _Axis, device: wp.Device) -> Any:

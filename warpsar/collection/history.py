@@ -6,6 +6,7 @@ point. |S|^2 of a single scatterer is its RCS [m2] (times the antenna's two-way 
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
 from typing import TYPE_CHECKING, Any
@@ -17,7 +18,7 @@ from scipy import fft
 
 from warpsar.coherent.records import upload
 from warpsar.collection.plan import Plan, boresight
-from warpsar.collection.scatterers import Part, Scatterers
+from warpsar.collection.scatterers import TOGETHER, Part, Scatterers, Stream
 from warpsar.errors import InputError
 from warpsar.kernels import collection as kernels
 from warpsar.measured.data import PhaseHistory
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
 OVERSAMPLING = 2
 LANES = {"cpu": 1, "cuda": 4096}
 """Threads for each pulse."""
-_PULSES_TOGETHER = {"cpu": 16, "cuda": 1024}
+PULSES_TOGETHER = {"cpu": 16, "cuda": 1024}
 
 
 @dataclass(frozen=True)
@@ -102,20 +103,49 @@ class Collected:
         }
 
 
-def phase_history(plan: Plan, scatterers: Scatterers, polarizations: tuple[str, ...], device: wp.Device) -> Collected:
-    """What a track and a band record of scatterers."""
+def phase_history(
+    plan: Plan, scatterers: Scatterers | Stream, polarizations: tuple[str, ...], device: wp.Device
+) -> Collected:
+    """What a track and a band record of scatterers. Parts are held until they are deposited, `together` at most."""
     shape = (len(polarizations), len(plan.track), plan.frequencies)
     spectrum = np.zeros(shape, np.complex64)
-    step = _PULSES_TOGETHER["cpu" if device.is_cpu else "cuda"]
     shared = TrackOnDevice.of(plan, device)
-    parts = [PartOnDevice.of(part, device) for part in scatterers.parts]
-    blocks = [slice(a, min(a + step, len(plan.track))) for a in range(0, len(plan.track), step)]
-    tasks = [partial(_block, plan, shared, parts, len(polarizations), some) for some in blocks]
-    for some, values in zip(blocks, threads.ordered(tasks, device), strict=True):
-        spectrum[:, some] = values
+    for parts in _batches(scatterers.parts, getattr(scatterers, "together", TOGETHER)):
+        add_spectra(plan, shared, parts, spectrum)
     return Collected(
         plan, polarizations, np.ascontiguousarray(spectrum.swapaxes(1, 2)), scatterers.count, scatterers.aliased
     )
+
+
+def add_spectra(
+    plan: Plan,
+    shared: TrackOnDevice,
+    parts: Sequence[Part],
+    spectrum: NDArray[np.complex64],
+    pulses: slice | None = None,
+) -> None:
+    """Add what all pulses, or some, record of some parts to (polarizations, pulses, frequencies)."""
+    device = shared.device
+    first, last, _ = (pulses or slice(None)).indices(len(plan.track))
+    step = PULSES_TOGETHER["cpu" if device.is_cpu else "cuda"]
+    there = [PartOnDevice.of(part, device) for part in parts]
+    blocks = [slice(a, min(a + step, last)) for a in range(first, last, step)]
+    blocks = [some for some in blocks if any(part.weight[some].any() for part in there)]
+    tasks = [partial(_block, plan, shared, there, spectrum.shape[0], some) for some in blocks]
+    for some, values in zip(blocks, threads.ordered(tasks, device), strict=True):
+        spectrum[:, some] += values
+
+
+def _batches(parts: Iterable[Part], together: int) -> Iterator[list[Part]]:
+    """Parts that are deposited together: each batch takes the transforms of all pulses."""
+    waiting: list[Part] = []
+    for part in parts:
+        waiting.append(part)
+        if sum(map(len, waiting)) >= together:
+            yield waiting
+            waiting = []
+    if waiting:
+        yield waiting
 
 
 def beam_of(plan: Plan, device: wp.Device) -> Any:

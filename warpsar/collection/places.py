@@ -26,7 +26,9 @@ F64 = NDArray[np.float64]
 COARSE = 16
 """Cells of the first, coarse tracing are so many tubes wide. It finds where smooth faces and second bounces are."""
 FAINT = 1e-6
-"""Power of a tube, as a share of the strongest one's, under which it is left out: -60 dB."""
+"""Power of a tube, as a share of the strongest one's of its `GROUP`, under which it is left out: -60 dB."""
+GROUP = 64
+"""Coarse cells that are traced together at least: what is left out does not depend on the memory."""
 
 _TOGETHER = 2**14
 """Rough places that a thread of the CPU takes at a time."""
@@ -60,11 +62,14 @@ def worker_of(body: CoherentBody, k: float, terms: tuple[str, ...], max_bounces:
     return Worker(body, np.array([k]), spacing, terms, max_bounces, 0, 1.0)
 
 
-def rough_amplitudes(worker: Worker, radar: wp.array) -> tuple[wp.array, int]:
-    """Of the body's rough places, (n, 4) on the device, 0 where they are not seen; and how many are seen."""
+def rough_amplitudes(worker: Worker, radar: wp.array, chosen: slice | None = None) -> tuple[wp.array, int]:
+    """Of the body's rough places, or of those `chosen`, (n, 4) on the device, 0 where they are not seen; and how many
+    are seen."""
     body, device = worker.body, worker.body.device
     assert body.scatterers is not None
-    places, count = body.scatterers, body.scatterers.shape[0]
+    places = body.scatterers
+    chosen = chosen or slice(0, places.shape[0])
+    count = chosen.stop - chosen.start
     out = wp.zeros((count, 4), dtype=wp.vec2, device=device)
 
     def some(piece: Group) -> int:
@@ -72,12 +77,13 @@ def rough_amplitudes(worker: Worker, radar: wp.array) -> tuple[wp.array, int]:
         seen = worker.free(radar, body.scatterer_points[part], body.scatterer_normals[part], both_sides=True)
         kernel, more = piece.launched(kernels.rough_places_kernel, rough_places_kernel, worker.tables)
         inputs = [radar, float(worker.k[0]), body.surfaces, body.variant, places[part], seen, *more]
-        wp.launch(kernel, part.stop - part.start, inputs=inputs, outputs=[out[part]], device=device)
+        found = out[part.start - chosen.start : part.stop - chosen.start]
+        wp.launch(kernel, part.stop - part.start, inputs=inputs, outputs=[found], device=device)
         return int(np.count_nonzero(seen.numpy()))
 
     load(body.scatterer_groups, rough_places_kernel, device)
     step = _TOGETHER if device.is_cpu else count
-    tasks = [partial(some, piece) for group in body.scatterer_groups for piece in group.cut(step)]
+    tasks = [partial(some, piece) for group in body.scatterer_groups for piece in group.cut(step, chosen)]
     return out, sum(threads.ordered(tasks, device))
 
 
@@ -92,58 +98,114 @@ def edge_places(worker: Worker, radar: wp.array) -> Places:
     return _kept(worker.edge_middle.numpy(), complex_of(out), worker.body.shape.wedges.face[which, 0])
 
 
-def tube_places(
-    worker: Worker, direction: Directions, radar: wp.array, distance_m: float, apart: F64
-) -> tuple[Places, float]:
-    """Hits of tubes, and the share of tubes that alias.
+@dataclass(frozen=True)
+class Tally:
+    """How many tubes there are, and how many are too wide after a curved face; and the power of both [m2]."""
+
+    tubes: int = 0
+    wide: int = 0
+    power: float = 0.0
+    wide_power: float = 0.0
+
+    def __add__(self, other: Tally) -> Tally:
+        return Tally(
+            self.tubes + other.tubes,
+            self.wide + other.wide,
+            self.power + other.power,
+            self.wide_power + other.wide_power,
+        )
+
+    @property
+    def share(self) -> float:
+        """Of the tubes, those that are too wide."""
+        return self.wide / max(self.tubes, 1)
+
+    @property
+    def power_share(self) -> float:
+        """Of the power of all tubes, that of those that are too wide."""
+        return self.wide_power / self.power if self.power > 0.0 else 0.0
+
+
+class Cells:
+    """The coarse cells of one direction, by which it is found out where tubes are worth their time.
 
     `apart` (3,) is half of the unit vector to the transmitter less that to the receiver: zero for one antenna.
-
-    A coarse tracing first finds the cells where a smooth face is met, or a second one; they and their neighbours are
-    traced with tubes of the worker's width.
     """
-    body = worker.body
-    found, wide, traced_all = [], 0, 0
-    for rays in _chosen(worker, direction, radar, distance_m):
-        traced = Traced(worker.tracer, radar, rays)
-        wide += int((traced.turn.numpy() > TURN).any(axis=1).sum())
-        traced_all += len(rays)
+
+    def __init__(self, worker: Worker, direction: Directions, radar: wp.array, distance_m: float, apart: F64) -> None:
+        self.worker, self.radar, self.apart = worker, radar, apart
+        self.low, self.step, self.count = cells.frame(worker.body, direction, 0, COARSE * worker.spacing, distance_m)
+        self._smooth = np.array([not material.rms_height_m for material in worker.body.materials])
+        self._material = worker.body.face_material.numpy()
+
+    def __len__(self) -> int:
+        return int(self.count.prod())
+
+    @property
+    def together(self) -> int:
+        """Cells whose tubes are traced in one launch."""
+        return max(1, self.worker.tracer.together // COARSE**2)
+
+    def matter(self, start: int, stop: int) -> NDArray[np.bool_]:
+        """Which of the cells from `start` to `stop`, row by row, meet a smooth face first, or a second one."""
+        device, step = self.worker.body.device, self.worker.tracer.together
+        found = []
+        for first in range(start, stop, step):
+            at = np.stack(np.divmod(np.arange(first, min(first + step, stop)), self.count[1]), axis=1)
+            place = self.low + (at + 0.5) * self.step
+            rays = cells.Rays.of(place, np.broadcast_to(self.step, place.shape), device)
+            traced = Traced(self.worker.tracer, self.radar, rays)
+            hits, count = host(traced.hits[:1])[0], traced.count.numpy()
+            face = np.where(count > 0, hits["face"], 0)
+            found.append((count > 0) & (self._smooth[self._material[face]] | (count > 1)))
+        return np.concatenate(found)
+
+    def chosen(self, matter: NDArray[np.bool_]) -> NDArray[np.int64]:
+        """Row and column, (n, 2), of the cells that matter, and of their neighbours: a body may begin between the rays
+        of two cells. `matter`: of whole rows, the first of which is row 0."""
+        rows = matter.reshape(-1, self.count[1])
+        wide = np.zeros((rows.shape[0] + 2, rows.shape[1] + 2), bool)
+        for i in range(3):
+            for j in range(3):
+                wide[i : i + rows.shape[0], j : j + rows.shape[1]] |= rows
+        return np.argwhere(wide[1:-1, 1:-1])
+
+    def places(self, chosen: NDArray[np.int64]) -> tuple[Places, Tally]:
+        """What the tubes of some cells hit, and how many of them are too wide."""
+        worker, body = self.worker, self.worker.body
+        part = (np.arange(COARSE) + 0.5) / COARSE
+        inside = np.stack(np.meshgrid(part, part, indexing="ij"), axis=-1).reshape(-1, 2)
+        middle = (self.low + (chosen[:, None] + inside[None]) * self.step).reshape(-1, 2)
+        rays = cells.Rays.of(middle, np.broadcast_to(self.step / COARSE, middle.shape), body.device)
+        traced = Traced(worker.tracer, self.radar, rays)
+        wide = (traced.turn.numpy() > TURN).any(axis=1)
         n, most = len(rays), worker.tracer.bounces
         place = wp.zeros((n, most), dtype=wp.vec3d, device=body.device)
         amplitude = wp.zeros((n, most, 4), dtype=wp.vec2, device=body.device)
         face = wp.zeros((n, most), dtype=int, device=body.device)
-        inputs = [radar, float(worker.k[0]), worker.stuff, body.face_material]
-        inputs += [traced.hits, traced.count, int("single" in worker.terms), wp.vec3d(*apart)]
+        inputs = [self.radar, float(worker.k[0]), worker.stuff, body.face_material]
+        inputs += [traced.hits, traced.count, int("single" in worker.terms), wp.vec3d(*self.apart)]
         wp.launch(kernels.tube_places_kernel, n, inputs=inputs, outputs=[place, amplitude, face], device=body.device)
         values = complex_of(amplitude).reshape(-1, 4)
-        found.append(_kept(place.numpy().reshape(-1, 3), values, face.numpy().reshape(-1).astype(np.int64)))
-    return joined(found), wide / max(traced_all, 1)
+        power = (np.abs(values) ** 2).sum(axis=1)
+        of_tube = power.reshape(n, most).sum(axis=1, dtype=float)
+        starts = np.arange(0, len(power), GROUP * COARSE**2 * most)
+        strongest = np.repeat(np.maximum.reduceat(power, starts), np.diff(starts, append=len(power)))
+        some = power > FAINT * strongest
+        kept = Places(place.numpy().reshape(-1, 3)[some], values[some], face.numpy().reshape(-1)[some].astype(np.int64))
+        return kept, Tally(n, int(wide.sum()), float(of_tube.sum()), float(of_tube[wide].sum()))
 
 
-def _chosen(worker: Worker, direction: Directions, radar: wp.array, distance_m: float) -> Iterator[cells.Rays]:
-    """Fine rays in blocks, of the coarse cells that matter."""
-    body = worker.body
-    coarse = cells.Grid(body, direction, COARSE * worker.spacing, distance_m)[:]
-    traced = Traced(worker.tracer, radar, coarse)
-    hits, hit_count = host(traced.hits[:1])[0], traced.count.numpy()
-    smooth = np.array([not material.rms_height_m for material in body.materials])
-    met = hit_count > 0
-    first = np.where(met, hits["face"], 0)
-    matters = met & (smooth[body.face_material.numpy()[first]] | (hit_count > 1))
-    low, step, count = cells.frame(body, direction, 0, COARSE * worker.spacing, distance_m)
-    wanted = np.zeros(count + 2, bool)
-    at = np.round((coarse.place.numpy() - low) / step - 0.5).astype(int)[matters] + 1
-    for i in (-1, 0, 1):  # a body may begin between the rays of two cells
-        for j in (-1, 0, 1):
-            wanted[at[:, 0] + i, at[:, 1] + j] = True
-    chosen = np.argwhere(wanted[1:-1, 1:-1])
-    part = (np.arange(COARSE) + 0.5) / COARSE
-    inside = np.stack(np.meshgrid(part, part, indexing="ij"), axis=-1).reshape(-1, 2)
-    together = max(1, worker.tracer.together // COARSE**2)
-    for start in range(0, len(chosen), together):
-        corner = chosen[start : start + together]
-        place = (low + (corner[:, None] + inside[None]) * step).reshape(-1, 2)
-        yield cells.Rays.of(place, np.broadcast_to(step / COARSE, place.shape), body.device)
+def tube_places(seen: Cells) -> Iterator[tuple[Places, Tally, float]]:
+    """Hits of tubes, block by block; with each block its tally, and the share of the blocks that are done.
+
+    A coarse tracing first finds the cells where a smooth face is met, or a second one; they and their neighbours are
+    traced with tubes of the worker's width.
+    """
+    chosen = seen.chosen(seen.matter(0, len(seen)))
+    for start in range(0, len(chosen), seen.together):
+        some = chosen[start : start + seen.together]
+        yield *seen.places(some), min(start + seen.together, len(chosen)) / len(chosen)
 
 
 def joined(parts: list[Places]) -> Places:

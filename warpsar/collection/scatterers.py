@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from warpsar.coherent.body import CoherentBody
 from warpsar.coherent.sweep import POLARIZATIONS, RAYS_PER_WAVELENGTH
 from warpsar.collection import places
-from warpsar.collection.places import Places
+from warpsar.collection.places import Tally
 from warpsar.collection.plan import Plan
 from warpsar.errors import InputError
 from warpsar.world.frame import SPEED_OF_LIGHT
@@ -24,6 +24,8 @@ ROUGH_STEP_DEG = 2.0
 """Between the places of the track from which rough faces are seen: sigma0 and shadows change slowly."""
 TUBE_STEP_DEG = 0.5
 """Between those from which tubes are traced: the effective place of several bounces is right to first order."""
+TOGETHER = 2**20
+"""Scatterers that are held at a time, where memory does not ask for fewer."""
 FAR_FIELD = float(np.sqrt(np.float32(4.0 * np.pi)))
 """From the engine's amplitude A to one whose power is the RCS."""
 
@@ -49,7 +51,7 @@ class Part:
 class Scatterers:
     parts: tuple[Part, ...]
     aliased: float
-    """Largest share of tubes too wide after a curved surface."""
+    """Share of the tubes that are too wide after a curved surface."""
 
     @property
     def count(self) -> int:
@@ -82,6 +84,125 @@ def body_of(world: World, spacing_m: float, device: wp.Device, seed: int) -> Coh
     return CoherentBody.of(world, device, spacing_m=spacing_m, seed=seed, rough_only=rough_alone(world))
 
 
+class Stream:
+    """All that `[radar] terms` asks for, seen along the track, in parts that are made when they are asked for.
+
+    `once`: seen from the middle of the track alone. `together`: the most scatterers of a part; the memory that they
+    take is bounded by it. `progress` counts the places of the track that are done, by fractions.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        plan: Plan,
+        body: CoherentBody,
+        *,
+        once: bool = False,
+        rays_per_wavelength: float = RAYS_PER_WAVELENGTH,
+        together: int = TOGETHER,
+        progress: Any = None,
+    ) -> None:
+        k = 2.0 * np.pi * plan.centre_hz / SPEED_OF_LIGHT
+        terms = world.radar.terms
+        self.plan, self.body, self.terms = plan, body, terms
+        self.worker = places.worker_of(body, k, terms, world.radar.max_bounces, rays_per_wavelength)
+        tracer = self.worker.tracer
+        group, most = places.GROUP * places.COARSE**2, min(tracer.together, together // tracer.bounces)
+        tracer.together = max(most - most % group, group)
+        # The engine names the received one first, [radar] the transmitted one.
+        self._columns = [POLARIZATIONS.index(name[::-1]) for name in world.radar.polarizations]
+        self._sensor = plan.track.towards() * plan.track.reference_m()[:, None]
+        self._velocity = _velocities(world, plan)
+        middle = np.array([plan.middle])
+        rough = "rough" in terms and body.scatterers is not None
+        smooth = bool({"single", "multibounce", "edges"} & set(terms))
+        self.rough_knots = (middle if once else plan.knots(ROUGH_STEP_DEG)) if rough else middle[:0]
+        self.tube_knots = (middle if once else plan.knots(TUBE_STEP_DEG)) if smooth else middle[:0]
+        self.together, self.progress = together, progress
+        self.count, self.tally = 0, Tally()
+        """Of the parts made so far: scatterers, and tubes."""
+
+    @property
+    def aliased(self) -> float:
+        """Share of the tubes of the parts made so far that are too wide after a curved surface."""
+        return self.tally.share
+
+    @property
+    def looks(self) -> int:
+        """What `progress` counts to."""
+        return len(self.rough_knots) + len(self.tube_knots)
+
+    @property
+    def parts(self) -> Iterator[Part]:
+        """Make them, one after the other."""
+        self.count, self.tally = 0, Tally()
+        for found in (self._rough(), self._smooth()):
+            for part in found:
+                self.count += len(part)
+                yield part
+
+    def cells(self, knot: int) -> places.Cells:
+        """The coarse cells of the body as the pulse `knot` sees it."""
+        direction, radar = places.sight(self.body, self._sensor[knot])
+        distance_m = float(np.linalg.norm(self._sensor[knot]))
+        return places.Cells(self.worker, direction, radar, distance_m, self.plan.track.apart()[knot])
+
+    def rough(self, knot: int, some: slice) -> places.Places:
+        """Rough places as the pulse `knot` sees them, without those that it does not see."""
+        radar = places.sight(self.body, self._sensor[knot])[1]
+        amplitude = places.complex_of(places.rough_amplitudes(self.worker, radar, some)[0])
+        seen = (amplitude != 0.0).any(axis=1)
+        point = self.body.scatterer_points[some].numpy()[seen]
+        return places.Places(point, amplitude[seen], self.body.scatterer_faces[some][seen])
+
+    def part(self, some: places.Places, weight: NDArray[np.float32]) -> Part:
+        """Places as scatterers about the reference point."""
+        plan = self.plan
+        point = plan.site.about(some.point + self.body.origin + plan.site.reference_m)
+        amplitude = np.float32(FAR_FIELD) * some.amplitude[:, self._columns].T
+        moving = None if self._velocity is None else self._velocity[some.face]
+        return Part(point, np.ascontiguousarray(amplitude), weight, moving)
+
+    def _done(self, share: float) -> None:
+        if self.progress is not None:
+            self.progress.update(share)
+
+    def _rough(self) -> Iterator[Part]:
+        total = 0 if self.body.scatterers is None else self.body.scatterers.shape[0]
+        for knot, weight in zip(self.rough_knots.tolist(), fading(self.plan, self.rough_knots), strict=True):
+            for start in range(0, total, self.together):
+                stop = min(start + self.together, total)
+                found = self.rough(knot, slice(start, stop))
+                if len(found.face):
+                    yield self.part(found, weight)
+                self._done((stop - start) / total)
+
+    def _smooth(self) -> Iterator[Part]:
+        terms = self.terms
+        for knot, weight in zip(self.tube_knots.tolist(), fading(self.plan, self.tube_knots), strict=True):
+            if {"single", "multibounce"} & set(terms):
+                yield from self._tubes(knot, weight)
+            if "edges" in terms and self.worker.edges.shape[0]:
+                edges = places.edge_places(self.worker, places.sight(self.body, self._sensor[knot])[1])
+                if len(edges.face):
+                    yield self.part(edges, weight)
+
+    def _tubes(self, knot: int, weight: NDArray[np.float32]) -> Iterator[Part]:
+        waiting: list[places.Places] = []
+        before = 0.0
+        for found, tally, share in places.tube_places(self.cells(knot)):
+            self.tally += tally
+            waiting.append(found)
+            if sum(len(each.face) for each in waiting) >= self.together:
+                yield self.part(places.joined(waiting), weight)
+                waiting = []
+            self._done(share - before)
+            before = share
+        self._done(1.0 - before)
+        if sum(len(each.face) for each in waiting):
+            yield self.part(places.joined(waiting), weight)
+
+
 def scatterers_of(
     world: World,
     plan: Plan,
@@ -90,44 +211,9 @@ def scatterers_of(
     once: bool = False,
     rays_per_wavelength: float = RAYS_PER_WAVELENGTH,
 ) -> Scatterers:
-    """All that `[radar] terms` asks for, seen along the track; `once`: from its middle alone."""
-    k = 2.0 * np.pi * plan.centre_hz / SPEED_OF_LIGHT
-    terms = world.radar.terms
-    worker = places.worker_of(body, k, terms, world.radar.max_bounces, rays_per_wavelength)
-    # The engine names the received one first, [radar] the transmitted one.
-    chosen = [POLARIZATIONS.index(name[::-1]) for name in world.radar.polarizations]
-    sensor = plan.track.towards() * plan.track.reference_m()[:, None]
-    velocity = _velocities(world, plan)
-    found: list[Part] = []
-    aliased = 0.0
-
-    def add(some: Places, weight: NDArray[np.float32]) -> None:
-        if len(some.face):
-            point = plan.site.about(some.point + body.origin + plan.site.reference_m)
-            amplitude = np.float32(FAR_FIELD) * some.amplitude[:, chosen].T
-            moving = None if velocity is None else velocity[some.face]
-            found.append(Part(point, np.ascontiguousarray(amplitude), weight, moving))
-
-    if "rough" in terms and body.scatterers is not None:
-        knots = np.array([plan.middle]) if once else plan.knots(ROUGH_STEP_DEG)
-        point = body.scatterer_points.numpy()
-        for knot, weight in zip(knots, _fading(plan, knots), strict=True):
-            amplitude = places.complex_of(places.rough_amplitudes(worker, places.sight(body, sensor[knot])[1])[0])
-            some = (amplitude != 0.0).any(axis=1)
-            add(Places(point[some], amplitude[some], body.scatterer_faces[some]), weight)
-    smooth = {"single", "multibounce", "edges"} & set(terms)
-    knots = np.array([plan.middle]) if once else plan.knots(TUBE_STEP_DEG)
-    knots = knots if smooth else knots[:0]
-    for knot, weight in zip(knots, _fading(plan, knots), strict=True):
-        direction, radar = places.sight(body, sensor[knot])
-        if smooth - {"edges"}:
-            distance = float(np.linalg.norm(sensor[knot]))
-            some, wide = places.tube_places(worker, direction, radar, distance, plan.track.apart()[knot])
-            aliased = max(aliased, wide)
-            add(some, weight)
-        if "edges" in terms and worker.edges.shape[0]:
-            add(places.edge_places(worker, radar), weight)
-    return Scatterers(tuple(found), aliased)
+    """All parts of a `Stream` at once."""
+    found = Stream(world, plan, body, once=once, rays_per_wavelength=rays_per_wavelength)
+    return Scatterers(tuple(found.parts), found.aliased)
 
 
 def band_error_db(world: World, plan: Plan, body: CoherentBody) -> float:
@@ -153,7 +239,7 @@ def band_error_db(world: World, plan: Plan, body: CoherentBody) -> float:
     return max(map(abs, found))
 
 
-def _fading(plan: Plan, knots: NDArray[np.int64]) -> NDArray[np.float32]:
+def fading(plan: Plan, knots: NDArray[np.int64]) -> NDArray[np.float32]:
     """Linear weights of the knots at each pulse, (knots, pulses), which add up to 1."""
     pulses = np.arange(len(plan.track))
     if len(knots) == 0:

@@ -61,3 +61,10 @@ def progress(total: int, what: str, unit: str = "it") -> tqdm[NoReturn]:
     """A tqdm bar on stderr. It is silent where stderr is no terminal, and for work that ends within a second."""
     hidden = True if quiet() or of_torchrun("RANK", 0) else None
     return tqdm(total=total, desc=what, unit=unit, file=sys.stderr, disable=hidden, delay=1.0, leave=False)
+
+
+def share(what: str, total: float) -> tqdm[NoReturn]:
+    """As `progress`, for work that is counted in fractions: the bar shows per cent."""
+    bar = progress(1, what)
+    bar.total, bar.bar_format = total, "{desc}: {percentage:3.0f}%|{bar}| {elapsed}<{remaining}"
+    return bar
