@@ -6,8 +6,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from tempfile import TemporaryDirectory
+from functools import partial
 from typing import TypeVar
 
 import numpy as np
@@ -20,7 +19,7 @@ from warpsar.collection.places import COARSE, GROUP, Places
 from warpsar.collection.plan import Plan
 from warpsar.collection.scatterers import TOGETHER, Part, Scatterers, Stream, fading, spacing_m
 from warpsar.errors import InputError
-from warpsar.io.quick_look import LARGEST, QuickLook, draw_together
+from warpsar.io.quick_look import draw_blank
 from warpsar.runtime import threads
 from warpsar.runtime.forecast import LONG_S, duration
 from warpsar.runtime.memory import default_gib
@@ -242,7 +241,8 @@ class _Deposit:
             start = (len(plan.track) - pulses) // 2
 
             def run(some: Sequence[Part]) -> object:
-                return history.add_spectra(plan, shared, some, spectrum, slice(start, start + pulses))
+                history.add_spectra(plan, shared, some, spectrum, slice(start, start + pulses))
+                return spectrum
 
         run([one])  # loads the kernels
         empty = _timed(lambda: run([one]))[0]
@@ -271,13 +271,7 @@ def _focusing(bodies: Bodies, plan: Plan) -> float:
 
 def _picture(world: World) -> float:
     """Seconds of a quick look."""
-    shape = [min(n, LARGEST) for n in world.grid.shape]
-    power = dict.fromkeys(world.radar.polarizations, np.ones(shape, np.float32))
-
-    def draw() -> None:
-        with TemporaryDirectory() as folder:
-            draw_together([QuickLook.of(Path(folder) / "quick_look.png", "", power, world.grid.spacing_m)])
-
+    draw = partial(draw_blank, world.radar.polarizations, world.grid.shape, world.grid.spacing_m)
     draw()  # loads the library that draws
     return _timed(draw)[0]
 

@@ -155,8 +155,8 @@ def trace_paths(render: Recorder, max_bounces: int) -> list[Paths | None]:
     hits, target = render.hits, render.stage.target
     # Rays that enter beside the image may leave inside: half of it on each side, and no farther than the mesh.
     grid = hits.grid
-    shape = grid.shape[0], round((1.0 + 2.0 * grid.beside) * grid.shape[1])
-    wide = BinGrid(shape, grid.spacing_m, azimuth_m=grid.azimuth_m)
+    shape = grid.shape[0], round((1.0 + 2.0 * grid.strip.beside) * grid.shape[1])
+    wide = BinGrid(shape, grid.spacing_m, strip=grid.strip)
     area = render.spacing_m[0] * render.spacing_m[1]
     rays = ray_grid(target, hits.geometry, wide, hits.rays_per_m2, area)
     first, last = rays.first_cell, rays.end_cell

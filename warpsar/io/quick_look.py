@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -141,3 +142,10 @@ def contact_sheet(path: Path, looks: list[QuickLook]) -> None:
     deep, wide = chosen[0].size_m
     figure.suptitle(f"{few}{deep:g} m in slant range (down) by {wide:g} m in azimuth", fontsize=8)
     figures.save(figure, path)
+
+
+def draw_blank(polarizations: Iterable[str], shape: tuple[int, int], spacing_m: tuple[float, float]) -> None:
+    """Draw what takes as long as a picture of an image of `shape`, and keep nothing of it."""
+    power = {name: np.ones([min(n, LARGEST) for n in shape], np.float32) for name in polarizations}
+    with TemporaryDirectory() as folder:
+        draw_together([QuickLook.of(Path(folder) / "quick_look.png", "", power, spacing_m)])

@@ -16,6 +16,10 @@ if TYPE_CHECKING:
     import warp as wp
 
 
+DELAY_S = 1.0
+"""Work that ends within it shows no bar [s]."""
+
+
 class _Quiet:
     on = False  # set by the command line's --quiet, before any work
 
@@ -60,7 +64,7 @@ def say_device(device: wp.Device) -> None:
 def progress(total: int, what: str, unit: str = "it") -> tqdm[NoReturn]:
     """A tqdm bar on stderr. It is silent where stderr is no terminal, and for work that ends within a second."""
     hidden = True if quiet() or of_torchrun("RANK", 0) else None
-    return tqdm(total=total, desc=what, unit=unit, file=sys.stderr, disable=hidden, delay=1.0, leave=False)
+    return tqdm(total=total, desc=what, unit=unit, file=sys.stderr, disable=hidden, delay=DELAY_S, leave=False)
 
 
 def share(what: str, total: float) -> tqdm[NoReturn]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import partial
 from os import PathLike
@@ -16,7 +16,7 @@ import numpy as np
 from warpsar.effects.base.effect import DeclaredEffect
 from warpsar.effects.registry import declared
 from warpsar.errors import refuse_number
-from warpsar.io.quick_look import LARGEST, QuickLook, draw, draw_together, limits_db, shades
+from warpsar.io.quick_look import draw, draw_blank, limits_db, shades
 from warpsar.render.bands import BandedRender, stretches
 from warpsar.render.render import ViewRender
 from warpsar.runtime import console, devices, distributed
@@ -35,7 +35,7 @@ from warpsar.simulation.speckle import declare as declare_speckled
 from warpsar.simulation.speckle import refuse_declaring
 from warpsar.simulation.view import SimulatedView
 from warpsar.surface.stage import Stage
-from warpsar.trace.hits import DEFAULT_MEMORY_GIB, Hits
+from warpsar.trace.hits import DEFAULT_MEMORY_GIB, WHOLE, Hits, Strip
 from warpsar.trace.layers import layers as layers_of
 from warpsar.trace.rays import ray_count
 from warpsar.world.tables import View
@@ -45,8 +45,8 @@ from warpsar.world.world import geometry_of
 class Simulation:
     """Images of a scene's views, with its declared materials and effects, one at a time.
 
-    `seed` overrides the scene's; `merge` false keeps every ray's hit; `bar` counts rays. `part`: as for
-    `trace_view`.
+    `seed` overrides the scene's; `merge` false keeps every ray's hit; `bar` counts rays. `part`: which
+    part of another image the scene's image is.
     """
 
     def __init__(
@@ -60,13 +60,13 @@ class Simulation:
         merge: bool = True,
         max_memory_gib: float = DEFAULT_MEMORY_GIB,
         bar: Any = None,
-        part: Mapping[str, Any] | None = None,
+        part: Strip = WHOLE,
     ) -> None:
-        self.scene, self.stage, self.bar, self.part = scene, stage, bar, part or {}
+        self.scene, self.stage, self.bar, self.part = scene, stage, bar, part
         self.seed = scene.seed(seed)
         self.layers, self.variance, self.merge, self.max_memory_gib = layers, variance, merge, max_memory_gib
         self.findings = Findings()
-        self.grid = replace(hit_grid(scene), **self.part)
+        self.grid = replace(hit_grid(scene), strip=self.part)
         self.density = scene.sampling.density_per_m2(scene.grid)
 
     def rays(self, view: View) -> int:
@@ -118,14 +118,14 @@ class Simulation:
             variance=self.variance,
             merge=self.merge,
             max_memory_gib=self.max_memory_gib,
-            part={
-                "azimuth_m": (first + 0.5 * columns - 0.5 * grid.shape[1]) * step,
-                "beside": float(np.clip(0.5 * (seen / width - 1.0), 0.0, 0.5)),
-            },
+            part=Strip(
+                azimuth_m=(first + 0.5 * columns - 0.5 * grid.shape[1]) * step,
+                beside=float(np.clip(0.5 * (seen / width - 1.0), 0.0, 0.5)),
+            ),
         )
 
     def _trace(self, view: View, seed: int, effects: list[DeclaredEffect], **more: Any) -> Hits:
-        more |= {"max_memory_gib": self.max_memory_gib, "part": self.part}
+        more |= {"max_memory_gib": self.max_memory_gib, "strip": self.part}
         return trace_view(self.scene, self.stage, view, seed=seed, effects=effects, **more)
 
     def _images(
@@ -246,12 +246,7 @@ def expected(made: Simulation, output: Output, mine: Sequence[int]) -> Estimate 
             replace(output, out=Path(folder), ground=ground, looks_at=[]).write(image, index)
         return image.hits
 
-    def picture() -> None:
-        shape = [min(n, LARGEST) for n in scene.grid.shape]
-        power = {str(pol): np.ones(shape, np.float32) for pol in scene.radar.polarizations}
-        with TemporaryDirectory() as folder:
-            draw_together([QuickLook.of(Path(folder) / "quick_look.png", "", power, scene.grid.spacing_m)])
-
+    picture = partial(draw_blank, scene.radar.polarizations, scene.grid.shape, scene.grid.spacing_m)
     pictures = len(mine) * (1 if output.looks is None else 2)
     return estimate(costs, scene.grid.shape, len(scene.radar.polarizations), strip, pictures, picture)
 

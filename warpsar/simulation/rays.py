@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -12,7 +11,7 @@ from warpsar.effects.base.effect import DeclaredEffect
 from warpsar.runtime.memory import in_parts
 from warpsar.scene.scene import Scene
 from warpsar.surface.stage import Stage
-from warpsar.trace.hits import DEFAULT_MEMORY_GIB, BinGrid, Hits
+from warpsar.trace.hits import DEFAULT_MEMORY_GIB, WHOLE, BinGrid, Hits, Strip
 from warpsar.trace.rays import ray_count
 from warpsar.trace.trace import trace
 from warpsar.world.tables import View
@@ -36,15 +35,15 @@ def trace_view(
     rays_per_m2: float | None = None,
     merge: bool = True,
     max_memory_gib: float = DEFAULT_MEMORY_GIB,
-    part: Mapping[str, Any] | None = None,
+    strip: Strip = WHOLE,
     **options: Any,
 ) -> Hits:
     """Hits of one view, with the scene's sampling unless `rays_per_m2` is given, binned as its effects need.
 
-    `part`: the fields `azimuth_m` and `beside` of its `BinGrid`, where the scene's image is a part of another.
-    `options` go to `trace`. Raises OutOfMemoryError where even the smallest parts of the work are too large.
+    `strip`: which part of another image the scene's image is. `options` go to `trace`. Raises OutOfMemoryError where
+    even the smallest parts of the work are too large.
     """
-    geometry, grid = geometry_of(scene, view), replace(effects_grid(scene, effects), **(part or {}))
+    geometry, grid = geometry_of(scene, view), replace(effects_grid(scene, effects), strip=strip)
 
     def traced(parts: int) -> Hits:
         return trace(

@@ -13,24 +13,34 @@ DEFAULT_MEMORY_GIB = 2.0
 
 
 @dataclass(frozen=True)
+class Strip:
+    """Which part of an image a grid holds. `azimuth_m`: of its middle [m]. `beside`: how far on each side of it rays of
+    several bounces enter, in widths of it."""
+
+    azimuth_m: float = 0.0
+    beside: float = 0.5
+
+
+WHOLE = Strip()
+
+
+@dataclass(frozen=True)
 class BinGrid:
     """Bins of (range, azimuth) about the reference point: `shape` (rows, cols), `spacing_m` (range, azimuth) [m].
 
     A pixel of the image has `bins_per_pixel` bins along each axis. The grid may be wider than the image, by whole
-    pixels and by as much on each side. `azimuth_m`: of its middle, where it is a part of an image [m]. `beside`: how
-    far on each side of it rays of several bounces enter, in widths of it.
+    pixels and by as much on each side. `strip`: which part of an image it holds.
     """
 
     shape: tuple[int, int]
     spacing_m: tuple[float, float]
     bins_per_pixel: int = 1
-    azimuth_m: float = 0.0
-    beside: float = 0.5
+    strip: Strip = WHOLE
 
     @property
     def start_m(self) -> tuple[float, float]:
         """Range of row 0's and azimuth of column 0's outer edge [m]."""
-        first_column = self.azimuth_m - self.shape[1] / 2 * self.spacing_m[1]
+        first_column = self.strip.azimuth_m - self.shape[1] / 2 * self.spacing_m[1]
         return (-self.shape[0] / 2 * self.spacing_m[0], first_column)
 
     @property
