@@ -36,6 +36,7 @@ MEASURES = {
     "slicy": (*DEFAULT, "data/slicy"),
     "btr70": (*DEFAULT, "benchmarks/btr70_model.py", "benchmarks/btr70_train.txt"),
     "hostile": (*DEFAULT, "cli"),
+    "forecast": (*DEFAULT, "cli", "data/example"),
     "startup": (*DEFAULT, "cli", "data/example"),
     "effects": (*DEFAULT, "data/example"),
 }

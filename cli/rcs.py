@@ -44,6 +44,12 @@ from warpsar.cli import options
     help="Ray tubes across a wavelength of the highest frequency.",
 )
 @click.option("--layers", is_flag=True, help="Also write layers.csv: each term, and each number of bounces, by itself.")
+@click.option(
+    "--max-memory",
+    type=click.FloatRange(min=0, min_open=True),
+    metavar="GIB",
+    help="Memory of the sweep. What does not fit is refused before the work.",
+)
 @options.device
 def command(
     scene: Path,
@@ -53,6 +59,7 @@ def command(
     frequencies: str | None,
     rays_per_wavelength: float,
     layers: bool,
+    max_memory: float | None,
     device: str | None,
 ) -> None:
     """Radar cross-sections and complex amplitudes of SCENE for plane waves, at every pair of angles.
@@ -75,4 +82,5 @@ def command(
         device=device,
         rays_per_wavelength=rays_per_wavelength,
         layers=layers,
+        max_memory_gib=max_memory,
     )

@@ -75,7 +75,7 @@ FORMATS = ("exr", "geotiff", "netcdf", "zarr")
     "--max-memory",
     type=click.FloatRange(min=0, min_open=True),
     metavar="GIB",
-    help="Memory for rays and hits. Less memory only takes longer.",
+    help="Memory for rays and hits, or for scatterers: less only takes longer. A product that does not fit is refused.",
 )
 @options.yes
 def command(

@@ -75,8 +75,9 @@ def test_files_streams_and_status(scene: Path) -> None:
     out = scene.parent / "deep" / "out"
     done = warpsar("simulate", scene, "-o", out, "--device", "cpu")
     assert (done.returncode, done.stdout) == (0, "")
-    # the device in one line, what was written, and no progress bar where stderr is no terminal
-    assert done.stderr.splitlines() == [
+    # the device in one line, what was written, and no progress bar where stderr is no terminal; on a machine that is
+    # busy enough this takes two seconds, and the time is announced
+    assert [line for line in done.stderr.splitlines() if " rays: about " not in line] == [
         "device: cpu (2 threads)",
         f"{out}:",
         "  quick look, dB: north.png, east.png",

@@ -84,10 +84,10 @@ def test_launches_may_be_small(
 
     large = swept() + swept(layers=True)
     for module, name, value in (
-        (traced, "_RAYS_TOGETHER", rays),
+        (traced, "RAYS_TOGETHER", rays),
         (traced, "_PART_BYTES", part_bytes),
         (sweeping, "_RAYS_OF_TASK", task),
-        (sweeping, "_FACE_BYTES", face_bytes),
+        (sweeping, "FACE_BYTES", face_bytes),
     ):
         monkeypatch.setattr(module, name, {"cpu": value})
     for one, other in zip(large, swept() + swept(layers=True), strict=True):

@@ -8,6 +8,7 @@
 | `rough_models.py` | which scatterers have a model beside `ka_spm`, and what their kernels look up |
 | `records.py` | arrays of a kernel's structs, filled on the host |
 | `body.py` | a shape and its materials on a device |
+| `forecast.py` | time and memory of a sweep, measured on parts of it |
 | `rays.py` | the rays of a direction, and the parts of those that get too wide |
 | `traced.py` | tubes on a device: traced, cut, and what they radiate, summed up for each direction |
 | `sweep.py` | amplitudes over directions and frequencies, term by term |

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from warpsar.coherent.forecast import forecast
 from warpsar.coherent.left_out import left_out
 from warpsar.coherent.rcs import FREQUENCIES_HZ, Asked, Rcs, swept
 from warpsar.coherent.sweep import RAYS_PER_WAVELENGTH
@@ -19,6 +20,7 @@ from warpsar.errors import InputError
 from warpsar.io import figures
 from warpsar.io.images import replacing
 from warpsar.runtime import console
+from warpsar.runtime.busy import busy
 from warpsar.scene.scene import Scene
 from warpsar.simulation.naming import angles
 from warpsar.simulation.outputs import make_folder, write_json
@@ -51,6 +53,7 @@ def run(
     device: str | None = None,
     rays_per_wavelength: float = RAYS_PER_WAVELENGTH,
     layers: bool = False,
+    max_memory_gib: float | None = None,
 ) -> dict[str, Any]:
     """`warpsar rcs`: the files of the sweep in `out`. Returns the JSON's content. Raises InputError and DeviceError."""
     started = time.perf_counter()
@@ -65,12 +68,16 @@ def run(
             raise InputError(f"--frequencies: found {frequencies!r}; must ascend")
     scene = Scene.load(scene_path)
     out = Path(out)
-    asked = Asked.of(scene, azimuth, incidence, frequency, device, rays_per_wavelength, layers)
+    asked = Asked.of(scene, azimuth, incidence, frequency, device, rays_per_wavelength, layers, max_memory_gib)
     where = asked.body.device
     make_folder(out)  # nothing is written for what is refused
     console.say_device(where)
     fixed = held(scene.materials, scene.radar.frequency_hz, frequency or ())
     console.warn((*scene.warnings, *fixed, *asked.cautions))
+    with busy("estimating time and memory"):
+        told = forecast(scene, asked, layers)
+    if told is not None:
+        console.say(str(told))
     found = swept(scene, asked, layers)
     console.warn(found.warnings[len(asked.cautions) :])
     files = ["rcs.csv", "rcs.png", "rcs.json"]

@@ -7,7 +7,6 @@ from functools import cached_property
 from os import PathLike
 
 import numpy as np
-import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
 from warpsar.coherent.body import CoherentBody
@@ -16,10 +15,11 @@ from warpsar.coherent.joints import joints
 from warpsar.coherent.left_out import said_left_out
 from warpsar.coherent.rough_models import load
 from warpsar.coherent.sides import refuse_inside
-from warpsar.coherent.sweep import POLARIZATIONS, RAYS_PER_WAVELENGTH, TERMS, sweep
+from warpsar.coherent.sweep import FACE_BYTES, POLARIZATIONS, RAYS_PER_WAVELENGTH, TERMS, sweep
+from warpsar.coherent.traced import HIT_BYTES, RAYS_TOGETHER
 from warpsar.errors import InputError, refuse_number, shown
 from warpsar.kernels.coherent.rough_models import rough_kernel
-from warpsar.runtime import console, devices
+from warpsar.runtime import console, devices, threads
 from warpsar.runtime.memory import default_gib
 from warpsar.scene.scene import scene_or_file
 from warpsar.world.frame import SPEED_OF_LIGHT
@@ -39,6 +39,8 @@ apart by half as many decibels.
 _BYTES = 16 * len(POLARIZATIONS)
 _TUBE_BYTES = 120
 """Memory for each tube of a direction with its parts; hits go in blocks."""
+_ROUGH_BYTES = 130
+"""Of a rough place on the device."""
 _MOST_GIB = 60.0
 """Of the tubes of a direction: they are numbered in 32 bits."""
 
@@ -136,20 +138,28 @@ class Asked:
         device: str | None,
         rays_per_wavelength: float,
         layers: bool = False,
+        max_memory_gib: float | None = None,
     ) -> Asked:
-        """Raises InputError and DeviceError."""
+        """Raises InputError and DeviceError. `max_memory_gib` bounds what the sweep holds."""
         azimuths, incidences = _numbers(azimuths_deg, "azimuths"), _numbers(incidences_deg, "incidences")
         frequencies = _numbers(scene.radar.frequency_hz if frequencies_hz is None else frequencies_hz, "frequencies")
         _refuse(scene, azimuths, incidences, frequencies, rays_per_wavelength)
         where = devices.resolve_device(device)
         kernels = "tubes", "cells", "radiate", "edges", "rough"
         devices.load_kernels(where, *(f"coherent.{name}" for name in kernels))
-        _refuse_size(azimuths.size * incidences.size, frequencies.size, where, scene.radar.max_bounces * layers)
+        there = default_gib(where) if max_memory_gib is None else max_memory_gib
+        _refuse_size(azimuths.size * incidences.size, frequencies.size, there, scene.radar.max_bounces * layers)
         body = CoherentBody.of(scene, where)
         if "rough" in scene.radar.terms:
             load(body.scatterer_groups, rough_kernel, where)
-        _refuse_body(scene, body, SPEED_OF_LIGHT / frequencies.max(), rays_per_wavelength)
+        _refuse_body(scene, body, SPEED_OF_LIGHT / frequencies.max(), rays_per_wavelength, there)
         found = cls(azimuths, incidences, frequencies, rays_per_wavelength, body, tuple(cautions(scene)))
+        if max_memory_gib is not None and (needed := working_gib(scene, found, layers)) > max_memory_gib:
+            raise InputError(
+                f"{scene.name}: rcs: found {needed:.3g} GiB for rough places, the launches of all threads and the "
+                f"amplitudes; --max-memory allows {max_memory_gib:.3g} GiB; ask for fewer directions, frequencies or "
+                f"max_bounces, or fewer threads (WARPSAR_THREADS)"
+            )
         refuse_inside(scene, body, found.directions)
         return found
 
@@ -245,21 +255,36 @@ def _refuse(
         raise InputError("\n  ".join([f"{scene.name}:", *problems]) if problems[1:] else problems[0])
 
 
-def _refuse_size(directions: int, frequencies: int, device: wp.Device, layers: int) -> None:
-    """`layers`: numbers of bounces by themselves."""
+def _amplitudes_gib(directions: int, frequencies: int, layers: int) -> float:
     held = len(TERMS) + 1 + 2 * layers  # the error; layers twice, as they are turned to the reference point
-    needed, there = directions * frequencies * held * _BYTES / 2**30, default_gib(device)
-    if needed > there:
+    return directions * frequencies * held * _BYTES / 2**30
+
+
+def working_gib(scene: World, asked: Asked, layers: bool) -> float:
+    """What a sweep holds [GiB]: rough places, the launches of all threads, and the amplitudes."""
+    device, bounces = asked.body.device, scene.radar.max_bounces if "multibounce" in scene.radar.terms else 1
+    kind, several = ("cpu", threads.thread_count()) if device.is_cpu else ("cuda", 1)
+    rough = 0 if asked.body.scatterers is None else asked.body.scatterers.shape[0]
+    launches = several * (RAYS_TOGETHER[kind] * bounces * HIT_BYTES + (FACE_BYTES[kind] if rough else 0))
+    amplitudes = _amplitudes_gib(len(asked.directions), asked.frequencies.size, scene.radar.max_bounces * layers)
+    return amplitudes + (_ROUGH_BYTES * rough + launches) / 2**30
+
+
+def _refuse_size(directions: int, frequencies: int, there: float, layers: int) -> None:
+    """`layers`: numbers of bounces by themselves; `there`: memory [GiB]."""
+    if (needed := _amplitudes_gib(directions, frequencies, layers)) > there:
         raise InputError(
             f"{directions} directions x {frequencies} frequencies: found {needed:.1f} GiB of amplitudes; must be up to "
             f"{there:.1f} GiB, so ask for fewer at a time"
         )
 
 
-def _refuse_body(scene: World, body: CoherentBody, wavelength: float, rays_per_wavelength: float) -> None:
+def _refuse_body(
+    scene: World, body: CoherentBody, wavelength: float, rays_per_wavelength: float, memory_gib: float
+) -> None:
     """Refuse a body of too many tubes, and a radar inside it."""
     tubes = (2.0 * body.radius * rays_per_wavelength / wavelength) ** 2
-    if (needed := tubes * _TUBE_BYTES / 2**30) > (there := min(default_gib(body.device), _MOST_GIB)):
+    if (needed := tubes * _TUBE_BYTES / 2**30) > (there := min(memory_gib, _MOST_GIB)):
         raise InputError(
             f"{scene.name}: found a body of {2 * body.radius:.3g} m, {tubes:.2g} tubes of {wavelength:.2g} m / "
             f"{rays_per_wavelength:g} for a direction ({needed:.3g} GiB); must be up to {there:.3g} GiB"
@@ -283,7 +308,8 @@ def _warnings(scene: World, found: Rcs, strongest: NDArray[np.float64]) -> list[
     if (count := int((found.aliased > 0.0).sum())) > 0:
         warnings.append(
             f"in {count} of {found.aliased.size} directions up to {100 * found.aliased.max():.2g} % of the tubes are "
-            "too wide even so: their share of the amplitude is uncertain"
+            "too wide even so: each adds up as if its face were flat, too strong toward the mirror direction and too "
+            "weak beside it; spacing_error_db says about how much, and more --rays-per-wavelength makes them fewer"
         )
     # (f, p)
     nothing = found.rcs_m2.max(axis=(0, 1)) <= NOTHING * strongest[:, None]

@@ -27,7 +27,7 @@ POLARIZATIONS = ("HH", "HV", "VH", "VV")
 RAYS_PER_WAVELENGTH = 10.0
 _RAYS_OF_TASK = {"cpu": 2**14, "cuda": 2**26}
 """Rays of directions that are worked out together."""
-_FACE_BYTES = {"cpu": 2**26, "cuda": 2**29}
+FACE_BYTES = {"cpu": 2**26, "cuda": 2**29}
 """Memory for what faces, edges and scatterers send to the directions of one launch."""
 
 
@@ -77,7 +77,7 @@ def sweep(
     k = 2.0 * np.pi * np.asarray(frequencies_hz, float) / SPEED_OF_LIGHT
     spacing = float(2.0 * np.pi / k.max() / rays_per_wavelength)
     worker = Worker(body, k, spacing, terms, max_bounces, levels, distance_m, layers, compare)
-    counts = [_cells(body, directions, i, spacing) for i in range(len(directions))]
+    counts = [tubes_of(body, directions, i, spacing) for i in range(len(directions))]
     tasks = [partial(worker, directions[some]) for some in _batches(counts, worker.task, worker.tracer.most_views)]
     found = []
     for part in threads.ordered(tasks, body.device):
@@ -108,7 +108,8 @@ def shift(
     return factor
 
 
-def _cells(body: CoherentBody, directions: Directions, i: int, spacing: float) -> int:
+def tubes_of(body: CoherentBody, directions: Directions, i: int, spacing: float) -> int:
+    """Tubes of `spacing` [m] of direction number `i`, before any is cut."""
     ends = body.extents([directions.u[i], directions.v[i]])
     return int(np.prod(np.ceil((ends[:, 1] - ends[:, 0]) / spacing).clip(1)))
 
@@ -161,7 +162,7 @@ class Worker:
             outward /= np.linalg.norm(outward, axis=1)[:, None]
             self.edge_middle = upload(packed["middle"], wp.vec3d, device)
             self.edge_outward = upload(outward, wp.vec3d, device)
-        self.views_together = max(_FACE_BYTES[kind] // self._bytes_of_view(), 1)
+        self.views_together = max(FACE_BYTES[kind] // self._bytes_of_view(), 1)
 
     def _bytes_of_view(self) -> int:
         """What faces, edges and scatterers take of a direction: what it sees, and the sums of their chunks."""

@@ -25,10 +25,10 @@ TURN = np.pi / 2
 footprint. Wider tubes are cut along the side that is too wide."""
 LEVELS = 5
 """How many times a side of a tube is halved at most."""
-_RAYS_TOGETHER = {"cpu": 2**14, "cuda": 2**19}
+RAYS_TOGETHER = {"cpu": 2**14, "cuda": 2**19}
 """Rays of one launch, with `MOST_BOUNCES`: 80 MB of hits for each thread of the CPU, 2.5 GB on CUDA. A small device
 takes fewer."""
-_HIT_BYTES = 160
+HIT_BYTES = 160
 _PART_BYTES = {"cpu": 2**24, "cuda": 2**28}
 """Memory for what the chunks of one launch radiate, and for what is kept of the directions of one task."""
 
@@ -43,9 +43,9 @@ class Tracer:
         self.count, self.largest = len(k), float(k.max())
         self.wavenumbers = upload(k, wp.float64, body.device)
         kind = "cpu" if body.device.is_cpu else "cuda"
-        together = _RAYS_TOGETHER[kind] * MOST_BOUNCES // max(bounces, MOST_BOUNCES)
+        together = RAYS_TOGETHER[kind] * MOST_BOUNCES // max(bounces, MOST_BOUNCES)
         if kind == "cuda":
-            together = min(together, int(0.25 * default_gib(body.device) * 2**30) // (bounces * _HIT_BYTES))
+            together = min(together, int(0.25 * default_gib(body.device) * 2**30) // (bounces * HIT_BYTES))
         self.together = max(together - together % cells.RAYS, cells.RAYS)
         self.radiating = max(_PART_BYTES[kind] // (self.count * 2 * 4 * 16), 1) * cells.RAYS
         bytes_of_view = cells.LANES * self.count * layers * 4 * 16 + body.regions.shape[0]
