@@ -460,6 +460,7 @@ class View(Table):
         default=False,
         description="Whether `looks` were estimated from the images themselves, as `import` does: no test of speckle "
         "can then speak against them.",
+        examples=[True],
     )
     texture: Annotated[_Positive, Field(ge=0.05, le=1e6)] | None = Field(
         default=None,
