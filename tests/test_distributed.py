@@ -203,7 +203,7 @@ def test_diagnose_on_two_ranks_is_diagnose_on_one(shifted: Path, tmp_path: Path)
     runs = [start(n, "-m", "warpsar", "diagnose", shifted, "-o", tmp_path / str(n), *options) for n in (1, 2)]
     alone, together = [finish(run) for run in runs]
     assert together[0] == alone[0]
-    assert alone[0].startswith("registration; test deviance ")
+    assert alone[0].startswith("registration; edges agree to ")
     said = [
         [line for line in stderr.splitlines() if re.search("2 ln L|left out|added", line)]
         for _, stderr in (alone, together)
