@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import struct
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from io import BytesIO
@@ -23,6 +24,7 @@ LARGEST_MESH = 2**28
 # What trimesh raises on broken files: it has no errors of its own.
 _BROKEN: tuple[type[Exception], ...] = (ArithmeticError, AssertionError, AttributeError, EOFError, ImportError)
 _BROKEN += (LookupError, NameError, NotImplementedError, OSError, RecursionError, TypeError, ValueError, struct.error)
+_BROKEN += (DeprecationWarning,)
 logging.getLogger("trimesh").addHandler(logging.NullHandler())  # our message holds what it says of a broken file
 
 
@@ -47,7 +49,9 @@ def load(
     """The file as trimesh reads it. Of the files that it refers to only those in `resolver` are there."""
     import trimesh
 
-    with refusing_broken(path, fault):
+    with refusing_broken(path, fault), warnings.catch_warnings():
+        # older NumPy warns of a word that is no number, and goes on without what follows
+        warnings.filterwarnings("error", "string or file could not be read", DeprecationWarning)
         return trimesh.load_scene(source, process=False, **{"resolver": {}, **how})
 
 
