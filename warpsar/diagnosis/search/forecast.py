@@ -23,8 +23,8 @@ from warpsar.speckle.draws import Speckle
 from warpsar.speckle.scan import Scan
 
 # Of the scenes of benchmarks/diagnosis_forecast.py, which holds them against the time that runs took.
-JACOBIANS = 60.0  # of a start of a fit, and of the models that are judged
-BATCHES = 60.0  # of draws beside those of the bootstrap, that templates, scores and the judgement are worth
+JACOBIANS = 120.0  # of a start of a fit, and of the models that are judged
+BATCHES = 140.0  # of draws beside those of the bootstrap, that templates, scores and the judgement are worth
 EFFECT = 1.8  # times all of it, for an effect that is found: candidates' fits, the next turn, and confirmation
 
 
