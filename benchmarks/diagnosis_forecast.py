@@ -10,7 +10,6 @@ docs/diagnosis.md has the table.
 
 import json
 import os
-import subprocess
 import sys
 import time
 from pathlib import Path
@@ -21,6 +20,7 @@ import click
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import tables
+from diagnosis_time import in_own_processes
 
 from warpsar.diagnosis import command
 from warpsar.diagnosis.search import procedure
@@ -73,9 +73,7 @@ def main() -> None:
 def run(cases: tuple[Path, ...], out: Path, device: str) -> None:
     """Diagnose each of CASES in a process of its own."""
     out.mkdir(parents=True, exist_ok=True)
-    if len(cases) > 1:
-        for case in cases:
-            subprocess.run([sys.executable, __file__, "run", str(case), "-o", str(out), "--device", device], check=True)
+    if in_own_processes(__file__, cases, out, device):
         return
     result = one_case(cases[0], out, device)
     tables.save(out / f"{cases[0].name}.json", result)

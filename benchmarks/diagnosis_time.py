@@ -13,7 +13,7 @@ import subprocess
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import wraps
 from pathlib import Path
 from typing import Any
@@ -126,6 +126,15 @@ def one_case(case: Path, out: Path, device: str) -> dict[str, Any]:
     }
 
 
+def in_own_processes(script: str, cases: Sequence[Path], out: Path, device: str) -> bool:
+    """Let the `script` run each of several cases in a process of its own; whether there are several."""
+    if len(cases) < 2:
+        return False
+    for case in cases:
+        subprocess.run([sys.executable, script, "run", str(case), "-o", str(out), "--device", device], check=True)
+    return True
+
+
 @click.group()
 def main() -> None:
     """Time `warpsar diagnose`."""
@@ -142,9 +151,7 @@ out_option = click.option("-o", "--out", default="out/diagnosis_time", show_defa
 def run(cases: tuple[Path, ...], out: Path, device: str) -> None:
     """Diagnose each of CASES in a process of its own."""
     out.mkdir(parents=True, exist_ok=True)
-    if len(cases) > 1:
-        for case in cases:
-            subprocess.run([sys.executable, __file__, "run", str(case), "-o", str(out), "--device", device], check=True)
+    if in_own_processes(__file__, cases, out, device):
         return
     result = one_case(cases[0], out, device)
     tables.save(out / f"{cases[0].name}.{device.partition(':')[0]}.json", result)

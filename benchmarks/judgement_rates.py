@@ -49,6 +49,7 @@ KEYS = ("eps_r", "rms_height_m", "correlation_length_m")
 START_SD = 0.2  # of ln(eps_r - 1), ln h, ln l about the truth
 RAYS_PER_PIXEL = 1024.0
 CORRELATION_PX = 0.7  # standard deviation of the field's Gaussian response
+SHARING = 2.0 * math.pi * CORRELATION_PX**2  # pixels that then share one speckle: the intensity's correlation, summed
 SEEN = 100.0  # 2 ln L, bounded, by which an image of the truth must differ from one as declared: less is nothing
 BOUND = 20.0
 MINUTES = 0.2  # for the search where something is wrong: its names are not asked here, and can only add to what is said
@@ -201,7 +202,10 @@ def drawn(kind: str, random: np.random.Generator) -> Drawn:
     elif kind == "looks of a view":
         law = laws(scene, factor=float(random.choice([random.uniform(0.4, 0.7), random.uniform(1.5, 2.5)])), only=train)
     elif kind == "texture":
-        law = laws(scene, texture=float(random.uniform(1.5, 8.0)))
+        looks = scene.views[0].looks
+        assert looks is not None
+        # power varies by as much as with looks that are wrong by a quarter, at least
+        law = laws(scene, texture=float(random.uniform(1.5, min(8.0, 3.0 * (looks + 1.0)))))
     elif kind == "azimuth of a view":
         true = turned(scene, train, azimuth_deg=sign(random, 0.8, 2.0))
     elif kind == "incidence of a view":
@@ -314,9 +318,8 @@ def speckled(random: np.random.Generator, law: Law, shape: tuple[int, int], corr
     """Intensity of mean 1: white, or of fields with a Gaussian response. Texture is white."""
     if not correlated:
         return law.draw(random, shape)
-    looks = max(round(law.looks), 1)
     fields = gaussian_filter(
-        random.standard_normal((2 * looks, *shape)), (0.0, CORRELATION_PX, CORRELATION_PX), mode="wrap"
+        random.standard_normal((2 * round(law.looks), *shape)), (0.0, CORRELATION_PX, CORRELATION_PX), mode="wrap"
     )
     impulse = np.zeros(shape)
     impulse[0, 0] = 1.0
@@ -325,9 +328,9 @@ def speckled(random: np.random.Generator, law: Law, shape: tuple[int, int], corr
     return np.asarray((fields**2).mean(axis=0) / power * texture)
 
 
-def seen(found: Drawn, clean: Mapping[str, np.ndarray], device: str, folder: Path) -> float:
+def seen(found: Drawn, clean: Mapping[str, np.ndarray], sharing: float, device: str, folder: Path) -> float:
     """2 ln L by which images without speckle differ from the declared model, bounded, plus what other laws of speckle
-    make of it: how much there is to be found."""
+    make of it: how much there is to be found. `sharing`: pixels that share one speckle."""
     views = []
     for view in found.declared.views:
         path = folder / f"clean_{view.name}.tif"
@@ -342,7 +345,7 @@ def seen(found: Drawn, clean: Mapping[str, np.ndarray], device: str, folder: Pat
         law, stated = found.law[image.view.name], image.seen.law
         if law != stated:
             total += image.seen.count * abs(law.log_mean - stated.log_mean)
-    return total
+    return total / sharing
 
 
 def one_run(number: int, device: str, minutes: float) -> dict[str, Any]:
@@ -351,16 +354,19 @@ def one_run(number: int, device: str, minutes: float) -> dict[str, Any]:
     kind = kind_of(number)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
+        correlated = bool(random.random() < 0.3)
         while True:
             found = drawn(kind, random)
+            if correlated:  # the sum of so many fields
+                whole = {v: replace(law, looks=float(max(round(law.looks), 1))) for v, law in found.law.items()}
+                found = replace(found, law=whole)
             clean = {
                 view.name: found.change(view.name, made.beta0["HH"].astype(float))
                 for view, made in zip(found.true.views, simulate(found.true, device=device), strict=True)
             }
-            there = seen(found, clean, device, folder)
+            there = seen(found, clean, SHARING if correlated else 1.0, device, folder)
             if kind == "nothing" or there > SEEN:
                 break
-        correlated = bool(random.random() < 0.3)
         views = []
         for view in found.declared.views:
             path = folder / f"{view.name}.tif"
@@ -392,6 +398,8 @@ def one_run(number: int, device: str, minutes: float) -> dict[str, Any]:
             "found": asdict(done.speckle),
         },
         "findings": {role: one.findings for role, one in done.verdicts.items()},
+        "chances": {role: [one.p_window, one.p_profile, one.p_level] for role, one in done.verdicts.items()},
+        "open_surface": done.open_surface,
         "line": in_short(done),
         "not_asked": done.diagnosis.not_asked,
         "seconds": round(time.perf_counter() - started, 1),

@@ -267,7 +267,7 @@ def test_a_bright_spot_is_unexplained_and_put_on_the_ground(tmp_path: Path) -> N
     assert done.diagnosis.verdict == []
     assert done.diagnosis.unexplained
     where = done.place
-    assert (where.view, where.window) == ("v1", 3)
+    assert (where.view, where.window) == ("v1", (3, 3))
     assert abs(where.row - row) <= 1
     assert abs(where.col - col) <= 1
     assert where.ratio_db > 3.0

@@ -14,7 +14,7 @@ from warpsar.diagnosis.models.bench import Bench
 from warpsar.diagnosis.models.carried import Carried, carried_over
 from warpsar.diagnosis.models.frozen import frozen
 from warpsar.diagnosis.models.left_out import LeftOut, leave_one_view_out
-from warpsar.diagnosis.models.refit import BOUND, Fitted, fit_model, on_bounded_ground
+from warpsar.diagnosis.models.refit import BOUND, Fitted, fit_model, on_bounded_ground, refit_as
 from warpsar.diagnosis.scores.templates import with_effect
 from warpsar.diagnosis.search.confirmation import confirm
 from warpsar.diagnosis.turn.addition import TOO_LITTLE
@@ -159,13 +159,25 @@ def test_a_fit_far_behind_is_given_up_and_no_other(floor: tuple[Bench, Scene]) -
     assert whole.log_likelihood > base.log_likelihood - 5.0
 
 
+def test_a_surface_that_was_dragged_away_comes_back_from_the_declared_one(floor: tuple[Bench, Scene]) -> None:
+    """A body in the wrong place drags its surface to where no descent leads back, once it stands where it should."""
+    bench, scene = floor
+    dragged = {"eps_r": 1.1, "rms_height_m": 2.0, "correlation_length_m": 2e-5}
+    there = replace(scene, materials={**scene.materials, "cube": scene.materials["cube"].model_copy(update=dragged)})
+    onward, anew = (refit_as(bench, there, declared) for declared in (None, scene))
+    best = refit_as(bench, scene)
+    # the declared surface is the true one here; the dragged one ends 5 of ln L below
+    assert anew.log_likelihood == pytest.approx(best.log_likelihood, abs=1.0)
+    assert onward.log_likelihood < best.log_likelihood - 3.0
+
+
 # What is dropped
 
 
 def test_what_the_newest_effect_makes_needless_is_dropped(
     shifted: tuple[Bench, Scene], tmp_path_factory: pytest.TempPathFactory
 ) -> None:
-    turn = Turn([], "registration", Spot(0, 0, 0, 3, 0.0), 0.0, 1.0, 7.0, fit_model(*shifted, 0, 0))
+    turn = Turn([], "registration", Spot(0.0, 0, 0, 0, (3, 3)), 0.0, 1.0, 7.0, fit_model(*shifted, 0, 0))
     bench, scene = shifted
     narrow = {**BLUR, "range_fwhm_m": 0.2, "azimuth_fwhm_m": 0.2}
     turn.fitted = fitted_to(bench, scene, {**scene.effects, "point_spread": narrow, "registration": SHIFT})

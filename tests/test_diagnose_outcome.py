@@ -27,7 +27,7 @@ FITTED = Candidate("point_spread", "testable", minus_log_p=50.0, refit_gain=1234
 def turn_of(*candidates: Candidate, added: str | None = None, **more: Any) -> Turn:
     table = {"point_spread": {"range_fwhm_m": 1.23456, "window": "gaussian"}}
     fitted = SimpleNamespace(scene=SimpleNamespace(effects=table)) if added else None
-    turn = Turn(list(candidates), added, Spot(1.0, 0, 0, 0, 3), 1.0, 0.5, 8.0, base=cast(Any, None), **more)
+    turn = Turn(list(candidates), added, Spot(1.0, 0, 0, 0, (3, 3)), 1.0, 0.5, 8.0, base=cast(Any, None), **more)
     return replace(turn, fitted=cast(Any, fitted))
 
 

@@ -139,7 +139,7 @@ def test_a_body_is_taken_back_with_the_effects_of_its_own_material(monkeypatch: 
     scene = with_box()
     detail = {"level": 0.1, "spread_m": 1.0}
     kept = {"noise_floor": validate("noise_floor", {"level": 0.01}, "")}
-    monkeypatch.setattr(geometry_confirmation, "fitted_beside", lambda _, without: (None, without))
+    monkeypatch.setattr(geometry_confirmation, "fitted_beside", lambda _, without, declared: (None, without))
     for materials, left in ((["it"], kept), (["hut"], {**kept, "unresolved_detail": ...})):
         effects = {**kept, "unresolved_detail": validate("unresolved_detail", {**detail, "materials": materials}, "")}
         model = SimpleNamespace(scene=replace(scene, effects=effects))

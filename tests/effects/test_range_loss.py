@@ -5,7 +5,7 @@ import pytest
 from effect_worlds import ROUNDING, STRIP_MAP, Case, gains, plane, refusal, street
 
 from warpsar.effects.base.trial import Context
-from warpsar.effects.registry import get
+from warpsar.effects.registry import get, validate
 
 WORKING = [
     Case({"per_m": 0.03}),
@@ -28,6 +28,14 @@ def test_range_loss_in_both_kinds_of_scene() -> None:
 def test_trials_are_of_the_scenes_kind() -> None:
     step = get("range_loss").trials(Context(street(**STRIP_MAP), 0.01))[0].steps[0]
     assert "exponent" in step.plus
+
+
+def test_the_trial_of_a_small_scene_far_away_can_be_asked() -> None:
+    """Two per cent over eight metres, ten kilometres off, would be an exponent of 35."""
+    effect, scene = get("range_loss"), plane(slant_range_m=1e4)
+    (step,) = effect.trials(Context(scene, 0.01))[0].steps
+    assert step.plus == {"exponent": 10.0}
+    validate("range_loss", step.plus, "effects.range_loss")
 
 
 def test_an_exponent_is_refused_in_a_plane_wave() -> None:

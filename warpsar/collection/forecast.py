@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TypeVar
 
 import numpy as np
 import warp as wp
@@ -21,11 +20,9 @@ from warpsar.collection.scatterers import TOGETHER, Part, Scatterers, Stream, fa
 from warpsar.errors import InputError
 from warpsar.io.quick_look import draw_blank
 from warpsar.runtime import threads
-from warpsar.runtime.forecast import LONG_S, duration
+from warpsar.runtime.forecast import LONG_S, duration, timed
 from warpsar.runtime.memory import default_gib
 from warpsar.world.world import World
-
-T = TypeVar("T")
 
 FEWEST = 2**14
 """Scatterers that are held at a time at least."""
@@ -152,7 +149,7 @@ def _rough(stream: Stream) -> _Look:
     total, knot = places.shape[0], stream.plan.middle
     size = max(1, min(total // 3, 2 * FEWEST * threads.thread_count()))
     stream.rough(knot, slice(0, min(total, 16)))  # loads the kernels
-    spent, found = _timed(
+    spent, found = timed(
         lambda: [stream.rough(knot, slice(a, a + size)) for a in np.linspace(0, total - size, 3).astype(int).tolist()]
     )
     whole = total / (3.0 * size)
@@ -170,7 +167,7 @@ def _tubes(stream: Stream) -> _Look:
     ends = np.minimum(starts + 3, rows)
     cells.matter(0, 1)  # loads the kernels
     bands = np.stack([starts, ends], axis=1).tolist()
-    coarse, matter = _timed(lambda: [cells.matter(a * columns, b * columns) for a, b in bands])
+    coarse, matter = timed(lambda: [cells.matter(a * columns, b * columns) for a, b in bands])
     found_cells = []
     for (a, b), each in zip(bands, matter, strict=True):
         near = cells.chosen(each)
@@ -245,8 +242,8 @@ class _Deposit:
                 return spectrum
 
         run([one])  # loads the kernels
-        empty = _timed(lambda: run([one]))[0]
-        full = _timed(lambda: run(parts))[0] if parts else empty
+        empty = timed(lambda: run([one]))[0]
+        full = timed(lambda: run(parts))[0] if parts else empty
         return cls(max(full - empty, 0.0) / (max(scatterers, 1) * pulses), empty * scale)
 
 
@@ -262,7 +259,7 @@ def _focusing(bodies: Bodies, plan: Plan) -> float:
 
     def spent(count: int) -> float:
         part = grid.model_copy(update={"shape": (count, grid.shape[1])})
-        return _timed(lambda: slc.focused(made, part, bodies.device))[0]
+        return timed(lambda: slc.focused(made, part, bodies.device))[0]
 
     spent(few)  # loads the kernels
     low, high = spent(few), spent(more)
@@ -273,11 +270,4 @@ def _picture(world: World) -> float:
     """Seconds of a quick look."""
     draw = partial(draw_blank, world.radar.polarizations, world.grid.shape, world.grid.spacing_m)
     draw()  # loads the library that draws
-    return _timed(draw)[0]
-
-
-def _timed(task: Callable[[], T]) -> tuple[float, T]:
-    started = time.perf_counter()
-    found = task()
-    wp.synchronize()
-    return time.perf_counter() - started, found
+    return timed(draw)[0]

@@ -5,6 +5,7 @@ modelled.py     a view as the model has it, by exact areas where they can be had
 metrics.py      how far one image is from the model, and several together
 comparison.py   one measured image beside its model; all images of a scene
 edges.py        whether edges and borders of shadows lie where the model has them
+profiles.py     whether the power of rows, or of columns, is off the model
 judgement.py    is anything left beside speckle?
 evaluation.py   all images of a scene, what they give together, and the judgement on each role's
 """

@@ -284,7 +284,7 @@ def _collected(scene: Scene, images: Sequence[Comparison], ranks: Ranks) -> list
     found = []
     for about, stored in zip(ranks.gather(said), ranks.collect(arrays), strict=False):
         for number, one in enumerate(about):
-            values: dict[str, Any] = {**one["facts"]}
+            values: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in one["facts"].items()}
             values |= {key.partition(" ")[2]: a for key, a in stored.items() if key.partition(" ")[0] == str(number)}
             own = {key.removeprefix("seen."): value for key, value in values.items() if key.startswith("seen.")}
             seen = Observation(view=scene.views[order.index(one["view"])], **own)

@@ -1,16 +1,18 @@
 """Is anything left beside speckle? One judgement of a model against its images, for `learn`, `evaluate` and `diagnose`.
 
-Four things are asked of the images of one role. Each says how small a departure matters, so that many pixels do not
+Five things are asked of the images of one role. Each says how small a departure matters, so that many pixels do not
 condemn what is right to a few percent.
 
 structure  the strongest window of the residual, on all usable pixels, edges and shadows among them
+           the profiles of rows and columns (`profiles.py`)
 edges      how far outlines lie off (`edges.py`)
 speckle    how the power of even ground scatters (`speckle.facts`): looks, texture, or neither
-level      whether the deviance of the lit interior is that of even ground
+level      whether the deviance of the lit interior is that of even ground, and that of the declared speckle
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -21,20 +23,24 @@ from scipy.special import erfc
 
 from warpsar.compare.comparison import LARGEST, Comparison
 from warpsar.compare.edges import Edges, displaced, edges_of
+from warpsar.compare.profiles import Profile, Profiles
 from warpsar.runtime import threads
 from warpsar.speckle.draws import Speckle
 from warpsar.speckle.even import EvenGround, even_ground
-from warpsar.speckle.facts import Scatter, SpeckleFact, speckle_fact
+from warpsar.speckle.facts import MATTERS, Scatter, SpeckleFact, speckle_fact
 from warpsar.speckle.law import Law
 from warpsar.speckle.likelihood import scaled_deviance
 from warpsar.speckle.own import Patch, own_autocovariance
-from warpsar.speckle.scan import Scan
+from warpsar.speckle.scan import Scan, Spot
+from warpsar.speckle.scan import Window as Size
 from warpsar.speckle.tail import Tail
 
-ERROR_RATE = 0.01  # chance that a right model is called anything else: half for the scan, half for edges and level
-SIDES = (1, 3, 5, 9, 17)  # pixels on a side of a window
-WINDOW_DB = 0.2  # by which a window's power may be off
-LEVEL_MATTERS = 0.05  # of the mean deviance, beyond what even ground scatters by
+ERROR_RATE = 0.005  # chance that a right model is called anything else
+SHARE = ERROR_RATE / 4  # of it, for each of windows, profiles, edges and level
+LINE = 33  # pixels along a line: a smear, a sidelobe, a wall
+SIZES: tuple[Size, ...] = ((1, 1), (3, 3), (5, 5), (9, 9), (17, 17), (3, LINE), (LINE, 3))
+WINDOW_DB = 0.2  # by which a window's power, or that of rows and columns, may be off
+LEVEL_MATTERS = 0.05  # of the mean deviance, beyond what even ground scatters by; beyond 1 it is `MATTERS`
 WIDEST = 0.1  # standard deviation of the mean deviance beyond which nothing can be told
 DRAWN, MOST_DRAWS, FEWEST_DRAWS = 2e7, 1000, 200  # pixels drawn altogether, and draws
 BATCH = 2e6  # pixels drawn at once
@@ -46,7 +52,7 @@ Finding = Literal["speckle", "structure", "edges", "looks", "texture", "distribu
 
 @dataclass(frozen=True)
 class Window:
-    """A window of `pixels` x `pixels` about (`row`, `col`), or (`range_m`, `azimuth_m`) about the reference point.
+    """A window of `rows` x `columns` pixels about (`row`, `col`): (`range_m`, `azimuth_m`) from the reference point.
 
     `ratio_db`: measured over modelled power of its usable pixels [dB]; infinite where the model has none. `z`: the mean
     residual beyond what is granted, over the standard deviation that speckle gives it.
@@ -56,7 +62,8 @@ class Window:
     polarization: str
     row: int
     col: int
-    pixels: int
+    rows: int
+    columns: int
     range_m: float
     azimuth_m: float
     ratio_db: float
@@ -69,9 +76,10 @@ class Judgement:
 
     `findings`: what departs from speckle, the chief one first; empty where nothing does. `deviance`: mean of d / E[d]
     over the interior without edges; `own_deviance`: what the scatter of even ground makes of it; `deviance_error`: how
-    far the deviance would scatter about that by speckle. `p_level`, `p_structure`: chances of a deviance so far from it
-    and of a window so strong, by speckle alone. `window`: the strongest one, whatever its chance. `looks_estimated`:
-    whether the looks are the images' own, so that they are not tested.
+    far the deviance would scatter about that by speckle. `p_level`, `p_window`, `p_profile`: chances of a
+    deviance so far from it, of a window so strong and of rows or columns that vary so much, by speckle alone. `window`,
+    `profile`: the strongest, whatever their chance. `looks_estimated`:
+    whether the looks are the images' own, so that they are not tested. `sharing`: pixels that share one speckle.
     """
 
     findings: list[Finding]
@@ -79,12 +87,15 @@ class Judgement:
     own_deviance: float
     deviance_error: float
     p_level: float
-    p_structure: float
+    p_window: float
+    p_profile: float
     pixels: int
     window: Window
+    profile: Profile
     edges: Edges
     speckle: SpeckleFact
     looks_estimated: bool
+    sharing: float
 
     @property
     def finding(self) -> Finding:
@@ -107,7 +118,8 @@ class Judgement:
         elif not said:
             said = ["nothing but speckle is found"]
         own = f"{self.own_deviance:.3f} +- {self.deviance_error:.3f}"
-        said += [f"deviance {self.deviance:.3f}, where speckle leaves {own}"]
+        if math.isfinite(self.deviance_error):
+            said += [f"deviance away from edges {self.deviance:.3f}, where speckle leaves {own}"]
         if self.looks_estimated:
             said += ["the looks were estimated from the images, so they are not tested"]
         if "edges" not in self.findings:
@@ -119,6 +131,7 @@ class Judgement:
         """The judgement that another process has as `asdict`, sent as JSON."""
         parts = {
             "window": Window(**told["window"]),
+            "profile": Profile(**told["profile"]),
             "edges": Edges.heard(told["edges"]),
             "speckle": SpeckleFact.heard(told["speckle"]),
         }
@@ -130,6 +143,7 @@ class Judgement:
         return {
             "finding": self.finding,
             **about,
+            "deviance_error": self.deviance_error if math.isfinite(self.deviance_error) else None,
             "edges": self.edges.content(),
             "speckle": asdict(self.speckle),
             "error_rate": ERROR_RATE,
@@ -138,17 +152,19 @@ class Judgement:
 
 
 def _said_structure(found: Judgement) -> str:
+    if found.p_window >= SHARE:
+        return f"structure is left ({_p(found.p_profile)}): {found.profile.words}"
     w = found.window
-    size = "is one pixel" if w.pixels == 1 else f"has {w.pixels} x {w.pixels} pixels"
+    size = "is one pixel" if w.rows * w.columns == 1 else f"has {w.rows} x {w.columns} pixels"
     power = f"{w.ratio_db:+.1f} dB" if np.isfinite(w.ratio_db) else "power where the model has none"
     return (
-        f"structure is left ({_p(found.p_structure)}): the strongest window {size}, in {w.view} {w.polarization} at "
+        f"structure is left ({_p(found.p_window)}): the strongest window {size}, in {w.view} {w.polarization} at "
         f"range {w.range_m:.1f} m, azimuth {w.azimuth_m:.1f} m, {power}"
     )
 
 
 def _said_edges(found: Judgement) -> str:
-    off = found.edges.off(ERROR_RATE / 4)
+    off = found.edges.off(SHARE)
     each = ", ".join(f"{one.displacement_m:.2g} m or more in {one.image}" for one in off[:3])
     rest = f" and {len(off) - 3} more" if len(off) > 3 else ""
     return (
@@ -162,7 +178,10 @@ def _said_speckle(found: Judgement) -> str:
 
 
 def _said_level(found: Judgement) -> str:
-    return f"the level is off ({_p(found.p_level)})"
+    return (
+        f"the level is off ({_p(found.p_level)}): {found.deviance:.3f}, where declared speckle leaves 1, and that of "
+        f"even ground {found.own_deviance:.3f}"
+    )
 
 
 _SAID = {
@@ -188,16 +207,19 @@ def judge(images: Sequence[Comparison]) -> Judgement:
     sample, share = _sample(images)
     correlation, variance = own_autocovariance([_patch(image) for image in sample])
     shown = max(variance, 1.0)
-    strongest, levels = _drawn(sample, correlation, shown)
+    profiles = Profiles(sample, shown * float(correlation.sum()), parts=share < 1.0)
+    drawn = _drawn(sample, profiles, correlation, shown)
 
-    scan = Scan([_of_usable(image) for image in images], correlation, sides=SIDES)
+    scan = Scan([_of_usable(image) for image in images], correlation, windows=SIZES)
     granted = 10.0 ** (WINDOW_DB / 10.0) - 1.0
     spot = scan.strongest(
         [image.residual[image.usable] for image in images],
         [granted * (image.simulated / image.sd)[image.usable] for image in images],
     )
-    in_sample = min(np.exp(-float(Tail.of(strongest)(abs(spot.z)))), 1.0 - 1e-9)
-    p_structure = float(-np.expm1(np.log1p(-in_sample) / share))
+    in_sample = min(np.exp(-float(Tail.of(drawn.windows)(abs(spot.z)))), 1.0 - 1e-9)
+    p_window = float(-np.expm1(np.log1p(-in_sample) / share))
+    profile = profiles.strongest([i.residual[i.usable] for i in sample], granted)
+    p_profile = float(np.exp(-float(Tail.of(drawn.profiles)(profile.surprise))))
 
     edges = edges_of(images, shown, correlation)
     grounds = [_ground(image, correlation) for image in images]
@@ -206,24 +228,45 @@ def judge(images: Sequence[Comparison]) -> Judgement:
     even = np.array([int(image.even.sum()) for image in images])
     mean = float(sum(image.scaled_deviance[image.even[image.interior]].sum() for image in images) / max(even.sum(), 1))
     own, own_error = _own_level(images, grounds, speckle, even / max(even.sum(), 1))
-    error = float(np.hypot(levels.std() * np.sqrt(share), own_error))
+    speckle_error = float(drawn.levels.std() * np.sqrt(share))
+    error = float(np.hypot(speckle_error, own_error))
     noise = max(image.sampling_noise for image in images)
-    off = max(abs(mean - own) - LEVEL_MATTERS - (noise if mean > own else 0.0), 0.0)
-    p_level = float(erfc(off / error / np.sqrt(2.0)))
+    estimated = any(image.seen.looks_estimated for image in images)
+    asked = [(own, LEVEL_MATTERS, error)]
+    if not (estimated or speckle.departs):
+        asked.append((1.0, MATTERS, speckle_error))
+    if not even.any() or speckle_error == 0.0:  # all pixels lie at edges: there is no level to be told
+        asked, error = [], math.inf
+    off = [0.0] + [
+        max(abs(mean - at) - matters - (noise if mean > at else 0.0), 0.0) / scatter for at, matters, scatter in asked
+    ]
+    p_level = float(erfc(max(off) / np.sqrt(2.0)))
 
     findings: list[Finding] = []
-    if p_structure < ERROR_RATE / 2:
+    if min(p_window, p_profile) < SHARE:
         findings.append("structure")
-    if edges.off(ERROR_RATE / 4):
+    if edges.off(SHARE):
         findings.append("edges")
     if speckle.departs:
         findings.append(_kind(speckle))
-    if p_level < ERROR_RATE / 4:
+    if p_level < SHARE:
         findings.append("level")
-    window = _window(images[spot.observation], spot.row, spot.col, spot.window, spot.z)
-    estimated = any(image.seen.looks_estimated for image in images)
+    pixels, window = int(counts.sum()), _window(images[spot.observation], spot)
     return Judgement(
-        findings, mean, own, error, p_level, p_structure, int(counts.sum()), window, edges, speckle, estimated
+        findings,
+        mean,
+        own,
+        error,
+        p_level,
+        p_window,
+        p_profile,
+        pixels,
+        window,
+        profile,
+        edges,
+        speckle,
+        estimated,
+        float(correlation.sum()),
     )
 
 
@@ -284,18 +327,27 @@ def _sample(images: Sequence[Comparison]) -> tuple[list[Comparison], float]:
     return found, taken / total
 
 
-def _drawn(sample: Sequence[Comparison], correlation: np.ndarray, shown: float) -> tuple[np.ndarray, np.ndarray]:
-    """The strongest window and the mean deviance of draws of speckle, outlines displaced as is granted, shape (draws,)
-    each; `shown`: the variance of the residual over that of the declared law."""
+@dataclass(frozen=True)
+class _Drawn:
+    """Of draws of speckle, shape (draws,) each: strongest window, most surprising profile, mean deviance."""
+
+    windows: np.ndarray
+    profiles: np.ndarray
+    levels: np.ndarray
+
+
+def _drawn(sample: Sequence[Comparison], profiles: Profiles, correlation: np.ndarray, shown: float) -> _Drawn:
+    """Draws with outlines displaced as is granted; `shown`: the variance of the residual over that of the declared
+    law."""
     laws = [Law.of_equivalent(i.seen.looks / shown, i.seen.texture) for i in sample]
     patches = [Patch(i.scatters, i.simulated, law) for i, law in zip(sample, laws, strict=True)]
     counts = [int(p.interior.sum()) for p in patches]
-    speckle, scan = Speckle(patches, correlation), Scan([_of_usable(i) for i in sample], correlation, sides=SIDES)
+    speckle, scan = Speckle(patches, correlation), Scan([_of_usable(i) for i in sample], correlation, windows=SIZES)
     draws = int(np.clip(DRAWN / sum(counts), FEWEST_DRAWS, MOST_DRAWS))
     size = int(np.clip(BATCH / sum(counts), 1, 25))
     interior = max(sum(int((i.even & i.scatters).sum()) for i in sample), 1)
 
-    def batch(sequence: np.random.SeedSequence) -> tuple[np.ndarray, np.ndarray]:
+    def batch(sequence: np.random.SeedSequence) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         random = np.random.default_rng(sequence)
         parts = np.split(speckle(random, size), np.cumsum(counts)[:-1])
         residuals, total = [], np.zeros(size)
@@ -310,11 +362,10 @@ def _drawn(sample: Sequence[Comparison], correlation: np.ndarray, shown: float) 
             limit = image.sd[patch.interior][:, None]
             residual[patch.interior[image.usable]] = np.clip(away / limit, -LARGEST, LARGEST)
             residuals.append(residual)
-        return scan.largest(residuals), total / interior
+        return scan.largest(residuals), profiles.largest(residuals), total / interior
 
     seeds = np.random.SeedSequence(SEED).spawn(-(-draws // size))
-    strongest, levels = zip(*threads.in_threads(partial(batch, one) for one in seeds), strict=True)
-    return np.concatenate(strongest), np.concatenate(levels)
+    return _Drawn(*map(np.concatenate, zip(*threads.in_threads(partial(batch, one) for one in seeds), strict=True)))
 
 
 def _own_level(
@@ -341,11 +392,12 @@ def _ground(image: Comparison, correlation: np.ndarray) -> EvenGround | None:
     return even_ground(patch.ratio, patch.interior, max(float(correlation.sum()), 1.0))
 
 
-def _window(image: Comparison, row: int, col: int, pixels: int, z: float) -> Window:
-    around = tuple(slice(max(k - pixels // 2, 0), k + pixels // 2 + 1) for k in (row, col))
+def _window(image: Comparison, spot: Spot) -> Window:
+    at = (spot.row, spot.col)
+    around = tuple(slice(max(k - n // 2, 0), k + n // 2 + 1) for k, n in zip(at, spot.window, strict=True))
     counted = image.usable[around]
     with np.errstate(divide="ignore", invalid="ignore"):
         measured = np.nan_to_num(image.measured[around][counted]).sum()
         ratio_db = 10.0 * np.log10(measured / image.simulated[around][counted].sum())
-    place = float(image.range_m[row]), float(image.azimuth_m[col])
-    return Window(image.view.name, image.polarization, row, col, pixels, *place, float(ratio_db), z)
+    place = float(image.range_m[spot.row]), float(image.azimuth_m[spot.col])
+    return Window(image.view.name, image.polarization, *at, *spot.window, *place, float(ratio_db), spot.z)

@@ -14,7 +14,7 @@ from warpsar.diagnosis.content import content_of
 from warpsar.diagnosis.found import DiagnoseOptions
 from warpsar.diagnosis.left.words import first_sentence
 from warpsar.diagnosis.report.page import write_report
-from warpsar.diagnosis.result import Diagnosed, judged, moved_parameters
+from warpsar.diagnosis.result import OPEN_WORDS, Diagnosed, judged, moved_parameters
 from warpsar.diagnosis.search.course import begun
 from warpsar.diagnosis.search.procedure import diagnose_scene
 from warpsar.diagnosis.written_scene import annotate
@@ -75,6 +75,8 @@ def run(
         for role, one in done.verdicts.items():
             if not one.wrong:
                 console.say(f"{role} views: {one.words}")
+        if done.open_surface:
+            console.say(done.open_surface)
         console.say_written(out, "report.html", "diagnosis.json", "scene.toml")
         print(in_short(done), file=sys.stdout)
         return content
@@ -104,11 +106,13 @@ def in_short(done: Diagnosed) -> str:
         said += [f"found: {names}"] if names else []
     else:
         said.append(names or "nothing missing")
+        said += [OPEN_WORDS] if done.foretold else []
     if found.not_asked:
         said.append("the time was over before all was asked")
     if not done.unexplained:
         edges = [one.edges for one in done.verdicts.values()]
         said.append(max(edges, key=lambda one: one.most_m if one.judged else math.inf).words)
+        said += [] if "test" in done.verdicts else ["no test views: train views alone were judged"]
         few = [role for role, one in done.verdicts.items() if one.finding == "cannot be told"]
         said += [f"too few pixels of {' and '.join(few)} views to tell their level"] if few else []
     for role in reversed(ROLES):

@@ -27,6 +27,7 @@ def content_of(
     """JSON's types; docs/diagnosis.md explains the keys."""
     found = done.diagnosis
     last = found.turns[-1]
+    rows, columns = done.place.window
     added = list(enumerate(turn for turn in found.turns if turn.fitted is not None))
     held = {turn.added: (k, turn) for k, turn in added if turn.added in found.held}  # the last time counts
     last_held = max(held.values(), key=lambda pair: pair[0])[1] if held else None
@@ -38,6 +39,7 @@ def content_of(
         "reasons": done.reasons,
         "judgement": {role: one.content() for role, one in done.verdicts.items()},
         "own_numbers_fitted_to_test_views": done.own_numbers,
+        "foretold_test_views": None if done.foretold is None else done.foretold.content(),
         "speckle": asdict(done.speckle),
         "not_asked": found.not_asked,
         "alternatives": [
@@ -71,6 +73,7 @@ def content_of(
             "minus_log_p": last.scan_minus_log_p,
             "threshold": last.threshold,
             **asdict(done.place),
+            "window": rows if rows == columns else [rows, columns],
             "dark": None if last.dark is None else asdict(last.dark),
             "description": described(done.left),
         },

@@ -8,10 +8,11 @@ from functools import cached_property
 from os import PathLike
 
 import numpy as np
+from scipy.stats import chi2
 
 from warpsar.compare.comparison import Comparison
 from warpsar.compare.evaluation import ROLES
-from warpsar.compare.judgement import Judgement, judge, speckle_of
+from warpsar.compare.judgement import SHARE, Judgement, judge, speckle_of
 from warpsar.compare.metrics import difference, likelihood_gain
 from warpsar.diagnosis.alternatives import Deciding, deciding
 from warpsar.diagnosis.field_content import identify_beside
@@ -32,6 +33,9 @@ from warpsar.scene.scene import Scene, scene_or_file
 from warpsar.speckle.facts import SpeckleFact
 from warpsar.speckle.scan import Spot
 
+OPEN = 1e-3  # chance that a surface which explains all views costs train views more likelihood than is allowed
+OPEN_WORDS = "the train views leave the surface open, so it was fitted to the test views, too"
+OF_SURFACES = {"structure", "level"}  # what a surface that is wrong does to images
 SAME_SD = 2.0  # a parameter that moved by more of its standard deviations than this is said to have moved
 
 
@@ -42,7 +46,9 @@ class Diagnosed:
     `models`: the declared model, the one after every addition, and the final one, each beside the images of train and
     test views. `speckle`: what the final model says of the declared looks and texture. `verdicts`, by role: the
     judgement on the final model, under the speckle that was found; `own_numbers`: whether what effects hold for each
-    view by itself was fitted to the test views for it. `reasons`: what speaks against an all-clear, a sentence each.
+    view by itself was fitted to the test views for it. `foretold`: the judgement of the test views before the surface
+    was fitted to them, too, since the train views leave it open; None where they foretell it, or no surface explains
+    both. `reasons`: what speaks against an all-clear, a sentence each.
     `place`: the strongest window of what is left at the end; `left`: what is left altogether. `alternatives`: rivals
     that the data do not decide against, and which measurement would.
     """
@@ -53,6 +59,7 @@ class Diagnosed:
     verdicts: dict[str, Judgement]
     reasons: list[str]
     own_numbers: bool
+    foretold: Judgement | None
     place: Place
     left: Left
     alternatives: list[tuple[Rival, Deciding]] = field(default_factory=list)
@@ -82,6 +89,13 @@ class Diagnosed:
     def unexplained(self) -> bool:
         """Whether something is left that nothing found explains, or what was found does not pay on test views."""
         return bool(self.reasons)
+
+    @property
+    def open_surface(self) -> str:
+        """What the surface of the train views makes of the test views, in words; empty where it foretells them."""
+        if self.foretold is None:
+            return ""
+        return f"test views, by the surface that the train views tell: {self.foretold.words}"
 
 
 def of_role(images: Sequence[Comparison], role: str) -> list[Comparison]:
@@ -119,6 +133,14 @@ def judged(found: Diagnosis) -> Diagnosed:
     own = judge_of.with_own_numbers(fitted)
     tested = {"train": judge_of(fitted, "train"), "test": own}
     verdicts = {role: judge(under(images, final)) for role, images in tested.items() if images}
+    foretold = None
+    if _may_be_open(verdicts):
+        images = judge_of.with_open_surface(final, found.bench.roughness)
+        opened = {role: judge(of) for role, of in images.items()}
+        cost = _train_cost(under(judge_of(fitted, "train"), final), images["train"]) / verdicts["train"].sharing
+        allowed = float(chi2.ppf(1.0 - OPEN, found.final.problem.learned.size))
+        if cost < allowed and not any(one.wrong for one in opened.values()):
+            foretold, verdicts = verdicts["test"], opened
     models = [
         [image for role in ROLES for image in under(judge_of(one.scene, role, edges=False), found.scene)]
         for one in fitted_models(found)[:-1]
@@ -133,7 +155,17 @@ def judged(found: Diagnosis) -> Diagnosed:
     where = place(found, last, spot)
     left = left_of(found, last, spot, bool(reasons))
     own_numbers = own is not judge_of(fitted, "test")
-    return Diagnosed(found, models, speckle, verdicts, reasons, own_numbers, where, left, alternatives)
+    return Diagnosed(found, models, speckle, verdicts, reasons, own_numbers, foretold, where, left, alternatives)
+
+
+def _train_cost(before: Sequence[Comparison], after: Sequence[Comparison]) -> float:
+    """2 ln L that the train views lose."""
+    return -2.0 * likelihood_gain(before, after) * sum(image.seen.count for image in before)
+
+
+def _may_be_open(verdicts: Mapping[str, Judgement]) -> bool:
+    """Whether test views alone are wrong, by what a surface can do."""
+    return "test" in verdicts and not verdicts["train"].wrong and bool(OF_SURFACES & set(verdicts["test"].findings))
 
 
 def _earned(declared: Scene, fitted: Scene, images: Sequence[Comparison]) -> SpeckleFact:
@@ -148,11 +180,11 @@ def _earned(declared: Scene, fitted: Scene, images: Sequence[Comparison]) -> Spe
 def _spot(found: Diagnosis, verdict: Judgement) -> Spot:
     """The strongest window: of the search's scan where it has an alarm, else of the judgement on all pixels."""
     last, window = found.turns[-1], verdict.window
-    if last.alarms or "structure" not in verdict.findings:
+    if last.alarms or verdict.p_window >= SHARE:
         return last.spot
     names = [(seen.view.name, seen.polarization) for seen in found.observations]
     at = names.index((window.view, window.polarization))
-    return Spot(window.z, at, window.row, window.col, window.pixels)
+    return Spot(window.z, at, window.row, window.col, (window.rows, window.columns))
 
 
 def _with_views(scene: Scene, given: Scene) -> Scene:
@@ -175,17 +207,18 @@ def _reasons(
     if found.unexplained and not said:
         said.append("train views: the scan finds something that no effect explains")
     first, last = (of_role(images, "test") for images in (before, after))
-    if names and (unpaid := _unpaid(first, last)):
+    if names and (unpaid := _unpaid(first, last, bool(found.verdict))):
         said.append(f"{', '.join(names)} does not pay on test views: their {unpaid}")
     return said
 
 
-def _unpaid(before: Sequence[Comparison], after: Sequence[Comparison]) -> str:
-    """What did not get better on images that were changed; empty where it did, or nothing was changed."""
+def _unpaid(before: Sequence[Comparison], after: Sequence[Comparison], with_effects: bool) -> str:
+    """What did not get better on images that were changed; empty where it did, or nothing was changed: looks of train
+    views change test views through the surface alone, and that does not count."""
     pairs = list(zip(before, after, strict=True))
     if any(a.seen.law != b.seen.law for a, b in pairs):
         return "likelihood did not rise" if likelihood_gain(before, after) <= 0.0 else ""
-    touched = any(not np.array_equal(a.simulated, b.simulated) for a, b in pairs)
+    touched = with_effects and any(not np.array_equal(a.simulated, b.simulated) for a, b in pairs)
     gained = difference(before, after) if touched else None
     return "deviance did not fall" if gained is not None and gained[0] <= 0.0 else ""
 

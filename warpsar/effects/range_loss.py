@@ -53,7 +53,8 @@ class RangeLoss(Effect):
         ranges = [context.scene.slant_range_m(view) for view in context.scene.views]
         key, size = "per_m", 0.02 / context.extent_m
         if all(r is not None for r in ranges):
-            key, size = "exponent", size * min(r for r in ranges if r is not None)
+            steepest = self.parameters[0].fit_bounds[1] / 2.0  # over a small scene far away no exponent is steep enough
+            key, size = "exponent", min(size * min(r for r in ranges if r is not None), steepest)
         return [Trial((ScoreStep(key, size, {key: size}, {key: -size}),), ({key: 0.0},))]
 
     def gain(self, render: Recorder, p: wp.array, sigma: wp.array, points: wp.array) -> wp.array:

@@ -60,7 +60,7 @@ def summary_section(scene: Scene, found: Evaluation, before: Evaluation | None) 
         "image. ± is one standard error from the spread of the pixels, with the correlation of neighbours. A few "
         "bright pixels make it large, so the verdict does not use it: there, the error is that of speckle and of the "
         f"looks. The tests are set so that a model that is right gets another verdict than speckle in "
-        f"{100.0 * ERROR_RATE:g} % of all cases; under correlated speckle about twice as many do."
+        f"{100.0 * ERROR_RATE:g} % of all cases; correlated speckle of one look gets it more often."
     )
     if not scene.grid.calibrated:
         explained += (

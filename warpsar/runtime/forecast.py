@@ -2,6 +2,12 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
+from typing import TypeVar
+
+T = TypeVar("T")
+
 LONG_S = 2.0
 """Work that is shorter is not announced [s]."""
 
@@ -12,3 +18,13 @@ def duration(seconds: float) -> str:
         if seconds >= 2.0 * unit:
             return f"{seconds / unit:.0f} {name}"
     return f"{seconds:.0f} s"
+
+
+def timed(task: Callable[[], T]) -> tuple[float, T]:
+    """Seconds of a task with all that it has launched, and what it returns."""
+    import warp as wp
+
+    started = time.perf_counter()
+    found = task()
+    wp.synchronize()
+    return time.perf_counter() - started, found

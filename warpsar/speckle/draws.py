@@ -6,16 +6,22 @@ from collections.abc import Sequence
 
 import numpy as np
 from scipy.fft import fft2, ifft2, next_fast_len
+from scipy.special import binom, eval_genlaguerre, gammainc, gammaincc, ndtri, roots_genlaguerre
 
 from warpsar.speckle.compared import Compared
 from warpsar.speckle.law import Law
+
+FIELDS = 4  # complex fields at most
+TURNS = 30
+TABLE = np.linspace(0.0, 10.0, 4001)  # roots of the fields' power, at which the law's quantiles are kept
 
 
 class Speckle:
     """Standardised gamma speckle on the compared pixels of `observations`; `autocovariance` has shape (lags, lags).
 
-    Correlated: a Gaussian field taken to the gamma distribution quantile by quantile, which lowers correlations (0.72
-    to 0.65 at one look); the field's own are as much higher.
+    Correlated: the power of complex Gaussian fields, summed over one for each look, `FIELDS` at most, and taken to the
+    law quantile by quantile. About a peak the power of a field falls as its correlation does. A normal variable that is
+    taken to the law by itself falls as the square: its peaks are too narrow, and windows too weak.
     """
 
     def __init__(self, observations: Sequence[Compared], autocovariance: np.ndarray) -> None:
@@ -23,9 +29,7 @@ class Speckle:
         self.white = np.count_nonzero(autocovariance) == 1
         self.sd = float(np.sqrt(autocovariance.max()))
         self.spectra = []
-        # quantiles of power over those of the normal distribution, once for every law
-        self._normal = np.linspace(-7.0, 7.0, 4001)
-        self._power: dict[Law, np.ndarray] = {}
+        self._power: dict[Law, np.ndarray] = {}  # at `TABLE`
         if not self.white:
             lags = autocovariance.shape[0] // 2
             correlation = autocovariance / autocovariance[lags, lags]
@@ -33,17 +37,14 @@ class Speckle:
                 inside = _box(seen.interior)
                 kernel = np.zeros([next_fast_len(n + lags) for n in inside.shape])
                 if seen.law not in self._power:
-                    self._power[seen.law] = seen.law.quantiles(self._normal)
+                    self._power[seen.law] = _quantiles(seen.law)
                 at = np.arange(-lags, lags + 1)
                 np.add.at(
                     kernel,
                     (at[:, None] % kernel.shape[0], at % kernel.shape[1]),
-                    self._underlying(correlation, seen.law),
+                    self._of_fields(correlation, seen.law),
                 )
-                spectrum = np.sqrt(np.maximum(fft2(kernel).real, 0.0))
-                if spectrum.any():
-                    spectrum /= np.sqrt(np.mean(spectrum**2))
-                self.spectra.append((inside, spectrum.astype(np.float32)))
+                self.spectra.append((inside, _amplitudes(kernel).astype(np.float32)))
 
     def __call__(self, random: np.random.Generator, draws: int) -> np.ndarray:
         """Draws of sqrt(L) (I / mu - 1), shape (n, draws), float32: rounding is a millionth of what speckle varies by.
@@ -57,44 +58,74 @@ class Speckle:
             if self.white:
                 part[:] = law.draw(random, part.shape)
             else:
-                part[:] = self._power_of(self._field(random, index, draws), law)
+                part[:] = self._power_of(self._fields(random, index, draws), law)
             part -= np.float32(1.0)
             part *= np.float32(np.sqrt(looks) * max(self.sd, 1.0))
         return drawn
 
-    def _field(self, random: np.random.Generator, index: int, draws: int) -> np.ndarray:
-        """Correlated normal variables of unit variance on the compared pixels of one image, shape (pixels, draws).
+    def _fields(self, random: np.random.Generator, index: int, draws: int) -> np.ndarray:
+        """The root of the fields' power on the compared pixels of one image, shape (pixels, draws).
 
-        White complex noise under a real symmetric spectrum: real and imaginary part are two independent fields.
+        White complex noise under a real symmetric spectrum; real and imaginary part have unit variance, and the power
+        counts half of their squares.
         """
         inside, spectrum = self.spectra[index]
-        pairs = -(-draws // 2)
-        noise = random.standard_normal((pairs, *spectrum.shape, 2), np.float32).view(np.complex64)[..., 0]
-        noise *= spectrum
-        field = ifft2(noise, norm="ortho", overwrite_x=True)[:, : inside.shape[0], : inside.shape[1]][:, inside]
-        return np.ascontiguousarray(field.T).view(np.float32)[:, :draws]
+        power = np.zeros((draws, int(inside.sum())), np.float32)
+        for _ in range(_fields_of(self.observations[index].law)):
+            noise = random.standard_normal((draws, *spectrum.shape, 2), np.float32).view(np.complex64)[..., 0]
+            noise *= spectrum
+            field = ifft2(noise, norm="ortho", overwrite_x=True)[:, : inside.shape[0], : inside.shape[1]][:, inside]
+            power += np.float32(0.5) * (field.real**2 + field.imag**2)
+        return np.ascontiguousarray(np.sqrt(power).T)
 
-    def _power_of(self, normal: np.ndarray, law: Law) -> np.ndarray:
-        """The table of quantiles at `normal`, interpolated: its steps are equal, so that no step has to be searched."""
+    def _power_of(self, root: np.ndarray, law: Law) -> np.ndarray:
+        """The table of quantiles at `root`, interpolated: its steps are equal, so that no step has to be searched."""
         table = self._power[law].astype(np.float32)
-        first, step = np.float32(self._normal[0]), np.float32(self._normal[1] - self._normal[0])
-        at = np.clip((normal - first) / step, np.float32(0.0), np.float32(table.size - 1.0))
+        at = np.minimum(root / np.float32(TABLE[1]), np.float32(table.size - 1.0))
         below = at.astype(np.int32)
         at -= below
         return table.take(below) + at * np.diff(table, append=table[-1]).take(below)
 
-    def _underlying(self, correlation: np.ndarray, law: Law) -> np.ndarray:
-        """Correlations of normal variables whose gamma ones have `correlation` (not negative), any shape.
+    def _of_fields(self, correlation: np.ndarray, law: Law) -> np.ndarray:
+        """Correlations of fields whose power, taken to the law, has `correlation` (not negative), any shape.
 
-        The transform's Hermite coefficients c_k make it sum(c_k^2 rho^k) / sum(c_k^2) (Lancaster, 1957).
+        The Laguerre coefficients c_k of that make it sum(c_k^2 rho^(2 k)) / sum(c_k^2) (Kibble, 1941, in Lancaster,
+        1958).
         """
-        z, w = np.polynomial.hermite_e.hermegauss(120)
-        power = np.interp(z, self._normal, self._power[law])
-        order = np.arange(1, 25)
-        hermite = np.polynomial.hermite_e.hermevander(z, order[-1])[:, 1:]
-        shares = ((w * power) @ hermite) ** 2 / np.cumprod(order.astype(float))
-        rho = np.linspace(0.0, 1.0, 201)
-        return np.interp(correlation, (rho[:, None] ** order) @ shares / shares.sum(), rho)
+        fields = _fields_of(law)
+        x, w = roots_genlaguerre(80, fields - 1)
+        power = np.interp(np.sqrt(x), TABLE, self._power[law])
+        order = np.arange(1, 25)[:, None]
+        laguerre = eval_genlaguerre(order, fields - 1, x) / np.sqrt(binom(order + fields - 1, order))
+        shares = (laguerre @ (w / w.sum() * power)) ** 2
+        squares = np.linspace(0.0, 1.0, 201)
+        return np.sqrt(np.interp(correlation, (squares[:, None] ** order[:, 0]) @ shares / shares.sum(), squares))
+
+
+def _amplitudes(kernel: np.ndarray) -> np.ndarray:
+    """Roots of a spectrum, of mean square 1, whose correlations are nearly those of `kernel` where it is not 0.
+
+    Correlations that are cut off where they cannot be told from 0 have a spectrum with negative parts. Without these
+    all correlations would be too small by up to a fifth. So the lags of no correlation are left free, and spectrum and
+    kernel take turns (Papoulis, IEEE Trans. Circuits and Systems 22, 1975).
+    """
+    found = np.maximum(fft2(kernel).real, 0.0)
+    for _ in range(TURNS):
+        whole = ifft2(found).real
+        whole /= max(whole[0, 0], 1e-30)
+        found = np.maximum(fft2(np.where(kernel > 0.0, kernel, whole)).real, 0.0)
+    return np.asarray(np.sqrt(found / max(float(found.mean()), 1e-30)))
+
+
+def _fields_of(law: Law) -> int:
+    return int(np.clip(round(law.looks), 1, FIELDS))
+
+
+def _quantiles(law: Law) -> np.ndarray:
+    """The law's power, whose chance is that of the fields', at `TABLE`."""
+    power, fields = TABLE**2, _fields_of(law)
+    below, above = gammainc(fields, power), gammaincc(fields, power)
+    return law.quantiles(np.where(below < 0.5, ndtri(np.maximum(below, 1e-300)), -ndtri(np.maximum(above, 1e-300))))
 
 
 def _box(interior: np.ndarray) -> np.ndarray:

@@ -11,7 +11,7 @@ import numpy as np
 from warpsar.runtime import threads
 from warpsar.speckle.compared import Compared
 from warpsar.speckle.draws import Speckle
-from warpsar.speckle.scan import SIDES, Scan
+from warpsar.speckle.scan import Scan
 from warpsar.speckle.tail import Tail
 
 SHORTEST = 8  # pixels of a row or a column that is judged
@@ -62,8 +62,9 @@ class Lines:
         """The strongest of all; `residuals` are those of all images, an array (pixels,) each."""
         parts = [residuals[k] for k in self.numbers]
         spot = self._scan().strongest(parts)
-        half = spot.window // 2
-        rows, cols = ((at - half, at + half + 1) for at in (spot.row, spot.col))
+        rows, cols = (
+            (at - size // 2, at + size // 2 + 1) for at, size in zip((spot.row, spot.col), spot.window, strict=True)
+        )
         best = Found(spot.z, self.numbers[spot.observation], "window", rows, cols)
         for number, image, part in zip(self.numbers, self.images, parts, strict=True):
             for kind, axis, z in zip(("row", "column"), (1, 0), self._lines(image, part[:, None]), strict=True):
@@ -75,7 +76,7 @@ class Lines:
         return best
 
     def _scan(self) -> Scan:
-        return Scan(self.images, self.autocovariance, sides=SIDES)
+        return Scan(self.images, self.autocovariance)
 
     def _split(self, drawn: np.ndarray) -> list[np.ndarray]:
         return np.split(drawn, np.cumsum([int(image.interior.sum()) for image in self.images])[:-1])

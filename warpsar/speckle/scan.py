@@ -2,31 +2,41 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from warpsar.speckle.compared import Compared
 
-SIDES = (3, 5, 9)  # pixels on a side of a window
+Window = tuple[int, int]
+"""Rows and columns of pixels."""
+
+WINDOWS: tuple[Window, ...] = ((3, 3), (5, 5), (9, 9))
 CACHED = 5  # draws at once: their images stay in the cache
 FULL = 0.5  # share of a window that must be compared pixels
 
 
 @dataclass(frozen=True)
 class Spot:
-    """The strongest window: `z` is its mean over its standard deviation under speckle."""
+    """The strongest `window` about a pixel: `z` is its mean over its standard deviation under speckle."""
 
     z: float
     observation: int
     row: int
     col: int
-    window: int
+    window: Window
+
+    @classmethod
+    def heard(cls, told: Mapping[str, Any]) -> Spot:
+        """The spot that `asdict` gave, back from JSON."""
+        window = told["window"]  # one number in checkpoints of before
+        return cls(**{**told, "window": (window, window) if isinstance(window, int) else tuple(window)})
 
 
 class Scan:
-    """Window sums over the pixels of every observation; built once, run on many residuals. `sides`: of the windows.
+    """Window sums over the pixels of every observation; built once, run on many residuals.
 
     `silent` (see `Evidence`) holds the residual of pixels that the model lights and that measure exactly 0. They count
     in the data. In the draws they stay 0.
@@ -37,9 +47,9 @@ class Scan:
         observations: Sequence[Compared],
         autocovariance: np.ndarray,
         silent: Sequence[np.ndarray] | None = None,
-        sides: Sequence[int] = SIDES,
+        windows: Sequence[Window] = WINDOWS,
     ) -> None:
-        self.sides = tuple(sides)
+        self.windows = tuple(windows)
         self.masks = [seen.interior for seen in observations]
         self.silent = [np.zeros(mask.shape) for mask in self.masks] if silent is None else silent
         self.boxes, self.scales = [], []
@@ -48,12 +58,12 @@ class Scan:
             every = mask | (zeros != 0)
             rows, cols = np.nonzero(every)
             box = (slice(rows.min(), rows.max() + 1), slice(cols.min(), cols.max() + 1))
-            counts = _sums(every[box][None].astype(float), self.sides)
+            counts = _sums(every[box][None].astype(float), self.windows)
             self.boxes.append(box)
             self.scales.append(
                 [
-                    np.where(n >= FULL * w * w, 1.0 / np.sqrt(np.maximum(n, 1.0) * inflation), 0.0)
-                    for w, n in zip(self.sides, counts, strict=True)
+                    np.where(n >= FULL * rows * cols, 1.0 / np.sqrt(np.maximum(n, 1.0) * inflation), 0.0)
+                    for (rows, cols), n in zip(self.windows, counts, strict=True)
                 ]
             )
 
@@ -64,7 +74,7 @@ class Scan:
         grid[:, mask[box]] = residuals.T
         if silent:
             grid += self.silent[index][box]
-        windows = _sums(grid, self.sides)
+        windows = _sums(grid, self.windows)
         for total, scale in zip(windows, self.scales[index], strict=True):
             total *= scale.astype(total.dtype, copy=False)
         return windows
@@ -86,11 +96,11 @@ class Scan:
         `granted`, of the same shapes: a residual that is granted either way. A window's z is less by what it makes
         there, and 0 where that is more.
         """
-        best = Spot(0.0, 0, 0, 0, self.sides[0])
+        best = Spot(0.0, 0, 0, 0, self.windows[0])
         for index, part in enumerate(parts):
-            windows = self._windows(index, part[:, None], silent=True)
-            less = [np.zeros(1)] * len(windows) if granted is None else self._windows(index, granted[index][:, None])
-            for window, z, free in zip(self.sides, windows, less, strict=True):
+            found = self._windows(index, part[:, None], silent=True)
+            less = [np.zeros(1)] * len(found) if granted is None else self._windows(index, granted[index][:, None])
+            for window, z, free in zip(self.windows, found, less, strict=True):
                 z = np.sign(z[0]) * np.maximum(np.abs(z[0]) - free[0], 0.0)
                 row, col = np.unravel_index(int(np.argmax(np.abs(z))), z.shape)
                 if abs(z[row, col]) > abs(best.z):
@@ -100,16 +110,17 @@ class Scan:
         return best
 
 
-def _sums(grids: np.ndarray, sides: Sequence[int]) -> list[np.ndarray]:
-    """Sums over centred windows of every pixel of (draws, rows, cols), zeros outside, one array per window size."""
-    reach = max(sides) // 2
+def _sums(grids: np.ndarray, windows: Sequence[Window]) -> list[np.ndarray]:
+    """Sums over centred windows of every pixel of (draws, rows, cols), zeros outside, one array per window."""
+    up, side = (max(window[axis] for window in windows) // 2 for axis in (0, 1))
     rows, cols = grids.shape[1:]
-    total = np.zeros((len(grids), rows + 2 * reach + 1, cols + 2 * reach + 1), grids.dtype)
-    total[:, reach + 1 : reach + 1 + rows, reach + 1 : reach + 1 + cols] = grids
+    total = np.zeros((len(grids), rows + 2 * up + 1, cols + 2 * side + 1), grids.dtype)
+    total[:, up + 1 : up + 1 + rows, side + 1 : side + 1 + cols] = grids
     total.cumsum(axis=1, out=total).cumsum(axis=2, out=total)
     found = []
-    for window in sides:
-        low, high = reach - window // 2, reach + window // 2 + 1
-        bands = total[:, high : high + rows] - total[:, low : low + rows]
-        found.append(bands[:, :, high : high + cols] - bands[:, :, low : low + cols])
+    for high, wide in windows:
+        first, last = up - high // 2, up + high // 2 + 1
+        bands = total[:, last : last + rows] - total[:, first : first + rows]
+        first, last = side - wide // 2, side + wide // 2 + 1
+        found.append(bands[:, :, last : last + cols] - bands[:, :, first : first + cols])
     return found

@@ -13,7 +13,7 @@ from warpsar.diagnosis.found import Diagnosis
 from warpsar.diagnosis.models.projection import pixel_of, shift_px
 from warpsar.evaluation.meshview import MeshView
 from warpsar.scene.scene import Scene
-from warpsar.speckle.scan import Spot
+from warpsar.speckle.scan import Spot, Window
 from warpsar.trace.hits import Hits
 from warpsar.world.tables import View
 
@@ -56,7 +56,7 @@ class Place:
     polarization: str
     row: int
     col: int
-    window: int
+    window: Window
     z: float
     ratio_db: float
     range_m: float
@@ -74,15 +74,15 @@ def place(found: Diagnosis, images: Sequence[Comparison], spot: Spot) -> Place:
     hits = _hits(found, seen.view)
     shift = shift_px(scene, seen.view)
     pixel = hits.pixel.numpy()
-    half = spot.window // 2
-    inside = (np.abs(pixel // cols - (spot.row - shift[0])) <= half + 0.5) & (
-        np.abs(pixel % cols - (spot.col - shift[1])) <= half + 0.5
+    high, wide = spot.window
+    inside = (np.abs(pixel // cols - (spot.row - shift[0])) <= high // 2 + 0.5) & (
+        np.abs(pixel % cols - (spot.col - shift[1])) <= wide // 2 + 0.5
     )
     parts = _parts(scene, hits, inside)
     middle = [
         (i + 0.5 - n / 2) * s for i, n, s in zip((spot.row, spot.col), (rows, cols), scene.grid.spacing_m, strict=True)
     ]
-    views = [] if not parts else [_in_view(found, image, np.array(parts[0].centre_m), half) for image in images]
+    views = [] if not parts else [_in_view(found, image, np.array(parts[0].centre_m), spot.window) for image in images]
     return Place(
         view=seen.view.name,
         polarization=seen.polarization,
@@ -90,7 +90,7 @@ def place(found: Diagnosis, images: Sequence[Comparison], spot: Spot) -> Place:
         col=spot.col,
         window=spot.window,
         z=spot.z,
-        ratio_db=_window_db(train[spot.observation], spot.row, spot.col, half),
+        ratio_db=_window_db(train[spot.observation], spot.row, spot.col, spot.window),
         range_m=middle[0],
         azimuth_m=middle[1],
         parts=parts,
@@ -122,20 +122,21 @@ def _parts(scene: Scene, hits: Hits, inside: np.ndarray) -> list[Part]:
     return sorted(found, key=lambda part: -part.share)
 
 
-def _in_view(found: Diagnosis, image: Comparison, world: np.ndarray, half: int) -> InView:
+def _in_view(found: Diagnosis, image: Comparison, world: np.ndarray, window: Window) -> InView:
     scene = found.final.scene
     row, col = (
         int(np.floor(at[0])) for at in pixel_of(scene, image.seen.view, (world - scene.reference_point_m)[None])
     )
-    return InView(image.name, image.role, row, col, _window_db(image, row, col, half))
+    return InView(image.name, image.role, row, col, _window_db(image, row, col, window))
 
 
-def _window_db(image: Comparison, row: int, col: int, half: int) -> float:
+def _window_db(image: Comparison, row: int, col: int, window: Window) -> float:
     """10 log10 of measured over modelled power of the compared pixels in a window; nan where there are none."""
     rows, cols = image.simulated.shape
-    box = (slice(max(row - half, 0), max(row + half + 1, 0)), slice(max(col - half, 0), max(col + half + 1, 0)))
+    high, wide = (size // 2 for size in window)
+    box = (slice(max(row - high, 0), max(row + high + 1, 0)), slice(max(col - wide, 0), max(col + wide + 1, 0)))
     use = image.seen.interior[box]
-    if row >= rows + half or col >= cols + half or not use.any():
+    if row >= rows + high or col >= cols + wide or not use.any():
         return float("nan")
     ratio = image.seen.measured[box][use].sum(dtype=float) / image.simulated[box][use].sum()
     return float(10.0 * np.log10(ratio))

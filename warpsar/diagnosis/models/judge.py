@@ -15,6 +15,7 @@ from warpsar.diagnosis.models.refit import descend
 from warpsar.effects.registry import get
 from warpsar.learning.problem import FitProblem
 from warpsar.learning.results import learned_scene
+from warpsar.learning.roughness import Roughness
 from warpsar.scene.scene import Scene
 from warpsar.simulation.exact_rays import ExactRays
 from warpsar.speckle.facts import SpeckleFact
@@ -50,15 +51,31 @@ class Judge:
         own = _with_own_entries(scene)
         if own is None:
             return self(scene, "test", edges=edges)
+        return compare(self._fitted(scene, own, ("test",)), self.device, roles=("test",), edges=edges).images
+
+    def with_open_surface(self, scene: Scene, roughness: Roughness | None) -> dict[str, list[Comparison]]:
+        """Train and test views, by role, with the surface fitted to both; effects stay, but for own numbers.
+
+        Train views may leave a surface open: two that look from one incidence say nothing of another. What a test view
+        then shows is no fault of the model, if a surface exists that explains all views. `roughness` is expected of
+        learned fields.
+        """
+        opened = self._fitted(scene, _with_own_entries(scene) or scene, ("train", "test"), roughness)
+        return {role: compare(opened, self.device, roles=(role,)).images for role in ("train", "test")}
+
+    def _fitted(self, scene: Scene, own: Scene, roles: tuple[str, ...], roughness: Roughness | None = None) -> Scene:
+        """The scene `own` with the test views' own numbers fitted to views of the `roles`, and the surface where train
+        views are among them."""
         pixels: dict[str, list[Observation]] = {}
-        for image in self(scene, "test"):
-            pixels.setdefault(image.view.name, []).append(image.seen)
+        for role in roles:
+            for image in self(scene, role):
+                pixels.setdefault(image.view.name, []).append(image.seen)
         rays = ExactRays(Stage.of(own, self.device), seed=own.sampling.seed)
-        problem = FitProblem(own, self.device, roles=("test",), rays=rays, observations=pixels)
-        moving = np.array([c.view in pixels for c in problem.effect_coordinates], bool)
-        moving = np.concatenate([np.zeros(problem.learned.size, bool), moving])
-        x, _, _ = descend(problem, [problem.x0], moving, quick=True)
-        return compare(learned_scene(problem, x), self.device, roles=("test",), edges=edges).images
+        problem = FitProblem(own, self.device, roles=roles, rays=rays, observations=pixels, roughness=roughness)
+        tests = {view.name for view in own.views if view.role == "test"}
+        effects = np.array([c.view in tests & set(pixels) for c in problem.effect_coordinates], bool)
+        moving = np.concatenate([np.full(problem.learned.size, "train" in roles), effects])
+        return learned_scene(problem, descend(problem, [problem.x0], moving, quick=True)[0])
 
 
 def _with_own_entries(scene: Scene) -> Scene | None:

@@ -171,9 +171,15 @@ def on_bounded_ground(bench: Bench, base: Fitted, declared: Scene) -> tuple[Benc
         return plain, _fit(plain, plain.problem(base.scene), [base.x], quick=True)
     bounded = replace(bench, bound=BOUND)
     problem = bounded.problem(base.scene)
-    start = base.x.copy()  # the surface as the scene file has it: what is missing may have dragged the fitted one away
-    start[: problem.learned.size] = Surface.of(as_declared(declared, base.scene)).nodes[problem.learned]
-    return bounded, _fit(bounded, problem, [base.x, start], quick=True)
+    return bounded, _fit(bounded, problem, [base.x, _with_declared_surface(problem, base.x, declared)], quick=True)
+
+
+def _with_declared_surface(problem: FitProblem, x: np.ndarray, declared: Scene) -> np.ndarray:
+    """x with the surface of the scene file: what is missing may have dragged the fitted one to where no descent leads
+    back from."""
+    start = x.copy()
+    start[: problem.learned.size] = Surface.of(as_declared(declared, problem.scene)).nodes[problem.learned]
+    return start
 
 
 def _stands_out(base: Fitted) -> bool:
@@ -202,10 +208,11 @@ def refit_without(bench: Bench, fitted: Fitted, name: str) -> Fitted:
     return refit_as(bench, replace(fitted.scene, effects=effects))
 
 
-def refit_as(bench: Bench, scene: Scene) -> Fitted:
-    """The model that starts as the scene stands, fitted on from there."""
+def refit_as(bench: Bench, scene: Scene, declared: Scene | None = None) -> Fitted:
+    """The model that starts as the scene stands, fitted on from there; and from the surface that is `declared`."""
     problem = bench.problem(scene)
-    return _fit(bench, problem, [problem.x0], quick=True)
+    further = [] if declared is None else [_with_declared_surface(problem, problem.x0, declared)]
+    return _fit(bench, problem, [problem.x0, *further], quick=True)
 
 
 def narrow(bench: Bench, fitted: Fitted) -> tuple[Bench, Fitted]:

@@ -106,8 +106,9 @@ def _strongest_window(done: Diagnosed) -> str:
     """Where the strongest window lies, and whether it has to be explained."""
     found, where = done.diagnosis, done.place
     last = found.turns[-1]
+    rows, columns = where.window
     text = (
-        f"The strongest window of {where.window} x {where.window} pixels is in {where.view} {where.polarization} at "
+        f"The strongest window of {rows} x {columns} pixels is in {where.view} {where.polarization} at "
         f"row {where.row}, column {where.col} (range {where.range_m:+.1f} m, azimuth {where.azimuth_m:+.1f} m): "
         f"{ratio_words(where.ratio_db)}, z {where.z:+.1f}, score {last.scan_minus_log_p:.1f} against "
         f"a threshold of {last.threshold:.1f}."

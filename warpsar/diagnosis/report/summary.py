@@ -7,7 +7,7 @@ from typing import Any
 from warpsar.compare.evaluation import ROLES
 from warpsar.diagnosis.models.carried import Carried
 from warpsar.diagnosis.models.change import SUMMARIES
-from warpsar.diagnosis.result import Diagnosed
+from warpsar.diagnosis.result import OPEN_WORDS, Diagnosed
 from warpsar.diagnosis.search.outcome import effect_table
 from warpsar.effects.registry import get
 from warpsar.evaluation.report_parts import plus_minus
@@ -118,6 +118,8 @@ def _first(done: Diagnosed) -> list[str]:
     ]
     if done.own_numbers:
         said.append("For this, what effects hold for each view by itself was fitted to the test views, too")
+    if done.foretold is not None:
+        said.append(f"{OPEN_WORDS[0].upper()}{OPEN_WORDS[1:]}. {done.open_surface[0].upper()}{done.open_surface[1:]}")
     return [*blocks, report.bullets(said)] if said else blocks
 
 

@@ -118,7 +118,7 @@ def _heard(scene: Scene, stored: Mapping[str, Any], bench: Bench, base: Fitted) 
     """The turn that `_told` gave."""
     candidates = [Candidate(**{**each, **_parts(each)}) for each in stored["candidates"]]
     fitted = None if stored["fitted"] is None else _fitted(scene, stored["fitted"], bench, base)
-    about = {**stored, "candidates": candidates, "spot": Spot(**stored["spot"]), "fitted": fitted}
+    about = {**stored, "candidates": candidates, "spot": Spot.heard(stored["spot"]), "fitted": fitted}
     about["dark"] = None if stored["dark"] is None else DarkScan.of(stored["dark"])
     return Turn(**about, base=base)
 

@@ -6,8 +6,6 @@ how much each effect adds that is found.
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,12 +15,12 @@ from warpsar.diagnosis.models.bench import Bench
 from warpsar.diagnosis.scores.bootstrap import BATCH
 from warpsar.diagnosis.scores.evidence import Evidence
 from warpsar.runtime import threads
-from warpsar.runtime.forecast import LONG_S, duration
+from warpsar.runtime.forecast import LONG_S, duration, timed
 from warpsar.scene.scene import Scene
 from warpsar.speckle.draws import Speckle
 from warpsar.speckle.scan import Scan
 
-# Of the scenes of benchmarks/diagnosis_forecast.py, which holds them against the time that runs took.
+# Set on three scenes on two idle cores; benchmarks/diagnosis_forecast.py holds them against runs of others.
 JACOBIANS = 120.0  # of a start of a fit, and of the models that are judged
 BATCHES = 140.0  # of draws beside those of the bootstrap, that templates, scores and the judgement are worth
 EFFECT = 1.8  # times all of it, for an effect that is found: candidates' fits, the next turn, and confirmation
@@ -49,17 +47,11 @@ def forecast(bench: Bench, scene: Scene, options: DiagnoseOptions) -> Forecast |
     """
     problem = bench.problem(scene)
     problem.jacobian(problem.x0)
-    jacobian = _timed(lambda: problem.jacobian(problem.x0))
+    jacobian, _ = timed(lambda: problem.jacobian(problem.x0))
     evidence = Evidence.of(problem, problem.x0)
     speckle = Speckle(evidence.observations, evidence.autocovariance)
     scan = Scan(evidence.observations, evidence.autocovariance, evidence.silent)
-    batch = _timed(lambda: scan.largest(evidence.split(speckle(np.random.default_rng(0), BATCH))))
+    batch, _ = timed(lambda: scan.largest(evidence.split(speckle(np.random.default_rng(0), BATCH))))
     batches = options.draws / BATCH / min(threads.thread_count(), options.draws / BATCH) + BATCHES
     nothing = JACOBIANS * (1 + options.starts) * jacobian + batches * batch
     return Forecast(nothing, EFFECT * nothing) if nothing > LONG_S else None
-
-
-def _timed(work: Callable[[], object]) -> float:
-    started = time.perf_counter()
-    work()
-    return time.perf_counter() - started

@@ -30,7 +30,7 @@ def taken_back(bench: Bench, fitted: Fitted, declared: Scene, name: str) -> Fitt
     """
     scene = without_change(declared, fitted.scene, name)
     effects = {effect: table for effect, table in scene.effects.items() if not get(effect).check(scene, table)}
-    return fitted_beside(bench, replace(scene, effects=effects))[1]
+    return fitted_beside(bench, replace(scene, effects=effects), declared)[1]
 
 
 def asked_of(bench: Bench, fitted: Fitted, without: Fitted, declared: Scene, name: str) -> Confirmed:

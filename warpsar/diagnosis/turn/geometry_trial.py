@@ -41,7 +41,7 @@ def add_the_likeliest(
         gain = 2.0 * (log_likelihood(bench, turn.fitted) - start)
         best_worth = gain - (turn.fitted.size - here.size) * price
     for one in found:
-        narrowed, fitted = fitted_beside(bench, one.scene)
+        narrowed, fitted = fitted_beside(bench, one.scene, declared)
         gain = 2.0 * (log_likelihood(bench, fitted) - start)
         score = float(minus_log_p(np.array(max(gain, 0.0)), one.size, 0)) - tried
         candidate = Candidate(
@@ -67,12 +67,13 @@ def add_the_likeliest(
     return best_bench
 
 
-def fitted_beside(bench: Bench, scene: Scene) -> tuple[Bench, Fitted]:
-    """The pixels of the bench that a scene of another geometry lights, too, and its model fitted to those."""
+def fitted_beside(bench: Bench, scene: Scene, declared: Scene) -> tuple[Bench, Fitted]:
+    """The pixels of the bench that a scene of another geometry lights, too, and its model fitted to those: on from its
+    surface, and from the `declared` one, since a body in the wrong place drags its surface anywhere."""
     problem = bench.problem(scene)
     problem.modelled(problem.x0)
     narrowed = narrowed_to(bench, problem)
-    return narrowed, refit_as(narrowed, scene)
+    return narrowed, refit_as(narrowed, scene, declared)
 
 
 def on_its_ground(bench: Bench, other: Bench, fitted: Fitted) -> tuple[Bench, Fitted]:

@@ -144,5 +144,5 @@ def _as_the_first(turn: Turn, ranks: Ranks) -> None:
     mine = [[asdict(c) for c in turn.candidates], asdict(turn.spot), turn.scan_minus_log_p, turn.p_scan, turn.threshold]
     mine.append(None if turn.dark is None else asdict(turn.dark))
     candidates, spot, turn.scan_minus_log_p, turn.p_scan, turn.threshold, dark = ranks.gather(mine)[0]
-    turn.candidates, turn.spot = [Candidate(**c) for c in candidates], Spot(**spot)
+    turn.candidates, turn.spot = [Candidate(**c) for c in candidates], Spot.heard(spot)
     turn.dark = None if dark is None else DarkScan.of(dark)
