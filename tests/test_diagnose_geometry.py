@@ -327,7 +327,8 @@ def test_the_scene_has_the_object_there(found: tuple[Path, dict[str, Any]]) -> N
 
 
 # after the turn that adds it, and after the confirmation
-@pytest.mark.parametrize("stage", [2, pytest.param(4, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("stage", [2, 4])
 def test_an_interrupted_run_ends_the_same(
     stage: int, moved: Scene, found: tuple[Path, dict[str, Any]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

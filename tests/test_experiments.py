@@ -139,6 +139,7 @@ def test_geometric_optics_says_what_it_cannot_see(experiments: Any, tmp_path: Pa
     assert fit["sd"][3] < 0.01
 
 
+@pytest.mark.slow
 def test_more_rays_leave_less_error(experiments: Any, tmp_path: Path) -> None:
     rows = experiments.sampling_error(tmp_path, "cpu", samples=(8, 64), seeds=2, reference_rays=256.0)
     assert len(rows) == 8
@@ -148,6 +149,7 @@ def test_more_rays_leave_less_error(experiments: Any, tmp_path: Path) -> None:
         assert many < 0.6 * few  # 1 / sqrt(8) were it noise alone, and a quarter of it were the reference
 
 
+@pytest.mark.slow
 def test_fields_are_learned_and_drawn(experiments: Any, tmp_path: Path) -> None:
     fields = module("field_experiment")
     experiment = fields.Experiment(tmp_path, "cpu", iterations=60, rays=0.25)
