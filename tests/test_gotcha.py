@@ -319,18 +319,18 @@ def test_slicy_chip_against_its_header(measured_data: Path) -> None:
 
 
 @pytest.mark.measured
-@pytest.mark.xfail(
-    strict=True,
-    reason="right side up, the chip's body of guessed shape pulls the widths to 0.23 m: unresolved_detail is ahead of "
-    "point_spread there, and one view cannot tell (docs/measured-others.md)",
-)
-def test_the_diagnosis_finds_slicys_resolution(loop: Any, measured_data: Path, tmp_path: Path) -> None:
+def test_one_view_of_slicy_cannot_tell_its_resolution_from_detail(
+    loop: Any, measured_data: Path, tmp_path: Path
+) -> None:
+    """The header states a resolution. On a body of guessed shape detail explains as much, so both names are given and
+    something is left (docs/measured-others.md). Which of them comes first depends on how long the search is."""
     slicy = script("slicy")
     path = slicy.prepare(measured_data, tmp_path / "scene", "cpu")
     short = DiagnoseOptions(starts=0, draws=400, refits=1, most_effects=1)
     found = loop.diagnosed(path, tmp_path / "diagnosed", short, "cpu")
-    assert found["verdict"] == ["point_spread"]
+    assert [set(one) for one in found["alternatives"]] == [{"point_spread", "unresolved_detail"}]
+    assert found["unexplained"]
     assert found["after"]["train"]["deviance"] < 0.85 * found["before"]["train"]["deviance"]
     stated = float(slicy.header(measured_data)["RangeResolution"])
-    for width in loop.effect_widths(found).values():
+    for width in loop.effect_widths(found).values():  # none where detail comes first
         assert width["value_m"] == pytest.approx(stated, rel=0.2)
