@@ -58,8 +58,12 @@ def likeliest(ground: Ground, without: Standing, place: Place, cost: float) -> l
     if tried and share < NOTHING_LEFT:
         tried += _other_bodies(ground, box, cost)
     if widest_m <= POINT_PX * pixel_m:
-        shape = shapes.point(place, name, pixel_m)
-        tried.append(_fitted(ground, shape, _own(box), QUICK_STEPS, blur_m=2.0 * pixel_m))
+        shape = shapes.point(place.position_m, name, pixel_m)
+        points = [_fitted(ground, shape, _own(box), QUICK_STEPS, blur_m=2.0 * pixel_m)]
+        if tried:  # a point is a pixel wide: from the place alone a descent may end beside it
+            shape = shapes.point_in(tried[0].standing.scene.objects[-1], name, pixel_m)
+            points.append(_fitted(ground, shape, _own(box), QUICK_STEPS))
+        tried.append(min(points, key=lambda one: one.standing.loss))
     best = max(tried, key=lambda one: one.worth(cost), default=None)
     if best is None:
         return []

@@ -37,13 +37,20 @@ def boxes(place: Place, name: str) -> Iterator[Shape]:
         yield Shape(_body("box", name, size, place.position_m, heading), 6)
 
 
-def point(place: Place, name: str, pixel_m: float) -> Shape:
+def point(position_m: tuple[float, float, float], name: str, pixel_m: float) -> Shape:
     """A point reflector: a sphere of about a pixel, which is as bright from everywhere. Its height is free."""
     d = POINT_PX * pixel_m
     table = Object(
-        name=name, primitive="sphere", size_m=(d, d, d), position_m=place.position_m, material=name, learn=("position",)
+        name=name, primitive="sphere", size_m=(d, d, d), position_m=position_m, material=name, learn=("position",)
     )
     return Shape(table, 3, BRIGHTNESS)
+
+
+def point_in(box: Object, name: str, pixel_m: float) -> Shape:
+    """A point reflector in the middle of a fitted box."""
+    assert box.size_m is not None
+    east, north, foot = box.position_m
+    return point((east, north, foot + (box.size_m[2] - POINT_PX * pixel_m) / 2.0), name, pixel_m)
 
 
 def others(box: Object) -> Iterator[Shape]:
