@@ -147,9 +147,14 @@ def test_surfaces_effects_and_poses_together() -> None:
     """All are differentiated at other values than the declared ones; the effects blur, lift and weigh the slopes."""
     scene = with_effects(with_object({**BOX, "learn": ("position", "heading")}))
     render = warpsar.renderer(scene, device="cpu")
-    assert {"g.eps_r", "point_spread.range_fwhm_m", "view_gain.gain_db[a]", "box.position_m"} <= set(render.parameters)
-    values = {**render.values, "g.eps_r": np.array(7.0), "box.heading_deg": np.array(18.5)}
-    values["point_spread.range_fwhm_m"] = np.array(1.3)
+    assert {
+        "materials.g.eps_r",
+        "effects.point_spread.range_fwhm_m",
+        "effects.view_gain.gain_db[a]",
+        "objects.box.position_m",
+    } <= set(render.parameters)
+    values = {**render.values, "materials.g.eps_r": np.array(7.0), "objects.box.heading_deg": np.array(18.5)}
+    values["effects.point_spread.range_fwhm_m"] = np.array(1.3)
     for key, error in apart(render, values, numbers(render)).items():
         assert error < 0.01, (key, error)
     fixed = warpsar.renderer(
@@ -159,7 +164,7 @@ def test_surfaces_effects_and_poses_together() -> None:
     assert not fixed.moves.parameters
     weights = render(values)
     gradient = render.vjp(values, weights)
-    step = {"g.eps_r": 0.01, "point_spread.range_fwhm_m": 0.01}
+    step = {"materials.g.eps_r": 0.01, "effects.point_spread.range_fwhm_m": 0.01}
     for name, width in step.items():
         up, down = (render({**values, name: values[name] + sign * width}) for sign in (1, -1))
         assert gradient[name] == pytest.approx((inner(up, weights) - inner(down, weights)) / (2 * width), rel=5e-3)
@@ -182,7 +187,7 @@ def test_a_rise_in_closed_form() -> None:
     render = warpsar.renderer(scene, device="cpu")
     rows = np.tile((np.arange(40) + 0.5)[:, None], (1, 40))
     power = float(render()["view"]["HH"].sum())
-    gradient = render.vjp(None, {"view": {"HH": rows}})["plate.position_m"]
+    gradient = render.vjp(None, {"view": {"HH": rows}})["objects.plate.position_m"]
     np.testing.assert_allclose(gradient[2], -power * np.cos(theta) / 0.5, rtol=1e-3)
     np.testing.assert_allclose(gradient[1], -power * np.sin(theta) / 0.5, rtol=1e-3)
 
@@ -199,16 +204,22 @@ def test_torch_gradients_to_poses() -> None:
     def loss(f: Any) -> Any:
         place = torch.stack([f, 2.0 * f, 0.0 * f])
         size = torch.stack([torch.tensor(6.0, dtype=f.dtype), 4.0 * f, torch.tensor(5.0, dtype=f.dtype)])
-        images = render.torch({"box.position_m": place, "box.size_m": size, "g.eps_r": 6.0 * f})
+        images = render.torch(
+            {"objects.box.position_m": place, "objects.box.size_m": size, "materials.g.eps_r": 6.0 * f}
+        )
         return sum((torch.as_tensor(w) * images[v][p]).sum() for v, o in weights.items() for p, w in o.items())
 
     factor = torch.tensor(1.0, dtype=torch.float64, requires_grad=True)
     total = loss(factor)
-    render({"box.position_m": np.array([3.0, 3.0, 0.0])})  # another run before the backward pass
+    render({"objects.box.position_m": np.array([3.0, 3.0, 0.0])})  # another run before the backward pass
     total.backward()
-    values = {"box.position_m": np.array([1.0, 2.0, 0.0]), "box.size_m": np.array([6.0, 4.0, 5.0])}
+    values = {"objects.box.position_m": np.array([1.0, 2.0, 0.0]), "objects.box.size_m": np.array([6.0, 4.0, 5.0])}
     expected = render.vjp(values, weights)
-    by_hand = expected["box.position_m"] @ (1, 2, 0) + 4.0 * expected["box.size_m"][1] + 6.0 * expected["g.eps_r"]
+    by_hand = (
+        expected["objects.box.position_m"] @ (1, 2, 0)
+        + 4.0 * expected["objects.box.size_m"][1]
+        + 6.0 * expected["materials.g.eps_r"]
+    )
     assert float(factor.grad) == pytest.approx(by_hand, rel=1e-4)
     with torch.no_grad():
         ends = [float(loss(torch.tensor(1.0 + s * 1e-3, dtype=torch.float64))) for s in (1, -1)]
@@ -228,21 +239,21 @@ def test_torch_gradients_to_vertices() -> None:
     images["a"]["HH"].square().sum().backward()
     taller = warpsar.renderer(with_object({**BOX, "learn": ("size",)}), device="cpu")
     weights = {"a": {"HH": 2.0 * taller()["a"]["HH"]}}
-    assert float(height.grad) == pytest.approx(taller.vjp(None, weights)["box.size_m"][2], rel=1e-4)
+    assert float(height.grad) == pytest.approx(taller.vjp(None, weights)["objects.box.size_m"][2], rel=1e-4)
 
 
 def test_jax_gradients_to_poses() -> None:
     jax = pytest.importorskip("jax", reason="JAX is not installed: pip install 'warpsar[jax]'")
     render = warpsar.renderer(with_object({**BOX, "learn": ("position",)}), device="cpu")
     weights = {v: {p: np.ones(i.shape) + i for p, i in one.items()} for v, one in render().items()}
-    place = {"box.position_m": np.array([1.1, 2.0, 0.0])}
+    place = {"objects.box.position_m": np.array([1.1, 2.0, 0.0])}
 
     def loss(given: Any) -> Any:
         images = render.jax(given)
         return sum((jax.numpy.asarray(w) * images[v][p]).sum() for v, o in weights.items() for p, w in o.items())
 
-    expected = render.vjp(place, weights)["box.position_m"]
-    found = jax.jit(jax.grad(loss))(place)["box.position_m"]
+    expected = render.vjp(place, weights)["objects.box.position_m"]
+    found = jax.jit(jax.grad(loss))(place)["objects.box.position_m"]
     np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-3 * np.abs(expected).max())
 
 
@@ -253,16 +264,16 @@ def test_what_has_no_derivative_is_refused() -> None:
     scene = with_object({**BOX, "learn": ("position",)})
     render = warpsar.renderer(scene, device="cpu")
     for values, message in (
-        ({"box.heading_deg": 3.0}, "box.heading_deg: is held: learn of object box names position"),
+        ({"objects.box.heading_deg": 3.0}, "objects.box.heading_deg: is held: objects.box.learn names position"),
         ({"mesh.vertices": 3.0}, "mesh.vertices: are held; renderer"),
-        ({"box.position_m": 3.0}, r"box.position_m: found shape \(\); must be \(3,\)"),
-        ({"box.position_m": [np.nan, 0, 0]}, "box.position_m: found nan; must be from"),
+        ({"objects.box.position_m": 3.0}, r"objects.box.position_m: found shape \(\); must be \(3,\)"),
+        ({"objects.box.position_m": [np.nan, 0, 0]}, "objects.box.position_m: found nan; must be from"),
     ):
         with pytest.raises(InputError, match=message):
             render(values)
     sheet = warpsar.renderer(with_object(SHEET), device="cpu")
     with pytest.raises(InputError, match="a size of 0 must stay 0"):
-        sheet({"plate.size_m": [0.1, 4.0, 4.0]})
+        sheet({"objects.plate.size_m": [0.1, 4.0, 4.0]})
     with pytest.raises(InputError, match="free these or the vertices"):
         warpsar.renderer(scene, device="cpu", vertices=True)
     bounces = {"multibounce": validate("multibounce", {"max_bounces": 2}, "effects.multibounce")}

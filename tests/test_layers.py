@@ -28,6 +28,7 @@ ROOMS = (
     "trace",
     "surface",
     "effects",
+    "parameters",
     "scene",
     "measured",
     "render",

@@ -32,7 +32,7 @@ def test_page_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pyte
     assert abs(float(eps_r) - 6.0) < 0.5
     assert re.search(r"deviance: [01]\.\d\d", printed)
     assert (tmp_path / "site_mesh.obj").is_file()
-    assert re.search(r"^lawn.eps_r 6.0 1.01 300.0$", printed, re.MULTILINE)
+    assert re.search(r"^materials.lawn.eps_r 6.0 1.01 300.0$", printed, re.MULTILINE)
 
 
 @pytest.mark.parametrize("library", OPTIONAL)

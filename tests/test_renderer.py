@@ -156,8 +156,8 @@ def test_vertices_of_other_materials_have_no_gradient() -> None:
         mesh, view(30, 40), materials={"lawn": {**SOIL, "eps_r": "wet", "layout": "vertex"}, "block": SOIL}
     )
     render = warpsar.renderer(scene, device="cpu")
-    assert render.parameters["lawn.eps_r"].shape == (len(mesh.vertices),)
-    gradient = render.vjp(None, {"view": {"HH": np.ones(scene.grid.shape)}})["lawn.eps_r"]
+    assert render.parameters["materials.lawn.eps_r"].shape == (len(mesh.vertices),)
+    gradient = render.vjp(None, {"view": {"HH": np.ones(scene.grid.shape)}})["materials.lawn.eps_r"]
     assert (gradient[: len(low[0])] > 0).all()
     assert not gradient[len(low[0]) :].any()
 
@@ -173,23 +173,41 @@ def test_several_calls_do_not_disturb_each_other(of: Any) -> None:
 
 
 WRONG: dict[str, tuple[Callable[[Renderer], Any], str]] = {
-    "unknown": (lambda r: r({"sea.eps_r": 3.0}), r"sea.eps_r: found no such parameter; must be one of lawn.eps_r"),
-    "held": (lambda r: r({"block.specular_fraction": 0.5}), r"is held: materials.block.learn names eps_r, rms"),
-    "layout": (lambda r: r({"block.layout": 1.0}), r"block.layout: is held"),
-    "not stated": (lambda r: r({"registration.range_m[a]": 0.1}), r"found no such parameter"),
-    "setting": (lambda r: r({"point_spread.window": 1.0}), r"is discrete and cannot be learned"),
-    "unstated": (lambda r: r({"point_spread.azimuth_fwhm_m": 1.0}), r"does not state it"),
-    "bounds": (lambda r: r({"lawn.eps_r": 0.5}), r"lawn.eps_r: found 0.5; must be from 1.01 to 300"),
-    "nan": (lambda r: r({"lawn.eps_r": float("nan")}), r"lawn.eps_r: found nan; must be from"),
-    "shape": (lambda r: r({"lawn.eps_r": [5.0, 6.0]}), r"lawn.eps_r: found shape \(2,\); must be \(\)"),
-    "text": (lambda r: r({"lawn.eps_r": "wet"}), r"lawn.eps_r: found 'wet'; must be numbers"),
+    "unknown": (
+        lambda r: r({"materials.sea.eps_r": 3.0}),
+        r"materials.sea.eps_r: found no such parameter; must be one of materials.lawn.eps_r",
+    ),
+    "held": (
+        lambda r: r({"materials.block.specular_fraction": 0.5}),
+        r"is held: materials.block.learn names eps_r, rms",
+    ),
+    "layout": (lambda r: r({"block.layout": 1.0}), r"block.layout: found no such parameter"),
+    "not stated": (lambda r: r({"effects.registration.range_m[a]": 0.1}), r"found no such parameter"),
+    "setting": (lambda r: r({"effects.point_spread.window": 1.0}), r"is discrete and cannot be learned"),
+    "unstated": (lambda r: r({"effects.point_spread.azimuth_fwhm_m": 1.0}), r"does not state it"),
+    "bounds": (
+        lambda r: r({"materials.lawn.eps_r": 0.5}),
+        r"materials.lawn.eps_r: found 0.5; must be from 1.01 to 300",
+    ),
+    "nan": (lambda r: r({"materials.lawn.eps_r": float("nan")}), r"materials.lawn.eps_r: found nan; must be from"),
+    "shape": (
+        lambda r: r({"materials.lawn.eps_r": [5.0, 6.0]}),
+        r"materials.lawn.eps_r: found shape \(2,\); must be \(\)",
+    ),
+    "text": (lambda r: r({"materials.lawn.eps_r": "wet"}), r"materials.lawn.eps_r: found 'wet'; must be numbers"),
     "view": (lambda r: r.vjp(None, {"c": {}}), r"cotangents: found view 'c'; must be one of a, b"),
     "polarization": (lambda r: r.vjp(None, {"a": {"HV": 1}}), r"cotangents of a: found 'HV'; must be one of HH, VV"),
     "pixels": (lambda r: r.vjp(None, {"a": {"HH": np.ones(3)}}), r"a HH: found shape \(3,\); must be \(20, 22\)"),
-    "tangent": (lambda r: r.jvp(None, {"lawn.eps_r": 0.0}), r"tangents: found lawn.eps_r, all 0"),
+    "tangent": (lambda r: r.jvp(None, {"materials.lawn.eps_r": 0.0}), r"tangents: found materials.lawn.eps_r, all 0"),
     "no tangent": (lambda r: r.jvp(None, {}), r"tangents: found none, all 0"),
-    "tangent's shape": (lambda r: r.jvp(None, {"lawn.eps_r": [1.0]}), r"lawn.eps_r: found shape \(1,\)"),
-    "edge": (lambda r: r.jvp({"lawn.eps_r": 300.0}, {"lawn.eps_r": 1.0}), r"lawn.eps_r is too close to its bound"),
+    "tangent's shape": (
+        lambda r: r.jvp(None, {"materials.lawn.eps_r": [1.0]}),
+        r"materials.lawn.eps_r: found shape \(1,\)",
+    ),
+    "edge": (
+        lambda r: r.jvp({"materials.lawn.eps_r": 300.0}, {"materials.lawn.eps_r": 1.0}),
+        r"materials.lawn.eps_r is too close to its bound",
+    ),
 }
 
 
@@ -207,9 +225,9 @@ def test_a_dead_start_has_no_derivative() -> None:
     dead = {**scene.materials, "lawn": Material(**{**START, "specular_fraction": 0.0})}
     render = warpsar.renderer(replace(scene, materials=dead), device="cpu")
     weights = cotangents(render)
-    with pytest.raises(InputError, match=r"lawn.specular_fraction: found 0; must be from 1e-06"):
+    with pytest.raises(InputError, match=r"materials.lawn.specular_fraction: found 0; must be from 1e-06"):
         render.vjp(None, weights)
-    assert render.vjp({"lawn.specular_fraction": 0.1}, weights)["lawn.specular_fraction"] != 0
+    assert render.vjp({"materials.lawn.specular_fraction": 0.1}, weights)["materials.lawn.specular_fraction"] != 0
 
 
 # ---- PyTorch ----
@@ -254,7 +272,11 @@ def test_torch_gradients_are_finite_differences(of: Any) -> None:
 
     def loss(f: Any) -> Any:
         images = render.torch(
-            {"lawn.eps_r": 6.0 * f[0], "lawn.rms_height_m": 0.0012 * f[1], "block.eps_r": 9.0 * f[2] * f[0]}
+            {
+                "materials.lawn.eps_r": 6.0 * f[0],
+                "materials.lawn.rms_height_m": 0.0012 * f[1],
+                "materials.block.eps_r": 9.0 * f[2] * f[0],
+            }
         )
         return sum((torch.as_tensor(w) * images[v][p]).sum() for v, o in weights.items() for p, w in o.items())
 
@@ -270,15 +292,15 @@ def test_torch_refuses_what_the_renderer_refuses(of: Any) -> None:
     torch = pytest.importorskip("torch", reason="PyTorch is not installed: pip install 'warpsar[torch]'")
     render = of("uniform", "cpu")
     for values, message in (
-        ({"sea.eps_r": 3.0}, "found no such parameter"),
-        ({"lawn.eps_r": torch.tensor([1.0])}, r"found shape \(1,\)"),
-        ({"lawn.eps_r": torch.tensor(0.5)}, "found 0.5; must be from 1.01"),
+        ({"materials.sea.eps_r": 3.0}, "found no such parameter"),
+        ({"materials.lawn.eps_r": torch.tensor([1.0])}, r"found shape \(1,\)"),
+        ({"materials.lawn.eps_r": torch.tensor(0.5)}, "found 0.5; must be from 1.01"),
     ):
         with pytest.raises(InputError, match=message):
             render.torch(values)
     given = torch.tensor(6.0, requires_grad=True)
     with pytest.raises(InputError, match="has no second derivative; create_graph must be False"):
-        torch.autograd.grad(render.torch({"lawn.eps_r": given})["a"]["HH"].sum(), given, create_graph=True)
+        torch.autograd.grad(render.torch({"materials.lawn.eps_r": given})["a"]["HH"].sum(), given, create_graph=True)
 
 
 # ---- JAX ----
@@ -306,13 +328,13 @@ def test_jax_refuses(of: Any) -> None:
     jax = pytest.importorskip("jax", reason="JAX is not installed: pip install 'warpsar[jax]'")
     render = of("uniform", "cpu")
     with pytest.raises(InputError, match="found no such parameter"):
-        render.jax({"sea.eps_r": 3.0})
+        render.jax({"materials.sea.eps_r": 3.0})
     with pytest.raises(InputError, match=r"found shape \(2,\)"):
-        render.jax({"lawn.eps_r": np.ones(2)})
-    with pytest.raises(Exception, match=r"lawn.eps_r: found 0.5; must be from 1.01"):
-        jax.block_until_ready(render.jax({"lawn.eps_r": 0.5}))
+        render.jax({"materials.lawn.eps_r": np.ones(2)})
+    with pytest.raises(Exception, match=r"materials.lawn.eps_r: found 0.5; must be from 1.01"):
+        jax.block_until_ready(render.jax({"materials.lawn.eps_r": 0.5}))
     with pytest.raises(TypeError, match="forward-mode"):
-        jax.jvp(lambda e: render.jax({"lawn.eps_r": e})["a"]["HH"], (6.0,), (1.0,))
+        jax.jvp(lambda e: render.jax({"materials.lawn.eps_r": e})["a"]["HH"], (6.0,), (1.0,))
 
 
 @pytest.mark.parametrize("face", ["torch", "jax"])

@@ -9,12 +9,13 @@ from worlds import BRICK, SOIL, ground, mesh_of, plate, scene_of, sigma0, view
 
 import warpsar
 from warpsar.io.images import write_exr
+from warpsar.kernels.codes import FRACTION_LIMIT
 from warpsar.render.render import ViewRender
 from warpsar.runtime import devices
 from warpsar.scene.scene import Scene
 from warpsar.simulation.rays import trace_view
 from warpsar.surface.stage import Stage
-from warpsar.surface.surface import FRACTION_LIMIT, KEYS, KINDS, Surface
+from warpsar.surface.surface import KEYS, KINDS, Surface
 from warpsar.trace.hits import Hits
 from warpsar.world.mesh import Mesh
 

@@ -11,7 +11,7 @@ from test_learned_table import ANGLES, GIVEN, PARTS, bent, site, written
 from warpsar import InputError, Scene, renderer
 from warpsar.differentiable.renderer import Renderer
 
-NAMES = ["block.sigma0[HH]", "block.sigma0[VV]", "block.sigma0[HV]"]
+NAMES = ["materials.block.sigma0[HH]", "materials.block.sigma0[VV]", "materials.block.sigma0[HV]"]
 
 
 @pytest.fixture
@@ -41,10 +41,10 @@ def test_gradients_to_a_tables_columns_are_those_of_differences(scene: Scene, ve
     weights, values = weights_of(render), render.values
     gradient = render.vjp(values, weights)
     random = np.random.default_rng(1)
-    for name in [*NAMES, "lawn.level", "noise_floor.level"]:
+    for name in [*NAMES, "materials.lawn.level", "effects.noise_floor.level"]:
         values[name] = values[name] * (1.0 + 0.01 * random.random(values[name].shape))  # not where it was declared
     gradient = render.vjp(values, weights)
-    for name in [*NAMES, "lawn.level", "noise_floor.level"]:
+    for name in [*NAMES, "materials.lawn.level", "effects.noise_floor.level"]:
         assert gradient[name].shape == values[name].shape
         move = random.normal(size=values[name].shape) * (0.1 if name in NAMES else 0.02 * values[name])
         ends = [total(render({**values, name: values[name] + step * move}), weights) for step in (1, -1, 2, -2)]
@@ -55,7 +55,7 @@ def test_gradients_to_a_tables_columns_are_those_of_differences(scene: Scene, ve
 
 def test_images_are_those_of_the_table_given(scene: Scene, tmp_path: Path) -> None:
     truth = bent()
-    changed = {f"block.sigma0[{key}]": column for key, column in truth.sigma0_db.items()}
+    changed = {f"materials.block.sigma0[{key}]": column for key, column in truth.sigma0_db.items()}
     render = renderer(scene, device="cpu")
     declared = render()
     found = render(changed)
@@ -101,11 +101,11 @@ def test_torch_and_jax_have_the_same_gradients(scene: Scene) -> None:
 @pytest.mark.parametrize(
     ("values", "said"),
     [
-        ({"block.sigma0[HH]": np.zeros(3)}, r"found shape \(3,\); must be \(10,\)"),
-        ({"block.sigma0[HH]": np.full(10, 101.0)}, "must be from -100 to 100"),
-        ({"block.sigma0": np.zeros(10)}, "found no such parameter"),
-        ({"block.level": 1.0}, "is held: materials.block.learn names sigma0"),
-        ({"lawn.sigma0[HH]": np.zeros(10)}, "is held: materials.lawn.learn names level"),
+        ({"materials.block.sigma0[HH]": np.zeros(3)}, r"found shape \(3,\); must be \(10,\)"),
+        ({"materials.block.sigma0[HH]": np.full(10, 101.0)}, "must be from -100 to 100"),
+        ({"materials.block.sigma0": np.zeros(10)}, "found no such parameter"),
+        ({"materials.block.level": 1.0}, "is held: materials.block.learn names sigma0"),
+        ({"materials.lawn.sigma0[HH]": np.zeros(10)}, "is held: materials.lawn.learn names level"),
     ],
 )
 def test_what_is_no_column_is_refused(values: dict[str, Any], said: str, scene: Scene) -> None:

@@ -56,8 +56,8 @@ def test_a_plate_that_moves_away() -> None:
     s = np.stack([np.sin(az) * np.sin(inc), np.cos(az) * np.sin(inc), np.full(2, np.cos(inc))], axis=-1)
     expected = 2j * K * s[:, None, None, None] * found[..., None]
     assert agrees(jacobian["pose.position_m"], expected, 1e-9)
-    _, jacobian = slopes(plate(0.15, 0.21), 90.0, 90.0, "vertices", terms=("single",))
-    wider = jacobian["vertices"][0, 0, 0, 0][1:3, 1].sum()  # both vertices of one side
+    _, jacobian = slopes(plate(0.15, 0.21), 90.0, 90.0, "mesh.vertices", terms=("single",))
+    wider = jacobian["mesh.vertices"][0, 0, 0, 0][1:3, 1].sum()  # both vertices of one side
     assert wider == pytest.approx(-1j * K / (2 * np.pi) * 0.21, rel=1e-9)
 
 
@@ -66,19 +66,19 @@ def test_a_plate_that_moves_away() -> None:
 def test_vertices_of_a_plate_in_its_plane(term: str, vertex: int, axis: int) -> None:
     """Differences of the exact phase integral, and of fringe currents: 1e-7 of rounding and step."""
     angles, mesh = ([70.0, 85.0], 80.0), plate(0.15, 0.21)
-    _, jacobian = slopes(mesh, *angles, "vertices", terms=(term,))
+    _, jacobian = slopes(mesh, *angles, "mesh.vertices", terms=(term,))
     expected = by_vertex(mesh, vertex, axis, 1e-6, *angles, terms=(term,))
-    assert agrees(jacobian["vertices"][..., vertex, axis], expected, 1e-6)
+    assert agrees(jacobian["mesh.vertices"][..., vertex, axis], expected, 1e-6)
 
 
 def test_edges_of_a_box() -> None:
     """Each vertex turns faces, and changes outer angles: 1e-7 m keep faces flat."""
     box = trimesh.creation.box((0.12, 0.2, 0.16))
     mesh, angles = warpsar.Mesh.of(box.vertices, box.faces), ([70.0, 35.0], 80.0)
-    _, jacobian = slopes(mesh, *angles, "vertices", terms=("edges",))
+    _, jacobian = slopes(mesh, *angles, "mesh.vertices", terms=("edges",))
     for vertex, axis in ((7, 2), (5, 0)):
         expected = by_vertex(mesh, vertex, axis, 1e-7, *angles, terms=("edges",))
-        assert agrees(jacobian["vertices"][..., vertex, axis], expected, 1e-5)
+        assert agrees(jacobian["mesh.vertices"][..., vertex, axis], expected, 1e-5)
 
 
 def test_a_plate_that_turns() -> None:
@@ -96,7 +96,7 @@ def test_a_slab_against_its_matrices() -> None:
     """-R of the conductor's amplitude, and R by 2 x 2 matrices: its differences to 1e-6."""
     turned, step = 31.0, 1e-6
     conductor = amplitude(plate(0.3, 0.2), 90.0 - turned, 90.0, terms=("single",))[0, 0, 0]
-    names = "default.eps_r", "default.thickness_m"
+    names = "materials.default.eps_r", "materials.default.thickness_m"
     _, jacobian = slopes(plate(0.3, 0.2), 90.0 - turned, 90.0, *names, terms=("single",), material=SLAB)
     sine = np.sin(np.deg2rad(turned))
 
@@ -105,23 +105,24 @@ def test_a_slab_against_its_matrices() -> None:
         te, tm = (np.array(ends[0]) - np.array(ends[1])) / (2 * step)
         return -np.array([tm, te]) * conductor[[0, 3]]
 
-    eps = jacobian["default.eps_r"][0, 0, 0][[0, 3]]
+    eps = jacobian["materials.default.eps_r"][0, 0, 0][[0, 3]]
     assert agrees(eps[:, 0], change(1.0, 0.0), 1e-6)
     assert agrees(eps[:, 1], change(1.0j, 0.0), 1e-6)
-    assert agrees(jacobian["default.thickness_m"][0, 0, 0][[0, 3]], change(0.0, 1.0), 1e-6)
+    assert agrees(jacobian["materials.default.thickness_m"][0, 0, 0][[0, 3]], change(0.0, 1.0), 1e-6)
 
 
 def test_the_polarization_across_a_slab() -> None:
     """Differences of the engine, to 1e-6 of the largest: the material, and a corner that moves in the plane."""
     mesh, angles, step = plate(0.3, 0.2), ([47.0, 75.0], 83.0), 1e-6
     more = {"terms": ("edges",)}
-    _, jacobian = slopes(mesh, *angles, "default.eps_r", "default.thickness_m", "vertices", material=SLAB, **more)
+    names = ("materials.default.eps_r", "materials.default.thickness_m", "mesh.vertices")
+    _, jacobian = slopes(mesh, *angles, *names, material=SLAB, **more)
     for name, values in (
         ("thickness_m", [0.003 + step, 0.003 - step]),
         ("eps_r", [(2.6 + step, -0.2), (2.6 - step, -0.2)]),
     ):
         ends = [amplitude(mesh, *angles, material={**SLAB, name: value}, **more) for value in values]
-        found = jacobian[f"default.{name}"]
+        found = jacobian[f"materials.default.{name}"]
         assert agrees(found[..., 0] if name == "eps_r" else found, (ends[0] - ends[1]) / (2 * step), 1e-6)
     moved = np.zeros_like(mesh.vertices)
     moved[2, 1] = step
@@ -129,7 +130,7 @@ def test_the_polarization_across_a_slab() -> None:
         amplitude(warpsar.Mesh.of(mesh.vertices + s * moved, mesh.faces), *angles, material=SLAB, **more)
         for s in (1, -1)
     ]
-    assert agrees(jacobian["vertices"][..., 2, 1], (ends[0] - ends[1]) / (2 * step), 1e-6)
+    assert agrees(jacobian["mesh.vertices"][..., 2, 1], (ends[0] - ends[1]) / (2 * step), 1e-6)
 
 
 @pytest.mark.parametrize("conductor", [False, True])
@@ -137,13 +138,14 @@ def test_two_bounces_on_slabs(conductor: bool) -> None:
     """Differences of the engine, slabs in air and on a conductor: tubes do not change with what faces are made of."""
     mesh, angles, step = dihedral(0.3, 0.24), ([40.0, 52.0], 80.0), 1e-6
     slab, more = {**SLAB, "conductor": conductor}, {"terms": ("multibounce",)}
-    _, jacobian = slopes(mesh, *angles, "default.eps_r", "default.thickness_m", material=slab, **more)
+    names = ("materials.default.eps_r", "materials.default.thickness_m")
+    _, jacobian = slopes(mesh, *angles, *names, material=slab, **more)
     for name, values in (
         ("thickness_m", [0.003 + step, 0.003 - step]),
         ("eps_r", [(2.6 + step, -0.2), (2.6 - step, -0.2)]),
     ):
         ends = [amplitude(mesh, *angles, material={**slab, name: value}, **more) for value in values]
-        found = jacobian[f"default.{name}"]
+        found = jacobian[f"materials.default.{name}"]
         assert agrees(found[..., 0] if name == "eps_r" else found, (ends[0] - ends[1]) / (2 * step), 1e-6)
 
 
@@ -152,30 +154,30 @@ def test_two_bounces_on_half_spaces() -> None:
     mesh, angles, step = dihedral(0.3, 0.24), ([40.0, 52.0], 80.0), 1e-6
     more = {"terms": ("multibounce",)}
     half = {"eps_r": (5.0, -0.7), "rms_height_m": 0.0}
-    _, jacobian = slopes(mesh, *angles, "default.eps_r", material=half, **more)
+    _, jacobian = slopes(mesh, *angles, "materials.default.eps_r", material=half, **more)
     for part in (0, 1):
         moved = [(5.0 + s * step * (part == 0), -0.7 + s * step * (part == 1)) for s in (1, -1)]
         ends = [amplitude(mesh, *angles, material={**half, "eps_r": value}, **more) for value in moved]
-        assert agrees(jacobian["default.eps_r"][..., part], (ends[0] - ends[1]) / (2 * step), 1e-6)
+        assert agrees(jacobian["materials.default.eps_r"][..., part], (ends[0] - ends[1]) / (2 * step), 1e-6)
 
 
 def test_the_coherent_part_of_a_rough_face() -> None:
     """exp(-2 (k h cos)^2): its derivative in h is -4 k^2 h cos^2 times it."""
     material = {"eps_r": 6.0, "rms_height_m": 0.002, "correlation_length_m": 0.02}
     found, jacobian = slopes(
-        plate(0.3, 0.2), 65.0, 90.0, "default.rms_height_m", "default.correlation_length_m",
+        plate(0.3, 0.2), 65.0, 90.0, "materials.default.rms_height_m", "materials.default.correlation_length_m",
         terms=("single",), material=material,
     )  # fmt: skip
     expected = -4 * K**2 * 0.002 * np.cos(np.deg2rad(25.0)) ** 2 * found
-    assert agrees(jacobian["default.rms_height_m"], expected, 1e-9)
-    assert not jacobian["default.correlation_length_m"].any()
+    assert agrees(jacobian["materials.default.rms_height_m"], expected, 1e-9)
+    assert not jacobian["materials.default.correlation_length_m"].any()
 
 
 def test_rough_scatterers_follow_sigma0() -> None:
     """One normal for all of them, so each amplitude goes as the root of sigma0: Re(dA / A) = d ln sigma0 / 2."""
     ground = rectangles([[-0.2, -0.2, 0], [0.2, -0.2, 0], [0.2, 0.2, 0], [-0.2, 0.2, 0]])
     material = {"eps_r": 7.0, "rms_height_m": 0.0012, "correlation_length_m": 0.01, "specular_fraction": 0.0}
-    names = ("default.eps_r", "default.rms_height_m", "default.correlation_length_m")
+    names = ("materials.default.eps_r", "materials.default.rms_height_m", "materials.default.correlation_length_m")
     found, jacobian = slopes(ground, [0.0, 130.0], 25.0, *names, terms=("rough",), material=material)
 
     def sigma0(eps: float, h: float, length: float) -> np.ndarray:
@@ -196,10 +198,10 @@ def test_rough_scatterers_follow_sigma0() -> None:
 def test_rough_scatterers_with_all_their_parts() -> None:
     """Differences of the engine: places, numbers and their count are those of the seed."""
     mesh, angles = plate(0.3, 0.2), ([60.0, 85.0], 80.0)
-    names = ("default.rms_height_m", "default.correlation_length_m", "pose.pitch_deg")
+    names = ("materials.default.rms_height_m", "materials.default.correlation_length_m", "pose.pitch_deg")
     _, jacobian = slopes(mesh, *angles, *names, material=ROUGH)
     for name in names[:2]:
-        key = name.partition(".")[2]
+        key = name.rpartition(".")[2]
         step = 1e-4 * ROUGH[key]
         ends = [amplitude(mesh, *angles, material={**ROUGH, key: ROUGH[key] + s}) for s in (step, -step)]
         assert agrees(jacobian[name], (ends[0] - ends[1]) / (2 * step), 1e-6)
@@ -214,8 +216,8 @@ def test_an_edge_that_takes_light_from_another_plate() -> None:
     """A plate before another one: its edge moves, one loses the strip that the other gains."""
     a = 8 * WAVELENGTH
     mesh = rectangles([[0, -a, -a], [0, a, -a], [0, a, a], [0, -a, a]], [[1, 0, -a], [1, a, -a], [1, a, a], [1, 0, a]])
-    _, jacobian = slopes(mesh, 90.0, 90.0, "vertices", terms=("single",))
-    found = jacobian["vertices"][0, 0, 0, 0][[4, 7], 1].sum()
+    _, jacobian = slopes(mesh, 90.0, 90.0, "mesh.vertices", terms=("single",))
+    found = jacobian["mesh.vertices"][0, 0, 0, 0][[4, 7], 1].sum()
     expected = -1j * K / (2 * np.pi) * 2 * a * (1 - np.exp(2j * K))
     assert found == pytest.approx(expected, rel=1e-6)
 
@@ -224,8 +226,8 @@ def test_a_trihedral_that_grows() -> None:
     """Three bounces: A = sqrt(3) a^2 / lambda. Its aperture is a hexagon, whose border no vertex holds by itself."""
     a = 10 * WAVELENGTH
     mesh = square_trihedral(a)
-    _, jacobian = slopes(mesh, 45.0, DIAGONAL, "vertices", terms=("multibounce",))
-    found = (jacobian["vertices"][0, 0, 0] * mesh.vertices / a).sum(axis=(1, 2))
+    _, jacobian = slopes(mesh, 45.0, DIAGONAL, "mesh.vertices", terms=("multibounce",))
+    found = (jacobian["mesh.vertices"][0, 0, 0] * mesh.vertices / a).sum(axis=(1, 2))
     expected = 2 * np.sqrt(3) * a / WAVELENGTH
     assert np.abs(found[[0, 3]]) == pytest.approx(expected, rel=0.02)
 
@@ -247,9 +249,9 @@ def test_a_sphere_that_grows() -> None:
     radius, x = 5 * WAVELENGTH, 2j * K
     mesh = warpsar.Mesh.of(trimesh.creation.icosphere(4, radius=radius))
     found = warpsar.rcs_gradients(
-        scene(mesh, terms=("single",), polarizations=("HH",)), 20.0, 70.0, parameters=["vertices"], device="cpu"
+        scene(mesh, terms=("single",), polarizations=("HH",)), 20.0, 70.0, parameters=["mesh.vertices"], device="cpu"
     )
-    parts = [(found.vjp([[[[c]]]])["vertices"] * mesh.vertices).sum() / radius for c in (1.0, 1.0j)]
+    parts = [(found.vjp([[[[c]]]])["mesh.vertices"] * mesh.vertices).sum() / radius for c in (1.0, 1.0j)]
 
     def closed(r: float) -> complex:
         return complex(-1j * K * (r * np.exp(x * r) / x - (np.exp(x * r) - 1) / x**2))
@@ -263,13 +265,13 @@ def test_a_duct_that_grows(terms: tuple[str, ...], share: float) -> None:
     """A(k, (1 + e) x) = (1 + e) A(k (1 + e), x), so d/de = A + k dA/dk. Rays are the same for all frequencies."""
     mesh = curved_duct()
     body = scene(mesh, terms=terms, polarizations=("VV",))
-    found = warpsar.rcs_gradients(body, [80.0, 95.0], 89.0, parameters=["vertices"], device="cpu")
+    found = warpsar.rcs_gradients(body, [80.0, 95.0], 89.0, parameters=["mesh.vertices"], device="cpu")
     grown = np.zeros(2, complex)
     for i in range(2):
         for unit in (1.0, 1.0j):
             cotangent = np.zeros(found.rcs.amplitude_m.shape, complex)
             cotangent[i] = unit
-            grown[i] += unit * (found.vjp(cotangent)["vertices"] * mesh.vertices).sum()
+            grown[i] += unit * (found.vjp(cotangent)["mesh.vertices"] * mesh.vertices).sum()
     beside = [FREQUENCY * (1 - 1e-5), FREQUENCY * (1 + 1e-5)]
     ends = warpsar.rcs(body, [80.0, 95.0], 89.0, beside, device="cpu").amplitude_m[:, 0, :, 0]
     expected = found.rcs.amplitude_m[:, 0, 0, 0] + (ends[:, 1] - ends[:, 0]) / 2e-5
@@ -279,9 +281,9 @@ def test_a_duct_that_grows(terms: tuple[str, ...], share: float) -> None:
 def test_near_by_tubes_take_the_place_of_exact_borders() -> None:
     """At 1e6 m the wave is plane, and a plate's tubes of lambda / 40 have the derivative of its phase integral."""
     mesh, angles = plate(0.15, 0.21), (85.0, 80.0)
-    _, exact = slopes(mesh, *angles, "vertices", terms=("single",))
-    _, tubes = slopes(mesh, *angles, "vertices", terms=("single",), slant_range_m=1e6, finer=40.0)
-    assert agrees(tubes["vertices"], exact["vertices"], 0.01)
+    _, exact = slopes(mesh, *angles, "mesh.vertices", terms=("single",))
+    _, tubes = slopes(mesh, *angles, "mesh.vertices", terms=("single",), slant_range_m=1e6, finer=40.0)
+    assert agrees(tubes["mesh.vertices"], exact["mesh.vertices"], 0.01)
 
 
 def test_one_pass_back_is_the_jacobian() -> None:
@@ -289,7 +291,7 @@ def test_one_pass_back_is_the_jacobian() -> None:
         scene(dihedral(0.1, 0.08)),
         [40.0, 50.0],
         [80.0, 85.0],
-        parameters=["vertices", "pose.heading_deg"],
+        parameters=["mesh.vertices", "pose.heading_deg"],
         device="cpu",
     )
     shape = found.rcs.amplitude_m.shape
@@ -306,9 +308,9 @@ def test_same_bits_for_any_number_of_threads(monkeypatch: pytest.MonkeyPatch) ->
     for threads in ("1", "3"):
         monkeypatch.setenv("WARPSAR_THREADS", threads)
         one = warpsar.rcs_gradients(
-            scene(dihedral(0.1, 0.08)), [40.0, 50.0, 60.0], 80.0, parameters=["vertices"], device="cpu"
+            scene(dihedral(0.1, 0.08)), [40.0, 50.0, 60.0], 80.0, parameters=["mesh.vertices"], device="cpu"
         )
-        found.append(one.vjp(one.rcs.amplitude_m)["vertices"])
+        found.append(one.vjp(one.rcs.amplitude_m)["mesh.vertices"])
     assert np.array_equal(*found)
     assert found[0].any()
 
@@ -320,9 +322,9 @@ def test_same_bits_for_any_number_of_threads(monkeypatch: pytest.MonkeyPatch) ->
         (["radar.max_bounces"], None, "is a choice, not a number"),
         (["visibility"], None, "is discrete"),
         (["default.conductor"], None, "has no derivative here"),
-        (["default.eps_r"], None, "the scene does not state it"),
-        (["default.rms_height_m"], None, "a smooth face has no scatterers"),
-        (["vertices"], ROUGH, "drawn anew"),
+        (["materials.default.eps_r"], None, "the scene does not state it"),
+        (["materials.default.rms_height_m"], None, "a smooth face has no scatterers"),
+        (["mesh.vertices"], ROUGH, "drawn anew"),
         (["nothing"], None, "found no such parameter"),
         ([], None, "must be one or more names"),
     ],
@@ -334,11 +336,11 @@ def test_what_has_no_derivative_is_refused(names: list[str], material: Any, mess
 
 def test_a_face_along_the_line_of_sight_is_refused() -> None:
     with pytest.raises(InputError, match="a flat face stands exactly along the line of sight"):
-        warpsar.rcs_gradients(scene(plate(0.1, 0.1)), [80.0, 0.0], parameters=["vertices"], device="cpu")
+        warpsar.rcs_gradients(scene(plate(0.1, 0.1)), [80.0, 0.0], parameters=["mesh.vertices"], device="cpu")
 
 
 def test_a_cotangent_of_another_shape_is_refused() -> None:
-    found = warpsar.rcs_gradients(scene(plate(0.1, 0.1)), [80.0], parameters=["vertices"], device="cpu")
+    found = warpsar.rcs_gradients(scene(plate(0.1, 0.1)), [80.0], parameters=["mesh.vertices"], device="cpu")
     with pytest.raises(InputError, match=r"cotangent: found shape \(2,\)"):
         found.vjp([1.0, 2.0])
 
@@ -379,14 +381,14 @@ def test_an_object_that_moves_and_turns(tmp_path: Path) -> None:
         path.write_text("\n".join(line.strip() for line in table.splitlines()))
         return warpsar.Scene.load(path)
 
-    names = ["loose.position_m", "loose.heading_deg"]
+    names = ["objects.loose.position_m", "objects.loose.heading_deg"]
     found = warpsar.rcs_gradients(placed(0.0, 0.0), [30.0, 77.0], 50.0, parameters=names, device="cpu").jacobian()
-    for name, step in (("loose.position_m", (1e-6, 0.0)), ("loose.heading_deg", (0.0, 1e-4))):
+    for name, step in (("objects.loose.position_m", (1e-6, 0.0)), ("objects.loose.heading_deg", (0.0, 1e-4))):
         ends = [
             warpsar.rcs(placed(sign * step[0], sign * step[1]), [30.0, 77.0], 50.0, device="cpu").amplitude_m
             for sign in (1.0, -1.0)
         ]
-        slope = found[name][..., 0] if name == "loose.position_m" else found[name]
+        slope = found[name][..., 0] if name == "objects.loose.position_m" else found[name]
         assert agrees(slope, (ends[0] - ends[1]) / (2 * max(step)), 1e-5)
 
 
@@ -397,7 +399,7 @@ def test_cuda_has_the_gradients_of_the_cpu() -> None:
     for device in ("cpu", "cuda"):
         one = warpsar.rcs_gradients(
             scene(dihedral(0.1, 0.08), material=SLAB), [40.0, 50.0], 80.0,
-            parameters=["vertices", "default.eps_r"], device=device,
+            parameters=["mesh.vertices", "materials.default.eps_r"], device=device,
         )  # fmt: skip
         found.append(one.vjp(np.ones(one.rcs.amplitude_m.shape)))
     for name in found[0]:

@@ -217,7 +217,7 @@ def test_numbers_of_the_default_do_not_depend_on_other_models(tables: Path) -> N
 def test_what_has_no_derivative_says_so(tables: Path) -> None:
     kinds = [material(name, tables) for name in ("ka_spm", "i2em", "ka_spm with a term")]
     made = quarters(kinds)
-    for name, has in (("m1.rms_height_m", 'model = "i2em"'), ("m2.eps_r", "a learned term")):
+    for name, has in (("materials.m1.rms_height_m", 'model = "i2em"'), ("materials.m2.eps_r", "a learned term")):
         said = rf"parameters: {name}: .* has {has}, whose scatterers have no derivative"
         with pytest.raises(InputError, match=said):
             warpsar.rcs_gradients(made, 10.0, 40.0, parameters=[name], device="cpu")

@@ -20,6 +20,8 @@ from warpsar.coherent.shape import beyond
 from warpsar.coherent.sweep import POLARIZATIONS, RAYS_PER_WAVELENGTH, Worker, shift
 from warpsar.coherent.traced import LEVELS
 from warpsar.errors import InputError
+from warpsar.parameters.parameter import Parameter
+from warpsar.parameters.tree import Named, Parameters, parameters_of
 from warpsar.runtime import devices, threads
 from warpsar.scene.scene import scene_or_file
 from warpsar.world.frame import SPEED_OF_LIGHT
@@ -37,6 +39,7 @@ class RcsGradients:
     """The amplitudes, as `warpsar.rcs` gives them."""
     parameters: tuple[str, ...]
     _scene: World = field(repr=False)
+    _tree: Parameters[Parameter] = field(repr=False)
     _asked: Asked = field(repr=False)
     _learned: Mapping[str, Learned] = field(repr=False)
 
@@ -53,7 +56,7 @@ class RcsGradients:
         for _, (part,) in self._pulled([one[None] for one in given.reshape(-1, *given.shape[2:])]):
             for name, one in self._learned.items():
                 total[name] += one.gradient(part)
-        return total
+        return Named(self._tree, total)
 
     def jacobian(self) -> dict[str, NDArray[np.complex128]]:
         """dA / d parameter, complex: the shape of `rcs.amplitude_m`, then the parameter's.
@@ -70,7 +73,8 @@ class RcsGradients:
             for i, part in enumerate(parts):
                 for name, one in self._learned.items():
                     total[name][index, i % size] += (1.0 if i < size else 1.0j) * one.gradient(part)
-        return {name: total[name].reshape(*shape, *one.shape) for name, one in self._learned.items()}
+        found = {name: total[name].reshape(*shape, *one.shape) for name, one in self._learned.items()}
+        return Named(self._tree, found)
 
     def _pulled(self, cotangents: Sequence[NDArray[np.complex128]]) -> Iterator[tuple[int, list[Slopes]]]:
         """For each direction the gradients of its cotangents (c, frequencies, polarizations), piece by piece."""
@@ -115,18 +119,18 @@ def rcs_gradients(
 ) -> RcsGradients:
     """Amplitudes as `warpsar.rcs` gives them, and their derivatives to `parameters`, in reverse mode.
 
-    >>> found = warpsar.rcs_gradients(scene, [30.0, 45.0], 60.0, parameters=["body.eps_r", "vertices"])
+    >>> found = warpsar.rcs_gradients(scene, [30.0, 45.0], 60.0, parameters=["materials.body.eps_r", "mesh.vertices"])
     >>> gradients = found.vjp(found.rcs.amplitude_m - measured)  # of half the sum of squares
-    >>> slopes = found.jacobian()["vertices"]                    # (azimuths, incidences, frequencies, pol., n, 3)
+    >>> slopes = found.jacobian()["mesh.vertices"]               # (azimuths, incidences, frequencies, pol., n, 3)
 
     Parameters, with shapes and units:
 
-    - `MATERIAL.eps_r`: as in the scene, () or (2,)
-    - `MATERIAL.thickness_m`, `MATERIAL.rms_height_m`: () [m]
-    - `MATERIAL.correlation_length_m`: as in the scene, () or (2,) [m]
-    - `vertices`: (n, 3) [m]
-    - `pose.position_m`, `OBJECT.position_m`: (3,) [m]
-    - `pose.heading_deg`, `.pitch_deg`, `.roll_deg`, and those of an `OBJECT`: () [degrees]
+    - `materials.NAME.eps_r`: as in the scene, () or (2,)
+    - `materials.NAME.thickness_m`, `materials.NAME.rms_height_m`: () [m]
+    - `materials.NAME.correlation_length_m`: as in the scene, () or (2,) [m]
+    - `mesh.vertices`: (n, 3) [m]
+    - `pose.position_m`, `objects.NAME.position_m`: (3,) [m]
+    - `pose.heading_deg`, `.pitch_deg`, `.roll_deg`, and those of an object: () [degrees]
 
     `pose` moves all that there is, and turns it about the reference point. Held are which faces an edge has, which
     piece of an edge and which scatterer the radar sees, and how many scatterers there are. Borders of light move with
@@ -135,12 +139,13 @@ def rcs_gradients(
     Raises InputError as `warpsar.rcs` does, and for parameters that have no derivative; DeviceError.
     """
     scene = scene_or_file(scene)
-    found = learned(scene, parameters)
+    tree = parameters_of(scene)
+    found = learned(scene, parameters, tree)
     asked = Asked.of(scene, azimuths_deg, incidences_deg, frequencies_hz, device, rays_per_wavelength)
     devices.load_kernels(asked.body.device, "coherent.slopes")
     if moves_vertices(found):
         _refuse_grazing(asked)
-    return RcsGradients(swept(scene, asked), tuple(found), scene, asked, found)
+    return RcsGradients(swept(scene, asked), tuple(found), scene, tree, asked, found)
 
 
 def _refuse_grazing(asked: Asked) -> None:

@@ -13,12 +13,16 @@ from numpy.typing import NDArray
 from warpsar.coherent.held import Slopes
 from warpsar.coherent.rough_models import kind_of
 from warpsar.errors import InputError
+from warpsar.parameters.at import at
+from warpsar.parameters.parameter import Parameter
+from warpsar.parameters.tree import Parameters
 from warpsar.world.objects.pose import rotation
 from warpsar.world.tables import Material
 from warpsar.world.world import World
 
+WHOLE = "pose"
+"""The owner of a pose that moves all that there is."""
 POSE = ("position_m", "heading_deg", "pitch_deg", "roll_deg")
-MATERIAL = ("eps_r", "thickness_m", "rms_height_m", "correlation_length_m")
 _STEP_DEG = 1e-3
 """Of a central difference of vertices in an angle: its error is a 2e-11 of the slope, its rounding 1e-11."""
 
@@ -32,27 +36,36 @@ class Learned:
 
 
 def moves_vertices(names: Collection[str]) -> bool:
-    return any(name == "vertices" or name.rpartition(".")[2] in POSE for name in names)
+    """Whether any of these parameters moves vertices."""
+    return any(name.partition(".")[0] in (WHOLE, "objects", "mesh") for name in names)
 
 
-def learned(scene: World, names: Sequence[str]) -> dict[str, Learned]:
-    """The parameters of these names. Raises InputError, which says why, for one that has no derivative."""
+def learned(scene: World, names: Sequence[str], tree: Parameters[Parameter]) -> dict[str, Learned]:
+    """The parameters of these names, from the scene's `tree`.
+
+    Raises InputError, which says why, for one that has no derivative.
+    """
     if isinstance(names, str) or not names:
         raise InputError(f"parameters: found {names!r}; must be one or more names")
     found = {}
-    for name in names:
-        owner, _, key = str(name).rpartition(".")
-        if name == "vertices":
-            found[name] = _vertices(scene)
-        elif owner in scene.materials and key in MATERIAL:
-            found[name] = _material(scene, owner, key)
-            _refuse_models(scene, name, [owner])
-        elif owner == "pose" and key in POSE:
-            found[name] = _moved(scene, name, partial(_turned, scene, key), key)
-        elif key in POSE and any(one.label == owner for one in scene.objects):
-            found[name] = _moved(scene, name, partial(_placed, scene, owner, key), key)
+    for called in names:
+        owner, _, key = str(called).partition(".")
+        if owner == WHOLE and key in POSE:
+            found[called] = _moved(scene, called, partial(_turned, scene, key), key)
+            continue
+        try:
+            one = tree[called]
+        except KeyError:
+            raise InputError(f"parameters: {called}: {_why(scene, called, tree)}") from None
+        if "amplitude" not in one.derivatives:
+            raise InputError(f"parameters: {called}: has no derivative here; {_allowed(tree)} have one")
+        if one.root == "mesh":
+            found[one.name] = _vertices(scene)
+        elif one.root == "objects":
+            found[one.name] = _moved(scene, one.name, partial(_placed, scene, one), one.key)
         else:
-            raise InputError(f"parameters: {name}: {_why(scene, owner, key)}")
+            found[one.name] = _material(scene, one.owner, one.key)
+            _refuse_models(scene, one.name, [one.owner])
     return found
 
 
@@ -68,34 +81,39 @@ def _refuse_models(scene: World, name: str, materials: Collection[str]) -> None:
             )
 
 
-def _why(scene: World, owner: str, key: str) -> str:
+def _why(scene: World, name: str, tree: Parameters[Parameter]) -> str:
+    owner, _, key = name.removeprefix("materials.").rpartition(".")
     if owner == "radar" and key in ("terms", "max_bounces"):
         return "is a choice, not a number, and has no derivative"
     if key in ("visibility", "rays_per_wavelength", "seed", "edges"):
         return "is discrete: what is lit, hit or drawn has no derivative"
     if owner in scene.materials and key in Material.model_fields:
-        return f"has no derivative here; of a material only {', '.join(MATERIAL)} have one"
-    names = [*scene.materials, *(one.label for one in scene.objects), "pose"]
-    return f"found no such parameter; must be vertices, or a key of {', '.join(names)}"
+        if getattr(scene.materials[owner], key) is None:
+            return "the scene does not state it, so it has no derivative"
+        return f"has no derivative here; {_allowed(tree)} have one"
+    return f"found no such parameter; must be one of {_allowed(tree)}"
+
+
+def _allowed(tree: Parameters[Parameter]) -> str:
+    named = [name for name, one in tree.items() if "amplitude" in one.derivatives]
+    return ", ".join([*named, *(f"{WHOLE}.{key}" for key in POSE)])
 
 
 def _vertices(scene: World) -> Learned:
     rough = [n for n in scene.mesh.materials if scene.materials[n].rms_height_m != 0.0]
     if rough and "rough" in scene.radar.terms:
         raise InputError(
-            f"parameters: vertices: materials.{rough[0]} is rough, and a face that changes its area has its scatterers "
-            'drawn anew; leave "rough" out of radar.terms, or ask for a pose'
+            f"parameters: mesh.vertices: materials.{rough[0]} is rough, and a face that changes its area has its "
+            'scatterers drawn anew; leave "rough" out of radar.terms, or ask for a pose'
         )
     return Learned(scene.mesh.vertices.shape, lambda slopes: slopes.vertices)
 
 
 def _material(scene: World, name: str, key: str) -> Learned:
-    material, where = scene.materials[name], f"parameters: {name}.{key}"
+    material, where = scene.materials[name], f"parameters: materials.{name}.{key}"
     value = getattr(material, key)
     if name not in scene.mesh.materials:
         raise InputError(f"{where}: no face has this material")
-    if value is None:
-        raise InputError(f"{where}: the scene does not state it, so it has no derivative")
     if key == "eps_r" and material.conductor and material.thickness_m is None:
         raise InputError(f"{where}: a conductor does not depend on it; it has no derivative")
     if key in ("rms_height_m", "correlation_length_m") and material.rms_height_m == 0.0:
@@ -142,14 +160,6 @@ def _turned(scene: World, key: str, step: Any) -> NDArray[np.float64]:
     return moved
 
 
-def _placed(scene: World, label: str, key: str, step: Any) -> NDArray[np.float64]:
+def _placed(scene: World, one: Parameter, step: Any) -> NDArray[np.float64]:
     """The vertices with one object moved by a step of one key."""
-    assert scene.assembly is not None
-
-    def stepped(one: Any) -> Any:
-        value = getattr(one, key)
-        new = tuple(np.asarray(value) + step) if key == "position_m" else value + step
-        return one.model_copy(update={key: new})
-
-    objects = [stepped(one) if one.label == label else one for one in scene.objects]
-    return np.asarray(scene.assembly.mesh([*objects]).vertices)
+    return np.asarray(at(scene, {one: one.value + step}).mesh.vertices)

@@ -18,6 +18,7 @@ from warpsar.curves.search import CANDIDATES, Found, by_sector
 from warpsar.curves.sectors import apertures
 from warpsar.curves.shape import Told, likelihood, on_grid, profiles
 from warpsar.errors import InputError
+from warpsar.parameters.at import at
 from warpsar.runtime import console
 from warpsar.scene.scene import Scene
 
@@ -119,7 +120,9 @@ def learned(scene: Scene, cache: Path, device: str | None = None) -> LearnedCurv
     if not any(curve.role == "train" for curve in scene.curves):
         raise InputError(f"{scene.name}: curves: found no train curve; must have one to learn from")
     wanted = [
-        name for name, m in scene.materials.items() if not m.conductor and "eps_r" in m.learn and _number(m.eps_r) > 1.0
+        one.owner
+        for one in scene.parameters.values()
+        if one.key == "eps_r" and one.freed and not scene.materials[one.owner].conductor
     ]
     if not wanted:
         raise InputError(
@@ -132,16 +135,18 @@ def learned(scene: Scene, cache: Path, device: str | None = None) -> LearnedCurv
     now = scene
     for turn in range(PASSES):
         for name in wanted:
-            middle, reach = _number(now.materials[name].eps_r) - 1.0, np.log(FIRST_REACH) / 3.0**turn
+            middle = float(now.parameters[f"materials.{name}.eps_r"].value) - 1.0
+            reach = np.log(FIRST_REACH) / 3.0**turn
             axes = {"eps_r": 1.0 + middle * np.exp(np.linspace(-reach, reach, POINTS))}
 
             def twice_log(x: Any, name: str = name, now: Scene = now) -> float:
-                moved = replace(train, materials=_with(now, name, x["eps_r"]))
+                one = now.parameters[f"materials.{name}.eps_r"]
+                moved = replace(train, materials=at(now, {one: x["eps_r"]}).materials)
                 return likelihood(observe(moved, device=device), scene.radar.terms)
 
             found = profiles(axes, on_grid(axes, twice_log))["eps_r"]
             told[f"{name}.eps_r"] = found
-            now = replace(now, materials=_with(now, name, found.value))
+            now = at(now, {now.parameters[f"materials.{name}.eps_r"]: found.value})
     content = {
         **said,
         "materials": {key: one.content() for key, one in told.items()},
@@ -150,16 +155,6 @@ def learned(scene: Scene, cache: Path, device: str | None = None) -> LearnedCurv
         "after": _evaluated(now, cache, device),
     }
     return LearnedCurves(now, told, content)
-
-
-def _number(eps: Any) -> float:
-    return float(eps[0] if isinstance(eps, tuple) else eps or 0.0)
-
-
-def _with(scene: Scene, name: str, eps: float) -> dict[str, Any]:
-    material = scene.materials[name]
-    value = (eps, material.eps_r[1]) if isinstance(material.eps_r, tuple) else eps
-    return {**scene.materials, name: material.model_copy(update={"eps_r": value})}
 
 
 @dataclass(frozen=True)

@@ -13,15 +13,14 @@ from numpy.typing import NDArray
 from warpsar.differentiable.moves import Moves
 from warpsar.differentiable.parameters import (
     RenderParameter,
-    coordinate,
+    known_name,
     learned_tables,
-    parameters_of,
-    refuse_unknown,
-    slope,
+    render_parameters,
 )
 from warpsar.differentiable.vertex_slopes import vertex_slopes
 from warpsar.effects.registry import declared
 from warpsar.errors import InputError
+from warpsar.parameters.tree import Named
 from warpsar.render.render import ViewRender
 from warpsar.runtime import threads
 from warpsar.scene.scene import Scene
@@ -64,16 +63,13 @@ class Derivatives:
         self._tabled = bool(learned_tables(scene))
         self._placed: dict[str, NDArray[np.float64]] | None = None
         self.place({})
-        self.parameters: dict[str, RenderParameter] = {
-            **parameters_of(scene, self.stage.surface, self.stage.tables),
-            **self.moves.parameters,
-        }
+        self.parameters = render_parameters(scene, self.stage.surface, self.stage.tables, self.moves.parameters)
         """What may change, by name."""
 
     @property
     def values(self) -> dict[str, NDArray[np.float64]]:
         """The parameters as the scene declares them: copies, to be changed and given back."""
-        return {name: parameter.value.copy() for name, parameter in self.parameters.items()}
+        return Named(self.parameters, {name: parameter.value.copy() for name, parameter in self.parameters.items()})
 
     def __call__(self, values: Values | None = None) -> Images:
         """The images for `values`: beta0 by view and polarization, shape (rows, cols), float32.
@@ -93,7 +89,7 @@ class Derivatives:
         parameter's shape and unit (per unit of beta0). The adjoint is exact, computed in float32. Raises InputError as
         a call does, for cotangents that fit no image, and for a declared value at which no derivative can be taken.
         """
-        given = self.checked({**self.values, **(values or {})})
+        given = self.checked({**self.values, **self.checked(values)})
         self.place(given)
         seeds = self._seeds(cotangents)
         self._run(given, gradient=True)
@@ -107,7 +103,8 @@ class Derivatives:
             for name in seeds
         }
         plain = {name: p for name, p in self.parameters.items() if not p.moves}
-        return {name: self._gradient(p, given, nodes, effects) for name, p in plain.items()} | moved
+        found = {name: self._gradient(p, given, nodes, effects) for name, p in plain.items()} | moved
+        return Named(self.parameters, found)
 
     def jvp(self, values: Values | None, tangents: Values) -> Images:
         """How the images change along `tangents` (by parameter, in its unit): central differences of two renders.
@@ -117,8 +114,8 @@ class Derivatives:
         of it float32 rounding. Raises InputError as a call does, for tangents that are all 0, and where a step would
         leave what a parameter may be: there it cannot be taken.
         """
-        given = self.checked({**self.values, **(values or {})})
-        moves = {name: self._tangent(name, tangent) for name, tangent in tangents.items()}
+        given = self.checked({**self.values, **self.checked(values)})
+        moves = {self.known(name): self._tangent(self.known(name), tangent) for name, tangent in tangents.items()}
         largest = max((self._size(name, given, move) for name, move in moves.items()), default=0.0)
         if not 0.0 < largest < np.inf:
             raise InputError(f"tangents: found {', '.join(moves) or 'none'}, all 0; must move at least one parameter")
@@ -181,19 +178,21 @@ class Derivatives:
     def checked(self, values: Values | None) -> dict[str, NDArray[np.float64]]:
         """The given values in full shape, float64. Raises InputError."""
         found = {}
-        for name, value in (values or {}).items():
-            refuse_unknown(self.scene, self.parameters, name)
+        for called, value in (values or {}).items():
+            name = self.known(called)
             found[name] = self.parameters[name].checked(value)
         return found
+
+    def known(self, name: str) -> str:
+        """The name of a parameter, which may be called by its old one. Raises InputError for what has no derivative."""
+        return known_name(self.scene, self.parameters, name)
 
     def share(self, parameter: RenderParameter, view: View) -> float:
         """d (the effect's value in a view) / d (the parameter): 1 of a number for all views; where each view has its
         own, 1 in that view, less the mean over all where only differences act."""
-        assert parameter.effect is not None
-        _, its, _, where = parameter.effect
-        if where is None:
+        if parameter.layout != "per view":
             return 1.0
-        return float(where == view.name) - (1.0 / len(self.scene.views) if its.zero_sum else 0.0)
+        return float(parameter.entry == view.name) - (1.0 / len(self.scene.views) if parameter.zero_sum else 0.0)
 
     def run(self, set_parameters: Callable[[ViewRender], None], *, gradient: bool) -> object:
         """Run every view's program with the parameters that `set_parameters` gives it. Returns what `last_run` is from
@@ -228,7 +227,7 @@ class Derivatives:
             parameter = self.parameters[name]
             if (block := parameter.block) is not None:
                 used = np.atleast_1d(value)[parameter.used].ravel()
-                nodes[block.start : block.stop] = coordinate(block.kind.key, used, np.log)
+                nodes[block.start : block.stop] = parameter.transform.to_coordinate(used)
             elif parameter.column is not None:
                 nodes[self.places(parameter.column)] = value[:, None]
 
@@ -236,9 +235,10 @@ class Derivatives:
             effects = {name: values.copy() for name, values in self.declared[render.view.name].items()}
             for name, value in given.items():
                 parameter = self.parameters[name]
-                if parameter.effect is not None:
-                    effect, _, index, _ = parameter.effect
-                    effects[effect][index] += self.share(parameter, render.view) * float(value - parameter.value)
+                if parameter.index is not None:
+                    effects[parameter.owner][parameter.index] += self.share(parameter, render.view) * float(
+                        value - parameter.value
+                    )
             render.set_parameters(nodes[: render.nodes.size], effects)
             for table in self.arrays(render)[1:]:
                 table.assign(nodes[render.nodes.size :].reshape(table.shape))
@@ -270,19 +270,17 @@ class Derivatives:
         if (block := parameter.block) is not None:
             gradient, used = np.zeros(value.shape), value[parameter.used]
             along = nodes[block.start : block.stop].reshape(used.shape)
-            gradient[parameter.used] = along * slope(block.kind.key, used)
+            gradient[parameter.used] = along / parameter.transform.slope_at(used)
             return gradient.reshape(parameter.shape)
         if parameter.column is not None:
             return np.asarray(nodes[self.places(parameter.column)].sum(axis=1))
-        assert parameter.effect is not None
-        effect, _, index, _ = parameter.effect
         parts = [
-            self.share(parameter, self.renders[view].view) * found[effect][index] for view, found in effects.items()
+            self.share(parameter, self.renders[view].view) * found[parameter.owner][parameter.index]
+            for view, found in effects.items()
         ]
         return np.array(sum(parts))
 
     def _tangent(self, name: str, tangent: Any) -> NDArray[np.float64]:
-        refuse_unknown(self.scene, self.parameters, name)
         move, shape = np.asarray(tangent, float), self.parameters[name].shape
         if move.shape != shape or not np.isfinite(move).all():
             raise InputError(f"tangents: {name}: found shape {move.shape}; must be finite numbers of shape {shape}")
@@ -296,14 +294,10 @@ class Derivatives:
             return float(np.linalg.norm(self.moves.displacement(values, {name: move}), axis=1).max()) / MOVE_M
         value = np.atleast_1d(given[name])[parameter.used]
         move = np.abs(np.atleast_1d(move)[parameter.used])
-        if parameter.block is not None:
-            per_unit = np.abs(slope(parameter.block.kind.key, value))
-        elif parameter.column is not None:
+        if parameter.column is not None:
             per_unit = np.full(value.shape, np.log(10.0) / 10.0)  # of ln(sigma0)
         else:
-            assert parameter.effect is not None
-            its = parameter.effect[1]
-            per_unit = 1.0 / (np.maximum(value, 1e-300) if its.scale == "log" else np.full(value.shape, its.span))
+            per_unit = 1.0 / np.maximum(parameter.transform.slope_at(value), 1e-300)
         return float(np.max(np.where(move > 0.0, move * per_unit, 0.0), initial=0.0))
 
     def _moved(self, name: str, given: Values, move: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from warpsar.differentiable.derivatives import Derivatives
-from warpsar.differentiable.parameters import refuse_unknown
 from warpsar.errors import InputError
 
 
@@ -35,8 +34,8 @@ class JaxRenderer:
         an error of its own with our message in it.
         """
         given = {}
-        for name, value in (values or {}).items():
-            refuse_unknown(self._renderer.scene, self._renderer.parameters, name)
+        for called, value in (values or {}).items():
+            name = self._renderer.known(called)
             shape = self._renderer.parameters[name].shape
             if np.shape(value) != shape:
                 raise InputError(f"{name}: found shape {np.shape(value)}; must be {shape}")

@@ -1,100 +1,68 @@
-"""What of a scene may change, by name, in the units of scene.toml, and where it stands among what is rendered."""
+"""Which parameters of a scene its images have derivatives to, and where they stand among what is rendered."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Collection
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from warpsar.effects.base.parameter import Parameter
 from warpsar.effects.registry import get
-from warpsar.errors import InputError, shown
+from warpsar.errors import InputError
+from warpsar.parameters.parameter import Parameter
+from warpsar.parameters.tree import Parameters
+from warpsar.scene.scene import Scene
 from warpsar.surface.surface import Block, Surface
 from warpsar.surface.tables import Tables
 from warpsar.world import sigma0_table
 from warpsar.world.models import TABLE
-from warpsar.world.objects.table import KEYS
-from warpsar.world.sigma0_table import LARGEST_DB
 from warpsar.world.world import World
 
 
-@dataclass(frozen=True, eq=False)
-class RenderParameter:
-    """One parameter of a renderer.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RenderParameter(Parameter):
+    """A parameter of a renderer: one of the scene's, and where it stands on the device."""
 
-    Surfaces are called "material.key", such as "ground.eps_r", and columns of a table "material.sigma0[HH]". Effects
-    are called "effect.key", such as "noise_floor.level", with the view where each has its own:
-    "registration.range_m[north]". Objects are called "object.key", such as "tower.heading_deg", and the mesh's vertices
-    "mesh.vertices".
-    """
-
-    name: str
-    value: NDArray[np.float64]
-    """As the scene declares it, in the units of scene.toml. Shape () of a number, (n,) over the mesh's vertices for the
-    layout "vertex", (rows, cols) for "texture", (rows,) of a table's column [dB]. Of eps' - j eps'' it is eps', of
-    (lx, ly) it is lx."""
-    low: float
-    """The least that it may be."""
-    high: float
-    """The most that it may be."""
     block: Block | None = field(default=None, repr=False)
     """Of a surface: its nodes."""
-    effect: tuple[str, Parameter, int, str | None] | None = field(default=None, repr=False)
-    """Of an effect: its name, the parameter, its place in the effect's array, and the view where it is per view."""
+    index: int | None = field(default=None, repr=False)
+    """Of an effect: its place in the effect's array of values."""
+    zero_sum: bool = field(default=False, repr=False)
+    """Of an effect: whether only differences from the mean over the views act."""
     column: NDArray[np.int64] | None = field(default=None, repr=False)
     """Of a table: where its values stand among those of all tables, (rows, polarizations that it gives)."""
-    moves: bool = False
-    """Of the geometry: surfaces, silhouettes and shadows move with it."""
 
     @property
-    def shape(self) -> tuple[int, ...]:
-        return self.value.shape
-
-    @property
-    def used(self) -> slice:
-        """Of a vertex field the vertices that are its own; the others are never looked at."""
-        if self.block is None or self.block.layout != "vertex":
-            return slice(None)
-        return slice(self.block.first_vertex, self.block.first_vertex + self.block.size)
-
-    def checked(self, value: Any) -> NDArray[np.float64]:
-        """A value that may stand here, float64. Raises InputError for a shape or a number that may not."""
-        try:
-            found = np.asarray(value, float)
-        except (TypeError, ValueError) as error:
-            raise InputError(f"{self.name}: found {shown(value)}; must be numbers of shape {self.shape}") from error
-        if found.shape != self.shape:
-            raise InputError(f"{self.name}: found shape {found.shape}; must be {self.shape}")
-        inside = np.atleast_1d(found)[self.used]
-        bad = inside[~((inside >= self.low) & (inside <= self.high))]  # NaN is within nothing
-        if bad.size:
-            raise InputError(f"{self.name}: found {bad.flat[0]:g}; must be from {self.low:g} to {self.high:g}")
-        return found
+    def moves(self) -> bool:
+        """Whether it is of the geometry: surfaces, silhouettes and shadows move with it."""
+        return self.root in ("objects", "mesh")
 
 
-def parameters_of(world: World, surface: Surface, tables: Tables | None) -> dict[str, RenderParameter]:
-    """All that may change: what the materials' `learn` names, and what the tables of the effects state."""
-    found = []
-    for block in surface.blocks:
-        if block.learn:
-            name, kind = f"{block.material}.{block.kind.key}", block.kind
-            found.append(RenderParameter(name, _declared(world, surface, block), kind.low, kind.high, block=block))
-    if tables is not None:
-        found += _columns(world, surface, tables)
-    for effect, table in world.effects.items():
-        for index, parameter in enumerate(get(effect).parameters):
-            stated = table.get(parameter.name)
-            views = stated if isinstance(stated, Mapping) else {} if stated is None else {None: stated}
-            for view, value in views.items():
-                name = f"{effect}.{parameter.name}" + ("" if view is None else f"[{view}]")
-                ends = parameter.low, parameter.high
-                place = (effect, parameter, index, view)
-                found.append(RenderParameter(name, np.array(float(value)), *ends, effect=place))
-    return {parameter.name: parameter for parameter in found}
+def render_parameters(
+    scene: Scene, surface: Surface, tables: Tables | None, moves: Collection[str]
+) -> Parameters[RenderParameter]:
+    """All that may change: what the materials' `learn` names, what the effects' tables state, and what `moves`."""
+    found: dict[str, RenderParameter] = {}
+    for name, one in scene.parameters.items():
+        place: dict[str, Any] = {}
+        if one.root == "effects":
+            names = [its.name for its in get(one.owner).parameters]
+            its = get(one.owner).parameter(one.key)
+            place = {"index": names.index(one.key), "zero_sum": its.zero_sum}
+        elif one.layout == "table" and one.freed:
+            assert tables is not None
+            place = {"column": _column(surface, tables, one, scene)}
+        elif one.root == "materials" and one.freed and "power" in one.derivatives:
+            assert one.fit_bounds is not None
+            low, high = one.fit_bounds
+            place = {"block": surface.block(one.owner, one.key), "low": low, "high": high}
+        elif name not in moves:
+            continue
+        found[name] = RenderParameter(**{each.name: getattr(one, each.name) for each in fields(one)} | place)
+    return Parameters(found)
 
 
 def learned_tables(world: World) -> dict[str, Path]:
@@ -102,62 +70,43 @@ def learned_tables(world: World) -> dict[str, Path]:
     return {name: one.sigma0 for name, one in world.materials.items() if TABLE in one.learn and one.sigma0 is not None}
 
 
-def _columns(world: World, surface: Surface, tables: Tables) -> Iterator[RenderParameter]:
+def _column(surface: Surface, tables: Tables, one: Parameter, world: World) -> NDArray[np.int64]:
     rows, (_, width) = tables.rows.numpy(), tables.sigma0_db.shape
-    for name, file in learned_tables(world).items():
-        first, count = rows[surface.materials.index(name)]
-        given = sigma0_table.read(file)
-        for key, values in given.sigma0_db.items():
-            places = np.arange(first, first + count)[:, None] * width + np.array(given.filled(key))
-            yield RenderParameter(f"{name}.{TABLE}[{key}]", values, -LARGEST_DB, LARGEST_DB, column=places)
+    first, count = rows[surface.materials.index(one.owner)]
+    given = sigma0_table.read(learned_tables(world)[one.owner])
+    return np.arange(first, first + count)[:, None] * width + np.array(given.filled(str(one.entry)))
 
 
-def _declared(world: World, surface: Surface, block: Block) -> NDArray[np.float64]:
-    key = block.kind.key
-    if block.layout == "uniform":
-        declared = getattr(world.materials[block.material], key)
-        return np.array(float(declared[0] if isinstance(declared, tuple) else declared))
-    return np.array(world.field(block.material, key), float)
-
-
-def refuse_unknown(world: World, known: Mapping[str, RenderParameter], name: str) -> None:
-    """Raise InputError, which says why no derivative can be taken to `name`, where it is not among `known`."""
-    if name in known:
-        return
-    first, _, key = str(name).partition(".")
-    key = key.partition("[")[0]
-    if first in world.effects:
-        parameter = get(first).parameter(key)  # refuses settings, and what is no parameter at all
-        if parameter.name not in world.effects[first]:
-            raise InputError(f"{name}: effects.{first} does not state it; state it to take a derivative to it")
-    material = world.materials.get(first)
-    if material is not None and key in type(material).model_fields and key not in material.learn:
-        learn = ", ".join(material.learn) or "nothing"
-        raise InputError(f"{name}: is held: materials.{first}.learn names {learn}; only what it names has a derivative")
-    labels = {one.label: one for one in world.objects}
-    if first in labels and key in KEYS.values():
-        learn = ", ".join(labels[first].learn) or "nothing"
-        raise InputError(f"{name}: is held: learn of object {first} names {learn}; only what it names has a derivative")
-    if name == "mesh.vertices":
+def known_name(scene: Scene, known: Parameters[RenderParameter], name: str) -> str:
+    """The name of a parameter among `known`. Raises InputError, which says why no derivative can be taken to it."""
+    try:
+        return known.named(name)
+    except KeyError:
+        pass
+    try:
+        one = scene.parameters[name]
+    except KeyError:
+        raise InputError(f"{name}: {_no_parameter(scene, known, name)}") from None
+    if one.root == "mesh":
         raise InputError(f"{name}: are held; renderer(scene, vertices=True) frees them")
-    raise InputError(
-        f"{name}: found no such parameter; must be one of {', '.join(known) or 'none: nothing may change'}"
-    )
+    if "power" not in one.derivatives:
+        raise InputError(f"{name}: images of power have no derivative to it")
+    learn: tuple[str, ...] = ()
+    if one.root == "materials":
+        learn = scene.materials[one.owner].learn
+    elif one.root == "objects":
+        learn = next(each for each in scene.objects if each.label == one.owner).learn
+    whose = f"{one.root}.{one.owner}.learn"
+    named = ", ".join(learn) or "nothing"
+    raise InputError(f"{name}: is held: {whose} names {named}; only what it names has a derivative")
 
 
-def coordinate(key: str, value: Any, log: Any) -> Any:
-    """The learned coordinate of a surface's value (surface.py), with the `log` of whichever library the value is of."""
-    if key == "eps_r":
-        return log(value - 1.0)
-    if key == "specular_fraction":
-        return log(value) - log(1.0 - value)
-    return log(value)
-
-
-def slope(key: str, value: Any) -> Any:
-    """d coordinate / d value."""
-    if key == "eps_r":
-        return 1.0 / (value - 1.0)
-    if key == "specular_fraction":
-        return 1.0 / (value * (1.0 - value))
-    return 1.0 / value
+def _no_parameter(scene: Scene, known: Parameters[RenderParameter], name: str) -> str:
+    """Why a name is none of a parameter."""
+    first, _, key = name.removeprefix("effects.").partition(".")
+    key = key.partition("[")[0]
+    if first in scene.effects:
+        parameter = get(first).parameter(key)  # refuses settings, and what is no parameter at all
+        if parameter.name not in scene.effects[first]:
+            return f"effects.{first} does not state it; state it to take a derivative to it"
+    return f"found no such parameter; must be one of {', '.join(known) or 'none: nothing may change'}"

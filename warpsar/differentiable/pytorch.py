@@ -10,7 +10,6 @@ from typing import Any
 import warp as wp
 
 from warpsar.differentiable.derivatives import Derivatives
-from warpsar.differentiable.parameters import coordinate, refuse_unknown
 from warpsar.errors import InputError
 from warpsar.render.render import ViewRender
 
@@ -44,7 +43,7 @@ class TorchRenderer:
             parameter = self._renderer.parameters[name]
             if (block := parameter.block) is not None:
                 used = self._torch.atleast_1d(value)[parameter.used].reshape(-1)
-                nodes[block.start : block.stop] = coordinate(block.kind.key, used, self._torch.log)
+                nodes[block.start : block.stop] = parameter.transform.to_coordinate(used, self._torch)
             elif parameter.column is not None:
                 places = self._torch.as_tensor(self._renderer.places(parameter.column), device=self.device)
                 nodes[places] = value[:, None].expand(places.shape)
@@ -63,8 +62,8 @@ class TorchRenderer:
     def _checked(self, values: Mapping[str, Any]) -> dict[str, Any]:
         """Float64 tensors on the device. Raises InputError."""
         torch, found = self._torch, {}
-        for name, value in values.items():
-            refuse_unknown(self._renderer.scene, self._renderer.parameters, name)
+        for called, value in values.items():
+            name = self._renderer.known(called)
             parameter = self._renderer.parameters[name]
             tensor = torch.as_tensor(value).to(self.device, torch.float64)
             if tuple(tensor.shape) != parameter.shape:
@@ -81,8 +80,8 @@ class TorchRenderer:
         values[: declared.size] = self._torch.as_tensor(declared, device=self.device)
         for name, value in given.items():
             parameter = self._renderer.parameters[name]
-            if parameter.effect is not None and parameter.effect[0] == effect:
-                share, index = self._renderer.share(parameter, render.view), parameter.effect[2]
+            if parameter.index is not None and parameter.owner == effect:
+                share, index = self._renderer.share(parameter, render.view), parameter.index
                 values[index] = values[index] + share * (value - float(parameter.value))
         return values
 

@@ -39,9 +39,10 @@ def renderer(
     """The scene's images as a differentiable function of its parameters.
 
     >>> render = warpsar.renderer(scene)
-    >>> images = render({"ground.eps_r": 5.0})                 # {view: {polarization: (rows, cols) float32}}
-    >>> gradients = render.vjp({"ground.eps_r": 5.0}, images)  # {parameter: array}, of half the sum of squares
-    >>> moved = render.jvp({}, {"ground.eps_r": 1.0})          # {view: {polarization: d image / d eps_r}}
+    >>> wetter = {"materials.ground.eps_r": 5.0}
+    >>> images = render(wetter)                                  # {view: {polarization: (rows, cols) float32}}
+    >>> gradients = render.vjp(wetter, images)                   # {parameter: array}, of half the sum of squares
+    >>> moved = render.jvp({}, {"materials.ground.eps_r": 1.0})  # {view: {polarization: d image / d eps_r}}
 
     Parameters are what `learn` of the materials and objects names, and what the declared effects state
     (`Renderer.parameters`). `vertices` frees every vertex of the mesh, as "mesh.vertices". `render.torch` and

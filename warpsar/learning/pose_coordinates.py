@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from warpsar.effects.registry import fitted_effects, get
+from warpsar.parameters.tree import object_values
 from warpsar.scene.scene import Scene
-from warpsar.world.objects.table import CABIN, KEYS, LIMITS, Object
+from warpsar.world.objects.table import KEYS, LIMITS, Object
 
 FARTHEST_M = 50.0  # that a fit moves an object
 LARGEST_FACTOR = 4.0  # by which it changes a size
@@ -21,12 +21,6 @@ NAMES = {
     "size": ("length", "width", "height"),
 }
 """What the elements of a key of three are called."""
-UNITS = {"position": "m", "size": "m", "heading": "deg", "pitch": "deg", "roll": "deg"}
-
-
-def unit_of(word: str) -> str:
-    """The unit of what a word of `learn` frees; "1" for a ratio."""
-    return UNITS.get(word, "1")
 
 
 @dataclass(frozen=True)
@@ -91,7 +85,7 @@ class Poses:
                 self._add(number, one, word, radius)
 
     def _add(self, number: int, one: Object, word: str, radius: float) -> None:
-        given = values_of(one, word)
+        given = object_values(one, word)
         known = one.known_of(KEYS[word], given)
         for index, (start, about_sd) in enumerate(zip(given, known, strict=True)):
             if word == "size" and start == 0.0:
@@ -120,16 +114,8 @@ class Poses:
             value = c.value(float(coordinate))
             new: Any = value
             if c.index is not None:
-                three = list(values_of(found[c.object], c.word))
+                three = list(object_values(found[c.object], c.word))
                 three[c.index] = value
                 new = tuple(three)
             found[c.object] = found[c.object].model_copy(update={KEYS[c.word]: new})
         return tuple(found)
-
-
-def values_of(one: Object, word: str) -> tuple[float, ...]:
-    """The value, or the three values, of the key that a word of `learn` frees."""
-    value = getattr(one, KEYS[word])
-    if value is None:
-        value = CABIN[str(one.primitive)] if word == "cabin" else 0.0
-    return tuple(value) if isinstance(value, Sequence) else (float(value),)

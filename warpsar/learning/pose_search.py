@@ -14,11 +14,12 @@ from warpsar.compare.observation import Observation
 from warpsar.errors import InputError
 from warpsar.learning.identify import Identified
 from warpsar.learning.pose import Descended, PosedProblem, descend
-from warpsar.learning.pose_coordinates import PoseCoordinate, values_of
+from warpsar.learning.pose_coordinates import PoseCoordinate
 from warpsar.learning.pose_pixels import compared
 from warpsar.learning.problem import FitProblem
 from warpsar.learning.pull import Pull, pulls
 from warpsar.learning.results import learned_scene
+from warpsar.parameters.tree import object_values
 from warpsar.scene.placing import with_objects
 from warpsar.scene.scene import Scene
 from warpsar.simulation.exact_rays import ExactRays
@@ -193,7 +194,7 @@ def summary(problem: PosedProblem, x: np.ndarray, identified: Identified) -> dic
             entry["size_m"] = list(one.size_m)
         for word in ("cabin", "side_curvature"):
             if word in one.learn:
-                entry[word] = values_of(one, word)[0]
+                entry[word] = object_values(one, word)[0]
         found[one.label] = entry
     sds = identified.sd[problem.size :]
     for c, coordinate, sd in zip(problem.poses.coordinates, x[problem.size :], sds, strict=True):

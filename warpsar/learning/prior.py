@@ -18,7 +18,8 @@ import warp as wp
 from warpsar.errors import InputError
 from warpsar.kernels import prior as kernels
 from warpsar.learning.coordinates import DeviceX, SceneCoordinates
-from warpsar.learning.pose_coordinates import Poses, unit_of
+from warpsar.learning.pose_coordinates import Poses
+from warpsar.parameters.tree import OBJECT_UNITS
 from warpsar.surface.surface import KEYS
 from warpsar.world.tolerance import known_sd, known_value
 
@@ -126,7 +127,7 @@ def _of_effects(coordinates: SceneCoordinates) -> Iterator[Known]:
 def _of_objects(poses: Poses, first: int) -> Iterator[Known]:
     for at, (c, (about, sd)) in enumerate(zip(poses.coordinates, poses.known, strict=True), first):
         if np.isfinite(sd):
-            yield Known(c.label, at, about, sd, unit_of(c.word), c.value, c.per_metre)
+            yield Known(c.label, at, about, sd, OBJECT_UNITS.get(c.word, "1"), c.value, c.per_metre)
 
 
 def refuse_prior(prior: Prior, loss: str, where: str) -> None:

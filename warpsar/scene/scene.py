@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from difflib import get_close_matches
+from functools import cached_property
 from os import PathLike
 from pathlib import Path
-from typing import TypeVar, overload
+from typing import Any, TypeVar, overload
 
 from warpsar.effects.registry import check
 from warpsar.errors import InputError, shown
+from warpsar.parameters.at import at
+from warpsar.parameters.parameter import Parameter
+from warpsar.parameters.tree import Parameters, parameters_of
 from warpsar.scene import checks
 from warpsar.scene.beside import written_beside
 from warpsar.scene.file import refuse
@@ -47,6 +53,26 @@ class Scene(World):
             problems += checks.models(name, material, self.radar, self.effects)
         refuse(Path(self.name), problems)
         object.__setattr__(self, "materials", {name: named[name] for name in self.mesh.materials})
+
+    @cached_property
+    def parameters(self) -> Parameters[Parameter]:
+        """Every number that can be learned, moved or diagnosed, under one dotted name."""
+        return parameters_of(self)
+
+    def with_values(self, values: Mapping[str, Any]) -> Scene:
+        """The scene with other values of some parameters, by name; the rest stays.
+
+        >>> turned = scene.with_values({"views.north.azimuth_deg": 26.2, "objects.car.position_m": (1.0, 3.0, 0.0)})
+
+        Raises InputError for a name that is no parameter, and for a value that one may not have.
+        """
+        for name in values:
+            if name not in self.parameters and name not in self.parameters.old_names:
+                near = get_close_matches(name, self.parameters, 3) or list(self.parameters)[:3]
+                raise InputError(
+                    f"{name}: found no such parameter; must be one of Scene.parameters ({', '.join(near)}, ...)"
+                )
+        return at(self, {self.parameters[name]: value for name, value in values.items()})
 
     @classmethod
     def load(cls, path: str | Path) -> Scene:

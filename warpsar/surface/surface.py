@@ -7,7 +7,6 @@ through one table.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,47 +14,34 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from warpsar.errors import InputError
-from warpsar.kernels.codes import FRACTION_LIMIT, Layout, Model, Spectrum
+from warpsar.kernels.codes import Layout, Model, Spectrum
 from warpsar.world.pixels import Pixels
 from warpsar.world.tables import Material
+from warpsar.world.transform import Transform
 from warpsar.world.world import World
-
-
-def _logit(tau: ArrayLike) -> np.ndarray:
-    with np.errstate(divide="ignore"):
-        return np.clip(np.log(tau) - np.log1p(-np.asarray(tau)), -FRACTION_LIMIT, FRACTION_LIMIT)
-
-
-def _sigmoid(coordinate: ArrayLike) -> np.ndarray:
-    x = np.asarray(coordinate, float)
-    tau = 1.0 / (1.0 + np.exp(-x))
-    return np.where(x <= -FRACTION_LIMIT, 0.0, np.where(x >= FRACTION_LIMIT, 1.0, tau))
-
-
-def _sigmoid_slope(coordinate: ArrayLike) -> np.ndarray:
-    tau = _sigmoid(coordinate)
-    return tau * (1.0 - tau)
-
-
-def _log_contrast(eps_r: ArrayLike) -> np.ndarray:
-    with np.errstate(divide="ignore"):
-        return np.log(np.asarray(eps_r, float) - 1.0)
 
 
 @dataclass(frozen=True)
 class Kind:
-    """A surface parameter: its key in scene.toml, its symbol, its learned coordinate, and how far a fit may go (SI).
-
-    `slope` is d value / d coordinate at a coordinate.
-    """
+    """A surface parameter: its key in scene.toml, its symbol, its learned coordinate, and how far a fit may go (SI)."""
 
     key: str
     symbol: str
-    to_coordinate: Callable[[ArrayLike], np.ndarray]
-    from_coordinate: Callable[[ArrayLike], np.ndarray]
-    slope: Callable[[ArrayLike], np.ndarray]
+    transform: Transform
     low: float
     high: float
+
+    def to_coordinate(self, value: ArrayLike) -> np.ndarray:
+        """The learned coordinate of a value, of its shape."""
+        return np.asarray(self.transform.to_coordinate(np.asarray(value, float)))
+
+    def from_coordinate(self, coordinate: ArrayLike) -> np.ndarray:
+        """The value at a learned coordinate, of its shape."""
+        return np.asarray(self.transform.from_coordinate(coordinate))
+
+    def slope(self, coordinate: ArrayLike) -> np.ndarray:
+        """d value / d coordinate at a coordinate, of its shape."""
+        return np.asarray(self.transform.slope(coordinate))
 
     def interval_95(self, node: float, sd: float) -> np.ndarray:
         """Both ends (SI), shape (2,), of node +- 1.96 sd, where `sd` may be anything up to infinity."""
@@ -64,13 +50,13 @@ class Kind:
 
 
 KINDS = (
-    Kind("eps_r", "eps_r", _log_contrast, lambda z: 1.0 + np.exp(np.asarray(z)), np.exp, 1.01, 300.0),
-    Kind("rms_height_m", "h", np.log, np.exp, np.exp, 1e-6, 10.0),
-    Kind("correlation_length_m", "l", np.log, np.exp, np.exp, 1e-5, 100.0),
-    Kind("specular_fraction", "tau", _logit, _sigmoid, _sigmoid_slope, 1e-6, 1.0 - 1e-6),
+    Kind("eps_r", "eps_r", Transform("contrast"), 1.01, 300.0),
+    Kind("rms_height_m", "h", Transform("log"), 1e-6, 10.0),
+    Kind("correlation_length_m", "l", Transform("log"), 1e-5, 100.0),
+    Kind("specular_fraction", "tau", Transform("logit"), 1e-6, 1.0 - 1e-6),
 )
 KEYS = tuple(kind.key for kind in KINDS)
-LEVEL = Kind("level", "g", np.log, np.exp, np.exp, 1e-4, 1e4)
+LEVEL = Kind("level", "g", Transform("log"), 1e-4, 1e4)
 """In the place of the first kind, where a table of sigma0 stands for the surface (model `facet`)."""
 
 

@@ -7,4 +7,5 @@ material names. curve: `[[curves]]`. pixels: an image in memory. problems: what 
 frame: the axes of a view.
 objects/: bodies that a scene places. sound_objects: those that cannot be meant. library/: surfaces by name.
 collection: `[collection]`. tolerance: how well the value at a key is known.
+transform: the coordinate in which a fit moves a value.
 """

@@ -10,6 +10,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from warpsar.world.transform import Transform
+
 
 @dataclass(frozen=True)
 class Parameter:
@@ -69,18 +71,22 @@ class Parameter:
             self.high if self.fit_high is None else self.fit_high,
         )
 
+    @property
+    def transform(self) -> Transform:
+        """The coordinate that a fit moves."""
+        return Transform(self.scale, self.span)
+
     def to_coordinate(self, value: ArrayLike) -> Any:
         """x of a value, of its shape; a value outside `fit_bounds` counts as the nearest one inside."""
-        inside = np.clip(np.asarray(value, float), *self.fit_bounds) / self.span
-        return np.log(inside) if self.scale == "log" else inside
+        return self.transform.to_coordinate(np.clip(np.asarray(value, float), *self.fit_bounds))
 
     def from_coordinate(self, x: ArrayLike) -> Any:
         """The value at x, of its shape."""
-        return self.span * (np.exp(x) if self.scale == "log" else np.asarray(x, float))
+        return self.transform.from_coordinate(x)
 
     def slope(self, x: ArrayLike) -> Any:
         """d value / dx at x, of its shape."""
-        return self.from_coordinate(x) if self.scale == "log" else np.full(np.shape(x), self.span)
+        return self.transform.slope(x)
 
 
 @dataclass(frozen=True)

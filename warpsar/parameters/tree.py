@@ -1,0 +1,234 @@
+"""All parameters of a scene, by name."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from collections.abc import Iterator, Mapping
+from functools import cached_property, partial
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+
+from warpsar.effects.base.fitted import is_fitted
+from warpsar.effects.registry import get
+from warpsar.parameters.parameter import Layout, Parameter, Product
+from warpsar.surface.surface import KINDS, LEVEL, Kind
+from warpsar.world import sigma0_table
+from warpsar.world.models import LEARNS, TABLE
+from warpsar.world.objects.table import CABIN, KEYS, VEHICLES, Object
+from warpsar.world.objects.table import LIMITS as OBJECT_LIMITS
+from warpsar.world.pixels import Pixels
+from warpsar.world.sigma0_table import LARGEST_DB
+from warpsar.world.tables import LIMITS, Material
+from warpsar.world.tolerance import known_sd, known_value
+from warpsar.world.transform import Transform
+from warpsar.world.world import World
+
+P = TypeVar("P", bound=Parameter)
+
+POWER: frozenset[Product] = frozenset({"power"})
+AMPLITUDE: frozenset[Product] = frozenset({"amplitude"})
+BOTH = POWER | AMPLITUDE
+OBJECT_UNITS = {"position": "m", "size": "m", "heading": "deg", "pitch": "deg", "roll": "deg"}
+OBJECT_ENDS = {"position": (-1e8, 1e8), "scale": (1e-6, 1e6), "size": (0.0, 1e6), **OBJECT_LIMITS}
+TURN = (-360.0, 360.0)
+POSE = ("position", "heading", "pitch", "roll")
+
+
+class Parameters(Mapping[str, P], Generic[P]):
+    """The parameters of a scene by dotted name. An older name ("soil.eps_r", "vertices") is understood, with a warning.
+
+    >>> scene.parameters["views.north.azimuth_deg"].value
+    """
+
+    def __init__(self, found: Mapping[str, P]) -> None:
+        self._found = dict(found)
+
+    def __getitem__(self, name: str) -> P:
+        return self._found[self.named(name)]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._found)
+
+    def __len__(self) -> int:
+        return len(self._found)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._found
+
+    def named(self, name: str) -> str:
+        """The dotted name of a parameter that may be called by its old one. Raises KeyError for what is none."""
+        if name not in self._found and name in self.old_names:
+            new = self.old_names[name]
+            warnings.warn(f"{name}: is called {new} now", FutureWarning, stacklevel=_outside())
+            return new
+        if name not in self._found:
+            raise KeyError(name)
+        return name
+
+    @cached_property
+    def old_names(self) -> dict[str, str]:
+        """What each older name is called now."""
+        return {one.old_name: name for name, one in reversed(self._found.items())}
+
+
+class Named(dict[str, Any]):
+    """Values by name of a parameter, which an older name finds too, with a warning."""
+
+    def __init__(self, parameters: Parameters[Any], values: Mapping[str, Any]) -> None:
+        super().__init__(values)
+        self._parameters = parameters
+
+    def __missing__(self, name: str) -> Any:
+        new = self._parameters.named(name)  # raises KeyError
+        if new not in self:
+            raise KeyError(name)
+        return self[new]
+
+
+def parameters_of(world: World) -> Parameters[Parameter]:
+    """All that a scene has."""
+    every = [*_of_materials(world), *_of_effects(world), *_of_objects(world), *_of_views(world)]
+    return Parameters({one.name: one for one in [*every, *_of_image(world), _vertices(world)]})
+
+
+def _outside() -> int:
+    """How many frames up the caller's own code is, for a warning to point at it."""
+    frame, level = sys._getframe(2), 2
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith("warpsar."):
+        frame, level = frame.f_back, level + 1
+    return level
+
+
+def _of_materials(world: World) -> Iterator[Parameter]:
+    for name in world.mesh.materials:
+        material = world.materials[name]
+        kinds = (LEVEL,) if material.model == "facet" else KINDS
+        for kind in kinds:
+            if getattr(material, kind.key) is not None and kind.key in LEARNS[material.model]:
+                yield _surface(world, name, material, kind)
+        if material.thickness_m is not None:
+            read = partial(getattr, material, "thickness_m")
+            yield Parameter("materials", name, "thickness_m", "m", 0.0, 100.0, read, derivatives=AMPLITUDE)
+        if material.sigma0 is not None:
+            for polarization, column in sigma0_table.read(material.sigma0).sigma0_db.items():
+                yield Parameter(
+                    *("materials", name, TABLE, "dB", -LARGEST_DB, LARGEST_DB, partial(np.asarray, column)),
+                    entry=polarization,
+                    layout="table",
+                    freed=TABLE in material.learn,
+                    derivatives=POWER,
+                )
+
+
+def _surface(world: World, name: str, material: Material, kind: Kind) -> Parameter:
+    stated = getattr(material, kind.key)
+    field = isinstance(stated, str | Pixels)
+    layout: Layout = "number" if not field else "vertex" if material.layout == "vertex" else "texture"
+    number = stated[0] if isinstance(stated, tuple) else stated
+    tolerance = dict[Any, Any](material.tolerance).get(kind.key)
+    known: tuple[tuple[float, float], ...] = ()
+    if tolerance is not None:
+        about = known_value(tolerance, float(number))
+        known = ((about, known_sd(tolerance, about)),)
+
+    def own_vertices() -> slice:
+        corners = world.mesh.faces[world.mesh.face_material == world.mesh.materials.index(name)]
+        return slice(int(corners.min()), int(corners.max()) + 1)
+
+    return Parameter(
+        *("materials", name, kind.key, "m" if kind.key.endswith("_m") else "1", *_ends(kind.key)),
+        partial(world.field, name, kind.key) if field else partial(float, number),
+        layout=layout,
+        transform=kind.transform,
+        fit_bounds=(kind.low, kind.high),
+        freed=kind.key in material.learn,
+        known=known,
+        span=own_vertices if layout == "vertex" else None,
+        derivatives=POWER if kind.key in ("specular_fraction", "level") else BOTH,
+    )
+
+
+def _ends(key: str) -> tuple[float, float]:
+    """What a surface value may be: above its lower limit, but for a share."""
+    low, high = LIMITS.get(key, (0.0, 1e6))
+    return (low if key == "specular_fraction" else float(np.nextafter(low, np.inf))), high
+
+
+def _of_effects(world: World) -> Iterator[Parameter]:
+    """What the tables of the effects state."""
+    for name, table in world.effects.items():
+        for its in get(name).parameters:
+            stated = table.get(its.name)
+            if stated is None:
+                continue
+            tolerance = table.get("tolerance", {}).get(its.name)
+            for entry, value in stated.items() if isinstance(stated, Mapping) else [(None, stated)]:
+                known: tuple[tuple[float, float], ...] = ()
+                if tolerance is not None:
+                    about = known_value(tolerance, float(value), entry)
+                    known = ((about, known_sd(tolerance, about)),)
+                layout: Layout = "number" if entry is None else "per view" if its.per_view else "per material"
+                yield Parameter(
+                    *("effects", name, its.name, its.unit, its.low, its.high, partial(float, value)),
+                    entry=entry,
+                    layout=layout,
+                    transform=its.transform,
+                    fit_bounds=its.fit_bounds,
+                    freed=is_fitted(its.name, table),
+                    known=known,
+                    derivatives=POWER,
+                )
+
+
+def _of_objects(world: World) -> Iterator[Parameter]:
+    for one in world.objects:
+        for word, key in KEYS.items():
+            of_kind = {"size": one.size_m is not None, "heading": not one.round}
+            of_kind |= dict.fromkeys(("cabin", "side_curvature"), one.primitive in VEHICLES)
+            if not of_kind.get(word, True):
+                continue
+            values = object_values(one, word)
+            known = one.known_of(key, values) if key in one.tolerance else ()
+            yield Parameter(
+                *("objects", one.label, key, OBJECT_UNITS.get(word, "1"), *OBJECT_ENDS.get(word, TURN)),
+                partial(np.array, values if len(values) > 1 else values[0]),
+                layout="vector" if len(values) > 1 else "number",
+                freed=word in one.learn,
+                known=known,
+                derivatives=BOTH if word in POSE else POWER,
+            )
+
+
+def object_values(one: Object, word: str) -> tuple[float, ...]:
+    """The value, or the three values, of the key that a word of an object's `learn` frees."""
+    value = getattr(one, KEYS[word])
+    if value is None:
+        value = CABIN[str(one.primitive)] if word == "cabin" else 0.0
+    return tuple(value) if isinstance(value, tuple) else (float(value),)
+
+
+def _of_views(world: World) -> Iterator[Parameter]:
+    log = Transform("log")
+    for view in world.views:
+        read = partial(partial, getattr, view)
+        yield Parameter("views", view.name, "azimuth_deg", "deg", -360.0, 360.0, read("azimuth_deg"))
+        yield Parameter("views", view.name, "incidence_deg", "deg", 0.0, 90.0, read("incidence_deg"))
+        if view.slant_range_m is not None:
+            yield Parameter("views", view.name, "slant_range_m", "m", 0.0, 1e9, read("slant_range_m"), transform=log)
+        if view.looks is not None:
+            yield Parameter("views", view.name, "looks", "1", 0.0, 1e9, read("looks"), transform=log)
+        if view.texture is not None:
+            yield Parameter("views", view.name, "texture", "1", 0.05, 1e6, read("texture"), transform=log)
+
+
+def _of_image(world: World) -> Iterator[Parameter]:
+    for index, key in enumerate(("range_spacing_m", "azimuth_spacing_m")):
+        read = partial(float, world.grid.spacing_m[index])
+        yield Parameter("image", "", key, "m", 1e-5, 1e5, read, transform=Transform("log"))
+
+
+def _vertices(world: World) -> Parameter:
+    read = partial(getattr, world.mesh, "vertices")
+    return Parameter("mesh", "", "vertices", "m", -1e8, 1e8, read, layout="vertex", derivatives=BOTH)
