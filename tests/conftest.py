@@ -27,6 +27,14 @@ def pytest_configure() -> None:
     wp.config.log_level = wp.LOG_WARNING
 
 
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """`-m unit` stands in the place of pyproject's `-m`, so what that leaves out is left out here."""
+    if config.option.markexpr == "unit":
+        long = [item for item in items if item.get_closest_marker("slow") or item.get_closest_marker("measured")]
+        config.hook.pytest_deselected(items=long)
+        items[:] = [item for item in items if item not in long]
+
+
 def pytest_runtest_setup(item: pytest.Item) -> None:
     if item.get_closest_marker("cuda"):
         import warp as wp
@@ -35,6 +43,14 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
             pytest.skip("no CUDA device here")
     if item.get_closest_marker("measured") and not MEASURED.is_dir():
         pytest.skip(f"no measured data: WARPSAR_MEASURED, or {MEASURED}, is no folder")
+
+
+@pytest.fixture(autouse=True)
+def aloud() -> None:
+    """No test inherits `--quiet` from one before it in the same process."""
+    from warpsar.runtime import console
+
+    console.be_quiet(False)
 
 
 @pytest.fixture(params=["cpu", pytest.param("cuda", marks=pytest.mark.cuda)])

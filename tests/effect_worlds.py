@@ -1,9 +1,10 @@
 """Small scenes with effects, and what the tests of all effects and of each of them share."""
 
 import dataclasses
+import runpy
 from collections.abc import Mapping
-from importlib import import_module
-from importlib.util import find_spec
+from functools import cache
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -36,10 +37,17 @@ class Case(NamedTuple):
 STRIP_MAP: Mapping[str, Any] = {"slant_range_m": 300.0}
 
 
+@cache
+def module_of_tests(name: str) -> dict[str, Any]:
+    """What tests/effects/test_<name>.py holds; empty where there is no such file."""
+    path = Path(__file__).parent / "effects" / f"test_{name}.py"
+    return runpy.run_path(str(path)) if path.exists() else {}
+
+
 def cases_of(name: str) -> list[Case]:
-    """The list `WORKING` of tests/effects/test_<name>.py; empty where there is no such file."""
-    module = f"effects.test_{name}"
-    return import_module(module).WORKING if find_spec(module) else []
+    """The list `WORKING` of tests/effects/test_<name>.py."""
+    found: list[Case] = module_of_tests(name).get("WORKING", [])
+    return found
 
 
 def working() -> list[tuple[str, dict[str, Any], Mapping[str, Any]]]:

@@ -11,6 +11,8 @@ from warpsar.scene.scene import Scene
 from warpsar.world.mesh import Mesh
 from warpsar.world.tables import Grid, Material, Radar, View
 
+pytestmark = pytest.mark.unit
+
 LOOKS = 4.0
 SHAPE, STEP_M = (24, 20), 0.5
 INCIDENCES_DEG = (35.0, 45.0)

@@ -22,6 +22,8 @@ from warpsar.errors import InputError  # noqa: E402
 from warpsar.measured.focus import taper  # noqa: E402
 from warpsar.world.mesh import read_mesh  # noqa: E402
 
+pytestmark = pytest.mark.unit
+
 
 def truth() -> np.ndarray:
     """A bright block with a shadow behind it, on even ground, (128, 128)."""

@@ -16,6 +16,8 @@ from warpsar.simulation.rays import trace_view
 from warpsar.surface.stage import Stage
 from warpsar.world.tables import SURFACE_KEYS
 
+pytestmark = pytest.mark.unit
+
 UNDECLARED = ("antenna_pattern", "multibounce", "noise_floor", "point_spread", "registration")
 
 

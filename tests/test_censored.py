@@ -9,6 +9,8 @@ from warpsar.kernels import loss as loss_kernels
 from warpsar.speckle.censored import hazard, minus_log_survival, survival_curvature
 from warpsar.speckle.likelihood import best_gain, curvature, loss_terms
 
+pytestmark = pytest.mark.unit
+
 RATIOS = np.exp(np.linspace(-4.0, 6.0, 41))  # of level over model
 
 

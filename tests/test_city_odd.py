@@ -14,6 +14,8 @@ from warpsar.errors import InputError
 from warpsar.scene.city import mesh_of
 from warpsar.world.mesh import Mesh
 
+pytestmark = pytest.mark.unit
+
 
 @pytest.mark.parametrize(
     ("said", "height_m"),

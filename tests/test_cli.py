@@ -12,6 +12,8 @@ from click.testing import CliRunner
 from warpsar.cli import main as cli
 from warpsar.errors import DeviceError, InputError, WarpsarError
 
+pytestmark = pytest.mark.unit
+
 
 @pytest.mark.parametrize(
     ("error", "exit_code", "message"),

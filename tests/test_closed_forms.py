@@ -11,6 +11,8 @@ from warpsar.scene.scene import Scene
 from warpsar.simulation.command import SimulatedView
 from warpsar.world.mesh import Mesh
 
+pytestmark = pytest.mark.unit
+
 INCIDENCES = (10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 75.0)
 # A range in float32 is off by up to 4e-6 m at 64 m and beyond, 1e-5 of these half-metre pixels: a few of them at each
 # of a pixel's edges.

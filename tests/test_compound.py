@@ -6,6 +6,8 @@ from scipy import integrate, stats
 
 from warpsar.speckle.compound import likeliest_order, minus_log_density
 
+pytestmark = pytest.mark.unit
+
 
 @pytest.mark.parametrize(("looks", "order"), [(1.0, 2.5), (0.8, 4.0), (4.0, 1.7)])
 def test_density_is_one_and_has_its_mean(looks: float, order: float) -> None:

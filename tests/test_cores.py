@@ -13,6 +13,8 @@ from test_gradients import tiny_scene
 from warpsar.learning.problem import FitProblem
 from warpsar.runtime import devices, launches, threads
 
+pytestmark = pytest.mark.unit
+
 
 @pytest.mark.parametrize("layout", ["uniform", "vertex", "texture"])
 def test_threads_do_not_change_a_bit(layout: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -15,6 +15,8 @@ from warpsar import Mesh, Scene, renderer
 from warpsar.kernels import crossed_table, crossed_table_lanes
 from warpsar.kernels.codes import Model, Spectrum
 
+pytestmark = pytest.mark.unit
+
 SOIL = {"eps_r": (9.0, -0.8), "rms_height_m": 0.003, "correlation_length_m": 0.03, "spectrum": "exponential"}
 SURFACES = [(3 - 0.3j, 0.03, 0.3), (12 - 2j, 0.3, 3.0), (60 - 20j, 0.6, 5.0), (9 - 1j, 2.5, 20.0)]
 

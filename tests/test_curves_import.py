@@ -13,6 +13,8 @@ from warpsar.cli.main import main
 from warpsar.errors import InputError
 from warpsar.io import curves
 
+pytestmark = pytest.mark.unit
+
 SUITE = "5120000000.000000 90.000000 {phi:.6f} {dbsm:.6f} \n"
 SCENE = """
 [scene]

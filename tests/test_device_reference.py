@@ -23,6 +23,8 @@ from warpsar.simulation.rays import Rays, trace_view
 from warpsar.surface.stage import Stage
 from warpsar.world.tables import Grid, Sampling
 
+pytestmark = pytest.mark.unit
+
 HERE = Path(__file__).resolve().parent
 STORED = HERE / "data" / "cpu_reference.npz"
 # What the stored numbers were made with: an effect of each stage that works on bins, paths or pixels.

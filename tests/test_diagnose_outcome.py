@@ -21,6 +21,8 @@ from warpsar.simulation.rays import Rays
 from warpsar.speckle.scan import Spot
 from warpsar.surface.stage import Stage
 
+pytestmark = pytest.mark.unit
+
 FITTED = Candidate("point_spread", "testable", minus_log_p=50.0, refit_gain=1234.56, refit_size=2)
 
 

@@ -14,6 +14,8 @@ from warpsar.speckle.draws import Speckle
 from warpsar.speckle.scan import Scan
 from warpsar.speckle.tail import Tail
 
+pytestmark = pytest.mark.unit
+
 WHITE = np.zeros((13, 13))
 WHITE[6, 6] = 1.0
 

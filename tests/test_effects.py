@@ -5,14 +5,12 @@ import math
 import re
 import sys
 from collections.abc import Iterator, Mapping
-from importlib import import_module
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from effect_worlds import cases_of, gradients_of, refusal, render_of, street, with_effect, working
+from effect_worlds import cases_of, gradients_of, module_of_tests, refusal, render_of, street, with_effect, working
 from worlds import box, ground, mesh_of, scene_of, view
 
 import warpsar.effects
@@ -51,12 +49,12 @@ def test_says_what_it_is(name: str) -> None:
 @pytest.mark.parametrize("name", names())
 def test_has_a_file_of_tests(name: str) -> None:
     """tests/effects/test_<name>.py, with cases in which every continuous parameter acts, and a test of its physics."""
-    tests = find_spec(f"effects.test_{name}")
-    assert tests is not None, f"effect {name} has no tests/effects/test_{name}.py"
+    tests = module_of_tests(name)
+    assert tests, f"effect {name} has no tests/effects/test_{name}.py"
     stated = {key for case in cases_of(name) for key in case.table}
     missing = {p.name for p in get(name).parameters} - stated
     assert not missing, f"tests/effects/test_{name}.py: WORKING has no case of {', '.join(sorted(missing))}"
-    found = [key for key in vars(import_module(tests.name)) if key.startswith("test_")]
+    found = [key for key in tests if key.startswith("test_")]
     assert found, f"tests/effects/test_{name}.py holds no test"
 
 

@@ -19,6 +19,8 @@ from warpsar.surface.samples import image_pixels
 from warpsar.world.mesh import Mesh
 from warpsar.world.tables import Material
 
+pytestmark = pytest.mark.unit
+
 KEYS = ("eps_r", "rms_height_m")
 
 

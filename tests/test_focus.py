@@ -12,6 +12,8 @@ from warpsar.measured.focus import cell_m, focus, taper
 from warpsar.measured.ground import plane_points
 from warpsar.world.frame import view_geometry
 
+pytestmark = pytest.mark.unit
+
 LOOK = Pass(azimuth_deg=110.0, incidence_deg=44.0, slant_range_m=10e3)
 FREQUENCY_HZ = 9.3e9 + 2e6 * np.arange(300)
 POSITIONS = LOOK.position(np.linspace(-70.0, 70.0, 141))

@@ -19,6 +19,8 @@ from warpsar.simulation.command import Simulation
 from warpsar.simulation.files import Output
 from warpsar.surface.stage import Stage
 
+pytestmark = pytest.mark.unit
+
 
 @dataclass
 class Clock:

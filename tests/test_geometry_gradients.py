@@ -18,6 +18,8 @@ from warpsar.kernels.geometry import (
     slant_range_of,
 )
 
+pytestmark = pytest.mark.unit
+
 QUANTITIES = 11
 
 

@@ -30,6 +30,8 @@ from warpsar.simulation.command import simulate
 from warpsar.surface.surface import KEYS
 from warpsar.world.tables import Material, View
 
+pytestmark = pytest.mark.unit
+
 STEP, STEP_OF_ALL = 0.05, 0.02
 TOLERANCE = 1e-3
 LOOKS = 4.0

@@ -11,6 +11,8 @@ import pytest
 from warpsar.errors import InputError
 from warpsar.io.images import read_channel, read_image, read_mask, replacing, write_exr, write_tiff
 
+pytestmark = pytest.mark.unit
+
 
 @pytest.fixture
 def power() -> np.ndarray:

@@ -7,6 +7,8 @@ from comparisons import comparison
 from warpsar.compare.comparison import Comparison
 from warpsar.learning.trust import worse
 
+pytestmark = pytest.mark.unit
+
 SHAPE = (40, 40)
 
 

@@ -12,6 +12,8 @@ from warpsar import InputError, Scene, renderer
 from warpsar.world import scattering_term
 from warpsar.world.scattering_term import ScatteringTerm, learned
 
+pytestmark = pytest.mark.unit
+
 SOIL = {"eps_r": (9.0, -0.8), "rms_height_m": 0.003, "correlation_length_m": 0.03, "spectrum": "exponential"}
 HERE = np.array([np.cos(np.radians(40.0)), np.log(0.003 * WAVENUMBER), np.log(0.03 * WAVENUMBER), np.log(8.0)])
 

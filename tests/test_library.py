@@ -27,6 +27,8 @@ from warpsar.world.library.fill import held, material
 from warpsar.world.library.surfaces import SURFACES
 from warpsar.world.tables import Material
 
+pytestmark = pytest.mark.unit
+
 
 @pytest.mark.parametrize(
     ("name", "real", "conductivity"),

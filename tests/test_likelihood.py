@@ -19,6 +19,8 @@ from warpsar.speckle.likelihood import (
     residual_sd,
 )
 
+pytestmark = pytest.mark.unit
+
 LOSSES = ("gamma", "mse", "log")
 POSITIVE = st.floats(1e-6, 1e6)
 LOOKS = st.floats(0.5, 500.0)

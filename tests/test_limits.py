@@ -12,6 +12,8 @@ from test_experiments import module
 from warpsar.speckle.own import LAGS
 from warpsar.speckle.residual import residual_autocovariance
 
+pytestmark = pytest.mark.unit
+
 LOOKS = 4.0
 
 

@@ -12,6 +12,8 @@ from warpsar.measured import formats
 from warpsar.measured.data import ImageChip, PhaseHistory
 from warpsar.measured.earth import Origin, axes_at, ecef_to_geodetic, geodetic_to_ecef
 
+pytestmark = pytest.mark.unit
+
 LOOK = Pass(slant_range_m=10e3, speed_m_s=100.0)
 FREQUENCY_HZ = 9.5e9 + 5e6 * np.arange(32)
 POSITIONS = LOOK.position(np.linspace(-40.0, 40.0, 24))

@@ -10,6 +10,8 @@ import trimesh
 from warpsar.errors import InputError
 from warpsar.world.mesh import Mesh, read_mesh
 
+pytestmark = pytest.mark.unit
+
 SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
 PLY = """ply
 format ascii 1.0

@@ -1,6 +1,7 @@
 """Pictures of objects before and after: what is drawn, and what is not."""
 
 import numpy as np
+import pytest
 from worlds import BRICK, box, ground, mesh_of, scene_of, view
 
 from warpsar.learning.object_figures import MOST_FACES, _plain, _ridges, figure_of_objects
@@ -8,6 +9,8 @@ from warpsar.scene.placing import with_objects
 from warpsar.scene.scene import Scene
 from warpsar.world.objects.table import Object
 from warpsar.world.tables import Material
+
+pytestmark = pytest.mark.unit
 
 BODY = {"it": Material(**BRICK)}
 

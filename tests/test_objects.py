@@ -19,6 +19,8 @@ from warpsar.world.objects.table import Object, Primitive
 from warpsar.world.tables import Grid, Material, Radar, View
 from warpsar.world.world import posed
 
+pytestmark = pytest.mark.unit
+
 SOIL = {"eps_r": 6.0, "rms_height_m": 0.0012, "correlation_length_m": 0.010}
 FLOOR = {"name": "floor", "primitive": "plate", "size_m": [30.0, 30.0, 0.0], "material": "soil"}
 OBJ = """\

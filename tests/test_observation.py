@@ -16,6 +16,8 @@ from warpsar.learning.problem import FitProblem
 from warpsar.runtime import devices
 from warpsar.scene.scene import Scene
 
+pytestmark = pytest.mark.unit
+
 SHAPE = (40, 40)
 
 

@@ -7,6 +7,8 @@ import warp as wp
 from warpsar.runtime import devices
 from warpsar.runtime.program import Program
 
+pytestmark = pytest.mark.unit
+
 
 @wp.kernel
 def scale_kernel(p: wp.array(dtype=float), values: wp.array(dtype=float), out: wp.array(dtype=float)):

@@ -16,6 +16,8 @@ import warpsar
 from warpsar.world.library.fill import material
 from warpsar.world.tables import Table
 
+pytestmark = pytest.mark.unit
+
 ROOT = Path(__file__).resolve().parent.parent
 TABLES = [warpsar.Radar, warpsar.Grid, warpsar.Sampling, warpsar.Material, warpsar.View]
 

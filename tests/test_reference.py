@@ -16,6 +16,8 @@ from warpsar.world.mesh import LARGEST_COORDINATE_M, SUFFIXES, SUSPICIOUS_EXTENT
 from warpsar.world.meshes.dem import LARGEST_DEM
 from warpsar.world.meshes.through_trimesh import LARGEST_MESH
 
+pytestmark = pytest.mark.unit
+
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 
 

@@ -15,6 +15,8 @@ import warp as wp
 from warpsar.kernels import scattering
 from warpsar.kernels.codes import Polarization, Spectrum, Variant
 
+pytestmark = pytest.mark.unit
+
 GOLDEN = Path(__file__).parent / "data" / "golden_scattering.csv"
 POLARIZATIONS, SPECTRA, VARIANTS = tuple(Polarization), tuple(Spectrum), tuple(Variant)
 (HH, VV, HV, VH), (GAUSSIAN, EXPONENTIAL, SEPARABLE), (STANDARD, AS_PRINTED) = POLARIZATIONS, SPECTRA, VARIANTS

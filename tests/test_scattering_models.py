@@ -14,6 +14,8 @@ from warpsar.kernels import models, models_lanes
 from warpsar.kernels.codes import Model, Polarization, Spectrum
 from warpsar.kernels.models import modelled, modelled_of
 
+pytestmark = pytest.mark.unit
+
 wp.set_module_options({"max_unroll": 1})
 LITERAL = 1e-6  # literals in kernels are float32
 EXACT = 1e-4  # I2EM's series ends at 1e-5 of its distribution, and powers beyond may weigh more

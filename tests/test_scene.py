@@ -14,6 +14,8 @@ from warpsar.io.images import write_exr, write_tiff
 from warpsar.scene.scene import Scene
 from warpsar.world.tables import Grid, Material, Sampling
 
+pytestmark = pytest.mark.unit
+
 OBJ = """vt 0 0
 vt 1 0
 vt 1 1

@@ -14,6 +14,8 @@ from warpsar.kernels import shade_lanes
 from warpsar.kernels.codes import FRACTION_LIMIT, Spectrum
 from warpsar.kernels.scattering import sigma0_and_slopes
 
+pytestmark = pytest.mark.unit
+
 COUNT = 16 * 40 + 5  # the last block is not full
 EPS_IM, ASPECT = (0.0, 0.6, 3.0), (1.0, 0.7, 1.6)  # of three materials, each with a spectrum of its own
 

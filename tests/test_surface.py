@@ -19,6 +19,8 @@ from warpsar.surface.surface import KEYS, KINDS, Surface
 from warpsar.trace.hits import Hits
 from warpsar.world.mesh import Mesh
 
+pytestmark = pytest.mark.unit
+
 SIZE = 24.0
 
 

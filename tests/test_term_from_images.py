@@ -22,6 +22,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "benchmarks"))
 import scattering_experiment as experiment
 from references import changed, clean_images, measured
 
+pytestmark = pytest.mark.unit
+
 SOIL = {"eps_r": 9.0, "rms_height_m": 0.003, "correlation_length_m": 0.03, "spectrum": "exponential"}
 
 

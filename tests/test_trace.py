@@ -23,6 +23,8 @@ from warpsar.world.frame import view_geometry
 from warpsar.world.mesh import Mesh
 from warpsar.world.world import geometry_of
 
+pytestmark = pytest.mark.unit
+
 DEPOSITS = ("nearest", "linear", "footprint")
 
 

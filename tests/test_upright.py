@@ -12,6 +12,8 @@ from warpsar.world.objects.shapes import body
 from warpsar.world.objects.table import Object
 from warpsar.world.upright import y_up, z_up
 
+pytestmark = pytest.mark.unit
+
 Shape = tuple[np.ndarray, np.ndarray]
 
 

@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from test_experiments import module
 
+pytestmark = pytest.mark.unit
+
 
 @pytest.fixture(scope="module")
 def rcs_checks() -> Any:

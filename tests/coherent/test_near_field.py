@@ -10,6 +10,8 @@ from scipy.special import fresnel
 import warpsar
 from warpsar import InputError
 
+pytestmark = pytest.mark.unit
+
 
 @pytest.mark.parametrize("distance_m", [6.0, 15.0, 60.0])
 def test_plate_on_its_axis(distance_m: float) -> None:

@@ -13,6 +13,8 @@ from warpsar.coherent.sweep import RAYS_PER_WAVELENGTH
 from warpsar.errors import InputError
 from warpsar.scene.scene import Scene
 
+pytestmark = pytest.mark.unit
+
 TRIHEDRAL = Path(__file__).resolve().parents[2] / "data" / "coherent" / "trihedral.toml"
 
 

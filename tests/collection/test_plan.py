@@ -17,6 +17,8 @@ from warpsar.collection.response import width_in_cells
 from warpsar.world.collection import Collection
 from warpsar.world.frame import SPEED_OF_LIGHT
 
+pytestmark = pytest.mark.unit
+
 HOUSE = field(20.0, 20.0)
 
 

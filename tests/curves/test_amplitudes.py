@@ -11,6 +11,8 @@ import pytest
 import warpsar
 from warpsar.curves import amplitudes as kept
 
+pytestmark = pytest.mark.unit
+
 
 def scene(seed: int = 0) -> warpsar.Scene:
     vertices = np.array([[0.0, -0.1, -0.1], [0.0, 0.1, -0.1], [0.0, 0.1, 0.1], [0.0, -0.1, 0.1]])

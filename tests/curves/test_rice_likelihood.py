@@ -10,6 +10,8 @@ from scipy.stats import kstest, ncx2
 from warpsar.curves.likelihood import distribution, log_density, median, slopes
 from warpsar.curves.noise import of_repeats, share_of
 
+pytestmark = pytest.mark.unit
+
 
 @pytest.mark.parametrize(("model", "noise"), [(0.0, 1.0), (2.0, 0.5), (1e-3, 1e-4), (1.0, 1e-4)])
 def test_the_density_integrates_to_one_and_has_its_mean(model: float, noise: float) -> None:

@@ -9,6 +9,8 @@ import warpsar
 from warpsar.curves.angles import independent_deg, weights, width_m
 from warpsar.curves.sectors import apertures, sectors
 
+pytestmark = pytest.mark.unit
+
 
 def box(faces: int) -> warpsar.Mesh:
     """A cube of 1 m without some of its six sides, the first of which is the one to +X."""

@@ -7,6 +7,8 @@ import pytest
 
 from warpsar.curves.shape import jump, on_grid, profiles
 
+pytestmark = pytest.mark.unit
+
 
 def test_a_gaussian_has_its_own_interval() -> None:
     axes = {"a": np.linspace(-3.0, 5.0, 97), "b": np.linspace(-4.0, 4.0, 97)}

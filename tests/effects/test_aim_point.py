@@ -15,6 +15,8 @@ from warpsar.scene.scene import Scene
 from warpsar.simulation.command import simulate
 from warpsar.world.objects.table import Object
 
+pytestmark = pytest.mark.unit
+
 WORKING = [
     Case({"range_m": {"v0": 0.31}, "azimuth_m": {"v0": -0.23}}),
     Case({"range_m": {"v0": -0.43, "v1": 0.2}, "azimuth_m": {"v0": 0.11}}, {"slant_range_m": 300.0}),

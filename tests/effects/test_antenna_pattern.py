@@ -10,6 +10,8 @@ from effect_worlds import ROUNDING, STRIP_MAP, Case, gains, plane, refusal, rend
 from warpsar.effects.base.trial import Context
 from warpsar.effects.registry import declared, get
 
+pytestmark = pytest.mark.unit
+
 WORKING = [
     Case({"beamwidth_m": 20.0, "boresight_m": 2.0}),
     Case({"beamwidth_deg": 3.0, "boresight_deg": 0.4}, STRIP_MAP),

@@ -3,6 +3,8 @@
 import pytest
 from effect_worlds import ROUNDING, Case, pair, plane
 
+pytestmark = pytest.mark.unit
+
 WORKING = [Case({"level": 0.05, "offset_m": 2.9})]
 
 

@@ -8,6 +8,8 @@ from worlds import box, ground, mesh_of, scene_of, view
 
 from warpsar.effects.edge_diffraction import sharp_edges
 
+pytestmark = pytest.mark.unit
+
 WORKING = [Case({"strength": 0.7})]
 
 

@@ -5,6 +5,8 @@ import pytest
 import worlds
 from effect_worlds import ROUNDING, Case, hits_of, plane
 
+pytestmark = pytest.mark.unit
+
 WORKING = [Case({"per_m_east": 0.03, "per_m_north": -0.02})]
 
 

@@ -10,6 +10,8 @@ from worlds import view
 from warpsar.effects.registry import get
 from warpsar.simulation.command import simulate
 
+pytestmark = pytest.mark.unit
+
 WORKING = [Case({"level": {"v0": 0.01}, "rows": {"v0": [[3, 5], [9, 10]]}})]
 
 

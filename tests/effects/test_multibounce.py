@@ -12,6 +12,8 @@ from warpsar.scene.scene import Scene
 from warpsar.simulation.command import simulate
 from warpsar.world.mesh import Mesh
 
+pytestmark = pytest.mark.unit
+
 WORKING = [
     Case({"strength": 0.8}),
     Case({"strength": 0.8, "max_bounces": 4}, STRIP_MAP),

@@ -7,6 +7,8 @@ from effect_worlds import ROUNDING, STRIP_MAP, Case, gains, plane, refusal, stre
 from warpsar.effects.base.trial import Context
 from warpsar.effects.registry import get, validate
 
+pytestmark = pytest.mark.unit
+
 WORKING = [
     Case({"per_m": 0.03}),
     Case({"exponent": 3.0}, STRIP_MAP),

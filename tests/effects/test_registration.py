@@ -12,6 +12,8 @@ from warpsar.effects.registry import get
 from warpsar.render.render import ViewRender
 from warpsar.scene.scene import Scene
 
+pytestmark = pytest.mark.unit
+
 WORKING = [
     Case({"range_m": 0.31, "azimuth_m": -0.23}),
     Case({"range_m": 0.1, "east_m": 0.37, "north_m": 0.2, "up_m": -0.3}, STRIP_MAP),

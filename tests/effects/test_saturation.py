@@ -7,6 +7,8 @@ import pytest
 from effect_worlds import ROUNDING, Case, pair, refusal
 from worlds import box, ground, mesh_of, scene_of, view
 
+pytestmark = pytest.mark.unit
+
 WORKING = [
     Case({"exponent": 0.8}),
     Case({"exponent": 0.8, "pivot": 0.02}),

@@ -5,6 +5,8 @@ import pytest
 from effect_worlds import Case, pair, plane, refusal, render_of, street, with_effect
 from worlds import view
 
+pytestmark = pytest.mark.unit
+
 WORKING = [
     Case({"level": 0.02, "spread_m": 1.3}),
     Case({"level": 0.05, "spread_m": 2.0, "materials": ["brick"]}, {"slant_range_m": 300.0}),

@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 from effect_worlds import ROUNDING, Case, hits_of, plane
 
+pytestmark = pytest.mark.unit
+
 WORKING = [Case({"optical_depth": 0.2, "albedo": 0.1})]
 
 

@@ -9,6 +9,8 @@ from worlds import view
 from warpsar.effects.base.trial import Context
 from warpsar.effects.registry import declared, get
 
+pytestmark = pytest.mark.unit
+
 WORKING = [Case({"gain_db": {"v0": 2.0, "v1": -2.0}})]
 
 

@@ -16,6 +16,8 @@ from warpsar.scene.scene import Scene
 from warpsar.world.objects.table import Object
 from warpsar.world.transform import Transform
 
+pytestmark = pytest.mark.unit
+
 EFFECTS = {
     "noise_floor": {"level": 0.01, "tolerance": {"level": 0.002}},
     "aim_point": {"range_m": {"a": 0.1, "b": 0.2}},
