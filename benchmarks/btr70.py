@@ -47,7 +47,7 @@ from btr70_tables import tables_of
 from measured_loop import kept, written
 
 from warpsar.errors import InputError, WarpsarError
-from warpsar.measured import jpeg
+from warpsar.formats import jpeg
 from warpsar.measured.chips import import_chips
 from warpsar.runtime.threads import thread_count
 from warpsar.scene.scene import Scene
@@ -86,7 +86,7 @@ def chips_of(data: Path) -> list[Chip]:
         if row is None:
             nameless += 1
             continue
-        power = jpeg.read(path)[0][::-1].astype(float) ** 2
+        power = jpeg.levels(path)[0][::-1].astype(float) ** 2
         if min(power.shape) < PREDICTED:
             size = " x ".join(map(str, power.shape))
             raise InputError(f"{path}: found {size} pixels; must be at least {PREDICTED} x {PREDICTED}")

@@ -15,7 +15,7 @@ from btr70_speckle import width_m
 from warpsar.scene.scene import Scene
 from warpsar.speckle.compound import MOST, likeliest_order, minus_log_density
 
-ERROR_DN = 9.75  # rms, the most that the chips' JPEG tables allow (measured.jpeg.read)
+ERROR_DN = 9.75  # rms, the most that the chips' JPEG tables allow (formats.jpeg.levels)
 
 
 def size_m(scene: Scene) -> list[float]:

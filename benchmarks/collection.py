@@ -34,13 +34,13 @@ from simulate import machine
 
 import warpsar
 from warpsar.collection import history as histories
-from warpsar.collection import sicd
 from warpsar.collection.bodies import Bodies
 from warpsar.collection.command import load_kernels
 from warpsar.collection.direct import direct_of_rough
 from warpsar.collection.plan import Plan, plan_of
 from warpsar.collection.scatterers import Part, Scatterers, body_of, scatterers_of, spacing_m, total_weight
 from warpsar.collection.slc import Slc, focused
+from warpsar.formats import sicd
 from warpsar.io.images import write_exr
 from warpsar.kernels import collection as kernels
 from warpsar.runtime import devices
@@ -223,7 +223,7 @@ def batch(device: wp.Device, small: bool) -> dict[str, Any]:
 
         def standard() -> None:
             for one in images():
-                sicd.write(Path(folder) / f"{one.plan.view.name}.nitf", one, "HH")
+                sicd.write(Path(folder) / f"{one.plan.view.name}.nitf", one.formed("HH"))
 
         def exr() -> None:
             for one in powers():

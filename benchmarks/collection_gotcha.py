@@ -35,9 +35,9 @@ from warpsar.collection.command import load_kernels
 from warpsar.collection.history import phase_history
 from warpsar.collection.plan import plan_of
 from warpsar.collection.scatterers import body_of, scatterers_of, spacing_m
+from warpsar.formats.base.data import PhaseHistory
 from warpsar.io.figures import new, save
 from warpsar.io.ply import write_ply
-from warpsar.measured.data import PhaseHistory
 from warpsar.measured.focus import focus
 from warpsar.runtime import devices
 

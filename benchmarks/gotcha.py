@@ -48,12 +48,12 @@ from warpsar.compare.comparison import Comparison
 from warpsar.compare.evaluation import Evaluation
 from warpsar.diagnosis.found import DiagnoseOptions
 from warpsar.evaluation import command as evaluation
+from warpsar.formats import registry
+from warpsar.formats.base.data import PhaseHistory
 from warpsar.io.figures import new, save
 from warpsar.io.images import replacing
 from warpsar.learning import command as learning
 from warpsar.learning.command import LearnOptions
-from warpsar.measured import formats
-from warpsar.measured.data import PhaseHistory
 from warpsar.measured.focus import cell_m, focus
 from warpsar.measured.ground import pixel_centres, plane_points
 from warpsar.measured.importer import import_measured
@@ -94,7 +94,7 @@ def views_in(data: Path) -> list[str]:
 
 
 def history(data: Path, name: str) -> PhaseHistory:
-    found = formats.read([source(data, name)])
+    found = registry.read([source(data, name)])
     assert isinstance(found, PhaseHistory)
     return found
 

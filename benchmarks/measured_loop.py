@@ -18,8 +18,8 @@ from warpsar.diagnosis.content import content_of
 from warpsar.diagnosis.found import DiagnoseOptions
 from warpsar.diagnosis.report.page import write_report
 from warpsar.diagnosis.result import diagnose, fitted_models, moved_parameters
+from warpsar.formats.base.taper import taper
 from warpsar.io.images import replacing
-from warpsar.measured.focus import taper
 from warpsar.simulation import outputs
 
 REACH = 12  # pixels on either side of a point that its kernel is followed

@@ -39,11 +39,11 @@ from measured_loop import (
 from warpsar.diagnosis.found import DiagnoseOptions
 from warpsar.diagnosis.models.refit import descend
 from warpsar.evaluation import command as evaluation
+from warpsar.formats import registry
+from warpsar.formats.base.data import ImageChip
+from warpsar.formats.base.taper import taper
 from warpsar.io.figures import new, save
 from warpsar.learning.problem import FitProblem
-from warpsar.measured import formats
-from warpsar.measured.data import ImageChip
-from warpsar.measured.focus import taper
 from warpsar.measured.importer import import_measured
 from warpsar.scene.scene import Scene
 from warpsar.world.frame import SPEED_OF_LIGHT
@@ -164,7 +164,7 @@ def powers(power: np.ndarray, spacing_m: tuple[float, float], cell_m: float) -> 
 def of_the_chip(data: Path) -> dict[str, Any]:
     """What the complex chip says by itself, without a model: widths of bright points, the taper in its spectrum, power
     in shadow and grass."""
-    chip = formats.read([source(data)])
+    chip = registry.read([source(data)])
     assert isinstance(chip, ImageChip)
     assert chip.spacing_m is not None
     samples, spacing_m = chip.samples.astype(complex), chip.spacing_m

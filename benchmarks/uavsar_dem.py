@@ -17,8 +17,8 @@ import numpy as np
 
 from warpsar import simulate
 from warpsar.errors import InputError
-from warpsar.measured import nisar
-from warpsar.measured.pictures import dem_frame
+from warpsar.formats import registry
+from warpsar.measured.placed import dem_frame
 from warpsar.runtime import devices
 from warpsar.scene.scene import Scene
 from warpsar.world.mesh import read_mesh
@@ -35,7 +35,7 @@ def dem_scene(folder: Path) -> Scene:
     if frame is None:
         raise InputError(f"{folder / 'winnipeg_dem.tif'}: has no coordinate system")
     reference = np.array([0.0, 0.0, float(np.median(mesh.vertices[:, 2]))])
-    facts = nisar.read(folder / "winnipeg.h5", "HH", frame).facts(reference)
+    facts = registry.read([folder / "winnipeg.h5"], polarization="HH", frame=frame).facts(reference)
     assert facts.azimuth_deg is not None
     assert facts.incidence_deg is not None
     assert facts.frequency_hz is not None

@@ -7,12 +7,10 @@ from pathlib import Path
 import click
 
 from warpsar.cli import options
+from warpsar.formats import registry
 
-# Copies from warpsar.measured.focus and .formats: those import NumPy, and `--help` must not. A test compares them.
+# A copy from warpsar.formats.base.taper, which imports NumPy: `--help` must not. A test compares them.
 TAPERS = ("none", "hann", "taylor")
-FORMATS = ("gotcha", "cphd", "sicd", "mstar", "nisar", "geotiff", "tiff", "exr", "npy", "jpeg", "rcs")
-
-CURVES = (".csv", ".txt")
 
 
 @click.command(name="import", short_help="Bring a measured image onto the grid of a view.")
@@ -38,7 +36,7 @@ CURVES = (".csv", ".txt")
 @click.option(
     "--format",
     "file_format",
-    type=click.Choice(("auto", *FORMATS)),
+    type=click.Choice(("auto", *registry.names())),
     default="auto",
     show_default=True,
     help="Format of SOURCE.",
@@ -46,7 +44,7 @@ CURVES = (".csv", ".txt")
 @click.option(
     "--quantity",
     type=click.Choice(("amplitude", "power")),
-    help="What the real numbers of a GeoTIFF, TIFF, EXR or NPY are; it is never guessed.",
+    help="What the real numbers of a picture are; it is never guessed.",
 )
 @click.option("--amplitude", is_flag=True, help="Short for --quantity amplitude.")
 @click.option(
@@ -139,9 +137,8 @@ def command(
 
     Many pictures and a table of their angles (--table) come in one call.
 
-    Phase history (CPHD, or one or several AFRL .mat files) is focused by backprojection. Complex and detected images
-    (SICD, MSTAR, NISAR-style HDF5, GeoTIFF, TIFF, EXR, NPY, JPEG) are resampled. The image is written beside the scene
-    file, as float32 linear power.
+    Phase history, of which several files may be one aperture, is focused by backprojection. Complex and detected images
+    are resampled. The image is written beside the scene file, as float32 linear power.
 
     Curves of radar cross-section (CSV, or the Austin suite's text) need no view: they become `[[curves]]`.
 
@@ -151,7 +148,7 @@ def command(
       warpsar import image.tif --scene scene.toml --view north --quantity power --polarization HH
       warpsar import a.jpg b.jpg --scene scene.toml --table angles.csv --scale unknown
     """
-    if file_format == "rcs" or (file_format == "auto" and all(s.suffix.lower() in CURVES for s in sources)):
+    if file_format == "rcs" or (file_format == "auto" and all(map(registry.get("rcs").named, sources))):
         from warpsar.measured.curves import import_curves
 
         for path in import_curves(sources, scene, polarization=polarization, role=role):  # type: ignore[arg-type]

@@ -8,10 +8,9 @@ import click
 from click.core import ParameterSource
 
 from warpsar.cli import options
+from warpsar.simulation.formats import registry
 
-# As in warpsar.simulation.files, which imports NumPy: `--help` shall not.
 PRODUCTS = ("beta0", "slc", "phase-history")
-FORMATS = ("exr", "geotiff", "netcdf", "zarr")
 
 
 @click.command(name="simulate", short_help="Make an image of every view.")
@@ -33,11 +32,11 @@ FORMATS = ("exr", "geotiff", "netcdf", "zarr")
 @click.option(
     "--format",
     "formats",
-    type=click.Choice(FORMATS),
+    type=click.Choice(registry.names()),
     multiple=True,
     default=("exr",),
     show_default=True,
-    help="Of the images; say it again for several. geotiff needs warpsar[geo], the last two warpsar[xarray].",
+    help="Of the images; say it again for several. One that needs an extra says which.",
 )
 @click.option(
     "--azimuths", metavar="START:STOP:STEP", help="Azimuths of the views [deg], in place of the file's views; or A,B,C."

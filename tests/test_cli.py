@@ -130,13 +130,11 @@ def test_simulate_hands_its_options_on(
     assert calls == [((Path("scene.toml"), Path("out")), options)]
 
 
-def test_import_names_the_windows_and_formats_there_are() -> None:
+def test_import_names_the_windows_there_are() -> None:
     from warpsar.cli import import_
-    from warpsar.measured.focus import TAPERS
-    from warpsar.measured.formats import FORMATS
+    from warpsar.formats.base.taper import TAPERS
 
     assert tuple(TAPERS) == import_.TAPERS
-    assert tuple(FORMATS) == import_.FORMATS
 
 
 @pytest.mark.parametrize("name", cli.COMMANDS)

@@ -7,8 +7,9 @@ import pytest
 from measured_files import C, Pass, echoes
 
 from warpsar.errors import InputError
-from warpsar.measured.data import PhaseHistory
-from warpsar.measured.focus import cell_m, focus, taper
+from warpsar.formats.base.data import PhaseHistory
+from warpsar.formats.base.taper import taper
+from warpsar.measured.focus import cell_m, focus
 from warpsar.measured.ground import plane_points
 from warpsar.world.frame import view_geometry
 
@@ -185,9 +186,9 @@ def test_more_subapertures_than_pulses_are_refused() -> None:
 
 @pytest.mark.measured
 def test_gotcha_reflector_is_as_sharp_as_its_band_and_aperture(measured_data: Path) -> None:
-    from warpsar.measured import gotcha
+    from warpsar.formats import registry
 
-    data = gotcha.read([measured_data / "gotcha" / "data_3dsar_pass1_az001_HH.mat"])
+    data = registry.read([measured_data / "gotcha" / "data_3dsar_pass1_az001_HH.mat"])
     facts = data.facts(ORIGIN)
     geometry = view_geometry(facts.azimuth_deg, facts.incidence_deg, facts.frequency_hz)
     cells = cell_m(data, ORIGIN)

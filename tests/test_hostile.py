@@ -21,9 +21,9 @@ import pytest
 from conftest import ROOT
 
 from warpsar.errors import LONGEST_MESSAGE, InputError, shown
+from warpsar.formats.base import mat5
 from warpsar.io import checkpoint
 from warpsar.io.images import read_channel, read_npy, write_exr
-from warpsar.measured import mat5
 from warpsar.world.mesh import read_mesh
 
 MUTATIONS = 4  # of each reader's file, after its attacks

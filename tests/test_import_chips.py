@@ -8,7 +8,7 @@ from measured_files import write_phoenix
 from PIL import Image
 
 from warpsar.errors import InputError
-from warpsar.measured import jpeg
+from warpsar.formats import jpeg
 from warpsar.measured.chips import import_chips
 from warpsar.measured.importer import import_measured
 from warpsar.scene.scene import Scene
@@ -128,7 +128,7 @@ def test_the_files_rounding_is_said(tmp_path: Path) -> None:
     1 % is the scatter of 65536 errors and the rounding to whole levels (1 / 12 of a variance beside some 8)."""
     grey = np.clip(np.random.default_rng(0).normal(128.0, 30.0, (256, 256)), 0, 255).astype(np.uint8)
     Image.fromarray(grey, "L").save(tmp_path / "noise.jpeg", quality=90)
-    levels, error = jpeg.read(tmp_path / "noise.jpeg")
+    levels, error = jpeg.levels(tmp_path / "noise.jpeg")
     assert np.sqrt(np.mean((levels - grey.astype(float)) ** 2)) == pytest.approx(error, rel=0.01)
 
 
@@ -137,7 +137,7 @@ def test_a_message_names_the_rounding(folder: Path) -> None:
     table, path = folder / "views.csv", folder / "scene.toml"
     done = import_chips(sources, path, table, quantity="amplitude", spacing_m=SPACING, scale="unknown")
     (said,) = (one for one in done.messages if "rounds" in one)
-    assert f"by up to {jpeg.read(sources[0])[1]:.1f} rms" in said
+    assert f"by up to {jpeg.levels(sources[0])[1]:.1f} rms" in said
     assert said.endswith("(2 chips)")
 
 

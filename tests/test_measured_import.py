@@ -185,7 +185,7 @@ def test_a_chip_keeps_its_spacing_and_is_nan_around_it(tmp_path: Path) -> None:
 
 def test_complex_images_are_resampled_without_aliasing() -> None:
     """A band-limited field off its carrier, sampled between its pixels: its power there is known in closed form."""
-    from warpsar.measured.data import Facts, ImageChip
+    from warpsar.formats.base.data import Facts, ImageChip
 
     generator = np.random.default_rng(0)
     count = 64
@@ -211,7 +211,7 @@ def test_complex_images_are_resampled_without_aliasing() -> None:
 
 
 def test_unknown_pixels_spoil_only_their_neighbours() -> None:
-    from warpsar.measured.data import Facts, ImageChip
+    from warpsar.formats.base.data import Facts, ImageChip
 
     power = np.ones((20, 20))
     power[10, 10] = np.nan
@@ -416,10 +416,11 @@ def test_a_scene_file_that_is_wrong_is_refused_under_its_own_name(tmp_path: Path
 def test_command_line(tmp_path: Path) -> None:
     from click.testing import CliRunner
 
-    from warpsar.cli.import_ import command
+    from warpsar.cli.main import main
 
     path = scene_file(tmp_path, (40, 40), (0.5, 0.5), calibrated=True)
     arguments = [
+        "import",
         str(history(tmp_path, LOOK)),
         "--scene",
         str(path),
@@ -430,7 +431,7 @@ def test_command_line(tmp_path: Path) -> None:
         "--device",
         "cpu",
     ]
-    result = CliRunner().invoke(command, arguments, catch_exceptions=False)
+    result = CliRunner().invoke(main, arguments, catch_exceptions=False)
     assert result.exit_code == 0
     assert "v_HH.exr: HH" in result.stdout
     assert "image.calibrated is true" in result.stderr

@@ -8,9 +8,9 @@ import pytest
 from measured_files import SITE, C, Pass, echoes, to_ecef, write_cphd, write_mat, write_phoenix, write_sicd
 
 from warpsar.errors import InputError
-from warpsar.measured import formats
-from warpsar.measured.data import ImageChip, PhaseHistory
-from warpsar.measured.earth import Origin, axes_at, ecef_to_geodetic, geodetic_to_ecef
+from warpsar.formats import registry
+from warpsar.formats.base.data import ImageChip, PhaseHistory
+from warpsar.world.earth import Origin, axes_at, ecef_to_geodetic, geodetic_to_ecef
 
 pytestmark = pytest.mark.unit
 
@@ -102,6 +102,14 @@ def tiff(folder: Path) -> Path:
     return path
 
 
+def jpeg(folder: Path) -> Path:
+    from PIL import Image
+
+    path = folder / "made.jpg"
+    Image.fromarray(np.random.default_rng(0).integers(0, 256, (20, 24), np.uint8)).save(path)
+    return path
+
+
 MADE: dict[str, Callable[[Path], Path]] = {
     "gotcha": matlab,
     "cphd": cphd,
@@ -112,8 +120,9 @@ MADE: dict[str, Callable[[Path], Path]] = {
     "npy": numpy_array,
     "exr": exr,
     "tiff": tiff,
+    "jpeg": jpeg,
 }
-PICTURES = ("geotiff", "npy", "exr", "tiff")
+PICTURES = tuple(name for name in MADE if "quantity" in registry.get(name).asks)
 
 
 def utm(longitude: float, latitude: float) -> tuple[float, float]:
@@ -125,9 +134,9 @@ def utm(longitude: float, latitude: float) -> tuple[float, float]:
 
 def read(path: Path, **options: object) -> PhaseHistory | ImageChip:
     """Read, and touch the pixels: window readers open their file only then."""
-    if formats.detect(path) in PICTURES:
+    if registry.detect(path) in PICTURES:
         options.setdefault("quantity", "power")
-    measured = formats.read([path], frame=Origin(*SITE), **options)
+    measured = registry.read([path], frame=Origin(*SITE), **options)
     if isinstance(measured, ImageChip):
         rows, cols = measured.samples.shape
         measured.samples[slice(0, rows), slice(0, cols)]
@@ -137,12 +146,17 @@ def read(path: Path, **options: object) -> PhaseHistory | ImageChip:
 # ---- what they say ----
 
 
+def test_every_format_is_read_here() -> None:
+    """A new reader needs a file in `MADE`: the tests of all formats then take it."""
+    assert set(MADE) == {name for name in registry.names() if registry.get(name).read is not None}
+
+
 @pytest.mark.parametrize("name", MADE)
 def test_format_is_told_by_the_file_itself(name: str, tmp_path: Path) -> None:
     path = MADE[name](tmp_path)
-    assert formats.detect(path) == name
+    assert registry.detect(path) == name
     if name not in PICTURES:
-        assert formats.detect(path.rename(tmp_path / "no_suffix")) == name
+        assert registry.detect(path.rename(tmp_path / "no_suffix")) == name
 
 
 @pytest.mark.parametrize("name", ["gotcha", "cphd", "sicd", "nisar"])
@@ -167,7 +181,7 @@ def test_direction_is_seen_from_the_reference_point(tmp_path: Path) -> None:
 @pytest.mark.parametrize("sgn", [-1, 1])
 def test_cphd_samples_and_positions(sgn: int, tmp_path: Path) -> None:
     path = write_cphd(tmp_path / "made.cphd", SAMPLES, FREQUENCY_HZ, POSITIONS, LOOK, sgn=sgn, bad=(3, 11))
-    measured = formats.read([path])
+    measured = registry.read([path])
     assert isinstance(measured, PhaseHistory)
     kept = np.delete(np.arange(24), [3, 11])
     np.testing.assert_allclose(measured.samples, SAMPLES[:, kept], atol=1e-6)
@@ -185,7 +199,7 @@ def test_several_matlab_files_are_one_aperture(tmp_path: Path) -> None:
         write_mat(tmp_path / f"part{i}_HH.mat", SAMPLES[:, part], FREQUENCY_HZ, POSITIONS[part])
         for i, part in enumerate((slice(0, 10), slice(10, 24)))
     ]
-    joined = formats.read(paths)
+    joined = registry.read(paths)
     assert isinstance(joined, PhaseHistory)
     assert isinstance(whole, PhaseHistory)
     np.testing.assert_array_equal(joined.samples, whole.samples)
@@ -247,14 +261,14 @@ def test_quantity_is_said_or_refused_never_guessed(tmp_path: Path) -> None:
     for name in PICTURES:
         path = MADE[name](tmp_path)
         with pytest.raises(InputError, match=f"{path.name}.*amplitudes or powers.*--quantity"):
-            formats.read([path], frame=Origin(*SITE))
-        assert formats.read([path], quantity="amplitude", frame=Origin(*SITE)).quantity == "amplitude"
+            registry.read([path], frame=Origin(*SITE))
+        assert registry.read([path], quantity="amplitude", frame=Origin(*SITE)).quantity == "amplitude"
     with pytest.raises(InputError, match="leave --quantity out"):
-        formats.read([mstar(tmp_path)], quantity="power")
+        registry.read([mstar(tmp_path)], quantity="power")
     np.save(tmp_path / "complex.npy", np.ones((4, 4), complex))
-    assert formats.read([tmp_path / "complex.npy"]).quantity == "complex"
+    assert registry.read([tmp_path / "complex.npy"]).quantity == "complex"
     with pytest.raises(InputError, match="complex numbers"):
-        formats.read([tmp_path / "complex.npy"], quantity="power")
+        registry.read([tmp_path / "complex.npy"], quantity="power")
 
 
 # ---- the earth ----
@@ -319,18 +333,18 @@ def test_a_file_of_another_kind_is_one_message(name: str, tmp_path: Path) -> Non
     path = MADE[name](tmp_path)
     path.write_bytes(b"this is not it" * 1000)
     with pytest.raises(InputError, match=path.name):
-        formats.read([path], file_format=name, quantity="power" if name in PICTURES else None, frame=Origin(*SITE))
+        registry.read([path], file_format=name, quantity="power" if name in PICTURES else None, frame=Origin(*SITE))
 
 
 def test_what_no_reader_knows_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "made.xyz"
     path.write_text("0 0 0")
     with pytest.raises(InputError, match=r"made\.xyz.*--format"):
-        formats.read([path])
+        registry.read([path])
     with pytest.raises(InputError, match="missing"):
-        formats.read([tmp_path / "missing"])
+        registry.read([tmp_path / "missing"])
     with pytest.raises(InputError, match="only AFRL"):
-        formats.read([mstar(tmp_path), mstar(tmp_path)])
+        registry.read([mstar(tmp_path), mstar(tmp_path)])
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
@@ -340,16 +354,16 @@ def test_one_nan_in_phase_history_is_refused(value: float, writer: Callable[...,
     samples[4, 5] = value
     path = writer(tmp_path / "made_HH.mat", samples, FREQUENCY_HZ, POSITIONS, *([LOOK] if writer is write_cphd else []))
     with pytest.raises(InputError, match=r"made_HH\.mat: 1 of 768 samples are NaN or infinite"):
-        formats.read([path])
+        registry.read([path])
 
 
 def test_no_pulses_are_refused(tmp_path: Path) -> None:
     path = write_cphd(tmp_path / "made.cphd", SAMPLES, FREQUENCY_HZ, POSITIONS, LOOK, bad=tuple(range(24)))
     with pytest.raises(InputError, match=r"made\.cphd.*no pulses"):
-        formats.read([path])
+        registry.read([path])
     path = write_mat(tmp_path / "made_HH.mat", SAMPLES[:, :0], FREQUENCY_HZ, POSITIONS[:0])
     with pytest.raises(InputError, match=r"made_HH\.mat.*\(32, 0\)"):
-        formats.read([path])
+        registry.read([path])
 
 
 def test_matlab_without_its_fields_is_refused(tmp_path: Path) -> None:
@@ -357,35 +371,35 @@ def test_matlab_without_its_fields_is_refused(tmp_path: Path) -> None:
 
     savemat(tmp_path / "a.mat", {"other": 1})
     with pytest.raises(InputError, match=r"a\.mat: no structure `data`.*other"):
-        formats.read([tmp_path / "a.mat"])
+        registry.read([tmp_path / "a.mat"])
     savemat(tmp_path / "b.mat", {"data": {"fp": np.ones((3, 3)), "freq": np.ones(3)}})
     with pytest.raises(InputError, match=r"b\.mat.*x, y, z, r0"):
-        formats.read([tmp_path / "b.mat"])
+        registry.read([tmp_path / "b.mat"])
     uneven = FREQUENCY_HZ + np.where(np.arange(32) == 7, 1e6, 0)
     with pytest.raises(InputError, match="not evenly spaced"):
-        formats.read([write_mat(tmp_path / "c_HH.mat", SAMPLES, uneven, POSITIONS)])
+        registry.read([write_mat(tmp_path / "c_HH.mat", SAMPLES, uneven, POSITIONS)])
 
 
 def test_phoenix_header_fields_are_named_in_refusals(tmp_path: Path) -> None:
     magnitude = np.ones((4, 4))
     with pytest.raises(InputError, match="MeasuredDepression = 'steep'"):
-        formats.read([write_phoenix(tmp_path / "a", magnitude, magnitude, MeasuredDepression="steep")])
+        registry.read([write_phoenix(tmp_path / "a", magnitude, magnitude, MeasuredDepression="steep")])
     with pytest.raises(InputError, match="RadarPosition = 'left'"):
-        formats.read([write_phoenix(tmp_path / "b", magnitude, magnitude, RadarPosition="left")])
+        registry.read([write_phoenix(tmp_path / "b", magnitude, magnitude, RadarPosition="left")])
 
 
 def test_earth_formats_ask_where_the_world_lies(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="--origin"):
-        formats.read([nisar(tmp_path)])
+        registry.read([nisar(tmp_path)])
     with pytest.raises(InputError, match="--origin"):
-        formats.read([geotiff(tmp_path)], quantity="power")
+        registry.read([geotiff(tmp_path)], quantity="power")
 
 
 def test_channel_of_another_polarization_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"0 channels of polarization VV; the file has 1 \(HH\)"):
-        formats.read([cphd(tmp_path)], polarization="VV")
+        registry.read([cphd(tmp_path)], polarization="VV")
     with pytest.raises(InputError, match="no image of polarization VV"):
-        formats.read([nisar(tmp_path)], polarization="VV", frame=Origin(*SITE))
+        registry.read([nisar(tmp_path)], polarization="VV", frame=Origin(*SITE))
 
 
 def test_speed_of_light_is_the_projects() -> None:

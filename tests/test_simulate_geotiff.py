@@ -16,16 +16,16 @@ from warpsar import __version__
 from warpsar.cli.main import main
 from warpsar.effects.registry import validate
 from warpsar.errors import InputError
+from warpsar.formats.base import extra
 from warpsar.io.geotiff import Place, write_cog
 from warpsar.io.images import read_channel
-from warpsar.measured.earth import Origin as Earth
-from warpsar.measured.earth import ecef_to_geodetic
 from warpsar.runtime.devices import resolve_device
 from warpsar.scene.scene import Scene
-from warpsar.simulation import files
 from warpsar.simulation.command import simulate as images_of
 from warpsar.simulation.ground import Ground
 from warpsar.surface.stage import Stage
+from warpsar.world.earth import Origin as Earth
+from warpsar.world.earth import ecef_to_geodetic
 from warpsar.world.tables import Origin
 
 rasterio = pytest.importorskip("rasterio", reason="rasterio comes with the extra `geo`")
@@ -295,7 +295,7 @@ def test_a_wrong_origin_is_refused(old: str, new: str, message: str, scene: Path
 
 
 def test_rasterio_is_asked_for_before_any_work(scene: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(files, "find_spec", lambda name: None)
+    monkeypatch.setattr(extra, "find_spec", lambda name: None)
     status, said = simulate(scene, "--format", "geotiff")
     assert status == 2
     assert 'Error: --format geotiff: needs rasterio: pip install "warpsar[geo]"' in said

@@ -37,8 +37,8 @@ WAVELENGTH_M = 299_792_458.0 / 9.6e9
 
 def power_on_the_ground(data: Path, device: str | None = None) -> tuple[np.ndarray, np.ndarray]:
     """Mean power of the train views on z = 0, [north, east], and its axis (the same for both) [m]."""
-    from warpsar.measured import formats
-    from warpsar.measured.data import PhaseHistory
+    from warpsar.formats import registry
+    from warpsar.formats.base.data import PhaseHistory
     from warpsar.measured.focus import focus
 
     axis = np.arange(-HALF_M, HALF_M + STEP_M / 2, STEP_M)
@@ -46,7 +46,7 @@ def power_on_the_ground(data: Path, device: str | None = None) -> tuple[np.ndarr
     points = np.stack([east, north, np.zeros_like(east)], axis=-1)
     total = np.zeros(east.shape)
     for name in VIEWS:
-        history = formats.read([data / "gotcha" / f"data_3dsar_pass1_{name}_HH.mat"])
+        history = registry.read([data / "gotcha" / f"data_3dsar_pass1_{name}_HH.mat"])
         assert isinstance(history, PhaseHistory)
         history = history.with_autofocus()
         (image,) = focus(history, points, reference_point_m=np.zeros(3), window_range="hann", device=device)

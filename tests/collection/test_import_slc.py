@@ -18,10 +18,10 @@ import warpsar
 from warpsar.cli.main import main
 from warpsar.collection.command import run
 from warpsar.collection.response import width_in_cells
+from warpsar.formats import registry
+from warpsar.formats.base.data import Facts, ImageChip
+from warpsar.formats.base.declared import WINDOWS
 from warpsar.io import complex_image
-from warpsar.measured import formats
-from warpsar.measured.data import Facts, ImageChip
-from warpsar.measured.declared import WINDOWS
 from warpsar.measured.importer import Imported, import_measured
 from warpsar.measured.resample import sample_complex
 from warpsar.world.tables import Origin
@@ -201,7 +201,7 @@ def test_a_chip_of_mstar_keeps_its_phase(tmp_path: Path) -> None:
     assert done.slc_path is not None
     values = complex_image.read(done.slc_path, "HH")[0]
     assert np.abs(values) ** 2 == pytest.approx(done.power, rel=1e-5)
-    assert values == pytest.approx(formats.read([chip]).samples[:, :], rel=1e-5)
+    assert values == pytest.approx(registry.read([chip]).samples[:, :], rel=1e-5)
     assert np.ptp(np.angle(values)) > 5.0
 
 

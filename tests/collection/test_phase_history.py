@@ -12,13 +12,14 @@ from collected_scenes import ROUGH, SPOT, WAVELENGTH, field, scene, square_trihe
 from scipy.interpolate import CubicSpline
 
 import warpsar
+from warpsar.collection import track_file
 from warpsar.collection.command import run
 from warpsar.collection.history import Collected
 from warpsar.collection.history import phase_history as recorded
 from warpsar.collection.plan import Plan, plan_of
 from warpsar.collection.scatterers import Part, Scatterers
-from warpsar.measured import formats
-from warpsar.measured.data import PhaseHistory
+from warpsar.formats import registry
+from warpsar.formats.base.data import PhaseHistory
 from warpsar.measured.focus import cell_m, focus
 from warpsar.measured.placed import frame_of
 from warpsar.runtime import devices
@@ -112,7 +113,7 @@ def power_cut(made: Collected, window: str, axis: int, device: str) -> tuple[np.
 
 def ideal(window: str, cells: np.ndarray) -> np.ndarray:
     """The taper's own transform, by quadrature."""
-    from warpsar.measured.focus import taper
+    from warpsar.formats.base.taper import taper
 
     place = (np.arange(4096) + 0.5) / 4096 - 0.5
     weights = taper(window, place)
@@ -261,7 +262,7 @@ def test_cphd_comes_back_as_itself(written: Path, polarization: str) -> None:
     """Samples to the bit; antennas and ranges to a micrometre, the last digit of an earth-centred place."""
     made = warpsar.Scene.load(written / "scene.toml")
     (own,) = warpsar.phase_history(made, device="cpu")
-    read = formats.read([written / "out" / "one.cphd"], polarization=polarization, frame=frame_of(made))
+    read = registry.read([written / "out" / "one.cphd"], polarization=polarization, frame=frame_of(made))
     assert isinstance(read, PhaseHistory)
     assert np.array_equal(read.samples, own.samples[own.polarizations.index(polarization)])
     assert read.position_m == pytest.approx(own.plan.site.to_ecef(own.plan.track.receiver_m), abs=1e-6)
@@ -271,6 +272,19 @@ def test_cphd_comes_back_as_itself(written: Path, polarization: str) -> None:
     (ours,) = focus(own.history(polarization), own.plan.site.about(where), reference_point_m=np.zeros(3), device="cpu")
     (theirs,) = focus(read, where, reference_point_m=np.zeros(3), device="cpu")
     assert theirs == pytest.approx(ours, abs=1e-3 * float(np.abs(ours).max()))
+
+
+def test_cphd_is_a_track(written: Path, tmp_path: Path) -> None:
+    """Its antennas are the places that it was made with, to a micrometre; a broken file is one message."""
+    (own,) = warpsar.phase_history(warpsar.Scene.load(written / "scene.toml"), device="cpu")
+    site, track = own.plan.site, own.plan.track
+    found = track_file.read(written / "out" / "one.cphd", site.reference_m, site.frame)
+    assert found.time_s == pytest.approx(track.time_s - track.time_s[0], abs=1e-12)
+    assert found.receiver_m == pytest.approx(track.receiver_m, abs=1e-5)
+    assert not found.bistatic
+    (tmp_path / "cut.cphd").write_bytes((written / "out" / "one.cphd").read_bytes()[:-1000])
+    with pytest.raises(warpsar.InputError, match=r"cut\.cphd: .*truncated"):
+        track_file.read(tmp_path / "cut.cphd", site.reference_m, site.frame)
 
 
 def test_import_puts_it_onto_the_grid(written: Path) -> None:
@@ -308,7 +322,7 @@ def test_a_bistatic_cphd_passes_and_focuses(tmp_path: Path) -> None:
     pytest.importorskip("sarkit")
     from sarkit.verification._cphd_consistency import CphdConsistency
 
-    from warpsar.collection import cphd
+    from warpsar.formats import cphd
 
     planned = plan(
         origin=ORIGIN,
@@ -316,12 +330,12 @@ def test_a_bistatic_cphd_passes_and_focuses(tmp_path: Path) -> None:
     )
     place = np.array([[4.0, -3.0, 0.0]])
     made = points(planned, place, np.ones(1), "cpu")
-    cphd.write(tmp_path / "two.cphd", made)
+    cphd.write(tmp_path / "two.cphd", made.signal())
     with (tmp_path / "two.cphd").open("rb") as file:
         checker = CphdConsistency.from_file(file=file, thorough=True)
         checker.check()
     assert checker.failures() == {}
-    read = formats.read([tmp_path / "two.cphd"], frame=planned.site.frame)
+    read = registry.read([tmp_path / "two.cphd"], frame=planned.site.frame)
     assert isinstance(read, PhaseHistory)
     assert read.transmitter_m is not None
     where = np.array([[4.0, -3.0, 0.0], [4.0, -1.5, 0.0], [5.5, -3.0, 0.0]])  # the ellipsoid bends by 1e-6 m here

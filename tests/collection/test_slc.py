@@ -18,8 +18,8 @@ from warpsar.collection.history import phase_history as recorded
 from warpsar.collection.plan import Plan, plan_of
 from warpsar.collection.scatterers import Part, Scatterers, scatterers_of
 from warpsar.collection.slc import Slc, focused
-from warpsar.measured import formats
-from warpsar.measured.data import ImageChip
+from warpsar.formats import registry
+from warpsar.formats.base.data import ImageChip
 from warpsar.measured.placed import frame_of
 from warpsar.runtime import devices
 from warpsar.world.frame import SPEED_OF_LIGHT
@@ -156,7 +156,7 @@ def test_sicd_holds_the_image_and_places_it(written: Path) -> None:
     """sarkit's own projection of the corner finds the brightest pixel, to half a pixel."""
     made = warpsar.Scene.load(written / "scene.toml")
     (own,) = warpsar.slc(made, device="cpu")
-    read = formats.read([written / "out" / "one.nitf"], frame=frame_of(made))
+    read = registry.read([written / "out" / "one.nitf"], frame=frame_of(made))
     assert isinstance(read, ImageChip)
     rows, columns = own.images["HH"].shape
     pixels = read.samples[slice(0, rows), slice(0, columns)]

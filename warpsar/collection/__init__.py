@@ -1,10 +1,9 @@
 """What a sensor records on its track: phase history, and the complex images that come from it.
 
-presets: published systems. track: where the sensor is at each pulse. track_file: the same from CSV and CPHD. plan:
+presets: published systems. track_file: where the sensor is at each pulse, from CSV and CPHD. plan:
 band, track and system of a view, checked. response: widths and cells of a system. scatterers: what sends back, from the
 coherent engine. places: the same of one direction. bodies: the mesh on the device, kept from view to view.
 history: phase history. slc: complex images, and focusing. direct: each scatterer times the response. noise: of the
 receiver. forecast: time and memory, measured on parts of the work.
-cphd, sicd: files of the standards. command: `warpsar simulate --product`.
-site: where the scene lies on the earth.
+command: `warpsar simulate --product`.
 """

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from importlib.util import find_spec
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,6 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from warpsar.collection import cphd, sicd
 from warpsar.collection.bodies import Bodies
 from warpsar.collection.direct import direct, direct_of_rough, refuse_direct
 from warpsar.collection.forecast import forecast, together
@@ -24,6 +22,7 @@ from warpsar.collection.places import Tally
 from warpsar.collection.plan import Plan, plans_of
 from warpsar.collection.scatterers import Stream, band_error_db, rough_alone
 from warpsar.collection.slc import Slc, focused
+from warpsar.formats import cphd, sicd
 from warpsar.io import complex_image
 from warpsar.io.images import replacing
 from warpsar.io.quick_look import QuickLook, draw_together
@@ -181,7 +180,7 @@ def run(
 
 def _warnings(scene: Scene) -> list[str]:
     found = []
-    if find_spec("sarkit") is None:
+    if cphd.EXTRA.missing is not None:
         found.append('no CPHD and no SICD are written: they need sarkit: pip install "warpsar[sicd]"')
     elif scene.origin is None:
         found.append("[scene] has no origin: files in earth coordinates put it at latitude 0, longitude 0")
@@ -193,9 +192,9 @@ def _phase_history(bodies: Bodies, plan: Plan, index: int, out: Path) -> dict[st
     files = {"npz": f"{plan.view.name}.npz"}
     with replacing(out / files["npz"]) as temporary, temporary.open("wb") as file:
         np.savez(file, **made.arrays())
-    if find_spec("sarkit") is not None:
+    if cphd.EXTRA.missing is None:
         files["cphd"] = f"{plan.view.name}.cphd"
-        cphd.write(out / files["cphd"], made)
+        cphd.write(out / files["cphd"], made.signal())
     return {**facts(plan), "files": files, "scatterers": made.scatterers}
 
 
@@ -206,9 +205,9 @@ def _slc(bodies: Bodies, plan: Plan, index: int, out: Path) -> dict[str, Any]:
     complex_image.write(out / files["npz"], made.range_m, made.azimuth_m, made.images)
     power = {pol: np.abs(image) ** 2 for pol, image in made.images.items()}
     draw_together([QuickLook.of(out / files["quick_look"], name, power, bodies.world.grid.spacing_m)])
-    for pol in made.images if find_spec("sarkit") is not None else ():
+    for pol in made.images if sicd.EXTRA.missing is None else ():
         files[f"sicd_{pol}"] = f"{name}.nitf" if len(made.images) == 1 else f"{name}_{pol}.nitf"
-        sicd.write(out / files[f"sicd_{pol}"], made, pol)
+        sicd.write(out / files[f"sicd_{pol}"], made.formed(pol))
     return {**facts(plan), "plane": made.plane, "files": files, "scatterers": made.scatterers}
 
 

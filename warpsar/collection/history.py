@@ -17,11 +17,12 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from warpsar.coherent.records import upload
-from warpsar.collection.plan import Plan, boresight
+from warpsar.collection.plan import MOST, Plan, boresight
 from warpsar.collection.scatterers import TOGETHER, Part, Scatterers, Stream
 from warpsar.errors import InputError
+from warpsar.formats.base.acquisition import RecordedSignal
+from warpsar.formats.base.data import PhaseHistory
 from warpsar.kernels import collection as kernels
-from warpsar.measured.data import PhaseHistory
 from warpsar.runtime import threads
 from warpsar.version import __version__
 from warpsar.world.frame import SPEED_OF_LIGHT
@@ -63,6 +64,12 @@ class Collected:
             polarization=polarization,
             transmitter_m=plan.track.transmitter_m if plan.track.bistatic else None,
         )
+
+    def signal(self) -> RecordedSignal:
+        """All of it, as `warpsar.formats.cphd` writes it."""
+        plan = self.plan
+        samples = dict(zip(self.polarizations, self.samples, strict=True))
+        return RecordedSignal(plan.acquisition, samples, 0.5 * MOST / plan.step_hz, plan.corners_m, plan.cells_m)
 
     def to_xarray(self) -> xarray.Dataset:
         """`samples` over polarization, frequency [Hz] and time [s] (extra `xarray`)."""

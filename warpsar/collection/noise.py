@@ -10,7 +10,7 @@ from scipy import fft
 from warpsar.collection.history import Collected
 from warpsar.collection.response import band_weights
 from warpsar.collection.slc import Slc
-from warpsar.measured.focus import taper
+from warpsar.formats.base.taper import taper
 
 
 def with_noise(made: Collected, seed: int) -> Collected:

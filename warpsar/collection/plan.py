@@ -15,15 +15,17 @@ from warpsar.coherent.left_out import refuse_left_out
 from warpsar.collection import track_file
 from warpsar.collection.presets import BANDS_HZ, filled
 from warpsar.collection.response import band_weights, width_in_cells
-from warpsar.collection.site import Site
-from warpsar.collection.track import Track, along, circle, straight
 from warpsar.errors import InputError
+from warpsar.formats.base.acquisition import Acquisition
+from warpsar.formats.base.taper import taper
 from warpsar.kernels.backproject import first_surface_kernel
-from warpsar.measured.focus import taper
 from warpsar.measured.ground import pixel_centres
+from warpsar.measured.placed import frame_of
 from warpsar.world.collection import Collection
 from warpsar.world.frame import SPEED_OF_LIGHT, ViewGeometry
+from warpsar.world.site import Site
 from warpsar.world.tables import View
+from warpsar.world.track import Track, along, circle, straight
 from warpsar.world.world import World, geometry_of
 
 F64 = NDArray[np.float64]
@@ -90,6 +92,13 @@ class Plan:
     def beam_gain(self) -> F64:
         """Two-way amplitude of the antenna toward the reference point, (p,)."""
         return beam(self, np.zeros((1, 3)), np.arange(len(self.track)))[:, 0]
+
+    @property
+    def acquisition(self) -> Acquisition:
+        """What files of the standards say of it."""
+        return Acquisition(
+            self.view.name, self.stripmap, self.site, self.track, self.start_hz, self.step_hz, self.frequencies
+        )
 
     @property
     def windows(self) -> tuple[str, str]:
@@ -220,7 +229,7 @@ def plan_of(world: World, view: View, device: wp.Device) -> Plan:
                 f"{high - low:.4g} Hz with the window {table.window!r} holds {held:.3g} m; must be at least that, or a "
                 "wider band"
             )
-    site = Site.of(world)
+    site = Site(np.asarray(world.reference_point_m, np.float64), frame_of(world))
     vertices = site.about(world.mesh.vertices)
     ends = np.stack([vertices.min(axis=0), vertices.max(axis=0)])
     corners = np.stack(np.meshgrid(*ends.T, indexing="ij"), axis=-1).reshape(-1, 3)

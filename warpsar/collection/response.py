@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from warpsar.measured.focus import taper
+from warpsar.formats.base.taper import taper
 
 
 @cache

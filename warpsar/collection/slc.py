@@ -15,7 +15,9 @@ from numpy.typing import NDArray
 
 from warpsar.collection.history import Collected
 from warpsar.collection.plan import Plan, plan_axes
+from warpsar.collection.response import band_weights
 from warpsar.errors import InputError
+from warpsar.formats.base.acquisition import FormedImage
 from warpsar.measured.focus import focus
 from warpsar.measured.ground import pixel_centres
 from warpsar.version import __version__
@@ -43,6 +45,24 @@ class Slc:
     @property
     def plane(self) -> str:
         return "ground" if self.plan.ground else "slant"
+
+    def formed(self, polarization: str) -> FormedImage:
+        """One polarization, as `warpsar.formats.sicd` writes it."""
+        plan = self.plan
+        beamed = np.ptp(plan.beam_gain) > 1e-3  # the beam tapers the aperture, too: no window has that name
+        return FormedImage(
+            taken=plan.acquisition,
+            polarization=polarization,
+            pixels=self.images[polarization],
+            range_m=self.range_m,
+            azimuth_m=self.azimuth_m,
+            axes=plan_axes(plan),
+            look=plan.geometry.s,
+            ground=plan.ground,
+            windows=(plan.windows[0], "unknown" if beamed else plan.windows[1]),
+            weights=(band_weights(plan.windows[0], plan.frequencies), plan.azimuth_weights),
+            response_m2=plan.response_m2,
+        )
 
     def to_xarray(self) -> xarray.Dataset:
         """`slc` over range, azimuth and polarization (extra `xarray`)."""

@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from warpsar.collection.track import Track
 from warpsar.errors import InputError
-from warpsar.measured.data import FARTHEST_M, reading
-from warpsar.measured.earth import EarthFrame, axes_at, needed
+from warpsar.formats import cphd
+from warpsar.formats.base.data import FARTHEST_M, reading
+from warpsar.world.earth import EarthFrame, axes_at, needed
+from warpsar.world.track import Track
 
 _PLACE = ("x_m", "y_m", "z_m")
 _SENDER = ("tx_x_m", "tx_y_m", "tx_z_m")
@@ -32,7 +33,7 @@ def read(path: Path, reference_m: NDArray[np.float64], frame: EarthFrame | None)
 
 def _is_cphd(path: Path) -> bool:
     with reading(path, "track"), path.open("rb") as file:
-        return file.read(5) == b"CPHD/"
+        return file.read(len(cphd.MAGIC)) == cphd.MAGIC
 
 
 def _csv(path: Path, reference_m: NDArray[np.float64]) -> Track:
@@ -61,19 +62,11 @@ def _csv(path: Path, reference_m: NDArray[np.float64]) -> Track:
 
 def _cphd(path: Path, reference_m: NDArray[np.float64], frame: EarthFrame | None) -> Track:
     """Antennas of the first channel, in the tangent frame at the reference point."""
-    try:
-        import sarkit.cphd as sarkit_cphd
-        from lxml.etree import LxmlError
-    except ImportError as error:
-        raise InputError(f'{path}: CPHD needs sarkit: pip install "warpsar[sicd]"') from error
     world = needed(frame, path)
-    with reading(path, "CPHD file", LxmlError), path.open("rb") as file:
-        reader = sarkit_cphd.Reader(file)
-        channel = reader.metadata.xmltree.findtext("{*}Data/{*}Channel/{*}Identifier")
-        pvp = reader.read_pvps(channel)
-        axes, origin = axes_at(world, reference_m), world.to_ecef(reference_m)
-        sent, received = ((pvp[name].astype(np.float64) - origin) @ axes.T for name in ("TxPos", "RcvPos"))
-        time = pvp["TxTime"].astype(np.float64)
-        kind = reader.metadata.xmltree.findtext("{*}CollectionID/{*}CollectType")
+    time, sent, received, bistatic = cphd.antennas(path)
+    axes, origin = axes_at(world, reference_m), world.to_ecef(reference_m)
+    sent, received = ((place - origin) @ axes.T for place in (sent, received))
+    if bistatic:
+        return Track(time, received, sent)
     middle = 0.5 * (sent + received)  # one antenna in flight stands for both ways in their middle
-    return Track(time, received, sent) if kind == "BISTATIC" else Track(time, middle, middle)
+    return Track(time, middle, middle)

@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from warpsar.errors import InputError
+from warpsar.formats import registry
+from warpsar.formats.base.data import ImageChip, Quantity, RadarAt
 from warpsar.io.images import write_exr
 from warpsar.io.quick_look import contact_sheet
-from warpsar.measured import formats, view_table
-from warpsar.measured.data import ImageChip, Quantity, RadarAt
+from warpsar.measured import view_table
 from warpsar.measured.gridding import Gridding, on_grid
 from warpsar.measured.importer import (
     Scale,
@@ -66,7 +67,7 @@ def import_chips(
     clipped, done, pictures = [], [], []
     messages: dict[str, int] = {}
     for source, view in pairs:
-        chip = formats.read(
+        chip = registry.read(
             [source],
             file_format=file_format,
             quantity=quantity,

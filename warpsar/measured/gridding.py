@@ -10,7 +10,7 @@ from typing import Literal, cast
 import numpy as np
 
 from warpsar.errors import InputError
-from warpsar.measured.data import ImageChip, PhaseHistory
+from warpsar.formats.base.data import ImageChip, PhaseHistory
 from warpsar.measured.focus import cell_m, focus
 from warpsar.measured.ground import mesh_points, pixel_centres, plane_points
 from warpsar.measured.resample import averaged, sample_complex, sample_power

@@ -13,18 +13,18 @@ import numpy as np
 import tomlkit
 
 from warpsar.errors import InputError
+from warpsar.formats import registry
+from warpsar.formats.base.data import Facts, ImageChip, PhaseHistory, Quantity, RadarAt
 from warpsar.io import complex_image
 from warpsar.io.images import replacing, write_exr
 from warpsar.io.quick_look import QuickLook, draw_together
-from warpsar.measured import formats
-from warpsar.measured.data import Facts, ImageChip, PhaseHistory, Quantity, RadarAt
-from warpsar.measured.earth import EarthFrame, Origin
 from warpsar.measured.gridding import Gridded, Gridding, on_grid
 from warpsar.measured.placed import frame_of
 from warpsar.measured.response import contradicts, point_spread
 from warpsar.scene import file as scenefile
 from warpsar.scene.scene import Scene
 from warpsar.speckle.looks import equivalent_looks
+from warpsar.world.earth import EarthFrame, Origin
 from warpsar.world.tables import View
 
 ANGLE_TOLERANCE_DEG = 0.5
@@ -83,7 +83,7 @@ def import_measured(
 
     `origin` (latitude, longitude [deg], height [m]) says where the world lies on the earth, for formats in earth
     coordinates. `Gridding` describes the windows, `subapertures`, `samples` and `surface`. `radar_at` and `spacing_m`
-    are for pictures (`formats.read`). `scale` "unknown" writes `calibrated = false`. A picture with a top level gives
+    are for pictures (`registry.read`). `scale` "unknown" writes `calibrated = false`. A picture with a top level gives
     the view `clipped_at`, and an MSTAR header gives the scene's only object its roll and pitch.
 
     Raises InputError for files that cannot be read. Also where the scene file contradicts them: angles by more than 0.5
@@ -93,7 +93,7 @@ def import_measured(
     scene, exists = opened(scene_path, view_name)
     view = next(v for v in scene.views if v.name == view_name)
     frame = _frame(scene, origin)
-    measured = formats.read(
+    measured = registry.read(
         sources,
         file_format=file_format,
         quantity=quantity,

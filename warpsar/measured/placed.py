@@ -3,17 +3,43 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
 from warpsar.errors import InputError
 from warpsar.io import geotiff
-from warpsar.measured.earth import EarthFrame, Origin
-from warpsar.measured.pictures import ProjectedFrame, dem_frame
+from warpsar.world.earth import WGS84, EarthFrame, Origin, geodetic_to_ecef
 from warpsar.world.world import World
 
+if TYPE_CHECKING:
+    from rasterio.crs import CRS
+
 _POLAR_DEG = (84.0, -80.0)  # beyond them UTM ends
+
+
+class ProjectedFrame:
+    """World metres are those of a map projection about a point of the map; Z is the height above the ellipsoid."""
+
+    def __init__(self, crs: CRS, centre: tuple[float, float]) -> None:
+        self.crs, self.centre, self.metres = crs, centre, crs.linear_units_factor[1]
+
+    def to_ecef(self, world_m: np.ndarray) -> np.ndarray:
+        from rasterio.warp import transform
+
+        world = np.asarray(world_m, np.float64)
+        x, y = (world[..., i].ravel() / self.metres + self.centre[i] for i in (0, 1))
+        lon, lat = transform(self.crs, WGS84, x, y)
+        return geodetic_to_ecef(np.stack([lat, lon, world[..., 2].ravel()], axis=-1)).reshape(world.shape)
+
+
+def dem_frame(path: Path) -> EarthFrame | None:
+    """Where on the earth the mesh of a GeoTIFF DEM lies; None where the file has no coordinate system."""
+    with geotiff.opened(path) as source:
+        centre, crs = source.xy(source.height / 2, source.width / 2, offset="ul"), source.crs
+        if crs is None:
+            return None
+        return Origin(centre[1], centre[0]) if crs.is_geographic else ProjectedFrame(crs, centre)
 
 
 def frame_of(scene: World) -> EarthFrame | None:

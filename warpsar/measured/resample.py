@@ -7,8 +7,8 @@ from scipy import fft
 from scipy.ndimage import map_coordinates
 
 from warpsar.errors import InputError
+from warpsar.formats.base.data import ImageChip
 from warpsar.io.images import LARGEST_IMAGE
-from warpsar.measured.data import ImageChip
 
 _MARGIN = 32  # [pixels] around the wanted ones, in which the samples fade for the Fourier transform
 _UNFADED = 8  # [pixels] of it, next to the wanted ones, that stay as they are

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from warpsar.measured.data import ImageChip
+from warpsar.formats.base.data import ImageChip
 from warpsar.measured.ground import plane_points
 from warpsar.world.tables import View
 from warpsar.world.world import World, geometry_of

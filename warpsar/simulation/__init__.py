@@ -6,5 +6,6 @@ batch: many images in one command. naming: their views and names. shares: who ma
 maker: one scene of a batch. index: what is there already.
 checks: what a user should be told. estimate: how long it will take. metadata: what an image says of itself.
 view: one view, simulated. speckle: speckle on images. ground: images on a map. dataset: views through xarray.
+files: the files of a view. formats/: one file for each format. image_format: what a format declares.
 materials: `warpsar materials`.
 """

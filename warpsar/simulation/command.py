@@ -27,6 +27,7 @@ from warpsar.scene.scene import Scene, scene_or_file
 from warpsar.simulation.checks import Findings, grid_warnings
 from warpsar.simulation.estimate import Estimate, estimate
 from warpsar.simulation.files import Output, refuse_formats, written
+from warpsar.simulation.formats import registry
 from warpsar.simulation.ground import Ground
 from warpsar.simulation.metadata import metadata
 from warpsar.simulation.outputs import make_folder, refuse_unlikely_size, write_json
@@ -268,9 +269,9 @@ def run(
 ) -> dict[str, Any]:
     """`warpsar simulate`: images (EXR), quick looks (PNG) and simulate.json in `out`. Returns the JSON's content.
 
-    `formats`: of the images, any of `files.FORMATS`. `looks` adds images with speckle; `declare` a scene.toml that
-    names them as measured. `yes` takes a mesh whose size is unlikely. Several processes (`distributed`) share the views
-    by the number of their rays.
+    `formats`: of the images, named in `simulation.formats`. `looks` adds images with speckle; `declare` a scene.toml
+    that names them as measured. `yes` takes a mesh whose size is unlikely. Several processes (`distributed`) share the
+    views by the number of their rays.
     """
     started = time.perf_counter()
     refuse_formats(formats)
@@ -297,10 +298,12 @@ def run(
         merge=not per_ray,
         max_memory_gib=max_memory_gib or DEFAULT_MEMORY_GIB,
     )
-    ground = Ground.of(scene, stage) if "geotiff" in formats else None
-    if "geotiff" in formats and ground is None:
-        console.say("note: [scene] has no origin, so GeoTIFF is in slant range alone")
-    output = Output(out, made.seed, looks, tuple(dict.fromkeys(formats)), exr_speckle=declare, ground=ground)
+    formats = tuple(dict.fromkeys(formats))
+    on_ground = [one.title for one in map(registry.get, formats) if one.on_ground]
+    ground = Ground.of(scene, stage) if on_ground else None
+    if on_ground and ground is None:
+        console.say(f"note: [scene] has no origin, so {' and '.join(on_ground)} is in slant range alone")
+    output = Output(out, made.seed, looks, formats, exr_speckle=declare, ground=ground)
     entries, found = _written_views(made, output, ranks)
     content = {
         "rays_per_m2": made.density,

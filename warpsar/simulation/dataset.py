@@ -1,16 +1,11 @@
-"""Simulated views through xarray (extra `xarray`): all of them as one data set, NetCDF and Zarr."""
+"""Simulated views as one data set of xarray (extra `xarray`)."""
 
 from __future__ import annotations
 
-import os
-import shutil
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from uuid import uuid4
 
 from warpsar.errors import InputError
-from warpsar.io.images import replacing
 from warpsar.simulation.view import SimulatedView
 
 if TYPE_CHECKING:
@@ -40,24 +35,3 @@ def to_xarray(views: Sequence[SimulatedView]) -> xarray.Dataset:
         coordinates["component"] = ["east", "north", "up"]
     whole.attrs = {key: value for key, value in attributes.items() if key not in varying}
     return whole.assign_coords(coordinates)
-
-
-def write_netcdf(path: Path, view: SimulatedView) -> None:
-    """NetCDF-4, deflated, through h5netcdf; whole or not at all."""
-    data = view.to_xarray()
-    packed = {name: {"zlib": True, "complevel": 4} for name in data.data_vars}
-    with replacing(path) as temporary:
-        data.to_netcdf(temporary, engine="h5netcdf", encoding=packed)
-
-
-def write_zarr(path: Path, view: SimulatedView) -> None:
-    """A Zarr store: a folder, which takes the place of one that was there when it is whole."""
-    temporary = path.with_name(f".{uuid4().hex}{path.suffix}")
-    try:
-        # version 2 of the format: version 3 has no specification for texts, such as the polarizations
-        view.to_xarray().to_zarr(temporary, mode="w", zarr_format=2, consolidated=True)
-        if path.exists():
-            shutil.rmtree(path)
-        os.replace(temporary, path)
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)

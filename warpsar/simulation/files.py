@@ -2,43 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from warpsar.errors import InputError
-from warpsar.io.geotiff import write_cog
-from warpsar.io.images import write_exr
 from warpsar.io.quick_look import QuickLook
 from warpsar.runtime.busy import busy
-from warpsar.simulation.dataset import write_netcdf, write_zarr
+from warpsar.simulation.formats import registry
 from warpsar.simulation.ground import Ground
 from warpsar.simulation.speckle import speckled, suffix
 from warpsar.simulation.view import SimulatedView
-
-FORMATS = ("exr", "geotiff", "netcdf", "zarr")
-NEEDS = {"geotiff": ("rasterio",), "netcdf": ("xarray", "h5netcdf"), "zarr": ("xarray", "zarr")}
-"""Libraries of a format, which its extra brings."""
 
 
 def refuse_formats(formats: Sequence[str]) -> None:
     """Raise InputError where a library that a format needs is not there, before any work."""
     for name in formats:
-        for library in NEEDS.get(name, ()):
-            if find_spec(library) is None:
-                extra = "geo" if library == "rasterio" else "xarray"
-                raise InputError(f'--format {name}: needs {library}: pip install "warpsar[{extra}]"')
+        if (extra := registry.get(name).extra) is not None:
+            extra.require(f"--format {name}:")
 
 
 @dataclass(frozen=True)
 class Output:
     """What is written of each view into the folder `out`; `seed` is that of the speckle.
 
-    `formats`: of `FORMATS`; `exr_speckle` writes EXR of a speckled image anyway. `ground`: where GeoTIFF lies on the
-    earth; without it only the slant-range one is written.
+    `formats`: names of them; `exr_speckle` writes EXR of a speckled image anyway. `ground`: where images on the
+    ground lie; without it none is written.
     """
 
     out: Path
@@ -84,37 +73,13 @@ class Output:
             formats = (*formats, "exr")
         files: dict[str, str] = {}
         for each in formats:
-            for what, file, write in self._parts(each, view, name):
+            for what, file, write in registry.get(each).parts(view, name, self.ground):
                 with busy(f"{view.name}: writing {file}"):
                     write(self.out / file)
                 if what and key == "speckled":
                     what = f"{key}_{what}"
                 files[what or (f"{key}_{each}" if key in files else key)] = file
         return files
-
-    def _parts(self, kind: str, view: SimulatedView, name: str) -> Iterator[tuple[str, str, Callable[[Path], None]]]:
-        """Files of one format: what each is ("" for the image itself), its name, and how it is written."""
-        extra = view.channels()
-        if kind == "netcdf":
-            yield "", f"{name}.nc", partial(write_netcdf, view=view)
-        elif kind == "zarr":
-            yield "", f"{name}.zarr", partial(write_zarr, view=view)
-        elif kind == "geotiff":
-            yield "", f"{name}.tif", partial(write_cog, bands=view.beta0, tags=view.metadata)
-            if extra:
-                yield "layers_geotiff", f"{name}_layers.tif", partial(write_cog, bands=extra, tags=view.metadata)
-            if self.ground is not None:
-                yield "ground", f"{name}_ground.tif", partial(self._write_ground, view=view, ground=self.ground)
-        else:
-            yield "", f"{name}.exr", partial(write_exr, channels=view.beta0, header=view.metadata)
-            if extra:
-                yield "layers", f"{name}_layers.exr", partial(write_exr, channels=extra, header=view.metadata)
-
-    def _write_ground(self, path: Path, view: SimulatedView, ground: Ground) -> None:
-        named = next(each for each in ground.scene.views if each.name == view.name)
-        bands, place = ground.project(named, view.beta0)
-        axes = "north up; slant range along range_axis and azimuth along azimuth_axis are projected onto the mesh"
-        write_cog(path, bands, {**view.metadata, "axes": axes}, place)
 
     def _with_speckle(self, view: SimulatedView, index: int, looks: float) -> SimulatedView:
         beta0 = {

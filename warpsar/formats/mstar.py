@@ -8,13 +8,14 @@ from pathlib import Path
 import numpy as np
 
 from warpsar.errors import InputError
-from warpsar.measured.data import Facts, ImageChip, reading
+from warpsar.formats.base.data import Facts, ImageChip, reading
+from warpsar.formats.base.format import Format, Stated
 
 MAGIC = b"[PhoenixHeaderVer"
 _END = b"[EndofPhoenixHeader]"
 
 
-def read(path: Path) -> ImageChip:
+def read(path: Path, stated: Stated) -> ImageChip:
     """The complex chip, upside down where the radar is at the bottom. The target's front is the world's north."""
     with reading(path, "MSTAR chip"):
         content = path.read_bytes()
@@ -72,3 +73,14 @@ def read(path: Path) -> ImageChip:
 def _turn(angle_deg: float) -> float:
     """An angle as -180 to 180 degrees: headers have 358.58 for -1.42."""
     return (angle_deg + 180.0) % 360.0 - 180.0
+
+
+FORMAT = Format(
+    "mstar",
+    "MSTAR Phoenix chip",
+    "`[PhoenixHeaderVer`",
+    "complex chip, upside down so that the radar is on top; the target's front is north; its roll and pitch, for the "
+    "only object with a mesh",
+    read,
+    detect=lambda path, head: MAGIC in head,
+)

@@ -13,8 +13,8 @@ from typing import Literal, Protocol
 import numpy as np
 
 from warpsar.errors import InputError
-from warpsar.measured.declared import Declared
-from warpsar.measured.earth import EarthFrame, axes_at
+from warpsar.formats.base.declared import Declared
+from warpsar.world.earth import EarthFrame, axes_at
 from warpsar.world.frame import SPEED_OF_LIGHT
 
 Quantity = Literal["complex", "amplitude", "power"]

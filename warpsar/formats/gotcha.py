@@ -13,15 +13,15 @@ from scipy.io import loadmat
 from scipy.io.matlab import MatReadError
 
 from warpsar.errors import InputError
-from warpsar.measured import mat5
-from warpsar.measured.data import PhaseHistory, reading
+from warpsar.formats.base import mat5
+from warpsar.formats.base.data import PhaseHistory, reading
+from warpsar.formats.base.format import Format, Stated
 
 _FREQUENCY_MISFIT = 0.1  # of a step: float32 frequencies of 10 GHz are rounded to 1 kHz, 0.001 of Gotcha's step
 
 
-def read(paths: Sequence[Path]) -> PhaseHistory:
-    """One or several files of one collection, their pulses one after the other."""
-    parts = [_read_one(path) for path in paths]
+def join(parts: Sequence[PhaseHistory]) -> PhaseHistory:
+    """Files of one collection, their pulses one after the other."""
     first = parts[0]
     for part in parts[1:]:
         if part.samples.shape[0] != first.samples.shape[0]:
@@ -51,7 +51,8 @@ def read(paths: Sequence[Path]) -> PhaseHistory:
     )
 
 
-def _read_one(path: Path) -> PhaseHistory:
+def read(path: Path, stated: Stated) -> PhaseHistory:
+    """One file: what it holds is in the world's metres."""
     mat5.check(path)
     with reading(path, "MATLAB file", MatReadError), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of variables that are there twice, or hold functions
@@ -101,3 +102,14 @@ def _read_one(path: Path) -> PhaseHistory:
         autofocus_range_m=correction[0],
         autofocus_phase=correction[1],
     )
+
+
+FORMAT = Format(
+    "gotcha",
+    "AFRL .mat",
+    "MATLAB 5 header",
+    "phase history (Gotcha and kin), several files as one aperture; polarization from the file name (`..._HH.mat`)",
+    read,
+    detect=lambda path, head: head.startswith(b"MATLAB 5.0 MAT-file"),
+    join=join,
+)

@@ -10,6 +10,8 @@ import numpy as np
 
 from warpsar.errors import InputError
 
+WGS84 = "EPSG:4326"
+"""Longitude and latitude, as rasterio knows them."""
 _A = 6378137.0  # [m], WGS 84 semi-major axis
 _E2 = 6.69437999014e-3  # first eccentricity squared
 

@@ -11,13 +11,15 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from warpsar.errors import InputError
-from warpsar.measured.data import Facts, ImageChip, direction_deg, reading
-from warpsar.measured.earth import EarthFrame, needed
+from warpsar.formats.base.data import Facts, ImageChip, direction_deg, reading
+from warpsar.formats.base.extra import Extra
+from warpsar.formats.base.format import Format, Stated
+from warpsar.world.earth import needed
 
 if TYPE_CHECKING:
     import h5py
 
-MAGIC = b"\x89HDF\r\n\x1a\n"
+EXTRA = Extra("hdf5", ("h5py",))
 LARGEST_AXIS = 2**24
 """Bound of times, of ranges, and of the orbit's numbers."""
 LARGEST_CHUNK = 2**26
@@ -43,18 +45,17 @@ class _Window:
             return np.asarray(raw, np.complex64)
 
 
-def read(path: Path, polarization: str | None, frame: EarthFrame | None) -> ImageChip:
+def read(path: Path, stated: Stated) -> ImageChip:
     """The image, placed by its orbit: rows are zero-Doppler time, columns slant range.
 
-    `frame` says where the world lies on the earth (a mesh that is a DEM, or an origin given by the user): the file does
-    not fix it. Raises InputError without it.
+    The frame says where the world lies on the earth (a mesh that is a DEM, or an origin given by the user): the file
+    does not fix it. Raises InputError without it.
     """
-    try:
-        import h5py
-    except ImportError as error:
-        raise InputError(f'{path}: HDF5 needs h5py: pip install "warpsar[hdf5]"') from error
+    EXTRA.require(f"{path}: HDF5")
+    import h5py
+
     with reading(path, "HDF5 file"), h5py.File(path) as file:
-        swath = _Swath.read(path, file, polarization)
+        swath = _Swath.read(path, file, stated.polarization)
     times, ranges, track = swath.times, swath.ranges, swath.track
     if swath.shape != (times.size, ranges.size) or min(swath.shape) < 2:
         raise InputError(
@@ -63,7 +64,7 @@ def read(path: Path, polarization: str | None, frame: EarthFrame | None) -> Imag
     time_step, range_step = (float(axis[-1] - axis[0]) / (axis.size - 1) for axis in (times, ranges))
     if time_step == 0.0 or range_step == 0.0 or not (track.velocity**2).sum(-1).min() > 0.0:
         raise InputError(f"{path}: times, ranges and positions must change along their axes, but do not")
-    world = needed(frame, path)
+    world = needed(stated.frame, path)
 
     def locate(points_m: np.ndarray) -> np.ndarray:
         time, distance = track.abeam(world.to_ecef(points_m), times[times.size // 2], 1e-3 * abs(time_step))
@@ -218,3 +219,14 @@ def _image(path: Path, file: h5py.File, swaths: str, wanted: str | None) -> tupl
         if len(fitting) > 1:
             raise InputError(f"{path}: several polarizations ({', '.join(found)}); choose one with --polarization")
     raise InputError(f"{path}: no image of polarization {wanted or 'HH, HV, VH or VV'} under {swaths}")
+
+
+FORMAT = Format(
+    "nisar",
+    "NISAR-style HDF5",
+    "HDF5 signature",
+    "single-look complex image, placed by orbit and zero Doppler",
+    read,
+    detect=lambda path, head: head.startswith(b"\x89HDF\r\n\x1a\n"),
+    extra=EXTRA,
+)

@@ -9,16 +9,24 @@ from pathlib import Path
 import numpy as np
 
 from warpsar.errors import InputError
+from warpsar.formats.base.data import ImageChip
+from warpsar.formats.base.format import Format, Stated
+from warpsar.formats.base.pictures import ASKS, SLANT_PLANE, in_slant_plane
 from warpsar.io.images import LARGEST_IMAGE
 
-SUFFIXES = (".jpg", ".jpeg")
 TOP = 255.0
 """The largest level: a pixel that has it measured at least as much."""
 _MOST_PER_BYTE = 2048  # pixels: a block of 64 takes half a bit at the least
 _ERRORS = (OSError, SyntaxError, ValueError, EOFError, LookupError, struct.error)
 
 
-def read(path: Path) -> tuple[np.ndarray, float]:
+def read(path: Path, stated: Stated) -> ImageChip:
+    """The picture, clipped at the top level, with what rounding may leave."""
+    samples, error = levels(path)
+    return in_slant_plane(path, samples, stated, top=TOP, error=error)
+
+
+def levels(path: Path) -> tuple[np.ndarray, float]:
     """Grey levels, shape (rows, cols), float32, and the error that rounding may leave in one of them, rms.
 
     A block's 64 cosine coefficients are rounded to multiples of q, the file's quantisation table (ISO/IEC 10918-1,
@@ -41,3 +49,14 @@ def read(path: Path) -> tuple[np.ndarray, float]:
         return np.asarray(picture, np.float32), float(np.sqrt((steps**2).mean() / 12.0))
     except _ERRORS as error:
         raise InputError(f"{path}: cannot be read as a JPEG ({error})") from error
+
+
+FORMAT = Format(
+    "jpeg",
+    "JPEG",
+    "`ff d8 ff`",
+    f"{SLANT_PLANE}; 8 bits of amplitude, one level per pixel",
+    read,
+    detect=lambda path, head: head.startswith(b"\xff\xd8\xff"),
+    asks=ASKS,
+)

@@ -7,9 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from warpsar.measured.earth import EarthFrame, Origin, axes_at, ecef_to_geodetic
-from warpsar.measured.placed import frame_of
-from warpsar.world.world import World
+from warpsar.world.earth import EarthFrame, Origin, axes_at, ecef_to_geodetic
 
 F64 = NDArray[np.float64]
 
@@ -21,10 +19,6 @@ class Site:
     reference_m: F64
     """(3,), world."""
     frame: EarthFrame | None
-
-    @classmethod
-    def of(cls, world: World) -> Site:
-        return cls(np.asarray(world.reference_point_m, np.float64), frame_of(world))
 
     def about(self, world_m: F64) -> F64:
         """World points (..., 3) [m] about the reference point; on the ellipsoid, as `warpsar import` places them."""

@@ -8,7 +8,7 @@ import zlib
 from pathlib import Path
 
 from warpsar.errors import InputError
-from warpsar.measured.data import reading
+from warpsar.formats.base.data import reading
 
 DEEPEST = 16
 """Levels of cells and structures inside each other."""
