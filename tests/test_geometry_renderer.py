@@ -88,7 +88,7 @@ def numbers(render: Renderer) -> dict[tuple[str, tuple[int, ...]], float]:
     for name, parameter in render.moves.parameters.items():
         for at in np.ndindex(parameter.shape):
             if not (name.endswith("size_m") and parameter.value[at] == 0.0):
-                found[name, at] = STEPS.get(name.partition(".")[2], STEP_M)
+                found[name, at] = STEPS.get(name.rpartition(".")[2], STEP_M)
     return found
 
 

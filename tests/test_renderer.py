@@ -164,6 +164,20 @@ def test_vertices_of_other_materials_have_no_gradient() -> None:
     assert not gradient[len(low[0]) :].any()
 
 
+def test_values_of_an_effect_on_each_material_have_derivatives() -> None:
+    """They stand behind the effect's other parameters, one for each of the mesh's materials. Within 1 %, as float32
+    images leave of a difference of two sums of 880 pixels."""
+    share = {"lawn": 0.5, "block": 2.0}
+    render = warpsar.renderer(uniform(unresolved_detail={"level": 0.05, "spread_m": 1.0, "share": share}), device="cpu")
+    weights, values = cotangents(render), render.values
+    gradient = render.vjp(values, weights)
+    for material in share:
+        name = f"effects.unresolved_detail.share[{material}]"
+        expected = difference(render, values, name, np.array(0.1), weights) / 0.1
+        assert abs(expected) > 1e-3
+        assert float(gradient[name]) == pytest.approx(expected, rel=1e-2)
+
+
 def test_several_calls_do_not_disturb_each_other(of: Any) -> None:
     render = of("uniform", "cpu")
     weights, values = cotangents(render), moved(render)

@@ -49,9 +49,11 @@ def render_parameters(
     for name, one in scene.parameters.items():
         place: dict[str, Any] = {}
         if one.root == "effects":
-            names = [its.name for its in get(one.owner).parameters]
             its = get(one.owner).parameter(one.key)
-            place = {"index": names.index(one.key), "zero_sum": its.zero_sum}
+            index = get(one.owner).parameters.index(its)
+            if its.per_material:  # it stands last, with a value for each of the mesh's materials
+                index += scene.mesh.materials.index(str(one.entry))
+            place = {"index": index, "zero_sum": its.zero_sum}
         elif one.layout == "table" and one.freed:
             assert tables is not None
             place = {"column": _column(surface, tables, one, scene)}
