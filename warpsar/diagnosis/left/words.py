@@ -78,7 +78,7 @@ def sentences(left: Left) -> list[str]:
     """All of it; one sentence where nothing has to be explained."""
     if not left.unexplained:
         return [
-            "What is left has not to be explained: speckle alone leaves as much.",
+            "What is left needs no explanation: speckle alone leaves as much.",
             *_clipped(left),
         ]
     said = [first_sentence(left)]
