@@ -348,7 +348,7 @@ def test_all_rows_are_found_in_the_dark_too(tmp_path: Path) -> None:
     assert after["dark_modelled"] == pytest.approx(after["dark_measured"], rel=0.05)
     (step,) = content["steps"]
     assert step["signature"]["outcome"] == "confirmed"
-    assert content["left_at_the_end"]["description"]["sentences"][0].startswith("What is left has not to be explained")
+    assert content["left_at_the_end"]["description"]["sentences"][0].startswith("What is left needs no explanation")
 
 
 def test_rows_that_remain_in_the_dark_raise_the_alarm(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
