@@ -257,6 +257,16 @@ def test_jax_gradients_to_poses() -> None:
     np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-3 * np.abs(expected).max())
 
 
+@pytest.mark.parametrize("free", [{"side_curvature": 0.0}, {"heading_deg": 360.0}])
+def test_a_number_at_its_bound_has_a_gradient(free: dict[str, Any]) -> None:
+    """The difference of vertices steps over the bound, where the body is as sound as on it."""
+    ((key, value),) = free.items()
+    render = warpsar.renderer(with_object({**CAR, **free, "learn": (key.removesuffix("_deg"),)}), device="cpu")
+    name = f"objects.{CAR.get('name') or 'car'}.{key}"
+    assert render.parameters[name].value == value
+    assert np.isfinite(render.vjp(None, render())[name])
+
+
 # ---- what is refused ----
 
 

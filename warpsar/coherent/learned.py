@@ -15,14 +15,16 @@ from warpsar.coherent.rough_models import kind_of
 from warpsar.errors import InputError
 from warpsar.parameters.at import at
 from warpsar.parameters.parameter import Parameter
+from warpsar.parameters.tree import POSE as POSE_WORDS
 from warpsar.parameters.tree import Parameters
 from warpsar.world.objects.pose import rotation
+from warpsar.world.objects.table import KEYS
 from warpsar.world.tables import Material
 from warpsar.world.world import World
 
 WHOLE = "pose"
 """The owner of a pose that moves all that there is."""
-POSE = ("position_m", "heading_deg", "pitch_deg", "roll_deg")
+POSE = tuple(KEYS[word] for word in POSE_WORDS)
 _STEP_DEG = 1e-3
 """Of a central difference of vertices in an angle: its error is a 2e-11 of the slope, its rounding 1e-11."""
 
@@ -112,8 +114,6 @@ def _vertices(scene: World) -> Learned:
 def _material(scene: World, name: str, key: str) -> Learned:
     material, where = scene.materials[name], f"parameters: materials.{name}.{key}"
     value = getattr(material, key)
-    if name not in scene.mesh.materials:
-        raise InputError(f"{where}: no face has this material")
     if key == "eps_r" and material.conductor and material.thickness_m is None:
         raise InputError(f"{where}: a conductor does not depend on it; it has no derivative")
     if key in ("rms_height_m", "correlation_length_m") and material.rms_height_m == 0.0:

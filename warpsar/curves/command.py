@@ -122,7 +122,7 @@ def learned(scene: Scene, cache: Path, device: str | None = None) -> LearnedCurv
     wanted = [
         one.owner
         for one in scene.parameters.values()
-        if one.key == "eps_r" and one.freed and not scene.materials[one.owner].conductor
+        if one.key == "eps_r" and one.freed and one.layout == "number" and not scene.materials[one.owner].conductor
     ]
     if not wanted:
         raise InputError(

@@ -89,7 +89,7 @@ class Derivatives:
         parameter's shape and unit (per unit of beta0). The adjoint is exact, computed in float32. Raises InputError as
         a call does, for cotangents that fit no image, and for a declared value at which no derivative can be taken.
         """
-        given = self.checked({**self.values, **self.checked(values)})
+        given = self.checked({**self.values, **(values or {})})
         self.place(given)
         seeds = self._seeds(cotangents)
         self._run(given, gradient=True)
@@ -114,7 +114,7 @@ class Derivatives:
         of it float32 rounding. Raises InputError as a call does, for tangents that are all 0, and where a step would
         leave what a parameter may be: there it cannot be taken.
         """
-        given = self.checked({**self.values, **self.checked(values)})
+        given = self.checked({**self.values, **(values or {})})
         moves = {self.known(name): self._tangent(self.known(name), tangent) for name, tangent in tangents.items()}
         largest = max((self._size(name, given, move) for name, move in moves.items()), default=0.0)
         if not 0.0 < largest < np.inf:

@@ -17,10 +17,11 @@ W = TypeVar("W", bound=World)
 
 
 def at(world: W, values: Mapping[Parameter, Any]) -> W:
-    """The scene with these values, checked; what is left out stays.
+    """The scene with these values, of the parameters' shapes; what is left out stays.
 
-    Raises InputError for a value that a parameter may not have, for a size of 0 that would become another or another
-    that would become 0, and for columns of a table, which stand in a file.
+    Bounds are not asked here, because a difference may step over one (`Parameter.checked` asks them, and
+    `Scene.with_values`). Raises InputError for a size of 0 that would become another or another that would become 0,
+    and for columns of a table, which stand in a file.
     """
     given = {parameter: _plain(parameter, value) for parameter, value in values.items()}
     objects = list(world.objects)
@@ -58,16 +59,17 @@ def _set(changed: dict[str, Any], parameter: Parameter, new: Any) -> None:
     elif parameter.root == "materials":
         material = changed["materials"][owner]
         if parameter.layout == "vertex":
-            mesh = changed["mesh"]
-            scalars = {**mesh.vertex_scalars, getattr(material, key): new}
-            changed["mesh"] = replace(mesh, vertex_scalars=scalars)
+            mesh, name = changed["mesh"], getattr(material, key)
+            whole = mesh.vertex_scalars[name].copy()  # which other materials may name, too
+            whole[parameter.used] = new[parameter.used]
+            changed["mesh"] = replace(mesh, vertex_scalars={**mesh.vertex_scalars, name: whole})
         else:
             changed["materials"][owner] = _covered(material, parameter, new)
 
 
 def _plain(parameter: Parameter, value: Any) -> Any:
-    """The value, checked: a float, a tuple, or an array of a field and of vertices."""
-    given = parameter.checked(value)
+    """The value as the tables hold it: a float, a tuple, or an array of a field and of vertices."""
+    given = np.asarray(value, float)
     if parameter.key == "size_m" and ((given == 0.0) != (parameter.value == 0.0)).any():
         raise InputError(
             f"{parameter.name}: found {given.tolist()}; a size of 0 must stay 0, and no other may become 0"

@@ -66,10 +66,7 @@ class Parameter:
     @property
     def old_name(self) -> str:
         """What it was called before there was one tree."""
-        if self.root == "mesh":
-            return self.key
-        entry = "" if self.entry is None else f"[{self.entry}]"
-        return f"{self.owner}.{self.key}{entry}"
+        return self.name.partition(".")[2]
 
     @cached_property
     def value(self) -> NDArray[np.float64]:

@@ -185,8 +185,8 @@ def _of_effects(world: World) -> Iterator[Parameter]:
 def _of_objects(world: World) -> Iterator[Parameter]:
     for one in world.objects:
         for word, key in KEYS.items():
-            of_kind = {"size": one.size_m is not None, "heading": not one.round}
-            of_kind |= dict.fromkeys(("cabin", "side_curvature"), one.primitive in VEHICLES)
+            vehicle = one.primitive in VEHICLES
+            of_kind = {"size": one.size_m is not None, "cabin": vehicle, "side_curvature": vehicle}
             if not of_kind.get(word, True):
                 continue
             values = object_values(one, word)

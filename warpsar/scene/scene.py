@@ -72,7 +72,8 @@ class Scene(World):
                 raise InputError(
                     f"{name}: found no such parameter; must be one of Scene.parameters ({', '.join(near)}, ...)"
                 )
-        return at(self, {self.parameters[name]: value for name, value in values.items()})
+        given = {self.parameters[name]: value for name, value in values.items()}
+        return at(self, {parameter: parameter.checked(value) for parameter, value in given.items()})
 
     @classmethod
     def load(cls, path: str | Path) -> Scene:
