@@ -38,7 +38,7 @@ from warpsar.collection.bodies import Bodies
 from warpsar.collection.command import load_kernels
 from warpsar.collection.direct import direct_of_rough
 from warpsar.collection.plan import Plan, plan_of
-from warpsar.collection.scatterers import Part, Scatterers, body_of, scatterers_of, spacing_m, total_weight
+from warpsar.collection.scatterers import ScattererPart, Scatterers, body_of, scatterers_of, spacing_m, total_weight
 from warpsar.collection.slc import Slc, focused
 from warpsar.formats import sicd
 from warpsar.io.images import write_exr
@@ -83,7 +83,7 @@ def points(plan: Plan, count: int, side_m: float) -> Scatterers:
     random = np.random.default_rng(0)
     place = random.uniform(-side_m / 2, side_m / 2, (count, 3)) * [1.0, 1.0, 0.0]
     amplitude = random.standard_normal((1, count, 2), dtype=np.float32).view(np.complex64)[..., 0]
-    return Scatterers((Part(place, amplitude, np.ones(len(plan.track), np.float32)),), 0.0)
+    return Scatterers((ScattererPart(place, amplitude, np.ones(len(plan.track), np.float32)),), 0.0)
 
 
 def deposit(device: wp.Device, small: bool) -> dict[str, Any]:

@@ -32,10 +32,10 @@ from limits import Model, NoiseFree
 from limits_withdrawn import HeldViews
 
 from warpsar.compare.observation import Observation
-from warpsar.diagnosis.dark.said import Dark
+from warpsar.diagnosis.dark.evidence import Dark
 from warpsar.diagnosis.scores.bootstrap import Bootstrap, bootstrap
 from warpsar.diagnosis.scores.evidence import LARGEST, Evidence
-from warpsar.diagnosis.scores.score import Group, Projection, minus_log_p
+from warpsar.diagnosis.scores.score import TangentProjection, TemplateGroup, minus_log_p
 from warpsar.effects.registry import get, names
 from warpsar.speckle.scan import Scan
 from warpsar.speckle.tail import Tail
@@ -172,8 +172,8 @@ class Turn:
 
     base: Model
     evidence: Evidence
-    projection: Projection
-    groups: list[Group]
+    projection: TangentProjection
+    groups: list[TemplateGroup]
     tail: Tail
 
     @classmethod

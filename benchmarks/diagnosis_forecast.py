@@ -24,7 +24,7 @@ from diagnosis_time import in_own_processes
 
 from warpsar.diagnosis import command
 from warpsar.diagnosis.search import procedure
-from warpsar.diagnosis.search.forecast import Forecast
+from warpsar.diagnosis.search.forecast import DiagnosisForecast
 from warpsar.runtime import devices, threads
 
 FOLDER = click.Path(file_okay=False, path_type=Path)
@@ -33,10 +33,10 @@ out_option = click.option("-o", "--out", default="out/diagnosis_forecast", show_
 
 def one_case(case: Path, out: Path, device: str) -> dict[str, Any]:
     """Diagnose a case in this process; times count from when they are announced."""
-    announced: list[tuple[Forecast, float]] = []
+    announced: list[tuple[DiagnosisForecast, float]] = []
     forecast = procedure.forecast
 
-    def kept(*given: Any) -> Forecast | None:
+    def kept(*given: Any) -> DiagnosisForecast | None:
         found = forecast(*given)
         if found is not None:
             announced.append((found, time.perf_counter()))

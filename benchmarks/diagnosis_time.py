@@ -37,6 +37,9 @@ PHASES: dict[str, list[tuple[Any, str]]] = {
     "candidates": [
         (loop, "refits"),
         (loop, "add_the_best"),
+        (loop, "screened_sensor"),
+        (loop, "screened_bodies"),
+        (loop, "sensor_candidates"),
         (loop, "geometry_candidates"),
         (loop, "add_the_likeliest"),
         (loop, "prune"),

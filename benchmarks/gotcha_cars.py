@@ -222,7 +222,7 @@ class Window:
         x = np.array(problem.x0, float)
         x[0] = log_height
         if log_share is not None:
-            at = [c.material for c in problem.effect_coordinates].index(material)
+            at = [c.entry for c in problem.effect_coordinates].index(material)
             x[problem.learned.size + at] = log_share
         (image,) = problem.modelled(x)
         return image.reshape(ROWS, COLS)[self.part]

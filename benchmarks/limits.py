@@ -16,12 +16,12 @@ import warp as wp
 from scipy.ndimage import gaussian_filter
 
 from warpsar.compare.observation import Observation
-from warpsar.diagnosis.models.bench import Bench
+from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.frozen import frozen
 from warpsar.diagnosis.models.left_out import BLOCK, clipped
 from warpsar.diagnosis.models.refit import descend
 from warpsar.diagnosis.scores.evidence import LARGEST, Evidence
-from warpsar.diagnosis.scores.score import Group, Projection, group
+from warpsar.diagnosis.scores.score import TangentProjection, TemplateGroup, group
 from warpsar.diagnosis.scores.templates import TemplateMaker, with_effect
 from warpsar.effects.registry import names
 from warpsar.io.images import write_tiff
@@ -68,16 +68,16 @@ class Model:
     labels: list[str]
 
     @classmethod
-    def of(cls, bench: Bench, scene: Scene, x: np.ndarray | None = None) -> Model:
+    def of(cls, setup: FitSetup, scene: Scene, x: np.ndarray | None = None) -> Model:
         """The scene's model, as declared or at `x` of its fit problem."""
-        problem = bench.problem(scene, dark=False)
+        problem = setup.problem(scene, dark=False)
         scene = scene if x is None else learned_scene(problem, x)
-        problem = bench.problem(scene, dark=False)
+        problem = setup.problem(scene, dark=False)
         mu = np.concatenate(problem.modelled_as_declared())
         jacobian = np.concatenate(problem.jacobian(np.clip(problem.x0, *problem.bounds)))
         low, high = problem.bounds
         jacobian[:, (problem.x0 < low + AT_BOUND) | (problem.x0 > high - AT_BOUND)] = 0.0
-        zero_sums = {(c.effect, c.parameter.name) for c in problem.effect_coordinates if c.parameter.zero_sum}
+        zero_sums = {(c.effect, c.key) for c in problem.effect_coordinates if c.declared.zero_sum}
         size = problem.x0.size - len(zero_sums)
         return cls(scene, mu, jacobian, {name: _part(problem, name) for name in scene.effects}, size, problem.labels)
 
@@ -88,7 +88,7 @@ def _part(problem: FitProblem, effect: str) -> Part:
     own, floor = np.zeros(problem.x0.size, bool), np.full(problem.x0.size, -np.inf)
     own[[k for k, _ in mine]] = True
     # a level in log coordinates changes the image in proportion to itself: at -1 nothing of it is left
-    floor[[k for k, c in mine if c.parameter.scale == "log"]] = -1.0
+    floor[[k for k, c in mine if c.declared.scale == "log"]] = -1.0
     views = tuple(dict.fromkeys(c.view for _, c in mine if c.view is not None))
     return Part(own, floor, views if all(c.view is not None for _, c in mine) else None)
 
@@ -113,11 +113,11 @@ class NoiseFree:
             for polarization, image in v.render.images.items()
         }
         self.scene = _with_images(scene, {**ones, **images}, folder)
-        one, two = (Bench(device, each, {}) for each in (rays, other))
-        self.bench = replace(one, observations=frozen(one, two, self.scene))
+        one, two = (FitSetup(device, each, {}) for each in (rays, other))
+        self.setup = replace(one, observations=frozen(one, two, self.scene))
         self.effects = effects
-        self.truth = Model.of(self.bench, replace(self.scene, effects=truth.effects))
-        self.seen = [one for found in self.bench.observations.values() for one in found]
+        self.truth = Model.of(self.setup, replace(self.scene, effects=truth.effects))
+        self.seen = [one for found in self.setup.observations.values() for one in found]
         self.ends = np.cumsum([one.count for one in self.seen])
 
     def split(self, pixels: np.ndarray) -> list[np.ndarray]:
@@ -154,14 +154,14 @@ class NoiseFree:
 
     def _best(self, scene: Scene, further: int) -> Model:
         """Descended again from where it arrived, until that brings nothing: the valleys are long and flat."""
-        problem = self.bench.problem(scene, dark=False)
+        problem = self.setup.problem(scene, dark=False)
         x, loss, _ = descend(problem, [begin(problem, k, 7).x for k in range(further + 1)])
         for _ in range(AGAIN):
             x, now, _ = descend(problem, [x])
             if now > loss - ARRIVED:
                 break
             loss = now
-        return Model.of(self.bench, scene, x)
+        return Model.of(self.setup, scene, x)
 
     def evidence(self, base: Model, autocovariance: np.ndarray, looks: float = FIT_LOOKS) -> Evidence:
         """What `base` leaves of the noise-free images, as if they had `looks`."""
@@ -172,12 +172,14 @@ class NoiseFree:
         silent = [np.zeros(one.interior.shape) for one in seen]
         return Evidence(seen, self.split(base.mu), standardised, roots, autocovariance, silent)
 
-    def templates(self, base: Model, evidence: Evidence) -> tuple[TemplateMaker, Projection]:
+    def templates(self, base: Model, evidence: Evidence) -> tuple[TemplateMaker, TangentProjection]:
         """Of a turn about `base`."""
-        maker = TemplateMaker(base.scene, self.device, self.other, self.bench.observations, evidence.modelled)
-        return maker, Projection(maker.tangent(), evidence.root_looks)
+        maker = TemplateMaker(base.scene, self.device, self.other, self.setup.observations, evidence.modelled)
+        return maker, TangentProjection(maker.tangent(), evidence.root_looks)
 
-    def groups(self, name: str, maker: TemplateMaker, projection: Projection, evidence: Evidence) -> list[Group]:
+    def groups(
+        self, name: str, maker: TemplateMaker, projection: TangentProjection, evidence: Evidence
+    ) -> list[TemplateGroup]:
         """The templates of an effect, ready for residuals."""
         return group(maker.templates(name), projection, evidence)
 
@@ -229,8 +231,8 @@ def _explained(beta0: np.ndarray, looks: float, model: Model) -> np.ndarray:
 
 def inflation(noise_free: NoiseFree, model: Model, base: Model, evidence: Evidence) -> float:
     """Variance of the score beyond `base`, relative to white speckle: what correlated speckle multiplies gains by."""
-    basis = Projection(base.jacobian, np.ones(base.mu.size)).basis
-    extra = Projection(np.hstack([basis, model.jacobian]), np.ones(base.mu.size)).basis
+    basis = TangentProjection(base.jacobian, np.ones(base.mu.size)).basis
+    extra = TangentProjection(np.hstack([basis, model.jacobian]), np.ones(base.mu.size)).basis
     left = extra - basis @ (basis.T @ extra)
     left, strength, _ = np.linalg.svd(left, full_matrices=False)
     left = left[:, strength > 0.5]  # orthonormal in all but rounding

@@ -13,7 +13,7 @@ import numpy as np
 from limits import Model, NoiseFree, covariance_sum, step_of
 
 from warpsar.compare.observation import Observation
-from warpsar.diagnosis.models.bench import Bench
+from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.frozen import frozen
 from warpsar.scene.scene import Scene
 from warpsar.simulation.rays import Rays
@@ -33,18 +33,18 @@ class HeldViews:
 
     def __init__(self, noise_free: NoiseFree) -> None:
         self._noise_free = noise_free
-        scene, rays = turned(noise_free.scene), noise_free.bench.rays
+        scene, rays = turned(noise_free.scene), noise_free.setup.rays
         other = Rays(rays.stage, rays.rays_per_m2, rays.seed + 1)
-        one, two = (Bench(noise_free.device, each, {}) for each in (rays, other))
-        self._bench = replace(one, observations=frozen(one, two, scene))
-        self.seen = [one for found in self._bench.observations.values() for one in found]
+        one, two = (FitSetup(noise_free.device, each, {}) for each in (rays, other))
+        self._setup = replace(one, observations=frozen(one, two, scene))
+        self.seen = [one for found in self._setup.observations.values() for one in found]
 
     def of(self, model: Model) -> tuple[np.ndarray, np.ndarray]:
         """beta0 of the compared pixels, shape (n,), and d ln(beta0) / dx, (n, p), with x as the model has it.
 
         Numbers of train views change nothing here.
         """
-        problem = self._bench.problem(turned(model.scene), dark=False)
+        problem = self._setup.problem(turned(model.scene), dark=False)
         mu = np.concatenate(problem.modelled_as_declared())
         known = dict(zip(problem.labels, np.concatenate(problem.jacobian(problem.x0)).T, strict=True))
         nothing = np.zeros(mu.size)

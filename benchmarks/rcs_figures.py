@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import tables
+from rcs_curves import Work
 
 from warpsar.curves.metrics import decibels
-from warpsar.curves.observed import Observed
+from warpsar.curves.observed import ObservedCurve
 from warpsar.io import figures
-
-if TYPE_CHECKING:
-    from rcs import Work
 
 TITLES = {
     "pec_plate": "metal plate",
@@ -26,7 +24,7 @@ TITLES = {
 SHOWN_DB = 50.0
 
 
-def body(out: Path, work: Work, final: Sequence[Observed], predict: Callable[[Observed], Any]) -> None:
+def body(out: Path, work: Work, final: Sequence[ObservedCurve], predict: Callable[[ObservedCurve], Any]) -> None:
     """RCS against phi: measured, declared and final.
 
     A panel for each frequency and polarization of the first measurement.

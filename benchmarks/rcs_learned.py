@@ -12,30 +12,26 @@ from dataclasses import asdict, replace
 from itertools import product
 from multiprocessing import get_context
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import rcs_bodies as bodies
 from numpy.typing import NDArray
+from rcs_curves import LOBES_DEG, Work
 
 from warpsar.curves import metrics, sectors
 from warpsar.curves.amplitudes import amplitudes
 from warpsar.curves.noise import Noises, densities, fit
-from warpsar.curves.observed import Observed
+from warpsar.curves.observed import ObservedCurve
 from warpsar.curves.search import ask
 from warpsar.curves.shape import likelihood, on_grid, profiles
 from warpsar.world.frame import SPEED_OF_LIGHT
-
-if TYPE_CHECKING:
-    from rcs import Work
 
 LEARN_PER_DIRECTION = 3.0
 HUMP_DEG = 1.0
 """Half of the window over which power is averaged before that is asked."""
 HUMP_DB = 3.0
 """An excess over model and background, at one angle in every curve, that stands in the range and not on the body."""
-LOBES_DEG = 55.0
-"""Of the dielectric plate: beyond them the background is stronger."""
 
 
 def slab(eps: complex, thickness_m: float, frequency_hz: float, cos: NDArray[np.float64]) -> NDArray[np.complex128]:
@@ -46,7 +42,7 @@ def slab(eps: complex, thickness_m: float, frequency_hz: float, cos: NDArray[np.
     return face * (1.0 - turn) / (1.0 - face**2 * turn)
 
 
-def calibration(curves: Sequence[Observed], names: Sequence[str]) -> dict[str, Any]:
+def calibration(curves: Sequence[ObservedCurve], names: Sequence[str]) -> dict[str, Any]:
     """Measured over modelled power of the metal plate's main lobe [dB], by curve:
 
     What the calibration may be wrong by.
@@ -60,7 +56,9 @@ def calibration(curves: Sequence[Observed], names: Sequence[str]) -> dict[str, A
     return {"calibration_db": {"mean": float(np.mean(first)), "sd": float(np.std(first, ddof=1)), "curves": found}}
 
 
-def named(work: Work, curves: Sequence[Observed], predict: Callable[[Observed], NDArray[np.float64]]) -> dict[str, Any]:
+def named(
+    work: Work, curves: Sequence[ObservedCurve], predict: Callable[[ObservedCurve], NDArray[np.float64]]
+) -> dict[str, Any]:
     """What stays at one angle at all frequencies, in both polarizations:
 
     It is of the range, since what is of the body moves.
@@ -70,7 +68,7 @@ def named(work: Work, curves: Sequence[Observed], predict: Callable[[Observed], 
     mean = np.abs(grid[:, None] - grid) <= HUMP_DEG
     mean = mean / mean.sum(axis=1, keepdims=True)
 
-    def smoothed(one: Observed, power: NDArray[np.float64]) -> NDArray[np.float64]:
+    def smoothed(one: ObservedCurve, power: NDArray[np.float64]) -> NDArray[np.float64]:
         order = np.argsort(one.azimuth_deg)
         return metrics.decibels(mean @ np.interp(grid, one.azimuth_deg[order], power[order]))
 
@@ -121,7 +119,7 @@ def duct(work: Work, names: Sequence[str], cache: Path, device: str | None) -> t
     """Radius, length and offset of the duct by likelihood, from the train curves in the directions that see it."""
     pairs = [(file, one) for file, one in zip(work.files, work.curves, strict=True) if file.first]
 
-    def some(one: bodies.Duct, role: str) -> list[Observed]:
+    def some(one: bodies.Duct, role: str) -> list[ObservedCurve]:
         mesh = bodies.cylinder_box(one)
         found = []
         for file, given in pairs:
@@ -189,7 +187,7 @@ def replace_rows(file: Any, azimuth_deg: NDArray[np.float64]) -> Any:
     return replace(file, table=replace(table, **arrays, polarization=polarization))
 
 
-def dielectric(work: Work, metal: Mapping[str, Any]) -> tuple[dict[str, Any], list[Observed]]:
+def dielectric(work: Work, metal: Mapping[str, Any]) -> tuple[dict[str, Any], list[ObservedCurve]]:
     """Permittivity and thickness of the plate, from its lobes;
 
     The calibration is that of the metal plate, and as uncertain.
@@ -203,10 +201,10 @@ def dielectric(work: Work, metal: Mapping[str, Any]) -> tuple[dict[str, Any], li
     by_role = {role: [one for one in bare if one.role == role] for role in ("train", "test")}
     stated_eps, stated_m = 2.61, bodies.DIELECTRIC_THICKNESS_M
 
-    def at(one: Observed, product_mm: float, eps: float, gain_db: float) -> Observed:
+    def at(one: ObservedCurve, product_mm: float, eps: float, gain_db: float) -> ObservedCurve:
         return scaled(one, eps, product_mm * 1e-3 / (eps - 1.0), gain_db)
 
-    def score(curves: Sequence[Observed], noise: Noises, *values: float) -> float:
+    def score(curves: Sequence[ObservedCurve], noise: Noises, *values: float) -> float:
         moved = [at(one, *values) for one in curves]
         return 2.0 * sum(float(densities(o, o.amplitude(["model"]), noise[o.polarization]).sum()) for o in moved)
 
@@ -254,7 +252,7 @@ def dielectric(work: Work, metal: Mapping[str, Any]) -> tuple[dict[str, Any], li
     }, final
 
 
-def parts(one: Observed, eps: float) -> Observed:
+def parts(one: ObservedCurve, eps: float) -> ObservedCurve:
     """The learned plate's curve in the two terms:
 
     What physical optics has of it, and the polarization across the slab.
@@ -266,12 +264,12 @@ def parts(one: Observed, eps: float) -> Observed:
     return one.beside({"single": (1.0 - share) * whole, "normal": share * whole})
 
 
-def _own_gain(curves: Sequence[Observed], noise: Noises, score: Any, product_mm: float, eps: float) -> float:
+def _own_gain(curves: Sequence[ObservedCurve], noise: Noises, score: Any, product_mm: float, eps: float) -> float:
     gains = np.linspace(-1.0, 3.0, 81)
     return float(gains[int(np.argmax([score(curves, noise, product_mm, eps, gain) for gain in gains]))])
 
 
-def error(curves: Sequence[Observed], noise: Noises, at: Any, values: tuple[float, float, float]) -> float:
+def error(curves: Sequence[ObservedCurve], noise: Noises, at: Any, values: tuple[float, float, float]) -> float:
     """Mean abs(dB) of some curves within the lobes, the background counted."""
     found = []
     for one in curves:
@@ -280,7 +278,7 @@ def error(curves: Sequence[Observed], noise: Noises, at: Any, values: tuple[floa
     return float(np.mean(found))
 
 
-def scaled(one: Observed, eps: float, thickness_m: float, gain_db: float) -> Observed:
+def scaled(one: ObservedCurve, eps: float, thickness_m: float, gain_db: float) -> ObservedCurve:
     """The plate's curve with another slab, as the term `model`:
 
     The declared one in VV, times the ratio of reflections.

@@ -92,7 +92,7 @@ def learn(ranks: Any, device: Any, options: argparse.Namespace, folder: Path) ->
 
     whole(1)
     found: dict[str, Any] = {}
-    found["prepare_s"], problem = clock(lambda: FitProblem(scene, device, ranks=ranks))
+    found["prepare_s"], problem = clock(lambda: FitProblem(scene, device, shared=True))
     state = begin(problem, 0, 0)
     way = Adam if problem.shared_nodes is None else GraphAdam
     found["begin_s"], descent = clock(lambda: way(problem, state, 0.01))
@@ -194,10 +194,10 @@ def simulate(ranks: Any, device: Any, options: argparse.Namespace, folder: Path)
 
 
 def work(options: argparse.Namespace) -> None:
-    from warpsar.runtime import distributed
+    from warpsar.runtime.distributed.processes import join
 
     device = devices.resolve_device(options.device)
-    ranks = distributed.ranks(device)
+    ranks = join(device)
     folder = Path(options.folder)
     found: dict[str, Any] = {"ranks": ranks.size, "device": device.name}
     for name, task in (("learn", learn), ("simulate", simulate)):

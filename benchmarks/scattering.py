@@ -13,6 +13,7 @@ import argparse
 import json
 import time
 from collections.abc import Callable
+from functools import cache
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -21,64 +22,58 @@ import numpy as np
 import tables
 import warp as wp
 
-from warpsar.kernels import (
-    crossed_spline,
-    crossed_spline_lanes,
-    crossed_table,
-    crossed_table_lanes,
-    models,
-    models_lanes,
-    shade,
-    shade_lanes,
-)
-from warpsar.kernels.codes import Model, Polarization, Spectrum
-from warpsar.kernels.models import modelled
-from warpsar.kernels.scattering import sigma0
+from warpsar.kernels import crossed_spline, crossed_table
+from warpsar.kernels.codes import FRACTION_LIMIT, Polarization, Spectrum
+from warpsar.kernels.incidence_table import DOUBLE, SINGLE
+from warpsar.kernels.lane_kernels import LANES, at_once
+from warpsar.kernels.scatter import scatter_kernel, sigma0_of
+from warpsar.models.base.model import DEFAULT
 from warpsar.render.crossed_spline import table
 from warpsar.world.scattering_term import learned
 
-wp.set_module_options({"max_unroll": 1})
 FREQUENCY_HZ = 5.405e9  # the table has none; Dubois alone depends on it
 WAVENUMBER = 2 * np.pi * FREQUENCY_HZ / 299792458.0
 CHANNELS = ("VV", "HH", "HV")
 HITS = {"cpu": 2**20, "cuda": 2**24}  # of a pass: launches must not count
 ROUNDS = 4
-MODELS_TIMED = (Model.KA_SPM, Model.I2EM, Model.OH, Model.DUBOIS)
+MODELS_TIMED = ("ka_spm", "i2em", "oh", "dubois")
 SURFACES_TIMED = ((0.1, 1.0), (0.3, 3.0), (0.6, 5.0), (1.3, 10.0))  # kh, kl
 VARYING, BY_HIT = "HV, varying", "HV, hit by hit"
 CHANNELS_TIMED = {"HH": Polarization.HH, "HV": Polarization.HV, VARYING: Polarization.HV, BY_HIT: Polarization.HV}
 
 
-@wp.kernel(enable_backward=False)
-def surface_kernel(
-    model: int,
-    polarization: int,
-    wavenumber: wp.float64,
-    given: wp.array2d(dtype=wp.float64),
-    out: wp.array(dtype=wp.float64),
-):
-    """Rows of `given`: cos theta, eps', eps'', h, l, cos psi."""
-    i = wp.tid()
-    c, re, im = given[i, 0], given[i, 1], given[i, 2]
-    h, length, psi = given[i, 3], given[i, 4], given[i, 5]
-    if model == Model.KA_SPM:
+@cache
+def surface_kernel(model: str) -> wp.Kernel:
+    value_of = sigma0_of(model)
+
+    @wp.kernel(enable_backward=False, module="unique", module_options={"max_unroll": 1})
+    def surface_kernel(
+        polarization: int,
+        wavenumber: wp.float64,
+        given: wp.array2d(dtype=wp.float64),
+        out: wp.array(dtype=wp.float64),
+    ):
+        """Rows of `given`: cos theta, eps'', ln(eps' - 1), ln h, ln l, cos psi."""
+        i = wp.tid()
         zero = wp.float64(0.0)
-        out[i] = sigma0(
-            polarization, Spectrum.EXPONENTIAL, 0, wavenumber, c, psi, re, im, h, length, length, zero, zero
-        )
-    else:
-        found = modelled(model, polarization, Spectrum.EXPONENTIAL, wavenumber, c, psi, re, im, h, length)
-        out[i] = found[0]
+        one = wp.float64(1.0)
+        zeta = wp.vec4d(given[i, 2], given[i, 3], given[i, 4], -wp.float64(FRACTION_LIMIT))
+        psi = given[i, 5]
+        exponential = int(Spectrum.EXPONENTIAL)
+        out[i] = value_of(polarization, exponential, 0, wavenumber, given[i, 0], psi, zero, given[i, 1], one, zeta)
+
+    return surface_kernel
 
 
-def sigma0_db(model: Model, polarization: str, rows: np.ndarray) -> np.ndarray:
+def sigma0_db(model: str, polarization: str, rows: np.ndarray) -> np.ndarray:
     """sigma0 [dB] of the table's surfaces, (rows,); -inf where a model has none."""
     kh = 2 * np.pi * rows[:, 4]
-    columns = [np.cos(np.radians(rows[:, 0])), rows[:, 2], rows[:, 3], kh / WAVENUMBER, kh * rows[:, 1] / WAVENUMBER]
+    lengths = np.log(kh / WAVENUMBER), np.log(kh * rows[:, 1] / WAVENUMBER)
+    columns = [np.cos(np.radians(rows[:, 0])), rows[:, 3], np.log(rows[:, 2] - 1.0), *lengths]
     given = wp.array(np.stack([*columns, np.ones(len(rows))], axis=1), dtype=wp.float64, device="cpu")
     out = wp.zeros(len(rows), dtype=wp.float64, device="cpu")
-    inputs = [int(model), int(Polarization[polarization]), WAVENUMBER, given]
-    wp.launch(surface_kernel, len(rows), inputs=inputs, outputs=[out], device="cpu")
+    inputs = [int(Polarization[polarization]), WAVENUMBER, given]
+    wp.launch(surface_kernel(model), len(rows), inputs=inputs, outputs=[out], device="cpu")
     with np.errstate(divide="ignore"):
         return 10 * np.log10(out.numpy())
 
@@ -91,7 +86,7 @@ def read(path: Path) -> np.ndarray:
     return rows
 
 
-def against_one(rows: np.ndarray, model: Model, channel: str) -> np.ndarray:
+def against_one(rows: np.ndarray, model: str, channel: str) -> np.ndarray:
     """Model minus full wave [dB], (rows,), NaN where either has none."""
     modelled_db, truth = sigma0_db(model, channel, rows), rows[:, 5 + CHANNELS.index(channel)]
     known = np.isfinite(modelled_db) & np.isfinite(truth)
@@ -103,10 +98,10 @@ def against_one(rows: np.ndarray, model: Model, channel: str) -> np.ndarray:
 def against(rows: np.ndarray) -> dict[str, dict[str, np.ndarray]]:
     """By model and channel: model minus full wave [dB], (rows,), NaN where either has none."""
     found: dict[str, dict[str, np.ndarray]] = {}
-    for model in (Model.KA_SPM, Model.I2EM, Model.OH, Model.DUBOIS):
+    for model in ("ka_spm", "i2em", "oh", "dubois"):
         off = {channel: against_one(rows, model, channel) for channel in CHANNELS}
         off["VV-HH"] = off["VV"] - off["HH"]
-        found[model.name.lower()] = off
+        found[model] = off
     return found
 
 
@@ -165,13 +160,13 @@ def places_of(rows: np.ndarray) -> np.ndarray:
     return np.stack(columns, axis=1)
 
 
-def left_out(rows: np.ndarray, model: Model, group: np.ndarray) -> list[list[str]]:
+def left_out(rows: np.ndarray, model: str, group: np.ndarray) -> list[list[str]]:
     """A row for each value of `group`: error and expected error [dB] of surfaces of which the term has learned none."""
     places, off = places_of(rows), {c: -against_one(rows, model, c) for c in CHANNELS}
     made = []
     for value in np.unique(group):
         out = group == value
-        term = learned(model.name.lower(), places[~out], {c: one[~out] for c, one in off.items()})
+        term = learned(model, places[~out], {c: one[~out] for c, one in off.items()})
         cells = []
         for channel in CHANNELS:
             truth = off[channel][out]
@@ -191,12 +186,12 @@ def left_out(rows: np.ndarray, model: Model, group: np.ndarray) -> list[list[str
 def teach(path: Path, term_path: Path | None, write: bool) -> None:
     rows = read(path)
     bodies = {}
-    for model in (Model.KA_SPM, Model.I2EM):
+    for model in ("ka_spm", "i2em"):
         lines = [["l / h", *line] for line in left_out(rows, model, rows[:, 1])]
         lines += [["kh", *line] for line in left_out(rows, model, np.round(2 * np.pi * rows[:, 4], 2))]
-        bodies[f"left-out-{model.name.lower()}"] = tables.markdown(["left out", "value", *CHANNELS], lines)
+        bodies[f"left-out-{model}"] = tables.markdown(["left out", "value", *CHANNELS], lines)
     if term_path is not None:
-        off = {channel: -against_one(rows, Model.I2EM, channel) for channel in CHANNELS}
+        off = {channel: -against_one(rows, "i2em", channel) for channel in CHANNELS}
         learned("i2em", places_of(rows), off).save(term_path)
     _told(bodies, write)
 
@@ -235,9 +230,9 @@ def _arrays(device: str, kh: float, kl: float, spectrum: int) -> dict[str, Any]:
 
 def tables_of(a: dict[str, Any], device: str) -> tuple[list[wp.array], list[Any]]:
     """The two tables of HV, and the launches that make them for the one material."""
-    wave = wp.zeros((1, crossed_table.DOUBLE, crossed_table.WAVES), dtype=wp.vec4d, device=device)
-    once = wp.zeros((1, crossed_table.SINGLE), dtype=wp.vec4, device=device)
-    twice = wp.zeros((1, crossed_table.DOUBLE), dtype=wp.vec4, device=device)
+    wave = wp.zeros((1, DOUBLE, crossed_table.WAVES), dtype=wp.vec4d, device=device)
+    once = wp.zeros((1, SINGLE), dtype=wp.vec4, device=device)
+    twice = wp.zeros((1, DOUBLE), dtype=wp.vec4, device=device)
     own = wp.array(np.zeros((1, 2), np.int32), dtype=wp.vec2i, device=device)
     given = [wp.float64(200.0), own, a["spectrum"]]
     commands = [
@@ -251,7 +246,7 @@ def tables_of(a: dict[str, Any], device: str) -> tuple[list[wp.array], list[Any]
     return [once, twice], commands
 
 
-def launcher(model: Model, channel: str, a: dict[str, Any], device: str, *, slopes: bool) -> Callable[[], None]:
+def launcher(model: str, channel: str, a: dict[str, Any], device: str, *, slopes: bool) -> Callable[[], None]:
     """One pass over all hits, on the CPU by one thread.
 
     "HV" of i2em is that of a uniform material, whose tables are made again. The spline of "HV, varying" is made once.
@@ -262,31 +257,25 @@ def launcher(model: Model, channel: str, a: dict[str, Any], device: str, *, slop
     cpu, count = device == "cpu", hits_of(device)
     places = [a["face"], a["material"], a["cosine"], a["twist"]]
     out = [a["sigma"], a["slopes"] if slopes else a["none"]]
-    if model == Model.KA_SPM:
-        inputs = [polarization, 0, 200.0, 0, *places, a["azimuth"], a["spectrum"], a["loss"], a["aspect"], a["zeta"]]
-        kernel = shade_lanes.scatter_kernel if cpu else shade.scatter_slopes_kernel if slopes else shade.scatter_kernel
-        out = out if cpu or slopes else out[:1]
-        block = shade_lanes.HITS if cpu else 1
-    elif model == Model.I2EM and channel == "HV":
+    if model == "i2em" and channel == "HV":
         made, before = tables_of(a, device)
         inputs = [a["mine"], 0, *places, *made]
-        kernel, block = (crossed_table_lanes, crossed_table_lanes.HITS) if cpu else (crossed_table, 1)
-        kernel = kernel.scatter_kernel
-    elif model == Model.I2EM and channel == VARYING:
+        kernel = crossed_table.scatter_kernel(slopes)
+    elif model == "i2em" and channel == VARYING:
         made = table(((int(a["spectrum"].numpy()[0]), 1.0),), wp.get_device(device))
         row = wp.zeros(1, dtype=int, device=device)
         inputs = [a["mine"], 200.0, 0, *places, a["spectrum"], a["loss"], a["varying"], row, made]
-        kernel, block = crossed_spline_lanes.scatter_kernel, crossed_spline_lanes.HITS
+        kernel = crossed_spline.scatter_kernel(slopes, beyond=cpu)
         if not cpu:
-            kernel, block = crossed_spline.scatter_kernel(slopes), 1
             beyond = crossed_spline.beyond_kernel
             after = [wp.launch(beyond, count, inputs=inputs[:-2], outputs=out, device=device, record_cmd=True)]
     else:
-        inputs = [a["mine"], 200.0, 0, *places, a["spectrum"], a["loss"], a["zeta"]]
-        if cpu:
-            kernel, block, inputs = models_lanes.scatter_kernel, models_lanes.HITS, [int(model), polarization, *inputs]
-        else:
-            kernel, block = models.scatter_kernel(model, Polarization(polarization), slopes), 1
+        surface = [a[name] for name in ("azimuth", "spectrum", "loss", "aspect", "zeta")]
+        inputs = [a["mine"], polarization, 0, 200.0, 0, *places, *surface]
+        default = model == DEFAULT
+        fixed = None if cpu or default else Polarization(polarization)
+        kernel = scatter_kernel(model, slopes, fixed, some=not default)
+    kernel, block = (at_once(kernel), LANES) if cpu else (kernel, 1)
     command = wp.launch(kernel, count // block, inputs=inputs, outputs=out, device=device, record_cmd=True)
 
     def run() -> None:
@@ -309,12 +298,12 @@ def nanoseconds(run: Callable[[], None], device: str, seconds: float = 0.1) -> f
     return float(best / hits_of(device) * 1e9)
 
 
-def timed(device: str) -> dict[tuple[Spectrum, str, float, Model, bool], float]:
+def timed(device: str) -> dict[tuple[Spectrum, str, float, str, bool], float]:
     """Nanoseconds of a hit by spectrum, channel, kh, model and whether with slopes.
 
     The best of some rounds on a CPU: while other work disturbs one of them, it may not disturb the next.
     """
-    best: dict[tuple[Spectrum, str, float, Model, bool], float] = {}
+    best: dict[tuple[Spectrum, str, float, str, bool], float] = {}
     for _ in range(1 if wp.get_device(device).is_cuda else ROUNDS):
         for spectrum, (kh, kl) in product((Spectrum.GAUSSIAN, Spectrum.EXPONENTIAL), SURFACES_TIMED):
             arrays = _arrays(device, kh, kl, spectrum)
@@ -330,10 +319,10 @@ def speed(device: str, write: bool) -> None:
     for spectrum, channel, kh in dict.fromkeys(key[:3] for key in best):
         took = {(m, s): best[spectrum, channel, kh, m, s] for m in MODELS_TIMED for s in (False, True)}
         cells = [" / ".join(f"{took[model, slopes]:.3g}" for slopes in (False, True)) for model in MODELS_TIMED]
-        ratio = " / ".join(f"{took[Model.I2EM, s] / took[Model.KA_SPM, s]:.1f}" for s in (False, True))
+        ratio = " / ".join(f"{took['i2em', s] / took['ka_spm', s]:.1f}" for s in (False, True))
         rows.append([spectrum.name.lower(), channel, kh, *cells, ratio])
         found[f"{spectrum.name} {channel} {kh}"] = {
-            f"{m.name} {'slopes' if s else 'value'}": t for (m, s), t in took.items()
+            f"{m.upper()} {'slopes' if s else 'value'}": t for (m, s), t in took.items()
         }
     head = ["spectrum", "channel", "kh", "`ka_spm`", "`i2em`", "`oh`", "`dubois`", "`i2em` over `ka_spm`"]
     where = wp.get_device(device)

@@ -22,7 +22,7 @@ import tables
 import warp as wp
 
 from warpsar.kernels.codes import Polarization, Spectrum
-from warpsar.kernels.i2em import i2em_single
+from warpsar.kernels.models.i2em import i2em_single
 
 wp.set_module_options({"max_unroll": 1})
 FREQUENCY_HZ = 5.405e9

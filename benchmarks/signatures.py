@@ -19,7 +19,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import diagnosis_rates as rates
 
-from warpsar.diagnosis.models.bench import Bench
+from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.frozen import frozen
 from warpsar.diagnosis.models.refit import Fitted
 from warpsar.diagnosis.scores.templates import with_effect
@@ -44,13 +44,13 @@ def one_draw(name: str, looks: int, seed: int, device: str, out: Path) -> Signat
         truth = replace(scene, materials=rates.truth().materials)
         stage = Stage.of(truth, where)
         density = Sampling(rays_per_pixel=RAYS_PER_PIXEL).density_per_m2(truth.grid)
-        one, other = (Bench(where, Rays(stage, density, k), {}) for k in (0, 1))
-        bench = replace(one, observations=frozen(one, other, truth))
+        one, other = (FitSetup(where, Rays(stage, density, k), {}) for k in (0, 1))
+        setup = replace(one, observations=frozen(one, other, truth))
 
         def as_it_is(model: Scene) -> Fitted:
-            return Fitted(model, bench.problem(model), np.zeros(0), 0.0, 0.0, 0)
+            return Fitted(model, setup.problem(model), np.zeros(0), 0.0, 0.0, 0)
 
-        return signature(bench, as_it_is(truth), as_it_is(with_effect(truth, name, rates.SINGLE[name])), name)
+        return signature(setup, as_it_is(truth), as_it_is(with_effect(truth, name, rates.SINGLE[name])), name)
 
 
 @click.command()

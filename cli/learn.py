@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import click
@@ -95,6 +96,7 @@ def command(
     """
     from warpsar.evaluation.learned import write_learn_report
     from warpsar.learning import command as learning
+    from warpsar.runtime import once
 
     weights = {}
     for item in tv:
@@ -118,5 +120,4 @@ def command(
     )
     with options.resumable(out):
         found, content = learning.fitted(scene, out, device=device, options=chosen, resume=resume)
-    if found is not None:
-        write_learn_report(scene, out, found, content)
+    once.write(partial(write_learn_report, scene, out, found, content))

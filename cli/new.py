@@ -46,6 +46,6 @@ def command(
       warpsar new car/ ~/models/car.stl --units mm --up y
       warpsar new town/ buildings.geojson --dem dem.tif
     """
-    from warpsar.scene.new import run
+    from warpsar.scene.new import new_scene
 
-    click.echo(run(folder, mesh, units=units, up=up, yes=yes, dem=dem, force=force))
+    click.echo(new_scene(folder, mesh, units=units, up=up, yes=yes, dem=dem, force=force))

@@ -8,6 +8,7 @@ import click
 from click.core import ParameterSource
 
 from warpsar.cli import options
+from warpsar.effects.base.product import Product
 from warpsar.simulation.formats import registry
 
 PRODUCTS = ("beta0", "slc", "phase-history")
@@ -80,7 +81,7 @@ PRODUCTS = ("beta0", "slc", "phase-history")
 def command(
     scenes: tuple[Path, ...],
     out: Path,
-    product: str,
+    product: Product,
     formats: tuple[str, ...],
     azimuths: str | None,
     incidences: str | None,
@@ -152,7 +153,7 @@ def command(
 def _with_phase(
     scenes: tuple[Path, ...],
     out: Path,
-    product: str,
+    product: Product,
     device: str | None,
     seed: int | None,
     max_memory: float | None,

@@ -9,6 +9,7 @@ ROUNDING = wp.constant(1.0e-8)
 
 @wp.kernel(enable_backward=False)
 def tick_kernel(
+    # In:
     rate: float,
     settling: float,
     # In and out:

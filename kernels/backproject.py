@@ -34,7 +34,7 @@ def backproject_kernel(
     bins_per_metre: wp.array(dtype=wp.float64),
     half_swath: wp.array(dtype=wp.float64),  # [m], beyond it a profile repeats itself
     profiles: wp.array2d(dtype=wp.vec2),  # (pulse, bin), complex
-    # Out:
+    # In and out:
     image: wp.array(dtype=wp.vec2),  # complex, added to; NaN where a pulse's swath does not reach
 ):
     """One thread sums all pulses at one point.
@@ -67,16 +67,16 @@ def first_surface_kernel(
     mesh: wp.uint64,
     waypoints: wp.array2d(dtype=wp.vec3),  # (curve, waypoint): polylines, walked from the first waypoint on
     # Out:
-    fraction: wp.array(dtype=float),  # how far along [waypoints], -1 where nothing was met
+    fraction_out: wp.array(dtype=float),  # how far along [waypoints], -1 where nothing was met
 ):
     """Where each polyline first meets the mesh."""
     i = wp.tid()
-    fraction[i] = -1.0
+    fraction_out[i] = -1.0
     for k in range(waypoints.shape[1] - 1):
-        if fraction[i] < 0.0:
+        if fraction_out[i] < 0.0:
             step = waypoints[i, k + 1] - waypoints[i, k]
             length = wp.length(step)
             # A little further than the next waypoint: a surface through it must not fall between two chords.
             query = wp.mesh_query_ray(mesh, waypoints[i, k], step / length, 1.01 * length)
             if query.result:
-                fraction[i] = float(k) + query.t / length
+                fraction_out[i] = float(k) + query.t / length

@@ -3,6 +3,17 @@
 import warp as wp
 
 
+@wp.struct
+class Bins:
+    """Bins finer than pixels, which reach as far beyond the pixels on either side."""
+
+    bin_rows: int
+    bin_cols: int
+    bins_per_pixel: int
+    rows: int
+    cols: int
+
+
 @wp.func
 def overlap(first: float, width: float, pixel: int) -> float:
     """Share of [first, first + width) that lies in [pixel, pixel + 1)."""
@@ -12,6 +23,7 @@ def overlap(first: float, width: float, pixel: int) -> float:
 
 
 _BINS_OF_PIXEL = """
+    const int bin_rows = bins.bin_rows, bin_cols = bins.bin_cols, bins_per_pixel = bins.bins_per_pixel;
     // rows and columns of bins that the pixel overlaps: whole ones but the first and the last
     const int low = wp::max(-first_row, 0), high = wp::min(bin_rows - first_row, bins_per_pixel + 1);
     const int left = wp::max(-first_col, 0), right = wp::min(bin_cols - first_col, bins_per_pixel + 1);
@@ -55,10 +67,8 @@ _BINS_OF_PIXEL = """
 """,
 )
 def power_of_pixel(  # type: ignore[empty-body]
+    bins: Bins,
     filled: wp.array(dtype=float),
-    bin_rows: int,
-    bin_cols: int,
-    bins_per_pixel: int,
     first_row: int,
     first_col: int,
     beyond_row: float,
@@ -70,35 +80,26 @@ def power_of_pixel(  # type: ignore[empty-body]
 @wp.kernel
 def slide_kernel(
     # In:
-    bin_rows: int,
-    bin_cols: int,
-    bins_per_pixel: int,
-    rows: int,
-    cols: int,
+    bins: Bins,
     shift: wp.array(dtype=float),
     filled: wp.array(dtype=float),
     # Out:
     image_out: wp.array(dtype=float),
 ):
-    """Bins that have moved by `shift` pixels, into the pixels that they overlap. Power is spread evenly over a bin.
-
-    The bins reach as far beyond the pixels on either side.
-    """
+    """Bins that have moved by `shift` pixels, into the pixels that they overlap. Power is spread evenly over a bin."""
     row, col = wp.tid()
     # Where a pixel begins among the bins: whole bins apart from the rest, which is the same for all pixels.
-    down = -shift[0] * float(bins_per_pixel)
-    right = -shift[1] * float(bins_per_pixel)
+    down = -shift[0] * float(bins.bins_per_pixel)
+    right = -shift[1] * float(bins.bins_per_pixel)
     value = power_of_pixel(
+        bins,
         filled,
-        bin_rows,
-        bin_cols,
-        bins_per_pixel,
-        row * bins_per_pixel + (bin_rows - rows * bins_per_pixel) // 2 + int(wp.floor(down)),
-        col * bins_per_pixel + (bin_cols - cols * bins_per_pixel) // 2 + int(wp.floor(right)),
+        row * bins.bins_per_pixel + (bins.bin_rows - bins.rows * bins.bins_per_pixel) // 2 + int(wp.floor(down)),
+        col * bins.bins_per_pixel + (bins.bin_cols - bins.cols * bins.bins_per_pixel) // 2 + int(wp.floor(right)),
         down - wp.floor(down),
         right - wp.floor(right),
     )
-    wp.atomic_add(image_out, row * cols + col, value)
+    wp.atomic_add(image_out, row * bins.cols + col, value)
 
 
 @wp.kernel

@@ -32,16 +32,6 @@ class Variant(IntEnum):
     AS_PRINTED = 1
 
 
-class Model(IntEnum):
-    """What a material's sigma0 is computed by (docs/scattering.md)."""
-
-    KA_SPM = 0
-    I2EM = 1
-    OH = 2
-    DUBOIS = 3
-    FACET = 4
-
-
 class Layout(IntEnum):
     """Where the nodes of a surface parameter stand; HELD is uniform and not learned."""
 
@@ -67,6 +57,9 @@ class Deposit(IntEnum):
     LINEAR = 1
     FOOTPRINT = 2
 
+
+PAGE = 4
+"""Learned coordinates that one vector of the device holds. Models with more have several vectors."""
 
 # From here outward tau is 0 or 1 to the bit: its slope is below float32, and the sigmoid's adjoint would be inf * 0.
 FRACTION_LIMIT = 40.0

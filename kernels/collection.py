@@ -12,7 +12,7 @@ from warpsar.kernels.coherent.numbers import product, turned
 from warpsar.kernels.coherent.radiate import Pair, bounced_fields, sent, tube_factor, unit
 from warpsar.kernels.coherent.reflection import Face
 from warpsar.kernels.coherent.rough import RoughSurface, Scatterer, scattered
-from warpsar.kernels.coherent.tubes import Hit, Radar, look
+from warpsar.kernels.coherent.tubes import Hit, TubeRadar, look
 
 WIDTH = wp.constant(6)
 """Bins of a deposit."""
@@ -43,7 +43,7 @@ def unphased(value: wp.vec2d, turn: wp.vec2d) -> wp.vec2:
 @wp.kernel(enable_backward=False)
 def rough_places_kernel(
     # In:
-    radar_in: wp.array[Radar],
+    radar_in: wp.array[TubeRadar],
     k: wp.float64,
     surface_in: wp.array[RoughSurface],
     variant: int,
@@ -68,7 +68,7 @@ def rough_places_kernel(
 @wp.kernel(enable_backward=False)
 def edge_places_kernel(
     # In:
-    radar_in: wp.array[Radar],
+    radar_in: wp.array[TubeRadar],
     k: wp.float64,
     edge_in: wp.array[Edge],
     seen_in: wp.array2d[wp.uint8],
@@ -89,7 +89,7 @@ def edge_places_kernel(
 
 
 @wp.func
-def effective_place(radar: Radar, entry: wp.vec3d, leave: wp.vec3d, way: wp.float64) -> wp.vec3d:
+def effective_place(radar: TubeRadar, entry: wp.vec3d, leave: wp.vec3d, way: wp.float64) -> wp.vec3d:
     """Where a single bounce would have the same way, half of it each, and the same change of it with the direction.
 
     The way changes as -s . (entry + leave): the place lies halfway between them across the look direction.
@@ -104,7 +104,7 @@ def effective_place(radar: Radar, entry: wp.vec3d, leave: wp.vec3d, way: wp.floa
 @wp.kernel(enable_backward=False)
 def tube_places_kernel(
     # In:
-    radar_in: wp.array[Radar],
+    radar_in: wp.array[TubeRadar],
     k: wp.float64,
     stuff_in: wp.array2d[Face],
     material_in: wp.array[int],

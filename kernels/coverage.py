@@ -10,6 +10,7 @@ import warp as wp
 
 from warpsar.kernels.geometry import (
     RayGrid,
+    Triangles,
     cos2_azimuth_of,
     cos_incidence_of,
     cos_twist_of,
@@ -17,6 +18,7 @@ from warpsar.kernels.geometry import (
     normal_of,
     point_on,
 )
+from warpsar.kernels.trace import HitArrays
 
 REAL = wp.float64
 NEAR = wp.constant(wp.float64(1.0e-9))  # [m]: stretches and slabs shorter than this are nothing
@@ -26,7 +28,7 @@ FLAT = wp.constant(wp.float64(1.0e-6))  # rows: a stretch with less extent in ra
 
 
 @wp.struct
-class Edges:
+class CoverageEdges:
     """Edges in (azimuth, elevation, range) [m], the end of lesser azimuth first: shape (n, 3) each."""
 
     start: wp.array2d(dtype=wp.float64)
@@ -46,6 +48,55 @@ class Faces:
 
 
 @wp.struct
+class Rows:
+    """The image's rows: how many, and where in range they start [m]."""
+
+    count: int
+    start: wp.float64
+    spacing: wp.float64
+
+
+@wp.struct
+class Columns:
+    """What each column of pixels meets, one column after the other.
+
+    Column j has the `candidates` (faces) from `first_candidate` [j] to [j + 1], and the borders of its slabs
+    (`events`, azimuths [m]) from `first_event` [j] to [j + 1].
+    """
+
+    candidates: wp.array(dtype=int)
+    first_candidate: wp.array(dtype=int)
+    events: wp.array(dtype=wp.float64)
+    first_event: wp.array(dtype=int)
+
+
+@wp.struct
+class EdgesInColumns:
+    """The edges that reach into each column, as in `Columns`: outlines, and `others`, which an outline may pass.
+
+    `border`, (columns + 1,), are the columns' own borders [m].
+    """
+
+    outlines: wp.array(dtype=int)
+    first_outline: wp.array(dtype=int)
+    others: wp.array(dtype=int)
+    first_other: wp.array(dtype=int)
+    border: wp.array(dtype=wp.float64)
+
+
+@wp.struct
+class Trapezoid:
+    """A visible stretch of a face in a slab: azimuth s0 to s1, and elevation from l to h at either end [m]."""
+
+    s0: wp.float64
+    s1: wp.float64
+    l0: wp.float64
+    l1: wp.float64
+    h0: wp.float64
+    h1: wp.float64
+
+
+@wp.struct
 class Stretches:
     """Room for the faces that cross a slab: both borders at the slab's ends, shape (candidates,) each.
 
@@ -62,7 +113,7 @@ class Stretches:
 
 
 @wp.struct
-class Cells:
+class CandidateCells:
     """The pixels that each candidate may cover: `first_row` and `start` (its first cell), shape (candidates,).
 
     `area` [m^2], and its first moments in azimuth and elevation, shape (cells,).
@@ -84,7 +135,7 @@ NONE = wp.constant(-1)  # or nothing that moves
 class Pieces:
     """Visible trapezoids, shape (n,): of a `face`, in a `column`, from azimuth `start` to `end` [m].
 
-    `low` and `high`, (n, 2), are their elevations there [m]. `low_by` and `high_by`, (n, 2), say what the borders are:
+    `low` and `high` are their elevations there [m]. `low_by` and `high_by` say what the borders are:
     a side of a face (face, LOW or HIGH), the line where two faces meet (face, face), or NONE. `first`, (columns,), is
     where each column's pieces begin; `count`, (columns,), how many it has. Without room they are only counted.
     """
@@ -93,10 +144,10 @@ class Pieces:
     column: wp.array(dtype=int)
     start: wp.array(dtype=wp.float64)
     end: wp.array(dtype=wp.float64)
-    low: wp.array2d(dtype=wp.float64)
-    high: wp.array2d(dtype=wp.float64)
-    low_by: wp.array2d(dtype=int)
-    high_by: wp.array2d(dtype=int)
+    low: wp.array(dtype=wp.vec2d)
+    high: wp.array(dtype=wp.vec2d)
+    low_by: wp.array(dtype=wp.vec2i)
+    high_by: wp.array(dtype=wp.vec2i)
     first: wp.array(dtype=int)
     count: wp.array(dtype=int)
 
@@ -110,13 +161,9 @@ def between(x0: wp.float64, y0: wp.float64, x1: wp.float64, y1: wp.float64, x: w
 @wp.kernel(enable_backward=False)
 def crossing_kernel(
     # In:
-    edges: Edges,
-    outlines: wp.array(dtype=int),
-    first_outline: wp.array(dtype=int),
-    others: wp.array(dtype=int),
-    first_other: wp.array(dtype=int),
-    border: wp.array(dtype=wp.float64),
-    first_out: wp.array(dtype=int),
+    edges: CoverageEdges,
+    columns: EdgesInColumns,
+    first: wp.array(dtype=int),  # where each column's azimuths begin
     # Out:
     count_out: wp.array(dtype=int),
     azimuth_out: wp.array(dtype=wp.float64),
@@ -126,13 +173,13 @@ def crossing_kernel(
     Without room in `azimuth_out` they are only counted.
     """
     column = wp.tid()
-    begin = border[column]
-    end = border[column + 1]
+    begin = columns.border[column]
+    end = columns.border[column + 1]
     found = int(0)
-    for i in range(first_outline[column], first_outline[column + 1]):
-        p = outlines[i]
-        for j in range(first_other[column], first_other[column + 1]):
-            q = others[j]
+    for i in range(columns.first_outline[column], columns.first_outline[column + 1]):
+        p = columns.outlines[i]
+        for j in range(columns.first_other[column], columns.first_other[column + 1]):
+            q = columns.others[j]
             x0 = wp.max(wp.max(edges.start[p, 0], edges.start[q, 0]), begin)
             x1 = wp.min(wp.min(edges.end[p, 0], edges.end[q, 0]), end)
             if p != q and x1 - x0 > NEAR:
@@ -146,7 +193,7 @@ def crossing_kernel(
                     rq = between(edges.start[q, 0], edges.start[q, 2], edges.end[q, 0], edges.end[q, 2], x)
                     if rp < rq + TOUCH:
                         if azimuth_out.shape[0] > 0:
-                            azimuth_out[first_out[column] + found] = x
+                            azimuth_out[first[column] + found] = x
                         found += 1
     count_out[column] = found
 
@@ -170,59 +217,46 @@ def range_on(faces: Faces, f: int, a: wp.float64, e: wp.float64) -> wp.float64:
 
 @wp.func
 def inside_row(
-    faces: Faces,
-    f: int,
-    s0: wp.float64,
-    s1: wp.float64,
-    low0: wp.float64,
-    low1: wp.float64,
-    high0: wp.float64,
-    high1: wp.float64,
-    row: wp.float64,
-    range_start: wp.float64,
-    range_spacing: wp.float64,
+    faces: Faces, rows: Rows, f: int, row: wp.float64, piece: Trapezoid, low: wp.vec2d, high: wp.vec2d
 ) -> wp.vec2d:
-    """About the middle (azimuth, elevation) of what a row cuts out of a trapezoid: the mean over `LINES` lines."""
+    """About the middle (azimuth, elevation) of what a row cuts out of a trapezoid: the mean over `LINES` lines.
+
+    `low` and `high`: the rows of its borders at either end.
+    """
     weight = REAL(0.0)
     azimuth = REAL(0.0)
     place = REAL(0.0)
     for i in range(LINES):
         t = REAL(i) / REAL(LINES - 1)
-        begin = wp.max(low0 + (low1 - low0) * t, row)
-        end = wp.min(high0 + (high1 - high0) * t, row + REAL(1.0))
+        begin = wp.max(low[0] + (low[1] - low[0]) * t, row)
+        end = wp.min(high[0] + (high[1] - high[0]) * t, row + REAL(1.0))
         length = wp.max(end - begin, REAL(0.0)) + REAL(1.0e-300)
         weight += length
         azimuth += length * t
         place += length * REAL(0.5) * (begin + end)
-    a = s0 + (s1 - s0) * azimuth / weight
-    e = place / weight * range_spacing + range_start - faces.plane[f, 0] - faces.plane[f, 1] * a
+    a = piece.s0 + (piece.s1 - piece.s0) * azimuth / weight
+    e = place / weight * rows.spacing + rows.start - faces.plane[f, 0] - faces.plane[f, 1] * a
     return wp.vec2d(a, e / faces.plane[f, 2])
 
 
 @wp.func
-def add_piece(
-    faces: Faces,
-    cells: Cells,
-    rows: int,
-    range_start: wp.float64,
-    range_spacing: wp.float64,
-    f: int,
-    k: int,
-    s0: wp.float64,
-    s1: wp.float64,
-    l0: wp.float64,
-    l1: wp.float64,
-    h0: wp.float64,
-    h1: wp.float64,
-):
-    """Add a trapezoid of face f, candidate k: azimuth s0 to s1, elevation from l to h at either end."""
-    area = REAL(0.5) * (s1 - s0) * ((h0 - l0) + (h1 - l1))
+def row_on(faces: Faces, rows: Rows, f: int, a: wp.float64, e: wp.float64) -> wp.float64:
+    """Where in the rows a place on a face lies."""
+    return (range_on(faces, f, a, e) - rows.start) / rows.spacing
+
+
+@wp.func
+def add_piece(faces: Faces, rows: Rows, f: int, k: int, piece: Trapezoid, cells: CandidateCells):
+    """Add a trapezoid of face f, candidate k."""
+    s0 = piece.s0
+    s1 = piece.s1
+    area = REAL(0.5) * (s1 - s0) * ((piece.h0 - piece.l0) + (piece.h1 - piece.l1))
     if area > REAL(0.0):
-        low0 = (range_on(faces, f, s0, l0) - range_start) / range_spacing
-        low1 = (range_on(faces, f, s1, l1) - range_start) / range_spacing
-        high0 = (range_on(faces, f, s0, h0) - range_start) / range_spacing
-        high1 = (range_on(faces, f, s1, h1) - range_start) / range_spacing
-        slope = faces.plane[f, 2] / range_spacing
+        low0 = row_on(faces, rows, f, s0, piece.l0)
+        low1 = row_on(faces, rows, f, s1, piece.l1)
+        high0 = row_on(faces, rows, f, s0, piece.h0)
+        high1 = row_on(faces, rows, f, s1, piece.h1)
+        slope = faces.plane[f, 2] / rows.spacing
         if slope < REAL(0.0):
             swap0 = low0
             swap1 = low1
@@ -233,7 +267,7 @@ def add_piece(
         least = wp.min(low0, low1)
         most = wp.max(high0, high1)
         first = wp.max(int(wp.floor(wp.max(least, REAL(-1.0)))), 0)
-        last = wp.min(int(wp.floor(wp.min(most, REAL(rows)))), rows - 1)
+        last = wp.min(int(wp.floor(wp.min(most, REAL(rows.count)))), rows.count - 1)
         flat = wp.max(high0 - low0, high1 - low1) < FLAT
         middle = REAL(0.5) * (s0 + s1)
         for row in range(first, last + 1):
@@ -252,9 +286,9 @@ def add_piece(
                 )
                 share = share * (s1 - s0) / wp.abs(slope)
             if share > REAL(0.0):
-                place = wp.vec2d(middle, REAL(0.25) * (l0 + l1 + h0 + h1))
+                place = wp.vec2d(middle, REAL(0.25) * (piece.l0 + piece.l1 + piece.h0 + piece.h1))
                 if not flat:
-                    place = inside_row(faces, f, s0, s1, low0, low1, high0, high1, upper, range_start, range_spacing)
+                    place = inside_row(faces, rows, f, upper, piece, wp.vec2d(low0, low1), wp.vec2d(high0, high1))
                 cell = cells.start[k] + row - cells.first_row[k]
                 cells.area[cell] = cells.area[cell] + share
                 cells.azimuth[cell] = cells.azimuth[cell] + share * place[0]
@@ -275,14 +309,13 @@ def side_of(faces: Faces, f: int, middle: wp.float64, s: wp.float64, long_side: 
 
 
 @wp.func
-def gathered(
-    faces: Faces, candidates: wp.array(dtype=int), begin: int, end: int, s0: wp.float64, s1: wp.float64, room: Stretches
-) -> int:
-    """The faces that cross the slab, into `room` from `begin` on; how many."""
+def gathered(faces: Faces, columns: Columns, column: int, s0: wp.float64, s1: wp.float64, room: Stretches) -> int:
+    """The faces that cross the slab, into `room` from the column's first candidate on; how many."""
     middle = REAL(0.5) * (s0 + s1)
+    begin = columns.first_candidate[column]
     n = int(0)
-    for k in range(begin, end):
-        f = candidates[k]
+    for k in range(begin, columns.first_candidate[column + 1]):
+        f = columns.candidates[k]
         if faces.azimuth[f, 0] < middle and faces.azimuth[f, 2] > middle:
             a0 = side_of(faces, f, middle, s0, True)
             a1 = side_of(faces, f, middle, s1, True)
@@ -307,26 +340,15 @@ def gathered(
 
 
 @wp.func
-def keep_piece(
-    pieces: Pieces,
-    at: int,
-    face: int,
-    column: int,
-    s0: wp.float64,
-    s1: wp.float64,
-    l0: wp.float64,
-    l1: wp.float64,
-    h0: wp.float64,
-    h1: wp.float64,
-):
+def keep_piece(face: int, column: int, piece: Trapezoid, low_by: wp.vec2i, high_by: wp.vec2i, at: int, pieces: Pieces):
+    pieces.low_by[at] = low_by
+    pieces.high_by[at] = high_by
     pieces.face[at] = face
     pieces.column[at] = column
-    pieces.start[at] = s0
-    pieces.end[at] = s1
-    pieces.low[at, 0] = l0
-    pieces.low[at, 1] = l1
-    pieces.high[at, 0] = h0
-    pieces.high[at, 1] = h1
+    pieces.start[at] = piece.s0
+    pieces.end[at] = piece.s1
+    pieces.low[at] = wp.vec2d(piece.l0, piece.l1)
+    pieces.high[at] = wp.vec2d(piece.h0, piece.h1)
 
 
 # Long because it is one sweep: what ends a visible stretch is looked for among all others.
@@ -334,32 +356,28 @@ def keep_piece(
 def coverage_kernel(
     # In:
     faces: Faces,
-    candidates: wp.array(dtype=int),
-    first_candidate: wp.array(dtype=int),
-    events: wp.array(dtype=wp.float64),
-    first_event: wp.array(dtype=int),
-    rows: int,
-    range_start: wp.float64,
-    range_spacing: wp.float64,
+    columns: Columns,
+    rows: Rows,
+    # Room:
     room: Stretches,
     # Out:
-    cells: Cells,
-    pieces: Pieces,
+    cells_out: CandidateCells,
+    pieces_out: Pieces,
 ):
     """One thread takes a column of pixels: slab by slab, from the least elevation to the largest.
 
-    The adjoint needs the `pieces` (`coverage_adjoint`); an image alone gives them no arrays.
+    The adjoint needs the `pieces_out` (`coverage_adjoint`); an image alone gives them no arrays.
     """
     column = wp.tid()
-    keeps = pieces.count.shape[0] > 0
+    keeps = pieces_out.count.shape[0] > 0
     seen = int(0)
-    begin = first_candidate[column]
-    for event in range(first_event[column], first_event[column + 1] - 1):
-        s0 = events[event]
-        s1 = events[event + 1]
+    begin = columns.first_candidate[column]
+    for event in range(columns.first_event[column], columns.first_event[column + 1] - 1):
+        s0 = columns.events[event]
+        s1 = columns.events[event + 1]
         n = int(0)
         if s1 - s0 > NEAR:
-            n = gathered(faces, candidates, begin, first_candidate[column + 1], s0, s1, room)
+            n = gathered(faces, columns, column, s0, s1, room)
         middle = REAL(0.5) * (s0 + s1)
         here0 = REAL(-1.0e300)
         here1 = REAL(-1.0e300)
@@ -427,17 +445,17 @@ def coverage_kernel(
                                 next0 = e
                                 next1 = e
                                 next_by = wp.vec2i(NONE, NONE)
-                l0 = here0
-                l1 = here1
-                add_piece(
-                    faces, cells, rows, range_start, range_spacing, f, room.place[front], s0, s1, l0, l1, next0, next1
-                )
-                if keeps and next0 - l0 + next1 - l1 > REAL(0.0):
-                    if pieces.face.shape[0] > 0:
-                        keep_piece(pieces, pieces.first[column] + seen, f, column, s0, s1, l0, l1, next0, next1)
-                        for end in range(2):
-                            pieces.low_by[pieces.first[column] + seen, end] = here_by[end]
-                            pieces.high_by[pieces.first[column] + seen, end] = next_by[end]
+                piece = Trapezoid()
+                piece.s0 = s0
+                piece.s1 = s1
+                piece.l0 = here0
+                piece.l1 = here1
+                piece.h0 = next0
+                piece.h1 = next1
+                add_piece(faces, rows, f, room.place[front], piece, cells_out)
+                if keeps and next0 - here0 + next1 - here1 > REAL(0.0):
+                    if pieces_out.face.shape[0] > 0:
+                        keep_piece(f, column, piece, here_by, next_by, pieces_out.first[column] + seen, pieces_out)
                     seen += 1
             going = next0 < REAL(1.0e299)
             if going and REAL(0.5) * (next0 + next1) <= here:
@@ -448,52 +466,44 @@ def coverage_kernel(
             here1 = next1
             here_by = next_by
     if keeps:
-        pieces.count[column] = seen
+        pieces_out.count[column] = seen
+
+
+@wp.func
+def turn_to_radar(grid: RayGrid, normal: wp.vec3, hits: HitArrays, i: int):
+    """The angles of hit i, whose facet has this normal."""
+    direction = look_direction(grid, hits.point[i])
+    hits.cos_incidence[i] = cos_incidence_of(normal, direction)
+    hits.cos_twist[i] = cos_twist_of(normal, direction, grid.u)
+    hits.cos2_azimuth[i] = cos2_azimuth_of(normal, direction)
 
 
 @wp.kernel(enable_backward=False)
 def facet_kernel(
     # In:
     grid: RayGrid,
-    point: wp.array(dtype=wp.vec3),
     normal: wp.array(dtype=wp.vec3),
-    # Out:
-    cos_incidence_out: wp.array(dtype=float),
-    cos_twist_out: wp.array(dtype=float),
-    cos2_azimuth_out: wp.array(dtype=float),
+    # In and out:
+    hits: HitArrays,
 ):
-    """How facets with these normals are turned to the radar."""
+    """How facets with these normals, at the points of the hits, are turned to the radar."""
     i = wp.tid()
-    direction = look_direction(grid, point[i])
-    cos_incidence_out[i] = cos_incidence_of(normal[i], direction)
-    cos_twist_out[i] = cos_twist_of(normal[i], direction, grid.u)
-    cos2_azimuth_out[i] = cos2_azimuth_of(normal[i], direction)
+    turn_to_radar(grid, normal[i], hits, i)
 
 
 @wp.kernel(enable_backward=False)
 def lit_point_kernel(
     # In:
     grid: RayGrid,
-    vertices: wp.array(dtype=wp.vec3),
-    faces: wp.array2d(dtype=int),
-    face: wp.array(dtype=int),
-    barycentric: wp.array(dtype=wp.vec2),
-    # Out:
-    point_out: wp.array(dtype=wp.vec3),
-    cos_incidence_out: wp.array(dtype=float),
-    cos_twist_out: wp.array(dtype=float),
-    cos2_azimuth_out: wp.array(dtype=float),
+    mesh: Triangles,
+    # In and out:
+    hits: HitArrays,
 ):
-    """Where a hit lies, and how its facet is turned to the radar."""
+    """From their faces and weights to where hits lie, and how their facets are turned to the radar."""
     i = wp.tid()
-    f = face[i]
-    p0 = vertices[faces[f, 0]]
-    p1 = vertices[faces[f, 1]]
-    p2 = vertices[faces[f, 2]]
-    point = point_on(p0, p1, p2, barycentric[i][0], barycentric[i][1])
-    normal = normal_of(p0, p1, p2)
-    direction = look_direction(grid, point)
-    point_out[i] = point
-    cos_incidence_out[i] = cos_incidence_of(normal, direction)
-    cos_twist_out[i] = cos_twist_of(normal, direction, grid.u)
-    cos2_azimuth_out[i] = cos2_azimuth_of(normal, direction)
+    f = hits.face[i]
+    p0 = mesh.vertices[mesh.faces[f, 0]]
+    p1 = mesh.vertices[mesh.faces[f, 1]]
+    p2 = mesh.vertices[mesh.faces[f, 2]]
+    hits.point[i] = point_on(p0, p1, p2, hits.barycentric[i][0], hits.barycentric[i][1])
+    turn_to_radar(grid, normal_of(p0, p1, p2), hits, i)

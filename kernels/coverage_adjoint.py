@@ -8,7 +8,7 @@ one slab to the next; callers turn the view by a hair, so that there is none.
 
 import warp as wp
 
-from warpsar.kernels.coverage import LOW, NONE, REAL, Faces, Pieces, range_on, side_of
+from warpsar.kernels.coverage import LOW, NONE, REAL, Faces, Pieces, Rows, range_on, row_on, side_of
 
 CONTACT = wp.constant(wp.float64(1.0e-7))  # [m] in range: an edge nearer than this to a surface stands on it
 PARALLEL = wp.constant(wp.float64(1.0e-9))  # slope between two planes: less has no line where they meet
@@ -24,12 +24,32 @@ class Worth:
 
 
 @wp.struct
-class Slopes:
+class CoverageSlopes:
     """Derivatives of the sum: to the `corners` by ascending azimuth, (faces, 6), azimuth before elevation, and to
     `plane`, (faces, 3)."""
 
     corners: wp.array2d(dtype=wp.float64)
     plane: wp.array2d(dtype=wp.float64)
+
+
+@wp.struct
+class Border:
+    """A border of a piece: azimuth s0 to s1, elevation e0 to e1 [m]."""
+
+    s0: wp.float64
+    s1: wp.float64
+    e0: wp.float64
+    e1: wp.float64
+
+
+@wp.func
+def border_of(s0: wp.float64, s1: wp.float64, e0: wp.float64, e1: wp.float64) -> Border:
+    border = Border()
+    border.s0 = s0
+    border.s1 = s1
+    border.e0 = e0
+    border.e1 = e1
+    return border
 
 
 @wp.func
@@ -75,16 +95,14 @@ def corners_of(faces: Faces, f: int, side: int, s0: wp.float64, s1: wp.float64) 
 
 
 @wp.func
-def to_side(
-    faces: Faces, slopes: Slopes, f: int, i: int, j: int, s0: wp.float64, s1: wp.float64, g0: wp.float64, g1: wp.float64
-):
+def to_side(faces: Faces, f: int, i: int, j: int, border: Border, g: wp.vec2d, slopes: CoverageSlopes):
     """Add the derivatives of g0 e(s0) + g1 e(s1), where e is the elevation of a side from corner i to corner j."""
     width = faces.azimuth[f, j] - faces.azimuth[f, i]
     tilt = (faces.elevation[f, j] - faces.elevation[f, i]) / width
-    t0 = (s0 - faces.azimuth[f, i]) / width
-    t1 = (s1 - faces.azimuth[f, i]) / width
-    to_j = g0 * t0 + g1 * t1
-    to_i = g0 + g1 - to_j
+    t0 = (border.s0 - faces.azimuth[f, i]) / width
+    t1 = (border.s1 - faces.azimuth[f, i]) / width
+    to_j = g[0] * t0 + g[1] * t1
+    to_i = g[0] + g[1] - to_j
     wp.atomic_add(slopes.corners, f, 2 * i, -tilt * to_i)
     wp.atomic_add(slopes.corners, f, 2 * i + 1, to_i)
     wp.atomic_add(slopes.corners, f, 2 * j, -tilt * to_j)
@@ -92,33 +110,22 @@ def to_side(
 
 
 @wp.func
-def to_plane(slopes: Slopes, f: int, g: wp.float64, ga: wp.float64, ge: wp.float64):
+def to_plane(f: int, g: wp.float64, ga: wp.float64, ge: wp.float64, slopes: CoverageSlopes):
     wp.atomic_add(slopes.plane, f, 0, g)
     wp.atomic_add(slopes.plane, f, 1, ga)
     wp.atomic_add(slopes.plane, f, 2, ge)
 
 
 @wp.func
-def to_meeting(
-    faces: Faces,
-    slopes: Slopes,
-    f: int,
-    h: int,
-    s0: wp.float64,
-    s1: wp.float64,
-    e0: wp.float64,
-    e1: wp.float64,
-    g0: wp.float64,
-    g1: wp.float64,
-):
+def to_meeting(faces: Faces, f: int, h: int, border: Border, g: wp.vec2d, slopes: CoverageSlopes):
     """Add the derivatives of g0 e(s0) + g1 e(s1), where e is the elevation at which the planes of f and h meet."""
     per_e = faces.plane[f, 2] - faces.plane[h, 2]
     if wp.abs(per_e) > PARALLEL:
-        g = -(g0 + g1) / per_e
-        ga = -(g0 * s0 + g1 * s1) / per_e
-        ge = -(g0 * e0 + g1 * e1) / per_e
-        to_plane(slopes, f, g, ga, ge)
-        to_plane(slopes, h, -g, -ga, -ge)
+        total = -(g[0] + g[1]) / per_e
+        along = -(g[0] * border.s0 + g[1] * border.s1) / per_e
+        across = -(g[0] * border.e0 + g[1] * border.e1) / per_e
+        to_plane(f, total, along, across, slopes)
+        to_plane(h, -total, -along, -across, slopes)
 
 
 @wp.func
@@ -145,15 +152,12 @@ def stands_on(
 @wp.func
 def to_border(
     faces: Faces,
-    slopes: Slopes,
     corner_id: wp.array2d(dtype=int),
     by: wp.vec2i,
     across: int,
-    s0: wp.float64,
-    s1: wp.float64,
-    e0: wp.float64,
-    e1: wp.float64,
+    border: Border,
     g: wp.vec2d,
+    slopes: CoverageSlopes,
 ):
     """Add the derivatives of a border's elevations times g. `across` is the face beyond it, or NONE.
 
@@ -163,16 +167,17 @@ def to_border(
     f = by[0]
     if f != NONE:
         if by[1] >= 0:
-            to_meeting(faces, slopes, f, by[1], s0, s1, e0, e1, g[0], g[1])
+            to_meeting(faces, f, by[1], border, g, slopes)
         else:
-            ends = corners_of(faces, f, by[1], s0, s1)
+            ends = corners_of(faces, f, by[1], border.s0, border.s1)
             share = REAL(1.0)
             if across != NONE:
-                s = REAL(0.5) * (s0 + s1)
-                if stands_on(faces, corner_id, f, ends[0], ends[1], across, s, REAL(0.5) * (e0 + e1)):
+                s = REAL(0.5) * (border.s0 + border.s1)
+                e = REAL(0.5) * (border.e0 + border.e1)
+                if stands_on(faces, corner_id, f, ends[0], ends[1], across, s, e):
                     share = REAL(0.5)
-                    to_meeting(faces, slopes, f, across, s0, s1, e0, e1, share * g[0], share * g[1])
-            to_side(faces, slopes, f, ends[0], ends[1], s0, s1, share * g[0], share * g[1])
+                    to_meeting(faces, f, across, border, share * g, slopes)
+            to_side(faces, f, ends[0], ends[1], border, share * g, slopes)
 
 
 @wp.func
@@ -185,9 +190,9 @@ def across_border(pieces: Pieces, i: int, j: int, f: int, upward: bool) -> int:
         return NONE
     if pieces.column[j] != pieces.column[i] or pieces.start[j] != pieces.start[i]:
         return NONE
-    if upward and pieces.low[j, 0] == pieces.high[i, 0] and pieces.low[j, 1] == pieces.high[i, 1]:
+    if upward and pieces.low[j] == pieces.high[i]:
         return pieces.face[j]
-    if not upward and pieces.high[j, 0] == pieces.low[i, 0] and pieces.high[j, 1] == pieces.low[i, 1]:
+    if not upward and pieces.high[j] == pieces.low[i]:
         return pieces.face[j]
     return NONE
 
@@ -199,10 +204,9 @@ def coverage_adjoint_kernel(
     corner_id: wp.array2d(dtype=int),
     pieces: Pieces,
     worth: Worth,
-    range_start: wp.float64,
-    range_spacing: wp.float64,
+    rows: Rows,
     # Out:
-    slopes: Slopes,
+    slopes_out: CoverageSlopes,
 ):
     """One thread takes a piece: its two borders, and the rows' borders inside."""
     i = wp.tid()
@@ -211,23 +215,23 @@ def coverage_adjoint_kernel(
     s0 = pieces.start[i]
     s1 = pieces.end[i]
     width = s1 - s0
-    l0 = pieces.low[i, 0]
-    l1 = pieces.low[i, 1]
-    h0 = pieces.high[i, 0]
-    h1 = pieces.high[i, 1]
-    low0 = (range_on(faces, f, s0, l0) - range_start) / range_spacing
-    low1 = (range_on(faces, f, s1, l1) - range_start) / range_spacing
-    high0 = (range_on(faces, f, s0, h0) - range_start) / range_spacing
-    high1 = (range_on(faces, f, s1, h1) - range_start) / range_spacing
+    l0 = pieces.low[i][0]
+    l1 = pieces.low[i][1]
+    h0 = pieces.high[i][0]
+    h1 = pieces.high[i][1]
+    low0 = row_on(faces, rows, f, s0, l0)
+    low1 = row_on(faces, rows, f, s1, l1)
+    high0 = row_on(faces, rows, f, s0, h0)
+    high1 = row_on(faces, rows, f, s1, h1)
 
-    by = wp.vec2i(pieces.high_by[i, 0], pieces.high_by[i, 1])
+    by = pieces.high_by[i]
     across = across_border(pieces, i, i + 1, by[0], True)
-    to_border(
-        faces, slopes, corner_id, by, across, s0, s1, h0, h1, width * along_border(worth, f, column, high0, high1)
-    )
-    by = wp.vec2i(pieces.low_by[i, 0], pieces.low_by[i, 1])
+    change = width * along_border(worth, f, column, high0, high1)
+    to_border(faces, corner_id, by, across, border_of(s0, s1, h0, h1), change, slopes_out)
+    by = pieces.low_by[i]
     across = across_border(pieces, i, i - 1, by[0], False)
-    to_border(faces, slopes, corner_id, by, across, s0, s1, l0, l1, -width * along_border(worth, f, column, low0, low1))
+    change = -width * along_border(worth, f, column, low0, low1)
+    to_border(faces, corner_id, by, across, border_of(s0, s1, l0, l1), change, slopes_out)
 
     per_e = faces.plane[f, 2]
     if wp.abs(per_e) > REAL(1.0e-12):
@@ -238,9 +242,8 @@ def coverage_adjoint_kernel(
             low1 = high1
             high0 = swap0
             high1 = swap1
-        rows = worth.image.shape[1]
         first = wp.max(int(wp.floor(wp.max(wp.min(low0, low1), REAL(-1.0)))) + 1, 0)
-        last = wp.min(int(wp.floor(wp.min(wp.max(high0, high1), REAL(rows + 1)))), rows)
+        last = wp.min(int(wp.floor(wp.min(wp.max(high0, high1), REAL(rows.count + 1)))), rows.count)
         for row in range(first, last + 1):
             # where low < row < high: an interval of t, because both go evenly
             t0 = REAL(0.0)
@@ -255,8 +258,8 @@ def coverage_adjoint_kernel(
                 elif y1 < REAL(0.0):
                     t1 = wp.min(t1, y0 / (y0 - y1))
             if t1 > t0:
-                change = worth_of(worth, f, row, column) - worth_of(worth, f, row - 1, column)
-                g = change * width * (t1 - t0) / wp.abs(per_e)
+                step = worth_of(worth, f, row, column) - worth_of(worth, f, row - 1, column)
+                g = step * width * (t1 - t0) / wp.abs(per_e)
                 s = s0 + width * REAL(0.5) * (t0 + t1)
-                e = (range_start + REAL(row) * range_spacing - faces.plane[f, 0] - faces.plane[f, 1] * s) / per_e
-                to_plane(slopes, f, g, g * s, g * e)
+                e = (rows.start + REAL(row) * rows.spacing - faces.plane[f, 0] - faces.plane[f, 1] * s) / per_e
+                to_plane(f, g, g * s, g * e, slopes_out)

@@ -15,11 +15,21 @@ from functools import cache
 
 import warp as wp
 
-from warpsar.kernels.codes import Coordinate, Model, Polarization, Spectrum
-from warpsar.kernels.crossed_table import LEAST, TOLERANCE, node_cosine
-from warpsar.kernels.i2em import hidden_share, i2em_single, slope_deviation
-from warpsar.kernels.i2em_crossed import RINGS, SPOKES, half_difference, ring_power, spoke_series
-from warpsar.kernels.models import modelled_of
+from warpsar.kernels import lanes
+from warpsar.kernels.codes import Coordinate, Polarization, Spectrum
+from warpsar.kernels.crossed_table import LEAST, TOLERANCE
+from warpsar.kernels.incidence_table import node_cosine
+from warpsar.kernels.models.i2em import (
+    RINGS,
+    SPOKES,
+    half_difference,
+    hidden_share,
+    i2em_single,
+    ring_power,
+    sigma0_and_slopes_of,
+    slope_deviation,
+    spoke_series,
+)
 from warpsar.kernels.scattering import bounded_cosine, sine_squared
 from warpsar.kernels.wide import read_float, read_int, read_vec4, write_vec4
 
@@ -200,7 +210,7 @@ def read_three(table: wp.array(dtype=float), i: int):
 
 
 @wp.func
-def splined(table: wp.array(dtype=float), row: int, place: wp.vec4):
+def splined(table: wp.array(dtype=float), row: int, place: wp.vec4) -> wp.vec4:
     """The spline of a row of the table, and its slopes to the places along the axes of height, length and contrast."""
     cosines = stencil(place[0], float(COSINES))
     heights = stencil(place[1], float(HEIGHTS))
@@ -231,15 +241,93 @@ def splined(table: wp.array(dtype=float), row: int, place: wp.vec4):
     )
 
 
+# In lanes four hits lie side by side, of each four coefficients over the contrast: the loops as they stand here would
+# read every coefficient by itself.
+lanes.by_hand(
+    splined,
+    f"""
+[[gnu::always_inline]] static V4 splined(const wp::array_t<float>& table, I rows, const V4& place)
+{{
+    typedef float Row __attribute__((ext_vector_type(4)));
+    const int cosines = {COSINES}, heights = {HEIGHTS}, lengths = {LENGTHS}, contrasts = {CONTRASTS}, width = {ROW};
+"""
+    """
+    // of each axis: the first coefficient, three weights and their slopes
+    float axes[4][7][16], sums[4][16];
+    const int nodes[4] = {cosines, heights, lengths, contrasts};
+    const int over_height = (lengths + 2) * width, over_cosine = (heights + 2) * over_height;
+    const int steps[4] = {over_cosine, over_height, width, 1};
+    I start = rows * ((cosines + 2) * over_cosine);
+    for (int a = 0; a < 4; ++a) {
+        const auto found = stencil(place.c[a], nodes[a]);
+        __builtin_memcpy(axes[a], &found, sizeof(found));
+        start += __builtin_convertvector(found.c[0], I) * steps[a];
+    }
+    // four hits side by side, of each four coefficients over the contrast, the last of which has no weight
+    const I node = {0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3};
+    for (int k = 0; k < 16; k += 4) {
+        const auto rows_at = [&](int step) {
+            Row one[4];
+            for (int i = 0; i < 4; ++i)
+                __builtin_memcpy(&one[i], table.data + start[k + i] + step, sizeof(Row));
+            return __builtin_shufflevector(
+                __builtin_shufflevector(one[0], one[1], 0, 1, 2, 3, 4, 5, 6, 7),
+                __builtin_shufflevector(one[2], one[3], 0, 1, 2, 3, 4, 5, 6, 7),
+                0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
+        };
+        const auto each = [&](int axis, int i) -> V {
+            Row one;
+            __builtin_memcpy(&one, &axes[axis][i][k], sizeof(one));
+            return __builtin_shufflevector(one, one, 0, 0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3);
+        };
+        V value = 0.0f, by_height = 0.0f, by_length = 0.0f;
+        for (int h = 0; h < 3; ++h) {
+            V inner = 0.0f, inner_by_length = 0.0f;
+            for (int l = 0; l < 3; ++l) {
+                V innermost = 0.0f;
+                for (int c = 0; c < 3; ++c)
+                    innermost += each(0, 1 + c) * rows_at(c * over_cosine + h * over_height + l * width);
+                inner += each(2, 1 + l) * innermost;
+                inner_by_length += each(2, 4 + l) * innermost;
+            }
+            value += each(1, 1 + h) * inner;
+            by_height += each(1, 4 + h) * inner;
+            by_length += each(1, 1 + h) * inner_by_length;
+        }
+        const auto over_contrast = [&](int i) -> V {
+            return node == 0 ? each(3, i) : node == 1 ? each(3, i + 1) : node == 2 ? each(3, i + 2) : V(0.0f);
+        };
+        const auto sum_of = [&](V x, float* sum) {
+            x += __builtin_shufflevector(x, x, 1, 0, 3, 2, 5, 4, 7, 6, 9, 8, 11, 10, 13, 12, 15, 14);
+            x += __builtin_shufflevector(x, x, 2, 3, 0, 1, 6, 7, 4, 5, 10, 11, 8, 9, 14, 15, 12, 13);
+            const Row one = __builtin_shufflevector(x, x, 0, 4, 8, 12);
+            __builtin_memcpy(sum + k, &one, sizeof(one));
+        };
+        const V weights = over_contrast(1);
+        sum_of(value * weights, sums[0]);
+        sum_of(by_height * weights, sums[1]);
+        sum_of(by_length * weights, sums[2]);
+        sum_of(value * over_contrast(4), sums[3]);
+    }
+    V4 twice;
+    __builtin_memcpy(&twice, sums, sizeof(twice));
+    return twice;
+}
+""",
+    {stencil: ("nodes",)},
+)
+
+
 @cache
-def scatter_kernel(slopes: bool) -> wp.Kernel:
+def scatter_kernel(slopes: bool, *, beyond: bool) -> wp.Kernel:
     """The kernel of sigma0 of HV and VH for the hits `mine`, with `slopes` of its slopes too; `row`: of each material.
 
-    There are two, because slopes need almost twice the registers. `beyond_kernel` has yet to set the hits that have no
-    place in the lattice.
+    There are two, because slopes need almost twice the registers. With `beyond` it has the integral for the hits that
+    have no place in the lattice; without, `beyond_kernel` has yet to set them: on a GPU the integral needs so many
+    registers that few hits would be under way at once.
     """
 
-    @wp.kernel(enable_backward=False, module="unique", module_options={"max_unroll": 3})
+    @wp.kernel(enable_backward=False, module="unique", module_options={"max_unroll": 1 if beyond else 3})
     def scatter_kernel(
         # In:
         mine: wp.array(dtype=int),
@@ -261,13 +349,18 @@ def scatter_kernel(slopes: bool) -> wp.Kernel:
         i = read_int(mine, wp.tid())
         material = read_int(face_material, read_int(face, i))
         kind = read_int(spectrum, material)
+        loss = read_float(eps_im, material)
         cosine = read_float(cos_incidence, i)
         twist = read_float(cos_twist, i)
         if local_basis != 0:
             twist = 1.0
         z = read_vec4(zeta, i)
-        twice = splined(table, read_int(row, material), place_of(kind, wavenumber, cosine, z))
-        found = varying_sigma0(kind, wavenumber, cosine, twist, read_float(eps_im, material), z, twice)
+        place = place_of(kind, wavenumber, cosine, z)
+        twice = splined(table, read_int(row, material), place)
+        found = varying_sigma0(kind, wavenumber, cosine, twist, loss, z, twice)
+        if wp.static(beyond):
+            if is_beyond(place):
+                found = integral(kind, wavenumber, cosine, twist, loss, z)
         sigma_out[i] = found[0]
         if wp.static(slopes):
             write_vec4(slopes_out, i, wp.vec4(found[1], found[2], found[3], 0.0))
@@ -275,7 +368,17 @@ def scatter_kernel(slopes: bool) -> wp.Kernel:
     return scatter_kernel
 
 
-# A kernel of its own: the integral needs so many registers that few hits would be under way at once.
+@wp.func
+def integral(
+    spectrum: int, wavenumber: float, cos_incidence: float, cos_twist: float, eps_im: float, zeta: wp.vec4
+) -> wp.vec4:
+    """sigma0 of HV and its slopes as of `varying_sigma0`, where there is no place in the lattice."""
+    found = sigma0_and_slopes_of(
+        int(Polarization.HV), spectrum, 0, wavenumber, cos_incidence, cos_twist, 1.0, eps_im, 1.0, zeta
+    )
+    return wp.vec4(found[0], found[1], found[2], found[3])
+
+
 @wp.kernel(enable_backward=False)
 def beyond_kernel(
     # In:
@@ -304,9 +407,7 @@ def beyond_kernel(
     twist = read_float(cos_twist, i)
     if local_basis != 0:
         twist = 1.0
-    found = modelled_of(
-        int(Model.I2EM), int(Polarization.HV), kind, wavenumber, cosine, twist, read_float(eps_im, material), z
-    )
+    found = integral(kind, wavenumber, cosine, twist, read_float(eps_im, material), z)
     sigma_out[i] = found[0]
     if slopes_out.shape[0] > 0:
         write_vec4(slopes_out, i, wp.vec4(found[1], found[2], found[3], 0.0))

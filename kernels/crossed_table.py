@@ -8,17 +8,21 @@ ends, for the lobe about the normal and for the shadow. The same weights on the 
 exact derivative of what is interpolated. docs/scattering.md says how far it is from the integral.
 """
 
+from functools import cache
 from typing import Any
 
 import warp as wp
 
 from warpsar.kernels.codes import Coordinate, Polarization
-from warpsar.kernels.i2em import hidden_share, i2em_single, slope_deviation
-from warpsar.kernels.i2em_crossed import (
+from warpsar.kernels.incidence_table import DOUBLE, SINGLE, interpolated, node_cosine
+from warpsar.kernels.models.i2em import (
     SPOKES,
     half_difference,
+    hidden_share,
+    i2em_single,
     multiple_scale,
     ring_power,
+    slope_deviation,
     spoke_series,
 )
 from warpsar.kernels.scattering import MIN_COS_INCIDENCE, sine_squared
@@ -26,23 +30,10 @@ from warpsar.kernels.wide import read_float, read_int, write_vec4
 
 wp.set_module_options({"max_unroll": 1})
 
-SINGLE = wp.constant(384)  # nodes of A, whose lobe about the normal may be narrow
-DOUBLE = wp.constant(32)  # nodes of B
 WAVES = wp.constant(80)  # RINGS * SPOKES
 TOLERANCE = wp.constant(1.0e-8)  # of the series: a jump of it between two nodes would be seen in the cubic
 LEAST = wp.constant(wp.float64(1.0e-30))  # of a node: its logarithm is finite
 TURNED = wp.constant(wp.float64(0.7071067811865476))  # cos(psi) of the node, where the share of A is 1 / 4
-
-
-@wp.func
-def node_cosine(node: int, count: int):
-    """cos(theta) of a node, kept off 0 and 1, where powers of it and of the sine are taken out."""
-    one = wp.float64(1.0)
-    two = wp.float64(2.0)
-    place = two * wp.float64(float(node)) / wp.float64(float(count - 1)) - one
-    root = (place + wp.sqrt(two - place * place)) / two
-    least = wp.float64(MIN_COS_INCIDENCE)
-    return wp.clamp(root * root, least, one - least)
 
 
 @wp.func
@@ -165,22 +156,6 @@ def double_kernel(
 
 
 @wp.func
-def stencil(cos_incidence: float, nodes: float):
-    """The first of the four nodes about an incidence, and the cubic's weights of them: a vector of five."""
-    cosine = wp.clamp(cos_incidence, MIN_COS_INCIDENCE, 1.0)
-    at = 0.5 * (wp.sqrt(cosine) - wp.sqrt(1.0 - cosine) + 1.0) * (nodes - 1.0)
-    low = wp.clamp(wp.floor(at) - 1.0, 0.0, nodes - 4.0)
-    x = at - low - 1.0
-    return wp.vector(
-        low,
-        x * (x - 1.0) * (2.0 - x) / 6.0,
-        (x + 1.0) * (x - 1.0) * (x - 2.0) * 0.5,
-        (x + 1.0) * x * (2.0 - x) * 0.5,
-        (x + 1.0) * x * (x - 1.0) / 6.0,
-    )
-
-
-@wp.func
 def crossed_sigma0(cos_incidence: float, cos_twist: float, once: wp.vec4, twice: wp.vec4):
     """share A + B and its slopes, from ln A and ln B with theirs: a vector of four."""
     cosine = wp.clamp(cos_incidence, MIN_COS_INCIDENCE, 1.0)
@@ -197,44 +172,36 @@ def crossed_sigma0(cos_incidence: float, cos_twist: float, once: wp.vec4, twice:
     )
 
 
-@wp.func
-def interpolated(table: wp.array2d(dtype=wp.vec4), material: int, cos_incidence: float, nodes: int):
-    """A row of a table at an incidence."""
-    found = stencil(cos_incidence, float(nodes))
-    low = int(found[0])
-    return (
-        found[1] * table[material, low]
-        + found[2] * table[material, low + 1]
-        + found[3] * table[material, low + 2]
-        + found[4] * table[material, low + 3]
-    )
+@cache
+def scatter_kernel(slopes: bool) -> wp.Kernel:
+    """The kernel of sigma0 of HV and VH for the hits `mine`, with `slopes` of its slopes too."""
 
+    @wp.kernel(enable_backward=False, module="unique", module_options={"max_unroll": 1})
+    def scatter_kernel(
+        # In:
+        mine: wp.array(dtype=int),
+        local_basis: int,
+        face: wp.array(dtype=int),
+        face_material: wp.array(dtype=int),
+        cos_incidence: wp.array(dtype=float),
+        cos_twist: wp.array(dtype=float),
+        once: wp.array2d(dtype=wp.vec4),
+        twice: wp.array2d(dtype=wp.vec4),
+        # Out:
+        sigma_out: wp.array(dtype=float),
+        slopes_out: wp.array(dtype=wp.vec4),
+    ):
+        i = read_int(mine, wp.tid())
+        cosine = read_float(cos_incidence, i)
+        material = read_int(face_material, read_int(face, i))
+        twist = read_float(cos_twist, i)
+        if local_basis != 0:
+            twist = 1.0
+        found = crossed_sigma0(
+            cosine, twist, interpolated(once, material, cosine, SINGLE), interpolated(twice, material, cosine, DOUBLE)
+        )
+        sigma_out[i] = found[0]
+        if wp.static(slopes):
+            write_vec4(slopes_out, i, wp.vec4(found[1], found[2], found[3], 0.0))
 
-@wp.kernel(enable_backward=False)
-def scatter_kernel(
-    # In:
-    mine: wp.array(dtype=int),
-    local_basis: int,
-    face: wp.array(dtype=int),
-    face_material: wp.array(dtype=int),
-    cos_incidence: wp.array(dtype=float),
-    cos_twist: wp.array(dtype=float),
-    once: wp.array2d(dtype=wp.vec4),
-    twice: wp.array2d(dtype=wp.vec4),
-    # Out:
-    sigma_out: wp.array(dtype=float),
-    slopes_out: wp.array(dtype=wp.vec4),
-):
-    """sigma0 of HV and VH of the hits `mine`; with `slopes_out` not empty its slopes too."""
-    i = read_int(mine, wp.tid())
-    cosine = read_float(cos_incidence, i)
-    material = read_int(face_material, read_int(face, i))
-    twist = read_float(cos_twist, i)
-    if local_basis != 0:
-        twist = 1.0
-    found = crossed_sigma0(
-        cosine, twist, interpolated(once, material, cosine, SINGLE), interpolated(twice, material, cosine, DOUBLE)
-    )
-    sigma_out[i] = found[0]
-    if slopes_out.shape[0] > 0:
-        write_vec4(slopes_out, i, wp.vec4(found[1], found[2], found[3], 0.0))
+    return scatter_kernel

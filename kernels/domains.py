@@ -53,7 +53,7 @@ def area_kernel(
 
 
 @wp.struct
-class Domain:
+class KernelDomain:
     """Where a model has been found good: incidence [deg], kh, kl, moisture [m^3/m^3] and h / l, from and up to."""
 
     incidence_deg: wp.vec2
@@ -72,7 +72,7 @@ def within(value: float, ends: wp.vec2) -> bool:
 def model_area_kernel(
     # In:
     wavenumber: float,
-    domains: wp.array(dtype=Domain),
+    domains: wp.array(dtype=KernelDomain),
     face: wp.array(dtype=int),
     face_material: wp.array(dtype=int),
     weight: wp.array(dtype=float),

@@ -33,6 +33,23 @@ class RayGrid:
 
 
 @wp.struct
+class Band:
+    """Azimuth cells of a view's rays, from `first_cell` to the one before `end_cell`; `seed` places rays in cells."""
+
+    first_cell: int
+    end_cell: int
+    seed: int
+
+
+@wp.struct
+class Triangles:
+    """A mesh: `vertices` [m], and the three of each face, shape (faces, 3)."""
+
+    vertices: wp.array(dtype=wp.vec3)
+    faces: wp.array2d(dtype=int)
+
+
+@wp.struct
 class RayHit:
     distance: float
     b1: float

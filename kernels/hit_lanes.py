@@ -8,6 +8,7 @@ import warp as wp
 from warpsar.kernels import lanes
 from warpsar.kernels.geometry import (
     RayGrid,
+    Triangles,
     cos2_azimuth_of,
     cos_incidence_of,
     cos_twist_of,
@@ -15,6 +16,7 @@ from warpsar.kernels.geometry import (
     normal_of,
     point_on,
 )
+from warpsar.kernels.trace import HitArrays, Records
 
 # As in kernels/raster.py: no product is fused into a sum.
 wp.set_module_options({"fuse_fp": False})
@@ -36,7 +38,11 @@ _GEOMETRY = lanes.source(
 _HITS = """
     typedef Lanes::V V;
     typedef double D __attribute__((ext_vector_type(8)));
-    const int n = pixel_out.shape[0], begin = 8 * block, count = wp::min(n - begin, 8);
+    const auto& vertices = mesh.vertices;
+    const auto& faces = mesh.faces;
+    const auto& rows = records.rows;
+    const int face_bits = records.face_bits;
+    const int n = key.shape[0], begin = 8 * block, count = wp::min(n - begin, 8);
     const wp::int64 mask = (wp::int64(1) << face_bits) - 1;
     int met[8];
     D sums[3];
@@ -56,7 +62,7 @@ _HITS = """
         }
     }
     const V b1 = __builtin_convertvector(sums[1] / sums[0], V), b2 = __builtin_convertvector(sums[2] / sums[0], V);
-    const V weight = __builtin_convertvector(sums[0] / wp::float64(quanta), V);
+    const V weight = __builtin_convertvector(sums[0] / wp::float64(records.quanta), V);
     const Lanes::V3 p0 = corner[0], p1 = corner[1], p2 = corner[2];
     const Lanes::V3 point = Lanes::point_on(p0, p1, p2, b1, b2), normal = Lanes::normal_of(p0, p1, p2);
     const Lanes::V3 direction = Lanes::look_direction(grid, point);
@@ -65,14 +71,14 @@ _HITS = """
     const V azimuth2 = Lanes::cos2_azimuth_of(normal, direction);
     for (int lane = 0; lane < count; ++lane) {
         const int i = begin + lane;
-        pixel_out.data[i] = wp::int32(key.data[i] >> face_bits);
-        face_out.data[i] = met[lane];
-        barycentric_out.data[i] = {b1[lane], b2[lane]};
-        weight_out.data[i] = weight[lane];
-        point_out.data[i] = {point.c[0][lane], point.c[1][lane], point.c[2][lane]};
-        cos_incidence_out.data[i] = incidence[lane];
-        cos_twist_out.data[i] = twist[lane];
-        cos2_azimuth_out.data[i] = azimuth2[lane];
+        hits_out.pixel.data[i] = wp::int32(key.data[i] >> face_bits);
+        hits_out.face.data[i] = met[lane];
+        hits_out.barycentric.data[i] = {b1[lane], b2[lane]};
+        hits_out.weight.data[i] = weight[lane];
+        hits_out.point.data[i] = {point.c[0][lane], point.c[1][lane], point.c[2][lane]};
+        hits_out.cos_incidence.data[i] = incidence[lane];
+        hits_out.cos_twist.data[i] = twist[lane];
+        hits_out.cos2_azimuth.data[i] = azimuth2[lane];
     }
 """
 
@@ -81,21 +87,11 @@ _HITS = """
 def hit_block(
     block: int,
     grid: RayGrid,
-    vertices: wp.array(dtype=wp.vec3),
-    faces: wp.array2d(dtype=int),
-    rows: wp.array2d(dtype=wp.int64),
-    quanta: float,
+    mesh: Triangles,
+    records: Records,
     key: wp.array(dtype=wp.int64),
     row: wp.array(dtype=int),
-    face_bits: int,
-    pixel_out: wp.array(dtype=int),
-    face_out: wp.array(dtype=int),
-    barycentric_out: wp.array(dtype=wp.vec2),
-    weight_out: wp.array(dtype=float),
-    point_out: wp.array(dtype=wp.vec3),
-    cos_incidence_out: wp.array(dtype=float),
-    cos_twist_out: wp.array(dtype=float),
-    cos2_azimuth_out: wp.array(dtype=float),
+    hits_out: HitArrays,
 ): ...
 
 
@@ -103,40 +99,12 @@ def hit_block(
 def hit_kernel(
     # In:
     grid: RayGrid,
-    vertices: wp.array(dtype=wp.vec3),
-    faces: wp.array2d(dtype=int),
-    rows: wp.array2d(dtype=wp.int64),
-    quanta: float,
+    mesh: Triangles,
+    records: Records,
     key: wp.array(dtype=wp.int64),
     row: wp.array(dtype=int),
-    face_bits: int,
     # Out:
-    pixel_out: wp.array(dtype=int),
-    face_out: wp.array(dtype=int),
-    barycentric_out: wp.array(dtype=wp.vec2),
-    weight_out: wp.array(dtype=float),
-    point_out: wp.array(dtype=wp.vec3),
-    cos_incidence_out: wp.array(dtype=float),
-    cos_twist_out: wp.array(dtype=float),
-    cos2_azimuth_out: wp.array(dtype=float),
+    hits_out: HitArrays,
 ):
     """`trace.hit_kernel`, LANES rows at once."""
-    hit_block(
-        wp.tid(),
-        grid,
-        vertices,
-        faces,
-        rows,
-        quanta,
-        key,
-        row,
-        face_bits,
-        pixel_out,
-        face_out,
-        barycentric_out,
-        weight_out,
-        point_out,
-        cos_incidence_out,
-        cos_twist_out,
-        cos2_azimuth_out,
-    )
+    hit_block(wp.tid(), grid, mesh, records, key, row, hits_out)

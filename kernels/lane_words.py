@@ -14,8 +14,35 @@ struct Lanes {{
     {_INLINE} I choose(I mask, I a, I b) {{ return mask ? a : b; }}
 """
 
-# A word is written out where the functions use it.
+# A word is written out where the functions use it. `at` are places of an array, `count` how many lanes there are.
 _WORDS = {
+    "load": """V load(const float* a, int begin, int count)
+{
+    V x;
+    if (count == LANES)
+        __builtin_memcpy(&x, a + begin, sizeof(V));
+    else
+        for (int k = 0; k < LANES; ++k)
+            x[k] = a[begin + (k < count ? k : count - 1)];
+    return x;
+}""",
+    "gather": """V gather(const float* a, I at) { V x; for (int k = 0; k < LANES; ++k) x[k] = a[at[k]]; return x; }
+I gather(const int* a, I at) { I x; for (int k = 0; k < LANES; ++k) x[k] = a[at[k]]; return x; }""",
+    "store": """void store(float* a, I at, int count, V x)
+{
+    if (count == LANES)
+        for (int k = 0; k < LANES; ++k)
+            a[at[k]] = x[k];
+    else
+        for (int k = 0; k < count; ++k)
+            a[at[k]] = x[k];
+}
+void store(float* a, I at, int count, I mask, V x)
+{
+    for (int k = 0; k < count; ++k)
+        if (mask[k])
+            a[at[k]] = x[k];
+}""",
     "sqrt": "V sqrt(V x) { return __builtin_elementwise_sqrt(x); }",
     "abs": "V abs(V x) { return __builtin_elementwise_abs(x); }",
     "floor": "V floor(V x) { return __builtin_elementwise_floor(x); }",
@@ -45,11 +72,11 @@ _WORDS = {
 }
 
 
-def begin(lanes: int, text: str) -> str:
-    """The beginning of `Lanes`, with the words that `text`, the rest of it, uses."""
+def struct(lanes: int, text: str) -> str:
+    """`Lanes`: the words that `text`, the rest of it, uses, and it."""
     used = [word for name, word in _WORDS.items() if re.search(rf"(?<![\w:.]){name}\(", text)]
-    body = "".join(f"{_INLINE} {word}\n" for word in used)
-    return (_TYPES + textwrap.indent(body, "    ")).replace("LANES", str(lanes))
+    body = "".join(re.sub(r"^(?=(?:V|I|void) \w+\()", f"{_INLINE} ", word, flags=re.MULTILINE) + "\n" for word in used)
+    return (_TYPES + textwrap.indent(body + text, "    ")).replace("LANES", str(lanes)) + "};\n"
 
 
 def vector(n: int) -> str:
@@ -78,3 +105,41 @@ def vector(n: int) -> str:
         functions.append(f"V3 cross(const V3& a, const V3& b) {{ return {{{{{', '.join(crossed)}}}}}; }}")
     inside = "".join(f"    [[gnu::always_inline]] {member}\n" for member in members)
     return f"struct {v} {{\n    V c[{n}];\n{inside}}};\n" + "".join(f"{_INLINE} {f}\n" for f in functions)
+
+
+def memory(n: int) -> str:
+    """Of vectors of `n` numbers: many places of an array at once."""
+
+    def each(pattern: str) -> str:
+        return ", ".join(pattern.replace("#", str(i)) for i in range(n))
+
+    v = f"V{n}"
+    element = f"wp::vec_t<{n}, wp::float32>"
+    functions = [
+        f"""{v} gather(const {element}* a, I at)
+{{
+    {v} x;
+    for (int k = 0; k < LANES; ++k)
+        for (int j = 0; j < {n}; ++j)
+            x.c[j][k] = a[at[k]].c[j];
+    return x;
+}}""",
+        f"""void store({element}* a, I at, int count, const {v}& x)
+{{
+    float across[{n}][LANES];
+    __builtin_memcpy(across, &x, sizeof(x));
+    if (count == LANES)
+        for (int k = 0; k < LANES; ++k)
+            a[at[k]] = {{{each("across[#][k]")}}};
+    else
+        for (int k = 0; k < count; ++k)
+            a[at[k]] = {{{each("across[#][k]")}}};
+}}""",
+        f"""void store({element}* a, I at, int count, I mask, const {v}& x)
+{{
+    for (int k = 0; k < count; ++k)
+        if (mask[k])
+            a[at[k]] = {{{each("x.c[#][k]")}}};
+}}""",
+    ]
+    return "".join(f"{_INLINE} {f}\n" for f in functions)

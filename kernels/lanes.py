@@ -13,7 +13,6 @@ structs, calls of further `@wp.func`s. Anything else raises `NotImplementedError
 import ast
 import inspect
 import re
-import textwrap
 from collections.abc import Collection, Mapping
 from dataclasses import replace
 from enum import IntEnum
@@ -21,7 +20,7 @@ from typing import Any
 
 from warpsar.kernels import lane_words
 from warpsar.kernels.lane_expressions import Expressions
-from warpsar.kernels.lane_kinds import INT, Kind, cast, given, join, struct_text
+from warpsar.kernels.lane_kinds import INT, LaneKind, cast, given, join, struct_text
 
 
 def source(lanes: int, functions: Mapping[Any, Collection[str] | None]) -> str:
@@ -31,17 +30,9 @@ def source(lanes: int, functions: Mapping[Any, Collection[str] | None]) -> str:
     `Lanes::I` hold a float and an int of every lane, `Lanes::V3` three floats (`.c[0]` to `.c[2]`); a `wp.struct` of
     lanes has an s after its name. The text is the same in every run.
     """
-    unit = _Unit()
-    for function, uniform in functions.items():
-        kinds = []
-        for name, parameter in inspect.signature(function.func).parameters.items():
-            kind = given(parameter.annotation, uniform is not None and name not in uniform)
-            kinds.append(unit.struct(kind.struct, True) if kind.struct and kind.lanes else kind)
-        unit.translated(function, tuple(kinds))
-    body = "\n".join(unit.texts)
-    sizes = sorted({int(n) for n in re.findall(r"\bV(\d)\b", body + "".join(unit.structs.values()))})
-    text = "".join(lane_words.vector(n) for n in sizes) + "".join(unit.structs.values()) + body
-    return lane_words.begin(lanes, text) + textwrap.indent(text, "    ") + "};\n"
+    unit = Unit()
+    unit.add(functions)
+    return unit.text(lanes)
 
 
 def enum(codes: type[IntEnum]) -> str:
@@ -49,42 +40,77 @@ def enum(codes: type[IntEnum]) -> str:
     return f"enum {{ {', '.join(f'{code.name} = {code.value}' for code in codes)} }};\n"
 
 
-class _Unit:
+_BY_HAND: dict[Any, tuple[str, Mapping[Any, Collection[str] | None]]] = {}
+
+
+def by_hand(function: Any, text: str, calls: Mapping[Any, Collection[str] | None]) -> None:
+    """Let `text`, a static function of C++, stand for a `@wp.func` in lanes: one that reads memory in a way of its own.
+
+    It has the function's name and result, and may call the functions `calls`, given as those of `source`.
+    """
+    _BY_HAND[function] = text, calls
+
+
+class Unit:
     """The functions and structs of one text, each once for each kind of its arguments."""
 
     def __init__(self) -> None:
         self.texts: list[str] = []
         self.structs: dict[str, str] = {}
-        self._known: dict[tuple[Any, tuple[Kind, ...]], tuple[str, Kind]] = {}
-        self._several: dict[tuple[str, tuple[Kind, ...]], int] = {}
+        self._known: dict[tuple[Any, tuple[LaneKind, ...]], tuple[str, LaneKind]] = {}
+        self._several: dict[tuple[str, tuple[LaneKind, ...]], int] = {}
 
-    def translated(self, function: Any, kinds: tuple[Kind, ...]) -> tuple[str, Kind]:
+    def add(self, functions: Mapping[Any, Collection[str] | None]) -> None:
+        """Each of the functions, as `source` says."""
+        for function, uniform in functions.items():
+            kinds = []
+            for name, parameter in inspect.signature(function.func).parameters.items():
+                kind = given(parameter.annotation, uniform is not None and name not in uniform)
+                kinds.append(self.struct(kind.struct, True) if kind.struct and kind.lanes else kind)
+            self.translated(function, tuple(kinds))
+
+    def translated(self, function: Any, kinds: tuple[LaneKind, ...]) -> tuple[str, LaneKind]:
         """The function's name in C++ and the kind of its result. C++ tells its versions apart by their arguments."""
+        kinds = tuple(replace(kind, thread=False) for kind in kinds)
         key = (function, kinds)
-        if key not in self._known:
-            written = _Function(self, function, kinds)
+        if key not in self._known and function in _BY_HAND:
+            self._known[key] = function.func.__name__, given(function.func.__annotations__["return"], True)
+            text, calls = _BY_HAND[function]
+            self.add(calls)
+            self.texts.append(text)
+        elif key not in self._known:
+            written = Function(self, function, kinds)
             self._known[key] = written.name, written.result
             self.texts.append(written.text)
         return self._known[key]
 
-    def struct(self, struct: Any, lanes: bool) -> Kind:
+    def text(self, lanes: int) -> str:
+        """All of them as the C++ struct `Lanes`."""
+        body = "".join(self.structs.values()) + "\n".join(self.texts)
+        sizes = sorted({int(n) for n in re.findall(r"\bV(\d+)\b", body)})
+        vectors = "".join(lane_words.vector(n) for n in sizes)
+        if re.search(r"\b(gather|store)\(", body):
+            vectors += "".join(lane_words.memory(n) for n in sizes if n <= 4)
+        return lane_words.struct(lanes, vectors + body)
+
+    def struct(self, struct: Any, lanes: bool) -> LaneKind:
         """A `wp.struct` that a function makes; of lanes it is called after the many that it holds."""
-        kind = Kind(struct.key + "s" * lanes, lanes, struct=struct)
+        kind = LaneKind(struct.key + "s" * lanes, lanes, struct=struct)
         self.structs[kind.base] = struct_text(kind.base, {name: kind.field(name) for name in struct.vars})
         return kind
 
-    def results(self, function: str, parts: tuple[Kind, ...]) -> Kind:
+    def results(self, function: str, parts: tuple[LaneKind, ...]) -> LaneKind:
         """Several results of one function, as a struct."""
         number = self._several.setdefault((function, parts), sum(name == function for name, _ in self._several))
-        kind = Kind(f"{function}_results{number or ''}", parts=parts)
+        kind = LaneKind(f"{function}_results{number or ''}", parts=parts)
         self.structs[kind.base] = struct_text(kind.base, {f"part{i}": part for i, part in enumerate(parts)})
         return kind
 
 
-class _Function(Expressions):
+class Function(Expressions):
     """One `@wp.func` in C++. The first passes only find which variables differ between lanes; the last one counts."""
 
-    def __init__(self, unit: _Unit, function: Any, kinds: tuple[Kind, ...]) -> None:
+    def __init__(self, unit: Unit, function: Any, kinds: tuple[LaneKind, ...]) -> None:
         self.unit, self.function = unit, function
         self.tree: ast.FunctionDef = function.adj.tree.body[0]  # parsed by Warp, and not changed
         self.name = self.tree.name
@@ -92,7 +118,7 @@ class _Function(Expressions):
         self.called = set(re.findall(r"(\w+)\(", function.adj.source))
         self.arguments = [a.arg for a in self.tree.args.args]
         self.kinds = dict(zip(self.arguments, kinds, strict=True))
-        self.returned: Kind | None = None
+        self.returned: LaneKind | None = None
         self.settled = False
         while not self.settled:
             self.settled = True
@@ -102,20 +128,24 @@ class _Function(Expressions):
             self.early: list[tuple[str, str]] = []  # lanes that have returned, and what
             self.numbers: dict[str, int] = {}
             self.block(self.tree.body)
-        if self.returned is None:
-            raise self.unknown(self.tree)
-        self.result: Kind = self.returned
+        self.result = self.ended()
         arguments = ", ".join(
-            f"{f'const {kind.cpp}&' if kind.size or kind.struct else kind.cpp} {self.variable(name)}"
+            f"{f'const {kind.cpp}&' if kind.by_reference else kind.cpp} {self.variable(name)}"
             for name, kind in zip(self.arguments, kinds, strict=True)
         )
         head = f"// {function.func.__module__}.{self.name}\n[[gnu::always_inline]] static {self.result.cpp} {self.name}"
         self.text: str = f"{head}({arguments})\n{{\n" + "".join(f"    {line}\n" for line in self.lines) + "}\n"
 
-    def translated(self, function: Any, kinds: tuple[Kind, ...]) -> tuple[str, Kind]:
+    def ended(self) -> LaneKind:
+        """The kind of the result."""
+        if self.returned is None:
+            raise self.unknown(self.tree)
+        return self.returned
+
+    def translated(self, function: Any, kinds: tuple[LaneKind, ...]) -> tuple[str, LaneKind]:
         return self.unit.translated(function, kinds)
 
-    def made(self, struct: Any) -> Kind:
+    def made(self, struct: Any) -> LaneKind:
         return self.unit.struct(struct, self.lanes)
 
     def emit(self, line: str) -> None:
@@ -134,6 +164,10 @@ class _Function(Expressions):
             match statement:
                 case ast.Expr(ast.Constant(str())):  # what it is for
                     pass
+                case ast.Expr(ast.Call(ast.Name("write_vec4"), [array, at, value])):
+                    self.store(array, at, value)
+                case ast.Assign([ast.Subscript(array, at)], value) if self.is_array(array):
+                    self.store(array, at, value)
                 case ast.Assign([ast.Tuple(names)], value):
                     self.unpack(names, value)
                 case ast.Assign([target], value):
@@ -141,6 +175,8 @@ class _Function(Expressions):
                 case ast.AugAssign(target, sign, value):
                     read = ast.copy_location(ast.BinOp(target, sign, value), statement)
                     self.assign(target, *self.value(read))
+                case ast.If(ast.Constant(known)):  # a `wp.static`
+                    self.block(statement.body if known else statement.orelse)
                 case ast.If():
                     self.branch(statement)
                 case ast.For(ast.Name(name), ast.Call(ast.Name("range"), bounds)):
@@ -157,7 +193,7 @@ class _Function(Expressions):
         self.scopes.pop()
         self.emit("}")
 
-    def assign(self, target: ast.expr, text: str, kind: Kind) -> None:
+    def assign(self, target: ast.expr, text: str, kind: LaneKind) -> None:
         if not isinstance(target, ast.Name):  # a field
             place, known = self.value(target)
             text = cast(text, kind, known)
@@ -181,6 +217,14 @@ class _Function(Expressions):
         else:
             self.scopes[-1].add(name)
             self.emit(f"{joined.cpp} {variable} = {text};")
+
+    def store(self, array: ast.expr, at: ast.expr, value: ast.expr) -> None:
+        (data, of), (place, index), (text, kind) = self.value(array), self.value(at), self.value(value)
+        wanted = replace(of.element(), lanes=True)
+        if not index.lanes or wanted.base != "float":
+            raise self.unknown(at)
+        mask = f"{self.masks[-1][0]}, " if self.masks else ""
+        self.emit(f"store({data}.data, {place}, count, {mask}{cast(text, kind, wanted)});")
 
     def unpack(self, names: list[ast.expr], value: ast.expr) -> None:
         text, kind = self.value(value)
@@ -227,7 +271,7 @@ class _Function(Expressions):
             early = self.fresh("early")
             self.emit(f"V {early} = 0.0f;")
             self.early.append((mask, early))
-            self.returned = self.kinds[early] = Kind("float", True)
+            self.returned = self.kinds[early] = LaneKind("float", True)
             self.scopes[-1].add(early)
             body = [*body[:-1], ast.copy_location(ast.Assign([ast.Name(early)], last.value), last)]
         self.masks.append((mask, len(self.scopes)))

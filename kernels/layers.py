@@ -2,7 +2,16 @@
 
 import warp as wp
 
-from warpsar.kernels.geometry import RayGrid, direction_of, intersect, origin_of, plane_ray, point_on, slant_range_of
+from warpsar.kernels.geometry import (
+    RayGrid,
+    Triangles,
+    direction_of,
+    intersect,
+    origin_of,
+    plane_ray,
+    point_on,
+    slant_range_of,
+)
 
 wp.set_module_options({"max_unroll": 1})  # sixteen copies of a BVH query would take seconds to compile
 
@@ -13,9 +22,8 @@ HIDDEN_SURFACES = wp.constant(16)  # surfaces behind the first that a ray looks 
 def layers_kernel(
     # In:
     grid: RayGrid,
-    mesh: wp.uint64,
-    vertices: wp.array(dtype=wp.vec3),
-    faces: wp.array2d(dtype=int),
+    mesh: Triangles,
+    tree: wp.uint64,
     first_cell: int,
     # Out:
     visits_out: wp.array(dtype=float),
@@ -40,11 +48,11 @@ def layers_kernel(
         row = int(-1)
         for surface in range(HIDDEN_SURFACES):
             if from_distance >= 0.0:
-                query = wp.mesh_query_ray(mesh, origin + from_distance * direction, direction, grid.reach)
+                query = wp.mesh_query_ray(tree, origin + from_distance * direction, direction, grid.reach)
                 if query.result:
-                    p0 = vertices[faces[query.face, 0]]
-                    p1 = vertices[faces[query.face, 1]]
-                    p2 = vertices[faces[query.face, 2]]
+                    p0 = mesh.vertices[mesh.faces[query.face, 0]]
+                    p1 = mesh.vertices[mesh.faces[query.face, 1]]
+                    p2 = mesh.vertices[mesh.faces[query.face, 2]]
                     hit = intersect(origin, direction, p0, p1, p2)
                     point = point_on(p0, p1, p2, hit.b1, hit.b2)
                     at = int(wp.floor((slant_range_of(grid, point) - grid.range_start) / grid.range_spacing))

@@ -17,48 +17,66 @@ PARTIALS = wp.constant(4096)
 DARKEST = wp.constant(1.0e-18)
 
 
+@wp.struct
+class LossConstants:
+    """How far a model lies from what was measured (`kind`: GAMMA, MSE or LOG), each pixel times `weight`.
+
+    `bias` is psi(looks) - ln(looks), `log_gamma` ln Gamma(looks). Values of `top` or more were clipped there. A `bound`
+    b over 0 turns a value t into b ln(1 + t / b).
+    """
+
+    kind: int
+    looks: float
+    weight: float
+    bias: float
+    bound: float
+    top: float
+    log_gamma: float
+
+
+@wp.struct
+class ObservedPixels:
+    """Pixels that were measured, shape (n,). No pixel counts as darker than `darkest`: one a pixel, or one for all."""
+
+    pixel: wp.array(dtype=int)
+    measured: wp.array(dtype=float)
+    darkest: wp.array(dtype=float)
+
+
 @wp.kernel
 def loss_kernel(
     # In:
-    kind: int,
-    pixel: wp.array(dtype=int),
-    measured: wp.array(dtype=float),
+    constants: LossConstants,
+    observed: ObservedPixels,
     image: wp.array(dtype=float),
-    darkest: wp.array(dtype=float),
     gain: wp.array(dtype=float),
     gain_index: int,
-    looks: float,
-    weight: float,
-    bias: float,
-    bound: float,
-    top: float,
-    log_gamma: float,
     # Out:
     loss_out: wp.array(dtype=wp.float64),
 ):
     """GAMMA: L (I / mu - 1 - ln(I / mu)), half the deviance; MSE: (I - mu)^2 / 2 (equation 38);
-    LOG: (ln I - ln mu - bias)^2 / 2, bias = psi(L) - ln L. A `bound` b over 0 turns a value t of GAMMA into
-    b ln(1 + t / b). A pixel that measured `top` or more was clipped there: its value t of GAMMA is -ln P(I >= top).
-    `log_gamma` is ln Gamma(looks). Each times `weight`. mu is the image, no darker than `darkest` (one a pixel, or one
-    for all), times the gain."""
+    LOG: (ln I - ln mu - bias)^2 / 2. Of a pixel that was clipped the value of GAMMA is -ln P(I >= top). mu is the
+    image, no darker than `darkest`, times the gain."""
     i = wp.tid()
-    mu = gain[gain_index] * wp.max(image[pixel[i]], darkest[wp.min(i, darkest.shape[0] - 1)])
-    observed = measured[i]
+    darkest = observed.darkest[wp.min(i, observed.darkest.shape[0] - 1)]
+    mu = gain[gain_index] * wp.max(image[observed.pixel[i]], darkest)
+    measured = observed.measured[i]
+    looks = constants.looks
     value = float(0.0)
-    if kind == GAMMA:
-        ratio = observed / mu
+    if constants.kind == GAMMA:
+        ratio = measured / mu
         value = looks * (ratio - 1.0 - wp.log(ratio))
-        if observed >= top:
-            x = wp.float64(looks * top / mu)
-            value = float(minus_log_q(x, wp.float64(looks), wp.float64(log_gamma)))
-        if bound > 0.0:
-            value = bound * wp.log(1.0 + value / bound)
-    elif kind == MSE:
-        value = 0.5 * (observed - mu) * (observed - mu)
+        if measured >= constants.top:
+            x = wp.float64(looks * constants.top / mu)
+            value = float(minus_log_q(x, wp.float64(looks), wp.float64(constants.log_gamma)))
+        if constants.bound > 0.0:
+            value = constants.bound * wp.log(1.0 + value / constants.bound)
+    elif constants.kind == MSE:
+        value = 0.5 * (measured - mu) * (measured - mu)
     else:
-        difference = wp.log(observed) - wp.log(mu) - bias
+        difference = wp.log(measured) - wp.log(mu) - constants.bias
         value = 0.5 * difference * difference
-    wp.atomic_add(loss_out, i % PARTIALS, wp.float64(weight * value))
+    wp.atomic_add(loss_out, i % PARTIALS, wp.float64(constants.weight * value))
 
 
 @wp.kernel

@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from warpsar.kernels.geometry import PlaneRay, RayGrid, azimuth_of, elevation_of, jitter_of, plane_ray
+from warpsar.kernels.geometry import Band, PlaneRay, RayGrid, Triangles, azimuth_of, elevation_of, jitter_of, plane_ray
 
 # A product fused into a sum is rounded otherwise than its twin: two faces would differ about their common edge.
 wp.set_module_options({"fuse_fp": False})
@@ -21,6 +21,28 @@ NO_FACE = 2**63 - 1  # a distance that no face has, and -1 in the low 32 bits
 class Span:
     low: float
     high: float
+
+
+@wp.struct
+class ProjectedVertices:
+    """A mesh as the radar sees it: of every vertex what `project_kernel` finds, and the three of each face."""
+
+    corner: wp.array(dtype=wp.vec4)
+    faces: wp.array2d(dtype=int)
+    slack: float  # how far a corner may be off [cells]
+
+
+@wp.struct
+class LargeFaces:
+    """Faces that are cut into strips of one azimuth cell each.
+
+    `count` has one element, which counts faces and their strips in one number. So strips are numbered in the order of
+    the list: the first strip of each `face` is number `begin`.
+    """
+
+    count: wp.array(dtype=wp.int64)
+    face: wp.array(dtype=int)
+    begin: wp.array(dtype=wp.int64)
 
 
 @wp.kernel(enable_backward=False)
@@ -84,14 +106,15 @@ def cells_of(grid: RayGrid, a: wp.vec4, b: wp.vec4, c: wp.vec4, slack: float) ->
 def extent_kernel(
     # In:
     grid: RayGrid,
-    corner: wp.array(dtype=wp.vec4),
-    faces: wp.array2d(dtype=int),
-    slack: float,
+    mesh: ProjectedVertices,
     # Out:
     cells_out: wp.array(dtype=wp.vec4i),
 ):
     f = wp.tid()
-    cells_out[f] = cells_of(grid, corner[faces[f, 0]], corner[faces[f, 1]], corner[faces[f, 2]], slack)
+    a = mesh.corner[mesh.faces[f, 0]]
+    b = mesh.corner[mesh.faces[f, 1]]
+    c = mesh.corner[mesh.faces[f, 2]]
+    cells_out[f] = cells_of(grid, a, b, c, mesh.slack)
 
 
 @wp.func
@@ -171,24 +194,24 @@ def distance_to(grid: RayGrid, a: wp.vec4, b: wp.vec4, c: wp.vec4, azimuth: floa
 @wp.func
 def draw(
     grid: RayGrid,
-    seed: int,
+    band: Band,
     a: wp.vec4,
     b: wp.vec4,
     c: wp.vec4,
     f: int,
     cell: int,
     k: int,
-    at: int,
     nearest: wp.array(dtype=wp.int64),
 ):
     """A face against one ray: the smallest (distance, face) stays, in whatever order they come."""
-    jitter = jitter_of(grid, seed, cell, k)
+    jitter = jitter_of(grid, band.seed, cell, k)
     ray = plane_ray(grid, elevation_of(grid, k, jitter))
     distance = distance_to(grid, a, b, c, azimuth_of(grid, cell, jitter), ray)
     if distance < FAR:
         # the bits of positive numbers are in their order
         bits = wp.int64(wp.cast(wp.max(distance, 0.0), wp.uint32))
         found = (bits << wp.int64(32)) + wp.int64(f)
+        at = (cell - band.first_cell) * grid.elevation_cells + k
         if found < nearest[at]:
             wp.atomic_min(nearest, at, found)
 
@@ -197,61 +220,45 @@ def draw(
 def draw_kernel(
     # In:
     grid: RayGrid,
-    corner: wp.array(dtype=wp.vec4),
-    faces: wp.array2d(dtype=int),
-    first_cell: int,
-    last_cell: int,
-    slack: float,
-    seed: int,
+    mesh: ProjectedVertices,
+    band: Band,
     # In and out:
     nearest: wp.array(dtype=wp.int64),
-    large: wp.array(dtype=wp.int64),
-    # Out:
-    large_face: wp.array(dtype=int),
-    large_begin: wp.array(dtype=wp.int64),
+    large: LargeFaces,
 ):
-    """FACE_LANES threads hold one face against the rays whose cells it may touch, or put it on the list of large ones.
-
-    `large` counts them and their strips (of one azimuth cell) in one number, so that in the list strips are numbered
-    in order.
-    """
+    """FACE_LANES threads hold one face against the rays whose cells it may touch, or put it on the list `large`."""
     t = wp.tid()
     f = t // FACE_LANES
     lane = t % FACE_LANES
-    a = corner[faces[f, 0]]
-    b = corner[faces[f, 1]]
-    c = corner[faces[f, 2]]
-    box = cells_of(grid, a, b, c, slack)
-    first = wp.max(box[0], first_cell)
-    wide = wp.min(box[1], last_cell) - first + 1
+    a = mesh.corner[mesh.faces[f, 0]]
+    b = mesh.corner[mesh.faces[f, 1]]
+    c = mesh.corner[mesh.faces[f, 2]]
+    box = cells_of(grid, a, b, c, mesh.slack)
+    first = wp.max(box[0], band.first_cell)
+    wide = wp.min(box[1], band.end_cell - 1) - first + 1
     high = box[3] - box[2] + 1
     if wide > 0 and high > 0:
         if wide <= SMALL and high <= SMALL and wide * high <= SMALL:
             for i in range(lane, wide * high, FACE_LANES):
                 cell = first + i // high
                 k = box[2] + i % high
-                draw(grid, seed, a, b, c, f, cell, k, (cell - first_cell) * grid.elevation_cells + k, nearest)
+                draw(grid, band, a, b, c, f, cell, k, nearest)
         elif lane == 0:
             one = wp.int64(1) << wp.int64(STRIP_BITS)
-            taken = wp.atomic_add(large, 0, one + wp.int64(wide))
+            taken = wp.atomic_add(large.count, 0, one + wp.int64(wide))
             slot = int(taken >> wp.int64(STRIP_BITS))
-            large_face[slot] = f
-            large_begin[slot] = taken & (one - wp.int64(1))
+            large.face[slot] = f
+            large.begin[slot] = taken & (one - wp.int64(1))
 
 
 @wp.kernel(enable_backward=False, launch_bounds=(BLOCK, 10))
 def draw_large_kernel(
     # In:
     grid: RayGrid,
-    corner: wp.array(dtype=wp.vec4),
-    faces: wp.array2d(dtype=int),
-    first_cell: int,
-    slack: float,
-    seed: int,
+    mesh: ProjectedVertices,
+    band: Band,
+    large: LargeFaces,
     groups: int,
-    large: wp.array(dtype=wp.int64),
-    large_face: wp.array(dtype=int),
-    large_begin: wp.array(dtype=wp.int64),
     # In and out:
     nearest: wp.array(dtype=wp.int64),
 ):
@@ -260,8 +267,8 @@ def draw_large_kernel(
     group = t // FACE_LANES
     lane = t % FACE_LANES
     one = wp.int64(1) << wp.int64(STRIP_BITS)
-    count = int(large[0] >> wp.int64(STRIP_BITS))
-    strips = large[0] & (one - wp.int64(1))
+    count = int(large.count[0] >> wp.int64(STRIP_BITS))
+    strips = large.count[0] & (one - wp.int64(1))
     each = (strips + wp.int64(groups) - wp.int64(1)) // wp.int64(groups)
     number = wp.int64(group) * each
     last = wp.min(number + each, strips)
@@ -270,35 +277,36 @@ def draw_large_kernel(
     end = count
     while end - slot > 1 and number < last:
         middle = (slot + end) // 2
-        if large_begin[middle] <= number:
+        if large.begin[middle] <= number:
             slot = middle
         else:
             end = middle
     while number < last:
         until = last
         if slot + 1 < count:
-            until = wp.min(last, large_begin[slot + 1])
-        f = large_face[slot]
-        a = corner[faces[f, 0]]
-        b = corner[faces[f, 1]]
-        c = corner[faces[f, 2]]
-        box = cells_of(grid, a, b, c, slack)
-        begin = wp.max(box[0], first_cell) + int(number - large_begin[slot])
+            until = wp.min(last, large.begin[slot + 1])
+        f = large.face[slot]
+        a = mesh.corner[mesh.faces[f, 0]]
+        b = mesh.corner[mesh.faces[f, 1]]
+        c = mesh.corner[mesh.faces[f, 2]]
+        box = cells_of(grid, a, b, c, mesh.slack)
+        begin = wp.max(box[0], band.first_cell) + int(number - large.begin[slot])
         for cell in range(begin, begin + int(until - number)):
-            strip = strip_of(grid, a, b, c, cell, box[2], box[3], slack)
-            row = (cell - first_cell) * grid.elevation_cells
+            strip = strip_of(grid, a, b, c, cell, box[2], box[3], mesh.slack)
             for k in range(strip[0] + lane, strip[1] + 1, FACE_LANES):
-                draw(grid, seed, a, b, c, f, cell, k, row + k, nearest)
+                draw(grid, band, a, b, c, f, cell, k, nearest)
         number = until
         slot += 1
 
 
 @wp.kernel(enable_backward=False)
-def area_kernel(vertices: wp.array(dtype=wp.vec3), faces: wp.array2d(dtype=int), area_out: wp.array(dtype=wp.float64)):
+def area_kernel(mesh: Triangles, area_out: wp.array(dtype=wp.float64)):
     """Area of every face that is this thread's [m2], summed."""
     t = wp.tid()
     area = wp.float64(0.0)
-    for f in range(t, faces.shape[0], area_out.shape[0]):
-        p = vertices[faces[f, 0]]
-        area += wp.float64(0.5 * wp.length(wp.cross(vertices[faces[f, 1]] - p, vertices[faces[f, 2]] - p)))
+    for f in range(t, mesh.faces.shape[0], area_out.shape[0]):
+        p = mesh.vertices[mesh.faces[f, 0]]
+        e1 = mesh.vertices[mesh.faces[f, 1]] - p
+        e2 = mesh.vertices[mesh.faces[f, 2]] - p
+        area += wp.float64(0.5 * wp.length(wp.cross(e1, e2)))
     area_out[t] = area

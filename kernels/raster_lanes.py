@@ -7,13 +7,44 @@ is serial here, so a ray keeps its nearest face without atomics.
 import warp as wp
 
 from warpsar.kernels import lanes
-from warpsar.kernels.geometry import RayGrid, azimuth_of, elevation_of, jitter_of, plane_ray
-from warpsar.kernels.raster import distance_to, strip_of
+from warpsar.kernels.geometry import Band, RayGrid, azimuth_of, elevation_of, jitter_of, plane_ray
+from warpsar.kernels.raster import ProjectedVertices, distance_to, strip_of
 
 # As in kernels/raster.py: two faces see their common edge alike only where no product is fused into a sum.
 wp.set_module_options({"fuse_fp": False})
 
 LANES = 8  # rays that are worked on at once
+
+
+@wp.struct
+class InColumns:
+    """Faces in the order of the pixel columns in which they begin, from number `begin` of them on.
+
+    `cells` of each face are those of `raster.extent_kernel`.
+    """
+
+    cells: wp.array(dtype=wp.vec4i)
+    order: wp.array(dtype=int)
+    begin: int
+
+
+@wp.struct
+class BandRays:
+    """The rays of a band: azimuth [m], and what `geometry.PlaneRay` has; of plane waves `across` alone."""
+
+    azimuth: wp.array(dtype=float)
+    across: wp.array(dtype=float)
+    along: wp.array(dtype=float)
+    cosine: wp.array(dtype=float)
+    sine: wp.array(dtype=float)
+
+
+@wp.struct
+class Nearest:
+    """Of every ray of a band the face that lies nearest, or -1, and its distance [m]."""
+
+    depth: wp.array(dtype=float)
+    face: wp.array(dtype=int)
 
 
 _SORT = """
@@ -89,6 +120,9 @@ _START = lanes.source(LANES, dict.fromkeys((jitter_of, azimuth_of, elevation_of,
 @wp.func_native(
     _START
     + """
+    const auto& azimuth_out = rays_out.azimuth;
+    const auto& across_out = rays_out.across;
+    const int first_cell = band.first_cell, seed = band.seed;
     // two loops, since a compiler finds vectors in the first alone
     const bool curved = grid.slant_range > 0.0f;
     const int begin = i * grid.elevation_cells;
@@ -100,45 +134,36 @@ _START = lanes.source(LANES, dict.fromkeys((jitter_of, azimuth_of, elevation_of,
     for (int at = begin; at < begin + grid.elevation_cells && curved; ++at) {
         const Lanes::PlaneRay ray = Lanes::plane_ray(grid, across_out.data[at]);
         across_out.data[at] = ray.across;
-        along_out.data[at] = ray.along;
-        cosine_out.data[at] = ray.cosine;
-        sine_out.data[at] = ray.sine;
+        rays_out.along.data[at] = ray.along;
+        rays_out.cosine.data[at] = ray.cosine;
+        rays_out.sine.data[at] = ray.sine;
     }
 """
 )
-def start_cell(
-    i: int,
-    grid: RayGrid,
-    first_cell: int,
-    seed: int,
-    azimuth_out: wp.array(dtype=float),
-    across_out: wp.array(dtype=float),
-    along_out: wp.array(dtype=float),
-    cosine_out: wp.array(dtype=float),
-    sine_out: wp.array(dtype=float),
-): ...
+def start_cell(i: int, grid: RayGrid, band: Band, rays_out: BandRays): ...
 
 
 @wp.kernel(enable_backward=False)
 def ray_kernel(
     # In:
     grid: RayGrid,
-    first_cell: int,
-    seed: int,
+    band: Band,
     # Out:
-    azimuth_out: wp.array(dtype=float),
-    across_out: wp.array(dtype=float),
-    along_out: wp.array(dtype=float),
-    cosine_out: wp.array(dtype=float),
-    sine_out: wp.array(dtype=float),
+    rays_out: BandRays,
 ):
-    """The rays of one azimuth cell: azimuth [m], and what `geometry.PlaneRay` has; of plane waves `across` alone."""
-    start_cell(wp.tid(), grid, first_cell, seed, azimuth_out, across_out, along_out, cosine_out, sine_out)
+    """The rays of one azimuth cell."""
+    start_cell(wp.tid(), grid, band, rays_out)
 
 
 _RASTER = """
     typedef Lanes::V V;
     typedef Lanes::I I;
+    const auto& corner = mesh.corner;
+    const auto& faces = mesh.faces;
+    const auto& cells = sorted.cells;
+    const auto& order = sorted.order;
+    const int begin = sorted.begin, first_cell = band.first_cell, last_cell = band.end_cell - 1;
+    const float slack = mesh.slack;
     const auto load = [](const wp::array_t<float>& array, int at) -> V {
         V result;
         __builtin_memcpy(&result, array.data + at, sizeof(V));
@@ -171,27 +196,27 @@ _RASTER = """
         const int row = (cell - first_cell) * grid.elevation_cells;
         for (int k = bottom; k <= top; k += 8) {
             const int at = row + k;
-            Lanes::PlaneRays ray = {-grid.standoff, load(across, at), 1.0f, 0.0f};
+            Lanes::PlaneRays ray = {-grid.standoff, load(rays.across, at), 1.0f, 0.0f};
             if (curved) {
-                ray.along = load(along, at);
-                ray.cosine = load(cosine, at);
-                ray.sine = load(sine, at);
+                ray.along = load(rays.along, at);
+                ray.cosine = load(rays.cosine, at);
+                ray.sine = load(rays.sine, at);
             }
-            const V distance = Lanes::distance_to(grid, a, b, c, load(azimuth, at), ray);
+            const V distance = Lanes::distance_to(grid, a, b, c, load(rays.azimuth, at), ray);
             const I met = (lane <= top - k) & (distance < __builtin_inff());
             if (!Lanes::any(met))
                 continue;
             V nearest_depth;
             I nearest_face;
-            __builtin_memcpy(&nearest_depth, depth.data + at, sizeof(V));
-            __builtin_memcpy(&nearest_face, nearest.data + at, sizeof(I));
+            __builtin_memcpy(&nearest_depth, nearest_out.depth.data + at, sizeof(V));
+            __builtin_memcpy(&nearest_face, nearest_out.face.data + at, sizeof(I));
             // of two at one distance the first: a matter of the mesh, not of the order they come in
             const I first_of_two = (distance == nearest_depth) & (f < nearest_face);
             const I nearer = met & ((distance < nearest_depth) | first_of_two);
             nearest_depth = nearer ? distance : nearest_depth;
             nearest_face = nearer ? I(f) : nearest_face;
-            __builtin_memcpy(depth.data + at, &nearest_depth, sizeof(V));
-            __builtin_memcpy(nearest.data + at, &nearest_face, sizeof(I));
+            __builtin_memcpy(nearest_out.depth.data + at, &nearest_depth, sizeof(V));
+            __builtin_memcpy(nearest_out.face.data + at, &nearest_face, sizeof(I));
         }
     }
 """
@@ -199,23 +224,7 @@ _RASTER = """
 
 @wp.func_native(lanes.source(LANES, {distance_to: ("grid", "a", "b", "c"), strip_of: None}) + _RASTER)
 def raster_face(
-    i: int,
-    grid: RayGrid,
-    corner: wp.array(dtype=wp.vec4),
-    faces: wp.array2d(dtype=int),
-    cells: wp.array(dtype=wp.vec4i),
-    order: wp.array(dtype=int),
-    begin: int,
-    azimuth: wp.array(dtype=float),
-    across: wp.array(dtype=float),
-    along: wp.array(dtype=float),
-    cosine: wp.array(dtype=float),
-    sine: wp.array(dtype=float),
-    first_cell: int,
-    last_cell: int,
-    slack: float,
-    depth: wp.array(dtype=float),
-    nearest: wp.array(dtype=int),
+    i: int, grid: RayGrid, mesh: ProjectedVertices, sorted: InColumns, band: Band, rays: BandRays, nearest_out: Nearest
 ): ...
 
 
@@ -223,45 +232,13 @@ def raster_face(
 def raster_kernel(
     # In:
     grid: RayGrid,
-    corner: wp.array(dtype=wp.vec4),
-    faces: wp.array2d(dtype=int),
-    cells: wp.array(dtype=wp.vec4i),
-    order: wp.array(dtype=int),
-    begin: int,
-    azimuth: wp.array(dtype=float),
-    across: wp.array(dtype=float),
-    along: wp.array(dtype=float),
-    cosine: wp.array(dtype=float),
-    sine: wp.array(dtype=float),
-    first_cell: int,
-    last_cell: int,
-    slack: float,
+    mesh: ProjectedVertices,
+    sorted: InColumns,
+    band: Band,
+    rays: BandRays,
     # In and out:
-    depth: wp.array(dtype=float),
-    nearest: wp.array(dtype=int),
+    nearest: Nearest,
 ):
     """One face against the rays whose cells it may touch, LANES at once; a launch on the CPU is serial, so nothing is
-    atomic. Every array of rays has LANES more than there are.
-
-    Edges and distances as in `raster.distance_to`; `cells` of each face are those of `raster.extent_kernel`, `slack`
-    [cells] is what it had.
-    """
-    raster_face(
-        wp.tid(),
-        grid,
-        corner,
-        faces,
-        cells,
-        order,
-        begin,
-        azimuth,
-        across,
-        along,
-        cosine,
-        sine,
-        first_cell,
-        last_cell,
-        slack,
-        depth,
-        nearest,
-    )
+    atomic. Every array of rays has LANES more than there are. Edges and distances as in `raster.distance_to`."""
+    raster_face(wp.tid(), grid, mesh, sorted, band, rays, nearest)

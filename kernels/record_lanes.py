@@ -10,7 +10,9 @@ import warp as wp
 from warpsar.kernels import lanes
 from warpsar.kernels.deposit import footprint_of, row_at, share_in
 from warpsar.kernels.geometry import (
+    Band,
     RayGrid,
+    Triangles,
     azimuth_of,
     direction_of,
     elevation_of,
@@ -22,6 +24,7 @@ from warpsar.kernels.geometry import (
     point_on,
     slant_range_of,
 )
+from warpsar.kernels.trace import Records
 
 # As in kernels/raster.py: no product is fused into a sum.
 wp.set_module_options({"fuse_fp": False})
@@ -29,39 +32,46 @@ wp.set_module_options({"fuse_fp": False})
 LANES = 8  # rays that are worked on at once
 
 
+@wp.struct
+class Jitters:
+    """`geometry.jitter_of` every ray of a band, in the order of its faces."""
+
+    across: wp.array(dtype=float)
+    along: wp.array(dtype=float)
+
+
+@wp.struct
+class Chains:
+    """A column's records by the hash of their keys: the first one of each slot, and the next one of each, or -1."""
+
+    head: wp.array(dtype=int)  # of a power of two
+    link: wp.array(dtype=int)
+
+
 @wp.func_native(
     lanes.source(LANES, {jitter_of: None})
     + """
     const int first = i * grid.elevation_cells;
     for (int k = 0; k < grid.elevation_cells; ++k) {
-        const wp::vec_t<2, wp::float32> jitter = Lanes::jitter_of(grid, seed, first_cell + i, k);
-        across_out.data[first + k] = jitter.c[0];
-        along_out.data[first + k] = jitter.c[1];
+        const wp::vec_t<2, wp::float32> jitter = Lanes::jitter_of(grid, band.seed, band.first_cell + i, k);
+        jitters_out.across.data[first + k] = jitter.c[0];
+        jitters_out.along.data[first + k] = jitter.c[1];
     }
 """
 )
-def jitter_cell(
-    i: int,
-    grid: RayGrid,
-    first_cell: int,
-    seed: int,
-    across_out: wp.array(dtype=float),
-    along_out: wp.array(dtype=float),
-): ...
+def jitter_cell(i: int, grid: RayGrid, band: Band, jitters_out: Jitters): ...
 
 
 @wp.kernel(enable_backward=False)
 def jitter_kernel(
     # In:
     grid: RayGrid,
-    first_cell: int,
-    seed: int,
+    band: Band,
     # Out:
-    across_out: wp.array(dtype=float),
-    along_out: wp.array(dtype=float),
+    jitters_out: Jitters,
 ):
-    """`geometry.jitter_of` the rays of one azimuth cell."""
-    jitter_cell(wp.tid(), grid, first_cell, seed, across_out, along_out)
+    """The rays of one azimuth cell."""
+    jitter_cell(wp.tid(), grid, band, jitters_out)
 
 
 _GEOMETRY = lanes.source(
@@ -84,6 +94,13 @@ _GEOMETRY = lanes.source(
 
 _RECORD = """
     typedef Lanes::V V;
+    const auto& vertices = mesh.vertices;
+    const auto& faces = mesh.faces;
+    const auto& rows = records_out.rows;
+    const auto& head = chains_out.head;
+    const auto& link = chains_out.link;
+    const int first_cell = band.first_cell, face_bits = records_out.face_bits;
+    const float quanta = records_out.quanta;
     const int column = first_cell / grid.cells_per_column + i;
     const wp::int64 capacity = rows.shape[0];
     const wp::uint32 mask = head.shape[0] - 1;
@@ -101,7 +118,7 @@ _RECORD = """
         while (at >= 0 && rows.data[4 * wp::int64(at)] != key)
             at = link.data[at];
         if (at < 0) {
-            at = taken.data[0]++;
+            at = records_out.count.data[1]++;
             if (at >= capacity)  // the host begins again with room for as many
                 return;
             rows.data[4 * wp::int64(at)] = key;
@@ -147,8 +164,8 @@ _RECORD = """
                     __builtin_prefetch(vertices.data + faces.data[3 * next + j]);
             if (f >= 0) {
                 met[count] = f;
-                lanes[count] = jitter_across.data[before + k];
-                lanes[8 + count] = jitter_along.data[before + k];
+                lanes[count] = jitters.across.data[before + k];
+                lanes[8 + count] = jitters.along.data[before + k];
                 ray.number[count] = k;
                 for (int j = 0; j < 3; ++j)
                     for (int axis = 0; axis < 3; ++axis)
@@ -197,19 +214,13 @@ _RECORD = """
 def record_column(
     i: int,
     grid: RayGrid,
-    vertices: wp.array(dtype=wp.vec3),
-    faces: wp.array2d(dtype=int),
+    mesh: Triangles,
+    band: Band,
     face: wp.array(dtype=int),
-    jitter_across: wp.array(dtype=float),
-    jitter_along: wp.array(dtype=float),
-    first_cell: int,
+    jitters: Jitters,
     deposit: int,
-    face_bits: int,
-    quanta: float,
-    head: wp.array(dtype=int),
-    link: wp.array(dtype=int),
-    taken: wp.array(dtype=int),
-    rows: wp.array2d(dtype=wp.int64),
+    chains_out: Chains,
+    records_out: Records,
 ): ...
 
 
@@ -217,38 +228,15 @@ def record_column(
 def record_kernel(
     # In:
     grid: RayGrid,
-    vertices: wp.array(dtype=wp.vec3),
-    faces: wp.array2d(dtype=int),
+    mesh: Triangles,
+    band: Band,
     face: wp.array(dtype=int),
-    jitter_across: wp.array(dtype=float),
-    jitter_along: wp.array(dtype=float),
-    first_cell: int,
+    jitters: Jitters,
     deposit: int,
-    face_bits: int,
-    quanta: float,
     # Room, the next column's after this one's:
-    head: wp.array(dtype=int),  # of a power of two
-    link: wp.array(dtype=int),
-    # Out:
-    taken: wp.array(dtype=int),
-    rows: wp.array2d(dtype=wp.int64),
+    chains: Chains,
+    # In and out:
+    records: Records,
 ):
-    """One column of pixels. `rows` as `trace.Records` has them, but for the key, which is one less; `taken` of them, or
-    so many as are sure to have room."""
-    record_column(
-        wp.tid(),
-        grid,
-        vertices,
-        faces,
-        face,
-        jitter_across,
-        jitter_along,
-        first_cell,
-        deposit,
-        face_bits,
-        quanta,
-        head,
-        link,
-        taken,
-        rows,
-    )
+    """One column of pixels. `records.count[1]` rows are taken, or so many as are sure to have room."""
+    record_column(wp.tid(), grid, mesh, band, face, jitters, deposit, chains, records)

@@ -1,9 +1,8 @@
-"""Parameters at the hit, sigma0 of the hit, power into the pixel."""
+"""Parameters at the hit, and power into the pixel."""
 
 import warp as wp
 
-from warpsar.kernels.codes import FRACTION_LIMIT, Coordinate, Layout
-from warpsar.kernels.scattering import sigma0, sigma0_and_slopes
+from warpsar.kernels.codes import Coordinate, Layout
 from warpsar.kernels.wide import (
     NODE_LANES,
     read_float,
@@ -17,6 +16,27 @@ from warpsar.kernels.wide import (
     sum_of_node,
     write_vec4,
 )
+
+
+@wp.struct
+class OnMesh:
+    """Places on a mesh, shape (n,): a face, and the weights of its second and third vertex."""
+
+    face: wp.array(dtype=int)
+    barycentric: wp.array(dtype=wp.vec2)
+
+
+@wp.struct
+class NodeMap:
+    """Which nodes a place on a mesh has: `places` (layout, offset, width, height) by [material, kind].
+
+    `uv` per vertex, of length 0 where the mesh has none.
+    """
+
+    faces: wp.array2d(dtype=int)
+    face_material: wp.array(dtype=int)
+    uv: wp.array(dtype=wp.vec2)
+    places: wp.array2d(dtype=wp.vec4i)
 
 
 @wp.func
@@ -61,31 +81,23 @@ def node_value(nodes: wp.array(dtype=float), place: wp.vec4i, corner: wp.vec3i, 
 
 
 @wp.func
-def coordinates_at(
-    f: int,
-    b: wp.vec3,
-    faces: wp.array2d(dtype=int),
-    face_material: wp.array(dtype=int),
-    uv: wp.array(dtype=wp.vec2),
-    places: wp.array2d(dtype=wp.vec4i),
-    nodes: wp.array(dtype=float),
-) -> wp.vec4:
-    """Learned coordinates on face `f` at barycentric weights `b`; `places` and `uv` as in `gather_kernel`."""
-    material = read_int(face_material, f)
-    corner = read_row(faces, f)
+def coordinates_at(f: int, b: wp.vec3, node_map: NodeMap, nodes: wp.array(dtype=float)) -> wp.vec4:
+    """Learned coordinates on face `f` at barycentric weights `b`."""
+    material = read_int(node_map.face_material, f)
+    corner = read_row(node_map.faces, f)
     at = wp.vec2(0.0, 0.0)
-    if uv.shape[0] > 0:
-        at = b[0] * uv[corner[0]] + b[1] * uv[corner[1]] + b[2] * uv[corner[2]]
+    if node_map.uv.shape[0] > 0:
+        at = b[0] * node_map.uv[corner[0]] + b[1] * node_map.uv[corner[1]] + b[2] * node_map.uv[corner[2]]
     return wp.vec4(
-        node_value(nodes, read_vec4i(places, material, Coordinate.EPS), corner, b, at),
-        node_value(nodes, read_vec4i(places, material, Coordinate.HEIGHT), corner, b, at),
-        node_value(nodes, read_vec4i(places, material, Coordinate.LENGTH), corner, b, at),
-        node_value(nodes, read_vec4i(places, material, Coordinate.FRACTION), corner, b, at),
+        node_value(nodes, read_vec4i(node_map.places, material, Coordinate.EPS), corner, b, at),
+        node_value(nodes, read_vec4i(node_map.places, material, Coordinate.HEIGHT), corner, b, at),
+        node_value(nodes, read_vec4i(node_map.places, material, Coordinate.LENGTH), corner, b, at),
+        node_value(nodes, read_vec4i(node_map.places, material, Coordinate.FRACTION), corner, b, at),
     )
 
 
 @wp.struct
-class Site:
+class NodeShare:
     """A node, counted from its parameter's first, and its share in the value at a hit."""
 
     node: int
@@ -93,9 +105,9 @@ class Site:
 
 
 @wp.func
-def site_of(place: wp.vec4i, corner: wp.vec3i, b: wp.vec3, uv: wp.vec2, index: int) -> Site:
+def site_of(place: wp.vec4i, corner: wp.vec3i, b: wp.vec3, uv: wp.vec2, index: int) -> NodeShare:
     """Node number `index` of those that `node_value` mixes."""
-    site = Site()
+    site = NodeShare()
     site.node = 0
     site.share = 1.0
     if place[0] == Layout.VERTEX:
@@ -116,43 +128,30 @@ def site_of(place: wp.vec4i, corner: wp.vec3i, b: wp.vec3, uv: wp.vec2, index: i
 
 
 @wp.func
-def site_at(
-    hit: int,
-    term: int,
-    face: wp.array(dtype=int),
-    barycentric: wp.array(dtype=wp.vec2),
-    faces: wp.array2d(dtype=int),
-    face_material: wp.array(dtype=int),
-    uv: wp.array(dtype=wp.vec2),
-    places: wp.array2d(dtype=wp.vec4i),
-    terms: wp.array2d(dtype=wp.vec2i),
-) -> Site:
+def site_at(hit: int, term: int, hits: OnMesh, node_map: NodeMap, terms: wp.array2d(dtype=wp.vec2i)) -> NodeShare:
     """The node (in all of `nodes`) and share that a term of a hit's coordinates has; no node (-1) for no such term."""
-    f = face[hit]
-    material = face_material[f]
+    f = hits.face[hit]
+    material = node_map.face_material[f]
     kind = terms[material, term][0]
-    site = Site()
+    site = NodeShare()
     site.node = -1
     if kind >= 0:
-        corner = wp.vec3i(faces[f, 0], faces[f, 1], faces[f, 2])
-        b = wp.vec3(1.0 - barycentric[hit][0] - barycentric[hit][1], barycentric[hit][0], barycentric[hit][1])
+        corner = wp.vec3i(node_map.faces[f, 0], node_map.faces[f, 1], node_map.faces[f, 2])
+        b12 = hits.barycentric[hit]
+        b = wp.vec3(1.0 - b12[0] - b12[1], b12[0], b12[1])
         at = wp.vec2(0.0, 0.0)
-        if uv.shape[0] > 0:
-            at = b[0] * uv[corner[0]] + b[1] * uv[corner[1]] + b[2] * uv[corner[2]]
-        site = site_of(places[material, kind], corner, b, at, terms[material, term][1])
-        site.node += places[material, kind][1]
+        if node_map.uv.shape[0] > 0:
+            at = b[0] * node_map.uv[corner[0]] + b[1] * node_map.uv[corner[1]] + b[2] * node_map.uv[corner[2]]
+        site = site_of(node_map.places[material, kind], corner, b, at, terms[material, term][1])
+        site.node += node_map.places[material, kind][1]
     return site
 
 
 @wp.kernel(enable_backward=False)
 def site_kernel(
     # In:
-    face: wp.array(dtype=int),
-    barycentric: wp.array(dtype=wp.vec2),
-    faces: wp.array2d(dtype=int),
-    face_material: wp.array(dtype=int),
-    uv: wp.array(dtype=wp.vec2),
-    places: wp.array2d(dtype=wp.vec4i),
+    hits: OnMesh,
+    node_map: NodeMap,
     terms: wp.array2d(dtype=wp.vec2i),
     none: int,
     # Out:
@@ -161,7 +160,7 @@ def site_kernel(
 ):
     """Node of every term of every hit, `none` where there is no such term, and the terms numbered."""
     i = wp.tid()
-    site = site_at(i // terms.shape[1], i % terms.shape[1], face, barycentric, faces, face_material, uv, places, terms)
+    site = site_at(i // terms.shape[1], i % terms.shape[1], hits, node_map, terms)
     node_out[i] = wp.where(site.node >= 0, site.node, none)
     entry_out[i] = i
 
@@ -169,13 +168,9 @@ def site_kernel(
 @wp.kernel(enable_backward=False)
 def share_kernel(
     # In:
+    hits: OnMesh,
+    node_map: NodeMap,
     entry: wp.array(dtype=int),
-    face: wp.array(dtype=int),
-    barycentric: wp.array(dtype=wp.vec2),
-    faces: wp.array2d(dtype=int),
-    face_material: wp.array(dtype=int),
-    uv: wp.array(dtype=wp.vec2),
-    places: wp.array2d(dtype=wp.vec4i),
     terms: wp.array2d(dtype=wp.vec2i),
     # Out:
     part_out: wp.array(dtype=wp.int64),
@@ -183,19 +178,18 @@ def share_kernel(
     """The hit of an entry, and its share in the low 32 bits: one number, read at once."""
     i = wp.tid()
     hit = entry[i] // terms.shape[1]
-    site = site_at(hit, entry[i] % terms.shape[1], face, barycentric, faces, face_material, uv, places, terms)
+    site = site_at(hit, entry[i] % terms.shape[1], hits, node_map, terms)
     part_out[i] = (wp.int64(hit) << wp.int64(32)) + wp.int64(wp.cast(site.share, wp.uint32))
 
 
 @wp.kernel(enable_backward=False)
 def target_kernel(
     # In:
+    hits: OnMesh,
+    node_map: NodeMap,
     first: wp.array(dtype=int),
     entry: wp.array(dtype=int),
     node: wp.array(dtype=int),
-    face: wp.array(dtype=int),
-    face_material: wp.array(dtype=int),
-    places: wp.array2d(dtype=wp.vec4i),
     terms: wp.array2d(dtype=wp.vec2i),
     leader: wp.array2d(dtype=int),
     # Out:
@@ -204,12 +198,12 @@ def target_kernel(
     """Nodes of the four parameters that a stretch adds to, -1 for none: those laid out as the first one is."""
     s = wp.tid()
     i = first[s]
-    material = face_material[face[entry[i] // terms.shape[1]]]
+    material = node_map.face_material[hits.face[entry[i] // terms.shape[1]]]
     kind = terms[material, entry[i] % terms.shape[1]][0]
     target = wp.vec4i(-1, -1, -1, -1)
     for k in range(4):
         if leader[material, k] == kind:
-            target[k] = node[i] - places[material, kind][1] + places[material, k][1]
+            target[k] = node[i] - node_map.places[material, kind][1] + node_map.places[material, k][1]
     target_out[s] = target
 
 
@@ -245,175 +239,17 @@ def spread_kernel(
 @wp.kernel(enable_backward=False)
 def gather_kernel(
     # In:
-    face: wp.array(dtype=int),
-    barycentric: wp.array(dtype=wp.vec2),
-    faces: wp.array2d(dtype=int),
-    face_material: wp.array(dtype=int),
-    uv: wp.array(dtype=wp.vec2),
-    places: wp.array2d(dtype=wp.vec4i),
+    hits: OnMesh,
+    node_map: NodeMap,
     nodes: wp.array(dtype=float),
     # Out:
     zeta_out: wp.array(dtype=wp.vec4),
 ):
-    """`places` [material, kind]; `uv` per vertex, of length 0 where the mesh has none."""
+    """The learned coordinates of places on the mesh."""
     i = wp.tid()
-    b12 = read_vec2(barycentric, i)
+    b12 = read_vec2(hits.barycentric, i)
     b = wp.vec3(1.0 - b12[0] - b12[1], b12[0], b12[1])
-    write_vec4(zeta_out, i, coordinates_at(read_int(face, i), b, faces, face_material, uv, places, nodes))
-
-
-@wp.func
-def fraction_of(logit: float) -> float:
-    value = float(0.0)
-    if logit >= FRACTION_LIMIT:
-        value = 1.0
-    elif logit > -FRACTION_LIMIT:
-        value = 1.0 / (1.0 + wp.exp(-logit))
-    return value
-
-
-@wp.func
-def sigma0_of(
-    polarization: int,
-    spectrum: int,
-    variant: int,
-    wavenumber: float,
-    cos_incidence: float,
-    cos_twist: float,
-    cos2_azimuth: float,
-    eps_im: float,
-    aspect: float,
-    zeta: wp.vec4,
-) -> float:
-    """sigma0 from the learned coordinates; `aspect` is l_y / l_x of the separable spectrum."""
-    length = wp.exp(zeta[Coordinate.LENGTH])
-    return sigma0(
-        polarization,
-        spectrum,
-        variant,
-        wavenumber,
-        cos_incidence,
-        cos_twist,
-        1.0 + wp.exp(zeta[Coordinate.EPS]),
-        eps_im,
-        wp.exp(zeta[Coordinate.HEIGHT]),
-        length,
-        aspect * length,
-        cos2_azimuth,
-        fraction_of(zeta[Coordinate.FRACTION]),
-    )
-
-
-@wp.func
-def sigma0_and_slopes_of(
-    polarization: int,
-    spectrum: int,
-    variant: int,
-    wavenumber: float,
-    cos_incidence: float,
-    cos_twist: float,
-    cos2_azimuth: float,
-    eps_im: float,
-    aspect: float,
-    zeta: wp.vec4,
-):
-    """`sigma0_of`, and its derivatives to the learned coordinates: a vector of five."""
-    length = wp.exp(zeta[Coordinate.LENGTH])
-    return sigma0_and_slopes(
-        polarization,
-        spectrum,
-        variant,
-        wavenumber,
-        cos_incidence,
-        cos_twist,
-        1.0 + wp.exp(zeta[Coordinate.EPS]),
-        eps_im,
-        wp.exp(zeta[Coordinate.HEIGHT]),
-        length,
-        aspect * length,
-        cos2_azimuth,
-        fraction_of(zeta[Coordinate.FRACTION]),
-    )
-
-
-@wp.kernel(enable_backward=False)
-def scatter_kernel(
-    # In:
-    polarization: int,
-    variant: int,
-    wavenumber: float,
-    local_basis: int,
-    face: wp.array(dtype=int),
-    face_material: wp.array(dtype=int),
-    cos_incidence: wp.array(dtype=float),
-    cos_twist: wp.array(dtype=float),
-    cos2_azimuth: wp.array(dtype=float),
-    spectrum: wp.array(dtype=int),
-    eps_im: wp.array(dtype=float),
-    aspect: wp.array(dtype=float),
-    zeta: wp.array(dtype=wp.vec4),
-    # Out:
-    sigma_out: wp.array(dtype=float),
-):
-    i = wp.tid()
-    material = read_int(face_material, read_int(face, i))
-    twist = read_float(cos_twist, i)
-    if local_basis != 0:
-        twist = 1.0
-    sigma_out[i] = sigma0_of(
-        polarization,
-        read_int(spectrum, material),
-        variant,
-        wavenumber,
-        read_float(cos_incidence, i),
-        twist,
-        read_float(cos2_azimuth, i),
-        read_float(eps_im, material),
-        read_float(aspect, material),
-        read_vec4(zeta, i),
-    )
-
-
-@wp.kernel(enable_backward=False, launch_bounds=(256, 6))
-def scatter_slopes_kernel(
-    # In:
-    polarization: int,
-    variant: int,
-    wavenumber: float,
-    local_basis: int,
-    face: wp.array(dtype=int),
-    face_material: wp.array(dtype=int),
-    cos_incidence: wp.array(dtype=float),
-    cos_twist: wp.array(dtype=float),
-    cos2_azimuth: wp.array(dtype=float),
-    spectrum: wp.array(dtype=int),
-    eps_im: wp.array(dtype=float),
-    aspect: wp.array(dtype=float),
-    zeta: wp.array(dtype=wp.vec4),
-    # Out:
-    sigma_out: wp.array(dtype=float),
-    slopes_out: wp.array(dtype=wp.vec4),
-):
-    """`scatter_kernel`, and the derivatives of sigma0 to the learned coordinates: most of the work is common."""
-    i = wp.tid()
-    material = read_int(face_material, read_int(face, i))
-    twist = read_float(cos_twist, i)
-    if local_basis != 0:
-        twist = 1.0
-    found = sigma0_and_slopes_of(
-        polarization,
-        read_int(spectrum, material),
-        variant,
-        wavenumber,
-        read_float(cos_incidence, i),
-        twist,
-        read_float(cos2_azimuth, i),
-        read_float(eps_im, material),
-        read_float(aspect, material),
-        read_vec4(zeta, i),
-    )
-    sigma_out[i] = found[0]
-    write_vec4(slopes_out, i, wp.vec4(found[1], found[2], found[3], found[4]))
+    write_vec4(zeta_out, i, coordinates_at(read_int(hits.face, i), b, node_map, nodes))
 
 
 @wp.kernel(enable_backward=False)

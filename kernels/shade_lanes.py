@@ -1,141 +1,21 @@
-"""Shading on the CPU: sigma0 and its slopes for sixteen hits at once, and look-ups that ask for memory ahead.
-
-The equations are those of kernels/scattering.py, written out by kernels/lanes.py; only loads and stores are by hand.
-"""
+"""Look-ups of nodes on the CPU that ask for memory ahead."""
 
 import warp as wp
 
 from warpsar.kernels import lanes
 from warpsar.kernels.codes import Layout
-from warpsar.kernels.shade import sigma0_and_slopes_of, sigma0_of
-
-HITS = 16  # of a block
-
-_UNIFORM = ("polarization", "variant", "wavenumber")
-_MODEL = lanes.source(HITS, {sigma0_of: _UNIFORM, sigma0_and_slopes_of: _UNIFORM})
-
-_SHADE = """
-    typedef Lanes::V V;
-    // the block's hits side by side; beyond the last one, its copies
-    const int begin = block * 16, count = wp::min(sigma_out.shape[0] - begin, 16);
-    const auto load = [&](const float* values) -> V {
-        V result;
-        if (count == 16)
-            __builtin_memcpy(&result, values + begin, sizeof(V));
-        else
-            for (int k = 0; k < 16; ++k)
-                result[k] = values[begin + wp::min(k, count - 1)];
-        return result;
-    };
-    const V cosine = load(cos_incidence.data), azimuth = load(cos2_azimuth.data);
-    const V twist = local_basis ? V(1.0f) : load(cos_twist.data);
-    V loss, ratio;
-    Lanes::I spectra;
-    Lanes::V4 z;
-    for (int k = 0; k < 16; ++k) {
-        const int i = begin + wp::min(k, count - 1);
-        const int material = face_material.data[face.data[i]];
-        spectra[k] = spectrum.data[material];
-        loss[k] = eps_im.data[material];
-        ratio[k] = aspect.data[material];
-        for (int j = 0; j < 4; ++j)
-            z.c[j][k] = zeta.data[i].c[j];
-    }
-    if (!slopes_out.shape[0]) {
-        const V sigma =
-            Lanes::sigma0_of(polarization, spectra, variant, wavenumber, cosine, twist, azimuth, loss, ratio, z);
-        for (int k = 0; k < count; ++k)
-            sigma_out.data[begin + k] = sigma[k];
-        return;
-    }
-    const Lanes::V5 found =
-        Lanes::sigma0_and_slopes_of(polarization, spectra, variant, wavenumber, cosine, twist, azimuth, loss, ratio, z);
-    float across[5][16];
-    __builtin_memcpy(across, &found, sizeof(found));
-    const auto store = [&](int k) {
-        sigma_out.data[begin + k] = across[0][k];
-        slopes_out.data[begin + k] = {across[1][k], across[2][k], across[3][k], across[4][k]};
-    };
-    if (count == 16)
-        for (int k = 0; k < 16; ++k)
-            store(k);
-    else
-        for (int k = 0; k < count; ++k)
-            store(k);
-"""
-
-
-@wp.func_native(_MODEL + _SHADE)
-def shade_block(
-    block: int,
-    polarization: int,
-    variant: int,
-    wavenumber: float,
-    local_basis: int,
-    face: wp.array(dtype=int),
-    face_material: wp.array(dtype=int),
-    cos_incidence: wp.array(dtype=float),
-    cos_twist: wp.array(dtype=float),
-    cos2_azimuth: wp.array(dtype=float),
-    spectrum: wp.array(dtype=int),
-    eps_im: wp.array(dtype=float),
-    aspect: wp.array(dtype=float),
-    zeta: wp.array(dtype=wp.vec4),
-    sigma_out: wp.array(dtype=float),
-    slopes_out: wp.array(dtype=wp.vec4),
-): ...
-
-
-@wp.kernel(enable_backward=False)
-def scatter_kernel(
-    # In:
-    polarization: int,
-    variant: int,
-    wavenumber: float,
-    local_basis: int,
-    face: wp.array(dtype=int),
-    face_material: wp.array(dtype=int),
-    cos_incidence: wp.array(dtype=float),
-    cos_twist: wp.array(dtype=float),
-    cos2_azimuth: wp.array(dtype=float),
-    spectrum: wp.array(dtype=int),
-    eps_im: wp.array(dtype=float),
-    aspect: wp.array(dtype=float),
-    zeta: wp.array(dtype=wp.vec4),
-    # Out:
-    sigma_out: wp.array(dtype=float),
-    slopes_out: wp.array(dtype=wp.vec4),
-):
-    """`shade.scatter_kernel` for HITS hits; with `slopes_out` not empty `shade.scatter_slopes_kernel`."""
-    shade_block(
-        wp.tid(),
-        polarization,
-        variant,
-        wavenumber,
-        local_basis,
-        face,
-        face_material,
-        cos_incidence,
-        cos_twist,
-        cos2_azimuth,
-        spectrum,
-        eps_im,
-        aspect,
-        zeta,
-        sigma_out,
-        slopes_out,
-    )
+from warpsar.kernels.shade import NodeMap, OnMesh
 
 
 @wp.func_native(
     lanes.enum(Layout)
     + """
-    const int f = face.data[i], ahead = face.data[wp::min(i + 24, zeta_out.shape[0] - 1)];
-    __builtin_prefetch(faces.data + 3 * ahead);
-    __builtin_prefetch(face_material.data + ahead);
-    const int* corner = faces.data + 3 * f;
-    const wp::vec_t<4, wp::int32>* place = places.data + 4 * face_material.data[f];
-    const float b1 = barycentric.data[i].c[0], b2 = barycentric.data[i].c[1], b0 = 1.0f - b1 - b2;
+    const int f = hits.face.data[i], ahead = hits.face.data[wp::min(i + 24, zeta_out.shape[0] - 1)];
+    __builtin_prefetch(node_map.faces.data + 3 * ahead);
+    __builtin_prefetch(node_map.face_material.data + ahead);
+    const int* corner = node_map.faces.data + 3 * f;
+    const wp::vec_t<4, wp::int32>* place = node_map.places.data + 4 * node_map.face_material.data[f];
+    const float b1 = hits.barycentric.data[i].c[0], b2 = hits.barycentric.data[i].c[1], b0 = 1.0f - b1 - b2;
     for (int kind = 0; kind < 4; ++kind) {
         const float* node = nodes.data + place[kind].c[1];
         zeta_out.data[i].c[kind] = place[kind].c[0] == VERTEX
@@ -145,32 +25,21 @@ def scatter_kernel(
 """
 )
 def gather(
-    i: int,
-    face: wp.array(dtype=int),
-    barycentric: wp.array(dtype=wp.vec2),
-    faces: wp.array2d(dtype=int),
-    face_material: wp.array(dtype=int),
-    places: wp.array2d(dtype=wp.vec4i),
-    nodes: wp.array(dtype=float),
-    zeta_out: wp.array(dtype=wp.vec4),
+    i: int, hits: OnMesh, node_map: NodeMap, nodes: wp.array(dtype=float), zeta_out: wp.array(dtype=wp.vec4)
 ): ...
 
 
 @wp.kernel(enable_backward=False)
 def gather_kernel(
     # In:
-    face: wp.array(dtype=int),
-    barycentric: wp.array(dtype=wp.vec2),
-    faces: wp.array2d(dtype=int),
-    face_material: wp.array(dtype=int),
-    uv: wp.array(dtype=wp.vec2),
-    places: wp.array2d(dtype=wp.vec4i),
+    hits: OnMesh,
+    node_map: NodeMap,
     nodes: wp.array(dtype=float),
     # Out:
     zeta_out: wp.array(dtype=wp.vec4),
 ):
     """`shade.gather_kernel` where no parameter is a texture."""
-    gather(wp.tid(), face, barycentric, faces, face_material, places, nodes, zeta_out)
+    gather(wp.tid(), hits, node_map, nodes, zeta_out)
 
 
 @wp.func_native(

@@ -4,7 +4,9 @@ import warp as wp
 
 from warpsar.kernels.deposit import footprint_of, row_at, share_in
 from warpsar.kernels.geometry import (
+    Band,
     RayGrid,
+    Triangles,
     azimuth_of,
     cos2_azimuth_of,
     cos_incidence_of,
@@ -35,14 +37,29 @@ PROBES = wp.constant(128)
 class Records:
     """What rays leave: rows of (key + 1, weight, moments of the barycentric weights of vertices 1 and 2); free: 0.
 
-    The key is pixel * 2^face_bits + face. Weights are counted in quanta, because a sum of integers is the same in any
-    order: that of CUDA's threads, and that of the bands into which the rays are cut.
+    The key is pixel * 2^face_bits + face; the lanes of a CPU add no 1 to it. Weights are counted in quanta, because a
+    sum of integers is the same in any order: that of CUDA's threads, and that of the bands into which the rays are cut.
     """
 
     rows: wp.array2d(dtype=wp.int64)  # shape (capacity, 4): a row is one sector of CUDA's memory
+    face_bits: int
     quanta: float  # per unit of weight, a power of two
     merge: int  # 1: a row for each key; 0: a row for each record
     count: wp.array(dtype=int)  # [0] records that found no row; [1] rows taken, where each record has its own
+
+
+@wp.struct
+class HitArrays:
+    """The hits of a view, shape (n,) each; units and meaning are those of `warpsar.trace.hits.Hits`."""
+
+    pixel: wp.array(dtype=int)
+    face: wp.array(dtype=int)
+    barycentric: wp.array(dtype=wp.vec2)
+    weight: wp.array(dtype=float)
+    point: wp.array(dtype=wp.vec3)
+    cos_incidence: wp.array(dtype=float)
+    cos_twist: wp.array(dtype=float)
+    cos2_azimuth: wp.array(dtype=float)
 
 
 @wp.func
@@ -90,48 +107,43 @@ def leave(records: Records, key: wp.int64, weight: float, moment: wp.vec2):
 def query_kernel(
     # In:
     grid: RayGrid,
-    mesh: wp.uint64,
-    first_cell: int,
-    end_cell: int,
+    band: Band,
+    tree: wp.uint64,
     tile_width: int,
     tile_height: int,
-    seed: int,
     # Out:
     face_out: wp.array(dtype=int),
 ):
-    """The face that each ray of a band meets first, or -1: element (cell - first_cell) * elevation_cells + k.
+    """The face that each ray of a band meets first, or -1: element (cell - band.first_cell) * elevation_cells + k.
 
     The third index counts the rays of a tile, so that the threads of a CUDA warp go the same way through the BVH.
     """
     i, j, lane = wp.tid()
-    cell = first_cell + i * tile_width + lane % tile_width
+    cell = band.first_cell + i * tile_width + lane % tile_width
     k = j * tile_height + lane // tile_width
-    if cell < end_cell and k < grid.elevation_cells:
-        jitter = jitter_of(grid, seed, cell, k)
+    if cell < band.end_cell and k < grid.elevation_cells:
+        jitter = jitter_of(grid, band.seed, cell, k)
         ray = plane_ray(grid, elevation_of(grid, k, jitter))
         origin = origin_of(grid, azimuth_of(grid, cell, jitter), ray)
-        query = wp.mesh_query_ray(mesh, origin, direction_of(grid, ray), grid.reach)
-        face_out[(cell - first_cell) * grid.elevation_cells + k] = wp.where(query.result, query.face, -1)
+        query = wp.mesh_query_ray(tree, origin, direction_of(grid, ray), grid.reach)
+        face_out[(cell - band.first_cell) * grid.elevation_cells + k] = wp.where(query.result, query.face, -1)
 
 
 @wp.kernel(enable_backward=False, launch_bounds=(BLOCK, 8))
 def record_kernel(
     # In:
     grid: RayGrid,
-    vertices: wp.array(dtype=wp.vec3),
-    faces: wp.array2d(dtype=int),
+    mesh: Triangles,
+    band: Band,
     face: wp.array(dtype=int),
-    first_cell: int,
     segment: int,
-    seed: int,
     deposit: int,
-    face_bits: int,
-    # Out:
+    # In and out:
     records: Records,
 ):
     """One thread walks `segment` cells of one azimuth cell's column; what stays in one (pixel, face) is one record."""
     j, i = wp.tid()
-    cell = first_cell + i
+    cell = band.first_cell + i
     column = cell // grid.cells_per_column
 
     run_key = wp.int64(-1)
@@ -140,13 +152,13 @@ def record_kernel(
     for k in range(j * segment, wp.min((j + 1) * segment, grid.elevation_cells)):
         f = face[i * grid.elevation_cells + k]
         if f >= 0:
-            jitter = jitter_of(grid, seed, cell, k)
+            jitter = jitter_of(grid, band.seed, cell, k)
             ray = plane_ray(grid, elevation_of(grid, k, jitter))
             origin = origin_of(grid, azimuth_of(grid, cell, jitter), ray)
             direction = direction_of(grid, ray)
-            p0 = vertices[faces[f, 0]]
-            p1 = vertices[faces[f, 1]]
-            p2 = vertices[faces[f, 2]]
+            p0 = mesh.vertices[mesh.faces[f, 0]]
+            p1 = mesh.vertices[mesh.faces[f, 1]]
+            p2 = mesh.vertices[mesh.faces[f, 2]]
             hit = intersect(origin, direction, p0, p1, p2)
             cosine = wp.abs(wp.dot(hit.normal, direction))
             if cosine > 1.0e-6:
@@ -158,7 +170,7 @@ def record_kernel(
                 for row in range(first_row, last_row + 1):
                     share = share_in(grid, footprint, float(row))
                     if share > 0.0:
-                        key = (wp.int64(row * grid.cols + column) << wp.int64(face_bits)) + wp.int64(f)
+                        key = (wp.int64(row * grid.cols + column) << wp.int64(records.face_bits)) + wp.int64(f)
                         if key != run_key or records.merge == 0:
                             if run_key >= wp.int64(0):
                                 leave(records, run_key, run_weight, run_moment)
@@ -175,42 +187,33 @@ def record_kernel(
 def hit_kernel(
     # In:
     grid: RayGrid,
-    vertices: wp.array(dtype=wp.vec3),
-    faces: wp.array2d(dtype=int),
+    mesh: Triangles,
     records: Records,
     key: wp.array(dtype=wp.int64),
     row: wp.array(dtype=int),
-    face_bits: int,
     # Out:
-    pixel_out: wp.array(dtype=int),
-    face_out: wp.array(dtype=int),
-    barycentric_out: wp.array(dtype=wp.vec2),
-    weight_out: wp.array(dtype=float),
-    point_out: wp.array(dtype=wp.vec3),
-    cos_incidence_out: wp.array(dtype=float),
-    cos_twist_out: wp.array(dtype=float),
-    cos2_azimuth_out: wp.array(dtype=float),
+    hits_out: HitArrays,
 ):
     """A row of the table becomes a hit: where it lies, and how its facet is turned to its own ray."""
     i = wp.tid()
-    f = int(key[i] & ((wp.int64(1) << wp.int64(face_bits)) - wp.int64(1)))
+    f = int(key[i] & ((wp.int64(1) << wp.int64(records.face_bits)) - wp.int64(1)))
     weight = wp.float64(records.rows[row[i], 1])
     b1 = float(wp.float64(records.rows[row[i], 2]) / weight)
     b2 = float(wp.float64(records.rows[row[i], 3]) / weight)
-    p0 = vertices[faces[f, 0]]
-    p1 = vertices[faces[f, 1]]
-    p2 = vertices[faces[f, 2]]
+    p0 = mesh.vertices[mesh.faces[f, 0]]
+    p1 = mesh.vertices[mesh.faces[f, 1]]
+    p2 = mesh.vertices[mesh.faces[f, 2]]
     point = point_on(p0, p1, p2, b1, b2)
     normal = normal_of(p0, p1, p2)
     direction = look_direction(grid, point)
-    pixel_out[i] = int(key[i] >> wp.int64(face_bits))
-    face_out[i] = f
-    barycentric_out[i] = wp.vec2(b1, b2)
-    weight_out[i] = float(weight / wp.float64(records.quanta))
-    point_out[i] = point
-    cos_incidence_out[i] = cos_incidence_of(normal, direction)
-    cos_twist_out[i] = cos_twist_of(normal, direction, grid.u)
-    cos2_azimuth_out[i] = cos2_azimuth_of(normal, direction)
+    hits_out.pixel[i] = int(key[i] >> wp.int64(records.face_bits))
+    hits_out.face[i] = f
+    hits_out.barycentric[i] = wp.vec2(b1, b2)
+    hits_out.weight[i] = float(weight / wp.float64(records.quanta))
+    hits_out.point[i] = point
+    hits_out.cos_incidence[i] = cos_incidence_of(normal, direction)
+    hits_out.cos_twist[i] = cos_twist_of(normal, direction, grid.u)
+    hits_out.cos2_azimuth[i] = cos2_azimuth_of(normal, direction)
 
 
 @wp.kernel(enable_backward=False)

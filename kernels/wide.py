@@ -71,13 +71,13 @@ def read_vec4i(array: wp.array2d(dtype=wp.vec4i), i: int, j: int) -> wp.vec4i: .
 @wp.func_native(
     """
 #if defined(__CUDA_ARCH__)
-    reinterpret_cast<float4*>(array.data)[i] = make_float4(value[0], value[1], value[2], value[3]);
+    reinterpret_cast<float4*>(array_out.data)[i] = make_float4(value[0], value[1], value[2], value[3]);
 #else
-    array.data[i] = value;
+    array_out.data[i] = value;
 #endif
 """
 )
-def write_vec4(array: wp.array(dtype=wp.vec4), i: int, value: wp.vec4): ...
+def write_vec4(array_out: wp.array(dtype=wp.vec4), i: int, value: wp.vec4): ...
 
 
 @wp.func_native(

@@ -14,7 +14,7 @@ import numpy as np
 from scattering_reference import fresnel, shadowed
 
 Waves = list[tuple[np.ndarray, np.ndarray]]
-LOSS = 1e-4  # of a grazing wave, as in kernels/i2em_crossed.py
+LOSS = 1e-4  # of a grazing wave, as in kernels/models/i2em.py
 
 
 def _over(a: np.ndarray, b: np.ndarray) -> np.ndarray:

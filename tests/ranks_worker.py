@@ -14,12 +14,13 @@ from warpsar.evaluation.command import run as evaluate
 from warpsar.io.images import write_tiff
 from warpsar.learning.command import LearnOptions, run
 from warpsar.learning.problem import FitProblem
-from warpsar.runtime import devices, distributed
+from warpsar.runtime import devices
+from warpsar.runtime.distributed.processes import Ranks, join
 from warpsar.scene.scene import Scene
 from warpsar.simulation.command import run as simulate
 
 
-def collectives(ranks: distributed.Ranks, device: Any) -> dict[str, Any]:
+def collectives(ranks: Ranks, device: Any) -> dict[str, Any]:
     rank, size = ranks.rank, ranks.size
     # 1e16 + 1 = 1e16: what comes out depends on the order, which has to be the same for all
     awkward = np.random.default_rng(rank).normal(size=4097) * 10.0 ** np.random.default_rng(9).integers(-8, 8, 4097)
@@ -60,9 +61,9 @@ def collectives(ranks: distributed.Ranks, device: Any) -> dict[str, Any]:
     }
 
 
-def fit(ranks: distributed.Ranks, device: Any, path: Path, max_memory_gib: float | None) -> dict[str, Any]:
+def fit(device: Any, path: Path, max_memory_gib: float | None) -> dict[str, Any]:
     scene = Scene.load(path)
-    problem = FitProblem(scene, device, ranks=ranks, max_memory_gib=max_memory_gib)
+    problem = FitProblem(scene, device, shared=True, max_memory_gib=max_memory_gib)
     x = problem.x0 + 0.05
     loss, gradient = problem.gradient(x)
     return {
@@ -74,7 +75,7 @@ def fit(ranks: distributed.Ranks, device: Any, path: Path, max_memory_gib: float
     }
 
 
-def refusal(ranks: distributed.Ranks, device: Any, path: Path) -> str:
+def refusal(ranks: Ranks, device: Any, path: Path) -> str:
     """What a fit says to whose second view no pixel is left, which one rank alone finds out."""
     scene = Scene.load(path)
     black = path.parent / "black.tif"
@@ -85,7 +86,7 @@ def refusal(ranks: distributed.Ranks, device: Any, path: Path) -> str:
         v.model_copy(update={"images": dict.fromkeys(v.images, black)}) if v.name == "v1" else v for v in scene.views
     ]
     try:
-        FitProblem(replace(scene, views=views), device, ranks=ranks)
+        FitProblem(replace(scene, views=views), device, shared=True)
     except InputError as error:
         return f"{error.quiet} {error}"
     return "none"
@@ -94,12 +95,12 @@ def refusal(ranks: distributed.Ranks, device: Any, path: Path) -> str:
 def main() -> None:
     work = Path(sys.argv[1])
     device = devices.resolve_device("cpu")
-    ranks = distributed.ranks(device)
+    ranks = join(device)
     found: dict[str, Any] = {"collectives": collectives(ranks, device)}
     found["refusal"] = refusal(ranks, device, work / "effects" / "scene.toml")
     for name in sys.argv[2:]:
         found[name] = {
-            kind: fit(ranks, device, work / name / "scene.toml", gib)
+            kind: fit(device, work / name / "scene.toml", gib)
             for kind, gib in (("kept", None), ("banded", 1e-7))
             if kind == "kept" or name != "texture"
         }

@@ -30,7 +30,7 @@ from warpsar.errors import InputError
 from warpsar.io import images
 from warpsar.io.images import read_channel
 from warpsar.runtime.background import Background
-from warpsar.runtime.distributed import ONE
+from warpsar.runtime.distributed.processes import ONE
 from warpsar.scene.scene import Scene
 from warpsar.scene.unwrap import write_obj
 from warpsar.simulation import maker
@@ -146,8 +146,8 @@ def test_labels() -> None:
 
 
 def test_blocks_hold_every_view_once() -> None:
-    for views, ranks in (([5], 1), ([5], 2), ([1000], 4), ([3, 1, 7], 2), ([1] * 100, 3), ([40] * 64, 4)):
-        found = shares(views, ranks)
+    for views, processes in (([5], 1), ([5], 2), ([1000], 4), ([3, 1, 7], 2), ([1] * 100, 3), ([40] * 64, 4)):
+        found = shares(views, processes)
         held = [(b.scene, v) for b in found for v in range(b.part, views[b.scene], b.of)]
         assert Counter(held) == Counter((s, v) for s, n in enumerate(views) for v in range(n))
     assert len(shares([40] * 64, 4)) == 64  # scenes stay whole where there are enough

@@ -4,6 +4,7 @@ A fresh process imports them, with benchmarks/ first on its path as where one is
 benchmarks/ there and a folder of tests/ here.
 """
 
+import ast
 import json
 import re
 import subprocess
@@ -92,3 +93,34 @@ def test_a_benchmark_that_cannot_be_imported_is_found(tmp_path: Path) -> None:
 def test_what_the_timing_of_diagnose_wraps_is_there() -> None:
     """It wraps by name what the search calls: a name that has moved would be found only when it runs."""
     assert fresh(PLACES, ROOT / "benchmarks") == []
+
+
+def test_no_circle_of_benchmarks() -> None:
+    """A file that imports itself, through others; imports for types alone count, too."""
+    below = {
+        name: {
+            imported.split(".")[0]
+            for node in ast.walk(ast.parse((ROOT / "benchmarks" / f"{name}.py").read_text(encoding="utf-8")))
+            for imported in (
+                [alias.name for alias in node.names]
+                if isinstance(node, ast.Import)
+                else [node.module or ""]
+                if isinstance(node, ast.ImportFrom)
+                else []
+            )
+        }
+        & set(FILES)
+        for name in FILES
+    }
+    assert below["rcs"] >= {"rcs_curves", "rcs_figures"}
+
+    def reached(name: str) -> set[str]:
+        found, waiting = set[str](), list(below[name])
+        while waiting:
+            one = waiting.pop()
+            if one not in found:
+                found.add(one)
+                waiting += below[one]
+        return found
+
+    assert [name for name in FILES if name in reached(name)] == []

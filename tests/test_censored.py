@@ -6,6 +6,7 @@ import warp as wp
 from scipy import stats
 
 from warpsar.kernels import loss as loss_kernels
+from warpsar.runtime.structs import fill
 from warpsar.speckle.censored import hazard, minus_log_survival, survival_curvature
 from warpsar.speckle.likelihood import best_gain, curvature, loss_terms
 
@@ -58,12 +59,24 @@ def test_kernel_adds_up_the_same_and_has_its_slope(looks: float, bound: float) -
     values = {"requires_grad": True, "device": "cpu"}
     image = wp.array(mu.astype(np.float32), dtype=float, **values)
     total = wp.zeros(int(loss_kernels.PARTIALS), dtype=wp.float64, **values)
-    inputs = [0, wp.array(np.arange(50), dtype=int, device="cpu"), wp.array(measured, dtype=float, device="cpu"), image]
-    inputs += [wp.array([1e-18], dtype=float, device="cpu"), wp.ones(1, dtype=float, device="cpu"), 0, looks, 1.0, 0.0]
+    constants = fill(
+        loss_kernels.LossConstants,
+        kind=0,
+        looks=looks,
+        weight=1.0,
+        bound=bound,
+        top=1.0,
+        log_gamma=float(gammaln(looks)),
+    )
+    observed = fill(
+        loss_kernels.ObservedPixels,
+        pixel=wp.array(np.arange(50), dtype=int, device="cpu"),
+        measured=wp.array(measured, dtype=float, device="cpu"),
+        darkest=wp.array([1e-18], dtype=float, device="cpu"),
+    )
+    inputs = [constants, observed, image, wp.ones(1, dtype=float, device="cpu"), 0]
     with wp.Tape() as tape:
-        wp.launch(
-            loss_kernels.loss_kernel, 50, [*inputs, bound, 1.0, float(gammaln(looks))], outputs=[total], device="cpu"
-        )
+        wp.launch(loss_kernels.loss_kernel, 50, inputs, outputs=[total], device="cpu")
     tape.backward(grads={total: wp.ones(total.size, dtype=wp.float64, device="cpu")})
     terms = loss_terms("gamma", measured, mu, looks, bound, top=1.0)
     assert total.numpy().sum() == pytest.approx(terms.sum(), rel=2e-5)

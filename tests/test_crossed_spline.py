@@ -13,10 +13,11 @@ from test_scattering_models import values
 from worlds import WAVENUMBER, ground, join, plate, scene_of, view
 
 from warpsar import Mesh, Scene, renderer
-from warpsar.kernels import crossed_spline, crossed_spline_lanes
-from warpsar.kernels.codes import Model, Spectrum
-from warpsar.render import models
+from warpsar.kernels import crossed_spline
+from warpsar.kernels.codes import Spectrum
+from warpsar.kernels.lane_kernels import LANES, at_once
 from warpsar.render.crossed_spline import spline, table
+from warpsar.render.ways import i2em
 from warpsar.runtime import launches
 
 SPECTRA = ["gaussian", "exponential"]
@@ -41,11 +42,11 @@ def coordinates(eps: np.ndarray, kh: np.ndarray, kl: np.ndarray) -> np.ndarray:
 
 
 def read(
-    spectrum: str, theta: np.ndarray, zeta: np.ndarray, cos_psi: float = 1.0, kernels: Any = crossed_spline_lanes,
-    device: str = "cpu", *, with_slopes: bool = True,
+    spectrum: str, theta: np.ndarray, zeta: np.ndarray, cos_psi: float = 1.0, *, lanes: bool = True,
+    device: str = "cpu", with_slopes: bool = True,
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """sigma0 of HV and its slopes to the learned coordinates, (n,) and (n, 4), from the second row of a table."""
-    n, block, code = len(theta), getattr(kernels, "HITS", 1), int(Spectrum[spectrum.upper()])
+    n, code = len(theta), int(Spectrum[spectrum.upper()])
 
     def put(values: Any, dtype: Any) -> wp.array:
         return wp.array(np.ascontiguousarray(values), dtype=dtype, device=device)
@@ -67,10 +68,11 @@ def read(
         coefficients,
     ]
     out = [sigma, slopes if with_slopes else wp.empty(0, dtype=wp.vec4, device=device)]
-    kernel = kernels.scatter_kernel(with_slopes) if block == 1 else kernels.scatter_kernel
+    kernel = crossed_spline.scatter_kernel(with_slopes, beyond=lanes)
+    kernel, block = (at_once(kernel), LANES) if lanes else (kernel, 1)
     wp.launch(kernel, -(-n // block), inputs=inputs, outputs=out, device=device)
-    if block == 1:
-        wp.launch(kernels.beyond_kernel, n, inputs=inputs[:-2], outputs=out, device=device)
+    if not lanes:
+        wp.launch(crossed_spline.beyond_kernel, n, inputs=inputs[:-2], outputs=out, device=device)
     return sigma.numpy().astype(float), slopes.numpy().astype(float)
 
 
@@ -98,7 +100,7 @@ def test_a_turned_facet_has_the_models_values_and_slopes(spectrum: str) -> None:
     """Against `modelled`, whose series end at 1e-4 of their distributions: 0.03 dB, and 10 % in slopes."""
     s = surfaces(spectrum, 400)
     found, slopes = read(spectrum, s["theta"], coordinates(s["eps"], s["kh"], s["kl"]), 0.8)
-    expected = values(Model.I2EM, "HV", spectrum, s["theta"], s["eps"], s["kh"], s["kl"], 0.8)
+    expected = values("i2em", "HV", spectrum, s["theta"], s["eps"], s["kh"], s["kl"], 0.8)
     np.testing.assert_allclose(10 * np.log10(found / expected[:, 0]), 0.0, atol=0.03)
     np.testing.assert_allclose(slopes / found[:, None], expected[:, 1:] / expected[:, :1], atol=0.1)
 
@@ -123,14 +125,14 @@ def test_beyond_its_ends(spectrum: str) -> None:
     theta = np.radians([20.0, 40.0, 60.0])
     eps = np.full(3, 9.0 - 1j * LOSS[spectrum])
     smooth, slopes = read(spectrum, theta, coordinates(eps, 1e-4, 1.0))
-    expected = values(Model.I2EM, "HV", spectrum, theta, eps, 1e-4, 1.0)[:, 0]
+    expected = values("i2em", "HV", spectrum, theta, eps, 1e-4, 1.0)[:, 0]
     np.testing.assert_allclose(10 * np.log10(smooth / expected), 0.0, atol=0.02)
     np.testing.assert_allclose(slopes[:, 1] / smooth, 4.0, rtol=1e-5)
     far = 10.0 if spectrum == "gaussian" else 250.0
     for one, kh, kl in ((9.0, 6.0, 5.0), (9.0, 0.01, 0.02), (9.0, 3.0, far), (1.05, 0.5, 2.0), (200.0, 0.5, 2.0)):
         eps = np.full(3, one - 1j * LOSS[spectrum])
         found, slopes = read(spectrum, theta, coordinates(eps, kh, kl))
-        expected = values(Model.I2EM, "HV", spectrum, theta, eps, kh, kl)
+        expected = values("i2em", "HV", spectrum, theta, eps, kh, kl)
         np.testing.assert_allclose(found, expected[:, 0], rtol=2e-4)  # float32 beside float64
         np.testing.assert_allclose(slopes, expected[:, 1:], rtol=1e-3, atol=2e-4 * expected[:, 0].max())
 
@@ -145,9 +147,7 @@ def everywhere(spectrum: str) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("spectrum", SPECTRA)
 def test_lanes_are_hits_one_by_one(spectrum: str) -> None:
     theta, zeta = everywhere(spectrum)
-    (many, slopes), (one, expected) = (
-        read(spectrum, theta, zeta, 0.8, kernels) for kernels in (crossed_spline_lanes, crossed_spline)
-    )
+    (many, slopes), (one, expected) = (read(spectrum, theta, zeta, 0.8, lanes=lanes) for lanes in (True, False))
     assert np.isfinite(many).all()
     assert np.isfinite(slopes).all()
     # the lanes' exponential is within 2e-7; the integral's many terms add up
@@ -156,12 +156,12 @@ def test_lanes_are_hits_one_by_one(spectrum: str) -> None:
     np.testing.assert_allclose(slopes[some].T / many[some], expected[some].T / one[some], atol=1e-3)
 
 
-@pytest.mark.parametrize("kernels", [crossed_spline, crossed_spline_lanes])
-def test_values_without_slopes_are_the_same(kernels: Any) -> None:
+@pytest.mark.parametrize("lanes", [False, True])
+def test_values_without_slopes_are_the_same(lanes: bool) -> None:
     theta, zeta = everywhere("exponential")
-    values, none = read("exponential", theta, zeta, 0.8, kernels, with_slopes=False)
+    values, none = read("exponential", theta, zeta, 0.8, lanes=lanes, with_slopes=False)
     # the compiler may join products to sums in other places
-    np.testing.assert_allclose(values, read("exponential", theta, zeta, 0.8, kernels)[0], rtol=2e-6)
+    np.testing.assert_allclose(values, read("exponential", theta, zeta, 0.8, lanes=lanes)[0], rtol=2e-6)
     assert not none.any()
 
 
@@ -169,12 +169,12 @@ def test_values_without_slopes_are_the_same(kernels: Any) -> None:
 @pytest.mark.parametrize("spectrum", SPECTRA)
 def test_cuda_is_the_cpu(spectrum: str) -> None:
     theta, zeta = everywhere(spectrum)
-    one, other = (read(spectrum, theta, zeta, 0.8, crossed_spline, device) for device in ("cpu", "cuda"))
+    one, other = (read(spectrum, theta, zeta, 0.8, lanes=False, device=device) for device in ("cpu", "cuda"))
     some = one[0] > 1e-30
     # single scattering is a difference of two amplitudes, which falls with sin^2: their last digits are most of it
     lost = 1e-4 + 1e-6 / np.maximum(np.sin(theta) ** 2, 1e-6)
     assert (np.abs(other[0] - one[0]) < lost * one[0] + 1e-30).all()
-    alone = read(spectrum, theta, zeta, 0.8, crossed_spline, "cuda", with_slopes=False)[0]
+    alone = read(spectrum, theta, zeta, 0.8, lanes=False, device="cuda", with_slopes=False)[0]
     assert (np.abs(alone - other[0]) < lost * one[0] + 1e-30).all()
     apart = other[1][some].T / other[0][some] - one[1][some].T / one[0][some]
     assert (np.abs(apart) < 10 * lost[some]).all()
@@ -267,7 +267,7 @@ def test_materials_have_rows_of_their_own() -> None:
 def test_too_many_materials_have_the_integral(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = field(**FIELDS["vertex"][0])
     splined = renderer(scene, device="cpu")()["view"]["HV"]
-    monkeypatch.setattr(models, "MOST_ROWS", 0)
+    monkeypatch.setattr(i2em, "MOST_ROWS", 0)
     integrated = renderer(scene, device="cpu")()["view"]["HV"]
     assert not np.array_equal(integrated, splined)
     np.testing.assert_allclose(integrated[8:12, 1:-1], splined[8:12, 1:-1], rtol=7e-3)  # 0.03 dB

@@ -12,8 +12,10 @@ from test_scattering_models import values
 from worlds import WAVENUMBER, ground, scene_of, view
 
 from warpsar import Mesh, Scene, renderer
-from warpsar.kernels import crossed_table, crossed_table_lanes
-from warpsar.kernels.codes import Model, Spectrum
+from warpsar.kernels import crossed_table
+from warpsar.kernels.codes import Spectrum
+from warpsar.kernels.incidence_table import DOUBLE, SINGLE
+from warpsar.kernels.lane_kernels import LANES, at_once
 
 pytestmark = pytest.mark.unit
 
@@ -29,10 +31,8 @@ class Table:
         zeta = np.array([[math.log(eps.real - 1), math.log(kh / k), math.log(kl / k), -50.0]], np.float32)
         own, loss = np.array([[0, 0], [1, 0]], np.int32), np.full(2, -eps.imag, np.float32)
         given = [wp.float64(k), self.put(own, wp.vec2i), self.put(np.array([0, 1], np.int32), int)]
-        wave = wp.zeros((2, crossed_table.DOUBLE, crossed_table.WAVES), dtype=wp.vec4d, device=device)
-        self.once, self.twice = (
-            wp.zeros((2, n), dtype=wp.vec4, device=device) for n in (crossed_table.SINGLE, crossed_table.DOUBLE)
-        )
+        wave = wp.zeros((2, DOUBLE, crossed_table.WAVES), dtype=wp.vec4d, device=device)
+        self.once, self.twice = (wp.zeros((2, n), dtype=wp.vec4, device=device) for n in (SINGLE, DOUBLE))
         z, loss = self.put(zeta, wp.vec4), self.put(loss, float)
         for kernel, inputs, out in (
             (crossed_table.wave_kernel, [loss, z], wave),
@@ -45,10 +45,10 @@ class Table:
         return wp.array(np.ascontiguousarray(values), dtype=dtype, device=self.device)
 
     def at(
-        self, theta: np.ndarray, cos_psi: float, spectrum: int, kernels: Any = crossed_table
+        self, theta: np.ndarray, cos_psi: float, spectrum: int, *, lanes: bool = False
     ) -> tuple[np.ndarray, np.ndarray]:
         """sigma0 of HV and its slopes to the learned coordinates, (n,) and (n, 4), for every second of some hits."""
-        n, block = 2 * len(theta), getattr(kernels, "HITS", 1)
+        n = 2 * len(theta)
         mine = np.arange(1, n, 2, dtype=np.int32)
         sigma, slopes = self.put(np.full(n, -1.0, np.float32), float), self.put(np.zeros((n, 4), np.float32), wp.vec4)
         inputs = [
@@ -62,7 +62,9 @@ class Table:
             self.twice,
         ]
         outputs = [sigma, slopes]
-        wp.launch(kernels.scatter_kernel, -(-mine.size // block), inputs=inputs, outputs=outputs, device=self.device)
+        kernel = crossed_table.scatter_kernel(True)
+        kernel, block = (at_once(kernel), LANES) if lanes else (kernel, 1)
+        wp.launch(kernel, -(-mine.size // block), inputs=inputs, outputs=outputs, device=self.device)
         assert (sigma.numpy()[::2] == -1).all()
         return sigma.numpy()[1::2].astype(float), slopes.numpy()[1::2].astype(float)
 
@@ -85,7 +87,7 @@ def test_a_turned_facet_has_the_models_values_and_slopes(spectrum: str, eps: com
     """Against `modelled`, whose series end at 1e-4 (HV) and 1e-5 of their distributions: 0.02 dB, and 5 % in slopes."""
     theta = np.radians(np.linspace(0.7, 80.0, 41))
     found, slopes = Table("cpu", eps, kh, kl).at(theta, 0.8, Spectrum[spectrum.upper()])
-    expected = values(Model.I2EM, "HV", spectrum, theta, eps, kh, kl, 0.8)
+    expected = values("i2em", "HV", spectrum, theta, eps, kh, kl, 0.8)
     some = expected[:, 0] > 1e-7  # -70 dB
     np.testing.assert_allclose(10 * np.log10(found / expected[:, 0])[some], 0.0, atol=0.02)
     np.testing.assert_allclose((slopes / found[:, None] - expected[:, 1:] / expected[:, :1])[some], 0.0, atol=0.05)
@@ -112,7 +114,7 @@ def test_slopes_are_those_of_differences(cos_psi: float) -> None:
 
 def test_lanes_are_hits_one_by_one() -> None:
     table, theta = Table("cpu", 9 - 1j, 0.5, 4.0), np.radians(np.linspace(0.0, 90.0, 101))
-    one, many = (table.at(theta, 0.8, Spectrum.EXPONENTIAL, k) for k in (crossed_table, crossed_table_lanes))
+    one, many = (table.at(theta, 0.8, Spectrum.EXPONENTIAL, lanes=lanes) for lanes in (False, True))
     np.testing.assert_allclose(many[0], one[0], rtol=2e-6)  # the lanes' exponential is within 2e-7
     np.testing.assert_allclose(many[1], one[1], rtol=1e-5, atol=1e-6 * one[0].max())
 

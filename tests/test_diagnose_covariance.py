@@ -9,7 +9,7 @@ from worlds import view
 
 from warpsar.compare.observation import Observation
 from warpsar.diagnosis.scores.evidence import TRIALS, Evidence
-from warpsar.diagnosis.scores.score import Group, Projection, group
+from warpsar.diagnosis.scores.score import TangentProjection, TemplateGroup, group
 from warpsar.diagnosis.scores.templates import Template
 from warpsar.effects.base.trial import ScoreStep, Trial
 from warpsar.learning.identify import score_products
@@ -62,8 +62,10 @@ def one(columns: np.ndarray) -> Template:
     return Template("x", Trial(steps, ({},)), csc_array(columns), (False,) * columns.shape[1])
 
 
-def made(evidence: Evidence, tangent: np.ndarray, columns: Sequence[np.ndarray]) -> tuple[Projection, Group]:
-    projection = Projection(tangent, evidence.root_looks)
+def made(
+    evidence: Evidence, tangent: np.ndarray, columns: Sequence[np.ndarray]
+) -> tuple[TangentProjection, TemplateGroup]:
+    projection = TangentProjection(tangent, evidence.root_looks)
     (found,) = group([one(each) for each in columns], projection, evidence)
     return projection, found
 

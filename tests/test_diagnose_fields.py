@@ -18,8 +18,8 @@ import warpsar
 from warpsar.cli.main import main
 from warpsar.diagnosis.field_content import identify_beside
 from warpsar.diagnosis.found import Candidate, DiagnoseOptions
-from warpsar.diagnosis.models.bench import Bench
 from warpsar.diagnosis.models.field_prior import has_fields, with_roughness
+from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.frozen import frozen
 from warpsar.diagnosis.models.refit import Fitted, fit_model
 from warpsar.diagnosis.result import diagnose
@@ -319,21 +319,22 @@ def test_a_blur_is_found_beside_a_field_and_everything_is_saved(tmp_path: Path) 
 def test_a_checkpoint_keeps_a_model_with_fields(tmp_path: Path) -> None:
     """What another rank or a resumed run hears is the same model, to the bit."""
     scene = bumps(tmp_path, {}, texels=4)
-    bench = bench_of(scene)
-    fitted = fit_model(bench, scene, 0, 0)
-    heard = Fitted.heard(bench, scene, json.loads(json.dumps(fitted.told())))
+    setup = bench_of(scene)
+    fitted = fit_model(setup, scene, 0, 0)
+    heard = Fitted.of(setup, scene, json.loads(json.dumps(fitted.content())))
     np.testing.assert_array_equal(heard.x, fitted.x)
     assert heard.scene.materials == fitted.scene.materials
     one, other = (each.problem.modelled(each.x) for each in (fitted, heard))
     np.testing.assert_array_equal(np.concatenate(one), np.concatenate(other))
 
 
-def bench_of(scene: Scene) -> Bench:
+def bench_of(scene: Scene) -> FitSetup:
     stage = Stage.of(scene, CPU)
-    one, two = (Bench(CPU, Rays(stage, 400.0, seed), {}) for seed in (0, 1))
+    one, two = (FitSetup(CPU, Rays(stage, 400.0, seed), {}) for seed in (0, 1))
     return with_roughness(replace(one, observations=frozen(one, two, scene)), scene, 0)[0]
 
 
+@pytest.mark.slow
 def test_a_field_that_is_not_learned_changes_nothing(tmp_path: Path) -> None:
     """Fixed maps beside a learned uniform parameter: no prior of fields, and the dense steps as before."""
     scene = bumps(tmp_path, {}, texels=4)
@@ -341,7 +342,7 @@ def test_a_field_that_is_not_learned_changes_nothing(tmp_path: Path) -> None:
     scene = replace(scene, materials={"default": material})
     assert not has_fields(scene)
     done = diagnose(scene, device="cpu", options=QUICK)
-    assert done.diagnosis.bench.roughness is None
+    assert done.diagnosis.setup.roughness is None
     assert done.diagnosis.final.problem.uniform
 
 

@@ -20,7 +20,7 @@ from warpsar.diagnosis.dark.pixels import DarkPixels, impossible
 from warpsar.diagnosis.found import DiagnoseOptions
 from warpsar.diagnosis.left.moves import moves_with
 from warpsar.diagnosis.left.shape import shape_of
-from warpsar.diagnosis.models.bench import Bench
+from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.role_metrics import role_metrics
 from warpsar.diagnosis.scores.evidence import LARGEST
 from warpsar.effects.registry import get
@@ -265,7 +265,7 @@ def test_speckle_is_not_periodic() -> None:
 # surface or image
 
 
-def residuals_of(folder: Path, more: Any) -> tuple[Bench, Scene, list[Observation], list[np.ndarray]]:
+def residuals_of(folder: Path, more: Any) -> tuple[FitSetup, Scene, list[Observation], list[np.ndarray]]:
     """The truth's residuals, `more(name, image)` added to the noise-free image of each view."""
     views = [view(a, i, name=f"v{k}") for k, (a, i, _) in enumerate(ANGLES[:3])]
     truth = replace(cube_scene(views, polarizations=("HH",), shape=SIZE), sampling=Sampling(rays_per_pixel=256.0))
@@ -274,14 +274,14 @@ def residuals_of(folder: Path, more: Any) -> tuple[Bench, Scene, list[Observatio
         image["HH"] = more(one.name, image["HH"])
     scene = measured(truth, folder, images=images)
     device = devices.resolve_device("cpu")
-    bench = Bench(device, Rays(Stage.of(scene, device), scene.sampling.density_per_m2(scene.grid), 0), {})
-    problem = FitProblem(scene, device, rays=bench.rays)
+    setup = FitSetup(device, Rays(Stage.of(scene, device), scene.sampling.density_per_m2(scene.grid), 0), {})
+    problem = FitProblem(scene, device, rays=setup.rays)
     found = []
     for seen, mu in zip(problem.observations, problem.modelled_as_declared(), strict=True):
         plane = np.zeros(seen.interior.shape)
         plane[seen.interior] = np.clip(np.sqrt(seen.looks) * (seen.values / mu - 1.0), -8.0, 8.0)
         found.append(plane)
-    return bench, scene, problem.observations, found
+    return setup, scene, problem.observations, found
 
 
 def test_rows_of_the_image_stay_in_the_image(tmp_path: Path) -> None:
@@ -298,17 +298,17 @@ def test_a_brighter_material_moves_with_the_surface(tmp_path: Path) -> None:
     def more(name: str, image: np.ndarray) -> np.ndarray:
         return image
 
-    bench, scene, seen, residuals = residuals_of(tmp_path, more)
+    setup, scene, seen, residuals = residuals_of(tmp_path, more)
     # a patch of ground east of the cube, brighter by half
     for one, residual in zip(seen, residuals, strict=True):
-        hits = bench.rays.hits(scene, one.view, [])
+        hits = setup.rays.hits(scene, one.view, [])
         points, pixel = hits.point.numpy(), hits.pixel.numpy()
         patch = (abs(points[:, 0] - 5.0) < 1.2) & (abs(points[:, 1] - 4.0) < 1.2) & (points[:, 2] < 0.01)
         lit = np.isin(np.arange(residual.size), pixel[patch]).reshape(residual.shape) & one.interior
         residual[lit] += 0.5 * np.sqrt(one.looks)
-    found = moves_with(bench, scene, seen, residuals, 1.0)
+    found = moves_with(setup, scene, seen, residuals, 1.0)
     assert found.way == "surface"
-    assert moves_with(bench, scene, seen[:1], residuals[:1], 1.0).way == "one view"
+    assert moves_with(setup, scene, seen[:1], residuals[:1], 1.0).way == "one view"
 
 
 def test_speckle_alone_moves_with_neither(tmp_path: Path) -> None:
@@ -351,6 +351,7 @@ def test_all_rows_are_found_in_the_dark_too(tmp_path: Path) -> None:
     assert content["left_at_the_end"]["description"]["sentences"][0].startswith("What is left needs no explanation")
 
 
+@pytest.mark.slow
 def test_rows_that_remain_in_the_dark_raise_the_alarm(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The scene declares the lit rows alone, and holds them: what lies in dark pixels cannot be explained."""
     scene = striped(tmp_path)

@@ -9,11 +9,11 @@ import pytest
 from test_diagnose import scene_with
 
 from warpsar.diagnosis.found import Candidate, Confirmed, DiagnoseOptions, Turn
-from warpsar.diagnosis.models.bench import Bench
+from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.frozen import frozen
-from warpsar.diagnosis.models.left_out import LeftOut
+from warpsar.diagnosis.models.left_out import ViewsLeftOut
 from warpsar.diagnosis.search.confirmation import Confirmation
-from warpsar.diagnosis.search.forecast import Forecast, forecast
+from warpsar.diagnosis.search.forecast import DiagnosisForecast, forecast
 from warpsar.diagnosis.search.outcome import confirmation_lines, outcome, turn_lines
 from warpsar.runtime import devices
 from warpsar.runtime.forecast import LONG_S
@@ -50,7 +50,7 @@ def turn_of(*candidates: Candidate, added: str | None = None, **more: Any) -> Tu
             "2 ln L +1,234.6 for 2 parameters; view_gain is likelier; rows 3 to 5; its fit was given up, far behind",
         ),
         (
-            replace(FITTED, refused="it does not help", left_out=LeftOut(1.234, 0.95, 3)),
+            replace(FITTED, refused="it does not help", left_out=ViewsLeftOut(1.234, 0.95, 3)),
             "2 ln L +1,234.6 for 2 parameters; views left out gain 1.23 +- 0.95 in ln L; it does not help",
         ),
         (
@@ -70,12 +70,12 @@ def test_an_effect_that_others_kept_from_a_fit() -> None:
 
 
 def test_an_effect_that_was_added() -> None:
-    held = replace(FITTED, left_out=LeftOut(120.34, 11.2, 3), note="")
+    held = replace(FITTED, left_out=ViewsLeftOut(120.34, 11.2, 3), note="")
     assert (
         outcome(held, turn_of(held, added="point_spread"))
         == "2 ln L +1,234.6 for 2 parameters; views left out gain 120 +- 11 in ln L"
     )
-    alone = replace(FITTED, left_out=LeftOut(0.0, 0.0, 1))
+    alone = replace(FITTED, left_out=ViewsLeftOut(0.0, 0.0, 1))
     assert outcome(alone, turn_of(alone, added="point_spread")) == "2 ln L +1,234.6 for 2 parameters"
     back = replace(held, refused="it gains less than its parameters cost")
     assert outcome(back, turn_of(back, added="point_spread")).endswith(
@@ -86,7 +86,7 @@ def test_an_effect_that_was_added() -> None:
 def test_what_was_asked_of_every_effect_beside_the_others() -> None:
     asked = [
         Confirmed("registration", 3.0, 2, refused="it gains less than its parameters cost"),
-        Confirmed("point_spread", 1234.56, 2, LeftOut(120.34, 11.2, 3)),
+        Confirmed("point_spread", 1234.56, 2, ViewsLeftOut(120.34, 11.2, 3)),
         Confirmed("noise_floor", -5.0, 1, notes=["the dark pixels need it"]),
     ]
     assert confirmation_lines(Confirmation(cast(Any, None), asked)) == [
@@ -99,7 +99,7 @@ def test_what_was_asked_of_every_effect_beside_the_others() -> None:
 
 def test_a_turn_on_the_console() -> None:
     """What was added comes first, whatever it scored."""
-    held = replace(FITTED, left_out=LeftOut(120.34, 11.2, 3))
+    held = replace(FITTED, left_out=ViewsLeftOut(120.34, 11.2, 3))
     other = replace(FITTED, effect="registration", minus_log_p=99.0, refit_gain=7.0, refused="point_spread is likelier")
     low = Candidate("range_loss", "testable", minus_log_p=2.0)
     blind = Candidate("vegetation", "not_testable")
@@ -122,10 +122,10 @@ def test_two_times_are_announced(tmp_path: Path) -> None:
     scene = scene_with({}, tmp_path)
     device = devices.resolve_device("cpu")
     rays = Rays(Stage.of(scene, device), 64.0, 1)
-    bench = replace(one := Bench(device, rays, {}), observations=frozen(one, one, scene))
-    long = forecast(bench, scene, DiagnoseOptions(draws=10**6))
+    setup = replace(one := FitSetup(device, rays, {}), observations=frozen(one, one, scene))
+    long = forecast(setup, scene, DiagnoseOptions(draws=10**6))
     assert long is not None
     assert long.effect_s > long.nothing_s > LONG_S
-    assert str(Forecast(20.0, 300.0)).startswith(
+    assert str(DiagnosisForecast(20.0, 300.0)).startswith(
         "about 20 s if nothing is missing, and about 5 min more for each effect"
     )

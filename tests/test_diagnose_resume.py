@@ -21,11 +21,10 @@ from test_diagnose import SLOPE, scene_with
 from warpsar.cli.main import main
 from warpsar.diagnosis.command import UNEXPLAINED
 from warpsar.diagnosis.found import DiagnoseOptions, Turn
-from warpsar.diagnosis.search import course, loop
+from warpsar.diagnosis.search import loop, record
 from warpsar.errors import InputError
 from warpsar.io import checkpoint
 from warpsar.runtime.deadline import TimeUp
-from warpsar.runtime.distributed import ONE
 from warpsar.scene.scene import Scene
 
 SHIFT = {"range_m": 0.33, "azimuth_m": -0.41}  # of pixels of 0.5 m: light moves, and fewer pixels are compared
@@ -96,6 +95,7 @@ def test_killed_after_every_stage(whole: tuple[Path, Path, int]) -> None:
     assert not path.exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stage", [1, 2])
 def test_ctrl_c_says_how_to_go_on(stage: int, whole: tuple[Path, Path, int], monkeypatch: pytest.MonkeyPatch) -> None:
     """The words that it says end where the uninterrupted run ends; what the checkpoint holds is not done again."""
@@ -178,7 +178,7 @@ def test_under_torchrun_a_job_before_its_first_checkpoint_begins_anew(
     whole: tuple[Path, Path, int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("TORCHELASTIC_RESTART_COUNT", "1")
-    begun = course.begun(Scene.load(whole[0]), OPTIONS, tmp_path, ONE, True)
+    begun = record.open_record(Scene.load(whole[0]), OPTIONS, tmp_path, True)
     assert begun._told == []
     assert "--resume: there is no checkpoint; the run starts afresh" in capsys.readouterr().err
 
@@ -188,18 +188,18 @@ def test_a_checkpoint_of_something_else_is_refused(
 ) -> None:
     scene = Scene.load(whole[0])
     stored: dict[str, Any] = {"told": np.array("[]")}
-    monkeypatch.setattr(course, "__version__", "0.0.1")
-    first = course.begun(scene, OPTIONS, tmp_path, ONE, False)
+    monkeypatch.setattr(record, "__version__", "0.0.1")
+    first = record.open_record(scene, OPTIONS, tmp_path, False)
     checkpoint.write(tmp_path, stored, first._tag)
-    course.begun(scene, OPTIONS, tmp_path, ONE, True)  # the same run
+    record.open_record(scene, OPTIONS, tmp_path, True)  # the same run
     for other in ({"draws": 500}, {"starts": 2}, {"seed": 4}, {"family_error": 0.02}, {"most_effects": 1}):
         with pytest.raises(InputError, match="found a checkpoint of other input or options"):
-            course.begun(scene, replace(OPTIONS, **other), tmp_path, ONE, True)  # type: ignore[arg-type]
+            record.open_record(scene, replace(OPTIONS, **other), tmp_path, True)  # type: ignore[arg-type]
     with pytest.raises(InputError, match="found a checkpoint of other input or options"):
-        course.begun(replace(scene, source=scene.source + "\n"), OPTIONS, tmp_path, ONE, True)
-    monkeypatch.setattr(course, "__version__", "0.0.2")
+        record.open_record(replace(scene, source=scene.source + "\n"), OPTIONS, tmp_path, True)
+    monkeypatch.setattr(record, "__version__", "0.0.2")
     with pytest.raises(InputError, match="found a checkpoint of other input or options"):
-        course.begun(scene, OPTIONS, tmp_path, ONE, True)
+        record.open_record(scene, OPTIONS, tmp_path, True)
     (tmp_path / checkpoint.NAME).write_bytes(b"not a checkpoint")
     with pytest.raises(InputError, match=r"not a checkpoint of warpsar .*; remove it to start afresh"):
-        course.begun(scene, OPTIONS, tmp_path, ONE, True)
+        record.open_record(scene, OPTIONS, tmp_path, True)

@@ -7,7 +7,7 @@ from worlds import view
 
 from warpsar.compare.observation import Observation
 from warpsar.diagnosis.scores.bootstrap import Bootstrap
-from warpsar.diagnosis.scores.score import REACH, Group, Projection, log_tail, minus_log_p
+from warpsar.diagnosis.scores.score import REACH, TangentProjection, TemplateGroup, log_tail, minus_log_p
 from warpsar.diagnosis.scores.templates import Template
 from warpsar.effects.base.trial import ScoreStep, Trial
 from warpsar.speckle.draws import Speckle
@@ -63,10 +63,10 @@ def test_mixture_by_hand() -> None:
 # Scores
 
 
-def a_group(columns: np.ndarray, covariance: np.ndarray, one_sided: tuple[bool, ...]) -> Group:
+def a_group(columns: np.ndarray, covariance: np.ndarray, one_sided: tuple[bool, ...]) -> TemplateGroup:
     step = ScoreStep("x", 1.0, {})
     template = Template("x", Trial((step,) * len(one_sided), ({},)), columns, one_sided)
-    return Group([template], columns, covariance[None], np.ones(1))
+    return TemplateGroup([template], columns, covariance[None], np.ones(1))
 
 
 @pytest.mark.parametrize(
@@ -108,7 +108,7 @@ def test_projection_takes_out_the_tangent_and_nothing_else() -> None:
     tangent = random.standard_normal((200, 3)) * [1.0, 1e3, 0.1]
     looks = random.uniform(1.0, 4.0, 200)
     # a column twice and one of zeros: no more is taken out by them
-    projection = Projection(np.hstack([tangent, tangent[:, :1] - tangent[:, 1:2], np.zeros((200, 1))]), looks)
+    projection = TangentProjection(np.hstack([tangent, tangent[:, :1] - tangent[:, 1:2], np.zeros((200, 1))]), looks)
     assert projection.basis.shape == (200, 3)
     columns = random.standard_normal((200, 5))
     left = projection(columns)
@@ -125,7 +125,7 @@ def test_a_direction_beyond_all_moves_is_not_taken_out() -> None:
     for apart, taken in ((2.0 / REACH, 2), (0.5 / REACH, 1)):
         tangent = np.stack([100.0 * one, 100.0 * one + 2.0 * apart * other], axis=1)
         # x moves by (1, -1) for a change of 2 `apart` along `other`
-        projection = Projection(tangent, np.ones(300))
+        projection = TangentProjection(tangent, np.ones(300))
         assert projection.basis.shape == (300, taken)
 
 

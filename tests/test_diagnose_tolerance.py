@@ -11,10 +11,10 @@ from test_held_effects import BLUR, declaring
 
 from warpsar.cli.main import main
 from warpsar.diagnosis.command import UNEXPLAINED
-from warpsar.diagnosis.models.bench import Bench
+from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.refit import Fitted, fit_model
 from warpsar.diagnosis.scores.partly_known import PartlyKnown
-from warpsar.diagnosis.scores.score import Projection
+from warpsar.diagnosis.scores.score import TangentProjection
 from warpsar.runtime import devices
 from warpsar.scene.scene import Scene
 from warpsar.simulation.rays import Rays
@@ -30,7 +30,7 @@ def test_what_is_partly_known_is_a_ridge() -> None:
     slopes = np.zeros((2, 3))  # of three elements of x; the fourth column of the tangent is a gain
     slopes[0, 0], slopes[1, 2] = 30.0, 2.0
     residual = np.array([0.7, -1.1])
-    projection = Projection(tangent, looks, PartlyKnown(slopes, residual))
+    projection = TangentProjection(tangent, looks, PartlyKnown(slopes, residual))
     a, d = looks[:, None] * tangent, np.hstack([slopes, np.zeros((2, 1))])
     inverse = np.linalg.inv(a.T @ a + d.T @ d)
     columns = random.standard_normal((200, 5))
@@ -48,10 +48,10 @@ def test_scores_of_draws_have_the_covariance_that_is_stated() -> None:
     random = np.random.default_rng(1)
     tangent = random.standard_normal((60, 2))
     known = PartlyKnown(np.array([[12.0, 0.0]]), np.zeros(1))
-    projection = Projection(tangent, np.ones(60), known)
+    projection = TangentProjection(tangent, np.ones(60), known)
     template = tangent[:, 0] + 0.3 * random.standard_normal(60)  # what the known parameter could imitate
     template /= np.linalg.norm(template)
-    draws, free = random.standard_normal((60, 4000)), Projection(tangent, np.ones(60))
+    draws, free = random.standard_normal((60, 4000)), TangentProjection(tangent, np.ones(60))
     scores = template @ projection(draws, known.drawn(random, 4000))
     left, under = projection(template[:, None]), projection.left_under(template[:, None])
     stated = float((left.T @ left + under.T @ under)[0, 0])
@@ -64,11 +64,11 @@ def test_models_told_to_other_ranks_and_checkpoints_are_known_about_the_same(tmp
     scene = scene_with({"point_spread": BLUR}, tmp_path)
     scene = declaring(scene, point_spread={**BLUR, "range_fwhm_m": 0.6, "tolerance": KNOWN})
     device = devices.resolve_device("cpu")
-    bench = Bench(device, Rays(Stage.of(scene, device), 64.0 / scene.grid.pixel_area_m2, 0), {})
-    base = fit_model(bench, scene, 0, 0)
-    further = fit_model(bench, base.scene, 0, 0)
+    setup = FitSetup(device, Rays(Stage.of(scene, device), 64.0 / scene.grid.pixel_area_m2, 0), {})
+    base = fit_model(setup, scene, 0, 0)
+    further = fit_model(setup, base.scene, 0, 0)
     for given, fitted in ((scene, base), (base.scene, further)):
-        heard = Fitted.heard(bench, given, json.loads(json.dumps(fitted.told())))
+        heard = Fitted.of(setup, given, json.loads(json.dumps(fitted.content())))
         assert heard.scene.effects == fitted.scene.effects
         assert heard.scene.effects["point_spread"]["tolerance"]["range_fwhm_m"] == {"about": 0.6, "sd": 0.03}
         for problem in (heard.problem, fitted.problem):
@@ -114,6 +114,7 @@ def test_a_blur_that_is_known_about_rightly_keeps_its_tolerance(tmp_path: Path) 
     assert "known to a tolerance" in (ran.out / "report.html").read_text()
 
 
+@pytest.mark.slow
 def test_a_blur_that_is_known_wrongly_is_an_alarm(tmp_path: Path) -> None:
     """The scene knows 0.45 +- 0.02 m where the images have 0.9 m: told on the console, in the JSON, in the report."""
     scene = scene_with({"point_spread": BLUR}, tmp_path)

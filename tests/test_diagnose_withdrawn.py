@@ -41,7 +41,7 @@ def floored(tmp_path_factory: pytest.TempPathFactory) -> Diagnosis:
 def test_what_hurts_is_withdrawn_and_the_rest_stays(floored: Diagnosis) -> None:
     """A loss along range that the images do not have, held fixed in the final model: it goes, and the floor stays."""
     both = with_effect(floored.final.scene, "range_loss", {"per_m": 0.05, "fixed": True})
-    hurt = replace(floored, final=fit_model(floored.bench, both, 0, 0))
+    hurt = replace(floored, final=fit_model(floored.setup, both, 0, 0))
     done = judged(hurt)
     assert done.diagnosis.withdrawn == ["range_loss"]
     assert set(done.diagnosis.final.scene.effects) == {"noise_floor"}

@@ -123,6 +123,7 @@ def test_a_smooth_surface_has_the_first_order(period: rayleigh.Period) -> None:
         np.testing.assert_allclose(found[..., i, i], first[..., i, i], rtol=2e-3)
 
 
+@pytest.mark.slow
 def test_all_orders_begin_with_the_fourth(period: rayleigh.Period) -> None:
     """kh 0.13 and kl 1, without waves beyond 1.5 k: to a tenth of a decibel. HV is VH, which no equation of it says."""
     found, first = rayleigh.powers(period, 0.13, 1.0, 1.5, 24, 64)

@@ -15,6 +15,7 @@ from worlds import box, ground, mesh_of, scene_of, view
 
 import warpsar.effects
 from warpsar.effects import registry
+from warpsar.effects.base.product import PRODUCTS
 from warpsar.effects.base.trial import Context
 from warpsar.effects.registry import check, declared, get, names, validate
 from warpsar.errors import InputError
@@ -106,6 +107,18 @@ def test_the_page_of_effects_has_a_section_for_each() -> None:
     assert not missing, f"docs/effects.md has no section {', '.join(sorted(missing))}"
     assert not unknown, f"docs/effects.md: no effect is called {', '.join(sorted(unknown))}"
     assert len(sections) == len(set(sections))
+
+
+def test_the_page_of_effects_says_which_acts_on_what() -> None:
+    page = (ROOT / "docs" / "effects.md").read_text(encoding="utf-8")
+    section = page.split("\n## On complex images, phase histories and curves\n")[1].split("\nHow they act")[0]
+    found = [
+        [cell.strip() for cell in row[1:-1].split("|")] for row in re.findall(r"^\| \[.*\|$", section, re.MULTILINE)
+    ]
+    assert found == [
+        [f"[{name}](#{name})", *("yes" * (one in get(name).acts_on) for one in PRODUCTS), get(name).in_place]
+        for name in names()
+    ]
 
 
 @pytest.mark.parametrize(("name", "table", "radar"), WORKING, ids=IDS)
@@ -253,7 +266,7 @@ DOUBLING = '''
 from typing import Any
 
 from warpsar.effects.base.effect import Effect
-from warpsar.effects.base.parameter import Parameter
+from warpsar.effects.base.parameter import EffectParameter
 from warpsar.effects.base.recorder import Recorder
 from warpsar.kernels.effects import view_gain as kernels
 
@@ -265,7 +278,7 @@ class Doubling(Effect):
     stage = "gain"
     order = 99
     summary = "as much again"
-    parameters = (Parameter("gain_db", "dB", 0.0, -10.0, 10.0, 1.0, description="Gain."),)
+    parameters = (EffectParameter("gain_db", "dB", 0.0, -10.0, 10.0, 1.0, description="Gain."),)
 
     def gain(self, render: Recorder, p: Any, sigma: Any, points: Any) -> Any:
         result = render.program.array(sigma.shape[0])

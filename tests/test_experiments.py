@@ -121,6 +121,7 @@ def test_a_start_that_is_dark_beyond_float32_has_a_finite_gradient(experiments: 
     assert np.isfinite(gradient).all()
 
 
+@pytest.mark.slow
 def test_in_domain_surfaces_are_found(experiments: Any, tmp_path: Path) -> None:
     small = experiments.in_domain_case("spm", (4.0, 0.001, 0.006), tmp_path, "cpu", seeds=2)
     for fit in small["fits"]:
@@ -166,6 +167,7 @@ def test_fields_are_learned_and_drawn(experiments: Any, tmp_path: Path) -> None:
     assert all((tmp_path / f"{name}.png").stat().st_size > 5000 for name in ("iterations", "images", "maps"))
 
 
+@pytest.mark.slow
 def test_a_case_is_compared_with_its_truth(experiments: Any, independent_cases: Path, tmp_path: Path) -> None:
     result = CliRunner().invoke(
         experiments.main, ["case", str(independent_cases / "none"), "-o", str(tmp_path), "--device", "cpu"]

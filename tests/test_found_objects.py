@@ -11,7 +11,7 @@ import pytest
 from test_proposals import BODY, BOX, CPU, measured, plain, ratios_of
 
 from warpsar.diagnosis.models.movable import found_words, own_material, refined_words, standing, with_words
-from warpsar.diagnosis.proposals.fit import Ground
+from warpsar.diagnosis.proposals.fit import TrialGround
 from warpsar.diagnosis.proposals.left_out import left_out
 from warpsar.diagnosis.proposals.places import Looked
 from warpsar.diagnosis.search import geometry_confirmation
@@ -91,10 +91,11 @@ def test_a_place_is_looked_for_without_a_view() -> None:
     assert Looked.at(scene, ratios[:1]).best(1, without=ratios[0].view.name) == []
 
 
+@pytest.mark.slow
 def test_a_view_gains_nothing_of_what_the_others_do_not_propose() -> None:
     """The same object, with and without places of the other views; the truth gains in every view."""
     scene = measured(plain(), (BOX,))
-    ground = Ground.of(scene, CPU, None, "gamma")
+    ground = TrialGround.of(scene, CPU, None, "gamma")
     without = ground.settled(ground.scene)
     whole = ground.settled(ground.holding(BOX.model_copy(update={"learn": ALL}), BODY))
     looked = Looked.at(scene, ratios_of(scene))

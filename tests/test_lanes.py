@@ -244,8 +244,11 @@ def test_the_text_is_the_same_in_every_process() -> None:
     """Warp's cache goes by the text."""
     script = (
         "import hashlib\n"
-        "from warpsar.kernels import hit_lanes, raster_lanes, record_lanes, shade_lanes\n"
-        "text = shade_lanes._MODEL + record_lanes._GEOMETRY + hit_lanes._GEOMETRY + raster_lanes._START\n"
+        "from warpsar.kernels import hit_lanes, raster_lanes, record_lanes\n"
+        "from warpsar.kernels.lane_kernels import at_once\n"
+        "from warpsar.kernels.scatter import scatter_kernel\n"
+        "text = at_once(scatter_kernel('i2em', True)).key + record_lanes._GEOMETRY + hit_lanes._GEOMETRY\n"
+        "text += raster_lanes._START\n"
         "print(hashlib.sha256(text.encode()).hexdigest())"
     )
     found = set()

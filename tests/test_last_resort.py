@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from warpsar import Scene, simulate
-from warpsar.diagnosis.models.bench import Bench
+from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.frozen import frozen
 from warpsar.diagnosis.models.refit import Fitted, refit_as
 from warpsar.diagnosis.report.law import law_section
@@ -31,7 +31,7 @@ LAW = {"hh_20": 2.0, "hh_40": -2.0, "hh_60": 2.0, "vv_20": -2.0, "vv_40": 2.0, "
 PRICE = 4.0  # of 2 ln L, of a parameter: as diagnose has it where speckle is not correlated
 
 
-def standing(effects: dict[str, dict[str, Any]]) -> tuple[Bench, Fitted]:
+def standing(effects: dict[str, dict[str, Any]]) -> tuple[FitSetup, Fitted]:
     """Rolling ground from four sides, HH and VV, four looks; the images have the effects, the model has not."""
     scene = Scene.load(ROOT / "data" / "in_domain" / "spm.toml")
     first = scene.views[0]
@@ -47,14 +47,14 @@ def standing(effects: dict[str, dict[str, Any]]) -> tuple[Bench, Fitted]:
         seen.append(view.model_copy(update={"images": images, "looks": 4.0}))
     scene = replace(scene, views=seen)
     device = devices.resolve_device("cpu")
-    one_bench, other = (Bench(device, Rays(Stage.of(scene, device), 700.0, seed), {}) for seed in (3, 4))
-    bench = replace(one_bench, observations=frozen(one_bench, other, scene))
-    return bench, refit_as(bench, scene)
+    one_bench, other = (FitSetup(device, Rays(Stage.of(scene, device), 700.0, seed), {}) for seed in (3, 4))
+    setup = replace(one_bench, observations=frozen(one_bench, other, scene))
+    return setup, refit_as(setup, scene)
 
 
 def test_a_law_of_all_views_is_learned() -> None:
-    bench, here = standing({"learned_scattering": LAW})
-    found = learned_law(bench, here, PRICE)
+    setup, here = standing({"learned_scattering": LAW})
+    found = learned_law(setup, here, PRICE)
     assert found is not None
     candidate, fitted = found
     assert not candidate.refused
@@ -70,15 +70,15 @@ def test_a_law_of_all_views_is_learned() -> None:
 
 
 def test_nothing_is_learned_where_nothing_is_missing() -> None:
-    bench, here = standing({})
-    found = learned_law(bench, here, PRICE)
+    setup, here = standing({})
+    found = learned_law(setup, here, PRICE)
     assert found is not None
     assert found[0].refused == TOO_LITTLE
 
 
 def test_what_one_view_has_is_no_law() -> None:
-    bench, here = standing({"view_gain": {"gain_db": {"v0": 4.0, "v1": -4.0, "v2": 4.0, "v3": -4.0}}})
-    found = learned_law(bench, here, PRICE)
+    setup, here = standing({"view_gain": {"gain_db": {"v0": 4.0, "v1": -4.0, "v2": 4.0, "v3": -4.0}}})
+    found = learned_law(setup, here, PRICE)
     assert found is not None
     assert found[0].refused in (NOT_ELSEWHERE, TOO_LITTLE)
 

@@ -26,6 +26,7 @@ ROOMS = (
     "runtime",
     "speckle",
     "io",
+    "models",
     "world",
     "trace",
     "surface",
@@ -36,10 +37,10 @@ ROOMS = (
     "measured",
     "render",
     "simulation",
-    "compare",
     "coherent",
     "collection",
     "curves",
+    "compare",
     "differentiable",
     "learning",
     "evaluation",
@@ -68,6 +69,21 @@ EXTRAS = {
 }
 HEAVY = SLOW | EXTRAS
 """Slow to import, or in an extra that may be missing: they alone may be imported inside a function."""
+
+
+PROCESSES = "warpsar.runtime.distributed"
+SHARING = {
+    "warpsar.runtime.once",  # what everybody else may ask
+    "warpsar.learning.problem",  # the views of a fit
+    "warpsar.learning.held",
+    "warpsar.simulation.command",  # the images of a scene
+    "warpsar.simulation.batch",
+    "warpsar.simulation.index",
+    "warpsar.compare.comparison",  # the images that are compared
+}
+"""The modules that share work out among the processes of a run. To all others a run is one program."""
+TOLD_BY_TORCHRUN = {f"warpsar.runtime.{name}" for name in ("busy", "console", "devices", "memory", "threads")}
+"""They read of the environment how many processes share this host's cores, and which of them speaks."""
 
 
 @dataclass(frozen=True)
@@ -216,8 +232,9 @@ def test_the_design_page_lists_the_rooms_in_their_order() -> None:
 
 
 def test_each_folder_says_what_its_files_do() -> None:
-    """By name, in its `__init__.py`. Effects and formats are found by looking into their folder: no list."""
-    found = [ROOT / "warpsar" / folder for folder in ("effects", "formats", "simulation/formats")]
+    """By name, in its `__init__.py`. Effects, models and formats are found by looking into their folder: no list."""
+    folders = ("effects", "models", "formats", "simulation/formats", "render/ways")
+    found = [ROOT / "warpsar" / folder for folder in folders]
     unlisted = []
     for text in (*(ROOT / "warpsar").glob("*/**/__init__.py"), ROOT / "kernels" / "coherent" / "__init__.py"):
         if text.parent in found:
@@ -231,16 +248,46 @@ def test_lazy_imports_are_of_heavy_libraries(found: list[Arrow]) -> None:
     """cli/ apart, whose commands import their work when they are called: help needs no engine; and the faces of the
     package, which name by string what is imported when it is asked for."""
     by_string = {"warpsar", "warpsar.runtime.devices"}
-    by_string |= {f"warpsar.{folder}.registry" for folder in ("effects", "formats", "simulation.formats")}
+    by_string |= {f"warpsar.{folder}.registry" for folder in ("effects", "models", "formats", "simulation.formats")}
+    by_string |= {"warpsar.kernels.scatter", "warpsar.render.models"}  # what a backscatter model has, by its name
     lazy = [a for a in found if a.lazy and room(a.importer) != "cli" and a.importer not in by_string]
     assert [f"{a.importer} -> {a.imported}" for a in lazy if a.imported.split(".")[0] not in HEAVY] == []
 
 
 def test_extras_are_never_imported_at_the_top(found: list[Arrow]) -> None:
     """A plain installation has none of them; and nothing is imported that pyproject.toml does not ask for."""
-    asked = {"click", "numpy", "pydantic", "scipy", "tomlkit", "tqdm", "warpsar"} | SLOW | set(sys.stdlib_module_names)
+    asked = (
+        {"click", "lazy_loader", "numpy", "pydantic", "scipy", "tomlkit", "tqdm", "warpsar"}
+        | SLOW
+        | set(sys.stdlib_module_names)
+    )
     top = [a for a in found if not a.lazy]
     assert [f"{a.importer} -> {a.imported}" for a in top if a.imported.split(".")[0] not in asked] == []
+
+
+def knowing(found: list[Arrow]) -> dict[str, set[str]]:
+    """By module of the package for several processes: who outside of it imports it."""
+    inside: dict[str, set[str]] = {}
+    for a in found:
+        if (a.imported + ".").startswith(PROCESSES + ".") and not (a.importer + ".").startswith(PROCESSES + "."):
+            inside.setdefault(a.imported.removeprefix(PROCESSES).removeprefix("."), set()).add(a.importer)
+    return inside
+
+
+def ranked(path: Path) -> set[str]:
+    """What a file names of several processes: `Ranks`, an argument or attribute of that kind, torch's package,
+    torchrun's environment."""
+    names = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        of_node = [getattr(node, key, None) for key in ("attr", "arg", "name", "value")]
+        names |= {name for name in of_node if isinstance(name, str)}
+    return names & {"ranks", "_ranks", "Ranks", "torch.distributed", "RANK", "LOCAL_RANK", "WORLD_SIZE"}
+
+
+def test_processes_are_known_where_work_is_shared(found: list[Arrow]) -> None:
+    assert knowing(found) == {"processes": SHARING, "torchrun": TOLD_BY_TORCHRUN}
+    naming = {name for name, path in sources(ROOT).items() if ranked(path) and not name.startswith(PROCESSES)}
+    assert naming <= SHARING
 
 
 @pytest.fixture
@@ -281,3 +328,19 @@ def test_a_circle_inside_a_room_is_found(house: Path) -> None:
     (house / "warpsar/world/mesh.py").write_text("def use():\n    from warpsar.world.frame import axes")
     assert upward(arrows(house)) == []
     assert circles(arrows(house)) == [["warpsar.world.frame", "warpsar.world.mesh"]]
+
+
+@pytest.mark.parametrize("how", UP)
+def test_who_knows_of_processes_is_found(house: Path, how: str) -> None:
+    path = house / "warpsar/runtime/distributed/processes.py"
+    path.parent.mkdir(parents=True)
+    path.write_text("import torch.distributed\n\nclass Ranks:\n    size = int(environ['WORLD_SIZE'])")
+    assert knowing(arrows(house)) == {}
+    assert ranked(path) == {"Ranks", "torch.distributed", "WORLD_SIZE"}
+    text = UP[how].replace("warpsar.scene.scene", f"{PROCESSES}.processes")
+    (house / "warpsar/world/mesh.py").write_text(
+        text.replace("warpsar.scene", PROCESSES).replace("import scene", "import processes")
+    )
+    assert knowing(arrows(house))["processes"] == {"warpsar.world.mesh"}
+    (house / "warpsar/world/frame.py").write_text("def fit(problem, ranks=None):\n    return problem.ranks.size")
+    assert ranked(house / "warpsar/world/frame.py") == {"ranks"}

@@ -7,6 +7,7 @@ import hashlib
 import json
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +19,9 @@ from worlds import box, ground, mesh_of, scene_of, view
 
 import warpsar
 from warpsar.cli.main import COMMANDS, main
-from warpsar.cli.simulate import PRODUCTS
+from warpsar.cli.simulate import PRODUCTS as SIMULATED
 from warpsar.coherent.left_out import left_out
+from warpsar.effects.base.product import PRODUCTS, Product
 from warpsar.effects.registry import acting, get, names
 from warpsar.scene.scene import Scene
 from warpsar.world.collection import Collection
@@ -27,14 +29,16 @@ from warpsar.world.collection import Collection
 TABLES: dict[str, dict[str, Any]] = {name: table for name, table, radar in reversed(working()) if not radar}
 """Of every effect, strong enough to change a plane-wave image."""
 
-SPOT = Collection(mode="spotlight", resolution_m=(1.5, 1.5), slant_range_m=10e3)
+SPOT = Collection(mode="spotlight", slant_range_m=10e3)
+BLUR = {"range_fwhm_m": 1.5, "azimuth_fwhm_m": 1.5, "window": "taylor"}
+"""Another one than that of `TABLES`."""
 SLAB = {"eps_r": 4.0, "thickness_m": 0.002, "rms_height_m": 0.0}
 
 
 def rough() -> Scene:
-    """What has images and phase: the street of the tests of effects, with a track."""
+    """What has images and phase: the street of the tests of effects, with a track and a response."""
     terms = street().radar.model_copy(update={"terms": ("rough",)})
-    return replace(street(), radar=terms, collection=SPOT)
+    return replace(street(), radar=terms, collection=SPOT, effects={"point_spread": BLUR})
 
 
 def slabs() -> Scene:
@@ -57,7 +61,7 @@ def curve_of(path: Path) -> None:
 
 WITH_CURVES = ("evaluate", "learn", "diagnose")
 RUNS: dict[str, tuple[str, ...]] = {
-    **{f"simulate --product {product}": ("simulate", "--product", product) for product in PRODUCTS},
+    **{f"simulate --product {product}": ("simulate", "--product", product) for product in SIMULATED},
     "rcs": ("rcs", "--azimuths", "10,50", "--incidences", "42"),
     **{f"{command}, curves": (command,) for command in WITH_CURVES},
 }
@@ -93,15 +97,16 @@ def run(scene: Scene, words: tuple[str, ...], folder: Path) -> tuple[str, dict[s
 
 @pytest.mark.parametrize("product", RUNS)
 def test_an_effect_acts_or_is_named(product: str, tmp_path: Path) -> None:
-    """All effects at once; those that the command does not name must each change what it makes."""
+    """All effects at once. Those that do not act on the product are named; each of the others changes it."""
     words = RUNS[product]
+    made_is = words[-1] if words[0] == "simulate" else "rcs"
     scene = rough() if words[0] == "simulate" else slabs()
     every = scene
     for name, table in TABLES.items():
         every = with_effect(every, name, table)
     said, _ = run(every, words, tmp_path / "every")
     silent = [name for name in names() if f"effects.{name}" not in said]
-    assert product == "simulate --product beta0" or not silent
+    assert silent == [name for name in names() if made_is in get(name).acts_on]
     if not silent:
         return
     _, plain = run(scene, words, tmp_path / "plain")
@@ -110,18 +115,66 @@ def test_an_effect_acts_or_is_named(product: str, tmp_path: Path) -> None:
         assert made != plain, f"{product}: effects.{name} has neither an effect nor a message"
 
 
-CALLS: dict[str, Callable[[Scene], Any]] = {
-    "slc": lambda scene: warpsar.slc(scene, device="cpu"),
-    "phase_history": lambda scene: warpsar.phase_history(scene, device="cpu"),
-}
+def slc(scene: Scene) -> list[np.ndarray]:
+    return [image for made in warpsar.slc(scene, device="cpu") for image in made.images.values()]
+
+
+def phase_history(scene: Scene) -> list[np.ndarray]:
+    return [made.samples for made in warpsar.phase_history(scene, device="cpu")]
+
+
+CALLS: dict[Product, Callable[[Scene], list[np.ndarray]]] = {"slc": slc, "phase-history": phase_history}
+CALLED = {"slc": "a complex image", "phase-history": "a phase history"}
+
+
+@cache
+def plain(product: Product) -> list[np.ndarray]:
+    return CALLS[product](rough())
+
+
+def same(some: list[np.ndarray], others: list[np.ndarray]) -> bool:
+    return all(np.array_equal(one, other) for one, other in zip(some, others, strict=True))
 
 
 @pytest.mark.parametrize("name", names())
-@pytest.mark.parametrize("call", CALLS)
-def test_products_with_phase_refuse_each_effect_by_name(call: str, name: str) -> None:
-    with pytest.raises(warpsar.InputError, match=rf"effects\.{name}: found .* a product with phase") as told:
-        CALLS[call](with_effect(rough(), name, TABLES[name]))
-    assert get(name).with_phase in str(told.value)
+@pytest.mark.parametrize("product", CALLS)
+def test_an_effect_acts_on_a_product_with_phase_or_is_refused_by_name(product: Product, name: str) -> None:
+    """Its `acts_on` says which; its `in_place` is what the refusal tells to write."""
+    scene = with_effect(rough(), name, TABLES[name])
+    if product in get(name).acts_on:
+        assert left_out(scene, product) == {}
+        assert not same(CALLS[product](scene), plain(product))
+        return
+    says = rf"effects\.{name}: found in a scene for {CALLED[product]}, a product with phase on which it does not act"
+    with pytest.raises(warpsar.InputError, match=says) as told:
+        CALLS[product](scene)
+    assert (get(name).in_place or "must be left out there") in str(told.value)
+
+
+@pytest.mark.parametrize("product", CALLS)
+def test_acts_on_is_what_decides(product: Product, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An effect that acts is refused as soon as its class no longer names the product, and nothing else is asked."""
+    scene = with_effect(rough(), "view_gain", TABLES["view_gain"])
+    assert not same(CALLS[product](scene), plain(product))
+    monkeypatch.setattr(type(get("view_gain")), "acts_on", ("beta0",))
+    with pytest.raises(warpsar.InputError, match=r"effects\.view_gain: found in a scene for"):
+        CALLS[product](scene)
+
+
+def test_all_effects_act_on_power_and_say_products_that_there_are() -> None:
+    for name in names():
+        assert "beta0" in get(name).acts_on
+        assert set(get(name).acts_on) <= set(PRODUCTS)
+        assert not get(name).in_place or set(get(name).acts_on) != set(PRODUCTS)
+
+
+def test_an_image_of_power_leaves_nothing_out() -> None:
+    every = rough()
+    for name, table in TABLES.items():
+        every = with_effect(every, name, table)
+    every = replace(every, radar=every.radar.model_copy(update={"polarization_basis": "local"}))
+    assert left_out(every, "beta0") == {}
+    assert set(left_out(every, "rcs")) == {f"effects.{name}" for name in names()} | {"radar.polarization_basis"}
 
 
 def test_what_stands_in_its_place_is_a_key_that_there_is() -> None:
@@ -129,17 +182,18 @@ def test_what_stands_in_its_place_is_a_key_that_there_is() -> None:
     keys = {f"collection.{key}" for key in Collection.model_fields}
     keys |= {f"radar.{key}" for key in warpsar.Radar.model_fields}
     for name in names():
-        words = get(name).with_phase.replace(",", "").split()
+        words = get(name).in_place.replace(",", "").split()
         assert {word for word in words if "." in word} <= keys
 
 
-def test_a_neutral_effect_is_none_of_them() -> None:
+@pytest.mark.parametrize("product", CALLS)
+def test_a_neutral_effect_is_none_of_them(product: Product) -> None:
     scene = with_effect(rough(), "noise_floor", {"level": 0.0})
     scene = with_effect(scene, "view_gain", {"gain_db": {"v0": 0.0}})
-    assert acting(scene) == []
-    assert left_out(scene) == {}
-    found = warpsar.slc(scene, device="cpu")[0].images["HH"]
-    assert np.array_equal(found, warpsar.slc(rough(), device="cpu")[0].images["HH"])
+    scene = with_effect(scene, "two_scale", {"slope_variance": 0.0})
+    assert acting(scene) == ["point_spread"]
+    assert left_out(scene, product) == {}
+    assert same(CALLS[product](scene), plain(product))
 
 
 def test_rcs_lists_them_in_its_json_and_goes_on(tmp_path: Path) -> None:
@@ -175,6 +229,8 @@ VIEW = {
     "slant_range_m": 5e3,
 }
 """Of a view, what says how it is made."""
+FITTED = {"learn", "tolerance"}
+"""Of [radar] and of a view, what says which angles a fit moves, and how well they are known; no image changes by it."""
 OF_A_VIEW = {"depression_deg", "grazing_deg"}
 """Other words for the incidence."""
 MEASURED = {"name", "images", "slc", "mask", "looks", "looks_estimated", "texture", "clipped_at", "role"}
@@ -182,8 +238,8 @@ MEASURED = {"name", "images", "slc", "mask", "looks", "looks_estimated", "textur
 
 
 def test_every_key_of_radar_and_views_is_here() -> None:
-    assert set(RADAR) == set(warpsar.Radar.model_fields)
-    assert {*VIEW, *OF_A_VIEW, *MEASURED} == set(warpsar.View.model_fields)
+    assert {*RADAR, *FITTED} == set(warpsar.Radar.model_fields)
+    assert {*VIEW, *OF_A_VIEW, *MEASURED, *FITTED} == set(warpsar.View.model_fields)
 
 
 def changed(key: str, **table: Any) -> Scene:
@@ -204,7 +260,7 @@ def test_a_key_acts_on_a_complex_image_or_is_named(where: str, key: str) -> None
     value = {"radar": RADAR, "view": VIEW}[where][key]
     (plain,) = warpsar.slc(changed("", none=None), device="cpu")
     other = changed(key, **{where: value})
-    if f"{where}.{key}" in left_out(other):
+    if f"{where}.{key}" in left_out(other, "slc"):
         with pytest.raises(warpsar.InputError, match=rf"{where}\.{key}: found"):
             warpsar.slc(other, device="cpu")
         return
@@ -213,3 +269,15 @@ def test_a_key_acts_on_a_complex_image_or_is_named(where: str, key: str) -> None
         np.array_equal(made.images[pol], plain.images[pol]) for pol in plain.images
     )
     assert not alike, f"{where}.{key} has neither an effect nor a message"
+
+
+@pytest.mark.parametrize("where", ["radar", "view"])
+def test_what_says_what_is_fitted_changes_no_complex_image(where: str) -> None:
+    tables = {"learn": ("azimuth_deg",), "tolerance": {"azimuth_deg": 0.5}}
+    assert set(tables) == FITTED
+    (before,) = warpsar.slc(changed("", none=None), device="cpu")
+    for key, value in tables.items():
+        other = changed(key, **{where: value})
+        assert left_out(other, "slc") == {}
+        (after,) = warpsar.slc(other, device="cpu")
+        assert all(np.array_equal(after.images[pol], before.images[pol]) for pol in before.images)

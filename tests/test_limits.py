@@ -56,7 +56,7 @@ def test_gain_at_the_truth(limits: Any, gained: Any, monkeypatch: pytest.MonkeyP
     """About the truth itself, speckle alone gains chi-squared: as many units of 2 ln L as there are parameters."""
     monkeypatch.setattr(limits, "REACH", 200.0)  # a linear model: no bounds
     model = gained.truth
-    surface = limits.Model.of(gained.bench, gained.scene).size
+    surface = limits.Model.of(gained.setup, gained.scene).size
     held = limits.Model(
         model.scene, model.mu, model.jacobian * ~model.parts["view_gain"].own, {}, surface, model.labels
     )
@@ -70,7 +70,7 @@ def test_gain_at_the_truth(limits: Any, gained: Any, monkeypatch: pytest.MonkeyP
 
 def test_expected_gain_is_the_mean_of_the_likelihood(limits: Any, gained: Any) -> None:
     """2 (ln L of the truth less that of another model), without any fit, averaged over speckle."""
-    model, base = gained.truth, limits.Model.of(gained.bench, gained.scene)
+    model, base = gained.truth, limits.Model.of(gained.setup, gained.scene)
     random = np.random.default_rng(3)
     beta0 = model.mu[:, None] * random.gamma(LOOKS, 1.0 / LOOKS, (model.mu.size, 400))
     lost = [gained.lost(beta0, one.mu, LOOKS).sum(axis=0) for one in (base, model)]

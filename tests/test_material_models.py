@@ -12,8 +12,8 @@ import warp as wp
 from worlds import SOIL, WAVENUMBER, box, ground, mesh_of, scene_of, sigma0, view
 
 from warpsar import InputError, Material, Scene, learn, renderer, simulate
-from warpsar.kernels import facet
 from warpsar.kernels.codes import Polarization
+from warpsar.kernels.models import facet
 from warpsar.learning.problem import FitProblem
 from warpsar.learning.validity import outside_domains
 from warpsar.surface.tables import Tables

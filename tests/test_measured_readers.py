@@ -10,7 +10,7 @@ from measured_files import SITE, C, Pass, echoes, to_ecef, write_cphd, write_mat
 from warpsar.errors import InputError
 from warpsar.formats import registry
 from warpsar.formats.base.data import ImageChip, PhaseHistory
-from warpsar.world.earth import Origin, axes_at, ecef_to_geodetic, geodetic_to_ecef
+from warpsar.world.earth import LocalEarth, axes_at, ecef_to_geodetic, geodetic_to_ecef
 
 pytestmark = pytest.mark.unit
 
@@ -136,7 +136,7 @@ def read(path: Path, **options: object) -> PhaseHistory | ImageChip:
     """Read, and touch the pixels: window readers open their file only then."""
     if registry.detect(path) in PICTURES:
         options.setdefault("quantity", "power")
-    measured = registry.read([path], frame=Origin(*SITE), **options)
+    measured = registry.read([path], frame=LocalEarth(*SITE), **options)
     if isinstance(measured, ImageChip):
         rows, cols = measured.samples.shape
         measured.samples[slice(0, rows), slice(0, cols)]
@@ -261,8 +261,8 @@ def test_quantity_is_said_or_refused_never_guessed(tmp_path: Path) -> None:
     for name in PICTURES:
         path = MADE[name](tmp_path)
         with pytest.raises(InputError, match=f"{path.name}.*amplitudes or powers.*--quantity"):
-            registry.read([path], frame=Origin(*SITE))
-        assert registry.read([path], quantity="amplitude", frame=Origin(*SITE)).quantity == "amplitude"
+            registry.read([path], frame=LocalEarth(*SITE))
+        assert registry.read([path], quantity="amplitude", frame=LocalEarth(*SITE)).quantity == "amplitude"
     with pytest.raises(InputError, match="leave --quantity out"):
         registry.read([mstar(tmp_path)], quantity="power")
     np.save(tmp_path / "complex.npy", np.ones((4, 4), complex))
@@ -290,7 +290,7 @@ def test_world_is_azimuthal_equidistant() -> None:
     from rasterio.warp import transform
 
     world = np.random.default_rng(0).uniform(-15e3, 15e3, (50, 3)) * [1, 1, 0.01]
-    found = ecef_to_geodetic(Origin(*SITE[:2], 100.0).to_ecef(world))
+    found = ecef_to_geodetic(LocalEarth(*SITE[:2], 100.0).to_ecef(world))
     crs = f"+proj=aeqd +lat_0={SITE[0]} +lon_0={SITE[1]} +datum=WGS84 +units=m"
     x, y = transform("EPSG:4326", crs, found[:, 1], found[:, 0])
     np.testing.assert_allclose(np.column_stack([x, y]), world[:, :2], atol=0.01)  # Euler's radius for the geodesic
@@ -301,7 +301,7 @@ def test_axes_at_the_origin_are_east_north_up() -> None:
     from sarkit import wgs84
 
     expected = np.stack([wgs84.east(SITE), wgs84.north(SITE), wgs84.up(SITE)])
-    np.testing.assert_allclose(axes_at(Origin(*SITE), np.zeros(3)), expected, atol=1e-6)
+    np.testing.assert_allclose(axes_at(LocalEarth(*SITE), np.zeros(3)), expected, atol=1e-6)
 
 
 # ---- what is broken ----
@@ -333,7 +333,7 @@ def test_a_file_of_another_kind_is_one_message(name: str, tmp_path: Path) -> Non
     path = MADE[name](tmp_path)
     path.write_bytes(b"this is not it" * 1000)
     with pytest.raises(InputError, match=path.name):
-        registry.read([path], file_format=name, quantity="power" if name in PICTURES else None, frame=Origin(*SITE))
+        registry.read([path], file_format=name, quantity="power" if name in PICTURES else None, frame=LocalEarth(*SITE))
 
 
 def test_what_no_reader_knows_is_refused(tmp_path: Path) -> None:
@@ -399,7 +399,7 @@ def test_channel_of_another_polarization_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"0 channels of polarization VV; the file has 1 \(HH\)"):
         registry.read([cphd(tmp_path)], polarization="VV")
     with pytest.raises(InputError, match="no image of polarization VV"):
-        registry.read([nisar(tmp_path)], polarization="VV", frame=Origin(*SITE))
+        registry.read([nisar(tmp_path)], polarization="VV", frame=LocalEarth(*SITE))
 
 
 def test_speed_of_light_is_the_projects() -> None:

@@ -64,6 +64,7 @@ def test_surfaces_are_learned(tmp_path: Path) -> None:
     assert abs(float(learned) - float(kept)) < 0.01
 
 
+@pytest.mark.slow
 def test_hidden_noise_is_named(tmp_path: Path) -> None:
     found, stored = run("diagnose.ipynb", tmp_path)
     assert "verdict: noise_floor\n" in found

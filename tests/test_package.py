@@ -101,6 +101,7 @@ error: Module has no attribute "imagine"
 """
 
 
+@pytest.mark.slow
 def test_wheel_is_typed_for_its_users(installed: Path, tmp_path: Path) -> None:
     pytest.importorskip("mypy", reason="mypy is not installed: pip install 'warpsar[dev]'")
     (tmp_path / "user.py").write_text(USER, encoding="utf-8")

@@ -14,10 +14,10 @@ from warpsar.diagnosis.models.change import GeometryCandidate
 from warpsar.diagnosis.models.projection import pixel_of
 from warpsar.diagnosis.proposals import shapes
 from warpsar.diagnosis.proposals.bodies import sound
-from warpsar.diagnosis.proposals.fit import Ground, Standing
+from warpsar.diagnosis.proposals.fit import Standing, TrialGround
 from warpsar.diagnosis.proposals.ground import free_ground
 from warpsar.diagnosis.proposals.left_out import explained
-from warpsar.diagnosis.proposals.places import Looked, Place, Ratios
+from warpsar.diagnosis.proposals.places import BodyPlace, Looked, Ratios
 from warpsar.diagnosis.proposals.search import proposed
 from warpsar.differentiable.geometry import exact_images
 from warpsar.runtime import devices
@@ -68,7 +68,7 @@ def measured(scene: Scene, objects: tuple[Object, ...], seed: int = 1, point: An
 
 def ratios_of(scene: Scene) -> list[Ratios]:
     """Measured over modelled power above a common floor, as it stands."""
-    ground_of = Ground.of(scene, CPU, None, "gamma")
+    ground_of = TrialGround.of(scene, CPU, None, "gamma")
     problem = ground_of.problem(ground_of.scene)
     standing = Standing(ground_of.scene, 0.0, problem, problem.x0)
     found = []
@@ -139,12 +139,12 @@ def test_a_tidy_table_is_the_same_body(primitive: Any) -> None:
 
 def test_a_round_cylinder_has_the_area_of_the_ellipse() -> None:
     table = Object(primitive="cylinder", size_m=(5.0, 3.2, 4.0), heading_deg=20.0, learn=shapes.BODY)
-    found = shapes.round_one(shapes.Shape(table, 6))
+    found = shapes.round_one(shapes.TrialBody(table, 6))
     assert found is not None
     assert found.table.size_m == pytest.approx((4.0, 4.0, 4.0))
     assert found.numbers == 4
     assert "heading" not in found.table.learn
-    assert shapes.round_one(shapes.Shape(BOX, 6)) is None
+    assert shapes.round_one(shapes.TrialBody(BOX, 6)) is None
 
 
 def test_vehicles_are_tried_where_a_box_has_their_size() -> None:
@@ -333,7 +333,7 @@ def test_other_effects_are_no_objects(name: str, independent_cases: Path) -> Non
 
 
 def test_a_place_says_what_it_is() -> None:
-    one = Place((0.0, 0.0, 0.0), 4.0, 2.0, 50.0, 0.7)
+    one = BodyPlace((0.0, 0.0, 0.0), 4.0, 2.0, 50.0, 0.7)
     boxes = list(shapes.boxes(one, "it"))
     assert [b.table.heading_deg for b in boxes] == [0.0, 45.0, 90.0, 135.0]
     for b in boxes:

@@ -18,7 +18,7 @@ from warpsar.evaluation.report_images import reduced
 from warpsar.evaluation.report_surface import stated
 from warpsar.io import html as report
 from warpsar.io.figures import new
-from warpsar.io.html_image import Axis, image
+from warpsar.io.html_image import ImageAxis, image
 
 VOID = {"meta", "img", "br", "hr", "link", "input"}
 
@@ -137,7 +137,7 @@ def test_what_users_wrote_stays_text() -> None:
         report.facts([(nasty, nasty)]),
         report.scale("viridis", [nasty], nasty),
         report.picture(report.png(np.zeros((2, 2, 3))), nasty),
-        image(report.png(np.zeros((2, 2, 3))), nasty, Axis(nasty, -1.0, 1.0), Axis(nasty, -1.0, 2.0)),
+        image(report.png(np.zeros((2, 2, 3))), nasty, ImageAxis(nasty, -1.0, 1.0), ImageAxis(nasty, -1.0, 2.0)),
         report.row(report.cell(report.paragraph(nasty))),
     ]
     reader = assert_alone(report.page(nasty, nasty, report.section(nasty, *blocks)))
@@ -157,11 +157,13 @@ def test_what_users_wrote_stays_text() -> None:
     ],
 )
 def test_axes_have_round_numbers(ends: tuple[float, float], marks: list[float]) -> None:
-    assert Axis("range [m]", *ends).ticks() == pytest.approx(marks)
+    assert ImageAxis("range [m]", *ends).ticks() == pytest.approx(marks)
 
 
 def test_a_mark_stands_where_its_value_lies() -> None:
-    made = image(report.png(np.zeros((2, 4, 3))), "a", Axis("range [m]", -10.0, 10.0), Axis("azimuth [m]", 30.0, -30.0))
+    made = image(
+        report.png(np.zeros((2, 4, 3))), "a", ImageAxis("range [m]", -10.0, 10.0), ImageAxis("azimuth [m]", 30.0, -30.0)
+    )
     down, along = (dict(re.findall(rf'<i style="{side}: ([\d.]+)%">([^<]+)</i>', made)) for side in ("top", "left"))
     assert down == {"0": "−10", "25": "−5", "50": "0", "75": "5", "100": "10"}
     assert along == {"16.67": "20", "50": "0", "83.33": "−20"}

@@ -133,7 +133,7 @@ def killed_and_resumed(optimiser: str, times: int, whole: Whole, seed: int) -> N
     assert all(name.startswith(".") for name in left)
 
 
-@pytest.mark.parametrize(("optimiser", "times"), [("adam", 3), ("lm", 1)])
+@pytest.mark.parametrize(("optimiser", "times"), [pytest.param("adam", 3, marks=pytest.mark.slow), ("lm", 1)])
 def test_killed_and_resumed(optimiser: str, times: int, whole: Whole) -> None:
     killed_and_resumed(optimiser, times, whole, seed=3)
 
@@ -144,6 +144,7 @@ def test_killed_twenty_times(optimiser: str, whole: Whole) -> None:
     killed_and_resumed(optimiser, 20, whole, seed=20)
 
 
+@pytest.mark.slow
 def test_sigterm_writes_a_checkpoint_and_exits_1(whole: Whole) -> None:
     scene, expected = whole("adam")
     out = expected.parent / "terminated"
@@ -161,7 +162,7 @@ def test_sigterm_writes_a_checkpoint_and_exits_1(whole: Whole) -> None:
     assert outcome(out) == outcome(expected)
 
 
-@pytest.mark.parametrize("optimiser", ["adam", "lm"])
+@pytest.mark.parametrize("optimiser", [pytest.param("adam", marks=pytest.mark.slow), "lm"])
 def test_ctrl_c_says_how_to_go_on(optimiser: str, whole: Whole) -> None:
     """The words that it says are run as they stand, and end where the uninterrupted run ends."""
     scene, expected = whole(optimiser)

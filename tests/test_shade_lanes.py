@@ -1,5 +1,5 @@
-"""Sixteen hits at once on the CPU (kernels/shade_lanes.py): against golden values, and against the scattering functions
-one by one in float64, which test_scattering.py holds against golden values, derivatives and differences.
+"""Sixteen hits at once on the CPU (kernels/lane_kernels.py): against golden values, and against the functions one by
+one in float64, which test_scattering.py holds against golden values, derivatives and differences.
 """
 
 from itertools import product
@@ -10,8 +10,9 @@ import pytest
 import warp as wp
 from test_scattering import golden, relative_rounding  # noqa: F401 - a fixture
 
-from warpsar.kernels import shade_lanes
 from warpsar.kernels.codes import FRACTION_LIMIT, Spectrum
+from warpsar.kernels.lane_kernels import LANES, at_once
+from warpsar.kernels.scatter import scatter_kernel
 from warpsar.kernels.scattering import sigma0_and_slopes
 
 pytestmark = pytest.mark.unit
@@ -76,6 +77,7 @@ def in_lanes(given: dict[str, Any], polarization: int, variant: int) -> tuple[np
     sigma = wp.zeros(count, dtype=float, device="cpu")
     slopes = wp.zeros(count, dtype=wp.vec4, device="cpu")
     inputs = [
+        put(np.zeros(0, np.int32), int),
         polarization,
         variant,
         given.get("wavenumber", 200.0),
@@ -86,11 +88,12 @@ def in_lanes(given: dict[str, Any], polarization: int, variant: int) -> tuple[np
     inputs += [put(given[name]) for name in ("incidence", "twist", "azimuth2")]
     materials = (given.get("spectrum", tuple(Spectrum)), given.get("eps_im", EPS_IM), given.get("aspect", ASPECT))
     inputs += [put(materials[0], int), put(materials[1]), put(materials[2]), put(given["zeta"], wp.vec4)]
-    blocks = -(-count // shade_lanes.HITS)
-    wp.launch(shade_lanes.scatter_kernel, blocks, inputs=inputs, outputs=[sigma, slopes], device="cpu")
+    blocks = -(-count // LANES)
+    values, both = (at_once(scatter_kernel("ka_spm", kept, some=False)) for kept in (False, True))
+    wp.launch(both, blocks, inputs=inputs, outputs=[sigma, slopes], device="cpu")
     alone = wp.zeros(count, dtype=float, device="cpu")
     none = wp.empty(0, dtype=wp.vec4, device="cpu")
-    wp.launch(shade_lanes.scatter_kernel, blocks, inputs=inputs, outputs=[alone, none], device="cpu")
+    wp.launch(values, blocks, inputs=inputs, outputs=[alone, none], device="cpu")
     np.testing.assert_array_equal(alone.numpy(), sigma.numpy())
     return sigma.numpy(), slopes.numpy()
 

@@ -11,7 +11,7 @@ from learning_scenes import cube_scene, measured, noise_free, speckle
 from test_diagnose import ANGLES, SIZE
 from worlds import view
 
-from warpsar.diagnosis.models.bench import Bench
+from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.frozen import frozen
 from warpsar.diagnosis.models.refit import Fitted, fit_model
 from warpsar.diagnosis.turn.signature import scaled, signature
@@ -46,13 +46,13 @@ def of(name: str, table: Mapping[str, Any], folder: Path, change: Change | None 
 def asked(scene: Scene, name: str, table: Mapping[str, Any], *, fit: bool = False) -> Signature:
     device = devices.resolve_device("cpu")
     stage, density = Stage.of(scene, device), scene.sampling.density_per_m2(scene.grid)
-    one, two = (Bench(device, Rays(stage, density, seed), {}) for seed in (0, 1))
-    bench = replace(one, observations=frozen(one, two, scene))
+    one, two = (FitSetup(device, Rays(stage, density, seed), {}) for seed in (0, 1))
+    setup = replace(one, observations=frozen(one, two, scene))
     with_it = replace(scene, effects={name: dict(table)})
     if fit:
-        with_it = fit_model(bench, with_it, 0, 0).scene
-    base, fitted = (Fitted(each, bench.problem(each), np.zeros(0), 0.0, 0.0, 0) for each in (scene, with_it))
-    return signature(bench, base, fitted, name)
+        with_it = fit_model(setup, with_it, 0, 0).scene
+    base, fitted = (Fitted(each, setup.problem(each), np.zeros(0), 0.0, 0.0, 0) for each in (scene, with_it))
+    return signature(setup, base, fitted, name)
 
 
 def test_a_blur_is_confirmed_by_its_edges(tmp_path: Path) -> None:

@@ -17,14 +17,14 @@ from warpsar.cli.main import main
 from warpsar.effects.registry import validate
 from warpsar.errors import InputError
 from warpsar.formats.base import extra
-from warpsar.io.geotiff import Place, write_cog
+from warpsar.io.geotiff import RasterPlace, write_cog
 from warpsar.io.images import read_channel
 from warpsar.runtime.devices import resolve_device
 from warpsar.scene.scene import Scene
 from warpsar.simulation.command import simulate as images_of
-from warpsar.simulation.ground import Ground
+from warpsar.simulation.ground import MapGround
 from warpsar.surface.stage import Stage
-from warpsar.world.earth import Origin as Earth
+from warpsar.world.earth import LocalEarth as Earth
 from warpsar.world.earth import ecef_to_geodetic
 from warpsar.world.tables import Origin
 
@@ -49,15 +49,15 @@ def simulate(scene: Path, *arguments: str) -> tuple[int, str]:
     return done.exit_code, done.output
 
 
-def on_the_ground(scene: Scene) -> tuple[np.ndarray, Place]:
+def on_the_ground(scene: Scene) -> tuple[np.ndarray, RasterPlace]:
     """The first view's HH on the map."""
-    shown = Ground.of(scene, Stage.of(scene, resolve_device("cpu")))
+    shown = MapGround.of(scene, Stage.of(scene, resolve_device("cpu")))
     assert shown is not None
     bands, place = shown.project(scene.views[0], images_of(scene, device="cpu")[0].beta0)
     return bands["HH"], place
 
 
-def pixel_of(place: Place, world_m: tuple[float, float, float], origin: Origin = MUNICH) -> tuple[float, float]:
+def pixel_of(place: RasterPlace, world_m: tuple[float, float, float], origin: Origin = MUNICH) -> tuple[float, float]:
     """Row and column on the map of a point of the world, by way of earth-centred coordinates."""
     earth = Earth(origin.latitude_deg, origin.longitude_deg, origin.height_m)
     latitude, longitude, _ = ecef_to_geodetic(earth.to_ecef(np.array(world_m)))
@@ -117,7 +117,7 @@ def test_without_an_origin_there_is_no_ground(scene: Path) -> None:
 def test_is_cloud_optimized(tmp_path: Path) -> None:
     """Tiles, overviews that are means, and every directory before any pixel, the whole image's first."""
     image = np.random.default_rng(1).gamma(1.0, size=(1500, 1300)).astype(np.float32)
-    place = Place(rasterio.crs.CRS.from_epsg(32632), 600000.0, 5400000.0, 0.5)
+    place = RasterPlace(rasterio.crs.CRS.from_epsg(32632), 600000.0, 5400000.0, 0.5)
     write_cog(tmp_path / "a.tif", {"HH": image, "VV": 2 * image}, {"spacing_m": [0.5, 0.3]}, place)
     with rasterio.open(tmp_path / "a.tif") as source:
         assert source.block_shapes == [(512, 512)] * 2
@@ -255,7 +255,7 @@ def test_a_dem_is_its_own_place(tmp_path: Path) -> None:
     scene = Scene.load(tmp_path / "scene.toml")
     both = replace(scene, origin=MUNICH)
     with pytest.raises(InputError, match="is a DEM that says itself where it lies"):
-        Ground.of(both, Stage.of(both, resolve_device("cpu")))
+        MapGround.of(both, Stage.of(both, resolve_device("cpu")))
 
 
 @pytest.mark.parametrize(

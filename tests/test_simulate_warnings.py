@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 from test_cli_simulate import MESH, SCENE, warpsar
@@ -119,9 +120,9 @@ def test_views_of_one_warning_are_named_together() -> None:
 
 def test_findings_of_several_processes_are_one() -> None:
     parts = [
-        {"areas": [[2.0, 0.0, 2.0, 0.0]], "dark": {"HV": {"a": 1.0}}},
-        {"areas": [[2.0, 0.0, 0.0, 0.0]], "dark": {"HV": {"b": 0.8}}},
-        {"areas": 0.0, "dark": {}},
+        Findings(np.array([[2.0, 0.0, 2.0, 0.0]]), {"HV": {"a": 1.0}}),
+        Findings(np.array([[2.0, 0.0, 0.0, 0.0]]), {"HV": {"b": 0.8}}),
+        Findings(),
     ]
     scene = scene_of(mesh_of(soil=ground(30)), view(0, 40))
     domain, dark = Findings.together(parts).warnings(scene)

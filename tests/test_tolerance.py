@@ -25,7 +25,8 @@ from warpsar.learning.problem import FitProblem
 from warpsar.learning.pull import pulls
 from warpsar.learning.results import learned_scene
 from warpsar.runtime import devices
-from warpsar.runtime.distributed import Ranks
+from warpsar.runtime.distributed import processes
+from warpsar.runtime.distributed.processes import Ranks
 from warpsar.scene.file import parse
 from warpsar.scene.scene import Scene
 
@@ -234,9 +235,10 @@ class Alike(Ranks):
         return 2.0 * super().sum(array)
 
 
-def test_ranks_count_it_once(blurred: Scene) -> None:
+def test_processes_count_it_once(blurred: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(processes, "_here", Alike())
     known = declaring(with_material(blurred, "cube", tolerance={"eps_r": 1.0}), point_spread=KNOWN_BLUR)
-    problem, free = problem_of(known, ranks=Alike()), problem_of(declaring(blurred, point_spread=BLUR))
+    problem, free = problem_of(known, shared=True), problem_of(declaring(blurred, point_spread=BLUR))
     x = problem.x0 + 0.2
     (loss, slopes), (images, plain) = problem.gradient(x), free.gradient(x)
     assert loss == pytest.approx(2.0 * images + problem.prior.value(x), rel=1e-9)
@@ -256,7 +258,7 @@ def test_on_the_device_it_is_the_same(blurred: Scene) -> None:
     problem = problem_of(known)
     x = problem.x0 + np.linspace(-0.4, 0.4, problem.x0.size)
     for first in (True, False):
-        on_device = DevicePrior(problem.prior, problem, problem.device, first=first)
+        on_device = DevicePrior(problem.prior, problem, problem.device, counts=first)
         nodes: wp.array = wp.array(problem.float_nodes(x), dtype=float, requires_grad=True, device=problem.device)
         nodes.grad.zero_()
         on_device.run(nodes)

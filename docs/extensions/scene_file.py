@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from sphinx.application import Sphinx
 
     from warpsar.effects.base.effect import Effect
-    from warpsar.effects.base.parameter import Parameter, Setting
+    from warpsar.effects.base.parameter import EffectParameter, Setting
 
 UNITS = {"_hz": "Hz", "_deg": "deg", "per_m2": "1/m^2", "_m": "m"}
 HEADER = ("| key | value | default | example | meaning |", "|---|---|---|---|---|")
@@ -129,7 +129,7 @@ def effect_tables() -> str:
     return "\n".join(parts)
 
 
-def _parameter(effect: Effect, parameter: Parameter) -> str:
+def _parameter(effect: Effect, parameter: EffectParameter) -> str:
     unit = "" if parameter.unit == "1" else f" [{parameter.unit}]"
     value = f"number from {_number(parameter.low)} to {_number(parameter.high)}{unit}"
     if parameter.keyed_by:

@@ -8,7 +8,7 @@ import warp as wp
 
 from warpsar.kernels.coherent.numbers import sinc, turned
 from warpsar.kernels.coherent.radiate import Four, scaled
-from warpsar.kernels.coherent.tubes import Radar, look
+from warpsar.kernels.coherent.tubes import TubeRadar, look
 
 EDGES = wp.constant(16)
 """Pieces of edges that one thread adds up."""
@@ -85,7 +85,7 @@ def fringe(e: wp.vec3d, k: wp.float64, s: wp.vec3d, x: wp.vec3d, n: wp.vec3d, ou
 
 
 @wp.func
-def diffracted(radar: Radar, k: wp.float64, edge: Edge) -> Four:
+def diffracted(radar: TubeRadar, k: wp.float64, edge: Edge) -> Four:
     """What a piece of an edge sends back."""
     u = radar.u
     v = radar.v
@@ -109,7 +109,7 @@ def diffracted(radar: Radar, k: wp.float64, edge: Edge) -> Four:
 @wp.kernel(enable_backward=False)
 def edges_kernel(
     # In:
-    radar_in: wp.array[Radar],
+    radar_in: wp.array[TubeRadar],
     wavenumber_in: wp.array[wp.float64],
     edge_in: wp.array[Edge],
     seen_in: wp.array2d[wp.uint8],

@@ -8,7 +8,7 @@ import warp as wp
 from warpsar.kernels.coherent.cells import RAYS
 from warpsar.kernels.coherent.numbers import product, sinc, turned
 from warpsar.kernels.coherent.reflection import Face, Field, reflected, seen, slab_seen
-from warpsar.kernels.coherent.tubes import Hit, Look, Radar, look
+from warpsar.kernels.coherent.tubes import Hit, Look, TubeRadar, look
 
 REGIONS = wp.constant(16)
 """Flat regions that one thread adds up."""
@@ -84,7 +84,7 @@ def tube_factor(k: wp.float64, hit: Hit, sight: Look) -> wp.vec2d:
 @wp.kernel(enable_backward=False)
 def tubes_kernel(
     # In:
-    radar_in: wp.array[Radar],
+    radar_in: wp.array[TubeRadar],
     wavenumber_in: wp.array[wp.float64],
     stuff_in: wp.array2d[Face],
     material_in: wp.array[int],
@@ -234,7 +234,7 @@ def slab_sent(
 @wp.kernel(enable_backward=False)
 def regions_kernel(
     # In:
-    radar_in: wp.array[Radar],
+    radar_in: wp.array[TubeRadar],
     wavenumber_in: wp.array[wp.float64],
     stuff_in: wp.array2d[Face],
     exact_in: wp.array2d[wp.uint8],

@@ -5,7 +5,7 @@ import warp as wp
 from warpsar.kernels.codes import Polarization
 from warpsar.kernels.coherent.numbers import product, root, turned
 from warpsar.kernels.coherent.radiate import FOUR_PI, Four
-from warpsar.kernels.coherent.tubes import Radar, look
+from warpsar.kernels.coherent.tubes import TubeRadar, look
 from warpsar.kernels.scattering import bounded_cosine, bragg_terms, mirror_terms
 
 SCATTERERS = wp.constant(64)
@@ -97,7 +97,7 @@ def scattering_of(
 
 
 @wp.func
-def scattered(radar: Radar, k: wp.float64, rough: RoughSurface, variant: int, place: Scatterer) -> Four:
+def scattered(radar: TubeRadar, k: wp.float64, rough: RoughSurface, variant: int, place: Scatterer) -> Four:
     """What a scatterer sends back."""
     one = wp.float64(1.0)
     sight = look(radar, place.point, 0.0)
@@ -121,7 +121,7 @@ def scattered(radar: Radar, k: wp.float64, rough: RoughSurface, variant: int, pl
 @wp.kernel(enable_backward=False)
 def rough_kernel(
     # In:
-    radar_in: wp.array[Radar],
+    radar_in: wp.array[TubeRadar],
     wavenumber_in: wp.array[wp.float64],
     surface_in: wp.array[RoughSurface],
     variant: int,

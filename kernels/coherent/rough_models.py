@@ -2,7 +2,7 @@
 
 A scatterer sends back a sum of independent complex Gaussian parts, whose powers add up to the model's sigma0:
 
-- of I2EM the first power of the correlation and all higher ones, each with a pair of amplitudes (`kernels/i2em.py`),
+- of I2EM the first power of the correlation and all higher ones, each with a pair of amplitudes (its file),
   and in HV double scattering. So the covariances of HH, VV and HV are the model's;
 - of the models that know powers alone HH and VV as if fully correlated, and HV of level ground by itself.
 
@@ -13,138 +13,50 @@ from functools import cache
 
 import warp as wp
 
-from warpsar.kernels.codes import Model, Polarization, Variant
+from warpsar.kernels.codes import Polarization, Variant
 from warpsar.kernels.coherent.numbers import product, root, turned
 from warpsar.kernels.coherent.radiate import FOUR_PI, Four
 from warpsar.kernels.coherent.rough import SCATTERERS, RoughSurface, Scatterer, scattered, turn_of
-from warpsar.kernels.coherent.tubes import Radar, look
-from warpsar.kernels.crossed_table import DOUBLE, interpolated
-from warpsar.kernels.empirical import dubois, oh
-from warpsar.kernels.facet import powers_at
-from warpsar.kernels.i2em import (
-    TOLERANCE,
-    hidden_share,
-    higher_amplitude,
-    poisson_series,
-    power_spectrum,
-    slope_deviation,
-)
-from warpsar.kernels.scattering import (
-    amplitude_te,
-    amplitude_tm,
-    bounded_cosine,
-    factor_vv,
-    refraction,
-    sine_squared,
-)
+from warpsar.kernels.coherent.tubes import TubeRadar, look
+from warpsar.kernels.parts import Lookup, Parts, parts_of_powers
+from warpsar.kernels.scatter import functions_of, places_of, sigma0_of
+from warpsar.kernels.scattering import bounded_cosine
 
 
-@wp.struct
-class Tables:
-    """What models look up of a material. An array that no material needs is empty."""
+@cache
+def parts_of(model: str) -> wp.Function:
+    """The function of a model's amplitudes: its own, or those of its powers in the facet's own basis."""
+    module = functions_of(model)
+    if hasattr(module, "parts_of"):
+        found: wp.Function = module.parts_of
+        return found
+    value_of = sigma0_of(model)
+    places = places_of(model)
 
-    twice: wp.array2d[wp.vec4]  # ln of double scattering over incidence; rows: frequencies times materials
-    rows: wp.array[wp.vec2i]  # of `sigma0_db`: the first row of a material, and how many it has
-    incidence_deg: wp.array[float]
-    sigma0_db: wp.array2d[float]
-    level: wp.array[float]  # factor on a material's table
-    units: wp.array[wp.vec2i]  # of a learned term: the first unit of a material, and how many it has
-    inverse_width: wp.array[wp.vec4]
-    places: wp.array[wp.vec4]
-    weights: wp.array2d[float]
+    @wp.func
+    def parts_of_its_powers(
+        lookup: Lookup,
+        row: int,
+        material: int,
+        k: wp.float64,
+        cosine: wp.float64,
+        spectrum: int,
+        permittivity: wp.vec2d,
+        rms_height: wp.float64,
+        length: wp.float64,
+    ) -> Parts:
+        one = wp.float64(1.0)
+        loss = -permittivity[1]
+        variant = int(Variant.STANDARD)
+        zeta = wp.vector(length=wp.static(places), dtype=wp.float64)
+        for place in range(wp.static(places)):
+            zeta[place] = lookup.zeta[material, place]
+        hh = value_of(int(Polarization.HH), spectrum, variant, k, cosine, one, one, loss, one, zeta)
+        vv = value_of(int(Polarization.VV), spectrum, variant, k, cosine, one, one, loss, one, zeta)
+        hv = value_of(int(Polarization.HV), spectrum, variant, k, cosine, one, one, loss, one, zeta)
+        return parts_of_powers(hh, vv, hv)
 
-
-@wp.struct
-class Parts:
-    """Amplitudes whose squares are sigma0, of three independent numbers of unit power."""
-
-    first_hh: wp.vec2d  # in the facet's own basis
-    first_vv: wp.vec2d
-    second_hh: wp.vec2d
-    second_vv: wp.vec2d
-    crossed: wp.float64  # in the radar's basis, of HV and VH
-
-
-@wp.func
-def real(x: wp.float64) -> wp.vec2d:
-    return wp.vec2d(x, wp.float64(0.0))
-
-
-@wp.func
-def i2em_parts(rough: RoughSurface, k: wp.float64, c: wp.float64, tables: Tables, row: int, material: int) -> Parts:
-    """The terms of `i2em_single` less what lies in shadow, and double scattering from its table."""
-    one = wp.float64(1.0)
-    two = wp.float64(2.0)
-    four = wp.float64(4.0)
-    eps = rough.permittivity
-    height = k * rough.rms_height
-    length = k * rough.length[0]
-    q = refraction(c, eps)
-    a_hh = amplitude_te(c, eps, q)
-    a_vv = amplitude_tm(c, eps, q, factor_vv(c, int(Variant.STANDARD)))
-    r_v = amplitude_tm(c, eps, q, c * c)  # -R_v: the sign falls out of its square
-    mean = four * height * height * c * c
-    square = four * sine_squared(c) * length * length
-    total, _by_height, _by_length = poisson_series(2, TOLERANCE, rough.spectrum, mean, square)
-    value, _slope = power_spectrum(rough.spectrum, one, square)
-    hidden, _by_slope = hidden_share(c, slope_deviation(rough.spectrum, height, length))
-    scale = two * length * length / (one + two * hidden)
-    first = root(scale * c * c * mean * wp.exp(-mean) * value)
-    higher = root(scale * total)
-    twice = interpolated(tables.twice, row, float(c), DOUBLE)
-    found = Parts()
-    found.first_hh = first * a_hh
-    found.first_vv = first * a_vv
-    found.second_hh = higher * higher_amplitude(c, a_hh, a_hh, -one)
-    found.second_vv = higher * higher_amplitude(c, a_vv, r_v, one)
-    found.crossed = c * root(wp.exp(wp.float64(twice[0])))
-    return found
-
-
-@wp.func
-def of_powers(hh: wp.float64, vv: wp.float64, hv: wp.float64) -> Parts:
-    """HH and VV with one phase, as `empirical.turned_power` mixes them."""
-    found = Parts()
-    found.first_hh = real(root(hh))
-    found.first_vv = real(root(vv))
-    found.crossed = root(hv)
-    return found
-
-
-@wp.func
-def oh_parts(rough: RoughSurface, k: wp.float64, c: wp.float64, tables: Tables, row: int, material: int) -> Parts:
-    one = wp.float64(1.0)
-    eps = rough.permittivity[0]
-    height = k * rough.rms_height
-    hh, _a, _b, _c = oh(int(Polarization.HH), c, one, eps, height)
-    vv, _d, _e, _f = oh(int(Polarization.VV), c, one, eps, height)
-    hv, _g, _h, _i = oh(int(Polarization.HV), c, one, eps, height)
-    return of_powers(hh, vv, hv)
-
-
-@wp.func
-def dubois_parts(rough: RoughSurface, k: wp.float64, c: wp.float64, tables: Tables, row: int, material: int) -> Parts:
-    one = wp.float64(1.0)
-    eps = rough.permittivity[0]
-    height = k * rough.rms_height
-    hh, _a, _b, _c = dubois(int(Polarization.HH), k, c, one, eps, height)
-    vv, _d, _e, _f = dubois(int(Polarization.VV), k, c, one, eps, height)
-    return of_powers(hh, vv, wp.float64(0.0))
-
-
-@wp.func
-def facet_parts(rough: RoughSurface, k: wp.float64, c: wp.float64, tables: Tables, row: int, material: int) -> Parts:
-    """A table of sigma0 over incidence."""
-    power = tables.level[material] * powers_at(tables.incidence_deg, tables.sigma0_db, tables.rows[material], float(c))
-    return of_powers(wp.float64(power[0]), wp.float64(power[1]), wp.float64(power[2]))
-
-
-PARTS = {
-    Model.I2EM: i2em_parts,
-    Model.OH: oh_parts,
-    Model.DUBOIS: dubois_parts,
-    Model.FACET: facet_parts,
-}
+    return parts_of_its_powers
 
 
 @wp.func
@@ -173,7 +85,7 @@ def sent_back(parts: Parts, turn: wp.vec2d, place: Scatterer, crossed: wp.vec2d,
 
 
 @wp.func
-def with_term(four: Four, tables: Tables, rough: RoughSurface, k: wp.float64, c: wp.float64, material: int) -> Four:
+def with_term(four: Four, tables: Lookup, rough: RoughSurface, k: wp.float64, c: wp.float64, material: int) -> Four:
     """Amplitudes times exp(g / 2), g the learned term of each channel (`kernels/learned_term.py`)."""
     at = wp.vec4(
         float(c),
@@ -198,18 +110,19 @@ def with_term(four: Four, tables: Tables, rough: RoughSurface, k: wp.float64, c:
 
 
 @cache
-def scattered_by(model: Model, termed: bool) -> wp.Function:
+def scattered_by(model: str, termed: bool) -> wp.Function:
     """`rough.scattered` for faces of a model, and `termed` for those with a learned term."""
-    parts_of = PARTS.get(model)
+    default = model == "ka_spm"
+    own_parts_of = None if default else parts_of(model)
 
     @wp.func
     def scattered_by_it(
-        radar: Radar,
+        radar: TubeRadar,
         k: wp.float64,
         surfaces: wp.array[RoughSurface],
         variant: int,
         place: Scatterer,
-        tables: Tables,
+        tables: Lookup,
         first_row: int,
         crossed: wp.vec2d,
     ) -> Four:
@@ -220,10 +133,20 @@ def scattered_by(model: Model, termed: bool) -> wp.Function:
         if wp.dot(n, sight.s) < wp.float64(0.0):
             n = -n
         c = bounded_cosine(wp.dot(n, sight.s))
-        if wp.static(model == Model.KA_SPM):
+        if wp.static(default):
             four = scattered(radar, k, rough, variant, place)
         else:
-            parts = parts_of(rough, k, c, tables, first_row + material, material)
+            parts = own_parts_of(
+                tables,
+                first_row + material,
+                material,
+                k,
+                c,
+                rough.spectrum,
+                rough.permittivity,
+                rough.rms_height,
+                rough.length[0],
+            )
             factor = root(place.area / FOUR_PI) * sight.spread * sight.spread
             phase = turned(-wp.float64(2.0) * k * sight.back)
             four = sent_back(parts, turn_of(-sight.s, n, radar.u, radar.v), place, crossed, factor * phase)
@@ -235,20 +158,20 @@ def scattered_by(model: Model, termed: bool) -> wp.Function:
 
 
 @cache
-def rough_kernel(model: Model, termed: bool) -> wp.Kernel:
+def rough_kernel(model: str, termed: bool) -> wp.Kernel:
     """`rough.rough_kernel` for faces of a model, and `termed` for those with a learned term."""
     scattered_by_it = scattered_by(model, termed)
 
     @wp.kernel(enable_backward=False, module="unique", module_options={"max_unroll": 1})
     def rough_kernel(
         # In:
-        radar_in: wp.array[Radar],
+        radar_in: wp.array[TubeRadar],
         wavenumber_in: wp.array[wp.float64],
         surface_in: wp.array[RoughSurface],
         variant: int,
         scatterer_in: wp.array[Scatterer],
         seen_in: wp.array2d[wp.uint8],
-        tables: Tables,
+        tables: Lookup,
         crossed_in: wp.array[wp.vec2d],
         # Out:
         amplitude_out: wp.array4d[wp.vec2d],
@@ -277,20 +200,20 @@ def rough_kernel(model: Model, termed: bool) -> wp.Kernel:
 
 
 @cache
-def rough_places_kernel(model: Model, termed: bool) -> wp.Kernel:
+def rough_places_kernel(model: str, termed: bool) -> wp.Kernel:
     """`collection.rough_places_kernel` for faces of a model, and `termed` for those with a learned term."""
     scattered_by_it = scattered_by(model, termed)
 
     @wp.kernel(enable_backward=False, module="unique", module_options={"max_unroll": 1})
     def rough_places_kernel(
         # In:
-        radar_in: wp.array[Radar],
+        radar_in: wp.array[TubeRadar],
         k: wp.float64,
         surface_in: wp.array[RoughSurface],
         variant: int,
         scatterer_in: wp.array[Scatterer],
         seen_in: wp.array2d[wp.uint8],
-        tables: Tables,
+        tables: Lookup,
         crossed_in: wp.array[wp.vec2d],
         # Out:
         amplitude_out: wp.array2d[wp.vec2],

@@ -21,15 +21,15 @@ from warpsar.kernels.coherent.radiate import (
 from warpsar.kernels.coherent.reflection import Face
 from warpsar.kernels.coherent.rough import RoughSurface, Scatterer, scattered
 from warpsar.kernels.coherent.tubes import (
-    Body,
     Hit,
-    Radar,
     Tube,
-    begun,
+    TubeMesh,
+    TubeRadar,
     bounced,
     hit_of,
     look,
     met,
+    start_tube,
     way_to,
 )
 
@@ -95,7 +95,7 @@ def weights_on(e1: wp.vec3d, e2: wp.vec3d, x: wp.vec3d) -> wp.vec2d:
 
 
 @wp.func
-def cast(radar: Radar, x: wp.vec3d, dx: wp.vec3d) -> wp.vec3d:
+def cast(radar: TubeRadar, x: wp.vec3d, dx: wp.vec3d) -> wp.vec3d:
     """How the place in the plane across `s` moves whose ray meets x, as x moves by dx."""
     if radar.near == 0:
         return dx
@@ -108,7 +108,7 @@ def cast(radar: Radar, x: wp.vec3d, dx: wp.vec3d) -> wp.vec3d:
 @wp.kernel
 def begin_kernel(
     # In:
-    radar_in: wp.array[Radar],
+    radar_in: wp.array[TubeRadar],
     vertices_in: wp.array[wp.vec3d],
     held_in: wp.array[wp.vec3d],
     faces_in: wp.array2d[int],
@@ -131,7 +131,7 @@ def begin_kernel(
     i = wp.tid()
     radar = radar_in[0]
     f = face_in[i]
-    known = begun(radar, place_in[i], side_u_in[i], side_v_in[i], standoff, reach)
+    known = start_tube(radar, place_in[i], side_u_in[i], side_v_in[i], standoff, reach)
     if curved_in[f] == 0:
         tube_out[i] = known
         return
@@ -154,7 +154,7 @@ def begin_kernel(
     place = wp.vec2d(wp.dot(x, radar.u), wp.dot(x, radar.v))
     side_u = wp.vec2d(wp.dot(xu, radar.u), wp.dot(xu, radar.v))
     side_v = wp.vec2d(wp.dot(xv, radar.u), wp.dot(xv, radar.v))
-    tube_out[i] = begun(radar, place, side_u, side_v, standoff, reach)
+    tube_out[i] = start_tube(radar, place, side_u, side_v, standoff, reach)
 
 
 @wp.kernel
@@ -186,7 +186,7 @@ def meet_kernel(
 @wp.kernel
 def radiate_kernel(
     # In:
-    radar_in: wp.array[Radar],
+    radar_in: wp.array[TubeRadar],
     wavenumber_in: wp.array[wp.float64],
     stuff_in: wp.array2d[Face],
     material_in: wp.array[int],
@@ -238,7 +238,7 @@ def triangle_integral(p0: wp.vec3d, p1: wp.vec3d, p2: wp.vec3d, n: wp.vec3d, k: 
 @wp.kernel
 def facets_kernel(
     # In:
-    radar_in: wp.array[Radar],
+    radar_in: wp.array[TubeRadar],
     wavenumber_in: wp.array[wp.float64],
     stuff_in: wp.array2d[Face],
     material_in: wp.array[int],
@@ -320,7 +320,7 @@ def edge_of(seam: Seam, vertices: wp.array[wp.vec3d], faces: wp.array2d[int]) ->
 @wp.kernel
 def seams_kernel(
     # In:
-    radar_in: wp.array[Radar],
+    radar_in: wp.array[TubeRadar],
     wavenumber_in: wp.array[wp.float64],
     vertices_in: wp.array[wp.vec3d],
     faces_in: wp.array2d[int],
@@ -337,7 +337,7 @@ def seams_kernel(
 @wp.kernel
 def places_kernel(
     # In:
-    radar_in: wp.array[Radar],
+    radar_in: wp.array[TubeRadar],
     wavenumber_in: wp.array[wp.float64],
     surface_in: wp.array[RoughSurface],
     variant: int,
@@ -409,7 +409,7 @@ def rims_kernel(
 
 
 @wp.func
-def homeward(radar: Radar, hit: Hit) -> Tube:
+def homeward(radar: TubeRadar, hit: Hit) -> Tube:
     """The tube of the ways from a footprint to the radar."""
     sight = look(radar, hit.point, 0.0)
     s = sight.s
@@ -428,7 +428,7 @@ def homeward(radar: Radar, hit: Hit) -> Tube:
 @wp.kernel
 def shades_kernel(
     # In:
-    radar_in: wp.array[Radar],
+    radar_in: wp.array[TubeRadar],
     vertices_in: wp.array[wp.vec3d],
     faces_in: wp.array2d[int],
     which_in: wp.array[int],
@@ -447,8 +447,8 @@ def shades_kernel(
 @wp.kernel(enable_backward=False)
 def blockers_kernel(
     # In:
-    body: Body,
-    radar_in: wp.array[Radar],
+    body: TubeMesh,
+    radar_in: wp.array[TubeRadar],
     hit_in: wp.array[Hit],
     # Out:
     face_out: wp.array[int],

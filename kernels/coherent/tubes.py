@@ -25,7 +25,7 @@ class Hit:
 
 
 @wp.struct
-class Body:
+class TubeMesh:
     """A mesh for rays: float32 in its tree, float64 where they hit."""
 
     tree: wp.uint64
@@ -38,7 +38,7 @@ class Body:
 
 
 @wp.struct
-class Radar:
+class TubeRadar:
     """Where a view's radar stands about the body's middle. `near` is 0 for a plane wave, which has no place."""
 
     s: wp.vec3d  # unit vector to it, from the reference point
@@ -89,7 +89,7 @@ class Look:
 
 
 @wp.func
-def look(radar: Radar, point: wp.vec3d, reach: float) -> Look:
+def look(radar: TubeRadar, point: wp.vec3d, reach: float) -> Look:
     found = Look()
     if radar.near != 0:
         to = radar.place - point
@@ -107,7 +107,7 @@ def look(radar: Radar, point: wp.vec3d, reach: float) -> Look:
 
 
 @wp.func
-def free(body: Body, radar: Radar, point: wp.vec3d, normal: wp.vec3d) -> int:
+def free(body: TubeMesh, radar: TubeRadar, point: wp.vec3d, normal: wp.vec3d) -> int:
     """Whether nothing lies between a point and the radar."""
     seen = look(radar, point, body.reach)
     start = point + body.offset * normal
@@ -142,8 +142,8 @@ def crossings(a0: wp.float64, a1: wp.float64, a2: wp.float64, t: wp.float64) -> 
 
 
 @wp.func
-def begun(
-    radar: Radar, place: wp.vec2d, side_u: wp.vec2d, side_v: wp.vec2d, standoff: wp.float64, reach: float
+def start_tube(
+    radar: TubeRadar, place: wp.vec2d, side_u: wp.vec2d, side_v: wp.vec2d, standoff: wp.float64, reach: float
 ) -> Tube:
     """The tube of a cell of the plane across `s`: its middle and its sides along u and v [m]."""
     point = place[0] * radar.u + place[1] * radar.v
@@ -291,8 +291,8 @@ def hit_of(tube: Tube, at: Meeting) -> Hit:
 @wp.kernel(enable_backward=False, cuda_max_registers=128)  # with more a GPU follows too few rays at a time
 def trace_kernel(
     # In:
-    body: Body,
-    radar_in: wp.array[Radar],
+    body: TubeMesh,
+    radar_in: wp.array[TubeRadar],
     view_in: wp.array[int],
     place_in: wp.array[wp.vec2d],
     size_in: wp.array[wp.vec2d],
@@ -320,7 +320,7 @@ def trace_kernel(
         turn_out[ray] = wp.vec2d()
         return
     radar = radar_in[view_in[ray]]
-    tube = begun(radar, place_in[ray], wp.vec2d(size[0], zero), wp.vec2d(zero, size[1]), standoff, body.reach)
+    tube = start_tube(radar, place_in[ray], wp.vec2d(size[0], zero), wp.vec2d(zero, size[1]), standoff, body.reach)
     start = tube.point
     caustics = int(0)
     count = int(0)
@@ -371,8 +371,8 @@ def trace_kernel(
 @wp.kernel(enable_backward=False)
 def free_kernel(
     # In:
-    body: Body,
-    radar_in: wp.array[Radar],
+    body: TubeMesh,
+    radar_in: wp.array[TubeRadar],
     point_in: wp.array[wp.vec3d],
     normal_in: wp.array[wp.vec3d],
     both_sides: int,

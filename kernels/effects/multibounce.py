@@ -3,7 +3,16 @@
 import warp as wp
 
 from warpsar.kernels.codes import Coordinate, Polarization
-from warpsar.kernels.geometry import RayGrid, intersect, look_direction, ray_direction, ray_origin, slant_range_of
+from warpsar.kernels.geometry import (
+    Band,
+    RayGrid,
+    Triangles,
+    intersect,
+    look_direction,
+    ray_direction,
+    ray_origin,
+    slant_range_of,
+)
 from warpsar.kernels.scattering import bistatic_geometric_optics, fresnel_h, fresnel_v
 
 # Every ray of a dihedral has the range of its foot. Where this is the edge between two bins, rounding in float32 would
@@ -31,6 +40,35 @@ class PathRecords:
     count: wp.array(dtype=int)
 
 
+@wp.struct
+class ImageColumns:
+    """The columns of the bins: the rays' grid may be wider."""
+
+    start: float  # azimuth [m]
+    spacing: float
+    count: int
+
+
+@wp.struct
+class PathAngles:
+    """Angles along merged paths, as `warpsar.effects.multibounce.Paths` has them; `weight`: over cos(theta_n) too."""
+
+    weight: wp.array(dtype=float)
+    cos_incidence: wp.array(dtype=wp.vec4)
+    cos_half: wp.array(dtype=float)
+    cos_tilt: wp.array(dtype=float)
+
+
+@wp.struct
+class Bounce:
+    """One bounce of every path, in the arrays that hits have, shape (n,) each."""
+
+    face: wp.array(dtype=int)
+    barycentric: wp.array(dtype=wp.vec2)
+    point: wp.array(dtype=wp.vec3)
+    cos_incidence: wp.array(dtype=float)
+
+
 @wp.func
 def apparent_point(grid: RayGrid, entry: wp.vec3, exit: wp.vec3, between: float) -> wp.vec3:
     """Range is half the whole path; azimuth and elevation are those of the middle between entry and exit."""
@@ -52,19 +90,15 @@ def apparent_point(grid: RayGrid, entry: wp.vec3, exit: wp.vec3, between: float)
 def path_kernel(
     # In:
     grid: RayGrid,
-    mesh: wp.uint64,
-    vertices: wp.array(dtype=wp.vec3),
-    faces: wp.array2d(dtype=int),
-    first_cell: int,
+    mesh: Triangles,
+    band: Band,
+    columns: ImageColumns,
+    tree: wp.uint64,
     segment: int,
-    seed: int,
     max_bounces: int,
     size: float,  # of the mesh: how far a ray may go from one surface to the next [m]
-    azimuth_start: float,  # of the bins: the rays' grid may be wider
-    azimuth_spacing: float,
-    cols: int,
     # Out:
-    records: PathRecords,
+    records_out: PathRecords,
 ):
     """One thread walks `segment` cells in the column of one azimuth cell. Every surface but the last is a mirror.
 
@@ -72,12 +106,12 @@ def path_kernel(
     meets is then computed from the surface itself.
     """
     i, j = wp.tid()
-    cell = first_cell + i
+    cell = band.first_cell + i
     centre_u = grid.azimuth_start + (float(cell) + 0.5) * grid.azimuth_step
     clear = 1.0e-5 * size
     last = wp.min((j + 1) * segment, grid.elevation_cells)
     for k in range(j * segment, last):
-        random = wp.rand_init(seed, cell * grid.elevation_cells + k)
+        random = wp.rand_init(band.seed, cell * grid.elevation_cells + k)
         jitter_u = wp.randf(random) - 0.5
         jitter_v = wp.randf(random) - 0.5
         elevation = grid.elevation_start + (float(k) + 0.5 + jitter_v) * grid.elevation_step
@@ -93,12 +127,12 @@ def path_kernel(
         between = float(0.0)
         reach = grid.reach
         for bounce in range(max_bounces):
-            query = wp.mesh_query_ray(mesh, origin + clear * side, direction, reach)
+            query = wp.mesh_query_ray(tree, origin + clear * side, direction, reach)
             if not query.result:
                 break
-            p0 = vertices[faces[query.face, 0]]
-            p1 = vertices[faces[query.face, 1]]
-            p2 = vertices[faces[query.face, 2]]
+            p0 = mesh.vertices[mesh.faces[query.face, 0]]
+            p1 = mesh.vertices[mesh.faces[query.face, 1]]
+            p2 = mesh.vertices[mesh.faces[query.face, 2]]
             hit = intersect(origin, direction, p0, p1, p2)
             slope = wp.dot(hit.normal, direction)
             if wp.abs(slope) < 1.0e-6:
@@ -119,19 +153,19 @@ def path_kernel(
                     # the bin first: a ray back to the radar costs more
                     seen = apparent_point(grid, entry, point, between)
                     row = int(wp.floor((slant_range_of(grid, seen) - grid.range_start) / grid.range_spacing - EDGE))
-                    col = int(wp.floor((wp.dot(seen, grid.u) - azimuth_start) / azimuth_spacing))
-                    if row >= 0 and row < grid.rows and col >= 0 and col < cols:
-                        back = wp.mesh_query_ray(mesh, point + clear * side, home, size)
+                    col = int(wp.floor((wp.dot(seen, grid.u) - columns.start) / columns.spacing))
+                    if row >= 0 and row < grid.rows and col >= 0 and col < columns.count:
+                        back = wp.mesh_query_ray(tree, point + clear * side, home, size)
                         if not back.result:
-                            slot = wp.atomic_add(records.count, 0, 1)
-                            if slot < records.bin.shape[0]:
-                                records.bin[slot] = row * cols + col
-                                records.bounces[slot] = bounce + 1
-                                records.faces[slot] = met
-                                records.second[slot] = second
-                                records.third[slot] = third
-                                records.weight[slot] = weight
-                                records.point[slot] = seen
+                            slot = wp.atomic_add(records_out.count, 0, 1)
+                            if slot < records_out.bin.shape[0]:
+                                records_out.bin[slot] = row * columns.count + col
+                                records_out.bounces[slot] = bounce + 1
+                                records_out.faces[slot] = met
+                                records_out.second[slot] = second
+                                records_out.third[slot] = third
+                                records_out.weight[slot] = weight
+                                records_out.point[slot] = seen
             before = point
             direction = direction - 2.0 * slope * hit.normal
             origin = point
@@ -141,33 +175,30 @@ def path_kernel(
 @wp.kernel(enable_backward=False)
 def sort_key_kernel(
     # In:
-    what: int,  # 0: bounces and bin, 1: first two faces, 2: the other two
+    records: PathRecords,
     order: wp.array(dtype=int),
-    bin: wp.array(dtype=int),
-    bounces: wp.array(dtype=int),
-    faces: wp.array(dtype=wp.vec4i),
+    what: int,  # 0: bounces and bin, 1: first two faces, 2: the other two
     # Out:
     key_out: wp.array(dtype=wp.int64),
 ):
     i = wp.tid()
     at = order[i]
-    high = bounces[at]
-    low = bin[at]
+    high = records.bounces[at]
+    low = records.bin[at]
     if what == 1:
-        high = faces[at][0]
-        low = faces[at][1]
+        high = records.faces[at][0]
+        low = records.faces[at][1]
     if what == 2:
-        high = faces[at][2]
-        low = faces[at][3]
+        high = records.faces[at][2]
+        low = records.faces[at][3]
     key_out[i] = (wp.int64(high) << wp.int64(32)) + wp.int64(low)
 
 
 @wp.kernel(enable_backward=False)
 def mark_path_starts_kernel(
     # In:
+    records: PathRecords,
     order: wp.array(dtype=int),
-    bin: wp.array(dtype=int),
-    faces: wp.array(dtype=wp.vec4i),
     # Out:
     start_out: wp.array(dtype=int),
 ):
@@ -177,7 +208,7 @@ def mark_path_starts_kernel(
     if i > 0:
         a = order[i - 1]
         b = order[i]
-        if bin[a] == bin[b] and faces[a] == faces[b]:
+        if records.bin[a] == records.bin[b] and records.faces[a] == records.faces[b]:
             new = 0
     start_out[i] = new
 
@@ -190,7 +221,7 @@ def reduce_paths_kernel(
     first: wp.array(dtype=int),
     total: int,
     # Out:
-    merged: PathRecords,
+    merged_out: PathRecords,
 ):
     """Weights summed, places averaged with them."""
     i = wp.tid()
@@ -209,87 +240,81 @@ def reduce_paths_kernel(
         second += w * records.second[at]
         third += w * records.third[at]
         point += w * records.point[at]
-    merged.bin[i] = records.bin[order[begin]]
-    merged.bounces[i] = records.bounces[order[begin]]
-    merged.faces[i] = records.faces[order[begin]]
-    merged.weight[i] = weight
-    merged.second[i] = second / weight
-    merged.third[i] = third / weight
-    merged.point[i] = point / weight
+    merged_out.bin[i] = records.bin[order[begin]]
+    merged_out.bounces[i] = records.bounces[order[begin]]
+    merged_out.faces[i] = records.faces[order[begin]]
+    merged_out.weight[i] = weight
+    merged_out.second[i] = second / weight
+    merged_out.third[i] = third / weight
+    merged_out.point[i] = point / weight
 
 
 @wp.func
-def place_on(
-    vertices: wp.array(dtype=wp.vec3), faces: wp.array2d(dtype=int), face: int, b1: float, b2: float
-) -> wp.vec3:
-    p0 = vertices[faces[face, 0]]
-    return p0 + b1 * (vertices[faces[face, 1]] - p0) + b2 * (vertices[faces[face, 2]] - p0)
+def place_on(mesh: Triangles, face: int, b1: float, b2: float) -> wp.vec3:
+    p0 = mesh.vertices[mesh.faces[face, 0]]
+    e1 = mesh.vertices[mesh.faces[face, 1]] - p0
+    e2 = mesh.vertices[mesh.faces[face, 2]] - p0
+    return p0 + b1 * e1 + b2 * e2
 
 
 @wp.func
-def normal_of(vertices: wp.array(dtype=wp.vec3), faces: wp.array2d(dtype=int), face: int) -> wp.vec3:
-    p0 = vertices[faces[face, 0]]
-    return wp.normalize(wp.cross(vertices[faces[face, 1]] - p0, vertices[faces[face, 2]] - p0))
+def normal_of(mesh: Triangles, face: int) -> wp.vec3:
+    p0 = mesh.vertices[mesh.faces[face, 0]]
+    e1 = mesh.vertices[mesh.faces[face, 1]] - p0
+    e2 = mesh.vertices[mesh.faces[face, 2]] - p0
+    return wp.normalize(wp.cross(e1, e2))
 
 
 @wp.kernel(enable_backward=False)
 def path_geometry_kernel(
     # In:
     grid: RayGrid,
-    vertices: wp.array(dtype=wp.vec3),
-    faces: wp.array2d(dtype=int),
+    mesh: Triangles,
+    paths: PathRecords,
     bounces: int,
-    met: wp.array(dtype=wp.vec4i),
-    second: wp.array(dtype=wp.vec4),
-    third: wp.array(dtype=wp.vec4),
-    power_weight: wp.array(dtype=float),
     # Out:
-    weight_out: wp.array(dtype=float),  # dA_perp / cos(theta_n) / pixel area
-    cos_incidence_out: wp.array(dtype=wp.vec4),
-    cos_half_out: wp.array(dtype=float),
-    cos_tilt_out: wp.array(dtype=float),
+    angles_out: PathAngles,
 ):
     """Angles along the path, from its first point and the faces that it meets."""
     i = wp.tid()
-    direction = look_direction(grid, place_on(vertices, faces, met[i][0] - 1, second[i][0], third[i][0]))
+    met = paths.faces[i]
+    second = paths.second[i]
+    third = paths.third[i]
+    direction = look_direction(grid, place_on(mesh, met[0] - 1, second[0], third[0]))
     cosines = wp.vec4(1.0, 1.0, 1.0, 1.0)
     for k in range(bounces):
-        normal = normal_of(vertices, faces, met[i][k] - 1)
+        normal = normal_of(mesh, met[k] - 1)
         slope = wp.dot(normal, direction)
         cosines[k] = wp.min(wp.abs(slope), 1.0)
         if k == bounces - 1:
-            home = -look_direction(grid, place_on(vertices, faces, met[i][k] - 1, second[i][k], third[i][k]))
+            home = -look_direction(grid, place_on(mesh, met[k] - 1, second[k], third[k]))
             half = wp.normalize(home - direction)
-            cos_half_out[i] = wp.clamp(-wp.dot(half, direction), 0.0, 1.0)
-            cos_tilt_out[i] = wp.min(wp.abs(wp.dot(half, normal)), 1.0)
+            angles_out.cos_half[i] = wp.clamp(-wp.dot(half, direction), 0.0, 1.0)
+            angles_out.cos_tilt[i] = wp.min(wp.abs(wp.dot(half, normal)), 1.0)
         direction = direction - 2.0 * slope * normal
-    cos_incidence_out[i] = cosines
-    weight_out[i] = power_weight[i] / wp.max(cosines[bounces - 1], 1.0e-6)
+    angles_out.cos_incidence[i] = cosines
+    angles_out.weight[i] = paths.weight[i] / wp.max(cosines[bounces - 1], 1.0e-6)
 
 
 @wp.kernel(enable_backward=False)
 def bounce_kernel(
     # In:
+    mesh: Triangles,
+    paths: PathRecords,
+    angles: PathAngles,
     k: int,
-    vertices: wp.array(dtype=wp.vec3),
-    faces: wp.array2d(dtype=int),
-    met: wp.array(dtype=wp.vec4i),
-    second: wp.array(dtype=wp.vec4),
-    third: wp.array(dtype=wp.vec4),
-    cos_incidence: wp.array(dtype=wp.vec4),
     # Out:
-    face_out: wp.array(dtype=int),
-    barycentric_out: wp.array(dtype=wp.vec2),
-    point_out: wp.array(dtype=wp.vec3),
-    cos_incidence_out: wp.array(dtype=float),
+    bounce_out: Bounce,
 ):
     """Bounce k of every path, in the arrays that hits have."""
     i = wp.tid()
-    face = met[i][k] - 1
-    face_out[i] = face
-    barycentric_out[i] = wp.vec2(second[i][k], third[i][k])
-    point_out[i] = place_on(vertices, faces, face, second[i][k], third[i][k])
-    cos_incidence_out[i] = cos_incidence[i][k]
+    face = paths.faces[i][k] - 1
+    b1 = paths.second[i][k]
+    b2 = paths.third[i][k]
+    bounce_out.face[i] = face
+    bounce_out.barycentric[i] = wp.vec2(b1, b2)
+    bounce_out.point[i] = place_on(mesh, face, b1, b2)
+    bounce_out.cos_incidence[i] = angles.cos_incidence[i][k]
 
 
 @wp.kernel

@@ -28,6 +28,19 @@ NARROWEST = wp.constant(1.0e-5)
 Stretch = wp.types.vector(length=16, dtype=float)
 Pixel = wp.types.vector(length=1, dtype=float)
 
+
+@wp.struct
+class SpreadAxis:
+    """The axis of an image along which power is spread, and by which kernel."""
+
+    window: int
+    index: int  # of the width in p
+    spacing: float  # of pixels [m]
+    cols: int  # of the image
+    count: int  # pixels along the axis
+    stride: int  # from one to the next
+
+
 READ = """
     for (int k = 0; k < %d; ++k)
         none[k] = array.data[i + k];
@@ -79,9 +92,7 @@ def power(window: int, x: float) -> float:
 @wp.kernel
 def sample_kernel(
     # In:
-    window: int,
-    spacing: float,
-    index: int,  # of the width in p
+    axis: SpreadAxis,
     p: wp.array(dtype=float),
     # Out:
     weight_out: wp.array(dtype=float),  # by distance in pixels
@@ -89,8 +100,8 @@ def sample_kernel(
 ):
     """The point spread at pixel centres, and its sum."""
     k = wp.tid()
-    width = wp.max(p[index] / spacing, NARROWEST)
-    w = power(window, float(k) / width)
+    width = wp.max(p[axis.index] / axis.spacing, NARROWEST)
+    w = power(axis.window, float(k) / width)
     weight_out[k] = w
     if k == 0:
         wp.atomic_add(total_out, 0, w)
@@ -111,27 +122,22 @@ def normalise_kernel(
 
 
 @wp.func
-def reach_of(window: int, width: float, count: int) -> int:
+def reach_of(axis: SpreadAxis, width: float) -> int:
     """Number of pixels to each side that get a weight."""
-    reach = count - 1
-    if window == GAUSSIAN:
+    reach = axis.count - 1
+    if axis.window == GAUSSIAN:
         # exp(-4 ln 2 * 9) = 1.5e-11 is left out
-        reach = wp.min(reach, int(3.0 * wp.max(width, 0.0)) + 1)
+        reach = wp.min(reach, int(3.0 * wp.max(width / axis.spacing, 0.0)) + 1)
     return reach
 
 
 @wp.kernel(enable_backward=False)
 def blur_kernel(
     # In:
-    window: int,
-    spacing: float,
-    index: int,
+    axis: SpreadAxis,
     p: wp.array(dtype=float),
     weight: wp.array(dtype=float),
     image: wp.array(dtype=float),
-    cols: int,
-    count: int,  # pixels along the axis
-    stride: int,  # from one to the next
     none: Any,  # Stretch() or Pixel(); an image has at least as many columns
     add: int,
     # Out:
@@ -142,6 +148,9 @@ def blur_kernel(
     The kernel is symmetric, so this is also its own adjoint to `image`; `add` then adds to the gradient that is there.
     """
     row, part = wp.tid()
+    cols = axis.cols
+    count = axis.count
+    stride = axis.stride
     n = len(none)
     begin = part * n
     col = wp.min(begin, cols - n)  # the last stretch overlaps with the one before
@@ -152,7 +161,7 @@ def blur_kernel(
     if stride == 1:
         low = col
         high = col + n - 1
-    reach = reach_of(window, p[index] / spacing, count)
+    reach = reach_of(axis, p[axis.index])
     value = none
     # Loops of their own: a branch between the two would take `value` through memory.
     first = wp.max(-low, -reach)
@@ -176,15 +185,10 @@ def blur_kernel(
 @wp.kernel(enable_backward=False)
 def weight_adjoint_kernel(
     # In:
-    window: int,
-    spacing: float,
-    index: int,
+    axis: SpreadAxis,
     p: wp.array(dtype=float),
     image: wp.array(dtype=float),
     blurred_gradient: wp.array(dtype=float),
-    cols: int,
-    count: int,
-    stride: int,
     none: Any,
     parts: int,
     lanes: int,
@@ -196,7 +200,9 @@ def weight_adjoint_kernel(
     `parts` threads share the rows, and `lanes` (1, or on CUDA LANES) a row.
     """
     k, part, lane = wp.tid()
-    if k <= reach_of(window, p[index] / spacing, count):
+    if k <= reach_of(axis, p[axis.index]):
+        cols = axis.cols
+        stride = axis.stride
         n = len(none)
         rows = image.shape[0] // cols
         length = cols

@@ -1,9 +1,11 @@
 """sigma0 averaged over the tilts of a large-scale roughness."""
 
+from functools import cache
+
 import warp as wp
 
 from warpsar.kernels.geometry import cos2_azimuth_of, cos_twist_of
-from warpsar.kernels.shade import sigma0_of
+from warpsar.kernels.models.ka_spm import sigma0_and_slopes_of, sigma0_of
 
 # Added to the slope variance, a tilt of 1e-4: its square root has no derivative at 0.
 LEAST_VARIANCE = wp.constant(1.0e-8)
@@ -32,65 +34,111 @@ def tilted_by(
     return wp.normalize(normal + deviation * (first * side + second * across))
 
 
-# Long because of its arguments: sigma0 depends on all of them.
-@wp.kernel
-def tilt_kernel(
+@cache
+def tilt_kernel(slopes: bool) -> wp.Kernel:
+    """The kernel of `sigma` plus the change of sigma0 by the tilts, a Gauss-Hermite quadrature over both slopes.
+
+    With `slopes` also the derivatives to the learned coordinates, and no adjoint of its own.
+    """
+
+    # Long because of its arguments: sigma0 depends on all of them.
+    @wp.kernel(enable_backward=not slopes, module="unique")
+    def tilt_kernel(
+        # In:
+        p: wp.array(dtype=float),  # slope variance per axis
+        tilts: wp.array(dtype=wp.vec3),  # two slopes in standard deviations, and the weight
+        polarization: int,
+        variant: int,
+        wavenumber: float,
+        local_basis: int,
+        slant_range: float,
+        d: wp.vec3,
+        u: wp.vec3,
+        v: wp.vec3,
+        vertices: wp.array(dtype=wp.vec3),
+        faces: wp.array2d(dtype=int),
+        face: wp.array(dtype=int),
+        point: wp.array(dtype=wp.vec3),
+        face_material: wp.array(dtype=int),
+        spectrum: wp.array(dtype=int),
+        eps_im: wp.array(dtype=float),
+        aspect: wp.array(dtype=float),
+        zeta: wp.array(dtype=wp.vec4),
+        plain: wp.array(dtype=float),  # sigma0 without the tilts
+        sigma: wp.array(dtype=float),
+        # Out:
+        sigma_out: wp.array(dtype=float),
+        slopes_out: wp.array(dtype=wp.vec4),
+    ):
+        i = wp.tid()
+        f = face[i]
+        material = face_material[f]
+        kind = spectrum[material]
+        loss = eps_im[material]
+        ratio = aspect[material]
+        z = zeta[i]
+        direction = d
+        if slant_range > 0.0:
+            direction = wp.normalize((slant_range + wp.dot(point[i], d)) * d + wp.dot(point[i], v) * v)
+        p0 = vertices[faces[f, 0]]
+        e1 = side_of(p0, vertices[faces[f, 1]])
+        normal = facing_normal(e1, p0, vertices[faces[f, 2]], direction)
+        e2 = wp.cross(normal, e1)
+        deviation = wp.sqrt(wp.max(p[0], 0.0) + LEAST_VARIANCE)
+        mean = float(0.0)
+        by_zeta = wp.vec4(0.0, 0.0, 0.0, 0.0)
+        for q in range(tilts.shape[0]):
+            tilted = tilted_by(normal, e1, e2, deviation, tilts[q][0], tilts[q][1])
+            cosine = -wp.dot(tilted, direction)
+            # a tilt past grazing is hidden
+            if cosine > 0.0:
+                twist = float(1.0)
+                if local_basis == 0:
+                    twist = cos_twist_of(tilted, direction, u)
+                if wp.static(slopes):
+                    found = sigma0_and_slopes_of(
+                        polarization,
+                        kind,
+                        variant,
+                        wavenumber,
+                        wp.min(cosine, 1.0),
+                        twist,
+                        cos2_azimuth_of(tilted, direction),
+                        loss,
+                        ratio,
+                        z,
+                    )
+                    mean += tilts[q][2] * found[0]
+                    by_zeta += tilts[q][2] * wp.vec4(found[1], found[2], found[3], found[4])
+                else:
+                    mean += tilts[q][2] * sigma0_of(
+                        polarization,
+                        kind,
+                        variant,
+                        wavenumber,
+                        wp.min(cosine, 1.0),
+                        twist,
+                        cos2_azimuth_of(tilted, direction),
+                        loss,
+                        ratio,
+                        z,
+                    )
+        sigma_out[i] = sigma[i] + (mean - plain[i])
+        if wp.static(slopes):
+            slopes_out[i] = by_zeta
+
+    return tilt_kernel
+
+
+@wp.kernel(enable_backward=False)
+def change_adjoint_kernel(
     # In:
-    p: wp.array(dtype=float),  # slope variance per axis
-    tilts: wp.array(dtype=wp.vec3),  # two slopes in standard deviations, and the weight
-    polarization: int,
-    variant: int,
-    wavenumber: float,
-    local_basis: int,
-    slant_range: float,
-    d: wp.vec3,
-    u: wp.vec3,
-    v: wp.vec3,
-    vertices: wp.array(dtype=wp.vec3),
-    faces: wp.array2d(dtype=int),
-    face: wp.array(dtype=int),
-    point: wp.array(dtype=wp.vec3),
-    face_material: wp.array(dtype=int),
-    spectrum: wp.array(dtype=int),
-    eps_im: wp.array(dtype=float),
-    aspect: wp.array(dtype=float),
-    zeta: wp.array(dtype=wp.vec4),
-    plain: wp.array(dtype=float),  # sigma0 without the tilts
-    sigma: wp.array(dtype=float),
+    gradient: wp.array(dtype=float),
     # Out:
-    sigma_out: wp.array(dtype=float),
+    plain_gradient_out: wp.array(dtype=float),
+    sigma_gradient_out: wp.array(dtype=float),
 ):
-    """`sigma` plus the change of sigma0 by the tilts, a Gauss-Hermite quadrature over both slopes."""
+    """The adjoint of sigma + (mean - plain) to `plain` and `sigma`."""
     i = wp.tid()
-    f = face[i]
-    material = face_material[f]
-    direction = d
-    if slant_range > 0.0:
-        direction = wp.normalize((slant_range + wp.dot(point[i], d)) * d + wp.dot(point[i], v) * v)
-    p0 = vertices[faces[f, 0]]
-    e1 = side_of(p0, vertices[faces[f, 1]])
-    normal = facing_normal(e1, p0, vertices[faces[f, 2]], direction)
-    e2 = wp.cross(normal, e1)
-    deviation = wp.sqrt(wp.max(p[0], 0.0) + LEAST_VARIANCE)
-    mean = float(0.0)
-    for q in range(tilts.shape[0]):
-        tilted = tilted_by(normal, e1, e2, deviation, tilts[q][0], tilts[q][1])
-        cosine = -wp.dot(tilted, direction)
-        # a tilt past grazing is hidden
-        if cosine > 0.0:
-            twist = float(1.0)
-            if local_basis == 0:
-                twist = cos_twist_of(tilted, direction, u)
-            mean += tilts[q][2] * sigma0_of(
-                polarization,
-                spectrum[material],
-                variant,
-                wavenumber,
-                wp.min(cosine, 1.0),
-                twist,
-                cos2_azimuth_of(tilted, direction),
-                eps_im[material],
-                aspect[material],
-                zeta[i],
-            )
-    sigma_out[i] = sigma[i] + (mean - plain[i])
+    plain_gradient_out[i] = plain_gradient_out[i] - gradient[i]
+    sigma_gradient_out[i] = sigma_gradient_out[i] + gradient[i]

@@ -21,7 +21,7 @@ from warpsar.coherent.body import CoherentBody
 from warpsar.coherent.directions import Directions, radar_records
 from warpsar.coherent.joints import joints
 from warpsar.coherent.shape import shape_of
-from warpsar.coherent.sweep import Sweep, sweep
+from warpsar.coherent.sweep import AmplitudeSweep, sweep
 from warpsar.kernels.coherent import edges, tubes
 
 
@@ -78,7 +78,7 @@ def test_launches_may_be_small(
     directions = Directions.of(np.linspace(60.0, 120.0, 5), 90.0)
     material = {"eps_r": 4.0, "rms_height_m": 0.001, "correlation_length_m": 0.02}
 
-    def swept(**more: Any) -> list[Sweep]:
+    def swept(**more: Any) -> list[AmplitudeSweep]:
         bodies = [CoherentBody.of(scene(duct, **of), wp.get_device("cpu")) for of in ({}, {"material": material})]
         return [sweep(body, directions, [0.5 * FREQUENCY, FREQUENCY], compare=True, **more) for body in bodies]
 
@@ -133,7 +133,7 @@ def test_tubes_that_spread_are_cut_and_the_error_of_the_spacing_is_told(duct: wa
     body = CoherentBody.of(scene(duct), wp.get_device("cpu"))
     directions = Directions.of(np.linspace(60.0, 120.0, 11), 90.0)
 
-    def swept(finer: float, levels: int, compare: bool = False) -> Sweep:
+    def swept(finer: float, levels: int, compare: bool = False) -> AmplitudeSweep:
         return sweep(body, directions, [FREQUENCY], rays_per_wavelength=finer, levels=levels, compare=compare)
 
     fine = swept(40.0, 5).amplitude.sum(axis=2)
@@ -150,7 +150,7 @@ def test_tubes_that_spread_are_cut_and_the_error_of_the_spacing_is_told(duct: wa
 
 def test_parts_of_a_cell_cover_it() -> None:
     place, size = np.array([[1.0, 2.0], [5.0, 6.0], [9.0, 9.0]]), np.array([[0.4, 0.2], [0.4, 0.2], [0.4, 0.2]])
-    rays = cells.Rays.of(place, size, wp.get_device("cpu"))
+    rays = cells.CellRays.of(place, size, wp.get_device("cpu"))
     turn = wp.array([[2.0, 2.0], [1.0, 2.0], [1.0, 1.0]], dtype=wp.vec2d, device="cpu")
     found = rays.parts(turn, 1.5, wp.array([4, 6, 6], dtype=int, device="cpu"))
     assert found is not None
@@ -166,9 +166,9 @@ def test_a_closed_duct_returns_what_enters(duct: warpsar.Mesh) -> None:
     """Flux: the cross-section of the tubes that leave through the mouth over that of those that enter, to 5 %."""
     body = CoherentBody.of(scene(duct), wp.get_device("cpu"))
     directions = Directions.of([75.0, 90.0, 100.0], 90.0)
-    grid = cells.Grid(body, directions, WAVELENGTH / 10)
+    grid = cells.CellGrid(body, directions, WAVELENGTH / 10)
     rays = grid[: len(grid)]
-    radars = wp.array(radar_records(directions, body.origin, None), dtype=tubes.Radar, device="cpu")
+    radars = wp.array(radar_records(directions, body.origin, None), dtype=tubes.TubeRadar, device="cpu")
     n, most = len(rays), 40
     hits = wp.empty((most, n), dtype=tubes.Hit, device="cpu")
     count = wp.empty(n, dtype=int, device="cpu")

@@ -8,7 +8,7 @@ from click.testing import CliRunner
 from warpsar.cli.main import main
 from warpsar.coherent import forecast as forecasting
 from warpsar.coherent.forecast import forecast
-from warpsar.coherent.rcs import Asked, swept, working_gib
+from warpsar.coherent.rcs import RcsRequest, swept, working_gib
 from warpsar.coherent.sweep import RAYS_PER_WAVELENGTH
 from warpsar.errors import InputError
 from warpsar.scene.scene import Scene
@@ -18,8 +18,8 @@ pytestmark = pytest.mark.unit
 TRIHEDRAL = Path(__file__).resolve().parents[2] / "data" / "coherent" / "trihedral.toml"
 
 
-def asked(scene: Scene, azimuths: list[float], gib: float | None = None) -> Asked:
-    return Asked.of(scene, azimuths, [60.0], None, "cpu", RAYS_PER_WAVELENGTH, max_memory_gib=gib)
+def asked(scene: Scene, azimuths: list[float], gib: float | None = None) -> RcsRequest:
+    return RcsRequest.of(scene, azimuths, [60.0], None, "cpu", RAYS_PER_WAVELENGTH, max_memory_gib=gib)
 
 
 def test_the_tubes_of_a_forecast(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -17,6 +17,7 @@ from warpsar.coherent.directions import Directions
 from warpsar.coherent.sweep import Worker
 from warpsar.collection import places
 from warpsar.errors import InputError
+from warpsar.models import registry
 from warpsar.world import scattering_term
 
 SOIL = {"eps_r": (9.0, -1.5), "rms_height_m": 0.0025, "correlation_length_m": 0.02, "spectrum": "exponential"}
@@ -50,9 +51,13 @@ def tables(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def material(name: str, folder: Path) -> dict[str, Any]:
     """The table of a material, by its model's name; `with a term`, `gaussian` are further words of it."""
     model = name.split()[0]
-    if model == "facet":
-        return {"model": "facet", "sigma0": folder / "ground.csv", "level": 1.7}
-    given: dict[str, Any] = {**(KA_SPM if model == "ka_spm" else SOIL), "model": model}
+    own: dict[str, Any] = {
+        key: one.example for key, one in registry.own_parameters().items() if key in registry.get(model).keys
+    }
+    if not registry.get(model).of_surface:
+        own |= {key: value for key, value in SOIL.items() if key in registry.get(model).keys}
+        return {"model": model, **own, **({"sigma0": folder / "ground.csv"} if registry.get(model).from_table else {})}
+    given: dict[str, Any] = {**(KA_SPM if model == "ka_spm" else SOIL), **own, "model": model}
     if "gaussian" in name:
         given["spectrum"] = "gaussian"
     if "term" in name:
@@ -60,12 +65,13 @@ def material(name: str, folder: Path) -> dict[str, Any]:
     return given
 
 
-MODELS = ("i2em", "i2em gaussian", "oh", "dubois", "facet", "i2em with a term", "ka_spm with a term")
+OTHERS = [name for name in registry.names() if name != "ka_spm"]
+MODELS = (*OTHERS, "i2em gaussian", "i2em with a term", "ka_spm with a term")
 
 
 def faces(mesh: warpsar.Mesh, given: dict[str, Any]) -> warpsar.Scene:
-    """A scene of this material; the model `dubois` has HH and VV alone."""
-    channels = ("HH", "VV") if given.get("model") == "dubois" else ALL
+    """A scene of this material, in the polarizations that its model has."""
+    channels = tuple(one for one in ALL if one in registry.get(given.get("model", "ka_spm")).channels)
     return scene(mesh, material=given, terms=("rough",), polarizations=channels)
 
 

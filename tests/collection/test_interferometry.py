@@ -13,7 +13,7 @@ import warpsar
 from warpsar.collection.bodies import Bodies
 from warpsar.collection.history import phase_history as recorded
 from warpsar.collection.plan import plan_of
-from warpsar.collection.scatterers import Part, Scatterers, body_of, spacing_m
+from warpsar.collection.scatterers import ScattererPart, Scatterers, body_of, spacing_m
 from warpsar.collection.slc import focused
 from warpsar.runtime import devices
 from warpsar.world.frame import SPEED_OF_LIGHT
@@ -104,7 +104,7 @@ def test_a_mover_is_displaced(side: str, speed: float) -> None:
     flight = 1.0 if side == "right" else -1.0  # along columns
     expected = -plan.slant_range_m * speed / 100.0 * flight
     assert (at[1] + 0.5 - 160) * 0.25 == pytest.approx(expected, abs=0.3)
-    assert isinstance(still, Part)
+    assert isinstance(still, ScattererPart)
 
 
 def test_an_object_moves_by_its_name(tmp_path: object) -> None:

@@ -17,7 +17,7 @@ from warpsar.collection.command import run
 from warpsar.collection.history import Collected
 from warpsar.collection.history import phase_history as recorded
 from warpsar.collection.plan import Plan, plan_of
-from warpsar.collection.scatterers import Part, Scatterers
+from warpsar.collection.scatterers import ScattererPart, Scatterers
 from warpsar.formats import registry
 from warpsar.formats.base.data import PhaseHistory
 from warpsar.measured.focus import cell_m, focus
@@ -40,7 +40,7 @@ def points(
 ) -> Collected:
     """The phase history of points (n, 3) of complex amplitudes (n,)."""
     weight = np.ones(len(planned.track), np.float32)
-    part = Part(place, amplitude.astype(np.complex64)[None], weight, velocity)
+    part = ScattererPart(place, amplitude.astype(np.complex64)[None], weight, velocity)
     return recorded(planned, Scatterers((part,), 0.0), ("HH",), devices.resolve_device(device))
 
 

@@ -16,7 +16,7 @@ from warpsar.collection.command import run
 from warpsar.collection.direct import direct, direct_of_rough
 from warpsar.collection.history import phase_history as recorded
 from warpsar.collection.plan import Plan, plan_of
-from warpsar.collection.scatterers import Part, Scatterers, scatterers_of
+from warpsar.collection.scatterers import ScattererPart, Scatterers, scatterers_of
 from warpsar.collection.slc import Slc, focused
 from warpsar.formats import registry
 from warpsar.formats.base.data import ImageChip
@@ -46,7 +46,7 @@ def planned(mode: str = "spotlight", **more: object) -> tuple[warpsar.Scene, Pla
 
 
 def points(plan: Plan, place: np.ndarray, amplitude: np.ndarray) -> Scatterers:
-    part = Part(place, amplitude.astype(np.complex64)[None], np.ones(len(plan.track), np.float32))
+    part = ScattererPart(place, amplitude.astype(np.complex64)[None], np.ones(len(plan.track), np.float32))
     return Scatterers((part,), 0.0)
 
 

@@ -18,7 +18,7 @@ from warpsar.collection.command import wide_tubes
 from warpsar.collection.direct import direct
 from warpsar.collection.forecast import FEWEST, forecast, together
 from warpsar.collection.history import phase_history
-from warpsar.collection.places import COARSE, GROUP, Tally
+from warpsar.collection.places import COARSE, GROUP, TubeTally
 from warpsar.collection.plan import plan_of
 from warpsar.collection.scatterers import TOGETHER, Stream
 from warpsar.runtime import devices
@@ -105,8 +105,8 @@ def test_on_the_console(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, product
 
 def test_wide_tubes_in_words() -> None:
     """What counts is their power: many that send nothing back change no level."""
-    assert wide_tubes(Tally(100, 28, 1.0, 0.005)) == []
-    (said,) = wide_tubes(Tally(50, 14, 0.5, 0.1) + Tally(50, 14, 0.5, 0.1))
+    assert wide_tubes(TubeTally(100, 28, 1.0, 0.005)) == []
+    (said,) = wide_tubes(TubeTally(50, 14, 0.5, 0.1) + TubeTally(50, 14, 0.5, 0.1))
     assert said.startswith("28 % of the tubes")
     assert "20 % of the power of single and multibounce, which is 0.97 dB lower without them" in said
     assert "too strong toward the mirror direction" in said

@@ -1,6 +1,6 @@
 """Is anything left beside speckle? False alarms at the declared rate, and no false all-clear."""
 
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +14,9 @@ from worlds import view
 from warpsar.compare import judgement as module
 from warpsar.compare.comparison import Comparison
 from warpsar.compare.edges import edges_of
-from warpsar.compare.judgement import ERROR_RATE, Judgement, judge
+from warpsar.compare.judgement import ERROR_RATE, judge
 from warpsar.evaluation.command import evaluate
+from warpsar.runtime.distributed.travel import packed, unpacked
 from warpsar.scene.scene import Scene
 from warpsar.speckle.law import Law
 from warpsar.speckle.own import Patch, own_autocovariance
@@ -65,6 +66,7 @@ def test_speckle_alone_is_speckle(looks: float, sigma: float) -> None:
     assert len(found) - found.count("speckle") <= 1
 
 
+@pytest.mark.slow
 def test_p_values_of_speckle_are_spread_evenly() -> None:
     found = [judge(several(seed)) for seed in range(20)]
     # the share under a half of 20 has a standard deviation of 0.11
@@ -305,10 +307,10 @@ def test_false_alarms_of_edges() -> None:
     assert not any(found)
 
 
-def test_a_judgement_travels_as_json() -> None:
+def test_a_judgement_travels_between_processes() -> None:
     for images in (blocks(1, (0.3, 0.0)), [with_looks(image, 4.0) for image in several(0)]):
         found = judge(images)
-        assert Judgement.heard(asdict(found)) == found
+        assert unpacked(packed(found)) == found
 
 
 # ---- the correlation of speckle ----

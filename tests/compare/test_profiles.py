@@ -88,6 +88,7 @@ def test_images_of_edges_alone_have_no_level() -> None:
     assert found.content()["deviance_error"] is None
 
 
+@pytest.mark.slow
 def test_speckle_alone_is_seldom_a_profile() -> None:
     """Of 12, at most one falls under 2 %: two or more would come by chance in 2.5 % of all cases."""
     chances = [judge(images_of(seed=seed, views=2)).p_profile for seed in range(12)]

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from warpsar.curves.angles import independent_deg
-from warpsar.curves.observed import Observed
+from warpsar.curves.observed import ObservedCurve
 from warpsar.world.frame import SPEED_OF_LIGHT
 
 WIDTH_M = 0.4
@@ -31,11 +31,11 @@ def curve(
     role: str = "train",
     background_m2: float = 0.01,
     share: float = 0.01,
-) -> Observed:
+) -> ObservedCurve:
     """A measured curve that shows some of the terms, with noise."""
     truth = sum((terms[name] for name in shown), np.zeros(len(AZIMUTH), complex))
     noise = np.sqrt(background_m2) * field(rng, frequency_hz) + np.sqrt(share) * field(rng, frequency_hz) * truth
-    return Observed(
+    return ObservedCurve(
         f"{frequency_hz:g} {polarization}",
         frequency_hz,
         polarization,

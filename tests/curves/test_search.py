@@ -32,6 +32,7 @@ def test_independent_directions_are_those_of_the_bandwidth() -> None:
     assert 1.0 / np.var(means) == pytest.approx(independent([one]), rel=0.25)  # 400 draws: 7 %, and the two ends
 
 
+@pytest.mark.slow
 def test_p_values_of_a_term_that_is_not_there_are_calibrated() -> None:
     """Under the null the statistic is chi-square with one degree of freedom, though neighbours are correlated."""
     statistic = []

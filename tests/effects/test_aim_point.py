@@ -9,7 +9,7 @@ from worlds import ground, mesh_of, scene_of, view
 
 from warpsar.effects.registry import held_by
 from warpsar.learning.coordinates import SceneCoordinates
-from warpsar.learning.pose_coordinates import Poses
+from warpsar.learning.geometry import Geometry
 from warpsar.scene.placing import with_objects
 from warpsar.scene.scene import Scene
 from warpsar.simulation.command import simulate
@@ -56,7 +56,7 @@ def test_it_holds_what_it_contains() -> None:
     fixed = with_effect(scene, "aim_point", {**FREE, "fixed": True})
 
     def labels(one: Scene) -> set[str]:
-        fitted = SceneCoordinates(one, one.views).labels + Poses(one).labels
+        fitted = SceneCoordinates(one, one.views).labels + Geometry(one).labels
         return {label for label in fitted if not label.startswith("soil")}
 
     place = {"hut.east", "hut.north", "hut.up"}
@@ -64,8 +64,8 @@ def test_it_holds_what_it_contains() -> None:
     assert labels(fixed) == labels(scene)
     assert labels(both) == {"aim_point.range_m[view]", "aim_point.azimuth_m[view]", "hut.heading"}
     assert held_by(both.effects) == {"registration": "aim_point"}
-    assert Poses(both).held == ["hut.position: held, because aim_point shifts each view by itself"]
-    assert (held_by(fixed.effects), Poses(fixed).held) == ({}, [])
+    assert Geometry(both).held == ["hut.position: held, because aim_point shifts each view by itself"]
+    assert (held_by(fixed.effects), Geometry(fixed).held) == ({}, [])
 
 
 def test_a_view_that_no_table_names_stays() -> None:

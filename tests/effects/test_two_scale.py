@@ -7,7 +7,7 @@ import worlds
 from effect_worlds import STRIP_MAP, Case, hits_of, plane, render_of, with_effect
 
 from warpsar.kernels.effects import two_scale as kernels
-from warpsar.kernels.effects import two_scale_lanes as lanes
+from warpsar.kernels.lane_kernels import LANES, at_once
 
 WORKING = [
     Case({"slope_variance": 0.02}),
@@ -52,10 +52,11 @@ def test_many_hits_at_once_are_as_one_by_one() -> None:
     scene = plane(views=[worlds.view(20.0, 80.0)])
     render = render_of(with_effect(scene, "two_scale", {"slope_variance": 0.2}))
     render.forward()
-    step = next(step for step in render.program._steps if step.kernel is lanes.tilt_kernel)
+    step = next(step for step in render.program._steps if step.kernel is at_once(kernels.tilt_kernel(False)))
     found = step.outputs[0]
-    assert found.shape[0] % lanes.HITS
+    assert found.shape[0] % LANES
     expected = wp.zeros_like(found)
-    wp.launch(kernels.tilt_kernel, found.shape[0], inputs=step.inputs, outputs=[expected], device="cpu")
+    outputs = [expected, step.outputs[1]]
+    wp.launch(kernels.tilt_kernel(False), found.shape[0], inputs=step.inputs, outputs=outputs, device="cpu")
     # sums of 25 float32 terms, and exp of another library
     assert found.numpy() == pytest.approx(expected.numpy(), rel=1e-5)

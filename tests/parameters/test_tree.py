@@ -59,6 +59,7 @@ def test_names_of_a_whole_scene(scene: Scene) -> None:
         "effects.point_spread.range_fwhm_m",
         *(f"objects.car.{key}" for key in ("position_m", "heading_deg", "pitch_deg", "roll_deg")),
         *(f"objects.car.{key}" for key in ("scale", "size_m", "cabin", "side_curvature")),
+        *("views.azimuth_deg", "views.incidence_deg"),
         *(f"views.{name}.{key}" for name in "ab" for key in ("azimuth_deg", "incidence_deg")),
         *("views.a.looks", "views.b.texture"),
         *("image.range_spacing_m", "image.azimuth_spacing_m"),
@@ -114,6 +115,8 @@ def uniform(scene: Scene) -> dict[str, Any]:
 def test_a_value_that_is_set_is_read_again(scene: Scene) -> None:
     """Each alone: then no other parameter has another value, but for vertices, which follow the bodies."""
     for name, one in scene.parameters.items():
+        if name in ("views.azimuth_deg", "views.incidence_deg"):
+            continue  # a turn of all views from where they stand, which is 0 again afterwards
         new = one.value * 1.02 + (0.001 if one.unit != "1" else 0.0)
         moved = at(scene, {one: new})
         for other, theirs in moved.parameters.items():

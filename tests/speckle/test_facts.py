@@ -1,15 +1,15 @@
 """Looks and texture from even ground: right by name, with an interval, and nothing where nothing is wrong."""
 
 import math
-from dataclasses import asdict
 
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 from scipy.special import polygamma
 
+from warpsar.runtime.distributed.travel import packed, unpacked
 from warpsar.speckle.even import even_ground
-from warpsar.speckle.facts import Scatter, SpeckleFact, speckle_fact
+from warpsar.speckle.facts import Scatter, speckle_fact
 from warpsar.speckle.law import Law
 
 EVERYWHERE = np.ones((120, 120), bool)
@@ -169,4 +169,4 @@ def test_no_even_ground_tells_nothing() -> None:
 
 def test_a_fact_travels_as_json() -> None:
     for found in (speckle_fact(images([Law(3.0)], [6.0])), speckle_fact(images([Law(16.0, 6.0)] * 3, [16.0] * 3))):
-        assert SpeckleFact.heard(asdict(found)) == found
+        assert unpacked(packed(found)) == found

@@ -14,7 +14,7 @@ from test_view_browser import BROWSER, WITHOUT_GPU, playwright
 
 from warpsar.io import html
 from warpsar.io.figures import new
-from warpsar.io.html_image import MARKS, Axis, image
+from warpsar.io.html_image import MARKS, ImageAxis, image
 
 pytestmark = pytest.mark.skipif(BROWSER is None, reason="no Chromium on this machine")
 
@@ -22,7 +22,9 @@ pytestmark = pytest.mark.skipif(BROWSER is None, reason="no Chromium on this mac
 @pytest.fixture
 def opened(tmp_path: Path) -> Iterator[tuple[Any, list[str]]]:
     pixels = np.random.default_rng(1).random((20, 40, 3))
-    picture = image(html.png(pixels), "measured", Axis("range [m]", -10.0, 10.0), Axis("azimuth [m]", -20.0, 20.0))
+    picture = image(
+        html.png(pixels), "measured", ImageAxis("range [m]", -10.0, 10.0), ImageAxis("azimuth [m]", -20.0, 20.0)
+    )
     table = html.table([f"column {i}" for i in range(30)], [["value"] * 30], "A caption that is long. " * 8)
     path = tmp_path / "report.html"
     html.write(path, html.page("A report", "of a test", html.section("Images", html.row(picture), table)))
@@ -83,7 +85,7 @@ def test_both_statements_of_round_numbers_agree(opened: tuple[Any, list[str]]) -
     page, _ = opened
     for ends in ENDS:
         found = page.evaluate("([from, to, most]) => ticks(from, to, most)", [*ends, MARKS])
-        assert found == pytest.approx(Axis("", *ends).ticks(), rel=1e-9, abs=1e-12)
+        assert found == pytest.approx(ImageAxis("", *ends).ticks(), rel=1e-9, abs=1e-12)
 
 
 def test_a_dark_page_has_dark_drawings(tmp_path: Path) -> None:

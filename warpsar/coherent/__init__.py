@@ -22,3 +22,7 @@
 | `gradients.py` | `warpsar.rcs_gradients` |
 | `command.py` | the command `rcs`: table, plot, JSON |
 """
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)  # public: __init__.pyi

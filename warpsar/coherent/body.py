@@ -13,8 +13,8 @@ from scipy.spatial import ConvexHull, QhullError
 
 from warpsar.coherent.records import field, records, upload
 from warpsar.coherent.rough import scatterers, surfaces
-from warpsar.coherent.rough_models import Group, groups_of, refuse_tables
-from warpsar.coherent.shape import Shape, faces_alone, shape_of
+from warpsar.coherent.rough_models import ScattererGroup, groups_of, refuse_tables
+from warpsar.coherent.shape import MeshShape, faces_alone, shape_of
 from warpsar.kernels.codes import Variant
 from warpsar.kernels.coherent import edges, radiate, reflection, rough, tubes
 from warpsar.world.frame import SPEED_OF_LIGHT
@@ -30,9 +30,9 @@ class CoherentBody:
     """A shape on a device."""
 
     device: wp.Device
-    shape: Shape
+    shape: MeshShape
     tree: wp.Mesh
-    rays: tubes.Body
+    rays: tubes.TubeMesh
     face_material: wp.array
     region: wp.array
     regions: wp.array
@@ -47,7 +47,7 @@ class CoherentBody:
     surfaces: wp.array
     scatterers: wp.array | None
     """Of rough faces; None without."""
-    scatterer_groups: tuple[Group, ...]
+    scatterer_groups: tuple[ScattererGroup, ...]
     """By their models; that of `ka_spm` comes first."""
     scatterer_points: wp.array
     scatterer_normals: wp.array
@@ -79,7 +79,7 @@ class CoherentBody:
         points = upload(vertices.astype(np.float32), wp.vec3, device)
         indices = upload(mesh.faces.ravel(), int, device)
         tree = wp.Mesh(points, indices, bvh_constructor=constructor, bvh_leaf_size=leaf)
-        rays: Any = tubes.Body()
+        rays: Any = tubes.TubeMesh()
         rays.tree = tree.id
         rays.vertices = upload(vertices, wp.vec3d, device)
         rays.faces = upload(mesh.faces, int, device)

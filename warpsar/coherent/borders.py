@@ -17,8 +17,8 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from warpsar.coherent.held import Held, Paths, Sight, Slopes
-from warpsar.coherent.rays import Rays, frame
+from warpsar.coherent.held import Held, Sight, TubePaths, TubeSlopes
+from warpsar.coherent.rays import CellRays, frame
 from warpsar.coherent.records import upload
 from warpsar.coherent.traced import Traced
 from warpsar.kernels.coherent import slopes, tubes
@@ -36,7 +36,7 @@ THIN = 1e-6
 
 
 @dataclass(frozen=True)
-class Seen:
+class RayHits:
     """What rays meet: n rays, b bounces at most."""
 
     count: NDArray[np.int32]
@@ -45,8 +45,8 @@ class Seen:
     mark: NDArray[np.uint64]
     """A number for the surfaces that are met, in their order, and which of them the radar sees, (n,)."""
 
-    def __getitem__(self, some: Any) -> Seen:
-        return Seen(self.count[some], self.hits[some], self.mark[some])
+    def __getitem__(self, some: Any) -> RayHits:
+        return RayHits(self.count[some], self.hits[some], self.mark[some])
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class Crossings:
     """On either side, along u and v [m], (2, n, 2)."""
     along: NDArray[np.int64]
     """Whether the line runs along u (0) or v (1), (n,)."""
-    seen: tuple[Seen, Seen]
+    seen: tuple[RayHits, RayHits]
     """On either side."""
     bounces: NDArray[np.int64]
     """How many hits both sides share, (n,)."""
@@ -68,17 +68,17 @@ class Crossings:
     corner: NDArray[np.int64]
 
 
-def look_at(sight: Sight, place: NDArray[np.float64], step: NDArray[np.float64]) -> Seen:
+def look_at(sight: Sight, place: NDArray[np.float64], step: NDArray[np.float64]) -> RayHits:
     """What rays at places of the plane, (n, 2) [m], meet."""
     n, shape = len(place), sight.worker.body.shape
-    rays = Rays.of(place, np.broadcast_to(step, place.shape), sight.worker.body.device)
+    rays = CellRays.of(place, np.broadcast_to(step, place.shape), sight.worker.body.device)
     hits, count = Traced(sight.worker.tracer, sight.radars, rays).found()
     there = np.arange(hits.shape[1]) < count[:, None]
     mark = np.full(n, 1469598103934665603, np.uint64)
     for b in range(hits.shape[1]):
         what = 2 * shape.surface[hits["face"][:, b]].astype(np.uint64) + hits["seen"][:, b].astype(np.uint64) + 1
         mark = np.where(there[:, b], (mark ^ what) * np.uint64(1099511628211), mark)
-    return Seen(count, hits, mark)
+    return RayHits(count, hits, mark)
 
 
 def crossings(
@@ -136,7 +136,7 @@ def _made_by(
     step: NDArray[np.float64],
     place: NDArray[np.float64],
     along: NDArray[np.int64],
-    sides: tuple[Seen, Seen],
+    sides: tuple[RayHits, RayHits],
 ) -> Crossings:
     """Which face's edge makes each border. What is none is left out."""
     body, n = sight.worker.body, len(along)
@@ -221,11 +221,11 @@ def _inside(sight: Sight, face: Any, corner: Any, d: NDArray[np.float64]) -> NDA
     return (beyond >= 0) & (facing(face) * turn * facing(beyond) > 0.0)
 
 
-def border_slopes(sight: Sight, cotangents: NDArray[np.complex128]) -> list[Slopes]:
+def border_slopes(sight: Sight, cotangents: NDArray[np.complex128]) -> list[TubeSlopes]:
     """What moving borders add to the gradients of Re sum conj(cotangent) A, for cotangents (c, frequencies, 4)."""
     worker = sight.worker
     low, step, count = frame(worker.body, sight.directions, sight.index, worker.spacing, worker.distance)
-    total = [Slopes.empty(worker.body) for _ in cotangents]
+    total = [TubeSlopes.empty(worker.body) for _ in cotangents]
     for found in crossings(sight, step, low, count):
         for sum_, part in zip(total, _strip(sight, step, found, cotangents), strict=True):
             sum_.add(part)
@@ -234,8 +234,8 @@ def border_slopes(sight: Sight, cotangents: NDArray[np.complex128]) -> list[Slop
 
 def _strip(
     sight: Sight, step: NDArray[np.float64], found: Crossings, cotangents: NDArray[np.complex128]
-) -> list[Slopes]:
-    total = [Slopes.empty(sight.worker.body) for _ in cotangents]
+) -> list[TubeSlopes]:
+    total = [TubeSlopes.empty(sight.worker.body) for _ in cotangents]
     for side, sign in ((0, 1.0), (1, -1.0)):
         some = np.flatnonzero(found.seen[side].count > 0)  # the sky sends nothing
         some = some[np.argsort(-found.bounces[some], kind="stable")]
@@ -252,14 +252,14 @@ def _side(
     side: int,
     some: NDArray[np.int64],
     cotangents: NDArray[np.complex128],
-) -> Iterator[Slopes]:
+) -> Iterator[TubeSlopes]:
     """What the light on one side of the borders gains as they move past the places that its tubes belong to."""
     n, bounces, seen, place = len(some), found.bounces[some], found.seen[side][some], found.place[side][some]
     unit = np.broadcast_to(np.eye(2)[:, None], (2, n, 2))
     face, caustics = seen.hits["face"], seen.hits["caustics"]
     held = Held(sight)
     nothing = np.zeros(face.shape, bool)
-    states = held.follow(Paths(place, unit[0], unit[1], bounces.astype(np.int32), face, caustics, nothing))
+    states = held.follow(TubePaths(place, unit[0], unit[1], bounces.astype(np.int32), face, caustics, nothing))
     weight = _edges(sight, held, states, found.shade[some], bounces, found.face[some], found.corner[some])
     held.run()
     slope = weight.numpy()[:, 1:]
@@ -305,7 +305,7 @@ def _edges(
 def _light(
     sight: Sight,
     place: NDArray[np.float64],
-    seen: Seen,
+    seen: RayHits,
     across: NDArray[np.float64],
     length: NDArray[np.float64],
 ) -> NDArray[np.complex128]:
@@ -313,7 +313,7 @@ def _light(
     n = len(place)
     along = np.stack([-across[:, 1], across[:, 0]], axis=1) * length[:, None]
     face, counts = seen.hits["face"], sight.counts(seen.hits["face"], seen.hits["seen"])
-    paths = Paths(place, along, THIN * length[:, None] * across, seen.count, face, seen.hits["caustics"], counts)
+    paths = TubePaths(place, along, THIN * length[:, None] * across, seen.count, face, seen.hits["caustics"], counts)
     by = np.argsort(-seen.count, kind="stable")
     held = Held(sight, n)
     held.follow(paths[by], by.astype(np.int32))

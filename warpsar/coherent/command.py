@@ -14,7 +14,7 @@ import numpy as np
 
 from warpsar.coherent.forecast import forecast
 from warpsar.coherent.left_out import left_out
-from warpsar.coherent.rcs import FREQUENCIES_HZ, Asked, Rcs, swept
+from warpsar.coherent.rcs import FREQUENCIES_HZ, Rcs, RcsRequest, swept
 from warpsar.coherent.sweep import RAYS_PER_WAVELENGTH
 from warpsar.errors import InputError
 from warpsar.io import figures
@@ -68,7 +68,7 @@ def run(
             raise InputError(f"--frequencies: found {frequencies!r}; must ascend")
     scene = Scene.load(scene_path)
     out = Path(out)
-    asked = Asked.of(scene, azimuth, incidence, frequency, device, rays_per_wavelength, layers, max_memory_gib)
+    asked = RcsRequest.of(scene, azimuth, incidence, frequency, device, rays_per_wavelength, layers, max_memory_gib)
     where = asked.body.device
     make_folder(out)  # nothing is written for what is refused
     console.say_device(where)
@@ -93,7 +93,7 @@ def run(
         "frequencies_hz": found.frequency_hz,
         "polarizations": found.polarizations,
         "terms": list(found.terms_m),
-        "not_applied": list(left_out(scene)),
+        "not_applied": list(left_out(scene, "rcs")),
         "ray_spacing_m": found.ray_spacing_m,
         "spacing_error_db": {"median": _finite(np.median, found), "largest": _finite(np.max, found)},
         "segments": found.segments,

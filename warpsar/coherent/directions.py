@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from warpsar.coherent.records import records
-from warpsar.kernels.coherent.tubes import Radar
+from warpsar.kernels.coherent.tubes import TubeRadar
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class Directions:
 
 def radar_records(directions: Directions, origin: NDArray[np.float64], distance_m: float | None) -> Any:
     """The kernels' radars, about the body's middle; of a plane wave without a distance."""
-    made = records(Radar, len(directions))
+    made = records(TubeRadar, len(directions))
     for axis in ("s", "u", "v"):
         made[axis] = getattr(directions, axis)
     if distance_m is not None:

@@ -10,8 +10,8 @@ import numpy as np
 import warp as wp
 
 from warpsar.coherent.directions import Directions, radar_records
-from warpsar.coherent.rays import Grid
-from warpsar.coherent.rcs import Asked, working_gib
+from warpsar.coherent.rays import CellGrid
+from warpsar.coherent.rcs import RcsRequest, working_gib
 from warpsar.coherent.records import upload
 from warpsar.coherent.sweep import Worker, tubes_of
 from warpsar.coherent.traced import LEVELS
@@ -30,7 +30,7 @@ _COMPARED = 1.25
 
 
 @dataclass(frozen=True)
-class Forecast:
+class RcsForecast:
     """Of the whole sweep."""
 
     directions: int
@@ -45,7 +45,7 @@ class Forecast:
         )
 
 
-def forecast(scene: World, asked: Asked, layers: bool = False) -> Forecast | None:
+def forecast(scene: World, asked: RcsRequest, layers: bool = False) -> RcsForecast | None:
     """What the sweep will take; None where that is not long.
 
     Faces, edges and rough places of a few directions are worked out, and stretches of tubes at random places of all
@@ -60,7 +60,7 @@ def forecast(scene: World, asked: Asked, layers: bool = False) -> Forecast | Non
     random = np.random.default_rng(0)
 
     def lit(one: Directions) -> tuple[wp.array, wp.array]:
-        radars = upload(radar_records(one, body.origin, radar.slant_range_m), tubes.Radar, body.device)
+        radars = upload(radar_records(one, body.origin, radar.slant_range_m), tubes.TubeRadar, body.device)
         return radars, worker.lit_regions(radars)
 
     def faces(index: int) -> None:
@@ -68,7 +68,7 @@ def forecast(scene: World, asked: Asked, layers: bool = False) -> Forecast | Non
 
     def stretch(index: int, place: float) -> int:
         one = directions[index : index + 1]
-        grid = Grid(body, one, spacing, radar.slant_range_m)
+        grid = CellGrid(body, one, spacing, radar.slant_range_m)
         first = int(place * max(len(grid) - _STRETCH, 0))
         first -= first % cells.RAYS
         stop = min(first + _STRETCH, len(grid))
@@ -91,5 +91,5 @@ def forecast(scene: World, asked: Asked, layers: bool = False) -> Forecast | Non
         spent, traced = 0.0, 1
     # each stretch asks anew which faces are lit as a whole, which a direction asks once: that is in both
     seconds = each * len(directions) + _COMPARED * spent / traced * sum(counts)
-    found = Forecast(len(directions), float(sum(counts)), seconds, working_gib(scene, asked, layers))
+    found = RcsForecast(len(directions), float(sum(counts)), seconds, working_gib(scene, asked, layers))
     return found if seconds > LONG_S else None

@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from warpsar.coherent.borders import border_slopes
-from warpsar.coherent.held import Held, Paths, Sight, Slopes
-from warpsar.coherent.learned import Learned, learned, moves_vertices
-from warpsar.coherent.rays import Grid
-from warpsar.coherent.rcs import Asked, Rcs, swept
+from warpsar.coherent.held import Held, Sight, TubePaths, TubeSlopes
+from warpsar.coherent.learned import RcsParameter, learned, moves_vertices
+from warpsar.coherent.rays import CellGrid
+from warpsar.coherent.rcs import Rcs, RcsRequest, swept
 from warpsar.coherent.shape import beyond
 from warpsar.coherent.sweep import POLARIZATIONS, RAYS_PER_WAVELENGTH, Worker, shift
 from warpsar.coherent.traced import LEVELS
@@ -40,8 +40,8 @@ class RcsGradients:
     parameters: tuple[str, ...]
     _scene: World = field(repr=False)
     _tree: Parameters[Parameter] = field(repr=False)
-    _asked: Asked = field(repr=False)
-    _learned: Mapping[str, Learned] = field(repr=False)
+    _asked: RcsRequest = field(repr=False)
+    _learned: Mapping[str, RcsParameter] = field(repr=False)
 
     def vjp(self, cotangent: ArrayLike) -> dict[str, NDArray[np.float64]]:
         """Gradients of Re sum conj(cotangent) A, an array of each parameter's shape, per unit of the parameter.
@@ -76,14 +76,14 @@ class RcsGradients:
         found = {name: total[name].reshape(*shape, *one.shape) for name, one in self._learned.items()}
         return Named(self._tree, found)
 
-    def _pulled(self, cotangents: Sequence[NDArray[np.complex128]]) -> Iterator[tuple[int, list[Slopes]]]:
+    def _pulled(self, cotangents: Sequence[NDArray[np.complex128]]) -> Iterator[tuple[int, list[TubeSlopes]]]:
         """For each direction the gradients of its cotangents (c, frequencies, polarizations), piece by piece."""
         worker, asked = self._worker, self._asked
         turn = shift(asked.body, asked.directions, worker.k, worker.distance).conj()
         chosen = [POLARIZATIONS.index(name) for name in self.rcs.polarizations]
         faces = beyond(asked.body.shape)
 
-        def tasks() -> Iterator[partial[tuple[int, list[Slopes]]]]:
+        def tasks() -> Iterator[partial[tuple[int, list[TubeSlopes]]]]:
             for index, given in enumerate(cotangents):
                 if not given.any():
                     continue
@@ -91,7 +91,7 @@ class RcsGradients:
                 seed[:, :, chosen] = given * turn[index][:, None]
                 sight = Sight(worker, asked.directions, index, faces)
                 yield partial(_of_faces, sight, seed)
-                grid = Grid(asked.body, asked.directions[index : index + 1], worker.spacing, worker.distance)
+                grid = CellGrid(asked.body, asked.directions[index : index + 1], worker.spacing, worker.distance)
                 for start in range(0, len(grid), worker.tracer.together):
                     yield partial(_of_tubes, sight, grid, start, seed)
                 if moves_vertices(self.parameters):
@@ -141,14 +141,14 @@ def rcs_gradients(
     scene = scene_or_file(scene)
     tree = parameters_of(scene)
     found = learned(scene, parameters, tree)
-    asked = Asked.of(scene, azimuths_deg, incidences_deg, frequencies_hz, device, rays_per_wavelength)
+    asked = RcsRequest.of(scene, azimuths_deg, incidences_deg, frequencies_hz, device, rays_per_wavelength)
     devices.load_kernels(asked.body.device, "coherent.slopes")
     if moves_vertices(found):
         _refuse_grazing(asked)
     return RcsGradients(swept(scene, asked), tuple(found), scene, tree, asked, found)
 
 
-def _refuse_grazing(asked: Asked) -> None:
+def _refuse_grazing(asked: RcsRequest) -> None:
     cosine = np.abs(asked.directions.s @ asked.body.shape.regions.normal.T)
     if (cosine < GRAZING).any():
         index = int(np.flatnonzero((cosine < GRAZING).any(axis=1))[0])
@@ -160,14 +160,14 @@ def _refuse_grazing(asked: Asked) -> None:
         )
 
 
-def _of_faces(sight: Sight, seed: NDArray[np.complex128]) -> tuple[int, list[Slopes]]:
+def _of_faces(sight: Sight, seed: NDArray[np.complex128]) -> tuple[int, list[TubeSlopes]]:
     held = Held(sight)
     held.faces()
     return sight.index, _backward(held, seed)
 
 
-def _of_tubes(sight: Sight, grid: Grid, start: int, seed: NDArray[np.complex128]) -> tuple[int, list[Slopes]]:
-    total = [Slopes.empty(sight.worker.body) for _ in seed]
+def _of_tubes(sight: Sight, grid: CellGrid, start: int, seed: NDArray[np.complex128]) -> tuple[int, list[TubeSlopes]]:
+    total = [TubeSlopes.empty(sight.worker.body) for _ in seed]
     tracer = sight.worker.tracer
     for traced in tracer.narrowed(sight.radars, grid, start, min(start + tracer.together, len(grid))):
         hits, count = traced.found()
@@ -179,7 +179,7 @@ def _of_tubes(sight: Sight, grid: Grid, start: int, seed: NDArray[np.complex128]
         hits = hits[chosen, : int(count[0])]
         zero = np.zeros(len(chosen))
         size = traced.rays.size.numpy()[chosen]
-        paths = Paths(
+        paths = TubePaths(
             traced.rays.place.numpy()[chosen],
             np.stack([size[:, 0], zero], axis=1),
             np.stack([zero, size[:, 1]], axis=1),
@@ -195,11 +195,11 @@ def _of_tubes(sight: Sight, grid: Grid, start: int, seed: NDArray[np.complex128]
     return sight.index, total
 
 
-def _of_borders(sight: Sight, seed: NDArray[np.complex128]) -> tuple[int, list[Slopes]]:
+def _of_borders(sight: Sight, seed: NDArray[np.complex128]) -> tuple[int, list[TubeSlopes]]:
     return sight.index, border_slopes(sight, seed)
 
 
-def _backward(held: Held, seed: NDArray[np.complex128]) -> list[Slopes]:
+def _backward(held: Held, seed: NDArray[np.complex128]) -> list[TubeSlopes]:
     held.run()
     parts: list[Any] = [np.stack([one.real, one.imag], axis=-1)[None] for one in seed]
     return [held.slopes(held.amplitude, part) for part in parts]

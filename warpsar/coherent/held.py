@@ -20,7 +20,7 @@ from warpsar.runtime.program import Program
 
 
 @dataclass
-class Slopes:
+class TubeSlopes:
     """Gradients of Re sum conj(cotangent) A to all that a program reads."""
 
     vertices: NDArray[np.float64]
@@ -31,11 +31,11 @@ class Slopes:
     """Records of `RoughSurface`, (materials,)."""
 
     @classmethod
-    def empty(cls, body: CoherentBody) -> Slopes:
+    def empty(cls, body: CoherentBody) -> TubeSlopes:
         m = len(body.materials)
         return cls(np.zeros(body.shape.vertices.shape), records(reflection.Face, m), records(RoughSurface, m))
 
-    def add(self, other: Slopes) -> None:
+    def add(self, other: TubeSlopes) -> None:
         self.vertices += other.vertices
         for name in ("permittivity", "thickness", "rms_height"):
             self.stuff[name] += other.stuff[name]
@@ -44,7 +44,7 @@ class Slopes:
 
 
 @dataclass(frozen=True)
-class Paths:
+class TubePaths:
     """Tubes with what they meet: n tubes, b bounces at most."""
 
     place: NDArray[np.float64]
@@ -60,8 +60,8 @@ class Paths:
     counts: NDArray[np.bool_]
     """Which hits send something to the radar, (n, b)."""
 
-    def __getitem__(self, some: Any) -> Paths:
-        return Paths(*(getattr(self, name)[some] for name in self.__dataclass_fields__))
+    def __getitem__(self, some: Any) -> TubePaths:
+        return TubePaths(*(getattr(self, name)[some] for name in self.__dataclass_fields__))
 
 
 class Sight:
@@ -70,7 +70,7 @@ class Sight:
     def __init__(self, worker: Worker, directions: Directions, index: int, beyond: NDArray[np.int64]) -> None:
         self.worker, self.index, self.directions, self.beyond = worker, index, directions, beyond
         radars = radar_records(directions[index : index + 1], worker.body.origin, worker.distance)
-        self.radars = upload(radars, tubes.Radar, worker.body.device)
+        self.radars = upload(radars, tubes.TubeRadar, worker.body.device)
         self.exact = worker.lit_regions(self.radars)
 
     def counts(self, face: NDArray[np.int32], seen: NDArray[np.int32]) -> NDArray[np.bool_]:
@@ -142,7 +142,7 @@ class Held:
             self.program.launch(slopes.places_kernel, (len(face), count), inputs, [self.amplitude])
 
     def follow(
-        self, paths: Paths, slot: NDArray[np.int32] | None = None
+        self, paths: TubePaths, slot: NDArray[np.int32] | None = None
     ) -> list[tuple[int, wp.array, wp.array | None]]:
         """Tubes along their paths, whose counts descend, and what they send; `slot`: where each adds it, or 0.
 
@@ -187,14 +187,14 @@ class Held:
         whole: NDArray[np.complex128] = parts[..., 0] + 1j * parts[..., 1]
         return whole
 
-    def slopes(self, array: wp.array, seed: Any) -> Slopes:
+    def slopes(self, array: wp.array, seed: Any) -> TubeSlopes:
         """Gradients of sum(seed * array), once the program has run."""
         self.program.backward({array: seed})
         stuff = records(reflection.Face, len(self.worker.body.materials))
         found = host(self.stuff.grad)
         for name in ("permittivity", "thickness", "rms_height"):
             stuff[name] = found[name].sum(axis=0)
-        return Slopes(self.vertices.grad.numpy().copy(), stuff, host(self.surfaces.grad).copy())
+        return TubeSlopes(self.vertices.grad.numpy().copy(), stuff, host(self.surfaces.grad).copy())
 
 
 def seams_of(body: CoherentBody, longest_m: float) -> Any:

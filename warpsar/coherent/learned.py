@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from warpsar.coherent.held import Slopes
+from warpsar.coherent.held import TubeSlopes
 from warpsar.coherent.rough_models import kind_of
 from warpsar.errors import InputError
 from warpsar.parameters.at import at
@@ -30,11 +30,11 @@ _STEP_DEG = 1e-3
 
 
 @dataclass(frozen=True)
-class Learned:
+class RcsParameter:
     """A parameter: its shape, and its gradient from those to vertices and materials."""
 
     shape: tuple[int, ...]
-    gradient: Callable[[Slopes], NDArray[np.float64]]
+    gradient: Callable[[TubeSlopes], NDArray[np.float64]]
 
 
 def moves_vertices(names: Collection[str]) -> bool:
@@ -42,7 +42,7 @@ def moves_vertices(names: Collection[str]) -> bool:
     return any(name.partition(".")[0] in (WHOLE, "objects", "mesh") for name in names)
 
 
-def learned(scene: World, names: Sequence[str], tree: Parameters[Parameter]) -> dict[str, Learned]:
+def learned(scene: World, names: Sequence[str], tree: Parameters[Parameter]) -> dict[str, RcsParameter]:
     """The parameters of these names, from the scene's `tree`.
 
     Raises InputError, which says why, for one that has no derivative.
@@ -101,17 +101,17 @@ def _allowed(tree: Parameters[Parameter]) -> str:
     return ", ".join([*named, *(f"{WHOLE}.{key}" for key in POSE)])
 
 
-def _vertices(scene: World) -> Learned:
+def _vertices(scene: World) -> RcsParameter:
     rough = [n for n in scene.mesh.materials if scene.materials[n].rms_height_m != 0.0]
     if rough and "rough" in scene.radar.terms:
         raise InputError(
             f"parameters: mesh.vertices: materials.{rough[0]} is rough, and a face that changes its area has its "
             'scatterers drawn anew; leave "rough" out of radar.terms, or ask for a pose'
         )
-    return Learned(scene.mesh.vertices.shape, lambda slopes: slopes.vertices)
+    return RcsParameter(scene.mesh.vertices.shape, lambda slopes: slopes.vertices)
 
 
-def _material(scene: World, name: str, key: str) -> Learned:
+def _material(scene: World, name: str, key: str) -> RcsParameter:
     material, where = scene.materials[name], f"parameters: materials.{name}.{key}"
     value = getattr(material, key)
     if key == "eps_r" and material.conductor and material.thickness_m is None:
@@ -121,7 +121,7 @@ def _material(scene: World, name: str, key: str) -> Learned:
     index = scene.mesh.materials.index(name)
     pair = isinstance(value, tuple)
 
-    def gradient(slopes: Slopes) -> NDArray[np.float64]:
+    def gradient(slopes: TubeSlopes) -> NDArray[np.float64]:
         stuff, surface = slopes.stuff[index], slopes.surfaces[index]
         if key == "thickness_m":
             return np.array(stuff["thickness"])
@@ -133,10 +133,10 @@ def _material(scene: World, name: str, key: str) -> Learned:
         both = stuff["permittivity"] + (0.0 if material.conductor else surface["permittivity"])
         return np.array(both if pair else both[0])
 
-    return Learned((2,) if pair else (), gradient)
+    return RcsParameter((2,) if pair else (), gradient)
 
 
-def _moved(scene: World, name: str, vertices: Callable[[Any], NDArray[np.float64]], key: str) -> Learned:
+def _moved(scene: World, name: str, vertices: Callable[[Any], NDArray[np.float64]], key: str) -> RcsParameter:
     """A pose: the chain rule through the vertices, whose slopes are differences of a closed form in float64."""
     if key == "position_m":
         slopes = np.stack([vertices(0.5 * step) - vertices(-0.5 * step) for step in np.eye(3)])
@@ -146,8 +146,8 @@ def _moved(scene: World, name: str, vertices: Callable[[Any], NDArray[np.float64
     some = np.any(slopes != 0.0, axis=(0, 2))[mesh.faces].any(axis=1)
     _refuse_models(scene, name, [mesh.materials[m] for m in np.unique(mesh.face_material[some])])
     if key == "position_m":
-        return Learned((3,), lambda found: np.einsum("ijk,jk->i", slopes, found.vertices))
-    return Learned((), lambda found: np.asarray((slopes[0] * found.vertices).sum()))
+        return RcsParameter((3,), lambda found: np.einsum("ijk,jk->i", slopes, found.vertices))
+    return RcsParameter((), lambda found: np.asarray((slopes[0] * found.vertices).sum()))
 
 
 def _turned(scene: World, key: str, step: Any) -> NDArray[np.float64]:

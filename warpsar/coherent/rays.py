@@ -20,7 +20,7 @@ from warpsar.kernels.coherent import cells
 
 
 @dataclass(frozen=True)
-class Rays:
+class CellRays:
     """Cells of several directions, a multiple of `RAYS` for each; the last ones of a direction may be empty."""
 
     first: NDArray[np.int32]
@@ -33,14 +33,14 @@ class Rays:
     """Width along u and v [m], (n,) vec2d; zero for an empty cell."""
 
     @classmethod
-    def of(cls, place: NDArray[np.float64], size: NDArray[np.float64], device: wp.Device) -> Rays:
+    def of(cls, place: NDArray[np.float64], size: NDArray[np.float64], device: wp.Device) -> CellRays:
         """Cells of one direction, (n, 2) each."""
         first = np.array([0, len(place)], np.int32)
         view = wp.zeros(len(place), dtype=int, device=device)
         return cls(first, view, upload(place, wp.vec2d, device), upload(size, wp.vec2d, device))
 
     @classmethod
-    def empty(cls, counts: NDArray[np.int64], device: wp.Device) -> Rays:
+    def empty(cls, counts: NDArray[np.int64], device: wp.Device) -> CellRays:
         """Empty cells, at least so many for each direction."""
         first = _first(counts)
         n = int(first[-1])
@@ -49,7 +49,7 @@ class Rays:
         return cls(first, view, place, size)
 
     @classmethod
-    def joined(cls, parts: Sequence[Rays]) -> Rays:
+    def joined(cls, parts: Sequence[CellRays]) -> CellRays:
         """The cells of all parts; a direction's cells in two parts are the last of one and the first of the next."""
         if len(parts) == 1:
             return parts[0]
@@ -71,13 +71,13 @@ class Rays:
     def __len__(self) -> int:
         return int(self.first[-1])
 
-    def __getitem__(self, some: slice) -> Rays:
+    def __getitem__(self, some: slice) -> CellRays:
         start, stop, _ = some.indices(len(self))
         if (start, stop) == (0, len(self)):
             return self
-        return Rays(within(self.first, start, stop), self.view[some], self.place[some], self.size[some])
+        return CellRays(within(self.first, start, stop), self.view[some], self.place[some], self.size[some])
 
-    def parts(self, turn: wp.array, most: float, through: wp.array) -> Rays | None:
+    def parts(self, turn: wp.array, most: float, through: wp.array) -> CellRays | None:
         """Halves of cells, or quarters, of those whose tubes turn more than `most` [rad] along u or v.
 
         `through`: how many parts the cells have up to each, (n,). None where no cell has any.
@@ -86,7 +86,7 @@ class Rays:
         first = upload(self.first, int, device)
         counts = wp.empty(views, dtype=int, device=device)
         wp.launch(cells.share_kernel, views, inputs=[first, through], outputs=[counts], device=device)
-        found = Rays.empty(counts.numpy(), device)
+        found = CellRays.empty(counts.numpy(), device)
         if not len(found):
             return None
         starts = upload(found.first, int, device)
@@ -100,7 +100,7 @@ class Rays:
         return found
 
 
-class Grid:
+class CellGrid:
     """Cells of at most `spacing_m` that cover the mesh as each direction sees it, without a rest at its sides.
 
     They lie in the plane through the body's middle; with a distance as a radar there sees it. They are made when they
@@ -126,14 +126,14 @@ class Grid:
     def __len__(self) -> int:
         return int(self.first[-1])
 
-    def __getitem__(self, some: slice) -> Rays:
+    def __getitem__(self, some: slice) -> CellRays:
         start, stop, _ = some.indices(len(self))
         n, device = stop - start, self.device
         view = wp.empty(n, dtype=int, device=device)
         place, size = (wp.empty(n, dtype=wp.vec2d, device=device) for _ in range(2))
         outputs = [view, place, size]
         wp.launch(cells.grid_kernel, n, inputs=[*self.inputs, start], outputs=outputs, device=device)
-        return Rays(within(self.first, start, stop), view, place, size)
+        return CellRays(within(self.first, start, stop), view, place, size)
 
 
 def frame(

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from warpsar.coherent.body import CoherentBody
 from warpsar.coherent.directions import Directions
 from warpsar.coherent.joints import joints
-from warpsar.coherent.left_out import said_left_out
+from warpsar.coherent.left_out import left_out_warning
 from warpsar.coherent.rough_models import load
 from warpsar.coherent.sides import refuse_inside
 from warpsar.coherent.sweep import FACE_BYTES, POLARIZATIONS, RAYS_PER_WAVELENGTH, TERMS, sweep
@@ -113,12 +113,12 @@ def rcs(
     Raises InputError for angles and frequencies out of range, and DeviceError.
     """
     scene = scene_or_file(scene)
-    asked = Asked.of(scene, azimuths_deg, incidences_deg, frequencies_hz, device, rays_per_wavelength, layers)
+    asked = RcsRequest.of(scene, azimuths_deg, incidences_deg, frequencies_hz, device, rays_per_wavelength, layers)
     return swept(scene, asked, layers)
 
 
 @dataclass(frozen=True)
-class Asked:
+class RcsRequest:
     """What is asked of a scene, checked."""
 
     azimuths: NDArray[np.float64]
@@ -139,7 +139,7 @@ class Asked:
         rays_per_wavelength: float,
         layers: bool = False,
         max_memory_gib: float | None = None,
-    ) -> Asked:
+    ) -> RcsRequest:
         """Raises InputError and DeviceError. `max_memory_gib` bounds what the sweep holds."""
         azimuths, incidences = _numbers(azimuths_deg, "azimuths"), _numbers(incidences_deg, "incidences")
         frequencies = _numbers(scene.radar.frequency_hz if frequencies_hz is None else frequencies_hz, "frequencies")
@@ -170,7 +170,7 @@ class Asked:
         return Directions.of(pairs[:, 0], pairs[:, 1])
 
 
-def swept(scene: World, asked: Asked, layers: bool = False) -> Rcs:
+def swept(scene: World, asked: RcsRequest, layers: bool = False) -> Rcs:
     """The sweep of `rcs`, once all is checked."""
     azimuths, incidences, frequencies = asked.azimuths, asked.incidences, asked.frequencies
     bar = console.progress(len(asked.directions), "directions", "direction")
@@ -260,7 +260,7 @@ def _amplitudes_gib(directions: int, frequencies: int, layers: int) -> float:
     return directions * frequencies * held * _BYTES / 2**30
 
 
-def working_gib(scene: World, asked: Asked, layers: bool) -> float:
+def working_gib(scene: World, asked: RcsRequest, layers: bool) -> float:
     """What a sweep holds [GiB]: rough places, the launches of all threads, and the amplitudes."""
     device, bounces = asked.body.device, scene.radar.max_bounces if "multibounce" in scene.radar.terms else 1
     kind, several = ("cpu", threads.thread_count()) if device.is_cpu else ("cuda", 1)
@@ -335,7 +335,7 @@ def _warnings(scene: World, found: Rcs, strongest: NDArray[np.float64]) -> list[
 
 def cautions(scene: World) -> list[str]:
     """What a scene may mean otherwise than it says, known before any ray is sent."""
-    found = said_left_out(scene, "an RCS")
+    found = left_out_warning(scene, "an RCS")
     mesh = scene.mesh
     used = {name: scene.materials[name] for name in mesh.materials}
     for name, material in used.items():

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from warpsar.coherent.records import records
 from warpsar.coherent.rough_models import kind_of
-from warpsar.coherent.shape import Shape
+from warpsar.coherent.shape import MeshShape
 from warpsar.errors import InputError
 from warpsar.kernels.codes import Spectrum
 from warpsar.kernels.coherent import rough
@@ -24,7 +24,7 @@ _CONDUCTOR = (1e9, 0.0)
 
 
 def scatterers(
-    shape: Shape, face_material: NDArray[np.int32], materials: Sequence[Material], spacing_m: float, seed: int
+    shape: MeshShape, face_material: NDArray[np.int32], materials: Sequence[Material], spacing_m: float, seed: int
 ) -> tuple[Any, NDArray[np.int64]]:
     """Scatterers at about `spacing_m`, each at a random place of an equal part of its face; and the face of each, (n,).
 

@@ -13,10 +13,12 @@ from numpy.typing import NDArray
 
 from warpsar.coherent.records import upload
 from warpsar.errors import InputError
-from warpsar.kernels import crossed_table
-from warpsar.kernels.codes import Coordinate, Model, Spectrum
-from warpsar.kernels.coherent import rough_models
+from warpsar.kernels import crossed_table, parts
+from warpsar.kernels.codes import Coordinate, Spectrum
+from warpsar.kernels.incidence_table import DOUBLE
+from warpsar.models import registry
 from warpsar.surface import tables as sigma0_tables
+from warpsar.surface.surface import places_of
 from warpsar.surface.terms import Terms
 from warpsar.world.tables import Material
 from warpsar.world.world import World
@@ -30,20 +32,21 @@ def refuse_tables(world: World) -> None:
     terms = [term for term in world.radar.terms if term in REFLECTING]
     for name in world.mesh.materials:
         material = world.materials[name]
-        if terms and material.model == "facet" and None in (material.eps_r, material.rms_height_m):
+        needless = not registry.get(material.model).of_surface
+        if terms and needless and None in (material.eps_r, material.rms_height_m):
             raise InputError(
-                f'{world.name}: materials.{name}: found model = "facet" without eps_r and rms_height_m, which the '
-                f"terms {', '.join(terms)} need; state both, or leave these terms out of radar.terms"
+                f'{world.name}: materials.{name}: found model = "{material.model}" without eps_r and rms_height_m, '
+                f"which the terms {', '.join(terms)} need; state both, or leave these terms out of radar.terms"
             )
 
 
 def kind_of(material: Material) -> int:
     """0 for `ka_spm`; materials of another model, or with a learned term, have another number."""
-    return 2 * Model[material.model.upper()] + (material.learned_term is not None)
+    return 2 * registry.names().index(material.model) + (material.learned_term is not None)
 
 
 @dataclass(frozen=True)
-class Group:
+class ScattererGroup:
     """Scatterers of one kind, which lie together."""
 
     kind: int
@@ -51,17 +54,17 @@ class Group:
     crossed: wp.array | None
     """(n,), vec2d: complex Gaussian numbers of double scattering; None for `ka_spm`, which has none."""
 
-    def launched(self, default: wp.Kernel, make: Callable[[Model, bool], wp.Kernel], tables: Any) -> Any:
+    def launched(self, default: wp.Kernel, make: Callable[[str, bool], wp.Kernel], tables: Any) -> Any:
         """The kernel, and its inputs beyond those of the `default` one, which is that of `ka_spm`."""
         if self.crossed is None:
             return default, []
         return self.kernel(make), [tables, self.crossed]
 
-    def kernel(self, make: Callable[[Model, bool], wp.Kernel]) -> wp.Kernel:
+    def kernel(self, make: Callable[[str, bool], wp.Kernel]) -> wp.Kernel:
         """That of its model, with or without a learned term."""
-        return make(Model(self.kind // 2), bool(self.kind % 2))
+        return make(registry.names()[self.kind // 2], bool(self.kind % 2))
 
-    def cut(self, step: int, some: slice) -> Iterator[Group]:
+    def cut(self, step: int, some: slice) -> Iterator[ScattererGroup]:
         """Of the scatterers `some`, those of this kind, in pieces of `step` at most."""
         start = self.part.start
         end = min(self.part.stop, some.stop)
@@ -73,7 +76,7 @@ class Group:
 
 def groups_of(
     material: NDArray[np.int32], materials: Sequence[Material], seed: int, device: wp.Device
-) -> tuple[Group, ...]:
+) -> tuple[ScattererGroup, ...]:
     """The kinds of scatterers with these materials, (n,), which lie together by their kinds.
 
     Numbers of double scattering are a stream of their own. So those of `ka_spm` do not depend on them.
@@ -86,11 +89,11 @@ def groups_of(
         crossed = None
         if kind[start]:
             crossed = upload(random.standard_normal((stop - start, 2)) * np.sqrt(0.5), wp.vec2d, device)
-        found.append(Group(int(kind[start]), slice(start, stop), crossed))
+        found.append(ScattererGroup(int(kind[start]), slice(start, stop), crossed))
     return tuple(found)
 
 
-def load(groups: Sequence[Group], make: Callable[[Model, bool], wp.Kernel], device: wp.Device) -> None:
+def load(groups: Sequence[ScattererGroup], make: Callable[[str, bool], wp.Kernel], device: wp.Device) -> None:
     """Compile the groups' kernels, or load them from Warp's cache, before threads launch them."""
     for group in groups:
         if group.crossed is not None:
@@ -99,9 +102,13 @@ def load(groups: Sequence[Group], make: Callable[[Model, bool], wp.Kernel], devi
 
 def tables_of(materials: Sequence[Material], k: NDArray[np.float64], device: wp.Device) -> Any:
     """What the models look up at each wavenumber [1/m]. Raises InputError for files that are no tables or terms."""
-    found: Any = rough_models.Tables()
+    found: Any = parts.Lookup()
     found.twice = _double_scattering(materials, k, device)
-    found.level = upload(np.array([each.level for each in materials], np.float32), float, device)
+    zeta = np.zeros((len(materials), max(len(places_of(each.model)) for each in materials)))
+    for m, each in enumerate(materials):
+        own = _coordinates(each)
+        zeta[m, : len(own)] = own
+    found.zeta = upload(zeta, wp.float64, device)
     tables = sigma0_tables.Tables.of([each.sigma0 for each in materials], device)
     if tables is not None:
         found.rows, found.incidence_deg, found.sigma0_db = tables.rows, tables.incidence_deg, tables.sigma0_db
@@ -110,6 +117,16 @@ def tables_of(materials: Sequence[Material], k: NDArray[np.float64], device: wp.
         found.units, found.inverse_width = terms.first, terms.inverse_width
         found.places, found.weights = terms.places, terms.weights
     return found
+
+
+def _coordinates(material: Material) -> list[float]:
+    """The learned coordinates of a uniform material, by their places; 0 of what it does not state."""
+    stated: list[Any] = [getattr(material, kind.key) for kind in places_of(material.model)]
+    numbers = [each[0] if isinstance(each, tuple) else each for each in stated]
+    return [
+        0.0 if number is None else float(kind.to_coordinate(number))
+        for kind, number in zip(places_of(material.model), numbers, strict=True)
+    ]
 
 
 def _double_scattering(materials: Sequence[Material], k: NDArray[np.float64], device: wp.Device) -> wp.array:
@@ -127,8 +144,8 @@ def _double_scattering(materials: Sequence[Material], k: NDArray[np.float64], de
         eps_im[m], spectrum[m] = -eps[1], Spectrum[each.spectrum.upper()]
     shared = upload(np.array([own, own], np.int32).T.copy(), wp.vec2i, device), upload(spectrum, int, device)
     losses, surface = upload(eps_im, float, device), upload(zeta, wp.vec4, device)
-    wave = wp.empty((len(own), crossed_table.DOUBLE, crossed_table.WAVES), dtype=wp.vec4d, device=device)
-    out = wp.zeros((len(k) * len(materials), crossed_table.DOUBLE), dtype=wp.vec4, device=device)
+    wave = wp.empty((len(own), DOUBLE, crossed_table.WAVES), dtype=wp.vec4d, device=device)
+    out = wp.zeros((len(k) * len(materials), DOUBLE), dtype=wp.vec4, device=device)
     for i, wavenumber in enumerate(k.tolist()):
         inputs = [wavenumber, *shared, losses, surface]
         wp.launch(crossed_table.wave_kernel, wave.shape, inputs=inputs, outputs=[wave], device=device)

@@ -60,7 +60,7 @@ class Regions:
 
 
 @dataclass(frozen=True)
-class Shape:
+class MeshShape:
     """What the engine knows of a mesh."""
 
     vertices: NDArray[np.float64]
@@ -84,7 +84,7 @@ class Shape:
     """Largest extent [m]."""
 
 
-def shape_of(vertices: NDArray[np.float64], faces: NDArray[np.int32], face_material: NDArray[np.int32]) -> Shape:
+def shape_of(vertices: NDArray[np.float64], faces: NDArray[np.int32], face_material: NDArray[np.int32]) -> MeshShape:
     """Work out the shape of a mesh: (n, 3) [m], (m, 3), (m,)."""
     size = float(np.ptp(vertices, axis=0).max())
     a, b, c = (vertices[faces[:, i]] for i in range(3))
@@ -108,7 +108,7 @@ def shape_of(vertices: NDArray[np.float64], faces: NDArray[np.int32], face_mater
     edges = np.flatnonzero(~smooth)
     wedges = _wedges(found, edges, into_first, into_second, between, face_material)
     normals, fan = _smooth_normals(vertices, faces, surface, normal, curved)
-    return Shape(
+    return MeshShape(
         vertices,
         faces,
         normals,
@@ -124,14 +124,14 @@ def shape_of(vertices: NDArray[np.float64], faces: NDArray[np.int32], face_mater
     )
 
 
-def faces_alone(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> Shape:
+def faces_alone(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> MeshShape:
     """A mesh whose faces belong to no surface: enough for rough faces, and quick for a million of them.
 
     Without normals, flat regions and wedges: rays see it, and tubes do not.
     """
     places, numbers, pairs = np.empty((0, 3)), np.empty(0), np.empty((0, 2), np.int64)
     none = np.empty(0, np.int64)
-    return Shape(
+    return MeshShape(
         vertices,
         faces,
         np.empty((0, 3, 3)),
@@ -354,7 +354,7 @@ def _samples(
     return sample[by], name[by]
 
 
-def beyond(shape: Shape) -> NDArray[np.int64]:
+def beyond(shape: MeshShape) -> NDArray[np.int64]:
     """The face across the edge opposite to each corner, (m, 3), where both are one surface; -1 elsewhere."""
     found = np.full(shape.faces.shape, -1, np.int64)
     for one, other in ((0, 1), (1, 0)):

@@ -98,7 +98,7 @@ def _seen_on_both(
     normals = upload(area / np.linalg.norm(area, axis=1)[:, None], wp.vec3d, body.device)
     for i in range(0, len(some), step):
         part = slice(i, i + step)
-        radars = upload(radar_records(told[part], body.origin, distance_m), tubes.Radar, body.device)
+        radars = upload(radar_records(told[part], body.origin, distance_m), tubes.TubeRadar, body.device)
         seen = wp.empty((radars.shape[0], len(middle)), dtype=wp.uint8, device=body.device)
         inputs = [body.rays, radars, points, normals, 1]
         wp.launch(tubes.free_kernel, seen.shape, inputs=inputs, outputs=[seen], device=body.device)

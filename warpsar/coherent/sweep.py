@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from warpsar.coherent import rough_models
 from warpsar.coherent.body import CoherentBody
 from warpsar.coherent.directions import Directions, radar_records
-from warpsar.coherent.rays import Grid
+from warpsar.coherent.rays import CellGrid
 from warpsar.coherent.records import upload
 from warpsar.coherent.traced import LEVELS, MOST_BOUNCES, Sums, Tracer
 from warpsar.kernels.coherent import cells, edges, radiate, rough, tubes
@@ -32,7 +32,7 @@ FACE_BYTES = {"cpu": 2**26, "cuda": 2**29}
 
 
 @dataclass(frozen=True)
-class Sweep:
+class AmplitudeSweep:
     """Amplitudes over directions and frequencies."""
 
     amplitude: NDArray[np.complex128]
@@ -66,7 +66,7 @@ def sweep(
     layers: bool = False,
     compare: bool = False,
     progress: Any = None,
-) -> Sweep:
+) -> AmplitudeSweep:
     """What the body sends back to each direction (n) at each frequency [Hz], ascending, in all polarizations.
 
     `distance_m`: from the radar to the reference point; a plane wave without. The geometry of a ray serves all
@@ -85,7 +85,7 @@ def sweep(
         if progress is not None:
             progress.update(len(part.refined))
     turn = shift(body, directions, k, distance_m)[:, :, None, None]
-    return Sweep(
+    return AmplitudeSweep(
         np.concatenate([part.amplitude for part in found]) * turn,
         np.concatenate([part.bounces for part in found]) * turn if layers else None,
         np.concatenate([part.fresnel_number for part in found]),
@@ -170,9 +170,9 @@ class Worker:
         points = max(self.samples.shape[0], self.edges.shape[0], places.shape[0] if places is not None else 0)
         return points + points * len(self.k) * 4 * 16 // min(radiate.REGIONS, edges.EDGES, rough.SCATTERERS) + 1
 
-    def __call__(self, directions: Directions) -> Sweep:
+    def __call__(self, directions: Directions) -> AmplitudeSweep:
         body = self.body
-        radars = upload(radar_records(directions, body.origin, self.distance), tubes.Radar, body.device)
+        radars = upload(radar_records(directions, body.origin, self.distance), tubes.TubeRadar, body.device)
         exact = self.lit_regions(radars)
         faces = self.faces(radars, exact)
         grid, found = self.tubes(directions, radars, exact, self.spacing)
@@ -186,7 +186,7 @@ class Worker:
         with np.errstate(invalid="ignore", divide="ignore"):
             number = found.area**2 / found.way  # area over the mean way
         whole = np.where(grid.area > 0.0, grid.area, 1.0)  # a plate from its side has no tubes
-        return Sweep(
+        return AmplitudeSweep(
             amplitude,
             found.amplitude[:, :, 1:] if self.layers else None,
             number[:, None] * self.k / (2.0 * np.pi),
@@ -253,9 +253,9 @@ class Worker:
         shape = (*total.shape[:2], 4)
         wp.launch(cells.chunks_kernel, shape, inputs=[part, term], outputs=[total], device=device)
 
-    def tubes(self, directions: Directions, radars: wp.array, exact: wp.array, spacing: float) -> tuple[Grid, Sums]:
+    def tubes(self, directions: Directions, radars: wp.array, exact: wp.array, spacing: float) -> tuple[CellGrid, Sums]:
         """The grid of some directions, and what its tubes add up to. The many tubes of one direction go in parts."""
-        grid = Grid(self.body, directions, spacing, self.distance)
+        grid = CellGrid(self.body, directions, spacing, self.distance)
         task = self.task - self.task % cells.RAYS
         tasks = [
             partial(self.tracer.sums, radars, exact, grid, start, min(start + task, len(grid)))

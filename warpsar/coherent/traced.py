@@ -14,7 +14,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from warpsar.coherent.body import CoherentBody
-from warpsar.coherent.rays import Grid, Rays, within
+from warpsar.coherent.rays import CellGrid, CellRays, within
 from warpsar.coherent.records import host, upload
 from warpsar.kernels.coherent import cells, radiate, tubes
 from warpsar.runtime.memory import default_gib
@@ -51,18 +51,18 @@ class Tracer:
         bytes_of_view = cells.LANES * self.count * layers * 4 * 16 + body.regions.shape[0]
         self.most_views = max(_PART_BYTES[kind] // bytes_of_view, 1)
 
-    def narrowed(self, radars: wp.array, grid: Grid, start: int, stop: int) -> Iterator[Judged]:
+    def narrowed(self, radars: wp.array, grid: CellGrid, start: int, stop: int) -> Iterator[Judged]:
         """The cells of a grid from `start` to `stop`, and the parts of those that are cut, level by level.
 
         The parts of many cells wait for one another: a launch of few tubes takes as long as their deepest one.
         """
-        waiting: list[list[Rays]] = [[] for _ in range(self.levels + 2)]
+        waiting: list[list[CellRays]] = [[] for _ in range(self.levels + 2)]
         for first in range(start, stop, self.together):
             yield from self._follow(radars, grid[first : min(first + self.together, stop)], 0, waiting)
         for level in range(1, self.levels + 1):
             yield from self._ripe(radars, level, 1, waiting)
 
-    def _follow(self, radars: wp.array, rays: Rays, level: int, waiting: list[list[Rays]]) -> Iterator[Judged]:
+    def _follow(self, radars: wp.array, rays: CellRays, level: int, waiting: list[list[CellRays]]) -> Iterator[Judged]:
         traced = Judged(self, radars, rays, level)
         yield traced
         parts = traced.parts() if level < self.levels else None
@@ -71,17 +71,17 @@ class Tracer:
             waiting[level + 1].append(parts)
             yield from self._ripe(radars, level + 1, self.together, waiting)
 
-    def _ripe(self, radars: wp.array, level: int, least: int, waiting: list[list[Rays]]) -> Iterator[Judged]:
+    def _ripe(self, radars: wp.array, level: int, least: int, waiting: list[list[CellRays]]) -> Iterator[Judged]:
         """Follow what waits at a level, in launches of at least so many cells."""
         there = sum(map(len, waiting[level]))
         if there < least:
             return
-        rays, stop = Rays.joined(waiting[level]), there - there % least
+        rays, stop = CellRays.joined(waiting[level]), there - there % least
         waiting[level] = [rays[stop:]] if stop < there else []
         for first in range(0, stop, self.together):
             yield from self._follow(radars, rays[first : min(first + self.together, stop)], level, waiting)
 
-    def sums(self, radars: wp.array, exact: wp.array, grid: Grid, start: int, stop: int) -> Sums:
+    def sums(self, radars: wp.array, exact: wp.array, grid: CellGrid, start: int, stop: int) -> Sums:
         """What the cells of a grid from `start` to `stop` add up to."""
         views, device = radars.shape[0], self.body.device
         radiated = wp.zeros((views, cells.LANES, self.count * self.layers, 4), dtype=wp.vec2d, device=device)
@@ -136,7 +136,7 @@ class Sums:
 class Traced:
     """Rays with what they hit."""
 
-    def __init__(self, tracer: Tracer, radars: wp.array, rays: Rays) -> None:
+    def __init__(self, tracer: Tracer, radars: wp.array, rays: CellRays) -> None:
         self.tracer, self.radars, self.rays = tracer, radars, rays
         body, device, n = tracer.body, tracer.body.device, len(rays)
         self.hits = wp.empty((tracer.bounces, n), dtype=tubes.Hit, device=device)
@@ -159,7 +159,7 @@ class Traced:
 class Judged(Traced):
     """Rays of one level, and which of their tubes stay: the others are cut."""
 
-    def __init__(self, tracer: Tracer, radars: wp.array, rays: Rays, level: int) -> None:
+    def __init__(self, tracer: Tracer, radars: wp.array, rays: CellRays, level: int) -> None:
         super().__init__(tracer, radars, rays)
         device, chunks = tracer.body.device, len(rays) // cells.RAYS
         self.kept, self.cuts = (wp.empty(len(rays), dtype=int, device=device) for _ in range(2))
@@ -168,7 +168,7 @@ class Judged(Traced):
         outputs = [self.kept, self.cuts, self.told]
         wp.launch(cells.judge_kernel, chunks, inputs=inputs, outputs=outputs, device=device)
 
-    def parts(self) -> Rays | None:
+    def parts(self) -> CellRays | None:
         """The parts of the tubes that are cut; None where none is."""
         through = wp.empty_like(self.cuts)
         wp.utils.array_scan(self.cuts, through, inclusive=True)

@@ -11,7 +11,7 @@ from warpsar.coherent.body import CoherentBody
 from warpsar.coherent.records import upload
 from warpsar.collection.plan import Plan
 from warpsar.collection.scatterers import TOGETHER, body_of, spacing_m
-from warpsar.world.world import World
+from warpsar.scene.scene import Scene
 
 ALIKE = 0.9
 """Views share a body whose scatterers are this close to the spacing that they need, or closer."""
@@ -25,7 +25,7 @@ class Bodies:
     """
 
     def __init__(
-        self, world: World, plans: Sequence[Plan], device: wp.Device, seed: int, together: int = TOGETHER
+        self, world: Scene, plans: Sequence[Plan], device: wp.Device, seed: int, together: int = TOGETHER
     ) -> None:
         """`together`: scatterers that are held at a time while they are seen."""
         self.world, self.device, self.seed, self.together = world, device, seed, together

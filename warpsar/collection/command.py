@@ -18,10 +18,12 @@ from warpsar.collection.forecast import forecast, together
 from warpsar.collection.history import Collected
 from warpsar.collection.history import phase_history as recorded
 from warpsar.collection.noise import with_image_noise, with_noise
-from warpsar.collection.places import Tally
+from warpsar.collection.places import TubeTally
 from warpsar.collection.plan import Plan, plans_of
+from warpsar.collection.samples import with_samples_changed
 from warpsar.collection.scatterers import Stream, band_error_db, rough_alone
 from warpsar.collection.slc import Slc, focused
+from warpsar.effects.base.product import Product
 from warpsar.formats import cphd, sicd
 from warpsar.io import complex_image
 from warpsar.io.images import replacing
@@ -30,7 +32,6 @@ from warpsar.runtime import console, devices
 from warpsar.runtime.busy import busy
 from warpsar.scene.scene import Scene, scene_or_file
 from warpsar.simulation.outputs import make_folder, refuse_unlikely_size, write_json
-from warpsar.world.world import World
 
 WIDE_BAND, SAID_DB = 0.06, 0.5
 """Share of the middle frequency from which a band's amplitudes are looked at, and the error at its ends that is said:
@@ -40,7 +41,7 @@ ALIASED = 0.01
 
 
 def phase_history(
-    scene: World | PathLike[str] | str, *, device: str | None = None, seed: int | None = None
+    scene: Scene | PathLike[str] | str, *, device: str | None = None, seed: int | None = None
 ) -> list[Collected]:
     """The phase history of every view of a scene, or of a scene file, with `[collection]`.
 
@@ -48,7 +49,7 @@ def phase_history(
     surface. `Collected.samples` is complex64, (polarizations, frequencies, pulses). Raises InputError and DeviceError.
     """
     scene, where = scene_or_file(scene), devices.resolve_device(device)
-    plans = plans_of(scene, where)
+    plans = plans_of(scene, where, "phase-history")
     bodies = Bodies(scene, plans, where, scene.seed(seed))
     return [collected(bodies, plan, index) for index, plan in enumerate(plans)]
 
@@ -61,7 +62,7 @@ def collected(bodies: Bodies, plan: Plan, index: int) -> Collected:
     return with_noise(made, bodies.seed + 7919 * index)
 
 
-def slc(scene: World | PathLike[str] | str, *, device: str | None = None, seed: int | None = None) -> list[Slc]:
+def slc(scene: Scene | PathLike[str] | str, *, device: str | None = None, seed: int | None = None) -> list[Slc]:
     """The complex image of every view of a scene, or of a scene file, with `[collection]`.
 
     It is backprojected, or direct, as the table says.
@@ -70,13 +71,18 @@ def slc(scene: World | PathLike[str] | str, *, device: str | None = None, seed: 
     `phase_history`. Raises InputError and DeviceError.
     """
     scene, where = scene_or_file(scene), devices.resolve_device(device)
-    plans = plans_of(scene, where)
+    plans = plans_of(scene, where, "slc")
     bodies = Bodies(scene, plans, where, scene.seed(seed))
     return [image_of(bodies, plan, index) for index, plan in enumerate(plans)]
 
 
 def image_of(bodies: Bodies, plan: Plan, index: int) -> Slc:
     """The complex image of one view; `index` as in `collected`."""
+    made = _focused(bodies, plan, index)
+    return with_samples_changed(made, bodies.world, index, bodies.seed, bodies.device)
+
+
+def _focused(bodies: Bodies, plan: Plan, index: int) -> Slc:
     world, device = bodies.world, bodies.device
     if plan.table.focus == "backprojection":
         made = collected(bodies, plan, index)
@@ -84,7 +90,7 @@ def image_of(bodies: Bodies, plan: Plan, index: int) -> Slc:
             return focused(made, world.grid, device)
     refuse_direct(plan, world.name)
     load_kernels(device)
-    if rough_alone(world):
+    if rough_alone(world) and not plan.moves_scatterers:
         with busy(f"{plan.view.name}: scatterers into the image"):
             image = direct_of_rough(bodies, plan)
     else:
@@ -99,7 +105,7 @@ def _stream(bodies: Bodies, plan: Plan, *, once: bool = False) -> Iterator[Strea
     name = plan.view.name
     with busy(f"{name}: rough faces"):
         body = bodies.of(plan)
-    found = Stream(bodies.world, plan, body, once=once, together=bodies.together)
+    found = Stream(bodies.world, plan, body, once=once, together=bodies.together, seed=bodies.seed)
     with console.share(f"{name}: scatterers", found.looks) as bar:
         found.progress = bar
         yield found
@@ -118,7 +124,7 @@ def _stream(bodies: Bodies, plan: Plan, *, once: bool = False) -> Iterator[Strea
     console.warn(f"{name}: {told}" for told in wide_tubes(found.tally))
 
 
-def wide_tubes(tally: Tally) -> list[str]:
+def wide_tubes(tally: TubeTally) -> list[str]:
     """What tubes that are too wide mean for a product; empty where they hold little of the tubes' power."""
     if tally.power_share <= ALIASED:
         return []
@@ -140,7 +146,7 @@ def load_kernels(device: wp.Device) -> None:
 def run(
     scene_path: Path | str,
     out: Path | str,
-    product: str,
+    product: Product,
     *,
     device: str | None = None,
     seed: int | None = None,
@@ -157,7 +163,7 @@ def run(
         scene = Scene.load(scene_path)
     refuse_unlikely_size(scene, yes)
     where, out = devices.resolve_device(device), Path(out)
-    plans = plans_of(scene, where)
+    plans = plans_of(scene, where, product)
     most = together(scene, plans, product, where, max_memory_gib)
     make_folder(out)
     console.say_device(where)

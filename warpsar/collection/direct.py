@@ -80,7 +80,7 @@ class _Axis:
 
 
 @dataclass(frozen=True)
-class Seen:
+class DeviceScatterers:
     """Scatterers on a device, as the middle of the track sees them."""
 
     point: wp.array
@@ -100,11 +100,11 @@ def direct(
     """Each scatterer at its slant range and azimuth, times the response of band and aperture."""
     columns = tuple(range(len(polarizations)))
 
-    def seen() -> Iterator[Seen]:
+    def seen() -> Iterator[DeviceScatterers]:
         for part in scatterers.parts:
             values = np.ascontiguousarray(part.amplitude.T).view(np.float32).reshape(-1, len(columns), 2)
             place, amplitude = upload(part.point, wp.vec3d, device), upload(values, wp.vec2, device)
-            yield Seen(place, amplitude, columns, 1.0, len(part))
+            yield DeviceScatterers(place, amplitude, columns, 1.0, len(part))
 
     return image_of_seen(plan, seen(), polarizations, grid, device)
 
@@ -118,12 +118,12 @@ def direct_of_rough(bodies: Bodies, plan: Plan) -> Slc:
     sensor = plan.track.towards()[plan.middle] * plan.track.reference_m()[plan.middle]
     amplitude, count = places.rough_amplitudes(worker, places.sight(body, sensor)[1])
     columns = tuple(POLARIZATIONS.index(name[::-1]) for name in polarizations)
-    seen = Seen(bodies.rough_places(plan), amplitude, columns, FAR_FIELD, count)
+    seen = DeviceScatterers(bodies.rough_places(plan), amplitude, columns, FAR_FIELD, count)
     return image_of_seen(plan, [seen], polarizations, world.grid, device)
 
 
 def image_of_seen(
-    plan: Plan, seen: Iterable[Seen], polarizations: tuple[str, ...], grid: Grid, device: wp.Device
+    plan: Plan, seen: Iterable[DeviceScatterers], polarizations: tuple[str, ...], grid: Grid, device: wp.Device
 ) -> Slc:
     """The image of scatterers that are on the device."""
     range_m, azimuth_m = pixel_centres(grid.shape, grid.spacing_m, (1, 1))

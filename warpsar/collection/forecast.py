@@ -16,7 +16,7 @@ from warpsar.collection import direct, history, slc
 from warpsar.collection.bodies import Bodies
 from warpsar.collection.places import COARSE, GROUP, Places
 from warpsar.collection.plan import Plan
-from warpsar.collection.scatterers import TOGETHER, Part, Scatterers, Stream, fading, spacing_m
+from warpsar.collection.scatterers import TOGETHER, ScattererPart, Scatterers, Stream, fading, spacing_m
 from warpsar.errors import InputError
 from warpsar.io.quick_look import draw_blank
 from warpsar.runtime import threads
@@ -43,7 +43,7 @@ _SAMPLE_BYTES, _PIXEL_BYTES = 24, 96
 
 
 @dataclass(frozen=True)
-class Forecast:
+class CollectionForecast:
     """Of all views together, but `gib`: of the largest."""
 
     views: int
@@ -98,7 +98,7 @@ def together(world: World, plans: Sequence[Plan], product: str, device: wp.Devic
     return int(min(TOGETHER, (there - held) * 2**30 / _HELD_BYTES))
 
 
-def forecast(bodies: Bodies, plans: Sequence[Plan], product: str) -> Forecast | None:
+def forecast(bodies: Bodies, plans: Sequence[Plan], product: str) -> CollectionForecast | None:
     """What the product of all plans will take; None where that is not long.
 
     The first plan's scatterers are sampled: pieces of its rough places, bands of its coarse cells, and tubes of some of
@@ -120,8 +120,9 @@ def forecast(bodies: Bodies, plans: Sequence[Plan], product: str) -> Forecast | 
         mine = stream if plan is first else Stream(world, plan, body, once=once, together=FEWEST)
         for knots, kind in ((mine.rough_knots, rough), (mine.tube_knots, tubes)):
             seen = 1 if once else (fading(plan, knots) > 0.0).sum(axis=1)
-            scatterers += kind.scatterers * len(knots)
-            seconds += kind.seconds * len(knots) + deposit.each * kind.scatterers * float(np.sum(seen))
+            several = kind.scatterers * (1 + len(plan.copies))
+            scatterers += several * len(knots)
+            seconds += kind.seconds * len(knots) + deposit.each * several * float(np.sum(seen))
         pulses = 1 if once else len(plan.track)
         batches = math.ceil(max(scatterers, 1.0) / len(plans) / bodies.together)
         seconds += deposit.whole * (pulses * batches if not once else 1)
@@ -129,7 +130,7 @@ def forecast(bodies: Bodies, plans: Sequence[Plan], product: str) -> Forecast | 
         seconds += len(plans) * (_picture(world) + (0.0 if once else _focusing(bodies, first)))
     held = max(held_gib(world, plan, product) for plan in plans)
     gib = held + min(bodies.together, scatterers / len(plans)) * _HELD_BYTES / 2**30
-    return Forecast(len(plans), scatterers, seconds, gib) if seconds > LONG_S else None
+    return CollectionForecast(len(plans), scatterers, seconds, gib) if seconds > LONG_S else None
 
 
 @dataclass(frozen=True)
@@ -138,7 +139,7 @@ class _Look:
 
     seconds: float
     scatterers: float
-    parts: tuple[Part, ...]
+    parts: tuple[ScattererPart, ...]
 
 
 def _rough(stream: Stream) -> _Look:
@@ -192,15 +193,15 @@ def _tubes(stream: Stream) -> _Look:
     return _Look(coarse + fine * whole, several, _alike(stream, found))
 
 
-def _alike(stream: Stream, found: Sequence[Places]) -> tuple[Part, ...]:
+def _alike(stream: Stream, found: Sequence[Places]) -> tuple[ScattererPart, ...]:
     """Some of what was found, as parts that every pulse has: `FEWEST` scatterers at most."""
     weight = np.ones(len(stream.plan.track), np.float32)
     parts, left = [], FEWEST
     for some in found:
-        part = stream.part(some, weight)
+        part = stream.part(some, weight, stream.plan.middle)
         few = slice(0, left)
         moving = None if part.velocity is None else part.velocity[few]
-        parts.append(Part(part.point[few], np.ascontiguousarray(part.amplitude[:, few]), weight, moving))
+        parts.append(ScattererPart(part.point[few], np.ascontiguousarray(part.amplitude[:, few]), weight, moving))
         left -= len(parts[-1])
         if left <= 0:
             break
@@ -215,19 +216,19 @@ class _Deposit:
     whole: float
 
     @classmethod
-    def of(cls, bodies: Bodies, plan: Plan, parts: Sequence[Part], once: bool) -> _Deposit:
+    def of(cls, bodies: Bodies, plan: Plan, parts: Sequence[ScattererPart], once: bool) -> _Deposit:
         world, device = bodies.world, bodies.device
         names = tuple(world.radar.polarizations)
         weight = np.ones(len(plan.track), np.float32)
-        one = Part(np.zeros((1, 3)), np.ones((len(names), 1), np.complex64), weight)
+        one = ScattererPart(np.zeros((1, 3)), np.ones((len(names), 1), np.complex64), weight)
         scatterers = sum(map(len, parts))
-        run: Callable[[Sequence[Part]], object]
+        run: Callable[[Sequence[ScattererPart]], object]
         if once:
             small = max(1, world.grid.shape[0] // 4), max(1, world.grid.shape[1] // 4)
             grid = world.grid.model_copy(update={"shape": small})
             scale, pulses = math.prod(world.grid.shape) / math.prod(small), 1
 
-            def run(some: Sequence[Part]) -> object:
+            def run(some: Sequence[ScattererPart]) -> object:
                 return direct.direct(plan, Scatterers(tuple(some), 0.0), names, grid, device)
         else:
             shared = history.TrackOnDevice.of(plan, device)
@@ -237,7 +238,7 @@ class _Deposit:
             spectrum = np.zeros((len(names), len(plan.track), plan.frequencies), np.complex64)
             start = (len(plan.track) - pulses) // 2
 
-            def run(some: Sequence[Part]) -> object:
+            def run(some: Sequence[ScattererPart]) -> object:
                 history.add_spectra(plan, shared, some, spectrum, slice(start, start + pulses))
                 return spectrum
 

@@ -18,7 +18,7 @@ from scipy import fft
 
 from warpsar.coherent.records import upload
 from warpsar.collection.plan import MOST, Plan, boresight
-from warpsar.collection.scatterers import TOGETHER, Part, Scatterers, Stream
+from warpsar.collection.scatterers import TOGETHER, ScattererPart, Scatterers, Stream
 from warpsar.errors import InputError
 from warpsar.formats.base.acquisition import RecordedSignal
 from warpsar.formats.base.data import PhaseHistory
@@ -127,7 +127,7 @@ def phase_history(
 def add_spectra(
     plan: Plan,
     shared: TrackOnDevice,
-    parts: Sequence[Part],
+    parts: Sequence[ScattererPart],
     spectrum: NDArray[np.complex64],
     pulses: slice | None = None,
 ) -> None:
@@ -143,9 +143,9 @@ def add_spectra(
         spectrum[:, some] += values
 
 
-def _batches(parts: Iterable[Part], together: int) -> Iterator[list[Part]]:
+def _batches(parts: Iterable[ScattererPart], together: int) -> Iterator[list[ScattererPart]]:
     """Parts that are deposited together: each batch takes the transforms of all pulses."""
-    waiting: list[Part] = []
+    waiting: list[ScattererPart] = []
     for part in parts:
         waiting.append(part)
         if sum(map(len, waiting)) >= together:
@@ -196,7 +196,7 @@ class PartOnDevice:
     amplitude: wp.array
 
     @classmethod
-    def of(cls, part: Part, device: wp.Device) -> PartOnDevice:
+    def of(cls, part: ScattererPart, device: wp.Device) -> PartOnDevice:
         values = part.amplitude.view(np.float32).reshape(*part.amplitude.shape, 2)
         moving = np.empty((0, 3)) if part.velocity is None else part.velocity
         return cls(

@@ -14,7 +14,7 @@ from warpsar.coherent import rays as cells
 from warpsar.coherent.body import CoherentBody
 from warpsar.coherent.directions import Directions
 from warpsar.coherent.records import host, records, upload
-from warpsar.coherent.rough_models import Group, load
+from warpsar.coherent.rough_models import ScattererGroup, load
 from warpsar.coherent.sweep import Worker
 from warpsar.coherent.traced import TURN, Traced
 from warpsar.kernels import collection as kernels
@@ -50,10 +50,10 @@ def sight(body: CoherentBody, place_m: F64) -> tuple[Directions, wp.array]:
     level = float(np.hypot(s[0], s[1]))
     u = np.array([s[1], -s[0], 0.0]) / level if level > 1e-12 else np.array([1.0, 0.0, 0.0])
     one = Directions(s[None], u[None], np.cross(-u, s)[None])
-    made = records(tubes.Radar, 1)
+    made = records(tubes.TubeRadar, 1)
     made["s"], made["u"], made["v"] = s, u, one.v[0]
     made["near"], made["distance"], made["place"] = 1, distance, place_m - body.origin
-    return one, upload(made, tubes.Radar, body.device)
+    return one, upload(made, tubes.TubeRadar, body.device)
 
 
 def worker_of(body: CoherentBody, k: float, terms: tuple[str, ...], max_bounces: int, rays: float) -> Worker:
@@ -72,7 +72,7 @@ def rough_amplitudes(worker: Worker, radar: wp.array, chosen: slice | None = Non
     count = chosen.stop - chosen.start
     out = wp.zeros((count, 4), dtype=wp.vec2, device=device)
 
-    def some(piece: Group) -> int:
+    def some(piece: ScattererGroup) -> int:
         part = piece.part
         seen = worker.free(radar, body.scatterer_points[part], body.scatterer_normals[part], both_sides=True)
         kernel, more = piece.launched(kernels.rough_places_kernel, rough_places_kernel, worker.tables)
@@ -99,7 +99,7 @@ def edge_places(worker: Worker, radar: wp.array) -> Places:
 
 
 @dataclass(frozen=True)
-class Tally:
+class TubeTally:
     """How many tubes there are, and how many are too wide after a curved face; and the power of both [m2]."""
 
     tubes: int = 0
@@ -107,8 +107,8 @@ class Tally:
     power: float = 0.0
     wide_power: float = 0.0
 
-    def __add__(self, other: Tally) -> Tally:
-        return Tally(
+    def __add__(self, other: TubeTally) -> TubeTally:
+        return TubeTally(
             self.tubes + other.tubes,
             self.wide + other.wide,
             self.power + other.power,
@@ -126,7 +126,7 @@ class Tally:
         return self.wide_power / self.power if self.power > 0.0 else 0.0
 
 
-class Cells:
+class CoarseCells:
     """The coarse cells of one direction, by which it is found out where tubes are worth their time.
 
     `apart` (3,) is half of the unit vector to the transmitter less that to the receiver: zero for one antenna.
@@ -153,7 +153,7 @@ class Cells:
         for first in range(start, stop, step):
             at = np.stack(np.divmod(np.arange(first, min(first + step, stop)), self.count[1]), axis=1)
             place = self.low + (at + 0.5) * self.step
-            rays = cells.Rays.of(place, np.broadcast_to(self.step, place.shape), device)
+            rays = cells.CellRays.of(place, np.broadcast_to(self.step, place.shape), device)
             traced = Traced(self.worker.tracer, self.radar, rays)
             hits, count = host(traced.hits[:1])[0], traced.count.numpy()
             face = np.where(count > 0, hits["face"], 0)
@@ -170,13 +170,13 @@ class Cells:
                 wide[i : i + rows.shape[0], j : j + rows.shape[1]] |= rows
         return np.argwhere(wide[1:-1, 1:-1])
 
-    def places(self, chosen: NDArray[np.int64]) -> tuple[Places, Tally]:
+    def places(self, chosen: NDArray[np.int64]) -> tuple[Places, TubeTally]:
         """What the tubes of some cells hit, and how many of them are too wide."""
         worker, body = self.worker, self.worker.body
         part = (np.arange(COARSE) + 0.5) / COARSE
         inside = np.stack(np.meshgrid(part, part, indexing="ij"), axis=-1).reshape(-1, 2)
         middle = (self.low + (chosen[:, None] + inside[None]) * self.step).reshape(-1, 2)
-        rays = cells.Rays.of(middle, np.broadcast_to(self.step / COARSE, middle.shape), body.device)
+        rays = cells.CellRays.of(middle, np.broadcast_to(self.step / COARSE, middle.shape), body.device)
         traced = Traced(worker.tracer, self.radar, rays)
         wide = (traced.turn.numpy() > TURN).any(axis=1)
         n, most = len(rays), worker.tracer.bounces
@@ -193,10 +193,10 @@ class Cells:
         strongest = np.repeat(np.maximum.reduceat(power, starts), np.diff(starts, append=len(power)))
         some = power > FAINT * strongest
         kept = Places(place.numpy().reshape(-1, 3)[some], values[some], face.numpy().reshape(-1)[some].astype(np.int64))
-        return kept, Tally(n, int(wide.sum()), float(of_tube.sum()), float(of_tube[wide].sum()))
+        return kept, TubeTally(n, int(wide.sum()), float(of_tube.sum()), float(of_tube[wide].sum()))
 
 
-def tube_places(seen: Cells) -> Iterator[tuple[Places, Tally, float]]:
+def tube_places(seen: CoarseCells) -> Iterator[tuple[Places, TubeTally, float]]:
     """Hits of tubes, block by block; with each block its tally, and the share of the blocks that are done.
 
     A coarse tracing first finds the cells where a smooth face is met, or a second one; they and their neighbours are

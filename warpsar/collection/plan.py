@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -13,8 +13,12 @@ from scipy import fft
 
 from warpsar.coherent.left_out import refuse_left_out
 from warpsar.collection import track_file
-from warpsar.collection.presets import BANDS_HZ, filled
-from warpsar.collection.response import band_weights, width_in_cells
+from warpsar.collection.presets import BANDS_HZ
+from warpsar.collection.response import asked, band_weights, width_in_cells
+from warpsar.effects.base.effect import DeclaredEffect
+from warpsar.effects.base.phase import Copy, Response
+from warpsar.effects.base.product import Product
+from warpsar.effects.registry import declared
 from warpsar.errors import InputError
 from warpsar.formats.base.acquisition import Acquisition
 from warpsar.formats.base.taper import taper
@@ -40,6 +44,10 @@ FEWEST = 32
 WIDEST_DEG = 12.0
 """Between transmitter and receiver. Amplitudes are those of one antenna halfway between them: physical optics of a face
 tilted by 45 degrees to it is then wrong by tan(45) tan(6 degrees), 1 dB, and that of a face across it by 0.02 dB."""
+ROUNDED = 1e-3
+"""Share by which a stated width may be below what band or aperture hold: files round it."""
+FINER = 0.05
+"""Share by which it may be above, where an effect states it: that to which headers of images know their widths."""
 _SHOWN = 200
 """Pulses that are looked at for ambiguity, with the one after each."""
 
@@ -58,7 +66,11 @@ class Plan:
     step_hz: float
     frequencies: int
     corners_m: F64
-    """Corners of the box about the mesh, (8, 3)."""
+    """Corners of the box about the mesh, (8, 3); wider by what effects shift."""
+    response: Response = field(default_factory=Response)
+    """What was asked of the widths, and the tapers."""
+    effects: tuple[DeclaredEffect, ...] = ()
+    """That act in this view, in their order."""
 
     @property
     def middle(self) -> int:
@@ -103,8 +115,41 @@ class Plan:
     @property
     def windows(self) -> tuple[str, str]:
         """Of range and azimuth. The beam of a stripmap is its taper."""
-        name = str(self.table.window)
-        return name, "none" if self.stripmap else name
+        band, aperture = self.response.taper
+        return str(band), "none" if self.stripmap else str(aperture)
+
+    @property
+    def noise_beta0(self) -> float:
+        """Mean beta0 of the receiver's noise in a focused image."""
+        return self.table.noise_beta0 + sum(one.effect.noise_beta0(one.values) for one in self.effects)
+
+    @cached_property
+    def shift_m(self) -> F64:
+        """How far scatterers lie beside their places, (3,) [m]: along range and azimuth in the image's plane."""
+        moved = [one.effect.shift_m(one.values, self.geometry) for one in self.effects]
+        along, across = np.sum(moved, axis=0) if moved else np.zeros(2)
+        row, column = plan_axes(self)
+        found: F64 = along / float(row @ self.geometry.d) * row + across * column
+        return found
+
+    @cached_property
+    def copies(self) -> tuple[Copy, ...]:
+        """Further images of all scatterers that lie in the image."""
+        return tuple(copy for one in self.effects for copy in one.effect.copies(one.values))
+
+    @property
+    def moves_scatterers(self) -> bool:
+        """Whether an effect changes scatterers: their power, their places or their number."""
+        return bool(self.copies) or any(one.effect.stage in ("gain", "position") for one in self.effects)
+
+    def geometry_at(self, pulse: int) -> ViewGeometry:
+        """Axes of the view as a pulse sees the reference point; those of a stripmap are those of its track."""
+        if self.stripmap or pulse == self.middle:
+            return self.geometry
+        s = self.track.towards()[pulse]
+        u = np.cross([0.0, 0.0, 1.0], -s)
+        u /= np.linalg.norm(u)
+        return replace(self.geometry, s=s, d=-s, u=u, v=np.cross(u, -s))
 
     @cached_property
     def cells_m(self) -> tuple[float, float]:
@@ -201,10 +246,10 @@ def boresight(plan: Plan) -> tuple[F64, F64]:
     return np.stack([level, np.cross(level, look)]), np.sin(np.deg2rad(widths))
 
 
-def plans_of(world: World, device: wp.Device) -> list[Plan]:
-    """The plans of all views. Raises InputError as `plan_of` does, and for what a product with phase does not have."""
+def plans_of(world: World, device: wp.Device, product: Product = "slc") -> list[Plan]:
+    """The plans of all views. Raises InputError as `plan_of` does, and for what the product does not have."""
     if world.collection is not None:
-        refuse_left_out(world)
+        refuse_left_out(world, product)
     return [plan_of(world, view, device) for view in world.views]
 
 
@@ -212,7 +257,8 @@ def plan_of(world: World, view: View, device: wp.Device) -> Plan:
     """The plan of a view. Raises InputError, one message, for a collection that cannot be."""
     if world.collection is None:
         raise InputError(f"{world.name}: found no [collection]; a product with phase needs one")
-    table = filled(world.collection)
+    effects = tuple(declared(world, view))
+    table, response = asked(world, effects)
     carrier = view.frequency_hz or world.radar.frequency_hz
     if table.preset is not None and not BANDS_HZ[table.preset][0] <= carrier <= BANDS_HZ[table.preset][1]:
         low, high = BANDS_HZ[table.preset]
@@ -220,25 +266,28 @@ def plan_of(world: World, view: View, device: wp.Device) -> Plan:
             f"{world.name}: collection.preset: found {table.preset!r} with a carrier of {carrier:g} Hz; must be "
             f"{low:g} to {high:g}"
         )
-    low, high = _band(table, carrier, world.name)
-    if (pieces := table.resolution_m) is not None:
-        held = width_in_cells(str(table.window)) * SPEED_OF_LIGHT / (2.0 * (high - low))
-        if held > pieces[0] * (1.0 + 1e-6):
+    low, high = _band(table, response, carrier, world.name)
+    if (width := response.width_m[0]) is not None:
+        held = width_in_cells(str(response.taper[0])) * SPEED_OF_LIGHT / (2.0 * (high - low))
+        if held > width * (1.0 + ROUNDED):
             raise InputError(
-                f"{world.name}: collection.resolution_m: found {pieces[0]:g} m in range, but a band of "
-                f"{high - low:.4g} Hz with the window {table.window!r} holds {held:.3g} m; must be at least that, or a "
-                "wider band"
+                f"{world.name}: {_key(world, 0)}: found {width:g} m in range, but a band of "
+                f"{high - low:.4g} Hz with the window {response.taper[0]!r} holds {held:.3g} m; must be at least that, "
+                "or a wider band"
             )
     site = Site(np.asarray(world.reference_point_m, np.float64), frame_of(world))
     vertices = site.about(world.mesh.vertices)
-    ends = np.stack([vertices.min(axis=0), vertices.max(axis=0)])
+    geometry = geometry_of(world, view)
+    reach = sum(float(np.linalg.norm(one.effect.shift_m(one.values, geometry))) for one in effects)
+    ends = np.stack([vertices.min(axis=0) - reach, vertices.max(axis=0) + reach])
     corners = np.stack(np.meshgrid(*ends.T, indexing="ij"), axis=-1).reshape(-1, 3)
-    made = Plan(view, table, geometry_of(world, view), site, _dot(), low, high - low, 2, corners)
+    made = Plan(view, table, geometry, site, _dot(), low, high - low, 2, corners, response, effects)
     made = replace(made, track=_track(world, made, 0.5 * (low + high)))
     _refuse_wide(world, made)
     _refuse_narrow(world, made)
     _refuse_ground(world, made, device)
     made = _sampled_band(world, made, low, high)
+    _refuse_finer(world, made)
     _refuse_gaps(world, made)
     return made
 
@@ -247,7 +296,14 @@ def _dot() -> Track:
     return Track(np.zeros(1), np.zeros((1, 3)), np.zeros((1, 3)))
 
 
-def _band(table: Collection, carrier: float, name: str) -> tuple[float, float]:
+def _key(world: World, axis: int) -> str:
+    """The key that states the width along an axis."""
+    if "point_spread" in world.effects:
+        return f"effects.point_spread.{('range', 'azimuth')[axis]}_fwhm_m"
+    return "collection.resolution_m"
+
+
+def _band(table: Collection, response: Response, carrier: float, name: str) -> tuple[float, float]:
     """The first and the last frequency."""
     if table.start_hz is not None and table.stop_hz is not None:
         if not table.start_hz <= carrier <= table.stop_hz:
@@ -257,10 +313,13 @@ def _band(table: Collection, carrier: float, name: str) -> tuple[float, float]:
             )
         return table.start_hz, table.stop_hz
     width = table.bandwidth_hz
-    if width is None and table.resolution_m is not None:
-        width = width_in_cells(str(table.window)) * SPEED_OF_LIGHT / (2.0 * table.resolution_m[0])
+    if width is None and response.width_m[0] is not None:
+        width = width_in_cells(str(response.taper[0])) * SPEED_OF_LIGHT / (2.0 * response.width_m[0])
     if width is None:
-        raise InputError(f"{name}: collection.bandwidth_hz: missing; must be stated, or resolution_m, or a preset")
+        raise InputError(
+            f"{name}: collection.bandwidth_hz: missing; must be stated, or effects.point_spread.range_fwhm_m, or a "
+            "preset"
+        )
     if width >= carrier:
         raise InputError(f"{name}: collection.bandwidth_hz: found {width:.4g}; must be below the carrier, {carrier:g}")
     return carrier - 0.5 * width, carrier + 0.5 * width
@@ -322,18 +381,19 @@ def _aperture(world: World, plan: Plan, frequency: float) -> float:
     given = table.aperture_deg
     if given is None and table.mode in ("circular", "inverse"):
         given = 360.0 if table.mode == "circular" else None
-    if table.resolution_m is None:
+    asked_m = plan.response.width_m[1]
+    if asked_m is None:
         if given is None:
             raise InputError(
-                f"{world.name}: collection.aperture_deg: missing; must be stated, or resolution_m, or a preset"
+                f"{world.name}: collection.aperture_deg: missing; must be stated, or "
+                "effects.point_spread.azimuth_fwhm_m, or a preset"
             )
         return given
-    window = "none" if table.mode == "stripmap" else str(table.window)
-    needed = width_in_cells(window) * SPEED_OF_LIGHT / frequency / (2.0 * table.resolution_m[1])
+    needed = width_in_cells(plan.windows[1]) * SPEED_OF_LIGHT / frequency / (2.0 * asked_m)
     needed = np.rad2deg(2.0 * math.asin(min(1.0, 0.5 * needed)))
-    if given is not None and given < needed * (1.0 - 1e-6):
+    if given is not None and given < needed * (1.0 - ROUNDED):
         raise InputError(
-            f"{world.name}: collection.resolution_m: found {table.resolution_m[1]:g} m in azimuth, which takes an "
+            f"{world.name}: {_key(world, 1)}: found {asked_m:g} m in azimuth, which takes an "
             f"aperture of {needed:.3g} degrees; aperture_deg is {given:g}; must be at least that"
         )
     return float(needed) if given is None else given
@@ -360,13 +420,34 @@ def _refuse_narrow(world: World, plan: Plan) -> None:
             f"{world.name}: collection.trajectory: found {table.trajectory}, whose sensor the reference point sees in "
             "one direction all the time; must move across it"
         )
-    if table.resolution_m is not None:
+    if (asked_m := plan.response.width_m[1]) is not None:
         held = width_in_cells(plan.windows[1]) * plan.cells_m[1]
-        if held > table.resolution_m[1] * (1.0 + 1e-6):
+        if held > asked_m * (1.0 + ROUNDED):
             raise InputError(
-                f"{world.name}: collection.resolution_m: found {table.resolution_m[1]:g} m in azimuth, but the track "
+                f"{world.name}: {_key(world, 1)}: found {asked_m:g} m in azimuth, but the track "
                 f"of {table.trajectory} with the window {plan.windows[1]!r} holds {held:.3g} m; must be at least that"
             )
+
+
+def _refuse_finer(world: World, plan: Plan) -> None:
+    """Raise InputError where a stated band or aperture is finer than the width that an effect gives images of power.
+
+    The image would be another one than the scene declares. `resolution_m` only asks for what they hold at least.
+    """
+    table = plan.table
+    aperture = "trajectory" if table.trajectory is not None else "aperture_deg" if table.aperture_deg else None
+    band = "bandwidth_hz" if table.bandwidth_hz else "start_hz" if table.start_hz else None
+    for axis, key in enumerate((band, None if plan.stripmap else aperture)):
+        if key is None:
+            continue
+        held = width_in_cells(plan.windows[axis]) * plan.cells_m[axis]
+        for one in plan.effects:
+            width = one.effect.response(one.values, one.settings).width_m[axis]
+            if width is not None and width > held * (1.0 + FINER):
+                raise InputError(
+                    f"{world.name}: {_key(world, axis)}: found {width:g} m beside collection.{key}, which holds "
+                    f"{held:.3g} m; must be that, or leave collection.{key} out"
+                )
 
 
 def _places(world: World, plan: Plan) -> F64:

@@ -39,12 +39,12 @@ BANDS_HZ: dict[Preset, tuple[float, float]] = {
 _BAND = ("bandwidth_hz", "start_hz", "stop_hz")
 
 
-def filled(table: Collection) -> Collection:
-    """The table with what its preset states and it does not."""
+def filled(table: Collection, *, resolved: bool = False) -> Collection:
+    """The table with what its preset states and it does not. `resolved`: the width in range is stated elsewhere."""
     stated = {name: value for name, value in table if name in table.model_fields_set and value is not None}
     base: dict[str, Any] = {"mode": "spotlight", "window": "taylor"}
     if table.preset is not None:
         base |= PRESETS[table.preset]
-        if any(name in stated for name in (*_BAND, "resolution_m")):
+        if resolved or any(name in stated for name in (*_BAND, "resolution_m")):
             base = {name: value for name, value in base.items() if name != "bandwidth_hz"}
     return Collection.model_validate({**base, **stated})

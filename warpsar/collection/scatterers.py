@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from warpsar.coherent.body import CoherentBody
 from warpsar.coherent.sweep import POLARIZATIONS, RAYS_PER_WAVELENGTH
 from warpsar.collection import places
-from warpsar.collection.places import Tally
+from warpsar.collection.moved import moved
+from warpsar.collection.places import TubeTally
 from warpsar.collection.plan import Plan
 from warpsar.errors import InputError
 from warpsar.world.frame import SPEED_OF_LIGHT
@@ -31,7 +32,7 @@ FAR_FIELD = float(np.sqrt(np.float32(4.0 * np.pi)))
 
 
 @dataclass(frozen=True)
-class Part:
+class ScattererPart:
     """Scatterers about the reference point, and how much each pulse has of them."""
 
     point: F64
@@ -49,7 +50,7 @@ class Part:
 
 @dataclass(frozen=True)
 class Scatterers:
-    parts: tuple[Part, ...]
+    parts: tuple[ScattererPart, ...]
     aliased: float
     """Share of the tubes that are too wide after a curved surface."""
 
@@ -88,7 +89,8 @@ class Stream:
     """All that `[radar] terms` asks for, seen along the track, in parts that are made when they are asked for.
 
     `once`: seen from the middle of the track alone. `together`: the most scatterers of a part; the memory that they
-    take is bounded by it. `progress` counts the places of the track that are done, by fractions.
+    take is bounded by it. `progress` counts the places of the track that are done, by fractions. `seed` draws what
+    effects draw of scatterers.
     """
 
     def __init__(
@@ -101,10 +103,12 @@ class Stream:
         rays_per_wavelength: float = RAYS_PER_WAVELENGTH,
         together: int = TOGETHER,
         progress: Any = None,
+        seed: int = 0,
     ) -> None:
         k = 2.0 * np.pi * plan.centre_hz / SPEED_OF_LIGHT
         terms = world.radar.terms
         self.plan, self.body, self.terms = plan, body, terms
+        self.grid, self.seed = world.grid, seed
         self.worker = places.worker_of(body, k, terms, world.radar.max_bounces, rays_per_wavelength)
         tracer = self.worker.tracer
         group, most = places.GROUP * places.COARSE**2, min(tracer.together, together // tracer.bounces)
@@ -119,7 +123,7 @@ class Stream:
         self.rough_knots = (middle if once else plan.knots(ROUGH_STEP_DEG)) if rough else middle[:0]
         self.tube_knots = (middle if once else plan.knots(TUBE_STEP_DEG)) if smooth else middle[:0]
         self.together, self.progress = together, progress
-        self.count, self.tally = 0, Tally()
+        self.count, self.tally = 0, TubeTally()
         """Of the parts made so far: scatterers, and tubes."""
 
     @property
@@ -133,19 +137,19 @@ class Stream:
         return len(self.rough_knots) + len(self.tube_knots)
 
     @property
-    def parts(self) -> Iterator[Part]:
+    def parts(self) -> Iterator[ScattererPart]:
         """Make them, one after the other."""
-        self.count, self.tally = 0, Tally()
+        self.count, self.tally = 0, TubeTally()
         for found in (self._rough(), self._smooth()):
             for part in found:
                 self.count += len(part)
                 yield part
 
-    def cells(self, knot: int) -> places.Cells:
+    def cells(self, knot: int) -> places.CoarseCells:
         """The coarse cells of the body as the pulse `knot` sees it."""
         direction, radar = places.sight(self.body, self._sensor[knot])
         distance_m = float(np.linalg.norm(self._sensor[knot]))
-        return places.Cells(self.worker, direction, radar, distance_m, self.plan.track.apart()[knot])
+        return places.CoarseCells(self.worker, direction, radar, distance_m, self.plan.track.apart()[knot])
 
     def rough(self, knot: int, some: slice) -> places.Places:
         """Rough places as the pulse `knot` sees them, without those that it does not see."""
@@ -155,29 +159,33 @@ class Stream:
         point = self.body.scatterer_points[some].numpy()[seen]
         return places.Places(point, amplitude[seen], self.body.scatterer_faces[some][seen])
 
-    def part(self, some: places.Places, weight: NDArray[np.float32]) -> Part:
-        """Places as scatterers about the reference point."""
+    def part(self, some: places.Places, weight: NDArray[np.float32], knot: int) -> ScattererPart:
+        """Places that the pulse `knot` sees as scatterers about the reference point, with what effects do to them."""
         plan = self.plan
         point = plan.site.about(some.point + self.body.origin + plan.site.reference_m)
         amplitude = np.float32(FAR_FIELD) * some.amplitude[:, self._columns].T
-        moving = None if self._velocity is None else self._velocity[some.face]
-        return Part(point, np.ascontiguousarray(amplitude), weight, moving)
+        face = some.face
+        if plan.moves_scatterers:
+            found = moved(plan, point, knot, self.grid, self.seed, self.body.device)
+            point, amplitude, face = found.point, amplitude[:, found.index] * found.factor, face[found.index]
+        moving = None if self._velocity is None else self._velocity[face]
+        return ScattererPart(point, np.ascontiguousarray(amplitude), weight, moving)
 
     def _done(self, share: float) -> None:
         if self.progress is not None:
             self.progress.update(share)
 
-    def _rough(self) -> Iterator[Part]:
+    def _rough(self) -> Iterator[ScattererPart]:
         total = 0 if self.body.scatterers is None else self.body.scatterers.shape[0]
         for knot, weight in zip(self.rough_knots.tolist(), fading(self.plan, self.rough_knots), strict=True):
             for start in range(0, total, self.together):
                 stop = min(start + self.together, total)
                 found = self.rough(knot, slice(start, stop))
                 if len(found.face):
-                    yield self.part(found, weight)
+                    yield self.part(found, weight, knot)
                 self._done((stop - start) / total)
 
-    def _smooth(self) -> Iterator[Part]:
+    def _smooth(self) -> Iterator[ScattererPart]:
         terms = self.terms
         for knot, weight in zip(self.tube_knots.tolist(), fading(self.plan, self.tube_knots), strict=True):
             if {"single", "multibounce"} & set(terms):
@@ -185,22 +193,22 @@ class Stream:
             if "edges" in terms and self.worker.edges.shape[0]:
                 edges = places.edge_places(self.worker, places.sight(self.body, self._sensor[knot])[1])
                 if len(edges.face):
-                    yield self.part(edges, weight)
+                    yield self.part(edges, weight, knot)
 
-    def _tubes(self, knot: int, weight: NDArray[np.float32]) -> Iterator[Part]:
+    def _tubes(self, knot: int, weight: NDArray[np.float32]) -> Iterator[ScattererPart]:
         waiting: list[places.Places] = []
         before = 0.0
         for found, tally, share in places.tube_places(self.cells(knot)):
             self.tally += tally
             waiting.append(found)
             if sum(len(each.face) for each in waiting) >= self.together:
-                yield self.part(places.joined(waiting), weight)
+                yield self.part(places.joined(waiting), weight, knot)
                 waiting = []
             self._done(share - before)
             before = share
         self._done(1.0 - before)
         if sum(len(each.face) for each in waiting):
-            yield self.part(places.joined(waiting), weight)
+            yield self.part(places.joined(waiting), weight, knot)
 
 
 def scatterers_of(
@@ -210,9 +218,10 @@ def scatterers_of(
     *,
     once: bool = False,
     rays_per_wavelength: float = RAYS_PER_WAVELENGTH,
+    seed: int = 0,
 ) -> Scatterers:
     """All parts of a `Stream` at once."""
-    found = Stream(world, plan, body, once=once, rays_per_wavelength=rays_per_wavelength)
+    found = Stream(world, plan, body, once=once, rays_per_wavelength=rays_per_wavelength, seed=seed)
     return Scatterers(tuple(found.parts), found.aliased)
 
 
@@ -271,6 +280,6 @@ def _velocities(world: World, plan: Plan) -> F64 | None:
     return found
 
 
-def total_weight(parts: Sequence[Part]) -> int:
+def total_weight(parts: Sequence[ScattererPart]) -> int:
     """Deposits: scatterers times the pulses that have them."""
     return sum(len(part) * int((part.weight > 0.0).sum()) for part in parts)

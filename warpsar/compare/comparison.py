@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import cast
 
 import numpy as np
 import warp as wp
@@ -16,8 +16,8 @@ from warpsar.compare.modelled import SURE_SDS, Modelled, modelled
 from warpsar.compare.observation import Observation, declared_looks, looks_of, observe, usable_pixels
 from warpsar.effects.registry import get
 from warpsar.errors import InputError
-from warpsar.runtime import console, distributed
-from warpsar.runtime.distributed import ONE, Ranks
+from warpsar.runtime import console
+from warpsar.runtime.distributed.processes import ONE, Ranks, join
 from warpsar.scene.scene import Scene
 from warpsar.simulation.rays import hit_grid
 from warpsar.simulation.sampling import RAY_NOISE, choose_density
@@ -177,7 +177,7 @@ def ratio_db(measured: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Compared:
+class SceneComparison:
     """All images of a scene that were measured, in the order of its views, and the rays per square metre that sample
     what exact areas do not. Of several processes the first one holds all of them, the others none; `own` are those of
     this one."""
@@ -196,16 +196,16 @@ def compare(
     *,
     seed: int | None = None,
     roles: Sequence[str] = ("train", "test"),
-    ranks: Ranks = ONE,
+    shared: bool = False,
     progress: str = "",
     edges: bool = True,
-) -> Compared:
+) -> SceneComparison:
     """Every measured image of the scene, of these roles, beside the declared model. Nothing is fitted but one gain for
     an image where the images are not calibrated.
 
-    `seed` overrides the scene's. `progress`: what the bar is called; empty for none. Several `ranks` share the views.
-    Without `edges` there are metrics alone, and no judgement: `slopes` and `moves` are 0. Raises InputError for a scene
-    without measured images, or where image and mesh do not meet.
+    `seed` overrides the scene's. `shared`: whether the processes of the run share the views. `progress`: what the bar
+    is called; empty for none. Without `edges` there are metrics alone, and no judgement: `slopes` and `moves` are 0.
+    Raises InputError for a scene without measured images, or where image and mesh do not meet.
     """
     views = [(index, view) for index, view in enumerate(scene.views) if view.images and view.role in roles]
     if not views:
@@ -214,12 +214,12 @@ def compare(
     # Image effects only lower the noise of what is lit, but spread light where next to none is left to measure it on.
     plain = replace(scene, effects={name: t for name, t in scene.effects.items() if get(name).stage != "image"})
     looks = [looks_of(scene, view) for _, view in views]
-    density = ranks.agree(
-        lambda: choose_density(plain, stage, [view for _, view in views], looks, RAY_NOISE, ranks=ranks)
-    ).rays_per_m2
+    ranks = join(device) if shared else ONE
+    chosen = choose_density(plain, stage, [view for _, view in views], looks, RAY_NOISE, shared=shared)
+    density = chosen.rays_per_m2
     grid = hit_grid(scene)
     costs = [ray_count(stage.target, geometry_of(scene, view), grid, density) * len(view.images) for _, view in views]
-    mine = distributed.deal(costs, ranks.size)[ranks.rank]
+    mine = ranks.mine(costs)
     bar = console.progress(len(mine), progress, "view") if progress else None
 
     def images() -> list[Comparison]:
@@ -234,7 +234,7 @@ def compare(
     found = ranks.agree(images)
     if bar is not None:
         bar.close()
-    return Compared(_collected(scene, found, ranks) if ranks.size > 1 else found, found, density)
+    return SceneComparison(_collected(scene, found, ranks) if ranks.size > 1 else found, found, density)
 
 
 def beside(scene: Scene, view: View, polarization: str, model: Modelled) -> Comparison:
@@ -267,27 +267,9 @@ def beside(scene: Scene, view: View, polarization: str, model: Modelled) -> Comp
 
 
 def _collected(scene: Scene, images: Sequence[Comparison], ranks: Ranks) -> list[Comparison]:
-    """The images of all ranks on the first one, in the order of the scene's views."""
-    arrays: dict[str, np.ndarray] = {}
-    said = []
-    for number, image in enumerate(images):
-        facts = {}
-        for part, of in (("", image), ("seen.", image.seen)):
-            for one in fields(of):
-                value = getattr(of, one.name)
-                if isinstance(value, np.ndarray):
-                    arrays[f"{number} {part}{one.name}"] = value
-                elif one.name not in ("seen", "view"):
-                    facts[f"{part}{one.name}"] = value
-        said.append({"view": image.view.name, "facts": facts})
-    order = [view.name for view in scene.views]
-    found = []
-    for about, stored in zip(ranks.gather(said), ranks.collect(arrays), strict=False):
-        for number, one in enumerate(about):
-            values: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in one["facts"].items()}
-            values |= {key.partition(" ")[2]: a for key, a in stored.items() if key.partition(" ")[0] == str(number)}
-            own = {key.removeprefix("seen."): value for key, value in values.items() if key.startswith("seen.")}
-            seen = Observation(view=scene.views[order.index(one["view"])], **own)
-            rest = {key: value for key, value in values.items() if not key.startswith("seen.")}
-            found.append(Comparison(seen=seen, **rest))
-    return sorted(found, key=lambda image: order.index(image.view.name)) if ranks.first else []
+    """The images of all processes on the first one, in the order of the scene's views, which every process has read."""
+    views, without = {view.name: view for view in scene.views}, cast(View, None)
+    mine = [(image.view.name, replace(image, seen=replace(image.seen, view=without))) for image in images]
+    found = [each for part in ranks.collect(mine) for each in part]
+    found.sort(key=lambda each: list(views).index(each[0]))
+    return [replace(image, seen=replace(image.seen, view=views[name])) for name, image in found]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
@@ -44,7 +44,7 @@ class EdgesOf:
 
 
 @dataclass(frozen=True)
-class Edges:
+class EdgeDisplacements:
     """The edges of several images: of each by itself, and of all `together`."""
 
     images: list[EdgesOf]
@@ -94,13 +94,10 @@ class Edges:
             "images": [asdict(one) for one in self.images],
         }
 
-    @classmethod
-    def heard(cls, told: Mapping[str, Any]) -> Edges:
-        """The edges that `asdict` gave, back from JSON."""
-        return cls([EdgesOf(**one) for one in told["images"]], EdgesOf(**told["together"]))
 
-
-def edges_of(images: Sequence[Comparison], shown: float = 1.0, correlation: np.ndarray | None = None) -> Edges:
+def edges_of(
+    images: Sequence[Comparison], shown: float = 1.0, correlation: np.ndarray | None = None
+) -> EdgeDisplacements:
     """How far the outlines of several images lie off.
 
     `shown`: the variance that the speckle shows, over that of its law. `correlation`: the speckle's, shape
@@ -115,7 +112,7 @@ def edges_of(images: Sequence[Comparison], shown: float = 1.0, correlation: np.n
         for image, one, granted in zip(images, pixels, allowed, strict=True)
     ]
     together = _asked("all images together", _Pixels.joined(pixels), max(allowed), resolved, inflation)
-    return Edges(each, together)
+    return EdgeDisplacements(each, together)
 
 
 def _asked(name: str, pixels: _Pixels, allowed: float, resolved: float, inflation: float) -> EdgesOf:

@@ -1,22 +1,32 @@
-"""All measured images of a scene beside its model, what they give together, and the judgement on each role's."""
+"""All that was measured of a scene beside its model, what it gives together, and the judgement on each role's."""
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
 
-from warpsar.compare.comparison import Compared, Comparison
+import warp as wp
+
+from warpsar.coherent.left_out import left_out
+from warpsar.compare.comparison import Comparison, compare
+from warpsar.compare.curve import CurveComparison, CurveJudgement, compare_curves, judge_curves, noise_content
 from warpsar.compare.judgement import Judgement, judge
 from warpsar.compare.metrics import PooledMetrics, pool
-from warpsar.runtime.distributed import Ranks
+from warpsar.runtime import once
+from warpsar.scene.scene import Scene
 
 ROLES = ("train", "test")
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """All images of a scene, and the metrics pooled over the pixels of each role; None for a role without images.
+    """All images and curves of a scene, and the metrics pooled over the pixels of each role; None for a role without
+    images.
 
-    `verdicts`, by role: whether anything is left beside speckle.
+    `verdicts` and `curve_verdicts`, by role: whether anything is left beside speckle, or beside a curve's noise. Of
+    several processes the first one holds all images, the others none; `own` are those that this one made.
     """
 
     images: list[Comparison]
@@ -24,23 +34,9 @@ class Evaluation:
     test: PooledMetrics | None
     rays_per_m2: float
     verdicts: dict[str, Judgement] = field(default_factory=dict)
-
-    @classmethod
-    def of(cls, found: Compared) -> Evaluation:
-        """What the compared images of a scene give together; empty where another process holds them."""
-        roles = [role for role in ROLES if found.of(role)]
-        train, test = (pool(found.of(role)) for role in ROLES)
-        return cls(found.images, train, test, found.rays_per_m2, {role: judge(found.of(role)) for role in roles})
-
-    def shared(self, ranks: Ranks) -> Evaluation:
-        """The same on all ranks, as the first one has it; the images stay there."""
-        if ranks.size == 1:
-            return self
-        said = [self.train, self.test, {role: asdict(one) for role, one in self.verdicts.items()}]
-        train, test, verdicts = ranks.gather(said)[0]
-        if ranks.first:
-            return self
-        return replace(self, train=train, test=test, verdicts={k: Judgement.heard(one) for k, one in verdicts.items()})
+    own: list[Comparison] = field(default_factory=list)
+    curves: list[CurveComparison] = field(default_factory=list)
+    curve_verdicts: dict[str, CurveJudgement] = field(default_factory=dict)
 
     def pooled(self, role: str) -> PooledMetrics | None:
         """The metrics of a role."""
@@ -48,3 +44,39 @@ class Evaluation:
 
     def of_role(self, role: str) -> list[Comparison]:
         return [image for image in self.images if image.role == role]
+
+
+def evaluated(
+    scene: Scene, device: wp.Device, *, seed: int | None = None, progress: str = "", cache: Path | None = None
+) -> Evaluation:
+    """All measured images and curves of the scene beside the declared model, as `compare` and `compare_curves` have
+    them. Images are shared among the processes; metrics and verdicts are the same for all.
+
+    `cache`: a folder that keeps the amplitudes of curves. Raises InputError for a scene with neither, as `compare`
+    does.
+    """
+    curves: list[CurveComparison] = []
+    if scene.curves:
+        curves = once.find(partial(compare_curves, scene, cache=cache, device=device.alias))
+    parts = {role: [one for one in curves if one.role == role] for role in ROLES}
+    told = {role: judge_curves(part) for role, part in parts.items() if part}
+    if curves and not scene.has_images:
+        return Evaluation([], None, None, 0.0, curves=curves, curve_verdicts=told)
+    found = compare(scene, device, seed=seed, shared=True, progress=progress)
+
+    def together() -> tuple[PooledMetrics | None, PooledMetrics | None, dict[str, Judgement]]:
+        train, test = (pool(found.of(role)) for role in ROLES)
+        return train, test, {role: judge(found.of(role)) for role in ROLES if found.of(role)}
+
+    train, test, verdicts = once.find(together)
+    return Evaluation(found.images, train, test, found.rays_per_m2, verdicts, found.own, curves, told)
+
+
+def curves_content(scene: Scene, found: Evaluation) -> dict[str, Any]:
+    """What the JSON files say of a scene's curves."""
+    return {
+        "not_applied_to_curves": list(left_out(scene, "rcs")),
+        "curves": [one.content() for one in found.curves],
+        "noise": noise_content(found.curves),
+        "curves_verdict": {role: one.content() for role, one in found.curve_verdicts.items()},
+    }

@@ -13,7 +13,7 @@ level      whether the deviance of the lit interior is that of even ground, and 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from typing import Any, Literal
@@ -22,8 +22,8 @@ import numpy as np
 from scipy.special import erfc
 
 from warpsar.compare.comparison import LARGEST, Comparison
-from warpsar.compare.edges import Edges, displaced, edges_of
-from warpsar.compare.profiles import Profile, Profiles
+from warpsar.compare.edges import EdgeDisplacements, displaced, edges_of
+from warpsar.compare.profiles import AxisProfile, Profiles
 from warpsar.runtime import threads
 from warpsar.speckle.draws import Speckle
 from warpsar.speckle.even import EvenGround, even_ground
@@ -91,8 +91,8 @@ class Judgement:
     p_profile: float
     pixels: int
     window: Window
-    profile: Profile
-    edges: Edges
+    profile: AxisProfile
+    edges: EdgeDisplacements
     speckle: SpeckleFact
     looks_estimated: bool
     sharing: float
@@ -112,7 +112,7 @@ class Judgement:
     @property
     def words(self) -> str:
         """What was found, and the deviance."""
-        said = [_SAID[one](self) for one in self.findings]
+        said = [_WORDS[one](self) for one in self.findings]
         if not said and self.finding == "cannot be told":
             said = [f"cannot be told from {self.pixels} pixels"]
         elif not said:
@@ -125,17 +125,6 @@ class Judgement:
         if "edges" not in self.findings:
             said += [self.edges.words]
         return "; ".join(said)
-
-    @classmethod
-    def heard(cls, told: Mapping[str, Any]) -> Judgement:
-        """The judgement that another process has as `asdict`, sent as JSON."""
-        parts = {
-            "window": Window(**told["window"]),
-            "profile": Profile(**told["profile"]),
-            "edges": Edges.heard(told["edges"]),
-            "speckle": SpeckleFact.heard(told["speckle"]),
-        }
-        return cls(**{**told, **parts})
 
     def content(self) -> dict[str, Any]:
         """For the JSON files."""
@@ -151,7 +140,7 @@ class Judgement:
         }
 
 
-def _said_structure(found: Judgement) -> str:
+def _structure_words(found: Judgement) -> str:
     if found.p_window >= SHARE:
         return f"structure is left ({_p(found.p_profile)}): {found.profile.words}"
     w = found.window
@@ -163,7 +152,7 @@ def _said_structure(found: Judgement) -> str:
     )
 
 
-def _said_edges(found: Judgement) -> str:
+def _edges_words(found: Judgement) -> str:
     off = found.edges.off(SHARE)
     each = ", ".join(f"{one.displacement_m:.2g} m or more in {one.image}" for one in off[:3])
     rest = f" and {len(off) - 3} more" if len(off) > 3 else ""
@@ -173,24 +162,24 @@ def _said_edges(found: Judgement) -> str:
     )
 
 
-def _said_speckle(found: Judgement) -> str:
+def _speckle_words(found: Judgement) -> str:
     return found.speckle.words
 
 
-def _said_level(found: Judgement) -> str:
+def _level_words(found: Judgement) -> str:
     return (
         f"the level is off ({_p(found.p_level)}): {found.deviance:.3f}, where declared speckle leaves 1, and that of "
         f"even ground {found.own_deviance:.3f}"
     )
 
 
-_SAID = {
-    "structure": _said_structure,
-    "edges": _said_edges,
-    "looks": _said_speckle,
-    "texture": _said_speckle,
-    "distribution": _said_speckle,
-    "level": _said_level,
+_WORDS = {
+    "structure": _structure_words,
+    "edges": _edges_words,
+    "looks": _speckle_words,
+    "texture": _speckle_words,
+    "distribution": _speckle_words,
+    "level": _level_words,
 }
 
 

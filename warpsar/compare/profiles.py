@@ -24,7 +24,7 @@ TOGETHER = "several images together"
 
 
 @dataclass(frozen=True)
-class Profile:
+class AxisProfile:
     """How far power is off along one axis of an `image`, or of several together: `rms_db`, the root mean square over
     bands of `BAND` rows or columns, without what speckle makes of it [dB]. `surprise`: -ln of the chance of so much
     beyond what is granted, if bands were independent."""
@@ -69,11 +69,11 @@ class Profiles:
                     found = np.maximum(found, _surprise(squares.sum(axis=0), len(squares)))
         return found
 
-    def strongest(self, residuals: Sequence[np.ndarray], granted: float) -> Profile:
+    def strongest(self, residuals: Sequence[np.ndarray], granted: float) -> AxisProfile:
         """The most surprising profile of one residual, an array (pixels,) of each image. `granted`: relative power that
         every band may be off by."""
         parts, free = [one[:, None] for one in residuals], [granted * one[:, None] for one in self._relative]
-        best = Profile(self.images[0].name, AXES[0], 0.0, 0.0)
+        best = AxisProfile(self.images[0].name, AXES[0], 0.0, 0.0)
         for group in self._groups:
             for axis in (0, 1):
                 (sums, counts), (allowed, _) = (self._summed(group, axis, each) for each in (parts, free))
@@ -85,7 +85,7 @@ class Profiles:
                     share = (off**2 - speckle).sum() / max(float((allowed**2).sum()), 1e-30)
                     rms = granted * float(np.sqrt(max(share, 0.0)))
                     name = TOGETHER if len(group) > 1 else self.images[group[0]].name
-                    best = Profile(name, AXES[axis], 10.0 * float(np.log10(1.0 + rms)), surprise)
+                    best = AxisProfile(name, AXES[axis], 10.0 * float(np.log10(1.0 + rms)), surprise)
         return best
 
     def _summed(self, group: Sequence[int], axis: int, parts: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:

@@ -13,5 +13,6 @@
 | `metrics.py` | mean abs(dB) and correlation |
 | `search.py` | which terms the train curves pay for, and whether left-out curves confirm them |
 | `shape.py` | parameters by likelihood, with intervals |
-| `command.py` | what `evaluate`, `learn` and `diagnose` do with a scene's curves |
+
+`compare/curve.py` holds a measured curve beside its model; `learning/curves.py` and `diagnosis/curves.py` ask it.
 """

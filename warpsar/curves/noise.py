@@ -16,7 +16,7 @@ from scipy.optimize import minimize
 from scipy.special import logsumexp
 
 from warpsar.curves.likelihood import log_density, slopes
-from warpsar.curves.observed import Observed
+from warpsar.curves.observed import ObservedCurve
 
 DB_TO_AMPLITUDE = 10.0 / np.log(10.0)  # dB for a relative change of power
 _SHARES = (1e-6, 10.0)
@@ -30,7 +30,7 @@ class Noise:
     background_m2: float
     share: float
 
-    def power(self, one: Observed, model_m2: NDArray[np.float64]) -> NDArray[np.float64]:
+    def power(self, one: ObservedCurve, model_m2: NDArray[np.float64]) -> NDArray[np.float64]:
         """Mean power of the noise of each row [m2]; what the curve states goes before."""
         background = self.background_m2 if one.background_m2 is None else one.background_m2
         share = self.share if one.share is None else one.share
@@ -62,14 +62,14 @@ class Fit:
     """Rows counted by independent directions."""
 
 
-def densities(one: Observed, amplitude: NDArray[np.complex128], noise: Noise) -> NDArray[np.float64]:
+def densities(one: ObservedCurve, amplitude: NDArray[np.complex128], noise: Noise) -> NDArray[np.float64]:
     """ln p of each row, times the share of an independent direction that it stands for."""
     model = np.abs(amplitude) ** 2
     found: NDArray[np.float64] = one.weight * log_density(one.measured_m2, model, noise.power(one, model))
     return found
 
 
-def fit(curves: Sequence[Observed], names: Sequence[str], offered: str | None = None) -> Fit:
+def fit(curves: Sequence[ObservedCurve], names: Sequence[str], offered: str | None = None) -> Fit:
     """Fit the noise about the sum of the terms `names`, and with it a real factor of one more term, `offered`."""
     loss = _Loss(curves, names, offered)
     count = len(loss.kinds)
@@ -89,7 +89,7 @@ def fit(curves: Sequence[Observed], names: Sequence[str], offered: str | None = 
 class _Loss:
     """-ln L and its slope. x: ln(background / mean power) and ln(share) of each polarization, then the factor."""
 
-    def __init__(self, curves: Sequence[Observed], names: Sequence[str], offered: str | None) -> None:
+    def __init__(self, curves: Sequence[ObservedCurve], names: Sequence[str], offered: str | None) -> None:
         self.kinds = sorted({one.polarization for one in curves})
         more = [offered] if offered else []
         self.given = [(one, one.amplitude(names), one.amplitude(more)) for one in curves]

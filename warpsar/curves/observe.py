@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from warpsar.curves.amplitudes import amplitudes
 from warpsar.curves.angles import independent_deg, width_m
 from warpsar.curves.noise import share_of
-from warpsar.curves.observed import Observed
+from warpsar.curves.observed import ObservedCurve
 from warpsar.io import curves
 from warpsar.world.curve import Curve
 from warpsar.world.world import World
@@ -19,7 +19,9 @@ PER_DIRECTION = 8.0
 """Rows used for an independent direction: more say nothing new."""
 
 
-def observe(world: World, *, cache: Path | None = None, device: str | None = None, thin: bool = True) -> list[Observed]:
+def observe(
+    world: World, *, cache: Path | None = None, device: str | None = None, thin: bool = True
+) -> list[ObservedCurve]:
     """Every curve of a scene with the engine's terms, in the scene's order.
 
     `thin` leaves out rows that say nothing new.
@@ -27,13 +29,13 @@ def observe(world: World, *, cache: Path | None = None, device: str | None = Non
     return [_observe(world, curve, cache, device, thin) for curve in world.curves]
 
 
-def _observe(world: World, curve: Curve, cache: Path | None, device: str | None, thin: bool) -> Observed:
+def _observe(world: World, curve: Curve, cache: Path | None, device: str | None, thin: bool) -> ObservedCurve:
     table = curves.read(curve.file).select(curve.frequency_hz, curve.polarization)
     used = table.used(curve.mask)
     azimuth, incidence = table.azimuth_deg[used], table.incidence_deg[used]
     frequency, pol = float(np.median(table.frequency_hz)), table.polarization[0]
     step = independent_deg(width_m(world.mesh, azimuth, incidence), frequency)
-    bare = Observed(
+    bare = ObservedCurve(
         name=f"{curve.file.stem} {frequency / 1e9:.4g} GHz {pol}",
         frequency_hz=frequency,
         polarization=pol,
@@ -50,7 +52,9 @@ def _observe(world: World, curve: Curve, cache: Path | None, device: str | None,
     return bare.beside(_terms(world, bare, cache, device))
 
 
-def _terms(world: World, one: Observed, cache: Path | None, device: str | None) -> dict[str, NDArray[np.complex128]]:
+def _terms(
+    world: World, one: ObservedCurve, cache: Path | None, device: str | None
+) -> dict[str, NDArray[np.complex128]]:
     """The terms in the curve's directions; those of one incidence are found together."""
     found: dict[str, NDArray[np.complex128]] = {}
     for incidence in np.unique(one.incidence_deg):

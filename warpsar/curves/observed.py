@@ -13,7 +13,7 @@ from warpsar.curves.angles import blocks, weights
 
 
 @dataclass(frozen=True, eq=False)
-class Observed:
+class ObservedCurve:
     """One curve, arrays of shape (n,). Amplitudes are sqrt(4 pi) A, so that their power is an RCS [m2]."""
 
     name: str
@@ -52,11 +52,11 @@ class Observed:
                 total += self.terms[name]
         return total
 
-    def beside(self, terms: Mapping[str, NDArray[np.complex128]]) -> Observed:
+    def beside(self, terms: Mapping[str, NDArray[np.complex128]]) -> ObservedCurve:
         """The same curve beside other terms, (n,) each."""
         return replace(self, terms=terms)
 
-    def where(self, keep: NDArray[np.bool_] | NDArray[np.intp]) -> Observed:
+    def where(self, keep: NDArray[np.bool_] | NDArray[np.intp]) -> ObservedCurve:
         """The same with some rows alone: a mask, or their numbers."""
         level = self.level_m2[keep] if len(self.level_m2) > 1 else self.level_m2
         return replace(
@@ -68,7 +68,7 @@ class Observed:
             level_m2=level,
         )
 
-    def thinned(self, most: float) -> Observed:
+    def thinned(self, most: float) -> ObservedCurve:
         """The same with at most about `most` rows for an independent direction, in the order of azimuth.
 
         Rows in between say nothing new: their weights grow with the distance of those that stay.
@@ -79,6 +79,6 @@ class Observed:
         return self.where(order[first])
 
 
-def independent(curves: Sequence[Observed]) -> float:
+def independent(curves: Sequence[ObservedCurve]) -> float:
     """Number of independent directions in some curves."""
     return float(sum(one.weight.sum() for one in curves))

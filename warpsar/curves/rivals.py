@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 
 from warpsar.curves.metrics import decibels
 from warpsar.curves.noise import Fit, fit
-from warpsar.curves.observed import Observed
+from warpsar.curves.observed import ObservedCurve
 
 MOST_TERMS = 8
 """Of a smooth curve's polynomial; nor more than one for three independent directions."""
 
 
 @dataclass(frozen=True)
-class Rival:
+class CurveRival:
     """Curves without physics, and what their parameters cost."""
 
     name: str
@@ -30,13 +30,13 @@ class Rival:
     """The noise about them."""
 
 
-def constant(curves: Sequence[Observed]) -> Rival:
+def constant(curves: Sequence[ObservedCurve]) -> CurveRival:
     """One level for each curve: the median of its decibels, which no other level beats in mean abs(dB)."""
     models = [np.full(len(one.measured_m2), 10 ** (np.median(decibels(one.measured_m2)) / 10)) for one in curves]
     return _rival("constant level", curves, models, len(curves))
 
 
-def smooth(curves: Sequence[Observed]) -> Rival:
+def smooth(curves: Sequence[ObservedCurve]) -> CurveRival:
     """A polynomial in angle through the decibels of each curve.
 
     Its degree is what the independent directions pay for.
@@ -49,7 +49,7 @@ def smooth(curves: Sequence[Observed]) -> Rival:
     return _rival("smooth curve", curves, models, parameters)
 
 
-def _smooth(one: Observed) -> tuple[NDArray[np.float64], int]:
+def _smooth(one: ObservedCurve) -> tuple[NDArray[np.float64], int]:
     values, number = decibels(one.measured_m2), float(one.weight.sum())
     low, high = one.azimuth_deg.min(), one.azimuth_deg.max()
     place = 2.0 * (one.azimuth_deg - low) / max(high - low, 1e-9) - 1.0
@@ -66,6 +66,8 @@ def _smooth(one: Observed) -> tuple[NDArray[np.float64], int]:
     return best[1], best[2]
 
 
-def _rival(name: str, curves: Sequence[Observed], models: list[NDArray[np.float64]], parameters: int) -> Rival:
+def _rival(
+    name: str, curves: Sequence[ObservedCurve], models: list[NDArray[np.float64]], parameters: int
+) -> CurveRival:
     alone = [replace(one, terms={"rival": np.sqrt(m) + 0j}) for one, m in zip(curves, models, strict=True)]
-    return Rival(name, models, parameters, fit(alone, ["rival"]))
+    return CurveRival(name, models, parameters, fit(alone, ["rival"]))

@@ -22,8 +22,8 @@ from scipy.stats import chi2
 
 from warpsar.curves.metrics import correlation, level_db
 from warpsar.curves.noise import Noise, densities, fit
-from warpsar.curves.observed import Observed, independent
-from warpsar.curves.rivals import Rival, constant, smooth
+from warpsar.curves.observed import ObservedCurve, independent
+from warpsar.curves.rivals import CurveRival, constant, smooth
 from warpsar.curves.sectors import sectors
 
 CANDIDATES = {"edge_diffraction": "edges", "multibounce": "multibounce"}
@@ -48,7 +48,7 @@ Outcome = Literal["added", "level only", "refused", "not testable"]
 
 
 @dataclass(frozen=True)
-class LeftOut:
+class CurvesLeftOut:
     """What a term gains on curves that the noise was not fitted to: 2 ln L, and its standard error."""
 
     name: str
@@ -62,7 +62,7 @@ class LeftOut:
 
 
 @dataclass(frozen=True)
-class Asked:
+class CandidateTest:
     """What a candidate was asked, beside the terms `beside`."""
 
     effect: str
@@ -76,7 +76,7 @@ class Asked:
     gain: float = 0.0
     """2 ln L for the factor 1."""
     price: float = 0.0
-    left_out: tuple[LeftOut, ...] = ()
+    left_out: tuple[CurvesLeftOut, ...] = ()
     over_rivals: Mapping[str, float] = field(default_factory=dict)
     """2 ln L over each rival, whose parameters are paid for."""
     level_db: tuple[float, float] = (float("nan"), float("nan"))
@@ -87,18 +87,18 @@ class Asked:
 
 
 @dataclass(frozen=True)
-class Found:
+class TermSearch:
     """The terms of the model, and every question on the way."""
 
     terms: tuple[str, ...]
     verdict: tuple[str, ...]
     level_only: tuple[str, ...]
-    asked: tuple[Asked, ...]
+    asked: tuple[CandidateTest, ...]
 
 
 def search(
-    curves: Sequence[Observed], terms: Sequence[str] = DECLARED, candidates: Mapping[str, str] = CANDIDATES
-) -> Found:
+    curves: Sequence[ObservedCurve], terms: Sequence[str] = DECLARED, candidates: Mapping[str, str] = CANDIDATES
+) -> TermSearch:
     """Add the likeliest candidate that passes, and ask the others again, until none passes."""
     names, verdict, history, level = list(terms), [], [], []
     left = {effect: term for effect, term in candidates.items() if term not in names}
@@ -114,15 +114,15 @@ def search(
         verdict.append(best.effect)
         history.append(best)
         del left[best.effect]
-    return Found(tuple(names), tuple(verdict), tuple(level), tuple(history))
+    return TermSearch(tuple(names), tuple(verdict), tuple(level), tuple(history))
 
 
 def by_sector(
-    curves: Sequence[Observed],
+    curves: Sequence[ObservedCurve],
     normals: NDArray[np.float64],
     terms: Sequence[str] = DECLARED,
     candidates: Mapping[str, str] = CANDIDATES,
-) -> dict[str, Found]:
+) -> dict[str, TermSearch]:
     """What each sector names, of a body whose apertures have the outward `normals` (n, 3).
 
     What is found where no aperture is seen is of the body, and holds in front of the aperture, too. Without apertures
@@ -131,23 +131,23 @@ def by_sector(
     if not len(normals):
         return {"all": search(curves, terms, candidates)}
 
-    def part(name: str) -> list[Observed]:
+    def part(name: str) -> list[ObservedCurve]:
         inside = [sectors(normals, one.azimuth_deg, one.incidence_deg)[name] for one in curves]
         return [one.where(keep) for one, keep in zip(curves, inside, strict=True) if keep.any()]
 
-    away = search(part("away"), terms, candidates) if part("away") else Found(tuple(terms), (), (), ())
+    away = search(part("away"), terms, candidates) if part("away") else TermSearch(tuple(terms), (), (), ())
     aperture = search(part("aperture"), away.terms, candidates) if part("aperture") else away
     return {"away": away, "aperture": aperture}
 
 
-def ask(curves: Sequence[Observed], names: Sequence[str], effect: str, term: str) -> Asked:
+def ask(curves: Sequence[ObservedCurve], names: Sequence[str], effect: str, term: str) -> CandidateTest:
     """Ask one candidate everything (see the top of this file)."""
     train = [one for one in curves if one.role == "train"]
     head = (effect, term, tuple(names))
     share = _share(curves, names, term)
     if share < LEAST or independent(train) < FEWEST:
         why = "the term is nothing here" if share < LEAST else "too few independent directions"
-        return Asked(*head, "not testable", why=why)
+        return CandidateTest(*head, "not testable", why=why)
     with_it = [*names, term]
     without, free, one = fit(train, names), fit(train, names, term), fit(train, with_it)
     statistic = max(2.0 * (free.log_likelihood - without.log_likelihood), 0.0)
@@ -166,7 +166,7 @@ def ask(curves: Sequence[Observed], names: Sequence[str], effect: str, term: str
     told = levels[1] < min(LEVEL_DB, 0.5 * levels[0])
     outcome: Outcome = "added" if not why else "level only" if told else "refused"
     alike = [correlation(each.measured_m2, np.abs(each.amplitude(with_it)) ** 2) for each in curves]
-    return Asked(
+    return CandidateTest(
         *head,
         outcome,
         statistic,
@@ -182,13 +182,13 @@ def ask(curves: Sequence[Observed], names: Sequence[str], effect: str, term: str
     )
 
 
-def _level(curves: Sequence[Observed], names: Sequence[str]) -> float:
+def _level(curves: Sequence[ObservedCurve], names: Sequence[str]) -> float:
     """Modelled over measured mean power [dB], in the mean square over the curves."""
     found = [level_db(one.measured_m2, np.abs(one.amplitude(names)) ** 2) for one in curves]
     return float(np.sqrt(np.mean(np.square(found))))
 
 
-def _share(curves: Sequence[Observed], names: Sequence[str], term: str) -> float:
+def _share(curves: Sequence[ObservedCurve], names: Sequence[str], term: str) -> float:
     """Power of a term over that of the whole, at most, over the curves."""
     shares = []
     for one in curves:
@@ -197,13 +197,13 @@ def _share(curves: Sequence[Observed], names: Sequence[str], term: str) -> float
     return max(shares)
 
 
-def _over(curves: Sequence[Observed], names: Sequence[str], rival: Rival) -> float:
+def _over(curves: Sequence[ObservedCurve], names: Sequence[str], rival: CurveRival) -> float:
     """2 ln L of the model over a rival; each of the rival's parameters costs ln(independent directions)."""
     own = fit(curves, names).log_likelihood - rival.fitted.log_likelihood
     return 2.0 * own + rival.parameters * float(np.log(independent(curves)))
 
 
-def _left_out(curves: Sequence[Observed], names: Sequence[str], term: str) -> list[LeftOut]:
+def _left_out(curves: Sequence[ObservedCurve], names: Sequence[str], term: str) -> list[CurvesLeftOut]:
     """Gains on the test curves, with the noise as the train curves of the same polarization have it; then on each
     polarization by itself, about which nothing was fitted to the other but its own noise."""
     train = [one for one in curves if one.role == "train"]
@@ -220,11 +220,11 @@ def _left_out(curves: Sequence[Observed], names: Sequence[str], term: str) -> li
             gains = [_gains(one, names, term, before[one.polarization], after[one.polarization]) for one in judged]
             each = np.concatenate(gains)
             error = float(np.sqrt(len(each)) * each.std(ddof=1)) if len(each) > 1 else float("inf")
-            found.append(LeftOut(name, float(each.sum()), error))
+            found.append(CurvesLeftOut(name, float(each.sum()), error))
     return found
 
 
-def _gains(one: Observed, names: Sequence[str], term: str, before: Noise, after: Noise) -> NDArray[np.float64]:
+def _gains(one: ObservedCurve, names: Sequence[str], term: str, before: Noise, after: Noise) -> NDArray[np.float64]:
     """2 ln L that a term gains on one curve, by independent stretches of angle."""
     rows = densities(one, one.amplitude([*names, term]), after) - densities(one, one.amplitude(names), before)
     return np.bincount(one.block, 2.0 * rows).astype(np.float64)

@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from warpsar.curves.noise import fit
-from warpsar.curves.observed import Observed
+from warpsar.curves.observed import ObservedCurve
 
 CONFIDENCE = 0.95
 
 
 @dataclass(frozen=True)
-class Told:
+class ProfileInterval:
     """What a grid of likelihoods tells of one parameter."""
 
     value: float
@@ -32,7 +32,7 @@ class Told:
         return {"value": self.value, "interval_95": [self.low, self.high], "open": self.open}
 
 
-def likelihood(curves: Sequence[Observed], names: Sequence[str]) -> float:
+def likelihood(curves: Sequence[ObservedCurve], names: Sequence[str]) -> float:
     """2 ln L of some curves, the noise fitted."""
     return 2.0 * fit(curves, names).log_likelihood
 
@@ -45,7 +45,7 @@ def on_grid(
     return np.array(found).reshape([len(axis) for axis in axes.values()])
 
 
-def profiles(axes: Mapping[str, NDArray[np.float64]], twice_log: NDArray[np.float64]) -> dict[str, Told]:
+def profiles(axes: Mapping[str, NDArray[np.float64]], twice_log: NDArray[np.float64]) -> dict[str, ProfileInterval]:
     """The likeliest value of every parameter and its interval: where the profile is within chi-square's of its peak.
 
     The profile is the largest 2 ln L over all other parameters. Between the points of the grid it is a line for the
@@ -62,7 +62,7 @@ def profiles(axes: Mapping[str, NDArray[np.float64]], twice_log: NDArray[np.floa
         if not len(inside):  # the parabola's peak stands over all points
             inside = np.array([int(profile.argmax())])
         low, high = _cross(axis, profile, inside[0], -1, level), _cross(axis, profile, inside[-1], 1, level)
-        found[name] = Told(peak, low, high, bool(inside[0] == 0 or inside[-1] == len(axis) - 1))
+        found[name] = ProfileInterval(peak, low, high, bool(inside[0] == 0 or inside[-1] == len(axis) - 1))
     return found
 
 

@@ -3,6 +3,7 @@
 The files, from the door inwards:
 
 command.py          the command
+curves.py           which terms of the engine measured curves of RCS show
 result.py           `diagnose`, and its result on all views
 content.py          what diagnosis.json holds
 written_scene.py    what the written scene and diagnosis.json say of found objects
@@ -23,3 +24,7 @@ proposals/          what the mesh lacks: an object that several views agree on
 scores/             how well what is left fits the template of an effect
 models/             what the models of a diagnosis share: how one is fitted, and how two are compared
 """
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)  # public: __init__.pyi

@@ -34,7 +34,7 @@ class Deciding:
     all: dict[str, float]
     sentence: str
 
-    def told(self) -> dict[str, Any]:
+    def content(self) -> dict[str, Any]:
         """For the JSON."""
         return asdict(self)
 

@@ -8,18 +8,21 @@ import time
 from pathlib import Path
 from typing import Any
 
+from warpsar.coherent.left_out import left_out_warning
+from warpsar.compare.curve import judge_curves
 from warpsar.compare.evaluation import ROLES
-from warpsar.curves import command as curve_command
 from warpsar.diagnosis.content import content_of
+from warpsar.diagnosis.curves import diagnose_curves
 from warpsar.diagnosis.found import DiagnoseOptions
 from warpsar.diagnosis.left.words import first_sentence
 from warpsar.diagnosis.report.page import write_report
 from warpsar.diagnosis.result import OPEN_WORDS, Diagnosed, judged, moved_parameters
-from warpsar.diagnosis.search.course import begun
 from warpsar.diagnosis.search.procedure import diagnose_scene
+from warpsar.diagnosis.search.record import open_record
 from warpsar.diagnosis.written_scene import annotate
+from warpsar.evaluation.report_curves import write_curves_report
 from warpsar.io import checkpoint
-from warpsar.runtime import console, distributed
+from warpsar.runtime import console, once
 from warpsar.simulation.outputs import opened, write_json
 
 UNEXPLAINED = 4
@@ -37,31 +40,41 @@ def run(
     """`warpsar diagnose`: write diagnosis.json, scene.toml with the added effects, and report.html into `out`.
 
     A checkpoint is kept there while it runs, and `resume` goes on from it. Returns the JSON's content. Of several
-    processes, the first one judges and writes. The others return nothing. Raises InputError as `diagnose` and `begun`
-    do.
+    processes, the first one judges and writes. The others return nothing. Raises InputError as `diagnose` and
+    `open_record` do.
     """
     started = time.perf_counter()
     options = options or DiagnoseOptions()
     scene, out, where = opened(scene_path, out, device)
-    if curve_command.alone(scene):
-        asked = curve_command.diagnosed(scene, out / "cache", where.alias)
+    words = command_line(scene_path, out, where.alias, options)
+    if scene.has_curves_alone:
+        console.warn(left_out_warning(scene, "a curve"))
+        asked = diagnose_curves(scene, out / "cache", where.alias)
         asked.scene.save(out / "scene.toml")
-        print(", ".join(asked.content["verdict"]) or "nothing missing", file=sys.stdout)
-        return write_json(out / "diagnosis.json", scene, where, options.seed, started, asked.content)
-    ranks = distributed.ranks(where)
-    course = begun(scene, options, out, ranks, resume or bool(distributed.restarts()))
-    found = diagnose_scene(scene, where, options, ranks, course)
+        content = write_json(out / "diagnosis.json", scene, where, options.seed, started, asked.content())
+        told = {role: judge_curves(part) for role in ROLES if (part := [c for c in asked.after if c.role == role])}
+        title, beside = f"What {Path(scene_path).name} lacks, by its curves", "scene.toml, diagnosis.json (all numbers)"
+        page = out / "report.html"
+        write_curves_report(
+            page, title, asked.after, told, content, words, before=asked.before, words=asked.words, beside=beside
+        )
+        console.say_written(out, "report.html", "diagnosis.json", "scene.toml")
+        print(", ".join(asked.verdict) or "nothing missing", file=sys.stdout)
+        return content
+    once.join(where)
+    record = open_record(scene, options, out, resume or bool(once.restarts()))
+    found = diagnose_scene(scene, where, options, record)
 
-    def written() -> dict[str, Any]:
-        if not ranks.first:
-            return {}
+    processes = once.processes()
+
+    def write() -> dict[str, Any]:
         done = judged(found)
         moves, identified = moved_parameters(done.diagnosis)
         done.diagnosis.final.scene.save(out / "scene.toml")
         annotate(out / "scene.toml", done.diagnosis.objects)
-        content = content_of(done, moves, identified, options) | {"processes": ranks.size}
+        content = content_of(done, moves, identified, options) | {"processes": processes}
         content = write_json(out / "diagnosis.json", scene, where, options.seed, started, content)
-        write_report(out / "report.html", done, moves, content, command_line(scene_path, out, where.alias, options))
+        write_report(out / "report.html", done, moves, content, words)
         if not found.not_asked:
             checkpoint.remove(out)
         for one in content["tolerances"].values():
@@ -81,7 +94,7 @@ def run(
         print(in_short(done), file=sys.stdout)
         return content
 
-    return ranks.agree(written)
+    return once.agree(lambda: once.write(write)) or {}
 
 
 def command_line(scene_path: Path | str, out: Path, device: str, options: DiagnoseOptions) -> list[str]:

@@ -10,11 +10,12 @@ from warpsar.compare.comparison import Comparison
 from warpsar.compare.evaluation import ROLES
 from warpsar.compare.metrics import difference, pool
 from warpsar.diagnosis.field_content import fields_content
-from warpsar.diagnosis.found import Candidate, DiagnoseOptions, Diagnosis, Rival, Turn
+from warpsar.diagnosis.found import Candidate, DiagnoseOptions, Diagnosis, EffectRival, Turn
 from warpsar.diagnosis.known import known_content
 from warpsar.diagnosis.left.words import described
-from warpsar.diagnosis.models.change import is_geometry, kind_of, object_of
-from warpsar.diagnosis.result import Diagnosed, Moved, of_role, why_not
+from warpsar.diagnosis.models.change import is_geometry
+from warpsar.diagnosis.models.names import kind_of, object_of
+from warpsar.diagnosis.result import Diagnosed, ParameterMove, of_role, why_not
 from warpsar.diagnosis.search.outcome import outcome
 from warpsar.diagnosis.written_scene import own_materials
 from warpsar.effects.registry import get
@@ -22,7 +23,7 @@ from warpsar.learning.identify import Identified
 
 
 def content_of(
-    done: Diagnosed, moves: Sequence[Moved], identified: Identified, options: DiagnoseOptions
+    done: Diagnosed, moves: Sequence[ParameterMove], identified: Identified, options: DiagnoseOptions
 ) -> dict[str, Any]:
     """JSON's types; docs/diagnosis.md explains the keys."""
     found = done.diagnosis
@@ -46,7 +47,7 @@ def content_of(
             *([one.effect, one.other] for one, _ in done.alternatives),
             *([name, other] for name in done.speckle.names for other in done.speckle.rivals),
         ],
-        "alternatives_because": [_rival(one) | {"deciding": by.told()} for one, by in done.alternatives],
+        "alternatives_because": [_rival(one) | {"deciding": by.content()} for one, by in done.alternatives],
         "before": done.before,
         "after": done.after,
         "gain": {role: _gain(done.models[0], done.models[-1], role) for role in ROLES},
@@ -84,6 +85,7 @@ def content_of(
         **fields_content(found.declared, found.final),
         "effects": found.final.scene.effects,
         "objects": found.objects,
+        "sensor": found.sensor,
         "identifiability": identified.summary(),
         **known_content(found, identified),
         "rays_per_pixel": found.density.rays_per_pixel,
@@ -94,7 +96,7 @@ def content_of(
     }
 
 
-def _rival(one: Rival) -> dict[str, Any]:
+def _rival(one: EffectRival) -> dict[str, Any]:
     return {
         "effect": one.effect,
         "other": one.other,
@@ -148,7 +150,7 @@ def _addition(
         **_candidate(chosen, turn),
         "threshold": turn.threshold,
         "family_error": options.family_error,
-        "parameters": found.objects[object_of(chosen.effect)]
+        "parameters": {**found.objects, **found.sensor}[object_of(chosen.effect)]
         if is_geometry(chosen.effect)
         else found.final.scene.effects[chosen.effect],
         "train_deviance": train["deviance"],
@@ -170,7 +172,7 @@ def _turn(turn: Turn) -> dict[str, Any]:
     }
 
 
-def _moved(m: Moved) -> dict[str, float]:
+def _moved(m: ParameterMove) -> dict[str, float]:
     return {
         "before": m.before,
         "before_sd_log": m.before_sd,

@@ -34,7 +34,7 @@ class MovedField:
     after: float
     move: float
 
-    def told(self) -> dict[str, Any]:
+    def content(self) -> dict[str, Any]:
         """For the JSON."""
         return {
             "layout": self.layout,
@@ -61,7 +61,7 @@ def moved_fields(first: Fitted, last: Fitted) -> list[MovedField]:
 def fields_content(first: Fitted, last: Fitted) -> dict[str, Any]:
     """For diagnosis.json: `fields`, where there are any."""
     moves = moved_fields(first, last)
-    return {"fields": {f"{one.material}.{one.key}": one.told() for one in moves}} if moves else {}
+    return {"fields": {f"{one.material}.{one.key}": one.content() for one in moves}} if moves else {}
 
 
 def fields_rows(content: Mapping[str, Any]) -> list[list[str]]:

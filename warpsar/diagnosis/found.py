@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 
 from warpsar.compare.observation import Observation
-from warpsar.diagnosis.models.bench import Bench
 from warpsar.diagnosis.models.carried import Carried
-from warpsar.diagnosis.models.change import changes, kind_of
+from warpsar.diagnosis.models.change import changes
+from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.judge import Judge
-from warpsar.diagnosis.models.left_out import LeftOut
+from warpsar.diagnosis.models.left_out import ViewsLeftOut
+from warpsar.diagnosis.models.names import kind_of
 from warpsar.diagnosis.models.refit import Fitted
 from warpsar.diagnosis.scores.score import NOT_TESTABLE
 from warpsar.effects.base.signature import Signature
@@ -74,7 +75,7 @@ class Confirmed:
     effect: str
     gain: float
     size: int
-    left_out: LeftOut | None = None
+    left_out: ViewsLeftOut | None = None
     carried: Carried | None = None
     signature: Signature | None = None
     refused: str = ""
@@ -101,7 +102,7 @@ class Candidate:
     resembles: list[str] = field(default_factory=list)
     refit_gain: float | None = None  # 2 ln L over the model without it
     refit_size: int | None = None
-    left_out: LeftOut | None = None
+    left_out: ViewsLeftOut | None = None
     carried: Carried | None = None  # how much of its gain the surface carries from view to view
     signature: Signature | None = None  # what its own test says
     refused: str = ""  # why it was not added, where it was fitted or could not be
@@ -180,7 +181,7 @@ REFUSES = 2.33
 
 
 @dataclass(frozen=True)
-class Rival:
+class EffectRival:
     """`other` in the place of `effect`: `gain` is 2 ln L of `effect` over it.
 
     `distance`: sum of L (ln mu - ln mu')^2 over the pixels. The gain is that on average were `effect` the cause, and
@@ -210,9 +211,9 @@ class Diagnosis:
     """`turns` in their order: the last one added nothing, unless the limit was reached. `declared` is the model of the
     scene file, fitted. `final` is the one with every added effect that holds. Both have the looks and texture that
     `speckle`, found about the declared model, names. `rivals`: other effects in the place of these. `objects`: what
-    became of those that were changed, by name. `withdrawn`: effects that held on the train views, but made the error on
-    test views larger. `not_asked`: what a limit of time left out, in words; empty where the search came to its end.
-    `judge` compares models with all images."""
+    became of those that were changed, by name; `sensor`: the same of angles and spacings. `withdrawn`: effects that
+    held on the train views, but made the error on test views larger. `not_asked`: what a limit of time left out, in
+    words; empty where the search came to its end. `judge` compares models with all images."""
 
     scene: Scene
     declared: Fitted
@@ -220,12 +221,13 @@ class Diagnosis:
     turns: list[Turn]
     unexplained: bool
     density: Density
-    bench: Bench
+    setup: FitSetup
     judge: Judge
     speckle: SpeckleFact
-    rivals: list[Rival] = field(default_factory=list)
+    rivals: list[EffectRival] = field(default_factory=list)
     withdrawn: list[str] = field(default_factory=list)
     objects: dict[str, dict[str, Any]] = field(default_factory=dict)
+    sensor: dict[str, dict[str, Any]] = field(default_factory=dict)
     not_asked: list[str] = field(default_factory=list)
 
     @property

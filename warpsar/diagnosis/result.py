@@ -16,19 +16,21 @@ from warpsar.compare.judgement import SHARE, Judgement, judge, speckle_of
 from warpsar.compare.metrics import difference, likelihood_gain
 from warpsar.diagnosis.alternatives import Deciding, deciding
 from warpsar.diagnosis.field_content import identify_beside
-from warpsar.diagnosis.found import Candidate, DiagnoseOptions, Diagnosis, Rival
-from warpsar.diagnosis.left.place import Place, place
+from warpsar.diagnosis.found import Candidate, DiagnoseOptions, Diagnosis, EffectRival
+from warpsar.diagnosis.left.place import ResidualPlace, place
 from warpsar.diagnosis.left.summary import Left, left_of
-from warpsar.diagnosis.models.bench import Bench
-from warpsar.diagnosis.models.change import changes, is_geometry, kind_of, object_of
+from warpsar.diagnosis.models.change import changes, is_geometry
+from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.judge import under, with_speckle
+from warpsar.diagnosis.models.names import kind_of, object_of
 from warpsar.diagnosis.models.refit import Fitted, refit_without
+from warpsar.diagnosis.models.sensor import is_own_angle
 from warpsar.diagnosis.role_metrics import RoleMetrics, role_metrics
 from warpsar.diagnosis.search.geometry_confirmation import taken_back
 from warpsar.diagnosis.search.procedure import diagnose_scene
 from warpsar.errors import refuse_kind
 from warpsar.learning.identify import Identified, identify
-from warpsar.runtime import devices, distributed
+from warpsar.runtime import devices, once
 from warpsar.scene.scene import Scene, scene_or_file
 from warpsar.speckle.facts import SpeckleFact
 from warpsar.speckle.scan import Spot
@@ -60,9 +62,9 @@ class Diagnosed:
     reasons: list[str]
     own_numbers: bool
     foretold: Judgement | None
-    place: Place
+    place: ResidualPlace
     left: Left
-    alternatives: list[tuple[Rival, Deciding]] = field(default_factory=list)
+    alternatives: list[tuple[EffectRival, Deciding]] = field(default_factory=list)
 
     @cached_property
     def before(self) -> dict[str, RoleMetrics | None]:
@@ -107,14 +109,15 @@ def diagnose(
 ) -> Diagnosed:
     """Run the procedure of docs/diagnosis.md on the train views. Then judge every turn's model, once, on all views.
 
-    Several processes (`distributed`) share the work, and all return the same. Raises InputError for scenes without
+    Several processes share the work, and all return the same. Raises InputError for scenes without
     measured train views.
     """
     scene = scene_or_file(scene)
     options = options or DiagnoseOptions()
     refuse_kind(options, DiagnoseOptions, "options")
     where = devices.resolve_device(device)
-    return judged(diagnose_scene(scene, where, options, distributed.ranks(where)))
+    found = diagnose_scene(scene, where, options)
+    return once.alone(lambda: judged(found))
 
 
 def judged(found: Diagnosis) -> Diagnosed:
@@ -135,7 +138,7 @@ def judged(found: Diagnosis) -> Diagnosed:
     verdicts = {role: judge(under(images, final)) for role, images in tested.items() if images}
     foretold = None
     if _may_be_open(verdicts):
-        images = judge_of.with_open_surface(final, found.bench.roughness)
+        images = judge_of.with_open_surface(final, found.setup.roughness)
         opened = {role: judge(of) for role, of in images.items()}
         cost = _train_cost(under(judge_of(fitted, "train"), final), images["train"]) / verdicts["train"].sharing
         allowed = float(chi2.ppf(1.0 - OPEN, found.final.problem.learned.size))
@@ -149,7 +152,7 @@ def judged(found: Diagnosis) -> Diagnosed:
     reasons = _reasons(found, [*found.verdict, *speckle.names], verdicts, models[0], models[-1])
     undecided = [rival for rival in found.rivals if rival.undecided and rival.effect in found.verdict]
     looks = float(np.median([seen.looks for seen in found.observations]))
-    alternatives = [(one, deciding(final, one.scene, looks, found.bench.device)) for one in undecided]
+    alternatives = [(one, deciding(final, one.scene, looks, found.setup.device)) for one in undecided]
     last = models[-1]
     spot = _spot(found, verdicts["train"])
     where = place(found, last, spot)
@@ -207,7 +210,9 @@ def _reasons(
     if found.unexplained and not said:
         said.append("train views: the scan finds something that no effect explains")
     first, last = (of_role(images, "test") for images in (before, after))
-    if names and (unpaid := _unpaid(first, last, bool(found.verdict))):
+    # a train view's own angle moves no other image; the surface that follows it does, by next to nothing
+    acting = any(not is_own_angle(name) for name in _added(found, found.final))
+    if names and (unpaid := _unpaid(first, last, acting)):
         said.append(f"{', '.join(names)} does not pay on test views: their {unpaid}")
     return said
 
@@ -228,7 +233,7 @@ def _without_what_hurts(found: Diagnosis) -> Diagnosis:
 
     What hurts most goes first, and the rest is fitted and judged again.
     """
-    judge_of, bench, withdrawn, kept = found.judge, replace(found.bench, bound=0.0), list[str](), found.final
+    judge_of, setup, withdrawn, kept = found.judge, replace(found.setup, bound=0.0), list[str](), found.final
     before = judge_of(found.declared.scene, "test", edges=False)
 
     def gained(fitted: Fitted) -> tuple[float, float]:
@@ -238,7 +243,7 @@ def _without_what_hurts(found: Diagnosis) -> Diagnosis:
         gain, error = gained(kept)
         if gain >= -error:
             break
-        without = [_without(bench, kept, found.scene, name) for name in names]
+        without = [_without(setup, kept, found.scene, name) for name in names]
         best = max(range(len(names)), key=lambda k: gained(without[k])[0])
         withdrawn.append(names[best])
         kept = without[best] if len(names) > 1 else found.declared
@@ -255,10 +260,10 @@ def _added(found: Diagnosis, fitted: Fitted) -> list[str]:
     return [*effects, *changes(found.scene, fitted.scene)]
 
 
-def _without(bench: Bench, fitted: Fitted, declared: Scene, name: str) -> Fitted:
+def _without(setup: FitSetup, fitted: Fitted, declared: Scene, name: str) -> Fitted:
     if is_geometry(name):
-        return taken_back(bench, fitted, declared, name)
-    return refit_without(bench, fitted, name)
+        return taken_back(setup, fitted, declared, name)
+    return refit_without(setup, fitted, name)
 
 
 def fitted_models(found: Diagnosis) -> list[Fitted]:
@@ -268,7 +273,7 @@ def fitted_models(found: Diagnosis) -> list[Fitted]:
 
 
 @dataclass(frozen=True)
-class Moved:
+class ParameterMove:
     """A surface parameter before and after the effects were added: values (SI), and standard deviations of their
     learned coordinates (ln, or logit for specular_fraction); `sds`: the move over the root of both variances' sum."""
 
@@ -285,7 +290,7 @@ class Moved:
         return self.move / float(np.hypot(self.before_sd, self.after_sd))
 
 
-def moved_parameters(found: Diagnosis) -> tuple[list[Moved], Identified]:
+def moved_parameters(found: Diagnosis) -> tuple[list[ParameterMove], Identified]:
     """How far every uniform learned surface parameter went, and what the final model's data can say of them."""
     first, last = found.declared, found.final
     before, after = (identified(fitted) for fitted in (first, last))
@@ -301,7 +306,7 @@ def moved_parameters(found: Diagnosis) -> tuple[list[Moved], Identified]:
                 a, b = float(first.x[at]), float(last.x[x_end])
                 one, two = (float(block.kind.from_coordinate(x)) for x in (a, b))
                 sds = float(before.sd[place]), float(after.sd[place_end])
-                moves.append(Moved(block.material, block.kind.key, one, two, *sds, b - a))
+                moves.append(ParameterMove(block.material, block.kind.key, one, two, *sds, b - a))
             at, place = at + 1, place + 1
     return moves, after
 

@@ -5,3 +5,7 @@ parameters: what may change, by name. derivatives: images, `vjp` and `jvp` with 
 as parameters. vertex_slopes: a view's gradient to the vertices. facets: what facets return as they turn. geometry:
 exact images, and their change along one move.
 """
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)  # public: __init__.pyi

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from warpsar.differentiable.moves import Moves
+from warpsar.differentiable.moves import GeometryParameters
 from warpsar.differentiable.parameters import (
     RenderParameter,
     known_name,
@@ -49,7 +49,7 @@ class Derivatives:
     def __init__(self, scene: Scene, device: Any, seed: int, max_memory_gib: float, *, vertices: bool = False) -> None:
         self.scene, self.device = scene, device
         self._seed, self._memory = seed, max_memory_gib
-        self.moves = Moves(scene, vertices)
+        self.moves = GeometryParameters(scene, vertices)
         """What of the geometry may change."""
         self.renders: dict[str, ViewRender] = {}
         """By view."""

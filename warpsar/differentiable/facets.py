@@ -66,12 +66,11 @@ class _Alone:
             "weight": wp.array(np.ones(n, np.float32), dtype=float, device=device),
             "point": wp.array(middle.astype(np.float32), dtype=wp.vec3, device=device),
         }
-        self._angles: dict[str, Any] = {
+        arrays |= {
             name: wp.zeros(n, dtype=float, device=device) for name in ("cos_incidence", "cos_twist", "cos2_azimuth")
         }
-        self._point = arrays["point"]
-        its = Hits(grid, hits.geometry, rays_per_m2=hits.rays_per_m2, seed=0, rays=0, **arrays, **self._angles)
-        self._render = ViewRender(stage, like.view, its, grid.shape, tuple(like.images), effects)
+        self._hits = Hits(grid, hits.geometry, rays_per_m2=hits.rays_per_m2, seed=0, rays=0, **arrays)
+        self._render = ViewRender(stage, like.view, self._hits, grid.shape, tuple(like.images), effects)
         wp.copy(self._render.nodes, like.nodes)
         for name, values in self._render.effect_values.items():
             wp.copy(values, like.effect_values[name])
@@ -79,11 +78,9 @@ class _Alone:
     def power(self, normal: np.ndarray) -> np.ndarray:
         """sigma0 / cos(incidence), (polarizations, faces), float64, for facets with these normals."""
         unit = normal / np.linalg.norm(normal, axis=1, keepdims=True)
-        given: wp.array = wp.array(unit.astype(np.float32), dtype=wp.vec3, device=self._point.device)
-        outputs = list(self._angles.values())
-        wp.launch(
-            facet_kernel, len(unit), inputs=[self._rays, self._point, given], outputs=outputs, device=given.device
-        )
-        cosine = np.maximum(outputs[0].numpy().astype(float), 1e-6)
+        given: wp.array = wp.array(unit.astype(np.float32), dtype=wp.vec3, device=self._hits.point.device)
+        hits = self._hits.arrays
+        wp.launch(facet_kernel, len(unit), inputs=[self._rays, given], outputs=[hits], device=given.device)
+        cosine = np.maximum(hits.cos_incidence.numpy().astype(float), 1e-6)
         images = self._render.forward()
         return np.stack([image[:, 0].astype(float) / cosine for image in images.values()])

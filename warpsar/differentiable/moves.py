@@ -16,7 +16,7 @@ VERTICES = "mesh.vertices"
 STEP = 1e-5  # of a number's own unit, for d vertices / d number: their error is then under 1e-9
 
 
-class Moves:
+class GeometryParameters:
     """The parameters of a scene's geometry among those of a renderer, and the mesh that they make.
 
     `parameters`: what the objects' `learn` names, such as "objects.tower.heading_deg", or "mesh.vertices" [m], shape

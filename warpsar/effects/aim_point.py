@@ -9,7 +9,7 @@ import numpy as np
 import warp as wp
 
 from warpsar.effects.base.effect import Effect
-from warpsar.effects.base.parameter import Parameter
+from warpsar.effects.base.parameter import EffectParameter
 from warpsar.effects.base.recorder import Recorder
 from warpsar.effects.base.signature import SeenImage
 from warpsar.effects.base.trial import Context, ScoreStep, Trial
@@ -21,9 +21,9 @@ _REACH_M = 1e4
 _ROOM_PX = 4  # pixels beyond the shift that is declared: as far as a fit may go from there without a dark edge
 
 
-def _metres(name: str) -> Parameter:
+def _metres(name: str) -> EffectParameter:
     meaning = f"Shift in {name.removesuffix('_m')} of each view."
-    return Parameter(
+    return EffectParameter(
         name, "m", 0.0, -_REACH_M, _REACH_M, 0.0, description=meaning, per_view=True, fit_low=-100.0, fit_high=100.0
     )
 
@@ -33,6 +33,7 @@ class AimPoint(Effect):
 
     name = "aim_point"
     stage = "position"
+    acts_on = ("beta0", "slc", "phase-history")
     order = 20
     summary = "shifts that differ from view to view"
     example: ClassVar[dict[str, Any]] = {"range_m": {"v0": 1.5}, "azimuth_m": {"v0": -1.0}}

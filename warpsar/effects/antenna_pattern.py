@@ -10,7 +10,7 @@ import numpy as np
 import warp as wp
 
 from warpsar.effects.base.effect import Effect
-from warpsar.effects.base.parameter import Parameter
+from warpsar.effects.base.parameter import EffectParameter
 from warpsar.effects.base.recorder import Recorder
 from warpsar.effects.base.signature import SeenImage
 from warpsar.effects.base.trial import Context, ScoreStep, Trial
@@ -18,10 +18,10 @@ from warpsar.kernels.effects import antenna_pattern as kernels
 from warpsar.world.world import World
 
 
-def _pair(unit: str, low: float, high: float, start: float, fit_high: float) -> tuple[Parameter, Parameter]:
+def _pair(unit: str, low: float, high: float, start: float, fit_high: float) -> tuple[EffectParameter, EffectParameter]:
     where = "for a strip-map" if unit == "deg" else "for a plane wave"
     return (
-        Parameter(
+        EffectParameter(
             f"beamwidth_{unit}",
             unit,
             math.inf,
@@ -33,7 +33,7 @@ def _pair(unit: str, low: float, high: float, start: float, fit_high: float) -> 
             fit_low=low,
             fit_high=fit_high,
         ),
-        Parameter(
+        EffectParameter(
             f"boresight_{unit}",
             unit,
             math.nan,
@@ -57,9 +57,9 @@ class AntennaPattern(Effect):
 
     name = "antenna_pattern"
     stage = "gain"
+    acts_on = ("beta0", "slc", "phase-history")
     order = 10
     summary = "two-way elevation pattern of the antenna"
-    with_phase = "collection.antenna"
     example: ClassVar[dict[str, Any]] = {"beamwidth_m": 45.0, "boresight_m": 8.0}
     rate_case: ClassVar[dict[str, Any]] = {"beamwidth_m": 40.0, "boresight_m": 4.0}
     parameters = (*_pair("deg", 1e-3, 90.0, 20.0, 1e3), *_pair("m", 1e-3, 1e7, 100.0, 1e7))

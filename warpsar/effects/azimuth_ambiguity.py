@@ -10,7 +10,8 @@ import numpy as np
 import warp as wp
 
 from warpsar.effects.base.effect import Effect
-from warpsar.effects.base.parameter import Parameter
+from warpsar.effects.base.parameter import EffectParameter
+from warpsar.effects.base.phase import Copy
 from warpsar.effects.base.recorder import Recorder
 from warpsar.effects.base.signature import SeenImage, Signature, power_in
 from warpsar.effects.base.trial import Context, ScoreStep, Trial
@@ -27,6 +28,7 @@ class AzimuthAmbiguity(Effect):
 
     name = "azimuth_ambiguity"
     stage = "image"
+    acts_on = ("beta0", "slc", "phase-history")
     order = 20
     affine = True
     additive = True
@@ -35,7 +37,7 @@ class AzimuthAmbiguity(Effect):
     example: ClassVar[dict[str, Any]] = {"level": 0.05, "offset_m": 22.0}
     rate_case: ClassVar[dict[str, Any]] = {"level": 0.05, "offset_m": 9.0}
     parameters = (
-        Parameter(
+        EffectParameter(
             "level",
             "1",
             0.0,
@@ -47,7 +49,7 @@ class AzimuthAmbiguity(Effect):
             fit_high=1.0,
             description="Power of each copy, as a share of the image.",
         ),
-        Parameter("offset_m", "m", math.nan, 0.0, 1e6, 10.0, description="Distance of the copies in azimuth."),
+        EffectParameter("offset_m", "m", math.nan, 0.0, 1e6, 10.0, description="Distance of the copies in azimuth."),
     )
 
     def parts(self, image: SeenImage, table: Mapping[str, Any]) -> Mapping[str, np.ndarray]:
@@ -72,6 +74,12 @@ class AzimuthAmbiguity(Effect):
             at = {"level": size, "offset_m": pixels * grid.spacing_m[1]}
             found.append(Trial((ScoreStep("level", size, at, one_sided=True),), (at,), f"offset {at['offset_m']:g} m"))
         return found
+
+    def copies(self, values: np.ndarray) -> tuple[Copy, ...]:
+        """One on either side. Its echoes come from another part of the Doppler spectrum than those of the image: no
+        phase holds between them."""
+        level, offset = (float(value) for value in values)
+        return Copy(-offset, level), Copy(offset, level)
 
     def image(self, render: Recorder, p: wp.array, image: wp.array) -> wp.array:
         result = render.program.array(image.shape[0])

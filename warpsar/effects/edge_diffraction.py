@@ -10,7 +10,7 @@ import numpy as np
 import warp as wp
 
 from warpsar.effects.base.effect import Effect
-from warpsar.effects.base.parameter import Parameter
+from warpsar.effects.base.parameter import EffectParameter
 from warpsar.effects.base.recorder import Recorder
 from warpsar.effects.base.signature import SeenImage
 from warpsar.effects.base.trial import Context, ScoreStep, Trial
@@ -25,7 +25,7 @@ _PIECES_PER_BIN = 2
 
 
 @dataclass(frozen=True)
-class Edges:
+class SharpEdges:
     """Sharp edges of a mesh from `start` to `end` [m]; arrays of shape (n, 3), float64.
 
     `outward` is the unit vector that halves the outer angle between the two faces.
@@ -49,14 +49,15 @@ class EdgeDiffraction(Effect):
 
     name = "edge_diffraction"
     stage = "path"
+    of_surfaces_with = "eps_r"
     order = 20
     needs_all_hits = True
     summary = "lines along sharp edges"
-    with_phase = "edges in radar.terms"
+    in_place = "edges in radar.terms"
     example: ClassVar[dict[str, Any]] = {"strength": 3.0}
     rate_case: ClassVar[dict[str, Any]] = {"strength": 3.0}
     parameters = (
-        Parameter(
+        EffectParameter(
             "strength",
             "1",
             0.0,
@@ -98,7 +99,7 @@ class EdgeDiffraction(Effect):
         return result
 
 
-def sharp_edges(target: Target) -> Edges:
+def sharp_edges(target: Target) -> SharpEdges:
     """Edges at which exactly two faces meet under an angle. Vertices at one place count as one."""
     _, index = np.unique(np.round(target.corners, 6), axis=0, return_inverse=True)
     faces = index.reshape(-1)[target.faces.numpy()]
@@ -122,7 +123,7 @@ def sharp_edges(target: Target) -> Edges:
     outward = -(into[0] + into[1])[sharp]
     length = np.linalg.norm(outward, axis=1, keepdims=True)
     keep = length[:, 0] > 1e-9  # the two sides of one sheet have no outside
-    return Edges(start[sharp][keep], end[sharp][keep], outward[keep] / length[keep])
+    return SharpEdges(start[sharp][keep], end[sharp][keep], outward[keep] / length[keep])
 
 
 def visible_pieces(render: Recorder) -> tuple[wp.array, wp.array, wp.array]:

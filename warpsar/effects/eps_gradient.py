@@ -9,17 +9,17 @@ import numpy as np
 import warp as wp
 
 from warpsar.effects.base.effect import Effect
-from warpsar.effects.base.parameter import Parameter
+from warpsar.effects.base.parameter import EffectParameter
 from warpsar.effects.base.recorder import Recorder
 from warpsar.effects.base.signature import SeenImage
 from warpsar.effects.base.trial import Context, ScoreStep, Trial
 from warpsar.kernels.effects import eps_gradient as kernels
 
 
-def _slope(name: str) -> Parameter:
+def _slope(name: str) -> EffectParameter:
     toward = name.removeprefix("per_m_")
     meaning = f"Growth of ln(eps_r - 1) per metre {toward}."
-    return Parameter(name, "1/m", 0.0, -10.0, 10.0, 0.0, span=0.05, description=meaning)
+    return EffectParameter(name, "1/m", 0.0, -10.0, 10.0, 0.0, span=0.05, description=meaning)
 
 
 class EpsGradient(Effect):
@@ -30,6 +30,7 @@ class EpsGradient(Effect):
 
     name = "eps_gradient"
     stage = "surface"
+    of_surfaces_with = "eps_r"
     order = 10
     summary = "permittivity changing across the scene"
     example: ClassVar[dict[str, Any]] = {"per_m_east": 0.04, "per_m_north": 0.02}

@@ -9,7 +9,7 @@ import numpy as np
 import warp as wp
 
 from warpsar.effects.base.effect import Effect
-from warpsar.effects.base.parameter import Parameter
+from warpsar.effects.base.parameter import EffectParameter
 from warpsar.effects.base.recorder import Recorder
 from warpsar.effects.base.signature import SeenImage
 from warpsar.effects.base.trial import Context, ScoreStep, Trial
@@ -28,11 +28,11 @@ class ExponentialSpectrum(Effect):
     by_incidence = True
     order = 20
     summary = "a roughness spectrum with a longer tail"
-    with_phase = 'spectrum = "exponential" in the materials'
+    in_place = 'spectrum = "exponential" in the materials'
     example: ClassVar[dict[str, Any]] = {"weight": 1.0}
     rate_case: ClassVar[dict[str, Any]] = {"weight": 0.5}
     parameters = (
-        Parameter("weight", "1", 0.0, 0.0, 1.0, 0.5, span=0.3, description="Share of the exponential spectrum."),
+        EffectParameter("weight", "1", 0.0, 0.0, 1.0, 0.5, span=0.3, description="Share of the exponential spectrum."),
     )
 
     def parts(self, image: SeenImage, table: Mapping[str, Any]) -> Mapping[str, np.ndarray]:

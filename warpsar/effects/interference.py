@@ -9,7 +9,8 @@ import numpy as np
 import warp as wp
 
 from warpsar.effects.base.effect import Effect
-from warpsar.effects.base.parameter import Parameter, Setting
+from warpsar.effects.base.parameter import EffectParameter, Setting
+from warpsar.effects.base.phase import ComplexImage
 from warpsar.effects.base.recorder import Recorder
 from warpsar.effects.base.signature import SeenImage, Signature, power_in
 from warpsar.effects.base.trial import Context, ScoreStep, Trial
@@ -49,6 +50,14 @@ def _bands_of(rows: np.ndarray) -> list[list[int]]:
     return [[int(first), int(end)] for first, end in steps.reshape(-1, 2)]
 
 
+def _line(settings: Mapping[str, Any], rows: int) -> np.ndarray:
+    """1 in the rows of a view that are hit, (rows,), float32."""
+    line = np.zeros(rows, np.float32)
+    for first, end in settings["rows"] or ():
+        line[first:end] = 1.0
+    return line
+
+
 _BANDS = {
     "type": "array",
     "items": {"type": "array", "items": {"type": "integer", "minimum": 0}, "minItems": 2, "maxItems": 2},
@@ -63,6 +72,8 @@ class Interference(Effect):
 
     name = "interference"
     stage = "image"
+    acts_on = ("beta0", "slc")
+    in_place = "--product slc: its rows are those of an image"
     order = 40
     affine = True
     additive = True
@@ -71,7 +82,7 @@ class Interference(Effect):
     example: ClassVar[dict[str, Any]] = {"level": {"v0": 0.02}, "rows": {"v0": [[40, 42], [100, 101]]}}
     rate_case: ClassVar[dict[str, Any]] = {"level": {"v1": 0.02}, "rows": {"v1": [[30, 32]]}}
     parameters = (
-        Parameter(
+        EffectParameter(
             "level",
             "beta0",
             0.0,
@@ -202,11 +213,17 @@ class Interference(Effect):
                 found.append((added, 1))
         return found
 
+    def samples(
+        self, image: ComplexImage, values: np.ndarray, settings: Mapping[str, Any], samples: np.ndarray
+    ) -> np.ndarray:
+        """Gaussian numbers of the mean power `level`: the other transmitter knows nothing of the radar's pulses."""
+        line = _line(settings, samples.shape[0])[:, None]
+        added: np.ndarray = samples + np.sqrt(np.float32(values[0])) * line * image.lines()
+        return added
+
     def image(self, render: Recorder, p: wp.array, image: wp.array) -> wp.array:
         rows, cols = render.shape
-        line = np.zeros(rows, np.float32)
-        for first, end in render.settings[self.name]["rows"] or ():
-            line[first:end] = 1.0
+        line = _line(render.settings[self.name], rows)
         device = render.program.device
         result = render.program.array(image.shape[0])
         render.program.launch(

@@ -9,7 +9,7 @@ import numpy as np
 import warp as wp
 
 from warpsar.effects.base.effect import Effect
-from warpsar.effects.base.parameter import Parameter
+from warpsar.effects.base.parameter import EffectParameter
 from warpsar.effects.base.recorder import Recorder
 from warpsar.effects.base.signature import SeenImage
 from warpsar.effects.base.trial import Context, ScoreStep, Trial
@@ -20,8 +20,8 @@ CHANNELS = ("HH", "VV", "HV")
 ANGLES_DEG = (20, 40, 60)
 
 
-def _height(channel: str, angle: int) -> Parameter:
-    return Parameter(
+def _height(channel: str, angle: int) -> EffectParameter:
+    return EffectParameter(
         f"{channel.lower()}_{angle}",
         "dB",
         0.0,

@@ -12,7 +12,7 @@ import numpy as np
 import warp as wp
 
 from warpsar.effects.base.effect import Effect
-from warpsar.effects.base.parameter import Parameter, one_of
+from warpsar.effects.base.parameter import EffectParameter, one_of
 from warpsar.effects.base.recorder import Recorder
 from warpsar.effects.base.signature import SeenImage
 from warpsar.effects.base.trial import Context, ScoreStep, Trial
@@ -20,8 +20,9 @@ from warpsar.kernels import binning
 from warpsar.kernels import merge as merging
 from warpsar.kernels.codes import Polarization
 from warpsar.kernels.effects import multibounce as kernels
-from warpsar.kernels.geometry import RayGrid
+from warpsar.kernels.geometry import Band, RayGrid
 from warpsar.runtime import threads
+from warpsar.runtime.structs import allocate, element_types, fill
 from warpsar.trace.hits import DEFAULT_MEMORY_GIB, BinGrid, concatenate
 from warpsar.trace.rays import ray_grid
 from warpsar.trace.target import Target
@@ -29,22 +30,11 @@ from warpsar.trace.target import Target
 _RECORD_BYTES = 160  # a record, and the sort's keys and order, twice
 _SEGMENT = 64  # cells of one thread on CUDA
 
-Merged = list[wp.array]
-"""Merged paths of one number of bounces: bin, faces, second and third weights, weight and point (`PathRecords`)."""
+_ARRAYS = {name: dtype for name, dtype in element_types(kernels.PathRecords).items() if name != "count"}
 
 
 @dataclass
-class Bounce:
-    """One bounce of every path, in the arrays that Hits have; shape (n,)."""
-
-    face: wp.array
-    barycentric: wp.array
-    point: wp.array
-    cos_incidence: wp.array
-
-
-@dataclass
-class Paths:
+class BouncePaths:
     """Paths of one number of bounces, merged by bin and faces; arrays of shape (n,).
 
     `pixel` is a bin of the hits' grid. `weight` is dA_perp / cos(theta_n) over the pixel area. `point` [m] is where a
@@ -52,7 +42,7 @@ class Paths:
     half vector and incoming direction, `cos_tilt` between half vector and normal.
     """
 
-    bounces: list[Bounce]
+    bounces: list[kernels.Bounce]
     pixel: wp.array
     weight: wp.array
     point: wp.array
@@ -71,14 +61,15 @@ class Multibounce(Effect):
 
     name = "multibounce"
     stage = "path"
+    of_surfaces_with = "eps_r"
     order = 10
     needs_all_hits = True
     summary = "double and triple bounces between surfaces"
-    with_phase = "multibounce in radar.terms"
+    in_place = "multibounce in radar.terms"
     example: ClassVar[dict[str, Any]] = {"strength": 1.0}
     rate_case: ClassVar[dict[str, Any]] = {"strength": 1.0}
     parameters = (
-        Parameter(
+        EffectParameter(
             "strength",
             "1",
             0.0,
@@ -119,7 +110,7 @@ class Multibounce(Effect):
             image = result
         return image
 
-    def _with_coordinates(self, render: Recorder) -> list[tuple[Paths | None, list[wp.array]]]:
+    def _with_coordinates(self, render: Recorder) -> list[tuple[BouncePaths | None, list[wp.array]]]:
         """Paths by number of bounces, traced once for all renders of the hits, and the coordinates of each bounce."""
         bounces = render.settings[self.name]["max_bounces"]
         key = (self.name, bounces)
@@ -131,7 +122,7 @@ class Multibounce(Effect):
         ]
 
 
-def _power(render: Recorder, p: wp.array, paths: Paths, zetas: list[wp.array], polarization: int) -> wp.array:
+def _power(render: Recorder, p: wp.array, paths: BouncePaths, zetas: list[wp.array], polarization: int) -> wp.array:
     """Record what each path returns per unit of its weight, shape (n,): the last surface's lobe times the mirrors."""
     program, stage = render.program, render.stage
     n = paths.weight.shape[0]
@@ -147,7 +138,7 @@ def _power(render: Recorder, p: wp.array, paths: Paths, zetas: list[wp.array], p
     return power
 
 
-def trace_paths(render: Recorder, max_bounces: int) -> list[Paths | None]:
+def trace_paths(render: Recorder, max_bounces: int) -> list[BouncePaths | None]:
     """Paths of 2, 3, ... `max_bounces` bounces, with the density and seed of the view's hits.
 
     None stands where there are no paths of that number of bounces.
@@ -167,15 +158,17 @@ def trace_paths(render: Recorder, max_bounces: int) -> list[Paths | None]:
         for begin in range(first, last, width)
     ]
     parts = [part for part in threads.ordered(tasks, target.device) if part is not None]
-    found: list[Paths | None] = []
+    found: list[BouncePaths | None] = []
     for index in range(max_bounces - 1):
         mine = [arrays for part in parts if (arrays := part[index]) is not None]
         if not mine:
             found.append(None)
             continue
-        dtypes = (int, wp.vec4i, wp.vec4, wp.vec4, float, wp.vec3)
-        arrays = [concatenate([one[k] for one in mine], dtype, target.device) for k, dtype in enumerate(dtypes)]
-        found.append(_paths(arrays, index + 2, rays, target))
+        arrays = {
+            name: concatenate([getattr(one, name) for one in mine], dtype, target.device)
+            for name, dtype in _ARRAYS.items()
+        }
+        found.append(_paths(fill(kernels.PathRecords, **arrays), index + 2, rays, target))
     return found
 
 
@@ -188,16 +181,16 @@ def _band_width(rays: RayGrid, max_bounces: int, device: wp.Device) -> int:
     return max(1, min(room, -(-cells // 8) if device.is_cpu else cells))
 
 
-def _band(render: Recorder, rays: RayGrid, max_bounces: int, begin: int, width: int) -> list[Merged | None] | None:
-    """Paths of `width` azimuth cells from `begin` on, merged, by number of bounces; None without any."""
+def _band(render: Recorder, rays: RayGrid, max_bounces: int, begin: int, width: int) -> list[Any] | None:
+    """Paths of `width` azimuth cells from `begin` on, merged, by number of bounces; None without any (`_merge`)."""
     hits, target = render.hits, render.stage.target
     grid, device = hits.grid, target.device
     segment = rays.elevation_cells if device.is_cpu else _SEGMENT
     dim = (width, -(-rays.elevation_cells // segment))
     size = float(np.linalg.norm(np.ptp(target.corners, axis=0)))
-    mesh = [target.bvh.id, target.vertices, target.faces]
-    bins = [grid.start_m[1], grid.spacing_m[1], grid.shape[1]]
-    inputs = [rays, *mesh, begin, segment, hits.seed, max_bounces, size, *bins]
+    band = fill(Band, first_cell=begin, end_cell=begin + width, seed=hits.seed)
+    columns = fill(kernels.ImageColumns, start=grid.start_m[1], spacing=grid.spacing_m[1], count=grid.shape[1])
+    inputs = [rays, target.triangles, band, columns, target.bvh.id, segment, max_bounces, size]
     capacity = max(4096, dim[0] * rays.elevation_cells // 4)
     while True:
         records = _records(capacity, device)
@@ -210,32 +203,24 @@ def _band(render: Recorder, rays: RayGrid, max_bounces: int, begin: int, width: 
 
 def _records(capacity: int, device: wp.Device) -> kernels.PathRecords:
     """Room for `capacity` records: a `kernels.PathRecords`."""
-    records = kernels.PathRecords()
-    records.bin = wp.empty(capacity, dtype=int, device=device)
-    records.bounces = wp.empty(capacity, dtype=int, device=device)
-    records.faces = wp.empty(capacity, dtype=wp.vec4i, device=device)
-    records.second = wp.empty(capacity, dtype=wp.vec4, device=device)
-    records.third = wp.empty(capacity, dtype=wp.vec4, device=device)
-    records.weight = wp.empty(capacity, dtype=float, device=device)
-    records.point = wp.empty(capacity, dtype=wp.vec3, device=device)
-    records.count = wp.zeros(1, dtype=int, device=device)
+    count: wp.array = wp.zeros(1, dtype=int, device=device)
+    records: kernels.PathRecords = allocate(kernels.PathRecords, capacity, device, count=count)
     return records
 
 
-def _merge(records: kernels.PathRecords, count: int, max_bounces: int, device: wp.Device) -> list[Merged | None]:
-    """Records of one bin and the same faces become one path; by number of bounces, 2 first, None without any."""
+def _merge(records: kernels.PathRecords, count: int, max_bounces: int, device: wp.Device) -> list[Any]:
+    """Records of one bin and the same faces become one path: `PathRecords` by number of bounces, 2 first, or None."""
     order = wp.empty(2 * count, dtype=int, device=device)
     key = wp.empty(2 * count, dtype=wp.int64, device=device)
     wp.launch(merging.number_kernel, count, outputs=[order], device=device)
     for what in (2, 1, 0) if max_bounces > 2 else (1, 0):
-        inputs = [what, order, records.bin, records.bounces, records.faces]
-        wp.launch(kernels.sort_key_kernel, count, inputs=inputs, outputs=[key], device=device)
+        wp.launch(kernels.sort_key_kernel, count, inputs=[records, order, what], outputs=[key], device=device)
         wp.utils.radix_sort_pairs(key, order, count, 0, 64)
     start, rank = (wp.empty(count, dtype=int, device=device) for _ in range(2))
     wp.launch(
         kernels.mark_path_starts_kernel,
         count,
-        inputs=[order, records.bin, records.faces],
+        inputs=[records, order],
         outputs=[start],
         device=device,
     )
@@ -249,39 +234,25 @@ def _merge(records: kernels.PathRecords, count: int, max_bounces: int, device: w
     )
     # the sort has put them in the order of their bounces
     ends = np.searchsorted(merged.bounces.numpy(), np.arange(2, max_bounces + 2))
-    arrays = (merged.bin, merged.faces, merged.second, merged.third, merged.weight, merged.point)
-    return [[array[int(a) : int(b)] for array in arrays] if b > a else None for a, b in pairwise(ends)]
+
+    def between(a: int, b: int) -> Any:
+        return fill(kernels.PathRecords, **{name: getattr(merged, name)[a:b] for name in _ARRAYS}) if b > a else None
+
+    return [between(a, b) for a, b in pairwise(ends.tolist())]
 
 
-def _paths(arrays: Merged, bounces: int, rays: RayGrid, target: Target) -> Paths:
+def _paths(paths: kernels.PathRecords, bounces: int, rays: RayGrid, target: Target) -> BouncePaths:
     """Merged paths of one number of bounces, with the angles at their faces."""
-    device = target.device
-    pixel, met, second, third, weight, point = arrays
-    n = pixel.shape[0]
-
-    def empty(dtype: Any) -> wp.array:
-        return wp.empty(n, dtype=dtype, device=device)
-
-    share, cosines, cos_half, cos_tilt = empty(float), empty(wp.vec4), empty(float), empty(float)
-    wp.launch(
-        kernels.path_geometry_kernel,
-        n,
-        inputs=[rays, target.vertices, target.faces, bounces, met, second, third, weight],
-        outputs=[share, cosines, cos_half, cos_tilt],
-        device=device,
-    )
+    device, mesh, n = target.device, target.triangles, paths.bin.shape[0]
+    angles = allocate(kernels.PathAngles, n, device)
+    inputs = [rays, mesh, paths, bounces]
+    wp.launch(kernels.path_geometry_kernel, n, inputs=inputs, outputs=[angles], device=device)
     each = []
     for k in range(bounces):
-        one = Bounce(empty(int), empty(wp.vec2), empty(wp.vec3), empty(float))
-        wp.launch(
-            kernels.bounce_kernel,
-            n,
-            inputs=[k, target.vertices, target.faces, met, second, third, cosines],
-            outputs=[one.face, one.barycentric, one.point, one.cos_incidence],
-            device=device,
-        )
+        one = allocate(kernels.Bounce, n, device)
+        wp.launch(kernels.bounce_kernel, n, inputs=[mesh, paths, angles, k], outputs=[one], device=device)
         each.append(one)
-    return Paths(each, pixel, share, point, cos_half, cos_tilt)
+    return BouncePaths(each, paths.bin, angles.weight, paths.point, angles.cos_half, angles.cos_tilt)
 
 
 EFFECT = Multibounce()

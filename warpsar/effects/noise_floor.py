@@ -6,10 +6,11 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
+import numpy as np
 import warp as wp
 
 from warpsar.effects.base.effect import Effect
-from warpsar.effects.base.parameter import Parameter
+from warpsar.effects.base.parameter import EffectParameter
 from warpsar.effects.base.recorder import Recorder
 from warpsar.effects.base.sidelobes import beside_sidelobes
 from warpsar.effects.base.signature import (
@@ -30,16 +31,16 @@ class NoiseFloor(Effect):
 
     name = "noise_floor"
     stage = "image"
+    acts_on = ("beta0", "slc", "phase-history")
     order = 30
     affine = True
     additive = True
     is_floor = True
     summary = "noise of the receiver, the same in every pixel"
-    with_phase = "collection.noise_beta0"
     example: ClassVar[dict[str, Any]] = {"level": 0.002}
     rate_case: ClassVar[dict[str, Any]] = {"level": 0.004}
     parameters = (
-        Parameter(
+        EffectParameter(
             "level",
             "beta0",
             0.0,
@@ -70,6 +71,9 @@ class NoiseFloor(Effect):
     def trials(self, context: Context) -> list[Trial]:
         size = 0.1 * context.level
         return [Trial((ScoreStep("level", size, {"level": size}, one_sided=True),), ({"level": size},))]
+
+    def noise_beta0(self, values: np.ndarray) -> float:
+        return float(values[0])
 
     def image(self, render: Recorder, p: wp.array, image: wp.array) -> wp.array:
         result = render.program.array(image.shape[0])

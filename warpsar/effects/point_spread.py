@@ -10,16 +10,17 @@ import warp as wp
 
 from warpsar.effects.base.blur import WINDOWS, blurred
 from warpsar.effects.base.effect import Effect
-from warpsar.effects.base.parameter import Parameter, Setting
+from warpsar.effects.base.parameter import EffectParameter, Setting
+from warpsar.effects.base.phase import Response
 from warpsar.effects.base.recorder import Recorder
 from warpsar.effects.base.signature import SeenImage
 from warpsar.effects.base.trial import Context, ScoreStep, Trial
 
 
-def _width(name: str) -> Parameter:
+def _width(name: str) -> EffectParameter:
     axis = name.removesuffix("_fwhm_m")
     meaning = f"Full width of the kernel in {axis}, at half its maximum."
-    return Parameter(name, "m", 0.0, 0.0, 1e4, 1.0, description=meaning, scale="log", fit_low=1e-3, fit_high=1e4)
+    return EffectParameter(name, "m", 0.0, 0.0, 1e4, 1.0, description=meaning, scale="log", fit_low=1e-3, fit_high=1e4)
 
 
 def _is_window(value: Any) -> bool:
@@ -27,6 +28,8 @@ def _is_window(value: Any) -> bool:
     return all(isinstance(one, str) and one in WINDOWS for one in (value if pair else [value]))
 
 
+_TAPERS = {"sinc": "none", "taylor": "taylor", "gaussian": None}
+"""Weights of band or aperture that a window means."""
 _WINDOW = Setting(
     "window",
     "gaussian",
@@ -52,11 +55,11 @@ class PointSpread(Effect):
 
     name = "point_spread"
     stage = "image"
+    acts_on = ("beta0", "slc", "phase-history")
     order = 10
     affine = True
     in_image = True
     summary = "finite resolution in range and azimuth"
-    with_phase = "the system's own response, by collection.resolution_m and collection.window"
     example: ClassVar[dict[str, Any]] = {"range_fwhm_m": 1.2, "azimuth_fwhm_m": 1.2, "window": "sinc"}
     rate_case: ClassVar[dict[str, Any]] = {"range_fwhm_m": 0.9, "azimuth_fwhm_m": 0.7, "window": "gaussian"}
     parameters = (_width("range_fwhm_m"), _width("azimuth_fwhm_m"))
@@ -81,6 +84,14 @@ class PointSpread(Effect):
             {**{name: 1.5 * spacing[name] for name in axes}, "window": window} for window in reversed(WINDOWS)
         )
         return [Trial(steps, starts)]
+
+    def response(self, values: np.ndarray, settings: Mapping[str, Any]) -> Response:
+        """Its widths are those of band and aperture. No band has a Gaussian kernel: the system's own taper stays."""
+        stated = settings["window"]
+        pair = [stated] * 2 if isinstance(stated, str) else stated
+        width = [float(value) or None for value in values]
+        taper = [_TAPERS[name] if wide else None for name, wide in zip(pair, width, strict=True)]
+        return Response((width[0], width[1]), (taper[0], taper[1]))
 
     def image(self, render: Recorder, p: wp.array, image: wp.array) -> wp.array:
         stated = render.settings[self.name]["window"]

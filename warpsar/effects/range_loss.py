@@ -9,7 +9,7 @@ import numpy as np
 import warp as wp
 
 from warpsar.effects.base.effect import Effect
-from warpsar.effects.base.parameter import Parameter
+from warpsar.effects.base.parameter import EffectParameter
 from warpsar.effects.base.recorder import Recorder
 from warpsar.effects.base.signature import SeenImage
 from warpsar.effects.base.trial import Context, ScoreStep, Trial
@@ -26,13 +26,16 @@ class RangeLoss(Effect):
 
     name = "range_loss"
     stage = "gain"
+    acts_on = ("beta0", "slc", "phase-history")
     order = 20
     summary = "power falling with slant range"
     example: ClassVar[dict[str, Any]] = {"per_m": 0.05}
     rate_case: ClassVar[dict[str, Any]] = {"per_m": 0.02}
     parameters = (
-        Parameter("exponent", "1", 0.0, -20.0, 20.0, 3.0, span=5.0, description="Power of R / R0, for a strip-map."),
-        Parameter(
+        EffectParameter(
+            "exponent", "1", 0.0, -20.0, 20.0, 3.0, span=5.0, description="Power of R / R0, for a strip-map."
+        ),
+        EffectParameter(
             "per_m", "1/m", 0.0, -10.0, 10.0, 0.01, span=0.02, description="Decay per metre of range, for a plane wave."
         ),
     )

@@ -9,7 +9,7 @@ import numpy as np
 import warp as wp
 
 from warpsar.effects.base.effect import Effect
-from warpsar.effects.base.parameter import Parameter
+from warpsar.effects.base.parameter import EffectParameter
 from warpsar.effects.base.recorder import Recorder
 from warpsar.effects.base.signature import SeenImage
 from warpsar.effects.base.trial import Context, ScoreStep, Trial
@@ -21,10 +21,12 @@ _REACH_M = 1e4
 _ROOM_PX = 4  # pixels beyond the shift that is declared: as far as a fit may go from there without a dark edge
 
 
-def _metres(name: str) -> Parameter:
+def _metres(name: str) -> EffectParameter:
     axis, image = name.removesuffix("_m"), name in ("range_m", "azimuth_m")
     meaning = f"Shift in {axis}, in every view." if image else f"Shift of the world {axis}."
-    return Parameter(name, "m", 0.0, -_REACH_M, _REACH_M, 0.0, description=meaning, fit_low=-100.0, fit_high=100.0)
+    return EffectParameter(
+        name, "m", 0.0, -_REACH_M, _REACH_M, 0.0, description=meaning, fit_low=-100.0, fit_high=100.0
+    )
 
 
 class Registration(Effect):
@@ -36,6 +38,7 @@ class Registration(Effect):
 
     name = "registration"
     stage = "position"
+    acts_on = ("beta0", "slc", "phase-history")
     order = 10
     summary = "the scene lies shifted in the images"
     example: ClassVar[dict[str, Any]] = {"range_m": 1.5, "azimuth_m": -1.0}

@@ -13,8 +13,10 @@ import numpy as np
 
 from warpsar.effects.base.effect import STAGES, DeclaredEffect, Effect
 from warpsar.effects.base.fitted import FITTED_KEYS, is_fitted, refuse_fitted_keys
-from warpsar.effects.base.parameter import Parameter, Setting
+from warpsar.effects.base.parameter import EffectParameter, Setting
 from warpsar.errors import InputError, shown
+from warpsar.models import registry as models
+from warpsar.models.base.model import DEFAULT
 from warpsar.world.tables import View
 from warpsar.world.world import World
 
@@ -37,6 +39,14 @@ def get(name: str) -> Effect:
     """The effect called `name`; each module `warpsar.effects.<name>` holds it as `EFFECT`."""
     effect: Effect = import_module(f"warpsar.effects.{name}").EFFECT
     return effect
+
+
+def refused_with(model: str) -> tuple[str, ...]:
+    """The effects that a material with this backscatter model does not take."""
+    missing = set() if model == DEFAULT else {"default"}
+    if not models.get(model).of_surface:
+        missing.add("eps_r")
+    return tuple(name for name in names() if get(name).of_surfaces_with in missing)
 
 
 def validate(name: str, table: Any, where: str, views: Collection[str] | None = None) -> dict[str, Any]:
@@ -97,7 +107,7 @@ def _entries(at: str, value: Any, keyed_by: str | None, views: Collection[str] |
     return [(f"{at}.{name}", one) for name, one in value.items()]
 
 
-def _check_number(at: str, value: Any, p: Parameter) -> None:
+def _check_number(at: str, value: Any, p: EffectParameter) -> None:
     unit = "" if p.unit == "1" else f" {p.unit}"
     number = isinstance(value, int | float) and not isinstance(value, bool)
     # abs, not isfinite: a whole number may be too long for a float.
@@ -163,14 +173,14 @@ def values_in(scene: World, view: View, effect: Effect, table: Mapping[str, Any]
     return np.concatenate([_values_of(scene, view, p, table) for p in effect.parameters])
 
 
-def _values_of(scene: World, view: View, parameter: Parameter, table: Mapping[str, Any]) -> list[float]:
+def _values_of(scene: World, view: View, parameter: EffectParameter, table: Mapping[str, Any]) -> list[float]:
     if parameter.per_material:
         stated = table.get(parameter.name, {})
         return [float(stated.get(material, parameter.default)) for material in scene.mesh.materials]
     return [value_in(view, parameter, table, scene.views)]
 
 
-def value_in(view: View, parameter: Parameter, table: Mapping[str, Any], views: Collection[View] = ()) -> float:
+def value_in(view: View, parameter: EffectParameter, table: Mapping[str, Any], views: Collection[View] = ()) -> float:
     """The value of a parameter in one view: from `table`, or its default where `table` says nothing.
 
     A `zero_sum` parameter has its mean over `views` subtracted.

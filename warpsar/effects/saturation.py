@@ -10,7 +10,8 @@ import numpy as np
 import warp as wp
 
 from warpsar.effects.base.effect import Effect
-from warpsar.effects.base.parameter import Parameter, Setting
+from warpsar.effects.base.parameter import EffectParameter, Setting
+from warpsar.effects.base.phase import ComplexImage
 from warpsar.effects.base.recorder import Recorder
 from warpsar.effects.base.signature import FEWEST, SURE, SeenImage, Signature, looks_on
 from warpsar.effects.base.trial import Context, ScoreStep, Trial
@@ -39,13 +40,15 @@ class Saturation(Effect):
 
     name = "saturation"
     stage = "image"
+    acts_on = ("beta0", "slc")
+    in_place = "--product slc: it compresses the samples of an image"
     order = 50
     needs_all_hits = True
     summary = "power compressed about its median"
     example: ClassVar[dict[str, Any]] = {"exponent": 0.6}
     rate_case: ClassVar[dict[str, Any]] = {"exponent": 0.8}
     parameters = (
-        Parameter(
+        EffectParameter(
             "exponent", "1", 1.0, 0.01, 10.0, 0.9, fit_low=0.1, fit_high=4.0, description="Exponent of the compression."
         ),
     )
@@ -101,6 +104,21 @@ class Saturation(Effect):
         size = 0.01
         step = ScoreStep("exponent - 1", size, {"exponent": 1.0 + size}, {"exponent": 1.0 - size})
         return [Trial((step,), ({"exponent": 0.9}, {"exponent": 1.1}))]
+
+    def samples(
+        self, image: ComplexImage, values: np.ndarray, settings: Mapping[str, Any], samples: np.ndarray
+    ) -> np.ndarray:
+        """Each sample by itself; its phase stays. The pivot is that of the image of power, "median" too.
+
+        The mean over draws is then gamma(1 + `exponent`) times the compressed mean, where samples are of one look.
+        """
+        pivot = settings["pivot"]
+        if pivot == "median":
+            power, met = image.power(self.name)
+            pivot = float(np.median(power[met])) if met.any() else 0.0
+        share = np.abs(samples) ** 2 / np.float32(pivot) if pivot > 0.0 else np.zeros(samples.shape, np.float32)
+        factor = np.power(share, np.float32(0.5 * (values[0] - 1.0)), out=np.ones_like(share), where=share > 0.0)
+        return samples * factor
 
     def image(self, render: Recorder, p: wp.array, image: wp.array) -> wp.array:
         chosen = render.settings[self.name]["pivot"]

@@ -10,13 +10,13 @@ import numpy as np
 import warp as wp
 
 from warpsar.effects.base.effect import Effect
-from warpsar.effects.base.parameter import Parameter
+from warpsar.effects.base.parameter import EffectParameter
 from warpsar.effects.base.recorder import Recorder
 from warpsar.effects.base.signature import SeenImage
 from warpsar.effects.base.trial import Context, ScoreStep, Trial
 from warpsar.kernels import shade
 from warpsar.kernels.effects import two_scale as kernels
-from warpsar.kernels.effects import two_scale_lanes as lanes
+from warpsar.kernels.lane_kernels import LANES, at_once
 from warpsar.runtime.launches import Launch, by_elements
 from warpsar.runtime.program import Program
 
@@ -32,12 +32,13 @@ class TwoScale(Effect):
 
     name = "two_scale"
     stage = "surface"
+    of_surfaces_with = "default"
     order = 30
     summary = "large-scale slopes under the roughness"
     example: ClassVar[dict[str, Any]] = {"slope_variance": 0.02}
     rate_case: ClassVar[dict[str, Any]] = {"slope_variance": 0.03}
     parameters = (
-        Parameter(
+        EffectParameter(
             "slope_variance",
             "1",
             0.0,
@@ -95,7 +96,8 @@ class TwoScale(Effect):
         if device.is_cpu:
             _in_lanes(render.program, inputs, result, [hits.face, hits.point, zeta, plain, sigma, result])
         else:
-            render.program.launch(kernels.tilt_kernel, sigma.shape[0], inputs, [result])
+            none = wp.empty(0, dtype=wp.vec4, device=device)
+            render.program.launch(kernels.tilt_kernel(False), sigma.shape[0], inputs, [result, none])
         return result
 
 
@@ -103,15 +105,16 @@ def _in_lanes(program: Program, inputs: list[Any], result: wp.array, per_hit: li
     """Record `tilt_kernel` for many hits at once; `per_hit` are the arrays with an element for each."""
     n, device = result.shape[0], program.device
     p, zeta, plain, sigma = inputs[0], *inputs[-3:]
-    dim = -(-n // lanes.HITS)
+    dim = -(-n // LANES)
+    none = wp.empty(0, dtype=wp.vec4, device=device)
 
     @cache
     def slopes() -> wp.array:  # when a gradient is asked for
         return wp.empty(n, dtype=wp.vec4, device=device)
 
     def keeping() -> Launch:
-        pieces = by_elements([*per_hit, slopes()], lanes.HITS)
-        return Launch(lanes.tilt_kernel, dim, inputs, [result, slopes()], device, pieces)
+        pieces = by_elements([*per_hit, slopes()], LANES)
+        return Launch(at_once(kernels.tilt_kernel(True)), dim, inputs, [result, slopes()], device, pieces)
 
     @cache
     def to_zeta() -> Launch:
@@ -121,19 +124,19 @@ def _in_lanes(program: Program, inputs: list[Any], result: wp.array, per_hit: li
     @cache
     def to_change() -> Launch:
         grads = [result.grad, plain.grad, sigma.grad]
-        return Launch(lanes.change_adjoint_kernel, n, grads[:1], grads[1:], device, by_elements(grads))
+        return Launch(kernels.change_adjoint_kernel, n, grads[:1], grads[1:], device, by_elements(grads))
 
     @cache
     def to_variance() -> wp.Launch:
         """Warp's own adjoint, whose other results are added up beside."""
         aside = {id(a): wp.zeros_like(a, requires_grad=False) for a in (zeta, plain, sigma)} | {id(p): p.grad}
         recorded: wp.Launch = wp.launch(
-            kernels.tilt_kernel,
+            kernels.tilt_kernel(False),
             n,
             inputs=inputs,
-            outputs=[result],
+            outputs=[result, none],
             adj_inputs=[aside.get(id(a)) for a in inputs],
-            adj_outputs=[result.grad],
+            adj_outputs=[result.grad, None],
             device=device,
             adjoint=True,
             record_tape=False,
@@ -142,17 +145,17 @@ def _in_lanes(program: Program, inputs: list[Any], result: wp.array, per_hit: li
         return recorded
 
     program.launch(
-        lanes.tilt_kernel,
+        at_once(kernels.tilt_kernel(False)),
         dim,
         inputs,
-        [result, wp.empty(0, dtype=wp.vec4, device=device)],
+        [result, none],
         adjoint=[
             (zeta, lambda: to_zeta().launch()),
             (sigma, lambda: to_change().launch()),
             (p, lambda: to_variance().launch()),
         ],
         keeping=keeping,
-        pieces=by_elements(per_hit, lanes.HITS),
+        pieces=by_elements(per_hit, LANES),
     )
 
 

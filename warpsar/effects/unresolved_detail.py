@@ -11,7 +11,7 @@ import warp as wp
 
 from warpsar.effects.base.blur import WINDOWS, blurred
 from warpsar.effects.base.effect import Effect
-from warpsar.effects.base.parameter import Parameter, Setting
+from warpsar.effects.base.parameter import EffectParameter, Setting
 from warpsar.effects.base.recorder import Recorder
 from warpsar.effects.base.signature import SeenImage
 from warpsar.effects.base.trial import Context, ScoreStep, Trial
@@ -52,7 +52,7 @@ class UnresolvedDetail(Effect):
     example: ClassVar[dict[str, Any]] = {"level": 0.03, "spread_m": 3.0}
     rate_case: ClassVar[dict[str, Any]] = {"level": 0.01, "spread_m": 2.0}
     parameters = (
-        Parameter(
+        EffectParameter(
             "level",
             "1",
             0.0,
@@ -64,7 +64,7 @@ class UnresolvedDetail(Effect):
             fit_high=1e4,
             description="Cross-section per square metre across the look direction.",
         ),
-        Parameter(
+        EffectParameter(
             "spread_m",
             "m",
             math.nan,
@@ -76,7 +76,7 @@ class UnresolvedDetail(Effect):
             fit_high=1e2,
             description="Full width at half maximum over which this power is spread, in range and in azimuth.",
         ),
-        Parameter(
+        EffectParameter(
             "flash",
             "1",
             0.0,
@@ -88,7 +88,7 @@ class UnresolvedDetail(Effect):
             fit_high=1e3,
             description="What is added to `level` along an axis of the body, as a multiple of it.",
         ),
-        Parameter(
+        EffectParameter(
             "flash_deg",
             "deg",
             math.nan,
@@ -100,7 +100,7 @@ class UnresolvedDetail(Effect):
             fit_high=30.0,
             description="Angle from the axis at which half of the flash is left.",
         ),
-        Parameter(
+        EffectParameter(
             "share",
             "1",
             1.0,

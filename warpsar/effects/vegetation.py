@@ -10,7 +10,7 @@ import numpy as np
 import warp as wp
 
 from warpsar.effects.base.effect import Effect
-from warpsar.effects.base.parameter import Parameter
+from warpsar.effects.base.parameter import EffectParameter
 from warpsar.effects.base.recorder import Recorder
 from warpsar.effects.base.signature import SeenImage
 from warpsar.effects.base.trial import Context, ScoreStep, Trial
@@ -35,7 +35,7 @@ class Vegetation(Effect):
     example: ClassVar[dict[str, Any]] = {"optical_depth": 0.3, "albedo": 0.05}
     rate_case: ClassVar[dict[str, Any]] = {"optical_depth": 0.8, "albedo": 0.1}
     parameters = (
-        Parameter(
+        EffectParameter(
             "optical_depth",
             "1",
             0.0,
@@ -47,7 +47,7 @@ class Vegetation(Effect):
             fit_high=10.0,
             description="One-way optical depth.",
         ),
-        Parameter(
+        EffectParameter(
             "albedo",
             "1",
             math.nan,

@@ -9,13 +9,13 @@ import numpy as np
 import warp as wp
 
 from warpsar.effects.base.effect import Effect
-from warpsar.effects.base.parameter import Parameter
+from warpsar.effects.base.parameter import EffectParameter
 from warpsar.effects.base.recorder import Recorder
 from warpsar.effects.base.signature import SeenImage
 from warpsar.effects.base.trial import Context, ScoreStep, Trial
 from warpsar.kernels.effects import view_gain as kernels
 
-_GAIN = Parameter(
+_GAIN = EffectParameter(
     "gain_db",
     "dB",
     0.0,
@@ -40,6 +40,7 @@ class ViewGain(Effect):
 
     name = "view_gain"
     stage = "gain"
+    acts_on = ("beta0", "slc", "phase-history")
     by_incidence = True
     order = 30
     summary = "gains that differ from view to view"

@@ -4,40 +4,39 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from warpsar.compare.comparison import Comparison, compare
-from warpsar.compare.evaluation import Evaluation
-from warpsar.compare.judgement import Judgement
-from warpsar.curves import command as curve_command
+from warpsar.coherent.left_out import left_out_warning
+from warpsar.compare.comparison import Comparison
+from warpsar.compare.contract import Verdict
+from warpsar.compare.curve import errors_in_short
+from warpsar.compare.evaluation import Evaluation, curves_content, evaluated
 from warpsar.errors import InputError
 from warpsar.evaluation.meshview import write_learned_ply
 from warpsar.evaluation.report import write_report
+from warpsar.evaluation.report_curves import write_curves_report
 from warpsar.evaluation.report_images import residual_picture
 from warpsar.evaluation.residuals import expected_db, profiles
 from warpsar.io.images import replacing, write_exr
-from warpsar.runtime import console, devices, distributed
+from warpsar.runtime import console, devices, once
 from warpsar.scene.scene import Scene, scene_or_file
 from warpsar.simulation.outputs import make_folder, write_json
 
 
 def evaluate(scene: Scene | PathLike[str] | str, *, device: str | None = None, seed: int | None = None) -> Evaluation:
-    """Compare every measured image of the scene, of all roles, with the declared model; nothing is fitted but one
-    gain per image where the images are not calibrated, and the floor of `deviance_all`.
+    """Compare every measured image and curve of the scene, of all roles, with the declared model; nothing is fitted but
+    one gain per image where the images are not calibrated, the floor of `deviance_all`, and the noise of curves.
 
     Areas are exact where the scene is not too large for it. What rays sample is the mean of two renders from
-    independent rays, whose difference is its sampling noise. `seed` overrides the scene's. Several processes
-    (`distributed`) share the views; all of them are in what the first one returns, none in what the others do. Raises
-    InputError for a scene without measured images, or where image and mesh do not meet.
+    independent rays, whose difference is its sampling noise. `seed` overrides the scene's. Several processes share
+    the views; the first one returns all images, the others none. Raises InputError for a scene without measured
+    images and curves, or where image and mesh do not meet.
     """
     scene = scene_or_file(scene)
-    where = devices.resolve_device(device)
-    ranks = distributed.ranks(where)
-    found = compare(scene, where, seed=seed, ranks=ranks, progress="evaluate")
-    return ranks.agree(lambda: Evaluation.of(found))
+    return evaluated(scene, devices.resolve_device(device), seed=seed, progress="evaluate")
 
 
 def _stem(image: Comparison) -> str:
@@ -60,9 +59,9 @@ def _say_what_was_fitted(image: Comparison, calibrated: bool) -> None:
         console.say(f"gain of {image.view.name} {image.polarization}: not calibrated, fitted as {image.gain:.4g}")
 
 
-def _say_verdicts(verdicts: dict[str, Judgement], scene_path: Path | str) -> None:
+def _say_verdicts(verdicts: Mapping[str, Verdict], scene_path: Path | str, of: str = "views") -> None:
     for role, one in verdicts.items():
-        console.say(f"{role} views: {one.words}")
+        console.say(f"{role} {of}: {one.words}")
     if any(one.wrong for one in verdicts.values()):
         console.say(f"next: warpsar diagnose {scene_path} -o diagnosed/ names what the model lacks")
 
@@ -111,8 +110,7 @@ def run(
 ) -> dict[str, Any]:
     """`warpsar evaluate`: evaluate.json, residual images (EXR, PNG), learned.ply and report.html in `out`. Returns the
     JSON's content. `before` is a scene file of the same images: the report compares the two models. Of several
-    processes (`distributed`) each writes the residual images of its views, the first one the rest; the others return
-    nothing."""
+    processes each writes the residual images of its views, the first one the rest; the others return nothing."""
     started = time.perf_counter()
     scene = Scene.load(scene_path)
     first = None if before is None else Scene.load(before)
@@ -121,48 +119,60 @@ def run(
     out = Path(out)
     make_folder(out)
     where = devices.resolve_device(device)
-    ranks = distributed.ranks(where)
+    once.join(where)
     console.say_device(where)
     console.warn(scene.warnings)
     seed = scene.seed(seed)
-    of_curves = curve_command.evaluated(scene, out / "cache", where.alias) if scene.curves and ranks.first else {}
-    if of_curves and not any(view.images for view in scene.views):
-        console.say(curve_command.in_short(of_curves["curves"]))
-        return write_json(out / "evaluate.json", scene, where, seed, started, of_curves)
-    both = compare(scene, where, seed=seed, ranks=ranks, progress="evaluate")
-    for image in both.own:
+    cache = out / "cache"
+    found = evaluated(scene, where, seed=seed, progress="evaluate", cache=cache)
+    for image in found.own:
         _write_residual(out, image)
-    found = ranks.agree(lambda: Evaluation.of(both))
-    earlier = None
-    if first is not None:
-        other = compare(first, where, seed=seed, ranks=ranks, progress="evaluate before")
-        earlier = ranks.agree(lambda: Evaluation.of(other))
-    if not ranks.first:
-        return {}
-    _say_verdicts(found.verdicts, scene_path)
-    for image in found.images:
-        _say_what_was_fitted(image, scene.grid.calibrated)
-    write_learned_ply(out / "learned.ply", scene)
-    by_factor, expected = profiles(found.images, scene.mesh.materials), expected_db(found.images)
-    content = {
-        "verdict": {role: one.content() for role, one in found.verdicts.items()},
-        "rays_per_pixel": found.rays_per_m2 * scene.grid.pixel_area_m2,
-        "calibrated": scene.grid.calibrated,
-        "processes": ranks.size,
-        "views": [_view(image, scene.grid.calibrated) for image in found.images],
-        "train": found.train,
-        "test": found.test,
-        "residuals_db": {name: profile.rows for name, profile in by_factor.items()},
-        "expected_residual_db": expected,
-        **({} if earlier is None else {"before": {"train": earlier.train, "test": earlier.test}}),
-        **of_curves,
-    }
-    content = write_json(out / "evaluate.json", scene, where, seed, started, content)
+    earlier = None if first is None else evaluated(first, where, seed=seed, progress="evaluate before", cache=cache)
+    processes = once.processes()
     command = ["warpsar", "evaluate", str(scene_path), "-o", str(out), "--device", where.alias, "--seed", str(seed)]
     command += [] if before is None else ["--before", str(before)]
-    write_report(out / "report.html", scene, found, by_factor, expected, content, command, where, before=earlier)
-    console.say_written(out, "report.html", "evaluate.json", "learned.ply", "residual images")
-    pooled = [(role, found_in) for role, found_in in (("train", found.train), ("test", found.test)) if found_in]
-    words = [f"{role} deviance {m['deviance']:.4f} +- {m['deviance_error']:.4f}" for role, m in pooled]
-    print(", ".join(words), file=sys.stdout)
-    return content
+
+    def write_curves() -> dict[str, Any]:
+        content = write_json(out / "evaluate.json", scene, where, seed, started, curves_content(scene, found))
+        title = f"How well {Path(scene_path).name} explains its measured curves"
+        told = [] if earlier is None else earlier.curves
+        verdicts, beside = found.curve_verdicts, "evaluate.json (all numbers)"
+        page = out / "report.html"
+        write_curves_report(page, title, found.curves, verdicts, content, command, before=told, beside=beside)
+        console.say_written(out, "report.html", "evaluate.json")
+        print(errors_in_short(found.curves), file=sys.stdout)
+        return content
+
+    def write() -> dict[str, Any]:
+        if found.curves:
+            console.warn(left_out_warning(scene, "a curve"))
+            _say_verdicts(found.curve_verdicts, scene_path, "curves")
+        if not scene.has_images:
+            return write_curves()
+        _say_verdicts(found.verdicts, scene_path)
+        for image in found.images:
+            _say_what_was_fitted(image, scene.grid.calibrated)
+        write_learned_ply(out / "learned.ply", scene)
+        by_factor, expected = profiles(found.images, scene.mesh.materials), expected_db(found.images)
+        content = {
+            "verdict": {role: one.content() for role, one in found.verdicts.items()},
+            "rays_per_pixel": found.rays_per_m2 * scene.grid.pixel_area_m2,
+            "calibrated": scene.grid.calibrated,
+            "processes": processes,
+            "views": [_view(image, scene.grid.calibrated) for image in found.images],
+            "train": found.train,
+            "test": found.test,
+            "residuals_db": {name: profile.rows for name, profile in by_factor.items()},
+            "expected_residual_db": expected,
+            **({} if earlier is None else {"before": {"train": earlier.train, "test": earlier.test}}),
+            **(curves_content(scene, found) if found.curves else {}),
+        }
+        content = write_json(out / "evaluate.json", scene, where, seed, started, content)
+        write_report(out / "report.html", scene, found, by_factor, expected, content, command, where, before=earlier)
+        console.say_written(out, "report.html", "evaluate.json", "learned.ply", "residual images")
+        pooled = [(role, found_in) for role, found_in in (("train", found.train), ("test", found.test)) if found_in]
+        words = [f"{role} deviance {m['deviance']:.4f} +- {m['deviance_error']:.4f}" for role, m in pooled]
+        print(", ".join(words), file=sys.stdout)
+        return content
+
+    return once.write(write) or {}

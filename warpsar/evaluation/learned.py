@@ -5,19 +5,23 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from warpsar.compare.curve import judge_curves
+from warpsar.compare.evaluation import ROLES
 from warpsar.evaluation.report import write_report
+from warpsar.evaluation.report_curves import write_curves_report
 from warpsar.evaluation.residuals import expected_db, profiles
+from warpsar.learning.curves import LearnedCurves
 from warpsar.learning.learn import Learned
 from warpsar.runtime import console
 from warpsar.scene.scene import Scene
 
 
-def write_learn_report(scene_path: Path, out: Path, found: Learned, content: dict[str, Any]) -> None:
-    """report.html in `out`, where `learn` has left scene.toml and learn.json; `content` is that of learn.json. Of
-    several processes (`distributed`) the first one writes."""
-    problem = found.problem
-    if not problem.ranks.first:
+def write_learn_report(scene_path: Path, out: Path, found: Learned | LearnedCurves, content: dict[str, Any]) -> None:
+    """report.html in `out`, where `learn` has left scene.toml and learn.json; `content` is that of learn.json."""
+    if isinstance(found, LearnedCurves):
+        _write_of_curves(scene_path, out, found, content)
         return
+    problem = found.problem
     after = Scene.load(out / "scene.toml")
     write_report(
         out / "report.html",
@@ -31,5 +35,23 @@ def write_learn_report(scene_path: Path, out: Path, found: Learned, content: dic
         before=found.before,
         title=f"What {scene_path.name} learned from its images",
         beside="scene.toml (the learned scene), learn.json (all numbers), history.csv and figures",
+    )
+    console.say_written(out, "report.html")
+
+
+def _write_of_curves(scene_path: Path, out: Path, found: LearnedCurves, content: dict[str, Any]) -> None:
+    words = ["warpsar", "learn", str(scene_path), "-o", str(out), "--device", content["device"]]
+    title, beside = f"What {scene_path.name} learned from its curves", "scene.toml (as learned), learn.json"
+    told = {role: judge_curves(part) for role in ROLES if (part := [one for one in found.after if one.role == role])}
+    write_curves_report(
+        out / "report.html",
+        title,
+        found.after,
+        told,
+        content,
+        words,
+        before=found.before,
+        words=found.words,
+        beside=beside,
     )
     console.say_written(out, "report.html")

@@ -11,6 +11,7 @@ import warp as wp
 from warpsar.io.ply import write_ply
 from warpsar.kernels import shade
 from warpsar.runtime import devices
+from warpsar.runtime.structs import fill
 from warpsar.scene.scene import Scene
 from warpsar.surface.stage import Stage
 from warpsar.surface.surface import KEYS, KINDS
@@ -31,7 +32,7 @@ def parameters_at(stage: Stage, face: wp.array, barycentric: wp.array) -> dict[s
     wp.launch(
         shade.gather_kernel,
         face.shape[0],
-        inputs=[face, barycentric, stage.target.faces, stage.face_material, stage.uv, stage.places, nodes],
+        inputs=[fill(shade.OnMesh, face=face, barycentric=barycentric), stage.node_map, nodes],
         outputs=[zeta],
         device=device,
     )

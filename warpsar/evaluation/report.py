@@ -10,11 +10,12 @@ import warp as wp
 
 from warpsar.compare.evaluation import Evaluation
 from warpsar.evaluation.report_convergence import convergence_sections
+from warpsar.evaluation.report_curves import curves_section
 from warpsar.evaluation.report_images import images_section
 from warpsar.evaluation.report_numbers import summary_section
 from warpsar.evaluation.report_surface import identified_words, parameters_section
 from warpsar.evaluation.report_tables import tables_section
-from warpsar.evaluation.residuals import Profile, profile_figure
+from warpsar.evaluation.residuals import FactorProfile, profile_figure
 from warpsar.io import html as report
 from warpsar.scene.scene import Scene
 from warpsar.surface.stage import Stage
@@ -24,7 +25,7 @@ def write_report(
     path: Path,
     scene: Scene,
     found: Evaluation,
-    by_factor: dict[str, Profile],
+    by_factor: dict[str, FactorProfile],
     expected: dict[str, float],
     content: dict[str, Any],
     command: Sequence[str],
@@ -47,6 +48,7 @@ def write_report(
     sections = [
         summary_section(scene, found, before),
         images_section(scene, found, before),
+        *([curves_section(found.curves, found.curve_verdicts)] if found.curves else []),
         _residuals_section(by_factor, expected),
         parameters_section(scene, stage, identified),
         *tables_section(content),
@@ -61,7 +63,7 @@ def write_report(
     report.write(path, report.page(title, lead, *sections))
 
 
-def _residuals_section(by_factor: dict[str, Profile], expected: dict[str, float]) -> str:
+def _residuals_section(by_factor: dict[str, FactorProfile], expected: dict[str, float]) -> str:
     said = (
         "The residual of all compared pixels against what might explain it; the mean that speckle has in dB is taken "
         "off. Where the model is true, the blue band lies on the grey one. A slope is a hint at what is missing."

@@ -8,19 +8,23 @@ import numpy as np
 
 from warpsar.evaluation.meshview import MeshView, look
 from warpsar.io import html as report
-from warpsar.io.html_image import Axis
+from warpsar.io.html_image import ImageAxis
 from warpsar.scene.scene import Scene
 from warpsar.surface.stage import Stage
 
 RESIDUAL_COLOURS = "RdBu_r"  # red: the measured image is brighter
 AZIMUTHS_DEG = (205.0, 25.0)  # of the two looks at the mesh: askew to the compass
-_NAMES = {"eps_r": ("eps_r", 1.0), "rms_height_m": ("h [mm]", 1e3), "correlation_length_m": ("l [mm]", 1e3)}
+_NAMES = {
+    "rms_height_m": ("h [mm]", 1e3),
+    "correlation_length_m": ("l [mm]", 1e3),
+    "specular_fraction": ("tau", 1.0),
+}
 
 
-def image_axes(scene: Scene) -> tuple[Axis, Axis]:
+def image_axes(scene: Scene) -> tuple[ImageAxis, ImageAxis]:
     """Range (down) and azimuth (along) of the scene's images, about the reference point [m]."""
     height, width = (n * s for n, s in zip(scene.grid.shape, scene.grid.spacing_m, strict=True))
-    return Axis("range [m]", -height / 2, height / 2), Axis("azimuth [m]", -width / 2, width / 2)
+    return ImageAxis("range [m]", -height / 2, height / 2), ImageAxis("azimuth [m]", -width / 2, width / 2)
 
 
 def plus_minus(value: float, error: float) -> str:
@@ -31,7 +35,7 @@ def plus_minus(value: float, error: float) -> str:
 
 def shown_as(key: str) -> tuple[str, float]:
     """A surface parameter's name with its unit, and the factor from SI to that unit."""
-    return _NAMES.get(key, ("tau", 1.0))
+    return _NAMES.get(key, (key, 1.0))
 
 
 def reach_db(residuals: Sequence[np.ndarray], percent: float) -> float:

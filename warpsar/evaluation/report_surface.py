@@ -13,13 +13,13 @@ from warpsar.errors import InputError
 from warpsar.evaluation.meshview import MeshView
 from warpsar.evaluation.report_parts import both_sides, shown_as
 from warpsar.io import html as report
-from warpsar.kernels.codes import Model
 from warpsar.learning.identify import Identified, identify
 from warpsar.learning.problem import FitProblem
+from warpsar.models import registry
 from warpsar.scene.scene import Scene
 from warpsar.simulation.rays import Rays
 from warpsar.surface.stage import Stage
-from warpsar.surface.surface import KINDS, LEVEL, Kind
+from warpsar.surface.surface import KINDS, Kind
 
 INCIDENCE_DEG = 55.0  # of the two looks at the mesh
 
@@ -91,10 +91,13 @@ def parameters_section(scene: Scene, stage: Stage, identified: Identified | None
     for name in surface.materials:
         row = [name]
         own = [block for block in surface.blocks if block.material == name]
-        tabled = own[0].kind is LEVEL  # then the others say nothing
-        for block in own[:1] if tabled else own:
+        model = registry.get(surface.model[surface.materials.index(name)])
+        for block in own:
             kind = block.kind
-            factor = 1.0 if tabled else shown_as(kind.key)[1]
+            if not kind.own and not model.of_surface:  # it says nothing
+                row.append("")
+                continue
+            label, factor = shown_as(kind.key)
             values = surface.values(name, kind.key) * factor
             if block.size > 1:
                 row.append(f"{_number(values.min())} to {_number(values.max())}, median {_number(np.median(values))}")
@@ -107,26 +110,27 @@ def parameters_section(scene: Scene, stage: Stage, identified: Identified | None
                 text += f" ({_number(ends[0])} to {_number(ends[1])})"
             elif spread is not None:
                 text += " (not determined)"
-            row.append(f"table, level {text}" if tabled else text)
-        rows.append(row + [""] * (len(KINDS) + 1 - len(row)))
+            table = "table, " if model.from_table else ""
+            row.append(f"{table}{label} {text}" if kind.own else text)
+        rows.append(row)
     caption = "In brackets: 95 % intervals" if identified is not None else ""
     blocks = [report.table(["material", *(shown_as(kind.key)[0] for kind in KINDS)], rows, caption)]
     if scene.effects:
         said = [[name, stated(table)] for name, table in scene.effects.items()]
         blocks.append(report.table(["declared effect", "parameters"], said))
-    tables = surface.model == Model.FACET
+    bare = np.array([not registry.get(model).of_surface for model in surface.model])
     sides = both_sides(stage, INCIDENCE_DEG)
     chosen = [k for k in KINDS if any(b.learn for b in surface.blocks if b.kind is k)] or list(KINDS[:3])
-    for kind in chosen if not tables.all() else []:
-        blocks += _on_the_mesh(kind, sides, tables)
+    for kind in chosen if not bare.all() else []:
+        blocks += _on_the_mesh(kind, sides, bare)
     return report.section("Parameters of the surface", *blocks)
 
 
-def _on_the_mesh(kind: Kind, sides: Sequence[tuple[float, MeshView]], tables: np.ndarray) -> list[str]:
-    """A colour scale, and the parameter on the mesh from each side; grey where a material is one of the `tables`."""
+def _on_the_mesh(kind: Kind, sides: Sequence[tuple[float, MeshView]], bare: np.ndarray) -> list[str]:
+    """A colour scale, and the parameter on the mesh from each side; grey where a material has none, (materials,)."""
     label, factor = shown_as(kind.key)
     logarithmic = kind.key != "specular_fraction"  # learned, and told apart, by ratios
-    planes = [np.where(tables[side.material], np.nan, side.parameters[kind.key] * factor) for _, side in sides]
+    planes = [np.where(bare[side.material], np.nan, side.parameters[kind.key] * factor) for _, side in sides]
     planes = [np.log10(plane) for plane in planes] if logarithmic else planes
     shown = np.concatenate(planes)
     shown = shown[~np.isnan(shown)]

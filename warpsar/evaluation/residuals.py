@@ -24,7 +24,7 @@ DECIBEL = 10.0 / np.log(10.0)
 
 
 @dataclass(frozen=True)
-class Profile:
+class FactorProfile:
     """The residual [dB] against one factor: `rows` of {"low", "high" or "name", "pixels", "p16_db", "median_db",
     "p84_db"}; `label` names the factor with its unit."""
 
@@ -52,7 +52,7 @@ def expected_db(images: Sequence[Comparison]) -> dict[str, float]:
     return dict(zip(("p16", "median", "p84"), found.tolist(), strict=True))
 
 
-def profiles(images: Sequence[Comparison], materials: Sequence[str]) -> dict[str, Profile]:
+def profiles(images: Sequence[Comparison], materials: Sequence[str]) -> dict[str, FactorProfile]:
     """The residual of all images' interiors against each factor; bins of fewer than 30 pixels are left out."""
     residual = np.concatenate([residual_db(i) for i in images])
 
@@ -79,8 +79,8 @@ def profiles(images: Sequence[Comparison], materials: Sequence[str]) -> dict[str
             edges = np.linspace(edges[0] - half, edges[-1] + half, min(BINS, edges.size) + 1)
         bins = np.digitize(at, edges) - 1
         rows = [{"low": float(edges[k]), "high": float(edges[k + 1])} for k in range(edges.size - 1)]
-        result[name] = Profile(label, _filled(rows, bins, residual))
-    result["material"] = Profile(
+        result[name] = FactorProfile(label, _filled(rows, bins, residual))
+    result["material"] = FactorProfile(
         "material", _filled([{"name": name} for name in materials], gather(lambda i: i.material), residual)
     )
     return result
@@ -97,7 +97,7 @@ def _filled(rows: list[dict[str, Any]], bins: np.ndarray, residual: np.ndarray) 
     return found
 
 
-def profile_figure(profile: Profile, expected: dict[str, float]) -> Figure:
+def profile_figure(profile: FactorProfile, expected: dict[str, float]) -> Figure:
     """Median and 16 to 84 % of the residual against the factor; grey: what speckle alone gives."""
     figure, axis = new(4.4, 3.0)
     axis.axhspan(expected["p16"], expected["p84"], color="0.88", zorder=0, label="speckle alone, 16 to 84 %")

@@ -20,7 +20,7 @@ from warpsar.formats.base.extra import Extra
 from warpsar.formats.base.format import Format, Stated
 from warpsar.io.images import replacing
 from warpsar.version import __version__
-from warpsar.world.earth import Origin, ecef_to_geodetic
+from warpsar.world.earth import LocalEarth, ecef_to_geodetic
 from warpsar.world.frame import SPEED_OF_LIGHT
 
 if TYPE_CHECKING:
@@ -87,7 +87,7 @@ def read(path: Path, stated: Stated) -> PhaseHistory:
         position_m=arp,
         reference_range_m=reference,
         polarization=found,
-        frame=stated.frame or Origin(*ecef_to_geodetic(iarp).tolist()),
+        frame=stated.frame or LocalEarth(*ecef_to_geodetic(iarp).tolist()),
         transmitter_m=sent,
     )
 

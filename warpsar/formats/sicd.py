@@ -26,7 +26,7 @@ from warpsar.formats.base.format import Format, Stated
 from warpsar.formats.base.taper import TAYLOR_NBAR, TAYLOR_SIDELOBE_DB
 from warpsar.io.images import replacing
 from warpsar.version import __version__
-from warpsar.world.earth import Origin, ecef_to_geodetic
+from warpsar.world.earth import LocalEarth, ecef_to_geodetic
 from warpsar.world.frame import SPEED_OF_LIGHT
 
 if TYPE_CHECKING:
@@ -70,7 +70,7 @@ def read(path: Path, stated: Stated) -> ImageChip:
         helper = sarkit_sicd.XmlHelper(xml)
     with reading(path, "SICD header", LxmlError):
         header = _Header.read(path, helper)
-        world = stated.frame or Origin(*ecef_to_geodetic(header.centre).tolist())
+        world = stated.frame or LocalEarth(*ecef_to_geodetic(header.centre).tolist())
         parameters = projection.MetadataParams.from_xml(xml)
 
     def locate(points_m: np.ndarray) -> np.ndarray:

@@ -5,3 +5,7 @@ files. ply: meshes with scalars. checkpoint: a run's state. figures: PNGs throug
 quick_look: images in dB, with axes. html, html_image: the parts of a report. assets: its style and script.
 complex_image: complex images in NPZ.
 """
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)  # public: __init__.pyi

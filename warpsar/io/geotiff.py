@@ -20,7 +20,7 @@ from warpsar.io.images import replacing
 
 
 @dataclass(frozen=True)
-class Place:
+class RasterPlace:
     """Where a raster, north up, lies on a map: `crs` is rasterio's; the rest is in its units."""
 
     crs: Any
@@ -68,7 +68,7 @@ def opened(path: Path) -> Iterator[DatasetReader]:
 
 
 def write_cog(
-    path: Path, bands: Mapping[str, NDArray[Any]], tags: Mapping[str, Any], place: Place | None = None
+    path: Path, bands: Mapping[str, NDArray[Any]], tags: Mapping[str, Any], place: RasterPlace | None = None
 ) -> None:
     """A cloud-optimized GeoTIFF of float32 bands of one shape, named by their descriptions; whole or not at all.
 

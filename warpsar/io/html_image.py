@@ -13,7 +13,7 @@ MARKS = 4
 
 
 @dataclass(frozen=True)
-class Axis:
+class ImageAxis:
     """`label` holds the unit; `start` and `end` are the outer edges of the first and the last pixel."""
 
     label: str
@@ -29,7 +29,7 @@ class Axis:
         return [k * step for k in range(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1)]
 
 
-def image(png: bytes, caption: str, down: Axis, along: Axis) -> str:
+def image(png: bytes, caption: str, down: ImageAxis, along: ImageAxis) -> str:
     """A PNG of pixels whose rows lie along `down` and whose columns along `along`, in true proportion."""
     aspect = abs(along.end - along.start) / abs(down.end - down.start)
     said = escape(caption, quote=True)
@@ -41,7 +41,7 @@ def image(png: bytes, caption: str, down: Axis, along: Axis) -> str:
     )
 
 
-def _scale(axis: Axis, name: str, side: str) -> str:
+def _scale(axis: ImageAxis, name: str, side: str) -> str:
     marks = "".join(
         f'<i style="{side}: {100.0 * (at - axis.start) / (axis.end - axis.start):.4g}%">'
         f"{f'{at:.6g}'.replace('-', chr(0x2212))}</i>"

@@ -7,12 +7,16 @@ roughness: what is expected of fields in diagnosis. sparse_quadratic: their step
 problem: views and images as one function of x. regularise: total variation. optimise, adam: one step of a fit.
 gradcheck: the gradient against differences. descent: a fit from first to last iteration. learn: the whole fit.
 identify: intervals of a few parameters. fields: intervals of maps. validity: where the models leave their domain.
-pose_coordinates: poses and sizes as numbers. pose_pixels: the pixels that tell them. pose: surface, effects and poses
-as one problem, and its descent. pose_sharing: objects that share a render. pose_search: from metres away to the
-likeliest pose. learned_objects: poses in `learn`. object_figures: objects before and after.
-term: the learned term of a material's sigma0, from images. table: its table of sigma0, from images. table_figure: that
-table before and after. device_values: what both are fitted by.
+geometry: bodies, angles and spacings as numbers. pose_pixels: the pixels that tell them. pose: surface,
+effects and geometry as one problem, and its descent. pose_sharing: objects that share a render.
+pose_search: from metres away to the likeliest pose. learned_objects: poses in `learn`. object_figures: objects before
+and after. term: the learned term of a material's sigma0, from images. table: its table of sigma0, from images.
+table_figure: that table before and after. device_values: what both are fitted by.
 metrics: how well the images of a fit agree. trust: do the intervals hold, and what did a fit make worse?
-results: what was learned, as a scene. command: `warpsar learn`.
+curves: permittivities from measured curves of RCS. results: what was learned, as a scene. command: `warpsar learn`.
 jacobian: how one view's image changes with x.
 """
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)  # public: __init__.pyi

@@ -70,8 +70,8 @@ class Adam:
 class GraphAdam:
     """Adam on a CUDA device: nothing leaves it but the loss, which is looked at once in `STRIDE` iterations.
 
-    Images, loss and gradients of all views and the update are one captured graph that is replayed. With several ranks
-    there are two graphs, and the gradients of the ranks are summed between them.
+    Images, loss and gradients of all views and the update are one captured graph that is replayed. Where the
+    views are shared there are two graphs, and the gradients are summed over all views between them.
     """
 
     STRIDE = 10
@@ -100,7 +100,7 @@ class GraphAdam:
         problem.run_on_device()  # loads every kernel, which a capture cannot
         problem.add_losses(self.loss)
         wp.load_module(kernels, device=device)
-        alone = problem.ranks.size == 1
+        alone = problem.holds_all
         self.graphs = []
         for tasks in [(problem.run_on_device, self._update)] if alone else [(problem.run_on_device,), (self._update,)]:
             with wp.ScopedCapture(device) as capture:
@@ -129,7 +129,7 @@ class GraphAdam:
         """One iteration; the host does not wait for it."""
         wp.capture_launch(self.graphs[0])
         for graph in self.graphs[1:]:
-            self.problem.ranks.sum_on_device(self.nodes.grad)
+            self.problem.over_views_on_device(self.nodes.grad)
             wp.capture_launch(graph)
 
     def step(self, state: FitState) -> FitState:
@@ -140,8 +140,8 @@ class GraphAdam:
         wp.copy(self.seen, self.nodes)
         self.iterate()
         wp.capture_launch(self.look)
-        problem.ranks.sum_on_device(self.loss)
-        loss = float(self.loss.numpy()[0])  # the same to the bit on each rank; nothing else waits for the device
+        problem.over_views_on_device(self.loss)
+        loss = float(self.loss.numpy()[0])  # the same to the bit wherever views are; nothing else waits for the device
         better = loss < state.best_loss
         state = improved(state, problem.on_device(self.seen), loss)
         if better:

@@ -11,19 +11,21 @@ from typing import Any
 
 import numpy as np
 
-from warpsar.curves import command as curve_command
+from warpsar.coherent.left_out import left_out_warning
+from warpsar.compare.curve import errors_in_short
 from warpsar.effects.registry import held_by
 from warpsar.io import checkpoint
 from warpsar.io.figures import convergence, save
 from warpsar.io.images import replacing
+from warpsar.learning.curves import LearnedCurves, learn_from_curves
 from warpsar.learning.descent import History
 from warpsar.learning.fields import write_field_uncertainty
-from warpsar.learning.learn import Learned, learn, of_all
+from warpsar.learning.learn import Learned, learn
 from warpsar.learning.object_figures import figure_of_objects
 from warpsar.learning.options import LearnOptions
 from warpsar.learning.pull import leaving
 from warpsar.learning.table_figure import figure_of_table
-from warpsar.runtime import console, distributed
+from warpsar.runtime import console, once
 from warpsar.scene.scene import Scene
 from warpsar.simulation.outputs import opened, write_json
 
@@ -48,26 +50,24 @@ def fitted(
     device: str | None = None,
     options: LearnOptions | None = None,
     resume: bool = False,
-) -> tuple[Learned | None, dict[str, Any]]:
-    """What `run` does: the fit, and the content of learn.json. No fit where the scene has curves alone."""
+) -> tuple[Learned | LearnedCurves, dict[str, Any]]:
+    """What `run` does: the fit, to images or to curves, and the content of learn.json."""
     started = time.perf_counter()
     options = options or LearnOptions()
     scene, out, where = opened(scene_path, out, device)
-    if curve_command.alone(scene):
-        of_curves = curve_command.learned(scene, out / "cache", where.alias)
+    if scene.has_curves_alone:
+        console.warn(left_out_warning(scene, "a curve"))
+        of_curves = learn_from_curves(scene, out / "cache", where.alias)
         of_curves.scene.save(out / "scene.toml")
-        print(curve_command.in_short(of_curves.content["after"]["curves"]), file=sys.stdout)
-        return None, write_json(out / "learn.json", scene, where, options.seed, started, of_curves.content)
-    resume = resume or bool(distributed.restarts())
+        for sentence in of_curves.words:
+            console.say(sentence)
+        print(errors_in_short(of_curves.after), file=sys.stdout)
+        written = write_json(out / "learn.json", scene, where, options.seed, started, of_curves.content())
+        console.say_written(out, "scene.toml", "learn.json")
+        return of_curves, written
+    resume = resume or bool(once.restarts())
     found = learn(scene, device=where.alias, options=options, folder=out, resume=resume)
-    ranks = found.problem.ranks
-    if ranks.first:
-        found.scene.save(out / "scene.toml")
-        _write_history(out / "history.csv", found.history)
-        convergence(out / "convergence.png", found.history)
-        _draw_objects(out / "objects.png", scene, found)
-        for name, table in found.tables.items():
-            save(figure_of_table(name, table.content()), table.file.with_suffix(".png"))
+    once.write(lambda: _write(out, scene, found))
     content = _summary(found, options)
     _say_doubts(found, scene_path)
     for one in found.pulls:
@@ -85,18 +85,30 @@ def fitted(
             console.say(sentence)
     elif found.x.size:
         content["fields"] = write_field_uncertainty(found.problem, found.x, out)
-    ranks.barrier()  # a rank that dies from here on takes no result with it
-    if not ranks.first:
-        return found, content
-    content = write_json(out / "learn.json", scene, where, options.seed, started, content)
-    checkpoint.remove(out)
-    console.say_written(out, "scene.toml", "learn.json", "history.csv", "figures")
-    print(
-        f"train deviance {found.train['deviance']:.4f}"
-        + ("" if found.test is None else f", test deviance {found.test['deviance']:.4f}"),
-        file=sys.stdout,
-    )
-    return found, content
+    once.wait()  # a process that dies from here on takes no result with it
+
+    def write() -> dict[str, Any]:
+        written = write_json(out / "learn.json", scene, where, options.seed, started, content)
+        checkpoint.remove(out)
+        console.say_written(out, "scene.toml", "learn.json", "history.csv", "figures")
+        print(
+            f"train deviance {found.train['deviance']:.4f}"
+            + ("" if found.test is None else f", test deviance {found.test['deviance']:.4f}"),
+            file=sys.stdout,
+        )
+        return written
+
+    return found, once.write(write) or content
+
+
+def _write(out: Path, scene: Scene, found: Learned) -> None:
+    """The files that say what was found, but learn.json."""
+    found.scene.save(out / "scene.toml")
+    _write_history(out / "history.csv", found.history)
+    convergence(out / "convergence.png", found.history)
+    _draw_objects(out / "objects.png", scene, found)
+    for name, table in found.tables.items():
+        save(figure_of_table(name, table.content()), table.file.with_suffix(".png"))
 
 
 def _draw_objects(path: Path, scene: Scene, found: Learned) -> None:
@@ -131,7 +143,7 @@ def _write_history(path: Path, history: History) -> None:
 
 
 def _summary(found: Learned, options: LearnOptions) -> dict[str, Any]:
-    """What learn.json says of every fit; all ranks call this."""
+    """What learn.json says of every fit; all processes call this."""
     problem = found.problem
     content: dict[str, Any] = {
         "intervals_hold": not found.doubts,
@@ -154,9 +166,9 @@ def _summary(found: Learned, options: LearnOptions) -> dict[str, Any]:
         "tolerances": {one.label: one.content() for one in found.pulls},
         "leaves_tolerance": leaving(found.pulls),
         "outside_domain": found.domains,
-        "looks": of_all(problem, lambda s: {"looks": s.looks, "estimated": s.looks_estimated}),
-        "pixels": of_all(problem, lambda s: {"used": s.count, "left_out": s.left_out, "zeros": s.zeros}),
-        "processes": problem.ranks.size,
+        "looks": problem.of_each(lambda s: {"looks": s.looks, "estimated": s.looks_estimated}),
+        "pixels": problem.of_each(lambda s: {"used": s.count, "left_out": s.left_out, "zeros": s.zeros}),
+        "processes": once.processes(),
     }
     if found.terms:
         content["learned_terms"] = {name: one.content() for name, one in found.terms.items()}
@@ -164,11 +176,13 @@ def _summary(found: Learned, options: LearnOptions) -> dict[str, Any]:
         content["learned_tables"] = {name: one.content() for name, one in found.tables.items()}
     if found.objects is not None:
         content["objects"] = found.objects.content()
+        if found.objects.found.numbers:
+            content["geometry"] = found.objects.found.numbers
     if not problem.scene.grid.calibrated:
         gains = problem.gains(problem.modelled(found.x))
         pairs = zip(problem.observations, gains, strict=True)
         known = {(s.view.name, s.polarization): float(gain) for s, gain in pairs}
-        content["gains"] = of_all(problem, lambda s: known[s.view.name, s.polarization])
+        content["gains"] = problem.of_each(lambda s: known[s.view.name, s.polarization])
     return content
 
 

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import warp as wp
 
-from warpsar.effects.base.fitted import is_fitted
-from warpsar.effects.base.parameter import Parameter
+from warpsar.effects.base.parameter import EffectParameter
 from warpsar.effects.registry import get, held_by
 from warpsar.errors import InputError
+from warpsar.parameters.parameter import Parameter
 from warpsar.scene.scene import Scene
 from warpsar.surface.surface import KINDS, Surface
 from warpsar.world.tables import View
@@ -20,23 +20,37 @@ from warpsar.world.tables import View
 
 @dataclass(frozen=True)
 class EffectCoordinate:
-    """One number of x that belongs to an effect: a parameter, or its value in one view or on one material."""
+    """One number of x that belongs to an effect: a parameter, or its value in one view or on one material.
 
-    effect: str
+    `declared` is what the effect's class says of it, and `index` its place in the effect's array of values.
+    """
+
     parameter: Parameter
-    index: int  # in the effect's array of values
-    view: str | None = None
-    material: str | None = None
+    declared: EffectParameter
+    index: int
 
     @property
-    def key(self) -> str | None:
-        """Where its value stands in the parameter's own table; None for a parameter that is one number."""
-        return self.material if self.view is None else self.view
+    def effect(self) -> str:
+        return self.parameter.owner
+
+    @property
+    def key(self) -> str:
+        """The key in scene.toml."""
+        return self.parameter.key
+
+    @property
+    def entry(self) -> str | None:
+        """Where its value stands in the key's own table; None for a parameter that is one number."""
+        return self.parameter.entry
+
+    @property
+    def view(self) -> str | None:
+        """The only view that it acts on."""
+        return self.parameter.entry if self.parameter.layout == "per view" else None
 
     @property
     def label(self) -> str:
-        where = "" if self.key is None else f"[{self.key}]"
-        return f"{self.effect}.{self.parameter.name}{where}"
+        return self.parameter.old_name
 
 
 @dataclass(frozen=True)
@@ -66,6 +80,9 @@ class SceneCoordinates:
         self.scene, self.chosen = scene, chosen
         self.surface = Surface.of(scene)
         self.learned = self.surface.learned
+        learned = [block for block in self.surface.blocks if block.learn]
+        names = [f"materials.{block.material}.{block.kind.key}" for block in learned]
+        self._fields = [(scene.parameters[name], block.size) for name, block in zip(names, learned, strict=True)]
         self._nodes = self.surface.nodes.astype(np.float32)  # as the device has them
         # as a slice where they are in one piece: a field of a million nodes is then several times as fast to take
         whole = self.learned.size and self.learned[-1] + 1 - self.learned[0] == self.learned.size
@@ -84,35 +101,36 @@ class SceneCoordinates:
     def labels(self) -> list[str]:
         """A name for every element of x: material.key, with the node's number where there are many."""
         names = []
-        for block in self.surface.blocks:
-            if block.learn:
-                name = f"{block.material}.{block.kind.key}"
-                names += [name] if block.size == 1 else [f"{name}[{i}]" for i in range(block.size)]
+        for parameter, size in self._fields:
+            name = parameter.old_name
+            names += [name] if size == 1 else [f"{name}[{i}]" for i in range(size)]
         return names + [c.label for c in self.effect_coordinates]
+
+    def numbers(self) -> Iterator[tuple[int, Parameter]]:
+        """The parameters that are one number of x, each with its place."""
+        at = 0
+        for parameter, size in self._fields:
+            if size == 1:
+                yield at, parameter
+            at += size
+        yield from enumerate((c.parameter for c in self.effect_coordinates), at)
 
     @property
     def uniform(self) -> bool:
         """Whether x is a handful of numbers, not a field."""
-        return all(block.size == 1 for block in self.surface.blocks if block.learn)
+        return all(size == 1 for _, size in self._fields)
 
     @property
     def moved_together(self) -> np.ndarray:
         """The sizes of x's parts that another start moves as a whole: fields, and single numbers."""
-        sizes = [block.size for block in self.surface.blocks if block.learn]
-        return np.array([*sizes, *(1 for _ in self.effect_coordinates)], int)
+        return np.array([*(size for _, size in self._fields), *(1 for _ in self.effect_coordinates)], int)
 
     @property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
         """Lower and upper bounds of x, shape (p,) each."""
-        ends, sizes = [], []
-        for block in self.surface.blocks:
-            if block.learn:
-                ends.append([float(block.kind.to_coordinate(end)) for end in (block.kind.low, block.kind.high)])
-                sizes.append(block.size)
-        for c in self.effect_coordinates:
-            ends.append(sorted(c.parameter.to_coordinate(v) for v in c.parameter.fit_bounds))
-            sizes.append(1)
-        low, high = np.repeat(np.reshape(ends, (-1, 2)), sizes, axis=0).T
+        parts = [*self._fields, *((c.parameter, 1) for c in self.effect_coordinates)]
+        ends = [sorted(float(one.transform.to_coordinate(end)) for end in one.fit_bounds or ()) for one, _ in parts]
+        low, high = np.repeat(np.reshape(ends, (-1, 2)), [size for _, size in parts], axis=0).T
         return low.copy(), high.copy()
 
     def nodes(self, x: np.ndarray) -> np.ndarray:
@@ -142,11 +160,11 @@ class SceneCoordinates:
         # a DeviceX has no such values, and is not copied to the host to find none
         values = np.asarray(x)[self.learned.size :] if self.effect_coordinates else ()
         for c, value in zip(self.effect_coordinates, values, strict=True):
-            number = float(c.parameter.from_coordinate(value))
-            if c.key is None:
-                tables[c.effect][c.parameter.name] = number
+            number = float(c.declared.from_coordinate(value))
+            if c.entry is None:
+                tables[c.effect][c.key] = number
             else:
-                tables[c.effect][c.parameter.name][c.key] = number
+                tables[c.effect][c.key][c.entry] = number
         # only differences act: without the mean over the fitted views, the other views stay as they are
         for (effect, name), views in self._zero_sums().items():
             mean = sum(tables[effect][name][view] for view in views) / len(views)
@@ -171,28 +189,28 @@ class SceneCoordinates:
 
     def _effect_coordinates(self) -> list[EffectCoordinate]:
         found = []
-        contained = held_by(self.scene.effects)
+        contained, parameters = held_by(self.scene.effects), self.scene.parameters
         for name, table in self.scene.effects.items():
-            for index, parameter in enumerate(get(name).parameters if name not in contained else ()):
-                if not is_fitted(parameter.name, table):
-                    continue
-                if parameter.per_view:
-                    names = [v.name for v in self.chosen if v.name in table[parameter.name]]
-                    found += [EffectCoordinate(name, parameter, index, view) for view in names]
-                elif parameter.per_material:
+            for index, declared in enumerate(get(name).parameters if name not in contained else ()):
+                stated = table.get(declared.name)
+                entries: Sequence[tuple[int, str]] = [(index, "")]
+                if declared.per_view:
+                    entries = [(index, f"[{v.name}]") for v in self.chosen if v.name in (stated or {})]
+                elif declared.per_material:
                     all_of_them = enumerate(self.scene.mesh.materials, index)
-                    stated = [(at, m) for at, m in all_of_them if m in table[parameter.name]]
-                    found += [EffectCoordinate(name, parameter, at, material=m) for at, m in stated]
-                else:
-                    found.append(EffectCoordinate(name, parameter, index))
+                    entries = [(at, f"[{m}]") for at, m in all_of_them if m in (stated or {})]
+                for at, entry in entries:
+                    parameter = parameters.get(f"effects.{name}.{declared.name}{entry}")
+                    if parameter is not None and parameter.freed:
+                        found.append(EffectCoordinate(parameter, declared, at))
         return found
 
     def _effect_values(self, tables: Mapping[str, Mapping[str, Any]]) -> np.ndarray:
         """The effects' part of x that stands in `tables`."""
         values = []
         for c in self.effect_coordinates:
-            value = tables[c.effect][c.parameter.name]
-            values.append(c.parameter.to_coordinate(value if c.key is None else value[c.key]))
+            value = tables[c.effect][c.key]
+            values.append(c.declared.to_coordinate(value if c.entry is None else value[c.entry]))
         return np.array(values, float)
 
     @property
@@ -201,7 +219,7 @@ class SceneCoordinates:
         first = self.learned.size
         rows = np.zeros((len(self._zero_sums()), first + len(self.effect_coordinates)))
         for row, key in zip(rows, self._zero_sums(), strict=True):
-            mine = [(c.effect, c.parameter.name) == key for c in self.effect_coordinates]
+            mine = [(c.effect, c.key) == key for c in self.effect_coordinates]
             row[first:] = np.array(mine, float) / np.sqrt(sum(mine))
         return rows
 
@@ -212,6 +230,6 @@ class SceneCoordinates:
         """
         found: dict[tuple[str, str], list[str]] = {}
         for c in self.effect_coordinates:
-            if c.parameter.zero_sum and c.view is not None:
-                found.setdefault((c.effect, c.parameter.name), []).append(c.view)
+            if c.declared.zero_sum and c.view is not None:
+                found.setdefault((c.effect, c.key), []).append(c.view)
         return {key: views for key, views in found.items() if len(views) > 1}

@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ from warpsar.learning.metrics import pooled_metrics
 from warpsar.learning.optimise import FitState, begin, levenberg_marquardt
 from warpsar.learning.options import LearnOptions
 from warpsar.learning.problem import FitProblem
-from warpsar.runtime import console
+from warpsar.runtime import console, once
 
 MOST_STEPS = 100  # of Levenberg-Marquardt from one start
 
@@ -27,7 +28,7 @@ History = list[dict[str, float]]
 """A row for each iteration: its number, the start's number, the loss, and metrics of train and test views."""
 
 
-class Course:
+class FitRecord:
     """How far a run has come, and where it is stored. `stored` is the checkpoint of an earlier part of it.
 
     `tag` names the run (`checkpoint.write`); without a `folder` nothing is stored.
@@ -49,63 +50,65 @@ class Course:
     def save(self) -> None:
         """Write the checkpoint."""
         if self._folder is not None and self.state is not None:
-            extra = {"history": np.array(json.dumps(self.history)), "spent_s": np.array(self.seconds)}
-            checkpoint.write(self._folder, {**self.state.arrays(), **extra}, self._tag)
+            once.write(partial(self._write, self._folder, self.state))
+
+    def _write(self, folder: Path, state: FitState) -> None:
+        extra = {"history": np.array(json.dumps(self.history)), "spent_s": np.array(self.seconds)}
+        checkpoint.write(folder, {**state.arrays(), **extra}, self._tag)
 
 
 def descend(
-    problem: FitProblem, tests: FitProblem | None, options: LearnOptions, course: Course, *, stoppable: bool
+    problem: FitProblem, tests: FitProblem | None, options: LearnOptions, record: FitRecord, *, stoppable: bool
 ) -> tuple[FitState, str]:
     """Run to the end, with checkpoints; returns the last state, and why the run stopped.
 
     `stoppable`: a SIGTERM ends the run after a last checkpoint, by a WarpsarError, and so does a Ctrl-C, by a
     KeyboardInterrupt. A second Ctrl-C ends it at once.
     """
-    ranks, history = problem.ranks, course.history
-    steps = states(problem, options, course.state)
+    history = record.history
+    steps = states(problem, options, record.state)
     bar = console.progress(options.iterations, "learn")
-    bar.update(course.state.iteration if course.state else 0)
+    bar.update(record.state.iteration if record.state else 0)
     stopped = "plateau"
     with _caught(stoppable) as signals, closing(bar):
-        while course.state is None or course.state.iteration < options.iterations:
+        while record.state is None or record.state.iteration < options.iterations:
             state = next(steps, None)
             if state is None:
                 break
-            course.state = state
+            record.state = state
             history.append(_row(problem, tests, state))
             bar.update(state.iteration - bar.n)
             bar.set_postfix_str(f"loss {state.loss:.6g}", refresh=False)
-            # a signal, and a second more or less, reach the ranks at different iterations
-            asked = ranks.largest(max(signals, default=0))
-            late = ranks.largest(course.seconds) > options.max_time_s
+            asked = problem.largest(max(signals, default=0))
+            late = problem.largest(record.seconds) > options.max_time_s
             if asked:
-                course.save()
+                record.save()
                 if asked == signal.SIGINT:
                     raise KeyboardInterrupt
-                refusal = WarpsarError(f"stopped by a signal at iteration {state.iteration}; go on with --resume")
-                refusal.quiet = not ranks.first
-                raise refusal
+                raise once.refusal(
+                    WarpsarError(f"stopped by a signal at iteration {state.iteration}; go on with --resume")
+                )
             if late:
                 stopped = "time"
                 break
             if len(history) % options.checkpoint_every == 0:
-                course.save()
+                record.save()
         else:
             stopped = "iterations"
-    assert course.state is not None
-    course.save()
-    return course.state, stopped
+    assert record.state is not None
+    record.save()
+    return record.state, stopped
 
 
 def stand(
-    problem: FitProblem, tests: FitProblem | None, options: LearnOptions, course: Course, *, stoppable: bool
+    problem: FitProblem, tests: FitProblem | None, options: LearnOptions, record: FitRecord, *, stoppable: bool
 ) -> tuple[FitState, str]:
     """A run of no iteration, where nothing but poses or a learned term is learned: `descend` without a change."""
     x = problem.x0
     loss = problem.value(problem.modelled(x))
-    course.state = FitState(x, loss, x, loss)
-    course.history.append(_row(problem, tests, course.state))
-    return course.state, "nothing but poses is learned"
+    record.state = FitState(x, loss, x, loss)
+    record.history.append(_row(problem, tests, record.state))
+    return record.state, "nothing but poses is learned"
 
 
 def states(problem: FitProblem, options: LearnOptions, state: FitState | None) -> Iterator[FitState]:

@@ -17,7 +17,7 @@ from scipy.optimize import minimize
 
 from warpsar.errors import InputError
 from warpsar.learning.problem import FitProblem
-from warpsar.runtime.distributed import Ranks
+from warpsar.runtime import once
 from warpsar.scene.scene import Scene
 
 MOST_STEPS = 200
@@ -25,7 +25,7 @@ SEEN = (0.5, 99.5)  # percentiles of the hits' cos theta, between which a materi
 
 
 @dataclass(frozen=True)
-class Block:
+class DeviceBlock:
     """Values by channel, (channels, n), in the `rows` of a device array, where each channel fills all its `columns`.
 
     Before any image they are `start` + z `unit`^T, with z of a standard normal distribution; `unit` is (n, n).
@@ -46,7 +46,7 @@ class Block:
         return np.asarray((own @ self.unit).ravel())
 
 
-def put(array: wp.array, blocks: Sequence[Block], values: Sequence[np.ndarray]) -> None:
+def put(array: wp.array, blocks: Sequence[DeviceBlock], values: Sequence[np.ndarray]) -> None:
     """Write each block's values, (channels, n), into the array, whose other elements stay."""
     everywhere = array.numpy().copy()
     for block, its in zip(blocks, values, strict=True):
@@ -55,7 +55,7 @@ def put(array: wp.array, blocks: Sequence[Block], values: Sequence[np.ndarray]) 
     array.assign(everywhere)
 
 
-def most_likely(problem: FitProblem, array: wp.array, blocks: Sequence[Block]) -> tuple[list[np.ndarray], int]:
+def most_likely(problem: FitProblem, array: wp.array, blocks: Sequence[DeviceBlock]) -> tuple[list[np.ndarray], int]:
     """The blocks' values that minimise loss and prior, which then stand in the array, and the steps taken.
 
     All else is held as the scene declares it. `array` belongs to the problem's stage, and has no gradient yet.
@@ -88,10 +88,10 @@ def most_likely(problem: FitProblem, array: wp.array, blocks: Sequence[Block]) -
     return set_to(done.x), int(done.nit)
 
 
-def refuse_run(scene: Scene, name: str, key: str, folder: Path | None, ranks: Ranks) -> Path:
+def refuse_run(scene: Scene, name: str, key: str, folder: Path | None) -> Path:
     """The folder for a material's new file. Raises InputError without one, and with several processes."""
-    if folder is None or ranks.size > 1:
-        why = "needs a folder for its file" if folder is None else f"found {ranks.size} processes; must be one"
+    if folder is None or once.processes() > 1:
+        why = "needs a folder for its file" if folder is None else f"found {once.processes()} processes; must be one"
         raise InputError(f"{scene.name}: materials.{name}.learn: {key}: {why}")
     return folder
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ from scipy.sparse import csr_array
 
 from warpsar.io.images import replacing, write_exr
 from warpsar.learning.problem import FitProblem
-from warpsar.runtime import console
+from warpsar.runtime import console, once
 from warpsar.scene.beside import file_stem
 from warpsar.surface.samples import image_pixels
 from warpsar.surface.surface import KINDS, Block
@@ -109,12 +110,12 @@ def write_field_uncertainty(problem: FitProblem, x: np.ndarray, folder: Path) ->
                         information[:, i, j] += np.asarray(a.multiply(b).sum(axis=0)).ravel()
                 lit |= np.asarray((collect @ at_hits).sum(axis=0)).ravel() > 0
             seen_in += lit
-        information, seen_in = problem.ranks.sum(information), problem.ranks.sum(seen_in).astype(int)
+        information, seen_in = problem.over_views(information), problem.over_views(seen_in).astype(int)
         sd = _sd(information)
         for i, block in enumerate(group):
             stem = file_stem(problem.surface.materials, material, block.kind.key)
-            if problem.ranks.first:
-                summary[f"{material}.{block.kind.key}"] = _write(folder, stem, block, sd[:, i], seen_in)
+            said = once.write(partial(_write, folder, stem, block, sd[:, i], seen_in))
+            summary |= {} if said is None else {f"{material}.{block.kind.key}": said}
     return summary
 
 

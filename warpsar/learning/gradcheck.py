@@ -92,5 +92,5 @@ def _groups(problem: FitProblem) -> list[np.ndarray]:
             groups[block.material, block.kind.key] = [np.arange(start, start + block.size)]
             start += block.size
     for index, c in enumerate(problem.effect_coordinates, start):
-        groups.setdefault((c.effect, c.parameter.name), []).append(np.array([index]))
+        groups.setdefault((c.effect, c.key), []).append(np.array([index]))
     return [np.concatenate(members) for members in groups.values()]

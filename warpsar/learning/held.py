@@ -15,7 +15,7 @@ from warpsar.render.bands import BandedRender, stretches
 from warpsar.render.render import ViewRender
 from warpsar.render.rendered import Rendered
 from warpsar.runtime import console
-from warpsar.runtime.distributed import Ranks, deal
+from warpsar.runtime.distributed.processes import Ranks
 from warpsar.runtime.memory import OutOfMemoryError, default_gib, in_parts, kept_bytes, ran_out
 from warpsar.scene.scene import Scene
 from warpsar.simulation.rays import Rays, effects_grid
@@ -28,9 +28,9 @@ T = TypeVar("T")
 def views_held(
     scene: Scene, chosen: Sequence[View], rays: Rays, ranks: Ranks, max_memory_gib: float | None
 ) -> tuple[list[View], dict[str, int]]:
-    """The views of this rank, and the number of bands of each view whose hits are not kept.
+    """The views of this process, and the number of bands of each view whose hits are not kept.
 
-    The views are dealt by their merged hits. `max_memory_gib` bounds what the hits of this rank's views take (by
+    The views are dealt by their merged hits. `max_memory_gib` bounds what the hits of this process's views take (by
     default `memory.default_gib`).
     """
     device = rays.stage.target.device
@@ -62,7 +62,7 @@ def views_held(
 
         hits = {name: n for part in ranks.gather(ranks.agree(counted)) for name, n in part.items()}
         costs = [hits[v.name] * len(v.images) for v in chosen]
-        mine = [chosen[i] for i in deal(costs, ranks.size)[ranks.rank]]
+        mine = [chosen[i] for i in ranks.mine(costs)]
         for view in own:
             if view not in mine:
                 rays.forget(view)

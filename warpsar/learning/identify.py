@@ -11,10 +11,11 @@ import numpy as np
 
 from warpsar.compare.observation import Observation
 from warpsar.learning.problem import FitProblem
+from warpsar.models import registry
+from warpsar.models.base.parameters import OF_SURFACES
 from warpsar.speckle.covariance import correlated
 from warpsar.speckle.likelihood import residual_sd
 from warpsar.speckle.residual import residual_autocovariance
-from warpsar.surface.surface import KINDS
 
 # A log coordinate known to worse than this (a factor e either way within two standard deviations) is not determined.
 UNDETERMINED_SD = 0.5
@@ -86,7 +87,7 @@ def identify(problem: FitProblem, x: np.ndarray) -> Identified:
 def information_of(
     problem: FitProblem, modelled: Sequence[np.ndarray], jacobians: Iterable[np.ndarray], size: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Fisher information of the loss and variance of its gradient, (p, p) each, of all ranks, without any prior.
+    """Fisher information of the loss and variance of its gradient, (p, p) each, of all views, without any prior.
 
     `modelled` is beta0 of each observation, `jacobians` d ln(beta0) of it to `size` = p values, (pixels, p).
     """
@@ -94,7 +95,7 @@ def information_of(
     spreads = [residual_sd(problem.loss, seen.looks) for seen in problem.observations]
     autocovariance = residual_autocovariance(
         [(s, c.residual / spread) for s, c, spread in zip(problem.observations, curvatures, spreads, strict=True)],
-        ranks=problem.ranks,
+        over_views=problem.over_views,
     )
     information = np.zeros((size, size))
     products = np.zeros_like(information)
@@ -102,7 +103,7 @@ def information_of(
         weighted = c.weight[:, None] * j
         information += j.T @ weighted
         products += score_products(spread * weighted, autocovariance, seen)
-    return problem.ranks.sum(information), problem.ranks.sum(products)
+    return problem.over_views(information), problem.over_views(products)
 
 
 def of_information(
@@ -153,7 +154,7 @@ def describe(labels: Sequence[str], covariance: np.ndarray, unseen: np.ndarray) 
     `covariance` holds in the directions that the data see; `unseen`, shape (n, p), are unit vectors of the others.
     """
     unit = np.eye(len(labels))
-    symbols = {kind.key: kind.symbol for kind in KINDS}
+    symbols = {one.key: one.symbol for one in (*OF_SURFACES, *registry.own_parameters().values())}
     sentences = []
     for name, members in _groups(labels).items():
         short = {i: symbols.get(labels[i].rsplit(".", 1)[1], labels[i].rsplit(".", 1)[1]) for i in members}

@@ -4,23 +4,22 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from os import PathLike
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 import warp as wp
 
-from warpsar.compare.comparison import compare
-from warpsar.compare.evaluation import Evaluation
+from warpsar.compare.evaluation import Evaluation, evaluated
 from warpsar.compare.judgement import Judgement
 from warpsar.compare.metrics import PooledMetrics
-from warpsar.compare.observation import Observation, looks_of
+from warpsar.compare.observation import looks_of
 from warpsar.errors import InputError, WarpsarError, refuse_kind
 from warpsar.io import checkpoint
-from warpsar.learning.descent import Course, History, descend, stand
+from warpsar.learning.descent import FitRecord, History, descend, stand
 from warpsar.learning.gradcheck import GradientCheck, check_gradient
 from warpsar.learning.identify import Identified, identify
 from warpsar.learning.learned_objects import LearnedObjects, learned_objects
@@ -32,14 +31,11 @@ from warpsar.learning.table import LearnedTable, with_learned_tables
 from warpsar.learning.term import Trained, as_asked, with_trained_terms
 from warpsar.learning.trust import doubts, worse
 from warpsar.learning.validity import outside_domains
-from warpsar.runtime import console, devices, distributed
-from warpsar.runtime.distributed import Ranks
+from warpsar.runtime import console, devices, once
 from warpsar.scene.scene import Scene, scene_or_file
 from warpsar.simulation.rays import Rays
 from warpsar.simulation.sampling import RAY_NOISE, Density, choose_density
 from warpsar.surface.stage import Stage
-
-T = TypeVar("T")
 
 
 @dataclass
@@ -103,7 +99,7 @@ def learn(
     """Fit the materials' learnable parameters, and the declared effects' unless they are held, to the `train` views.
 
     With `folder` the run keeps a checkpoint there, and `resume` goes on from it. Each of several processes
-    (`distributed`) holds a share of the views; all return the same, and the first one writes. A learned term or a table
+    holds a share of the views; all return the same, and the first one writes. A learned term or a table
     that a material's `learn` names is trained first, and then held. Raises InputError for scenes that cannot be learned
     from, and WarpsarError where the gradient check fails.
     """
@@ -113,36 +109,37 @@ def learn(
     refuse_starts(scene)
     declared = asked = scene
     where = devices.resolve_device(device)
-    ranks = distributed.ranks(where)
+    once.join(where)
     folder = None if folder is None else Path(folder)
-    if folder is not None and ranks.first and distributed.restarts() == 0 and not resume:
-        checkpoint.remove(folder)  # of an earlier run: torchrun's restarts shall find this one's
+    if folder is not None and once.restarts() == 0 and not resume:
+        once.write(partial(checkpoint.remove, folder))  # of an earlier run: torchrun's restarts shall find this one's
 
     def prepared(one: Scene) -> FitProblem:
         problem, _ = prepare(one, where, options)
         refuse_options(problem, options)  # before a term or a table is learned and written
         return problem
 
-    declared, terms = with_trained_terms(asked, folder, ranks, prepared)
-    declared, tables = with_learned_tables(declared, folder, ranks, prepared, options.loss)
-    poses = ranks.agree(lambda: learned_objects(declared, where, options.loss))
+    declared, terms = with_trained_terms(asked, folder, prepared)
+    declared, tables = with_learned_tables(declared, folder, prepared, options.loss)
+    poses = once.agree(lambda: learned_objects(declared, where, options.loss))
     scene = declared if poses is None else poses.scene
-    problem, density = ranks.agree(lambda: prepare(scene, where, options, ranks))
+    problem, density = once.agree(lambda: prepare(scene, where, options, shared=True))
     if not problem.x0.size and poses is None and not terms and not tables:
         raise InputError(
             f"{scene.name}: materials: nothing to learn: every `learn` is empty, and no effect's parameter is fitted"
         )
     refuse_options(problem, options)
     check = _checked(problem) if problem.x0.size else GradientCheck(0.0, 0)
-    tests = ranks.agree(lambda: _test_problem(scene, where, options, problem, density))
-    course = _course(declared, options, folder, ranks, resume)
+    tests = once.agree(lambda: _test_problem(scene, where, options, problem, density))
+    record = _record(declared, options, folder, resume)
     runs = descend if problem.x0.size else stand
-    state, stopped = runs(problem, tests, options, course, stoppable=folder is not None)
+    state, stopped = runs(problem, tests, options, record, stoppable=folder is not None)
     if (terms or tables) and not problem.x0.size:
         stopped = f"nothing but {'a learned term' if terms else 'a table'} is learned"
     x = np.asarray(state.best_x)
-    final = as_asked(learned_scene(problem, x, folder if ranks.first else None), asked, terms)
-    before, after = (_evaluated(one, where, ranks) for one in (asked, final))
+    written = once.write(lambda: learned_scene(problem, x, folder))
+    final = as_asked(written or learned_scene(problem, x), asked, terms)
+    before, after = (evaluated(one, where, progress="compare") for one in (asked, final))
     domains = outside_domains(problem, x)
     identified = _identified(problem, x, poses)
     pulled = [*pulls(problem, x, identified), *([] if poses is None else poses.found.pulls)]
@@ -151,7 +148,7 @@ def learn(
         x=x,
         loss=state.best_loss,
         labels=problem.labels if x.size < 1000 else [],
-        history=course.history,
+        history=record.history,
         stopped=stopped,
         gradient_check=check,
         density=density,
@@ -159,7 +156,7 @@ def learn(
         domains=domains,
         before=before,
         after=after,
-        worse=ranks.gather(worse(before.images, after.images))[0],
+        worse=once.find(lambda: worse(before.images, after.images)),
         pulls=pulled,
         doubts=[*doubts(problem, x, after.verdicts, domains), *(one.words for one in pulled if one.alarm)],
         problem=problem,
@@ -167,12 +164,6 @@ def learn(
         terms=terms,
         tables=tables,
     )
-
-
-def _evaluated(scene: Scene, device: wp.Device, ranks: Ranks) -> Evaluation:
-    """The scene beside all measured images."""
-    found = compare(scene, device, ranks=ranks, progress="compare")
-    return ranks.agree(lambda: Evaluation.of(found)).shared(ranks)
 
 
 def _identified(problem: FitProblem, x: np.ndarray, poses: LearnedObjects | None) -> Identified | None:
@@ -198,25 +189,26 @@ def _checked(problem: FitProblem) -> GradientCheck:
     return check
 
 
-def _course(scene: Scene, options: LearnOptions, folder: Path | None, ranks: Ranks, resume: bool) -> Course:
-    """The run as it stands: at its beginning, or with `resume` at its checkpoint. The first rank reads and writes."""
+def _record(scene: Scene, options: LearnOptions, folder: Path | None, resume: bool) -> FitRecord:
+    """The run as it stands: at its beginning, or with `resume` at its checkpoint."""
     tag = _tag(scene, options)
-    source = folder if resume and ranks.first else None
-    stored = ranks.hand_out(ranks.agree(lambda: None if source is None else checkpoint.read(source, tag)))
+    stored = None if folder is None or not resume else once.find(partial(checkpoint.read, folder, tag))
     if resume and stored is None:
         console.say("--resume: there is no checkpoint; the run starts afresh")
-    return Course(folder if ranks.first else None, tag, stored)
+    return FitRecord(folder, tag, stored)
 
 
 def prepare(
-    scene: Scene, device: wp.Device, options: LearnOptions, ranks: Ranks = distributed.ONE
+    scene: Scene, device: wp.Device, options: LearnOptions, *, shared: bool = False
 ) -> tuple[FitProblem, Density]:
-    """The fit problem of the train views, with as many rays as the looks of the images ask for."""
+    """The fit problem of the train views, with as many rays as the looks of the images ask for. `shared` as in
+    `FitProblem`."""
     stage = Stage.of(scene, device)
     views = [v for v in scene.views if v.role == "train" and v.images]
     if not views:
         raise InputError(f"{scene.path}: views: none with role train has measured images")
-    density = choose_density(scene, stage, views, [looks_of(scene, v) for v in views], RAY_NOISE, ranks=ranks)
+    looks = [looks_of(scene, view) for view in views]
+    density = choose_density(scene, stage, views, looks, RAY_NOISE, shared=shared)
     if density.chosen:
         console.say(
             f"rays: {density.rays_per_pixel:g} per pixel; looks x relative sampling variance {density.noise:.2g} "
@@ -229,23 +221,15 @@ def prepare(
         rays=Rays(stage, density.rays_per_m2, scene.sampling.seed),
         total_variation=options.total_variation,
         validity=options.validity,
-        ranks=ranks,
+        shared=shared,
         max_memory_gib=options.max_memory_gib,
     )
-    for name, (looks, estimated, zeros) in of_all(problem, lambda s: (s.looks, s.looks_estimated, s.zeros)).items():
+    for name, (number, estimated, zeros) in problem.of_each(lambda s: (s.looks, s.looks_estimated, s.zeros)).items():
         if estimated:
-            console.say(f"looks of {name}: not declared, estimated as {looks:.1f}")
+            console.say(f"looks of {name}: not declared, estimated as {number:.1f}")
         if zeros:
             console.say(f"{name}: {zeros} lit pixels measure 0 and are left out")
     return problem, density
-
-
-def of_all(problem: FitProblem, about: Callable[[Observation], T]) -> dict[str, T]:
-    """What `about` (JSON's types) gives for every observation of all ranks, by "view polarization", in order."""
-    mine = [[s.view.name, s.polarization, about(s)] for s in problem.observations]
-    order = [view.name for view in problem.chosen]
-    found = sorted((each for part in problem.ranks.gather(mine) for each in part), key=lambda one: order.index(one[0]))
-    return {f"{view} {polarization}": what for view, polarization, what in found}
 
 
 def _test_problem(
@@ -260,7 +244,7 @@ def _test_problem(
         loss=options.loss,
         roles=("test",),
         rays=Rays(problem.stage, density.rays_per_m2, scene.sampling.seed),
-        ranks=problem.ranks,
+        shared=True,
         max_memory_gib=options.max_memory_gib,
     )
 

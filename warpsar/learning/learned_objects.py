@@ -1,4 +1,4 @@
-"""What `learn` finds of objects, before it turns to the surfaces."""
+"""What `learn` finds of the geometry, before it turns to the surfaces."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from warpsar.learning.geometry import freed
 from warpsar.learning.identify import Identified
 from warpsar.learning.pose_search import FoundPoses, find_poses
 from warpsar.runtime import console
@@ -17,7 +18,7 @@ from warpsar.surface.surface import Surface
 
 @dataclass(frozen=True)
 class LearnedObjects:
-    """Objects at their likeliest poses, and the scene with them: a start for surfaces and effects."""
+    """Objects, angles and spacings at their likeliest values, and the scene with them: a start for the surfaces."""
 
     scene: Scene
     found: FoundPoses
@@ -25,10 +26,11 @@ class LearnedObjects:
     @property
     def words(self) -> list[str]:
         """A sentence for each object, and what cannot be told apart."""
-        return [_said(name, told) for name, told in self.found.objects.items() if _learned(told)] + self.found.words
+        objects = [_object_words(name, told) for name, told in self.found.objects.items() if _learned(told)]
+        return objects + [_number_words(name, told) for name, told in self.found.numbers.items()] + self.found.words
 
     def content(self) -> dict[str, Any]:
-        """For learn.json: values by the object's name, a standard deviation beside each that was learned."""
+        """For learn.json, of the objects: values by name, with a standard deviation where one was learned."""
         words = self.found.words
         return {
             name: {**told, "not_told_apart": [w for w in words if w.startswith(f"{name}.")]}
@@ -44,23 +46,28 @@ class LearnedObjects:
 
 
 def learned_objects(scene: Scene, device: wp.Device, loss: str) -> LearnedObjects | None:
-    """Fit the objects that have anything to learn; None where there is none.
+    """Fit what is to be learned of objects, views and image; None where there is nothing.
 
     Surfaces and effects are fitted along, unless they are fields. Raises InputError as `find_poses` does.
     """
-    if not any(one.learn for one in scene.objects):
+    if next(freed(scene), None) is None:
         return None
     fields = any(block.learn and block.size > 1 for block in Surface.of(scene).blocks)
     found = find_poses(scene, device, loss=loss, held=fields)
-    console.say(f"objects: log-likelihood up by {found.gain:.4g}")
+    console.say(f"geometry: log-likelihood up by {found.gain:.4g}")
     return LearnedObjects(found.scene, found)
+
+
+def _number_words(name: str, told: dict[str, Any]) -> str:
+    unit = "" if told["unit"] == "1" else f" {told['unit']}"
+    return f"{name}: {told['value']:.6g} +- {told['sd']:.2g}{unit}"
 
 
 def _learned(told: dict[str, Any]) -> bool:
     return any("_sd" in key for key in told)
 
 
-def _said(name: str, told: dict[str, Any]) -> str:
+def _object_words(name: str, told: dict[str, Any]) -> str:
     parts = []
     for key, value in told.items():
         stem, _, unit = key.partition("_sd")

@@ -10,7 +10,7 @@ from warpsar.speckle.likelihood import METRICS, metrics, metrics_of
 
 
 def pooled_metrics(problem: FitProblem, x: np.ndarray | DeviceX) -> dict[str, float]:
-    """The mean of each observation's `likelihood.metrics` over its interior, weighted by its pixels, of all ranks.
+    """The mean of each observation's `likelihood.metrics` over its interior, weighted by its pixels, of all views.
 
     An x on the device stays there where the images are calibrated: only sums leave it.
     """
@@ -25,5 +25,5 @@ def pooled_metrics(problem: FitProblem, x: np.ndarray | DeviceX) -> dict[str, fl
     total = np.zeros(len(METRICS) + 1)
     for seen, found in zip(observations, parts, strict=True):
         total += seen.count * np.array([*(found[key] for key in METRICS), 1.0])
-    *sums, count = problem.ranks.sum(total)
+    *sums, count = problem.over_views(total)
     return {key: float(value / count) for key, value in zip(METRICS, sums, strict=True)}

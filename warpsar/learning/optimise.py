@@ -12,13 +12,13 @@ from typing import Any
 
 import numpy as np
 import warp as wp
+from numpy.typing import ArrayLike
 
 from warpsar.learning.coordinates import DeviceX
 from warpsar.learning.problem import FitProblem
 from warpsar.learning.roughness import FieldPrior
 from warpsar.learning.sparse_quadratic import SparseQuadratic
 from warpsar.runtime.deadline import check
-from warpsar.runtime.distributed import Ranks
 from warpsar.runtime.matmul import transposed_times
 
 LARGEST_STEP = 1.0  # of a log coordinate in one Levenberg-Marquardt step: a factor e
@@ -170,7 +170,7 @@ class _Quadratic:
     modelled: list[np.ndarray]
     weighted: list[np.ndarray]
     bounds: tuple[np.ndarray, np.ndarray]
-    ranks: Ranks
+    decided: Callable[[ArrayLike], np.ndarray]
 
     @classmethod
     def about(cls, problem: FitProblem, x: np.ndarray, origin: np.ndarray, moving: np.ndarray | None) -> _Quadratic:
@@ -182,7 +182,7 @@ class _Quadratic:
             slope = np.zeros(x.size)
             for j, c in zip(jacobians, curvatures, strict=True):
                 slope -= transposed_times(j, (c.weight * c.residual)[:, None])[:, 0]
-            gradient = problem.ranks.sum(slope) + problem.prior.gradient(x)
+            gradient = problem.over_views(slope) + problem.prior.gradient(x)
         else:
             _, gradient = problem.gradient(x)
             modelled = problem.standing()
@@ -192,12 +192,12 @@ class _Quadratic:
         hessian = np.zeros((x.size, x.size))
         for j, w in zip(jacobians, weighted, strict=True):
             hessian += transposed_times(w.T, j)
-        hessian = problem.ranks.sum(hessian) + problem.prior.information(x)
+        hessian = problem.over_views(hessian) + problem.prior.information(x)
         low, high = problem.bounds
         free = ~((x <= low) & (gradient > 0) | (x >= high) & (gradient < 0)) & (np.diag(hessian) > 0)
         if moving is not None:
             free &= moving
-        return cls(x, loss, gradient, hessian, free, modelled, weighted, (low, high), problem.ranks)
+        return cls(x, loss, gradient, hessian, free, modelled, weighted, (low, high), problem.decided)
 
     def step(self, damping: float) -> _Step:
         """The step at a damping, which is relative to the diagonal of the curvature."""
@@ -207,8 +207,7 @@ class _Quadratic:
         step = np.zeros_like(self.x)
         step[free] = -np.linalg.solve(damped, self.gradient[free])
         promised = -float(self.gradient @ step + 0.5 * step @ hessian @ step)
-        # hosts of different kinds may round a solution differently, and all ranks must go the same way
-        promised, *whole = self.ranks.same([promised, *step]).tolist()
+        promised, *whole = self.decided([promised, *step]).tolist()
         return _Step(damped, np.array(whole), promised)
 
     def bent(self, problem: FitProblem, planned: _Step) -> np.ndarray | None:
@@ -225,9 +224,9 @@ class _Quadratic:
         for w, b in zip(self.weighted, bend, strict=True):
             push += transposed_times(w.T, b[:, None])[:, 0]
         correction = np.zeros_like(self.x)
-        push = self.ranks.sum(push) + problem.prior.push(self.x, places, BEND_STEP)
+        push = problem.over_views(push) + problem.prior.push(self.x, places, BEND_STEP)
         correction[self.free] = -0.5 * np.linalg.solve(planned.damped, push[self.free])
-        correction = self.ranks.same(correction)
+        correction = self.decided(correction)
         if 2.0 * np.linalg.norm(correction) > MOST_BEND * np.linalg.norm(step):
             return None
         return np.clip(self.x + step + correction, low, high)

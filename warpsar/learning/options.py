@@ -81,7 +81,7 @@ def refuse_options(problem: FitProblem, options: LearnOptions) -> None:
     """Refuse options that do nothing, or nothing sensible, to the parameters learned here. Raises InputError."""
     if options.optimiser == "lm" and not problem.uniform:
         raise InputError("--optimiser: found lm, and a field to learn; allowed for fields is adam")
-    if options.validity > 0 and problem.surface.model.any():
+    if options.validity > 0 and not problem.surface.by_default.all():
         raise InputError("--validity: found a material whose model is not ka_spm; allowed with ka_spm alone")
     fields = {block.kind.key for block in problem.surface.blocks if block.learn and block.size > 1}
     for key, weight in options.total_variation.items():

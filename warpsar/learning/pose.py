@@ -1,4 +1,4 @@
-"""Surface parameters, effects and poses together: images, derivatives, and a descent."""
+"""Surface parameters, effects and geometry together: images, derivatives, and a descent."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy as np
 import warp as wp
 
 from warpsar.compare.observation import Observation
+from warpsar.learning.geometry import Geometry
 from warpsar.learning.identify import Identified, of_information, score_products
-from warpsar.learning.pose_coordinates import Poses
 from warpsar.learning.pose_sharing import boxes, shared
 from warpsar.learning.prior import Known, Prior
 from warpsar.learning.problem import FitProblem
@@ -23,7 +23,6 @@ from warpsar.simulation.exact_rays import ExactRays
 from warpsar.speckle.likelihood import residual_sd
 from warpsar.speckle.residual import residual_autocovariance
 from warpsar.surface.stage import Stage
-from warpsar.world.world import posed
 
 POSE_STEP_M = 2e-3  # of a difference: its error is under 1e-3 of a derivative (docs/objects.md)
 LIT = 0.1  # share of a pixel that is no floor, from which its residual tells of speckle
@@ -35,7 +34,7 @@ FLAT = 2e-3  # gain in log-likelihood that counts as none
 
 
 class PosedProblem:
-    """A fit problem whose objects move. x holds the surface's and the effects' coordinates, then the poses [m].
+    """A fit problem whose geometry moves. x holds the surface's and the effects' coordinates, then the geometry's [m].
 
     `observations`, by view name, are the same for every pose. Images have exact areas, without rays, so that
     differences of them are their derivatives, silhouettes and shadows included. `prior` is what the scene knows of
@@ -61,21 +60,23 @@ class PosedProblem:
         foot would trade otherwise: a body sunk into the ground looks like a lower one.
         """
         self.scene, self.device, self.loss, self._seen = scene, device, loss, observations
-        self.poses, self.level, self.bound = Poses(scene), level, bound
+        self.geometry, self.level, self.bound = Geometry(scene), level, bound
         self._kept: OrderedDict[bytes, FitProblem] = OrderedDict()
-        self.count = len(self.poses.coordinates)
+        self.count = len(self.geometry.coordinates)
         start = self.standing(np.zeros(self.count))
         self.size = 0 if held else start.x0.size
         self._own = start.x0.copy()
         self.x0 = np.concatenate([start.x0[: self.size], np.zeros(self.count)])
-        low, high = (np.concatenate([a[: self.size], b]) for a, b in zip(start.bounds, self.poses.bounds, strict=True))
+        low, high = (
+            np.concatenate([a[: self.size], b]) for a, b in zip(start.bounds, self.geometry.bounds, strict=True)
+        )
         self.bounds = low, high
-        self.labels = [*start.labels[: self.size], *self.poses.labels]
-        self.prior = Prior.of(None if held else start, self.poses)
+        self.labels = [*start.labels[: self.size], *self.geometry.labels]
+        self.prior = Prior.of(None if held else start, self.geometry)
         self.stood = [
             k
-            for k, c in enumerate(self.poses.coordinates, start=self.size)
-            if (c.word, c.index) == ("position", 2) and scene.objects[c.object].label in standing
+            for k, c in enumerate(self.geometry.coordinates, start=self.size)
+            if (c.parameter.key, c.index) == ("position_m", 2) and c.body in standing
         ]
         self._hold_the_stood()
         self.zero_sum_means = np.zeros((0, self.x0.size))
@@ -85,7 +86,7 @@ class PosedProblem:
         low[self.stood] = high[self.stood] = 0.0
         known = list(self.prior.known)
         for k in self.stood:
-            c = self.poses.coordinates[k - self.size]
+            c = self.geometry.coordinates[k - self.size]
             known.append(Known(c.label, k, c.value(0.0), STANDS_M, "m", c.value, c.per_metre))
         self.prior = Prior(known, self.prior.size)
 
@@ -100,7 +101,7 @@ class PosedProblem:
         return self._kept[key]
 
     def _made(self, p: np.ndarray, views: list[str]) -> FitProblem:
-        scene = posed(self.scene, self.poses.at(p))
+        scene = self.geometry.at(p)
         rays = ExactRays(Stage.of(scene, self.device), seed=scene.sampling.seed)
         roles = ("train", "test")
         return FitProblem(
@@ -149,9 +150,11 @@ class PosedProblem:
     def _slopes(self, problem: FitProblem, view: FitView, rest: np.ndarray, p: np.ndarray) -> list[np.ndarray]:
         """d ln(mu) / dp of a view's observations, shape (pixels, len(p)) each."""
         places = boxes(problem.scene, view.view)
-        coordinates, name = self.poses.coordinates, view.view.name
+        coordinates, name = self.geometry.coordinates, view.view.name
         found = [np.zeros((seen.values.size, p.size)) for seen in view.observations]
         for group in shared(coordinates, places):
+            if not any(coordinates[k].changes(name) for k in group):
+                continue
             step = np.zeros(p.size)
             step[group] = POSE_STEP_M
             both = (self._made(p + s * step, [name]) for s in (1.0, -1.0))
@@ -160,7 +163,8 @@ class PosedProblem:
                 change = np.log(a / b) / (2.0 * POSE_STEP_M)
                 row, column = np.divmod(seen.pixels, problem.scene.grid.shape[1])
                 for k in group:
-                    inside = True if places is None else places[coordinates[k].object].holds(row, column)
+                    body = coordinates[k].body
+                    inside = True if places is None or body is None else places[body].holds(row, column)
                     slope[:, k] = np.where(inside, change, 0.0)
         return found
 
@@ -242,6 +246,20 @@ def _quadratic(problem: PosedProblem, x: np.ndarray) -> tuple[np.ndarray, np.nda
         gradient = gradient - weighted.T @ c.residual
         hessian = hessian + transposed_times(j, weighted)
     return gradient, hessian
+
+
+def without_shading(problem: PosedProblem) -> tuple[np.ndarray, np.ndarray]:
+    """Curvature and slope of the log-likelihood to the geometry, at the start, with surface and effects moving along.
+
+    Shapes (n, n) and (n,): what is left of the geometry's own when all that surface and effects can imitate is taken
+    out. A step s gains slope s - s curvature s / 2 to second order.
+    """
+    gradient, hessian = _quadratic(problem, problem.x0)
+    own, n = slice(0, problem.size), problem.size
+    along = np.linalg.pinv(hessian[own, own], rcond=1e-9, hermitian=True) @ np.column_stack(
+        [hessian[own, n:], gradient[own]]
+    )
+    return hessian[n:, n:] - hessian[n:, own] @ along[:, :-1], hessian[n:, own] @ along[:, -1] - gradient[n:]
 
 
 def _step(gradient: np.ndarray, hessian: np.ndarray, free: np.ndarray, damping: float) -> np.ndarray:

@@ -25,7 +25,7 @@ FWHM = math.sqrt(8.0 * math.log(2.0))  # of a Gaussian, in standard deviations
 
 
 @dataclass(frozen=True)
-class Compared:
+class PosePixels:
     """A scene with the floor, of `level` [beta0], and blur that its `observations`, by view name, were given too."""
 
     scene: Scene
@@ -38,7 +38,7 @@ def compared(
     lit: Mapping[str, Sequence[Observation]],
     blur_m: float = 0.0,
     gains: Mapping[tuple[str, str], float] | None = None,
-) -> Compared:
+) -> PosePixels:
     """The scene and its images with a common floor, blurred by a Gaussian of `blur_m` full width at half maximum.
 
     `lit` are the declared model's own observations by view name: they say how bright lit pixels are, and give the
@@ -59,7 +59,7 @@ def compared(
     observations = {
         name: [_prepared(scene, seen, level * gain(seen), blur_m) for seen in found] for name, found in lit.items()
     }
-    return Compared(replace(scene, effects=effects), observations, level)
+    return PosePixels(replace(scene, effects=effects), observations, level)
 
 
 def _wider(stated: Mapping[str, Any], blur_m: float) -> dict[str, Any]:

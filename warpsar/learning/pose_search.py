@@ -1,20 +1,20 @@
-"""Where objects stand: from metres away to the likeliest pose, and how well it is known."""
+"""Where objects stand, and how the radar looks at them: from metres away to the likeliest geometry, with intervals."""
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import warp as wp
 
 from warpsar.compare.observation import Observation
 from warpsar.errors import InputError
+from warpsar.learning.geometry import GeometryCoordinate, freed, still
 from warpsar.learning.identify import Identified
 from warpsar.learning.pose import Descended, PosedProblem, descend
-from warpsar.learning.pose_coordinates import PoseCoordinate
 from warpsar.learning.pose_pixels import compared
 from warpsar.learning.problem import FitProblem
 from warpsar.learning.pull import Pull, pulls
@@ -24,7 +24,11 @@ from warpsar.scene.placing import with_objects
 from warpsar.scene.scene import Scene
 from warpsar.simulation.exact_rays import ExactRays
 from warpsar.surface.stage import Stage
-from warpsar.world.objects.table import KEYS, Learnable, Object
+from warpsar.world.objects.table import Learnable, Object
+from warpsar.world.tables import Grid, View
+from warpsar.world.tolerance import pinned
+
+T = TypeVar("T", View, Grid)
 
 SEARCH_BLUR_M = (3.0, 1.5, 0.75)  # full widths at half maximum: an object is found from as far away as it is blurred
 SEARCH_STEPS, SEARCH_FLAT = 12, 1.0
@@ -35,7 +39,7 @@ SHARE = 0.2  # of a unit move, from which a number is part of it
 
 @dataclass(frozen=True)
 class FoundPoses:
-    """Objects at their likeliest poses.
+    """Objects at their likeliest poses, views at their angles, and pixel spacings.
 
     `scene`: the scene with them, and with the surface and effects that were fitted along. `gain`: what the poses add to
     the log-likelihood over all usable pixels above a common floor (`pose_pixels`), where surface and effects are at
@@ -50,6 +54,7 @@ class FoundPoses:
     gain_given: float
     size: int
     objects: dict[str, dict[str, Any]]
+    numbers: dict[str, dict[str, Any]]
     identified: Identified
     words: list[str]
     pulls: list[Pull] = field(default_factory=list)
@@ -66,16 +71,18 @@ def find_poses(
     held: bool = False,
     standing: Collection[str] = (),
 ) -> FoundPoses:
-    """Fit what `learn` of the scene's objects frees, with surface and effects unless they are `held`.
+    """Fit what `learn` of the scene's objects, views and image frees, with surface and effects unless they are `held`.
 
     `views`: names of the views to use; by default those with role train. `observations`, by view name: frozen pixels
     that other models are compared on; by default those that the scene as given lights. `search`: begin with blurred
     images, which find an object from 3 m, 20 degrees and 20 % away. `standing`: labels of objects whose foot stays at
-    its height, where their own is learned. Raises InputError where no object has anything to
-    learn, and for views without images.
+    its height, where their own is learned. Raises InputError where nothing of the geometry is to be learned, and for
+    views without images.
     """
-    if not any(one.learn for one in scene.objects):
-        raise InputError(f"{scene.name}: objects: found no object with `learn`; at least one must state it")
+    if next(freed(scene), None) is None:
+        raise InputError(
+            f"{scene.name}: found no object, view, [radar] or [image] with `learn`; at least one must state it"
+        )
     given = FitProblem(
         scene,
         device,
@@ -105,17 +112,17 @@ def find_poses(
         observations=pixels,
     )
     before, after = (one.value(one.modelled(one.x0)) for one in (given, at_end))
-    still = tuple(one.model_copy(update={"learn": ()}) for one in scene.objects)
-    _, best = _descended(replace(scene, objects=still), device, pixels, loud, loss, held, 0.0, {})
-    tolerated = set(problem.poses.labels) - {problem.labels[k] for k in problem.stood}
+    _, best = _descended(still(scene), device, pixels, loud, loss, held, 0.0, {})
+    tolerated = set(problem.geometry.labels) - {problem.labels[k] for k in problem.stood}
     return FoundPoses(
         found,
         best.loss - end.loss,
         float(before - after),
         problem.count - len(problem.stood),
         summary(problem, end.x, identified),
+        numbers(problem, end.x, identified),
         identified,
-        [*problem.poses.held, *_words(problem, identified)],
+        [*problem.geometry.held, *_words(problem, identified)],
         [pull for pull in pulls(problem, end.x, identified) if pull.label in tolerated],
     )
 
@@ -180,14 +187,31 @@ def _scene_at(problem: PosedProblem, x: np.ndarray, scene: Scene) -> Scene:
         one.model_copy(update={"tolerance": known.pinned().tolerance} if known.tolerance else {})
         for one, known in zip(fitted.objects, scene.objects, strict=True)
     )
-    return replace(fitted, effects=effects, objects=objects)
+    views = [_pinned(one, known) for one, known in zip(fitted.views, scene.views, strict=True)]
+    turned = {key: getattr(scene.views[0], key) - getattr(views[0], key) for key in scene.radar.tolerance}
+    common = {key: pinned(one, turned[key]) for key, one in scene.radar.tolerance.items()}
+    return replace(
+        fitted,
+        effects=effects,
+        objects=objects,
+        views=views,
+        grid=_pinned(fitted.grid, scene.grid),
+        radar=fitted.radar.model_copy(update={"tolerance": common}),
+    )
+
+
+def _pinned(table: T, declared: T) -> T:
+    """A view or [image] with its tolerances about the values that were `declared`."""
+    if not declared.tolerance:
+        return table
+    known = {key: pinned(one, getattr(declared, key)) for key, one in declared.tolerance.items()}
+    return table.model_copy(update={"tolerance": known})
 
 
 def summary(problem: PosedProblem, x: np.ndarray, identified: Identified) -> dict[str, dict[str, Any]]:
     """What JSON files say of every object: its values, and a standard deviation beside each that was learned."""
     found: dict[str, dict[str, Any]] = {}
-    objects = problem.poses.at(x[problem.size :])
-    for one in objects:
+    for one in problem.geometry.at(x[problem.size :]).objects:
         entry: dict[str, Any] = {"position_m": list(one.position_m), "heading_deg": one.heading_deg}
         entry |= {"pitch_deg": one.pitch_deg, "roll_deg": one.roll_deg, "scale": list(one.scales)}
         if one.size_m is not None:
@@ -197,8 +221,10 @@ def summary(problem: PosedProblem, x: np.ndarray, identified: Identified) -> dic
                 entry[word] = object_values(one, word)[0]
         found[one.label] = entry
     sds = identified.sd[problem.size :]
-    for c, coordinate, sd in zip(problem.poses.coordinates, x[problem.size :], sds, strict=True):
-        entry = found[objects[c.object].label]
+    for c, coordinate, sd in zip(problem.geometry.coordinates, x[problem.size :], sds, strict=True):
+        if c.body is None:
+            continue
+        entry = found[c.body]
         value_sd = float(sd * abs(c.per_metre(float(coordinate))))
         key = _sd_key(c)
         if c.index is None:
@@ -208,9 +234,24 @@ def summary(problem: PosedProblem, x: np.ndarray, identified: Identified) -> dic
     return found
 
 
-def _sd_key(c: PoseCoordinate) -> str:
-    stem, _, unit = KEYS[c.word].partition("_")
-    if c.word == "side_curvature":
+def numbers(problem: PosedProblem, x: np.ndarray, identified: Identified) -> dict[str, dict[str, Any]]:
+    """What JSON files say of the views' angles and the pixel spacings that were learned, by dotted name."""
+    sds = identified.sd[problem.size :]
+    return {
+        c.label: {
+            "value": c.value(float(coordinate)),
+            "sd": float(sd * abs(c.per_metre(float(coordinate)))),
+            "unit": c.parameter.unit,
+        }
+        for c, coordinate, sd in zip(problem.geometry.coordinates, x[problem.size :], sds, strict=True)
+        if c.body is None
+    }
+
+
+def _sd_key(c: GeometryCoordinate) -> str:
+    key = c.parameter.key
+    stem, _, unit = key.partition("_")
+    if key == "side_curvature":
         return "side_curvature_sd"
     return f"{stem}_sd_{unit}" if unit else f"{stem}_sd"
 

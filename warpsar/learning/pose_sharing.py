@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from warpsar.learning.pose_coordinates import PoseCoordinate
+from warpsar.learning.geometry import GeometryCoordinate
 from warpsar.scene.scene import Scene
 from warpsar.world.tables import View
 from warpsar.world.world import geometry_of
@@ -32,19 +32,18 @@ class Box:
         return np.asarray(inside)
 
 
-def boxes(scene: Scene, view: View) -> list[Box] | None:
-    """The pixels that each object can change, with its shadow; None where an effect carries power further.
+def boxes(scene: Scene, view: View) -> dict[str, Box] | None:
+    """The pixels that each object can change with its shadow, by label; None where an effect carries power further.
 
     What an object hides lies behind it, and not below the lowest point of the scene: (z - lowest) / cos(incidence)
     further along the ray.
     """
     blur = _blur_m(scene)
-    if blur is None or scene.slant_range_m(view) is not None:
+    if blur is None or scene.slant_range_m(view) is not None or scene.assembly is None:
         return None
-    assert scene.assembly is not None
     geometry, spacing = geometry_of(scene, view), scene.grid.spacing_m
     origin, lowest = np.asarray(scene.reference_point_m), float(scene.mesh.vertices[:, 2].min())
-    found = []
+    found = {}
     for one in scene.objects:
         vertices = scene.assembly.vertices_of(one)
         points = vertices - origin
@@ -55,7 +54,7 @@ def boxes(scene: Scene, view: View) -> list[Box] | None:
         for (least, most), step, count, width in zip(ends, spacing, scene.grid.shape, blur, strict=True):
             low.append(int(np.floor((least - width) / step + count / 2)) - MARGIN)
             high.append(int(np.ceil((most + width) / step + count / 2)) + MARGIN)
-        found.append(Box((low[0], low[1]), (high[0], high[1])))
+        found[one.label] = Box((low[0], low[1]), (high[0], high[1]))
     return found
 
 
@@ -69,17 +68,21 @@ def _blur_m(scene: Scene) -> tuple[float, float] | None:
     return tuple(WIDTHS * float(table.get(f"{axis}_fwhm_m", 0.0)) for axis in ("range", "azimuth"))  # type: ignore[return-value]
 
 
-def shared(coordinates: Sequence[PoseCoordinate], places: Sequence[Box] | None) -> list[list[int]]:
+def shared(coordinates: Sequence[GeometryCoordinate], places: Mapping[str, Box] | None) -> list[list[int]]:
     """Coordinates that may move in one render, as lists of their numbers: one of an object, boxes that do not meet."""
-    if places is None:
-        return [[k] for k in range(len(coordinates))]
     groups: list[list[int]] = []
     for k, c in enumerate(coordinates):
         for group in groups:
-            others = [coordinates[j].object for j in group]
-            if all(c.object != other and not places[c.object].meets(places[other]) for other in others):
+            if not any(_meet(c.body, coordinates[j].body, places) for j in group):
                 group.append(k)
                 break
         else:
             groups.append([k])
     return groups
+
+
+def _meet(one: str | None, other: str | None, places: Mapping[str, Box] | None) -> bool:
+    """Whether pixels may change with both. What is no object's changes all of them."""
+    if one is None or other is None or places is None:
+        return True
+    return one == other or places[one].meets(places[other])

@@ -18,10 +18,8 @@ import warp as wp
 from warpsar.errors import InputError
 from warpsar.kernels import prior as kernels
 from warpsar.learning.coordinates import DeviceX, SceneCoordinates
-from warpsar.learning.pose_coordinates import Poses
-from warpsar.parameters.tree import OBJECT_UNITS
+from warpsar.learning.geometry import Geometry
 from warpsar.surface.surface import KEYS
-from warpsar.world.tolerance import known_sd, known_value
 
 
 @dataclass(frozen=True)
@@ -48,15 +46,15 @@ class Prior:
         self.known, self.size = tuple(known), size
 
     @classmethod
-    def of(cls, coordinates: SceneCoordinates | None, poses: Poses | None = None) -> Prior:
-        """What a scene's tables know of its fitted numbers; those of `poses` come last. None: they are held."""
+    def of(cls, coordinates: SceneCoordinates | None, geometry: Geometry | None = None) -> Prior:
+        """What a scene's tables know of its fitted numbers; those of its `geometry` come last. None: they are held."""
         known: list[Known] = []
         size = 0
         if coordinates is not None:
-            known, size = [*_of_materials(coordinates), *_of_effects(coordinates)], coordinates.x0.size
-        if poses is not None:
-            known += _of_objects(poses, size)
-            size += len(poses.coordinates)
+            known, size = list(_of_shading(coordinates)), coordinates.x0.size
+        if geometry is not None:
+            known += _of_geometry(geometry, size)
+            size += len(geometry.coordinates)
         return cls(known, size)
 
     def deviations(self, x: np.ndarray | DeviceX) -> np.ndarray:
@@ -100,34 +98,18 @@ class Prior:
         return found
 
 
-def _of_materials(coordinates: SceneCoordinates) -> Iterator[Known]:
-    at = 0
-    for block in coordinates.surface.blocks:
-        if not block.learn:
-            continue
-        material, key = coordinates.scene.materials[block.material], block.kind.key
-        if key in material.tolerance:
-            one, stated = material.tolerance[key], getattr(material, key)
-            about = known_value(one, stated[0] if isinstance(stated, tuple) else stated)
-            unit = "m" if key.endswith("_m") else "1"
-            kind, label = block.kind, f"{block.material}.{key}"
-            yield Known(label, at, about, known_sd(one, about), unit, kind.from_coordinate, kind.slope)
-        at += block.size
+def _of_shading(coordinates: SceneCoordinates) -> Iterator[Known]:
+    """What is known of surfaces and effects: values that are one number."""
+    for at, parameter in coordinates.numbers():
+        for about, sd in parameter.known:
+            its = parameter.transform
+            yield Known(parameter.old_name, at, about, sd, parameter.unit, its.from_coordinate, its.slope)
 
 
-def _of_effects(coordinates: SceneCoordinates) -> Iterator[Known]:
-    for at, c in enumerate(coordinates.effect_coordinates, coordinates.learned.size):
-        table, p = coordinates.scene.effects[c.effect], c.parameter
-        if p.name in table.get("tolerance", {}):
-            one, stated = table["tolerance"][p.name], table[p.name]
-            about = known_value(one, stated if c.key is None else stated[c.key], c.key)
-            yield Known(c.label, at, about, known_sd(one, about), p.unit, p.from_coordinate, p.slope)
-
-
-def _of_objects(poses: Poses, first: int) -> Iterator[Known]:
-    for at, (c, (about, sd)) in enumerate(zip(poses.coordinates, poses.known, strict=True), first):
+def _of_geometry(geometry: Geometry, first: int) -> Iterator[Known]:
+    for at, (c, (about, sd)) in enumerate(zip(geometry.coordinates, geometry.known, strict=True), first):
         if np.isfinite(sd):
-            yield Known(c.label, at, about, sd, OBJECT_UNITS.get(c.word, "1"), c.value, c.per_metre)
+            yield Known(c.label, at, about, sd, c.parameter.unit, c.value, c.per_metre)
 
 
 def refuse_prior(prior: Prior, loss: str, where: str) -> None:
@@ -142,11 +124,12 @@ def refuse_prior(prior: Prior, loss: str, where: str) -> None:
 class DevicePrior:
     """The known nodes of a surface on a device, for fits that never leave it.
 
-    `loss`, float64, has the terms of the last run. `first`: whether this is the rank that counts the prior.
+    `loss`, float64, has the terms of the last run. `counts`: whether the prior is
+    counted here, as it is once for all views.
     """
 
-    def __init__(self, prior: Prior, coordinates: SceneCoordinates, device: wp.Device, *, first: bool) -> None:
-        mine = [one for one in prior.known if one.at < coordinates.learned.size] if first else []
+    def __init__(self, prior: Prior, coordinates: SceneCoordinates, device: wp.Device, *, counts: bool) -> None:
+        mine = [one for one in prior.known if one.at < coordinates.learned.size] if counts else []
 
         def put(values: list[Any], dtype: type) -> wp.array:
             return wp.array(np.array(values), dtype=dtype, device=device)

@@ -6,13 +6,14 @@ views a process holds, `view.py` what one view is, `misfit.py` what the loss is.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property, partial
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import warp as wp
+from numpy.typing import ArrayLike
 from scipy.sparse import csr_array, hstack
 
 from warpsar.compare.observation import Observation
@@ -34,12 +35,14 @@ from warpsar.render.render import ViewRender
 from warpsar.render.rendered import Rendered
 from warpsar.runtime import threads
 from warpsar.runtime.devices import load_kernels
-from warpsar.runtime.distributed import ONE, Ranks
+from warpsar.runtime.distributed.processes import ONE, join
 from warpsar.scene.scene import Scene
 from warpsar.simulation.rays import Rays
 from warpsar.speckle.likelihood import Curvature
 from warpsar.surface.stage import Stage
 from warpsar.world.tables import View
+
+T = TypeVar("T")
 
 DIFFERENCE_STEP = 1e-2  # of a log coordinate: truncation and float32 rounding both stay near 1e-4 of a derivative
 
@@ -53,11 +56,12 @@ class FitProblem(SceneCoordinates):
     that models are compared on the same rays and pixels. Raises InputError for views without measured images and for
     parameters that cannot be learned.
 
-    Each of several `ranks` holds its own share of the views. `views`, `observations`, `modelled` and whatever is per
-    observation belong to this rank alone; sums and x belong to all views (`chosen`).
+    Where they are `shared`, each process of the run holds some of the views. `views`, `observations`, `modelled` and
+    whatever is per observation belong to this process alone; sums and x belong to all views (`chosen`). `over_views`
+    makes a sum over `observations` one over all views.
     `bound` is that of the gamma loss (`speckle.likelihood.bounded`). `roughness` is expected of the learned fields.
-    `max_memory_gib` bounds what the hits of this rank's views take (by default `memory.default_gib`). Views beyond it
-    are traced again, in bands, whenever their image is needed; `bands` has their number by view name.
+    `max_memory_gib` bounds what the hits of this process's views take (by default `memory.default_gib`). Views beyond
+    it are traced again, in bands, whenever their image is needed; `bands` has their number by view name.
     """
 
     def __init__(
@@ -72,7 +76,7 @@ class FitProblem(SceneCoordinates):
         total_variation: Mapping[str, float] | None = None,
         validity: float = 0.0,
         observations: Mapping[str, list[Observation]] | None = None,
-        ranks: Ranks = ONE,
+        shared: bool = False,
         max_memory_gib: float | None = None,
         bound: float = 0.0,
         roughness: Roughness | None = None,
@@ -85,7 +89,8 @@ class FitProblem(SceneCoordinates):
         if roughness is not None:
             self.prior = FieldPrior(self.prior.known, self.x0.size, roughness)
         refuse_prior(self.prior, loss, scene.name)
-        self.device, self.loss, self.ranks = device, loss, ranks
+        self.device, self.loss = device, loss
+        self._ranks = ranks = join(device) if shared else ONE
         rays = rays or Rays(Stage.of(scene, device), seed=scene.sampling.seed)
         self.stage = replace(rays.stage, surface=self.surface)
         mine, self.bands = views_held(scene, chosen, rays, ranks, max_memory_gib)
@@ -103,21 +108,21 @@ class FitProblem(SceneCoordinates):
             return with_render(use, scene, self.stage, rays, view, self.bands.get(view.name), self.shared_nodes)
 
         self.views: list[FitView] = ranks.agree(lambda: [opened(view) for view in mine])
-        # once for all ranks
+        # once for all processes
         variation = (total_variation or {}) if ranks.first else {}
         self.variation = TotalVariation(self.surface, scene.mesh, variation, device, self.shared_nodes)
-        self.prior_on_device = DevicePrior(self.prior, self, device, first=ranks.first)
+        self.prior_on_device = DevicePrior(self.prior, self, device, counts=ranks.first)
         self._penalised = validity > 0.0 or self.variation.count > 0
         self._linearised: tuple[bytes, list[np.ndarray], list[np.ndarray]] | None = None
         self._replayed = False  # whether a graph may make images anew without a word
         self.streams = Streams(device, len(self.views))
 
     def _mean_square(self, mine: Sequence[View]) -> float:
-        """Mean square of the measured images of all ranks: their common scale. Other losses need none."""
+        """Mean square of the measured images of all views: their common scale. Other losses need none."""
         if self.loss != "mse":
             return 1.0
         squares = [np.nanmean(self.scene.measured(v, p).astype(float) ** 2) for v in mine for p in v.images]
-        total, count = self.ranks.sum([np.sum(squares), len(squares)])
+        total, count = self._ranks.sum([np.sum(squares), len(squares)])
         return float(total / count)
 
     def _share(self, x: np.ndarray | DeviceX) -> np.ndarray | None:
@@ -182,8 +187,38 @@ class FitProblem(SceneCoordinates):
 
     @property
     def keeps_hits(self) -> bool:
-        """Whether every rank holds the hits of all its views."""
-        return not self.ranks.largest(sum(not view.render.keeps_hits for view in self.views))
+        """Whether the hits of all views are in memory."""
+        return not self._ranks.largest(sum(not view.render.keeps_hits for view in self.views))
+
+    @property
+    def holds_all(self) -> bool:
+        """Whether the views at hand are all of `chosen`, and not a share of them."""
+        return self._ranks.size == 1
+
+    def over_views(self, found: ArrayLike) -> np.ndarray:
+        """The sum over all views, float64, of what the views at hand gave; any shape."""
+        return self._ranks.sum(found)
+
+    def over_views_on_device(self, found: wp.array) -> None:
+        """`over_views` of an array on the device, in place and in the device's stream."""
+        self._ranks.sum_on_device(found)
+
+    def decided(self, numbers: ArrayLike) -> np.ndarray:
+        """The same numbers for all views' fits: hosts of different kinds may round a solution differently, and all
+        must go the same way."""
+        return self._ranks.same(numbers)
+
+    def largest(self, value: float) -> float:
+        """The largest of what signals or clocks say beside any of the views."""
+        return self._ranks.largest(value)
+
+    def of_each(self, about: Callable[[Observation], T]) -> dict[str, T]:
+        """What `about` gives (numbers, text, tables of them) for every observation of all views, by "view
+        polarization", in order."""
+        mine = [(seen.view.name, seen.polarization, about(seen)) for seen in self.observations]
+        order = [view.name for view in self.chosen]
+        found = sorted((one for part in self._ranks.gather(mine) for one in part), key=lambda one: order.index(one[0]))
+        return {f"{view} {polarization}": what for view, polarization, what in found}
 
     @property
     def observations(self) -> list[Observation]:
@@ -204,7 +239,7 @@ class FitProblem(SceneCoordinates):
     def value(self, modelled: Sequence[np.ndarray]) -> float:
         """The loss, float64, from modelled pixels (without penalties)."""
         pairs = self._pairs(self.terms(modelled))
-        return float(self.ranks.sum(sum(self.misfit.weight(seen) * float(terms.sum()) for seen, terms in pairs)))
+        return float(self._ranks.sum(sum(self.misfit.weight(seen) * float(terms.sum()) for seen, terms in pairs)))
 
     def _pairs(self, values: Sequence[np.ndarray]) -> list[tuple[Observation, np.ndarray]]:
         return list(zip(self.observations, values, strict=True))
@@ -220,15 +255,15 @@ class FitProblem(SceneCoordinates):
         effects = [
             self._effect_slope(c, at) for c, at in zip(self.effect_coordinates, x[self.learned.size :], strict=True)
         ]
-        whole = np.concatenate([surface, self.ranks.sum(effects)]) if effects else surface
+        whole = np.concatenate([surface, self._ranks.sum(effects)]) if effects else surface
         return loss + self.prior.value(x), whole + self.prior.gradient(x)
 
     def _surface_gradient(self, x: np.ndarray) -> np.ndarray:
-        """The part of the gradient that belongs to the learned nodes, of all ranks, float64."""
+        """The part of the gradient that belongs to the learned nodes, over all views, float64."""
         if self.shared_nodes is not None:
             self.streams.run([view.render.program.zero_gradients for view in self.views])
             self._add_gradients(self.shared_nodes)
-            self.ranks.sum_on_device(self.shared_nodes.grad)
+            self._ranks.sum_on_device(self.shared_nodes.grad)
             return np.asarray(self.shared_nodes.grad.numpy()[self._learned].astype(float))
         variation = self.variation
         parts = [view.render.nodes.grad for view in self.views]
@@ -239,18 +274,18 @@ class FitProblem(SceneCoordinates):
         surface = parts[0].numpy()[self._learned].astype(float) if parts else np.zeros(self.learned.size)
         for part in parts[1:]:
             surface += part.numpy()[self._learned]
-        return self.ranks.sum(surface)
+        return self._ranks.sum(surface)
 
     def _effect_slope(self, c: EffectCoordinate, at: float) -> float:
-        """The derivative of this rank's loss to one effect's coordinate."""
+        """The derivative of this process's loss to one effect's coordinate."""
         slopes = {
             view.view.name: float(view.render.effect_values[c.effect].grad.numpy()[c.index]) for view in self.views
         }
         slope = sum(slopes.values()) if c.view is None else slopes.get(c.view, 0.0)
-        if c.view is not None and c.parameter.zero_sum:
-            views = self._zero_sums().get((c.effect, c.parameter.name), [])
+        if c.view is not None and c.declared.zero_sum:
+            views = self._zero_sums().get((c.effect, c.key), [])
             slope -= sum(slopes.get(view, 0.0) for view in views) / max(len(views), 1)
-        return slope * float(c.parameter.slope(at))
+        return slope * float(c.declared.slope(at))
 
     def loss_at(self, x: np.ndarray) -> float:
         """The loss at x with its penalties, as `gradient` gives it, at the cost of the images alone."""
@@ -298,8 +333,8 @@ class FitProblem(SceneCoordinates):
     def run_on_device(self) -> None:
         """Images, losses and gradient for the nodes as they stand in `shared_nodes`, on a CUDA device.
 
-        Nothing is copied to the host, so that a CUDA graph can capture it. The gradient of this rank's views is left in
-        `shared_nodes.grad`.
+        Nothing is copied to the host, so that a CUDA graph can capture it. The gradient of the views
+        at hand is left in `shared_nodes.grad`.
         """
         assert self.shared_nodes is not None
         self._replayed = True
@@ -313,11 +348,11 @@ class FitProblem(SceneCoordinates):
         if self.device.is_cuda:
             total = wp.zeros(1, dtype=wp.float64, device=self.device)
             self.add_losses(total)
-            return float(self.ranks.sum(total.numpy()[0]))
-        return float(self.ranks.sum(sum(float(loss.numpy().sum()) for loss in self._losses())))
+            return float(self._ranks.sum(total.numpy()[0]))
+        return float(self._ranks.sum(sum(float(loss.numpy().sum()) for loss in self._losses())))
 
     def add_losses(self, total: wp.array) -> None:
-        """Add the loss of the last run of this rank's views, with its penalties but the prior, to `total`.
+        """Add the loss of the last run of this process's views, with its penalties but the prior, to `total`.
 
         `total` has shape (1,), float64, on the device. Nothing is copied to the host, so that a CUDA graph can capture
         it.
@@ -334,13 +369,13 @@ class FitProblem(SceneCoordinates):
 
     def penalty(self, x: np.ndarray) -> float:
         """The prior at x, and the validity constraints' part of the last run (uniform materials have no variation)."""
-        outside = float(self.ranks.sum(sum(float(view.outside.numpy().sum()) for view in self.views)))
+        outside = float(self._ranks.sum(sum(float(view.outside.numpy().sum()) for view in self.views)))
         return outside + self.prior.value(x)
 
     @cached_property
     def slopes_tell_all(self) -> bool:
-        """Whether `linearised` holds all of the loss's gradient, on every rank, and costs little more than it."""
-        return not self.ranks.largest(float(self._makers is None or self._penalised))
+        """Whether `linearised` holds all of the loss's gradient, and costs little more than it."""
+        return not self._ranks.largest(float(self._makers is None or self._penalised))
 
     def linearised(self, x: np.ndarray, moving: np.ndarray | None = None) -> tuple[list[np.ndarray], list[np.ndarray]]:
         """`modelled` and `jacobian` at x; columns are 0 where `moving`, shape (p,), is false.

@@ -62,7 +62,7 @@ class Pull:
         }
 
 
-class Fitted(Protocol):
+class FitNumbers(Protocol):
     """What a fit says of its x: `bounds`, low and high, and what is known without data (`identify.of_information`)."""
 
     prior: Prior
@@ -74,7 +74,7 @@ class Fitted(Protocol):
     def zero_sum_means(self) -> np.ndarray: ...
 
 
-def pulls(problem: Fitted, x: np.ndarray, identified: Identified | None) -> list[Pull]:
+def pulls(problem: FitNumbers, x: np.ndarray, identified: Identified | None) -> list[Pull]:
     """Every known value of a fit that has arrived at x; `identified` as `identify` gives it, None for fields."""
     return [_pull(problem, np.asarray(x), identified, one) for one in problem.prior.known]
 
@@ -84,7 +84,7 @@ def leaving(found: Sequence[Pull]) -> list[str]:
     return [one.label for one in found if one.alarm]
 
 
-def _pull(problem: Fitted, x: np.ndarray, identified: Identified | None, one: Known) -> Pull:
+def _pull(problem: FitNumbers, x: np.ndarray, identified: Identified | None, one: Known) -> Pull:
     posterior, deviation = float(one.value(x[one.at])), one.deviation(x)
     found = Pull(one.label, one.unit, one.about, one.sd, posterior, None, deviation)
     if identified is None:
@@ -101,7 +101,7 @@ def _pull(problem: Fitted, x: np.ndarray, identified: Identified | None, one: Kn
     return replace(found, data=float(np.clip(data, low, high)), data_sd=sd, tension=tension)
 
 
-def _without_own(problem: Fitted, identified: Identified, at: int, own: float) -> tuple[float, float]:
+def _without_own(problem: FitNumbers, identified: Identified, at: int, own: float) -> tuple[float, float]:
     """Two deviations of element `at` of x without its `own` information: by the curvature alone, and by its residuals.
 
     Both are infinite where the images do not see it.

@@ -11,10 +11,11 @@ import numpy as np
 from warpsar.io.images import write_exr
 from warpsar.io.ply import write_ply
 from warpsar.learning.problem import FitProblem
+from warpsar.parameters.at import at
+from warpsar.parameters.parameter import Parameter
 from warpsar.scene.beside import file_stem
 from warpsar.scene.scene import Scene
 from warpsar.world.mesh import DEFAULT_MATERIAL
-from warpsar.world.pixels import Pixels
 from warpsar.world.tables import Material
 from warpsar.world.tolerance import pinned
 
@@ -28,36 +29,31 @@ def learned_scene(problem: FitProblem, x: np.ndarray, folder: Path | None = None
     A tolerance stays about the value that was declared: a fit of this scene would else count the images twice.
     """
     scene, surface = problem.scene, problem.surface
-    nodes = problem.nodes(x)
-    materials = {name: _with_known(material) for name, material in scene.materials.items()}
-    scalars: dict[str, np.ndarray] = {}
+    nodes, found = problem.nodes(x), dict[Parameter, Any]()
     for block in surface.blocks:
         if not block.learn:
             continue
-        key = block.kind.key
-        values = surface.values(block.material, key, nodes)
-        declared = getattr(materials[block.material], key)
-        new: str | float | tuple[float, ...] | Pixels
-        if block.layout == "texture" and folder is None:
-            new = Pixels(values)
-        elif block.layout == "texture" and folder is not None:
-            path = folder / f"{file_stem(surface.materials, block.material, key)}.exr"
-            write_exr(path, {key: values.astype(np.float32)})
-            new = str(path.resolve())
-        elif block.layout == "vertex":
-            whole = scalars.setdefault(declared, np.array(scene.mesh.vertex_scalars[declared], float))
-            whole[block.first_vertex : block.first_vertex + block.size] = values
-            new = declared
+        parameter = scene.parameters[f"materials.{block.material}.{block.kind.key}"]
+        values = surface.values(block.material, block.kind.key, nodes)
+        if block.layout == "vertex":
+            found[parameter] = parameter.value
+            found[parameter][parameter.used] = values
         else:
-            number = float(values[0])
-            new = (number, *declared[1:]) if isinstance(declared, tuple) else number
-            if isinstance(declared, tuple) and key == "correlation_length_m":
-                new = (number, number * declared[1] / declared[0])
-        materials[block.material] = materials[block.material].model_copy(update={key: new})
-    changed = replace(scene, materials=materials, effects=_tables(problem, x))
-    if scalars:
-        mesh = replace(scene.mesh, vertex_scalars={**scene.mesh.vertex_scalars, **scalars})
-        changed = replace(changed, mesh=mesh, mesh_path=None)
+            found[parameter] = values if block.layout == "texture" else values[0]
+    changed = at(scene, found)
+    materials = {name: _with_known(scene.materials[name], material) for name, material in changed.materials.items()}
+    vertex = any(parameter.layout == "vertex" for parameter in found)
+    if folder is not None:
+        maps = [parameter for parameter in found if parameter.layout == "texture"]
+        for parameter in maps:
+            name, key = parameter.owner, parameter.key
+            path = folder / f"{file_stem(surface.materials, name, key)}.exr"
+            write_exr(path, {key: found[parameter].astype(np.float32)})
+            materials[name] = materials[name].model_copy(update={key: str(path.resolve())})
+    changed = replace(changed, materials=materials, effects=_tables(problem, x))
+    if vertex:
+        mesh = changed.mesh
+        changed = replace(changed, mesh_path=None)
         if folder is not None and mesh.materials == (DEFAULT_MATERIAL,):
             path = folder / "mesh.ply"
             write_ply(path, mesh.vertices, mesh.faces, mesh.vertex_scalars)
@@ -65,11 +61,11 @@ def learned_scene(problem: FitProblem, x: np.ndarray, folder: Path | None = None
     return changed
 
 
-def _with_known(material: Material) -> Material:
-    """The material with the values that its tolerances are about."""
+def _with_known(declared: Material, material: Material) -> Material:
+    """The material with the values that its tolerances are about, which are those that were `declared`."""
     if not material.tolerance:
         return material
-    stated = {key: getattr(material, key) for key in material.tolerance}
+    stated = {key: getattr(declared, key) for key in material.tolerance}
     numbers = {key: value[0] if isinstance(value, tuple) else value for key, value in stated.items()}
     known = {key: pinned(one, numbers[key]) for key, one in material.tolerance.items()}
     return material.model_copy(update={"tolerance": known})

@@ -16,12 +16,11 @@ import warp as wp
 from scipy.linalg import block_diag
 
 from warpsar.errors import InputError
-from warpsar.learning.device_values import SEEN, Block, most_likely, put, refuse_run, seen_cosines
+from warpsar.learning.device_values import SEEN, DeviceBlock, most_likely, put, refuse_run, seen_cosines
 from warpsar.learning.identify import information_of
 from warpsar.learning.metrics import pooled_metrics
 from warpsar.learning.problem import FitProblem
 from warpsar.learning.term import Prepared
-from warpsar.runtime.distributed import Ranks
 from warpsar.scene.beside import file_stem
 from warpsar.scene.scene import Scene
 from warpsar.world import sigma0_table
@@ -76,7 +75,7 @@ class LearnedTable:
 
 
 def with_learned_tables(
-    scene: Scene, folder: Path | None, ranks: Ranks, prepared: Prepared, loss: str
+    scene: Scene, folder: Path | None, prepared: Prepared, loss: str
 ) -> tuple[Scene, dict[str, LearnedTable]]:
     """The scene with the learned tables of the materials that ask for it, and what was found; all tables at once.
 
@@ -89,7 +88,7 @@ def with_learned_tables(
         if TABLE not in material.learn or material.sigma0 is None:
             continue
         stem = file_stem(tuple(scene.materials), name, TABLE)
-        files[name] = (refuse_run(scene, name, TABLE, folder, ranks) / f"{stem}.csv").resolve()
+        files[name] = (refuse_run(scene, name, TABLE, folder) / f"{stem}.csv").resolve()
         if files[name] == material.sigma0.resolve():
             raise InputError(f"--out: found {files[name].parent}, where {stem}.csv itself would be replaced")
     if not files:
@@ -139,7 +138,7 @@ def _learned(problem: FitProblem, files: dict[str, Path]) -> dict[str, LearnedTa
     return found
 
 
-def _block(given: Sigma0Table, channels: Sequence[str], rows: np.ndarray) -> Block:
+def _block(given: Sigma0Table, channels: Sequence[str], rows: np.ndarray) -> DeviceBlock:
     """The values of a table, which has the (first, count) `rows` on the device, with what is expected of them.
 
     The covariance is SPREAD^2 exp(-(difference of incidence / WIDTH)^2 / 2), and ROW^2 of each row alone.
@@ -148,7 +147,7 @@ def _block(given: Sigma0Table, channels: Sequence[str], rows: np.ndarray) -> Blo
     covariance = SPREAD_DB**2 * np.exp(-0.5 * apart**2) + ROW_DB**2 * np.eye(len(apart))
     columns = [given.filled(channel) for channel in channels]
     start = np.stack([given.sigma0_db[channel] for channel in channels])
-    return Block(slice(int(rows[0]), int(rows.sum())), columns, start, np.linalg.cholesky(covariance))
+    return DeviceBlock(slice(int(rows[0]), int(rows.sum())), columns, start, np.linalg.cholesky(covariance))
 
 
 def _seen_rows(incidence_deg: np.ndarray, seen_deg: np.ndarray) -> np.ndarray:
@@ -160,7 +159,11 @@ def _seen_rows(incidence_deg: np.ndarray, seen_deg: np.ndarray) -> np.ndarray:
 
 
 def _deviations(
-    problem: FitProblem, array: wp.array, blocks: Sequence[Block], values: list[np.ndarray], seen: list[np.ndarray]
+    problem: FitProblem,
+    array: wp.array,
+    blocks: Sequence[DeviceBlock],
+    values: list[np.ndarray],
+    seen: list[np.ndarray],
 ) -> list[np.ndarray]:
     """Standard deviations [dB] of each block's values, (channels, rows), which stand in the array.
 
@@ -182,7 +185,7 @@ def _deviations(
 
 
 def _slopes(
-    problem: FitProblem, array: wp.array, blocks: Sequence[Block], values: list[np.ndarray], moved: np.ndarray
+    problem: FitProblem, array: wp.array, blocks: Sequence[DeviceBlock], values: list[np.ndarray], moved: np.ndarray
 ) -> Iterator[np.ndarray]:
     """d ln(beta0) / d value [1 / dB] of each observation, (pixels, moved): central differences of the images."""
     flat, ends = np.concatenate([one.ravel() for one in values]), np.cumsum([one.size for one in values])

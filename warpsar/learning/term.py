@@ -15,10 +15,9 @@ from typing import Any
 import numpy as np
 
 from warpsar.kernels.codes import Polarization
-from warpsar.learning.device_values import SEEN, Block, most_likely, refuse_run, seen_cosines
+from warpsar.learning.device_values import SEEN, DeviceBlock, most_likely, refuse_run, seen_cosines
 from warpsar.learning.metrics import pooled_metrics
 from warpsar.learning.problem import FitProblem
-from warpsar.runtime.distributed import Ranks
 from warpsar.scene.beside import file_stem
 from warpsar.scene.scene import Scene
 from warpsar.surface.surface import KEYS
@@ -60,9 +59,7 @@ def taught(scene: Scene) -> list[str]:
     return [name for name, material in scene.materials.items() if TERM in material.learn]
 
 
-def with_trained_terms(
-    scene: Scene, folder: Path | None, ranks: Ranks, prepared: Prepared
-) -> tuple[Scene, dict[str, Trained]]:
+def with_trained_terms(scene: Scene, folder: Path | None, prepared: Prepared) -> tuple[Scene, dict[str, Trained]]:
     """The scene with a trained term in each material that asks for one, one after the other, and what was found.
 
     The materials' eps, h and l are held, and what effects declare. Files go into `folder`. Raises InputError without
@@ -70,7 +67,7 @@ def with_trained_terms(
     """
     found = {}
     for name in taught(scene):
-        folder = refuse_run(scene, name, TERM, folder, ranks)
+        folder = refuse_run(scene, name, TERM, folder)
         folder.mkdir(parents=True, exist_ok=True)
         found[name] = _trained(
             scene, name, folder / f"{file_stem(tuple(scene.materials), name, 'term')}.json", prepared
@@ -109,7 +106,7 @@ def _trained(scene: Scene, name: str, file: Path, prepared: Prepared) -> Trained
     root = np.linalg.cholesky(term.units(places) + (NOISE_DB / SPREAD_DB) ** 2 * np.eye(len(places)))
     unit = np.linalg.inv(root).T * (SPREAD_DB / DB)
     start = np.zeros((len(channels), len(places)))
-    block = Block(slice(first, first + len(places)), columns, start, unit)
+    block = DeviceBlock(slice(first, first + len(places)), columns, start, unit)
     [weights], steps = most_likely(problem, problem.stage.terms.weights, [block])
     term = replace(term, weights=dict(zip(channels, weights, strict=True)))
     term.save(file)

@@ -9,8 +9,8 @@ import numpy as np
 
 from warpsar.compare.comparison import Comparison
 from warpsar.compare.judgement import Judgement
-from warpsar.kernels.codes import Model
 from warpsar.learning.problem import FitProblem
+from warpsar.models.base.model import DEFAULT
 
 OUTSIDE = 0.5  # share of a material's lit area outside its model's domain, from which its values mean little
 LESS_ALIKE = 0.05  # of a correlation, by which an image must have become less like the measured one to be told
@@ -72,7 +72,7 @@ def _at_bounds(problem: FitProblem, x: np.ndarray) -> list[str]:
         at += block.size
     for c, value, bound in zip(problem.effect_coordinates, x[at:], on_bound[at:], strict=True):
         if bound:
-            found.append(f"{c.label} lies on its bound, {float(c.parameter.from_coordinate(value)):g}")
+            found.append(f"{c.label} lies on its bound, {float(c.declared.from_coordinate(value)):g}")
     return found
 
 
@@ -81,12 +81,12 @@ def _outside(problem: FitProblem, x: np.ndarray, domains: Mapping[str, Mapping[s
     nodes, found = problem.nodes(x), []
     for name in dict.fromkeys(block.material for block in problem.surface.blocks if block.learn):
         shares = domains[name]
-        model = Model(problem.surface.model[problem.surface.materials.index(name)])
-        if model != Model.KA_SPM:
-            share = shares.get(model.name.lower(), 0.0)
+        model = problem.surface.model[problem.surface.materials.index(name)]
+        if model != DEFAULT:
+            share = shares.get(model, 0.0)
             if share > OUTSIDE:
                 part = f"{100.0 * share:.0f} % of its lit area"
-                found.append(f"{name} lies outside the domain of {model.name.lower()} on {part}")
+                found.append(f"{name} lies outside the domain of {model} on {part}")
             continue
         tau = float(np.mean(problem.surface.values(name, "specular_fraction", nodes)))
         outside = (1.0 - tau) * shares.get("spm", 0.0) + tau * shares.get("ka", 0.0)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from warpsar.kernels.codes import Model
 from warpsar.learning.problem import FitProblem
 from warpsar.render.domains import lit_areas, model_areas
 
@@ -17,15 +16,16 @@ def outside_domains(problem: FitProblem, x: np.ndarray) -> dict[str, dict[str, f
     """
     problem.modelled(x)
     pieces = [piece for view in problem.views for piece in view.render.pieces()]
-    area = problem.ranks.sum(lit_areas(problem.stage, pieces))  # lit and outside, for SPM and KA
-    codes = problem.surface.model
-    other = problem.ranks.sum(model_areas(problem.stage, pieces)) if codes.any() else np.zeros((codes.size, 2))
+    area = problem.over_views(lit_areas(problem.stage, pieces))  # lit and outside, for SPM and KA
+    surface = problem.surface
+    default = surface.by_default
+    other = np.zeros((default.size, 2)) if default.all() else problem.over_views(model_areas(problem.stage, pieces))
     found = {}
-    for m, name in enumerate(problem.surface.materials):
-        if codes[m] == Model.KA_SPM:
+    for m, name in enumerate(surface.materials):
+        if default[m]:
             columns = [(0, "spm"), (1, "ka")]
             found[name] = {k: float(area[m, c + 2] / area[m, c]) for c, k in columns if area[m, c] > 0}
         else:
             lit, outside = other[m]
-            found[name] = {Model(codes[m]).name.lower(): float(outside / lit)} if lit > 0 else {}
+            found[name] = {surface.model[m]: float(outside / lit)} if lit > 0 else {}
     return found

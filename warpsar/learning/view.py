@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -15,7 +16,8 @@ from warpsar.kernels import loss as loss_kernels
 from warpsar.kernels import metrics as metrics_kernels
 from warpsar.learning.misfit import Misfit
 from warpsar.render.rendered import Rendered, Replayed
-from warpsar.runtime.program import Part, Program
+from warpsar.runtime.program import Program, ProgramPart
+from warpsar.runtime.structs import fill
 from warpsar.scene.scene import Scene
 from warpsar.speckle.likelihood import LOSSES, log_bias
 from warpsar.world.tables import View
@@ -62,7 +64,7 @@ class FitView:
             self.outside = self._partial_sums()
             self._seeds[self.outside] = 1.0
             self._record_validity(validity)
-        self._on_device: list[list[wp.array]] = []
+        self._on_device: list[list[Any]] = []  # of each observation what its kernels take first
         for index, seen in enumerate(observations):
             self._record_loss(index, seen, misfit)
 
@@ -83,28 +85,28 @@ class FitView:
     def _record_loss(self, index: int, seen: Observation, misfit: Misfit) -> None:
         device = self.render.program.device
         _, pixels, darkest = self.compared[index]
-        compared: list[wp.array] = [
-            wp.array(pixels, dtype=int, device=device),
-            wp.array(seen.values.astype(np.float32), dtype=float, device=device),
-            self.render.images[seen.polarization],
-            wp.array(darkest, dtype=float, device=device),
-        ]
-        self._on_device.append(compared)
+        observed = fill(
+            loss_kernels.ObservedPixels,
+            pixel=wp.array(pixels, dtype=int, device=device),
+            measured=wp.array(seen.values.astype(np.float32), dtype=float, device=device),
+            darkest=wp.array(darkest, dtype=float, device=device),
+        )
+        constants = fill(
+            loss_kernels.LossConstants,
+            kind=LOSSES[misfit.loss],
+            looks=seen.looks,
+            weight=misfit.weight(seen),
+            bias=log_bias(seen.looks),
+            bound=misfit.bound,
+            top=min(seen.top, FLOAT_MAX),
+            log_gamma=float(gammaln(seen.looks)),
+        )
+        image = self.render.images[seen.polarization]
+        self._on_device.append([observed, image])
         self.render.program.launch(
             loss_kernels.loss_kernel,
             pixels.size,
-            [
-                LOSSES[misfit.loss],
-                *compared,
-                self.gain,
-                index,
-                seen.looks,
-                misfit.weight(seen),
-                log_bias(seen.looks),
-                misfit.bound,
-                min(seen.top, FLOAT_MAX),
-                float(gammaln(seen.looks)),
-            ],
+            [constants, observed, image, self.gain, index],
             [self.loss],
         )
 
@@ -120,11 +122,11 @@ class FitView:
         """Add the sums of kernels/metrics.py over each observation's pixels, as `modelled` gives them, to one array of
         `sums` each."""
         for compared, total in zip(self._on_device, sums, strict=True):
-            size, device = compared[0].size, self.render.program.device
+            size, device = compared[0].pixel.size, self.render.program.device
             wp.launch(metrics_kernels.moments_kernel, size, inputs=compared, outputs=[total], device=device)
 
     @cached_property
-    def _images(self) -> Part | Replayed:
+    def _images(self) -> ProgramPart | Replayed:
         program = self.render.program
         return program.part([*self.render.images.values(), self.outside]) if isinstance(program, Program) else program
 

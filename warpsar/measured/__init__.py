@@ -5,3 +5,7 @@ pixels lie. resample: power between pixels. curves: radar cross-sections.
 chips, view_table: many chips and a table of their angles, in one call. response: the width of the response that a
 header declares, as `[effects.point_spread]`. placed: where a scene lies on a map.
 """
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)  # public: __init__.pyi

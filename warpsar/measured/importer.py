@@ -24,7 +24,7 @@ from warpsar.measured.response import contradicts, point_spread
 from warpsar.scene import file as scenefile
 from warpsar.scene.scene import Scene
 from warpsar.speckle.looks import equivalent_looks
-from warpsar.world.earth import EarthFrame, Origin
+from warpsar.world.earth import EarthFrame, LocalEarth
 from warpsar.world.tables import View
 
 ANGLE_TOLERANCE_DEG = 0.5
@@ -196,11 +196,11 @@ def _frame(scene: Scene, origin: tuple[float, float, float] | None) -> EarthFram
         return frame
     if frame is not None and scene.origin is None:
         raise InputError(f"--origin: the mesh {scene.mesh_path} is a DEM that says itself where it lies; leave it out")
-    if frame is not None and frame != Origin(*origin):
+    if frame is not None and frame != LocalEarth(*origin):
         raise InputError(f"--origin {origin}: the scene file says {frame}; leave it out, or make them the same")
     if not (-90.0 <= origin[0] <= 90.0 and -360.0 <= origin[1] <= 360.0 and abs(origin[2]) < 1e5):
         raise InputError(f"--origin {origin}: latitude, longitude [degrees] and height [m] are needed")
-    return Origin(*origin)
+    return LocalEarth(*origin)
 
 
 def polarization_of(source: str, found: str | None, asked: str | None, scene: Scene) -> str:

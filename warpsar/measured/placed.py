@@ -9,7 +9,7 @@ import numpy as np
 
 from warpsar.errors import InputError
 from warpsar.io import geotiff
-from warpsar.world.earth import WGS84, EarthFrame, Origin, geodetic_to_ecef
+from warpsar.world.earth import WGS84, EarthFrame, LocalEarth, geodetic_to_ecef
 from warpsar.world.world import World
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ def dem_frame(path: Path) -> EarthFrame | None:
         centre, crs = source.xy(source.height / 2, source.width / 2, offset="ul"), source.crs
         if crs is None:
             return None
-        return Origin(centre[1], centre[0]) if crs.is_geographic else ProjectedFrame(crs, centre)
+        return LocalEarth(centre[1], centre[0]) if crs.is_geographic else ProjectedFrame(crs, centre)
 
 
 def frame_of(scene: World) -> EarthFrame | None:
@@ -55,7 +55,7 @@ def frame_of(scene: World) -> EarthFrame | None:
         )
     if scene.origin is None:
         return frame
-    return Origin(scene.origin.latitude_deg, scene.origin.longitude_deg, scene.origin.height_m)
+    return LocalEarth(scene.origin.latitude_deg, scene.origin.longitude_deg, scene.origin.height_m)
 
 
 class WorldMap(Protocol):
@@ -89,7 +89,7 @@ class _Utm:
 
     metres = 1.0
 
-    def __init__(self, origin: Origin) -> None:
+    def __init__(self, origin: LocalEarth) -> None:
         from rasterio.crs import CRS
 
         latitude, longitude = origin.latitude_deg, (origin.longitude_deg + 180.0) % 360.0 - 180.0
@@ -120,5 +120,5 @@ def map_of(frame: EarthFrame) -> WorldMap:
     """The map on which the scene's ground is shown: the DEM's own, else UTM on WGS 84."""
     if isinstance(frame, ProjectedFrame):
         return _Own(frame)
-    assert isinstance(frame, Origin)
+    assert isinstance(frame, LocalEarth)
     return _Utm(frame)

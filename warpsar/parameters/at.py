@@ -50,6 +50,8 @@ def _set(changed: dict[str, Any], parameter: Parameter, new: Any) -> None:
         rows, columns = changed["grid"].spacing_m
         spacing_m = (new, columns) if key == "range_spacing_m" else (rows, new)
         changed["grid"] = changed["grid"].model_copy(update={"spacing_m": spacing_m})
+    elif parameter.root == "views" and not owner:
+        changed["views"] = [_seen(view, key, getattr(view, key) + new) for view in changed["views"]]
     elif parameter.root == "views":
         number = [one.name for one in changed["views"]].index(owner)
         changed["views"][number] = _seen(changed["views"][number], key, new)

@@ -23,7 +23,8 @@ class Parameter:
     """A parameter of a scene, in the unit of scene.toml.
 
     It is called "materials.soil.eps_r", "effects.noise_floor.level", "objects.car.position_m",
-    "views.az020.azimuth_deg", "image.range_spacing_m" or "mesh.vertices". A value that an effect has in one view or on
+    "views.az020.azimuth_deg", "image.range_spacing_m" or "mesh.vertices". "views.azimuth_deg" turns all views by one
+    number; its value is 0. A value that an effect has in one view or on
     one material names it, as "effects.aim_point.range_m[north]"; so does a table's column,
     "materials.soil.sigma0[HH]".
     """

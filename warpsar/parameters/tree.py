@@ -13,14 +13,14 @@ import numpy as np
 from warpsar.effects.base.fitted import is_fitted
 from warpsar.effects.registry import get
 from warpsar.parameters.parameter import Layout, Parameter, Product
-from warpsar.surface.surface import KINDS, LEVEL, Kind
+from warpsar.surface.surface import Kind, kinds_of
 from warpsar.world import sigma0_table
-from warpsar.world.models import LEARNS, TABLE
+from warpsar.world.models import TABLE
 from warpsar.world.objects.table import CABIN, KEYS, VEHICLES, Object
 from warpsar.world.objects.table import LIMITS as OBJECT_LIMITS
 from warpsar.world.pixels import Pixels
 from warpsar.world.sigma0_table import LARGEST_DB
-from warpsar.world.tables import LIMITS, Material
+from warpsar.world.tables import Grid, Material, Radar, View
 from warpsar.world.tolerance import known_sd, known_value
 from warpsar.world.transform import Transform
 from warpsar.world.world import World
@@ -33,6 +33,8 @@ BOTH = POWER | AMPLITUDE
 OBJECT_UNITS = {"position": "m", "size": "m", "heading": "deg", "pitch": "deg", "roll": "deg"}
 OBJECT_ENDS = {"position": (-1e8, 1e8), "scale": (1e-6, 1e6), "size": (0.0, 1e6), **OBJECT_LIMITS}
 TURN = (-360.0, 360.0)
+STEEPEST = (1.0, 89.0)
+"""Least and largest incidence of a fit [deg]."""
 POSE = ("position", "heading", "pitch", "roll")
 
 
@@ -104,9 +106,8 @@ def _outside() -> int:
 def _of_materials(world: World) -> Iterator[Parameter]:
     for name in world.mesh.materials:
         material = world.materials[name]
-        kinds = (LEVEL,) if material.model == "facet" else KINDS
-        for kind in kinds:
-            if getattr(material, kind.key) is not None and kind.key in LEARNS[material.model]:
+        for kind in kinds_of(material.model):
+            if getattr(material, kind.key) is not None:
                 yield _surface(world, name, material, kind)
         if material.thickness_m is not None:
             read = partial(getattr, material, "thickness_m")
@@ -138,7 +139,7 @@ def _surface(world: World, name: str, material: Material, kind: Kind) -> Paramet
         return slice(int(corners.min()), int(corners.max()) + 1)
 
     return Parameter(
-        *("materials", name, kind.key, "m" if kind.key.endswith("_m") else "1", *_ends(kind.key)),
+        *("materials", name, kind.key, "m" if kind.key.endswith("_m") else "1", kind.low_limit, kind.high_limit),
         partial(world.field, name, kind.key) if field else partial(float, number),
         layout=layout,
         transform=kind.transform,
@@ -146,14 +147,8 @@ def _surface(world: World, name: str, material: Material, kind: Kind) -> Paramet
         freed=kind.key in material.learn,
         known=known,
         span=own_vertices if layout == "vertex" else None,
-        derivatives=POWER if kind.key in ("specular_fraction", "level") else BOTH,
+        derivatives=POWER if kind.own or kind.key == "specular_fraction" else BOTH,
     )
-
-
-def _ends(key: str) -> tuple[float, float]:
-    """What a surface value may be: above its lower limit, but for a share."""
-    low, high = LIMITS.get(key, (0.0, 1e6))
-    return (low if key == "specular_fraction" else float(np.nextafter(low, np.inf))), high
 
 
 def _of_effects(world: World) -> Iterator[Parameter]:
@@ -211,10 +206,18 @@ def object_values(one: Object, word: str) -> tuple[float, ...]:
 
 def _of_views(world: World) -> Iterator[Parameter]:
     log = Transform("log")
+    for key in ("azimuth_deg", "incidence_deg"):  # of all views by one number, from where they stand
+        known = _known(world.radar, key, 0.0)
+        yield Parameter("views", "", key, "deg", -360.0, 360.0, float, freed=key in world.radar.learn, known=known)
     for view in world.views:
         read = partial(partial, getattr, view)
-        yield Parameter("views", view.name, "azimuth_deg", "deg", -360.0, 360.0, read("azimuth_deg"))
-        yield Parameter("views", view.name, "incidence_deg", "deg", 0.0, 90.0, read("incidence_deg"))
+        for key, low, high, reach in (("azimuth_deg", -360.0, 360.0, TURN), ("incidence_deg", 0.0, 90.0, STEEPEST)):
+            yield Parameter(
+                *("views", view.name, key, "deg", low, high, read(key)),
+                fit_bounds=reach,
+                freed=key in view.learn,
+                known=_known(view, key, getattr(view, key)),
+            )
         if view.slant_range_m is not None:
             yield Parameter("views", view.name, "slant_range_m", "m", 0.0, 1e9, read("slant_range_m"), transform=log)
         if view.looks is not None:
@@ -224,9 +227,22 @@ def _of_views(world: World) -> Iterator[Parameter]:
 
 
 def _of_image(world: World) -> Iterator[Parameter]:
-    for index, key in enumerate(("range_spacing_m", "azimuth_spacing_m")):
-        read = partial(float, world.grid.spacing_m[index])
-        yield Parameter("image", "", key, "m", 1e-5, 1e5, read, transform=Transform("log"))
+    for key in ("range_spacing_m", "azimuth_spacing_m"):
+        yield Parameter(
+            *("image", "", key, "m", 1e-5, 1e5, partial(getattr, world.grid, key)),
+            transform=Transform("log"),
+            freed=key in world.grid.learn,
+            known=_known(world.grid, key, getattr(world.grid, key)),
+        )
+
+
+def _known(table: Radar | View | Grid, key: str, stated: float) -> tuple[tuple[float, float], ...]:
+    """What the tolerance of a table that has one says of a key."""
+    tolerance = dict[Any, Any](table.tolerance).get(key)
+    if tolerance is None:
+        return ()
+    about = known_value(tolerance, stated)
+    return ((about, known_sd(tolerance, about)),)
 
 
 def _vertices(world: World) -> Parameter:

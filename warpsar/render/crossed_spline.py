@@ -9,7 +9,7 @@ import numpy as np
 import warp as wp
 
 from warpsar.kernels import crossed_spline as kernels
-from warpsar.kernels.i2em_crossed import RINGS
+from warpsar.kernels.models.i2em import RINGS
 
 MOST_ROWS = 32
 """Of a table, 4.3 MB each: with more there is none, and every hit has the integral"""

@@ -9,14 +9,15 @@ import numpy as np
 import warp as wp
 
 from warpsar.kernels import domains as kernels
-from warpsar.kernels.codes import Model, Polarization, Spectrum
-from warpsar.render.rendered import Piece
+from warpsar.kernels.codes import Polarization, Spectrum
+from warpsar.models import registry
+from warpsar.render.rendered import RenderPiece
 from warpsar.surface.stage import Stage
 from warpsar.surface.surface import Surface
 from warpsar.world import sigma0_table
 
 
-def lit_areas(stage: Stage, renders: Iterable[Piece]) -> np.ndarray:
+def lit_areas(stage: Stage, renders: Iterable[RenderPiece]) -> np.ndarray:
     """Per material, shape (materials, 4): lit area where small perturbation is in use (tau < 1) and where geometric
     optics is (tau > 0), and of each what lies outside its domain. Of renders that have run, in any one unit."""
     device = stage.target.device
@@ -40,18 +41,7 @@ def lit_areas(stage: Stage, renders: Iterable[Piece]) -> np.ndarray:
     return np.asarray(cells.numpy().sum(axis=0))
 
 
-ANY = (-1e30, 1e30)
-DOMAINS: dict[str, dict[str, object]] = {
-    "i2em": {"kh": (0.0, 3.0), "slope": 0.4},
-    "oh": {"incidence_deg": (10.0, 70.0), "kh": (0.13, 6.98), "moisture": (0.04, 0.291)},
-    "dubois": {"incidence_deg": (30.0, 90.0), "kh": (0.0, 2.5), "moisture": (0.0, 0.35)},
-}
-"""Of the models beside the default (docs/scattering.md); that of `facet` are its table's angles."""
-CROSSED_GAUSSIAN_KL = (0.0, 4.0)
-"""Where `i2em` has enough waves for HV of a gaussian spectrum."""
-
-
-def model_areas(stage: Stage, renders: Iterable[Piece]) -> np.ndarray:
+def model_areas(stage: Stage, renders: Iterable[RenderPiece]) -> np.ndarray:
     """Per material, shape (materials, 2): lit area, and what of it lies outside the domain of the material's model.
 
     For materials with another model than the default, of renders that have run, in any one unit.
@@ -70,15 +60,15 @@ def model_areas(stage: Stage, renders: Iterable[Piece]) -> np.ndarray:
 
 def _domains(surface: Surface, device: wp.Device, *, crossed: bool) -> wp.array:
     """The domain of each material's model, (materials,); `crossed`: where there are images of HV or VH."""
-    record: Any = kernels.Domain
+    record: Any = kernels.KernelDomain
     domains: Any = np.zeros(len(surface.materials), record.numpy_dtype())
-    for m, (code, file) in enumerate(zip(surface.model, surface.sigma0, strict=True)):
-        stated = dict(DOMAINS.get(Model(code).name.lower(), {}))
+    for m, (name, file) in enumerate(zip(surface.model, surface.sigma0, strict=True)):
+        stated = registry.get(name).domain
+        for key in ("incidence_deg", "kh", "kl", "moisture", "slope"):
+            domains[key][m] = getattr(stated, key)
         if file is not None:
             angles = sigma0_table.read(file).incidence_deg
-            stated["incidence_deg"] = angles[0], angles[-1]
-        if crossed and code == Model.I2EM and surface.spectrum[m] == Spectrum.GAUSSIAN:
-            stated["kl"] = CROSSED_GAUSSIAN_KL
-        for key, usual in (("incidence_deg", ANY), ("kh", ANY), ("kl", ANY), ("moisture", ANY), ("slope", 1e30)):
-            domains[key][m] = stated.get(key, usual)
+            domains["incidence_deg"][m] = angles[0], angles[-1]
+        if crossed and surface.spectrum[m] == Spectrum.GAUSSIAN:
+            domains["kl"][m] = stated.crossed_gaussian_kl
     return wp.array(domains, dtype=record, device=device)

@@ -1,208 +1,194 @@
-"""sigma0 by the models beside the default: each is recorded for the hits whose materials have it."""
+"""sigma0 of hits: each backscatter model is recorded for the hits whose materials have it."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import replace
 from functools import cache, partial
-from typing import Any
+from importlib import import_module
+from importlib.util import find_spec
 
 import numpy as np
 import warp as wp
 
-from warpsar.kernels import (
-    crossed_spline,
-    crossed_spline_lanes,
-    crossed_table,
-    crossed_table_lanes,
-    facet,
-    learned_term,
-    models,
-    models_lanes,
-)
-from warpsar.kernels.codes import Layout, Model, Polarization
-from warpsar.render.crossed_spline import MOST_ROWS, table
+from warpsar.kernels import learned_term, shade
+from warpsar.kernels.codes import PAGE
+from warpsar.kernels.lane_kernels import LANES, at_once
+from warpsar.kernels.scatter import page_kernels, places_of, scatter_kernel
+from warpsar.models.base.model import DEFAULT
+from warpsar.render.asked import ShadeRequest, Way
 from warpsar.runtime.launches import Launch, by_elements
-from warpsar.runtime.program import Program, adjoint_of
+from warpsar.runtime.program import Program
 from warpsar.surface.stage import Stage
 from warpsar.trace.hits import Hits
 
 
-def by_model(stage: Stage, hits: Hits) -> dict[Model, wp.array]:
+def by_model(stage: Stage, hits: Hits) -> dict[str, wp.array]:
     """The numbers of the hits of each model but the default, int, ascending; empty where all have the default.
 
     They are kept with the hits: every polarization and effect asks again.
     """
     models_of = stage.surface.model
-    if not models_of.any() or not hits.count:
+    if stage.surface.by_default.all() or not hits.count:
         return {}
-    key = "models", models_of.tobytes()
+    key = "models", models_of
     if key not in hits.derived:
-        model = models_of[stage.face_material.numpy()[hits.face.numpy()]]
+        names = sorted(set(models_of))
+        code = np.array([names.index(one) for one in models_of])[stage.face_material.numpy()[hits.face.numpy()]]
         device = hits.face.device
         hits.derived[key] = {
-            Model(code): wp.array(np.flatnonzero(model == code).astype(np.int32), dtype=int, device=device)
-            for code in np.unique(model).tolist()
-            if code != Model.KA_SPM
+            names[one]: wp.array(np.flatnonzero(code == one).astype(np.int32), dtype=int, device=device)
+            for one in np.unique(code).tolist()
+            if names[one] != DEFAULT
         }
-    found: dict[Model, wp.array] = hits.derived[key]
+    found: dict[str, wp.array] = hits.derived[key]
     return found
 
 
-def has_default(stage: Stage, hits: Hits) -> bool:
-    """Whether a hit's material has the default model."""
-    return sum(mine.shape[0] for mine in by_model(stage, hits).values()) < hits.count
+def record(asked: ShadeRequest, sigma: wp.array) -> None:
+    """Record sigma0 of all hits into `sigma`: the default's first, and over it those of the other models.
 
-
-@dataclass(frozen=True)
-class Asked:
-    """What sigma0 is recorded for: coordinates `zeta` of the hits of a view, in one polarization.
-
-    `of_the_mesh`: no effect has changed the coordinates, so they are the same all over a uniform material.
+    Of each model the slopes of its hits are kept where a gradient is asked for. One launch's adjoint multiplies with
+    all of them, whosever they are: that of the first.
     """
+    stage, hits, program, zeta = asked.stage, asked.hits, asked.program, asked.zeta
+    n, device = hits.count, program.device
+    others = by_model(stage, hits)
 
-    program: Program
-    stage: Stage
-    hits: Hits
-    wavenumber: float
-    polarization: Polarization
-    spectrum: wp.array
-    zeta: wp.array
-    of_the_mesh: bool
+    @cache
+    def slopes() -> wp.array:  # when a gradient is asked for
+        # zero of hits that keep theirs elsewhere
+        return (wp.zeros if asked.more else wp.empty)(n, dtype=wp.vec4, device=device)
 
-    @property
-    def places(self) -> list[wp.array]:
-        """What all kernels read of a hit."""
-        return [self.hits.face, self.stage.face_material, self.hits.cos_incidence, self.hits.cos_twist]
+    @cache
+    def adjoint() -> Launch:
+        pieces = by_elements([slopes(), sigma.grad, zeta.grad])
+        return Launch(shade.scatter_adjoint_kernel, n, [slopes(), sigma.grad], [zeta.grad], device, pieces)
 
-    @property
-    def local(self) -> int:
-        return int(self.stage.local_basis)
-
-
-@dataclass(frozen=True)
-class _Way:
-    """A launch of `hits` hits a thread: the kernel of sigma0, and the one that stores its slopes too."""
-
-    kernel: wp.Kernel
-    keeping: wp.Kernel
-    inputs: list[Any]
-    hits: int = 1
-
-
-def record(asked: Asked, sigma: wp.array, slopes: Callable[[], wp.array], adjoint: Callable[[], None]) -> None:
-    """Record sigma0 of the hits of further models over that of the default, which has been recorded where it has hits.
-
-    `slopes()` makes the array of the slopes of all hits. `adjoint` multiplies with them, whosever they are: it belongs
-    to the default, or to the first launch where no hit has the default.
-    """
-    stage, hits, program = asked.stage, asked.hits, asked.program
-    adjoints = [] if has_default(stage, hits) else [adjoint]
-    none = wp.empty(0, dtype=wp.vec4, device=program.device)
-    for model, mine in by_model(stage, hits).items():
-        for way in _ways(asked, model, mine):
-            dim = -(-mine.shape[0] // way.hits)
-            if model == Model.FACET:
-                adjoints.append(_to_the_table(dim, way.inputs, sigma))
-            program.launch(
-                way.kernel,
+    def launch(way: Way, threads: int, per_thread: list[wp.array], first: bool) -> None:
+        adjoints = [lambda: adjoint().launch()] if first else []
+        if way.also is not None:
+            adjoints.append(way.also(sigma))
+        kernel, keeping, block = way.kernel, way.keeping, 1
+        if device.is_cpu and way.in_lanes:
+            kernel, keeping, block = at_once(kernel), at_once(keeping), LANES
+        dim = -(-threads // block)
+        kept = len(per_thread) > 1  # where each thread sees its own element, slopes are cut too
+        keep = way.slopes or slopes
+        none = wp.empty(0, dtype=way.coordinates, device=device)
+        program.launch(
+            kernel,
+            dim,
+            way.inputs,
+            [sigma, none],
+            adjoint=partial(_all, adjoints),
+            keeping=lambda: Launch(
+                keeping,
                 dim,
                 way.inputs,
-                [sigma, none],
-                adjoint=partial(_all, adjoints),
-                keeping=partial(_keeping, way, dim, sigma, slopes, mine),
-                pieces=by_elements([mine], way.hits),
-            )
-            adjoints = []
+                [sigma, keep()],
+                device,
+                by_elements([*per_thread, keep()] if kept else per_thread, block),
+            ),
+            pieces=by_elements(per_thread, block),
+        )
+
+    first = True
+    if sum(mine.shape[0] for mine in others.values()) < n:
+        own = Way(
+            scatter_kernel(DEFAULT, False, some=False),
+            scatter_kernel(DEFAULT, True, some=False),
+            _inputs(asked, none_of(device)),
+        )
+        cut = [hits.face, hits.cos_incidence, hits.cos_twist, hits.cos2_azimuth, zeta, sigma]
+        launch(own, n, cut, first)
+        first = False
+    for model, mine in others.items():
+        for way in ways_of(asked, model, mine):
+            launch(way, mine.shape[0], [mine], first)
+            first = False
 
 
-def _ways(asked: Asked, model: Model, mine: wp.array) -> list[_Way]:
+def none_of(device: wp.Device) -> wp.array:
+    """Where a kernel is for all hits: no numbers."""
+    return wp.empty(0, dtype=int, device=device)
+
+
+def ways_of(asked: ShadeRequest, model: str, mine: wp.array) -> list[Way]:
     """The launches for the hits `mine` of a model, one after the other."""
-    if model == Model.FACET:
-        tables = asked.stage.tables
-        assert tables is not None
-        own_tables = [tables.rows, tables.incidence_deg, tables.sigma0_db]
-        inputs = [mine, int(asked.polarization), asked.local, *asked.places, *own_tables, asked.zeta]
-        return [_Way(facet.scatter_kernel, facet.scatter_kernel, inputs)]
-    if model == Model.I2EM and asked.polarization.crossed:
-        own = _one_of_each(asked.stage, asked.hits, mine)
-        if asked.of_the_mesh and _uniform(asked.stage, own):
-            return [_tabled(asked, mine, own)]
-        surfaces = _surfaces(asked, own)
-        if len(set(surfaces.values())) <= MOST_ROWS:
-            return _splined(asked, mine, surfaces)
-    if asked.program.device.is_cpu:
-        kernel, inputs = models_lanes.scatter_kernel, [int(model), int(asked.polarization), *_inputs(asked, mine)]
-        return [_Way(kernel, kernel, inputs, models_lanes.HITS)]
-    kernel, keeping = (models.scatter_kernel(model, asked.polarization, kept) for kept in (False, True))
-    return [_Way(kernel, keeping, _inputs(asked, mine))]
+    own = f"warpsar.render.ways.{model}"
+    if find_spec(own) is not None:
+        found: list[Way] | None = import_module(own).ways(asked, mine)
+        if found is not None:
+            return found
+    # on a GPU a kernel for each polarization
+    fixed = None if asked.program.device.is_cpu else asked.polarization
+    kernel, keeping = (scatter_kernel(model, kept, fixed) for kept in (False, True))
+    if places_of(model) == PAGE:
+        return [Way(kernel, keeping, _inputs(asked, mine))]
+    whole, slopes, also = _joined(asked, mine, places_of(model))
+    inputs = _inputs(replace(asked, zeta=whole), mine)
+    return [Way(kernel, keeping, inputs, also, in_lanes=False, slopes=slopes, coordinates=whole.dtype)]
 
 
-def _inputs(asked: Asked, mine: wp.array) -> list[Any]:
-    return [mine, asked.wavenumber, asked.local, *asked.places, asked.spectrum, asked.stage.eps_im, asked.zeta]
+def _joined(
+    asked: ShadeRequest, mine: wp.array, places: int
+) -> tuple[wp.array, Callable[[], wp.array], Callable[[wp.array], Callable[[], None]]]:
+    """Record all coordinates of the hits as one vector; where its slopes are kept, and what is their adjoint."""
+    n, device = asked.hits.count, asked.program.device
+    join, part_adjoint = page_kernels(places)
+    dtype = wp.types.vector(length=places, dtype=float)
+    whole = asked.program.array(n, dtype, grad=False)
+    pages = [asked.zeta, *asked.more][: places // PAGE]
+    for page, part in enumerate(pages):
+        # the adjoint of sigma0 goes past it
+        pieces = by_elements([part, whole])
+        asked.program.launch(join, n, [page, part], [whole], adjoint=lambda: None, pieces=pieces)
+
+    @cache
+    def slopes() -> wp.array:
+        return wp.empty(n, dtype=dtype, device=device)
+
+    def also(sigma: wp.array) -> Callable[[], None]:
+        @cache
+        def launches() -> list[Launch]:
+            return [
+                Launch(
+                    part_adjoint,
+                    mine.shape[0],
+                    [mine, page, slopes(), sigma.grad],
+                    [part.grad],
+                    device,
+                    by_elements([mine]),
+                )
+                for page, part in enumerate(pages)
+            ]
+
+        def run() -> None:
+            for one in launches():
+                one.launch()
+
+        return run
+
+    return whole, slopes, also
 
 
-def _tabled(asked: Asked, mine: wp.array, own: np.ndarray) -> _Way:
-    """HV from tables over incidence, one row for each material of the scene; `own` as of `_one_of_each`."""
-    program, stage = asked.program, asked.stage
-    n, materials = len(own), stage.surface.places.shape[0]
-    wave = program.array((n, crossed_table.DOUBLE, crossed_table.WAVES), wp.vec4d, grad=False)
-    once = program.array((materials, crossed_table.SINGLE), wp.vec4, grad=False)
-    twice = program.array((materials, crossed_table.DOUBLE), wp.vec4, grad=False)
-    given = [wp.float64(asked.wavenumber), wp.array(own, dtype=wp.vec2i, device=program.device), asked.spectrum]
-
-    def launch(kernel: wp.Kernel, dim: tuple[int, ...], inputs: list[Any], output: wp.array) -> None:
-        program.launch(kernel, dim, [*given, *inputs], [output], adjoint=partial(_all, []))
-
-    launch(crossed_table.wave_kernel, wave.shape, [stage.eps_im, asked.zeta], wave)
-    launch(crossed_table.double_kernel, (n, crossed_table.DOUBLE), [asked.zeta, wave], twice)
-    launch(crossed_table.single_kernel, (n, crossed_table.SINGLE), [stage.eps_im, asked.zeta], once)
-    inputs = [mine, asked.local, *asked.places, once, twice]
-    if program.device.is_cpu:
-        kernel = crossed_table_lanes.scatter_kernel
-        return _Way(kernel, kernel, inputs, crossed_table_lanes.HITS)
-    return _Way(crossed_table.scatter_kernel, crossed_table.scatter_kernel, inputs)
-
-
-def _splined(asked: Asked, mine: wp.array, surfaces: dict[int, tuple[int, float]]) -> list[_Way]:
-    """HV of surfaces that vary from a spline, and by the integral beyond its ends."""
-    device: wp.Device = asked.program.device
-    rows = sorted(set(surfaces.values()))
-    row = np.zeros(len(asked.stage.surface.materials), np.int32)
-    for m, surface in surfaces.items():
-        row[m] = rows.index(surface)
-    inputs = _inputs(asked, mine)
-    read = [*inputs, wp.array(row, dtype=int, device=device), table(tuple(rows), device)]
-    if device.is_cpu:
-        kernel = crossed_spline_lanes.scatter_kernel
-        return [_Way(kernel, kernel, read, crossed_spline_lanes.HITS)]
-    within, keeping = (crossed_spline.scatter_kernel(kept) for kept in (False, True))
-    beyond = crossed_spline.beyond_kernel
-    return [_Way(within, keeping, read), _Way(beyond, beyond, inputs)]
-
-
-def _one_of_each(stage: Stage, hits: Hits, mine: wp.array) -> np.ndarray:
-    """The materials of some hits and one hit of each, int32, (n, 2); kept with the hits."""
-    key = "one of each", id(mine)
-    if key not in hits.derived:
-        numbers = mine.numpy()
-        material = stage.face_material.numpy()[hits.face.numpy()[numbers]]
-        found = np.flatnonzero(np.bincount(material))
-        hits.derived[key] = np.array([[m, numbers[np.argmax(material == m)]] for m in found], np.int32)
-    own: np.ndarray = hits.derived[key]
-    return own
-
-
-def _uniform(stage: Stage, own: np.ndarray) -> bool:
-    """Whether each of the materials `own` has one value of everything that sigma0 depends on."""
-    return bool(np.isin(stage.surface.places[own[:, 0], :, 0], (Layout.UNIFORM, Layout.HELD)).all())
-
-
-def _surfaces(asked: Asked, own: np.ndarray) -> dict[int, tuple[int, float]]:
-    """Spectrum and eps_im of the materials `own`."""
-    spectra = asked.spectrum.numpy()
-    return {int(m): (int(spectra[m]), float(asked.stage.surface.eps_im[m])) for m in own[:, 0]}
+def _inputs(asked: ShadeRequest, mine: wp.array) -> list[object]:
+    stage, hits = asked.stage, asked.hits
+    return [
+        mine,
+        int(asked.polarization),
+        stage.variant,
+        asked.wavenumber,
+        asked.local,
+        *asked.places,
+        hits.cos2_azimuth,
+        asked.spectrum,
+        stage.eps_im,
+        stage.aspect,
+        asked.zeta,
+    ]
 
 
 def with_term(
@@ -224,33 +210,3 @@ def _all(adjoints: list[Callable[[], None]]) -> None:
     """Run them; none where another launch's adjoint multiplies with the slopes."""
     for adjoint in adjoints:
         adjoint()
-
-
-def _to_the_table(hits: int, inputs: list[Any], sigma: wp.array) -> Callable[[], None]:
-    """What adds sigma's gradient to that of the tables' values, where they have one: Warp's adjoint of the kernel."""
-    *others, values, zeta = inputs
-
-    @cache
-    def recorded() -> tuple[wp.array, wp.Launch]:
-        # The adjoint of a store sets its gradient to 0, and the default's adjoint needs it still: this has a copy. The
-        # slopes carry the gradient of zeta, which so has none here.
-        kept = wp.empty_like(sigma.grad)
-        power: wp.array = wp.array(ptr=sigma.ptr, dtype=float, shape=sigma.shape, device=sigma.device, grad=kept)
-        held: wp.array = wp.array(ptr=zeta.ptr, dtype=wp.vec4, shape=zeta.shape, device=zeta.device)
-        none = wp.empty(0, dtype=wp.vec4, device=zeta.device)
-        return kept, adjoint_of(facet.scatter_kernel, hits, [*others, values, held], [power, none], zeta.device)
-
-    def run() -> None:
-        if values.requires_grad:
-            kept, launch = recorded()
-            wp.copy(kept, sigma.grad)
-            launch.launch()
-
-    return run
-
-
-def _keeping(way: _Way, dim: int, sigma: wp.array, slopes: Callable[[], wp.array], mine: wp.array) -> Launch:
-    """The launch that stores the slopes too, when a gradient is asked for."""
-    device = mine.device
-    assert device is not None
-    return Launch(way.keeping, dim, way.inputs, [sigma, slopes()], device, by_elements([mine], way.hits))

@@ -13,12 +13,13 @@ import warp as wp
 
 from warpsar.effects.base.effect import DeclaredEffect, Effect
 from warpsar.kernels import binning, shade, shade_lanes
-from warpsar.kernels.codes import Layout, Polarization
+from warpsar.kernels.codes import PAGE, Layout, Polarization
 from warpsar.kernels.wide import LANES
 from warpsar.render import models
 from warpsar.render.rendered import COVERED
 from warpsar.runtime.launches import Launch, by_elements, by_stretches
 from warpsar.runtime.program import Program
+from warpsar.runtime.structs import fill
 from warpsar.surface.samples import shading_samples
 from warpsar.surface.spread import Spread
 from warpsar.surface.stage import Stage
@@ -35,6 +36,8 @@ class Gathered:
     face: wp.array
     barycentric: wp.array
     zeta: wp.array
+    page: int = 0
+    """Which vector it is of the coordinates that models with more than four have"""
 
 
 @dataclass(frozen=True)
@@ -98,6 +101,8 @@ class ViewRender:
         shaded = self.shaded
         zeta = self.coordinates(shaded.face, shaded.barycentric, shaded.point)
         self.zeta = zeta
+        pages = range(1, len(stage.node_maps))
+        self._more = [self._gather(shaded.face, shaded.barycentric, page) for page in pages]
         for name in polarizations:
             code = Polarization[name]
             self._deposits = self.deposited[name] = []
@@ -145,14 +150,14 @@ class ViewRender:
 
     def coverage(self) -> np.ndarray:
         """Area of the lit surface in every pixel over the pixel's area, after a forward run, shape (rows, cols)."""
-        (bin_rows, bin_cols), fine, (rows, cols) = self.hits.grid.shape, self.hits.grid.bins_per_pixel, self.shape
+        (bin_rows, bin_cols), (rows, cols) = self.hits.grid.shape, self.shape
         filled = np.bincount(self.hits.pixel.numpy(), self.hits.weight.numpy().astype(float), bin_rows * bin_cols)
         if not self._moves:
             return filled.reshape(self.shape)
         device = self.program.device
         area: wp.array = wp.array(filled.astype(np.float32), dtype=float, device=device)
         image: wp.array = wp.zeros(rows * cols, dtype=float, device=device)
-        inputs = [bin_rows, bin_cols, fine, rows, cols, self._shift, area]
+        inputs = [self.bins, self._shift, area]
         wp.launch(binning.slide_kernel, (rows, cols), inputs=inputs, outputs=[image], device=device)
         return image.numpy().reshape(self.shape).astype(float)
 
@@ -179,29 +184,34 @@ class ViewRender:
 
         `face` is int, `barycentric` vec2, and `points` vec3 [m] about the reference point, all of shape (n,).
         """
-        stage, nodes = self.stage, self.nodes
-        n = face.shape[0]
-        gathered = self.program.array(n, wp.vec4)
-        mesh = [stage.target.faces, stage.face_material, stage.uv, stage.places]
-
-        @cache
-        def spread() -> Launch:  # when a gradient is asked for
-            return Spread(stage, face, barycentric).adding(gathered.grad, nodes.grad)
-
-        lean = self.program.device.is_cpu and not (stage.surface.places[:, :, 0] == Layout.TEXTURE).any()
-        self.program.launch(
-            shade_lanes.gather_kernel if lean else shade.gather_kernel,
-            n,
-            [face, barycentric, *mesh, nodes],
-            [gathered],
-            adjoint=lambda: spread().launch(),
-            pieces=by_elements([face, barycentric, gathered]),
-        )
-        self.gathered.append(Gathered(face, barycentric, gathered))
-        zeta = gathered
+        zeta = self._gather(face, barycentric)
         for effect, p in self._at("surface"):
             zeta = effect.coordinates(self, p, zeta, points)
         return zeta
+
+    def _gather(self, face: wp.array, barycentric: wp.array, page: int = 0) -> wp.array:
+        stage, nodes = self.stage, self.nodes
+        n = face.shape[0]
+        gathered = self.program.array(n, wp.vec4)
+        hits = fill(shade.OnMesh, face=face, barycentric=barycentric)
+
+        @cache
+        def spread() -> Launch:  # when a gradient is asked for
+            return Spread(stage, face, barycentric, page).adding(gathered.grad, nodes.grad)
+
+        layouts = stage.surface.places[:, page * PAGE : (page + 1) * PAGE, 0]
+        lean = self.program.device.is_cpu and not (layouts == Layout.TEXTURE).any()
+        free = bool((layouts != Layout.HELD).any()) or page == 0
+        self.program.launch(
+            shade_lanes.gather_kernel if lean else shade.gather_kernel,
+            n,
+            [hits, stage.node_maps[page], nodes],
+            [gathered],
+            adjoint=lambda: spread().launch() if free else None,
+            pieces=by_elements([face, barycentric, gathered]),
+        )
+        self.gathered.append(Gathered(face, barycentric, gathered, page))
+        return gathered
 
     def collect(
         self,
@@ -248,6 +258,12 @@ class ViewRender:
         )
 
     @cached_property
+    def bins(self) -> Any:
+        """The bins of the hits beside the pixels, as kernels take them."""
+        (bin_rows, bin_cols), (rows, cols), fine = self.hits.grid.shape, self.shape, self.hits.grid.bins_per_pixel
+        return fill(binning.Bins, bin_rows=bin_rows, bin_cols=bin_cols, bins_per_pixel=fine, rows=rows, cols=cols)
+
+    @cached_property
     def _shift(self) -> wp.array:
         """How far (rows, columns) [pixels] the bins are moved: an offset (`moved`), and what position effects add."""
         movers = self._at("position")
@@ -258,14 +274,13 @@ class ViewRender:
 
     def _deposit_moved(self, sigma: wp.array, weight: wp.array, bins: wp.array, image: wp.array) -> None:
         """Record the deposit of bins finer or wider than the pixels, moved by what position effects say."""
-        (bin_rows, bin_cols), fine, (rows, cols) = self.hits.grid.shape, self.hits.grid.bins_per_pixel, self.shape
+        (bin_rows, bin_cols), (rows, cols) = self.hits.grid.shape, self.shape
         shift = self._shift
         self._note(weight, bins, shift)
         # where the shift alone changes, no hit is touched
         filled = self.program.array(bin_rows * bin_cols, sum_into=True)
         self._deposit(sigma, weight, bins, filled)
-        sizes = [bin_rows, bin_cols, fine, rows, cols]
-        self.program.launch(binning.slide_kernel, (rows, cols), [*sizes, shift, filled], [image])
+        self.program.launch(binning.slide_kernel, (rows, cols), [self.bins, shift, filled], [image])
 
     def _note(self, weight: wp.array, bins: wp.array, shift: wp.array | None) -> None:
         sigma, sample = self._collected
@@ -273,63 +288,13 @@ class ViewRender:
 
     def scatter(self, zeta: wp.array, polarization: int, spectrum: wp.array | None = None) -> wp.array:
         """Record sigma0 of the hits for coordinates `zeta`; `spectrum` takes the place of the materials' own."""
-        hits, stage, n = self.shaded, self.stage, self.shaded.count
-        device: wp.Device = stage.target.device
-        sigma = self.program.array(n)
+        hits, stage, wavenumber = self.shaded, self.stage, self.geometry.wavenumber
+        sigma = self.program.array(hits.count)
         spectra = stage.spectrum if spectrum is None else spectrum
-        inputs = [
-            polarization,
-            stage.variant,
-            self.geometry.wavenumber,
-            int(stage.local_basis),
-            hits.face,
-            stage.face_material,
-            hits.cos_incidence,
-            hits.cos_twist,
-            hits.cos2_azimuth,
-            spectra,
-            stage.eps_im,
-            stage.aspect,
-            zeta,
-        ]
-        per_hit = [hits.face, hits.cos_incidence, hits.cos_twist, hits.cos2_azimuth, zeta, sigma]
-
-        @cache
-        def slopes() -> wp.array:  # when a gradient is asked for
-            return wp.empty(n, dtype=wp.vec4, device=device)
-
-        @cache
-        def adjoint() -> Launch:
-            pieces = by_elements([slopes(), sigma.grad, zeta.grad])
-            return Launch(shade.scatter_adjoint_kernel, n, [slopes(), sigma.grad], [zeta.grad], device, pieces)
-
-        def back() -> None:
-            adjoint().launch()
-
-        if device.is_cpu:
-            kernel = keeping = shade_lanes.scatter_kernel
-            block, outputs = shade_lanes.HITS, [sigma, wp.empty(0, dtype=wp.vec4, device=device)]
-        else:
-            kernel, keeping = shade.scatter_kernel, shade.scatter_slopes_kernel
-            block, outputs = 1, [sigma]
-        dim = -(-n // block)
-        if models.has_default(stage, hits):
-            self.program.launch(
-                kernel,
-                dim,
-                inputs,
-                outputs,
-                adjoint=back,
-                keeping=lambda: Launch(
-                    keeping, dim, inputs, [sigma, slopes()], device, by_elements([*per_hit, slopes()], block)
-                ),
-                pieces=by_elements(per_hit, block),
-            )
-        wavenumber = self.geometry.wavenumber
         mesh = any(gathered.zeta is zeta for gathered in self.gathered)
         channel = Polarization(polarization)
-        asked = models.Asked(self.program, stage, hits, wavenumber, channel, spectra, zeta, of_the_mesh=mesh)
-        models.record(asked, sigma, slopes, back)
+        asked = models.ShadeRequest(self.program, stage, hits, wavenumber, channel, spectra, zeta, mesh, self._more)
+        models.record(asked, sigma)
         return models.with_term(self.program, stage, hits, wavenumber, polarization, zeta, sigma)
 
     def set_parameters(self, nodes: np.ndarray | None, effects: Mapping[str, np.ndarray] | None = None) -> None:

@@ -35,7 +35,7 @@ class Replayed(Protocol):
     def backward(self, seeds: dict[Any, Any], *, zero: bool = True) -> None: ...
 
 
-class Piece(Protocol):
+class RenderPiece(Protocol):
     """A render whose hits are in memory: those of a whole view, or of one band of its columns.
 
     `shaded` holds one sample per face and pixel, `zeta` its learned coordinates, shape (n,), vec4.
@@ -81,10 +81,10 @@ class Rendered(Protocol):
         """Whether all hits of the view stay in memory."""
 
     @property
-    def whole(self) -> Piece:
+    def whole(self) -> RenderPiece:
         """The render with all hits of the view. Raises InputError where they are not kept."""
 
-    def pieces(self) -> Iterable[Piece]:
+    def pieces(self) -> Iterable[RenderPiece]:
         """Renders that together hold the view's hits, each after a forward run: one, or one for each band in turn."""
 
     def lit(self, polarization: str) -> np.ndarray:

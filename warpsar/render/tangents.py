@@ -12,8 +12,9 @@ import warp as wp
 from scipy.sparse import coo_array, csc_array, csr_array, hstack
 
 from warpsar.kernels import tangents as kernels
-from warpsar.kernels.codes import Layout
+from warpsar.kernels.codes import PAGE, Layout
 from warpsar.render.render import Deposited, Gathered, ViewRender
+from warpsar.runtime.structs import fill
 from warpsar.surface.spread import Spread
 
 STEP = 1e-2  # of a log coordinate: the difference of image stages that are not affine, as in learning/problem.py
@@ -71,25 +72,24 @@ class Tangents:
         found: wp.array = wp.zeros((count, render.shape[0] * render.shape[1]), dtype=float, device=device)
         places = stage.surface.places
         rows = np.where(places[:, :, 0] == Layout.UNIFORM, row[places[:, :, 1]], -1).astype(np.int32)
-        column: wp.array = wp.array(rows, dtype=wp.vec4i, device=device)
-        none = wp.empty(0, dtype=int, device=device)
+        pages = [np.ascontiguousarray(page) for page in np.split(rows, rows.shape[1] // PAGE, axis=1)]
+        column: list[wp.array] = [wp.array(page, dtype=wp.vec4i, device=device) for page in pages]
         launches = []
         render.program.make_gradients()
         for d, g in self._met[polarization]:
-            inputs = [
-                none if d.sample is None else d.sample,
-                d.bins,
-                d.weight,
-                g.face,
-                stage.face_material,
-                column,
-                g.zeta.grad,
-            ]
-            kernel = kernels.tangent_kernel
+            deposits = fill(
+                kernels.Deposits,
+                sample=d.sample,
+                bin=d.bins,
+                weight=d.weight,
+                face=g.face,
+                face_material=stage.face_material,
+                column=column[g.page],
+                slopes=g.zeta.grad,
+            )
+            kernel, inputs = kernels.tangent_kernel, [deposits]
             if d.shift is not None:
-                grid = render.hits.grid
-                inputs = [*grid.shape, grid.bins_per_pixel, *render.shape, d.shift, *inputs]
-                kernel = kernels.moved_tangent_kernel
+                kernel, inputs = kernels.moved_tangent_kernel, [render.bins, d.shift, deposits]
             launch = wp.launch(kernel, d.bins.shape[0], inputs=inputs, outputs=[found], device=device, record_cmd=True)
             if launch is not None:
                 launches.append(launch)
@@ -103,7 +103,7 @@ class Tangents:
         found = csc_array(shape, dtype=float)
         for d, g in self._met[polarization]:
             slopes = g.zeta.grad.numpy().astype(float)
-            spread = self._spreads.setdefault(id(g), Spread(render.stage, g.face, g.barycentric))
+            spread = self._spreads.setdefault(id(g), Spread(render.stage, g.face, g.barycentric, g.page))
             hit, share, target = spread.entries()
             falls = self._falls(d)
             for k in range(4):

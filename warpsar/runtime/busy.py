@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from tqdm import tqdm
 
 from warpsar.runtime import console
-from warpsar.runtime.torchrun import of_torchrun
+from warpsar.runtime.distributed.torchrun import is_first
 
 TICK_S = 1.0
 
@@ -23,7 +23,7 @@ def busy(what: str) -> Iterator[None]:
         desc=what,
         bar_format="{desc} [{elapsed}]",
         file=sys.stderr,
-        disable=True if console.quiet() or of_torchrun("RANK", 0) else None,
+        disable=True if console.quiet() or not is_first() else None,
         delay=TICK_S,
         leave=False,
     )

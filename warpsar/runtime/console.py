@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, NoReturn
 
 from tqdm import tqdm
 
+from warpsar.runtime.distributed.torchrun import is_first
 from warpsar.runtime.threads import thread_count
-from warpsar.runtime.torchrun import of_torchrun
 
 if TYPE_CHECKING:
     import warp as wp
@@ -51,7 +51,7 @@ def say_written(out: Path, *names: str) -> None:
 
 
 def _print(message: str) -> None:
-    if of_torchrun("RANK", 0) == 0:
+    if is_first():
         print(message, file=sys.stderr)
 
 
@@ -63,7 +63,7 @@ def say_device(device: wp.Device) -> None:
 
 def progress(total: int, what: str, unit: str = "it") -> tqdm[NoReturn]:
     """A tqdm bar on stderr. It is silent where stderr is no terminal, and for work that ends within a second."""
-    hidden = True if quiet() or of_torchrun("RANK", 0) else None
+    hidden = True if quiet() or not is_first() else None
     return tqdm(total=total, desc=what, unit=unit, file=sys.stderr, disable=hidden, delay=DELAY_S, leave=False)
 
 

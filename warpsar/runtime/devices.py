@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Iterable
 from functools import cache, partial
 from importlib import import_module
 from typing import TYPE_CHECKING
 
 from warpsar.errors import DeviceError
+from warpsar.runtime.distributed.torchrun import number_here
 from warpsar.runtime.driver import no_driver_warning
 from warpsar.runtime.threads import in_threads
-from warpsar.runtime.torchrun import of_torchrun
 
 if TYPE_CHECKING:
     import warp as wp
@@ -31,7 +32,7 @@ def resolve_device(name: str | None = None) -> wp.Device:
         name = "cuda" if wp.get_cuda_device_count() else "cpu"
     known = ["cpu"] + [d.alias for d in wp.get_cuda_devices()]
     # one process for each GPU; under SLURM a process may see only its own, as cuda:0
-    own = of_torchrun("LOCAL_RANK", 0) % max(len(known) - 1, 1)
+    own = number_here() % max(len(known) - 1, 1)
     wanted = f"cuda:{own}" if name == "cuda" else name
     if wanted not in known:
         raise DeviceError(f"--device {name}: there is no such device here; there is {', '.join(known)}")
@@ -55,8 +56,9 @@ def _keep_memory() -> None:
         adjust(parameter, 2**30)
 
 
-def load_kernels(device: wp.Device, *names: str) -> None:
-    """Compile the named modules of `warpsar.kernels` side by side, or load them from Warp's cache.
+def load_kernels(device: wp.Device, *names: str, alone: Iterable[wp.Kernel] = ()) -> None:
+    """Compile the named modules of `warpsar.kernels` side by side, or load them from Warp's cache; and kernels `alone`
+    in modules of their own.
 
     At their first launches they would be compiled one after the other. A module's `BLOCK` is the block size of its
     launches, where that is not Warp's default: on CUDA each size is compiled by itself.
@@ -65,5 +67,6 @@ def load_kernels(device: wp.Device, *names: str) -> None:
 
     modules = [import_module(f"warpsar.kernels.{name}") for name in names]
     load = [partial(wp.load_module, m, device=device, block_dim=getattr(m, "BLOCK", None)) for m in modules]
+    load += [partial(wp.load_module, kernel.module, device=device) for kernel in alone]
     for _ in in_threads(load):
         pass

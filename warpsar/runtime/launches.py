@@ -13,13 +13,17 @@ import numpy as np
 import warp as wp
 
 from warpsar.runtime import threads
+from warpsar.runtime.structs import with_views
 
 _LEAST = 2**14  # elements of a piece: to hand a piece to another core costs as much as some thousands of elements
 
 
 @dataclass(frozen=True)
-class Piece:
-    """Some threads of a launch. `views` holds what they see of an array, under its `id`, where that is not all."""
+class LaunchPiece:
+    """Some threads of a launch. `views` holds what they see of an array, under its `id`, where that is not all.
+
+    The array may be an argument of the launch or a field of a struct.
+    """
 
     threads: int
     views: dict[int, wp.array]
@@ -35,10 +39,10 @@ class Launch:
         inputs: Sequence[Any],
         outputs: Sequence[Any],
         device: wp.Device,
-        pieces: Sequence[Piece] = (),
+        pieces: Sequence[LaunchPiece] = (),
     ) -> None:
         def recorded(dim: int | tuple[int, ...], views: dict[int, wp.array]) -> wp.Launch | None:
-            given, found = ([views.get(id(a), a) for a in arrays] for arrays in (inputs, outputs))
+            given, found = ([with_views(a, views) for a in arguments] for arguments in (inputs, outputs))
             return wp.launch(
                 kernel, dim, inputs=given, outputs=found, device=device, record_tape=False, record_cmd=True
             )
@@ -55,7 +59,7 @@ class Launch:
             threads.side_by_side(self._tasks)
 
 
-def by_elements(arrays: Sequence[wp.array], per_thread: int = 1) -> list[Piece]:
+def by_elements(arrays: Sequence[wp.array], per_thread: int = 1) -> list[LaunchPiece]:
     """Pieces of a launch whose thread i sees only `per_thread` elements of `arrays`, from i * per_thread on."""
     n = arrays[0].shape[0]
     count = _count(arrays[0])
@@ -63,10 +67,10 @@ def by_elements(arrays: Sequence[wp.array], per_thread: int = 1) -> list[Piece]:
         return []
     step = -(-n // (count * per_thread)) * per_thread
     ends = [(begin, min(begin + step, n)) for begin in range(0, n, step)]
-    return [Piece(-(-(end - begin) // per_thread), {id(a): a[begin:end] for a in arrays}) for begin, end in ends]
+    return [LaunchPiece(-(-(end - begin) // per_thread), {id(a): a[begin:end] for a in arrays}) for begin, end in ends]
 
 
-def by_stretches(first: wp.array, values: wp.array, each: Sequence[wp.array] = ()) -> list[Piece]:
+def by_stretches(first: wp.array, values: wp.array, each: Sequence[wp.array] = ()) -> list[LaunchPiece]:
     """Pieces of a launch whose thread i adds up `values` from first[i] to first[i + 1] - 1, or to their end.
 
     Of the arrays `each` it sees element i. Threads with equal elements there add to one sum: they stay in one piece.
@@ -84,7 +88,9 @@ def by_stretches(first: wp.array, values: wp.array, each: Sequence[wp.array] = (
     pieces = []
     for low, high in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
         end = int(begin[high]) if high < begin.size else values.shape[0]
-        pieces.append(Piece(high - low, {id(a): a[low:high] for a in (first, *each)} | {id(values): values[:end]}))
+        pieces.append(
+            LaunchPiece(high - low, {id(a): a[low:high] for a in (first, *each)} | {id(values): values[:end]})
+        )
     return pieces
 
 

@@ -7,7 +7,8 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, TypeVar
 
 from warpsar.errors import WarpsarError
-from warpsar.runtime import console, torchrun
+from warpsar.runtime import console
+from warpsar.runtime.distributed.torchrun import processes_here
 
 if TYPE_CHECKING:
     import warp as wp
@@ -39,7 +40,7 @@ def default_gib(device: wp.Device) -> float:
         total = float(device.total_memory)
     else:
         total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") if hasattr(os, "sysconf") else 2**33
-        total /= torchrun.processes_here()
+        total /= processes_here()
     return float(SHARE * total / 2**30)
 
 

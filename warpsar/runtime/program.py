@@ -9,7 +9,8 @@ from typing import Any
 
 import warp as wp
 
-from warpsar.runtime.launches import Launch, Piece
+from warpsar.runtime.launches import Launch, LaunchPiece
+from warpsar.runtime.structs import arrays_in, with_views
 
 Adjoint = Callable[[], None] | Sequence[tuple[wp.array, Callable[[], None]]]
 """The adjoint of a launch: for all inputs at once, or a part for each."""
@@ -29,11 +30,11 @@ class _Step:
 
     @cached_property
     def reads(self) -> set[int]:
-        return {id(a) for a in self.inputs if isinstance(a, wp.array)}
+        return {id(a) for a in arrays_in(self.inputs)}
 
     @cached_property
     def writes(self) -> set[int]:
-        return {id(a) for a in self.outputs if isinstance(a, wp.array)}
+        return {id(a) for a in arrays_in(self.outputs)}
 
     def backward(self, wanted: set[int] | None) -> Callable[[], None] | None:
         """What adds the outputs' gradients to those of the inputs; None where there is nothing to add.
@@ -53,7 +54,7 @@ class _Step:
         enabled = self.kernel.options.get("enable_backward")
         if not (self.kernel.module.options.get("enable_backward") if enabled is None else enabled):
             return None
-        device = next(a.device for a in self.outputs if isinstance(a, wp.array))
+        device = arrays_in(self.outputs)[0].device
         return adjoint_of(self.kernel, self.dim, self.inputs, self.outputs, device).launch
 
 
@@ -64,7 +65,11 @@ def adjoint_of(
     outputs: Sequence[Any],
     device: wp.Device | None,
 ) -> wp.Launch:
-    """The adjoint that Warp makes of a launch: it adds the outputs' gradients to those of the inputs that have one."""
+    """The adjoint that Warp makes of a launch: it adds the outputs' gradients to those of the inputs that have one.
+
+    Inputs are arrays, and structs with arrays in their fields.
+    """
+    inputs, outputs = ([with_views(a, {}) for a in arguments] for arguments in (inputs, outputs))
     gradient_of = wp.Tape().get_adjoint
     recorded: wp.Launch = wp.launch(
         kernel,
@@ -81,7 +86,7 @@ def adjoint_of(
     return recorded
 
 
-class Part:
+class ProgramPart:
     """Some launches of a program, in their order, which are replayed by themselves.
 
     A forward run zeroes the sums that it makes. Call `backward` right after `forward`, at the same parameters.
@@ -113,7 +118,7 @@ class Part:
     def _gradients(self) -> list[wp.array]:
         """Of every array that the launches read or write."""
         self._program.make_gradients()
-        arrays = {id(a): a for s in self._steps for a in [*s.inputs, *s.outputs] if isinstance(a, wp.array)}
+        arrays = {id(a): a for s in self._steps for a in arrays_in([*s.inputs, *s.outputs])}
         return [array.grad for array in arrays.values() if array.requires_grad]
 
     @cached_property
@@ -162,7 +167,7 @@ class Program:
         self.has_slopes = False  # whether the last forward run left what adjoints need
         self._steps: list[_Step] = []
         self._differentiable: list[wp.array] = []
-        self._parts: dict[Any, Part] = {}
+        self._parts: dict[Any, ProgramPart] = {}
 
     def array(
         self, shape: int | tuple[int, ...], dtype: type = float, *, grad: bool = True, sum_into: bool = False
@@ -193,10 +198,11 @@ class Program:
         outputs: Sequence[Any],
         adjoint: Adjoint | None = None,
         keeping: Callable[[], Launch] | None = None,
-        pieces: Sequence[Piece] = (),
+        pieces: Sequence[LaunchPiece] = (),
     ) -> None:
         """Record a launch; nothing runs before `forward`.
 
+        Arrays are found among the arguments and in the fields of structs.
         `adjoint` adds the outputs' gradients to those of the inputs, in place of the adjoint that Warp makes of the
         kernel. Where it has a part for each input, only those of arrays that have changed run. `keeping` makes the
         launch that replaces this one where a gradient is asked for: it also stores what `adjoint` needs. `pieces`: the
@@ -209,7 +215,7 @@ class Program:
         self._steps.append(_Step(kernel, dim, inputs, outputs, command, adjoint, keeping and cache(keeping)))
         self._parts.clear()
 
-    def part(self, wanted: Iterable[wp.array], changed: Iterable[wp.array] | None = None) -> Part:
+    def part(self, wanted: Iterable[wp.array], changed: Iterable[wp.array] | None = None) -> ProgramPart:
         """The launches that bring the arrays `wanted` up to date once the arrays `changed` have changed.
 
         None: once anything may have.
@@ -219,7 +225,7 @@ class Program:
         key = frozenset(needed), None if dirty is None else frozenset(dirty)
         if key not in self._parts:
             steps = self._before(needed)
-            self._parts[key] = Part(self, steps if dirty is None else self._after(dirty, steps), dirty)
+            self._parts[key] = ProgramPart(self, steps if dirty is None else self._after(dirty, steps), dirty)
         return self._parts[key]
 
     def _before(self, wanted: set[int]) -> list[_Step]:
@@ -245,19 +251,19 @@ class Program:
             again |= step.writes & sums
 
     @property
-    def _whole(self) -> Part:
+    def _whole(self) -> ProgramPart:
         if None not in self._parts:
-            self._parts[None] = Part(self, self._steps)
+            self._parts[None] = ProgramPart(self, self._steps)
         return self._parts[None]
 
     def forward(self, *, gradient: bool = False) -> None:
-        """As `Part.forward`, of all launches."""
+        """As `ProgramPart.forward`, of all launches."""
         self._whole.forward(gradient=gradient)
 
     def zero_gradients(self) -> None:
-        """As `Part.zero_gradients`, of all launches."""
+        """As `ProgramPart.zero_gradients`, of all launches."""
         self._whole.zero_gradients()
 
     def backward(self, seeds: Mapping[wp.array, Any], *, zero: bool = True) -> None:
-        """As `Part.backward`, of all launches."""
+        """As `ProgramPart.backward`, of all launches."""
         self._whole.backward(seeds, zero=zero)

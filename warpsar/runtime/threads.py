@@ -10,7 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import cache, partial
 from typing import TYPE_CHECKING, TypeVar
 
-from warpsar.runtime.torchrun import processes_here
+from warpsar.runtime.distributed.torchrun import processes_here
 
 if TYPE_CHECKING:
     import warp as wp

@@ -5,3 +5,7 @@ names. checks: what must fit together. writer: a scene as text. beside: what lie
 `warpsar new`; fitted_grid: its pixels. city, footprints: buildings of a real
 place. schema: `warpsar schema`. placing: objects in a scene in memory. unwrap: `warpsar uv`.
 """
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)  # public: __init__.pyi

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from warpsar.effects.registry import validate
+from warpsar.effects.registry import refused_with, validate
 from warpsar.errors import InputError, refuse_number, shown
-from warpsar.world import models as model_rules
+from warpsar.models import registry as backscatter
 from warpsar.world import scattering_term, sigma0_table
-from warpsar.world.collection import Collection
+from warpsar.world.collection import RENAMED, Collection
 from warpsar.world.curve import Curve
 from warpsar.world.library import fill
 from warpsar.world.mesh import Mesh
@@ -151,15 +151,13 @@ def models(name: str, material: Material, radar: Radar, effects: Mapping[str, An
     """What a material's backscatter model does not have: a polarization, an effect that works on the default alone."""
     key, model = f"materials.{name}", material.model
     problems = []
-    for name_of_effect in model_rules.effects_without(model):
-        if name_of_effect in effects:
-            taken = (one for one in model_rules.LEARNS if name_of_effect not in model_rules.effects_without(one))
-            problems.append(
-                f'{key}.model: found "{model}" and effects.{name_of_effect}; allowed with it: {", ".join(taken)}'
-            )
-    crossed = [one for one in radar.polarizations if one in ("HV", "VH")]
-    if model == "dubois" and crossed:
-        problems.append(f'{key}.model: found "dubois" and {crossed[0]}; it has HH and VV alone')
+    for one in refused_with(model):
+        if one in effects:
+            taken = (other for other in backscatter.names() if one not in refused_with(other))
+            problems.append(f'{key}.model: found "{model}" and effects.{one}; allowed with it: {", ".join(taken)}')
+    channels = backscatter.get(model).channels
+    if lacking := [one for one in radar.polarizations if one not in channels]:
+        problems.append(f'{key}.model: found "{model}" and {lacking[0]}; it has {" and ".join(channels)} alone')
     if material.learned_term is not None:
         try:
             learned_for = scattering_term.read(material.learned_term).model
@@ -211,3 +209,13 @@ def values(where: str, key: str, given: NDArray[Any]) -> list[str]:
         f"{where}: {int(bad.sum())} of {given.size} values are out of range "
         f"(one is {float(given[bad][0]):g}); each must be {allowed_values(key)}"
     ]
+
+
+def declared_twice(effects: Mapping[str, Any], collection: Collection) -> list[str]:
+    """What an effect and an old key of `[collection]` both state."""
+    found = []
+    for key in collection.old_keys:
+        name = RENAMED[key]
+        if name.removeprefix("effects.") in effects:
+            found.append(f"collection.{key}: found beside [{name}], which says the same; leave collection.{key} out")
+    return found

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from warpsar.io import curves
 from warpsar.io.images import read_channel, read_mask
 from warpsar.scene import checks
 from warpsar.scene.file import SceneFile, beside_the_radar, parse, parse_effects, read, refuse
-from warpsar.world.collection import Collection
+from warpsar.world.collection import RENAMED, Collection
 from warpsar.world.curve import Curve
 from warpsar.world.library.fill import beyond, named
 from warpsar.world.mesh import Mesh, read_mesh
@@ -156,6 +157,10 @@ class _Loader:
         """The table with its file's place; movers must be objects."""
         if table is None:
             return None
+        self.problems += checks.declared_twice(self.effects, table)
+        for key in table.old_keys:
+            said = f"{self.path}: collection.{key}: is [{RENAMED[key]}] now, which acts on images of power, too"
+            warnings.warn(said, FutureWarning, stacklevel=2)
         for name in table.velocity_m_s:
             if name not in labels:
                 known = ", ".join(labels) or "none"

@@ -93,7 +93,7 @@ incidence_deg = {incidence}
 """
 
 
-def run(
+def new_scene(
     folder: Path | str,
     mesh_path: Path | str,
     *,

@@ -9,14 +9,18 @@ from typing import Any, get_args
 
 from pydantic.json_schema import GenerateJsonSchema
 
-from warpsar.effects.base.parameter import Parameter, Setting
+from warpsar.effects.base.parameter import EffectParameter, Setting
 from warpsar.effects.registry import get, names
 from warpsar.io.images import replacing
+from warpsar.models.base.model import SurfaceParameter
+from warpsar.models.base.parameters import OF_SURFACES
+from warpsar.models.registry import get as get_model
+from warpsar.models.registry import names as model_names
 from warpsar.scene.file import SceneFile
 from warpsar.world import tolerance
 from warpsar.world.library.surfaces import SURFACES
 from warpsar.world.objects.table import KEYS
-from warpsar.world.tables import LIMITS, SURFACE_KEYS, Polarization, SurfaceKey
+from warpsar.world.tables import SURFACE_KEYS, Polarization, SpacingKey, ViewKey
 
 DRAFT = "http://json-schema.org/draft-07/schema#"  # what editors' TOML plug-ins know
 _NAME = {"type": "string", "minLength": 1}
@@ -24,14 +28,29 @@ _FILE = {**_NAME, "format": "path"}
 _Json = dict[str, Any]
 
 
+_ROUGH = ("eps_r", "rms_height_m", "correlation_length_m")
 _SURFACES: list[_Json] = [  # of the library, rough, smooth, or a conductor
     {"required": ["library"]},
-    {"required": ["eps_r", "rms_height_m", "correlation_length_m"]},
+    {"required": list(_ROUGH)},
     {"required": ["eps_r", "rms_height_m"], "properties": {"rms_height_m": {"const": 0}}},
     {"required": ["conductor"], "properties": {"conductor": {"const": True}}},
-    {"required": ["model", "eps_r", "rms_height_m"], "properties": {"model": {"enum": ["oh", "dubois"]}}},
-    {"required": ["model", "sigma0"], "properties": {"model": {"const": "facet"}}},
 ]
+
+
+def _of_models() -> list[_Json]:
+    """What a material states with a model of which the tables above ask too much."""
+    found: dict[tuple[str, ...], list[str]] = {}
+    for one in map(get_model, model_names()):
+        needed = ("sigma0",) if one.from_table else tuple(key for key in one.keys if key in _ROUGH)
+        if set(needed) < set(_ROUGH) or one.from_table:
+            found.setdefault(("model", *needed), []).append(one.name)
+    return [
+        {
+            "required": list(keys),
+            "properties": {"model": {"const": names[0]} if len(names) == 1 else {"enum": names}},
+        }
+        for keys, names in found.items()
+    ]
 
 
 class _Generator(GenerateJsonSchema):
@@ -59,11 +78,14 @@ def scene_schema() -> _Json:
     made = SceneFile.model_json_schema(by_alias=True, schema_generator=_Generator)
     scene = _plain(made, made.pop("$defs"))
     tables = scene["properties"]
-    for key in SURFACE_KEYS:
-        tables["materials"]["additionalProperties"]["properties"][key].update(_surface(key))
+    for one in OF_SURFACES:
+        tables["materials"]["additionalProperties"]["properties"][one.key].update(_surface(one))
     known = tables["materials"]["additionalProperties"]["properties"]["tolerance"]
     known.update(additionalProperties=_tolerance({"type": "number"}), propertyNames={"enum": list(SURFACE_KEYS)})
-    tables["materials"]["additionalProperties"]["anyOf"] = _SURFACES
+    for table, keys in ((tables["image"], SpacingKey), (tables["views"]["items"], ViewKey), (tables["radar"], ViewKey)):
+        known = table["properties"]["tolerance"]
+        known.update(additionalProperties=_tolerance({"type": "number"}), propertyNames={"enum": list(get_args(keys))})
+    tables["materials"]["additionalProperties"]["anyOf"] = [*_SURFACES, *_of_models()]
     tables["materials"]["additionalProperties"]["properties"]["library"]["enum"] = list(SURFACES)
     view = tables["views"]["items"]
     view["oneOf"] = [{"required": [key]} for key in ("incidence_deg", "depression_deg", "grazing_deg")]
@@ -110,10 +132,10 @@ def _plain(node: _Json, models: dict[str, _Json]) -> _Json:
     return node
 
 
-def _surface(key: SurfaceKey) -> _Json:
+def _surface(one: SurfaceParameter) -> _Json:
     """What a surface value may be: a number, a pair for some keys, or the name of an image or a scalar."""
-    low, high = LIMITS[key]
-    least = "minimum" if key in ("specular_fraction", "rms_height_m") else "exclusiveMinimum"
+    key, (low, high) = one.key, one.limits
+    least = "minimum" if one.from_low or key == "rms_height_m" else "exclusiveMinimum"
     number = {"type": "number", least: low, "maximum": high}
     second = {"eps_r": {"type": "number", "minimum": -high, "maximum": 0.0}, "correlation_length_m": number}.get(key)
     pair = {"type": "array", "items": [number, second], "minItems": 2, "maxItems": 2}
@@ -141,13 +163,13 @@ def _effect(name: str) -> _Json:
     return table
 
 
-def _number(parameter: Parameter) -> _Json:
+def _number(parameter: EffectParameter) -> _Json:
     """Its bounds and default; JSON has no infinity, and an infinite bound is none."""
     stated = {"minimum": parameter.low, "maximum": parameter.high, "default": parameter.default}
     return {"type": "number", **{key: value for key, value in stated.items() if math.isfinite(value)}}
 
 
-def _key(declared: Parameter | Setting, value: _Json) -> _Json:
+def _key(declared: EffectParameter | Setting, value: _Json) -> _Json:
     """The schema of a key: of one value, or of a table of a value for each view or material."""
     unit = getattr(declared, "unit", "1")
     about = declared.description if unit == "1" else f"{declared.description.rstrip('.')} [{unit}]."
@@ -156,7 +178,7 @@ def _key(declared: Parameter | Setting, value: _Json) -> _Json:
     return {"description": f"{about} A table of {keyed_by} names and values.", **_value(declared, value)}
 
 
-def _value(declared: Parameter | Setting, value: _Json) -> _Json:
+def _value(declared: EffectParameter | Setting, value: _Json) -> _Json:
     """The schema of what stands at a key: `value`, or a table of one for each view or material."""
     if _keyed_by(declared) is None:
         return value
@@ -164,9 +186,9 @@ def _value(declared: Parameter | Setting, value: _Json) -> _Json:
     return {"type": "object", "additionalProperties": value}
 
 
-def _keyed_by(declared: Parameter | Setting) -> str | None:
+def _keyed_by(declared: EffectParameter | Setting) -> str | None:
     """What the table at a key names; None where it is one value."""
-    return declared.keyed_by if isinstance(declared, Parameter) else "view" if declared.per_view else None
+    return declared.keyed_by if isinstance(declared, EffectParameter) else "view" if declared.per_view else None
 
 
 def _tolerance(about: _Json) -> _Json:

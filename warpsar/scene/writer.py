@@ -11,6 +11,7 @@ import tomlkit
 
 from warpsar.errors import InputError
 from warpsar.io.images import replacing
+from warpsar.world.collection import RENAMED
 from warpsar.world.objects.table import Object
 from warpsar.world.tables import (
     SURFACE_KEYS,
@@ -70,7 +71,8 @@ class _Writer:
         if scene.curves:
             tables["curves"] = [{**_plain(one), "file": self.relative(one.file)} for one in scene.curves]
         if scene.collection is not None:
-            tables["collection"] = _plain(scene.collection)
+            kept = {key: value for key, value in _plain(scene.collection).items() if not _twice(scene, key)}
+            tables["collection"] = kept
             if scene.collection.trajectory is not None:
                 tables["collection"]["trajectory"] = self.relative(scene.collection.trajectory)
         tables["views"] = [self.view(view) for view in scene.views]
@@ -104,6 +106,11 @@ class _Writer:
             return Path(os.path.relpath(self.folder / path, self.folder)).as_posix()
         except ValueError:  # another drive
             return path.as_posix()
+
+
+def _twice(scene: World, key: str) -> bool:
+    """Whether an effect says what an old key of `[collection]` did: a fit may have found the effect beside it."""
+    return RENAMED.get(key, "").removeprefix("effects.") in scene.effects
 
 
 def _plain(table: Table) -> dict[str, Any]:

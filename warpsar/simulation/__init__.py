@@ -9,3 +9,7 @@ view: one view, simulated. speckle: speckle on images. ground: images on a map. 
 files: the files of a view. formats/: one file for each format. image_format: what a format declares.
 materials: `warpsar materials`.
 """
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)  # public: __init__.pyi

@@ -16,9 +16,9 @@ from pathlib import Path
 from typing import Any
 
 from warpsar.errors import InputError, WarpsarError
-from warpsar.runtime import console, devices, distributed
+from warpsar.runtime import console, devices, once
 from warpsar.runtime.background import Background
-from warpsar.runtime.distributed import Ranks
+from warpsar.runtime.distributed.processes import Ranks, join
 from warpsar.simulation.index import INDEX, Index
 from warpsar.simulation.maker import OUTCOMES, ImageOptions, Maker
 from warpsar.simulation.naming import angles, labels, views_at
@@ -32,7 +32,7 @@ TOLD_EVERY = 8  # images, to the progress bar that counts those of all processes
 
 
 @dataclass
-class Tally:
+class BatchTally:
     """What became of images: how many by outcome, and by scene or image why the others failed."""
 
     done: Counter[str] = field(default_factory=Counter)
@@ -47,12 +47,12 @@ class Tally:
         else:
             self.done[outcome] += 1
 
-    def of_all(self, ranks: Ranks) -> Tally:
+    def of_all(self, ranks: Ranks) -> BatchTally:
         """The tallies of all processes together."""
-        everything = ranks.gather([self.done, self.failures])
-        return Tally(
-            sum((Counter(counted) for counted, _ in everything), Counter()),
-            {name: text for _, failed in everything for name, text in failed.items()},
+        everything = ranks.gather(self)
+        return BatchTally(
+            sum((Counter(one.done) for one in everything), Counter()),
+            {name: text for one in everything for name, text in one.failures.items()},
         )
 
 
@@ -81,7 +81,7 @@ def run(
     names = labels(scenes)
     out = Path(out)
     where = devices.resolve_device(device)
-    ranks = distributed.ranks(where)
+    ranks = join(where)
     make_folder(out)
     console.say_device(where)
     index = Index(out, ranks)
@@ -103,9 +103,8 @@ def run(
         "incidences": incidences,
         "processes": ranks.size,
     }
-    if ranks.first:
-        content = write_json(out / "simulate.json", None, where, seed, started, content)
-    _report(tally, out, ranks)
+    content = once.write(lambda: write_json(out / "simulate.json", None, where, seed, started, content)) or content
+    _report(tally, out)
     return content
 
 
@@ -118,9 +117,11 @@ def _views_made(azimuths: str | None, incidences: str | None) -> list[View] | No
     return views_at(angles(azimuths, "--azimuths", -360.0, 360.0 + 1e-9), angles(incidences, "--incidences", 0.0, 90.0))
 
 
-def _make(scenes: Sequence[Path], counts: Sequence[int], open_scene: Callable[[int], Maker], ranks: Ranks) -> Tally:
+def _make(
+    scenes: Sequence[Path], counts: Sequence[int], open_scene: Callable[[int], Maker], ranks: Ranks
+) -> BatchTally:
     """Make this process's part of the images; `counts`: how many views each scene has."""
-    tally = Tally()
+    tally = BatchTally()
     maker: Maker | None = None
     bar = console.progress(sum(counts), "images", "image")
     dealt = shares(counts, ranks.size)
@@ -147,7 +148,7 @@ def _make(scenes: Sequence[Path], counts: Sequence[int], open_scene: Callable[[i
     return tally
 
 
-def _make_one(maker: Maker, number: int, tally: Tally, beside: Background) -> None:
+def _make_one(maker: Maker, number: int, tally: BatchTally, beside: Background) -> None:
     """Make one image unless it is there; its file is written beside."""
     what = f"{maker.path}, view {maker.views[number].name}"
     try:
@@ -161,7 +162,7 @@ def _make_one(maker: Maker, number: int, tally: Tally, beside: Background) -> No
         beside.put(partial(tally.finish, what, outcome, write))
 
 
-def _report(tally: Tally, out: Path, ranks: Ranks) -> None:
+def _report(tally: BatchTally, out: Path) -> None:
     """Say how many images were made; raise InputError where some failed."""
     done, failures = tally.done, tally.failures
     again = done["other_inputs"] + done["damaged"]
@@ -171,9 +172,9 @@ def _report(tally: Tally, out: Path, ranks: Ranks) -> None:
     )
     if failures:
         many = "\n  ".join(failures.values())
-        refusal = InputError(f"{len(failures)} failed; everything else is made, and {out / INDEX} lists it:\n  {many}")
-        refusal.quiet = not ranks.first
-        raise refusal
+        raise once.refusal(
+            InputError(f"{len(failures)} failed; everything else is made, and {out / INDEX} lists it:\n  {many}")
+        )
 
 
 def _views_in(path: Path) -> int:

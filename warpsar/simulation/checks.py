@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from warpsar.models import registry
+from warpsar.models.base.model import DEFAULT
 from warpsar.render.domains import lit_areas, model_areas
 from warpsar.render.render import ViewRender
 from warpsar.surface.stage import Stage
@@ -69,7 +71,7 @@ class Findings:
         """Of one view whose render has run."""
         if not _surely_small(stage, render.geometry.wavenumber):
             areas = lit_areas(stage, [render])
-            if (other := stage.surface.model > 0).any():  # theirs in the place of small perturbation's
+            if (other := ~stage.surface.by_default).any():  # theirs in the place of small perturbation's
                 areas[other] = 0.0
                 areas[:, 0][other], areas[:, 2][other] = model_areas(stage, [render])[other].T
             self.areas = self.areas + areas
@@ -79,16 +81,12 @@ class Findings:
             if share > DARK:
                 self.dark.setdefault(polarization, {})[render.view.name] = share
 
-    def plain(self) -> dict[str, Any]:
-        """As JSON's own types, which travel between processes."""
-        return {"areas": np.asarray(self.areas).tolist(), "dark": self.dark}
-
     @classmethod
-    def together(cls, parts: Sequence[dict[str, Any]]) -> Findings:
+    def together(cls, parts: Sequence[Findings]) -> Findings:
         whole = cls()
         for part in parts:
-            whole.areas = whole.areas + np.asarray(part["areas"])
-            for polarization, views in part["dark"].items():
+            whole.areas = whole.areas + part.areas
+            for polarization, views in part.dark.items():
                 whole.dark.setdefault(polarization, {}).update(views)
         return whole
 
@@ -107,19 +105,12 @@ class Findings:
 SMALL = "small perturbation (kh < 0.3 and sqrt(2) h / l < 0.3)"
 OPTICS = "geometric optics (kh cos(theta) > 1.58, kl > 6 and l^2 > 2.76 h lambda)"
 
-DOMAINS_IN_WORDS = {
-    "i2em": "i2em (kh < 3, h / l < 0.4, and kl < 4 for HV of a gaussian spectrum)",
-    "oh": "oh (kh from 0.13 to 6.98, incidence from 10 to 70 degrees, moisture from 0.04 to 0.291)",
-    "dubois": "dubois (kh < 2.5, incidence above 30 degrees, moisture below 0.35)",
-    "facet": "its table",
-}
-
 
 def _domain_warnings(scene: World, areas: np.ndarray) -> list[str]:
     found = []
     for name, (small, optics, small_out, optics_out) in zip(scene.mesh.materials, areas, strict=True):
-        if (own := scene.materials[name].model) != "ka_spm":
-            model, share = DOMAINS_IN_WORDS[own], small_out / small if small else 0.0
+        if (own := scene.materials[name].model) != DEFAULT:
+            model, share = registry.get(own).domain.words, small_out / small if small else 0.0
         elif small and optics:  # no h and l lie in both domains: what is in neither is what is left
             model, share = f"both {SMALL} and {OPTICS}", (small_out + optics_out) / small - 1
         elif small:
@@ -145,7 +136,7 @@ def _measures(scene: World, material: str) -> str:
 def _surely_small(stage: Stage, wavenumber: float) -> bool:
     """Whether every material is small perturbation alone and inside its domain, whatever is lit."""
     surface = stage.surface
-    if surface.model.any():
+    if not surface.by_default.all():
         return False
     for name in surface.materials:
         h, length, tau = (

@@ -19,16 +19,16 @@ from warpsar.errors import refuse_number
 from warpsar.io.quick_look import draw, draw_blank, limits_db, shades
 from warpsar.render.bands import BandedRender, stretches
 from warpsar.render.render import ViewRender
-from warpsar.runtime import console, devices, distributed
+from warpsar.runtime import console, devices, once
 from warpsar.runtime.busy import busy
-from warpsar.runtime.distributed import Ranks
+from warpsar.runtime.distributed.processes import Ranks, join
 from warpsar.runtime.memory import PARTS, OutOfMemoryError, in_parts, ran_out
 from warpsar.scene.scene import Scene, scene_or_file
 from warpsar.simulation.checks import Findings, grid_warnings
-from warpsar.simulation.estimate import Estimate, estimate
+from warpsar.simulation.estimate import SimulationForecast, estimate
 from warpsar.simulation.files import Output, refuse_formats, written
 from warpsar.simulation.formats import registry
-from warpsar.simulation.ground import Ground
+from warpsar.simulation.ground import MapGround
 from warpsar.simulation.metadata import metadata
 from warpsar.simulation.outputs import make_folder, refuse_unlikely_size, write_json
 from warpsar.simulation.rays import effects_grid, hit_grid, trace_view, view_seed
@@ -211,16 +211,16 @@ def view_render(scene: Scene, stage: Stage, view: View, hits: Hits) -> ViewRende
 
 
 def _written_views(made: Simulation, output: Output, ranks: Ranks) -> tuple[list[dict[str, Any]], list[str]]:
-    """Make this rank's share of the views and write them. Returns the entries of all views, and what to warn of."""
+    """Make this process's share of the views and write them. Returns the entries of all views, and what to warn of."""
     scene = made.scene
     costs = [made.rays(view) for view in scene.views]
-    mine = distributed.deal(costs, ranks.size)[ranks.rank]
+    mine = ranks.mine(costs)
     if (told := expected(made, output, mine)) is not None:
         console.say(str(told))
     made.bar = console.progress(sum(costs[index] for index in mine), "rays", "ray")
-    summary = [[index, output.write(made.view(scene.views[index], index), index)] for index in mine]
+    summary = [(index, output.write(made.view(scene.views[index], index), index)) for index in mine]
     made.bar.close()
-    everything = ranks.gather([summary, made.findings.plain(), shades(output.looks_at).tolist()])
+    everything = ranks.gather((summary, made.findings, shades(output.looks_at)))
     entries = sorted(each for part, _, _ in everything for each in part)
     with busy("drawing quick looks"):
         limits = limits_db(np.sum([counts for _, _, counts in everything], axis=0))
@@ -231,7 +231,7 @@ def _written_views(made: Simulation, output: Output, ranks: Ranks) -> tuple[list
     return [entry for _, entry in entries], found
 
 
-def expected(made: Simulation, output: Output, mine: Sequence[int]) -> Estimate | None:
+def expected(made: Simulation, output: Output, mine: Sequence[int]) -> SimulationForecast | None:
     """What the images of the scene's views number `mine`, and their files, will take; None where that is not long."""
     if not mine:
         return None
@@ -241,7 +241,7 @@ def expected(made: Simulation, output: Output, mine: Sequence[int]) -> Estimate 
 
     def strip(first: int, columns: int) -> int:
         part = made.strip(scene.views[index], first, columns)
-        ground = None if output.ground is None else Ground.of(part.scene, part.stage)
+        ground = None if output.ground is None else MapGround.of(part.scene, part.stage)
         with TemporaryDirectory() as folder:
             image = part.view(scene.views[index], index)
             replace(output, out=Path(folder), ground=ground, looks_at=[]).write(image, index)
@@ -270,8 +270,8 @@ def run(
     """`warpsar simulate`: images (EXR), quick looks (PNG) and simulate.json in `out`. Returns the JSON's content.
 
     `formats`: of the images, named in `simulation.formats`. `looks` adds images with speckle; `declare` a scene.toml
-    that names them as measured. `yes` takes a mesh whose size is unlikely. Several processes (`distributed`) share the
-    views by the number of their rays.
+    that names them as measured. `yes` takes a mesh whose size is unlikely. Several processes share the views
+    by the number of their rays.
     """
     started = time.perf_counter()
     refuse_formats(formats)
@@ -282,7 +282,7 @@ def run(
     if declare:
         refuse_declaring(scene, out, looks)
     where = devices.resolve_device(device)
-    ranks = distributed.ranks(where)
+    ranks = join(where)
     make_folder(out)  # refused now rather than after the work
     console.say_device(where)
     with busy("loading the mesh onto the device"):
@@ -300,7 +300,7 @@ def run(
     )
     formats = tuple(dict.fromkeys(formats))
     on_ground = [one.title for one in map(registry.get, formats) if one.on_ground]
-    ground = Ground.of(scene, stage) if on_ground else None
+    ground = MapGround.of(scene, stage) if on_ground else None
     if on_ground and ground is None:
         console.say(f"note: [scene] has no origin, so {' and '.join(on_ground)} is in slant range alone")
     output = Output(out, made.seed, looks, formats, exr_speckle=declare, ground=ground)
@@ -312,10 +312,13 @@ def run(
         "warnings": warnings + found,
         "views": entries,
     }
-    if not ranks.first:
-        return content
-    if declare and looks is not None:
-        content["scene"] = declare_speckled(scene, out, looks)
-    content = write_json(out / "simulate.json", scene, where, made.seed, started, content)
-    console.say(written(out, content))
-    return content
+
+    def write() -> dict[str, Any]:
+        said = content
+        if declare and looks is not None:
+            said = said | {"scene": declare_speckled(scene, out, looks)}
+        said = write_json(out / "simulate.json", scene, where, made.seed, started, said)
+        console.say(written(out, said))
+        return said
+
+    return once.write(write) or content

@@ -23,7 +23,7 @@ _BYTES_PER_PIXEL = 40  # the quick look's copies in float64
 
 
 @dataclass(frozen=True)
-class Estimate:
+class SimulationForecast:
     """Of all views together, but `gib`: of the largest."""
 
     views: int
@@ -46,7 +46,7 @@ def estimate(
     strip: Callable[[int, int], int],
     pictures: int,
     picture: Callable[[], object],
-) -> Estimate | None:
+) -> SimulationForecast | None:
     """What views of so many `rays` each, and images of `shape`, will take; None where that is not long.
 
     `strip(first, columns)` makes so many columns of the view with the most rays, with all that is made of them, and
@@ -76,7 +76,7 @@ def estimate(
         picture()
         seconds += pictures * (time.perf_counter() - started)
     gib = (kept_bytes(hits, polarizations, 0) + rows * columns * (_BYTES_PER_PIXEL + 8 * polarizations)) / 2**30
-    return Estimate(len(rays), rows * columns, sum(rays), seconds, gib) if seconds > LONG_S else None
+    return SimulationForecast(len(rays), rows * columns, sum(rays), seconds, gib) if seconds > LONG_S else None
 
 
 def _timed(strip: Callable[[int, int], int], columns: int, width: int) -> tuple[float, int]:

@@ -10,7 +10,7 @@ from typing import Any
 from warpsar.io.quick_look import QuickLook
 from warpsar.runtime.busy import busy
 from warpsar.simulation.formats import registry
-from warpsar.simulation.ground import Ground
+from warpsar.simulation.ground import MapGround
 from warpsar.simulation.speckle import speckled, suffix
 from warpsar.simulation.view import SimulatedView
 
@@ -35,7 +35,7 @@ class Output:
     looks: float | None = None
     formats: tuple[str, ...] = ("exr",)
     exr_speckle: bool = False
-    ground: Ground | None = None
+    ground: MapGround | None = None
     looks_at: list[QuickLook] = field(default_factory=list)
     """Quick looks of the views written so far: they are drawn when the scale of all is known."""
 

@@ -10,7 +10,7 @@ import numpy as np
 import warp as wp
 from scipy.ndimage import map_coordinates
 
-from warpsar.io.geotiff import Place
+from warpsar.io.geotiff import RasterPlace
 from warpsar.io.images import LARGEST_IMAGE
 from warpsar.kernels.backproject import first_surface_kernel
 from warpsar.measured.ground import plane_points
@@ -26,7 +26,7 @@ _EDGE = 64  # points along each side of the image, by which its place on the map
 
 
 @dataclass(frozen=True)
-class Ground:
+class MapGround:
     """A scene's ground on a map.
 
     A pixel of the map takes the topmost surface of the mesh at its centre, and the image's value at that point's range
@@ -39,12 +39,12 @@ class Ground:
     world_map: WorldMap
 
     @classmethod
-    def of(cls, scene: World, stage: Stage) -> Ground | None:
+    def of(cls, scene: World, stage: Stage) -> MapGround | None:
         """None for a scene that does not say where on the earth it lies."""
         frame = frame_of(scene)
         return None if frame is None else cls(scene, stage, map_of(frame))
 
-    def project(self, view: View, images: Mapping[str, np.ndarray]) -> tuple[dict[str, np.ndarray], Place]:
+    def project(self, view: View, images: Mapping[str, np.ndarray]) -> tuple[dict[str, np.ndarray], RasterPlace]:
         """Images of shape (rows, cols) on the map, north up, float32, and where they lie.
 
         Pixels are square, as small as the finer of azimuth spacing and range spacing / sin(incidence).
@@ -61,7 +61,7 @@ class Ground:
                 bar.update(rows.size)
         return found, place
 
-    def _grid(self, view: View) -> tuple[tuple[int, int], Place]:
+    def _grid(self, view: View) -> tuple[tuple[int, int], RasterPlace]:
         """Shape and place of the map: what the image and the mesh both cover, in whole pixels."""
         scene, geometry = self.scene, geometry_of(self.scene, view)
         low, high = scene.mesh.vertices.min(axis=0), scene.mesh.vertices.max(axis=0)
@@ -81,9 +81,9 @@ class Ground:
         left, top = math.floor(x.min() / pixel), math.ceil(y.max() / pixel)
         cols = max(1, math.ceil(x.max() / pixel) - left)
         rows = max(1, top - math.floor(y.min() / pixel))
-        return (rows, cols), Place(self.world_map.crs, left * pixel, top * pixel, pixel)
+        return (rows, cols), RasterPlace(self.world_map.crs, left * pixel, top * pixel, pixel)
 
-    def _placed(self, geometry: ViewGeometry, place: Place, rows: np.ndarray, cols: int) -> np.ndarray:
+    def _placed(self, geometry: ViewGeometry, place: RasterPlace, rows: np.ndarray, cols: int) -> np.ndarray:
         """Row and column in the image of the map's pixels, shape (2, rows, cols); NaN where none is to be shown."""
         col, row = np.meshgrid(np.arange(cols) + 0.5, rows + 0.5)
         x, y = self.world_map.to_world(place.left + place.pixel * col, place.top - place.pixel * row)

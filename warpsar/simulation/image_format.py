@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from warpsar.formats.base.extra import Extra
-from warpsar.simulation.ground import Ground
+from warpsar.simulation.ground import MapGround
 from warpsar.simulation.view import SimulatedView
 
 Parts = Iterator[tuple[str, str, Callable[[Path], None]]]
@@ -25,7 +25,7 @@ class ImageFormat:
     """What is written of a view, for the documentation."""
     opens_in: str
     """The same: what reads it."""
-    parts: Callable[[SimulatedView, str, Ground | None], Parts]
+    parts: Callable[[SimulatedView, str, MapGround | None], Parts]
     """The files of a view, whose names begin with the name given; the ground is None where it is not known."""
     extra: Extra | None = None
     on_ground: bool = False

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TextIO
 
 from warpsar.io.images import replacing
-from warpsar.runtime.distributed import Ranks
+from warpsar.runtime.distributed.processes import Ranks
 
 INDEX, PARTS = "index.csv", "index.parts"
 FIELDS = ("name", "scene", "azimuth_deg", "incidence_deg", "frequency_hz", "file", "sha256", "inputs")

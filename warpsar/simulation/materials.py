@@ -13,9 +13,10 @@ import warp as wp
 
 from warpsar.errors import InputError, did_you_mean
 from warpsar.io import figures
-from warpsar.kernels.codes import Model, Polarization, Spectrum
+from warpsar.kernels.codes import Polarization, Spectrum
 from warpsar.kernels.incidence import sigma0_kernel
 from warpsar.runtime import console, devices
+from warpsar.surface.surface import KINDS
 from warpsar.world.frame import SPEED_OF_LIGHT
 from warpsar.world.library import clutter
 from warpsar.world.library.fill import material
@@ -38,10 +39,11 @@ def sigma0_db(surface: Material, polarization: str, frequency_hz: float, inciden
     cosine: wp.array = wp.array(np.cos(np.radians(incidence_deg)), dtype=wp.float64, device=device)
     found = wp.zeros_like(cosine)
     wavenumber = 2.0 * math.pi * frequency_hz / SPEED_OF_LIGHT
-    model = int(Model[surface.model.upper()])
-    codes = [model, int(Polarization[polarization]), int(Spectrum[surface.spectrum.upper()])]
-    inputs = [cosine, *codes, wavenumber, eps_re, -eps_im, height, length, surface.specular_fraction]
-    wp.launch(sigma0_kernel, dim=cosine.size, inputs=inputs, outputs=[found], device=device)
+    codes = [int(Polarization[polarization]), int(Spectrum[surface.spectrum.upper()])]
+    stated = (eps_re, height, length, surface.specular_fraction)
+    zeta = wp.vec4d(*(float(kind.to_coordinate(value)) for kind, value in zip(KINDS, stated, strict=True)))
+    inputs = [cosine, *codes, wavenumber, -eps_im, zeta]
+    wp.launch(sigma0_kernel(surface.model), dim=cosine.size, inputs=inputs, outputs=[found], device=device)
     return np.asarray(10.0 * np.log10(np.maximum(found.numpy(), 1e-30)))
 
 

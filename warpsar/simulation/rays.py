@@ -87,12 +87,12 @@ class Rays:
 
     def __init__(self, stage: Stage, rays_per_m2: float | None = None, seed: int = 0) -> None:
         self.stage, self.rays_per_m2, self.seed = stage, rays_per_m2, seed
-        self._kept: dict[tuple[str, BinGrid], Hits] = {}
+        self._kept: dict[tuple[str, float, float, BinGrid], Hits] = {}
         self._tracing = threading.Lock()
 
     def hits(self, scene: Scene, view: View, effects: list[DeclaredEffect]) -> Hits:
         """Hits of a view, traced when first asked for and then kept."""
-        key = (view.name, effects_grid(scene, effects))
+        key = (view.name, view.azimuth_deg, view.incidence_deg, effects_grid(scene, effects))
         with self._tracing:  # threads that ask for the same hits share them
             if key not in self._kept:
                 self._kept[key] = self.trace(scene, view, effects)

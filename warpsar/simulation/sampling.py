@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy.ndimage import minimum_filter
 
 from warpsar.effects.registry import declared
 from warpsar.render.render import ViewRender
-from warpsar.runtime.distributed import ONE, Ranks
+from warpsar.runtime import once
 from warpsar.scene.scene import Scene
 from warpsar.simulation.rays import trace_view, view_seed
 from warpsar.surface.stage import Stage
@@ -64,11 +65,12 @@ def choose_density(
     limit: float,
     *,
     total: bool = False,
-    ranks: Ranks = ONE,
+    shared: bool = False,
 ) -> Density:
     """The scene's stated density, or the smallest power of two of rays per pixel that keeps the noise under `limit`.
 
-    The noise is that of the noisiest view's lit pixel, or with `total` of all pixels together. `ranks` share the views.
+    The noise is that of the noisiest view's lit pixel, or with `total` of all pixels together. `shared`: whether
+    the processes of the run share the views.
     """
     area = scene.grid.pixel_area_m2
     stated = scene.sampling.density_per_m2(scene.grid)
@@ -76,17 +78,14 @@ def choose_density(
         return Density(stated, stated * area, float("nan"), False)
     per_pixel = max(FEWEST, stated * area) if scene.sampling.stated else FEWEST
 
-    def mine() -> list[tuple[float, float, int]]:
-        return [
-            (look, *relative_variance(scene, stage, view, per_pixel / area, (view_seed(101, i), view_seed(202, i))))
-            for i, (view, look) in enumerate(zip(views, looks, strict=True))
-            if i % ranks.size == ranks.rank
-        ]
-
     while True:
-        found = [each for part in ranks.gather(ranks.agree(mine)) for each in part]
-        pixels = [look * variance * count for look, variance, count in found]
-        noise = sum(pixels) if total else max(look * variance for look, variance, _ in found)
+        tasks = [
+            partial(relative_variance, scene, stage, view, per_pixel / area, (view_seed(101, i), view_seed(202, i)))
+            for i, view in enumerate(views)
+        ]
+        found = once.share(tasks) if shared else [task() for task in tasks]
+        noises = [look * variance for look, (variance, _) in zip(looks, found, strict=True)]
+        noise = sum(each * count for each, (_, count) in zip(noises, found, strict=True)) if total else max(noises)
         if noise < limit or per_pixel >= MOST:
             return Density(per_pixel / area, per_pixel, noise, not scene.sampling.stated)
         per_pixel *= 2.0

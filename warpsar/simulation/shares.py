@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-PER_RANK = 8  # shares of one scene: few, so that a scene is seldom loaded; enough for all processes to end together
+EACH = 8  # shares of a process: few, so that a scene is seldom loaded; enough for all processes to end together
 FINE = 128  # the same for a single scene, which every process loads anyway
 
 
 @dataclass(frozen=True)
-class Share:
+class ViewShare:
     """Views of one scene that one process makes: every `of`-th, from number `part` on."""
 
     scene: int
@@ -18,16 +18,16 @@ class Share:
     of: int
 
 
-def shares(views: Sequence[int], ranks: int) -> list[Share]:
+def shares(views: Sequence[int], processes: int) -> list[ViewShare]:
     """What is dealt out, one after the other, to whichever process is free; `views`: how many each scene has.
 
     Scenes stay whole where there are enough of them for all processes, since loading a scene takes time.
     """
-    whole = len(views) >= PER_RANK * ranks or ranks == 1
-    per_rank = FINE if len(views) == 1 else PER_RANK
-    size = max(1, -(-sum(views) // (per_rank * ranks)))
+    whole = len(views) >= EACH * processes or processes == 1
+    each = FINE if len(views) == 1 else EACH
+    size = max(1, -(-sum(views) // (each * processes)))
     found = []
     for scene, count in enumerate(views):
         parts = 1 if whole else max(1, -(-count // size))
-        found += [Share(scene, part, parts) for part in range(parts)]
+        found += [ViewShare(scene, part, parts) for part in range(parts)]
     return found

@@ -9,7 +9,7 @@ import numpy as np
 from warpsar.speckle.law import Law
 
 
-class Compared(Protocol):
+class ComparedPixels(Protocol):
     """One image. `interior`: the pixels that are compared, shape (rows, cols), bool. `looks` are the law's
     equivalent ones."""
 

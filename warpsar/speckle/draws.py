@@ -8,7 +8,7 @@ import numpy as np
 from scipy.fft import fft2, ifft2, next_fast_len
 from scipy.special import binom, eval_genlaguerre, gammainc, gammaincc, ndtri, roots_genlaguerre
 
-from warpsar.speckle.compared import Compared
+from warpsar.speckle.compared import ComparedPixels
 from warpsar.speckle.law import Law
 
 FIELDS = 4  # complex fields at most
@@ -24,7 +24,7 @@ class Speckle:
     taken to the law by itself falls as the square: its peaks are too narrow, and windows too weak.
     """
 
-    def __init__(self, observations: Sequence[Compared], autocovariance: np.ndarray) -> None:
+    def __init__(self, observations: Sequence[ComparedPixels], autocovariance: np.ndarray) -> None:
         self.observations = observations
         self.white = np.count_nonzero(autocovariance) == 1
         self.sd = float(np.sqrt(autocovariance.max()))

@@ -8,9 +8,9 @@ variance. Compression of the measured power changes both cumulants, too, and is 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -61,7 +61,7 @@ class Estimate:
         return Estimate(self.value * factor, self.low * factor, self.high * factor)
 
     @property
-    def told(self) -> bool:
+    def known(self) -> bool:
         """Whether the interval says something of the number."""
         return self.high < TOLD * self.value
 
@@ -97,10 +97,10 @@ class SpeckleFact:
         return [name for name in ("looks", "texture") if name in self.kind]
 
     @property
-    def told(self) -> bool:
+    def known(self) -> bool:
         """Whether every number that was found has an interval that says something of it."""
         numbers = [*self.looks.values(), *([] if self.texture is None else [self.texture])]
-        return all(one.told for one in numbers)
+        return all(one.known for one in numbers)
 
     @property
     def beside_structure(self) -> SpeckleFact:
@@ -109,12 +109,6 @@ class SpeckleFact:
             return self
         words = f"{self.words}; structure that is left may make it seem so"
         return SpeckleFact("not told", words, measured=self.measured)
-
-    @classmethod
-    def heard(cls, told: Mapping[str, Any]) -> SpeckleFact:
-        """The fact that `asdict` gave, back from JSON."""
-        texture = None if told["texture"] is None else Estimate(**told["texture"])
-        return cls(**{**told, "texture": texture, "looks": {k: Estimate(**one) for k, one in told["looks"].items()}})
 
 
 def speckle_fact(images: Sequence[Scatter]) -> SpeckleFact:
@@ -140,7 +134,7 @@ def speckle_fact(images: Sequence[Scatter]) -> SpeckleFact:
         words = f"{_unlike(data)}: as if the measured power were compressed (saturation)"
         return SpeckleFact("none of them", words, rivals=rivals, measured=measured)
     found = _found(data, best, fits[best], rivals, measured)
-    if found.told:
+    if found.known:
         return found
     words = f"{_unlike(data)}: the cumulants do not tell how much of it is looks, and how much texture"
     if data.estimated.any():

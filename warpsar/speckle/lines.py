@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from warpsar.runtime import threads
-from warpsar.speckle.compared import Compared
+from warpsar.speckle.compared import ComparedPixels
 from warpsar.speckle.draws import Speckle
 from warpsar.speckle.scan import Scan
 from warpsar.speckle.tail import Tail
@@ -19,7 +19,7 @@ DRAWS, BATCH = 200, 25
 
 
 @dataclass(frozen=True)
-class Found:
+class StrongestLine:
     """The strongest row, column or window of one residual: `z`, and the pixels `[first, end)` that it spans."""
 
     z: float
@@ -32,7 +32,7 @@ class Found:
 class Lines:
     """Sums over rows, over columns and over the windows of `Scan`, of pixels of several images."""
 
-    def __init__(self, images: Sequence[Compared], autocovariance: np.ndarray) -> None:
+    def __init__(self, images: Sequence[ComparedPixels], autocovariance: np.ndarray) -> None:
         self.images = [image for image in images if image.interior.any()]
         self.numbers = [k for k, image in enumerate(images) if image.interior.any()]
         self.autocovariance = autocovariance
@@ -58,21 +58,21 @@ class Lines:
         seeds = np.random.SeedSequence(seed).spawn(DRAWS // BATCH)
         return Tail.of(np.concatenate(list(threads.in_threads([partial(drawn, each) for each in seeds]))))
 
-    def strongest(self, residuals: Sequence[np.ndarray]) -> Found:
+    def strongest(self, residuals: Sequence[np.ndarray]) -> StrongestLine:
         """The strongest of all; `residuals` are those of all images, an array (pixels,) each."""
         parts = [residuals[k] for k in self.numbers]
         spot = self._scan().strongest(parts)
         rows, cols = (
             (at - size // 2, at + size // 2 + 1) for at, size in zip((spot.row, spot.col), spot.window, strict=True)
         )
-        best = Found(spot.z, self.numbers[spot.observation], "window", rows, cols)
+        best = StrongestLine(spot.z, self.numbers[spot.observation], "window", rows, cols)
         for number, image, part in zip(self.numbers, self.images, parts, strict=True):
             for kind, axis, z in zip(("row", "column"), (1, 0), self._lines(image, part[:, None]), strict=True):
                 at = int(np.argmax(np.abs(z[:, 0]))) if z.size else 0
                 if z.size and abs(z[at, 0]) > abs(best.z):
                     across = np.flatnonzero(image.interior[at] if axis == 1 else image.interior[:, at])
                     extent = [(at, at + 1), (int(across[0]), int(across[-1]) + 1)]
-                    best = Found(float(z[at, 0]), number, kind, *(extent if axis == 1 else extent[::-1]))
+                    best = StrongestLine(float(z[at, 0]), number, kind, *(extent if axis == 1 else extent[::-1]))
         return best
 
     def _scan(self) -> Scan:
@@ -81,7 +81,7 @@ class Lines:
     def _split(self, drawn: np.ndarray) -> list[np.ndarray]:
         return np.split(drawn, np.cumsum([int(image.interior.sum()) for image in self.images])[:-1])
 
-    def _lines(self, image: Compared, part: np.ndarray) -> list[np.ndarray]:
+    def _lines(self, image: ComparedPixels, part: np.ndarray) -> list[np.ndarray]:
         """z of every row and of every column, shape (lines, draws); 0 where fewer than `SHORTEST` pixels are."""
         found: list[np.ndarray] = []
         for index, inflation in zip(np.nonzero(image.interior), self._along, strict=True):

@@ -2,23 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from warpsar.runtime.distributed import ONE, Ranks
-from warpsar.speckle.compared import Compared
+from warpsar.speckle.compared import ComparedPixels
 from warpsar.speckle.own import LAGS, TAPER
 
 
-def residual_autocovariance(pairs: Sequence[tuple[Compared, np.ndarray]], ranks: Ranks = ONE) -> np.ndarray:
+def residual_autocovariance(
+    pairs: Sequence[tuple[ComparedPixels, np.ndarray]], over_views: Callable[[np.ndarray], np.ndarray] = np.asarray
+) -> np.ndarray:
     """Autocovariance of the standardised residuals, shape (2 LAGS + 1, 2 LAGS + 1).
 
     `pairs`: an observation, and the residual of its interior pixels divided by the speckle's own standard deviation.
-    The sums run over the observations of all `ranks`. The taper is flat to half the lags (Politis and Romano, 1995).
-    One that falls from the first lag on makes intervals a quarter too short where speckle is correlated over two
-    pixels. Lags below three times their sampling error are set to zero, and so are negative ones: correlation can
-    only widen an interval.
+    `over_views` gives the sum over all views of what is found for those of `pairs`. The taper is flat to half the
+    lags (Politis and Romano, 1995). One that falls from the first lag on makes intervals a quarter too short where
+    speckle is correlated over two pixels. Lags below three times their sampling error are set to zero, and so are
+    negative ones: correlation can only widen an interval.
     """
     lags, size = LAGS, 2 * LAGS + 1
     total, count = np.zeros((size, size)), np.zeros((size, size))
@@ -32,7 +33,7 @@ def residual_autocovariance(pairs: Sequence[tuple[Compared, np.ndarray]], ranks:
             for sums, image in ((total, grid), (count, inside)):
                 sums[i, j] += np.einsum("ij,ij->", *_overlapping(image, lags - i, lags - j))
             total[-1 - i, -1 - j], count[-1 - i, -1 - j] = total[i, j], count[i, j]
-    total, count = ranks.sum(total), ranks.sum(count)
+    total, count = over_views(total), over_views(count)
     covariance = total / np.maximum(count, 1.0)
     variance = covariance[lags, lags]
     noise = covariance < 3.0 * variance / np.sqrt(np.maximum(count, 1.0))

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from warpsar.speckle.compared import Compared
+from warpsar.speckle.compared import ComparedPixels
 
 Window = tuple[int, int]
 """Rows and columns of pixels."""
@@ -29,7 +29,7 @@ class Spot:
     window: Window
 
     @classmethod
-    def heard(cls, told: Mapping[str, Any]) -> Spot:
+    def from_content(cls, told: Mapping[str, Any]) -> Spot:
         """The spot that `asdict` gave, back from JSON."""
         window = told["window"]  # one number in checkpoints of before
         return cls(**{**told, "window": (window, window) if isinstance(window, int) else tuple(window)})
@@ -44,7 +44,7 @@ class Scan:
 
     def __init__(
         self,
-        observations: Sequence[Compared],
+        observations: Sequence[ComparedPixels],
         autocovariance: np.ndarray,
         silent: Sequence[np.ndarray] | None = None,
         windows: Sequence[Window] = WINDOWS,

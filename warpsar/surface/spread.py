@@ -6,9 +6,10 @@ import numpy as np
 import warp as wp
 
 from warpsar.kernels import shade, shade_lanes
-from warpsar.kernels.codes import Layout
+from warpsar.kernels.codes import PAGE, Layout
 from warpsar.kernels.wide import NODE_LANES
 from warpsar.runtime.launches import Launch, by_stretches
+from warpsar.runtime.structs import fill
 from warpsar.surface.stage import Stage
 from warpsar.trace.merge import starts
 
@@ -21,23 +22,23 @@ class Spread:
 
     A hit knows its nodes. So Warp's own adjoint adds nine numbers a hit to addresses to which other hits add too. Here
     A is stored by its columns, sorted once: the (hit, share) of a node lie side by side, are read in order and added up
-    in registers. Parameters that are laid out alike share one column.
+    in registers. Parameters that are laid out alike share one column. `page` counts the vectors of coordinates.
     """
 
-    def __init__(self, stage: Stage, face: wp.array, barycentric: wp.array) -> None:
+    def __init__(self, stage: Stage, face: wp.array, barycentric: wp.array, page: int = 0) -> None:
         device = face.device
-        terms, leader = _terms(stage.surface.places)
+        terms, leader = _terms(stage.surface.places[:, page * PAGE : (page + 1) * PAGE])
         entries = face.shape[0] * terms.shape[1]
         none = stage.surface.nodes.size
         table: wp.array = wp.array(terms, dtype=wp.vec2i, device=device)
-        mesh = [stage.target.faces, stage.face_material, stage.uv, stage.places, table]
+        seen = [fill(shade.OnMesh, face=face, barycentric=barycentric), stage.node_maps[page]]
 
         def empty(n: int, dtype: type = int) -> wp.array:
             return wp.empty(n, dtype=dtype, device=device)
 
         # twice as long as they are: the sort's room
         node, entry = empty(2 * entries), empty(2 * entries)
-        inputs = [face, barycentric, *mesh, none]
+        inputs = [*seen, table, none]
         wp.launch(shade.site_kernel, entries, inputs=inputs, outputs=[node, entry], device=device)
         wp.utils.radix_sort_pairs(node, entry, entries, 0, max(1, none.bit_length()))
         self.first, used = starts(node[:entries] if entries else node, _LONGEST, none), entries
@@ -47,11 +48,10 @@ class Spread:
             self.first = self.first[:last] if last else empty(0)
         stretches = self.first.shape[0]
         self.part = empty(used, wp.int64)
-        inputs = [entry, face, barycentric, *mesh]
+        inputs = [*seen, entry, table]
         wp.launch(shade.share_kernel, used, inputs=inputs, outputs=[self.part], device=device)
         self.target = empty(stretches, wp.vec4i)
-        inputs = [self.first, entry, node, face, stage.face_material, stage.places, table]
-        inputs.append(wp.array(leader, dtype=int, device=device))
+        inputs = [*seen, self.first, entry, node, table, wp.array(leader, dtype=int, device=device)]
         wp.launch(shade.target_kernel, stretches, inputs=inputs, outputs=[self.target], device=device)
 
     def adding(self, zeta_gradient: wp.array, nodes_gradient: wp.array) -> Launch:

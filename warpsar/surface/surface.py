@@ -8,13 +8,18 @@ through one table.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from warpsar.errors import InputError
-from warpsar.kernels.codes import Layout, Model, Spectrum
+from warpsar.kernels.codes import PAGE, Layout, Spectrum
+from warpsar.models import registry
+from warpsar.models.base import parameters
+from warpsar.models.base.model import DEFAULT, SurfaceParameter
+from warpsar.models.base.parameters import OF_SURFACES
 from warpsar.world.pixels import Pixels
 from warpsar.world.tables import Material
 from warpsar.world.transform import Transform
@@ -23,13 +28,20 @@ from warpsar.world.world import World
 
 @dataclass(frozen=True)
 class Kind:
-    """A surface parameter: its key in scene.toml, its symbol, its learned coordinate, and how far a fit may go (SI)."""
+    """A surface parameter: its key in scene.toml, its symbol, its learned coordinate, and how far a fit may go (SI).
+
+    `low_limit` and `high_limit` are the least and the most that it may be at all.
+    """
 
     key: str
     symbol: str
     transform: Transform
     low: float
     high: float
+    low_limit: float
+    high_limit: float
+    own: bool
+    """Whether one model alone has it: then it is one number for each material."""
 
     def to_coordinate(self, value: ArrayLike) -> np.ndarray:
         """The learned coordinate of a value, of its shape."""
@@ -49,15 +61,28 @@ class Kind:
             return np.asarray(self.from_coordinate(np.array([node - 1.96 * sd, node + 1.96 * sd])))
 
 
-KINDS = (
-    Kind("eps_r", "eps_r", Transform("contrast"), 1.01, 300.0),
-    Kind("rms_height_m", "h", Transform("log"), 1e-6, 10.0),
-    Kind("correlation_length_m", "l", Transform("log"), 1e-5, 100.0),
-    Kind("specular_fraction", "tau", Transform("logit"), 1e-6, 1.0 - 1e-6),
-)
+@cache
+def _kind(parameter: SurfaceParameter) -> Kind:
+    low, high = parameter.limits
+    least = low if parameter.from_low else float(np.nextafter(low, np.inf))
+    bounds = parameter.low, parameter.high, least, high
+    return Kind(
+        parameter.key, parameter.symbol, Transform(parameter.coordinate), *bounds, own=parameter not in OF_SURFACES
+    )
+
+
+def kinds_of(model: str) -> tuple[Kind, ...]:
+    """What sigma0 by a model depends on."""
+    return tuple(map(_kind, registry.get(model).parameters))
+
+
+def places_of(model: str) -> tuple[Kind, ...]:
+    """The learned coordinates of a hit, by their places; a place that the model has not has a `KINDS`."""
+    return tuple(map(_kind, parameters.places_of(registry.get(model).parameters)))
+
+
+KINDS = tuple(map(_kind, OF_SURFACES))
 KEYS = tuple(kind.key for kind in KINDS)
-LEVEL = Kind("level", "g", Transform("log"), 1e-4, 1e4)
-"""In the place of the first kind, where a table of sigma0 stands for the surface (model `facet`)."""
 
 
 @dataclass(frozen=True)
@@ -96,9 +121,10 @@ def _refuse_smooth(scene: World, name: str, material: Material) -> None:
 class Surface:
     """The parameters of all materials, and what each node means.
 
-    `nodes`, float64 (n,), are in the learned coordinates. `places`, int32 (materials, 4, 4), is the kernels' table of
-    (layout, offset, width, height) for each parameter. `spectrum` (int), `eps_im` and `aspect` (l_y / l_x),
-    (materials,), are never learned; nor are `model` (int), and the files of `sigma0` (tables) and of
+    `nodes`, float64 (n,), are in the learned coordinates. `places`, int32 (materials, p, 4), is the kernels' table of
+    (layout, offset, width, height) for each parameter; p is 4, or the next multiple of it where a model has more.
+    `spectrum` (int), `eps_im` and `aspect` (l_y / l_x),
+    (materials,), are never learned; nor are the names of `model`, and the files of `sigma0` (tables) and of
     `learned_term`.
     """
 
@@ -109,7 +135,7 @@ class Surface:
     spectrum: np.ndarray
     eps_im: np.ndarray
     aspect: np.ndarray
-    model: np.ndarray
+    model: tuple[str, ...]
     sigma0: tuple[Path | None, ...]
     learned_term: tuple[Path | None, ...]
 
@@ -119,20 +145,19 @@ class Surface:
         blocks: list[Block] = []
         values: list[np.ndarray] = []
         names = tuple(scene.mesh.materials)
-        places = np.zeros((len(names), len(KINDS), 4), np.int32)
+        most = max(len(places_of(scene.materials[name].model)) for name in names)
+        places = np.zeros((len(names), -(-most // PAGE) * PAGE, 4), np.int32)
+        places[:, :, 0] = Layout.HELD
         spectrum = np.zeros(len(names), np.int32)
         eps_im = np.zeros(len(names), np.float32)
         aspect = np.ones(len(names), np.float32)
-        model = np.zeros(len(names), np.int32)
         start = 0
         for m, name in enumerate(names):
             material = scene.materials[name]
             _refuse_smooth(scene, name, material)
             spectrum[m] = Spectrum[material.spectrum.upper()]
-            model[m] = Model[material.model.upper()]
             ends: tuple[int, int] | None = None  # the first and the last vertex of its faces
-            kinds = (LEVEL, *KINDS[1:]) if material.model == "facet" else KINDS
-            for k, kind in enumerate(kinds):
+            for k, kind in enumerate(places_of(material.model)):
                 declared = getattr(material, kind.key)
                 if declared is None:
                     declared = 1.0  # the model does not look at it
@@ -162,9 +187,15 @@ class Surface:
                 values.append(kind.to_coordinate(value).ravel())
                 start += value.size
         tables = tuple(scene.materials[name].sigma0 for name in names)
+        model = tuple(scene.materials[name].model for name in names)
         terms = tuple(scene.materials[name].learned_term for name in names)
         nodes = np.concatenate(values)
         return cls(names, tuple(blocks), nodes, places, spectrum, eps_im, aspect, model, tables, terms)
+
+    @property
+    def by_default(self) -> np.ndarray:
+        """Which materials have the default model, (materials,) bool."""
+        return np.array([model == DEFAULT for model in self.model])
 
     def block(self, material: str, key: str) -> Block:
         """The nodes of one parameter of a material."""

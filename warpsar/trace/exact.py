@@ -14,13 +14,14 @@ import numpy as np
 import warp as wp
 
 from warpsar.kernels import coverage as kernels
-from warpsar.trace.hits import BinGrid, Hits
+from warpsar.kernels.trace import HitArrays
+from warpsar.runtime.structs import allocate, fill
+from warpsar.trace.hits import ARRAYS, BinGrid, Hits
 from warpsar.trace.rays import ray_grid
 from warpsar.trace.target import Target
 from warpsar.world.frame import ViewGeometry
 
 SLABS = 4  # of a column, at least: lines where faces run through one another are no events
-_BORDERS = ("low_start", "low_end", "high_start", "high_end")  # of a face in a slab
 EDGE_ON = 1e-9  # of a face's longest edge squared: a smaller area across the look direction cannot be seen
 BOW = 4e-3  # of a pixel in range: how far a face about a track may bend away from its plane over (azimuth, elevation)
 
@@ -41,28 +42,29 @@ def exact_hits(
     are flat over (azimuth, elevation) to `BOW` pixels.
     """
     device, pixel_area = target.device, pixel_area_m2 or grid.pixel_area_m2
-    seen = Seen.of(target, geometry, grid)
+    seen = ProjectedMesh.of(target, geometry, grid)
     pixel, face, area, points = _merged_hits(
         seen, _covered(seen, grid, only_columns or (0, grid.shape[1]), device), grid
     )
     rays = ray_grid(target, geometry, grid, rays_per_m2, pixel_area)
     barycentric = _barycentric(target.corners[seen.faces[face]], points).astype(np.float32)
     n = len(pixel)
-    arrays: dict[str, Any] = {
-        "pixel": wp.array(pixel.astype(np.int32), dtype=int, device=device),
-        "face": wp.array(face.astype(np.int32), dtype=int, device=device),
-        "barycentric": wp.array(barycentric, dtype=wp.vec2, device=device),
-    }
-    found = [wp.empty(n, dtype=kind, device=device) for kind in (wp.vec3, float, float, float)]
-    inputs = [rays, target.vertices, target.faces, arrays["face"], arrays["barycentric"]]
-    wp.launch(kernels.lit_point_kernel, n, inputs=inputs, outputs=found, device=device)
-    arrays |= dict(zip(("point", "cos_incidence", "cos_twist", "cos2_azimuth"), found, strict=True))
-    cosine = np.maximum(found[1].numpy().astype(float), 1e-6)
-    arrays["weight"] = wp.array((area / (cosine * pixel_area)).astype(np.float32), dtype=float, device=device)
+    hits = allocate(
+        HitArrays,
+        n,
+        device,
+        pixel=wp.array(pixel.astype(np.int32), dtype=int, device=device),
+        face=wp.array(face.astype(np.int32), dtype=int, device=device),
+        barycentric=wp.array(barycentric, dtype=wp.vec2, device=device),
+    )
+    wp.launch(kernels.lit_point_kernel, n, inputs=[rays, target.triangles], outputs=[hits], device=device)
+    cosine = np.maximum(hits.cos_incidence.numpy().astype(float), 1e-6)
+    hits.weight.assign((area / (cosine * pixel_area)).astype(np.float32))
+    arrays = {name: getattr(hits, name) for name in ARRAYS}
     return Hits(grid, geometry, rays_per_m2=rays_per_m2, seed=seed, rays=0, **arrays)
 
 
-def _merged_hits(seen: Seen, cells: _Covered, grid: BinGrid) -> tuple[np.ndarray, ...]:
+def _merged_hits(seen: ProjectedMesh, cells: _Covered, grid: BinGrid) -> tuple[np.ndarray, ...]:
     """Pixel, face, area across the look direction [m^2] and mean point (n, 3) [m], one for each face in a pixel."""
     points = seen.points(cells.face, cells.azimuth / cells.area, cells.elevation / cells.area)
     area, parent = cells.area * seen.stretch(points), seen.parent[cells.face]
@@ -88,7 +90,7 @@ def _barycentric(corners: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 
 @dataclass
-class Seen:
+class ProjectedMesh:
     """A mesh across the look direction of a view.
 
     `azimuth`, `elevation` and `range` [m] of every corner, shape (vertices,); about a track the elevation is the angle
@@ -106,7 +108,7 @@ class Seen:
     plane: np.ndarray
 
     @classmethod
-    def of(cls, target: Target, geometry: ViewGeometry, grid: BinGrid) -> Seen:
+    def of(cls, target: Target, geometry: ViewGeometry, grid: BinGrid) -> ProjectedMesh:
         faces = target.faces.numpy()
         points, corners = _merged(target.corners, faces)
         parent = np.arange(len(faces))
@@ -194,7 +196,7 @@ class _Covered:
 
 
 @dataclass
-class Sweep:
+class ColumnSweep:
     """What one sweep over the columns of a view takes, on the device.
 
     `face` are the candidates' faces and `first` where each column's candidates begin; `low` is the first row of each
@@ -205,7 +207,8 @@ class Sweep:
     device: wp.Device
     columns: int
     inputs: list[Any]
-    cells: kernels.Cells
+    room: kernels.Stretches
+    cells: kernels.CandidateCells
     face: np.ndarray
     first: np.ndarray
     low: np.ndarray
@@ -213,7 +216,7 @@ class Sweep:
     order: np.ndarray
 
     @classmethod
-    def of(cls, seen: Seen, grid: BinGrid, columns: tuple[int, int], device: wp.Device) -> Sweep:
+    def of(cls, seen: ProjectedMesh, grid: BinGrid, columns: tuple[int, int], device: wp.Device) -> ColumnSweep:
         rows = grid.shape[0]
         border = grid.start_m[1] + grid.spacing_m[1] * np.arange(columns[0], columns[1] + 1)
         first, face = _in_columns(seen.azimuth[seen.corners], border, seen.elevation[seen.corners].min(axis=1))
@@ -222,32 +225,39 @@ class Sweep:
         low = np.clip(np.floor(place.min(axis=1)).astype(np.int64) - 1, 0, rows)[face]
         high = np.clip(np.floor(place.max(axis=1)).astype(np.int64) + 2, 0, rows)[face]
         start = np.concatenate([[0], np.cumsum(np.maximum(high - low, 1))])
-        cells = kernels.Cells()
-        cells.first_row, cells.start = _put(low, int, device), _put(start[:-1], int, device)
-        for name in ("area", "azimuth", "elevation"):
-            setattr(cells, name, wp.zeros(int(start[-1]), dtype=wp.float64, device=device))
+        sums = {
+            name: wp.zeros(int(start[-1]), dtype=wp.float64, device=device) for name in ("area", "azimuth", "elevation")
+        }
+        cells = fill(
+            kernels.CandidateCells, first_row=_put(low, int, device), start=_put(start[:-1], int, device), **sums
+        )
         order = np.argsort(seen.azimuth[seen.corners], axis=1, kind="stable")
         corners = np.take_along_axis(seen.corners, order, axis=1)
-        faces = kernels.Faces()
-        faces.azimuth = _put(seen.azimuth[corners], wp.float64, device)
-        faces.elevation = _put(seen.elevation[corners], wp.float64, device)
-        faces.plane = _put(seen.plane, wp.float64, device)
-        room = kernels.Stretches()
-        for part in ("order", "face", "place", *_BORDERS):
-            kind = wp.float64 if part in _BORDERS else int
-            setattr(room, part, wp.empty(len(face), dtype=kind, device=device))
-        inputs = [faces, _put(face, int, device), _put(first, int, device), _put(events, wp.float64, device)]
-        inputs += [_put(first_event, int, device), rows, wp.float64(grid.start_m[0]), wp.float64(grid.spacing_m[0])]
-        return cls(device, len(border) - 1, [*inputs, room], cells, face, first, low, start, order)
+        faces = fill(
+            kernels.Faces,
+            azimuth=_put(seen.azimuth[corners], wp.float64, device),
+            elevation=_put(seen.elevation[corners], wp.float64, device),
+            plane=_put(seen.plane, wp.float64, device),
+        )
+        within = fill(
+            kernels.Columns,
+            candidates=_put(face, int, device),
+            first_candidate=_put(first, int, device),
+            events=_put(events, wp.float64, device),
+            first_event=_put(first_event, int, device),
+        )
+        lines = fill(kernels.Rows, count=rows, start=grid.start_m[0], spacing=grid.spacing_m[0])
+        room = allocate(kernels.Stretches, len(face), device)
+        return cls(device, len(border) - 1, [faces, within, lines], room, cells, face, first, low, start, order)
 
     def run(self, pieces: kernels.Pieces) -> None:
         """Add up the areas in `cells`, and keep the visible `pieces` where they have room."""
-        outputs = [self.cells, pieces]
+        outputs = [self.room, self.cells, pieces]
         wp.launch(kernels.coverage_kernel, self.columns, inputs=self.inputs, outputs=outputs, device=self.device)
 
 
-def _covered(seen: Seen, grid: BinGrid, columns: tuple[int, int], device: wp.Device) -> _Covered:
-    sweep = Sweep.of(seen, grid, columns, device)
+def _covered(seen: ProjectedMesh, grid: BinGrid, columns: tuple[int, int], device: wp.Device) -> _Covered:
+    sweep = ColumnSweep.of(seen, grid, columns, device)
     sweep.run(kernels.Pieces())
     cells, first, low, start = sweep.cells, sweep.first, sweep.low, sweep.start
     area = cells.area.numpy()
@@ -280,7 +290,7 @@ def _in_columns(
     return np.searchsorted(column[order], np.arange(columns + 1)), element[order]
 
 
-def _events(seen: Seen, border: np.ndarray, device: wp.Device) -> tuple[np.ndarray, np.ndarray]:
+def _events(seen: ProjectedMesh, border: np.ndarray, device: wp.Device) -> tuple[np.ndarray, np.ndarray]:
     """Azimuths between which the order of edges stays, by column: the borders, vertices, and crossings."""
     columns, spacing = len(border) - 1, border[1] - border[0]
     edges, outline = _edges(seen)
@@ -288,23 +298,29 @@ def _events(seen: Seen, border: np.ndarray, device: wp.Device) -> tuple[np.ndarr
     first, element = _in_columns(azimuth, border)
     own = np.flatnonzero(outline)
     first_own, own_element = _in_columns(azimuth[own], border)
-    held = kernels.Edges()
     order = np.take_along_axis(edges, np.argsort(azimuth, axis=1, kind="stable"), axis=1)
     ends = np.stack([seen.azimuth[order], seen.elevation[order], seen.range[order]], axis=-1)
-    held.start, held.end = (_put(ends[:, k], wp.float64, device) for k in (0, 1))
-    lists = [_put(x, int, device) for x in (own[own_element], first_own, element, first)]
-    borders = _put(border, wp.float64, device)
+    known = [
+        fill(
+            kernels.CoverageEdges, start=_put(ends[:, 0], wp.float64, device), end=_put(ends[:, 1], wp.float64, device)
+        ),
+        fill(
+            kernels.EdgesInColumns,
+            outlines=_put(own[own_element], int, device),
+            first_outline=_put(first_own, int, device),
+            others=_put(element, int, device),
+            first_other=_put(first, int, device),
+            border=_put(border, wp.float64, device),
+        ),
+    ]
     counts = wp.zeros(columns, dtype=int, device=device)
     nowhere, none = wp.zeros(columns, dtype=int, device=device), wp.zeros(0, dtype=wp.float64, device=device)
-    wp.launch(
-        kernels.crossing_kernel, columns, inputs=[held, *lists, borders, nowhere], outputs=[counts, none], device=device
-    )
+    wp.launch(kernels.crossing_kernel, columns, inputs=[*known, nowhere], outputs=[counts, none], device=device)
     number = counts.numpy()
     crossings = wp.zeros(int(number.sum()), dtype=wp.float64, device=device)
     if crossings.shape[0]:
         begin = _put(np.cumsum(number) - number, int, device)
-        inputs = [held, *lists, borders, begin]
-        wp.launch(kernels.crossing_kernel, columns, inputs=inputs, outputs=[counts, crossings], device=device)
+        wp.launch(kernels.crossing_kernel, columns, inputs=[*known, begin], outputs=[counts, crossings], device=device)
     corner = seen.azimuth[np.unique(seen.corners)]
     corner = corner[(corner > border[0]) & (corner < border[-1])]
     cuts = border[:-1, None] + spacing * np.arange(SLABS) / SLABS
@@ -321,7 +337,7 @@ def _events(seen: Seen, border: np.ndarray, device: wp.Device) -> tuple[np.ndarr
     return every[sort], np.searchsorted(where[sort], np.arange(columns + 1))
 
 
-def _edges(seen: Seen) -> tuple[np.ndarray, np.ndarray]:
+def _edges(seen: ProjectedMesh) -> tuple[np.ndarray, np.ndarray]:
     """Edges as pairs of vertices, (n, 2), and which of them are outlines, (n,) bool.
 
     Two faces on either side of an edge, as the radar sees them, hide alike what lies behind it. All other edges are

@@ -9,7 +9,8 @@ import warp as wp
 
 from warpsar.kernels import coverage as kernels
 from warpsar.kernels import coverage_adjoint as adjoint
-from warpsar.trace.exact import Seen, Sweep
+from warpsar.runtime.structs import allocate, fill
+from warpsar.trace.exact import ColumnSweep, ProjectedMesh
 from warpsar.trace.hits import BinGrid
 from warpsar.trace.target import Target
 from warpsar.world.frame import ViewGeometry
@@ -34,21 +35,24 @@ def area_slopes(
     The sum goes over k, over faces, and over pixels: `power` is what a square metre across the look direction returns,
     shape (k, faces), and `image` the weight of each pixel, shape (k, rows, cols). `power` is held.
     """
-    seen = Seen.of(target, geometry, grid)
+    seen = ProjectedMesh.of(target, geometry, grid)
     device = target.device
-    sweep = Sweep.of(seen, grid, (0, grid.shape[1]), device)
+    sweep = ColumnSweep.of(seen, grid, (0, grid.shape[1]), device)
     pieces, count = _pieces(sweep)
-    worth = adjoint.Worth()
-    worth.image = wp.array(np.ascontiguousarray(image, np.float64), dtype=wp.float64, device=device)
-    worth.power = wp.array(np.ascontiguousarray(power[:, seen.parent], np.float64), dtype=wp.float64, device=device)
-    worth.first_column = 0
-    slopes = adjoint.Slopes()
+    worth = fill(
+        adjoint.Worth,
+        image=wp.array(np.ascontiguousarray(image, np.float64), dtype=wp.float64, device=device),
+        power=wp.array(np.ascontiguousarray(power[:, seen.parent], np.float64), dtype=wp.float64, device=device),
+    )
     faces = len(seen.corners)
-    slopes.corners = wp.zeros((faces, 6), dtype=wp.float64, device=device)
-    slopes.plane = wp.zeros((faces, 3), dtype=wp.float64, device=device)
+    slopes = fill(
+        adjoint.CoverageSlopes,
+        corners=wp.zeros((faces, 6), dtype=wp.float64, device=device),
+        plane=wp.zeros((faces, 3), dtype=wp.float64, device=device),
+    )
     corner_id = np.take_along_axis(seen.corners, sweep.order, axis=1)
-    inputs = [sweep.inputs[0], wp.array(corner_id.astype(np.int32), dtype=int, device=device), pieces, worth]
-    inputs += [wp.float64(grid.start_m[0]), wp.float64(grid.spacing_m[0])]
+    faces_seen, _, rows = sweep.inputs
+    inputs = [faces_seen, wp.array(corner_id.astype(np.int32), dtype=int, device=device), pieces, worth, rows]
     wp.launch(adjoint.coverage_adjoint_kernel, count, inputs=inputs, outputs=[slopes], device=device)
     by_corner = _to_corners(seen, sweep.order, slopes)
     found = np.zeros_like(target.corners)
@@ -56,26 +60,25 @@ def area_slopes(
     return found
 
 
-def _pieces(sweep: Sweep) -> tuple[kernels.Pieces, int]:
+def _pieces(sweep: ColumnSweep) -> tuple[kernels.Pieces, int]:
     """The visible pieces of a sweep, and how many there are: they are counted first."""
-    device, pieces = sweep.device, kernels.Pieces()
-    pieces.count = wp.zeros(sweep.columns, dtype=int, device=device)
+    device = sweep.device
+    pieces = fill(kernels.Pieces, count=wp.zeros(sweep.columns, dtype=int, device=device))
     sweep.run(pieces)
     ends = np.cumsum(pieces.count.numpy())
     count = int(ends[-1])
-    pieces.first = wp.array(np.concatenate([[0], ends[:-1]]).astype(np.int32), dtype=int, device=device)
-    for name in ("face", "column"):
-        setattr(pieces, name, wp.empty(count, dtype=int, device=device))
-    for name in ("start", "end"):
-        setattr(pieces, name, wp.empty(count, dtype=wp.float64, device=device))
-    for name in ("low", "high"):
-        setattr(pieces, name, wp.empty((count, 2), dtype=wp.float64, device=device))
-        setattr(pieces, f"{name}_by", wp.empty((count, 2), dtype=int, device=device))
+    pieces = allocate(
+        kernels.Pieces,
+        count,
+        device,
+        first=wp.array(np.concatenate([[0], ends[:-1]]).astype(np.int32), dtype=int, device=device),
+        count=pieces.count,
+    )
     sweep.run(pieces)
     return pieces, count
 
 
-def _to_corners(seen: Seen, order: np.ndarray, slopes: adjoint.Slopes) -> np.ndarray:
+def _to_corners(seen: ProjectedMesh, order: np.ndarray, slopes: adjoint.CoverageSlopes) -> np.ndarray:
     """Derivatives to the faces' corners in the world, (faces, 3 corners, 3)."""
     azimuth, elevation = seen.azimuth[seen.corners], seen.elevation[seen.corners]
     # a plane p goes through its corners: p0 + p1 a + p2 e = r

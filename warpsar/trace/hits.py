@@ -7,9 +7,13 @@ from typing import Any
 
 import warp as wp
 
+from warpsar.kernels.trace import HitArrays
+from warpsar.runtime.structs import element_types, fill
 from warpsar.world.frame import ViewGeometry
 
 DEFAULT_MEMORY_GIB = 2.0
+ARRAYS = element_types(HitArrays)
+"""The arrays of `Hits`, and the types of their elements."""
 
 
 @dataclass(frozen=True)
@@ -80,6 +84,11 @@ class Hits:
     @property
     def count(self) -> int:
         return int(self.pixel.shape[0])
+
+    @property
+    def arrays(self) -> Any:
+        """All arrays as kernels take them."""
+        return fill(HitArrays, **{name: getattr(self, name) for name in ARRAYS})
 
 
 def concatenate(parts: list[wp.array], dtype: type, device: wp.Device) -> wp.array:

@@ -64,7 +64,7 @@ def launch_layers(
         wp.launch(
             kernels.layers_kernel,
             min(width, last - begin),
-            inputs=[rays, target.bvh.id, target.vertices, target.faces, begin],
+            inputs=[rays, target.triangles, target.bvh.id, begin],
             outputs=[visits, hidden],
             device=device,
         )

@@ -7,13 +7,16 @@ times faster (docs/benchmarks.md). Rays in any other direction, such as those of
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import warp as wp
 
 from warpsar.kernels import raster
 from warpsar.kernels import raster_lanes as lanes
-from warpsar.kernels.geometry import RayGrid
+from warpsar.kernels.geometry import Band, RayGrid
 from warpsar.runtime.launches import Launch, by_elements
+from warpsar.runtime.structs import allocate, fill
 from warpsar.trace.target import Target
 
 # Nanoseconds of one core: to look at a face, to test a ray against a face, to send a ray through the BVH
@@ -36,11 +39,10 @@ class Raster:
         self.target, self.grid = target, grid
         cells = cells or (grid.first_cell, grid.end_cell - 1)
         device, faces = target.device, target.faces.shape[0]
-        self._corner, self._slack = _projected(target, grid)
+        self._mesh = _projected(target, grid)
         self._cells: wp.array = wp.empty(faces, dtype=wp.vec4i, device=device)
-        inputs = [grid, self._corner, target.faces, self._slack]
         pieces = by_elements([target.faces, self._cells])
-        Launch(raster.extent_kernel, faces, inputs, [self._cells], device, pieces).launch()
+        Launch(raster.extent_kernel, faces, [grid, self._mesh], [self._cells], device, pieces).launch()
         first, order = wp.empty(grid.cols + 1, dtype=int, device=device), wp.zeros(faces, dtype=int, device=device)
         counts = wp.zeros(2, dtype=wp.float64, device=device)
         inputs, outputs = [self._cells, grid.cells_per_column, *cells], [first, order, counts]
@@ -68,34 +70,22 @@ class Raster:
         near = slice(int(self._begin[max(0, columns[0])]), int(self._begin[columns[1]]))
         rays = (last - first) * grid.elevation_cells
         room = rays + lanes.LANES
-        azimuth, higher = (wp.empty(room, dtype=float, device=device) for _ in range(2))
-        # what rays about a track need besides
-        track = [wp.empty(room if grid.slant_range else 0, dtype=float, device=device) for _ in range(3)]
-        depth: wp.array = wp.full(room, np.inf, dtype=float, device=device)
-        found: wp.array = wp.full(room, -1, dtype=int, device=device)
-        inputs, outputs = [grid, first, seed], [azimuth, higher, *track]
-        wp.launch(lanes.ray_kernel, last - first, inputs=inputs, outputs=outputs, device=device)
-        wp.launch(
-            lanes.raster_kernel,
-            near.stop - near.start,
-            inputs=[
-                self.grid,
-                self._corner,
-                self.target.faces,
-                self._cells,
-                self._order,
-                near.start,
-                azimuth,
-                higher,
-                *track,
-                first,
-                last - 1,
-                self._slack,
-            ],
-            outputs=[depth, found],
-            device=device,
+        # what only rays about a track need
+        needless = {} if grid.slant_range else dict.fromkeys(("along", "cosine", "sine"))
+        band, each = (
+            fill(Band, first_cell=first, end_cell=last, seed=seed),
+            allocate(lanes.BandRays, room, device, **needless),
         )
-        return found[:rays]
+        found = fill(
+            lanes.Nearest,
+            depth=wp.full(room, np.inf, dtype=float, device=device),
+            face=wp.full(room, -1, dtype=int, device=device),
+        )
+        wp.launch(lanes.ray_kernel, last - first, inputs=[grid, band], outputs=[each], device=device)
+        mine = fill(lanes.InColumns, cells=self._cells, order=self._order, begin=near.start)
+        inputs = [grid, self._mesh, mine, band, each]
+        wp.launch(lanes.raster_kernel, near.stop - near.start, inputs=inputs, outputs=[found], device=device)
+        return found.face[:rays]
 
 
 class ParallelRaster:
@@ -106,7 +96,7 @@ class ParallelRaster:
 
     def __init__(self, target: Target, grid: RayGrid) -> None:
         self.target, self.grid = target, grid
-        self._corner, self._slack = _projected(target, grid)
+        self._mesh = _projected(target, grid)
 
     @classmethod
     def where_it_pays(cls, target: Target, grid: RayGrid, first: int, last: int) -> ParallelRaster | None:
@@ -120,35 +110,23 @@ class ParallelRaster:
 
     def nearest(self, first: int, last: int, seed: int) -> wp.array:
         """As for `Raster`; a view of every other element of an array twice as long."""
-        target, grid, device = self.target, self.grid, self.target.device
-        faces, rays = target.faces.shape[0], (last - first) * grid.elevation_cells
+        grid, device = self.grid, self.target.device
+        faces, rays = self.target.faces.shape[0], (last - first) * grid.elevation_cells
         found: wp.array = wp.full(rays, raster.NO_FACE, dtype=wp.int64, device=device)
-        large: wp.array = wp.zeros(1, dtype=wp.int64, device=device)
-        large_face: wp.array = wp.empty(faces, dtype=int, device=device)
-        large_begin: wp.array = wp.empty(faces, dtype=wp.int64, device=device)
+        large = allocate(raster.LargeFaces, faces, device, count=wp.zeros(1, dtype=wp.int64, device=device))
+        seen = [grid, self._mesh, fill(Band, first_cell=first, end_cell=last, seed=seed)]
         wp.launch(
             raster.draw_kernel,
             faces * raster.FACE_LANES,
-            inputs=[grid, self._corner, target.faces, first, last - 1, self._slack, seed, found, large],
-            outputs=[large_face, large_begin],
+            inputs=seen,
+            outputs=[found, large],
             device=device,
             block_dim=raster.BLOCK,
         )
         wp.launch(
             raster.draw_large_kernel,
             _GROUPS * raster.FACE_LANES,
-            inputs=[
-                grid,
-                self._corner,
-                target.faces,
-                first,
-                self._slack,
-                seed,
-                _GROUPS,
-                large,
-                large_face,
-                large_begin,
-            ],
+            inputs=[*seen, large, _GROUPS],
             outputs=[found],
             device=device,
             block_dim=raster.BLOCK,
@@ -156,15 +134,16 @@ class ParallelRaster:
         return _low_half(found)
 
 
-def _projected(target: Target, grid: RayGrid) -> tuple[wp.array, float]:
-    """The mesh's vertices from `kernels.raster.project_kernel` (vec4), and how far they may be off [cells]."""
+def _projected(target: Target, grid: RayGrid) -> Any:
+    """The mesh's `kernels.raster.Projection`."""
     device, vertices = target.device, target.vertices.shape[0]
     wp.load_module(raster, device=device, block_dim=raster.BLOCK)
     corner: wp.array = wp.empty(vertices, dtype=wp.vec4, device=device)
     inputs = [grid, target.vertices]
     wp.launch(raster.project_kernel, vertices, inputs=inputs, outputs=[corner], device=device, block_dim=raster.BLOCK)
     # in float32 a corner's place is uncertain by about 2^-22 of the grid
-    return corner, 1e-3 + 1e-6 * max(grid.elevation_cells, grid.cols * grid.cells_per_column)
+    slack = 1e-3 + 1e-6 * max(grid.elevation_cells, grid.cols * grid.cells_per_column)
+    return fill(raster.ProjectedVertices, corner=corner, faces=target.faces, slack=slack)
 
 
 def _low_half(values: wp.array) -> wp.array:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import cached_property
 from threading import Lock
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -12,7 +13,9 @@ from numpy.typing import ArrayLike
 
 from warpsar.kernels import raster
 from warpsar.kernels import trace as kernels
+from warpsar.kernels.geometry import Triangles
 from warpsar.kernels.wide import WARP
+from warpsar.runtime.structs import fill
 from warpsar.world.frame import ViewGeometry
 from warpsar.world.mesh import Mesh
 
@@ -46,6 +49,11 @@ class Target:
             wp.set_mempool_release_threshold(device, _KEPT_SHARE)
         places: wp.array = wp.array(corners, dtype=wp.vec3d, device=device, copy=False)
         return cls(device, vertices, faces, corners, places)
+
+    @cached_property
+    def triangles(self) -> Any:
+        """Vertices and faces as kernels take them."""
+        return fill(Triangles, vertices=self.vertices, faces=self.faces)
 
     @property
     def bvh(self) -> wp.Mesh:
@@ -84,7 +92,7 @@ class Target:
     def area_m2(self) -> float:
         """Area of all faces together."""
         area = wp.empty(1 if self.device.is_cpu else 16384, dtype=wp.float64, device=self.device)
-        inputs = [self.vertices, self.faces]
+        inputs = [self.triangles]
         wp.launch(
             raster.area_kernel, area.shape[0], inputs=inputs, outputs=[area], device=self.device, block_dim=raster.BLOCK
         )

@@ -12,9 +12,10 @@ from warpsar.errors import InputError
 from warpsar.kernels import hit_lanes, record_lanes
 from warpsar.kernels import trace as kernels
 from warpsar.kernels.codes import Deposit
-from warpsar.kernels.geometry import RayGrid
+from warpsar.kernels.geometry import Band, RayGrid
 from warpsar.runtime import threads
-from warpsar.trace.hits import DEFAULT_MEMORY_GIB, BinGrid, Hits, concatenate
+from warpsar.runtime.structs import allocate, fill
+from warpsar.trace.hits import ARRAYS, DEFAULT_MEMORY_GIB, BinGrid, Hits, concatenate
 from warpsar.trace.merge import rows_by_key, sorted_rows
 from warpsar.trace.nearest import ParallelRaster, Raster
 from warpsar.trace.rays import ray_grid
@@ -27,17 +28,6 @@ _BAND_RAYS = 2**20  # of a CPU's band: smaller bands share more faces, larger on
 _TILE = (4, 8)  # rays of a CUDA warp: across azimuth, along elevation
 _SEGMENT = 4  # rays of one CUDA thread when they are recorded
 _DEPOSITS = {code.name.lower(): code for code in Deposit}
-_ARRAYS = {
-    "pixel": int,
-    "face": int,
-    "barycentric": wp.vec2,
-    "weight": float,
-    "point": wp.vec3,
-    "cos_incidence": float,
-    "cos_twist": float,
-    "cos2_azimuth": float,
-}
-"""The arrays of `Hits` and their types, as the kernels write them."""
 
 
 class Progress(Protocol):
@@ -83,7 +73,7 @@ def trace(
     width = bands.width(max_memory_gib)
     bands.prepare()
 
-    def one(begin: int) -> list[wp.array] | None:
+    def one(begin: int) -> Any:
         end = min(begin + width, last)
         found = bands.hits(begin, end)
         if progress is not None:
@@ -93,10 +83,10 @@ def trace(
     tasks = [partial(one, begin) for begin in range(first, last, width)]
     parts = [part for part in threads.ordered(tasks, target.device) if part is not None]
     whole = [
-        partial(concatenate, [part[k] for part in parts], dtype, target.device)
-        for k, dtype in enumerate(_ARRAYS.values())
+        partial(concatenate, [getattr(part, name) for part in parts], dtype, target.device)
+        for name, dtype in ARRAYS.items()
     ]
-    arrays: dict[str, Any] = dict(zip(_ARRAYS, threads.ordered(whole, target.device), strict=True))
+    arrays: dict[str, Any] = dict(zip(ARRAYS, threads.ordered(whole, target.device), strict=True))
     total_rays = (last - first) * rays.elevation_cells
     return Hits(grid, geometry, rays_per_m2=rays_per_m2, seed=seed, rays=total_rays, **arrays)
 
@@ -154,22 +144,20 @@ class _Bands:
         for module in [kernels, record_lanes, hit_lanes] if self.device.is_cpu else [kernels]:
             wp.load_module(module, device=self.device, block_dim=kernels.BLOCK)
 
-    def hits(self, begin: int, end: int) -> list[wp.array] | None:
-        """The arrays of `Hits` for the azimuth cells `begin` to `end` - 1; None where no ray meets a face."""
+    def hits(self, begin: int, end: int) -> Any:
+        """The `kernels.HitArrays` of the azimuth cells `begin` to `end` - 1; None where no ray meets a face."""
         records, key, row = self._recorded(begin, end)
         n = row.shape[0]
         if not n:
             return None
-        found = [wp.empty(n, dtype=dtype, device=self.device) for dtype in _ARRAYS.values()]
-        mesh = [self.rays, self.target.vertices, self.target.faces]
+        found = allocate(kernels.HitArrays, n, self.device)
+        inputs = [self.rays, self.target.triangles, records, key, row]
         if self.device.is_cpu:
-            inputs = [*mesh, records.rows, records.quanta, key, row, self.face_bits]
             blocks = -(-n // hit_lanes.LANES)
-            wp.launch(hit_lanes.hit_kernel, blocks, inputs=inputs, outputs=found, device=self.device)
+            wp.launch(hit_lanes.hit_kernel, blocks, inputs=inputs, outputs=[found], device=self.device)
         else:
-            inputs = [*mesh, records, key, row, self.face_bits]
             block = kernels.BLOCK
-            wp.launch(kernels.hit_kernel, n, inputs=inputs, outputs=found, device=self.device, block_dim=block)
+            wp.launch(kernels.hit_kernel, n, inputs=inputs, outputs=[found], device=self.device, block_dim=block)
         return found
 
     def _recorded(self, begin: int, end: int) -> tuple[kernels.Records, wp.array, wp.array]:
@@ -178,20 +166,17 @@ class _Bands:
             face = nearest_faces(self.target, self.rays, begin, end, self.seed)
         else:
             face = self.raster.nearest(begin, end, self.seed)
-        records = kernels.Records()
-        records.quanta = self.quanta
+        records = fill(kernels.Records, quanta=self.quanta, face_bits=self.face_bits, merge=int(self.merge))
         capacity = self._expected_rows(begin, end)
         if self.device.is_cpu and self.merge:
-            records.rows, taken = self._recorded_in_columns(face, begin, end, capacity)
+            taken = self._record_in_columns(records, face, begin, end, capacity)
             return records, *rows_by_key(records.rows, taken, self.key_bits)
         segment = self.rays.elevation_cells if self.device.is_cpu else _SEGMENT
         dim = (-(-self.rays.elevation_cells // segment), end - begin)
-        mesh = [self.target.vertices, self.target.faces]
-        inputs = [self.rays, *mesh, face, begin, segment, self.seed, self.deposit, self.face_bits]
+        inputs = [self.rays, self.target.triangles, self._band(begin, end), face, segment, self.deposit]
         device, block = self.device, kernels.BLOCK
         while True:
             records.rows = wp.zeros((capacity, 4), dtype=wp.int64, device=device)
-            records.merge = int(self.merge)
             records.count = wp.zeros(2, dtype=int, device=device)
             wp.launch(kernels.record_kernel, dim, inputs=inputs, outputs=[records], device=device, block_dim=block)
             lost, taken, key, row = sorted_rows(records.rows, records.count, self.key_bits)
@@ -209,27 +194,30 @@ class _Bands:
             expected = min(expected, 2.0 * (math.sqrt(pixels) + math.sqrt(lit)) ** 2)
         return int(expected) + 1024
 
-    def _recorded_in_columns(self, face: wp.array, begin: int, end: int, capacity: int) -> tuple[wp.array, int]:
-        """Merged records of the band's rays on the CPU, in the order in which their columns left them, and how many.
+    def _band(self, begin: int, end: int) -> Any:
+        return fill(Band, first_cell=begin, end_cell=end, seed=self.seed)
 
-        Rows are as in `kernels.trace.Records`, with the key itself. `capacity` of them are expected at most.
+    def _record_in_columns(self, records: kernels.Records, face: wp.array, begin: int, end: int, capacity: int) -> int:
+        """Merge the band's rays on the CPU into `records`, in the order in which their columns leave them; how many.
+
+        `capacity` of them are expected at most.
         """
         rays, device, columns = self.rays, self.device, (end - begin) // self.rays.cells_per_column
-        across, along = (wp.empty(face.shape[0] + record_lanes.LANES, dtype=float, device=device) for _ in range(2))
-        jitter = [rays, begin, self.seed]
-        wp.launch(record_lanes.jitter_kernel, end - begin, inputs=jitter, outputs=[across, along], device=device)
-        mesh = [self.target.vertices, self.target.faces]
-        inputs = [rays, *mesh, face, across, along, begin, self.deposit, self.face_bits, self.quanta]
+        band, jitters = (
+            self._band(begin, end),
+            allocate(record_lanes.Jitters, face.shape[0] + record_lanes.LANES, device),
+        )
+        wp.launch(record_lanes.jitter_kernel, end - begin, inputs=[rays, band], outputs=[jitters], device=device)
+        inputs = [rays, self.target.triangles, band, face, jitters, self.deposit]
         while True:
-            taken = wp.zeros(1, dtype=int, device=device)
-            rows = wp.empty((capacity, 4), dtype=wp.int64, device=device)
-            link = wp.empty(capacity, dtype=int, device=device)
+            records.count = wp.zeros(2, dtype=int, device=device)
+            records.rows = wp.empty((capacity, 4), dtype=wp.int64, device=device)
             head = wp.empty(1 << (capacity // columns).bit_length(), dtype=int, device=device)
-            outputs = [head, link, taken, rows]
-            wp.launch(record_lanes.record_kernel, columns, inputs=inputs, outputs=outputs, device=device)
-            found = int(taken.numpy()[0])
+            chains = allocate(record_lanes.Chains, capacity, device, head=head)
+            wp.launch(record_lanes.record_kernel, columns, inputs=inputs, outputs=[chains, records], device=device)
+            found = int(records.count.numpy()[1])
             if found <= capacity:
-                return rows, found
+                return found
             capacity = found
 
 
@@ -242,6 +230,6 @@ def nearest_faces(target: Target, rays: RayGrid, begin: int, end: int, seed: int
     # a CPU launch walks its threads one after the other: down the columns
     tile = (1, rays.elevation_cells) if target.device.is_cpu else _TILE
     dim = (-(-(end - begin) // tile[0]), -(-rays.elevation_cells // tile[1]), tile[0] * tile[1])
-    inputs = [rays, target.bvh.id, begin, end, *tile, seed]
+    inputs = [rays, fill(Band, first_cell=begin, end_cell=end, seed=seed), target.bvh.id, *tile]
     wp.launch(kernels.query_kernel, dim, inputs=inputs, outputs=[face], device=target.device, block_dim=kernels.BLOCK)
     return face

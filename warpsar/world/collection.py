@@ -27,6 +27,8 @@ _NOT_WITH: dict[str, tuple[str, ...]] = {
     "file": ("pulses", "prf_hz", "aperture_deg", "squint_deg", "side", "transmitter"),
 }
 """What a mode cannot follow. A range or a speed beside a track from a file says what the track says."""
+RENAMED = {"resolution_m": "effects.point_spread", "noise_beta0": "effects.noise_floor"}
+"""Old keys, and the tables that say it now. The old keys act on products with phase alone, as they always did."""
 
 
 class Antenna(Table):
@@ -92,8 +94,8 @@ class Collection(Table):
     )
     resolution_m: tuple[_Positive, _Positive] | None = Field(
         default=None,
-        description="Half-power widths in slant range and azimuth [m]; they give the band and the aperture where "
-        "these are not stated.",
+        description="Old name of range_fwhm_m and azimuth_fwhm_m of [effects.point_spread], for products with phase "
+        "alone [m].",
         examples=[[0.3, 0.3]],
     )
     slant_range_m: Annotated[Number, Field(gt=0.0, le=1e9)] | None = Field(
@@ -114,7 +116,9 @@ class Collection(Table):
         default=None, description="Antenna of transmitter and receiver.", examples=[{"azimuth_deg": 0.3}]
     )
     noise_beta0: Annotated[Number, Field(ge=0.0, le=1e9)] = Field(
-        default=0.0, description="Mean beta0 of the receiver's noise in the focused image.", examples=[0.002]
+        default=0.0,
+        description="Old name of level of [effects.noise_floor], for products with phase alone.",
+        examples=[0.002],
     )
     velocity_m_s: dict[str, tuple[_Speed, _Speed, _Speed]] = Field(
         default_factory=dict,
@@ -132,6 +136,11 @@ class Collection(Table):
     scatterers_per_cell: Annotated[Number, Field(ge=1.0, le=1e4)] = Field(
         default=16.0, description="Scatterers of rough faces in a resolution cell, at least.", examples=[32.0]
     )
+
+    @property
+    def old_keys(self) -> list[str]:
+        """The keys of `RENAMED` that say something."""
+        return [key for key in RENAMED if getattr(self, key)]
 
     @model_validator(mode="after")
     def _together(self) -> Collection:

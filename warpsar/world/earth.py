@@ -34,7 +34,7 @@ def needed(frame: EarthFrame | None, path: Path) -> EarthFrame:
 
 
 @dataclass(frozen=True)
-class Origin:
+class LocalEarth:
     """World metres east and north along the ellipsoid (azimuthal equidistant), Z above the origin's height.
 
     The origin is geodetic: degrees, and metres above the WGS 84 ellipsoid. The mesh of a DEM in longitude and latitude

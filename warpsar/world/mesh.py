@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from warpsar.errors import InputError
 from warpsar.runtime import threads
-from warpsar.world.mesh_door import LARGEST_COORDINATE_M, checked
+from warpsar.world.mesh_arrays import LARGEST_COORDINATE_M, checked
 from warpsar.world.mesh_memory import arrays_of
 from warpsar.world.meshes import dem, gltf, obj, ply, stl
-from warpsar.world.meshes.part import DEFAULT_MATERIAL, Part
+from warpsar.world.meshes.part import DEFAULT_MATERIAL, MeshPart
 from warpsar.world.upright import y_up, z_up
 
 GLTF = (".gltf", ".glb")
@@ -137,7 +137,7 @@ def read_mesh(path: str | Path, *, groups: bool = False, up: str | None = None) 
 
 
 def _join(
-    path: Path, parts: list[Part], scalars: dict[str, NDArray[np.float64]], warnings: list[str], *, groups: bool
+    path: Path, parts: list[MeshPart], scalars: dict[str, NDArray[np.float64]], warnings: list[str], *, groups: bool
 ) -> Mesh:
     """Check the parts, put them into one mesh and drop faces of zero area."""
     if not any(len(part.vertices) for part in parts):
@@ -173,7 +173,7 @@ def _join(
     return Mesh(vertices, faces, face_material, names, _joined_uv(parts), scalars, tuple(warnings), named)
 
 
-def _groups(path: Path, parts: list[Part], part_of: NDArray[np.int64]) -> dict[str, NDArray[np.int32]]:
+def _groups(path: Path, parts: list[MeshPart], part_of: NDArray[np.int64]) -> dict[str, NDArray[np.int32]]:
     """Faces under each name of an OBJ's or a glTF's parts; `part_of`, (m,), is the part of each face.
 
     An OBJ's `usemtl` goes before an `o` of the same name, and that before a `g`.
@@ -203,7 +203,7 @@ def _refuse_coordinates(path: Path, vertices: NDArray[np.float64]) -> None:
         raise InputError(f"{path}: found a coordinate of {largest:g} m; must be up to {LARGEST_COORDINATE_M:g}")
 
 
-def _joined_uv(parts: list[Part]) -> NDArray[np.float32] | None:
+def _joined_uv(parts: list[MeshPart]) -> NDArray[np.float32] | None:
     """Texture coordinates of all parts, shape (n, 2); NaN for the parts that have none."""
     if all(part.uv is None for part in parts):
         return None

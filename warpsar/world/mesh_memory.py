@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from warpsar.errors import InputError, shown
-from warpsar.world.mesh_door import checked
+from warpsar.world.mesh_arrays import checked
 
 
 def arrays_of(source: Any, faces: Any, default: str) -> dict[str, Any]:

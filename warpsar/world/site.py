@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from warpsar.world.earth import EarthFrame, Origin, axes_at, ecef_to_geodetic
+from warpsar.world.earth import EarthFrame, LocalEarth, axes_at, ecef_to_geodetic
 
 F64 = NDArray[np.float64]
 
@@ -37,7 +37,7 @@ class Site:
     @property
     def earth(self) -> EarthFrame:
         """The frame; where there is none, the world's zero lies where equator and Greenwich's meridian meet."""
-        return self.frame or Origin(0.0, 0.0, 0.0)
+        return self.frame or LocalEarth(0.0, 0.0, 0.0)
 
     @property
     def ecef(self) -> F64:

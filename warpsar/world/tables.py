@@ -13,12 +13,16 @@ from pydantic import (
     ValidationError,
     ValidationInfo,
     WrapValidator,
+    create_model,
     field_validator,
     model_validator,
 )
 
 from warpsar.errors import InputError, listed
 from warpsar.io.images import LARGEST_IMAGE
+from warpsar.models import registry
+from warpsar.models.base.model import DEFAULT, SurfaceParameter
+from warpsar.models.base.parameters import OF_SURFACES
 from warpsar.world import models, pixels
 from warpsar.world.problems import keys_of, problem
 from warpsar.world.tolerance import refusal
@@ -29,18 +33,11 @@ DEFAULT_RAYS_PER_PIXEL = 64.0
 Polarization = Literal["HH", "HV", "VH", "VV"]
 Term = Literal["single", "edges", "multibounce", "rough"]
 SurfaceKey = Literal["eps_r", "rms_height_m", "correlation_length_m", "specular_fraction"]
-LearnedKey = Literal[
-    "eps_r", "rms_height_m", "correlation_length_m", "specular_fraction", "level", "learned_term", "sigma0"
-]
+ViewKey = Literal["azimuth_deg", "incidence_deg"]
+SpacingKey = Literal["range_spacing_m", "azimuth_spacing_m"]
 SURFACE_KEYS: tuple[SurfaceKey, ...] = ("eps_r", "rms_height_m", "correlation_length_m", "specular_fraction")
 
-LIMITS: dict[str, tuple[float, float]] = {
-    "eps_r": (1.0, 1e9),
-    "rms_height_m": (0.0, 100.0),
-    "correlation_length_m": (0.0, 1e4),
-    "specular_fraction": (0.0, 1.0),
-}
-"""Bounds of a surface value: above the first number (specular_fraction: or equal to it), up to the second."""
+_OF_SURFACES = {one.key: one for one in OF_SURFACES}
 
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 _Whole = Annotated[int, Field(strict=True)]
@@ -57,6 +54,14 @@ def _file_name(value: object) -> object:
         raise ValueError("must be a file name, without control characters")
     return value
 
+
+# Names that stand in a folder: to a type checker any text.
+if TYPE_CHECKING:
+    ModelName: TypeAlias = str
+    LearnedKey: TypeAlias = str
+else:
+    ModelName = Literal[registry.names()]
+    LearnedKey = Literal[(*SURFACE_KEYS, *registry.own_parameters(), models.TERM, models.TABLE)]
 
 FileName = Annotated[Path, BeforeValidator(_file_name)]
 
@@ -118,11 +123,26 @@ class Radar(Table):
     max_bounces: Annotated[_Whole, Field(ge=1, le=1000)] = Field(
         default=30, description="Most reflections of a ray in a coherent product.", examples=[50]
     )
+    learn: tuple[ViewKey, ...] = Field(
+        default=(),
+        description="The angles that a fit may turn by one number, common to all views.",
+        examples=[["azimuth_deg"]],
+    )
+    tolerance: dict[ViewKey, Any] = Field(
+        default_factory=dict,
+        description="How well that common turn is known to be 0: one standard deviation each, in degrees.",
+        examples=[{"azimuth_deg": 0.5}],
+    )
     variant: Literal["standard", "as_printed"] = Field(
         default="standard",
         description="as_printed takes the paper's own constants (prefactor 8, its a_vv), not the corrected ones.",
         examples=["as_printed"],
     )
+
+    @model_validator(mode="after")
+    def _known(self) -> Radar:
+        _refuse_tolerances(self, dict.fromkeys(self.tolerance, 0.0))
+        return self
 
     @field_validator("polarizations", "terms")
     @classmethod
@@ -160,6 +180,30 @@ class Grid(Table):
         description="Whether measured images are beta0; false where their gain is unknown.",
         examples=[False],
     )
+
+    learn: tuple[SpacingKey, ...] = Field(
+        default=(), description="The spacings that a fit may change.", examples=[["azimuth_spacing_m"]]
+    )
+    tolerance: dict[SpacingKey, Any] = Field(
+        default_factory=dict,
+        description="How well the spacings are known: one standard deviation each, in metres or in percent.",
+        examples=[{"azimuth_spacing_m": "2 %"}],
+    )
+
+    @property
+    def range_spacing_m(self) -> float:
+        """Pixel spacing in slant range [m]."""
+        return self.spacing_m[0]
+
+    @property
+    def azimuth_spacing_m(self) -> float:
+        """Pixel spacing in azimuth [m]."""
+        return self.spacing_m[1]
+
+    @model_validator(mode="after")
+    def _known(self) -> Grid:
+        _refuse_tolerances(self, {key: getattr(self, key) for key in self.tolerance})
+        return self
 
     @field_validator("shape")
     @classmethod
@@ -214,13 +258,8 @@ class Sampling(Table):
         return (self.rays_per_pixel or DEFAULT_RAYS_PER_PIXEL) / grid.pixel_area_m2
 
 
-class Material(Table):
-    """`[materials.NAME]`: relative permittivity, roughness and specular fraction of a surface.
-
-    Each of the four values is a number, or a name: that of an image (`layout = "texture"`; an absolute path in memory)
-    or of a scalar of the mesh's vertices (`layout = "vertex"`). In memory a texture may be an array of shape (rows,
-    cols), row 0 at v = 1, which becomes `Pixels`.
-    """
+class _OfModel(Table):
+    """The keys of a material that say which model it has, and which files this reads."""
 
     library: str | None = Field(
         default=None,
@@ -228,8 +267,8 @@ class Material(Table):
         examples=["asphalt"],
     )
     # What the values' validators look at comes before them.
-    model: Literal["ka_spm", "i2em", "oh", "dubois", "facet"] = Field(
-        default="ka_spm",
+    model: ModelName = Field(
+        default=DEFAULT,
         description="What sigma0 is computed by; facet takes it from a table (sigma0).",
         examples=["i2em"],
     )
@@ -243,9 +282,36 @@ class Material(Table):
         description="JSON of a learned term: sigma0 is the model's times the exponential of it.",
         examples=["soil.json"],
     )
-    level: Annotated[_Positive, Field(le=1e6)] = Field(
-        default=1.0, description="Factor on the table's sigma0, linear; may be learned.", examples=[1.3]
+
+
+def _number_of(one: SurfaceParameter) -> Any:
+    """The field of a number that a model has of its own."""
+    least = {"ge" if one.from_low else "gt": one.limits[0]}
+    kind = Annotated[Number, Field(**least, le=one.limits[1])]
+    return kind, Field(default=one.default, description=one.description, examples=[one.example])
+
+
+# The keys that models have of their own: to a type checker any name.
+if TYPE_CHECKING:
+
+    class _WithNumbers(_OfModel):
+        def __getattr__(self, key: str) -> float: ...
+else:
+    _WithNumbers = create_model(
+        "_WithNumbers",
+        __base__=_OfModel,
+        **{key: _number_of(one) for key, one in registry.own_parameters().items()},
     )
+
+
+class Material(_WithNumbers):
+    """`[materials.NAME]`: relative permittivity, roughness and specular fraction of a surface.
+
+    Each of the four values is a number, or a name: that of an image (`layout = "texture"`; an absolute path in memory)
+    or of a scalar of the mesh's vertices (`layout = "vertex"`). In memory a texture may be an array of shape (rows,
+    cols), row 0 at v = 1, which becomes `Pixels`. A backscatter model may have numbers of its own, each under its key.
+    """
+
     layout: Literal["uniform", "vertex", "texture"] = Field(
         default="uniform",
         description="What a name among the values stands for: a scalar of the vertices, or an image.",
@@ -320,7 +386,7 @@ class Material(Table):
         pair = value if isinstance(value, list | tuple) and len(value) == 2 else ()
         pair = pair if all(map(_is_number, pair)) else ()
         if key == "eps_r":
-            if pair and within(key, pair[0]) and -LIMITS[key][1] <= pair[1] <= 0:
+            if pair and within(key, pair[0]) and -_OF_SURFACES[key].limits[1] <= pair[1] <= 0:
                 return float(pair[0]), float(pair[1])
             allowed += ", or [eps', -eps''] with the second not above 0"
         elif key == "correlation_length_m":
@@ -338,8 +404,8 @@ class Material(Table):
     def _of_the_model(self) -> Material:
         if found := models.refusals(self, self.model_fields_set):
             raise ValueError("; ".join(found))
-        if "learn" not in self.model_fields_set and self.model != "ka_spm":
-            learned = tuple(key for key in self.learn if key in models.LEARNS[self.model])
+        if "learn" not in self.model_fields_set and self.model != DEFAULT:
+            learned = tuple(key for key in self.learn if key in registry.get(self.model).keys)
             self.__dict__["learn"] = learned  # the default, as far as the model has it
         return self
 
@@ -362,13 +428,22 @@ class Material(Table):
         return value
 
 
+def _refuse_tolerances(table: Any, stated: dict[Any, float]) -> None:
+    """Raise ValueError for a tolerance of a `stated` value that `learn` does not free, or for one that is none."""
+    for key, value in stated.items():
+        if key not in table.learn:
+            raise ValueError(f"tolerance: found {key}; allowed are values that `learn` names ({_listed(table.learn)})")
+        if (problem := refusal(table.tolerance[key], value)) is not None:
+            raise ValueError(f"tolerance.{key}{problem}")
+
+
 def _listed(names: tuple[str, ...]) -> str:
     return ", ".join(names) or "it names none"
 
 
 def _left_out(key: str, others: dict[str, Any]) -> float | None:
     """The value that stands for one which may be left out: of a conductor, of a smooth surface."""
-    if models.needless(others.get("model", "ka_spm"), key):
+    if models.needless(others.get("model", DEFAULT), key):
         return None
     if key == "rms_height_m" and others.get("conductor"):
         return 0.0
@@ -397,14 +472,14 @@ def _texture(key: str, value: Any, layout: Any) -> pixels.Pixels:
 
 def within(key: str, value: Any) -> Any:
     """Whether a number may be the surface value `key`; of an array an array of answers."""
-    low, high = LIMITS[key]
-    return ((value >= low) if key == "specular_fraction" else (value > low)) & (value <= high)
+    one = _OF_SURFACES[key]
+    return ((value >= one.limits[0]) if one.from_low else (value > one.limits[0])) & (value <= one.limits[1])
 
 
 def allowed_values(key: str) -> str:
     """What the surface value `key` may be, in words."""
-    low, high = LIMITS[key]
-    allowed = f"a number {'from' if key == 'specular_fraction' else 'above'} {low:g} to {high:g}"
+    one = _OF_SURFACES[key]
+    allowed = f"a number {'from' if one.from_low else 'above'} {one.limits[0]:g} to {one.limits[1]:g}"
     if key == "rms_height_m":
         allowed += ", or 0 (smooth: coherent products alone)"
     if key == "eps_r":
@@ -473,6 +548,14 @@ class View(Table):
         description="Power from which pixels of the images were clipped: those measured at least this.",
         examples=[65025.0],
     )
+    learn: tuple[ViewKey, ...] = Field(
+        default=(), description="The angles that a fit may change.", examples=[["azimuth_deg"]]
+    )
+    tolerance: dict[ViewKey, Any] = Field(
+        default_factory=dict,
+        description="How well the angles are known: one standard deviation each, in degrees or in percent.",
+        examples=[{"azimuth_deg": 0.5, "incidence_deg": 0.2}],
+    )
     role: Literal["train", "test"] = Field(
         default="train",
         description="train views are fitted; test views only measure how good the fit is.",
@@ -492,6 +575,7 @@ class View(Table):
                 f"found {' and '.join(stated) or 'no angle'}; must be exactly one of "
                 "incidence_deg, depression_deg, grazing_deg"
             )
+        _refuse_tolerances(self, {key: getattr(self, key) for key in self.tolerance})
         return self
 
     @property

@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 
 from warpsar.errors import InputError, refuse_number
 from warpsar.io.images import read_channel, read_mask
+from warpsar.models import registry
+from warpsar.models.base.model import DEFAULT
 from warpsar.world.collection import Collection
 from warpsar.world.curve import Curve
 from warpsar.world.frame import SPEED_OF_LIGHT, ViewGeometry, view_geometry
@@ -86,6 +88,19 @@ class World:
     def slant_range_m(self, view: View) -> float | None:
         """Range from the track to the reference point [m]; None for a plane wave."""
         return view.slant_range_m or self.radar.slant_range_m
+
+    @property
+    def has_images(self) -> bool:
+        """Whether any view has a measured image."""
+        return any(view.images for view in self.views)
+
+    @property
+    def has_curves_alone(self) -> bool:
+        """Whether curves are all that was measured. Raises InputError for curves and images, which no fit takes
+        together."""
+        if self.curves and self.has_images:
+            raise InputError(f"{self.name}: found curves and images; must have one of them where something is fitted")
+        return bool(self.curves)
 
     def measured(self, view: View, polarization: str) -> NDArray[np.float32]:
         """The measured image: beta0, linear power, shape (rows, cols); NaN where it is not finite."""
@@ -159,7 +174,9 @@ class World:
         plain += [one.model_dump(exclude={"file"}) for one in self.curves]
         plain += [] if self.collection is None else [self.collection.model_dump(exclude={"trajectory"})]
         for name, material in self.materials.items():
-            beside = {"sigma0", "learned_term"} | (set() if material.model != "ka_spm" else {"model", "level"})
+            model = registry.get(material.model)
+            beside = {"sigma0", "learned_term"} | (registry.own_parameters().keys() - set(model.keys))
+            beside |= {"model"} if material.model == DEFAULT else set()
             given = {
                 key: value
                 for key, value in material

@@ -1,6 +1,6 @@
 """What dark pixels say: power where the model puts none.
 
-said.py    what dark pixels say
-pixels.py  what a model puts into dark pixels, and what is measured there
-scan.py    whether something is left in dark pixels
+evidence.py    what dark pixels say
+pixels.py    what a model puts into dark pixels, and what is measured there
+scan.py      whether something is left in dark pixels
 """

@@ -6,23 +6,23 @@ from dataclasses import replace
 
 import numpy as np
 
+from warpsar.diagnosis.dark.evidence import DARK_PIXELS
 from warpsar.diagnosis.dark.pixels import DarkPixels, dark_pixels
-from warpsar.diagnosis.dark.said import DARK_PIXELS
 from warpsar.diagnosis.found import DarkScan
-from warpsar.diagnosis.models.bench import Bench
+from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.refit import Fitted
 from warpsar.diagnosis.scores.evidence import LARGEST, Evidence
 from warpsar.simulation.rays import Rays
 from warpsar.speckle.lines import Lines
 
 
-def scan_dark(bench: Bench, other_rays: Rays, base: Fitted, evidence: Evidence, seed: int) -> DarkScan | None:
+def scan_dark(setup: FitSetup, other_rays: Rays, base: Fitted, evidence: Evidence, seed: int) -> DarkScan | None:
     """The strongest row, column or window of dark pixels about `base`; None where there are too few
     pixels, or where model and images hold nothing.
 
     `other_rays` say where the model is unsure of its own power. The speckle is that of the lit pixels' `evidence`.
     """
-    other = replace(bench, rays=other_rays).problem(base.scene)
+    other = replace(setup, rays=other_rays).problem(base.scene)
     pixels = dark_pixels(base.problem, base.x, other)
     lines = Lines(pixels, evidence.autocovariance)
     if lines.pixels < DARK_PIXELS:

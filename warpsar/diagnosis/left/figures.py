@@ -57,7 +57,7 @@ def in_plan(found: Diagnosis, left: Left) -> Figure:
     rows, cols = scene.grid.shape
     places, values, weights = [], [], []
     for seen, residual, mask in zip(found.observations, left.residuals, left.masks, strict=True):
-        hits = found.bench.rays_of(found.final.scene).hits(found.final.scene, seen.view, [])
+        hits = found.setup.rays_of(found.final.scene).hits(found.final.scene, seen.view, [])
         pixel = hits.pixel.numpy()
         use = (pixel < rows * cols) & mask.ravel()[np.minimum(pixel, rows * cols - 1)]
         mean = uniform_filter(residual, SMOOTHED) / np.maximum(uniform_filter(mask.astype(float), SMOOTHED), 1e-6)

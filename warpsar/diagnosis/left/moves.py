@@ -9,8 +9,8 @@ import numpy as np
 from scipy.ndimage import uniform_filter
 
 from warpsar.compare.observation import Observation
-from warpsar.diagnosis.models.bench import Bench
 from warpsar.diagnosis.models.carried import on_the_surface
+from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.scene.scene import Scene
 
 SMOOTHED = 3  # pixels on a side, over which the other views' residual is averaged
@@ -20,7 +20,7 @@ SURE = 4.0  # standard deviations from which the other views are said to show it
 
 
 @dataclass(frozen=True)
-class Moves:
+class ResidualMotion:
     """`way`: "surface", "image", "both", "neither" (single views hold it, or it is faint), or "one view" where nothing
     can be compared. `z_surface`, `z_image`: how well the other views' residual predicts a view's own, carried along
     with the surface or left at its place in the image, in standard deviations."""
@@ -31,13 +31,13 @@ class Moves:
 
 
 def moves_with(
-    bench: Bench, scene: Scene, seen: Sequence[Observation], residuals: Sequence[np.ndarray], spread: float
-) -> Moves:
+    setup: FitSetup, scene: Scene, seen: Sequence[Observation], residuals: Sequence[np.ndarray], spread: float
+) -> ResidualMotion:
     """`residuals` are images of the standardised residual, 0 where no pixel is compared; `spread` is the variance of
     a sum of them over that of white ones."""
     pairs = [(k, [o for o, other in enumerate(seen) if _comparable(other, mine)]) for k, mine in enumerate(seen)]
     if not any(others for _, others in pairs):
-        return Moves("one view", 0.0, 0.0)
+        return ResidualMotion("one view", 0.0, 0.0)
     fields = [_standing_out(residual, spread) for residual in residuals]
     scores, energies = np.zeros(2), np.zeros(2)
     for k, others in pairs:
@@ -49,7 +49,7 @@ def moves_with(
         own = np.where(here, own - own[here].mean() if here.any() else 0.0, 0.0)
         carried = np.zeros((2, here.size))
         for o in others:
-            carried += on_the_surface(bench, scene, mine.view, seen[o], fields[o])
+            carried += on_the_surface(setup, scene, mine.view, seen[o], fields[o])
         by_surface = np.where(carried[1] > 0, carried[0] / np.where(carried[1] > 0, carried[1], 1.0), 0.0)
         by_image = np.mean([fields[o] for o in others], axis=0).ravel()
         for which, field in enumerate((by_surface, by_image)):
@@ -62,7 +62,7 @@ def moves_with(
         way = "surface" if surface > image else "image"
         if min(surface, image) > max(SURE, 0.7 * max(surface, image)):
             way = "both"
-    return Moves(way, float(surface), float(image))
+    return ResidualMotion(way, float(surface), float(image))
 
 
 def _comparable(other: Observation, mine: Observation) -> bool:

@@ -21,7 +21,7 @@ SMOOTHED = 5  # pixels on a side over which the residual on the mesh is averaged
 
 
 @dataclass(frozen=True)
-class Part:
+class SurfacePart:
     """Lit surface of one material inside the window: its share of the window's lit area (dA), its middle and corners in
     world coordinates [m]."""
 
@@ -44,7 +44,7 @@ class InView:
 
 
 @dataclass(frozen=True)
-class Place:
+class ResidualPlace:
     """The strongest window on the surface.
 
     `range_m`, `azimuth_m`: its middle, about the reference point. `ratio_db`: measured over modelled power in it [dB].
@@ -61,11 +61,11 @@ class Place:
     ratio_db: float
     range_m: float
     azimuth_m: float
-    parts: list[Part]
+    parts: list[SurfacePart]
     views: list[InView]
 
 
-def place(found: Diagnosis, images: Sequence[Comparison], spot: Spot) -> Place:
+def place(found: Diagnosis, images: Sequence[Comparison], spot: Spot) -> ResidualPlace:
     """Back-project the spot; `images` are the final model's."""
     scene = found.final.scene
     seen = found.observations[spot.observation]
@@ -83,7 +83,7 @@ def place(found: Diagnosis, images: Sequence[Comparison], spot: Spot) -> Place:
         (i + 0.5 - n / 2) * s for i, n, s in zip((spot.row, spot.col), (rows, cols), scene.grid.spacing_m, strict=True)
     ]
     views = [] if not parts else [_in_view(found, image, np.array(parts[0].centre_m), spot.window) for image in images]
-    return Place(
+    return ResidualPlace(
         view=seen.view.name,
         polarization=seen.polarization,
         row=spot.row,
@@ -100,10 +100,10 @@ def place(found: Diagnosis, images: Sequence[Comparison], spot: Spot) -> Place:
 
 def _hits(found: Diagnosis, view: View) -> Hits:
     """What the view lights, binned by its pixels."""
-    return found.bench.rays_of(found.final.scene).hits(found.final.scene, view, [])
+    return found.setup.rays_of(found.final.scene).hits(found.final.scene, view, [])
 
 
-def _parts(scene: Scene, hits: Hits, inside: np.ndarray) -> list[Part]:
+def _parts(scene: Scene, hits: Hits, inside: np.ndarray) -> list[SurfacePart]:
     points = hits.point.numpy()[inside].astype(float) + np.asarray(scene.reference_point_m)
     weight = hits.weight.numpy()[inside].astype(float)
     material = scene.mesh.face_material[hits.face.numpy()[inside]]
@@ -111,7 +111,7 @@ def _parts(scene: Scene, hits: Hits, inside: np.ndarray) -> list[Part]:
     for index in np.unique(material):
         mine = material == index
         found.append(
-            Part(
+            SurfacePart(
                 scene.mesh.materials[index],
                 float(weight[mine].sum() / weight.sum()),
                 np.average(points[mine], axis=0, weights=weight[mine]).tolist(),

@@ -20,7 +20,7 @@ CHIEF = 0.5  # of all power over speckle's, that lies about the peak of what is 
 
 
 @dataclass(frozen=True)
-class Shape:
+class ResidualShape:
     """`kind` in words. `rows`, `cols`: extent of the best rectangle [pixels], `range_m`, `azimuth_m` the same in
     metres; `row`, `col`: its middle; `z`: its sum over the standard deviation of speckle."""
 
@@ -35,7 +35,7 @@ class Shape:
 
 
 @dataclass(frozen=True)
-class Spectrum:
+class ResidualSpectrum:
     """The strongest frequency of a residual.
 
     `power`: over what speckle has there, shape (rows, cols), frequencies ascending along both axes, `per_m_range` and
@@ -61,7 +61,7 @@ class Spectrum:
 
 def shape_of(
     residual: np.ndarray, mask: np.ndarray, autocovariance: np.ndarray, spacing_m: Sequence[float]
-) -> tuple[Shape, Spectrum]:
+) -> tuple[ResidualShape, ResidualSpectrum]:
     """`residual` in standard deviations, shape (rows, cols), where `mask` holds; at least one pixel does."""
     field = np.where(mask, residual, 0.0)
     best = _best_rectangle(field, mask, max(float(autocovariance.sum()), 1e-3))
@@ -77,7 +77,7 @@ def shape_of(
         kind = "a streak along range"
     else:
         kind = "broad" if min(high, wide) >= BROAD else "a patch"
-    return Shape(kind, row, col, high, wide, high * spacing_m[0], wide * spacing_m[1], z), spectrum
+    return ResidualShape(kind, row, col, high, wide, high * spacing_m[0], wide * spacing_m[1], z), spectrum
 
 
 def _best_rectangle(field: np.ndarray, mask: np.ndarray, inflation: float) -> tuple[float, int, int, int, int]:
@@ -108,7 +108,7 @@ def _boxes(plane: np.ndarray, high: int, wide: int) -> np.ndarray:
 
 def spectrum_of(
     field: np.ndarray, mask: np.ndarray, autocovariance: np.ndarray, spacing_m: Sequence[float]
-) -> Spectrum:
+) -> ResidualSpectrum:
     """The periodogram of the residual about its mean, over the spectrum of its speckle."""
     rows, cols = field.shape
     mean = field[mask].mean() if mask.any() else 0.0
@@ -130,7 +130,7 @@ def spectrum_of(
     i, j = np.unravel_index(int(np.argmax(tried)), tried.shape)
     frequency = float(np.hypot(down[i], across[j]))
     independent = max(int(mask.sum()) // 2, 1)
-    return Spectrum(
+    return ResidualSpectrum(
         power,
         down,
         across,

@@ -10,9 +10,9 @@ import numpy as np
 from warpsar.compare.comparison import Comparison
 from warpsar.diagnosis.dark.pixels import NOTHING, DarkPixels, impossible
 from warpsar.diagnosis.found import Diagnosis
-from warpsar.diagnosis.left.moves import Moves, moves_with
+from warpsar.diagnosis.left.moves import ResidualMotion, moves_with
 from warpsar.diagnosis.left.nearest import Near, nearest
-from warpsar.diagnosis.left.shape import Shape, Spectrum, shape_of
+from warpsar.diagnosis.left.shape import ResidualShape, ResidualSpectrum, shape_of
 from warpsar.diagnosis.role_metrics import dark_of
 from warpsar.diagnosis.turn.signature import surface_in_pixels
 from warpsar.speckle.own import Patch, own_autocovariance
@@ -25,7 +25,7 @@ PILE, PILE_SHARE = 8, 2e-3  # pixels at the largest value, and their share, from
 
 
 @dataclass(frozen=True)
-class Share:
+class PowerRatio:
     """Measured over modelled power of some compared pixels [dB], its standard error, and z; `name` says which."""
 
     name: str
@@ -63,15 +63,15 @@ class Left:
     where: str
     image: str
     number: int
-    shape: Shape
-    spectrum: Spectrum
+    shape: ResidualShape
+    spectrum: ResidualSpectrum
     ratio_db: float
     error_db: float
-    moves: Moves
-    views: list[Share]
-    surfaces: list[Share]
-    incidences: list[Share]
-    polarizations: list[Share]
+    moves: ResidualMotion
+    views: list[PowerRatio]
+    surfaces: list[PowerRatio]
+    incidences: list[PowerRatio]
+    polarizations: list[PowerRatio]
     dark: list[InTheDark]
     clipped: dict[str, int]
     nearest: list[Near]
@@ -105,10 +105,10 @@ def left_of(found: Diagnosis, images: Sequence[Comparison], spot: Spot, unexplai
         field, mask = residuals[number], masks[number]
     shape, spectrum = shape_of(field, mask, autocovariance, found.scene.grid.spacing_m)
     ratio_db, error_db = _in_rectangle(train[number], mask, shape, spread, NOTHING * dark[number].allowed)
-    places = [surface_in_pixels(found.bench, found.final.scene, one.view) for one in seen]
+    places = [surface_in_pixels(found.setup, found.final.scene, one.view) for one in seen]
     materials = found.final.scene.mesh.materials
 
-    def shares(names: Sequence[str], of: Callable[[int], np.ndarray]) -> list[Share]:
+    def shares(names: Sequence[str], of: Callable[[int], np.ndarray]) -> list[PowerRatio]:
         """A share for each name; `of` gives its number in every pixel of an image."""
         numbers = [of(k) for k in range(len(train))]
         return [
@@ -128,7 +128,7 @@ def left_of(found: Diagnosis, images: Sequence[Comparison], spot: Spot, unexplai
         spectrum=spectrum,
         ratio_db=ratio_db,
         error_db=error_db,
-        moves=moves_with(found.bench, found.final.scene, seen, residuals, spread),
+        moves=moves_with(found.setup, found.final.scene, seen, residuals, spread),
         views=shares([one.name for one in train], lambda k: np.full(lit[k].shape, k)),
         surfaces=shares(materials, lambda k: places[k][0]),
         incidences=shares(angles, lambda k: np.floor(np.nan_to_num(places[k][1], nan=-1.0) / ANGLE_DEG)),
@@ -164,7 +164,7 @@ def _decibels(ratio: float, error: float) -> tuple[float, float]:
 
 def _share(
     name: str, images: Sequence[Comparison], masks: Sequence[np.ndarray], parts: Sequence[np.ndarray], spread: float
-) -> Share | None:
+) -> PowerRatio | None:
     """The mean of measured over modelled power of the pixels of `parts`, each weighted by its looks."""
     total, weight, count = 0.0, 0.0, 0
     for image, mask, part in zip(images, masks, parts, strict=True):
@@ -176,11 +176,11 @@ def _share(
     if count < FEWEST:
         return None
     ratio, error = total / weight, float(np.sqrt(spread / weight))
-    return Share(name, count, *_decibels(ratio, error), (ratio - 1.0) / error)
+    return PowerRatio(name, count, *_decibels(ratio, error), (ratio - 1.0) / error)
 
 
 def _in_rectangle(
-    image: Comparison, mask: np.ndarray, shape: Shape, spread: float, nothing: float
+    image: Comparison, mask: np.ndarray, shape: ResidualShape, spread: float, nothing: float
 ) -> tuple[float, float]:
     """Measured over modelled power in the shape's rectangle and its standard error [dB]; NaN where the model has no
     more than `nothing` on average."""

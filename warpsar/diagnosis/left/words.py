@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from warpsar.diagnosis.left.summary import Left, Share
+from warpsar.diagnosis.left.summary import Left, PowerRatio
 
 CLEAR = 3.5  # standard errors from which a share of the pixels is named
 _MOVES = {
@@ -105,7 +105,7 @@ def sentences(left: Left) -> list[str]:
     return said + _clipped(left)
 
 
-def _shares(what: str, shares: Sequence[Share]) -> list[str]:
+def _shares(what: str, shares: Sequence[PowerRatio]) -> list[str]:
     """The shares that differ clearly, the clearest first; none where there is one share alone."""
     clear = sorted((one for one in shares if abs(one.z) > CLEAR), key=lambda one: -abs(one.z))
     if not clear or len(shares) < 2:

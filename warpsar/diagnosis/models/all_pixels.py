@@ -13,11 +13,13 @@ import numpy as np
 from scipy.ndimage import minimum_filter, uniform_filter
 
 from warpsar.compare.observation import TRACE, Observation, usable_pixels
-from warpsar.diagnosis.models.bench import Bench
+from warpsar.diagnosis.models.fit_setup import FitSetup
+from warpsar.diagnosis.models.left_out import column_blocks
 from warpsar.diagnosis.models.movable import standing
 from warpsar.diagnosis.models.refit import BOUND, Fitted
 from warpsar.learning.pose import Descended, PosedProblem, descend
 from warpsar.learning.pose_pixels import FLOOR_SHARE, blurred, compared
+from warpsar.runtime import once
 from warpsar.scene.placing import with_objects
 from warpsar.scene.scene import Scene
 from warpsar.speckle.likelihood import bounded, loss_terms
@@ -25,7 +27,7 @@ from warpsar.speckle.likelihood import bounded, loss_terms
 SPECKLED = 6.0  # standard deviations of a pixel's speckle, which the mean of 3 x 3 pixels has at most
 
 
-def log_likelihood(bench: Bench, fitted: Fitted, blur_m: float = 0.0) -> float:
+def log_likelihood(setup: FitSetup, fitted: Fitted, blur_m: float = 0.0) -> float:
     """Of all usable pixels above a common floor, with the model as it stands; each costs `BOUND` at most, about.
 
     The floor is a twentieth of the lit pixels' median. It stands in model and measurement alike, so it leaves the mean
@@ -34,7 +36,7 @@ def log_likelihood(bench: Bench, fitted: Fitted, blur_m: float = 0.0) -> float:
     modelled = fitted.problem.modelled(fitted.x)
     gains = iter(fitted.problem.gains(modelled))
     level = FLOOR_SHARE * float(
-        np.median([np.median(s.values) for found in bench.observations.values() for s in found])
+        np.median([np.median(s.values) for found in setup.observations.values() for s in found])
     )
     total = 0.0
     for view in fitted.problem.views:
@@ -44,7 +46,7 @@ def log_likelihood(bench: Bench, fitted: Fitted, blur_m: float = 0.0) -> float:
             both = (np.asarray(seen.measured, float), np.maximum(image.astype(float), 0.0))
             measured, mean = (blurred(fitted.scene.grid, each, blur_m)[use] + level for each in both)
             total -= float(bounded(loss_terms("gamma", measured, mean, seen.looks), BOUND).sum())
-    return float(bench.ranks.same(total))
+    return float(once.decide(total))
 
 
 def lit_shadows(fitted: Fitted) -> bool:
@@ -77,26 +79,44 @@ class Exact:
     are not calibrated.
     """
 
-    bench: Bench
+    setup: FitSetup
     gains: Mapping[tuple[str, str], float]
 
     @classmethod
-    def of(cls, bench: Bench, fitted: Fitted) -> Exact:
+    def of(cls, setup: FitSetup, fitted: Fitted) -> Exact:
         """With the gains of a fitted model."""
         gains = fitted.problem.gains(fitted.problem.modelled(fitted.x))
         pairs = zip(fitted.problem.observations, gains, strict=True)
-        return cls(bench, {(seen.view.name, seen.polarization): float(gain) for seen, gain in pairs})
+        return cls(setup, {(seen.view.name, seen.polarization): float(gain) for seen, gain in pairs})
 
     def problem(
-        self, scene: Scene, views: Sequence[str] | None = None, blur_m: float = 0.0, bound: float = 0.0
+        self,
+        scene: Scene,
+        views: Sequence[str] | None = None,
+        blur_m: float = 0.0,
+        bound: float = 0.0,
+        half: int | None = None,
+        on_ground: bool = True,
     ) -> PosedProblem:
-        """What `learn` of the scene's objects frees, with surface and effects; images blurred by `blur_m`. `bound` is
-        that of the loss."""
+        """What `learn` frees of the scene's geometry, with surface and effects; images blurred by `blur_m`. `bound` is
+        that of the loss. `half`: of the pixels every other block of columns alone, the first or the second ones, and
+        surface and effects held. Objects whose size is fitted stay `on_ground`."""
         ready = scene if scene.assembly is not None else with_objects(scene, ())
-        both = compared(ready, self.bench.observations, blur_m, self.gains)
+        both = compared(ready, self.setup.observations, blur_m, self.gains)
         seen = {name: found for name, found in both.observations.items() if views is None or name in views}
+        if half is not None:
+            seen = {
+                name: [replace(one, interior=one.interior & column_blocks(one, half)) for one in found]
+                for name, found in seen.items()
+            }
         return PosedProblem(
-            both.scene, self.bench.device, seen, level=both.level, standing=standing(both.scene), bound=bound
+            both.scene,
+            self.setup.device,
+            seen,
+            held=half is not None,
+            level=both.level,
+            standing=standing(both.scene) if on_ground else (),
+            bound=bound,
         )
 
     def settled(self, scene: Scene, views: Sequence[str] | None = None) -> tuple[PosedProblem, Descended]:
@@ -110,10 +130,3 @@ class Exact:
         modelled = inner.modelled(rest)
         pairs = zip(inner.observations, modelled, inner.gains(modelled), strict=True)
         return [(seen, gain * mu) for seen, mu, gain in pairs if seen.view.name == name]
-
-
-def still(scene: Scene) -> Scene:
-    """The scene, of whose objects nothing is learned."""
-    if not any(one.learn for one in scene.objects):
-        return scene
-    return replace(scene, objects=tuple(one.model_copy(update={"learn": ()}) for one in scene.objects))

@@ -8,11 +8,12 @@ from functools import partial
 import numpy as np
 
 from warpsar.compare.observation import Observation
-from warpsar.diagnosis.models.bench import Bench
+from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.left_out import clipped
 from warpsar.diagnosis.models.projection import pixel_of, shift_px
 from warpsar.diagnosis.models.refit import Fitted
 from warpsar.effects.registry import get
+from warpsar.runtime import once
 from warpsar.scene.scene import Scene
 from warpsar.speckle.likelihood import loss_terms
 from warpsar.world.tables import View
@@ -44,7 +45,7 @@ class Carried:
         return self.share > expected + (1.0 - expected) * (CARRIED_ALONE if alone else CARRIED)
 
 
-def carried_over(bench: Bench, fitted: Fitted, effect: str) -> Carried:
+def carried_over(setup: FitSetup, fitted: Fitted, effect: str) -> Carried:
     """How much of an effect's gain the surface takes over from view to view.
 
     An effect of the radar or the processing lies in the image: another view has it elsewhere on the surface. What the
@@ -57,24 +58,24 @@ def carried_over(bench: Bench, fitted: Fitted, effect: str) -> Carried:
         return Carried(1.0, 1.0)
     scene = fitted.scene
     without = replace(scene, effects={name: table for name, table in scene.effects.items() if name != effect})
-    models = [bench.problem(model, dark=False) for model in (without, scene)]
+    models = [setup.problem(model, dark=False) for model in (without, scene)]
     before, after = (problem.modelled_as_declared() for problem in models)
     gains = models[1].gains(after)
     change = [np.zeros(seen.interior.shape) for seen in models[1].observations]
     for plane, seen, a, b in zip(change, models[1].observations, before, after, strict=True):
         plane[seen.interior] = np.log(b / a)
-    found = bench.deal_out(
+    found = setup.share(
         [
-            partial(_gained, bench, scene, models[1].observations, change, k, gains[k] * mu)
+            partial(_gained, setup, scene, models[1].observations, change, k, gains[k] * mu)
             for k, mu in enumerate(before)
         ]
     )
     shares = [carried / own if own > 0 else 0.0 for own, carried in np.sum(found, axis=0)]
-    return Carried(*bench.ranks.same(shares))
+    return Carried(*once.decide(shares))
 
 
 def _gained(
-    bench: Bench, scene: Scene, seen: list[Observation], change: list[np.ndarray], at: int, without: np.ndarray
+    setup: FitSetup, scene: Scene, seen: list[Observation], change: list[np.ndarray], at: int, without: np.ndarray
 ) -> list[list[float]]:
     """Log-likelihood that observation number `at` gains by its own change of ln(beta0), and by what the others' views
     carry over: as it was measured, and as it would be on average were the effect true. `without`: its modelled pixels
@@ -84,7 +85,7 @@ def _gained(
     others = [k for k in others if seen[k].polarization == mine.polarization]
     brought = np.zeros((2, mine.interior.size))  # sums of the change, and of the light that other views see too
     for k in others:
-        brought += on_the_surface(bench, scene, mine.view, seen[k], change[k])
+        brought += on_the_surface(setup, scene, mine.view, seen[k], change[k])
     total, light = brought[:, mine.pixels]
     shared = light > 0
     ways = change[at][mine.interior], np.where(shared, total / np.where(shared, light, 1.0), 0.0)
@@ -95,12 +96,12 @@ def _gained(
     return found
 
 
-def on_the_surface(bench: Bench, scene: Scene, view: View, other: Observation, change: np.ndarray) -> np.ndarray:
+def on_the_surface(setup: FitSetup, scene: Scene, view: View, other: Observation, change: np.ndarray) -> np.ndarray:
     """Per pixel of `view`, (2, rows * cols): the other observation's change, summed over the lit surface in the pixel
     that the other sees too, weighted by its lit area; and the sum of the weights."""
     rows, cols = change.shape
     faces = len(scene.mesh.faces)
-    hits, theirs = (bench.rays_of(scene).hits(scene, one, []) for one in (view, other.view))
+    hits, theirs = (setup.rays_of(scene).hits(scene, one, []) for one in (view, other.view))
     points, face = hits.point.numpy().astype(float), hits.face.numpy()
 
     def index(at: np.ndarray) -> np.ndarray:

@@ -1,4 +1,5 @@
-"""A change of geometry that may explain what is left: an object elsewhere, not there, or not in the scene.
+"""A change of geometry that may explain what is left: an object elsewhere, of another size, not there, or not in the
+scene; a view from elsewhere, a pixel of another size.
 
 A scene holds its own changes: they are what its objects and its mesh have unlike the declared scene. So a model needs
 no list of them beside its scene. Each change has a name, such as "object_pose tower"; names of effects have no blank.
@@ -10,32 +11,48 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
+from warpsar.diagnosis.models.names import kind_of, name_of, object_of
+from warpsar.diagnosis.models.sensor import (
+    ANGLES,
+    SPACING,
+    is_sensor,
+    like_sensor,
+    sensor_changes,
+    sensor_content,
+    with_sensor,
+    without_sensor,
+)
 from warpsar.scene.placing import with_objects
 from warpsar.scene.scene import Scene
 from warpsar.world.objects.groups import with_groups, without_group
 from warpsar.world.objects.table import Object
 from warpsar.world.tables import Material
 
-Kind = Literal["object_pose", "absent_object", "missing_object"]
+Kind = Literal["object_pose", "object_size", "absent_object", "missing_object"]
 POSE: Kind = "object_pose"
+SIZE: Kind = "object_size"
 ABSENT: Kind = "absent_object"
 MISSING: Kind = "missing_object"
 SUMMARIES = {
     POSE: "an object of the scene stands elsewhere",
+    SIZE: "an object of the scene is of another size",
     ABSENT: "an object of the scene is not there",
     MISSING: "an object is there that the scene does not have",
+    ANGLES: "views were taken from other angles than the scene says",
+    SPACING: "pixels are of another size than the scene says",
 }
 STAYING = {"name", "learn", "tolerance"}  # keys of an object that do not say where it stands
+SIZES = {"scale", "size_m"}  # those that say how large it is
 
 
 @dataclass(frozen=True)
 class GeometryCandidate:
     """One object as it may be, and how well it explains the images.
 
-    kind: "object_pose", "absent_object" or "missing_object". object: name, or group of the mesh. scene: the scene with
-    the object so. gain: log-likelihood that it adds, on all usable pixels above a common floor, surface and effects at
-    their best with and without. size: numbers that it frees. values: pose, sizes and standard deviations, as
-    `diagnosis.json` has them under `objects`. words: what is said beside it.
+    kind: "object_pose", "object_size", "absent_object" or "missing_object". object: name, or group of the mesh. scene:
+    the scene with the object so. gain: log-likelihood that it adds, on all usable pixels above a common floor, surface
+    and effects at their best with and without. size: numbers that it frees. values: pose, sizes and standard
+    deviations, as `diagnosis.json` has them under `objects`. words: what is said beside it.
     """
 
     kind: str
@@ -51,37 +68,37 @@ class GeometryCandidate:
         return name_of(self.kind, self.object)
 
 
-def name_of(kind: str, label: str) -> str:
-    """The name of a change."""
-    return f"{kind} {label}"
-
-
-def kind_of(name: str) -> str:
-    """What a verdict says: the kind of a change, or the effect's own name."""
-    return name.partition(" ")[0]
-
-
-def object_of(name: str) -> str:
-    """The object that a change is of; empty for an effect."""
-    return name.partition(" ")[2]
-
-
 def is_geometry(name: str) -> bool:
     """Whether a name is that of a change, and not of an effect."""
     return kind_of(name) in SUMMARIES
 
 
 def changes(declared: Scene, scene: Scene) -> list[str]:
-    """The names of what `scene` has unlike `declared`: objects elsewhere, absent, or missing there."""
+    """The names of what `scene` has unlike `declared`: objects elsewhere, absent, or missing there; its sensor."""
     before = {one.label: one for one in declared.objects}
     now = {one.label: one for one in scene.objects}
     found = [name_of(ABSENT, label) for label in [*_removed(scene), *(set(before) - set(now))]]
     for label, one in now.items():
-        if label not in before:
-            found.append(name_of(MISSING if one.group is None else POSE, label))
-        elif one.model_dump(exclude=STAYING) != before[label].model_dump(exclude=STAYING):
+        if label not in before and one.group is None:
+            found.append(name_of(MISSING, label))
+        elif (kind := _kind(before.get(label, Object(group=one.group) if one.group else one), one)) is not None:
+            found.append(name_of(kind, label))
+        elif label not in before:
             found.append(name_of(POSE, label))
-    return list(dict.fromkeys(found))
+    return list(dict.fromkeys([*found, *sensor_changes(declared, scene)]))
+
+
+def _kind(was: Object, now: Object) -> Kind | None:
+    """What became of an object that stands in both scenes; None where it stands as it did. A body of another size may
+    stand elsewhere, too."""
+    differing = {
+        key
+        for key in {*Object.model_fields} - STAYING
+        if (was.scales != now.scales if key == "scale" else getattr(was, key) != getattr(now, key))
+    }
+    if not differing:
+        return None
+    return SIZE if differing & SIZES else POSE
 
 
 def composed(
@@ -118,6 +135,8 @@ def as_declared(declared: Scene, scene: Scene) -> Scene:
 def without_change(declared: Scene, scene: Scene, name: str) -> Scene:
     """The scene with one of its changes taken back, all else as it is."""
     label, kind = object_of(name), kind_of(name)
+    if is_sensor(name):
+        return without_sensor(declared, scene, name)
     before = {one.label: one for one in declared.objects}
     objects = [one for one in scene.objects if one.label != label]
     if label in before:
@@ -136,22 +155,25 @@ def without_object(declared: Scene, scene: Scene, label: str) -> Scene:
     return composed(declared, scene, objects, removed)
 
 
-def told(declared: Scene, scene: Scene) -> dict[str, Any] | None:
+def content(declared: Scene, scene: Scene) -> dict[str, Any] | None:
     """How the scene's objects and mesh differ, in JSON's types; None where they do not."""
     if not changes(declared, scene):
         return None
     new = {name: table for name, table in scene.materials.items() if name not in declared.materials}
     return {
+        "sensor": sensor_content(scene),
         "objects": [_plain(one) for one in scene.objects],
         "removed": _removed(scene),
         "materials": {name: table.model_dump(mode="json", exclude_unset=True) for name, table in new.items()},
     }
 
 
-def heard(declared: Scene, like: Scene, about: Mapping[str, Any] | None) -> Scene:
-    """The scene that `told` gave, with the materials and effects of `like`."""
+def scene_with(declared: Scene, like: Scene, about: Mapping[str, Any] | None) -> Scene:
+    """The scene of which `about` is the `content`, with the materials and effects of `like`."""
     if about is None:
-        return like if not changes(declared, like) else composed(declared, like, declared.objects, ())
+        known = like_sensor(like, declared)
+        return like if not changes(declared, like) else composed(declared, known, declared.objects, ())
+    like = with_sensor(like, about["sensor"])
     new = {name: Material(**table) for name, table in about["materials"].items()}
     return composed(declared, like, [Object(**table) for table in about["objects"]], about["removed"], new)
 

@@ -9,13 +9,14 @@ import numpy as np
 from scipy.sparse import csc_array, diags_array
 from scipy.sparse.linalg import SuperLU, splu
 
-from warpsar.diagnosis.models.bench import Bench
+from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.refit import KEPT_WITHIN, QUICK_FLAT, standing_at
 from warpsar.errors import InputError
 from warpsar.learning.optimise import levenberg_marquardt
 from warpsar.learning.problem import FitProblem
 from warpsar.learning.roughness import FieldPrior, Roughness
 from warpsar.learning.sparse_quadratic import whole_jacobian
+from warpsar.runtime import once
 from warpsar.runtime.threads import side_by_side
 from warpsar.scene.scene import Scene
 from warpsar.surface.surface import Surface
@@ -32,7 +33,7 @@ def has_fields(scene: Scene) -> bool:
     return any(block.learn and block.size > 1 for block in Surface.of(scene).blocks)
 
 
-def with_roughness(bench: Bench, scene: Scene, seed: int) -> tuple[Bench, np.ndarray]:
+def with_roughness(setup: FitSetup, scene: Scene, seed: int) -> tuple[FitSetup, np.ndarray]:
     """The bench that expects what the images say of the fields, and the x that the declared model has arrived at.
 
     Expectation and maximisation by turns: a fit at the present precisions, then those that its fields and their errors
@@ -40,7 +41,7 @@ def with_roughness(bench: Bench, scene: Scene, seed: int) -> tuple[Bench, np.nda
     with the same prior. Raises InputError where the hits of all views are not at hand.
     """
     random = np.random.default_rng(seed)
-    problem = bench.problem(scene)
+    problem = setup.problem(scene)
     if not problem.keeps_hits:
         raise InputError(
             f"{scene.name}: found a learned field, and more hits than memory holds; beside fields diagnose needs the "
@@ -48,15 +49,15 @@ def with_roughness(bench: Bench, scene: Scene, seed: int) -> tuple[Bench, np.nda
         )
     rough, x = Roughness.of(problem, 1.0 / FIRST_SD**2), problem.x0
     for _ in range(TURNS):
-        bench = replace(bench, roughness=rough)
-        problem = bench.problem(scene)
+        setup = replace(setup, roughness=rough)
+        problem = setup.problem(scene)
         state = standing_at(problem, x)
         while not state.arrived and state.since_start < STEPS:
             state = levenberg_marquardt(problem, state, flat=QUICK_FLAT, kept_within=KEPT_WITHIN)
-        x = bench.ranks.same(state.best_x)
+        x = once.decide(state.best_x)
         rough = rough.expected(x, *_errors(problem, x, random))
-        rough = replace(rough, precision=bench.ranks.same(rough.precision))
-    return replace(bench, roughness=rough), x
+        rough = replace(rough, precision=once.decide(rough.precision))
+    return replace(setup, roughness=rough), x
 
 
 def _errors(problem: FitProblem, x: np.ndarray, random: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:

@@ -5,13 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 from warpsar.compare.observation import Observation
-from warpsar.diagnosis.models.bench import Bench
+from warpsar.diagnosis.models.fit_setup import FitSetup
+from warpsar.runtime import once
 from warpsar.scene.scene import Scene
 
 SLIVER = 0.25  # of a ray's share of a pixel: darker than this no pixel is called that was lit
 
 
-def frozen(one: Bench, other: Bench, scene: Scene) -> dict[str, list[Observation]]:
+def frozen(one: FitSetup, other: FitSetup, scene: Scene) -> dict[str, list[Observation]]:
     """Masks from the declared model, the same for all that follows; by view name.
 
     A pixel counts as lit if both sets of rays light it and its neighbours. Where one of them misses, the pixel's share
@@ -19,20 +20,19 @@ def frozen(one: Bench, other: Bench, scene: Scene) -> dict[str, list[Observation
     model is then at least `SLIVER` of one ray's share of its declared beta0. A share of any brighter pixel would take
     dim surfaces for dark.
     """
-    ranks = one.ranks
-    problems = ranks.agree(lambda: [bench.problem(scene, dark=False) for bench in (one, other)])
+    problems = once.agree(lambda: [setup.problem(scene, dark=False) for setup in (one, other)])
     problems[0].modelled_as_declared()
     density = one.rays.rays_per_m2 or scene.sampling.density_per_m2(scene.grid)
     rays_per_pixel = density * scene.grid.pixel_area_m2
     found: dict[str, list[Observation]] = {}
     for a, b in zip(*(problem.views for problem in problems), strict=True):
         for mine, theirs in zip(a.observations, b.observations, strict=True):
-            masks = ranks.same([mine.interior & theirs.interior, mine.silent, mine.dark & theirs.dark]) > 0
+            masks = once.decide([mine.interior & theirs.interior, mine.silent, mine.dark & theirs.dark]) > 0
             image = a.render.images[mine.polarization].numpy().reshape(mine.interior.shape)
-            looks = float(ranks.same(mine.looks))
+            looks = float(once.decide(mine.looks))
             interior, silent, dark = masks
             interior &= ~dark  # additive effects that are declared had them in it
-            least = ranks.same(SLIVER / rays_per_pixel * image)
+            least = once.decide(SLIVER / rays_per_pixel * image)
             seen = replace(mine, interior=interior, silent=silent, dark=dark, looks=looks, least=least)
             found.setdefault(a.view.name, []).append(seen)
     return found

@@ -16,6 +16,7 @@ from warpsar.effects.registry import get
 from warpsar.learning.problem import FitProblem
 from warpsar.learning.results import learned_scene
 from warpsar.learning.roughness import Roughness
+from warpsar.runtime import once
 from warpsar.scene.scene import Scene
 from warpsar.simulation.exact_rays import ExactRays
 from warpsar.speckle.facts import SpeckleFact
@@ -75,7 +76,7 @@ class Judge:
         tests = {view.name for view in own.views if view.role == "test"}
         effects = np.array([c.view in tests & set(pixels) for c in problem.effect_coordinates], bool)
         moving = np.concatenate([np.full(problem.learned.size, "train" in roles), effects])
-        return learned_scene(problem, descend(problem, [problem.x0], moving, quick=True)[0])
+        return learned_scene(problem, once.alone(lambda: descend(problem, [problem.x0], moving, quick=True))[0])
 
 
 def _with_own_entries(scene: Scene) -> Scene | None:

@@ -9,9 +9,10 @@ from functools import partial
 import numpy as np
 
 from warpsar.compare.observation import Observation
-from warpsar.diagnosis.models.bench import Bench
+from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.refit import Fitted, descend
 from warpsar.learning.results import learned_scene
+from warpsar.runtime import once
 from warpsar.scene.scene import Scene
 from warpsar.speckle.likelihood import loss_terms
 from warpsar.speckle.residual import residual_autocovariance
@@ -26,7 +27,7 @@ LARGEST_DIFFERENCE = 20.0
 
 
 @dataclass(frozen=True)
-class LeftOut:
+class ViewsLeftOut:
     """Log-likelihood of views that were left out, with an effect less without it: sum and standard error. `expected`
     is that sum on average, were the effect true as the other views have it. `quiet`: whether nothing but speckle is
     left beside the effect, to the scan. `uneven`: of numbers of single views, the share of their gain that they gain
@@ -62,11 +63,13 @@ class LeftOut:
         return self.uneven is not None and self.uneven > VARIES
 
 
-def leave_one_view_out(bench: Bench, base: Fitted, fitted: Fitted, effect: str, *, quiet: bool = False) -> LeftOut:
+def leave_one_view_out(
+    setup: FitSetup, base: Fitted, fitted: Fitted, effect: str, *, quiet: bool = False
+) -> ViewsLeftOut:
     """Explain each training view by both models, with the parameters of `effect` taken from the other views.
 
-    `quiet` as in `LeftOut`. Pixels are compared in pairs; each counts `LARGEST_DIFFERENCE` at most. The error has two
-    parts: correlated speckle, and the choice of pixels. A few pixels that gain much are no proof.
+    `quiet` as in `ViewsLeftOut`. Pixels are compared in pairs; each counts `LARGEST_DIFFERENCE` at most. The error has
+    two parts: correlated speckle, and the choice of pixels. A few pixels that gain much are no proof.
 
     Everything else in both models is a nuisance and is fitted to all views. A surface that has never seen a view's
     incidence extrapolates badly, and that error would decide. Parameters of a single view (its gain, its interference)
@@ -75,42 +78,40 @@ def leave_one_view_out(bench: Bench, base: Fitted, fitted: Fitted, effect: str, 
     """
     names = [view.view.name for view in fitted.problem.views]
     if len(names) < 2:
-        return LeftOut(0.0, 0.0, len(names))
+        return ViewsLeftOut(0.0, 0.0, len(names))
     own = [c for c in fitted.problem.effect_coordinates if c.effect == effect]
     per_view = all(c.view is not None for c in own)
 
     def judged(name: str) -> list[np.ndarray]:
         if per_view:
-            models = (_by_halves(bench, base, name), _by_halves(bench, fitted, name))
+            models = (_by_halves(setup, base, name), _by_halves(setup, fitted, name))
         else:
             models = (
-                _modelled(bench, base.scene, name),
-                _modelled(bench, _with_the_others(bench, fitted, effect, name), name),
+                _modelled(setup, base.scene, name),
+                _modelled(setup, _with_the_others(setup, fitted, effect, name), name),
             )
-        return [_gain(seen, *mu) for seen, *mu in zip(bench.observations[name], *models, strict=True)]
+        return [_gain(seen, *mu) for seen, *mu in zip(setup.observations[name], *models, strict=True)]
 
     # where each view has its own parameters, one without any has the same image with and without
     touched = [name for name in names if not per_view or any(c.view == name for c in own)]
-    found = bench.deal_out(
-        [partial(judged, name) for name in touched],
-        told=lambda differences: [one.tolist() for one in differences],
-        heard=lambda differences: [np.array(one) for one in differences],
-    )
-    seen = [one for name in touched for one in bench.observations[name]]
+    found = setup.share([partial(judged, name) for name in touched])
+    seen = [one for name in touched for one in setup.observations[name]]
     gains = [gain for view in found for gain in view]
-    all_of_them = summed(bench, seen, gains, len(names), quiet)
-    return replace(all_of_them, uneven=_over_columns(bench, base, fitted, effect)) if per_view else all_of_them
+    all_of_them = summed(setup, seen, gains, len(names), quiet)
+    return replace(all_of_them, uneven=_over_columns(setup, base, fitted, effect)) if per_view else all_of_them
 
 
-def summed(bench: Bench, seen: Sequence[Observation], gains: Sequence[np.ndarray], views: int, quiet: bool) -> LeftOut:
+def summed(
+    setup: FitSetup, seen: Sequence[Observation], gains: Sequence[np.ndarray], views: int, quiet: bool
+) -> ViewsLeftOut:
     """The sum of what every pixel gains, with its error. `gains`, shape (2, n) for each observation: measured, and as
     it would be on average were the model true."""
     gains = [clipped(one) for one in gains]
     measured, expected = np.concatenate(gains, axis=1)
     covariance = residual_autocovariance([(one, now - mean) for one, (now, mean) in zip(seen, gains, strict=True)])
     error = np.sqrt(measured.size * (covariance.sum() + expected.var()))
-    total, error, foreseen = bench.ranks.same([measured.sum(), error, expected.sum()]).tolist()
-    return LeftOut(total, error, views, foreseen, quiet)
+    total, error, foreseen = once.decide([measured.sum(), error, expected.sum()]).tolist()
+    return ViewsLeftOut(total, error, views, foreseen, quiet)
 
 
 def _gain(seen: Observation, without: np.ndarray, with_it: np.ndarray) -> np.ndarray:
@@ -122,12 +123,12 @@ def _gain(seen: Observation, without: np.ndarray, with_it: np.ndarray) -> np.nda
     return np.stack(found)
 
 
-def _with_the_others(bench: Bench, fitted: Fitted, effect: str, name: str) -> Scene:
+def _with_the_others(setup: FitSetup, fitted: Fitted, effect: str, name: str) -> Scene:
     """The model with the effect as all views but `name` have it, and everything else as all views do."""
-    problem = bench.problem(fitted.scene, [view for view in bench.observations if view != name])
+    problem = setup.problem(fitted.scene, [view for view in setup.observations if view != name])
     x, _, _ = descend(problem, [problem.x0], quick=True)
     known = dict(zip(problem.labels, x, strict=True))
-    whole = bench.problem(fitted.scene)
+    whole = setup.problem(fitted.scene)
     held = np.array([c.effect == effect for c in whole.effect_coordinates], bool)
     held = np.concatenate([np.zeros(whole.learned.size, bool), held])
     start = np.where(held, [known.get(label, at) for label, at in zip(whole.labels, whole.x0, strict=True)], whole.x0)
@@ -135,21 +136,21 @@ def _with_the_others(bench: Bench, fitted: Fitted, effect: str, name: str) -> Sc
     return learned_scene(whole, x)
 
 
-def _by_halves(bench: Bench, model: Fitted, name: str) -> list[np.ndarray]:
+def _by_halves(setup: FitSetup, model: Fitted, name: str) -> list[np.ndarray]:
     """beta0 of every pixel of each observation of a view, fitted to the other views and the other half of this."""
-    found = [np.empty(seen.pixels.size) for seen in bench.observations[name]]
+    found = [np.empty(seen.pixels.size) for seen in setup.observations[name]]
     for half in (0, 1):
-        part = [replace(s, interior=s.interior & _blocks(s, half)) for s in bench.observations[name]]
-        problem = replace(bench, observations={**bench.observations, name: part}).problem(model.scene)
+        part = [replace(s, interior=s.interior & column_blocks(s, half)) for s in setup.observations[name]]
+        problem = replace(setup, observations={**setup.observations, name: part}).problem(model.scene)
         x, _, _ = descend(problem, [problem.x0], quick=True)
-        modelled = _modelled(bench, learned_scene(problem, x), name)
-        for into, seen, mu in zip(found, bench.observations[name], modelled, strict=True):
-            judged = ~_blocks(seen, half)[seen.interior]
+        modelled = _modelled(setup, learned_scene(problem, x), name)
+        for into, seen, mu in zip(found, setup.observations[name], modelled, strict=True):
+            judged = ~column_blocks(seen, half)[seen.interior]
             into[judged] = mu[judged]
     return found
 
 
-def _over_columns(bench: Bench, base: Fitted, fitted: Fitted, name: str) -> float:
+def _over_columns(setup: FitSetup, base: Fitted, fitted: Fitted, name: str) -> float:
     """Share of the gain of an effect's values for single views that is gained again where they may vary over columns.
 
     Each is fitted anew to each block of its view's columns. Something that lies in a few columns gains much so, such as
@@ -158,20 +159,20 @@ def _over_columns(bench: Bench, base: Fitted, fitted: Fitted, name: str) -> floa
     views = dict.fromkeys(c.view for c in fitted.problem.effect_coordinates if c.effect == name and c.view is not None)
 
     def gained(view: str) -> float:
-        held = bench.problem(fitted.scene, [view], dark=False)
-        without = bench.problem(base.scene, [view], dark=False)
+        held = setup.problem(fitted.scene, [view], dark=False)
+        without = setup.problem(base.scene, [view], dark=False)
         return _lost(without.terms(without.modelled_as_declared()), held.terms(held.modelled(held.x0)))
 
     def regained(view: str, pixels: list[Observation]) -> float:
-        part = replace(bench, observations={view: pixels}).problem(fitted.scene, [view], dark=False)
+        part = replace(setup, observations={view: pixels}).problem(fitted.scene, [view], dark=False)
         own = [c.effect == name and c.view == view for c in part.effect_coordinates]
         moving = np.concatenate([np.zeros(part.learned.size, bool), np.array(own, bool)])
         x, _, _ = descend(part, [part.x0], moving, quick=True)
         return _lost(*(part.terms(part.modelled(at)) for at in (part.x0, x))) - 0.5 * sum(own)
 
-    blocks = [(view, pixels) for view in views for pixels in _by_blocks(bench.observations[view])]
+    blocks = [(view, pixels) for view in views for pixels in _by_blocks(setup.observations[view])]
     tasks = [*(partial(gained, view) for view in views), *(partial(regained, *block) for block in blocks)]
-    found = bench.deal_out(tasks)
+    found = setup.share(tasks)
     once = sum(found[: len(views)])
     return sum(found[len(views) :]) / once if once > 0 else 1.0
 
@@ -194,14 +195,14 @@ def clipped(differences: np.ndarray) -> np.ndarray:
     return np.clip(differences, -LARGEST_DIFFERENCE, LARGEST_DIFFERENCE)
 
 
-def _modelled(bench: Bench, scene: Scene, name: str) -> list[np.ndarray]:
+def _modelled(setup: FitSetup, scene: Scene, name: str) -> list[np.ndarray]:
     """beta0 of every interior pixel of each observation of a view, of the scene as it stands."""
-    problem = bench.problem(scene, [name], dark=False)
+    problem = setup.problem(scene, [name], dark=False)
     modelled = problem.modelled_as_declared()
     return [gain * mu for mu, gain in zip(modelled, problem.gains(modelled), strict=True)]
 
 
-def _blocks(seen: Observation, half: int) -> np.ndarray:
+def column_blocks(seen: Observation, half: int) -> np.ndarray:
     """Every other block of columns, shape of the image."""
     columns = np.arange(seen.interior.shape[1]) // BLOCK % 2 == half
     return np.broadcast_to(columns, seen.interior.shape)

@@ -7,7 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from warpsar.diagnosis.models.change import MISSING, changes, kind_of, object_of
+from warpsar.diagnosis.models.change import MISSING, SIZE, changes
+from warpsar.diagnosis.models.names import kind_of, object_of
+from warpsar.diagnosis.models.sensor import is_sensor
 from warpsar.scene.placing import with_objects
 from warpsar.scene.scene import Scene
 from warpsar.world.objects.groups import group_names, with_groups
@@ -23,7 +25,7 @@ def bodies(declared: Scene, scene: Scene) -> dict[str, np.ndarray]:
     Groups of the same faces are one. A group that shares a face with an object is none: one of them would move alone.
     Faces of objects are counted from the last one of the mesh backwards.
     """
-    changed = {object_of(name) for name in changes(declared, scene)}
+    changed = {object_of(name) for name in changes(declared, scene) if not is_sensor(name)}
     total = float(_plan_area(scene.mesh.vertices, scene.mesh.faces))
     found: dict[str, np.ndarray] = {}
     seen: set[bytes] = set()
@@ -73,15 +75,31 @@ def disjoint(found: dict[str, np.ndarray], most: int) -> Iterable[list[str]]:
 def freed(scene: Scene, labels: Sequence[str], learn: Sequence[Learnable] = ()) -> Scene:
     """The scene with what a fit may change of the objects or groups `labels`, and nothing of the others.
 
-    `learn` goes for all of them; by default it is what their kind allows (`words_of`).
+    `learn` goes for all of them; by default it is what their kind allows (`words_of`). Length, width and height of a
+    mesh are freed each by itself.
     """
     objects = [
-        one.model_copy(update={"learn": tuple(learn) or words_of(one) if one.label in labels else ()})
+        _freed(one, tuple(learn) or words_of(one)) if one.label in labels else one.model_copy(update={"learn": ()})
         for one in scene.objects
     ]
     standing = {one.label for one in objects}
-    objects += [Object(group=name, learn=tuple(learn) or POSE_WORDS) for name in labels if name not in standing]
+    objects += [_freed(Object(group=name), tuple(learn) or POSE_WORDS) for name in labels if name not in standing]
     return with_objects(scene, objects)
+
+
+def _freed(one: Object, learn: tuple[Learnable, ...]) -> Object:
+    words = tuple(size_word(one) if word in ("scale", "size") else word for word in learn)
+    return one.model_copy(update={"learn": words, **({"scale": one.scales} if "scale" in words else {})})
+
+
+def sized(one: Object) -> Object:
+    """The object with its size free, beside what is."""
+    return _freed(one, (*one.learn, "scale"))
+
+
+def size_word(one: Object) -> Learnable:
+    """What a fit of a body's length, width and height frees: those of a primitive, or factors on those of a mesh."""
+    return "scale" if one.primitive is None else "size"
 
 
 POSE_WORDS: tuple[Learnable, ...] = ("position", "heading")
@@ -102,7 +120,7 @@ def found_words(one: Object) -> tuple[Learnable, ...]:
 
 def standing(scene: Scene) -> list[str]:
     """Labels of the objects that stay on the ground: those whose size is fitted, with whose height that of the foot
-    would trade. A diagnosis fits no other object's size."""
+    would trade."""
     return [one.label for one in scene.objects if "size" in one.learn]
 
 
@@ -121,17 +139,20 @@ def placeable(declared: Scene, scene: Scene, labels: Iterable[str]) -> bool:
 
 
 def refined_words(declared: Scene, scene: Scene) -> dict[str, tuple[Learnable, ...]]:
-    """What is fitted again of each changed object that stands in `scene`: of one that was missing, its size as well."""
-    kinds = {object_of(name): kind_of(name) for name in changes(declared, scene)}
+    """What is fitted again of each changed object that stands in `scene`: of one that was missing, its size as well; of
+    one that is of another size, the size alone, about its foot."""
+    kinds = {object_of(name): kind_of(name) for name in changes(declared, scene) if not is_sensor(name)}
     changed = set(kinds)
-    words = {
-        one.label: found_words(one) if kinds[one.label] == MISSING else words_of(one)
-        for one in scene.objects
-        if one.label in changed
-    }
+    words = {one.label: _words_of_kind(kinds[one.label], one) for one in scene.objects if one.label in changed}
     if not placeable(declared, scene, changed):
         words = {label: tuple(word for word in found if word != "position") for label, found in words.items()}
     return {label: found for label, found in words.items() if found}
+
+
+def _words_of_kind(kind: str, one: Object) -> tuple[Learnable, ...]:
+    if kind == SIZE:
+        return (size_word(one),)
+    return found_words(one) if kind == MISSING else words_of(one)
 
 
 def with_words(scene: Scene, words: dict[str, tuple[Learnable, ...]]) -> Scene:

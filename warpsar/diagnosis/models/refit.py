@@ -11,17 +11,18 @@ import numpy as np
 from scipy.ndimage import minimum_filter
 
 from warpsar.compare.observation import Observation
-from warpsar.diagnosis.models.bench import Bench
 from warpsar.diagnosis.models.change import as_declared
+from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.effects.registry import get
 from warpsar.learning.optimise import FLAT, FitState, begin, levenberg_marquardt
 from warpsar.learning.problem import FitProblem
 from warpsar.learning.results import learned_scene
-from warpsar.runtime.distributed import ONE, Ranks
+from warpsar.runtime import once
 from warpsar.scene.scene import Scene
 from warpsar.speckle.likelihood import deviance
-from warpsar.surface.surface import KEYS, Surface
+from warpsar.surface.surface import KEYS, Surface, kinds_of
 from warpsar.world.pixels import Pixels
+from warpsar.world.tables import Material
 
 MOST_ITERATIONS = 40  # of one start
 # Where models are only ranked, or start where they belong: iterations of one start, and the promised log-likelihood at
@@ -53,14 +54,14 @@ class Fitted:
     @property
     def size(self) -> int:
         """Parameters that count: of those that sum to zero over the views, one does not."""
-        zero_sums = {(c.effect, c.parameter.name) for c in self.problem.effect_coordinates if c.parameter.zero_sum}
+        zero_sums = {(c.effect, c.key) for c in self.problem.effect_coordinates if c.declared.zero_sum}
         return int(self.x.size) - len(zero_sums)
 
-    def told(self) -> dict[str, Any]:
-        """For other ranks (JSON's types): where the fit began and where it ended."""
+    def content(self) -> dict[str, Any]:
+        """Where the fit began and where it ended, for a checkpoint (JSON's types) and for other processes."""
         begun = self.problem.scene
         return {
-            "materials": {name: {key: _told(getattr(m, key)) for key in KEYS} for name, m in begun.materials.items()},
+            "materials": {name: _values(material) for name, material in begun.materials.items()},
             "effects": begun.effects,
             "x": self.x.tolist(),
             "log_likelihood": self.log_likelihood,
@@ -69,40 +70,46 @@ class Fitted:
         }
 
     @classmethod
-    def heard(cls, bench: Bench, scene: Scene, told: Mapping[str, Any]) -> Fitted:
-        """The model that another rank has `told` of; `scene` is of the same mesh and views."""
+    def of(cls, setup: FitSetup, scene: Scene, content: Mapping[str, Any]) -> Fitted:
+        """The model of which `content` is; `scene` is of the same mesh and views."""
         materials = {}
         for name, material in scene.materials.items():
-            values = {k: _heard(v) for k, v in told["materials"][name].items()}
+            values = {k: _value(v) for k, v in content["materials"][name].items()}
             # what stands at its default stays unstated
             changed = {k: v for k, v in values.items() if v != getattr(material, k)}
             materials[name] = material.model_copy(update=changed)
-        problem, x = bench.problem(replace(scene, materials=materials, effects=told["effects"])), np.array(told["x"])
-        return cls(learned_scene(problem, x), problem, x, told["log_likelihood"], told["whole"], told["iterations"])
+        problem, x = (
+            setup.problem(replace(scene, materials=materials, effects=content["effects"])),
+            np.array(content["x"]),
+        )
+        return cls(
+            learned_scene(problem, x), problem, x, content["log_likelihood"], content["whole"], content["iterations"]
+        )
 
 
-def _told(value: Any) -> Any:
+def _values(material: Material) -> dict[str, Any]:
+    """What its fit may change, by key, in JSON's types."""
+    keys = dict.fromkeys((*KEYS, *(kind.key for kind in kinds_of(material.model))))
+    return {key: _plain(getattr(material, key)) for key in keys}
+
+
+def _plain(value: Any) -> Any:
     """A material's value in JSON's types."""
     return {"pixels": value.values.tolist()} if isinstance(value, Pixels) else value
 
 
-def _heard(told: Any) -> Any:
-    """The value that `_told` gave."""
-    if isinstance(told, Mapping):
-        return Pixels(told["pixels"])
-    return tuple(told) if isinstance(told, list) else told
+def _value(plain: Any) -> Any:
+    """The value of which `_plain` made JSON's types."""
+    if isinstance(plain, Mapping):
+        return Pixels(plain["pixels"])
+    return tuple(plain) if isinstance(plain, list) else plain
 
 
 def descend(
-    problem: FitProblem,
-    starts: Iterable[np.ndarray],
-    moving: np.ndarray | None = None,
-    *,
-    quick: bool = False,
-    ranks: Ranks = ONE,
+    problem: FitProblem, starts: Iterable[np.ndarray], moving: np.ndarray | None = None, *, quick: bool = False
 ) -> tuple[np.ndarray, float, int]:
     """The best end of Levenberg-Marquardt from several starts, its loss and all iterations. The starts race, and
-    the hopeless are given up; `ranks` share them."""
+    the hopeless are given up; processes share them."""
     flat = QUICK_FLAT if quick else FLAT
 
     def on(state: FitState, until: int) -> FitState:
@@ -114,7 +121,7 @@ def descend(
     for until in (QUICK_ITERATIONS,) if quick else (QUICK_ITERATIONS, MOST_ITERATIONS):
         hopeless = min(state.best_loss for state in states) + HOPELESS
         tasks = [partial(on, state, until if state.best_loss <= hopeless else 0) for state in states]
-        states = ranks.deal_out(tasks, state_told, FitState.from_arrays)
+        states = once.share(tasks)
     best = min(states, key=lambda state: state.best_loss)
     return best.best_x, best.best_loss, sum(state.iteration for state in states)
 
@@ -138,38 +145,33 @@ def standing_at(problem: FitProblem, x: np.ndarray) -> FitState:
     return FitState(inside, np.inf, inside, np.inf)
 
 
-def state_told(state: FitState) -> dict[str, Any]:
-    """What `FitState.from_arrays` reads, in JSON's types."""
-    return {name: array.tolist() for name, array in state.arrays().items()}
-
-
-def fit_model(bench: Bench, scene: Scene, further_starts: int, seed: int, started: np.ndarray | None = None) -> Fitted:
+def fit_model(
+    setup: FitSetup, scene: Scene, further_starts: int, seed: int, started: np.ndarray | None = None
+) -> Fitted:
     """The scene's model from its own start, or where it has `started`, and others drawn about the scene's own."""
-    problem = bench.problem(scene)
+    problem = setup.problem(scene)
     starts = [begin(problem, k, seed).x for k in range(further_starts + 1)]
-    return _fit(bench, problem, starts if started is None else [started, *starts[1:]])
+    return _fit(setup, problem, starts if started is None else [started, *starts[1:]])
 
 
-def _fit(bench: Bench, problem: FitProblem, starts: Iterable[np.ndarray], *, quick: bool = False) -> Fitted:
-    """By all ranks together."""
-    best = descend(problem, starts, quick=quick, ranks=bench.ranks)
-    return fitted_at(bench, problem, *best, bench.ranks)
+def _fit(setup: FitSetup, problem: FitProblem, starts: Iterable[np.ndarray], *, quick: bool = False) -> Fitted:
+    return fitted_at(setup, problem, *descend(problem, starts, quick=quick))
 
 
-def on_bounded_ground(bench: Bench, base: Fitted, declared: Scene) -> tuple[Bench, Fitted]:
+def on_bounded_ground(setup: FitSetup, base: Fitted, declared: Scene) -> tuple[FitSetup, Fitted]:
     """Where scores are taken and candidates are compared: the bench that bounds what a pixel can cost, and `base`
     fitted again on it.
 
     A few pixels a thousand times too bright would else drag the surface to where the effect that made them leaves no
     trace, and would hide every other effect that is missing. Where no pixel stands out, speckle alone makes the losses,
-    nothing is bounded, and this is `bench` with `base` as it is.
+    nothing is bounded, and this is `setup` with `base` as it is.
     """
-    plain = replace(bench, bound=0.0)
-    if not bench.ranks.same(float(_stands_out(base))):
+    plain = replace(setup, bound=0.0)
+    if not once.decide(float(_stands_out(base))):
         if base.problem.misfit.bound == 0.0:
             return plain, base
         return plain, _fit(plain, plain.problem(base.scene), [base.x], quick=True)
-    bounded = replace(bench, bound=BOUND)
+    bounded = replace(setup, bound=BOUND)
     problem = bounded.problem(base.scene)
     return bounded, _fit(bounded, problem, [base.x, _with_declared_surface(problem, base.x, declared)], quick=True)
 
@@ -191,63 +193,61 @@ def _stands_out(base: Fitted) -> bool:
     return any((deviance(seen.values, gain * mu, seen.looks) > 2.0 * BOUND).any() for seen, mu, gain in pairs)
 
 
-def settle(bench: Bench, screened: Fitted, further_starts: int, seed: int) -> Fitted:
+def settle(setup: FitSetup, screened: Fitted, further_starts: int, seed: int) -> Fitted:
     """The screened model at its best: on from where it stands, and from surfaces drawn anew about it."""
-    problem = bench.problem(screened.scene)
+    problem = setup.problem(screened.scene)
     starts = [problem.x0]
     for k in range(1, further_starts + 1):
         start = begin(problem, k, seed).x
         start[problem.learned.size :] = problem.x0[problem.learned.size :]  # the effects stay where they were found
         starts.append(start)
-    return _fit(bench, problem, starts)
+    return _fit(setup, problem, starts)
 
 
-def refit_without(bench: Bench, fitted: Fitted, name: str) -> Fitted:
+def refit_without(setup: FitSetup, fitted: Fitted, name: str) -> Fitted:
     """The model without one of its effects, fitted on from where it stands."""
     effects = {other: table for other, table in fitted.scene.effects.items() if other != name}
-    return refit_as(bench, replace(fitted.scene, effects=effects))
+    return refit_as(setup, replace(fitted.scene, effects=effects))
 
 
-def refit_as(bench: Bench, scene: Scene, declared: Scene | None = None) -> Fitted:
+def refit_as(setup: FitSetup, scene: Scene, declared: Scene | None = None) -> Fitted:
     """The model that starts as the scene stands, fitted on from there; and from the surface that is `declared`."""
-    problem = bench.problem(scene)
+    problem = setup.problem(scene)
     further = [] if declared is None else [_with_declared_surface(problem, problem.x0, declared)]
-    return _fit(bench, problem, [problem.x0, *further], quick=True)
+    return _fit(setup, problem, [problem.x0, *further], quick=True)
 
 
-def narrow(bench: Bench, fitted: Fitted) -> tuple[Bench, Fitted]:
+def narrow(setup: FitSetup, fitted: Fitted) -> tuple[FitSetup, Fitted]:
     """The pixels that are lit, with all their neighbours, by `fitted` too, and the model fitted to those.
 
     An effect that moves light leaves pixels at its edge where the model's share of light is next to nothing, and
     whatever they measure would look like one more effect. All models of a turn see the same pixels.
     """
     fitted.problem.modelled(fitted.x)
-    narrowed = narrowed_to(bench, fitted.problem)
-    if narrowed is bench:
-        return bench, fitted
+    narrowed = narrowed_to(setup, fitted.problem)
+    if narrowed is setup:
+        return setup, fitted
     return narrowed, refit_as(replace(narrowed, bound=fitted.problem.misfit.bound), fitted.scene)
 
 
-def narrowed_to(bench: Bench, problem: FitProblem) -> Bench:
+def narrowed_to(setup: FitSetup, problem: FitProblem) -> FitSetup:
     """The bench with those of its pixels that a problem, which has run, lights with all their neighbours."""
     observations: dict[str, list[Observation]] = {}
     for view in problem.views:
-        for seen in bench.observations[view.view.name]:
+        for seen in setup.observations[view.view.name]:
             lit = view.render.covered(seen.polarization).astype(np.uint8)
-            inner = bench.ranks.same(minimum_filter(lit, size=3, mode="constant")) > 0
+            inner = once.decide(minimum_filter(lit, size=3, mode="constant")) > 0
             kept = replace(seen, interior=seen.interior & inner, silent=seen.silent & inner)
             observations.setdefault(view.view.name, []).append(kept)
-    pairs = [(a, b) for name in observations for a, b in zip(observations[name], bench.observations[name], strict=True)]
+    pairs = [(a, b) for name in observations for a, b in zip(observations[name], setup.observations[name], strict=True)]
     if all((a.interior == b.interior).all() for a, b in pairs):
-        return bench
-    return replace(bench, observations=observations)
+        return setup
+    return replace(setup, observations=observations)
 
 
-def fitted_at(
-    bench: Bench, problem: FitProblem, x: np.ndarray, loss: float, iterations: int, ranks: Ranks = ONE
-) -> Fitted:
-    """A problem's model at x, where its loss is `loss`; of several `ranks`, as the first one sees it."""
+def fitted_at(setup: FitSetup, problem: FitProblem, x: np.ndarray, loss: float, iterations: int) -> Fitted:
+    """A problem's model at x, where its loss is `loss`."""
     scene = learned_scene(problem, x)
-    bare = problem if not any(get(n).additive for n in scene.effects) else bench.problem(scene, dark=False)
-    value = float(ranks.same(bare.value(bare.modelled(x)) + problem.prior.value(x)))
+    bare = problem if not any(get(n).additive for n in scene.effects) else setup.problem(scene, dark=False)
+    value = float(once.decide(bare.value(bare.modelled(x)) + problem.prior.value(x)))
     return Fitted(scene, problem, x, -value, -loss, iterations)

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from warpsar.diagnosis.proposals import shapes
-from warpsar.diagnosis.proposals.fit import Ground, Standing, alone
+from warpsar.diagnosis.proposals.fit import Standing, TrialGround, alone
 from warpsar.diagnosis.proposals.left_out import explained
-from warpsar.diagnosis.proposals.places import Place
-from warpsar.diagnosis.proposals.shapes import Shape
+from warpsar.diagnosis.proposals.places import BodyPlace
+from warpsar.diagnosis.proposals.shapes import TrialBody
 from warpsar.scene.scene import Scene
 from warpsar.world.tables import Material
 
@@ -26,7 +26,7 @@ THINNEST_PX = 0.5
 class Tried:
     """A shape, and the scene with it at its best while all else is held."""
 
-    shape: Shape
+    shape: TrialBody
     standing: Standing
 
     @property
@@ -48,7 +48,7 @@ class Tried:
         return -self.standing.loss - cost * self.numbers
 
 
-def likeliest(ground: Ground, without: Standing, place: Place, cost: float) -> list[Tried]:
+def likeliest(ground: TrialGround, without: Standing, place: BodyPlace, cost: float) -> list[Tried]:
     """The likeliest body in a place for its numbers, or none."""
     name, pixel_m = _free_name(ground.scene), max(ground.scene.grid.spacing_m)
     box = _first_box(ground, place, name)
@@ -73,7 +73,7 @@ def likeliest(ground: Ground, without: Standing, place: Place, cost: float) -> l
     return [max(fewer, key=lambda one: one.worth(cost))]
 
 
-def _other_bodies(ground: Ground, box: Tried, cost: float) -> list[Tried]:
+def _other_bodies(ground: TrialGround, box: Tried, cost: float) -> list[Tried]:
     tried = []
     for shape in shapes.others(box.standing.scene.objects[-1]):
         found = _fitted(ground, shape, _own(box), GLANCE_STEPS)
@@ -81,7 +81,7 @@ def _other_bodies(ground: Ground, box: Tried, cost: float) -> list[Tried]:
     return tried
 
 
-def _first_box(ground: Ground, place: Place, name: str) -> Tried:
+def _first_box(ground: TrialGround, place: BodyPlace, name: str) -> Tried:
     """A box from the place's width and height, through blurred images."""
     blur_m = place.width_m / 2.0
     first, *turned = shapes.boxes(place, name)
@@ -95,24 +95,24 @@ def _first_box(ground: Ground, place: Place, name: str) -> Tried:
     return Tried(shape, ground.settled(found, most=2 * QUICK_STEPS, flat=QUICK_FLAT))
 
 
-def _fitted(ground: Ground, shape: Shape, material: Material, steps: int, blur_m: float = 0.0) -> Tried:
+def _fitted(ground: TrialGround, shape: TrialBody, material: Material, steps: int, blur_m: float = 0.0) -> Tried:
     scene = _with(ground, shape, material)
     if blur_m:
         scene = ground.settled(scene, blur_m, most=steps, flat=QUICK_FLAT).scene
     return Tried(shape, ground.settled(scene, most=steps, flat=QUICK_FLAT))
 
 
-def _again(ground: Ground, tried: Tried) -> Tried:
+def _again(ground: TrialGround, tried: Tried) -> Tried:
     return replace(tried, standing=ground.settled(tried.standing.scene, most=QUICK_STEPS, flat=QUICK_FLAT))
 
 
-def _rounded(ground: Ground, tried: Tried) -> list[Tried]:
+def _rounded(ground: TrialGround, tried: Tried) -> list[Tried]:
     """A cylinder on a circle in the place of one on an ellipse."""
-    shape = shapes.round_one(Shape(tried.standing.scene.objects[-1], tried.shape.numbers, tried.shape.learn))
+    shape = shapes.round_one(TrialBody(tried.standing.scene.objects[-1], tried.shape.numbers, tried.shape.learn))
     return [] if shape is None else [Tried(shape, _as_it_stands(ground, _with(ground, shape, _own(tried))))]
 
 
-def _of_known_materials(ground: Ground, tried: Tried) -> list[Tried]:
+def _of_known_materials(ground: TrialGround, tried: Tried) -> list[Tried]:
     """The same body, of one of the scene's own materials."""
     found = []
     for name in ground.scene.materials:
@@ -123,16 +123,16 @@ def _of_known_materials(ground: Ground, tried: Tried) -> list[Tried]:
     return [_again(ground, best)]
 
 
-def _as_it_stands(ground: Ground, scene: Scene, blur_m: float = 0.0) -> Standing:
+def _as_it_stands(ground: TrialGround, scene: Scene, blur_m: float = 0.0) -> Standing:
     problem = ground.problem(scene, blur_m)
     return Standing(scene, problem.value(problem.x0), problem, problem.x0)
 
 
-def _with(ground: Ground, shape: Shape, material: Material) -> Scene:
+def _with(ground: TrialGround, shape: TrialBody, material: Material) -> Scene:
     return alone(ground.holding(shape.table, material.model_copy(update={"learn": shape.learn})))
 
 
-def _tidied(ground: Ground, scene: Scene) -> Scene:
+def _tidied(ground: TrialGround, scene: Scene) -> Scene:
     own = scene.materials[str(scene.objects[-1].material)]
     return alone(ground.holding(shapes.tidy(scene.objects[-1]), own))
 
@@ -142,7 +142,7 @@ def _own(tried: Tried) -> Material:
     return scene.materials[str(scene.objects[-1].material)]
 
 
-def _materials(ground: Ground) -> list[Material]:
+def _materials(ground: TrialGround) -> list[Material]:
     """Starts for a material: the scene's own, without what is known of them."""
     update: dict[str, Any] = {"tolerance": {}, "layout": "uniform"}
     return [material.model_copy(update=update) for material in ground.scene.materials.values()]

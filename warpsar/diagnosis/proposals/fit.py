@@ -14,7 +14,7 @@ import warp as wp
 from warpsar.compare.observation import Observation
 from warpsar.diagnosis.models.movable import standing
 from warpsar.learning.pose import FLAT, MOST_STEPS, PosedProblem, descend
-from warpsar.learning.pose_pixels import Compared, compared
+from warpsar.learning.pose_pixels import PosePixels, compared
 from warpsar.learning.problem import FitProblem
 from warpsar.learning.results import learned_scene
 from warpsar.scene.placing import with_objects
@@ -50,7 +50,7 @@ class Standing:
 
 
 @dataclass(frozen=True)
-class Ground:
+class TrialGround:
     """What all trials share: a scene whose objects stand still, the pixels by view name, and the images' gains."""
 
     scene: Scene
@@ -58,12 +58,12 @@ class Ground:
     pixels: Mapping[str, Sequence[Observation]]
     gains: Mapping[tuple[str, str], float]
     loss: str
-    _compared: dict[float, Compared] = field(default_factory=dict)
+    _compared: dict[float, PosePixels] = field(default_factory=dict)
 
     @classmethod
     def of(
         cls, scene: Scene, device: wp.Device, observations: Mapping[str, list[Observation]] | None, loss: str
-    ) -> Ground:
+    ) -> TrialGround:
         """`observations` as `find_poses` takes them."""
         still = with_objects(scene, [one.model_copy(update={"learn": ()}) for one in scene.objects])
         rays = ExactRays(Stage.of(still, device), seed=scene.sampling.seed)
@@ -76,7 +76,7 @@ class Ground:
         loud = {(s.view.name, s.polarization): float(g) for s, g in zip(given.observations, gains, strict=True)}
         return cls(still, device, pixels, loud, loss)
 
-    def compared(self, blur_m: float) -> Compared:
+    def compared(self, blur_m: float) -> PosePixels:
         if blur_m not in self._compared:
             self._compared[blur_m] = compared(self.scene, self.pixels, blur_m, self.gains)
         return self._compared[blur_m]

@@ -8,9 +8,9 @@ from collections.abc import Callable
 import numpy as np
 
 from warpsar.compare.observation import Observation
-from warpsar.diagnosis.models.left_out import LeftOut, clipped
-from warpsar.diagnosis.proposals.fit import Ground, Standing, alone
-from warpsar.diagnosis.proposals.places import Place
+from warpsar.diagnosis.models.left_out import ViewsLeftOut, clipped
+from warpsar.diagnosis.proposals.fit import Standing, TrialGround, alone
+from warpsar.diagnosis.proposals.places import BodyPlace
 from warpsar.scene.scene import Scene
 from warpsar.speckle.likelihood import loss_terms
 from warpsar.speckle.residual import residual_autocovariance
@@ -19,7 +19,9 @@ TOUCHED = 0.1  # change of ln power, from which an object touches a pixel
 STEPS, FLAT = 4, 1.0  # of the fit without a view: it begins where all views have the object
 
 
-def left_out(ground: Ground, without: Standing, whole: Standing, found: Callable[[str], list[Place]]) -> LeftOut:
+def left_out(
+    ground: TrialGround, without: Standing, whole: Standing, found: Callable[[str], list[BodyPlace]]
+) -> ViewsLeftOut:
     """Log-likelihood of every view with an object that the other views propose, over that without it.
 
     `found` gives the places that the views without one propose by themselves. Where the object covers none of them, the
@@ -52,10 +54,10 @@ def left_out(ground: Ground, without: Standing, whole: Standing, found: Callable
     measured, expected = np.concatenate(gains, axis=1)
     covariance = residual_autocovariance([(one, now - mean) for one, (now, mean) in zip(seen, gains, strict=True)])
     error = float(np.sqrt(measured.size * (covariance.sum() + expected.var())))
-    return LeftOut(float(measured.sum()), error, len(names), float(expected.sum()))
+    return ViewsLeftOut(float(measured.sum()), error, len(names), float(expected.sum()))
 
 
-def _covers(scene: Scene, places: list[Place]) -> bool:
+def _covers(scene: Scene, places: list[BodyPlace]) -> bool:
     """Whether one of `places` lies in the last object's foot, to a pixel."""
     last = scene.objects[-1]
     assert last.size_m is not None

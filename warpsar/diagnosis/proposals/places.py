@@ -38,7 +38,7 @@ class Ratios:
 
 
 @dataclass(frozen=True)
-class Place:
+class BodyPlace:
     """A body's place on the ground [m], its width and height [m], the log-likelihood that all views but the best one
     gain (`score`), and what `share` that is of all that is unlike speckle in its pixels there."""
 
@@ -72,7 +72,7 @@ class Looked:
         scores = tuple(np.stack([one.scores(scene, points, *size) for one in sums]) for size in sizes if sums)
         return cls(scene, tuple(one.view.name for one in ratios), points, sizes, scores)
 
-    def best(self, most: int, without: str = "") -> list[Place]:
+    def best(self, most: int, without: str = "") -> list[BodyPlace]:
         """The `most` best places that do not overlap, the best first; as if the view `without` were not there.
 
         A score is the sum over all views but the best one: no view alone makes a place.
@@ -83,7 +83,7 @@ class Looked:
         rest = [_all_but_the_best(each[used]) for each in self.scores]
         scores = np.stack([score for score, _ in rest])
         best, at = scores.max(axis=0), scores.argmax(axis=0)
-        chosen: list[Place] = []
+        chosen: list[BodyPlace] = []
         for k in np.argsort(-best):
             if best[k] <= 0 or len(chosen) == most:
                 break
@@ -91,7 +91,7 @@ class Looked:
             east, north, up = (self.points[k] + self.scene.reference_point_m).tolist()
             if all(math.dist((east, north), one.position_m[:2]) > max(width_m, one.width_m) for one in chosen):
                 share = float(best[k] / rest[at[k]][1][k])
-                chosen.append(Place((east, north, up), width_m, height_m, float(best[k]), share))
+                chosen.append(BodyPlace((east, north, up), width_m, height_m, float(best[k]), share))
         return chosen
 
 

@@ -10,14 +10,14 @@ import numpy as np
 import warp as wp
 
 from warpsar.compare.observation import Observation
-from warpsar.diagnosis.models.bench import Bench
 from warpsar.diagnosis.models.change import GeometryCandidate
-from warpsar.diagnosis.models.lead import FAR_BEHIND, Lead
+from warpsar.diagnosis.models.effect_gain import FAR_BEHIND, EffectGain
+from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.refit import Fitted
 from warpsar.diagnosis.proposals.bodies import Tried, likeliest, sound
-from warpsar.diagnosis.proposals.fit import Ground, Standing, alone, released
+from warpsar.diagnosis.proposals.fit import Standing, TrialGround, alone, released
 from warpsar.diagnosis.proposals.left_out import explained, left_out
-from warpsar.diagnosis.proposals.places import Looked, Place, Ratios
+from warpsar.diagnosis.proposals.places import BodyPlace, Looked, Ratios
 from warpsar.learning.pose_search import summary
 from warpsar.runtime import console
 from warpsar.scene.scene import Scene
@@ -30,9 +30,11 @@ WORTH_A_FIT = 2.0  # times what a number costs: the best of all places where not
 LAST_STEPS, LAST_FLAT = 4, 0.1  # of the last descents
 
 
-def missing_objects(declared: Scene, bench: Bench, here: Fitted, price: float, lead: Lead) -> list[GeometryCandidate]:
+def missing_objects(
+    declared: Scene, setup: FitSetup, here: Fitted, price: float, effect_gain: EffectGain
+) -> list[GeometryCandidate]:
     """`proposed` for a turn of a diagnosis, whose fitted model is `here`. `declared` is not asked."""
-    return proposed(here.scene, bench.device, bench.observations, price=price, least=FAR_BEHIND * lead.sharp)
+    return proposed(here.scene, setup.device, setup.observations, price=price, least=FAR_BEHIND * effect_gain.sharp)
 
 
 def proposed(
@@ -52,7 +54,7 @@ def proposed(
     Returns one candidate or none: a second object is found once the first one stands in the scene. One view cannot
     place an object, so a scene with one has none.
     """
-    ground = Ground.of(scene, device, observations, loss)
+    ground = TrialGround.of(scene, device, observations, loss)
     if len(ground.pixels) < 2:
         return []
     without = ground.settled(ground.scene)
@@ -74,19 +76,19 @@ def proposed(
     console.say(f"missing object: views left out gain {confirmed.gain:.4g} +- {confirmed.error:.2g}")
     if not confirmed.passed:
         return []
-    values, words = _told(whole, best)
+    values, words = _values_and_words(whole, best)
     words.append(f"views left out: log-likelihood up by {confirmed.gain:.4g} +- {confirmed.error:.2g}")
     return [GeometryCandidate(KIND, best.name, whole.scene, float(gain), size, values, words)]
 
 
-def _worth_a_fit(places: list[Place], least: float) -> list[Place]:
+def _worth_a_fit(places: list[BodyPlace], least: float) -> list[BodyPlace]:
     """Places where bodies would explain at least so much, and no much better one is among them."""
     found = _likely(places, least)
     least = NEARLY * max((one.score for one in found), default=0.0)
     return [one for one in found if one.score > least][:PLACES]
 
 
-def _likely(places: list[Place], least: float) -> list[Place]:
+def _likely(places: list[BodyPlace], least: float) -> list[BodyPlace]:
     """Places where a body would explain enough of what is there, and at least so much."""
     return [one for one in places if one.share > EXPLAINED and one.score > least]
 
@@ -101,7 +103,7 @@ def _ratios(standing: Standing) -> list[Ratios]:
     return found
 
 
-def _with_all_else(ground: Ground, scene: Scene) -> Standing:
+def _with_all_else(ground: TrialGround, scene: Scene) -> Standing:
     """Surfaces and effects with the object at their best: in turns, since a step is cheap where no object moves."""
     for _ in range(2):
         placed = replace(scene, objects=(*scene.objects[:-1], scene.objects[-1].model_copy(update={"learn": ()})))
@@ -111,7 +113,7 @@ def _with_all_else(ground: Ground, scene: Scene) -> Standing:
     return ground.settled(scene, most=LAST_STEPS, flat=LAST_FLAT)
 
 
-def _told(whole: Standing, best: Tried) -> tuple[dict[str, Any], list[str]]:
+def _values_and_words(whole: Standing, best: Tried) -> tuple[dict[str, Any], list[str]]:
     """For diagnosis.json: the object's values with their standard deviations, and what is said beside them."""
     identified = whole.problem.identified(whole.x)
     one = whole.scene.objects[-1]

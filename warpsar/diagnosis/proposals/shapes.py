@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from warpsar.diagnosis.proposals.places import Place
+from warpsar.diagnosis.proposals.places import BodyPlace
 from warpsar.world.objects.table import Learnable, Object, Primitive
 
 LONGER = 1.4  # length over width of a first box, whose width and length have the place's width as their mean
@@ -21,7 +21,7 @@ POINT_PX = 1.0  # diameter of a point reflector, in pixels
 
 
 @dataclass(frozen=True)
-class Shape:
+class TrialBody:
     """An object as it is tried. `numbers`: how many of its pose and size are free. `learn`: what is, of its material,
     where that is its own."""
 
@@ -30,48 +30,48 @@ class Shape:
     learn: tuple[str, ...] = ("eps_r", "rms_height_m", "correlation_length_m")
 
 
-def boxes(place: Place, name: str) -> Iterator[Shape]:
+def boxes(place: BodyPlace, name: str) -> Iterator[TrialBody]:
     """Boxes of the place's width and height, under four headings."""
     size = (place.width_m * LONGER**0.5, place.width_m / LONGER**0.5, place.height_m)
     for heading in HEADINGS_DEG:
-        yield Shape(_body("box", name, size, place.position_m, heading), 6)
+        yield TrialBody(_body("box", name, size, place.position_m, heading), 6)
 
 
-def point(position_m: tuple[float, float, float], name: str, pixel_m: float) -> Shape:
+def point(position_m: tuple[float, float, float], name: str, pixel_m: float) -> TrialBody:
     """A point reflector: a sphere of about a pixel, which is as bright from everywhere. Its height is free."""
     d = POINT_PX * pixel_m
     table = Object(
         name=name, primitive="sphere", size_m=(d, d, d), position_m=position_m, material=name, learn=("position",)
     )
-    return Shape(table, 3, BRIGHTNESS)
+    return TrialBody(table, 3, BRIGHTNESS)
 
 
-def point_in(box: Object, name: str, pixel_m: float) -> Shape:
+def point_in(box: Object, name: str, pixel_m: float) -> TrialBody:
     """A point reflector in the middle of a fitted box."""
     assert box.size_m is not None
     east, north, foot = box.position_m
     return point((east, north, foot + (box.size_m[2] - POINT_PX * pixel_m) / 2.0), name, pixel_m)
 
 
-def others(box: Object) -> Iterator[Shape]:
+def others(box: Object) -> Iterator[TrialBody]:
     """Other bodies in the place of a fitted box: a cylinder, and vehicles of a vehicle's size, front or back ahead."""
     assert box.size_m is not None
     assert box.name is not None
-    yield Shape(_body("cylinder", box.name, box.size_m, box.position_m, box.heading_deg), 6)
+    yield TrialBody(_body("cylinder", box.name, box.size_m, box.position_m, box.heading_deg), 6)
     for primitive, limits in VEHICLES.items():
         if all(low <= size <= high for size, (low, high) in zip(box.size_m, limits, strict=True)):
             for turn in (0.0, 180.0):
-                yield Shape(_body(primitive, box.name, box.size_m, box.position_m, box.heading_deg + turn), 6)
+                yield TrialBody(_body(primitive, box.name, box.size_m, box.position_m, box.heading_deg + turn), 6)
 
 
-def round_one(shape: Shape) -> Shape | None:
+def round_one(shape: TrialBody) -> TrialBody | None:
     """The upright cylinder of a circle that is nearest to one of an ellipse; None for other bodies."""
     if shape.table.primitive != "cylinder" or shape.table.size_m is None:
         return None
     length, width, height = shape.table.size_m
     d = (length * width) ** 0.5
     table = shape.table.model_copy(update={"size_m": (d, d, height), "heading_deg": 0.0, "learn": ("position", "size")})
-    return Shape(table, 4, shape.learn)
+    return TrialBody(table, 4, shape.learn)
 
 
 def tidy(table: Object) -> Object:

@@ -8,7 +8,7 @@ import numpy as np
 
 from warpsar.compare.comparison import Comparison, ratio_db
 from warpsar.diagnosis.left.figures import in_plan, spectrum, worst_view
-from warpsar.diagnosis.left.place import Place, residual_on
+from warpsar.diagnosis.left.place import ResidualPlace, residual_on
 from warpsar.diagnosis.left.words import sentences
 from warpsar.diagnosis.result import Diagnosed
 from warpsar.evaluation.report_parts import both_sides, image_axes, reach_db, residual_rgb, residual_scale
@@ -126,7 +126,7 @@ def _strongest_window(done: Diagnosed) -> str:
     return f"{text} {verdict}"
 
 
-def _place(where: Place) -> list[str]:
+def _place(where: ResidualPlace) -> list[str]:
     """Tables of what is lit in the window, and of the same place in every view."""
     if not where.parts:
         return [report.paragraph("No surface is lit there.")]
@@ -156,7 +156,7 @@ def _on_the_mesh(done: Diagnosed) -> list[str]:
     """What is left, painted on the mesh from two sides."""
     found = done.diagnosis
     reach = SURFACE_REACH_DB
-    stage = Stage.of(found.final.scene, found.bench.device)
+    stage = Stage.of(found.final.scene, found.setup.device)
     pictures = []
     for azimuth, side in both_sides(stage, INCIDENCE_DEG):
         shades = residual_rgb(residual_on(side, found, done.models[-1]), reach)

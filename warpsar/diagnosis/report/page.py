@@ -13,12 +13,12 @@ from warpsar.diagnosis.report.objects import objects_section
 from warpsar.diagnosis.report.summary import summary_section
 from warpsar.diagnosis.report.surface import parameters_section
 from warpsar.diagnosis.report.turns import turn_section
-from warpsar.diagnosis.result import Diagnosed, Moved, why_not
+from warpsar.diagnosis.result import Diagnosed, ParameterMove, why_not
 from warpsar.io import html as report
 
 
 def write_report(
-    path: Path, done: Diagnosed, moves: Sequence[Moved], content: dict[str, Any], command: Sequence[str]
+    path: Path, done: Diagnosed, moves: Sequence[ParameterMove], content: dict[str, Any], command: Sequence[str]
 ) -> None:
     """`content` is that of diagnosis.json, `command` the words that made it."""
     found = done.diagnosis

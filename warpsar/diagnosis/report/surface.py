@@ -9,13 +9,13 @@ import numpy as np
 
 from warpsar.diagnosis.field_content import FIELDS_HEAD, fields_rows
 from warpsar.diagnosis.known import KNOWN_CAPTION, KNOWN_HEAD, known_rows
-from warpsar.diagnosis.result import SAME_SD, Diagnosed, Moved
+from warpsar.diagnosis.result import SAME_SD, Diagnosed, ParameterMove
 from warpsar.diagnosis.search.outcome import effect_table
 from warpsar.evaluation.report_parts import shown_as
 from warpsar.io import html as report
 
 
-def parameters_section(done: Diagnosed, moves: Sequence[Moved], content: dict[str, Any]) -> str:
+def parameters_section(done: Diagnosed, moves: Sequence[ParameterMove], content: dict[str, Any]) -> str:
     rows = []
     for move in moves:
         label, factor = shown_as(move.key)

@@ -9,10 +9,9 @@ from functools import partial
 import numpy as np
 
 from warpsar.diagnosis.scores.evidence import LARGEST, Evidence
-from warpsar.diagnosis.scores.score import Group, Projection
-from warpsar.runtime import threads
+from warpsar.diagnosis.scores.score import TangentProjection, TemplateGroup
+from warpsar.runtime import once, threads
 from warpsar.runtime.deadline import check
-from warpsar.runtime.distributed import ONE, Ranks
 from warpsar.speckle.draws import Speckle
 from warpsar.speckle.scan import Scan
 from warpsar.speckle.tail import Tail
@@ -44,20 +43,21 @@ class Bootstrap:
 
 def bootstrap(
     evidence: Evidence,
-    projection: Projection,
-    groups: Mapping[str, Sequence[Group]],
+    projection: TangentProjection,
+    groups: Mapping[str, Sequence[TemplateGroup]],
     scan: Scan,
     draws: int,
     seed: int,
     progress: Callable[[int], object] | None = None,
-    ranks: Ranks = ONE,
 ) -> Bootstrap:
     """Draw speckle with the residual's own correlation and take it through the projection, every score and the scan.
 
-    A draw stands for a refit: the tangent space is taken out of it as a fit would. `ranks` share the draws.
+    A draw stands for a refit: the tangent space is taken out of it as a fit would. Processes share the draws.
     """
     speckle = Speckle(evidence.observations, evidence.autocovariance)
     seeds = np.random.SeedSequence(seed).spawn(-(-draws // BATCH))
+
+    processes = once.processes()
 
     def batch(sequence: np.random.SeedSequence) -> dict[str, np.ndarray]:
         check()
@@ -69,15 +69,10 @@ def bootstrap(
         found = {name: np.max([g.largest(residuals) for g in members], axis=0) for name, members in groups.items()}
         found["scan"] = scan.largest(evidence.split(residuals))
         if progress is not None:
-            progress(BATCH * ranks.size)
+            progress(BATCH * processes)
         return found
 
-    batches = ranks.deal_out(
-        [partial(batch, sequence) for sequence in seeds],
-        told=lambda found: {name: values.tolist() for name, values in found.items()},
-        heard=lambda found: {name: np.array(values) for name, values in found.items()},
-        run=threads.in_threads,
-    )
+    batches = once.share([partial(batch, sequence) for sequence in seeds], run=threads.in_threads)
     scores = {name: np.concatenate([b[name] for b in batches])[:draws] for name in batches[0]}
     tails = {name: Tail.of(values) for name, values in scores.items()}
     largest = np.max([tails[name](values) for name, values in scores.items()], axis=0)

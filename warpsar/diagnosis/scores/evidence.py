@@ -10,7 +10,7 @@ from scipy.sparse import csc_array, csr_array
 
 from warpsar.compare.observation import TRACE, Observation
 from warpsar.learning.problem import FitProblem
-from warpsar.runtime.distributed import ONE, Ranks
+from warpsar.runtime import once
 from warpsar.speckle.covariance import correlated
 from warpsar.speckle.own import Patch, own_autocovariance
 from warpsar.speckle.residual import residual_autocovariance
@@ -40,10 +40,10 @@ class Evidence:
     silent: Sequence[np.ndarray]
 
     @classmethod
-    def of(cls, problem: FitProblem, x: np.ndarray, ranks: Ranks = ONE) -> Evidence:
+    def of(cls, problem: FitProblem, x: np.ndarray) -> Evidence:
         """What the problem's model at `x` leaves."""
         seen = problem.observations
-        modelled = [ranks.same(mu) for mu in problem.modelled(x)]
+        modelled = [once.decide(mu) for mu in problem.modelled(x)]
         silent = _silent(problem, modelled)
         parts = [
             np.clip(np.sqrt(s.looks) * (s.values / (gain * mu) - 1.0), -LARGEST, LARGEST)
@@ -58,13 +58,13 @@ class Evidence:
         """Correlation area of the speckle, in pixels; 1 for white speckle."""
         return max(float(self.autocovariance.sum() / self.autocovariance.max()), 1.0)
 
-    def price(self, ranks: Ranks = ONE) -> float:
+    def price(self) -> float:
         """What a parameter costs in 2 ln L: ln of the independent looks in the data, which are looks times pixels over
         their correlation area (Schwarz, Annals of Statistics 6, 1978), times that area. 2 ln L takes pixels for
         independent, and so counts as many times too much as pixels are correlated. Structure that the model misses is
         no speckle, and raises no price."""
         area = min(self.area, self._own_area())
-        return float(area * np.log(ranks.same(float(np.sum(self.root_looks**2) / area))))
+        return float(area * np.log(once.decide(float(np.sum(self.root_looks**2) / area))))
 
     def _own_area(self) -> float:
         """`area` of the speckle alone, whatever structure lies in the residual."""

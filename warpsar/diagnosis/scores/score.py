@@ -26,7 +26,7 @@ REACH = 5.0
 SPARSE = 0.1  # share of pixels that a template touches, below which it is kept as a sparse column
 
 
-class Projection:
+class TangentProjection:
     """Removes the tangent space of the fitted parameters from templates and residuals, in standardised units; of a
     parameter that is `known` to a tolerance, as much as it may move.
 
@@ -116,7 +116,7 @@ def minus_log_p(statistic: np.ndarray, two_sided: int, one_sided: int) -> np.nda
 
 
 @dataclass(frozen=True)
-class Group:
+class TemplateGroup:
     """All templates of one effect with the same coordinates, two- and one-sided: `columns`, shape (n, trials * k), a
     matrix or sparse, standardised and of unit length, not projected; `covariance`, shape (trials, k, k), of their
     scores once projected; `eta`, shape (trials,), the share of energy that the projection leaves of the best column."""
@@ -184,7 +184,7 @@ class Group:
         return [(members, np.linalg.pinv(part, rcond=1e-10, hermitian=True)) for members, part in parts]
 
 
-def group(templates: Sequence[Template], projection: Projection, evidence: Evidence) -> list[Group]:
+def group(templates: Sequence[Template], projection: TangentProjection, evidence: Evidence) -> list[TemplateGroup]:
     """Templates of one effect made ready for the residual at hand; only trials that are testable are kept in the
     groups, unless none is."""
     found = []
@@ -203,7 +203,7 @@ def group(templates: Sequence[Template], projection: Projection, evidence: Evide
         keep = testable if testable.any() else np.ones_like(testable)
         ready = ready if keep.all() else ready[:, np.repeat(keep, k)]
         alike = [t for t, kept in zip(alike, keep, strict=True) if kept]
-        found.append(Group(alike, ready, projection.covariances(ready, k, evidence), eta[keep]))
+        found.append(TemplateGroup(alike, ready, projection.covariances(ready, k, evidence), eta[keep]))
     return found
 
 

@@ -8,19 +8,19 @@ before all are found. Then the worst is taken back, and the rest is asked again 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 from warpsar.diagnosis.found import Confirmed
-from warpsar.diagnosis.models.bench import Bench
 from warpsar.diagnosis.models.carried import Carried, carried_over
 from warpsar.diagnosis.models.change import is_geometry
-from warpsar.diagnosis.models.left_out import LeftOut, leave_one_view_out
+from warpsar.diagnosis.models.fit_setup import FitSetup
+from warpsar.diagnosis.models.left_out import ViewsLeftOut, leave_one_view_out
 from warpsar.diagnosis.models.refit import Fitted, refit_without
 from warpsar.diagnosis.search.geometry_confirmation import asked_of, taken_back, views_left_out
 from warpsar.diagnosis.turn.addition import TOO_LITTLE
 from warpsar.diagnosis.turn.signature import signature
-from warpsar.effects.base.signature import Signature
 from warpsar.effects.registry import get
+from warpsar.runtime import once
 from warpsar.scene.scene import Scene
 
 NOT_ELSEWHERE = "it does not help on views left out as a true one would"
@@ -35,7 +35,7 @@ class Confirmation:
 
 
 def confirm(
-    bench: Bench,
+    setup: FitSetup,
     fitted: Fitted,
     added: Sequence[str],
     needed: Callable[[Fitted, str], bool],
@@ -55,10 +55,10 @@ def confirm(
     refused: list[Confirmed] = []
     while True:
         left = [name for name in added if is_geometry(name) or name in fitted.scene.effects]
-        without = {name: _without(bench, fitted, scene, name) for name in left}
+        without = {name: _without(setup, fitted, scene, name) for name in left}
         dark = {name for name in left if not is_geometry(name) and get(name).additive and needed(without[name], name)}
         asked = {
-            name: asked_of(bench, fitted, without[name], scene, name)
+            name: asked_of(setup, fitted, without[name], scene, name)
             if is_geometry(name)
             else _gained(fitted, without[name], name)
             for name in left
@@ -70,13 +70,13 @@ def confirm(
         else:
             for name in left:
                 if is_geometry(name):
-                    answer = views_left_out(bench, fitted, without[name], scene, name, quiet)
+                    answer = views_left_out(setup, fitted, without[name], scene, name, quiet)
                     asked[name].left_out = answer
                     asked[name].refused = "" if answer.passed else NOT_ELSEWHERE
                 elif name in dark:
-                    _earned(bench, fitted, without[name], asked[name])
+                    _earned(setup, fitted, without[name], asked[name])
                 else:
-                    _ask(bench, fitted, without[name], asked[name], quiet)
+                    _ask(setup, fitted, without[name], asked[name], quiet)
             failing = [one for one in asked.values() if one.refused]
             if not failing:
                 return Confirmation(fitted, [*refused, *asked.values()])
@@ -87,10 +87,10 @@ def confirm(
             return Confirmation(fitted, [*refused, *(one for one in asked.values() if one is not worst)])
 
 
-def _without(bench: Bench, fitted: Fitted, declared: Scene, name: str) -> Fitted:
+def _without(setup: FitSetup, fitted: Fitted, declared: Scene, name: str) -> Fitted:
     if is_geometry(name):
-        return taken_back(bench, fitted, declared, name)
-    return refit_without(bench, fitted, name)
+        return taken_back(setup, fitted, declared, name)
+    return refit_without(setup, fitted, name)
 
 
 def _gained(fitted: Fitted, without: Fitted, name: str) -> Confirmed:
@@ -104,23 +104,23 @@ def _strength(one: Confirmed) -> float:
     return 0.0 if left is None or left.error <= 0 else left.gain / left.error
 
 
-def _ask(bench: Bench, fitted: Fitted, without: Fitted, one: Confirmed, quiet: bool) -> None:
+def _ask(setup: FitSetup, fitted: Fitted, without: Fitted, one: Confirmed, quiet: bool) -> None:
     """Whether the effect helps on views left out, is one value for a view, and is no power that the surface may send.
     Fills in the answers."""
     name = one.effect
     # numbers of single views have too few pixels to be told from what stands in their rows
     quiet = quiet and not all(parameter.per_view for parameter in get(name).parameters)
-    one.left_out = leave_one_view_out(bench, without, fitted, name, quiet=quiet)
+    one.left_out = leave_one_view_out(setup, without, fitted, name, quiet=quiet)
     if not one.left_out.passed:
         one.refused = NOT_ELSEWHERE
         return
     if one.left_out.varies:
         one.refused = "not one value for a view: it varies over the view's columns"
         return
-    if not _earned(bench, fitted, without, one):
+    if not _earned(setup, fitted, without, one):
         return
     if get(name).in_image:
-        one.carried = carried_over(bench, fitted, name)
+        one.carried = carried_over(setup, fitted, name)
         if one.carried.by_surface(name):
             shared = _shared_note(name, one.carried, one.left_out)
             one.notes.append(shared)
@@ -128,16 +128,16 @@ def _ask(bench: Bench, fitted: Fitted, without: Fitted, one: Confirmed, quiet: b
                 one.refused = shared
 
 
-def _earned(bench: Bench, fitted: Fitted, without: Fitted, one: Confirmed) -> bool:
+def _earned(setup: FitSetup, fitted: Fitted, without: Fitted, one: Confirmed) -> bool:
     """Whether nothing in the effect's own test speaks against its name."""
-    own = signature(bench, without, fitted, one.effect)
-    one.signature = own = Signature(**bench.ranks.gather(asdict(own))[0])
+    own = signature(setup, without, fitted, one.effect)
+    one.signature = own = once.find(lambda: own)
     if own.outcome == "against":
         one.refused = f"its own test speaks against it: {own.text}"
     return own.outcome != "against"
 
 
-def _shared_note(name: str, carried: Carried, left: LeftOut) -> str:
+def _shared_note(name: str, carried: Carried, left: ViewsLeftOut) -> str:
     """Why the surface may be the cause. Power added in an image may come from something that stands there. Every radar
     blurs, so of a blur the amount alone is in doubt."""
     share = f"the surface takes {100.0 * carried.share:.0f} % of its gain over from view to view"

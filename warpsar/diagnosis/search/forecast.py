@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from warpsar.diagnosis.found import DiagnoseOptions
-from warpsar.diagnosis.models.bench import Bench
+from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.scores.bootstrap import BATCH
 from warpsar.diagnosis.scores.evidence import Evidence
 from warpsar.runtime import threads
@@ -27,7 +27,7 @@ EFFECT = 1.8  # times all of it, for an effect that is found: candidates' fits, 
 
 
 @dataclass(frozen=True)
-class Forecast:
+class DiagnosisForecast:
     """`nothing_s`: where nothing is missing. `effect_s`: what each effect adds that is found."""
 
     nothing_s: float
@@ -40,12 +40,12 @@ class Forecast:
         )
 
 
-def forecast(bench: Bench, scene: Scene, options: DiagnoseOptions) -> Forecast | None:
+def forecast(setup: FitSetup, scene: Scene, options: DiagnoseOptions) -> DiagnosisForecast | None:
     """From one Jacobian of the declared model and one batch of draws of speckle; None where it is not long.
 
     The Jacobian is made twice, and the second is timed: the first one compiles.
     """
-    problem = bench.problem(scene)
+    problem = setup.problem(scene)
     problem.jacobian(problem.x0)
     jacobian, _ = timed(lambda: problem.jacobian(problem.x0))
     evidence = Evidence.of(problem, problem.x0)
@@ -54,4 +54,4 @@ def forecast(bench: Bench, scene: Scene, options: DiagnoseOptions) -> Forecast |
     batch, _ = timed(lambda: scan.largest(evidence.split(speckle(np.random.default_rng(0), BATCH))))
     batches = options.draws / BATCH / min(threads.thread_count(), options.draws / BATCH) + BATCHES
     nothing = JACOBIANS * (1 + options.starts) * jacobian + batches * batch
-    return Forecast(nothing, EFFECT * nothing) if nothing > LONG_S else None
+    return DiagnosisForecast(nothing, EFFECT * nothing) if nothing > LONG_S else None

@@ -6,49 +6,53 @@ from dataclasses import replace
 
 import numpy as np
 
+from warpsar.compare.observation import Observation
 from warpsar.diagnosis.found import Confirmed
-from warpsar.diagnosis.models.all_pixels import Exact, log_likelihood, still
-from warpsar.diagnosis.models.bench import Bench
-from warpsar.diagnosis.models.change import ABSENT, kind_of, object_of, without_change
-from warpsar.diagnosis.models.left_out import LeftOut, summed
+from warpsar.diagnosis.models.all_pixels import Exact, log_likelihood
+from warpsar.diagnosis.models.change import ABSENT, without_change
+from warpsar.diagnosis.models.fit_setup import FitSetup
+from warpsar.diagnosis.models.left_out import ViewsLeftOut, column_blocks, summed
 from warpsar.diagnosis.models.movable import own_material, refined_words, standing, with_words
+from warpsar.diagnosis.models.names import kind_of, object_of
 from warpsar.diagnosis.models.refit import Fitted
+from warpsar.diagnosis.models.sensor import is_own_angle, is_sensor, like_sensor, sensor_changes, sensor_freed
 from warpsar.diagnosis.turn.geometry_trial import fitted_beside
 from warpsar.effects.registry import get
+from warpsar.learning.geometry import Geometry, freed, still
 from warpsar.learning.pose import PosedProblem, descend
-from warpsar.learning.pose_coordinates import Poses
 from warpsar.learning.results import learned_scene
 from warpsar.scene.scene import Scene
 from warpsar.speckle.likelihood import loss_terms
 from warpsar.world.world import posed
 
 
-def taken_back(bench: Bench, fitted: Fitted, declared: Scene, name: str) -> Fitted:
+def taken_back(setup: FitSetup, fitted: Fitted, declared: Scene, name: str) -> Fitted:
     """The model without one of its changes of geometry, fitted to the pixels that both light.
 
     Effects of the changed body's own material go with it.
     """
     scene = without_change(declared, fitted.scene, name)
     effects = {effect: table for effect, table in scene.effects.items() if not get(effect).check(scene, table)}
-    return fitted_beside(bench, replace(scene, effects=effects), declared)[1]
+    return fitted_beside(setup, replace(scene, effects=effects), declared)[1]
 
 
-def asked_of(bench: Bench, fitted: Fitted, without: Fitted, declared: Scene, name: str) -> Confirmed:
+def asked_of(setup: FitSetup, fitted: Fitted, without: Fitted, declared: Scene, name: str) -> Confirmed:
     """What the change gains on all usable pixels, for how many numbers."""
-    gain = 2.0 * (log_likelihood(bench, fitted) - log_likelihood(bench, without))
+    gain = 2.0 * (log_likelihood(setup, fitted) - log_likelihood(setup, without))
     if kind_of(name) == ABSENT:
         return Confirmed(name, gain, 1)
     free = _freed(declared, fitted.scene, name)
     on_ground = standing(free)
     numbers = sum(
-        (c.word, c.index) != ("position", 2) or free.objects[c.object].label not in on_ground
-        for c in Poses(free).coordinates
+        (c.parameter.key, c.index) != ("position_m", 2) or c.body not in on_ground for c in Geometry(free).coordinates
     )
     own = own_material(declared, fitted.scene, object_of(name))
     return Confirmed(name, gain, numbers + (len(fitted.scene.materials[own].learn) if own else 0))
 
 
-def views_left_out(bench: Bench, fitted: Fitted, without: Fitted, declared: Scene, name: str, quiet: bool) -> LeftOut:
+def views_left_out(
+    setup: FitSetup, fitted: Fitted, without: Fitted, declared: Scene, name: str, quiet: bool
+) -> ViewsLeftOut:
     """Explain each view with the object as the other views have it, and without the change.
 
     The others place the object. They also give the size and the own material of one that was missing. All else is
@@ -56,30 +60,64 @@ def views_left_out(bench: Bench, fitted: Fitted, without: Fitted, declared: Scen
     """
     names = [view.view.name for view in fitted.problem.views]
     if len(names) < 2:
-        return LeftOut(0.0, 0.0, len(names))
-    exact = Exact.of(bench, fitted)
+        return ViewsLeftOut(0.0, 0.0, len(names))
+    exact = Exact.of(setup, fitted)
     lacking, end = exact.settled(still(without.scene))
     free, own = _freed(declared, fitted.scene, name), own_material(declared, fitted.scene, object_of(name))
     seen, gains = [], []
     for view in names:
         scene = still(fitted.scene)
-        if any(one.learn for one in free.objects):
+        if is_own_angle(name):
+            if not name.endswith(f" {view}"):
+                continue  # the image is the same with and without
+            pairs = _by_halves(exact, free, lacking, end.x, still(fitted.scene), view)
+            seen += [one for one, _ in pairs]
+            gains += [gain for _, gain in pairs]
+            continue
+        if next(freed(free), None) is not None:
             others = exact.problem(free, [each for each in names if each != view])
             known = descend(others, others.x0)
-            scene = _with_own(posed(scene, others.poses.at(known.x[others.size :])), others, known.x, own)
-        whole, there = exact.settled(still(scene))
-        pairs = zip(exact.images(lacking, end.x, view), exact.images(whole, there.x, view), strict=True)
-        for (one, before), (_, after) in pairs:
+            there = others.geometry.at(known.x[others.size :])
+            scene = like_sensor(scene, there)
+            scene = scene if scene.assembly is None else posed(scene, there.objects)
+            scene = _with_own(scene, others, known.x, own)
+        whole, settled = exact.settled(still(scene))
+        images = zip(exact.images(lacking, end.x, view), exact.images(whole, settled.x, view), strict=True)
+        for (one, before), (_, after) in images:
             seen.append(one)
-            gains.append(
-                np.stack(
-                    [
-                        loss_terms("gamma", beta0, before, one.looks) - loss_terms("gamma", beta0, after, one.looks)
-                        for beta0 in (one.values, after)
-                    ]
-                )
-            )
-    return summed(bench, seen, gains, len(names), quiet)
+            gains.append(_gain(one, before, after))
+    return summed(setup, seen, gains, len(names), quiet)
+
+
+def _gain(seen: Observation, before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """Log-likelihood that every pixel gains: as measured, and on average were the model true; shape (2, n)."""
+    return np.stack(
+        [
+            loss_terms("gamma", beta0, before, seen.looks) - loss_terms("gamma", beta0, after, seen.looks)
+            for beta0 in (seen.values, after)
+        ]
+    )
+
+
+def _by_halves(
+    exact: Exact, free: Scene, lacking: PosedProblem, x: np.ndarray, whole: Scene, view: str
+) -> list[tuple[Observation, np.ndarray]]:
+    """A view's observations with what each pixel gains by its own angle, which the other half of its pixels tells.
+
+    No other view can tell it. The halves are blocks of columns in turn: were the angle no property of the view but a
+    body's pose, the halves without the body would speak against it.
+    """
+    settled, there = exact.settled(whole)
+    befores = exact.images(lacking, x, view)
+    afters = [after.copy() for _, after in exact.images(settled, there.x, view)]
+    for half in (0, 1):
+        own = exact.problem(free, [view], half=half)
+        angle = own.geometry.at(descend(own, own.x0).x)
+        other = exact.problem(like_sensor(whole, angle))
+        for (seen, _), into, (_, mu) in zip(befores, afters, exact.images(other, there.x, view), strict=True):
+            judged = ~column_blocks(seen, half)[seen.interior]
+            into[judged] = mu[judged]
+    return [(seen, _gain(seen, before, after)) for (seen, before), after in zip(befores, afters, strict=True)]
 
 
 def _with_own(scene: Scene, problem: PosedProblem, x: np.ndarray, own: str | None) -> Scene:
@@ -92,5 +130,7 @@ def _with_own(scene: Scene, problem: PosedProblem, x: np.ndarray, own: str | Non
 
 def _freed(declared: Scene, scene: Scene, name: str) -> Scene:
     """The scene with what a fit may change of the object alone; nothing of an absent one."""
+    if is_sensor(name):
+        return sensor_freed(scene, sensor_changes(declared, scene)[name])
     words = {label: each for label, each in refined_words(declared, scene).items() if label == object_of(name)}
     return with_words(scene, words)

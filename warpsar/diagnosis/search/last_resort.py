@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from warpsar.diagnosis.found import Candidate
-from warpsar.diagnosis.models.bench import Bench
+from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.left_out import leave_one_view_out
 from warpsar.diagnosis.models.refit import Fitted, refit_as
 from warpsar.diagnosis.search.confirmation import NOT_ELSEWHERE
@@ -17,7 +17,7 @@ LEAST_VIEWS = 3
 """With two the law of one view would be asked of one other, at one other incidence."""
 
 
-def learned_law(bench: Bench, here: Fitted, price: float) -> tuple[Candidate, Fitted] | None:
+def learned_law(setup: FitSetup, here: Fitted, price: float) -> tuple[Candidate, Fitted] | None:
     """An effect of the last resort with its fit, and whether views left out bear it (`Candidate.refused`).
 
     None where the scene has it already, or too few views to leave one out. A parameter costs `price` of 2 ln L.
@@ -28,7 +28,7 @@ def learned_law(bench: Bench, here: Fitted, price: float) -> tuple[Candidate, Fi
     name = offered[0]
     trial = get(name).trials(Context(here.scene, 1.0))[0]
     scene = replace(here.scene, effects={**here.scene.effects, name: dict(trial.starts[0])})
-    fitted = refit_as(bench, scene)
+    fitted = refit_as(setup, scene)
     found = Candidate(name, "testable", note="the last resort: no named effect explains what is left")
     found.refit_gain = 2.0 * (fitted.log_likelihood - here.log_likelihood)
     found.refit_size = fitted.size - here.size
@@ -36,6 +36,6 @@ def learned_law(bench: Bench, here: Fitted, price: float) -> tuple[Candidate, Fi
     if found.refit_gain <= found.refit_size * price:
         found.refused = TOO_LITTLE
         return found, fitted
-    found.left_out = leave_one_view_out(bench, here, fitted, name)
+    found.left_out = leave_one_view_out(setup, here, fitted, name)
     found.refused = "" if found.left_out.passed else NOT_ELSEWHERE
     return found, fitted

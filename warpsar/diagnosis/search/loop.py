@@ -8,36 +8,41 @@ from dataclasses import replace
 from typing import Any
 
 from warpsar.compare.judgement import judge
-from warpsar.diagnosis.dark.said import Dark, worth_a_refit
-from warpsar.diagnosis.found import Candidate, DiagnoseOptions, Rival, Turn
+from warpsar.diagnosis.dark.evidence import Dark, worth_a_refit
+from warpsar.diagnosis.found import Candidate, DiagnoseOptions, EffectRival, Turn
 from warpsar.diagnosis.models.all_pixels import lit_shadows
-from warpsar.diagnosis.models.bench import Bench
-from warpsar.diagnosis.models.change import changes, is_geometry, object_of
+from warpsar.diagnosis.models.change import changes, is_geometry
+from warpsar.diagnosis.models.effect_gain import EffectGain
+from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.judge import Judge
-from warpsar.diagnosis.models.lead import Lead
+from warpsar.diagnosis.models.names import object_of
 from warpsar.diagnosis.models.refit import Fitted, narrow, on_bounded_ground, refit_as, settle
+from warpsar.diagnosis.models.sensor import found_sensor, is_sensor
 from warpsar.diagnosis.scores.evidence import Evidence
 from warpsar.diagnosis.scores.templates import Template
 from warpsar.diagnosis.search.confirmation import Confirmation, confirm
-from warpsar.diagnosis.search.course import Course
 from warpsar.diagnosis.search.last_resort import learned_law
 from warpsar.diagnosis.search.outcome import confirmation_lines, score_text, turn_lines
+from warpsar.diagnosis.search.record import SearchRecord
 from warpsar.diagnosis.turn.addition import add_the_best
-from warpsar.diagnosis.turn.geometry_search import geometry_candidates
+from warpsar.diagnosis.turn.geometry_search import Screened, geometry_candidates, screened_bodies
 from warpsar.diagnosis.turn.geometry_trial import add_the_likeliest, on_its_ground, posed_anew
 from warpsar.diagnosis.turn.pruning import prune, trimmed, with_smaller
 from warpsar.diagnosis.turn.rivals import rivals_of
 from warpsar.diagnosis.turn.scoring import score_effects
 from warpsar.diagnosis.turn.screening import NO_DARK
+from warpsar.diagnosis.turn.sensor_search import Hypothesis, screened_sensor, sensor_candidates
 from warpsar.diagnosis.turn.settings import resettled
 from warpsar.diagnosis.turn.shortlist import refits
 from warpsar.effects.registry import get
 from warpsar.learning.pose_search import FoundPoses
-from warpsar.runtime import console
+from warpsar.runtime import console, once
 from warpsar.runtime.deadline import TimeUp, deadline
 from warpsar.scene.scene import Scene
 from warpsar.simulation.rays import Rays
 
+FAR_AHEAD = 3.0  # times the largest score of an effect (2 ln L): geometry that gains more has few rivals fitted
+SENSOR_BEHIND = 0.5  # of what the best body is foretold: angles and spacings below it are not fitted
 CHANCES = 2  # how often one effect may be added: what is taken back may hold once something else was found
 
 
@@ -51,20 +56,20 @@ class Search:
     def __init__(
         self,
         scene: Scene,
-        bench: Bench,
+        setup: FitSetup,
         other_rays: Rays,
         declared: Fitted,
         options: DiagnoseOptions,
-        course: Course,
+        record: SearchRecord,
         progress: Callable[[int], object],
         judge: Judge,
     ) -> None:
         self.scene, self.options, self.turns = scene, options, list[Turn]()
         self.not_asked: list[str] = []  # what a limit of time left out, in words
         self._judge, self._doing = judge, ""
-        self._bench = bench  # fewer pixels where an added effect has moved the light
-        self._other = replace(bench, rays=other_rays)
-        self._declared, self._course, self._progress = declared, course, progress
+        self._setup = setup  # fewer pixels where an added effect has moved the light
+        self._other = replace(setup, rays=other_rays)
+        self._declared, self._record, self._progress = declared, record, progress
         self._base = declared
         self._barred: set[str] = set()  # taken back, with nothing else found since
         self._times: Counter[str] = Counter()  # that an effect was added
@@ -113,11 +118,11 @@ class Search:
         last = self.turns[-1]
         if len(self._added(self._base)) >= self.options.most_effects:
             return
-        bench, here = on_bounded_ground(self._bench, self._base, self.scene)
+        setup, here = on_bounded_ground(self._setup, self._base, self.scene)
         if not last.alarms and not self._left(here.scene):
             return
-        price = Evidence.of(here.problem, here.x, bench.ranks).price(bench.ranks)
-        found = learned_law(bench, here, price)
+        price = Evidence.of(here.problem, here.x).price()
+        found = learned_law(setup, here, price)
         if found is None:
             return
         candidate, fitted = found
@@ -126,20 +131,20 @@ class Search:
         if not candidate.refused:
             last.added, last.fitted = candidate.effect, fitted
             self._times[candidate.effect] += 1
-            self._bench, self._base = narrow(self._bench, fitted)
+            self._setup, self._base = narrow(self._setup, fitted)
             self._forward()
 
     def _left(self, scene: Scene) -> bool:
         """Whether the train views hold structure, or a deviance that even ground does not have, and not at edges: no
         law of backscatter moves an outline."""
         found = set(judge(self._judge(scene, "train")).findings)
-        return bool(self._bench.ranks.same(float("edges" not in found and bool({"structure", "level"} & found))))
+        return bool(once.decide(float("edges" not in found and bool({"structure", "level"} & found))))
 
     def final(self) -> Fitted:
         """The model that the search ended with, at its best; nothing that a pixel can cost is bounded."""
         if not self._added(self._base):
             return self._declared
-        plain, found = replace(self._bench, bound=0.0), self._base
+        plain, found = replace(self._setup, bound=0.0), self._base
         if found.problem.misfit.bound > 0:
             found = settle(plain, found, self.options.starts, self.options.seed)
         scene, self._posed = posed_anew(plain, found, self.scene)
@@ -150,6 +155,8 @@ class Search:
         told, words = ({}, []) if self._posed is None else (self._posed.objects, self._posed.words)
         found = {}
         for name in changes(self.scene, final.scene):
+            if is_sensor(name):
+                continue
             label = object_of(name)
             turn = next(turn for turn in reversed(self.turns) if turn.added == name)
             first = next(c.table for c in turn.candidates if c.effect == name)
@@ -157,10 +164,14 @@ class Search:
             found[label]["not_told_apart"] = [w for w in words if w.startswith(f"{label}.")]
         return found
 
-    def rivals(self) -> list[Rival]:
+    def sensor(self, final: Fitted) -> dict[str, dict[str, Any]]:
+        """What became of angles and spacings, as diagnosis.json has it; `final` is `final()`."""
+        return found_sensor(self.scene, final.scene, {} if self._posed is None else self._posed.numbers)
+
+    def rivals(self) -> list[EffectRival]:
         """Other effects in the place of those that hold."""
-        bench, here = on_bounded_ground(self._bench, self._base, self.scene)
-        return rivals_of(bench, here, self._effects(here), self.turns, needed)
+        setup, here = on_bounded_ground(self._setup, self._base, self.scene)
+        return rivals_of(setup, here, self._effects(here), self.turns, needed)
 
     @property
     def unexplained(self) -> bool:
@@ -182,7 +193,7 @@ class Search:
         found = False
         while True:
             self._doing = f"turn {len(self.turns) + 1}: what explains what is left"
-            turn = self._course.turn(self._stage, self._bench, self._base, self._turn)
+            turn = self._record.turn(self._stage, self._setup, self._base, self._turn)
             self._stage += 1
             console.say("\n".join(turn_lines(turn, len(self.turns))))
             self.turns.append(turn)
@@ -192,15 +203,15 @@ class Search:
             self._barred = {name for name in self._barred if self._times[name] >= CHANCES}
             found = True
             if is_geometry(turn.added):
-                self._bench, self._base = on_its_ground(self._bench, self._other, turn.fitted)
+                self._setup, self._base = on_its_ground(self._setup, self._other, turn.fitted)
             else:
-                self._bench, self._base = narrow(self._bench, turn.fitted)
+                self._setup, self._base = narrow(self._setup, turn.fitted)
 
     def _turn(self) -> Turn:
         """Score every effect that is not in the model, fit the best, and add the likeliest. Drop those of earlier turns
         that it makes needless."""
         number, options = len(self.turns), self.options
-        turn, bench, here, evidence, templates = self._scored()
+        turn, setup, here, evidence, templates = self._scored()
         dark = Dark.of(here)
         passing = worth_a_refit(turn.candidates, turn.threshold, dark)
         _say(turn, number, passing)
@@ -208,48 +219,75 @@ class Search:
         if dark.asks and not any(dark.answered_by(c.effect) for c in allowed):
             dark = NO_DARK  # what could answer was taken back: lit pixels decide again
         if len(self._added(here)) < options.most_effects:
-            price = evidence.price(bench.ranks)
-            found = refits(bench, here, self.scene, allowed, templates, dark, options.refits)
-            add_the_best(bench, turn, here, found, dark, price)
-            # a body puts no power where nothing is lit: what the dark pixels need is added first
-            if not dark.asks and (passing or turn.alarms or bench.ranks.same(float(lit_shadows(here)))):
-                bench = self._with_bodies(bench, turn, here, price)
+            price = evidence.price()
+            # geometry puts no power where nothing is lit: what the dark pixels need is added first
+            geometry = options.bodies and not dark.asks
+            geometry = geometry and bool(passing or turn.alarms or once.decide(float(self._displaced(here))))
+            sensor = screened_sensor(self.scene, setup, here) if geometry else []
+            bodies = screened_bodies(self.scene, setup, here) if geometry else []
+            foretold = max([0.0, *(one.foretold for one in sensor), *(one.most for one in bodies)])
+            if 2.0 * foretold > FAR_AHEAD * max((c.statistic for c in allowed), default=0.0):
+                # beside what moves things, too, the likeliest effect alone: a score is no gain, and may be far below it
+                best = max(allowed, key=lambda c: c.minus_log_p, default=None)
+                allowed = [c for c in allowed if c is best or get(c.effect).sets_positions]
+            found = refits(setup, here, self.scene, allowed, templates, dark, options.refits)
+            add_the_best(setup, turn, here, found, dark, price)
+            if geometry:
+                setup = self._with_geometry(setup, turn, here, sensor, bodies, price)
             if turn.fitted is not None:
-                prune(bench, turn, self._effects(here), price)
+                prune(setup, turn, self._effects(here), price)
         return turn
 
-    def _scored(self) -> tuple[Turn, Bench, Fitted, Evidence, dict[str, list[Template]]]:
+    def _scored(self) -> tuple[Turn, FitSetup, Fitted, Evidence, dict[str, list[Template]]]:
         """The turn with all scores, where it was scored, and each effect's templates."""
-        bench, here = on_bounded_ground(self._bench, self._base, self.scene)
-        evidence = Evidence.of(here.problem, here.x, bench.ranks)
+        setup, here = on_bounded_ground(self._setup, self._base, self.scene)
+        evidence = Evidence.of(here.problem, here.x)
         rays = self._other.rays_of(here.scene)
         turn, templates = score_effects(
-            self.scene, bench, rays, here, evidence, self.options, len(self.turns), self._progress
+            self.scene, setup, rays, here, evidence, self.options, len(self.turns), self._progress
         )
-        return turn, bench, here, evidence, templates
+        return turn, setup, here, evidence, templates
 
-    def _with_bodies(self, bench: Bench, turn: Turn, here: Fitted, price: float) -> Bench:
-        """Let bodies that may stand elsewhere, or be absent, contend with the effect that the turn has added. Returns
-        the bench of what is added then.
+    def _displaced(self, here: Fitted) -> bool:
+        """Whether a shadow of the model is none, or edges do not agree with the images: no scan looks at either."""
+        return lit_shadows(here) or "edges" in judge(self._judge(self._base.scene, "train")).findings
 
-        Bodies that are behind wait. Nothing is lost by that: the next turn tries them beside the effect, and in the end
-        each is asked beside all the others.
+    def _with_geometry(
+        self,
+        setup: FitSetup,
+        turn: Turn,
+        here: Fitted,
+        sensor: Sequence[Hypothesis],
+        bodies: list[Screened],
+        price: float,
+    ) -> FitSetup:
+        """Let angles, spacings and bodies contend with the effect that the turn has added, or with none. Returns the
+        setup of what is added then.
+
+        What is behind the effect waits. Nothing is lost by that: the next turn tries it beside the effect, and in the
+        end each is asked beside all the others. A wrong angle seems to move bodies, and a moved body to turn views: so
+        bodies that are behind the best of the sensor wait, too, and the sensor where a body is far ahead.
         """
-        if not self.options.bodies:
-            return bench
-        lead = Lead.of(bench, here, turn.fitted)
-        if lead.most:
-            return bench
-        offered = geometry_candidates(self.scene, bench, here, price, lead)
+        ahead = EffectGain.of(setup, here, turn.fitted)
+        if ahead.most:
+            return setup
+        of_bodies, of_sensor = (
+            max([0.0, *gains]) for gains in ((b.most for b in bodies), (s.foretold for s in sensor))
+        )
+        least = max(ahead.least, SENSOR_BEHIND * of_bodies)
+        offered = sensor_candidates(self.scene, setup, here, sensor, price, least)
+        if offered:
+            ahead = replace(ahead, blurred=max(ahead.blurred, of_sensor))
+        offered += geometry_candidates(self.scene, setup, here, bodies, price, ahead)
         offered = [c for c in offered if c.name not in self._barred and self._times[c.name] < CHANCES]
-        return add_the_likeliest(bench, turn, here, self.scene, offered, price)
+        return add_the_likeliest(setup, turn, here, self.scene, offered, price)
 
     def _confirmed(self) -> bool:
         """Ask everything that was added beside all others; whether any was taken back."""
         any_refused = False
         while self._added(self._base):
             self._doing = "whether what was added holds"
-            answers = self._course.confirmation(self._stage, self._bench, self._base, self._confirm)
+            answers = self._record.confirmation(self._stage, self._setup, self._base, self._confirm)
             self._stage += 1
             console.say("\n".join(confirmation_lines(answers)))
             self._asked = set(self._added(answers.fitted))
@@ -263,7 +301,7 @@ class Search:
             any_refused |= bool(refused)
             if not any(is_geometry(name) for name in refused):
                 break
-            self._bench, self._base = on_its_ground(self._bench, self._other, self._base)  # and the rest is asked there
+            self._setup, self._base = on_its_ground(self._setup, self._other, self._base)  # and the rest is asked there
         return any_refused
 
     def _rename(self, answers: Confirmation) -> None:
@@ -280,17 +318,17 @@ class Search:
             self._times[one.effect] += 1
 
     def _confirm(self) -> Confirmation:
-        bench, here = on_bounded_ground(self._bench, self._base, self.scene)
-        scene, posed = posed_anew(bench, here, self.scene)
+        setup, here = on_bounded_ground(self._setup, self._base, self.scene)
+        scene, posed = posed_anew(setup, here, self.scene)
         if posed is not None:
-            here = refit_as(bench, scene)
-        settled = settle(bench, here, self.options.starts, self.options.seed)
-        price = Evidence.of(settled.problem, settled.x, bench.ranks).price(bench.ranks)
+            here = refit_as(setup, scene)
+        settled = settle(setup, here, self.options.starts, self.options.seed)
+        price = Evidence.of(settled.problem, settled.x).price()
         last = self.turns[-1]
-        settled = resettled(bench, settled, self._effects(settled))
-        settled = trimmed(bench, settled, self._effects(settled), price)
-        settled = with_smaller(bench, settled, self._effects(settled), price)
-        return confirm(bench, settled, self._added(settled), needed, price, declared=self.scene, quiet=not last.alarms)
+        settled = resettled(setup, settled, self._effects(settled))
+        settled = trimmed(setup, settled, self._effects(settled), price)
+        settled = with_smaller(setup, settled, self._effects(settled), price)
+        return confirm(setup, settled, self._added(settled), needed, price, declared=self.scene, quiet=not last.alarms)
 
 
 def _contained(name: str) -> tuple[str, ...]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from warpsar.diagnosis.found import Candidate, Turn
-from warpsar.diagnosis.models.left_out import LeftOut
+from warpsar.diagnosis.models.left_out import ViewsLeftOut
 from warpsar.diagnosis.search.confirmation import Confirmation
 from warpsar.evaluation.report_parts import plus_minus
 
@@ -81,7 +81,7 @@ def confirmation_lines(found: Confirmation) -> list[str]:
     return lines
 
 
-def _plus_minus(left: LeftOut) -> str:
+def _plus_minus(left: ViewsLeftOut) -> str:
     return plus_minus(left.gain, left.error).replace("±\u00a0", "+- ")
 
 

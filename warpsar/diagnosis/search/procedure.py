@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, replace
+from dataclasses import replace
 from functools import partial
 
 import warp as wp
@@ -12,21 +12,19 @@ from warpsar.compare.judgement import speckle_of
 from warpsar.compare.observation import declared_looks, looks_of
 from warpsar.diagnosis.field_content import refuse_unsavable
 from warpsar.diagnosis.found import DiagnoseOptions, Diagnosis
-from warpsar.diagnosis.models.bench import Bench
 from warpsar.diagnosis.models.field_prior import has_fields, with_roughness
+from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.frozen import frozen
 from warpsar.diagnosis.models.judge import Judge, with_speckle
 from warpsar.diagnosis.models.refit import fit_model, refit_as
-from warpsar.diagnosis.search.course import Course
 from warpsar.diagnosis.search.forecast import forecast
 from warpsar.diagnosis.search.loop import Search
+from warpsar.diagnosis.search.record import SearchRecord
 from warpsar.errors import InputError
-from warpsar.runtime import console
-from warpsar.runtime.distributed import ONE, Ranks
+from warpsar.runtime import console, once
 from warpsar.scene.scene import Scene
 from warpsar.simulation.rays import Rays
 from warpsar.simulation.sampling import choose_density
-from warpsar.speckle.facts import SpeckleFact
 from warpsar.surface.stage import Stage
 from warpsar.world.tables import View
 
@@ -34,47 +32,49 @@ MU_NOISE = 10.0  # looks x pixels x relative sampling variance of mu: the gain i
 
 
 def diagnose_scene(
-    scene: Scene, device: wp.Device, options: DiagnoseOptions, ranks: Ranks = ONE, course: Course | None = None
+    scene: Scene, device: wp.Device, options: DiagnoseOptions, record: SearchRecord | None = None
 ) -> Diagnosis:
     """Run the procedure on the training views of a scene.
 
-    All `ranks` go through the whole procedure. They share the fits, folds and draws, and decide as the first one does.
-    What the `course` holds of an earlier part of the run is not done again. Raises InputError for scenes without
+    All processes of a run go through the whole procedure. They share the fits, folds and draws, and decide as the
+    first one does.
+    What the `record` holds of an earlier part of the run is not done again. Raises InputError for scenes without
     measured training views, and for a limit of time on several processes.
     """
-    if ranks.size > 1 and options.time_limit_s is not None:
+    once.join(device)
+    if once.processes() > 1 and options.time_limit_s is not None:
         raise InputError("--time-limit: found several processes; allowed with one, whose clock alone decides")
-    stage, views, looks = ranks.agree(lambda: _training(scene, device))
-    density = choose_density(scene, stage, views, looks, MU_NOISE, total=True, ranks=ranks)
+    stage, views, looks = once.agree(lambda: _training(scene, device))
+    density = choose_density(scene, stage, views, looks, MU_NOISE, total=True, shared=True)
     console.say(
         f"rays: {density.rays_per_pixel:g} per pixel; looks x pixels x relative sampling variance "
         f"{density.noise:.2g} (wanted: under {MU_NOISE:g})"
     )
     rays = Rays(stage, density.rays_per_m2, 2 * scene.sampling.seed)
     other_rays = Rays(stage, density.rays_per_m2, 2 * scene.sampling.seed + 1)
-    one, other = (Bench(device, each, {}, ranks, mesh=scene.mesh) for each in (rays, other_rays))
-    bench = replace(one, observations=frozen(one, other, scene))
+    one, other = (FitSetup(device, each, {}, mesh=scene.mesh) for each in (rays, other_rays))
+    setup = replace(one, observations=frozen(one, other, scene))
 
-    if ranks.size == 1 and not has_fields(scene) and (expected := forecast(bench, scene, options)) is not None:
+    if once.processes() == 1 and not has_fields(scene) and (expected := forecast(setup, scene, options)) is not None:
         console.say(str(expected))
     bar = console.progress(2 * options.draws, "diagnose", "")
     console.say("fit of the declared model")
-    course = course or Course()
+    record = record or SearchRecord()
     started = None
     if has_fields(scene):
         refuse_unsavable(scene)
-        bench, started = with_roughness(bench, scene, options.seed)
-    declared = course.declared(bench, scene, partial(fit_model, bench, scene, options.starts, options.seed, started))
+        setup, started = with_roughness(setup, scene, options.seed)
+    declared = record.declared(setup, scene, partial(fit_model, setup, scene, options.starts, options.seed, started))
     judge = Judge(device)
-    speckle = SpeckleFact.heard(ranks.gather(asdict(speckle_of(judge(declared.scene, "train"))))[0])
+    speckle = once.find(lambda: speckle_of(judge(declared.scene, "train")))
     asked = scene
     if speckle.departs:
         console.say(f"train views: {speckle.words}")
     if speckle.names:
         asked = with_speckle(scene, speckle)
-        bench = with_looks(bench, asked)
-        declared = refit_as(bench, with_speckle(declared.scene, speckle))
-    search = Search(asked, bench, other_rays, declared, options, course, bar.update, judge)
+        setup = with_looks(setup, asked)
+        declared = refit_as(setup, with_speckle(declared.scene, speckle))
+    search = Search(asked, setup, other_rays, declared, options, record, bar.update, judge)
     search.run()
     bar.close()
     final, rivals = search.final(), search.rivals()
@@ -86,16 +86,17 @@ def diagnose_scene(
         search.turns,
         search.unexplained,
         density,
-        bench,
+        setup,
         judge,
         speckle,
         rivals,
         objects=objects,
+        sensor=search.sensor(final),
         not_asked=search.not_asked,
     )
 
 
-def with_looks(bench: Bench, scene: Scene) -> Bench:
+def with_looks(setup: FitSetup, scene: Scene) -> FitSetup:
     """The bench whose pixels have the looks and the texture that the scene's views declare."""
     views = {view.name: view for view in scene.views}
     observations = {
@@ -103,9 +104,9 @@ def with_looks(bench: Bench, scene: Scene) -> Bench:
             replace(seen, looks=declared_looks(views[name]) or seen.looks, texture=views[name].texture or math.inf)
             for seen in found
         ]
-        for name, found in bench.observations.items()
+        for name, found in setup.observations.items()
     }
-    return replace(bench, observations=observations)
+    return replace(setup, observations=observations)
 
 
 def _training(scene: Scene, device: wp.Device) -> tuple[Stage, list[View], list[float]]:

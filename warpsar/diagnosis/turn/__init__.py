@@ -11,5 +11,6 @@ addition.py          which refitted candidate is added on trial
 pruning.py           what is needless beside the rest of a model
 rivals.py            which other effect would have done as well
 geometry_search.py   which changes of geometry are worth a comparison with effects
+sensor_search.py     which angles and spacings may be wrong
 geometry_trial.py    the likeliest change of geometry beside the likeliest effect
 """

@@ -12,29 +12,30 @@ from functools import partial
 
 import numpy as np
 
-from warpsar.diagnosis.dark.said import Dark
+from warpsar.diagnosis.dark.evidence import Dark
 from warpsar.diagnosis.found import Candidate, Turn
-from warpsar.diagnosis.models.bench import Bench
-from warpsar.diagnosis.models.refit import MOST_ITERATIONS, Fitted, fitted_at, onward, standing_at, state_told
+from warpsar.diagnosis.models.fit_setup import FitSetup
+from warpsar.diagnosis.models.refit import MOST_ITERATIONS, Fitted, fitted_at, onward, standing_at
 from warpsar.diagnosis.turn.screening import refined
 from warpsar.diagnosis.turn.shortlist import Refit
-from warpsar.learning.optimise import FLAT, FitState
+from warpsar.learning.optimise import FLAT
+from warpsar.runtime import once
 
 CONTENDERS = 3  # the likeliest candidates, whose fits are taken to their end before one is chosen
 TOO_LITTLE = "it gains less than its parameters cost"
 NEEDED = "no model without such an effect can hold that, so nothing else was asked"
 
 
-def add_the_best(bench: Bench, turn: Turn, here: Fitted, refits: Sequence[Refit], dark: Dark, price: float) -> None:
+def add_the_best(setup: FitSetup, turn: Turn, here: Fitted, refits: Sequence[Refit], dark: Dark, price: float) -> None:
     """Fill in `turn.added` and `turn.fitted`, or leave them None where no fit is worth its parameters.
 
-    `here` is the turn's model on `bench`, without any candidate. A parameter costs `price` of 2 ln L.
+    `here` is the turn's model on `setup`, without any candidate. A parameter costs `price` of 2 ln L.
     """
     for refit in refits:
         _gained(refit.candidate, here, refit.fitted)
     if not dark.asks:
         ahead = sorted(refits, key=lambda refit: -_worth(refit, price))
-        refits = [*_arrived(bench, here, ahead[:CONTENDERS], price), *ahead[CONTENDERS:]]
+        refits = [*_arrived(setup, here, ahead[:CONTENDERS], price), *ahead[CONTENDERS:]]
     able = [refit for refit in refits if dark.asks or _worth(refit, price) > 0]
     for refit in refits:
         refit.candidate.refused = "" if refit in able else TOO_LITTLE
@@ -43,7 +44,7 @@ def add_the_best(bench: Bench, turn: Turn, here: Fitted, refits: Sequence[Refit]
     if dark.asks:
         best = max(able, key=lambda refit: refit.fitted.whole)
         best.candidate.remark(NEEDED)
-        turn.fitted = refined(bench, best.fitted, best.candidate.effect, best.tables, dark)
+        turn.fitted = once.alone(partial(refined, setup, best.fitted, best.candidate.effect, best.tables, dark))
         _gained(best.candidate, here, turn.fitted)
     else:
         best = max(able, key=lambda refit: _worth(refit, price))
@@ -54,7 +55,7 @@ def add_the_best(bench: Bench, turn: Turn, here: Fitted, refits: Sequence[Refit]
             refit.candidate.refused = f"the dark pixels need {turn.added}" if dark.asks else f"{turn.added} is likelier"
 
 
-def _arrived(bench: Bench, here: Fitted, ahead: Sequence[Refit], price: float) -> list[Refit]:
+def _arrived(setup: FitSetup, here: Fitted, ahead: Sequence[Refit], price: float) -> list[Refit]:
     """The fits of those `ahead` to their ends: at the same number of iterations one is nearer to its own than another.
 
     The first one goes first. Another is given up where it cannot come up with it at its present pace.
@@ -62,15 +63,15 @@ def _arrived(bench: Bench, here: Fitted, ahead: Sequence[Refit], price: float) -
     found: list[Refit] = []
     for some in (ahead[:1], ahead[1:]):
         limits = [_level(found[0], refit, price) if found else -np.inf for refit in some]
-        problems = [bench.problem(refit.fitted.scene) for refit in some]
+        problems = [setup.problem(refit.fitted.scene) for refit in some]
         tasks = [
             partial(onward, problem, standing_at(problem, problem.x0), MOST_ITERATIONS, limit, flat=FLAT)
             for problem, limit in zip(problems, limits, strict=True)
         ]
-        states = bench.deal_out(tasks, told=state_told, heard=FitState.from_arrays)
+        states = setup.share(tasks)
         for refit, problem, state in zip(some, problems, states, strict=True):
             best = state.best_x, state.best_loss, state.iteration
-            found.append(replace(refit, fitted=fitted_at(bench, problem, *best, bench.ranks)))
+            found.append(replace(refit, fitted=fitted_at(setup, problem, *best)))
             _gained(refit.candidate, here, found[-1].fitted)
     return found
 

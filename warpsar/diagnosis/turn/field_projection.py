@@ -21,11 +21,11 @@ import numpy as np
 from scipy.sparse import csc_array, csr_array, diags_array, hstack, vstack
 
 from warpsar.diagnosis.found import Candidate
-from warpsar.diagnosis.models.bench import Bench
 from warpsar.diagnosis.models.field_prior import factor, solved
+from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.scores.evidence import TRIALS, Evidence
 from warpsar.diagnosis.scores.partly_known import PartlyKnown
-from warpsar.diagnosis.scores.score import REACH, Projection
+from warpsar.diagnosis.scores.score import REACH, TangentProjection
 from warpsar.diagnosis.scores.templates import TemplateMaker
 from warpsar.learning.problem import FitProblem
 from warpsar.learning.roughness import Roughness
@@ -47,9 +47,9 @@ def known_of(problem: FitProblem, roughness: Roughness) -> PartlyKnown:
     return PartlyKnown(slopes, np.concatenate([known.residual, -(rows @ problem.x0)]))
 
 
-class FieldProjection(Projection):
-    """What `Projection` is, for a scene with fields. `tangent`, shape (n, q), d ln(mu) of what is fitted and of the
-    gains of images that are not calibrated; `known` has rows for the first columns."""
+class FieldProjection(TangentProjection):
+    """What `TangentProjection` is, for a scene with fields. `tangent`, shape (n, q), d ln(mu) of what is fitted and of
+    the gains of images that are not calibrated; `known` has rows for the first columns."""
 
     def __init__(self, tangent: csr_array, root_looks: np.ndarray, known: PartlyKnown) -> None:
         self.known, self.alone = known, ALONE
@@ -105,12 +105,12 @@ def _batches(columns: np.ndarray | csc_array, size: int = TRIALS) -> Iterator[np
         yield some if isinstance(some, np.ndarray) else np.asarray(some.toarray())
 
 
-def projection_of(maker: TemplateMaker, bench: Bench, evidence: Evidence) -> Projection:
+def projection_of(maker: TemplateMaker, setup: FitSetup, evidence: Evidence) -> TangentProjection:
     """What takes out the tangent space of everything that the maker's model fits."""
     problem = maker.neutral
-    if bench.roughness is None:
-        return Projection(maker.tangent(), evidence.root_looks, PartlyKnown.of(problem))
-    return FieldProjection(sparse_tangent(problem, problem.x0), evidence.root_looks, known_of(problem, bench.roughness))
+    if setup.roughness is None:
+        return TangentProjection(maker.tangent(), evidence.root_looks, PartlyKnown.of(problem))
+    return FieldProjection(sparse_tangent(problem, problem.x0), evidence.root_looks, known_of(problem, setup.roughness))
 
 
 def sparse_tangent(problem: FitProblem, x: np.ndarray) -> csr_array:
@@ -151,7 +151,7 @@ def left_beside(
     return left_of
 
 
-def beside_fields(evidence: Evidence, projection: Projection, seed: int) -> Evidence:
+def beside_fields(evidence: Evidence, projection: TangentProjection, seed: int) -> Evidence:
     """The evidence beside fields: with the residual that is left of them, and the speckle's own autocovariance.
 
     What a fit with thousands of nodes leaves is paler and less correlated than speckle. The autocovariance is moved

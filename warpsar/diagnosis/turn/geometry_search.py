@@ -7,75 +7,102 @@ themselves. A hundred bodies whose pixels do not meet so cost about what a few d
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 
-from warpsar.diagnosis.models.all_pixels import Exact, still
-from warpsar.diagnosis.models.bench import Bench
-from warpsar.diagnosis.models.change import ABSENT, POSE, GeometryCandidate, heard, told, without_object
-from warpsar.diagnosis.models.lead import Lead
-from warpsar.diagnosis.models.movable import bodies, disjoint, freed, placeable
+from warpsar.diagnosis.models.all_pixels import Exact
+from warpsar.diagnosis.models.change import (
+    ABSENT,
+    POSE,
+    SIZE,
+    SIZES,
+    GeometryCandidate,
+    content,
+    scene_with,
+    without_object,
+)
+from warpsar.diagnosis.models.effect_gain import EffectGain
+from warpsar.diagnosis.models.fit_setup import FitSetup
+from warpsar.diagnosis.models.movable import bodies, disjoint, freed, placeable, sized
 from warpsar.diagnosis.models.refit import BOUND, Fitted
 from warpsar.diagnosis.proposals.search import missing_objects
 from warpsar.effects.registry import get
-from warpsar.learning.pose import PosedProblem
+from warpsar.learning.geometry import still
+from warpsar.learning.pose import PosedProblem, without_shading
 from warpsar.learning.pose_search import SEARCH_BLUR_M, find_poses
-from warpsar.runtime.matmul import transposed_times
+from warpsar.runtime import once
+from warpsar.scene.placing import with_objects
 from warpsar.scene.scene import Scene
 from warpsar.world.objects.pose import foot
 from warpsar.world.sound_objects import misplaced, surfaces_at
 
-TOGETHER = 16  # bodies of one screening problem: four columns each, on all pixels
-FITTED = 2  # of the screened poses, how many are fitted
+TOGETHER = 16  # bodies of one screening problem: seven columns each, on all pixels
+FITTED = 2  # of the screened poses and sizes, how many bodies are fitted
+SAME_IMAGES = 3.0  # of ln L: two readings of one body that differ by less explain the images alike
 
-Source = Callable[[Scene, Bench, Fitted, float, Lead], list[GeometryCandidate]]
+Source = Callable[[Scene, FitSetup, Fitted, float, EffectGain], list[GeometryCandidate]]
+"""Further changes of geometry, each by itself."""
 
 
 @dataclass(frozen=True)
 class Screened:
-    """What moving a body, or leaving it out, would gain of the log-likelihood of blurred images, foretold."""
+    """What moving a body, another size about its foot, or leaving it out would gain of the log-likelihood of blurred
+    images, foretold."""
 
     label: str
     moved: float
+    resized: float
     absent: float
+
+    @property
+    def most(self) -> float:
+        return max(self.moved, self.resized, self.absent)
+
+
+def screened_bodies(declared: Scene, setup: FitSetup, here: Fitted) -> list[Screened]:
+    """`screening` of all bodies, as the first process finds it."""
+    return once.find(lambda: screening(declared, Exact.of(setup, here), here))
 
 
 def geometry_candidates(
-    declared: Scene, bench: Bench, here: Fitted, price: float, lead: Lead
+    declared: Scene, setup: FitSetup, here: Fitted, screened: list[Screened], price: float, effect_gain: EffectGain
 ) -> list[GeometryCandidate]:
-    """Changes of geometry that are worth a comparison with the effects, as the first rank finds them.
+    """Changes of geometry that are worth a comparison with the effects; `screened` are all bodies.
 
-    A number that a change frees costs `price` of 2 ln L. `lead`: of the best effect.
+    A number that a change frees costs `price` of 2 ln L. `effect_gain`: of the best effect.
     """
-    found = bench.ranks.agree(
+    found = once.agree(
         lambda: [
-            *moved_or_absent(declared, bench, here, price, lead),
-            *(one for source in SOURCES for one in source(declared, bench, here, price, lead)),
+            *moved_or_absent(declared, setup, here, screened, price, effect_gain),
+            *(one for source in SOURCES for one in source(declared, setup, here, price, effect_gain)),
         ]
     )
-    mine = [
-        [one.kind, one.object, told(declared, one.scene), one.gain, one.size, one.values, one.words] for one in found
-    ]
-    return [
-        GeometryCandidate(kind, label, still(heard(declared, here.scene, scene)), gain, size, values, words)
-        for kind, label, scene, gain, size, values, words in bench.ranks.gather(mine)[0]
-    ]
+    return of_the_first(declared, here, found)
 
 
-def moved_or_absent(declared: Scene, bench: Bench, here: Fitted, price: float, lead: Lead) -> list[GeometryCandidate]:
-    """The bodies that stand elsewhere, or are not there, most likely.
+def of_the_first(declared: Scene, here: Fitted, found: list[GeometryCandidate]) -> list[GeometryCandidate]:
+    """The candidates that the first process found, for all."""
+    first = once.find(lambda: [(content(declared, one.scene), replace(one, scene=cast(Scene, None))) for one in found])
+    return [replace(one, scene=still(scene_with(declared, here.scene, scene))) for scene, one in first]
+
+
+def moved_or_absent(
+    declared: Scene, setup: FitSetup, here: Fitted, screened: list[Screened], price: float, effect_gain: EffectGain
+) -> list[GeometryCandidate]:
+    """The bodies that stand elsewhere, are of another size, or are not there, most likely.
 
     One that is behind the best effect is not fitted; the next turn tries it again.
     """
-    exact = Exact.of(bench, here)
-    screened = screening(declared, exact, here)
-    least = max(0.5 * price, lead.least)
+    exact = Exact.of(setup, here)
+    least = max(0.5 * price, effect_gain.least)
     found = []
-    for one in sorted(screened, key=lambda one: -one.moved)[:FITTED]:
-        if one.moved > least:
-            found += _moved(declared, bench, here, one.label)
+    for one in sorted(screened, key=lambda one: -max(one.moved, one.resized))[:FITTED]:
+        moved = _moved(declared, setup, here, one.label) if one.moved > least else []
+        resized = _resized(setup, here, one.label) if one.resized > least else []
+        found += _one_reading(moved, resized)
     absent = max(screened, key=lambda one: one.absent, default=None)
     if absent is not None and absent.absent > least:
         found.append(_absent(declared, exact, here, absent.label))
@@ -87,12 +114,20 @@ def screening(declared: Scene, exact: Exact, here: Fitted) -> list[Screened]:
     blur_m = SEARCH_BLUR_M[0]
     found = []
     for labels in disjoint(bodies(declared, here.scene), TOGETHER):
-        problem = exact.problem(freed(here.scene, labels), blur_m=blur_m, bound=BOUND)
+        free = _of_any_size(freed(here.scene, labels), labels)
+        problem = exact.problem(free, blur_m=blur_m, bound=BOUND, on_ground=False)
         loss = problem.value(problem.x0)
-        moved = _foretold(problem)
+        foretold = _foretold(problem)
         for label in labels:
-            found.append(Screened(label, moved[label], loss - _without(declared, exact, here, label, blur_m)))
+            absent = loss - _without(declared, exact, here, label, blur_m)
+            found.append(Screened(label, *foretold[label], absent))
     return found
+
+
+def _of_any_size(scene: Scene, labels: Sequence[str]) -> Scene:
+    """The scene whose bodies `labels` are free in size, too."""
+    by = {one.label: one for one in scene.objects}
+    return with_objects(scene, [sized(one) if label in labels else one for label, one in by.items()])
 
 
 def _without(declared: Scene, exact: Exact, here: Fitted, label: str, blur_m: float) -> float:
@@ -104,31 +139,49 @@ def _without(declared: Scene, exact: Exact, here: Fitted, label: str, blur_m: fl
     return problem.value(problem.x0)
 
 
-def _foretold(problem: PosedProblem) -> dict[str, float]:
-    """By the object's label, the gain of the best step of its pose, with surface and effects moving along."""
-    jacobians = problem.jacobian(problem.x0)
-    inner, rest = problem.split(problem.x0)
-    gradient, hessian = -problem.prior.gradient(problem.x0), problem.prior.information(problem.x0)
-    for j, c in zip(jacobians, inner.curvatures(inner.modelled(rest)), strict=True):
-        weighted = c.weight[:, None] * j
-        gradient = gradient + weighted.T @ c.residual
-        hessian = hessian + transposed_times(j, weighted)
-    own, n = slice(0, problem.size), problem.size
-    along = np.linalg.pinv(hessian[own, own], rcond=1e-9, hermitian=True) @ np.column_stack(
-        [hessian[own, n:], gradient[own]]
+def _foretold(problem: PosedProblem) -> dict[str, tuple[float, float]]:
+    """By the object's label, the gain of the best step of its pose, and of its size, surface and effects moving
+    along."""
+    left, slope = without_shading(problem)
+    numbers: dict[str, tuple[list[int], list[int]]] = {}
+    for k, one in enumerate(problem.geometry.coordinates):
+        if one.body is not None:
+            numbers.setdefault(one.body, ([], []))[one.parameter.key in SIZES].append(k)
+
+    def gain(at: list[int]) -> float:
+        own = left[np.ix_(at, at)]
+        return 0.5 * float(slope[at] @ np.linalg.pinv(own, rcond=1e-9, hermitian=True) @ slope[at]) if at else 0.0
+
+    return {label: (gain(pose), gain(size)) for label, (pose, size) in numbers.items()}
+
+
+def _resized(setup: FitSetup, here: Fitted, label: str) -> list[GeometryCandidate]:
+    """The body at its likeliest size about its foot; nothing where that does not fit the scene."""
+    free = freed(here.scene, [label], ("scale",))
+    found = find_poses(free, setup.device, views=_views(here), observations=setup.observations)
+    scene = still(found.scene)
+    if misplaced(scene):
+        return []
+    return [GeometryCandidate(SIZE, label, scene, found.gain, found.size, found.objects[label], found.words)]
+
+
+def _one_reading(moved: list[GeometryCandidate], resized: list[GeometryCandidate]) -> list[GeometryCandidate]:
+    """A body elsewhere and the same body of another size. A body that is sunk looks as one that is lower: where both
+    explain the images alike they are one hypothesis, which has the name of its size and says the other reading."""
+    if not moved or not resized or moved[0].gain > resized[0].gain + SAME_IMAGES:
+        return [*moved, *resized]
+    one, other = resized[0], moved[0]
+    if abs(one.gain - other.gain) > SAME_IMAGES:
+        return [*moved, *resized]
+    east, north, up = other.values["position_m"]
+    words = (
+        f"{one.object}: the same images come from a body of the declared size that stands {east:+.2f} m east, "
+        f"{north:+.2f} m north and {up:+.2f} m up of where it is declared; a survey of its height would decide"
     )
-    left = hessian[n:, n:] - hessian[n:, own] @ along[:, :-1]
-    slope = gradient[n:] - hessian[n:, own] @ along[:, -1]
-    numbers: dict[str, list[int]] = {}
-    for k, one in enumerate(problem.poses.coordinates):
-        numbers.setdefault(problem.poses.objects[one.object].label, []).append(k)
-    return {
-        label: 0.5 * float(slope[at] @ np.linalg.pinv(left[np.ix_(at, at)], rcond=1e-9, hermitian=True) @ slope[at])
-        for label, at in numbers.items()
-    }
+    return [replace(one, words=[*one.words, words])]
 
 
-def _moved(declared: Scene, bench: Bench, here: Fitted, label: str) -> list[GeometryCandidate]:
+def _moved(declared: Scene, setup: FitSetup, here: Fitted, label: str) -> list[GeometryCandidate]:
     """The body at its likeliest pose; nothing where that is in the ground or outside the images."""
     free = freed(here.scene, [label])
     if not placeable(declared, here.scene, [label]):
@@ -136,7 +189,7 @@ def _moved(declared: Scene, bench: Bench, here: Fitted, label: str) -> list[Geom
         if one.round:
             return []
         free = freed(here.scene, [label], ("heading",))
-    found = find_poses(free, bench.device, views=_views(here), observations=bench.observations)
+    found = find_poses(free, setup.device, views=_views(here), observations=setup.observations)
     scene = still(found.scene)
     if misplaced(scene):
         return []

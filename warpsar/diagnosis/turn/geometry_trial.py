@@ -12,37 +12,44 @@ from dataclasses import replace
 import numpy as np
 
 from warpsar.diagnosis.found import Candidate, Turn
-from warpsar.diagnosis.models.all_pixels import log_likelihood, still
-from warpsar.diagnosis.models.bench import Bench
+from warpsar.diagnosis.models.all_pixels import log_likelihood
 from warpsar.diagnosis.models.change import GeometryCandidate
+from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.frozen import frozen
 from warpsar.diagnosis.models.movable import bodies, refined_words, standing, with_words
 from warpsar.diagnosis.models.refit import Fitted, narrowed_to, refit_as
+from warpsar.diagnosis.models.sensor import sensor_changes, sensor_freed
 from warpsar.diagnosis.scores.score import minus_log_p
 from warpsar.diagnosis.turn.addition import TOO_LITTLE
+from warpsar.learning.geometry import still
 from warpsar.learning.pose_search import FoundPoses, find_poses
 from warpsar.scene.scene import Scene
 
 
 def add_the_likeliest(
-    bench: Bench, turn: Turn, here: Fitted, declared: Scene, found: Sequence[GeometryCandidate], price: float
-) -> Bench:
+    setup: FitSetup,
+    turn: Turn,
+    here: Fitted,
+    declared: Scene,
+    found: Sequence[GeometryCandidate],
+    price: float,
+) -> FitSetup:
     """Let each candidate of geometry contend with the effect that the turn has added, or with none.
 
     Fills in `turn.candidates`, and `turn.added` and `turn.fitted` where a change of geometry is the likeliest. A
     number costs `price` of 2 ln L. Scores are -ln p of the gain (Wilks), for all bodies that could be tried
-    (Bonferroni). Returns the bench of the pixels that the added model was fitted on.
+    (Bonferroni). Returns the setup of the pixels that the added model was fitted on.
     """
-    start = log_likelihood(bench, here)
+    start = log_likelihood(setup, here)
     before = turn.added
     tried = np.log(max(len(bodies(declared, here.scene)), 1)) if found else 0.0
-    best_worth, best_bench = 0.0, bench
+    best_worth, best_setup = 0.0, setup
     if turn.fitted is not None:
-        gain = 2.0 * (log_likelihood(bench, turn.fitted) - start)
+        gain = 2.0 * (log_likelihood(setup, turn.fitted) - start)
         best_worth = gain - (turn.fitted.size - here.size) * price
     for one in found:
-        narrowed, fitted = fitted_beside(bench, one.scene, declared)
-        gain = 2.0 * (log_likelihood(bench, fitted) - start)
+        narrowed, fitted = fitted_beside(setup, one.scene, declared)
+        gain = 2.0 * (log_likelihood(setup, fitted) - start)
         score = float(minus_log_p(np.array(max(gain, 0.0)), one.size, 0)) - tried
         candidate = Candidate(
             one.name,
@@ -57,52 +64,54 @@ def add_the_likeliest(
         )
         turn.candidates.append(candidate)
         if gain - one.size * price > best_worth:
-            best_worth, best_bench = gain - one.size * price, narrowed
+            best_worth, best_setup = gain - one.size * price, narrowed
             turn.added, turn.fitted = one.name, fitted
     names = {one.name for one in found}
     for candidate in turn.candidates:
         if candidate.effect != turn.added and candidate.effect in {*names, before}:
             worth = candidate.refit_gain is not None and candidate.refit_gain > (candidate.refit_size or 0) * price
             candidate.refused = f"{turn.added} is likelier" if worth and turn.added else TOO_LITTLE
-    return best_bench
+    return best_setup
 
 
-def fitted_beside(bench: Bench, scene: Scene, declared: Scene) -> tuple[Bench, Fitted]:
+def fitted_beside(setup: FitSetup, scene: Scene, declared: Scene) -> tuple[FitSetup, Fitted]:
     """The pixels of the bench that a scene of another geometry lights, too, and its model fitted to those: on from its
     surface, and from the `declared` one, since a body in the wrong place drags its surface anywhere."""
-    problem = bench.problem(scene)
+    problem = setup.problem(scene)
     problem.modelled(problem.x0)
-    narrowed = narrowed_to(bench, problem)
+    narrowed = narrowed_to(setup, problem)
     return narrowed, refit_as(narrowed, scene, declared)
 
 
-def on_its_ground(bench: Bench, other: Bench, fitted: Fitted) -> tuple[Bench, Fitted]:
+def on_its_ground(setup: FitSetup, other: FitSetup, fitted: Fitted) -> tuple[FitSetup, Fitted]:
     """The pixels that a model of a new geometry lights, frozen anew for all that follows, and the model fitted to them.
 
     `other` has the second set of rays. The looks stay those that were known before.
     """
-    one, two = (replace(each, observations={}) for each in (bench, other))
+    one, two = (replace(each, observations={}) for each in (setup, other))
     pixels = frozen(one, two, fitted.scene)
     observations = {
         name: [
             replace(seen, looks=before.looks, texture=before.texture)
-            for seen, before in zip(found, bench.observations[name], strict=True)
+            for seen, before in zip(found, setup.observations[name], strict=True)
         ]
         for name, found in pixels.items()
     }
-    made = replace(bench, observations=observations)
+    made = replace(setup, observations=observations)
     return made, refit_as(replace(made, bound=fitted.problem.misfit.bound), fitted.scene)
 
 
-def posed_anew(bench: Bench, fitted: Fitted, declared: Scene) -> tuple[Scene, FoundPoses | None]:
-    """The model's scene with every object that was changed at its likeliest pose, and size where it was missing, all of
-    them, surface and effects fitted together; as it is, and None, where none was changed or stands there."""
+def posed_anew(setup: FitSetup, fitted: Fitted, declared: Scene) -> tuple[Scene, FoundPoses | None]:
+    """The model's scene with every object that was changed at its likeliest pose, and size where it was missing, and
+    changed angles and spacings, all of them, surface and effects fitted together; as it is, and None, where nothing
+    was changed or stands there."""
     words = refined_words(declared, fitted.scene)
-    if not words:
+    sensor = [name for names in sensor_changes(declared, fitted.scene).values() for name in names]
+    if not words and not sensor:
         return fitted.scene, None
     views = [view.view.name for view in fitted.problem.views]
-    free = with_words(fitted.scene, words)
+    free = with_words(sensor_freed(fitted.scene, sensor), words)
     found = find_poses(
-        free, bench.device, views=views, observations=bench.observations, search=False, standing=standing(free)
+        free, setup.device, views=views, observations=setup.observations, search=False, standing=standing(free)
     )
     return still(found.scene), found

@@ -8,27 +8,27 @@ from statistics import mean
 from typing import Any
 
 from warpsar.diagnosis.found import Turn
-from warpsar.diagnosis.models.bench import Bench
+from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.refit import Fitted, refit_as, refit_without
 from warpsar.diagnosis.scores.templates import with_effect
 from warpsar.effects.registry import get
 
 
-def prune(bench: Bench, turn: Turn, earlier: Sequence[str], price: float) -> None:
+def prune(setup: FitSetup, turn: Turn, earlier: Sequence[str], price: float) -> None:
     """Drop each of the `earlier` effects whose loss costs less likelihood than its parameters do: `price` of 2 ln L
     each. A blur can stand in for a shift until the shift is found."""
     for name in earlier:
         assert turn.fitted is not None
         if name not in turn.fitted.scene.effects or get(name).additive:
             continue
-        without = refit_without(bench, turn.fitted, name)
+        without = refit_without(setup, turn.fitted, name)
         lost = 2.0 * (turn.fitted.log_likelihood - without.log_likelihood)
         if lost < (turn.fitted.size - without.size) * price:
             turn.dropped.append(name)
             turn.fitted = without
 
 
-def trimmed(bench: Bench, fitted: Fitted, names: Sequence[str], price: float) -> Fitted:
+def trimmed(setup: FitSetup, fitted: Fitted, names: Sequence[str], price: float) -> Fitted:
     """The model without those parts of the effects `names` (`Effect.simpler`) whose loss costs less than a parameter
     does: `price` of 2 ln L, dark pixels counted."""
     for name in names:
@@ -36,14 +36,14 @@ def trimmed(bench: Bench, fitted: Fitted, names: Sequence[str], price: float) ->
         while trimming:
             trimming = False
             for table in get(name).simpler(fitted.scene.effects[name]):
-                without = refit_as(bench, with_effect(fitted.scene, name, table))
+                without = refit_as(setup, with_effect(fitted.scene, name, table))
                 if 2.0 * (fitted.whole - without.whole) < price:
                     fitted, trimming = without, True
                     break
     return fitted
 
 
-def with_smaller(bench: Bench, fitted: Fitted, names: Sequence[str], price: float) -> Fitted:
+def with_smaller(setup: FitSetup, fitted: Fitted, names: Sequence[str], price: float) -> Fitted:
     """The model with smaller effects in the place of those `names` that contain them (`Effect.contains`), where this
     costs less likelihood than the further numbers do: `price` of 2 ln L each.
 
@@ -55,7 +55,7 @@ def with_smaller(bench: Bench, fitted: Fitted, names: Sequence[str], price: floa
                 continue
             rest = {other: table for other, table in fitted.scene.effects.items() if other != name}
             start = _means(name, smaller, fitted.scene.effects[name])
-            trial = refit_as(bench, with_effect(replace(fitted.scene, effects=rest), smaller, start))
+            trial = refit_as(setup, with_effect(replace(fitted.scene, effects=rest), smaller, start))
             if 2.0 * (fitted.whole - trial.whole) < (fitted.size - trial.size) * price:
                 fitted = trial
     return fitted
@@ -63,6 +63,7 @@ def with_smaller(bench: Bench, fitted: Fitted, names: Sequence[str], price: floa
 
 def _means(name: str, smaller: str, table: Mapping[str, Any]) -> dict[str, Any]:
     """The smaller effect's table, with the means of the larger one's numbers of single views."""
-    shared = {p.name for p in get(smaller).parameters} & {p.name for p in get(name).parameters}
+    own = {p.name for p in get(name).parameters}
+    shared = [p.name for p in get(smaller).parameters if p.name in own]  # in one order: a resumed run writes it too
     stated = {key: table[key] for key in shared if key in table}
     return {key: mean(one.values()) if isinstance(one, Mapping) else one for key, one in stated.items()}

@@ -8,14 +8,15 @@ from functools import partial
 
 import numpy as np
 
-from warpsar.diagnosis.found import Candidate, Rival, Turn
-from warpsar.diagnosis.models.bench import Bench
+from warpsar.diagnosis.found import Candidate, EffectRival, Turn
 from warpsar.diagnosis.models.change import is_geometry
+from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.refit import Fitted, refit_as, refit_without
 from warpsar.diagnosis.scores.evidence import Evidence
 from warpsar.diagnosis.scores.templates import with_effect
 from warpsar.effects.base.trial import Context
 from warpsar.effects.registry import get
+from warpsar.runtime import once
 
 ASKED = 3  # rivals of one effect, the best by score
 NEAR = 0.5  # of an effect's score (-ln p), from which on another one is a rival
@@ -23,24 +24,24 @@ MOST_TABLES = 4  # of a rival that had no fit in the turn
 
 
 def rivals_of(
-    bench: Bench,
+    setup: FitSetup,
     fitted: Fitted,
     names: Sequence[str],
     turns: Sequence[Turn],
     needed: Callable[[Fitted, str], bool],
-) -> list[Rival]:
+) -> list[EffectRival]:
     """Every effect of `names` in the model `fitted` against the effects that scored nearly as well in its turn, each
     fitted in its place. What dark pixels need (`needed`, as in `confirm`) has no rival but what they need as well."""
     tasks = []
     for name in names:
         turn = next(turn for turn in reversed(turns) if turn.added == name)
         mine = next(c for c in turn.candidates if c.effect == name)
-        without = refit_without(bench, fitted, name)
+        without = refit_without(setup, fitted, name)
         asked = needed(without, name)
         for other in _near(mine, turn, fitted):
             if asked and not needed(without, other.effect):
                 continue
-            tasks.append(partial(_against, bench, fitted, name, other))
+            tasks.append(partial(_against, setup, fitted, name, other))
     return [found for found in (task() for task in tasks) if found is not None]
 
 
@@ -52,7 +53,7 @@ def _near(mine: Candidate, turn: Turn, fitted: Fitted) -> list[Candidate]:
     return sorted(near, key=lambda c: -c.minus_log_p)[:ASKED]
 
 
-def _against(bench: Bench, fitted: Fitted, name: str, other: Candidate) -> Rival | None:
+def _against(setup: FitSetup, fitted: Fitted, name: str, other: Candidate) -> EffectRival | None:
     """None where the other effect has no start here."""
     without = replace(fitted.scene, effects={n: table for n, table in fitted.scene.effects.items() if n != name})
     modelled = fitted.problem.modelled(fitted.x)
@@ -64,22 +65,24 @@ def _against(bench: Bench, fitted: Fitted, name: str, other: Candidate) -> Rival
         tables = [other.table]
     if not tables:
         return None
-    fits = [refit_as(bench, with_effect(without, other.effect, table)) for table in tables]
+    fits = [refit_as(setup, with_effect(without, other.effect, table)) for table in tables]
     theirs = max(fits, key=lambda one: one.log_likelihood)
-    evidence = Evidence.of(fitted.problem, fitted.x, bench.ranks)
+    evidence = Evidence.of(fitted.problem, fitted.x)
     gain = 2.0 * (fitted.log_likelihood - theirs.log_likelihood)
     expected = fitted.size - theirs.size  # that further parameters gain by chance
-    ours, others = (_interior(bench, one) for one in (fitted, theirs))
+    ours, others = (_interior(setup, one) for one in (fitted, theirs))
     apart = (looks * np.sum(np.log(a / b) ** 2) for (a, looks), (b, _) in zip(ours, others, strict=True))
-    distance = float(bench.ranks.same(float(sum(apart))))
+    distance = float(once.decide(float(sum(apart))))
     error = 2.0 * float(np.sqrt(max(distance * evidence.area, 1e-12)))
-    lead = gain - expected * evidence.price(bench.ranks)
-    return Rival(name, other.effect, theirs.scene, gain, distance, (gain - expected + distance) / error, lead, error)
+    lead = gain - expected * evidence.price()
+    return EffectRival(
+        name, other.effect, theirs.scene, gain, distance, (gain - expected + distance) / error, lead, error
+    )
 
 
-def _interior(bench: Bench, fitted: Fitted) -> list[tuple[np.ndarray, float]]:
+def _interior(setup: FitSetup, fitted: Fitted) -> list[tuple[np.ndarray, float]]:
     """beta0 of every lit interior pixel of each observation, with its gain, and the looks."""
-    problem = bench.problem(fitted.scene, dark=False)
+    problem = setup.problem(fitted.scene, dark=False)
     modelled = problem.modelled_as_declared()
     pairs = zip(problem.observations, modelled, problem.gains(modelled), strict=True)
     return [(gain * mu, seen.looks) for seen, mu, gain in pairs]

@@ -3,33 +3,33 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import replace
+from typing import cast
 
 import numpy as np
 
 from warpsar.diagnosis.dark.scan import scan_dark
-from warpsar.diagnosis.found import Candidate, DarkScan, DiagnoseOptions, Turn
-from warpsar.diagnosis.models.bench import Bench
+from warpsar.diagnosis.found import Candidate, DiagnoseOptions, Turn
 from warpsar.diagnosis.models.change import as_declared
+from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.refit import Fitted
 from warpsar.diagnosis.scores.bootstrap import Bootstrap, bootstrap
 from warpsar.diagnosis.scores.evidence import Evidence
-from warpsar.diagnosis.scores.score import NOT_TESTABLE, Group, Projection, group
+from warpsar.diagnosis.scores.score import NOT_TESTABLE, TangentProjection, TemplateGroup, group
 from warpsar.diagnosis.scores.templates import Template, TemplateMaker
 from warpsar.diagnosis.turn.field_projection import bar_those_alone, beside_fields, projection_of
-from warpsar.effects.registry import get, names
-from warpsar.runtime.distributed import Ranks
+from warpsar.effects.registry import get, names, refused_with
+from warpsar.runtime import once
 from warpsar.scene.scene import Scene
 from warpsar.simulation.rays import Rays
-from warpsar.speckle.scan import Scan, Spot
-from warpsar.world.models import effects_without
+from warpsar.speckle.scan import Scan
 
 CLASS_COSINE = 0.9  # templates closer than this are one class: the data hardly tell them apart
 
 
 def score_effects(
     scene: Scene,
-    bench: Bench,
+    setup: FitSetup,
     other_rays: Rays,
     base: Fitted,
     evidence: Evidence,
@@ -39,16 +39,15 @@ def score_effects(
 ) -> tuple[Turn, dict[str, list[Template]]]:
     """The turn with the score of every effect that is not declared and of the scan, and each effect's templates, best
     first. `scene` is the declared one, `base` the model that `evidence` was taken at; `number` counts turns from 0."""
-    ranks = bench.ranks
-    projection, evidence, found = ranks.agree(
-        lambda: _grouped(scene, bench, other_rays, base, evidence, options.seed + number)
+    projection, evidence, found = once.agree(
+        lambda: _grouped(scene, setup, other_rays, base, evidence, options.seed + number)
     )
     candidates = {name: _candidate(name, members, projection.alone) for name, members in found.items()}
-    testable = ranks.gather([c.effect for c in candidates.values() if c.testability == "testable"])[0]
+    testable = once.find(lambda: [c.effect for c in candidates.values() if c.testability == "testable"])
     groups = {name: found[name] for name in testable}
     scan = Scan(evidence.observations, evidence.autocovariance, evidence.silent)
-    boot = bootstrap(evidence, projection, groups, scan, options.draws, options.seed + number, progress, ranks)
-    dark = scan_dark(bench, other_rays, base, evidence, options.seed + number)
+    boot = bootstrap(evidence, projection, groups, scan, options.draws, options.seed + number, progress)
+    dark = scan_dark(setup, other_rays, base, evidence, options.seed + number)
     if dark is not None:
         boot = boot.with_another(options.seed + number)
     spot = scan.strongest(evidence.split(evidence.standardised))
@@ -65,30 +64,29 @@ def score_effects(
         base,
         dark=dark,
     )
-    _as_the_first(turn, ranks)
-    return turn, best
+    # last bits differ from one device to another: all go on with one process's scores
+    first = once.find(lambda: replace(turn, base=cast(Fitted, None)))
+    return replace(first, base=base), best
 
 
 def _grouped(
-    scene: Scene, bench: Bench, other_rays: Rays, base: Fitted, evidence: Evidence, seed: int
-) -> tuple[Projection, Evidence, dict[str, list[Group]]]:
+    scene: Scene, setup: FitSetup, other_rays: Rays, base: Fitted, evidence: Evidence, seed: int
+) -> tuple[TangentProjection, Evidence, dict[str, list[TemplateGroup]]]:
     """The templates of every effect that is not in the model `base`, about it, and the tangent of what is fitted; and
     the evidence with the speckle's own correlation."""
     observations = {view.view.name: view.observations for view in base.problem.views}
-    maker = TemplateMaker(base.scene, bench.device, other_rays, observations, evidence.modelled)
+    maker = TemplateMaker(base.scene, setup.device, other_rays, observations, evidence.modelled)
     # A fit without multiple bounces may have made the surface a poor mirror. Paths are invisible there, so their
     # templates are taken at the declared surface too.
     unmoved = as_declared(scene, base.scene)
-    paths = TemplateMaker(unmoved, bench.device, other_rays, observations, evidence.modelled)
-    projection = projection_of(maker, bench, evidence)
+    paths = TemplateMaker(unmoved, setup.device, other_rays, observations, evidence.modelled)
+    projection = projection_of(maker, setup, evidence)
     evidence = beside_fields(evidence, projection, seed)
-    found: dict[str, list[Group]] = {}
+    found: dict[str, list[TemplateGroup]] = {}
     for name in names():
         if name in base.scene.effects:
             continue
-        if get(name).last_resort or any(
-            name in effects_without(material.model) for material in scene.materials.values()
-        ):
+        if get(name).last_resort or any(name in refused_with(material.model) for material in scene.materials.values()):
             found[name] = []
             continue
         templates = maker.templates(name)
@@ -98,7 +96,7 @@ def _grouped(
     return projection, evidence, found
 
 
-def _candidate(name: str, found: list[Group], alone: float) -> Candidate:
+def _candidate(name: str, found: list[TemplateGroup], alone: float) -> Candidate:
     if get(name).last_resort:
         return Candidate(name, "absent", note="the last resort, where nothing named explains what is left")
     if not found:
@@ -109,8 +107,8 @@ def _candidate(name: str, found: list[Group], alone: float) -> Candidate:
 
 def _score(
     candidates: dict[str, Candidate],
-    groups: dict[str, list[Group]],
-    projection: Projection,
+    groups: dict[str, list[TemplateGroup]],
+    projection: TangentProjection,
     residual: np.ndarray,
     boot: Bootstrap,
 ) -> dict[str, list[Template]]:
@@ -137,12 +135,3 @@ def _score(
             if other != name and np.linalg.svd(mine.T @ theirs, compute_uv=False)[0] > CLASS_COSINE
         ]
     return ranked
-
-
-def _as_the_first(turn: Turn, ranks: Ranks) -> None:
-    """All ranks go on with the scores of the first one: last bits differ from GPU to GPU."""
-    mine = [[asdict(c) for c in turn.candidates], asdict(turn.spot), turn.scan_minus_log_p, turn.p_scan, turn.threshold]
-    mine.append(None if turn.dark is None else asdict(turn.dark))
-    candidates, spot, turn.scan_minus_log_p, turn.p_scan, turn.threshold, dark = ranks.gather(mine)[0]
-    turn.candidates, turn.spot = [Candidate(**c) for c in candidates], Spot.heard(spot)
-    turn.dark = None if dark is None else DarkScan.of(dark)

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from warpsar.diagnosis.dark.said import Dark
-from warpsar.diagnosis.models.bench import Bench
+from warpsar.diagnosis.dark.evidence import Dark
 from warpsar.diagnosis.models.change import as_declared
+from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.refit import (
     GLANCE,
     QUICK_ITERATIONS,
@@ -19,10 +19,9 @@ from warpsar.diagnosis.models.refit import (
     fitted_at,
     onward,
     standing_at,
-    state_told,
 )
 from warpsar.diagnosis.scores.templates import with_effect
-from warpsar.effects.base.parameter import Parameter
+from warpsar.effects.base.parameter import EffectParameter
 from warpsar.effects.registry import get
 from warpsar.learning.optimise import FitState
 from warpsar.learning.problem import FitProblem
@@ -52,19 +51,19 @@ class Screening:
 
     The surface starts as `base` has it, and as the scene file does: a strong effect that is missing can pull the fitted
     surface so far that no descent leads back. A fit that is worse than none begins again nearer to neutral. At first
-    only a glance, which may be another rank's.
+    only a glance, which may be another process's.
     """
 
     def __init__(
         self,
-        bench: Bench,
+        setup: FitSetup,
         base: Fitted,
         declared: Scene,
         name: str,
         tables: Sequence[Mapping[str, Any]],
         glanced: Glance | None = None,
     ) -> None:
-        self.bench, self.base, self.name, self.tables = bench, base, name, tables
+        self.setup, self.base, self.name, self.tables = setup, base, name, tables
         surfaces = [base.scene, as_declared(declared, base.scene)]
         self._problem: FitProblem | None = None
         self.glanced = glanced or self._glance(surfaces)
@@ -80,33 +79,22 @@ class Screening:
             for number, surface in enumerate(surfaces):
                 if (share, number) not in begun:
                     table = toward_neutral(self.name, self.tables[0], share)
-                    problem = self.bench.problem(with_effect(surface, self.name, table))
+                    problem = self.setup.problem(with_effect(surface, self.name, table))
                     begun[share, number] = problem, standing_at(problem, problem.x0)
                 problem, state = begun[share, number]
                 state = onward(problem, state, until)
                 begun[share, number] = problem, state
-                fitted = _fitted(self.bench, problem, state)
+                fitted = _fitted(self.setup, problem, state)
                 if best is None or fitted.whole > best.whole:
                     self._problem, best = problem, Glance(number, state, fitted.log_likelihood, fitted.whole)
         assert best is not None
         return best
 
-    def told(self) -> dict[str, Any]:
-        """For other ranks (JSON's types): what the glance found."""
-        return {"name": self.name, "tables": self.tables, **vars(self.glanced), "state": state_told(self.glanced.state)}
-
-    @classmethod
-    def heard(cls, bench: Bench, base: Fitted, declared: Scene, told: Mapping[str, Any]) -> Screening:
-        """The screening that another rank has `told` of."""
-        about = dict(told)
-        name, tables, state = about.pop("name"), about.pop("tables"), FitState.from_arrays(about.pop("state"))
-        return cls(bench, base, declared, name, tables, Glance(state=state, **about))
-
     def finish(self, lead: float, dark: Dark = NO_DARK, *, refine: bool = True) -> tuple[Fitted, bool]:
         """The best of all tables, refined by them (`refined`), and whether its fit was given up; `lead` is the
         log-likelihood of the best other candidate. Best by likelihood, less half a ln(pixels) for each parameter: three
         that shift the world are not taken for what two explain."""
-        problem = self._problem or self.bench.problem(with_effect(self._surface, self.name, self.tables[0]))
+        problem = self._problem or self.setup.problem(with_effect(self._surface, self.name, self.tables[0]))
         state = self.glanced.state
         # dark pixels, if any, cost the effect what they cost it now
         limit = self.glanced.whole - self.glanced.log_likelihood + lead
@@ -117,29 +105,29 @@ class Screening:
             if found:
                 if values == numbers[0] and given_up[0]:
                     continue  # it differs in settings alone
-                problem = self.bench.problem(with_effect(self._surface, self.name, table))
+                problem = self.setup.problem(with_effect(self._surface, self.name, table))
                 # not where the first arrived: what fits with one window leads another astray
                 state = standing_at(problem, problem.x0)
             state = onward(problem, state, QUICK_ITERATIONS, limit)
             given_up.append(not state.arrived and state.since_start < QUICK_ITERATIONS)
-            found.append(_fitted(self.bench, problem, state))
+            found.append(_fitted(self.setup, problem, state))
         price = 0.5 * np.log(sum(int(seen.interior.sum()) for seen in problem.observations))
         best = max(range(len(found)), key=lambda k: found[k].log_likelihood - price * found[k].size)
         before = self.base.log_likelihood
         if not refine or CLIMB * (found[best].log_likelihood - before) < lead - before:
             return found[best], given_up[best]
-        climbed = refined(self.bench, found[best], self.name, self.tables, dark)
+        climbed = refined(self.setup, found[best], self.name, self.tables, dark)
         return climbed, given_up[best] and climbed.log_likelihood < lead
 
 
-def _fitted(bench: Bench, problem: FitProblem, state: FitState) -> Fitted:
-    return fitted_at(bench, problem, state.best_x, state.best_loss, state.iteration)
+def _fitted(setup: FitSetup, problem: FitProblem, state: FitState) -> Fitted:
+    return fitted_at(setup, problem, state.best_x, state.best_loss, state.iteration)
 
 
 def toward_neutral(name: str, table: Mapping[str, Any], share: float) -> dict[str, Any]:
     """The effect's table with a `share` of what each parameter with a neutral value is away from it."""
 
-    def nearer(parameter: Parameter, value: float) -> float:
+    def nearer(parameter: EffectParameter, value: float) -> float:
         neutral = parameter.neutral
         if np.isnan(neutral):
             return value
@@ -156,7 +144,7 @@ def toward_neutral(name: str, table: Mapping[str, Any], share: float) -> dict[st
 
 
 def refined(
-    bench: Bench, fitted: Fitted, name: str, others: Sequence[Mapping[str, Any]], dark: Dark = NO_DARK
+    setup: FitSetup, fitted: Fitted, name: str, others: Sequence[Mapping[str, Any]], dark: Dark = NO_DARK
 ) -> Fitted:
     """Uphill through the effect's refinements, its own parameters fitted at each, and everything at the end. `others`
     are tables of its best trials. None that dark pixels contradict is taken."""
@@ -171,19 +159,19 @@ def refined(
                 continue
             views = _views(scene, name, table)
             if views not in known:
-                known[views] = _log_likelihood(bench, scene, views)
-            problem = bench.problem(with_effect(scene, name, table), views)
+                known[views] = _log_likelihood(setup, scene, views)
+            problem = setup.problem(with_effect(scene, name, table), views)
             own = np.array([c.effect == name for c in problem.effect_coordinates], bool)
             moving = np.concatenate([np.zeros(problem.learned.size, bool), own])
             x, _, _ = descend(problem, [problem.x0], moving, quick=True)
             trial = learned_scene(problem, x)
-            if _log_likelihood(bench, trial, views) > known[views] + WORTH * (1 + 4 * chosen):
+            if _log_likelihood(setup, trial, views) > known[views] + WORTH * (1 + 4 * chosen):
                 scene, climbing = trial, True
                 break
     if scene is fitted.scene:
         return fitted
-    problem = bench.problem(scene)
-    return fitted_at(bench, problem, *descend(problem, [problem.x0], quick=True))
+    problem = setup.problem(scene)
+    return fitted_at(setup, problem, *descend(problem, [problem.x0], quick=True))
 
 
 def _same_settings(name: str, one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
@@ -201,6 +189,6 @@ def _views(scene: Scene, name: str, table: Mapping[str, Any]) -> tuple[str, ...]
     return tuple(v for v in train if any(now.get(k, {}).get(v) != table.get(k, {}).get(v) for k in differing))
 
 
-def _log_likelihood(bench: Bench, scene: Scene, views: Sequence[str]) -> float:
-    problem = bench.problem(scene, views, dark=False)
+def _log_likelihood(setup: FitSetup, scene: Scene, views: Sequence[str]) -> float:
+    problem = setup.problem(scene, views, dark=False)
     return -problem.value(problem.modelled_as_declared())

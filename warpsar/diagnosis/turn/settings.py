@@ -11,18 +11,18 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from warpsar.diagnosis.models.bench import Bench
+from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.refit import Fitted, refit_as
 from warpsar.diagnosis.turn.screening import WORTH
 from warpsar.effects.registry import get
 
 
-def resettled(bench: Bench, fitted: Fitted, added: Sequence[str]) -> Fitted:
+def resettled(setup: FitSetup, fitted: Fitted, added: Sequence[str]) -> Fitted:
     """`fitted`, with those settings of the `added` effects that the images ask for; everything is fitted anew with
     each. What the scene file declares stays."""
     for name in (one for one in added if get(one).stage == "image"):
         for table in _other_settings(name, fitted.scene.effects[name]):
-            trial = refit_as(bench, replace(fitted.scene, effects={**fitted.scene.effects, name: table}))
+            trial = refit_as(setup, replace(fitted.scene, effects={**fitted.scene.effects, name: table}))
             if trial.log_likelihood > fitted.log_likelihood + WORTH:
                 fitted = trial
     return fitted

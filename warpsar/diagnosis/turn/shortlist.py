@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from warpsar.diagnosis.dark.said import Dark
+from warpsar.diagnosis.dark.evidence import Dark
 from warpsar.diagnosis.found import Candidate
-from warpsar.diagnosis.models.bench import Bench
+from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.refit import Fitted
 from warpsar.diagnosis.scores.templates import Template
-from warpsar.diagnosis.turn.screening import Screening
+from warpsar.diagnosis.turn.screening import Glance, Screening
 from warpsar.diagnosis.turn.survey import surveyed
 from warpsar.scene.scene import Scene
 
@@ -32,7 +32,7 @@ class Refit:
 
 
 def refits(
-    bench: Bench,
+    setup: FitSetup,
     base: Fitted,
     declared: Scene,
     passing: Sequence[Candidate],
@@ -51,24 +51,27 @@ def refits(
 
     def glance(effect: str) -> Screening:
         trials = [template.trial for template in templates[effect]][:OFFERED]
-        tables = [table for trial in trials for table in surveyed(bench, base.scene, effect, trial)]
-        return Screening(bench, base, declared, effect, _distinct(dark, base.scene, effect, tables))
+        tables = [table for trial in trials for table in surveyed(setup, base.scene, effect, trial)]
+        return Screening(setup, base, declared, effect, _distinct(dark, base.scene, effect, tables))
 
-    screenings = bench.deal_out(
+    def again(glanced: tuple[str, Sequence[Mapping[str, Any]], Glance]) -> Screening:
+        return Screening(setup, base, declared, *glanced)
+
+    screenings = setup.share(
         [partial(glance, candidate.effect) for candidate in passing[:GLANCED]],
-        told=Screening.told,
-        heard=partial(Screening.heard, bench, base, declared),
+        leave=lambda one: (one.name, one.tables, one.glanced),
+        arrive=again,
     )
     order = sorted(zip(passing, screenings, strict=False), key=lambda pair: -pair[1].glanced.log_likelihood)
 
-    def lead_over(one: Screening) -> float:
+    def gain_over(one: Screening) -> float:
         others = (other.glanced.log_likelihood for other in screenings if other is not one)
         return -np.inf if dark.asks else max(others, default=-np.inf)
 
-    finished = bench.deal_out(
-        [partial(screening.finish, lead_over(screening), dark, refine=not dark.asks) for _, screening in order[:most]],
-        told=lambda result: [result[0].told(), result[1]],
-        heard=lambda told: (Fitted.heard(bench, base.scene, told[0]), told[1]),
+    finished = setup.share(
+        [partial(screening.finish, gain_over(screening), dark, refine=not dark.asks) for _, screening in order[:most]],
+        leave=lambda result: (result[0].content(), result[1]),
+        arrive=lambda result: (Fitted.of(setup, base.scene, result[0]), result[1]),
     )
     found = []
     for (candidate, screening), (fitted, given_up) in zip(order, finished, strict=False):

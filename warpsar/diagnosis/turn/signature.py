@@ -15,11 +15,11 @@ from typing import Any
 
 import numpy as np
 
-from warpsar.diagnosis.models.bench import Bench
+from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.refit import Fitted
 from warpsar.diagnosis.scores.templates import with_effect
 from warpsar.diagnosis.turn.field_projection import left_beside
-from warpsar.effects.base.parameter import Parameter
+from warpsar.effects.base.parameter import EffectParameter
 from warpsar.effects.base.signature import (
     AT_LEAST,
     AT_MOST,
@@ -56,14 +56,14 @@ class Amplitude:
     error: float
 
 
-def signature(bench: Bench, base: Fitted, fitted: Fitted, effect: str) -> Signature:
+def signature(setup: FitSetup, base: Fitted, fitted: Fitted, effect: str) -> Signature:
     """The outcome of the tests of `effect`, which `fitted` has and `base` has not."""
-    images = seen_images(bench, base.scene, fitted.scene)
+    images = seen_images(setup, base.scene, fitted.scene)
     table = fitted.scene.effects[effect]
     found = [] if (own := get(effect).own_test(images, table)) is None else [own]
     parts = [get(effect).parts(image, table) for image in images]
     if any(parts):
-        found.append(_judged(amplitudes(bench, fitted, effect, parts)))
+        found.append(_judged(amplitudes(setup, fitted, effect, parts)))
     return of_all(found)
 
 
@@ -93,14 +93,16 @@ def _less(one: Amplitude, other: Amplitude) -> bool:
     return AT_LEAST * other.value - one.value > SURE * math.hypot(one.error, AT_LEAST * other.error)
 
 
-def amplitudes(bench: Bench, fitted: Fitted, effect: str, parts: Sequence[Mapping[str, np.ndarray]]) -> list[Amplitude]:
+def amplitudes(
+    setup: FitSetup, fitted: Fitted, effect: str, parts: Sequence[Mapping[str, np.ndarray]]
+) -> list[Amplitude]:
     """The effect's amplitude in each part, in the order of the parts' names; `parts` has masks (rows, cols) for each
     observation.
 
     One step of least squares from the fit, in units of sqrt(L): the residual against the derivative by the amplitude.
     What the other fitted parameters can imitate in this part is taken out of both.
     """
-    problem = bench.problem(fitted.scene, dark=False)
+    problem = setup.problem(fitted.scene, dark=False)
     seen = problem.observations
     modelled = problem.modelled(problem.x0)
     residual = [
@@ -110,8 +112,8 @@ def amplitudes(bench: Bench, fitted: Fitted, effect: str, parts: Sequence[Mappin
     inflation = float(residual_autocovariance(list(zip(seen, residual, strict=True))).sum())
     own = [c.effect == effect for c in problem.effect_coordinates]
     others = np.flatnonzero(~np.concatenate([np.zeros(problem.learned.size, bool), np.array(own, bool)]))
-    left_of = left_beside(problem, others, bench.roughness) if bench.roughness else _left_of(problem, others)
-    slope = np.concatenate(_slope(bench, fitted.scene, effect))
+    left_of = left_beside(problem, others, setup.roughness) if setup.roughness else _left_of(problem, others)
+    slope = np.concatenate(_slope(setup, fitted.scene, effect))
     everything, roots = np.concatenate(residual), np.concatenate([np.full(o.count, np.sqrt(o.looks)) for o in seen])
     numbers = np.concatenate([_block_numbers(problem, k) for k in range(len(seen))])
     found = []
@@ -174,13 +176,13 @@ def _block_numbers(problem: FitProblem, index: int) -> np.ndarray:
     return np.asarray((index * down + rows // BLOCK) * across + cols // BLOCK)
 
 
-def _slope(bench: Bench, scene: Scene, effect: str) -> list[np.ndarray]:
+def _slope(setup: FitSetup, scene: Scene, effect: str) -> list[np.ndarray]:
     """d ln(mu) by the effect's amplitude, about 1, of every observation."""
     table = scene.effects[effect]
     both = []
     for amplitude in (1.0 + STEP, 1.0 - STEP):
         changed = with_effect(scene, effect, scaled(effect, table, amplitude))
-        both.append(bench.problem(changed, dark=False).modelled_as_declared())
+        both.append(setup.problem(changed, dark=False).modelled_as_declared())
     return [np.log(more / less) / (2.0 * STEP) for more, less in zip(*both, strict=True)]
 
 
@@ -191,7 +193,7 @@ def scaled(effect: str, table: Mapping[str, Any], amplitude: float) -> dict[str,
     of its square.
     """
 
-    def one(p: Parameter, value: float) -> float:
+    def one(p: EffectParameter, value: float) -> float:
         if math.isnan(p.neutral):
             return value
         if math.isinf(p.neutral):
@@ -206,10 +208,10 @@ def scaled(effect: str, table: Mapping[str, Any], amplitude: float) -> dict[str,
     return found
 
 
-def seen_images(bench: Bench, without: Scene, with_it: Scene) -> list[SeenImage]:
+def seen_images(setup: FitSetup, without: Scene, with_it: Scene) -> list[SeenImage]:
     """Every train image beside both models, with the gains of each."""
-    problem = bench.problem(with_it, dark=False)
-    planes = [_whole(bench.problem(scene, dark=False)) for scene in (without, with_it)]
+    problem = setup.problem(with_it, dark=False)
+    planes = [_whole(setup.problem(scene, dark=False)) for scene in (without, with_it)]
     gains = problem.gains(problem.modelled_as_declared())
     found = []
     for seen, before, after, gain in zip(problem.observations, *planes, gains, strict=True):
@@ -225,7 +227,7 @@ def seen_images(bench: Bench, without: Scene, with_it: Scene) -> list[SeenImage]
                 after,
                 seen.interior & ~seen.dark,
                 seen.dark,
-                surface_in_pixels(bench, with_it, seen.view)[0],
+                surface_in_pixels(setup, with_it, seen.view)[0],
                 with_it.mesh.materials,
                 float(gain),
             )
@@ -245,10 +247,10 @@ def _whole(problem: FitProblem) -> list[np.ndarray]:
     return found
 
 
-def surface_in_pixels(bench: Bench, scene: Scene, view: Any) -> tuple[np.ndarray, np.ndarray]:
+def surface_in_pixels(setup: FitSetup, scene: Scene, view: Any) -> tuple[np.ndarray, np.ndarray]:
     """Of each pixel the material (an index, -1 where nothing is lit) with the largest lit area, and the mean incidence
     angle [deg] by lit area (NaN there), both of shape (rows, cols)."""
-    hits = bench.rays_of(scene).hits(replace(scene, effects={}), view, [])
+    hits = setup.rays_of(scene).hits(replace(scene, effects={}), view, [])
     rows, cols = scene.grid.shape
     pixel, weight = hits.pixel.numpy(), hits.weight.numpy().astype(float)
     material = scene.mesh.face_material[hits.face.numpy()]

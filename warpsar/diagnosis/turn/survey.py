@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from warpsar.diagnosis.models.bench import Bench
+from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.scores.templates import with_effect
 from warpsar.effects.base.trial import Trial
 from warpsar.learning.problem import FitProblem
@@ -20,7 +20,7 @@ BOUND = 20.0
 HALVINGS = 4  # of the first step
 
 
-def surveyed(bench: Bench, scene: Scene, name: str, trial: Trial) -> list[Mapping[str, Any]]:
+def surveyed(setup: FitSetup, scene: Scene, name: str, trial: Trial) -> list[Mapping[str, Any]]:
     """The trial's starts; where it names steps for a search (`Trial.survey`), moved to the lowest bounded loss that a
     compass search finds with all else held (Kolda, Lewis and Torczon, SIAM Review 45, 2003). An effect that another one
     of the scene contains has nothing to move."""
@@ -28,12 +28,12 @@ def surveyed(bench: Bench, scene: Scene, name: str, trial: Trial) -> list[Mappin
         return list(trial.starts)
     found: list[Mapping[str, Any]] = []
     for table in trial.starts:
-        problem = bench.problem(with_effect(scene, name, table), dark=False)
-        moved = [c.parameter.name if c.effect == name else "" for c in problem.effect_coordinates]
+        problem = setup.problem(with_effect(scene, name, table), dark=False)
+        moved = [c.key if c.effect == name else "" for c in problem.effect_coordinates]
         if name not in {c.effect for c in problem.effect_coordinates}:
             return list(trial.starts)
         columns = [problem.learned.size + moved.index(key) for key in trial.survey]
-        spans = [problem.effect_coordinates[c - problem.learned.size].parameter.span for c in columns]
+        spans = [problem.effect_coordinates[c - problem.learned.size].declared.span for c in columns]
         x = _compass(problem, columns, np.array(list(trial.survey.values())) / spans)
         found.append(problem.effect_tables(x)[name])
     return found

@@ -11,6 +11,7 @@ from warpsar.effects.base.recorder import Recorder
 from warpsar.kernels.effects import point_spread as kernels
 from warpsar.kernels.wide import LANES
 from warpsar.runtime.program import Program
+from warpsar.runtime.structs import fill
 
 WINDOWS = {"sinc": 0, "taylor": 1, "gaussian": 2}  # kernels/effects/point_spread.py
 
@@ -18,24 +19,29 @@ WINDOWS = {"sinc": 0, "taylor": 1, "gaussian": 2}  # kernels/effects/point_sprea
 def blurred(render: Recorder, window: int, p: wp.array, index: int, image: wp.array, *, axis: int) -> wp.array:
     """Record the convolution of `image`, shape (rows * cols,), along an axis. `p[index]` is the kernel's full width at
     half maximum [m]. The kernel is sampled at pixel centres and normalised to one."""
-    program, count, spacing = render.program, render.shape[axis], render.spacing_m[axis]
+    program, count = render.program, render.shape[axis]
+    cols = render.shape[1]
+    along = fill(
+        kernels.SpreadAxis,
+        window=window,
+        index=index,
+        spacing=render.spacing_m[axis],
+        cols=cols,
+        count=count,
+        stride=(cols, 1)[axis],
+    )
     weight, total, share = program.array(count + 1), program.array(1, sum_into=True), program.array(count + 1)
-    program.launch(kernels.sample_kernel, count + 1, [window, spacing, index, p], [weight, total])
+    program.launch(kernels.sample_kernel, count + 1, [along, p], [weight, total])
     program.launch(kernels.normalise_kernel, count + 1, [weight, total], [share])
-    return _convolved(program, [window, spacing, index, p], share, image, render.shape, axis)
+    return _convolved(program, along, p, share, image)
 
 
-def _convolved(
-    program: Program, width: list[Any], weight: wp.array, image: wp.array, shape: tuple[int, int], axis: int
-) -> wp.array:
-    """Record the convolution of `image` along one axis with `weight`, by distance in pixels.
-
-    `width` says where the kernels read it: window, spacing [m], index in p, and p.
-    """
-    (rows, cols), device = shape, program.device
+def _convolved(program: Program, axis: Any, p: wp.array, weight: wp.array, image: wp.array) -> wp.array:
+    """Record the convolution of `image` along an axis (`kernels.SpreadAxis`) with `weight`, by distance in pixels."""
+    cols, device = axis.cols, program.device
+    rows = image.shape[0] // cols
     stretch = kernels.Stretch()
     none = stretch if device.is_cpu and cols >= len(stretch) else kernels.Pixel()
-    along = [cols, shape[axis], (cols, 1)[axis], none]
     dim = (rows, -(-cols // len(none)))
     parts, lanes = (8, 1) if device.is_cpu else (rows, LANES)
     result = program.array(rows * cols)
@@ -43,11 +49,11 @@ def _convolved(
     @cache
     def commands() -> list[wp.Launch]:  # when a gradient is asked for
         back = (
-            (kernels.blur_kernel, dim, [*width, weight, result.grad, *along, 1], image.grad),
+            (kernels.blur_kernel, dim, [axis, p, weight, result.grad, none, 1], image.grad),
             (
                 kernels.weight_adjoint_kernel,
-                (shape[axis], parts, lanes),
-                [*width, image, result.grad, *along, parts, lanes],
+                (axis.count, parts, lanes),
+                [axis, p, image, result.grad, none, parts, lanes],
                 weight.grad,
             ),
         )
@@ -57,5 +63,5 @@ def _convolved(
         for command in commands():
             command.launch()
 
-    program.launch(kernels.blur_kernel, dim, [*width, weight, image, *along, 0], [result], adjoint=adjoint)
+    program.launch(kernels.blur_kernel, dim, [axis, p, weight, image, none, 0], [result], adjoint=adjoint)
     return result

@@ -9,7 +9,9 @@ from typing import Any, ClassVar, Literal, get_args
 import numpy as np
 import warp as wp
 
-from warpsar.effects.base.parameter import Parameter, Setting
+from warpsar.effects.base.parameter import EffectParameter, Setting
+from warpsar.effects.base.phase import ComplexImage, Copy, Response
+from warpsar.effects.base.product import Product
 from warpsar.effects.base.recorder import Recorder
 from warpsar.effects.base.signature import SeenImage, Signature
 from warpsar.effects.base.trial import Context, Trial
@@ -40,7 +42,7 @@ class Effect:
     """Its table, strong enough to be seen in a picture of the example scene; values per view are for `v0` and `v1`."""
     rate_case: ClassVar[dict[str, Any]]
     """Its table where `diagnose` is counted (benchmarks/diagnosis_rates.py); values per view are for `v0` to `v3`."""
-    parameters: ClassVar[tuple[Parameter, ...]] = ()
+    parameters: ClassVar[tuple[EffectParameter, ...]] = ()
     settings: ClassVar[tuple[Setting, ...]] = ()
     additive: ClassVar[bool] = False  # puts power where the scene has none: judged on the dark pixels too
     is_floor: ClassVar[bool] = False  # adds the same positive power to every pixel: none may measure exactly 0
@@ -51,7 +53,10 @@ class Effect:
     contains: ClassVar[tuple[str, ...]] = ()  # effects that a fit holds while it moves this one: it can do all they do
     last_resort: ClassVar[bool] = False  # can do what named effects do: none of the candidates of a search
     sets_positions: ClassVar[bool] = False  # a fit that moves it holds the positions of objects
-    with_phase: ClassVar[str] = ""  # what products with phase have in its place: they refuse it, and say so
+    acts_on: ClassVar[tuple[Product, ...]] = ("beta0",)  # all other products refuse it by name
+    in_place: ClassVar[str] = ""  # what a user writes for products that refuse it; they say so
+    of_surfaces_with: ClassVar[Literal["", "default", "eps_r"]] = ""
+    """What a material must have beside it: the default backscatter model, whose equations it takes; a permittivity."""
     bins_per_pixel: ClassVar[int] = 1  # how much finer than the image, per axis, the hits are binned for it
 
     def margin_m(self, grid: Grid, values: np.ndarray) -> float:
@@ -60,6 +65,28 @@ class Effect:
         `values` are in the order of `parameters`.
         """
         return 0.0
+
+    # ---- products with phase, where `acts_on` names them ----
+    # A gain acts on them by its hook `gain`: the power of a scatterer is multiplied, its phase stays. A position
+    # effect acts by `shift_m`: scatterers move. Other effects override one of these.
+
+    def response(self, values: np.ndarray, settings: Mapping[str, Any]) -> Response:
+        """What it asks of the system's response. `values` as in `margin_m`."""
+        return Response()
+
+    def noise_beta0(self, values: np.ndarray) -> float:
+        """Mean beta0 of the receiver's noise in a focused image. It is white in the phase history."""
+        return 0.0
+
+    def copies(self, values: np.ndarray) -> tuple[Copy, ...]:
+        """Further images of all scatterers that lie in the image, each times a phase of its own."""
+        return ()
+
+    def samples(
+        self, image: ComplexImage, values: np.ndarray, settings: Mapping[str, Any], samples: np.ndarray
+    ) -> np.ndarray:
+        """What becomes of the samples of a complex image, complex64, (rows, cols), of one polarization."""
+        return samples
 
     def shift_m(self, values: np.ndarray, geometry: ViewGeometry) -> np.ndarray:
         """Range and azimuth [m] by which the effect moves a view's image, shape (2,); `values` as in `margin_m`."""
@@ -108,12 +135,12 @@ class Effect:
         """What is wrong with a valid table in this scene; None if nothing. The text follows `effects.<name>`."""
         return None
 
-    def needed(self) -> list[Parameter] | None:
+    def needed(self) -> list[EffectParameter] | None:
         """The parameters of which a table must state one, since it would do nothing without; None if it acts anyway."""
         bring = [p for p in self.parameters if p.brings_it]
         return None if any(p.unstated is not None for p in bring) else bring
 
-    def parameter(self, name: str) -> Parameter:
+    def parameter(self, name: str) -> EffectParameter:
         """The continuous parameter `name`. Raises InputError for a setting: it has no derivative to learn by."""
         for parameter in self.parameters:
             if parameter.name == name:
@@ -138,8 +165,9 @@ class Effect:
     def gain(self, render: Recorder, p: wp.array, sigma: wp.array, points: wp.array) -> wp.array:
         """Gains: change the power `sigma` that seems to come from `points` (vec3 [m], about the reference point).
 
-        The point of a hit is where the hit lies. A path over several surfaces has the point from which a single
-        bounce would have its range, its azimuth and its mean elevation.
+        It is a factor on each `sigma`, of the point and of the view alone, and may use `render.program` and
+        `render.geometry`: so it serves scatterers, too. The point of a hit is where the hit lies. A path over several
+        surfaces has the point from which a single bounce would have its range, its azimuth and its mean elevation.
         """
         return sigma
 

@@ -14,7 +14,7 @@ from warpsar.world.transform import Transform
 
 
 @dataclass(frozen=True)
-class Parameter:
+class EffectParameter:
     """A continuous parameter of an effect, as it stands in scene.toml.
 
     `neutral`: the value at which the effect is not there. NaN says that the parameter means nothing while the others

@@ -7,12 +7,12 @@ from pathlib import Path
 
 from warpsar.formats.base.extra import Extra
 from warpsar.io.geotiff import write_cog
-from warpsar.simulation.ground import Ground
+from warpsar.simulation.ground import MapGround
 from warpsar.simulation.image_format import ImageFormat, Parts
 from warpsar.simulation.view import SimulatedView
 
 
-def parts(view: SimulatedView, name: str, ground: Ground | None) -> Parts:
+def parts(view: SimulatedView, name: str, ground: MapGround | None) -> Parts:
     yield "", f"{name}.tif", partial(write_cog, bands=view.beta0, tags=view.metadata)
     if extra := view.channels():
         yield "layers_geotiff", f"{name}_layers.tif", partial(write_cog, bands=extra, tags=view.metadata)
@@ -20,7 +20,7 @@ def parts(view: SimulatedView, name: str, ground: Ground | None) -> Parts:
         yield "ground", f"{name}_ground.tif", partial(_write_ground, view=view, ground=ground)
 
 
-def _write_ground(path: Path, view: SimulatedView, ground: Ground) -> None:
+def _write_ground(path: Path, view: SimulatedView, ground: MapGround) -> None:
     named = next(each for each in ground.scene.views if each.name == view.name)
     bands, place = ground.project(named, view.beta0)
     axes = "north up; slant range along range_axis and azimuth along azimuth_axis are projected onto the mesh"

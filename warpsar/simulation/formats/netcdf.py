@@ -7,12 +7,12 @@ from pathlib import Path
 
 from warpsar.formats.base.extra import Extra
 from warpsar.io.images import replacing
-from warpsar.simulation.ground import Ground
+from warpsar.simulation.ground import MapGround
 from warpsar.simulation.image_format import ImageFormat, Parts
 from warpsar.simulation.view import SimulatedView
 
 
-def parts(view: SimulatedView, name: str, ground: Ground | None) -> Parts:
+def parts(view: SimulatedView, name: str, ground: MapGround | None) -> Parts:
     yield "", f"{name}.nc", partial(write, view=view)
 
 

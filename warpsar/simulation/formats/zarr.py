@@ -9,12 +9,12 @@ from pathlib import Path
 from uuid import uuid4
 
 from warpsar.formats.base.extra import Extra
-from warpsar.simulation.ground import Ground
+from warpsar.simulation.ground import MapGround
 from warpsar.simulation.image_format import ImageFormat, Parts
 from warpsar.simulation.view import SimulatedView
 
 
-def parts(view: SimulatedView, name: str, ground: Ground | None) -> Parts:
+def parts(view: SimulatedView, name: str, ground: MapGround | None) -> Parts:
     yield "", f"{name}.zarr", partial(write, view=view)
 
 

@@ -23,7 +23,7 @@ DEFAULT, NATURAL = "ka_spm", "i2em"
 
 
 @dataclass(frozen=True)
-class Surface:
+class LibrarySurface:
     """A material of the library. Lengths are in millimetres here, for people who read the list.
 
     `permittivity` takes a frequency [Hz] and gives eps' - j eps''; `band_ghz` is where its source holds. The ranges of
@@ -81,18 +81,18 @@ def _building(
     stated: tuple[float, float],
     model: str = DEFAULT,
     learn: tuple[SurfaceKey, ...] = ALL,
-) -> Surface:
+) -> LibrarySurface:
     band = eps.BUILDING[row][4:]
     source = f"ITU-R P.2040-3, {row}"
-    return Surface(words, partial(eps.building, row), source, band, heights, lengths, stated, model, learn)
+    return LibrarySurface(words, partial(eps.building, row), source, band, heights, lengths, stated, model, learn)
 
 
-def _ground(words: str, kind: str, moisture: float, lengths: Range, stated: tuple[float, float]) -> Surface:
+def _ground(words: str, kind: str, moisture: float, lengths: Range, stated: tuple[float, float]) -> LibrarySurface:
     def permittivity(frequency_hz: float) -> complex:
         return eps.soil(kind, frequency_hz, moisture)
 
     source = f"ITU-R P.527-4, {kind}, {100 * moisture:g} % water"
-    return Surface(words, permittivity, source, (1.0, 1000.0), (1.0, 30.0), lengths, stated, NATURAL)
+    return LibrarySurface(words, permittivity, source, (1.0, 1000.0), (1.0, 30.0), lengths, stated, NATURAL)
 
 
 def _sea(frequency_hz: float) -> complex:
@@ -110,7 +110,7 @@ def _wet_snow(frequency_hz: float) -> complex:
 _SEA = (_sea, "ITU-R P.527-4, sea water, 35 g/kg, 15 deg C", (0.01, 1000.0))
 _SNOW: tuple[Range, Range, tuple[float, float], str] = ((0.5, 10.0), (5.0, 100.0), (4.0, 50.0), NATURAL)
 
-SURFACES: dict[str, Surface] = {
+SURFACES: dict[str, LibrarySurface] = {
     "asphalt": _building("asphalt", "a road of asphalt", (0.2, 2.0), (2.0, 20.0), (0.5, 6.0)),
     "concrete": _building("concrete", "cast concrete", (0.1, 1.0), (3.0, 50.0), (0.3, 8.0)),
     "brick": _building("brick", "a brick wall", (0.3, 2.0), (3.0, 30.0), (0.6, 7.0)),
@@ -124,9 +124,9 @@ SURFACES: dict[str, Surface] = {
     "soil_dry": _ground("bare dry soil", "sandy loam", 0.05, (5.0, 200.0), (9.0, 90.0)),
     "soil_wet": _ground("bare wet soil", "loam", 0.30, (5.0, 200.0), (6.0, 90.0)),
     "grass": _ground("short grass on moist soil, as bare soil", "sandy loam", 0.20, (5.0, 200.0), (8.0, 150.0)),
-    "water_calm": Surface("calm sea", *_SEA, (0.0, 0.5), (5.0, 50.0), (0.2, 15.0)),
-    "water_rough": Surface("sea with ripples of wind", *_SEA, (0.5, 3.0), (5.0, 50.0), (0.8, 12.0)),
-    "snow_dry": Surface(
+    "water_calm": LibrarySurface("calm sea", *_SEA, (0.0, 0.5), (5.0, 50.0), (0.2, 15.0)),
+    "water_rough": LibrarySurface("sea with ripples of wind", *_SEA, (0.5, 3.0), (5.0, 50.0), (0.8, 12.0)),
+    "snow_dry": LibrarySurface(
         "surface of dry snow, 0.3 g/cm3",
         _dry_snow,
         "Maetzler (1996)",
@@ -134,7 +134,7 @@ SURFACES: dict[str, Surface] = {
         *_SNOW,
         lacks="snow's grains and the ground below",
     ),
-    "snow_wet": Surface(
+    "snow_wet": LibrarySurface(
         "surface of wet snow, 0.3 g/cm3, 3 % water",
         _wet_snow,
         "Hallikainen, Ulaby, Abdelrazik (1986)",

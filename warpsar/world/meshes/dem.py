@@ -9,7 +9,7 @@ import numpy as np
 
 from warpsar.errors import InputError
 from warpsar.io import geotiff
-from warpsar.world.meshes.part import DEFAULT_MATERIAL, Part
+from warpsar.world.meshes.part import DEFAULT_MATERIAL, MeshPart
 
 if TYPE_CHECKING:
     from rasterio import DatasetReader
@@ -21,7 +21,7 @@ LARGEST_DEM = 2**25
 """Pixels: 67 million faces."""
 
 
-def read(path: Path, warnings: list[str]) -> list[Part]:
+def read(path: Path, warnings: list[str]) -> list[MeshPart]:
     """Two triangles for each cell between four valid pixel centres.
 
     X and Y are metres east and north of the raster's centre; heights are as in the file. A projected coordinate system
@@ -61,7 +61,7 @@ def read(path: Path, warnings: list[str]) -> list[Part]:
     used[faces] = True
     index = np.cumsum(used) - 1
     vertices = np.stack([east, north, heights.ravel()], axis=1)[used]
-    return [Part(DEFAULT_MATERIAL, vertices, index[faces])]
+    return [MeshPart(DEFAULT_MATERIAL, vertices, index[faces])]
 
 
 def _check(path: Path, source: DatasetReader) -> None:

@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any
 
 from warpsar.errors import InputError, shown
-from warpsar.world.meshes.part import DEFAULT_MATERIAL, Part
+from warpsar.world.meshes.part import DEFAULT_MATERIAL, MeshPart
 from warpsar.world.meshes.through_trimesh import load, material_name, parts, refusing_broken
 from warpsar.world.upright import z_up
 
 
-def read(path: Path, warnings: list[str], up: str | None = None) -> list[Part]:
+def read(path: Path, warnings: list[str], up: str | None = None) -> list[MeshPart]:
     """The primitives at their places, by material, else by the name of the mesh.
 
     glTF is Y up by its standard and is turned to Z up. trimesh writes coordinates as they are: its files stay so, and

@@ -10,14 +10,14 @@ from io import BytesIO
 from pathlib import Path
 
 from warpsar.world.meshes import broken_lines
-from warpsar.world.meshes.part import DEFAULT_MATERIAL, Part
+from warpsar.world.meshes.part import DEFAULT_MATERIAL, MeshPart
 from warpsar.world.meshes.through_trimesh import load, material_name, parts, refusing_broken
 
 _SHORT = re.compile(rb"\n(?:(?:v|vn|f)(?: +[^ \n]+){0,2}|vt) *(?=\n)")
 """A line of too few numbers or corners. trimesh leaves such faces out, and takes vertices of which all are short."""
 
 
-def read(path: Path, *, groups: bool = False) -> list[Part]:
+def read(path: Path, *, groups: bool = False) -> list[MeshPart]:
     """The faces by material: `usemtl`, else the group (`o` or `g`), else "default".
 
     With `groups` also by each of the three names, which the parts then have.

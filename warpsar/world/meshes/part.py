@@ -12,7 +12,7 @@ DEFAULT_MATERIAL = "default"
 
 
 @dataclass(frozen=True)
-class Part:
+class MeshPart:
     """One part of a file: faces of one material, and vertices of their own."""
 
     material: str

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from warpsar.errors import InputError
 from warpsar.world.meshes import broken_lines
-from warpsar.world.meshes.part import DEFAULT_MATERIAL, Part
+from warpsar.world.meshes.part import DEFAULT_MATERIAL, MeshPart
 from warpsar.world.meshes.through_trimesh import load, parts, refusing_broken
 
 # Vertex properties that are not scalars of the surface.
@@ -20,7 +20,7 @@ _RESERVED = frozenset(
 )
 
 
-def read(path: Path, warnings: list[str]) -> tuple[list[Part], dict[str, NDArray[np.float64]]]:
+def read(path: Path, warnings: list[str]) -> tuple[list[MeshPart], dict[str, NDArray[np.float64]]]:
     """The one part of the file, and its vertices' scalars, each (n,). Keeps the order of the vertices.
 
     Where texture coordinates are per face, vertices are split and scalars lost: that goes into `warnings`.

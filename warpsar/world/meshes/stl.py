@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from warpsar.errors import InputError, shown
-from warpsar.world.meshes.part import DEFAULT_MATERIAL, Part
+from warpsar.world.meshes.part import DEFAULT_MATERIAL, MeshPart
 from warpsar.world.meshes.through_trimesh import load, parts, refusing_broken
 
 
-def read(path: Path) -> list[Part]:
+def read(path: Path) -> list[MeshPart]:
     """The one part of the file; corners at one place become one vertex."""
     _refuse_truncated(path)
     scene = load(path, path)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpsar.errors import InputError
-from warpsar.world.meshes.part import Part
+from warpsar.world.meshes.part import MeshPart
 
 if TYPE_CHECKING:
     import trimesh
@@ -55,13 +55,13 @@ def load(
         return trimesh.load_scene(source, process=False, **{"resolver": {}, **how})
 
 
-def parts(path: Path, scene: trimesh.Scene, name_of: Callable[[object, Any], str]) -> list[Part]:
+def parts(path: Path, scene: trimesh.Scene, name_of: Callable[[object, Any], str]) -> list[MeshPart]:
     """The geometries of a scene, each at its place in the world; `name_of` (key, geometry) gives the material."""
     with refusing_broken(path):
         return _placed(scene, name_of)
 
 
-def _placed(scene: trimesh.Scene, name_of: Callable[[object, Any], str]) -> list[Part]:
+def _placed(scene: trimesh.Scene, name_of: Callable[[object, Any], str]) -> list[MeshPart]:
     import trimesh
 
     found = []
@@ -77,7 +77,7 @@ def _placed(scene: trimesh.Scene, name_of: Callable[[object, Any], str]) -> list
         uv = getattr(getattr(geometry, "visual", None), "uv", None)
         if uv is not None and np.shape(uv) != (len(vertices), 2):
             uv = None
-        found.append(Part(name_of(key, geometry), vertices, faces, uv, _names_of(scene, node)))
+        found.append(MeshPart(name_of(key, geometry), vertices, faces, uv, _names_of(scene, node)))
     return found
 
 

@@ -20,7 +20,7 @@ GAP, CAB_HEIGHT = 0.03, 0.8  # of a truck's length, between cab and box; of its 
 
 
 @dataclass(frozen=True)
-class Body:
+class ObjectTriangles:
     """Triangles: `vertices` [m], shape (n, 3), float64, in the object's frame; `faces`, (m, 3), int32.
 
     The faces depend on the kind of body alone, so that vertices of other numbers fit to them.
@@ -30,7 +30,7 @@ class Body:
     faces: np.ndarray
 
 
-def body(table: Object) -> Body:
+def body(table: Object) -> ObjectTriangles:
     """The primitive that the table states: its length along the front (+Y), its width along +X, its foot at z = 0."""
     assert table.primitive is not None
     assert table.size_m is not None
@@ -41,27 +41,27 @@ def body(table: Object) -> Body:
     return _SOLIDS[table.primitive](length, width, height)
 
 
-def _joined(parts: Sequence[Body]) -> Body:
+def _joined(parts: Sequence[ObjectTriangles]) -> ObjectTriangles:
     starts = np.cumsum([0] + [len(part.vertices) for part in parts[:-1]])
     faces = np.concatenate([part.faces + start for part, start in zip(parts, starts, strict=True)])
-    return Body(np.concatenate([part.vertices for part in parts]), faces.astype(np.int32))
+    return ObjectTriangles(np.concatenate([part.vertices for part in parts]), faces.astype(np.int32))
 
 
-def _sheet(corner: Sequence[float], one: Sequence[float], other: Sequence[float]) -> Body:
+def _sheet(corner: Sequence[float], one: Sequence[float], other: Sequence[float]) -> ObjectTriangles:
     """A parallelogram."""
     a, p, q = (np.asarray(each, float) for each in (corner, one, other))
-    return Body(np.stack([a, a + p, a + p + q, a + q]), np.array([[0, 1, 2], [0, 2, 3]], np.int32))
+    return ObjectTriangles(np.stack([a, a + p, a + p + q, a + q]), np.array([[0, 1, 2], [0, 2, 3]], np.int32))
 
 
-def _box(length: float, width: float, height: float) -> Body:
+def _box(length: float, width: float, height: float) -> ObjectTriangles:
     x, y = width / 2.0, length / 2.0
     corners = [(-x, -y), (x, -y), (x, y), (-x, y)]
     vertices = np.array([(*c, 0.0) for c in corners] + [(*c, height) for c in corners])
     quads = [(3, 2, 1, 0), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)]
-    return Body(vertices, np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))], np.int32))
+    return ObjectTriangles(vertices, np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))], np.int32))
 
 
-def _plate(length: float, width: float, height: float) -> Body:
+def _plate(length: float, width: float, height: float) -> ObjectTriangles:
     """A sheet where one size is 0, else a slab."""
     x, y = width / 2.0, length / 2.0
     if height == 0.0:
@@ -73,14 +73,14 @@ def _plate(length: float, width: float, height: float) -> Body:
     return _box(length, width, height)
 
 
-def _dihedral(length: float, width: float, height: float) -> Body:
+def _dihedral(length: float, width: float, height: float) -> ObjectTriangles:
     """A floor, and a wall at its back; it opens to the front."""
     x, y = width / 2.0, length / 2.0
     floor = _sheet((-x, -y, 0.0), (width, 0.0, 0.0), (0.0, length, 0.0))
     return _joined([floor, _sheet((x, -y, 0.0), (-width, 0.0, 0.0), (0.0, 0.0, height))])
 
 
-def _trihedral(length: float, width: float, height: float) -> Body:
+def _trihedral(length: float, width: float, height: float) -> ObjectTriangles:
     """A floor and two walls that meet in a corner at the back; at right angles where length = width."""
     back, right, left = np.array([[0.0, -length / 2, 0.0], [width / 2, 0.0, 0.0], [-width / 2, 0.0, 0.0]])
     up = (0.0, 0.0, height)
@@ -88,7 +88,7 @@ def _trihedral(length: float, width: float, height: float) -> Body:
     return _joined(sheets)
 
 
-def _rings(rings: np.ndarray) -> Body:
+def _rings(rings: np.ndarray) -> ObjectTriangles:
     """A closed body through rings of an even number of points, shape (k, n, 3), with a lid at either end."""
     count, size, _ = rings.shape
     at = np.arange(count * size).reshape(count, size)
@@ -99,13 +99,13 @@ def _rings(rings: np.ndarray) -> Body:
     j = size - 1 - i
     lid = np.concatenate([np.stack([i, i + 1, j - 1], axis=1), np.stack([i, j - 1, j], axis=1)])
     faces = np.concatenate([sides, at[0][lid[:, ::-1]], at[-1][lid]])
-    return Body(rings.reshape(-1, 3), faces.astype(np.int32))
+    return ObjectTriangles(rings.reshape(-1, 3), faces.astype(np.int32))
 
 
-def _without_slivers(made: Body) -> Body:
+def _without_slivers(made: ObjectTriangles) -> ObjectTriangles:
     p = made.vertices[made.faces]
     area = np.linalg.norm(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), axis=1)
-    return Body(made.vertices, made.faces[area > 1e-9 * area.max()])
+    return ObjectTriangles(made.vertices, made.faces[area > 1e-9 * area.max()])
 
 
 def _circle() -> np.ndarray:
@@ -113,18 +113,20 @@ def _circle() -> np.ndarray:
     return np.stack([np.cos(angle), np.sin(angle)], axis=1)
 
 
-def _cylinder(length: float, width: float, height: float) -> Body:
+def _cylinder(length: float, width: float, height: float) -> ObjectTriangles:
     """An upright cylinder; its sides touch the ellipse of `length` and `width` from inside."""
     flat = _circle() * (width / 2.0, length / 2.0)
     return _rings(np.stack([np.column_stack([flat, np.full(ROUND, z)]) for z in (0.0, height)]))
 
 
-def _sphere(length: float, width: float, height: float) -> Body:
+def _sphere(length: float, width: float, height: float) -> ObjectTriangles:
     """An ellipsoid that stands on its lowest point."""
     polar = np.pi * np.arange(ROUND // 2 + 1) / (ROUND // 2)
     rings = [np.column_stack([np.sin(t) * _circle(), np.full(ROUND, -np.cos(t))]) for t in polar]
     unit = _without_slivers(_rings(np.stack(rings)))
-    return Body((unit.vertices + np.array([0.0, 0.0, 1.0])) * (width / 2.0, length / 2.0, height / 2.0), unit.faces)
+    return ObjectTriangles(
+        (unit.vertices + np.array([0.0, 0.0, 1.0])) * (width / 2.0, length / 2.0, height / 2.0), unit.faces
+    )
 
 
 def _section(y: float, low: float, belt: float, roof: float, half: float, curvature: float, top: float) -> np.ndarray:
@@ -135,7 +137,7 @@ def _section(y: float, low: float, belt: float, roof: float, half: float, curvat
     return np.array([(-a, y, b) for a, b in right] + [(a, y, b) for a, b in reversed(right)])
 
 
-def _car(length: float, width: float, height: float, cabin: float, curvature: float) -> Body:
+def _car(length: float, width: float, height: float, cabin: float, curvature: float) -> ObjectTriangles:
     low, belt, half, tail = CLEARANCE * height, BELT * height, width / 2.0, -length / 2.0
     foot, top = tail + TRUNK * length, TUMBLEHOME * (1.0 - curvature)
     stations = [
@@ -149,19 +151,19 @@ def _car(length: float, width: float, height: float, cabin: float, curvature: fl
     return _rings(np.stack([_section(y, low, side, roof, half, curvature, top) for y, side, roof in stations]))
 
 
-def _truck(length: float, width: float, height: float, cabin: float, curvature: float) -> Body:
+def _truck(length: float, width: float, height: float, cabin: float, curvature: float) -> ObjectTriangles:
     """A cab, and a box behind it."""
     low, half, front = CLEARANCE * height, width / 2.0, length / 2.0
     back = front - cabin * length
 
-    def part(start: float, end: float, roof: float) -> Body:
+    def part(start: float, end: float, roof: float) -> ObjectTriangles:
         ends = [_section(y, low, 0.98 * roof, roof, half, curvature, 0.98 * (1.0 - curvature)) for y in (start, end)]
         return _rings(np.stack(ends))
 
     return _joined([part(-front, back - GAP * length, height), part(back, front, CAB_HEIGHT * height)])
 
 
-_SOLIDS: dict[str, Callable[[float, float, float], Body]] = {
+_SOLIDS: dict[str, Callable[[float, float, float], ObjectTriangles]] = {
     "box": _box,
     "cylinder": _cylinder,
     "sphere": _sphere,
@@ -169,4 +171,4 @@ _SOLIDS: dict[str, Callable[[float, float, float], Body]] = {
     "dihedral": _dihedral,
     "trihedral": _trihedral,
 }
-_VEHICLES: dict[str, Callable[[float, float, float, float, float], Body]] = {"car": _car, "truck": _truck}
+_VEHICLES: dict[str, Callable[[float, float, float, float, float], ObjectTriangles]] = {"car": _car, "truck": _truck}

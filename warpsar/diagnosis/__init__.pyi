@@ -1,0 +1,4 @@
+from .proposals.search import proposed as proposed
+from .result import Diagnosed as Diagnosed
+
+__all__ = ["Diagnosed", "proposed"]

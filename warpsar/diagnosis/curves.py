@@ -1,0 +1,76 @@
+"""Which terms of the engine measured curves of radar cross-section show, and the scene does not declare."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from warpsar.coherent.left_out import left_out
+from warpsar.compare.curve import CurveComparison, curves_beside, noise_content
+from warpsar.curves.observe import observe
+from warpsar.curves.search import CANDIDATES, TermSearch, by_sector
+from warpsar.curves.sectors import apertures
+from warpsar.errors import InputError
+from warpsar.scene.scene import Scene
+
+
+@dataclass(frozen=True)
+class DiagnosedCurves:
+    """A scene with the terms that its curves ask for; its curves before and after."""
+
+    scene: Scene
+    found: dict[str, TermSearch]
+    """By sector."""
+    before: list[CurveComparison]
+    after: list[CurveComparison]
+
+    @property
+    def verdict(self) -> list[str]:
+        """Effects whose terms were added."""
+        return list(dict.fromkeys(effect for one in self.found.values() for effect in one.verdict))
+
+    @property
+    def level_only(self) -> list[str]:
+        """Effects that tell the mean power and not the pattern."""
+        told = dict.fromkeys(effect for one in self.found.values() for effect in one.level_only)
+        return [one for one in told if one not in self.verdict]
+
+    def content(self) -> dict[str, Any]:
+        """For diagnosis.json."""
+        return {
+            "not_applied_to_curves": list(left_out(self.scene, "rcs")),
+            "verdict": self.verdict,
+            "level_only": self.level_only,
+            "sectors": {name: [asdict(each) for each in one.asked] for name, one in self.found.items()},
+            **{
+                when: {"curves": [one.content() for one in curves], "noise": noise_content(curves)}
+                for when, curves in (("before", self.before), ("after", self.after))
+            },
+        }
+
+    @property
+    def words(self) -> list[str]:
+        """A sentence for each question."""
+        return [
+            f"{one.effect}, {sector}: {one.outcome}" + (f", {one.why}" if one.why else "")
+            for sector, found in self.found.items()
+            for one in found.asked
+        ] or ["Every term that there is was declared."]
+
+
+def diagnose_curves(scene: Scene, cache: Path, device: str | None = None) -> DiagnosedCurves:
+    """Which terms of the engine the curves show and `[radar] terms` does not declare.
+
+    Raises InputError without train curves.
+    """
+    if not any(curve.role == "train" for curve in scene.curves):
+        raise InputError(f"{scene.name}: curves: found no train curve; must have one to name anything")
+    declared = scene.radar.terms
+    every = tuple(dict.fromkeys((*declared, *CANDIDATES.values())))
+    whole = replace(scene, radar=scene.radar.model_copy(update={"terms": every}))
+    curves = observe(whole, cache=cache, device=device)
+    found = by_sector(curves, apertures(scene.mesh), declared)
+    terms = tuple(dict.fromkeys(term for one in found.values() for term in one.terms))
+    after = replace(scene, radar=scene.radar.model_copy(update={"terms": terms}))
+    return DiagnosedCurves(after, found, curves_beside(curves, declared), curves_beside(curves, terms))

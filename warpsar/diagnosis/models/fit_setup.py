@@ -1,0 +1,70 @@
+"""What every fit of a diagnosis shares."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property, partial
+from typing import Any, TypeVar
+
+import warp as wp
+
+from warpsar.compare.observation import Observation
+from warpsar.diagnosis.models.other_meshes import OtherMeshes, same_surface
+from warpsar.effects.registry import get
+from warpsar.learning.problem import FitProblem
+from warpsar.learning.roughness import Roughness
+from warpsar.runtime import once, threads
+from warpsar.scene.scene import Scene
+from warpsar.simulation.rays import Rays
+from warpsar.world.mesh import Mesh
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class FitSetup:
+    """Rays and frozen pixels that all models are compared on. `observations` by view name.
+
+    `bound` is that of the gamma loss in every fit (`speckle.likelihood.bounded`); 0 for none. `roughness` is
+    what every fit expects of the learned fields; None where there are none. Every process holds all views, and
+    fits whole models by itself. `rays` are those of `mesh`; a scene with another mesh has rays of its own, `others`,
+    as many and as random. Without a `mesh`, all scenes have the one of `rays`.
+    """
+
+    device: wp.Device
+    rays: Rays
+    observations: Mapping[str, list[Observation]]
+    bound: float = 0.0
+    roughness: Roughness | None = None
+    mesh: Mesh | None = None
+    others: OtherMeshes = field(default_factory=OtherMeshes)
+
+    def rays_of(self, scene: Scene) -> Rays:
+        """The rays of the scene's mesh."""
+        if self.mesh is None or same_surface(scene.mesh, self.mesh):
+            return self.rays
+        return self.others.rays(scene, self.device, self.rays)
+
+    def problem(self, scene: Scene, views: Sequence[str] | None = None, *, dark: bool | None = None) -> FitProblem:
+        """The scene's fit problem; its dark pixels are used where it has an additive effect, or as `dark` says."""
+        if dark is None:
+            dark = any(get(name).additive for name in scene.effects)
+        seen = self._with_dark if dark else self.observations
+        return FitProblem(
+            scene,
+            self.device,
+            views=views,
+            rays=self.rays_of(scene),
+            observations=seen,
+            bound=self.bound,
+            roughness=self.roughness,
+        )
+
+    @cached_property
+    def _with_dark(self) -> dict[str, list[Observation]]:
+        return {name: [one.with_dark() for one in found] for name, found in self.observations.items()}
+
+    def share(self, tasks: Sequence[Callable[[], T]], **how: Any) -> list[T]:
+        """As `once.share`; on the CPU tasks of a process run side by side, each on problems of its own."""
+        return once.share(tasks, run=partial(threads.ordered, device=self.device), **how)

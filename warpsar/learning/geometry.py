@@ -1,0 +1,182 @@
+"""What a fit may change of a scene's geometry, as one vector of metres: bodies, the views' angles, pixel spacings.
+
+All of it moves where surfaces lie in an image. So each is moved by tracing anew, where surfaces and effects only shade
+what was traced.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from warpsar.effects.registry import fitted_effects, get
+from warpsar.parameters.at import at
+from warpsar.parameters.parameter import Parameter
+from warpsar.scene.scene import Scene
+from warpsar.world.objects.table import KEYS
+from warpsar.world.objects.table import LIMITS as SHARES
+
+FARTHEST_M = 50.0  # that a fit moves an object
+LARGEST_FACTOR = 4.0  # by which it changes a size
+LARGEST_STRETCH = 1.25  # by which it changes a pixel spacing
+LARGEST_TURN_DEG = 20.0  # by which it turns a view
+NAMES = {
+    "position_m": ("east", "north", "up"),
+    "scale": ("along", "across", "upward"),
+    "size_m": ("length", "width", "height"),
+}
+"""What the elements of a key of three are called."""
+WORDS = {key: word for word, key in KEYS.items()}
+
+
+@dataclass(frozen=True)
+class GeometryCoordinate:
+    """One number of the vector: it moves the outermost points of what it belongs to by about a metre for each metre.
+
+    `index` is the element of a parameter of three. A value is `start` + coordinate * `slope`, or `start` *
+    exp(coordinate * `slope`) for a size, a scale or a spacing (`factor`). Coordinates end at `bounds` [m].
+    """
+
+    parameter: Parameter
+    index: int | None
+    start: float
+    slope: float
+    factor: bool
+    bounds: tuple[float, float]
+
+    @property
+    def label(self) -> str:
+        """ "car.east" of an object, else the parameter's dotted name."""
+        if self.parameter.root != "objects":
+            return self.parameter.name
+        key = self.parameter.key
+        return f"{self.parameter.owner}.{WORDS[key] if self.index is None else NAMES[key][self.index]}"
+
+    @property
+    def body(self) -> str | None:
+        """The object that it belongs to."""
+        return self.parameter.owner if self.parameter.root == "objects" else None
+
+    def changes(self, view: str) -> bool:
+        """Whether the image of a view changes with it."""
+        return self.parameter.root != "views" or self.parameter.owner in ("", view)
+
+    def value(self, coordinate: float) -> float:
+        """The value in the parameter's unit."""
+        return self.start * math.exp(coordinate * self.slope) if self.factor else self.start + coordinate * self.slope
+
+    def per_metre(self, coordinate: float) -> float:
+        """The value's derivative to the coordinate [unit / m]."""
+        return self.value(coordinate) * self.slope if self.factor else self.slope
+
+
+class Geometry:
+    """The freed parameters of bodies, views and image; the vector p, shape (n,) [m], is 0 where the scene puts them.
+
+    `known` says of each element about which value it is known, and to which standard deviation, in the parameter's
+    unit; it is infinite without a tolerance. Positions are held where a fit moves an effect that can do what they do
+    (`Effect.sets_positions`); `held` has a sentence for each object.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+        self.coordinates: list[GeometryCoordinate] = []
+        self.known: list[tuple[float, float]] = []
+        self.held: list[str] = []
+        holding = next((name for name in fitted_effects(scene.effects) if get(name).sets_positions), None)
+        for parameter in freed(scene):
+            if parameter.key == "position_m" and holding is not None:
+                self.held.append(f"{parameter.owner}.position: held, because {holding} shifts each view by itself")
+                continue
+            self._add(parameter, _radius(scene, parameter))
+
+    def _add(self, parameter: Parameter, radius: float) -> None:
+        values = np.atleast_1d(parameter.value).tolist()
+        known = parameter.known or ((0.0, math.inf),) * len(values)
+        factor = parameter.key in ("size_m", "scale") or parameter.root == "image"
+        for index, (start, about_sd) in enumerate(zip(values, known, strict=True)):
+            if parameter.key == "size_m" and start == 0.0:
+                continue  # a plate's thickness
+            slope = {"position_m": 1.0, "size_m": 2.0 / max(start, 1e-9)}.get(parameter.key, 1.0 / radius)
+            slope = math.degrees(slope) if parameter.unit == "deg" else slope
+            which = index if parameter.layout == "vector" else None
+            bounds = _bounds(parameter, start, slope)
+            self.coordinates.append(GeometryCoordinate(parameter, which, start, slope, factor, bounds))
+            self.known.append(about_sd)
+
+    @property
+    def labels(self) -> list[str]:
+        return [c.label for c in self.coordinates]
+
+    @property
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        ends = np.array([c.bounds for c in self.coordinates]).reshape(-1, 2)
+        return ends[:, 0].copy(), ends[:, 1].copy()
+
+    def at(self, p: np.ndarray) -> Scene:
+        """The scene with p in place."""
+        values = {c.parameter: c.parameter.value.copy() for c in self.coordinates}
+        for c, coordinate in zip(self.coordinates, p, strict=True):
+            values[c.parameter][() if c.index is None else c.index] = c.value(float(coordinate))
+        return at(self.scene, values)
+
+
+def still(scene: Scene) -> Scene:
+    """The scene with nothing of its geometry to learn."""
+    if next(freed(scene), None) is None:
+        return scene
+    objects = tuple(one.model_copy(update={"learn": ()}) for one in scene.objects)
+    views = [view.model_copy(update={"learn": (), "tolerance": {}}) if view.learn else view for view in scene.views]
+    grid = scene.grid.model_copy(update={"learn": (), "tolerance": {}})
+    radar = scene.radar.model_copy(update={"learn": (), "tolerance": {}})
+    return replace(scene, objects=objects, views=views, grid=grid, radar=radar)
+
+
+def freed(scene: Scene) -> Iterator[Parameter]:
+    """The parameters of a scene's geometry that its file lets a fit change: bodies in the order of their `learn`."""
+    if (
+        scene.radar.learn
+        or scene.grid.learn
+        or any([*(one.learn for one in scene.objects), *(view.learn for view in scene.views)])
+    ):
+        parameters = scene.parameters
+        for one in scene.objects:
+            yield from (parameters[f"objects.{one.label}.{KEYS[word]}"] for word in one.learn)
+        yield from (parameters[f"views.{key}"] for key in scene.radar.learn)
+        for view in scene.views:
+            yield from (parameters[f"views.{view.name}.{key}"] for key in view.learn)
+        yield from (parameters[f"image.{key}"] for key in scene.grid.learn)
+
+
+def _radius(scene: Scene, parameter: Parameter) -> float:
+    """How far the outermost points lie from the middle [m]: of the body, of the image's side, or of its diagonal."""
+    if parameter.root == "objects":
+        assert scene.assembly is not None
+        own = next(one for one in scene.objects if one.label == parameter.owner)
+        return float(np.linalg.norm(np.ptp(scene.assembly.vertices_of(own), axis=0)) / 2.0)
+    sides = np.multiply(scene.grid.shape, scene.grid.spacing_m)
+    if parameter.root == "views":
+        return float(np.linalg.norm(sides)) / 2.0
+    return float(sides[0] if parameter.key == "range_spacing_m" else sides[1]) / 2.0
+
+
+def _bounds(parameter: Parameter, start: float, slope: float) -> tuple[float, float]:
+    """Least and largest coordinate [m]."""
+    word = WORDS.get(parameter.key, "") if parameter.root == "objects" else ""
+    if word in SHARES:
+        low, high = SHARES[word]
+        return (low - start) / slope, (high - start) / slope
+    if parameter.root == "views":
+        least, most = parameter.fit_bounds or (parameter.low, parameter.high)
+        turns = max(least - start, -LARGEST_TURN_DEG), min(most - start, LARGEST_TURN_DEG)
+        return turns[0] / slope, turns[1] / slope
+    if parameter.root == "image":
+        reach = math.log(LARGEST_STRETCH) / slope
+    elif parameter.key in ("size_m", "scale"):
+        reach = math.log(LARGEST_FACTOR) / slope
+    else:
+        reach = FARTHEST_M if parameter.key == "position_m" else 180.0 / slope
+    return -reach, reach

@@ -1,0 +1,1 @@
+"""What models declare (`model.py`), and the parameters that several share (`parameters.py`)."""

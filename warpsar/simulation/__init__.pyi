@@ -1,0 +1,3 @@
+from .view import SimulatedView as SimulatedView
+
+__all__ = ["SimulatedView"]
