@@ -179,7 +179,7 @@ def test_under_torchrun_a_job_before_its_first_checkpoint_begins_anew(
 ) -> None:
     monkeypatch.setenv("TORCHELASTIC_RESTART_COUNT", "1")
     begun = record.open_record(Scene.load(whole[0]), OPTIONS, tmp_path, True)
-    assert begun._told == []
+    assert begun._stored == []
     assert "--resume: there is no checkpoint; the run starts afresh" in capsys.readouterr().err
 
 

@@ -118,7 +118,7 @@ def _content(scene: Scene, turn: Turn) -> dict[str, Any]:
 
 
 def _turn_of(scene: Scene, stored: Mapping[str, Any], setup: FitSetup, base: Fitted) -> Turn:
-    """The turn that `_told` gave."""
+    """The turn that `_content` gave."""
     candidates = [Candidate(**{**each, **_parts(each)}) for each in stored["candidates"]]
     fitted = None if stored["fitted"] is None else _fitted(scene, stored["fitted"], setup, base)
     about = {**stored, "candidates": candidates, "spot": Spot.from_content(stored["spot"]), "fitted": fitted}
