@@ -93,6 +93,17 @@ def test_diagnose_names_nothing_where_nothing_is_missing(tmp_path: Path) -> None
     assert run("diagnose", path, tmp_path / "out")["verdict"] == []
 
 
+def test_diagnose_gives_no_all_clear_where_noise_holds_the_power(tmp_path: Path) -> None:
+    """A thin slab declared as metal: no term of the engine lowers its level, and a fitted noise takes the rest."""
+    path = with_curves(tmp_path / "scene", "conductor = true", SLAB.format(eps=3.0), ("single",))
+    done = CliRunner().invoke(main, ["diagnose", str(path), "-o", str(tmp_path / "out")], catch_exceptions=False)
+    assert done.exit_code == 4
+    assert done.stdout.startswith("unexplained: train curves: ")
+    found = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
+    assert found["unexplained"]
+    assert "noise" in found["curves_verdict"]["train"]["findings"]
+
+
 def test_learn_finds_the_permittivity_of_a_slab(tmp_path: Path) -> None:
     path = with_curves(tmp_path / "scene", SLAB.format(eps=2.6), SLAB.format(eps=3.0), ("single",))
     found = run("learn", path, tmp_path / "out")["materials"]["default.eps_r"]

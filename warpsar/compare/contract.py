@@ -7,6 +7,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
+ROLES = ("train", "test")
+
 
 class AnyComparison(Protocol):
     """A measurement beside what a model predicts for it: `Comparison` of an image, `CurveComparison` of a curve."""

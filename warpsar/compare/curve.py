@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erfc, ndtri
 
+from warpsar.compare.contract import ROLES
 from warpsar.curves import metrics, rivals
 from warpsar.curves.likelihood import distribution
 from warpsar.curves.noise import Noise, Noises, densities, fit
@@ -89,9 +90,21 @@ class CurveComparison:
         found = {"null": rivals.constant([self.seen]), "smooth": rivals.smooth([self.seen])}
         return {name: rival.model_m2[0] for name, rival in found.items()}
 
+    @property
+    def _low_db(self) -> float:
+        """What counts of the curve lies above this [dBsm]."""
+        return float(metrics.decibels(self.measured).max()) - PEAK_DB
+
+    def _error_db(self, power: NDArray[np.float64]) -> float:
+        return metrics.error_db(self.measured, power, self._low_db)
+
+    @property
+    def error_db(self) -> float:
+        """Mean abs(dB) of the model."""
+        return self._error_db(self.simulated)
+
     def content(self) -> dict[str, Any]:
         """Its entry in the JSON files."""
-        low = float(metrics.decibels(self.measured).max()) - PEAK_DB
         beside = {"model": self.simulated, **self.without_physics}
         weight = self.seen.weight
         return {
@@ -101,8 +114,8 @@ class CurveComparison:
             "polarization": self.polarization,
             "directions": len(self.measured),
             "independent_directions": float(weight.sum()),
-            "error_db": {name: metrics.error_db(self.measured, power, low) for name, power in beside.items()},
-            "correlation": metrics.correlation(self.measured, self.simulated, low),
+            "error_db": {name: self._error_db(power) for name, power in beside.items()},
+            "correlation": metrics.correlation(self.measured, self.simulated, self._low_db),
             "level_db": metrics.level_db(self.measured, self.simulated),
             "deviance": float(weight @ self.scaled_deviance / weight.sum()),
         }
@@ -134,15 +147,16 @@ def noise_of(curves: Sequence[ObservedCurve], terms: Sequence[str]) -> Noises:
     return fit([one for one in curves if one.role == "train"] or list(curves), terms).noise
 
 
-def noise_content(compared: Sequence[CurveComparison]) -> dict[str, Any]:
-    """The noise of each polarization, for the JSON files."""
-    return {
+def content_of(compared: Sequence[CurveComparison]) -> dict[str, Any]:
+    """What the JSON files say of curves beside one model: each curve, and the noise of each polarization."""
+    noise = {
         one.polarization: {
             "background_dbsm": float(metrics.decibels(np.array(one.noise.background_m2))),
             "error_db": one.noise.error_db,
         }
         for one in compared
     }
+    return {"curves": [one.content() for one in compared], "noise": noise}
 
 
 @dataclass(frozen=True)
@@ -218,10 +232,16 @@ def judge_curves(compared: Sequence[CurveComparison]) -> CurveJudgement:
     return CurveJudgement(findings, deviance, error, p_level, count, noise_share, over)
 
 
+def curve_verdicts(compared: Sequence[CurveComparison]) -> dict[str, CurveJudgement]:
+    """The judgement of the curves of each role; none for a role without curves."""
+    by_role = {role: [one for one in compared if one.role == role] for role in ROLES}
+    return {role: judge_curves(part) for role, part in by_role.items() if part}
+
+
 def errors_in_short(compared: Sequence[CurveComparison]) -> str:
     """One line: mean abs(dB) of the train and the test curves."""
     words = []
-    for role in ("train", "test"):
-        errors = [one.content()["error_db"]["model"] for one in compared if one.role == role]
+    for role in ROLES:
+        errors = [one.error_db for one in compared if one.role == role]
         words += [f"{role} curves {np.mean(errors):.2f} dB"] if errors else []
     return ", ".join(words)

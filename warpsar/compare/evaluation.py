@@ -11,13 +11,12 @@ import warp as wp
 
 from warpsar.coherent.left_out import left_out
 from warpsar.compare.comparison import Comparison, compare
-from warpsar.compare.curve import CurveComparison, CurveJudgement, compare_curves, judge_curves, noise_content
+from warpsar.compare.contract import ROLES
+from warpsar.compare.curve import CurveComparison, CurveJudgement, compare_curves, content_of, curve_verdicts
 from warpsar.compare.judgement import Judgement, judge
 from warpsar.compare.metrics import PooledMetrics, pool
 from warpsar.runtime import once
 from warpsar.scene.scene import Scene
-
-ROLES = ("train", "test")
 
 
 @dataclass(frozen=True)
@@ -58,10 +57,9 @@ def evaluated(
     curves: list[CurveComparison] = []
     if scene.curves:
         curves = once.find(partial(compare_curves, scene, cache=cache, device=device.alias))
-    parts = {role: [one for one in curves if one.role == role] for role in ROLES}
-    told = {role: judge_curves(part) for role, part in parts.items() if part}
+    of_curves = curve_verdicts(curves)
     if curves and not scene.has_images:
-        return Evaluation([], None, None, 0.0, curves=curves, curve_verdicts=told)
+        return Evaluation([], None, None, 0.0, curves=curves, curve_verdicts=of_curves)
     found = compare(scene, device, seed=seed, shared=True, progress=progress)
 
     def together() -> tuple[PooledMetrics | None, PooledMetrics | None, dict[str, Judgement]]:
@@ -69,14 +67,13 @@ def evaluated(
         return train, test, {role: judge(found.of(role)) for role in ROLES if found.of(role)}
 
     train, test, verdicts = once.find(together)
-    return Evaluation(found.images, train, test, found.rays_per_m2, verdicts, found.own, curves, told)
+    return Evaluation(found.images, train, test, found.rays_per_m2, verdicts, found.own, curves, of_curves)
 
 
 def curves_content(scene: Scene, found: Evaluation) -> dict[str, Any]:
     """What the JSON files say of a scene's curves."""
     return {
         "not_applied_to_curves": list(left_out(scene, "rcs")),
-        "curves": [one.content() for one in found.curves],
-        "noise": noise_content(found.curves),
+        **content_of(found.curves),
         "curves_verdict": {role: one.content() for role, one in found.curve_verdicts.items()},
     }

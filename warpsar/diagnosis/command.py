@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from warpsar.coherent.left_out import left_out_warning
-from warpsar.compare.curve import judge_curves
-from warpsar.compare.evaluation import ROLES
+from warpsar.compare.contract import ROLES
 from warpsar.diagnosis.content import content_of
 from warpsar.diagnosis.curves import diagnose_curves
 from warpsar.diagnosis.found import DiagnoseOptions
@@ -52,14 +51,21 @@ def run(
         asked = diagnose_curves(scene, out / "cache", where.alias)
         asked.scene.save(out / "scene.toml")
         content = write_json(out / "diagnosis.json", scene, where, options.seed, started, asked.content())
-        told = {role: judge_curves(part) for role in ROLES if (part := [c for c in asked.after if c.role == role])}
         title, beside = f"What {Path(scene_path).name} lacks, by its curves", "scene.toml, diagnosis.json (all numbers)"
         page = out / "report.html"
         write_curves_report(
-            page, title, asked.after, told, content, words, before=asked.before, words=asked.words, beside=beside
+            page,
+            title,
+            asked.after,
+            asked.verdicts,
+            content,
+            words,
+            before=asked.before,
+            words=asked.words,
+            beside=beside,
         )
         console.say_written(out, "report.html", "diagnosis.json", "scene.toml")
-        print(", ".join(asked.verdict) or "nothing missing", file=sys.stdout)
+        print(asked.in_short, file=sys.stdout)
         return content
     once.join(where)
     record = open_record(scene, options, out, resume or bool(once.restarts()))

@@ -7,7 +7,7 @@ from dataclasses import asdict
 from typing import Any
 
 from warpsar.compare.comparison import Comparison
-from warpsar.compare.evaluation import ROLES
+from warpsar.compare.contract import ROLES
 from warpsar.compare.metrics import difference, pool
 from warpsar.diagnosis.field_content import fields_content
 from warpsar.diagnosis.found import Candidate, DiagnoseOptions, Diagnosis, EffectRival, Turn

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from warpsar.coherent.left_out import left_out
-from warpsar.compare.curve import CurveComparison, curves_beside, noise_content
+from warpsar.compare.curve import CurveComparison, CurveJudgement, content_of, curve_verdicts, curves_beside
 from warpsar.curves.observe import observe
 from warpsar.curves.search import CANDIDATES, TermSearch, by_sector
 from warpsar.curves.sectors import apertures
@@ -30,6 +31,28 @@ class DiagnosedCurves:
         """Effects whose terms were added."""
         return list(dict.fromkeys(effect for one in self.found.values() for effect in one.verdict))
 
+    @cached_property
+    def verdicts(self) -> dict[str, CurveJudgement]:
+        """What the model with the added terms leaves of the curves of each role."""
+        return curve_verdicts(self.after)
+
+    @property
+    def unexplained(self) -> bool:
+        """Whether something is left of the train curves that no term of the engine explains.
+
+        Test curves do not decide: those of another frequency may have another noise. `in_short` says what they leave.
+        """
+        return self.verdicts["train"].wrong
+
+    @property
+    def in_short(self) -> str:
+        """One line: what is left unexplained first, then the names, and what the test curves leave."""
+        names, wrong = ", ".join(self.verdict), [role for role, one in self.verdicts.items() if one.wrong]
+        left = [f"{role} curves: {self.verdicts[role].words}" for role in wrong]
+        if self.unexplained:
+            return "; ".join([f"unexplained: {left[0]}", *([f"found: {names}"] if names else []), *left[1:]])
+        return "; ".join([names or ("no term is missing" if wrong else "nothing missing"), *left])
+
     @property
     def level_only(self) -> list[str]:
         """Effects that tell the mean power and not the pattern."""
@@ -41,12 +64,12 @@ class DiagnosedCurves:
         return {
             "not_applied_to_curves": list(left_out(self.scene, "rcs")),
             "verdict": self.verdict,
+            "unexplained": self.unexplained,
+            "curves_verdict": {role: one.content() for role, one in self.verdicts.items()},
             "level_only": self.level_only,
             "sectors": {name: [asdict(each) for each in one.asked] for name, one in self.found.items()},
-            **{
-                when: {"curves": [one.content() for one in curves], "noise": noise_content(curves)}
-                for when, curves in (("before", self.before), ("after", self.after))
-            },
+            "before": content_of(self.before),
+            "after": content_of(self.after),
         }
 
     @property

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from warpsar.compare.comparison import Comparison
-from warpsar.compare.evaluation import ROLES
+from warpsar.compare.contract import ROLES
 from warpsar.compare.judgement import SHARE, Judgement, judge, speckle_of
 from warpsar.compare.metrics import difference, likelihood_gain
 from warpsar.diagnosis.alternatives import Deciding, deciding

@@ -5,8 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from warpsar.compare.curve import judge_curves
-from warpsar.compare.evaluation import ROLES
+from warpsar.compare.curve import curve_verdicts
 from warpsar.evaluation.report import write_report
 from warpsar.evaluation.report_curves import write_curves_report
 from warpsar.evaluation.residuals import expected_db, profiles
@@ -42,12 +41,11 @@ def write_learn_report(scene_path: Path, out: Path, found: Learned | LearnedCurv
 def _write_of_curves(scene_path: Path, out: Path, found: LearnedCurves, content: dict[str, Any]) -> None:
     words = ["warpsar", "learn", str(scene_path), "-o", str(out), "--device", content["device"]]
     title, beside = f"What {scene_path.name} learned from its curves", "scene.toml (as learned), learn.json"
-    told = {role: judge_curves(part) for role in ROLES if (part := [one for one in found.after if one.role == role])}
     write_curves_report(
         out / "report.html",
         title,
         found.after,
-        told,
+        curve_verdicts(found.after),
         content,
         words,
         before=found.before,

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from warpsar.coherent.left_out import left_out
-from warpsar.compare.curve import CurveComparison, compare_curves, noise_content
+from warpsar.compare.curve import CurveComparison, compare_curves, content_of
 from warpsar.curves.observe import observe
 from warpsar.curves.shape import ProfileInterval, likelihood, on_grid, profiles
 from warpsar.errors import InputError
@@ -41,10 +41,8 @@ class LearnedCurves:
             "not_applied_to_curves": list(left_out(self.scene, "rcs")),
             "materials": {key: one.content() for key, one in self.found_values.items()},
             "fitted_together": len(self.found_values),
-            **{
-                when: {"curves": [one.content() for one in curves], "noise": noise_content(curves)}
-                for when, curves in (("before", self.before), ("after", self.after))
-            },
+            "before": content_of(self.before),
+            "after": content_of(self.after),
         }
 
     @property

@@ -262,6 +262,12 @@ def without_shading(problem: PosedProblem) -> tuple[np.ndarray, np.ndarray]:
     return hessian[n:, n:] - hessian[n:, own] @ along[:, :-1], hessian[n:, own] @ along[:, -1] - gradient[n:]
 
 
+def foretold_gain(left: np.ndarray, slope: np.ndarray) -> float:
+    """The gain of the best step, to second order, from a curvature (n, n) and a slope (n,) as `without_shading` has
+    them, or the parts of them along which the step may go."""
+    return 0.5 * float(slope @ np.linalg.pinv(left, rcond=1e-9, hermitian=True) @ slope)
+
+
 def _step(gradient: np.ndarray, hessian: np.ndarray, free: np.ndarray, damping: float) -> np.ndarray:
     scale = np.diag(hessian) + 1e-12 * float(np.trace(hessian))
     step = np.zeros_like(gradient)

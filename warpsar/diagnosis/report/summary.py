@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from warpsar.compare.evaluation import ROLES
+from warpsar.compare.contract import ROLES
 from warpsar.diagnosis.models.carried import Carried
 from warpsar.diagnosis.models.change import SUMMARIES
 from warpsar.diagnosis.result import OPEN_WORDS, Diagnosed

@@ -31,7 +31,7 @@ from warpsar.diagnosis.models.refit import BOUND, Fitted
 from warpsar.diagnosis.proposals.search import missing_objects
 from warpsar.effects.registry import get
 from warpsar.learning.geometry import still
-from warpsar.learning.pose import PosedProblem, without_shading
+from warpsar.learning.pose import PosedProblem, foretold_gain, without_shading
 from warpsar.learning.pose_search import SEARCH_BLUR_M, find_poses
 from warpsar.runtime import once
 from warpsar.scene.placing import with_objects
@@ -149,8 +149,7 @@ def _foretold(problem: PosedProblem) -> dict[str, tuple[float, float]]:
             numbers.setdefault(one.body, ([], []))[one.parameter.key in SIZES].append(k)
 
     def gain(at: list[int]) -> float:
-        own = left[np.ix_(at, at)]
-        return 0.5 * float(slope[at] @ np.linalg.pinv(own, rcond=1e-9, hermitian=True) @ slope[at]) if at else 0.0
+        return foretold_gain(left[np.ix_(at, at)], slope[at]) if at else 0.0
 
     return {label: (gain(pose), gain(size)) for label, (pose, size) in numbers.items()}
 
