@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from warpsar.diagnosis.command import run
 from warpsar.diagnosis.models.change import GeometryCandidate, changes
 from warpsar.diagnosis.models.sensor import is_own_angle, sensor_changes, without_sensor
 from warpsar.diagnosis.turn.geometry_search import SAME_IMAGES, _one_reading
+from warpsar.diagnosis.turn.sensor_search import hypotheses
 from warpsar.parameters.at import at
 from warpsar.scene.scene import Scene
 from warpsar.world.tables import Sampling
@@ -96,6 +98,24 @@ def test_changes_are_named_by_what_differs() -> None:
     common = at(scene, {scene.parameters["views.azimuth_deg"]: 2.0})
     assert list(sensor_changes(scene, common)) == ["view_angles all"]
     assert [is_own_angle(name) for name in (*names, "view_angles all")] == [True, False, False]
+
+
+@pytest.mark.unit
+@pytest.mark.parametrize("taken", ["views.azimuth_deg", "views.v1.azimuth_deg"])
+def test_whatever_is_offered_beside_a_turn_keeps_its_name(taken: str) -> None:
+    """A turn of all views and one of a single view's same angle would leave angles that have neither's name."""
+    scene = true_scene()
+    turned = at(scene, {scene.parameters[taken]: scene.parameters[taken].value + 2.0})
+    views: Any = [SimpleNamespace(view=view) for view in scene.views]
+    here: Any = SimpleNamespace(scene=turned, problem=SimpleNamespace(views=views))
+    (first,) = sensor_changes(scene, turned)
+    offered = hypotheses(scene, here)
+    assert {one.kind for one in offered} == {"view_angles", "pixel_spacing"}
+    for one in offered:
+        (key,) = one.parameters
+        unit = 0.01 if one.kind == "pixel_spacing" else 1.0
+        both = at(turned, {turned.parameters[key]: turned.parameters[key].value + unit})
+        assert set(sensor_changes(scene, both)) == {first, f"{one.kind} {one.label}"}
 
 
 @pytest.mark.unit

@@ -82,6 +82,15 @@ def test_a_stripmap_is_as_long_as_the_aperture_and_the_image() -> None:
     assert length / (len(made.track) - 1) == pytest.approx(2 * 10e3 * np.tan(np.deg2rad(0.5)) + 64 * 0.25, rel=1e-6)
 
 
+def test_a_short_stripmap_is_finer_than_it_states() -> None:
+    """docs/collections.md: each point is seen from all of the track, which is longer than the aperture by the image."""
+    asked = {"point_spread": {"range_fwhm_m": 1.0, "azimuth_fwhm_m": 1.0, "window": "taylor"}}
+    for slant_range_m, width_m in ((10e3, 0.52), (650e3, 0.99)):
+        collection = {"mode": "stripmap", "resolution_m": None, "slant_range_m": slant_range_m}
+        made = plan(collection=collection, shape=(128, 128), spacing=(1.0, 1.0), effects=asked)
+        assert width_in_cells("none") * made.cells_m[1] == pytest.approx(width_m, abs=0.005)
+
+
 @pytest.mark.parametrize("name", PRESETS)
 def test_presets(name: str) -> None:
     carrier = {"x": 9.65e9, "c": 5.405e9, "l": 1.2365e9}[name[0]]

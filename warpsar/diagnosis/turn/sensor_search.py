@@ -6,7 +6,7 @@ They show at edges and shadow borders, hardly inside. So all usable pixels count
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -27,7 +27,7 @@ from warpsar.diagnosis.models.sensor import (
 )
 from warpsar.diagnosis.turn.geometry_search import of_the_first
 from warpsar.learning.geometry import still
-from warpsar.learning.pose import PosedProblem, without_shading
+from warpsar.learning.pose import foretold_gain, without_shading
 from warpsar.learning.pose_search import SEARCH_BLUR_M, find_poses
 from warpsar.runtime import once
 from warpsar.scene.scene import Scene
@@ -66,47 +66,46 @@ def sensor_candidates(
 
 
 def hypotheses(declared: Scene, here: Fitted) -> list[Hypothesis]:
-    """Every hypothesis that the model has not taken yet: angles of each view and of all, and both spacings."""
+    """Every hypothesis that the model has not taken yet: angles of each view and of all, and both spacings.
+
+    Where all views were turned, the angle of one is not offered, nor the reverse: two such turns of one angle would not
+    be told apart by the angles that they leave.
+    """
     views = [view.view.name for view in here.problem.views]
     taken = sensor_changes(declared, here.scene)
     found = [Hypothesis(SPACING, label, (f"image.{key}",)) for label, key in SPACINGS.items()]
     if len(views) > 1:
         found += [Hypothesis(ANGLES, ALL, (f"views.{key}",)) for key in ANGLE_KEYS]
     found += [Hypothesis(ANGLES, name, (f"views.{name}.{key}",)) for name in views for key in ANGLE_KEYS]
-    return [one for one in found if name_of(one.kind, one.label) not in taken]
+    turned = [parameter for parameters in taken.values() for parameter in parameters if parameter.startswith("views.")]
+
+    def mixed(one: Hypothesis) -> bool:
+        key = one.parameters[0].rpartition(".")[2]
+        others = [each for each in turned if each.endswith(f".{key}")]
+        return any((each == f"views.{key}") != (one.label == ALL) for each in others)
+
+    return [one for one in found if name_of(one.kind, one.label) not in taken and not mixed(one)]
 
 
 def screening(declared: Scene, setup: FitSetup, here: Fitted) -> list[Hypothesis]:
     """What each hypothesis would gain, foretold to second order on blurred images, surface and effects moving along."""
-    asked = hypotheses(declared, here)
-    single = [name for one in asked for name in one.parameters if name.count(".") == 2 or name.startswith("image.")]
-    problem = Exact.of(setup, here).problem(sensor_freed(here.scene, single), blur_m=SEARCH_BLUR_M[0], bound=BOUND)
+    views = [view.view.name for view in here.problem.views]
+    moved = {one: _moved(one, views) for one in hypotheses(declared, here)}
+    free = sensor_freed(here.scene, [name for names in moved.values() for name in names])
+    problem = Exact.of(setup, here).problem(free, blur_m=SEARCH_BLUR_M[0], bound=BOUND)
     left, slope = without_shading(problem)
-    return [
-        Hypothesis(one.kind, one.label, one.parameters, _foretold(left, slope, _directions(problem, one)))
-        for one in asked
-    ]
+    found = []
+    for one, names in moved.items():
+        along = np.array([[c.label in names] for c in problem.geometry.coordinates], float)
+        found.append(replace(one, foretold=foretold_gain(along.T @ left @ along, along.T @ slope)))
+    return found
 
 
-def _directions(problem: PosedProblem, one: Hypothesis) -> np.ndarray:
-    """Where the hypothesis may move the geometry's coordinates, shape (coordinates, parameters)."""
-    rows = []
-    for name in one.parameters:
-        root, _, key = name.partition(".")
-        ending = name.rpartition(".")[2]
-        common = root == "views" and "." not in key
-        moved = [
-            c.label == name or (common and c.parameter.root == "views" and c.parameter.key == ending)
-            for c in problem.geometry.coordinates
-        ]
-        rows.append(np.array(moved, float))
-    return np.stack(rows, axis=1)
-
-
-def _foretold(left: np.ndarray, slope: np.ndarray, directions: np.ndarray) -> float:
-    """The gain of the best step along the directions, to second order."""
-    own, along = directions.T @ left @ directions, directions.T @ slope
-    return 0.5 * float(along @ np.linalg.pinv(own, rcond=1e-9, hermitian=True) @ along)
+def _moved(one: Hypothesis, views: Sequence[str]) -> list[str]:
+    """The dotted names of what a hypothesis moves alike: of each view, where it turns all."""
+    if one.label != ALL:
+        return list(one.parameters)
+    return [f"views.{view}.{name.rpartition('.')[2]}" for name in one.parameters for view in views]
 
 
 def _fitted(declared: Scene, setup: FitSetup, here: Fitted, one: Hypothesis) -> GeometryCandidate:
