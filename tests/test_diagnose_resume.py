@@ -143,7 +143,7 @@ def test_a_limit_of_time_ends_with_what_there_is_and_goes_on(whole: tuple[Path, 
     assert not (out / checkpoint.NAME).exists()
 
 
-def test_what_was_added_on_trial_stays_when_the_time_is_over(
+def test_what_was_added_on_trial_stays_in_the_model_and_is_no_name_when_the_time_is_over(
     whole: tuple[Path, Path, int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     scene, expected, _ = whole
@@ -160,7 +160,11 @@ def test_what_was_added_on_trial_stays_when_the_time_is_over(
     monkeypatch.setattr(loop.Search, "_turn", over)
     CliRunner().invoke(main, command(scene, out, "--time-limit", "1000"))
     content = json.loads((out / "diagnosis.json").read_text())
-    assert content["verdict"] == [turns[0].added]
+    name = turns[0].added
+    assert name is not None
+    assert name in content["effects"]
+    assert (content["verdict"], content["unexplained"]) == ([], True), "it was never asked beside the others"
+    assert "time was over" in content["not_established"][name]
     assert content["not_asked"] == [
         "turn 2: what explains what is left",
         f"whether each of these holds beside all the others: {turns[0].added}",

@@ -14,6 +14,7 @@ from warpsar.diagnosis.content import content_of
 from warpsar.diagnosis.curves import diagnose_curves
 from warpsar.diagnosis.found import DiagnoseOptions
 from warpsar.diagnosis.left.words import first_sentence
+from warpsar.diagnosis.models.names import kind_of
 from warpsar.diagnosis.report.page import write_report
 from warpsar.diagnosis.result import OPEN_WORDS, Diagnosed, judged, moved_parameters
 from warpsar.diagnosis.search.procedure import diagnose_scene
@@ -123,6 +124,8 @@ def in_short(done: Diagnosed) -> str:
         why = dict.fromkeys(_WORDS[kind] for one in done.verdicts.values() for kind in one.findings)
         said.append(f"unexplained: {', '.join(why) or 'something is left'}")
         said += [f"found: {names}"] if names else []
+        doubted = ", ".join(dict.fromkeys(map(kind_of, done.not_established)))
+        said += [f"in the model, but not established: {doubted}"] if doubted else []
     else:
         said.append(names or "nothing missing")
         said += [OPEN_WORDS] if done.foretold else []

@@ -36,6 +36,7 @@ def content_of(
     return {
         "options": asdict(options),
         "verdict": done.verdict,
+        "not_established": done.not_established,
         "unexplained": done.unexplained,
         "reasons": done.reasons,
         "judgement": {role: one.content() for role, one in done.verdicts.items()},

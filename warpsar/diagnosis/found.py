@@ -213,7 +213,8 @@ class Diagnosis:
     `speckle`, found about the declared model, names. `rivals`: other effects in the place of these. `objects`: what
     became of those that were changed, by name; `sensor`: the same of angles and spacings. `withdrawn`: effects that
     held on the train views, but made the error on test views larger. `not_asked`: what a limit of time left out, in
-    words; empty where the search came to its end. `judge` compares models with all images."""
+    words; empty where the search came to its end. `on_trial`: what was added and, for want of time, never asked beside
+    the others. `judge` compares models with all images."""
 
     scene: Scene
     declared: Fitted
@@ -229,6 +230,7 @@ class Diagnosis:
     objects: dict[str, dict[str, Any]] = field(default_factory=dict)
     sensor: dict[str, dict[str, Any]] = field(default_factory=dict)
     not_asked: list[str] = field(default_factory=list)
+    on_trial: list[str] = field(default_factory=list)
 
     @property
     def observations(self) -> list[Observation]:
@@ -243,5 +245,11 @@ class Diagnosis:
 
     @property
     def verdict(self) -> list[str]:
-        """The plain names of what holds, each once."""
+        """The plain names of what the final model has, each once."""
         return list(dict.fromkeys(kind_of(name) for name in self.held))
+
+    def signed(self, name: str) -> bool:
+        """Whether an effect's own test confirms it, beside all others."""
+        turn = next(turn for turn in reversed(self.turns) if turn.added == name)
+        own = next(c for c in turn.candidates if c.effect == name).signature
+        return own is not None and own.outcome == "confirmed"

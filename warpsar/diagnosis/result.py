@@ -15,6 +15,7 @@ from warpsar.compare.contract import ROLES
 from warpsar.compare.judgement import SHARE, Judgement, judge, speckle_of
 from warpsar.compare.metrics import difference, likelihood_gain
 from warpsar.diagnosis.alternatives import Deciding, deciding
+from warpsar.diagnosis.established import not_established
 from warpsar.diagnosis.field_content import identify_beside
 from warpsar.diagnosis.found import Candidate, DiagnoseOptions, Diagnosis, EffectRival
 from warpsar.diagnosis.left.place import ResidualPlace, place
@@ -52,7 +53,8 @@ class Diagnosed:
     was fitted to them, too, since the train views leave it open; None where they foretell it, or no surface explains
     both. `reasons`: what speaks against an all-clear, a sentence each.
     `place`: the strongest window of what is left at the end; `left`: what is left altogether. `alternatives`: rivals
-    that the data do not decide against, and which measurement would.
+    that the data do not decide against, and which measurement would. `not_established`: names of the final model that
+    are not earned, and why.
     """
 
     diagnosis: Diagnosis
@@ -65,6 +67,7 @@ class Diagnosed:
     place: ResidualPlace
     left: Left
     alternatives: list[tuple[EffectRival, Deciding]] = field(default_factory=list)
+    not_established: dict[str, str] = field(default_factory=dict)
 
     @cached_property
     def before(self) -> dict[str, RoleMetrics | None]:
@@ -84,8 +87,14 @@ class Diagnosed:
 
     @property
     def verdict(self) -> list[str]:
-        """The plain names of what was found: effects, bodies, looks and texture."""
-        return [*self.diagnosis.verdict, *self.speckle.names]
+        """The plain names that are earned: effects, bodies, looks and texture."""
+        held = (kind_of(name) for name in self.diagnosis.held if name not in self.not_established)
+        return [*dict.fromkeys(held), *self.speckle.names]
+
+    @property
+    def changed(self) -> bool:
+        """Whether the final model has anything that the scene file does not declare."""
+        return bool(self.diagnosis.held or self.speckle.names)
 
     @property
     def unexplained(self) -> bool:
@@ -150,7 +159,9 @@ def judged(found: Diagnosis) -> Diagnosed:
     ]
     models.append([image for role in ROLES for image in under(judge_of(fitted, role), final)])
     reasons = _reasons(found, [*found.verdict, *speckle.names], verdicts, models[0], models[-1])
-    undecided = [rival for rival in found.rivals if rival.undecided and rival.effect in found.verdict]
+    doubted = not_established(found, verdicts)
+    named = [name for name in found.held if name not in doubted]
+    undecided = [rival for rival in found.rivals if rival.undecided and rival.effect in named]
     looks = float(np.median([seen.looks for seen in found.observations]))
     alternatives = [(one, deciding(final, one.scene, looks, found.setup.device)) for one in undecided]
     last = models[-1]
@@ -158,7 +169,9 @@ def judged(found: Diagnosis) -> Diagnosed:
     where = place(found, last, spot)
     left = left_of(found, last, spot, bool(reasons))
     own_numbers = own is not judge_of(fitted, "test")
-    return Diagnosed(found, models, speckle, verdicts, reasons, own_numbers, foretold, where, left, alternatives)
+    return Diagnosed(
+        found, models, speckle, verdicts, reasons, own_numbers, foretold, where, left, alternatives, doubted
+    )
 
 
 def _train_cost(before: Sequence[Comparison], after: Sequence[Comparison]) -> float:
@@ -207,6 +220,8 @@ def _reasons(
     said = [f"{role} views: {one.words}" for role, one in verdicts.items() if one.wrong]
     if found.withdrawn:
         said.append(f"{', '.join(found.withdrawn)} made the test views worse")
+    if trial := [name for name in found.on_trial if name in found.held]:
+        said.append(f"the time was over before it was asked whether {', '.join(trial)} holds")
     if found.unexplained and not said:
         said.append("train views: the scan finds something that no effect explains")
     first, last = (of_role(images, "test") for images in (before, after))

@@ -23,7 +23,7 @@ INCIDENCE_DEG = 45.0  # of the two looks at the mesh
 def residuals_section(done: Diagnosed) -> str:
     first, last = done.models[0], done.models[-1]
     reach = _reach(first)
-    same = not done.verdict
+    same = not done.changed
     blocks = [
         report.paragraph(
             "Measured over modelled power on the compared pixels, grey elsewhere; one scale for all. The radar is at "

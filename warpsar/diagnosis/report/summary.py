@@ -31,7 +31,7 @@ def summary_section(done: Diagnosed, content: dict[str, Any]) -> str:
                 f"{before['pixels']:,}",
                 plus_minus(before["deviance"], before["deviance_error"]),
                 plus_minus(after["deviance"], after["deviance_error"]),
-                plus_minus(gain["deviance"], gain["error"]) if done.verdict else "–",
+                plus_minus(gain["deviance"], gain["error"]) if done.changed else "–",
                 f"{before['rmse_db']:.2f} → {after['rmse_db']:.2f}",
                 f"{before['correlation']:.3f} → {after['correlation']:.3f}",
             ]
@@ -102,6 +102,11 @@ def _first(done: Diagnosed) -> list[str]:
         names = f" {', '.join(done.verdict)} was found, and does not explain it." if done.verdict else ""
         blocks.append(report.paragraph(f"Something is left that nothing found explains.{names}"))
         blocks.append(report.bullets([f"{one[0].upper()}{one[1:]}" for one in done.reasons]))
+        if done.not_established:
+            blocks.append(
+                report.paragraph("In the model, but not established: what is left may be what they stand for.")
+            )
+            blocks.append(report.bullets([f"{name}: {why}" for name, why in done.not_established.items()]))
     elif done.verdict:
         blocks.append(report.paragraph("With what was found, nothing but speckle is left, to the tests made here."))
     else:

@@ -66,6 +66,7 @@ class Search:
     ) -> None:
         self.scene, self.options, self.turns = scene, options, list[Turn]()
         self.not_asked: list[str] = []  # what a limit of time left out, in words
+        self.on_trial: list[str] = []  # additions that it left unconfirmed
         self._judge, self._doing = judge, ""
         self._setup = setup  # fewer pixels where an added effect has moved the light
         self._other = replace(setup, rays=other_rays)
@@ -105,9 +106,9 @@ class Search:
         self.not_asked = [self._doing]
         if last.added is None and waiting:
             self.not_asked.append(f"whether one of these explains what is left: {', '.join(waiting)}")
-        held = [name for name in self._added(self._base) if name not in self._asked]
-        if held:
-            self.not_asked.append(f"whether each of these holds beside all the others: {', '.join(held)}")
+        self.on_trial = [name for name in self._added(self._base) if name not in self._asked]
+        if self.on_trial:
+            self.not_asked.append(f"whether each of these holds beside all the others: {', '.join(self.on_trial)}")
         console.say("the time is over; not asked: " + "; ".join(self.not_asked))
 
     def _resort(self) -> None:

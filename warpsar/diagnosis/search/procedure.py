@@ -93,6 +93,7 @@ def diagnose_scene(
         objects=objects,
         sensor=search.sensor(final),
         not_asked=search.not_asked,
+        on_trial=search.on_trial,
     )
 
 
