@@ -425,8 +425,11 @@ def one_run(number: int, device: str, minutes: float) -> dict[str, Any]:
         "views": len(views),
         "correlated": correlated,
         "there": round(there, 1),
-        "verdict": [name for name in done.verdict if name not in SUMMARIES]
-        + changes(scene, done.diagnosis.final.scene),
+        "verdict": [
+            *(name for name in done.verdict if name not in SUMMARIES),
+            *(name for name in changes(scene, done.diagnosis.final.scene) if name not in done.not_established),
+        ],
+        "not_established": done.not_established,
         "alternatives": [[one.effect, one.other] for one, _ in done.alternatives],
         "rivals": [*done.speckle.rivals],
         "unexplained": done.unexplained,
