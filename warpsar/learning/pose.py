@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import warp as wp
@@ -12,10 +13,12 @@ import warp as wp
 from warpsar.compare.observation import Observation
 from warpsar.learning.geometry import Geometry
 from warpsar.learning.identify import Identified, of_information, score_products
-from warpsar.learning.pose_sharing import boxes, shared
+from warpsar.learning.pose_sharing import boxes, columns_of, shared
+from warpsar.learning.posed_images import images_elsewhere
 from warpsar.learning.prior import Known, Prior
 from warpsar.learning.problem import FitProblem
 from warpsar.learning.view import FitView
+from warpsar.runtime import threads
 from warpsar.runtime.deadline import check
 from warpsar.runtime.matmul import transposed_times
 from warpsar.scene.scene import Scene
@@ -27,6 +30,9 @@ from warpsar.surface.stage import Stage
 POSE_STEP_M = 2e-3  # of a difference: its error is under 1e-3 of a derivative (docs/objects.md)
 LIT = 0.1  # share of a pixel that is no floor, from which its residual tells of speckle
 KEPT = 3  # poses whose hits are kept
+# How far a descent goes on with the changes of an image by its poses: of a pixel, and of a log coordinate. They hardly
+# change within; where a descent seems to have arrived, they are made anew.
+KEPT_WITHIN_PX, KEPT_WITHIN = 0.1, 0.2
 MOST_STEPS = 40
 LARGEST_MOVE_M, LARGEST_STEP = 1.0, 1.0  # in one step: of a pose, and of a log coordinate
 STANDS_M = 1e-2  # standard deviation of a foot's height about the ground that it stands on
@@ -62,6 +68,7 @@ class PosedProblem:
         self.scene, self.device, self.loss, self._seen = scene, device, loss, observations
         self.geometry, self.level, self.bound = Geometry(scene), level, bound
         self._kept: OrderedDict[bytes, FitProblem] = OrderedDict()
+        self._changes: tuple[np.ndarray, list[np.ndarray]] | None = None  # x, and d(mu) / dp there of each observation
         self.count = len(self.geometry.coordinates)
         start = self.standing(np.zeros(self.count))
         self.size = 0 if held else start.x0.size
@@ -94,13 +101,13 @@ class PosedProblem:
         """The plain fit problem with the objects at p."""
         key = np.asarray(p, float).tobytes()
         if key not in self._kept:
-            self._kept[key] = self._made(p, list(self._seen))
+            self._kept[key] = self._made(p)
             while len(self._kept) > KEPT:
                 self._kept.popitem(last=False)
         self._kept.move_to_end(key)
         return self._kept[key]
 
-    def _made(self, p: np.ndarray, views: list[str]) -> FitProblem:
+    def _made(self, p: np.ndarray) -> FitProblem:
         scene = self.geometry.at(p)
         rays = ExactRays(Stage.of(scene, self.device), seed=scene.sampling.seed)
         roles = ("train", "test")
@@ -109,7 +116,7 @@ class PosedProblem:
             self.device,
             loss=self.loss,
             roles=roles,
-            views=views,
+            views=list(self._seen),
             rays=rays,
             observations=self._seen,
             bound=self.bound,
@@ -130,25 +137,47 @@ class PosedProblem:
         problem, rest = self.split(x)
         return problem.value(problem.modelled(rest)) + self.prior.value(x)
 
-    def jacobian(self, x: np.ndarray) -> list[np.ndarray]:
+    def jacobian(self, x: np.ndarray, *, near: bool = False) -> list[np.ndarray]:
         """d ln(mu) / dx of every observation, shape (pixels, len(x)), as `FitProblem.jacobian`.
 
-        Those to poses are central differences of exact images, `POSE_STEP_M` to either side.
+        Those to poses are central differences of exact images, `POSE_STEP_M` to either side. `near`: those of an x
+        close by will do, if there are any.
         """
         problem, rest = self.split(x)
         if self.size:
             own = problem.jacobian(rest)
         else:
             own = [np.zeros((seen.values.size, 0)) for seen in problem.observations]
-        slopes = [slope for view in problem.views for slope in self._slopes(problem, view, rest, x[self.size :])]
+        modelled = problem.modelled(rest)
+        if not (self.is_made_at(x) or near and self._is_near(x)):
+            tasks = [partial(self._changed, problem, view, rest, x[self.size :]) for view in problem.views]
+            self._changes = x.copy(), [one for found in threads.ordered(tasks, self.device) for one in found]
+        assert self._changes is not None
+        slopes = [
+            np.where(mu > seen.darkest, 1.0 / mu, 0.0)[:, None] * change
+            for change, seen, mu in zip(self._changes[1], problem.observations, modelled, strict=True)
+        ]
         found = [np.column_stack(pair) for pair in zip(own, slopes, strict=True)]
         if not self.scene.grid.calibrated:
-            weights = [c.weight for c in problem.curvatures(problem.modelled(rest))]
+            weights = [c.weight for c in problem.curvatures(modelled)]
             found = [j - np.average(j, axis=0, weights=w) for j, w in zip(found, weights, strict=True)]
         return found
 
-    def _slopes(self, problem: FitProblem, view: FitView, rest: np.ndarray, p: np.ndarray) -> list[np.ndarray]:
-        """d ln(mu) / dp of a view's observations, shape (pixels, len(p)) each."""
+    def _is_near(self, x: np.ndarray) -> bool:
+        """Whether the last changes by poses were made at an x close to this one."""
+        if self._changes is None:
+            return False
+        away = np.abs(x - self._changes[0])
+        within = np.full(x.size, KEPT_WITHIN_PX * min(self.scene.grid.spacing_m))
+        within[: self.size] = KEPT_WITHIN
+        return bool((away <= within).all())
+
+    def is_made_at(self, x: np.ndarray) -> bool:
+        """Whether the last changes by poses were made at this x."""
+        return self._changes is not None and np.array_equal(x, self._changes[0])
+
+    def _changed(self, problem: FitProblem, view: FitView, rest: np.ndarray, p: np.ndarray) -> list[np.ndarray]:
+        """d(mu) / dp of a view's observations, shape (pixels, len(p)) each."""
         places = boxes(problem.scene, view.view)
         coordinates, name = self.geometry.coordinates, view.view.name
         found = [np.zeros((seen.values.size, p.size)) for seen in view.observations]
@@ -157,15 +186,17 @@ class PosedProblem:
                 continue
             step = np.zeros(p.size)
             step[group] = POSE_STEP_M
-            both = (self._made(p + s * step, [name]) for s in (1.0, -1.0))
-            above, below = (one.modelled(one.follow(problem, rest)) for one in both)
-            for slope, seen, a, b in zip(found, view.observations, above, below, strict=True):
-                change = np.log(a / b) / (2.0 * POSE_STEP_M)
+            bodies = {coordinates[k].body for k in group}
+            columns = None if places is None or None in bodies else columns_of([places[one] for one in bodies if one])
+            above, below = (
+                images_elsewhere(problem, view, rest, self.geometry.at(p + s * step), columns) for s in (1.0, -1.0)
+            )
+            for into, seen, a, b in zip(found, view.observations, above, below, strict=True):
                 row, column = np.divmod(seen.pixels, problem.scene.grid.shape[1])
                 for k in group:
                     body = coordinates[k].body
                     inside = True if places is None or body is None else places[body].holds(row, column)
-                    slope[:, k] = np.where(inside, change, 0.0)
+                    into[:, k] = np.where(inside, (a - b) / (2.0 * POSE_STEP_M), 0.0)
         return found
 
     def identified(self, x: np.ndarray) -> Identified:
@@ -212,33 +243,53 @@ def descend(problem: PosedProblem, x: np.ndarray, *, most: int = MOST_STEPS, fla
     low, high = problem.bounds
     x = np.clip(x, low, high)
     loss, damping = problem.value(x), 1e-3
+    near = True
     for step_number in range(most):
         check()
-        gradient, hessian = _quadratic(problem, x)
-        free = ~((x <= low) & (gradient > 0) | (x >= high) & (gradient < 0)) & (np.diag(hessian) > 0)
-        if not free.any():
-            return Descended(x, loss, step_number)
-        moved = False
-        for _ in range(8):
-            step = _step(gradient, hessian, free, damping)
-            promised = -float(gradient @ step + 0.5 * step @ hessian @ step)
-            if promised < flat:
-                return Descended(x, loss, step_number)
-            trial = np.clip(x + _shortened(problem, step), low, high)
-            value = problem.value(trial)
-            if value < loss:
-                moved = loss - value > 0.1 * flat
-                x, loss, damping = trial, value, max(damping / 10.0, 1e-9)
-                break
-            damping *= 8.0
-        if not moved:
+        gradient, hessian = _quadratic(problem, x, near=near)
+        exact = not problem.count or problem.is_made_at(x)
+        trial = _lower(problem, x, loss, gradient, hessian, damping, flat)
+        near = trial is not None
+        if trial is not None:
+            gained = loss - trial[1]
+            x, loss, damping = trial
+            near = gained > 0.1 * flat
+        if not near and exact:
             return Descended(x, loss, step_number + 1)
     return Descended(x, loss, most)
 
 
-def _quadratic(problem: PosedProblem, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Gradient and curvature of the loss with its priors."""
-    jacobians = problem.jacobian(x)
+def _lower(
+    problem: PosedProblem,
+    x: np.ndarray,
+    loss: float,
+    gradient: np.ndarray,
+    hessian: np.ndarray,
+    damping: float,
+    flat: float,
+) -> tuple[np.ndarray, float, float] | None:
+    """An x of a lower loss, that loss, and the damping to go on with; None where a gain of less than `flat` is
+    promised, or no step gains."""
+    low, high = problem.bounds
+    free = ~((x <= low) & (gradient > 0) | (x >= high) & (gradient < 0)) & (np.diag(hessian) > 0)
+    if not free.any():
+        return None
+    for _ in range(8):
+        step = _step(gradient, hessian, free, damping)
+        promised = -float(gradient @ step + 0.5 * step @ hessian @ step)
+        if promised < flat:
+            return None
+        trial = np.clip(x + _shortened(problem, step), low, high)
+        value = problem.value(trial)
+        if value < loss:
+            return trial, value, max(damping / 10.0, 1e-9)
+        damping *= 8.0
+    return None
+
+
+def _quadratic(problem: PosedProblem, x: np.ndarray, *, near: bool = False) -> tuple[np.ndarray, np.ndarray]:
+    """Gradient and curvature of the loss with its priors; `near` as in `PosedProblem.jacobian`."""
+    jacobians = problem.jacobian(x, near=near)
     inner, rest = problem.split(x)
     gradient, hessian = problem.prior.gradient(x), problem.prior.information(x)
     for j, c in zip(jacobians, inner.curvatures(inner.modelled(rest)), strict=True):

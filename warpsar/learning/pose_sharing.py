@@ -32,6 +32,11 @@ class Box:
         return np.asarray(inside)
 
 
+def columns_of(places: Sequence[Box]) -> tuple[int, int]:
+    """From the first to before the last column that any of the boxes has."""
+    return min(one.low[1] for one in places), max(one.high[1] for one in places)
+
+
 def boxes(scene: Scene, view: View) -> dict[str, Box] | None:
     """The pixels that each object can change with its shadow, by label; None where an effect carries power further.
 

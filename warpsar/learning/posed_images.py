@@ -1,0 +1,55 @@
+"""Images of a view whose geometry lies elsewhere, for derivatives: a render alone, without a fit problem of its own.
+
+A derivative to a pose needs two images of each view, and nothing of what a fit records beside them. So only the hits
+are traced anew, and only where a body can change the image.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from warpsar.effects.base.effect import DeclaredEffect
+from warpsar.effects.registry import declared
+from warpsar.learning.problem import FitProblem
+from warpsar.learning.view import FitView
+from warpsar.render.render import ViewRender
+from warpsar.scene.scene import Scene
+from warpsar.simulation.exact_rays import ExactRays
+from warpsar.simulation.rays import effects_grid
+from warpsar.trace.target import Target
+
+
+def images_elsewhere(
+    problem: FitProblem, view: FitView, x: np.ndarray, scene: Scene, columns: tuple[int, int] | None = None
+) -> list[np.ndarray]:
+    """beta0 of each observation's compared pixels, shape (n,) each, float64, with the view's geometry as `scene` has
+    it; surface and effects as x of `problem` says.
+
+    `columns`: from the first to before the last column of the image that is made; the others stay without hits. The
+    scene has the faces of the problem's own, in the same order.
+    """
+    there = next(one for one in scene.views if one.name == view.view.name)
+    placed = replace(scene, effects=problem.effect_tables(x))
+    effects = declared(placed, there, neutral=True)
+    stage = replace(problem.stage, target=Target.upload(scene.mesh, scene.reference_point_m, problem.device))
+    rays = ExactRays(stage, seed=scene.sampling.seed)
+    hits = rays.trace(placed, there, effects, _of_the_grid(placed, effects, columns))
+    render = ViewRender(stage, there, hits, scene.grid.shape, tuple(there.images), effects)
+    render.set_parameters(problem.float_nodes(x))
+    images = render.forward()
+    return [images[name].ravel()[pixels].astype(float) for name, pixels, _ in view.compared]
+
+
+def _of_the_grid(
+    scene: Scene, effects: list[DeclaredEffect], columns: tuple[int, int] | None
+) -> tuple[int, int] | None:
+    """The columns of the hits' grid that columns of the image are."""
+    if columns is None:
+        return None
+    grid, wide = effects_grid(scene, effects), scene.grid.shape[1]
+    fine = grid.bins_per_pixel
+    margin = (grid.shape[1] // fine - wide) // 2
+    first, last = (min(max(column + margin, 0) * fine, grid.shape[1]) for column in columns)
+    return first, max(last, first)
