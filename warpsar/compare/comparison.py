@@ -151,8 +151,9 @@ class Comparison:
 
     def under(self, view: View) -> Comparison:
         """The same with looks and texture as `view` declares them."""
-        looks = declared_looks(view)
-        if looks is None:
+        looks, seen = declared_looks(view), self.seen
+        stated = (looks, view.looks_estimated, view.texture or math.inf)
+        if looks is None or stated == (seen.looks, seen.looks_estimated, seen.texture):
             return self
         seen = replace(
             self.seen, view=view, looks=looks, looks_estimated=view.looks_estimated, texture=view.texture or math.inf

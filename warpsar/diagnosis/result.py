@@ -144,7 +144,7 @@ def judged(found: Diagnosis) -> Diagnosed:
         found = replace(found, final=replace(found.final, scene=final))
     own = judge_of.with_own_numbers(fitted)
     tested = {"train": judge_of(fitted, "train"), "test": own}
-    verdicts = {role: judge(under(images, final)) for role, images in tested.items() if images}
+    verdicts = {role: judge_of.judgement(under(images, final)) for role, images in tested.items() if images}
     foretold = None
     if _may_be_open(verdicts):
         images = judge_of.with_open_surface(final, found.setup.roughness)

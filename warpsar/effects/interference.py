@@ -133,16 +133,18 @@ class Interference(Effect):
     def trials(self, context: Context) -> list[Trial]:
         """One view and one band of rows each; the next turn of the diagnosis finds what remains beside it."""
         scene, size = context.scene, 0.1 * context.level
-        found = []
+        found, rows = [], scene.grid.shape[0]
         for view in scene.views:
             if view.role != "train":
                 continue
+            level = {view.name: size}
+            everywhere = {"level": level, "rows": {view.name: [[0, rows]]}}
             for height in _HEIGHTS_PX:
-                for first in range(0, scene.grid.shape[0] - height + 1, max(1, height // 2)):
-                    band = [first, first + height]
-                    at = {"level": {view.name: size}, "rows": {view.name: [band]}}
-                    step = ScoreStep("level", size, at, one_sided=True, views=(view.name,))
-                    found.append(Trial((step,), (at,), f"{view.name}, rows {band[0]} to {band[1] - 1}"))
+                for first in range(0, rows - height + 1, max(1, height // 2)):
+                    end = first + height
+                    at = {"level": level, "rows": {view.name: [[first, end]]}}
+                    step = ScoreStep("level", size, everywhere, one_sided=True, views=(view.name,), rows=(first, end))
+                    found.append(Trial((step,), (at,), f"{view.name}, rows {first} to {end - 1}"))
         return found
 
     def placed_in_the_dark(

@@ -17,7 +17,7 @@ from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.left_out import column_blocks
 from warpsar.diagnosis.models.movable import standing
 from warpsar.diagnosis.models.refit import BOUND, Fitted
-from warpsar.learning.pose import Descended, PosedProblem, descend
+from warpsar.learning.pose import FLAT, Descended, PosedProblem, descend
 from warpsar.learning.pose_pixels import FLOOR_SHARE, blurred, compared
 from warpsar.runtime import once
 from warpsar.scene.placing import with_objects
@@ -119,10 +119,12 @@ class Exact:
             bound=bound,
         )
 
-    def settled(self, scene: Scene, views: Sequence[str] | None = None) -> tuple[PosedProblem, Descended]:
-        """Surface and effects at their best, and what `learn` of the scene's objects frees."""
+    def settled(
+        self, scene: Scene, views: Sequence[str] | None = None, flat: float = FLAT
+    ) -> tuple[PosedProblem, Descended]:
+        """Surface and effects at their best, and what `learn` of the scene's objects frees; `flat` as in `descend`."""
         problem = self.problem(scene, views)
-        return problem, descend(problem, problem.x0)
+        return problem, descend(problem, problem.x0, flat=flat)
 
     def images(self, problem: PosedProblem, x: np.ndarray, name: str) -> list[tuple[Observation, np.ndarray]]:
         """A view's observations and their modelled beta0 with its gain, shape (n,) each."""

@@ -10,6 +10,7 @@ import numpy as np
 import warp as wp
 
 from warpsar.compare.comparison import Comparison, compare
+from warpsar.compare.judgement import Judgement, judge
 from warpsar.compare.observation import Observation
 from warpsar.diagnosis.models.refit import descend
 from warpsar.effects.registry import get
@@ -26,10 +27,11 @@ from warpsar.world.tables import View
 
 @dataclass
 class Judge:
-    """Scenes beside their measured images, each rendered once for each role."""
+    """Scenes beside their measured images, each rendered once for each role, and judged once."""
 
     device: wp.Device
     _kept: list[tuple[Scene, str, bool, list[Comparison]]] = field(default_factory=list)
+    _judged: list[tuple[Sequence[Comparison], Judgement]] = field(default_factory=list)
 
     def __call__(self, scene: Scene, role: str, *, edges: bool = True) -> list[Comparison]:
         """The images of a role, in the order of the views; none where there are none. Without `edges`, for metrics
@@ -42,6 +44,14 @@ class Judge:
         images = compare(scene, self.device, roles=(role,), edges=edges).images
         self._kept.append((scene, role, edges, images))
         return images
+
+    def judgement(self, images: Sequence[Comparison]) -> Judgement:
+        """What is left of the images: `judge`, once for the same images."""
+        for known, found in self._judged:
+            if len(known) == len(images) and all(a is b for a, b in zip(known, images, strict=True)):
+                return found
+        self._judged.append((images, judge(images)))
+        return self._judged[-1][1]
 
     def with_own_numbers(self, scene: Scene, *, edges: bool = True) -> list[Comparison]:
         """The test views with what effects hold for each view by itself (a gain, a shift) fitted to them.

@@ -64,6 +64,7 @@ class TemplateMaker:
         ]
         self.compared = [(seen.pixels, seen.darkest) for seen in self.neutral.observations]
         self._last: tuple[str, FitProblem] | None = None
+        self._shared: tuple[Mapping[str, Any], list[np.ndarray]] | None = None  # a step's table and its images
 
     def tangent(self) -> np.ndarray:
         """d ln(mu) / dx of everything that is fitted, shape (n, p), with one column per unknown gain."""
@@ -91,13 +92,18 @@ class TemplateMaker:
 
     def _difference(self, name: str, step: ScoreStep) -> tuple[np.ndarray, np.ndarray]:
         """The pixels that a step changes, and its derivative of ln(mu) there."""
-        plus = self._images(name, step.plus, step.views)
+        if self._shared is None or self._shared[0] is not step.plus:
+            self._shared = step.plus, self._images(name, step.plus, step.views)
+        plus = self._shared[1]
         minus = self.mu if step.minus is None else self._images(name, step.minus, step.views)
         size = step.size * (1.0 if step.minus is None else 2.0)
         rows, data, first = [], [], 0
-        for p, m, mu in zip(plus, minus, self.modelled, strict=True):
+        for p, m, mu, (pixels, _) in zip(plus, minus, self.modelled, self.compared, strict=True):
             if p is not m:
                 at = np.flatnonzero(p != m)
+                if step.rows is not None:
+                    row = pixels[at] // self.scene.grid.shape[1]
+                    at = at[(row >= step.rows[0]) & (row < step.rows[1])]
                 rows.append(first + at)
                 data.append((p[at] - m[at]) / (size * mu[at]))
             first += mu.size

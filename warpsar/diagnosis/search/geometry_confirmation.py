@@ -25,6 +25,9 @@ from warpsar.scene.scene import Scene
 from warpsar.speckle.likelihood import loss_terms
 from warpsar.world.world import posed
 
+ENOUGH = 0.1  # of ln L, that a descent about a view left out need not gain: the answer's error is larger by far
+MOST_STEPS = 12  # of it: it begins at the best of all views
+
 
 def taken_back(setup: FitSetup, fitted: Fitted, declared: Scene, name: str) -> Fitted:
     """The model without one of its changes of geometry, fitted to the pixels that both light.
@@ -62,7 +65,7 @@ def views_left_out(
     if len(names) < 2:
         return ViewsLeftOut(0.0, 0.0, len(names))
     exact = Exact.of(setup, fitted)
-    lacking, end = exact.settled(still(without.scene))
+    lacking, end = exact.settled(still(without.scene), flat=ENOUGH)
     free, own = _freed(declared, fitted.scene, name), own_material(declared, fitted.scene, object_of(name))
     seen, gains = [], []
     for view in names:
@@ -76,12 +79,12 @@ def views_left_out(
             continue
         if next(freed(free), None) is not None:
             others = exact.problem(free, [each for each in names if each != view])
-            known = descend(others, others.x0)
+            known = descend(others, others.x0, most=MOST_STEPS, flat=ENOUGH)
             there = others.geometry.at(known.x[others.size :])
             scene = like_sensor(scene, there)
             scene = scene if scene.assembly is None else posed(scene, there.objects)
             scene = _with_own(scene, others, known.x, own)
-        whole, settled = exact.settled(still(scene))
+        whole, settled = exact.settled(still(scene), flat=ENOUGH)
         images = zip(exact.images(lacking, end.x, view), exact.images(whole, settled.x, view), strict=True)
         for (one, before), (_, after) in images:
             seen.append(one)
@@ -107,12 +110,12 @@ def _by_halves(
     No other view can tell it. The halves are blocks of columns in turn: were the angle no property of the view but a
     body's pose, the halves without the body would speak against it.
     """
-    settled, there = exact.settled(whole)
+    settled, there = exact.settled(whole, flat=ENOUGH)
     befores = exact.images(lacking, x, view)
     afters = [after.copy() for _, after in exact.images(settled, there.x, view)]
     for half in (0, 1):
         own = exact.problem(free, [view], half=half)
-        angle = own.geometry.at(descend(own, own.x0).x)
+        angle = own.geometry.at(descend(own, own.x0, flat=ENOUGH).x)
         other = exact.problem(like_sensor(whole, angle))
         for (seen, _), into, (_, mu) in zip(befores, afters, exact.images(other, there.x, view), strict=True):
             judged = ~column_blocks(seen, half)[seen.interior]

@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
-from warpsar.compare.judgement import judge
 from warpsar.diagnosis.dark.evidence import Dark, worth_a_refit
 from warpsar.diagnosis.found import Candidate, DiagnoseOptions, EffectRival, Turn
 from warpsar.diagnosis.models.all_pixels import lit_shadows
@@ -138,7 +137,7 @@ class Search:
     def _left(self, scene: Scene) -> bool:
         """Whether the train views hold structure, or a deviance that even ground does not have, and not at edges: no
         law of backscatter moves an outline."""
-        found = set(judge(self._judge(scene, "train")).findings)
+        found = set(self._judge.judgement(self._judge(scene, "train")).findings)
         return bool(once.decide(float("edges" not in found and bool({"structure", "level"} & found))))
 
     def final(self) -> Fitted:
@@ -251,7 +250,8 @@ class Search:
 
     def _displaced(self, here: Fitted) -> bool:
         """Whether a shadow of the model is none, or edges do not agree with the images: no scan looks at either."""
-        return lit_shadows(here) or "edges" in judge(self._judge(self._base.scene, "train")).findings
+        of_base = self._judge(self._base.scene, "train")
+        return lit_shadows(here) or "edges" in self._judge.judgement(of_base).findings
 
     def _with_geometry(
         self,

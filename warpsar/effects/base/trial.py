@@ -19,7 +19,8 @@ class ScoreStep:
     `plus` and `minus` are tables of the effect as they would stand in scene.toml. A score test divides the difference
     of their images: (image(`plus`) - image(`minus`)) / (2 `size`). Where `minus` is None it takes
     (image(`plus`) - image at neutral) / `size`. `one_sided`: the coordinate is a level or a variance and cannot be
-    negative. `views`: the views whose image changes; None for all.
+    negative. `views`: the views whose image changes; None for all. `rows`: from the first to before the last row that
+    the step is of; None for all. What `plus` changes elsewhere is left out, so that steps of many rows share one image.
     """
 
     coordinate: str
@@ -28,6 +29,7 @@ class ScoreStep:
     minus: Mapping[str, Any] | None = None
     one_sided: bool = False
     views: tuple[str, ...] | None = None
+    rows: tuple[int, int] | None = None
 
 
 @dataclass(frozen=True)
