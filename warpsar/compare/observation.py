@@ -5,12 +5,15 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
+import warp as wp
 from scipy.ndimage import distance_transform_edt, minimum_filter
 
 from warpsar.errors import InputError
-from warpsar.kernels.loss import DARKEST
+from warpsar.kernels.loss import DARKEST, ObservedPixels
+from warpsar.runtime.structs import fill
 from warpsar.scene.scene import Scene
 from warpsar.speckle.law import Law
 from warpsar.speckle.looks import equivalent_looks
@@ -80,24 +83,41 @@ class Observation:
         faint = FAINT * float(np.median(self.least[lit])) if self.least is not None and lit.any() else 0.0
         return replace(self, interior=self.interior | (self.dark & (np.nan_to_num(self.measured) > 0)), faint=faint)
 
-    @property
+    @cached_property
     def pixels(self) -> np.ndarray:
-        """Flat indices of the interior, shape (n,), int32."""
-        return np.flatnonzero(self.interior).astype(np.int32)
+        """Flat indices of the interior, shape (n,), int32; it cannot be written to."""
+        return _held(np.flatnonzero(self.interior).astype(np.int32))
 
-    @property
+    @cached_property
     def darkest(self) -> np.ndarray:
-        """The lower bound of modelled beta0: one for all pixels, shape (1,), or shape (n,), float32."""
+        """The lower bound of modelled beta0: one for all pixels, shape (1,), or shape (n,), float32; it cannot be
+        written to."""
         if self.least is None:
-            return np.array([DARKEST], np.float32)
-        return np.maximum(np.where(self.dark, self.faint, self.least)[self.interior], DARKEST).astype(np.float32)
+            return _held(np.array([DARKEST], np.float32))
+        least = np.where(self.dark, self.faint, self.least)[self.interior]
+        return _held(np.maximum(least, DARKEST).astype(np.float32))
 
     @cached_property
     def values(self) -> np.ndarray:
         """Measured beta0 of the interior, shape (n,), float64; it cannot be written to."""
-        found = self.measured[self.interior].astype(float)
-        found.flags.writeable = False
-        return found
+        return _held(self.measured[self.interior].astype(float))
+
+    def on(self, device: wp.Device) -> Any:
+        """The interior's pixels as kernels take them; kept, for many models are compared with one observation."""
+        if device.alias not in self._on:
+            arrays = {"pixel": self.pixels, "measured": self.values.astype(np.float32), "darkest": self.darkest}
+            placed: dict[str, wp.array] = {name: wp.array(values, device=device) for name, values in arrays.items()}
+            self._on[device.alias] = fill(ObservedPixels, **placed)
+        return self._on[device.alias]
+
+    @cached_property
+    def _on(self) -> dict[str, Any]:
+        return {}
+
+
+def _held(found: np.ndarray) -> np.ndarray:
+    found.flags.writeable = False
+    return found
 
 
 def estimated_looks(scene: Scene, view: View, measured: np.ndarray) -> float:

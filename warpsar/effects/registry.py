@@ -35,12 +35,14 @@ def names() -> tuple[str, ...]:
     return tuple(sorted(_files(), key=lambda name: (STAGES.index(get(name).stage), get(name).order)))
 
 
+@cache
 def get(name: str) -> Effect:
     """The effect called `name`; each module `warpsar.effects.<name>` holds it as `EFFECT`."""
     effect: Effect = import_module(f"warpsar.effects.{name}").EFFECT
     return effect
 
 
+@cache
 def refused_with(model: str) -> tuple[str, ...]:
     """The effects that a material with this backscatter model does not take."""
     missing = set() if model == DEFAULT else {"default"}

@@ -36,6 +36,7 @@ from warpsar.render.rendered import Rendered
 from warpsar.runtime import threads
 from warpsar.runtime.devices import load_kernels
 from warpsar.runtime.distributed.processes import ONE, join
+from warpsar.runtime.structs import assign
 from warpsar.scene.scene import Scene
 from warpsar.simulation.rays import Rays
 from warpsar.speckle.likelihood import Curvature
@@ -309,7 +310,7 @@ class FitProblem(SceneCoordinates):
             else:
                 view.run_images()
                 pairs = zip(view.observations, view.modelled(), strict=True)
-                view.gain.assign(np.array([self.misfit.gain(seen, mu) for seen, mu in pairs], np.float32))
+                assign(view.gain, np.array([self.misfit.gain(seen, mu) for seen, mu in pairs]))
                 view.forward(gradient=gradient)
             if gradient and self.shared_nodes is None:
                 view.backward()

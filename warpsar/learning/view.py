@@ -83,14 +83,7 @@ class FitView:
         )
 
     def _record_loss(self, index: int, seen: Observation, misfit: Misfit) -> None:
-        device = self.render.program.device
-        _, pixels, darkest = self.compared[index]
-        observed = fill(
-            loss_kernels.ObservedPixels,
-            pixel=wp.array(pixels, dtype=int, device=device),
-            measured=wp.array(seen.values.astype(np.float32), dtype=float, device=device),
-            darkest=wp.array(darkest, dtype=float, device=device),
-        )
+        observed = seen.on(self.render.program.device)
         constants = fill(
             loss_kernels.LossConstants,
             kind=LOSSES[misfit.loss],
@@ -105,7 +98,7 @@ class FitView:
         self._on_device.append([observed, image])
         self.render.program.launch(
             loss_kernels.loss_kernel,
-            pixels.size,
+            seen.pixels.size,
             [constants, observed, image, self.gain, index],
             [self.loss],
         )

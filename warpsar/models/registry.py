@@ -18,6 +18,7 @@ def names() -> tuple[str, ...]:
     return tuple(sorted(found, key=lambda name: (get(name).order, name)))
 
 
+@cache
 def get(name: str) -> BackscatterModel:
     """The model called `name`; each module `warpsar.models.<name>` holds it as `MODEL`."""
     model: BackscatterModel = import_module(f"warpsar.models.{name}").MODEL

@@ -23,6 +23,7 @@ from warpsar.kernels.codes import Polarization
 from warpsar.render.render import ViewRender
 from warpsar.render.rendered import COVERED
 from warpsar.runtime.program import Program
+from warpsar.runtime.structs import assign
 from warpsar.surface.stage import Stage
 from warpsar.trace.hits import BinGrid, Hits
 from warpsar.world.tables import View
@@ -117,10 +118,10 @@ class BandedRender:
         """As `Rendered.set_parameters`."""
         if nodes is not None:
             self._node_values = nodes
-            self.nodes.assign(np.asarray(nodes, np.float32))
+            assign(self.nodes, nodes)
         for name, values in (effects or {}).items():
             if values.size:
-                self.effect_values[name].assign(np.asarray(values, np.float32))
+                assign(self.effect_values[name], values)
 
     def forward(self) -> dict[str, np.ndarray]:
         """As `Rendered.forward`."""

@@ -17,9 +17,9 @@ from warpsar.kernels.codes import PAGE, Layout, Polarization
 from warpsar.kernels.wide import LANES
 from warpsar.render import models
 from warpsar.render.rendered import COVERED
-from warpsar.runtime.launches import Launch, by_elements, by_stretches
+from warpsar.runtime.launches import Launch, LaunchPiece, by_elements, by_stretches
 from warpsar.runtime.program import Program
-from warpsar.runtime.structs import fill
+from warpsar.runtime.structs import assign, fill
 from warpsar.surface.samples import shading_samples
 from warpsar.surface.spread import Spread
 from warpsar.surface.stage import Stage
@@ -92,6 +92,7 @@ class ViewRender:
         self.before_image: dict[str, wp.array] = {}
         self.layers: dict[str, wp.array] = {}
         self.recorded: dict[str, Any] = {}  # by effect: recorded for one polarization, used again for the next
+        self._alone: _OneEffect | None = None
         self.shaded, self._sample = shading_samples(hits)
         fine = hits.grid.bins_per_pixel
         self.spacing_m = (hits.grid.spacing_m[0] * fine, hits.grid.spacing_m[1] * fine)
@@ -165,7 +166,7 @@ class ViewRender:
         """beta0 by polarization, shape (rows, cols), float32, with all power moved by so many pixels before it is dealt
         to them. The hits' bins must be finer than pixels: within a bin power is spread evenly."""
         assert self._moves
-        self._offset.assign(np.array([rows, cols], np.float32))
+        assign(self._offset, np.array([rows, cols]))
         try:
             return self.forward()
         finally:
@@ -247,15 +248,24 @@ class ViewRender:
             inputs, outputs = [bins, weight, image.grad], [sigma.grad]
             return Launch(shade.deposit_adjoint_kernel, sigma.shape[0], inputs, outputs, self.program.device, pieces)
 
-        first, lanes = starts(bins), 1 if self.program.device.is_cpu else LANES
+        (first, pieces), lanes = self._stretches(bins), 1 if self.program.device.is_cpu else LANES
         self.program.launch(
             shade.deposit_kernel,
             first.shape[0] * lanes,
             [first, bins, weight, sigma, lanes],
             [image],
             adjoint=lambda: adjoint().launch(),
-            pieces=by_stretches(first, bins),
+            pieces=pieces,
         )
+
+    def _stretches(self, bins: wp.array) -> tuple[wp.array, list[LaunchPiece]]:
+        """Where stretches of one bin begin, and pieces of a launch over them; the hits' own are kept with the hits."""
+        kept = self.hits.derived if bins is self.hits.pixel else {}
+        if "stretches" not in kept:
+            first = starts(bins)
+            kept["stretches"] = first, by_stretches(first, bins)
+        found: tuple[wp.array, list[LaunchPiece]] = kept["stretches"]
+        return found
 
     @cached_property
     def bins(self) -> Any:
@@ -300,23 +310,40 @@ class ViewRender:
     def set_parameters(self, nodes: np.ndarray | None, effects: Mapping[str, np.ndarray] | None = None) -> None:
         """As `Rendered.set_parameters`."""
         if nodes is not None:
-            self.nodes.assign(np.asarray(nodes, np.float32))
+            assign(self.nodes, nodes)
         for name, values in (effects or {}).items():
             if values.size:
-                self.effect_values[name].assign(np.asarray(values, np.float32))
+                assign(self.effect_values[name], values)
 
     def image_with(self, effect: DeclaredEffect, image: np.ndarray) -> np.ndarray:
-        """As `Rendered.image_with`: only that effect is recorded, on a program of its own."""
-        alone = copy(self)
-        alone.program = Program(self.program.device)
-        alone.settings, alone.recorded, alone.layers = {effect.effect.name: effect.settings}, {}, {}
-        p: wp.array = wp.array(effect.values.astype(np.float32), dtype=float, device=self.program.device)
-        given: wp.array = wp.array(image.astype(np.float32).ravel(), dtype=float, device=self.program.device)
-        result = effect.effect.image(alone, p, given)
-        alone.program.forward()
-        return result.numpy().reshape(self.shape).copy()
+        """As `Rendered.image_with`: only that effect is recorded, on a program of its own, which is kept."""
+        settings = {effect.effect.name: effect.settings}
+        if self._alone is None or self._alone.settings != settings:
+            self._alone = _OneEffect(self, effect)
+        return self._alone.image(effect.values, image)
 
     def forward(self) -> dict[str, np.ndarray]:
         """As `Rendered.forward`."""
         self.program.forward()
         return {name: image.numpy().reshape(self.shape).copy() for name, image in self.images.items()}
+
+
+class _OneEffect:
+    """An effect of the image stage recorded for one view by itself: its `settings`, and what it makes of images."""
+
+    def __init__(self, render: ViewRender, effect: DeclaredEffect) -> None:
+        self.settings = {effect.effect.name: effect.settings}
+        alone = copy(render)
+        alone.settings, alone.recorded, alone.layers = self.settings, {}, {}
+        self._program = alone.program = Program(render.program.device)
+        self._shape = render.shape
+        self._values = alone.program.array(effect.values.size)
+        self._given = alone.program.array(render.shape[0] * render.shape[1])
+        self._result = effect.effect.image(alone, self._values, self._given)
+
+    def image(self, values: np.ndarray, image: np.ndarray) -> np.ndarray:
+        """The image, shape (rows, cols), float32, with the effect at these values of its parameters."""
+        assign(self._values, values)
+        assign(self._given, image.ravel())
+        self._program.forward()
+        return self._result.numpy().reshape(self._shape).copy()

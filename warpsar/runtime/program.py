@@ -10,7 +10,7 @@ from typing import Any
 import warp as wp
 
 from warpsar.runtime.launches import Launch, LaunchPiece
-from warpsar.runtime.structs import arrays_in, with_views
+from warpsar.runtime.structs import arrays_in, renewed
 
 Adjoint = Callable[[], None] | Sequence[tuple[wp.array, Callable[[], None]]]
 """The adjoint of a launch: for all inputs at once, or a part for each."""
@@ -69,7 +69,7 @@ def adjoint_of(
 
     Inputs are arrays, and structs with arrays in their fields.
     """
-    inputs, outputs = ([with_views(a, {}) for a in arguments] for arguments in (inputs, outputs))
+    inputs, outputs = ([renewed(a) for a in arguments] for arguments in (inputs, outputs))
     gradient_of = wp.Tape().get_adjoint
     recorded: wp.Launch = wp.launch(
         kernel,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+import numpy as np
 import warp as wp
 from warp.types import is_struct
 
@@ -28,6 +29,16 @@ def allocate(struct: Any, n: int, device: wp.Device | None, /, **fields: Any) ->
     return fill(struct, **fields, **{name: wp.empty(n, dtype=dtype, device=device) for name, dtype in arrays.items()})
 
 
+def assign(array: wp.array, values: np.ndarray) -> None:
+    """Write `values` into an array, from its first element on, as `wp.array.assign` does; on the CPU without copies."""
+    device = array.device
+    assert device is not None
+    if device.is_cpu:
+        array.numpy()[: len(values)] = values
+    else:
+        array.assign(values)
+
+
 def arrays_in(arguments: Iterable[Any]) -> list[wp.array]:
     """The arrays among a launch's arguments, and those in the fields of its structs."""
     found: list[wp.array] = []
@@ -40,15 +51,24 @@ def arrays_in(arguments: Iterable[Any]) -> list[wp.array]:
 
 
 def with_views(argument: Any, views: Mapping[int, wp.array]) -> Any:
-    """An argument with other arrays in the place of those whose `id` is in `views`.
+    """An argument with other arrays in the place of those whose `id` is in `views`; a struct without any as it is."""
+    if isinstance(argument, wp.array):
+        return views.get(id(argument), argument)
+    if views and is_struct(argument):
+        fields = _fields(argument)
+        seen = {name: with_views(value, views) for name, value in fields.items()}
+        return argument if all(seen[name] is fields[name] for name in fields) else fill(type(argument), **seen)
+    return argument
 
-    A struct is a new one, which knows the gradients that its arrays have now: a struct holds those of the moment at
-    which a field was set.
+
+def renewed(argument: Any) -> Any:
+    """An argument, a struct anew: it then has the gradients that its arrays have now.
+
+    A struct holds those of the moment at which a field was set.
     """
     if is_struct(argument):
-        fields = {name: with_views(value, views) for name, value in _fields(argument).items()}
-        return fill(type(argument), **fields)
-    return views.get(id(argument), argument)
+        return fill(type(argument), **{name: renewed(value) for name, value in _fields(argument).items()})
+    return argument
 
 
 def _fields(struct: Any) -> dict[str, Any]:

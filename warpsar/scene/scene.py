@@ -36,9 +36,10 @@ class Scene(World):
     """
 
     def __post_init__(self) -> None:
-        refuse(Path(self.name), checks.kinds(self))
+        where = self.path or Path(self.name)
+        refuse(where, checks.kinds(self))
         named, problems, said = checks.with_surfaces(self.materials, self.radar, self.views)
-        refuse(Path(self.name), problems)
+        refuse(where, problems)
         object.__setattr__(self, "materials", named)
         object.__setattr__(self, "warnings", (*self.warnings, *said))
         object.__setattr__(self, "views", [checks.with_pixels(view) for view in self.views])
@@ -51,7 +52,7 @@ class Scene(World):
         for name, material in self.materials.items():
             problems += checks.fields(name, material, self.mesh)
             problems += checks.models(name, material, self.radar, self.effects)
-        refuse(Path(self.name), problems)
+        refuse(where, problems)
         object.__setattr__(self, "materials", {name: named[name] for name in self.mesh.materials})
 
     @cached_property

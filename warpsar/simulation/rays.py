@@ -79,6 +79,14 @@ def effects_grid(scene: Scene, effects: list[DeclaredEffect]) -> BinGrid:
     return hit_grid(scene, fine, margin)
 
 
+_Key = tuple[str, float, float, BinGrid]
+"""What tells the hits of one set of rays apart"""
+
+
+def _key(view: View, grid: BinGrid) -> _Key:
+    return view.name, view.azimuth_deg, view.incidence_deg, grid
+
+
 class Rays:
     """One set of rays through a scene: hits of its views, traced when first asked for, and kept.
 
@@ -87,12 +95,13 @@ class Rays:
 
     def __init__(self, stage: Stage, rays_per_m2: float | None = None, seed: int = 0) -> None:
         self.stage, self.rays_per_m2, self.seed = stage, rays_per_m2, seed
-        self._kept: dict[tuple[str, float, float, BinGrid], Hits] = {}
+        self._kept: dict[_Key, Hits] = {}
+        self._most: dict[_Key, int] = {}
         self._tracing = threading.Lock()
 
     def hits(self, scene: Scene, view: View, effects: list[DeclaredEffect]) -> Hits:
         """Hits of a view, traced when first asked for and then kept."""
-        key = (view.name, view.azimuth_deg, view.incidence_deg, effects_grid(scene, effects))
+        key = _key(view, effects_grid(scene, effects))
         with self._tracing:  # threads that ask for the same hits share them
             if key not in self._kept:
                 self._kept[key] = self.trace(scene, view, effects)
@@ -125,9 +134,12 @@ class Rays:
 
     def most_hits(self, scene: Scene, view: View, effects: list[DeclaredEffect]) -> int:
         """An upper bound of a view's merged hits: two of every ray."""
-        grid, geometry = effects_grid(scene, effects), geometry_of(scene, view)
-        density = self.rays_per_m2 or scene.sampling.density_per_m2(scene.grid)
-        return 2 * ray_count(self.stage.target, geometry, grid, density)
+        grid = effects_grid(scene, effects)
+        key = _key(view, grid)
+        if key not in self._most:
+            density = self.rays_per_m2 or scene.sampling.density_per_m2(scene.grid)
+            self._most[key] = 2 * ray_count(self.stage.target, geometry_of(scene, view), grid, density)
+        return self._most[key]
 
     def expected_hits(self, scene: Scene, view: View, effects: list[DeclaredEffect]) -> int:
         """An estimate of a view's merged hits, from every `cols // SAMPLED`-th column of its grid."""

@@ -47,7 +47,7 @@ def exact_hits(
         seen, _covered(seen, grid, only_columns or (0, grid.shape[1]), device), grid
     )
     rays = ray_grid(target, geometry, grid, rays_per_m2, pixel_area)
-    barycentric = _barycentric(target.corners[seen.faces[face]], points).astype(np.float32)
+    barycentric = _barycentric(target.corners.T, target.corner_numbers[face].T, points)
     n = len(pixel)
     hits = allocate(
         HitArrays,
@@ -55,7 +55,7 @@ def exact_hits(
         device,
         pixel=wp.array(pixel.astype(np.int32), dtype=int, device=device),
         face=wp.array(face.astype(np.int32), dtype=int, device=device),
-        barycentric=wp.array(barycentric, dtype=wp.vec2, device=device),
+        barycentric=wp.array(barycentric.T.astype(np.float32, order="C"), dtype=wp.vec2, device=device),
     )
     wp.launch(kernels.lit_point_kernel, n, inputs=[rays, target.triangles], outputs=[hits], device=device)
     cosine = np.maximum(hits.cos_incidence.numpy().astype(float), 1e-6)
@@ -65,28 +65,40 @@ def exact_hits(
 
 
 def _merged_hits(seen: ProjectedMesh, cells: _Covered, grid: BinGrid) -> tuple[np.ndarray, ...]:
-    """Pixel, face, area across the look direction [m^2] and mean point (n, 3) [m], one for each face in a pixel."""
+    """Pixel, face, area across the look direction [m^2] and mean point (3, n) [m], one for each face in a pixel."""
     points = seen.points(cells.face, cells.azimuth / cells.area, cells.elevation / cells.area)
     area, parent = cells.area * seen.stretch(points), seen.parent[cells.face]
     pixel = cells.row * grid.shape[1] + cells.column
-    order = np.lexsort((parent, pixel))
-    pixel, parent, area, points = pixel[order], parent[order], area[order], points[order]
+    order = np.argsort(pixel * len(seen.faces) + parent, kind="stable")
+    pixel, parent, area, points = pixel[order], parent[order], area[order], points[:, order] * area[order]
     new = np.ones(len(pixel), bool)
     new[1:] = (pixel[1:] != pixel[:-1]) | (parent[1:] != parent[:-1])
     start = np.flatnonzero(new)
-    if not len(start):
-        return pixel, parent, area, points
+    if len(start) == len(pixel):  # mostly
+        return pixel, parent, area, points / area
     total = np.add.reduceat(area, start)
-    return pixel[start], parent[start], total, np.add.reduceat(points * area[:, None], start) / total[:, None]
+    # along the rows of an array the sum goes from one to the next
+    sums = np.add.reduceat(np.ascontiguousarray(points.T), start).T
+    return pixel[start], parent[start], total, sums / total
 
 
-def _barycentric(corners: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Weights of the second and third corner, (n, 2), of points (n, 3) on triangles (n, 3, 3)."""
-    e1, e2, p = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0], points - corners[:, 0]
-    normal = np.cross(e1, e2)
-    total = (normal**2).sum(axis=1)
-    second = (np.cross(p, e2) * normal).sum(axis=1) / total
-    return np.stack([second, (np.cross(e1, p) * normal).sum(axis=1) / total], axis=1)
+def _barycentric(vertices: np.ndarray, corners: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Weights of the second and third corner, (2, n), of points (3, n) on triangles: the `corners` (3, n) of each, by
+    their numbers among the `vertices` (3, m)."""
+    first, second, third = (np.stack([axis[at] for axis in vertices]) for at in corners)
+    e1, e2, p = second - first, third - first, points - first
+    normal = _cross(e1, e2)
+    return np.stack([_dot(_cross(p, e2), normal), _dot(_cross(e1, p), normal)]) / _dot(normal, normal)
+
+
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Cross products of vectors, shape (3, n)."""
+    return np.stack([a[k - 2] * b[k - 1] - a[k - 1] * b[k - 2] for k in range(3)])
+
+
+def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Scalar products of vectors (3, n), shape (n,)."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @dataclass
@@ -109,8 +121,8 @@ class ProjectedMesh:
 
     @classmethod
     def of(cls, target: Target, geometry: ViewGeometry, grid: BinGrid) -> ProjectedMesh:
-        faces = target.faces.numpy()
-        points, corners = _merged(target.corners, faces)
+        faces = target.corner_numbers
+        points, corners = target.places_once
         parent = np.arange(len(faces))
         along, across = points @ geometry.d, points @ geometry.v
         if geometry.slant_range_m is not None:
@@ -127,24 +139,21 @@ class ProjectedMesh:
         return cls(geometry, azimuth, across, along, corners[lit], parent[lit], faces, plane[lit])
 
     def points(self, face: np.ndarray, azimuth: np.ndarray, elevation: np.ndarray) -> np.ndarray:
-        """World points about the reference point, (n, 3) [m], at places on faces."""
+        """World points about the reference point, (3, n) [m], at places on faces."""
         plane, g = self.plane[face], self.geometry
         along, across = plane[:, 0] + plane[:, 1] * azimuth + plane[:, 2] * elevation, elevation
         if g.slant_range_m is not None:
             distance, angle = g.slant_range_m + along, elevation / g.slant_range_m
             along, across = distance * np.cos(angle) - g.slant_range_m, distance * np.sin(angle)
-        return azimuth[:, None] * g.u + along[:, None] * g.d + across[:, None] * g.v
+        return np.stack([azimuth * u + along * d + across * v for u, d, v in zip(g.u, g.d, g.v, strict=True)])
 
     def stretch(self, points: np.ndarray) -> np.ndarray | float:
         """Area across the look direction over that in (azimuth, elevation), (n,): about a track a fan opens."""
         r0, g = self.geometry.slant_range_m, self.geometry
-        return 1.0 if r0 is None else np.hypot(r0 + points @ g.d, points @ g.v) / r0
-
-
-def _merged(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices that lie at one place as one, and the faces' corners: outlines are found by shared edges."""
-    used, corners = np.unique(vertices[faces.ravel()], axis=0, return_inverse=True)
-    return used, corners.reshape(-1, 3)
+        if r0 is None:
+            return 1.0
+        points = np.ascontiguousarray(points.T)
+        return np.hypot(r0 + points @ g.d, points @ g.v) / r0
 
 
 def _planes(a: np.ndarray, e: np.ndarray, r: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -55,6 +55,20 @@ class Target:
         """Vertices and faces as kernels take them."""
         return fill(Triangles, vertices=self.vertices, faces=self.faces)
 
+    @cached_property
+    def corner_numbers(self) -> np.ndarray:
+        """The faces on the host: int32, shape (m, 3)."""
+        return self.faces.numpy()
+
+    @cached_property
+    def places_once(self) -> tuple[np.ndarray, np.ndarray]:
+        """Vertices of faces, those at one place as one, shape (n, 3), and the faces' corners among them, (m, 3).
+
+        Outlines are found by shared edges. Of a mesh in several views they are the same.
+        """
+        used, corners = np.unique(self.corners[self.corner_numbers.ravel()], axis=0, return_inverse=True)
+        return used, corners.reshape(-1, 3)
+
     @property
     def bvh(self) -> wp.Mesh:
         """The faces as a tree, built when a ray first asks for it: most views are traced without one (`Raster`)."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -26,6 +27,7 @@ class ViewGeometry:
     slant_range_m: float | None = None
 
 
+@lru_cache(maxsize=2**12)
 def view_geometry(
     azimuth_deg: float, incidence_deg: float, frequency_hz: float, slant_range_m: float | None = None
 ) -> ViewGeometry:
@@ -35,4 +37,7 @@ def view_geometry(
     d = -s
     u = np.cross([0.0, 0.0, 1.0], d)
     u /= np.linalg.norm(u)
-    return ViewGeometry(s, d, u, np.cross(u, d), 2.0 * np.pi * frequency_hz / SPEED_OF_LIGHT, slant_range_m)
+    v = np.cross(u, d)
+    for axis in (s, d, u, v):
+        axis.flags.writeable = False  # all that ask for these angles share them
+    return ViewGeometry(s, d, u, v, 2.0 * np.pi * frequency_hz / SPEED_OF_LIGHT, slant_range_m)
