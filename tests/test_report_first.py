@@ -34,6 +34,7 @@ def diagnosed(verdict: list[str] | None = None, **unlike: Any) -> Diagnosed:
     told = {
         "verdict": names,
         "unexplained": bool(findings),
+        "findings": set(findings),
         "changed": bool(names),
         "diagnosis": SimpleNamespace(not_asked=[], turns=[SimpleNamespace(alarms=False)], held=names),
         "speckle": speckle,
@@ -45,7 +46,7 @@ def diagnosed(verdict: list[str] | None = None, **unlike: Any) -> Diagnosed:
             image="v0 HH", shape=SimpleNamespace(row=4, col=5), moves=SimpleNamespace(way=unlike.get("way", "surface"))
         ),
     }
-    told |= {key: value for key, value in unlike.items() if key in told}
+    told |= {key: value for key, value in unlike.items() if key in told and key != "findings"}
     return cast(Diagnosed, SimpleNamespace(**told))
 
 
@@ -66,6 +67,7 @@ RIVAL = [(SimpleNamespace(effect="aim_point", other="registration"), SimpleNames
             diagnosed(["noise_floor"], findings=["edges"]),
             "The model lacks noise_floor, and something that nothing found explains.",
         ),
+        (diagnosed(["aim_point"], unexplained=True), "What the train views tell does not hold on the test views."),
         (
             diagnosed(diagnosis=SimpleNamespace(not_asked=["vegetation"], turns=[], held=[])),
             "Nothing is missing: what the model leaves looks like speckle, but the time was over before all was asked.",

@@ -11,7 +11,7 @@ from warpsar.compare.comparison import Comparison
 from warpsar.diagnosis.found import EffectRival
 from warpsar.diagnosis.models.change import SUMMARIES
 from warpsar.diagnosis.models.names import kind_of, object_of
-from warpsar.diagnosis.report.next_step import Step, next_steps
+from warpsar.diagnosis.report.next_step import Step, next_steps, refuted
 from warpsar.diagnosis.result import Diagnosed
 from warpsar.effects.registry import get
 from warpsar.evaluation.report_parts import beta0_rgb, image_axes, reach_db, residual_rgb, residual_scale
@@ -27,6 +27,8 @@ def verdict_sentence(done: Diagnosed) -> str:
     """The verdict in one sentence."""
     names = _joined([_with_rivals(name, done) for name in done.verdict])
     late = ", but the time was over before all was asked" if done.diagnosis.not_asked else ""
+    if refuted(done):
+        return f"What the train views tell does not hold on the test views{late}."
     if done.unexplained and names:
         return f"The model lacks {names}, and something that nothing found explains{late}."
     if done.unexplained:

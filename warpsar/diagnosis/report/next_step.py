@@ -48,12 +48,17 @@ def _with_the_scene(done: Diagnosed, out: Path) -> list[Step]:
     return said
 
 
+def refuted(done: Diagnosed) -> bool:
+    """Whether no place departs from the model, and test views speak against what was found."""
+    return done.unexplained and not done.findings and not done.diagnosis.turns[-1].alarms
+
+
 def _where_to_look(done: Diagnosed) -> str:
     """Where to look for what nothing found explains."""
-    left, findings = done.left, {one for verdict in done.verdicts.values() for one in verdict.findings}
+    left, findings = done.left, done.findings
     if findings and not findings & {"structure", "edges"}:
         return _of_even_ground(done, findings)
-    if not findings and not done.diagnosis.turns[-1].alarms:
+    if refuted(done):
         return "Compare the residuals of the test views below: what holds on the train views does not hold on them."
     if findings == {"edges"}:
         worst = next(one.edges.off(SHARE)[0] for one in done.verdicts.values() if "edges" in one.findings)
