@@ -72,3 +72,20 @@ def test_numbers_of_single_views_are_fitted_to_test_views(tmp_path: Path) -> Non
     assert plain.metrics["deviance"] > 2.0  # 3 dB off, at 16 looks
     assert own.metrics["deviance"] == pytest.approx(1.0, abs=0.15)  # 1,300 pixels of deviance: 0.06 of their mean
     assert judge.with_own_numbers(scene)[0] is judge(scene, "test")[0]
+
+
+def test_a_gain_of_every_view_pays_on_test_views_with_their_own(tmp_path: Path) -> None:
+    """The test view is 3 dB brighter. With the gains of the others, which are not its own, it is no nearer than before:
+    that is no reason against the name. With its own it is, and nothing is left."""
+    gains = {"v0": 1.5, "v1": -1.0, "v2": 0.5, "v3": 3.0}
+    found = diagnose_scene(
+        scene_of({"view_gain": {"gain_db": gains}}, tmp_path), CPU, DiagnoseOptions(draws=400, starts=0)
+    )
+    done = judged(found)
+    assert done.own_numbers
+    assert done.reasons == []
+    assert (done.verdict, done.unexplained) == (["view_gain"], False)
+    after, before = done.after["test"], done.before["test"]
+    assert after is not None
+    assert before is not None
+    assert after["deviance"] >= before["deviance"]  # without a gain of its own

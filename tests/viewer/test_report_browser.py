@@ -124,3 +124,20 @@ def test_numbers_stay_whole_on_a_phone(tmp_path: Path) -> None:
         heights = page.eval_on_selector_all("dd", "all => all.map(one => one.getBoundingClientRect().height)")
         browser.close()
     assert max(heights) < 30.0  # one line each
+
+
+def test_nothing_is_wider_than_a_phone(tmp_path: Path) -> None:
+    """A long title and command, bars and a wide table at 390 pixels: what is too wide scrolls by itself."""
+    bars = html.bars([html.Bar("a_name_of_an_effect", 1.0, "100000"), html.Bar("b", 0.5, "7.1", True)], 0.4, "a key")
+    table = html.table([f"column {i}" for i in range(30)], [["value"] * 30])
+    command = html.command("warpsar evaluate " + "a-folder-with-a-long-name/" * 6 + "scene.toml")
+    path = tmp_path / "wide.html"
+    html.write(path, html.page("A_title_without_any_space" * 6, "b", html.section("c", bars, table, command)))
+    with playwright.sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=BROWSER, args=WITHOUT_GPU)
+        page = browser.new_page(viewport={"width": 390, "height": 844})
+        page.goto(path.as_uri())
+        assert page.evaluate("document.documentElement.scrollWidth") == 390
+        full, half = (one.bounding_box()["width"] for one in page.locator(".bars i").all())
+        browser.close()
+    assert half == pytest.approx(full / 2.0, abs=0.5)

@@ -122,7 +122,7 @@ def in_short(done: Diagnosed) -> str:
     said = []
     if done.unexplained:
         why = dict.fromkeys(_WORDS[kind] for one in done.verdicts.values() for kind in one.findings)
-        said.append(f"unexplained: {', '.join(why) or 'something is left'}")
+        said.append(f"unexplained: {', '.join(why) or '; '.join(done.reasons)}")
         said += [f"found: {names}"] if names else []
         doubted = ", ".join(dict.fromkeys(map(kind_of, done.not_established)))
         said += [f"in the model, but not established: {doubted}"] if doubted else []

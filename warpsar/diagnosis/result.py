@@ -12,7 +12,7 @@ from scipy.stats import chi2
 
 from warpsar.compare.comparison import Comparison
 from warpsar.compare.contract import ROLES
-from warpsar.compare.judgement import SHARE, Judgement, judge, speckle_of
+from warpsar.compare.judgement import SHARE, Finding, Judgement, judge, speckle_of
 from warpsar.compare.metrics import difference, likelihood_gain
 from warpsar.diagnosis.alternatives import Deciding, deciding
 from warpsar.diagnosis.established import not_established
@@ -102,6 +102,11 @@ class Diagnosed:
         return bool(self.reasons)
 
     @property
+    def findings(self) -> set[Finding]:
+        """What departs from speckle beside the final model, in train or test views."""
+        return {one for verdict in self.verdicts.values() for one in verdict.findings}
+
+    @property
     def open_surface(self) -> str:
         """What the surface of the train views makes of the test views, in words; empty where it foretells them."""
         if self.foretold is None:
@@ -158,7 +163,9 @@ def judged(found: Diagnosis) -> Diagnosed:
         for one in fitted_models(found)[:-1]
     ]
     models.append([image for role in ROLES for image in under(judge_of(fitted, role), final)])
-    reasons = _reasons(found, [*found.verdict, *speckle.names], verdicts, models[0], models[-1])
+    first = judge_of.with_own_numbers(found.declared.scene, edges=False)
+    paying = under(first, found.scene), under(own, final)
+    reasons = _reasons(found, [*found.verdict, *speckle.names], verdicts, paying)
     doubted = not_established(found, verdicts)
     named = [name for name in found.held if name not in doubted]
     undecided = [rival for rival in found.rivals if rival.undecided and rival.effect in named]
@@ -213,10 +220,10 @@ def _reasons(
     found: Diagnosis,
     names: Sequence[str],
     verdicts: Mapping[str, Judgement],
-    before: Sequence[Comparison],
-    after: Sequence[Comparison],
+    tested: tuple[Sequence[Comparison], Sequence[Comparison]],
 ) -> list[str]:
-    """What speaks against an all-clear, a sentence each."""
+    """What speaks against an all-clear, a sentence each. `tested`: the test images beside the declared and the final
+    model, with what each of these holds for each view by itself fitted to them."""
     said = [f"{role} views: {one.words}" for role, one in verdicts.items() if one.wrong]
     if found.withdrawn:
         said.append(f"{', '.join(found.withdrawn)} made the test views worse")
@@ -224,10 +231,9 @@ def _reasons(
         said.append(f"the time was over before it was asked whether {', '.join(trial)} holds")
     if found.unexplained and not said:
         said.append("train views: the scan finds something that no effect explains")
-    first, last = (of_role(images, "test") for images in (before, after))
     # a train view's own angle moves no other image; the surface that follows it does, by next to nothing
     acting = any(not is_own_angle(name) for name in _added(found, found.final))
-    if names and (unpaid := _unpaid(first, last, acting)):
+    if names and (unpaid := _unpaid(*tested, acting)):
         said.append(f"{', '.join(names)} does not pay on test views: their {unpaid}")
     return said
 
@@ -249,7 +255,7 @@ def _without_what_hurts(found: Diagnosis) -> Diagnosis:
     What hurts most goes first, and the rest is fitted and judged again.
     """
     judge_of, setup, withdrawn, kept = found.judge, replace(found.setup, bound=0.0), list[str](), found.final
-    before = judge_of(found.declared.scene, "test", edges=False)
+    before = judge_of.with_own_numbers(found.declared.scene, edges=False)
 
     def gained(fitted: Fitted) -> tuple[float, float]:
         return difference(before, judge_of.with_own_numbers(fitted.scene, edges=False)) or (0.0, 0.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from warpsar.runtime.structs import fill
 from warpsar.scene.scene import Scene
 from warpsar.surface.stage import Stage
 from warpsar.surface.surface import KEYS, KINDS
-from warpsar.trace.hits import BinGrid
+from warpsar.trace.hits import BinGrid, Hits
 from warpsar.trace.trace import trace
 from warpsar.world.frame import view_geometry
 
@@ -45,7 +46,8 @@ class MeshView:
     """The mesh as seen from one side: rays that met it, several to a picture pixel, shape (n,).
 
     `pixel` is row * cols + col of `shape`; `point` [m] is about the reference point, (n, 3); `material` the index of
-    the `face`'s; `parameters` by key, SI; `light` is the cosine between the line of sight and the surface's normal.
+    the `face`'s; `light` is the cosine between the line of sight and the surface's normal. `stage` and `hits` are what
+    was looked at and by which rays.
     """
 
     shape: tuple[int, int]
@@ -53,8 +55,14 @@ class MeshView:
     point: np.ndarray
     face: np.ndarray
     material: np.ndarray
-    parameters: dict[str, np.ndarray]
     light: np.ndarray
+    stage: Stage
+    hits: Hits
+
+    @cached_property
+    def parameters(self) -> dict[str, np.ndarray]:
+        """By key, SI, at every ray."""
+        return parameters_at(self.stage, self.hits.face, self.hits.barycentric)
 
     def paint(self, colours: np.ndarray) -> np.ndarray:
         """A picture, shape (rows, cols, 4), RGBA uint8, nothing behind; `colours` of the rays, (n, 3), 0 to 1."""
@@ -93,8 +101,9 @@ def look(stage: Stage, azimuth_deg: float, incidence_deg: float, width: int = 48
         point=points,
         face=face,
         material=stage.face_material.numpy()[face],
-        parameters=parameters_at(stage, hits.face, hits.barycentric),
         light=hits.cos_incidence.numpy().astype(float),
+        stage=stage,
+        hits=hits,
     )
 
 

@@ -49,9 +49,20 @@ def residual_rgb(residual_db: np.ndarray, reach: float) -> np.ndarray:
     return report.colour(residual_db, RESIDUAL_COLOURS, -reach, reach)
 
 
-def residual_scale(reach: float, label: str) -> str:
+def residual_scale(reach: float, label: str, unit: str = " dB") -> str:
     """The key of `residual_rgb`."""
-    return report.scale(RESIDUAL_COLOURS, [f"-{reach:g}", "0", f"+{reach:g} dB"], label)
+    return report.scale(RESIDUAL_COLOURS, [f"−{reach:g}", "0", f"+{reach:g}{unit}"], label)
+
+
+def beta0_rgb(powers: Sequence[np.ndarray]) -> tuple[list[np.ndarray], str]:
+    """Greys of images of beta0, linear power, on one scale in dB, shape (*power.shape, 3), and the key of the scale."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        images = [np.where(np.isnan(one), np.nan, 10.0 * np.log10(np.maximum(one, 1e-30))) for one in powers]
+    shown = np.concatenate([one[np.isfinite(one) & (one > -290.0)] for one in images])
+    low, high = (int(f(np.percentile(shown, q))) for f, q in ((np.floor, 1.0), (np.ceil, 99.7)))
+    return [report.colour(one, "gray", low, high) for one in images], report.scale(
+        "gray", [f"{low}", f"{high} dB"], "beta0"
+    )
 
 
 def both_sides(stage: Stage, incidence_deg: float) -> list[tuple[float, MeshView]]:

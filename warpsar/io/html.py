@@ -6,6 +6,7 @@ import base64
 import platform
 import shlex
 from collections.abc import Sequence
+from dataclasses import dataclass
 from html import escape
 from importlib.metadata import version
 from io import BytesIO
@@ -70,6 +71,30 @@ def table(columns: Sequence[str], rows: Sequence[Sequence[object]], caption: str
     body = "".join("<tr>" + "".join(f"<td>{escape(str(cell))}</td>" for cell in row) + "</tr>" for row in rows)
     said = f"<caption><span>{escape(caption)}</span></caption>" if caption else ""  # the span is as wide as the page
     return f'<div class="wide"><table>{said}<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
+
+
+@dataclass(frozen=True)
+class Bar:
+    """One of `bars`: `length` is 0 to 1, `number` stands at its end, a `marked` one has a colour of its own."""
+
+    name: str
+    length: float
+    number: str
+    marked: bool = False
+
+
+def bars(all_bars: Sequence[Bar], line: float, caption: str) -> str:
+    """Bars one below the other, and a line across them at `line`, 0 to 1."""
+    rows = "".join(
+        f"<dt>{escape(one.name)}</dt>"
+        f'<dd><i{" class=marked" if one.marked else ""} style="width: {100.0 * one.length:.4g}%"></i>'
+        f"{escape(one.number)}</dd>"
+        for one in all_bars
+    )
+    return (
+        f'<figure class="bars"><dl style="--line: {line:.4g}">{rows}</dl>'
+        f"<figcaption>{escape(caption)}</figcaption></figure>"
+    )
 
 
 def facts(pairs: Sequence[tuple[str, str]]) -> str:
@@ -138,10 +163,13 @@ def colour(values: np.ndarray, colours: str, low: float, high: float) -> np.ndar
 
 def png(rgb: np.ndarray) -> bytes:
     """A PNG file of a picture, RGB or RGBA, shape (rows, cols, 3 or 4), float from 0 to 1 or uint8."""
-    from matplotlib.image import imsave
+    from PIL import Image
+    from PIL.PngImagePlugin import PngInfo
 
-    stream = BytesIO()
-    imsave(stream, rgb, format="png", pil_kwargs={"compress_level": 6}, metadata={"Software": "warpsar"})
+    stream, made_by = BytesIO(), PngInfo()
+    made_by.add_text("Software", "warpsar")
+    whole = rgb if rgb.dtype == np.uint8 else np.round(255.0 * rgb).astype(np.uint8)
+    Image.fromarray(whole).save(stream, "png", compress_level=6, pnginfo=made_by)
     return stream.getvalue()
 
 

@@ -6,6 +6,8 @@ import math
 from dataclasses import dataclass
 from html import escape
 
+import numpy as np
+
 from warpsar.io.html import data_uri
 
 MARKS = 4
@@ -39,6 +41,20 @@ def image(png: bytes, caption: str, down: ImageAxis, along: ImageAxis) -> str:
         f'<figure {ends}><div class="plot">{_scale(down, "down", "top")}<div class="box">{picture}</div>'
         f"{_scale(along, 'along', 'left')}</div><figcaption>{escape(caption)}</figcaption></figure>"
     )
+
+
+def framed(rgb: np.ndarray, box: tuple[int, int, int, int]) -> np.ndarray:
+    """A picture, (rows, cols, 3), with a black frame about `box`: first and last row, first and last column, inside.
+
+    The frame is wide enough to be seen where the picture is shown some 200 pixels wide.
+    """
+    rows, cols = rgb.shape[:2]
+    width = -(-max(rows, cols) // 200)
+    around, inside = np.zeros((2, rows, cols), bool)
+    top, bottom, left, right = box
+    around[max(top - 2 * width, 0) : bottom + 2 * width + 1, max(left - 2 * width, 0) : right + 2 * width + 1] = True
+    inside[max(top - width, 0) : bottom + width + 1, max(left - width, 0) : right + width + 1] = True
+    return np.where((around & ~inside)[..., None], 0.0, rgb)
 
 
 def _scale(axis: ImageAxis, name: str, side: str) -> str:

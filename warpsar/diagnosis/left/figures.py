@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.ndimage import uniform_filter
 
 from warpsar.diagnosis.found import Diagnosis
 from warpsar.diagnosis.left.summary import Left
-from warpsar.evaluation.report_parts import RESIDUAL_COLOURS
+from warpsar.evaluation.report_parts import residual_rgb
+from warpsar.io import html_image
 from warpsar.io.figures import new
+from warpsar.io.html_image import ImageAxis
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -21,37 +23,14 @@ SMOOTHED = 3  # pixels on a side, over which the residual in plan is averaged
 LEAST_DB, MOST_DB = 0.0, 15.0  # colour scale of the spectrum, over speckle
 
 
-def worst_view(left: Left, spacing_m: Sequence[float]) -> Figure:
-    """The residual of the image that shows it best, the rectangle marked."""
-    from matplotlib.patches import Rectangle
-
-    figure, axis = new(5.2, 4.4)
-    residual = left.residuals[left.number]
-    rows, cols = residual.shape
-    down, across = spacing_m
-    extent = (-cols / 2 * across, cols / 2 * across, rows / 2 * down, -rows / 2 * down)
-    shown = axis.imshow(
-        np.where(left.masks[left.number], residual, np.nan),
-        cmap=_colours(),
-        vmin=-REACH_SD,
-        vmax=REACH_SD,
-        extent=extent,
-        aspect="equal",
-        interpolation="nearest",
-    )
-    shape = left.shape
-    corner = ((shape.col - shape.cols // 2 - cols / 2) * across, (shape.row - shape.rows // 2 - rows / 2) * down)
-    size = (shape.cols * across, shape.rows * down)
-    axis.add_patch(Rectangle(corner, *size, fill=False, edgecolor="black", lw=1.6))
-    axis.set_xlabel("azimuth about the reference point [m]")
-    axis.set_ylabel("slant range about the reference point [m]")
-    axis.set_title(left.image, fontsize=9)
-    figure.colorbar(shown, ax=axis, label="residual [standard deviations of speckle]")
-    return figure
+def worst_view(left: Left) -> np.ndarray:
+    """RGB of the residual of the image that shows it best, the rectangle framed; shape (rows, cols, 3)."""
+    residual = np.where(left.masks[left.number], left.residuals[left.number], np.nan)
+    return html_image.framed(residual_rgb(residual, REACH_SD), left.shape.rectangle)
 
 
-def in_plan(found: Diagnosis, left: Left) -> Figure:
-    """The residual where it lies on the surface, seen from above: the mean over all views that see the place."""
+def in_plan(found: Diagnosis, left: Left) -> tuple[np.ndarray, ImageAxis, ImageAxis]:
+    """RGB of the residual where it lies on the surface, north up, and its axes: the mean over all views that see it."""
     scene = found.final.scene
     cell = 1.5 * float(max(scene.grid.spacing_m))
     rows, cols = scene.grid.shape
@@ -65,22 +44,14 @@ def in_plan(found: Diagnosis, left: Left) -> Figure:
         values.append(mean.ravel()[pixel[use]])
         weights.append(hits.weight.numpy()[use].astype(float))
     at, value, weight = (np.concatenate(parts) for parts in (places, values, weights))
-    figure, axis = new(5.2, 4.4)
     low, high = at.min(axis=0), at.max(axis=0)
     edges = [np.arange(a, b + 2 * cell, cell) for a, b in zip(low, high, strict=True)]
     east, north = at.T
-    total, light = (np.histogram2d(east, north, edges, weights=w)[0] for w in (value * weight, weight))
+    total, light = (np.histogram2d(north, east, edges[::-1], weights=w)[0] for w in (value * weight, weight))
     with np.errstate(invalid="ignore", divide="ignore"):
         mean = total / light
-    reach = REACH_SD / 2.0
-    shown = axis.pcolormesh(*edges, mean.T, cmap=_colours(), vmin=-reach, vmax=reach, rasterized=True)
-    axis.set_aspect("equal")
-    axis.set_facecolor("0.6")
-    axis.set_xlabel("east [m]")
-    axis.set_ylabel("north [m]")
-    axis.set_title(f"all train views, from above, over {SMOOTHED} x {SMOOTHED} pixels", fontsize=9)
-    figure.colorbar(shown, ax=axis, label="mean residual [standard deviations]")
-    return figure
+    down, along = ImageAxis("north [m]", edges[1][-1], edges[1][0]), ImageAxis("east [m]", edges[0][0], edges[0][-1])
+    return residual_rgb(mean[::-1], REACH_SD / 2.0), down, along
 
 
 def spectrum(left: Left, spacing_m: Sequence[float]) -> Figure:
@@ -118,10 +89,3 @@ def spectrum(left: Left, spacing_m: Sequence[float]) -> Figure:
         axis.grid(alpha=0.3, lw=0.4)
     upper.legend(frameon=False, fontsize=7)
     return figure
-
-
-def _colours() -> Any:
-    """The residual's colour map, grey where nothing is compared."""
-    from matplotlib import colormaps
-
-    return colormaps[RESIDUAL_COLOURS].with_extremes(bad="0.6")

@@ -158,15 +158,17 @@ def residual_on(side: MeshView, found: Diagnosis, images: Sequence[Comparison]) 
             for plane in (image.seen.measured, image.simulated)
         ]
         row, col = pixel_of(scene, image.seen.view, side.point)
+        on = np.flatnonzero((row >= 0) & (row < rows) & (col >= 0) & (col < cols))
+        row, col = row[on], col[on]
+        compared = mask[row.astype(int), col.astype(int)]
+        on, row, col = on[compared], row[compared], col[compared]
+        pixel = row.astype(int) * cols + col.astype(int)
         shift = shift_px(scene, image.seen.view)
-        i, j = np.floor(row).astype(int), np.floor(col).astype(int)
-        on = (i >= 0) & (i < rows) & (j >= 0) & (j < cols)
-        i, j = np.clip(i, 0, rows - 1), np.clip(j, 0, cols - 1)
         unmoved = np.floor(row - shift[0]).astype(int) * cols + np.floor(col - shift[1]).astype(int)
         hits = _hits(found, image.seen.view)
-        lit = np.isin(unmoved * faces + side.face, hits.pixel.numpy().astype(np.int64) * faces + hits.face.numpy())
-        use = on & lit & mask[i, j]
-        total[use] += power[0][i, j][use] / power[1][i, j][use]
-        count[use] += 1
+        seen = np.isin(unmoved * faces + side.face[on], hits.pixel.numpy().astype(np.int64) * faces + hits.face.numpy())
+        on, pixel = on[seen], pixel[seen]
+        total[on] += power[0].ravel()[pixel] / power[1].ravel()[pixel]
+        count[on] += 1
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.asarray(10.0 * np.log10(total / count))

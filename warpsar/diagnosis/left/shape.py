@@ -33,6 +33,12 @@ class ResidualShape:
     azimuth_m: float
     z: float
 
+    @property
+    def rectangle(self) -> tuple[int, int, int, int]:
+        """First and last row, first and last column, inside."""
+        top, left = self.row - self.rows // 2, self.col - self.cols // 2
+        return top, top + self.rows - 1, left, left + self.cols - 1
+
 
 @dataclass(frozen=True)
 class ResidualSpectrum:

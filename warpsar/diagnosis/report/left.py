@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from warpsar.compare.comparison import Comparison, ratio_db
-from warpsar.diagnosis.left.figures import in_plan, spectrum, worst_view
+from warpsar.diagnosis.left.figures import REACH_SD, SMOOTHED, in_plan, spectrum, worst_view
 from warpsar.diagnosis.left.place import ResidualPlace, residual_on
 from warpsar.diagnosis.left.words import sentences
 from warpsar.diagnosis.result import Diagnosed
@@ -68,20 +68,27 @@ def left_section(done: Diagnosed) -> str:
 
 
 def _pictures(done: Diagnosed) -> list[str]:
-    """The worst view, the surface from above, and the spectrum."""
+    """The worst view and the surface from above; where something has to be explained, the spectrum."""
     found, left = done.diagnosis, done.left
-    spacing = found.scene.grid.spacing_m
-    return [
-        report.row(
-            report.drawing(worst_view(left, spacing), "The residual in the image that shows it best; grey: no pixel"),
-            report.drawing(in_plan(found, left), "The same on the surface from above; grey: no view compares it"),
-            across=2,
-            least_px=300,
+    view = report.png(worst_view(left))
+    plan, *plan_axes = in_plan(found, left)
+    blocks = [
+        report.paragraph(
+            f"The residual in {left.image}, which shows it best, in standard deviations of speckle; framed where it is "
+            f"strongest. Beside it the mean of all train views on the surface from above, over {SMOOTHED} x {SMOOTHED} "
+            "pixels. Grey: no pixel is compared."
         ),
-        report.drawing(
-            spectrum(left, spacing), "Its spectrum in that image, and its mean along range and along azimuth"
+        residual_scale(REACH_SD, "standard deviations; half as many from above", unit=""),
+        report.row(
+            html_image.image(view, f"The residual in {left.image}", *image_axes(found.scene)),
+            html_image.image(report.png(plan), "The same on the surface from above", *plan_axes),
+            across=2,
         ),
     ]
+    if left.unexplained:
+        words = "Its spectrum in that image, and its mean along range and along azimuth"
+        blocks.append(report.drawing(spectrum(left, found.scene.grid.spacing_m), words))
+    return blocks
 
 
 def _nearest(done: Diagnosed) -> list[str]:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from warpsar.diagnosis.found import Turn
+from warpsar.diagnosis.report.first import first_screen, verdict_sentence
 from warpsar.diagnosis.report.law import law_section
 from warpsar.diagnosis.report.left import left_section, residuals_section
 from warpsar.diagnosis.report.objects import objects_section
@@ -20,14 +21,12 @@ from warpsar.io import html as report
 def write_report(
     path: Path, done: Diagnosed, moves: Sequence[ParameterMove], content: dict[str, Any], command: Sequence[str]
 ) -> None:
-    """`content` is that of diagnosis.json, `command` the words that made it."""
+    """`path` lies beside the written scene. `content` is that of diagnosis.json, `command` the words that made it."""
     found = done.diagnosis
-    title = f"What {Path(found.scene.path or 'the scene').name} lacks: {', '.join(done.verdict) or _nothing(done)}"
-    lead = (
-        f"warpsar {content['version']} diagnose; {len(done.models[0])} images of {found.scene.grid.shape[0]} x "
-        f"{found.scene.grid.shape[1]} pixels, {content['rays_per_pixel']:.3g} rays per pixel, on {content['device']}"
-    )
+    rows, cols = found.scene.grid.shape
+    lead = f"{Path(found.scene.path or 'the scene').name}: {len(done.models[0])} images of {rows} x {cols} pixels"
     sections = [
+        *first_screen(done, path.parent),
         summary_section(done, content),
         *objects_section(done, content),
         residuals_section(done),
@@ -40,11 +39,7 @@ def write_report(
             content, command, "Beside this file: diagnosis.json (all numbers), scene.toml (the model at the end)."
         ),
     ]
-    report.write(path, report.page(title, lead, *sections))
-
-
-def _nothing(done: Diagnosed) -> str:
-    return "something unexplained" if done.unexplained else "nothing"
+    report.write(path, report.page(verdict_sentence(done), lead, *sections))
 
 
 def _not_tested(turn: Turn) -> str:

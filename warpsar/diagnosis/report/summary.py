@@ -7,6 +7,7 @@ from typing import Any
 from warpsar.compare.contract import ROLES
 from warpsar.diagnosis.models.carried import Carried
 from warpsar.diagnosis.models.change import SUMMARIES
+from warpsar.diagnosis.report.next_step import refuted
 from warpsar.diagnosis.result import OPEN_WORDS, Diagnosed
 from warpsar.diagnosis.search.outcome import effect_table
 from warpsar.effects.registry import get
@@ -100,7 +101,8 @@ def _first(done: Diagnosed) -> list[str]:
     found, blocks = done.diagnosis, []
     if done.unexplained:
         names = f" {', '.join(done.verdict)} was found, and does not explain it." if done.verdict else ""
-        blocks.append(report.paragraph(f"Something is left that nothing found explains.{names}"))
+        if not refuted(done):
+            blocks.append(report.paragraph(f"Something is left that nothing found explains.{names}"))
         blocks.append(report.bullets([f"{one[0].upper()}{one[1:]}" for one in done.reasons]))
         if done.not_established:
             blocks.append(

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import numpy as np
 
 from warpsar.diagnosis.found import Candidate, Turn
 from warpsar.diagnosis.models.change import is_geometry
@@ -11,10 +13,6 @@ from warpsar.diagnosis.result import Diagnosed
 from warpsar.diagnosis.search.outcome import by_score, gain_text, outcome, passed, score_text
 from warpsar.evaluation.report_parts import plus_minus
 from warpsar.io import html as report
-from warpsar.io.figures import new
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 MOST_RESEMBLING = 4
 
@@ -34,39 +32,29 @@ def turn_section(turn: Turn, number: int, done: Diagnosed, content: dict[str, An
     )
     blocks = [
         report.paragraph(said),
-        report.row(
-            report.drawing(_bars(turn, tested), f"What each effect scored in turn {number + 1}", show=False),
-            across=2,
-            least_px=300,
-        ),
+        _bars(turn, tested),
         _candidate_table(turn, tested, content),
     ]
     blocks += [report.paragraph(text) for text in _why(turn)]
     return report.section(f"Turn {number + 1}: what each effect scored", *blocks)
 
 
-def _bars(turn: Turn, tested: Sequence[Candidate]) -> Figure:
-    """Calibrated scores as bars, the threshold as a line; linear below it, logarithmic above."""
+def _bars(turn: Turn, tested: Sequence[Candidate]) -> str:
+    """Calibrated scores as bars, the threshold as a line; linear up to twice the threshold, logarithmic above."""
     named = [(c.effect, max(0.0, c.minus_log_p), c.effect == turn.added) for c in tested]
-    named = sorted(named, key=lambda item: item[1])
-    named.append(("scan for anything", max(0.0, turn.scan_minus_log_p), False))
-    figure, axis = new(6.4, 0.9 + 0.24 * len(named))
-    scores = [score for _, score, _ in named]
-    colours = ["C0" if added else ("0.45" if score > turn.threshold else "0.75") for _, score, added in named]
-    axis.barh(range(len(named)), scores, color=colours, height=0.7)
-    axis.axvline(turn.threshold, color="C3", lw=1.2)
-    axis.set_xscale("symlog", linthresh=2.0 * turn.threshold, linscale=2.0)
-    most = max([*scores, 2.0 * turn.threshold])
-    axis.set_xlim(0.0, 2.2 * most)
-    ticks = [0.0, 5.0, 10.0, *(10.0**k for k in range(2, 7) if 10.0**k <= 2.0 * most)]
-    axis.set_xticks(ticks, [f"{t:g}" for t in ticks])
-    axis.minorticks_off()
-    axis.set_yticks(range(len(named)), [name for name, _, _ in named])
-    for k, score in enumerate(scores):
-        axis.text(score, k, f" {score:.1f}" if score < 100 else f" {score:.0f}", va="center", fontsize=7)
-    axis.set_xlabel("score: -ln p   (blue: added; red line: threshold)")
-    axis.grid(axis="x", alpha=0.3, lw=0.4)
-    return figure
+    named = sorted([("scan for anything", max(0.0, turn.scan_minus_log_p), False), *named], key=lambda one: -one[1])
+    linear = 2.0 * turn.threshold
+    most = max(linear, *(score for _, score, _ in named))
+
+    def length(score: float) -> float:
+        return score / linear if score <= linear else 1.0 + 0.5 * float(np.log2(score / linear))
+
+    bars = [
+        report.Bar(name, length(score) / length(most), f"{score:.1f}" if score < 100 else f"{score:.0f}", added)
+        for name, score, added in named
+    ]
+    key = f"score, -ln p, with a line at the threshold of {turn.threshold:.1f}; logarithmic above {linear:.1f}"
+    return report.bars(bars, length(turn.threshold) / length(most), f"{key}; blue: added")
 
 
 def _candidate_table(turn: Turn, tested: Sequence[Candidate], content: dict[str, Any]) -> str:
