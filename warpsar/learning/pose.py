@@ -14,7 +14,7 @@ from warpsar.compare.observation import Observation
 from warpsar.learning.geometry import Geometry
 from warpsar.learning.identify import Identified, of_information, score_products
 from warpsar.learning.pose_sharing import boxes, columns_of, shared
-from warpsar.learning.posed_images import images_elsewhere
+from warpsar.learning.posed_images import images_elsewhere, without_paths
 from warpsar.learning.prior import Known, Prior
 from warpsar.learning.problem import FitProblem
 from warpsar.learning.view import FitView
@@ -58,15 +58,17 @@ class PosedProblem:
         level: float = 0.0,
         standing: Collection[str] = (),
         bound: float = 0.0,
+        rough: bool = False,
     ) -> None:
         """`held`: nothing moves but the poses. `level` [beta0]: how much of the floor was added to the measurement.
-        `bound` is that of the loss, as in `FitProblem`.
+        `bound` is that of the loss, as in `FitProblem`. `rough`: changes by poses are those of single bounces alone,
+        which is enough to tell which pose is worth a fit. Paths over several surfaces would be traced for each.
 
         `standing`: labels of objects whose foot stays at its height, known to `STANDS_M`. Their height and that of the
         foot would trade otherwise: a body sunk into the ground looks like a lower one.
         """
         self.scene, self.device, self.loss, self._seen = scene, device, loss, observations
-        self.geometry, self.level, self.bound = Geometry(scene), level, bound
+        self.geometry, self.level, self.bound, self.rough = Geometry(scene), level, bound, rough
         self._kept: OrderedDict[bytes, FitProblem] = OrderedDict()
         self._changes: tuple[np.ndarray, list[np.ndarray]] | None = None  # x, and d(mu) / dp there of each observation
         self.count = len(self.geometry.coordinates)
@@ -149,7 +151,7 @@ class PosedProblem:
         else:
             own = [np.zeros((seen.values.size, 0)) for seen in problem.observations]
         modelled = problem.modelled(rest)
-        if not (self.is_made_at(x) or near and self._is_near(x)):
+        if not (self.is_made_at(x) or (near and self._is_near(x))):
             tasks = [partial(self._changed, problem, view, rest, x[self.size :]) for view in problem.views]
             self._changes = x.copy(), [one for found in threads.ordered(tasks, self.device) for one in found]
         assert self._changes is not None
@@ -178,7 +180,8 @@ class PosedProblem:
 
     def _changed(self, problem: FitProblem, view: FitView, rest: np.ndarray, p: np.ndarray) -> list[np.ndarray]:
         """d(mu) / dp of a view's observations, shape (pixels, len(p)) each."""
-        places = boxes(problem.scene, view.view)
+        seen_as = without_paths(problem.scene) if self.rough else problem.scene
+        places = boxes(seen_as, view.view)
         coordinates, name = self.geometry.coordinates, view.view.name
         found = [np.zeros((seen.values.size, p.size)) for seen in view.observations]
         for group in shared(coordinates, places):
@@ -189,7 +192,8 @@ class PosedProblem:
             bodies = {coordinates[k].body for k in group}
             columns = None if places is None or None in bodies else columns_of([places[one] for one in bodies if one])
             above, below = (
-                images_elsewhere(problem, view, rest, self.geometry.at(p + s * step), columns) for s in (1.0, -1.0)
+                images_elsewhere(problem, view, rest, self.geometry.at(p + s * step), columns, paths=not self.rough)
+                for s in (1.0, -1.0)
             )
             for into, seen, a, b in zip(found, view.observations, above, below, strict=True):
                 row, column = np.divmod(seen.pixels, problem.scene.grid.shape[1])
@@ -235,11 +239,15 @@ class Descended:
     steps: int
 
 
-def descend(problem: PosedProblem, x: np.ndarray, *, most: int = MOST_STEPS, flat: float = FLAT) -> Descended:
+def descend(
+    problem: PosedProblem, x: np.ndarray, *, most: int = MOST_STEPS, flat: float = FLAT, near: bool = False
+) -> Descended:
     """Levenberg-Marquardt from x over surface, effects and poses, until a step promises a gain of less than `flat`.
 
-    No step moves an object by more than `LARGEST_MOVE_M`.
+    No step moves an object by more than `LARGEST_MOVE_M`. `near`: the end may be a place where changes of the image by
+    poses are those of a place close by, as for a search that goes on from there.
     """
+    ends_near = near
     low, high = problem.bounds
     x = np.clip(x, low, high)
     loss, damping = problem.value(x), 1e-3
@@ -247,7 +255,7 @@ def descend(problem: PosedProblem, x: np.ndarray, *, most: int = MOST_STEPS, fla
     for step_number in range(most):
         check()
         gradient, hessian = _quadratic(problem, x, near=near)
-        exact = not problem.count or problem.is_made_at(x)
+        exact = ends_near or not problem.count or problem.is_made_at(x)
         trial = _lower(problem, x, loss, gradient, hessian, damping, flat)
         near = trial is not None
         if trial is not None:

@@ -172,7 +172,7 @@ def _descended(
     start = np.array([known.get(label, value) for label, value in zip(problem.labels, problem.x0, strict=True)])
     if not blur_m:
         return problem, descend(problem, start)
-    return problem, descend(problem, start, most=SEARCH_STEPS, flat=SEARCH_FLAT)
+    return problem, descend(problem, start, most=SEARCH_STEPS, flat=SEARCH_FLAT, near=True)
 
 
 def _scene_at(problem: PosedProblem, x: np.ndarray, scene: Scene) -> Scene:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from warpsar.effects.registry import get
 from warpsar.learning.geometry import GeometryCoordinate
 from warpsar.scene.scene import Scene
 from warpsar.world.tables import View
@@ -64,8 +65,12 @@ def boxes(scene: Scene, view: View) -> dict[str, Box] | None:
 
 
 def _blur_m(scene: Scene) -> tuple[float, float] | None:
-    """How far a Gaussian point spread carries power in range and azimuth [m]; None where others carry it, too."""
-    if not set(scene.effects) <= {"noise_floor", "point_spread", "view_gain"}:
+    """How far a Gaussian point spread carries power in range and azimuth [m]; None where others carry it, too.
+
+    Effects on the surface and gains leave power where it is.
+    """
+    carrying = {name for name in scene.effects if get(name).stage not in ("surface", "gain")}
+    if not carrying <= {"noise_floor", "interference", "point_spread"}:
         return None
     table = scene.effects.get("point_spread", {})
     if table.get("window", "gaussian") != "gaussian":

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from warpsar.effects.base.effect import DeclaredEffect
-from warpsar.effects.registry import declared
+from warpsar.effects.registry import declared, get
 from warpsar.learning.problem import FitProblem
 from warpsar.learning.view import FitView
 from warpsar.render.render import ViewRender
@@ -21,17 +21,32 @@ from warpsar.simulation.rays import effects_grid
 from warpsar.trace.target import Target
 
 
+def without_paths(scene: Scene) -> Scene:
+    """The scene with single bounces alone."""
+    if all(get(name).stage != "path" for name in scene.effects):
+        return scene
+    return replace(scene, effects={name: t for name, t in scene.effects.items() if get(name).stage != "path"})
+
+
 def images_elsewhere(
-    problem: FitProblem, view: FitView, x: np.ndarray, scene: Scene, columns: tuple[int, int] | None = None
+    problem: FitProblem,
+    view: FitView,
+    x: np.ndarray,
+    scene: Scene,
+    columns: tuple[int, int] | None = None,
+    *,
+    paths: bool = True,
 ) -> list[np.ndarray]:
     """beta0 of each observation's compared pixels, shape (n,) each, float64, with the view's geometry as `scene` has
     it; surface and effects as x of `problem` says.
 
-    `columns`: from the first to before the last column of the image that is made; the others stay without hits. The
-    scene has the faces of the problem's own, in the same order.
+    `columns`: from the first to before the last column of the image that is made; the others stay without hits.
+    `paths`: whether light that went over several surfaces is in them. The scene has the faces of the problem's own, in
+    the same order.
     """
     there = next(one for one in scene.views if one.name == view.view.name)
     placed = replace(scene, effects=problem.effect_tables(x))
+    placed = placed if paths else without_paths(placed)
     effects = declared(placed, there, neutral=True)
     stage = replace(problem.stage, target=Target.upload(scene.mesh, scene.reference_point_m, problem.device))
     rays = ExactRays(stage, seed=scene.sampling.seed)

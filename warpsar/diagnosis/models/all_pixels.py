@@ -97,10 +97,12 @@ class Exact:
         bound: float = 0.0,
         half: int | None = None,
         on_ground: bool = True,
+        rough: bool = False,
     ) -> PosedProblem:
         """What `learn` frees of the scene's geometry, with surface and effects; images blurred by `blur_m`. `bound` is
         that of the loss. `half`: of the pixels every other block of columns alone, the first or the second ones, and
-        surface and effects held. Objects whose size is fitted stay `on_ground`."""
+        surface and effects held. Objects whose size is fitted stay `on_ground`. `rough` as in
+        `PosedProblem`."""
         ready = scene if scene.assembly is not None else with_objects(scene, ())
         both = compared(ready, self.setup.observations, blur_m, self.gains)
         seen = {name: found for name, found in both.observations.items() if views is None or name in views}
@@ -117,6 +119,7 @@ class Exact:
             level=both.level,
             standing=standing(both.scene) if on_ground else (),
             bound=bound,
+            rough=rough,
         )
 
     def settled(

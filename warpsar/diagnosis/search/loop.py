@@ -23,7 +23,7 @@ from warpsar.diagnosis.search.confirmation import Confirmation, confirm
 from warpsar.diagnosis.search.last_resort import learned_law
 from warpsar.diagnosis.search.outcome import confirmation_lines, score_text, turn_lines
 from warpsar.diagnosis.search.record import SearchRecord
-from warpsar.diagnosis.turn.addition import add_the_best
+from warpsar.diagnosis.turn.addition import TOO_LITTLE, add_the_best
 from warpsar.diagnosis.turn.geometry_search import Screened, geometry_candidates, screened_bodies
 from warpsar.diagnosis.turn.geometry_trial import add_the_likeliest, on_its_ground, posed_anew
 from warpsar.diagnosis.turn.pruning import prune, trimmed, with_smaller
@@ -284,8 +284,11 @@ class Search:
         return add_the_likeliest(setup, turn, here, self.scene, offered, price)
 
     def _confirmed(self) -> bool:
-        """Ask everything that was added beside all others; whether any was taken back."""
-        any_refused = False
+        """Ask everything that was added beside all others; whether anything may be found now that was hidden before.
+
+        An effect that gained next to nothing hid nothing: the last turn has scored the same residual.
+        """
+        anything_hidden = False
         while self._added(self._base):
             self._doing = "whether what was added holds"
             answers = self._record.confirmation(self._stage, self._setup, self._base, self._confirm)
@@ -299,11 +302,12 @@ class Search:
             refused = {one.effect for one in answers.asked if one.refused}
             self._barred |= refused
             self._base = answers.fitted
-            any_refused |= bool(refused)
+            anything_hidden |= any(one.refused != TOO_LITTLE for one in answers.asked if one.refused)
             if not any(is_geometry(name) for name in refused):
                 break
+            anything_hidden = True  # other pixels are lit
             self._setup, self._base = on_its_ground(self._setup, self._other, self._base)  # and the rest is asked there
-        return any_refused
+        return anything_hidden
 
     def _rename(self, answers: Confirmation) -> None:
         """Let the turn that added an effect have the smaller one that took its place (`with_smaller`)."""

@@ -115,7 +115,7 @@ def screening(declared: Scene, exact: Exact, here: Fitted) -> list[Screened]:
     found = []
     for labels in disjoint(bodies(declared, here.scene), TOGETHER):
         free = _of_any_size(freed(here.scene, labels), labels)
-        problem = exact.problem(free, blur_m=blur_m, bound=BOUND, on_ground=False)
+        problem = exact.problem(free, blur_m=blur_m, bound=BOUND, on_ground=False, rough=True)
         loss = problem.value(problem.x0)
         foretold = _foretold(problem)
         for label in labels:

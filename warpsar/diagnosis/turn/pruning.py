@@ -16,13 +16,21 @@ from warpsar.effects.registry import get
 
 def prune(setup: FitSetup, turn: Turn, earlier: Sequence[str], price: float) -> None:
     """Drop each of the `earlier` effects whose loss costs less likelihood than its parameters do: `price` of 2 ln L
-    each. A blur can stand in for a shift until the shift is found."""
+    each. A blur can stand in for a shift until the shift is found.
+
+    An effect that adds power is there for the dark pixels. It can be needless only beside another one of its kind, and
+    dark pixels are counted then.
+    """
     for name in earlier:
         assert turn.fitted is not None
-        if name not in turn.fitted.scene.effects or get(name).additive:
+        if name not in turn.fitted.scene.effects:
+            continue
+        adds = get(name).additive
+        if adds and not any(get(other).additive for other in turn.fitted.scene.effects if other != name):
             continue
         without = refit_without(setup, turn.fitted, name)
-        lost = 2.0 * (turn.fitted.log_likelihood - without.log_likelihood)
+        before, after = ((one.whole if adds else one.log_likelihood) for one in (turn.fitted, without))
+        lost = 2.0 * (before - after)
         if lost < (turn.fitted.size - without.size) * price:
             turn.dropped.append(name)
             turn.fitted = without

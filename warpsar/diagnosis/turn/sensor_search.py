@@ -92,7 +92,7 @@ def screening(declared: Scene, setup: FitSetup, here: Fitted) -> list[Hypothesis
     views = [view.view.name for view in here.problem.views]
     moved = {one: _moved(one, views) for one in hypotheses(declared, here)}
     free = sensor_freed(here.scene, [name for names in moved.values() for name in names])
-    problem = Exact.of(setup, here).problem(free, blur_m=SEARCH_BLUR_M[0], bound=BOUND)
+    problem = Exact.of(setup, here).problem(free, blur_m=SEARCH_BLUR_M[0], bound=BOUND, rough=True)
     left, slope = without_shading(problem)
     found = []
     for one, names in moved.items():

@@ -19,6 +19,7 @@ from warpsar.diagnosis.turn.survey import surveyed
 from warpsar.scene.scene import Scene
 
 GLANCED = 8  # candidates that get a few iterations
+FAR_BELOW = 0.05  # of the best one's score (-ln p): a candidate below it waits for the next turn
 OFFERED = 40  # of an effect's best trials that its refit may try
 
 
@@ -48,6 +49,9 @@ def refits(
     """
     if dark.asks:
         passing = [candidate for candidate in passing if dark.answered_by(candidate.effect)]
+    else:
+        best = max((candidate.minus_log_p for candidate in passing), default=0.0)
+        passing = [candidate for candidate in passing if candidate.minus_log_p >= FAR_BELOW * best]
 
     def glance(effect: str) -> Screening:
         trials = [template.trial for template in templates[effect]][:OFFERED]
