@@ -50,6 +50,15 @@ class Coordinate(IntEnum):
     FRACTION = 3  # logit tau
 
 
+class Scale(IntEnum):
+    """What a coordinate x is of a value v: v, ln v, ln(v - 1), or ln v - ln(1 - v)."""
+
+    LINEAR = 0
+    LOG = 1
+    CONTRAST = 2
+    LOGIT = 3
+
+
 class Deposit(IntEnum):
     """How a ray's power falls into the range bins (`warpsar.trace.trace`)."""
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 from enum import IntEnum
 from typing import Any
 
+from warpsar.kernels.codes import PAGE
 from warpsar.kernels.lane_kinds import BOOL, FLOAT, INT, LaneKind, cast, join
 
 _PRECEDENCE = {ast.Add: 1, ast.Sub: 1, ast.Mult: 2, ast.Div: 2}
@@ -77,11 +78,14 @@ class Expressions:
                 return self.element(of, at.elts if isinstance(at, ast.Tuple) else [at])
             case ast.Subscript(of, at):
                 index = at.value if isinstance(at, ast.Constant) else self.static(at)
-                if isinstance(index, int):
-                    text, kind = self.value(of)
-                    if not 0 <= index < kind.size:  # Warp would read beyond the vector
-                        raise NotImplementedError(f"{self.place(node)}: {ast.unparse(node)!r}: there are {kind.size}")
-                    return f"{text}.c[{int(index)}]", replace(kind, size=0)
+                text, kind = self.value(of)
+                if not isinstance(index, int):  # the number of a loop
+                    index, own = self.value(at)
+                    if own != INT or not kind.size:
+                        raise self.unknown(node)
+                elif not 0 <= index < kind.size:  # Warp would read beyond the vector
+                    raise NotImplementedError(f"{self.place(node)}: {ast.unparse(node)!r}: there are {kind.size}")
+                return f"{text}.c[{index if isinstance(index, str) else int(index)}]", replace(kind, size=0)
             case ast.UnaryOp(ast.USub(), of):
                 text, kind = self.value(of)
                 return f"-{_closed(of, text)}", kind
@@ -181,6 +185,7 @@ class Expressions:
         scope = "" if lanes else "wp::"
         texts = [text for text, _ in found]
         if re.fullmatch(r"vector|vec[2-9]i?", name):
+            lanes = lanes or len(found) > PAGE  # Warp's own of more numbers cannot be written in one expression
             kind = LaneKind("int" if name.endswith("i") else "float", lanes, len(found))
             if name != "vector" and name[3] != str(kind.size):
                 raise self.unknown(node)

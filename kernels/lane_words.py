@@ -110,9 +110,6 @@ def vector(n: int) -> str:
 def memory(n: int) -> str:
     """Of vectors of `n` numbers: many places of an array at once."""
 
-    def each(pattern: str) -> str:
-        return ", ".join(pattern.replace("#", str(i)) for i in range(n))
-
     v = f"V{n}"
     element = f"wp::vec_t<{n}, wp::float32>"
     functions = [
@@ -130,16 +127,19 @@ def memory(n: int) -> str:
     __builtin_memcpy(across, &x, sizeof(x));
     if (count == LANES)
         for (int k = 0; k < LANES; ++k)
-            a[at[k]] = {{{each("across[#][k]")}}};
+            for (int j = 0; j < {n}; ++j)
+                a[at[k]].c[j] = across[j][k];
     else
         for (int k = 0; k < count; ++k)
-            a[at[k]] = {{{each("across[#][k]")}}};
+            for (int j = 0; j < {n}; ++j)
+                a[at[k]].c[j] = across[j][k];
 }}""",
         f"""void store({element}* a, I at, int count, I mask, const {v}& x)
 {{
     for (int k = 0; k < count; ++k)
         if (mask[k])
-            a[at[k]] = {{{each("x.c[#][k]")}}};
+            for (int j = 0; j < {n}; ++j)
+                a[at[k]].c[j] = x.c[j][k];
 }}""",
     ]
     return "".join(f"{_INLINE} {f}\n" for f in functions)

@@ -6,8 +6,8 @@ is the same for all lanes (the grid of rays, the polarization) stays a plain num
 An `if` on something that differs between lanes becomes a choice lane by lane. Every lane takes the same steps in the
 same order as one hit does alone, so the numbers do not depend on where in a vector a hit lies.
 
-Numbers are float32. Understood: arithmetic, comparisons, vectors with fixed indices, `if`, `for` over a range,
-structs, calls of further `@wp.func`s. Anything else raises `NotImplementedError` with its line.
+Numbers are float32. Understood: arithmetic, comparisons, vectors whose indices are fixed or the number of a loop, `if`,
+`for` over a range, structs, calls of further `@wp.func`s. Anything else raises `NotImplementedError` with its line.
 """
 
 import ast
@@ -19,6 +19,7 @@ from enum import IntEnum
 from typing import Any
 
 from warpsar.kernels import lane_words
+from warpsar.kernels.codes import PAGE
 from warpsar.kernels.lane_expressions import Expressions
 from warpsar.kernels.lane_kinds import INT, LaneKind, cast, given, join, struct_text
 
@@ -90,7 +91,7 @@ class Unit:
         sizes = sorted({int(n) for n in re.findall(r"\bV(\d+)\b", body)})
         vectors = "".join(lane_words.vector(n) for n in sizes)
         if re.search(r"\b(gather|store)\(", body):
-            vectors += "".join(lane_words.memory(n) for n in sizes if n <= 4)
+            vectors += "".join(lane_words.memory(n) for n in sizes if n <= PAGE or n % PAGE == 0)
         return lane_words.struct(lanes, vectors + body)
 
     def struct(self, struct: Any, lanes: bool) -> LaneKind:
@@ -194,7 +195,7 @@ class Function(Expressions):
         self.emit("}")
 
     def assign(self, target: ast.expr, text: str, kind: LaneKind) -> None:
-        if not isinstance(target, ast.Name):  # a field
+        if not isinstance(target, ast.Name):  # a field, or an element of a vector
             place, known = self.value(target)
             text = cast(text, kind, known)
             self.emit(f"{place} = {f'choose({self.masks[-1][0]}, {text}, {place})' if self.masks else text};")

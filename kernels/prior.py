@@ -2,6 +2,8 @@
 
 import warp as wp
 
+from warpsar.kernels.codes import Scale
+
 
 @wp.kernel(enable_backward=False)
 def prior_kernel(
@@ -17,18 +19,21 @@ def prior_kernel(
 ):
     """Half the squared deviation of each known value in standard deviations, and its slope, added to the gradient.
 
-    `kind` counts surface.KINDS: ln(value - 1), ln value twice, logit value.
+    `kind` is the `Scale` of its coordinate.
     """
     i = wp.tid()
     x = wp.float64(nodes[node[i]])
     one = wp.float64(1.0)
-    value = wp.exp(x)
-    slope = value
-    if kind[i] == 0:
-        value = one + value
-    elif kind[i] == 3:
+    value = x
+    slope = one
+    if kind[i] == Scale.LOGIT:
         value = one / (one + wp.exp(-x))
         slope = value * (one - value)
+    elif kind[i] != Scale.LINEAR:
+        value = wp.exp(x)
+        slope = value
+        if kind[i] == Scale.CONTRAST:
+            value = one + value
     deviation = (value - about[i]) / sd[i]
     loss_out[i] = wp.float64(0.5) * deviation * deviation
     wp.atomic_add(gradient_out, node[i], float(deviation * slope / sd[i]))

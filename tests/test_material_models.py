@@ -130,7 +130,10 @@ REFUSED = [
     ({"model": "facet"}, "needs sigma0"),
     ({"sigma0": "lawn.csv"}, 'model = "facet" alone'),
     ({"model": "dubois"}, "HH and VV alone"),
-    ({"model": "facet", "sigma0": "lawn.csv", "layout": "vertex"}, "layout"),
+    ({"model": "facet", "sigma0": "lawn.csv", "level": "bright"}, 'a name needs layout = "texture"'),
+    ({"model": "facet", "sigma0": "lawn.csv", "level": "bright", "layout": "vertex"}, "vertex scalar of the mesh"),
+    ({"model": "facet", "sigma0": "lawn.csv", "level": 0.0}, "level: .*a number above 0 to 1e\\+06"),
+    ({"model": "facet", "sigma0": "lawn.csv", "tolerance": {"level": 0.1}, "learn": []}, "tolerance.*level"),
     ({"model": "facet", "sigma0": "lawn.csv", "learn": ["eps_r"]}, "does not depend on it"),
     ({"learn": ["level"]}, "level"),
 ]
@@ -303,3 +306,58 @@ def test_a_tables_sigma0_has_the_derivatives_of_differences_to_its_values(table:
         expected = (sigma(base + moved)[0].sum() - sigma(base - moved)[0].sum()) / 0.1
         assert found[row, Polarization.VV] == pytest.approx(expected, rel=2e-3, abs=1e-6)
     assert not found[:, Polarization.HH].any()
+
+
+def bright_lawn(table: Path, given: dict[str, Any]) -> Scene:
+    """Level ground seen from north, so that columns go along x; its vertices have the scalar `bright`, exp(0.1 x)."""
+    mesh = mesh_of(lawn=ground(24.0, 6))
+    mesh = replace(mesh, vertex_scalars={"bright": np.exp(0.1 * mesh.vertices[:, 0])})
+    seen = [view(0, incidence, name=f"v{incidence}") for incidence in (35, 50)]
+    material = {"model": "facet", "sigma0": table, **given}
+    return scene_of(mesh, seen, shape=(20, 22), spacing_m=(0.7, 0.6), materials={"lawn": material})
+
+
+@pytest.mark.parametrize("layout", ["vertex", "texture"])
+def test_a_models_own_value_may_be_a_map(layout: str, table: Path) -> None:
+    """Its logarithm is linear in x, and a pixel has the mean of exp(0.1 x) over its width of 0.6 m."""
+    flat = bright_lawn(table, {})
+    x = flat.mesh.vertices[:, 0]
+    flat = replace(flat, mesh=replace(flat.mesh, uv=np.stack([(x + 14.0) / 28.0, np.full(len(x), 0.5)], axis=1)))
+    texels = np.tile(np.exp(0.1 * np.linspace(-12.0, 12.0, 7)), (2, 1))  # their centres stand at the vertices
+    material = Material(model="facet", sigma0=table, layout=layout, level="bright" if layout == "vertex" else texels)
+    scene = replace(flat, materials={"lawn": material})
+    plain, found = (renderer(one, device="cpu")()["v35"]["HH"][10] for one in (flat, scene))
+    centre = (np.arange(22) - 10.5) * 0.6
+    expected = np.exp(0.1 * centre) * np.sinh(0.03) / 0.03
+    # float32, and the sampling noise of where in the pixel the rays lie
+    assert found / plain == pytest.approx(expected, rel=1e-3)
+
+
+def test_a_fit_finds_the_map_of_a_models_own_value(table: Path) -> None:
+    truth = bright_lawn(table, {"layout": "vertex", "level": "bright"})
+    images = {one.name: one.beta0 for one in simulate(truth, device="cpu")}
+    seen = [one.model_copy(update={"images": images[one.name], "looks": 100.0}) for one in truth.views]
+    flat = replace(truth.mesh, vertex_scalars={"bright": np.ones(len(truth.mesh.vertices))})
+    material = truth.materials["lawn"].model_copy(update={"learn": ("level",)})
+    found = learn(replace(truth, mesh=flat, views=seen, materials={"lawn": material}), device="cpu").scene
+    inside = np.abs(truth.mesh.vertices[:, :2]).max(axis=1) < 5.0  # what the image holds
+    assert inside.sum() == 9
+    level = found.field("lawn", "level")
+    assert level[inside] == pytest.approx(truth.mesh.vertex_scalars["bright"][inside], rel=0.01)
+
+
+def test_a_models_own_value_may_be_known(table: Path) -> None:
+    """Far better known than the images tell, it stays; and its prior is a parabola of the value."""
+    truth = lawn({"model": "facet", "sigma0": table, "level": 2.0}, ("HH",))
+    images = {one.name: one.beta0 for one in simulate(truth, device="cpu")}
+    seen = [one.model_copy(update={"images": images[one.name], "looks": 1.0}) for one in truth.views]
+
+    def known(sd: float) -> Scene:
+        tolerance = {"level": {"about": 1.5, "sd": sd}}
+        material = Material(model="facet", sigma0=table, level=1.6, learn=("level",), tolerance=tolerance)
+        return replace(truth, views=seen, materials={"lawn": material})
+
+    problem = FitProblem(known(0.5), wp.get_device("cpu"))
+    assert problem.prior.value(problem.x0) == pytest.approx(0.5 * (0.1 / 0.5) ** 2, rel=1e-9)
+    assert learn(known(1e-4), device="cpu").scene.materials["lawn"].level == pytest.approx(1.5, abs=3e-4)
+    assert learn(known(10.0), device="cpu").scene.materials["lawn"].level == pytest.approx(2.0, rel=5e-3)

@@ -15,6 +15,8 @@ from test_held_effects import BLUR, declaring
 from test_learn import field_scene, save_scene, with_material
 
 from warpsar.errors import InputError
+from warpsar.kernels.codes import Scale
+from warpsar.kernels.prior import prior_kernel
 from warpsar.learning import command as learning
 from warpsar.learning.adam import Adam, GraphAdam
 from warpsar.learning.identify import identify, of_information
@@ -29,6 +31,7 @@ from warpsar.runtime.distributed import processes
 from warpsar.runtime.distributed.processes import Ranks
 from warpsar.scene.file import parse
 from warpsar.scene.scene import Scene
+from warpsar.world.transform import Transform
 
 OPTIONS = LearnOptions(starts=1, iterations=15)
 KNOWN_BLUR = {**BLUR, "tolerance": {"range_fwhm_m": 0.05, "azimuth_fwhm_m": "5 %"}}
@@ -267,6 +270,20 @@ def test_on_the_device_it_is_the_same(blurred: Scene) -> None:
         # the nodes are float32
         assert value == pytest.approx(problem.prior.value(x) * first, rel=1e-5)
         assert gradient == pytest.approx(expected * first, rel=1e-5)
+
+
+@pytest.mark.parametrize("scale", ["linear", "log", "contrast", "logit"])
+def test_on_the_device_it_is_that_of_every_coordinate(scale: Any) -> None:
+    transform, x = Transform(scale), 0.3
+    nodes: wp.array = wp.array([x], dtype=float, device="cpu")
+    gradient, loss = wp.zeros(1, dtype=float, device="cpu"), wp.zeros(1, dtype=wp.float64, device="cpu")
+    known = [wp.array([value], dtype=kind, device="cpu") for value, kind in ((0, int), (Scale[scale.upper()], int))]
+    known += [wp.array([value], dtype=wp.float64, device="cpu") for value in (0.2, 0.05)]
+    wp.launch(prior_kernel, 1, inputs=[*known, nodes], outputs=[gradient, loss], device="cpu")
+    deviation = (transform.from_coordinate(x) - 0.2) / 0.05
+    # the node is float32
+    assert float(loss.numpy()[0]) == pytest.approx(0.5 * deviation**2, rel=1e-6)
+    assert float(gradient.numpy()[0]) == pytest.approx(deviation * transform.slope(x) / 0.05, rel=1e-6)
 
 
 @pytest.mark.parametrize("loss", ["gamma", "log", "mse"])

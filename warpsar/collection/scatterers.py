@@ -18,6 +18,7 @@ from warpsar.collection.places import TubeTally
 from warpsar.collection.plan import Plan
 from warpsar.errors import InputError
 from warpsar.world.frame import SPEED_OF_LIGHT
+from warpsar.world.tables import SURFACE_KEYS
 from warpsar.world.world import World
 
 F64 = NDArray[np.float64]
@@ -62,7 +63,7 @@ class Scatterers:
 def refuse_materials(world: World) -> None:
     """Raise InputError for materials that are no numbers."""
     for name, material in world.materials.items():
-        for key in ("eps_r", "rms_height_m", "correlation_length_m", "specular_fraction"):
+        for key in SURFACE_KEYS:
             if not isinstance(getattr(material, key), float | int | tuple | None):
                 raise InputError(
                     f"{world.name}: materials.{name}.{key}: found a field; must be a number for a product with phase"

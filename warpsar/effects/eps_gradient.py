@@ -47,7 +47,9 @@ class EpsGradient(Effect):
         steps = tuple(ScoreStep(name, size, {name: size}, {name: -size}) for name in names)
         return [Trial(steps, (dict.fromkeys(names, 0.0),))]
 
-    def coordinates(self, render: Recorder, p: wp.array, zeta: wp.array, points: wp.array) -> wp.array:
+    def coordinates(self, render: Recorder, p: wp.array, zeta: wp.array, points: wp.array, page: int) -> wp.array:
+        if page:  # the permittivity is the first coordinate
+            return zeta
         result = render.program.array(zeta.shape[0], wp.vec4)
         render.program.launch(kernels.slope_kernel, zeta.shape[0], [p, points, zeta], [result])
         return result

@@ -17,9 +17,9 @@ import warp as wp
 
 from warpsar.errors import InputError
 from warpsar.kernels import prior as kernels
+from warpsar.kernels.codes import Scale
 from warpsar.learning.coordinates import DeviceX, SceneCoordinates
 from warpsar.learning.geometry import Geometry
-from warpsar.surface.surface import KEYS
 
 
 @dataclass(frozen=True)
@@ -134,11 +134,12 @@ class DevicePrior:
         def put(values: list[Any], dtype: type) -> wp.array:
             return wp.array(np.array(values), dtype=dtype, device=device)
 
+        scales = {at: parameter.transform.kind for at, parameter in coordinates.numbers()}
         self.device, self.count = device, len(mine)
         self.loss: wp.array = wp.zeros(self.count, dtype=wp.float64, device=device)
         self._known = [
             put([int(coordinates.learned[one.at]) for one in mine], int),
-            put([KEYS.index(one.label.rsplit(".", 1)[1]) for one in mine], int),
+            put([Scale[scales[one.at].upper()] for one in mine], int),
             put([one.about for one in mine], wp.float64),
             put([one.sd for one in mine], wp.float64),
         ]

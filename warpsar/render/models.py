@@ -129,7 +129,7 @@ def ways_of(asked: ShadeRequest, model: str, mine: wp.array) -> list[Way]:
         return [Way(kernel, keeping, _inputs(asked, mine))]
     whole, slopes, also = _joined(asked, mine, places_of(model))
     inputs = _inputs(replace(asked, zeta=whole), mine)
-    return [Way(kernel, keeping, inputs, also, in_lanes=False, slopes=slopes, coordinates=whole.dtype)]
+    return [Way(kernel, keeping, inputs, also, slopes=slopes, coordinates=whole.dtype)]
 
 
 def _joined(

@@ -100,10 +100,10 @@ class ViewRender:
         self._effects = effects
         at = self._at
         shaded = self.shaded
-        zeta = self.coordinates(shaded.face, shaded.barycentric, shaded.point)
+        pages = range(len(stage.node_maps))
+        places = shaded.face, shaded.barycentric, shaded.point
+        zeta, *self.more = (self.coordinates(*places, page) for page in pages)
         self.zeta = zeta
-        pages = range(1, len(stage.node_maps))
-        self._more = [self._gather(shaded.face, shaded.barycentric, page) for page in pages]
         for name in polarizations:
             code = Polarization[name]
             self._deposits = self.deposited[name] = []
@@ -180,17 +180,17 @@ class ViewRender:
     def _at(self, stage: str) -> list[tuple[Effect, wp.array]]:
         return [(e.effect, self.effect_values[e.effect.name]) for e in self._effects if e.effect.stage == stage]
 
-    def coordinates(self, face: wp.array, barycentric: wp.array, points: wp.array) -> wp.array:
+    def coordinates(self, face: wp.array, barycentric: wp.array, points: wp.array, page: int = 0) -> wp.array:
         """Record the learned coordinates (vec4, shape (n,)) at places on the mesh, with the effects that act on them.
 
         `face` is int, `barycentric` vec2, and `points` vec3 [m] about the reference point, all of shape (n,).
         """
-        zeta = self._gather(face, barycentric)
+        zeta = self._gather(face, barycentric, page)
         for effect, p in self._at("surface"):
-            zeta = effect.coordinates(self, p, zeta, points)
+            zeta = effect.coordinates(self, p, zeta, points, page)
         return zeta
 
-    def _gather(self, face: wp.array, barycentric: wp.array, page: int = 0) -> wp.array:
+    def _gather(self, face: wp.array, barycentric: wp.array, page: int) -> wp.array:
         stage, nodes = self.stage, self.nodes
         n = face.shape[0]
         gathered = self.program.array(n, wp.vec4)
@@ -303,7 +303,7 @@ class ViewRender:
         spectra = stage.spectrum if spectrum is None else spectrum
         mesh = any(gathered.zeta is zeta for gathered in self.gathered)
         channel = Polarization(polarization)
-        asked = models.ShadeRequest(self.program, stage, hits, wavenumber, channel, spectra, zeta, mesh, self._more)
+        asked = models.ShadeRequest(self.program, stage, hits, wavenumber, channel, spectra, zeta, mesh, self.more)
         models.record(asked, sigma)
         return models.with_term(self.program, stage, hits, wavenumber, polarization, zeta, sigma)
 

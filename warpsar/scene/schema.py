@@ -16,6 +16,7 @@ from warpsar.models.base.model import SurfaceParameter
 from warpsar.models.base.parameters import OF_SURFACES
 from warpsar.models.registry import get as get_model
 from warpsar.models.registry import names as model_names
+from warpsar.models.registry import own_parameters
 from warpsar.scene.file import SceneFile
 from warpsar.world import tolerance
 from warpsar.world.library.surfaces import SURFACES
@@ -78,7 +79,7 @@ def scene_schema() -> _Json:
     made = SceneFile.model_json_schema(by_alias=True, schema_generator=_Generator)
     scene = _plain(made, made.pop("$defs"))
     tables = scene["properties"]
-    for one in OF_SURFACES:
+    for one in (*OF_SURFACES, *own_parameters().values()):
         tables["materials"]["additionalProperties"]["properties"][one.key].update(_surface(one))
     known = tables["materials"]["additionalProperties"]["properties"]["tolerance"]
     known.update(additionalProperties=_tolerance({"type": "number"}), propertyNames={"enum": list(SURFACE_KEYS)})

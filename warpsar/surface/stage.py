@@ -109,7 +109,6 @@ def _scatter_kernels(surface: Surface, polarizations: Sequence[str], device: wp.
             for slopes in (False, True)
             for channel in channels
         ]
-        if places > PAGE:
-            own += page_kernels(places)
-        found += [at_once(kernel) for kernel in own] if device.is_cpu and places == PAGE else own
+        found += map(at_once, own) if device.is_cpu else own
+        found += page_kernels(places) if places > PAGE else ()
     return found

@@ -41,7 +41,7 @@ class Kind:
     low_limit: float
     high_limit: float
     own: bool
-    """Whether one model alone has it: then it is one number for each material."""
+    """Whether it is a model's own, and not of all surfaces"""
 
     def to_coordinate(self, value: ArrayLike) -> np.ndarray:
         """The learned coordinate of a value, of its shape."""

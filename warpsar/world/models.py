@@ -46,8 +46,6 @@ def refusals(material: Any, stated: set[str]) -> list[str]:
         found.append(f'found spectrum = "{material.spectrum}" and {named}; allowed are {_quoted("", model.spectra)}')
     if (material.conductor or material.thickness_m is not None) and not model.coherent_only:
         found.append(f"found conductor or thickness_m and {named}; {default}")
-    if model.from_table and material.layout != "uniform":
-        found.append(f'found layout = "{material.layout}" and {named}; allowed is "uniform"')
     return found
 
 

@@ -21,7 +21,7 @@ from pydantic import (
 from warpsar.errors import InputError, listed
 from warpsar.io.images import LARGEST_IMAGE
 from warpsar.models import registry
-from warpsar.models.base.model import DEFAULT, SurfaceParameter
+from warpsar.models.base.model import DEFAULT
 from warpsar.models.base.parameters import OF_SURFACES
 from warpsar.world import models, pixels
 from warpsar.world.problems import keys_of, problem
@@ -32,12 +32,13 @@ DEFAULT_RAYS_PER_PIXEL = 64.0
 
 Polarization = Literal["HH", "HV", "VH", "VV"]
 Term = Literal["single", "edges", "multibounce", "rough"]
-SurfaceKey = Literal["eps_r", "rms_height_m", "correlation_length_m", "specular_fraction"]
 ViewKey = Literal["azimuth_deg", "incidence_deg"]
 SpacingKey = Literal["range_spacing_m", "azimuth_spacing_m"]
-SURFACE_KEYS: tuple[SurfaceKey, ...] = ("eps_r", "rms_height_m", "correlation_length_m", "specular_fraction")
 
-_OF_SURFACES = {one.key: one for one in OF_SURFACES}
+_OWN = registry.own_parameters()
+_VALUES = {one.key: one for one in OF_SURFACES} | _OWN
+SURFACE_KEYS = tuple(_VALUES)
+"""The values of a material that may be maps, and that a fit may learn: those of surfaces, and models' own."""
 
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 _Whole = Annotated[int, Field(strict=True)]
@@ -58,10 +59,12 @@ def _file_name(value: object) -> object:
 # Names that stand in a folder: to a type checker any text.
 if TYPE_CHECKING:
     ModelName: TypeAlias = str
+    SurfaceKey: TypeAlias = str
     LearnedKey: TypeAlias = str
 else:
     ModelName = Literal[registry.names()]
-    LearnedKey = Literal[(*SURFACE_KEYS, *registry.own_parameters(), models.TERM, models.TABLE)]
+    SurfaceKey = Literal[SURFACE_KEYS]
+    LearnedKey = Literal[(*SURFACE_KEYS, models.TERM, models.TABLE)]
 
 FileName = Annotated[Path, BeforeValidator(_file_name)]
 
@@ -282,41 +285,40 @@ class _OfModel(Table):
         description="JSON of a learned term: sigma0 is the model's times the exponential of it.",
         examples=["soil.json"],
     )
-
-
-def _number_of(one: SurfaceParameter) -> Any:
-    """The field of a number that a model has of its own."""
-    least = {"ge" if one.from_low else "gt": one.limits[0]}
-    kind = Annotated[Number, Field(**least, le=one.limits[1])]
-    return kind, Field(default=one.default, description=one.description, examples=[one.example])
-
-
-# The keys that models have of their own: to a type checker any name.
-if TYPE_CHECKING:
-
-    class _WithNumbers(_OfModel):
-        def __getattr__(self, key: str) -> float: ...
-else:
-    _WithNumbers = create_model(
-        "_WithNumbers",
-        __base__=_OfModel,
-        **{key: _number_of(one) for key, one in registry.own_parameters().items()},
-    )
-
-
-class Material(_WithNumbers):
-    """`[materials.NAME]`: relative permittivity, roughness and specular fraction of a surface.
-
-    Each of the four values is a number, or a name: that of an image (`layout = "texture"`; an absolute path in memory)
-    or of a scalar of the mesh's vertices (`layout = "vertex"`). In memory a texture may be an array of shape (rows,
-    cols), row 0 at v = 1, which becomes `Pixels`. A backscatter model may have numbers of its own, each under its key.
-    """
-
     layout: Literal["uniform", "vertex", "texture"] = Field(
         default="uniform",
         description="What a name among the values stands for: a scalar of the vertices, or an image.",
         examples=["texture"],
     )
+
+
+# The keys that models have of their own: to a type checker any name.
+if TYPE_CHECKING:
+
+    class _WithOwn(_OfModel):
+        def __getattr__(self, key: str) -> float | str | Texture: ...
+else:
+    _WithOwn = create_model(
+        "_WithOwn",
+        __base__=_OfModel,
+        **{
+            key: (
+                float | str | Texture,
+                Field(default=one.default, description=one.description, examples=[one.example]),
+            )
+            for key, one in _OWN.items()
+        },
+    )
+
+
+class Material(_WithOwn):
+    """`[materials.NAME]`: relative permittivity, roughness and specular fraction of a surface.
+
+    Each of the four values is a number, or a name: that of an image (`layout = "texture"`; an absolute path in memory)
+    or of a scalar of the mesh's vertices (`layout = "vertex"`). In memory a texture may be an array of shape (rows,
+    cols), row 0 at v = 1, which becomes `Pixels`. A backscatter model may have more values, each under its key.
+    """
+
     spectrum: Literal["gaussian", "exponential", "separable"] = Field(
         default="gaussian",
         description="Spectrum of the roughness; separable takes two correlation lengths.",
@@ -386,7 +388,7 @@ class Material(_WithNumbers):
         pair = value if isinstance(value, list | tuple) and len(value) == 2 else ()
         pair = pair if all(map(_is_number, pair)) else ()
         if key == "eps_r":
-            if pair and within(key, pair[0]) and -_OF_SURFACES[key].limits[1] <= pair[1] <= 0:
+            if pair and within(key, pair[0]) and -_VALUES[key].limits[1] <= pair[1] <= 0:
                 return float(pair[0]), float(pair[1])
             allowed += ", or [eps', -eps''] with the second not above 0"
         elif key == "correlation_length_m":
@@ -472,13 +474,13 @@ def _texture(key: str, value: Any, layout: Any) -> pixels.Pixels:
 
 def within(key: str, value: Any) -> Any:
     """Whether a number may be the surface value `key`; of an array an array of answers."""
-    one = _OF_SURFACES[key]
+    one = _VALUES[key]
     return ((value >= one.limits[0]) if one.from_low else (value > one.limits[0])) & (value <= one.limits[1])
 
 
 def allowed_values(key: str) -> str:
     """What the surface value `key` may be, in words."""
-    one = _OF_SURFACES[key]
+    one = _VALUES[key]
     allowed = f"a number {'from' if one.from_low else 'above'} {one.limits[0]:g} to {one.limits[1]:g}"
     if key == "rms_height_m":
         allowed += ", or 0 (smooth: coherent products alone)"

@@ -150,11 +150,13 @@ class Effect:
         what = "is discrete and cannot be learned" if discrete else "is no parameter"
         raise InputError(f"effects.{self.name}.{name}: {what}; allowed are {known}")
 
-    def coordinates(self, render: Recorder, p: wp.array, zeta: wp.array, points: wp.array) -> wp.array:
+    def coordinates(self, render: Recorder, p: wp.array, zeta: wp.array, points: wp.array, page: int) -> wp.array:
         """Surface effects: change the learned coordinates `zeta` (vec4, kernels/shade.py) at `points`.
 
-        `points` are vec3 [m] about the reference point. All arrays have one shape, (n,). Here, in `scattering` and in
-        `gain` an element of the result depends on the same element of `zeta` or `sigma` alone: Jacobians rely on it.
+        These are the coordinates from number 4 * `page` on: models with more than four have several vectors, and an
+        effect is asked for each. `points` are vec3 [m] about the reference point. All arrays have one shape, (n,).
+        Here, in `scattering` and in `gain` an element of the result depends on the same element of `zeta` or `sigma`
+        alone: Jacobians rely on it.
         """
         return zeta
 

@@ -23,6 +23,7 @@ class Recorder(Protocol):
     | `geometry` | the view's axes and slant range |
     | `hits` | where power falls |
     | `shaded` | what is shaded: one sample per face and pixel |
+    | `more` | the learned coordinates of `shaded` beyond the first four (vec4 each), of models that have them |
     | `shape`, `spacing_m` | (rows, cols) and (range, azimuth) of the image |
     | `settings[name]` | the settings of the effect `name` in this view |
     | `layers` | by name, shares of the beta0 that an effect keeps apart, shape (rows * cols,) |
@@ -34,6 +35,7 @@ class Recorder(Protocol):
     geometry: ViewGeometry
     hits: Hits
     shaded: Hits
+    more: list[wp.array]
     shape: tuple[int, int]
     spacing_m: tuple[float, float]
     settings: dict[str, Mapping[str, Any]]

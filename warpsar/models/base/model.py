@@ -15,7 +15,7 @@ class SurfaceParameter:
     """A number that sigma0 depends on, and that a fit may learn (SI).
 
     Those of base/parameters.py are of surfaces. Another one is a model's own: `Material`, the schema of scene.toml and
-    the reference have its key from here. It is one number for each material.
+    the reference have its key from here. As those it may be a map, and known to a tolerance.
     """
 
     key: str
