@@ -22,16 +22,15 @@ from PIL import Image
 
 from warpsar.evaluation.meshview import look
 from warpsar.io.figures import new
+from warpsar.io.grey_scale import GreyScale
 from warpsar.io.images import read_channel
-from warpsar.io.quick_look import DEEPEST_DB, QuickLook, limits_db, shades
+from warpsar.io.quick_look import QuickLook, key_of, shades
 from warpsar.runtime.devices import resolve_device
 from warpsar.scene.scene import Scene
 from warpsar.simulation.command import run
 from warpsar.surface.stage import Stage
 
 LOOKS = 4.0
-ABOVE_DB = 5.0
-"""White above the 99.5th percentile, so that ground is grey and bodies stand out."""
 COLOURS = {
     "asphalt": (0.30, 0.30, 0.33),
     "concrete": (0.72, 0.71, 0.68),
@@ -126,21 +125,19 @@ def draw(scene: Scene, shot: Shot, folder: Path, path: Path) -> None:
     """Mesh and image side by side, as WebP."""
     power = read_channel(folder / "view_looks4.exr", "HH")
     image = QuickLook.of(path, "", {"HH": power}, scene.grid.spacing_m)
-    white = limits_db(shades([image]))[1] + ABOVE_DB
+    scale = GreyScale.of_counts(shades([image]))
     deep, wide = image.size_m
     figure, (left, right) = new(10.5, 0.9 + 4.6 * deep / wide, ncols=2, width_ratios=[1.0, 1.15])
     left.imshow(mesh_picture(scene, shot))
     left.set_axis_off()
     left.set_title("the mesh, radar above", fontsize=9)
-    with np.errstate(divide="ignore"):
-        decibel = 10.0 * np.log10(image.power["HH"])
     extent = (-wide / 2.0, wide / 2.0, deep / 2.0, -deep / 2.0)
-    shown = right.imshow(decibel, "gray", vmin=white - DEEPEST_DB, vmax=white, extent=extent)
+    right.imshow(image.rgb("HH", scale), extent=extent, interpolation="nearest")
     right.set_title(f"HH at 9.6 GHz, incidence {shot.incidence_deg:g}°, {LOOKS:g} looks", fontsize=9)
     right.set_xlabel("azimuth [m]", fontsize=8)
     right.set_ylabel("slant range [m], radar above", fontsize=8)
     right.tick_params(labelsize=7)
-    bar = figure.colorbar(shown, ax=right, shrink=0.9, extend="both")
+    bar = figure.colorbar(key_of(scale), ax=right, shrink=0.9, ticks=scale.ticks_db)
     bar.set_label("beta0 [dB]", fontsize=8)
     bar.ax.tick_params(labelsize=7)
     stream = BytesIO()

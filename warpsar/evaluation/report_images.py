@@ -9,7 +9,7 @@ import numpy as np
 from warpsar.compare.comparison import Comparison, ratio_db
 from warpsar.compare.evaluation import Evaluation
 from warpsar.evaluation.report_numbers import METRICS, metric_cells
-from warpsar.evaluation.report_parts import image_axes, plus_minus, reach_db, residual_rgb, residual_scale
+from warpsar.evaluation.report_parts import beta0_rgb, image_axes, plus_minus, reach_db, residual_rgb, residual_scale
 from warpsar.io import html as report
 from warpsar.io import html_image
 from warpsar.scene.scene import Scene
@@ -54,7 +54,7 @@ def images_section(scene: Scene, found: Evaluation, before: Evaluation | None) -
     blocks = [
         report.paragraph(
             "The radar is at the top. Range and azimuth are about the reference point. Click on a picture to "
-            "enlarge it. Measured and simulated share one dB scale in each row. Residual: measured over simulated, on "
+            "enlarge it. Measured and simulated share one scale in each row. Residual: measured over simulated, on "
             "the pixels that are compared; grey elsewhere."
             + (f" Shown averaged over {factor} x {factor} pixels." if factor > 1 else "")
         ),
@@ -64,13 +64,8 @@ def images_section(scene: Scene, found: Evaluation, before: Evaluation | None) -
         everywhere = np.isfinite(image.measured)
         measured, simulated = (reduced(p, everywhere, factor) for p in (image.measured, image.simulated))
         inner = [reduced(p, image.interior, factor) for p in (image.measured, image.simulated)]
-        shown = np.concatenate([10.0 * np.log10(p[image.interior]) for p in (image.measured, image.simulated)])
-        low, high = (int(f(np.percentile(shown, q))) for f, q in ((np.floor, 1.0), (np.ceil, 99.7)))
-        panels = []
-        for name, power in (("measured", measured), ("simulated", simulated)):
-            with np.errstate(divide="ignore", invalid="ignore"):
-                db = np.where(np.isnan(power), np.nan, 10.0 * np.log10(np.maximum(power, 1e-30)))
-            panels.append((name, report.png(report.colour(db, "gray", low, high))))
+        greys, key = beta0_rgb([measured, simulated])
+        panels = [(name, report.png(rgb)) for name, rgb in zip(("measured", "simulated"), greys, strict=True)]
         if first is not None:
             planes = [reduced(p, first.interior, factor) for p in (first.measured, first.simulated)]
             panels.append(("residual before", report.png(residual_rgb(ratio_db(*planes), reach))))
@@ -93,7 +88,6 @@ def images_section(scene: Scene, found: Evaluation, before: Evaluation | None) -
         ]
         if not scene.grid.calibrated:
             said.append(("fitted gain", f"{10.0 * np.log10(image.gain):.2f} dB"))
-        key = report.scale("gray", [f"{low}", f"{high} dB"], "beta0")
         pictures = [html_image.image(data, name, down, along) for name, data in panels]
         blocks.append(report.row(*pictures, report.cell(key, report.facts(said)), across=len(pictures) + 1))
     table = [[f"{i.view.name} {i.polarization}", i.view.role, *metric_cells(i.metrics)] for i in found.images]

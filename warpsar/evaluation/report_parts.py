@@ -8,6 +8,7 @@ import numpy as np
 
 from warpsar.evaluation.meshview import MeshView, look
 from warpsar.io import html as report
+from warpsar.io.grey_scale import GreyScale, in_decibel
 from warpsar.io.html_image import ImageAxis
 from warpsar.scene.scene import Scene
 from warpsar.surface.stage import Stage
@@ -55,14 +56,11 @@ def residual_scale(reach: float, label: str, unit: str = " dB") -> str:
 
 
 def beta0_rgb(powers: Sequence[np.ndarray]) -> tuple[list[np.ndarray], str]:
-    """Greys of images of beta0, linear power, on one scale in dB, shape (*power.shape, 3), and the key of the scale."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        images = [np.where(np.isnan(one), np.nan, 10.0 * np.log10(np.maximum(one, 1e-30))) for one in powers]
-    shown = np.concatenate([one[np.isfinite(one) & (one > -290.0)] for one in images])
-    low, high = (int(f(np.percentile(shown, q))) for f, q in ((np.floor, 1.0), (np.ceil, 99.7)))
-    return [report.colour(one, "gray", low, high) for one in images], report.scale(
-        "gray", [f"{low}", f"{high} dB"], "beta0"
-    )
+    """Greys of images of beta0, linear power, on one scale, shape (*power.shape, 3), and the key of the scale."""
+    scale = GreyScale.of(powers)
+    images = [report.colour(scale.grey(in_decibel(one)), "gray", 0.0, 1.0) for one in powers]
+    marks = [f"{at:.0f}".replace("-", "−") for at in scale.decibel(np.linspace(0.0, 1.0, 5))]
+    return images, report.scale("gray", [*marks[:-1], f"{marks[-1]} dB"], "beta0")
 
 
 def both_sides(stage: Stage, incidence_deg: float) -> list[tuple[float, MeshView]]:

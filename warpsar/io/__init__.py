@@ -2,7 +2,8 @@
 
 images: TIFF, EXR, NPY and PNG. curves: radar cross-sections as text. tiff, geotiff: checks and opening of TIFF
 files. ply: meshes with scalars. checkpoint: a run's state. figures: PNGs through matplotlib.
-quick_look: images in dB, with axes. html, html_image: the parts of a report. assets: its style and script.
+grey_scale: how powers become greys. quick_look: images in dB, with axes.
+html, html_image: the parts of a report. assets: its style and script.
 complex_image: complex images in NPZ.
 """
 

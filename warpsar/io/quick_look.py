@@ -1,4 +1,8 @@
-"""Quick looks: an image of every polarization in dB, with axes in metres and a bar, all pictures on one scale."""
+"""Quick looks: an image of every polarization in dB, with axes in metres and a bar, all pictures on one scale.
+
+Black is no power: shadow, or what reflects away. What no surface fills is dark blue: the mesh ends there. What was not
+measured is bright blue.
+"""
 
 from __future__ import annotations
 
@@ -12,37 +16,56 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from warpsar.io import figures
+from warpsar.io.grey_scale import EDGES_DB, GreyScale, count, in_decibel
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.image import AxesImage
+    from matplotlib.cm import ScalarMappable
 
-LARGEST = 1000
-"""Pixels along a side of a picture: larger images are averaged in power over blocks."""
-DEEPEST_DB = 45.0
-"""The most that one scale spans."""
+LARGEST = 960
+"""Pixels along a side of a picture: larger images are averaged in power over blocks, so no strong point is left out."""
 MOST_ON_A_SHEET = 64
-_EDGES_DB = np.arange(-160.0, 100.25, 0.25)
-_PANEL, _ROOM = 4.4, (1.5, 1.1)  # inches: the longer side of an image; room for words, across and down
+_PANEL, _ROOM = 4.4, (1.5, 1.1)  # inches: the longer side of an image, at least; room for words, across and down
+_PER_INCH = 100.0  # pixels of an image: fewer than a figure has (`figures.save`)
+WITHOUT_MESH, WITHOUT_POWER = np.array([0.75, 0.85, 1.0]), np.array([0.05, 0.12, 0.27])
+"""Where there is no mesh: what a grey is multiplied by, and what black becomes."""
 
 
 @dataclass(frozen=True)
 class QuickLook:
     """A picture to be drawn at `path`: `power` of every polarization, linear, (rows, cols), of `size_m` in range and
-    azimuth about the reference point. It is small, so many may wait for their common scale."""
+    azimuth about the reference point. `covered`: where a surface lies, lit or hidden, (rows, cols); None where nobody
+    says. It is small, so many may wait for their common scale."""
 
     path: Path
     title: str
     power: dict[str, NDArray[np.float32]]
     size_m: tuple[float, float]
+    covered: NDArray[np.bool_] | None = None
 
     @classmethod
-    def of(cls, path: Path, title: str, beta0: Mapping[str, ArrayLike], spacing_m: tuple[float, float]) -> QuickLook:
+    def of(
+        cls,
+        path: Path,
+        title: str,
+        beta0: Mapping[str, ArrayLike],
+        spacing_m: tuple[float, float],
+        covered: NDArray[np.bool_] | None = None,
+    ) -> QuickLook:
         """`beta0`: linear power by polarization, shape (rows, cols), near range in row 0; NaN where there is none."""
         arrays = {name: np.asarray(image, np.float32) for name, image in beta0.items()}
         rows, cols = next(iter(arrays.values())).shape
         size = (rows * spacing_m[0], cols * spacing_m[1])
-        return cls(path, title, {name: reduced(image, LARGEST) for name, image in arrays.items()}, size)
+        if covered is not None:
+            covered = reduced(covered.astype(np.float32), LARGEST) > 0.5
+        return cls(path, title, {name: reduced(image, LARGEST) for name, image in arrays.items()}, size, covered)
+
+    def rgb(self, polarization: str, scale: GreyScale) -> NDArray[np.float64]:
+        """Colours, 0 to 1, shape (rows, cols, 3); NaN where nothing was measured."""
+        grey = scale.grey(in_decibel(self.power[polarization]))[..., None] * np.ones(3)
+        if self.covered is None:
+            return grey
+        return np.where(self.covered[..., None], grey, WITHOUT_POWER + grey * (WITHOUT_MESH - WITHOUT_POWER))
 
 
 def reduced(power: NDArray[np.float32], largest: int) -> NDArray[np.float32]:
@@ -62,81 +85,73 @@ def reduced(power: NDArray[np.float32], largest: int) -> NDArray[np.float32]:
 
 
 def shades(looks: Iterable[QuickLook]) -> NDArray[np.int64]:
-    """How many pixels have which dB: counts that add up over pictures and over processes."""
-    counts = np.zeros(_EDGES_DB.size - 1, np.int64)
+    """How many pixels on a surface have which dB: counts that add up over pictures and over processes."""
+    counts = np.zeros(EDGES_DB.size - 1, np.int64)
     for look in looks:
         for power in look.power.values():
-            positive = power[np.isfinite(power) & (power > 0)]
-            counts += np.histogram(10.0 * np.log10(positive.astype(float)), _EDGES_DB)[0]
+            counts += count(power if look.covered is None else power[look.covered])
     return counts
 
 
-def limits_db(counts: NDArray[np.int64]) -> tuple[float, float]:
-    """Black and white [dB] of all pictures: the 2nd and 99.5th percentile in whole dB, at most `DEEPEST_DB` apart."""
-    total = counts.sum()
-    if not total:
-        return -1.0, 0.0
-    share = np.cumsum(counts) / total
-    low = float(np.floor(_EDGES_DB[np.searchsorted(share, 0.02)]))
-    high = float(np.ceil(_EDGES_DB[np.searchsorted(share, 0.995) + 1]))
-    return max(low, high - DEEPEST_DB), high
-
-
-def draw(look: QuickLook, limits: tuple[float, float]) -> None:
+def draw(look: QuickLook, scale: GreyScale) -> None:
     """Write the PNG: a panel for each polarization; range runs down from the radar, azimuth across."""
     deep, wide = look.size_m
-    inches = _PANEL / max(deep, wide)
+    inches = max(_PANEL, max(next(iter(look.power.values())).shape) / _PER_INCH) / max(deep, wide)
     across, down = max(wide * inches, 1.2), max(deep * inches, 1.2)
     count = len(look.power)
     figure, axes = figures.new(
         count * across + _ROOM[0], down + _ROOM[1], ncols=count, sharex=True, sharey=True, squeeze=False
     )
-    for (name, power), axis in zip(look.power.items(), axes[0], strict=True):
-        shown = _imshow(axis, power, look.size_m, limits)
+    for name, axis in zip(look.power, axes[0], strict=True):
+        _imshow(axis, look, name, scale)
         axis.set_title(name, fontsize=9)
         axis.set_xlabel("azimuth [m]", fontsize=9)
         axis.tick_params(labelsize=8)
     axes[0, 0].set_ylabel("slant range [m], radar above", fontsize=9)
-    bar = figure.colorbar(shown, ax=axes.ravel().tolist(), shrink=0.9, extend="both")
+    bar = figure.colorbar(key_of(scale), ax=axes.ravel().tolist(), shrink=0.9, ticks=scale.ticks_db)
     bar.set_label("beta0 [dB]", fontsize=9)
     bar.ax.tick_params(labelsize=8)
     figure.suptitle(look.title, fontsize=10)
     figures.save(figure, look.path)
 
 
-def _imshow(
-    axis: Axes, power: NDArray[np.float32], size_m: tuple[float, float], limits: tuple[float, float]
-) -> AxesImage:
-    """The image in dB; blue where nothing was measured, which is no shadow."""
-    deep, wide = size_m
-    with np.errstate(invalid="ignore"):
-        decibel = np.where(np.isfinite(power), 10.0 * np.log10(np.maximum(power, 1e-30)), np.nan)
+def key_of(scale: GreyScale) -> ScalarMappable:
+    """What a bar beside pictures is made of."""
+    from matplotlib.cm import ScalarMappable
+
+    return ScalarMappable(scale.norm(), "gray")
+
+
+def _imshow(axis: Axes, look: QuickLook, polarization: str, scale: GreyScale) -> None:
+    deep, wide = look.size_m
+    rgb = look.rgb(polarization, scale)
     axis.set_facecolor("tab:blue")
+    seen = np.isfinite(rgb[..., :1])
     extent = (-wide / 2.0, wide / 2.0, deep / 2.0, -deep / 2.0)
-    return axis.imshow(decibel, "gray", vmin=limits[0], vmax=limits[1], extent=extent, interpolation="nearest")
+    axis.imshow(np.concatenate([np.nan_to_num(rgb), seen], axis=2), extent=extent, interpolation="nearest")
 
 
 def draw_together(looks: list[QuickLook]) -> None:
     """Draw pictures of one command on their common scale."""
-    limits = limits_db(shades(looks))
+    scale = GreyScale.of_counts(shades(looks))
     for look in looks:
-        draw(look, limits)
+        draw(look, scale)
 
 
 def contact_sheet(path: Path, looks: list[QuickLook]) -> None:
     """Write one PNG of many pictures of one polarization, `MOST_ON_A_SHEET` at most, evenly chosen; on one scale."""
     chosen = [looks[i] for i in np.unique(np.linspace(0, len(looks) - 1, MOST_ON_A_SHEET).astype(int))]
-    limits = limits_db(shades(looks))
+    scale = GreyScale.of_counts(shades(looks))
     across = int(np.ceil(np.sqrt(len(chosen))))
     down = -(-len(chosen) // across)
     figure, axes = figures.new(1.3 * across + 1.2, 1.4 * down + 0.5, nrows=down, ncols=across, squeeze=False)
     for axis in axes.flat:
         axis.set_axis_off()
     for look, axis in zip(chosen, axes.flat, strict=False):
-        (power,) = look.power.values()
-        shown = _imshow(axis, power, look.size_m, limits)
+        (polarization,) = look.power
+        _imshow(axis, look, polarization, scale)
         axis.set_title(look.title.partition(":")[0].removesuffix(", measured"), fontsize=6)
-    bar = figure.colorbar(shown, ax=axes.ravel().tolist(), shrink=0.9, extend="both")
+    bar = figure.colorbar(key_of(scale), ax=axes.ravel().tolist(), shrink=0.9, ticks=scale.ticks_db)
     bar.set_label("beta0 [dB]", fontsize=8)
     few = "" if len(chosen) == len(looks) else f"{len(chosen)} of {len(looks)} views, each "
     deep, wide = chosen[0].size_m

@@ -16,7 +16,8 @@ import numpy as np
 from warpsar.effects.base.effect import DeclaredEffect
 from warpsar.effects.registry import declared
 from warpsar.errors import refuse_number
-from warpsar.io.quick_look import draw, draw_blank, limits_db, shades
+from warpsar.io.grey_scale import GreyScale
+from warpsar.io.quick_look import draw, draw_blank, shades
 from warpsar.render.bands import BandedRender, stretches
 from warpsar.render.render import ViewRender
 from warpsar.runtime import console, devices, once
@@ -37,6 +38,7 @@ from warpsar.simulation.speckle import refuse_declaring
 from warpsar.simulation.view import SimulatedView
 from warpsar.surface.stage import Stage
 from warpsar.trace.hits import DEFAULT_MEMORY_GIB, WHOLE, Hits, Strip
+from warpsar.trace.layers import covered
 from warpsar.trace.layers import layers as layers_of
 from warpsar.trace.rays import ray_count
 from warpsar.world.tables import View
@@ -60,12 +62,14 @@ class Simulation:
         variance: bool = False,
         merge: bool = True,
         max_memory_gib: float = DEFAULT_MEMORY_GIB,
+        pictures: bool = False,
         bar: Any = None,
         part: Strip = WHOLE,
     ) -> None:
         self.scene, self.stage, self.bar, self.part = scene, stage, bar, part
         self.seed = scene.seed(seed)
         self.layers, self.variance, self.merge, self.max_memory_gib = layers, variance, merge, max_memory_gib
+        self.pictures = pictures
         self.findings = Findings()
         self.grid = replace(hit_grid(scene), strip=self.part)
         self.density = scene.sampling.density_per_m2(scene.grid)
@@ -94,6 +98,8 @@ class Simulation:
             # half the squared difference of two independent images is each one's variance
             other = self._images(view, view_seed(self.seed + 1, index + len(scene.views)))[2]
             one.sampling_variance = {p: ((beta0[p] - other[p]) ** 2 / 2).astype(np.float32) for p in beta0}
+        if self.pictures:
+            one.covered = covered(stage.target, geometry_of(scene, view), grid)
         if self.layers:
             if hits is None or hits.grid != grid:  # binned for an effect
                 hits = self._trace(view, view_seed(self.seed, index), [])
@@ -117,6 +123,7 @@ class Simulation:
             seed=self.seed,
             layers=self.layers,
             variance=self.variance,
+            pictures=self.pictures,
             merge=self.merge,
             max_memory_gib=self.max_memory_gib,
             part=Strip(
@@ -223,9 +230,9 @@ def _written_views(made: Simulation, output: Output, ranks: Ranks) -> tuple[list
     everything = ranks.gather((summary, made.findings, shades(output.looks_at)))
     entries = sorted(each for part, _, _ in everything for each in part)
     with busy("drawing quick looks"):
-        limits = limits_db(np.sum([counts for _, _, counts in everything], axis=0))
+        scale = GreyScale.of_counts(np.sum([counts for _, _, counts in everything], axis=0))
         for look in output.looks_at:
-            draw(look, limits)
+            draw(look, scale)
     found = Findings.together([findings for _, findings, _ in everything]).warnings(scene)
     console.warn(found)
     return [entry for _, entry in entries], found
@@ -295,6 +302,7 @@ def run(
         seed=seed,
         layers=layers,
         variance=variance,
+        pictures=True,
         merge=not per_ray,
         max_memory_gib=max_memory_gib or DEFAULT_MEMORY_GIB,
     )

@@ -63,7 +63,8 @@ class Output:
         """Keep a quick look of the view for later; the name of its file."""
         facts = view.metadata
         title = f"{name}: azimuth {facts['azimuth_deg']:g}°, incidence {facts['incidence_deg']:g}°"
-        self.looks_at.append(QuickLook.of(self.out / f"{name}.png", title, view.beta0, facts["spacing_m"]))
+        path = self.out / f"{name}.png"
+        self.looks_at.append(QuickLook.of(path, title, view.beta0, facts["spacing_m"], view.covered))
         return f"{name}.png"
 
     def _image(self, view: SimulatedView, name: str, key: str) -> dict[str, str]:

@@ -31,6 +31,7 @@ class SimulatedView:
     and by name the shares of beta0 that effects tell apart (`beta0_2_bounces_HH`), before the image stage.
     `lit_fraction`: share of the pixels that single-bounce light reaches. `metadata`: geometry, axes and calibration, as
     the headers of its files have them. `looks`: of the speckle on `beta0`; None for an image without.
+    `covered`: where a surface lies, lit or hidden (`warpsar.trace.layers.covered`); None where no picture is drawn.
     """
 
     name: str
@@ -44,6 +45,7 @@ class SimulatedView:
     lit_fraction: float = 0.0
     metadata: dict[str, Any] = field(default_factory=dict)
     looks: float | None = None
+    covered: np.ndarray | None = None
 
     def channels(self) -> dict[str, np.ndarray]:
         """What was asked for beyond the images, by name: layers, shares and sampling variances."""

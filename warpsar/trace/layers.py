@@ -6,6 +6,7 @@ from functools import partial
 
 import numpy as np
 import warp as wp
+from scipy.ndimage import binary_closing
 
 from warpsar.kernels import layers as kernels
 from warpsar.runtime import threads
@@ -46,6 +47,20 @@ def layers(target: Target, mesh: Mesh, hits: Hits, rays_per_m2: float) -> dict[s
         "material": best,
     }
     return {name: values.reshape(rows, cols).astype(np.float32) for name, values in found.items()}
+
+
+FEW = 4.0  # rays per pixel that tell where a surface lies, for pictures
+HOLES = 2  # pixels: wider holes between those rays stay
+
+
+def covered(target: Target, geometry: ViewGeometry, grid: BinGrid) -> np.ndarray:
+    """Where a surface lies in an image, lit or hidden, bool of shape (rows, cols).
+
+    For pictures: of few rays, so a border is known to a pixel or two, and ground at grazing angles has holes.
+    """
+    visits, hidden = launch_layers(target, geometry, grid, FEW / grid.pixel_area_m2)
+    found = ((visits > 0) | hidden).reshape(grid.shape)
+    return np.asarray(binary_closing(np.pad(found, HOLES), iterations=HOLES)[HOLES:-HOLES, HOLES:-HOLES])
 
 
 def launch_layers(

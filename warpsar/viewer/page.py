@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from html import escape
 from io import BytesIO
 from pathlib import Path
@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from warpsar.evaluation.report_parts import RESIDUAL_COLOURS, reach_db, shown_as
+from warpsar.io.grey_scale import GREYS, GreyScale
 from warpsar.io.html import data_uri
 from warpsar.viewer.drapes import Drape
 from warpsar.viewer.surface import Drawn
@@ -60,9 +61,18 @@ def _content(states: Sequence[State]) -> dict[str, Any]:
     }
 
 
-def _scales(states: Sequence[State]) -> dict[str, tuple[float, float, str]]:
-    """Ends [dB] and colours by quantity and polarization: one scale for all views and states, and measured and modelled
-    images share theirs."""
+@dataclass(frozen=True)
+class Scale:
+    """`levels_db` rise along the colour map `colours`, each at its `share` of it, 0 to 1; linear between them."""
+
+    levels_db: Sequence[float]
+    shares: Sequence[float]
+    colours: str
+
+
+def _scales(states: Sequence[State]) -> dict[str, Scale]:
+    """By quantity and polarization: one scale for all views and states, and measured and modelled images share
+    theirs."""
     images: dict[str, list[NDArray[np.float64]]] = {}
     for drape in (drape for state in states for drape in state.drapes):
         for name, image in drape.images_db.items():
@@ -72,16 +82,14 @@ def _scales(states: Sequence[State]) -> dict[str, tuple[float, float, str]]:
         quantity, polarization = name.split()
         if quantity == "residual":
             reach = reach_db(images[name], 90.0)
-            found[name] = (-reach, reach, RESIDUAL_COLOURS)
+            found[name] = Scale((-reach, reach), (0.0, 1.0), RESIDUAL_COLOURS)
             continue
         both = [v for q in ("measured", "modelled") for v in images.get(f"{q} {polarization}", [])]
-        values = np.concatenate(both)
-        low, high = np.percentile(values, (2.0, 99.7)) if values.size else (-30.0, 0.0)
-        found[name] = (float(np.floor(low)), float(np.ceil(max(high, low + 1.0))), IMAGE_COLOURS)
+        found[name] = Scale(GreyScale.of([10.0 ** (v / 10.0) for v in both]).levels_db, GREYS, IMAGE_COLOURS)
     return found
 
 
-def _state(state: State, scales: dict[str, tuple[float, float, str]]) -> dict[str, Any]:
+def _state(state: State, scales: dict[str, Scale]) -> dict[str, Any]:
     drawn = state.surface
     return {
         "name": state.name,
@@ -101,7 +109,7 @@ def _parameter(key: str, values: NDArray[np.float64]) -> dict[str, Any]:
     return {"label": label, "log": key != "specular_fraction", "values": _base64((values * factor).astype("<f4"))}
 
 
-def _view(drape: Drape, state: State, scales: dict[str, tuple[float, float, str]]) -> dict[str, Any]:
+def _view(drape: Drape, state: State, scales: dict[str, Scale]) -> dict[str, Any]:
     view = drape.view
     return {
         "name": view.name,
@@ -115,7 +123,10 @@ def _view(drape: Drape, state: State, scales: dict[str, tuple[float, float, str]
         "spacing_m": state.spacing_m,
         "layover": _levels(drape.layover, 0.0, 1.0),
         "images": {
-            name: {"png": _levels(image, *scales[name][:2]), "scale": scales[name]}
+            name: {
+                "png": _levels(np.interp(image, scales[name].levels_db, scales[name].shares), 0.0, 1.0),
+                "scale": asdict(scales[name]),
+            }
             for name, image in drape.images_db.items()
         },
     }

@@ -313,14 +313,22 @@ function listed(entries) {
   byId("legend").replaceChildren(list);
 }
 
-function barred(title, map, low, high, note = "") {
+const EVENLY = [0, 0.5, 1]; // along a bar: where its numbers stand
+
+/** The value at a share of a colour map, 0 to 1: linear between the levels of the scale. */
+function decibels({ levels_db: levels, shares }, at) {
+  const k = Math.max(1, shares.findIndex((one) => one >= at));
+  return levels[k - 1] + ((levels[k] - levels[k - 1]) * (at - shares[k - 1])) / (shares[k] - shares[k - 1]);
+}
+
+function barred(title, map, labels, note = "") {
   const rgba = bytes(data.maps[map]);
   const stops = [...Array(17).keys()].map((k) => hex([...rgba.slice(4 * Math.min(16 * k, 255), 4 * Math.min(16 * k, 255) + 3)]));
   const bar = element("span", "", { background: `linear-gradient(to right, ${stops.join(", ")})` });
   bar.className = "bar";
   const marks = element("div");
   marks.className = "ends";
-  marks.append(element("span", low), element("span", high));
+  marks.append(...labels.map((text) => element("span", text)));
   byId("legend").replaceChildren(element("span", title), bar, marks, element("span", note));
 }
 
@@ -342,7 +350,7 @@ function show() {
     uniforms.logarithmic.value = log;
     uniforms.ends.value.set(log ? Math.log(Math.max(low, 1e-30)) : low, log ? Math.log(Math.max(high, 1e-30)) : high);
     value.array.set(parameter.values);
-    barred(quantity, "viridis", number(low), number(high), log ? "steps are ratios" : "");
+    barred(quantity, "viridis", [number(low), number(high)], log ? "steps are ratios" : "");
   } else {
     const [d, u, v, s] = view.axes;
     uniforms.rangeAxis.value.set(...d);
@@ -363,10 +371,10 @@ function show() {
     } else {
       uniforms.mode.value = 2;
       uniforms.image.value = image ? picture(image.png).texture : nothing;
-      const [low, high, map] = image ? image.scale : [0, 1, "gray"];
+      const map = image ? image.scale.colours : "gray";
       uniforms.colours.value = colourTables[map];
       const meaning = quantity.startsWith("residual") ? "measured over modelled power; red: the measured image is brighter" : "beta0";
-      if (image) barred(`${quantity}, ${view.name}`, map, `${number(low)} dB`, `${number(high)} dB`, meaning);
+      if (image) barred(`${quantity}, ${view.name}`, map, EVENLY.map((at) => `${number(decibels(image.scale, at))} dB`), meaning);
       else byId("legend").replaceChildren(element("span", `${view.name} has no such image`));
     }
   }
@@ -426,8 +434,7 @@ function imageValue(view, image, place) {
   const at = 4 * (row * view.shape[1] + col);
   const where = `row ${row}, column ${col}`;
   if (pixels.data[at + 3] === 0) return `${where}: nothing`;
-  const [low, high] = image.scale;
-  return `${where}: ${(low + ((high - low) * pixels.data[at]) / 255).toFixed(1)} dB`;
+  return `${where}: ${decibels(image.scale, pixels.data[at] / 255).toFixed(1)} dB`;
 }
 
 function point() {

@@ -1,0 +1,89 @@
+"""How powers become greys, in every picture of this program: one curve, stated by four levels in dB.
+
+A radar image spans more than a screen does. On a linear scale in dB either strong points are cut off, or ground and its
+materials share a few dark greys. So most greys go to ground and what is somewhat brighter, and the last ones to the
+rest, up to the strongest pixel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+if TYPE_CHECKING:
+    from matplotlib.colors import FuncNorm
+
+GREYS = (0.0, 0.42, 0.8, 1.0)
+"""Of the four levels: 0 is black, 1 white."""
+DARKEST_DB, NARROWEST_DB, BRIGHT_DB = 25.0, 6.0, 20.0
+"""Of black below ground at most; of black and of bright from ground at least; of bright above ground at most."""
+TAIL_DB = 3.0
+"""White lies at least so far above bright."""
+EDGES_DB = np.arange(-160.0, 100.25, 0.25)
+NOTHING = 1e-30
+"""Linear beta0 that is shown as none."""
+
+
+@dataclass(frozen=True)
+class GreyScale:
+    """`levels_db`: black, ground (mid-grey), bright and white [dB], rising; greys are linear in dB between them."""
+
+    levels_db: tuple[float, float, float, float]
+
+    @classmethod
+    def of_counts(cls, counts: NDArray[np.int64]) -> GreyScale:
+        """Of pixels by their dB (`count`): ground is their median, white the strongest; black is the 2nd percentile and
+        bright the 98th, within bounds. All in whole dB."""
+        total = counts.sum()
+        if not total:
+            return cls((-NARROWEST_DB, 0.0, NARROWEST_DB, NARROWEST_DB + TAIL_DB))
+        share = np.cumsum(counts) / total
+
+        def below(part: float) -> float:
+            return float(EDGES_DB[np.searchsorted(share, part)])
+
+        ground = float(np.round(below(0.5)))
+        black = float(np.clip(np.floor(below(0.02)), ground - DARKEST_DB, ground - NARROWEST_DB))
+        bright = float(np.clip(np.ceil(below(0.98)), ground + NARROWEST_DB, ground + BRIGHT_DB))
+        strongest = float(np.ceil(EDGES_DB[np.flatnonzero(counts)[-1] + 1]))
+        return cls((black, ground, bright, max(strongest, bright + TAIL_DB)))
+
+    @classmethod
+    def of(cls, powers: Iterable[ArrayLike]) -> GreyScale:
+        """Of images of linear power, any shapes."""
+        return cls.of_counts(np.sum([count(power) for power in powers], axis=0, dtype=np.int64))
+
+    def grey(self, decibel: ArrayLike) -> NDArray[np.float64]:
+        """0 to 1, of the same shape; NaN stays NaN."""
+        return np.asarray(np.interp(np.asarray(decibel, float), self.levels_db, GREYS))
+
+    def decibel(self, grey: ArrayLike) -> NDArray[np.float64]:
+        """The way back, within black and white."""
+        return np.asarray(np.interp(np.asarray(grey, float), GREYS, self.levels_db))
+
+    def norm(self) -> FuncNorm:
+        """The same for matplotlib."""
+        from matplotlib.colors import FuncNorm
+
+        return FuncNorm((self.grey, self.decibel), vmin=self.levels_db[0], vmax=self.levels_db[-1])
+
+    @property
+    def ticks_db(self) -> list[float]:
+        """Whole dB for a bar: the levels, and one between each two."""
+        return sorted({float(np.round(self.decibel(at))) for at in (*GREYS, *np.convolve(GREYS, [0.5, 0.5], "valid"))})
+
+
+def count(power: ArrayLike) -> NDArray[np.int64]:
+    """How many pixels of linear power have which dB: counts that add up over pictures and over processes."""
+    values = np.asarray(power)
+    positive = values[np.isfinite(values) & (values > NOTHING)]
+    return np.histogram(10.0 * np.log10(positive.astype(float)), EDGES_DB)[0].astype(np.int64)
+
+
+def in_decibel(power: ArrayLike) -> NDArray[np.float64]:
+    """dB of linear power, far below every scale where there is none; NaN stays NaN."""
+    return np.asarray(10.0 * np.log10(np.maximum(np.asarray(power, float), NOTHING)))
