@@ -192,6 +192,20 @@ def test_what_the_newest_effect_makes_needless_is_dropped(
     assert turn.dropped == []
 
 
+def test_power_that_another_effect_adds_as_well_is_dropped(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """A copy in the dark beside the floor that made it; alone, it is what the dark pixels have."""
+    floor, copy = {"level": 0.01}, {"level": 1e-4, "offset_m": 12.0}
+    setup, scene = bench_of({"noise_floor": floor}, tmp_path_factory.mktemp("added"))
+    turn = Turn([], "noise_floor", Spot(0.0, 0, 0, 0, (3, 3)), 0.0, 1.0, 7.0, fit_model(setup, scene, 0, 0))
+    turn.fitted = fitted_to(setup, scene, {"azimuth_ambiguity": copy, "noise_floor": floor})
+    prune(setup, turn, ["azimuth_ambiguity"], np.log(1e4))
+    assert turn.dropped == ["azimuth_ambiguity"]
+    turn.fitted = fitted_to(setup, scene, {"azimuth_ambiguity": copy})
+    turn.dropped = []
+    prune(setup, turn, ["azimuth_ambiguity"], np.log(1e4))
+    assert turn.dropped == []
+
+
 def test_shifts_of_views_that_are_all_alike_become_one(
     shifted: tuple[FitSetup, Scene], tmp_path_factory: pytest.TempPathFactory
 ) -> None:

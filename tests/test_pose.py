@@ -19,7 +19,8 @@ from warpsar.learning.options import LearnOptions
 from warpsar.learning.pose import PosedProblem
 from warpsar.learning.pose_pixels import FLOOR_SHARE, compared
 from warpsar.learning.pose_search import find_poses, group_pose
-from warpsar.learning.pose_sharing import boxes, shared
+from warpsar.learning.pose_sharing import boxes, columns_of, shared
+from warpsar.learning.posed_images import images_elsewhere
 from warpsar.learning.problem import FitProblem
 from warpsar.runtime import devices
 from warpsar.scene.placing import with_objects
@@ -153,6 +154,62 @@ def test_jacobian_against_other_steps(blur_m: float) -> None:
                 assert not j[:, k].any()
                 continue
             assert np.linalg.norm(j[:, k] - expected) < 0.01 * np.linalg.norm(expected)
+
+
+def test_changes_of_a_pose_close_by_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Within a tenth of a pixel they are those that were made; where the end is asked for, or beyond, they are new."""
+    problem = problem_of(measured(scene_with(BOX, sides=SIDES[:2], shape=48, learn=("position", "heading"))))
+    made: list[str] = []
+    plain = PosedProblem._changed
+
+    def counted(self: PosedProblem, inner: Any, one: Any, *more: Any) -> list[np.ndarray]:
+        made.append(one.view.name)
+        return plain(self, inner, one, *more)
+
+    monkeypatch.setattr(PosedProblem, "_changed", counted)
+    near, far = problem.x0 + 0.04, problem.x0 + 0.06
+    problem.jacobian(problem.x0)
+    assert made == ["v0", "v1"]
+    problem.jacobian(problem.x0)
+    problem.jacobian(near, near=True)
+    assert len(made) == 2
+    problem.jacobian(far, near=True)
+    problem.jacobian(near)
+    assert len(made) == 6
+
+
+def test_only_columns_that_a_body_changes_are_made() -> None:
+    """Differences of images of these columns are those of whole ones, to rounding of float32."""
+    scene = measured(scene_with(CAR, sides=SIDES[:1], learn=("position",)))
+    problem = problem_of(scene, 1.0)
+    inner, rest = problem.split(problem.x0)
+    (seen,) = inner.views
+    box = boxes(inner.scene, seen.view)["car"]  # type: ignore[index]
+    columns = columns_of([box])
+    assert columns == (box.low[1], box.high[1])
+    assert columns[1] - columns[0] < 0.7 * scene.grid.shape[1]
+    ends = [problem.geometry.at(np.array([t, 0.0, 0.0])) for t in (2e-3, -2e-3)]
+    whole, part = (
+        np.subtract(*(images_elsewhere(inner, seen, rest, end, which)[0] for end in ends)) for which in (None, columns)
+    )
+    level = float(inner.modelled(rest)[0].max())
+    np.testing.assert_allclose(part, whole, atol=1e-5 * level)
+    assert np.abs(whole).max() > 1e-3 * level
+
+
+def test_rough_changes_are_those_of_single_bounces() -> None:
+    """Beside bounces, the model has their power, and its changes are those without them."""
+    plain = measured(scene_with(BOX, sides=SIDES[:1], shape=48, learn=("position",)))
+    table = validate("multibounce", {"strength": 1.0, "fixed": True}, "effects.multibounce")
+    bounced = replace(plain, effects={"multibounce": table})
+    without = FitProblem(plain, CPU, rays=ExactRays(Stage.of(plain, CPU)))
+    pixels = {one.view.name: list(one.observations) for one in without.views}
+    rough = PosedProblem(bounced, CPU, pixels, held=True, rough=True)
+    single = PosedProblem(plain, CPU, pixels, held=True)
+    (changed,), (expected,) = rough.jacobian(rough.x0), single.jacobian(single.x0)
+    (more,), (less,) = (one.modelled(one.x0) for one in (rough, single))
+    assert (more > 1.5 * less).any()
+    np.testing.assert_allclose(changed * more[:, None], expected * less[:, None], rtol=1e-5, atol=1e-9)
 
 
 def test_slopes_to_vertices() -> None:

@@ -24,13 +24,13 @@ from warpsar.diagnosis.search.last_resort import learned_law
 from warpsar.diagnosis.search.outcome import confirmation_lines, score_text, turn_lines
 from warpsar.diagnosis.search.record import SearchRecord
 from warpsar.diagnosis.turn.addition import TOO_LITTLE, add_the_best
-from warpsar.diagnosis.turn.geometry_search import Screened, geometry_candidates, screened_bodies
+from warpsar.diagnosis.turn.geometry_search import Screened, geometry_candidates, screened_bodies, worth_fits
 from warpsar.diagnosis.turn.geometry_trial import add_the_likeliest, on_its_ground, posed_anew
 from warpsar.diagnosis.turn.pruning import prune, trimmed, with_smaller
 from warpsar.diagnosis.turn.rivals import rivals_of
 from warpsar.diagnosis.turn.scoring import score_effects
 from warpsar.diagnosis.turn.screening import NO_DARK
-from warpsar.diagnosis.turn.sensor_search import Hypothesis, screened_sensor, sensor_candidates
+from warpsar.diagnosis.turn.sensor_search import Hypothesis, screened_sensor, sensor_candidates, worth_a_fit
 from warpsar.diagnosis.turn.settings import resettled
 from warpsar.diagnosis.turn.shortlist import refits
 from warpsar.effects.registry import get
@@ -276,12 +276,18 @@ class Search:
             max([0.0, *gains]) for gains in ((b.most for b in bodies), (s.foretold for s in sensor))
         )
         least = max(ahead.least, SENSOR_BEHIND * of_bodies)
+        self._say_fits([f"{one.kind} {one.label}" for one in worth_a_fit(sensor, price, least)])
         offered = sensor_candidates(self.scene, setup, here, sensor, price, least)
         if offered:
             ahead = replace(ahead, blurred=max(ahead.blurred, of_sensor))
+        self._say_fits([f"{kind} {label}" for kind, label in worth_fits(bodies, price, ahead)])
         offered += geometry_candidates(self.scene, setup, here, bodies, price, ahead)
         offered = [c for c in offered if c.name not in self._barred and self._times[c.name] < CHANCES]
         return add_the_likeliest(setup, turn, here, self.scene, offered, price)
+
+    def _say_fits(self, names: Sequence[str]) -> None:
+        if names:
+            console.say(f"turn {len(self.turns) + 1}: fits of geometry: {', '.join(names)}")
 
     def _confirmed(self) -> bool:
         """Ask everything that was added beside all others; whether anything may be found now that was hidden before.
@@ -291,6 +297,7 @@ class Search:
         anything_hidden = False
         while self._added(self._base):
             self._doing = "whether what was added holds"
+            console.say(f"asked beside each other, and of views left out: {', '.join(self._added(self._base))}")
             answers = self._record.confirmation(self._stage, self._setup, self._base, self._confirm)
             self._stage += 1
             console.say("\n".join(confirmation_lines(answers)))

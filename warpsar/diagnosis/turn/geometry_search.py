@@ -20,6 +20,7 @@ from warpsar.diagnosis.models.change import (
     SIZE,
     SIZES,
     GeometryCandidate,
+    Kind,
     content,
     scene_with,
     without_object,
@@ -96,17 +97,28 @@ def moved_or_absent(
 
     One that is behind the best effect is not fitted; the next turn tries it again.
     """
-    exact = Exact.of(setup, here)
-    least = max(0.5 * price, effect_gain.least)
+    kinds: dict[str, list[Kind]] = {}
+    for kind, label in worth_fits(screened, price, effect_gain):
+        kinds.setdefault(label, []).append(kind)
     found = []
-    for one in sorted(screened, key=lambda one: -max(one.moved, one.resized))[:FITTED]:
-        moved = _moved(declared, setup, here, one.label) if one.moved > least else []
-        resized = _resized(setup, here, one.label) if one.resized > least else []
+    for label, asked in kinds.items():
+        moved = _moved(declared, setup, here, label) if POSE in asked else []
+        resized = _resized(setup, here, label) if SIZE in asked else []
         found += _one_reading(moved, resized)
-    absent = max(screened, key=lambda one: one.absent, default=None)
-    if absent is not None and absent.absent > least:
-        found.append(_absent(declared, exact, here, absent.label))
+        found += [_absent(declared, Exact.of(setup, here), here, label)] if ABSENT in asked else []
     return [one for one in found if 2.0 * one.gain > one.size * price]
+
+
+def worth_fits(screened: Sequence[Screened], price: float, effect_gain: EffectGain) -> list[tuple[Kind, str]]:
+    """Which changes of which bodies are fitted: those of the likeliest `FITTED` in pose or size, and the likeliest
+    absent one. `price` and `effect_gain` as in `geometry_candidates`."""
+    least = max(0.5 * price, effect_gain.least)
+    found: list[tuple[Kind, str]] = []
+    for one in sorted(screened, key=lambda one: -max(one.moved, one.resized))[:FITTED]:
+        found += [(POSE, one.label)] if one.moved > least else []
+        found += [(SIZE, one.label)] if one.resized > least else []
+    absent = max(screened, key=lambda one: one.absent, default=None)
+    return [*found, (ABSENT, absent.label)] if absent is not None and absent.absent > least else found
 
 
 def screening(declared: Scene, exact: Exact, here: Fitted) -> list[Screened]:

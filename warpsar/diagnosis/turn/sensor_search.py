@@ -56,13 +56,16 @@ def sensor_candidates(
 ) -> list[GeometryCandidate]:
     """Changes of angles or spacings that pay, each fitted with surface and effects, as the first process finds them.
     One that is foretold less than `least` is not fitted."""
+    found = [_fitted(declared, setup, here, one) for one in worth_a_fit(screened, price, least)]
+    return of_the_first(declared, here, [one for one in found if 2.0 * one.gain > one.size * price])
+
+
+def worth_a_fit(screened: Sequence[Hypothesis], price: float, least: float) -> list[Hypothesis]:
+    """Those that get a fit, the likeliest first; `price` and `least` as in `sensor_candidates`."""
     worth = [one for one in screened if one.foretold > max(0.5 * len(one.parameters) * price, least)]
     best = max((one.foretold for one in worth), default=0.0)
-    found = []
-    for one in sorted(worth, key=lambda one: -one.foretold)[:FITTED]:
-        if one.foretold >= NEAR * best:
-            found.append(_fitted(declared, setup, here, one))
-    return of_the_first(declared, here, [one for one in found if 2.0 * one.gain > one.size * price])
+    order = sorted(worth, key=lambda one: -one.foretold)[:FITTED]
+    return [one for one in order if one.foretold >= NEAR * best]
 
 
 def hypotheses(declared: Scene, here: Fitted) -> list[Hypothesis]:
