@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from learning_scenes import cube_scene, measured, views_at
 
-from warpsar.diagnosis.found import Turn
+from warpsar.diagnosis.found import Candidate, Turn
 from warpsar.diagnosis.models.carried import Carried, carried_over
 from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.frozen import frozen
@@ -20,6 +20,7 @@ from warpsar.diagnosis.search.confirmation import confirm
 from warpsar.diagnosis.turn.addition import TOO_LITTLE
 from warpsar.diagnosis.turn.pruning import prune, with_smaller
 from warpsar.diagnosis.turn.screening import GLANCE, Screening
+from warpsar.diagnosis.turn.shortlist import by_rank
 from warpsar.diagnosis.turn.survey import surveyed
 from warpsar.effects.base.trial import Context
 from warpsar.effects.registry import get
@@ -402,3 +403,11 @@ def test_a_single_view_tells_nothing_of_the_surface(tmp_path: Path) -> None:
     base, fitted = (fitted_to(setup, scene, effects) for effects in ({}, {"point_spread": BLUR}))
     assert leave_one_view_out(setup, base, fitted, "point_spread") == ViewsLeftOut(0.0, 0.0, 1)
     assert carried_over(setup, fitted, "point_spread") == Carried(1.0, 1.0)
+
+
+def test_candidates_far_below_the_best_wait() -> None:
+    """A score of 4.9 beside one of 100 is fitted only where nothing else is added; one of 5 is not kept waiting."""
+    found = [Candidate(name, "testable", minus_log_p=p) for name, p in (("a", 100.0), ("b", 5.0), ("c", 4.9))]
+    assert [[one.effect for one in some] for some in by_rank(found)] == [["a", "b"], ["c"]]
+    assert by_rank(found[:1]) == [found[:1]]
+    assert by_rank([]) == [[]]

@@ -32,7 +32,7 @@ from warpsar.diagnosis.turn.scoring import score_effects
 from warpsar.diagnosis.turn.screening import NO_DARK
 from warpsar.diagnosis.turn.sensor_search import Hypothesis, screened_sensor, sensor_candidates, worth_a_fit
 from warpsar.diagnosis.turn.settings import resettled
-from warpsar.diagnosis.turn.shortlist import refits
+from warpsar.diagnosis.turn.shortlist import by_rank, refits
 from warpsar.effects.registry import get
 from warpsar.learning.pose_search import FoundPoses
 from warpsar.runtime import console, once
@@ -230,8 +230,10 @@ class Search:
                 # beside what moves things, too, the likeliest effect alone: a score is no gain, and may be far below it
                 best = max(allowed, key=lambda c: c.minus_log_p, default=None)
                 allowed = [c for c in allowed if c is best or get(c.effect).sets_positions]
-            found = refits(setup, here, self.scene, allowed, templates, dark, options.refits)
-            add_the_best(setup, turn, here, found, dark, price)
+            for some in [allowed] if dark.asks else by_rank(allowed):
+                if turn.added is None:
+                    found = refits(setup, here, self.scene, some, templates, dark, options.refits)
+                    add_the_best(setup, turn, here, found, dark, price)
             if geometry:
                 setup = self._with_geometry(setup, turn, here, sensor, bodies, price)
             if turn.fitted is not None:

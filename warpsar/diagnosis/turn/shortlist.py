@@ -19,7 +19,7 @@ from warpsar.diagnosis.turn.survey import surveyed
 from warpsar.scene.scene import Scene
 
 GLANCED = 8  # candidates that get a few iterations
-FAR_BELOW = 0.05  # of the best one's score (-ln p): a candidate below it waits for the next turn
+FAR_BELOW = 0.05  # of the best one's score (-ln p): a candidate below it waits
 OFFERED = 40  # of an effect's best trials that its refit may try
 
 
@@ -30,6 +30,16 @@ class Refit:
     candidate: Candidate
     fitted: Fitted
     tables: Sequence[Mapping[str, Any]]
+
+
+def by_rank(passing: Sequence[Candidate]) -> list[list[Candidate]]:
+    """The candidates that are fitted first, and those whose score is so far below the best one's that they are fitted
+    only where none of the first is added."""
+    least = FAR_BELOW * max((candidate.minus_log_p for candidate in passing), default=0.0)
+    ahead, behind = [], []
+    for candidate in passing:
+        (ahead if candidate.minus_log_p >= least else behind).append(candidate)
+    return [ahead, behind] if behind else [ahead]
 
 
 def refits(
@@ -49,9 +59,6 @@ def refits(
     """
     if dark.asks:
         passing = [candidate for candidate in passing if dark.answered_by(candidate.effect)]
-    else:
-        best = max((candidate.minus_log_p for candidate in passing), default=0.0)
-        passing = [candidate for candidate in passing if candidate.minus_log_p >= FAR_BELOW * best]
 
     def glance(effect: str) -> Screening:
         trials = [template.trial for template in templates[effect]][:OFFERED]
