@@ -10,6 +10,7 @@ from warpsar.cli import options
 
 UNITS = ("m", "cm", "mm", "in", "ft")  # a copy from warpsar.scene.new, which imports NumPy; a test compares them
 UP = ("y", "z")
+SENSORS = ("sentinel-1", "palsar")  # a copy from warpsar.world.sensors, likewise
 
 
 @click.command(name="new", short_help="Write a first scene file for a mesh or for buildings.")
@@ -27,13 +28,26 @@ UP = ("y", "z")
     type=click.Path(exists=True, dir_okay=False, path_type=Path),
     help="Elevation model (GeoTIFF) under the buildings. Default: level ground.",
 )
+@click.option(
+    "--sensor",
+    type=click.Choice(SENSORS),
+    help="Begin with frequency, resolution and noise of a public sensor. Default: X band, pixels that fit the mesh.",
+)
 @click.option("--force", is_flag=True, help="Replace a scene.toml that is there.")
 def command(
-    folder: Path, mesh: Path, units: str | None, up: str | None, yes: bool, dem: Path | None, force: bool
+    folder: Path,
+    mesh: Path,
+    units: str | None,
+    up: str | None,
+    yes: bool,
+    dem: Path | None,
+    sensor: str | None,
+    force: bool,
 ) -> None:
     """Write a commented scene.toml for MESH into FOLDER.
 
-    It has a grid that holds the whole mesh, three X-band views, and a table with starting values for each material.
+    It has a grid that holds the whole mesh, three X-band views, a table with starting values for each material, bounces
+    between surfaces, and the noise of a receiver.
     It refers to MESH where it lies. If the unit of MESH is not the metre, or Z is not up, FOLDER gets
     a copy in metres with Z up.
 
@@ -45,7 +59,8 @@ def command(
       warpsar new car/ ~/models/car.obj
       warpsar new car/ ~/models/car.stl --units mm --up y
       warpsar new town/ buildings.geojson --dem dem.tif
+      warpsar new port/ port.obj --sensor sentinel-1
     """
     from warpsar.scene.new import new_scene
 
-    click.echo(new_scene(folder, mesh, units=units, up=up, yes=yes, dem=dem, force=force))
+    click.echo(new_scene(folder, mesh, units=units, up=up, yes=yes, dem=dem, force=force, sensor=sensor))

@@ -15,7 +15,10 @@ from warpsar.io.images import read_channel
 from warpsar.io.ply import write_ply
 from warpsar.scene.new import UNITS
 from warpsar.scene.scene import Scene
+from warpsar.world.library.names import MEANT, surface_named
+from warpsar.world.library.surfaces import SURFACES
 from warpsar.world.mesh import read_mesh
+from warpsar.world.sensors import SENSORS
 from warpsar.world.world import geometry_of
 
 
@@ -63,7 +66,8 @@ def test_new_scene_simulates_as_it_is(name: str, tmp_path: Path) -> None:
     for view in scene.views:
         image = read_channel(out / "images" / f"{view.name}.exr", "HH")
         assert np.isfinite(image).all()
-        lit = image > 0
+        # the noise of the receiver lies in every pixel; float32 rounds its sum with nothing by 1e-7
+        lit = image > 1.00001 * scene.effects["noise_floor"]["level"]
         assert lit.mean() > 0.2
         assert not np.concatenate([lit[[0, -1]].ravel(), lit[:, [0, -1]].ravel()]).any()  # nothing is cut off
 
@@ -216,3 +220,62 @@ def test_an_elevation_model_has_heights(tmp_path: Path) -> None:
 
 def test_options_name_every_unit() -> None:
     assert tuple(UNITS) == command.UNITS
+    assert tuple(SENSORS) == command.SENSORS
+
+
+@pytest.mark.parametrize(
+    ("name", "surface"),
+    [
+        ("grass", "grass"),
+        ("Asphalt.001", "asphalt"),
+        ("METAL", "metal"),
+        ("red brick", "brick"),
+        ("brick wall", "brick"),
+        ("Soil_Wet", "soil_wet"),
+        ("soil wet 2", "soil_wet"),
+        ("Main Road", "asphalt"),
+        ("grüner Rasen", None),
+        ("glasshouse", None),
+        ("Material.003", None),
+        ("", None),
+    ],
+)
+def test_a_name_says_its_surface(name: str, surface: str | None) -> None:
+    assert surface_named(name) == surface
+
+
+def test_every_word_means_a_surface_of_the_library() -> None:
+    assert set(MEANT.values()) <= set(SURFACES)
+    assert not set(MEANT) & set(SURFACES)
+
+
+def test_a_first_scene_has_surfaces_bounces_and_the_noise_of_a_receiver(tmp_path: Path) -> None:
+    """beta0 of the noise is NESZ over sin(40 degrees): 10^-2.2 / 0.64279 = 9.816e-3."""
+    text = "v 0 0 0\nv 9 0 0\nv 9 9 0\nv 0 9 1\nusemtl Grass.001\nf 1 2 3\nusemtl thing\nf 1 3 4\n"
+    (tmp_path / "a.obj").write_text(text)
+    warpsar("new", tmp_path, tmp_path / "a.obj")
+    scene = Scene.load(tmp_path / "scene.toml")
+    assert scene.materials["Grass.001"].library == "grass"
+    assert (scene.materials["thing"].library, scene.materials["thing"].eps_r) == (None, 5.0)
+    assert scene.effects["multibounce"]["strength"] == 1.0
+    assert scene.effects["noise_floor"]["level"] == pytest.approx(9.816e-3, rel=1e-3)
+    assert "NESZ -22 dB" in (tmp_path / "scene.toml").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("name", SENSORS)
+def test_a_sensor_states_what_it_is_made_of(name: str, tmp_path: Path) -> None:
+    """A scene that simulates: two pixels to a width, an incidence that the sensor has, and the sources in comments."""
+    house().export(tmp_path / "house.ply")
+    warpsar("new", tmp_path, tmp_path / "house.ply", "--sensor", name)
+    scene, sensor = Scene.load(tmp_path / "scene.toml"), SENSORS[name]
+    assert scene.radar.frequency_hz == sensor.frequency_hz
+    spread = scene.effects["point_spread"]
+    assert (spread["range_fwhm_m"], spread["azimuth_fwhm_m"]) == sensor.resolution_m
+    assert scene.grid.spacing_m[0] == min(sensor.resolution_m) / 2.0  # the house is small
+    low, high = sensor.incidence_deg
+    assert all(low <= view.incidence_deg <= high for view in scene.views)
+    level = scene.effects["noise_floor"]["level"] * np.sin(np.deg2rad(scene.views[0].incidence_deg))
+    assert 10.0 * np.log10(level) == pytest.approx(sensor.nesz_db, abs=0.02)
+    written = (tmp_path / "scene.toml").read_text(encoding="utf-8")
+    assert all(f"# {line}" in written for line in sensor.source)
+    warpsar("simulate", tmp_path / "scene.toml", "-o", tmp_path / "out", "--looks", "2", "--device", "cpu")

@@ -6,10 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
+from scipy.optimize import brentq
+from scipy.signal import windows
 from scipy.stats import gamma, kstest
 from test_cli_simulate import MESH, SCENE
 
 from warpsar.cli.main import main
+from warpsar.effects.base.phase import Response
 from warpsar.io.images import read_channel
 from warpsar.scene.scene import Scene
 from warpsar.simulation.speckle import speckled
@@ -123,3 +126,73 @@ def test_refused(arguments: tuple[str, ...], message: str, scene: Path, monkeypa
     assert message in done.output
     assert scene.read_text() == SCENE
     assert not (scene.parent / "out").exists()
+
+
+FWHM = 2.4  # pixels
+LAGS = np.arange(1, 6)
+
+
+def of_taylor(lags: np.ndarray) -> np.ndarray:
+    """Squared Fourier transform of the squared window, by SciPy's own window and a width found by bisection."""
+    weights = windows.taylor(4096, nbar=5, sll=35, norm=False)
+    position = (np.arange(4096) + 0.5) / 4096 - 0.5
+    half = brentq(lambda x: (weights @ np.cos(2 * np.pi * x * position) / weights.sum()) ** 2 - 0.5, 0.1, 1.0)
+    phase = np.cos(2 * np.pi * np.outer(lags * 2.0 * half / FWHM, position))
+    return (phase @ weights**2 / (weights**2).sum()) ** 2
+
+
+EXPECTED = {
+    "none": lambda lags: np.sinc(0.8858929 * lags / FWHM) ** 2,
+    None: lambda lags: np.exp(-4.0 * np.log(2.0) * lags**2 / (2.0 * FWHM**2)),  # twice the variance of the kernel
+    "taylor": of_taylor,
+}
+
+
+@pytest.mark.parametrize("looks", [1.0, 2.5, 4.0, 16.0])
+@pytest.mark.parametrize("taper", ["none", "taylor", None])
+def test_neighbours_share_speckle_as_the_response_makes_them(taper: str | None, looks: float) -> None:
+    """Along range by the window, along azimuth by half the width; every pixel by itself is gamma as without."""
+    response = Response((FWHM * 0.5, FWHM * 0.5 * 2.0), (taper, taper))
+    size = 1200
+    image = speckled(
+        np.ones((size, size), np.float32),
+        looks,
+        seed=1,
+        view=0,
+        polarization="HH",
+        response=response,
+        spacing_m=(0.5, 1.0),
+    )
+    centred = image.astype(float) - 1.0
+    # speckle of some 10 pixels is one: four standard errors; a hundredth more beyond four looks, whose law is reached
+    # by quantiles of four fields
+    error = 4.0 * np.sqrt(10.0) / size
+    assert centred.mean() == pytest.approx(0.0, abs=error / np.sqrt(looks))
+    assert centred.var() * looks == pytest.approx(1.0, abs=error * np.sqrt(2.0 + 6.0 / looks))
+    for axis in (0, 1):
+        found = [(centred * np.roll(centred, lag, axis)).mean() / centred.var() for lag in LAGS]
+        np.testing.assert_allclose(
+            found, EXPECTED[taper](LAGS.astype(float)), atol=error + (0.01 if looks % 1 or looks > 4 else 0)
+        )
+    alone = image[::12, ::12].ravel()  # sinc^2 at 12 pixels is below 0.005
+    assert kstest(alone, gamma(looks, scale=1 / looks).cdf).pvalue > 1e-3
+
+
+def test_the_command_draws_speckle_of_the_declared_response(scene: Path, tmp_path: Path) -> None:
+    """With a point spread of three pixels in range, neighbours in range are alike; without one they are not."""
+    sharp = scene.read_text()
+    found = []
+    for name, text in (
+        ("sharp", sharp),
+        ("wide", sharp + '\n[effects.point_spread]\nrange_fwhm_m = 1.5\nwindow = "sinc"\n'),
+    ):
+        scene.write_text(text)
+        assert warpsar("simulate", scene, "-o", tmp_path / name, "--looks", "1").exit_code == 0
+        view = Scene.load(scene).views[0].name
+        plain, noisy = (read_channel(tmp_path / name / f"{view}{end}.exr", "HH") for end in ("", "_looks1"))
+        lit = plain > 0.2 * np.median(plain[plain > 0])
+        ratio = np.where(lit, noisy / np.where(lit, plain, 1.0) - 1.0, 0.0)
+        both = lit[1:] & lit[:-1]
+        found.append(float((ratio[1:] * ratio[:-1])[both].mean()))
+    assert abs(found[0]) < 0.25
+    assert found[1] > found[0] + 0.4

@@ -19,8 +19,13 @@ _ROUND = (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
 _SMALLEST_M, _LARGEST_M = 1e-5, 1e5  # what [image].spacing_m allows
 
 
-def fitted_grid(vertices: NDArray[np.float64], reference_m: NDArray[np.float64], looks: Iterable[ViewGeometry]) -> Grid:
-    """Square pixels, at most 512 along an axis, about `reference_m` (3,) [m].
+def fitted_grid(
+    vertices: NDArray[np.float64],
+    reference_m: NDArray[np.float64],
+    looks: Iterable[ViewGeometry],
+    finest_m: float = 0.0,
+) -> Grid:
+    """Square pixels of `finest_m` or more, at most 512 along an axis, about `reference_m` (3,) [m].
 
     They hold the `vertices` (n, 3) [m] as every plane wave of `looks` sees them, layover included. They also hold the
     shadows on level ground at the mesh's foot: a point at the height z above it shades up to z / cos(incidence)
@@ -34,7 +39,7 @@ def fitted_grid(vertices: NDArray[np.float64], reference_m: NDArray[np.float64],
         shadow = slant + height / look.s[2]
         reach = np.maximum(reach, [max(-slant.min(), shadow.max()), np.abs(azimuth).max()])
     size = 2.0 * _MARGIN * reach
-    spacing = min(max(_rounded_up(float(size.max()) / PIXELS), _SMALLEST_M), _LARGEST_M)
+    spacing = min(max(_rounded_up(float(size.max()) / PIXELS), _SMALLEST_M, finest_m), _LARGEST_M)
     rows, columns = (_BLOCK * max(1, math.ceil(each / spacing / _BLOCK)) for each in size)
     return Grid(shape=(rows, columns), spacing_m=(spacing, spacing))
 

@@ -18,9 +18,11 @@ from warpsar.scene import city, footprints
 from warpsar.scene.fitted_grid import fitted_grid
 from warpsar.scene.unwrap import write_obj
 from warpsar.world.frame import view_geometry
+from warpsar.world.library.names import surface_named
 from warpsar.world.mesh import GLTF, Mesh, read_mesh, unlikely_size
 from warpsar.world.meshes.dem import SUFFIXES as DEM_SUFFIXES
 from warpsar.world.objects.table import UNITS
+from warpsar.world.sensors import SENSORS, noise_beta0
 from warpsar.world.tables import Grid
 
 MILLIMETRES_FROM = 1000.0
@@ -29,6 +31,8 @@ _IN_METRES = (*GLTF, *DEM_SUFFIXES)  # by their standard, or turned into metres 
 
 FREQUENCY_HZ = 9.6e9
 INCIDENCE_DEG = 40.0
+NESZ_DB = SENSORS["sentinel-1"].nesz_db  # of a scene for no sensor in particular
+PIXELS_PER_WIDTH = 2.0  # of a sensor's resolution: no pixel is smaller
 AZIMUTHS_DEG = (20.0, 140.0, 260.0)  # no side of a building that faces north lies straight across
 
 _HEAD = """\
@@ -36,9 +40,9 @@ _HEAD = """\
 
 [scene]
 mesh = {mesh}
-reference_point_m = {reference}  # the world point in the middle of every image
+reference_point_m = {reference}  # {middle}
 
-[radar]
+{sensor}[radar]
 frequency_hz = {frequency}
 polarizations = ["HH"]      # any of HH, HV, VH, VV
 
@@ -50,16 +54,15 @@ spacing_m = {spacing:<14}  # of a pixel, likewise; the whole mesh lies inside in
 rays_per_pixel = 64.0       # more rays: less sampling noise, more time; the mean does not change
 
 # One table for each material of the mesh. The surface is a half space of relative permittivity eps_r, with small
-# random heights (standard deviation rms_height_m) that stay alike over correlation_length_m. {values}
+# random heights (standard deviation rms_height_m) that stay alike over correlation_length_m. A material whose name says
+# a surface of the library (`warpsar materials` lists them) begins as that; a key that you state takes the place of the
+# surface's own. Any other begins as dry, fairly smooth ground: replace it by what you know.
 """
 
-_DRY = """The values below are
-# those of dry, fairly smooth ground, for every material: replace them by what you know."""
-_NAMED = """Below stand
-# surfaces by name (`warpsar materials` lists them); a key that you state takes the place of the surface's own."""
+_MIDDLE = "the world point in the middle of every image"
 
 _MATERIAL = """
-[materials.{name}]
+[materials.{name}]  # no surface of the library has this name: dry, fairly smooth ground
 eps_r = 5.0
 rms_height_m = 0.001
 correlation_length_m = 0.006
@@ -69,6 +72,27 @@ _OF_LIBRARY = """
 [materials.{name}]
 library = "{surface}"
 """
+
+_EFFECTS = """
+# What an image holds beside single reflections; without its table an effect is off. Bounces between surfaces make the
+# bright lines at the foot of walls. They take more rays, and more time.
+[effects.multibounce]
+strength = 1.0
+
+# The receiver's own noise, the same in every pixel, so that shadows are grey: beta0 = NESZ / sin(incidence).
+# NESZ {nesz:g} dB{of}. State that of your sensor.
+[effects.noise_floor]
+level = {level:.3g}
+"""
+
+_RESPONSE = """
+# The resolution that is stated, as half-power widths in slant range and azimuth.
+[effects.point_spread]
+range_fwhm_m = {0:g}
+azimuth_fwhm_m = {1:g}
+"""
+
+_OF_NO_SENSOR = ": as ESA specifies it for Sentinel-1 (Sentinel-1 SAR Technical Guide, Performance)"
 
 _OBJECTS = """
 # A body with a place of its own, such as a parked car, stands in a table [[objects]]:
@@ -102,6 +126,7 @@ def new_scene(
     yes: bool = False,
     dem: Path | str | None = None,
     force: bool = False,
+    sensor: str | None = None,
 ) -> Path:
     """`warpsar new`: `scene.toml` in `folder`, which is made if missing. Returns its path.
 
@@ -110,7 +135,8 @@ def new_scene(
     None, and what was guessed is said. `up` is the axis of the file that points up, "y" or "z"; where it is None that
     of the format is taken, and it is said where the mesh seems to contradict. `yes` takes a mesh whose size is
     unlikely. Buildings of a GeoJSON or CityGML file (`footprints.SUFFIXES`) become a mesh in `folder`, `city.obj`, on
-    the ground of the GeoTIFF `dem`, or on level ground.
+    the ground of the GeoTIFF `dem`, or on level ground. `sensor` is a name of `world.sensors.SENSORS`: the scene then
+    has its frequency, resolution and noise.
 
     Raises InputError where a scene file is there and `force` is false, for a mesh that cannot be read, and for one of
     unlikely size.
@@ -124,7 +150,7 @@ def new_scene(
             raise InputError(f"--units: found {units}; a file of buildings states its own unit, leave it out")
         if up is not None:
             raise InputError(f"--up: found {up}; a file of buildings says itself what is up, leave it out")
-        return _new_city(folder, mesh_path, None if dem is None else Path(dem))
+        return _new_city(folder, mesh_path, None if dem is None else Path(dem), sensor)
     if dem is not None:
         raise InputError(f"--dem: found {dem}; it goes with buildings ({', '.join(footprints.SUFFIXES)}), not a mesh")
     suffix = mesh_path.suffix.lower()
@@ -145,7 +171,7 @@ def new_scene(
         how = " ".join([*(["in metres"] if unit != "m" else []), *(["with Z up"] if turned else [])])
         mesh_path, mesh = _copy(folder, mesh_path, mesh, UNITS[unit], "in_metres" if unit != "m" else "z_up")
         console.say(f"{mesh_path}: the mesh {how}; the scene refers to it")
-    grid, text = _scene(mesh, _relative(mesh_path, folder), made)
+    grid, text = _scene(mesh, _relative(mesh_path, folder), made, sensor)
     return _written(path, grid, text)
 
 
@@ -180,15 +206,16 @@ def _written(path: Path, grid: Grid, text: str) -> Path:
     return path
 
 
-def _new_city(folder: Path, source: Path, dem: Path | None) -> Path:
+def _new_city(folder: Path, source: Path, dem: Path | None, sensor: str | None) -> Path:
     """The scene of a file of buildings, and its mesh."""
     mesh, origin = city.mesh_of(source, dem)
     folder.mkdir(parents=True, exist_ok=True)
     write_obj(folder / "city.obj", mesh)
     console.say(f"{folder / 'city.obj'}: {len(mesh.faces)} triangles")
-    grid, text = _scene(mesh, "city.obj", source.name if dem is None else f"{source.name} and {dem.name}", city.LIBRARY)
+    made = source.name if dem is None else f"{source.name} and {dem.name}"
+    grid, text = _scene(mesh, "city.obj", made, sensor, city.LIBRARY)
     place = ", ".join(f"{key} = {value}" for key, value in origin.model_dump().items())
-    text = text.replace("\n\n[radar]", f"\norigin = {{ {place} }}\n\n[radar]", 1)
+    text = text.replace(_MIDDLE, f"{_MIDDLE}\norigin = {{ {place} }}", 1)
     return _written(folder / "scene.toml", grid, text)
 
 
@@ -223,33 +250,47 @@ def _relative(path: Path, folder: Path) -> str:
         return path.resolve().as_posix()
 
 
-def _scene(mesh: Mesh, mesh_name: str, source: str, library: Mapping[str, str] | None = None) -> tuple[Grid, str]:
-    """The grid that fits, and the text of the scene file; `library` names surfaces for the mesh's materials."""
+def _scene(
+    mesh: Mesh, mesh_name: str, source: str, sensor: str | None, library: Mapping[str, str] | None = None
+) -> tuple[Grid, str]:
+    """The grid that fits, and the text of the scene file; `library` names surfaces for the mesh's materials, beyond
+    what their names say."""
     corners = mesh.vertices[np.unique(mesh.faces)]
     low, high = corners.min(axis=0), corners.max(axis=0)
     # Rounded to a hundredth of the mesh: a point to read, and still in the middle.
     decimals = 2 - int(np.floor(np.log10((high - low).max())))
     reference = np.round((low + high) / 2.0, decimals) + 0.0  # + 0.0: no -0
-    looks = [view_geometry(azimuth, INCIDENCE_DEG, FREQUENCY_HZ) for azimuth in AZIMUTHS_DEG]
-    grid = fitted_grid(corners, reference, looks)
+    known = None if sensor is None else SENSORS[sensor]
+    frequency_hz = FREQUENCY_HZ if known is None else known.frequency_hz
+    incidence_deg = INCIDENCE_DEG if known is None else float(np.clip(INCIDENCE_DEG, *known.incidence_deg))
+    looks = [view_geometry(azimuth, incidence_deg, frequency_hz) for azimuth in AZIMUTHS_DEG]
+    finest = 0.0 if known is None else min(known.resolution_m) / PIXELS_PER_WIDTH
+    grid = fitted_grid(corners, reference, looks, finest)
     head = _HEAD.format(
         source="".join(letter if letter.isprintable() else "?" for letter in source),
         mesh=tomlkit.item(mesh_name).as_string(),
         reference=reference.tolist(),
-        frequency=f"{FREQUENCY_HZ / 1e9:g}e9",
+        middle=_MIDDLE,
+        sensor="" if known is None else "".join(f"# {line}\n" for line in (known.title, *known.source)),
+        frequency=f"{frequency_hz / 1e9:g}e9",
         shape=str(list(grid.shape)),
         spacing=str(list(grid.spacing_m)),
-        values=_NAMED if library else _DRY,
     )
-    names = dict.fromkeys(mesh.materials)
+    surfaces = {name: (library or {}).get(name) or surface_named(name) for name in dict.fromkeys(mesh.materials)}
     materials = "".join(
-        (_OF_LIBRARY if library else _MATERIAL).format(
-            name=tomlkit.key(name).as_string(), surface=(library or {}).get(name, "")
-        )
-        for name in names
+        (_MATERIAL if surface is None else _OF_LIBRARY).format(name=tomlkit.key(name).as_string(), surface=surface)
+        for name, surface in surfaces.items()
     )
+    nesz = NESZ_DB if known is None else known.nesz_db
+    effects = _EFFECTS.format(
+        nesz=nesz,
+        of=_OF_NO_SENSOR if known is None else f", the bound for {known.title}",
+        level=noise_beta0(nesz, incidence_deg),
+    )
+    if known is not None:
+        effects += _RESPONSE.format(*known.resolution_m)
     views = "".join(
-        _VIEW.format(name=f"az{azimuth:03.0f}", azimuth=azimuth, incidence=INCIDENCE_DEG) for azimuth in AZIMUTHS_DEG
+        _VIEW.format(name=f"az{azimuth:03.0f}", azimuth=azimuth, incidence=incidence_deg) for azimuth in AZIMUTHS_DEG
     )
     objects = _OBJECTS.format(material=tomlkit.item(mesh.materials[0]).as_string())
-    return grid, head + materials + objects + _VIEWS + views
+    return grid, head + materials + effects + objects + _VIEWS + views

@@ -34,7 +34,7 @@ from warpsar.simulation.metadata import metadata
 from warpsar.simulation.outputs import make_folder, refuse_unlikely_size, write_json
 from warpsar.simulation.rays import effects_grid, hit_grid, trace_view, view_seed
 from warpsar.simulation.speckle import declare as declare_speckled
-from warpsar.simulation.speckle import refuse_declaring
+from warpsar.simulation.speckle import refuse_declaring, responses
 from warpsar.simulation.view import SimulatedView
 from warpsar.surface.stage import Stage
 from warpsar.trace.hits import DEFAULT_MEMORY_GIB, WHOLE, Hits, Strip
@@ -311,7 +311,7 @@ def run(
     ground = MapGround.of(scene, stage) if on_ground else None
     if on_ground and ground is None:
         console.say(f"note: [scene] has no origin, so {' and '.join(on_ground)} is in slant range alone")
-    output = Output(out, made.seed, looks, formats, exr_speckle=declare, ground=ground)
+    output = Output(out, made.seed, looks, formats, exr_speckle=declare, responses=responses(scene), ground=ground)
     entries, found = _written_views(made, output, ranks)
     content = {
         "rays_per_m2": made.density,

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from warpsar.effects.base.phase import Response
 from warpsar.io.quick_look import QuickLook
 from warpsar.runtime.busy import busy
 from warpsar.simulation.formats import registry
 from warpsar.simulation.ground import MapGround
-from warpsar.simulation.speckle import speckled, suffix
+from warpsar.simulation.speckle import SHARP, speckled, suffix
 from warpsar.simulation.view import SimulatedView
 
 
@@ -35,6 +36,8 @@ class Output:
     looks: float | None = None
     formats: tuple[str, ...] = ("exr",)
     exr_speckle: bool = False
+    responses: Mapping[str, Response] = field(default_factory=dict)
+    """Of every view, by name: what makes the speckle of neighbours alike."""
     ground: MapGround | None = None
     looks_at: list[QuickLook] = field(default_factory=list)
     """Quick looks of the views written so far: they are drawn when the scale of all is known."""
@@ -84,7 +87,15 @@ class Output:
 
     def _with_speckle(self, view: SimulatedView, index: int, looks: float) -> SimulatedView:
         beta0 = {
-            pol: speckled(image, looks, seed=self.seed, view=index, polarization=pol)
+            pol: speckled(
+                image,
+                looks,
+                seed=self.seed,
+                view=index,
+                polarization=pol,
+                response=self.responses.get(view.name, SHARP),
+                spacing_m=view.metadata["spacing_m"],
+            )
             for pol, image in view.beta0.items()
         }
         metadata = {**view.metadata, "looks": looks, "speckle_seed": self.seed}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -100,6 +101,24 @@ class Speckle:
         shares = (laguerre @ (w / w.sum() * power)) ** 2
         squares = np.linspace(0.0, 1.0, 201)
         return np.sqrt(np.interp(correlation, (squares[:, None] ** order[:, 0]) @ shares / shares.sum(), squares))
+
+
+def correlated_power(random: np.random.Generator, law: Law, amplitudes: np.ndarray) -> np.ndarray:
+    """Power of mean 1 whose pixels share speckle, float32, of the shape of `amplitudes`.
+
+    These are the roots of the spectrum of the fields, of mean square 1: the response of a system in the order of
+    `scipy.fft.fft2`. So an image has neighbours at its far side. Up to `FIELDS` whole looks it is the mean power of as
+    many fields; other laws are reached quantile by quantile.
+    """
+    power = np.zeros(amplitudes.shape, np.float32)
+    for _ in range(_fields_of(law)):
+        noise = random.standard_normal((*amplitudes.shape, 2), np.float32).view(np.complex64)[..., 0]
+        noise *= amplitudes
+        field = ifft2(noise, norm="ortho", overwrite_x=True)
+        power += np.float32(0.5) * (field.real**2 + field.imag**2)
+    if law.looks == _fields_of(law) and math.isinf(law.texture):
+        return power / np.float32(law.looks)
+    return np.interp(np.sqrt(power), TABLE, _quantiles(law)).astype(np.float32)
 
 
 def _amplitudes(kernel: np.ndarray) -> np.ndarray:

@@ -1,0 +1,58 @@
+"""Public civil sensors, for first scenes: each number as its operator or its distributor states it, with the source.
+
+A sensor stands here only if all its numbers were found in a source that anybody can read.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """One mode of a sensor.
+
+    `resolution_m`: as stated, taken for the half-power width in slant range and in azimuth. `nesz_db`: noise-equivalent
+    sigma zero, the bound that is stated. `incidence_deg`: the range of incidences. `source`: where each number stands.
+    """
+
+    title: str
+    frequency_hz: float
+    resolution_m: tuple[float, float]
+    nesz_db: float
+    incidence_deg: tuple[float, float]
+    source: tuple[str, ...]
+
+
+SENSORS: dict[str, Sensor] = {
+    "sentinel-1": Sensor(
+        "Sentinel-1, stripmap",
+        5.405e9,
+        (5.0, 5.0),
+        -22.0,
+        (20.0, 43.0),
+        (
+            "frequency and resolution: ESA, sentinel.esa.int, Sentinel-1 instrument payload",
+            "NESZ: ESA, Sentinel-1 SAR Technical Guide, Performance",
+            "incidences: Scientific Reports (2025), doi 10.1038/s41598-025-16618-w, table 2",
+        ),
+    ),
+    "palsar": Sensor(
+        "ALOS PALSAR, fine beam, single polarization",
+        1.27e9,
+        (10.0, 10.0),
+        -23.0,
+        (8.0, 60.0),
+        (
+            "frequency, NESZ (swath of 70 km) and incidences: alos-pasco.com, PALSAR main specifications",
+            "resolution: Alaska Satellite Facility, PALSAR technical specs",
+        ),
+    ),
+}
+
+
+def noise_beta0(nesz_db: float, incidence_deg: float) -> float:
+    """Noise as beta0, linear: sigma0 of level ground is beta0 sin(incidence)."""
+    return float(10.0 ** (nesz_db / 10.0) / np.sin(np.deg2rad(incidence_deg)))
