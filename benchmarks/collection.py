@@ -94,9 +94,9 @@ def deposit(device: wp.Device, small: bool) -> dict[str, Any]:
     plan = plan_of(scene, scene.views[0], device)
     found = points(plan, count, side)
     whole = timed(lambda: histories.phase_history(plan, found, ("HH",), device), 3)
-    shared = histories.TrackOnDevice.of(plan, device)
+    track = histories.track_of(plan, device)
     parts = [histories.PartOnDevice.of(part, device) for part in found.parts]
-    kernel = timed(lambda: _launched(plan, shared, parts, device), 3)
+    kernel = timed(lambda: _launched(plan, track, parts, device), 3)
     deposits = count * len(plan.track)
     touched = deposits * (kernels.WIDTH * 16 + 32)  # bytes added to (read and written), and read
     return {

@@ -23,17 +23,24 @@ def cubic_sample(profiles: wp.array2d(dtype=wp.vec2), pulse: int, position: wp.f
     )
 
 
+@wp.struct
+class Pulses:
+    """Range profiles, and where they were measured."""
+
+    position: wp.array(dtype=wp.vec3d)  # [m]
+    sender: wp.array(dtype=wp.vec3d)  # transmitters that stand apart, or none
+    reference_range: wp.array(dtype=wp.float64)  # [m]
+    turns_per_metre: wp.array(dtype=wp.float64)  # 2 f / c at the frequency to which the profile is demodulated
+    bins_per_metre: wp.array(dtype=wp.float64)
+    half_swath: wp.array(dtype=wp.float64)  # [m], beyond it a profile repeats itself
+    profile: wp.array2d(dtype=wp.vec2)  # (pulse, bin), complex
+
+
 @wp.kernel(enable_backward=False)
 def backproject_kernel(
     # In:
     points: wp.array(dtype=wp.vec3d),
-    positions: wp.array(dtype=wp.vec3d),
-    senders: wp.array(dtype=wp.vec3d),  # transmitters that stand apart, or none
-    reference_range: wp.array(dtype=wp.float64),
-    turns_per_metre: wp.array(dtype=wp.float64),  # 2 f / c at the frequency to which the profile is demodulated
-    bins_per_metre: wp.array(dtype=wp.float64),
-    half_swath: wp.array(dtype=wp.float64),  # [m], beyond it a profile repeats itself
-    profiles: wp.array2d(dtype=wp.vec2),  # (pulse, bin), complex
+    pulses: Pulses,
     # In and out:
     image: wp.array(dtype=wp.vec2),  # complex, added to; NaN where a pulse's swath does not reach
 ):
@@ -44,17 +51,17 @@ def backproject_kernel(
     i = wp.tid()
     point = points[i]
     total = image[i]
-    for pulse in range(positions.shape[0]):
-        way = wp.length(positions[pulse] - point)
-        if senders.shape[0] > 0:
-            way = wp.float64(0.5) * (way + wp.length(senders[pulse] - point))
-        offset = way - reference_range[pulse]
-        if wp.abs(offset) > half_swath[pulse]:
+    for pulse in range(pulses.position.shape[0]):
+        way = wp.length(pulses.position[pulse] - point)
+        if pulses.sender.shape[0] > 0:
+            way = wp.float64(0.5) * (way + wp.length(pulses.sender[pulse] - point))
+        offset = way - pulses.reference_range[pulse]
+        if wp.abs(offset) > pulses.half_swath[pulse]:
             total = wp.vec2(wp.nan, wp.nan)
         else:
-            turns = offset * turns_per_metre[pulse]
+            turns = offset * pulses.turns_per_metre[pulse]
             phase = TWO_PI * float(turns - wp.floor(turns))
-            echo = cubic_sample(profiles, pulse, offset * bins_per_metre[pulse])
+            echo = cubic_sample(pulses.profile, pulse, offset * pulses.bins_per_metre[pulse])
             c = wp.cos(phase)
             s = wp.sin(phase)
             total += wp.vec2(echo[0] * c - echo[1] * s, echo[0] * s + echo[1] * c)

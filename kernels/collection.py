@@ -9,7 +9,7 @@ import warp as wp
 
 from warpsar.kernels.coherent.edges import Edge, diffracted
 from warpsar.kernels.coherent.numbers import product, turned
-from warpsar.kernels.coherent.radiate import Pair, bounced_fields, sent, tube_factor, unit
+from warpsar.kernels.coherent.radiate import Four, Pair, bounced_fields, sent, tube_factor, unit
 from warpsar.kernels.coherent.reflection import Face
 from warpsar.kernels.coherent.rough import RoughSurface, Scatterer, scattered
 from warpsar.kernels.coherent.tubes import Hit, TubeRadar, look
@@ -33,11 +33,45 @@ class Beam:
     high: float
 
 
+@wp.struct
+class Track:
+    """Where the sensor is at each pulse."""
+
+    time: wp.array[wp.float64]  # [s]
+    receiver: wp.array[wp.vec3d]  # about the reference point [m]
+    transmitter: wp.array[wp.vec3d]
+    receiver_own: wp.array[wp.float64]  # distances to the reference point [m]
+    transmitter_own: wp.array[wp.float64]
+    bistatic: int
+    beam: Beam
+
+
+@wp.struct
+class MovingScatterers:
+    """Scatterers about the reference point."""
+
+    point: wp.array[wp.vec3d]  # [m]
+    velocity: wp.array[wp.vec3d]  # [m/s], or none where all stand
+    amplitude: wp.array2d[wp.vec2]  # (polarizations, n)
+
+
 @wp.func
 def unphased(value: wp.vec2d, turn: wp.vec2d) -> wp.vec2:
     """The amplitude times `turn`, which takes the phase of its place away, in float32."""
     found = product(value, turn)
     return wp.vec2(float(found[0]), float(found[1]))
+
+
+@wp.func
+def keep_without_phase(
+    amplitude_out: wp.array2d[wp.vec2], i: int, four: Four, radar: TubeRadar, k: wp.float64, point: wp.vec3d
+):
+    """Store four amplitudes of a place without the phase of the way to it."""
+    turn = turned(wp.float64(2.0) * k * look(radar, point, 0.0).back)
+    amplitude_out[i, 0] = unphased(four.hh, turn)
+    amplitude_out[i, 1] = unphased(four.hv, turn)
+    amplitude_out[i, 2] = unphased(four.vh, turn)
+    amplitude_out[i, 3] = unphased(four.vv, turn)
 
 
 @wp.kernel(enable_backward=False)
@@ -58,11 +92,7 @@ def rough_places_kernel(
         return
     place = scatterer_in[i]
     four = scattered(radar_in[0], k, surface_in[place.material], variant, place)
-    turn = turned(wp.float64(2.0) * k * look(radar_in[0], place.point, 0.0).back)
-    amplitude_out[i, 0] = unphased(four.hh, turn)
-    amplitude_out[i, 1] = unphased(four.hv, turn)
-    amplitude_out[i, 2] = unphased(four.vh, turn)
-    amplitude_out[i, 3] = unphased(four.vv, turn)
+    keep_without_phase(amplitude_out, i, four, radar_in[0], k, place.point)
 
 
 @wp.kernel(enable_backward=False)
@@ -81,11 +111,7 @@ def edge_places_kernel(
         return
     edge = edge_in[i]
     four = diffracted(radar_in[0], k, edge)
-    turn = turned(wp.float64(2.0) * k * look(radar_in[0], edge.middle, 0.0).back)
-    amplitude_out[i, 0] = unphased(four.hh, turn)
-    amplitude_out[i, 1] = unphased(four.hv, turn)
-    amplitude_out[i, 2] = unphased(four.vh, turn)
-    amplitude_out[i, 3] = unphased(four.vv, turn)
+    keep_without_phase(amplitude_out, i, four, radar_in[0], k, edge.middle)
 
 
 @wp.func
@@ -189,47 +215,37 @@ def deposit_kernel(
     # In:
     pulse_in: wp.array[int],
     weight_in: wp.array[float],
-    time_in: wp.array[wp.float64],
-    receiver_in: wp.array[wp.vec3d],
-    transmitter_in: wp.array[wp.vec3d],
-    receiver_own: wp.array[wp.float64],
-    transmitter_own: wp.array[wp.float64],
-    bistatic: int,
-    beam: Beam,
+    track: Track,
     turns_per_metre: wp.float64,
     bins_per_metre: wp.float64,
-    point_in: wp.array[wp.vec3d],
-    velocity_in: wp.array[wp.vec3d],
-    amplitude_in: wp.array2d[wp.vec2],
-    polarizations: int,
+    scatterers: MovingScatterers,
     lanes: int,
     # Out:
     bins_out: wp.array3d[wp.vec2],
 ):
     """Range-compressed pulses, (polarizations, pulses, bins): each scatterer e^{-j 2 pi turns} into WIDTH bins.
 
-    A thread takes every `lanes`-th scatterer of one pulse. The way is worked out in float64, from differences. A third
-    of the function's length is its arguments.
+    A thread takes every `lanes`-th scatterer of one pulse. The way is worked out in float64, from differences.
     """
     row, lane = wp.tid()
     pulse = pulse_in[row]
     weight = weight_in[row]
     if weight == 0.0:
         return
-    receiver = receiver_in[pulse]
-    transmitter = transmitter_in[pulse]
+    receiver = track.receiver[pulse]
+    transmitter = track.transmitter[pulse]
     bins = bins_out.shape[2]
-    for step in range((point_in.shape[0] - lane + lanes - 1) // lanes):
+    for step in range((scatterers.point.shape[0] - lane + lanes - 1) // lanes):
         i = lane + step * lanes
-        point = point_in[i]
-        if velocity_in.shape[0] > 0:
-            point = point + time_in[pulse] * velocity_in[i]
-        way = way_less_reference(receiver, point, receiver_own[pulse])
-        factor = weight * gain(beam, pulse, receiver, point)
-        if bistatic != 0:
-            other = way_less_reference(transmitter, point, transmitter_own[pulse])
+        point = scatterers.point[i]
+        if scatterers.velocity.shape[0] > 0:
+            point = point + track.time[pulse] * scatterers.velocity[i]
+        way = way_less_reference(receiver, point, track.receiver_own[pulse])
+        factor = weight * gain(track.beam, pulse, receiver, point)
+        if track.bistatic != 0:
+            other = way_less_reference(transmitter, point, track.transmitter_own[pulse])
             way = wp.float64(0.5) * (way + other)
-            factor = factor * gain(beam, pulse, transmitter, point)
+            factor = factor * gain(track.beam, pulse, transmitter, point)
         else:
             factor = factor * factor / weight
         turns = way * turns_per_metre
@@ -242,8 +258,8 @@ def deposit_kernel(
         low = first % bins
         if low < 0:
             low = low + bins
-        for p in range(polarizations):
-            a = amplitude_in[p, i]
+        for p in range(bins_out.shape[0]):
+            a = scatterers.amplitude[p, i]
             value = wp.vec2(a[0] * c - a[1] * s, a[0] * s + a[1] * c)
             for w in range(WIDTH):
                 bin = low + w

@@ -12,6 +12,25 @@ LANES = wp.constant(32)
 """Partial sums of a view: threads that add up side by side."""
 
 
+@wp.struct
+class Cells:
+    """Cells of views: the view of each, its middle along u and v [m], and its width [m], 0 of an empty one."""
+
+    view: wp.array(dtype=int)
+    place: wp.array(dtype=wp.vec2d)
+    size: wp.array(dtype=wp.vec2d)
+
+
+@wp.struct
+class TubeEnds:
+    """What became of the cells' tubes: how many faces they met, the way from the first to the last [m], and how wide
+    they got along u and v [rad] (`tubes.trace_kernel`)."""
+
+    count: wp.array(dtype=int)
+    span: wp.array(dtype=wp.float64)
+    turn: wp.array(dtype=wp.vec2d)
+
+
 @wp.kernel(enable_backward=False)
 def grid_kernel(
     # In:
@@ -21,9 +40,7 @@ def grid_kernel(
     count_in: wp.array[wp.vec2i],
     start: int,
     # Out:
-    view_out: wp.array[int],
-    place_out: wp.array[wp.vec2d],
-    size_out: wp.array[wp.vec2d],
+    cells_out: Cells,
 ):
     """Cells from number `start` on of grids, one for each view, along u and then along v."""
     i = wp.tid()
@@ -39,9 +56,9 @@ def grid_kernel(
         at = wp.vec2d(wp.float64(u) + half, wp.float64(number - u * count[1]) + half)
         place = low_in[view] + wp.cw_mul(at, step)
         size = step
-    view_out[i] = view
-    place_out[i] = place
-    size_out[i] = size
+    cells_out.view[i] = view
+    cells_out.place[i] = place
+    cells_out.size[i] = size
 
 
 @wp.func
@@ -52,10 +69,8 @@ def parts_along(turn: wp.float64, most: wp.float64) -> int:
 @wp.kernel(enable_backward=False)
 def judge_kernel(
     # In:
-    size_in: wp.array[wp.vec2d],
-    count_in: wp.array[int],
-    span_in: wp.array[wp.float64],
-    turn_in: wp.array[wp.vec2d],
+    cells: Cells,
+    ends: TubeEnds,
     most: wp.float64,
     level: int,
     levels: int,
@@ -79,10 +94,10 @@ def judge_kernel(
     hits = int(0)
     deepest = int(0)
     for ray in range(chunk * RAYS, (chunk + 1) * RAYS):
-        size = size_in[ray]
+        size = cells.size[ray]
         area = size[0] * size[1]
-        count = count_in[ray]
-        turn = turn_in[ray]
+        count = ends.count[ray]
+        turn = ends.turn[ray]
         parts = parts_along(turn[0], most) * parts_along(turn[1], most)
         kept = wp.where(size[0] > zero or size[1] > zero, 1, 0)
         hits += count
@@ -96,7 +111,7 @@ def judge_kernel(
             parts = 1
         if kept != 0 and count > 1:
             cross += area
-            way += area * span_in[ray]
+            way += area * ends.span[ray]
         kept_out[ray] = kept
         parts_out[ray] = wp.where(parts > 1, parts, 0)
     sums_out[chunk, 0, 0, 0] = wp.vec2d(refined, aliased)
@@ -130,30 +145,26 @@ def parts_kernel(
     # In:
     first_in: wp.array[int],
     through_in: wp.array[int],
-    view_in: wp.array[int],
-    place_in: wp.array[wp.vec2d],
-    size_in: wp.array[wp.vec2d],
+    cells: Cells,
     turn_in: wp.array[wp.vec2d],
     most: wp.float64,
     part_first_in: wp.array[int],
     # Out:
-    view_out: wp.array[int],
-    place_out: wp.array[wp.vec2d],
-    size_out: wp.array[wp.vec2d],
+    parts_out: Cells,
 ):
     """Halves or quarters of cells that are cut, in the order of the cells; a view's ones from `part_first_in` on."""
     i = wp.tid()
     parts = through_in[i] - before(through_in, i)
     if parts == 0:
         return
-    view = view_in[i]
+    view = cells.view[i]
     start = part_first_in[view] + before(through_in, i) - before(through_in, first_in[view])
     half = wp.float64(0.5)
     turn = turn_in[i]
     along_u = parts_along(turn[0], most)
     along_v = parts_along(turn[1], most)
-    place = place_in[i]
-    size = size_in[i]
+    place = cells.place[i]
+    size = cells.size[i]
     if along_u > 1:
         size[0] = half * size[0]
         place[0] = place[0] - half * size[0]
@@ -168,9 +179,9 @@ def parts_kernel(
             at[0] = at[0] + size[0]
         if v > 0:
             at[1] = at[1] + size[1]
-        view_out[start + j] = view
-        place_out[start + j] = at
-        size_out[start + j] = size
+        parts_out.view[start + j] = view
+        parts_out.place[start + j] = at
+        parts_out.size[start + j] = size
 
 
 @wp.kernel(enable_backward=False)

@@ -5,6 +5,7 @@ Ling, Chou, Lee (IEEE TAP 37(2), 1989): tubes. Igehy (SIGGRAPH 1999): differenti
 
 import warp as wp
 
+from warpsar.kernels.coherent.cells import Cells, TubeEnds
 from warpsar.kernels.coherent.numbers import root
 
 
@@ -293,34 +294,30 @@ def trace_kernel(
     # In:
     body: TubeMesh,
     radar_in: wp.array[TubeRadar],
-    view_in: wp.array[int],
-    place_in: wp.array[wp.vec2d],
-    size_in: wp.array[wp.vec2d],
+    cells: Cells,
     standoff: wp.float64,
     wavenumber: wp.float64,
     most: int,
     # Out:
     hits_out: wp.array2d[Hit],
-    count_out: wp.array[int],
-    span_out: wp.array[wp.float64],
-    turn_out: wp.array[wp.vec2d],
+    ends_out: TubeEnds,
 ):
     """Each thread follows one ray: up to `most` hits, (most, rays). An empty cell has none.
 
-    `span_out`: the way from its first to its last hit [m]. `turn_out`: how wide a tube gets along either of its sides
-    after a curved surface [rad]. That is the change of phase over half a footprint that the radar sees, or half of the
-    tube's own width times the wavenumber. Plane mirrors keep a tube as it is.
+    `ends_out.span`: the way from its first to its last hit [m]. `ends_out.turn`: how wide a tube gets along either of
+    its sides after a curved surface [rad]. That is the change of phase over half a footprint that the radar sees, or
+    half of the tube's own width times the wavenumber. Plane mirrors keep a tube as it is.
     """
     ray = wp.tid()
     zero = wp.float64(0.0)
-    size = size_in[ray]
+    size = cells.size[ray]
     if size[0] == zero and size[1] == zero:
-        count_out[ray] = 0
-        span_out[ray] = zero
-        turn_out[ray] = wp.vec2d()
+        ends_out.count[ray] = 0
+        ends_out.span[ray] = zero
+        ends_out.turn[ray] = wp.vec2d()
         return
-    radar = radar_in[view_in[ray]]
-    tube = start_tube(radar, place_in[ray], wp.vec2d(size[0], zero), wp.vec2d(zero, size[1]), standoff, body.reach)
+    radar = radar_in[cells.view[ray]]
+    tube = start_tube(radar, cells.place[ray], wp.vec2d(size[0], zero), wp.vec2d(zero, size[1]), standoff, body.reach)
     start = tube.point
     caustics = int(0)
     count = int(0)
@@ -363,9 +360,9 @@ def trace_kernel(
         count = b + 1
         tube = bounced(tube, at)
         start = at.point + body.offset * at.flat
-    count_out[ray] = count
-    span_out[ray] = tube.path - first
-    turn_out[ray] = wp.vec2d(turn_u, turn_v)
+    ends_out.count[ray] = count
+    ends_out.span[ray] = tube.path - first
+    ends_out.turn[ray] = wp.vec2d(turn_u, turn_v)
 
 
 @wp.kernel(enable_backward=False)

@@ -23,6 +23,8 @@ from warpsar.coherent.joints import joints
 from warpsar.coherent.shape import shape_of
 from warpsar.coherent.sweep import AmplitudeSweep, sweep
 from warpsar.kernels.coherent import edges, tubes
+from warpsar.kernels.coherent.cells import TubeEnds
+from warpsar.runtime.structs import allocate
 
 
 def curved_duct() -> warpsar.Mesh:
@@ -154,10 +156,10 @@ def test_parts_of_a_cell_cover_it() -> None:
     turn = wp.array([[2.0, 2.0], [1.0, 2.0], [1.0, 1.0]], dtype=wp.vec2d, device="cpu")
     found = rays.parts(turn, 1.5, wp.array([4, 6, 6], dtype=int, device="cpu"))
     assert found is not None
-    used = found.size.numpy().any(axis=1)
+    used = found.cells.size.numpy().any(axis=1)
     expected = {(0.9, 1.95, 0.2, 0.1), (1.1, 1.95, 0.2, 0.1), (0.9, 2.05, 0.2, 0.1), (1.1, 2.05, 0.2, 0.1)}
     expected |= {(5.0, 5.95, 0.4, 0.1), (5.0, 6.05, 0.4, 0.1)}
-    parts = np.concatenate([found.place.numpy(), found.size.numpy()], axis=1)[used]
+    parts = np.concatenate([found.cells.place.numpy(), found.cells.size.numpy()], axis=1)[used]
     assert {tuple(map(float, row)) for row in np.round(parts, 9)} == expected
     assert used.sum() == len(expected)
 
@@ -171,12 +173,11 @@ def test_a_closed_duct_returns_what_enters(duct: warpsar.Mesh) -> None:
     radars = wp.array(radar_records(directions, body.origin, None), dtype=tubes.TubeRadar, device="cpu")
     n, most = len(rays), 40
     hits = wp.empty((most, n), dtype=tubes.Hit, device="cpu")
-    count = wp.empty(n, dtype=int, device="cpu")
-    span, turn = wp.empty(n, dtype=wp.float64, device="cpu"), wp.empty(n, dtype=wp.vec2d, device="cpu")
-    inputs = [body.rays, radars, rays.view, rays.place, rays.size, 1.0, K, most]
-    wp.launch(tubes.trace_kernel, n, inputs=inputs, outputs=[hits, count, span, turn], device="cpu")
-    found, times = hits.numpy().T, count.numpy()
-    area = rays.size.numpy().prod(axis=1)
+    ends = allocate(TubeEnds, n, wp.get_device("cpu"))
+    inputs = [body.rays, radars, rays.cells, 1.0, K, most]
+    wp.launch(tubes.trace_kernel, n, inputs=inputs, outputs=[hits, ends], device="cpu")
+    found, times = hits.numpy().T, ends.count.numpy()
+    area = rays.cells.size.numpy().prod(axis=1)
     mouth = body.origin[0]  # the middle's distance behind the mouth
     first, last = found[:, 0], found[np.arange(n), np.maximum(times - 1, 0)]
     entering = (times > 0) & (first["d"] @ [1.0, 0.0, 0.0] < 0)

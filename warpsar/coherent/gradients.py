@@ -178,9 +178,9 @@ def _of_tubes(sight: Sight, grid: CellGrid, start: int, seed: NDArray[np.complex
         count = count[chosen]
         hits = hits[chosen, : int(count[0])]
         zero = np.zeros(len(chosen))
-        size = traced.rays.size.numpy()[chosen]
+        size = traced.rays.cells.size.numpy()[chosen]
         paths = TubePaths(
-            traced.rays.place.numpy()[chosen],
+            traced.rays.cells.place.numpy()[chosen],
             np.stack([size[:, 0], zero], axis=1),
             np.stack([zero, size[:, 1]], axis=1),
             count,

@@ -17,6 +17,8 @@ from warpsar.coherent.body import CoherentBody
 from warpsar.coherent.directions import Directions
 from warpsar.coherent.records import upload
 from warpsar.kernels.coherent import cells
+from warpsar.runtime.structs import allocate, element_types, fill
+from warpsar.trace.hits import concatenate
 
 
 @dataclass(frozen=True)
@@ -25,48 +27,34 @@ class CellRays:
 
     first: NDArray[np.int32]
     """The first cell of each direction, and the end, (directions + 1,)."""
-    view: Any
-    """Of each cell, (n,)."""
-    place: Any
-    """Middle along u and v [m], (n,) vec2d."""
-    size: Any
-    """Width along u and v [m], (n,) vec2d; zero for an empty cell."""
+    cells: Any
+    """On the device, (n,) each (`kernels.coherent.cells.Cells`)."""
 
     @classmethod
     def of(cls, place: NDArray[np.float64], size: NDArray[np.float64], device: wp.Device) -> CellRays:
         """Cells of one direction, (n, 2) each."""
-        first = np.array([0, len(place)], np.int32)
         view = wp.zeros(len(place), dtype=int, device=device)
-        return cls(first, view, upload(place, wp.vec2d, device), upload(size, wp.vec2d, device))
+        places = {"place": upload(place, wp.vec2d, device), "size": upload(size, wp.vec2d, device)}
+        return cls(np.array([0, len(place)], np.int32), fill(cells.Cells, view=view, **places))
 
     @classmethod
     def empty(cls, counts: NDArray[np.int64], device: wp.Device) -> CellRays:
         """Empty cells, at least so many for each direction."""
         first = _first(counts)
-        n = int(first[-1])
-        view = wp.zeros(n, dtype=int, device=device)
-        place, size = (wp.zeros(n, dtype=wp.vec2d, device=device) for _ in range(2))
-        return cls(first, view, place, size)
+        made = allocate(cells.Cells, int(first[-1]), device)
+        for name in element_types(cells.Cells):
+            getattr(made, name).zero_()
+        return cls(first, made)
 
     @classmethod
     def joined(cls, parts: Sequence[CellRays]) -> CellRays:
         """The cells of all parts; a direction's cells in two parts are the last of one and the first of the next."""
         if len(parts) == 1:
             return parts[0]
-        device = parts[0].view.device
-        n = sum(len(part) for part in parts)
-        found = cls(
-            sum((part.first for part in parts), np.zeros_like(parts[0].first)),
-            wp.empty(n, dtype=int, device=device),
-            wp.empty(n, dtype=wp.vec2d, device=device),
-            wp.empty(n, dtype=wp.vec2d, device=device),
-        )
-        start = 0
-        for part in parts:
-            for name in ("view", "place", "size"):
-                wp.copy(getattr(found, name), getattr(part, name), dest_offset=start, count=len(part))
-            start += len(part)
-        return found
+        kinds = element_types(cells.Cells)
+        device = parts[0].cells.view.device
+        whole = {k: concatenate([getattr(part.cells, k) for part in parts], of, device) for k, of in kinds.items()}
+        return cls(sum((part.first for part in parts), np.zeros_like(parts[0].first)), fill(cells.Cells, **whole))
 
     def __len__(self) -> int:
         return int(self.first[-1])
@@ -75,14 +63,15 @@ class CellRays:
         start, stop, _ = some.indices(len(self))
         if (start, stop) == (0, len(self)):
             return self
-        return CellRays(within(self.first, start, stop), self.view[some], self.place[some], self.size[some])
+        arrays = {name: getattr(self.cells, name)[some] for name in element_types(cells.Cells)}
+        return CellRays(within(self.first, start, stop), fill(cells.Cells, **arrays))
 
     def parts(self, turn: wp.array, most: float, through: wp.array) -> CellRays | None:
         """Halves of cells, or quarters, of those whose tubes turn more than `most` [rad] along u or v.
 
         `through`: how many parts the cells have up to each, (n,). None where no cell has any.
         """
-        device, views = self.view.device, len(self.first) - 1
+        device, views = self.cells.view.device, len(self.first) - 1
         first = upload(self.first, int, device)
         counts = wp.empty(views, dtype=int, device=device)
         wp.launch(cells.share_kernel, views, inputs=[first, through], outputs=[counts], device=device)
@@ -90,13 +79,8 @@ class CellRays:
         if not len(found):
             return None
         starts = upload(found.first, int, device)
-        wp.launch(
-            cells.parts_kernel,
-            len(self),
-            inputs=[first, through, self.view, self.place, self.size, turn, most, starts],
-            outputs=[found.view, found.place, found.size],
-            device=device,
-        )
+        inputs = [first, through, self.cells, turn, most, starts]
+        wp.launch(cells.parts_kernel, len(self), inputs=inputs, outputs=[found.cells], device=device)
         return found
 
 
@@ -128,12 +112,10 @@ class CellGrid:
 
     def __getitem__(self, some: slice) -> CellRays:
         start, stop, _ = some.indices(len(self))
-        n, device = stop - start, self.device
-        view = wp.empty(n, dtype=int, device=device)
-        place, size = (wp.empty(n, dtype=wp.vec2d, device=device) for _ in range(2))
-        outputs = [view, place, size]
-        wp.launch(cells.grid_kernel, n, inputs=[*self.inputs, start], outputs=outputs, device=device)
-        return CellRays(within(self.first, start, stop), view, place, size)
+        made = allocate(cells.Cells, stop - start, self.device)
+        inputs = [*self.inputs, start]
+        wp.launch(cells.grid_kernel, stop - start, inputs=inputs, outputs=[made], device=self.device)
+        return CellRays(within(self.first, start, stop), made)
 
 
 def frame(

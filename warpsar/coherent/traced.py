@@ -18,6 +18,7 @@ from warpsar.coherent.rays import CellGrid, CellRays, within
 from warpsar.coherent.records import host, upload
 from warpsar.kernels.coherent import cells, radiate, tubes
 from warpsar.runtime.memory import default_gib
+from warpsar.runtime.structs import allocate
 
 MOST_BOUNCES = 30
 TURN = np.pi / 2
@@ -140,16 +141,13 @@ class Traced:
         self.tracer, self.radars, self.rays = tracer, radars, rays
         body, device, n = tracer.body, tracer.body.device, len(rays)
         self.hits = wp.empty((tracer.bounces, n), dtype=tubes.Hit, device=device)
-        self.count = wp.empty(n, dtype=int, device=device)
-        self.span = wp.empty(n, dtype=wp.float64, device=device)
-        self.turn = wp.empty(n, dtype=wp.vec2d, device=device)
-        inputs = [body.rays, radars, rays.view, rays.place, rays.size, body.standoff, tracer.largest, tracer.bounces]
-        outputs = [self.hits, self.count, self.span, self.turn]
-        wp.launch(tubes.trace_kernel, n, inputs=inputs, outputs=outputs, device=device)
+        self.ends = allocate(cells.TubeEnds, n, device)
+        inputs = [body.rays, radars, rays.cells, body.standoff, tracer.largest, tracer.bounces]
+        wp.launch(tubes.trace_kernel, n, inputs=inputs, outputs=[self.hits, self.ends], device=device)
 
     def found(self) -> tuple[Any, NDArray[np.int32]]:
         """On the host: records of `tubes.Hit`, (n, most of a ray), zero from a ray's count on, and the counts, (n,)."""
-        count: NDArray[np.int32] = self.count.numpy()
+        count: NDArray[np.int32] = self.ends.count.numpy()
         most = max(int(count.max(initial=0)), 1)
         hits = host(self.hits[:most]).T.copy()
         hits[np.arange(most) >= count[:, None]] = 0
@@ -164,7 +162,7 @@ class Judged(Traced):
         device, chunks = tracer.body.device, len(rays) // cells.RAYS
         self.kept, self.cuts = (wp.empty(len(rays), dtype=int, device=device) for _ in range(2))
         self.told = wp.empty((chunks, 1, 1, 3), dtype=wp.vec2d, device=device)
-        inputs = [rays.size, self.count, self.span, self.turn, TURN, level, tracer.levels]
+        inputs = [rays.cells, self.ends, TURN, level, tracer.levels]
         outputs = [self.kept, self.cuts, self.told]
         wp.launch(cells.judge_kernel, chunks, inputs=inputs, outputs=outputs, device=device)
 
@@ -172,7 +170,7 @@ class Judged(Traced):
         """The parts of the tubes that are cut; None where none is."""
         through = wp.empty_like(self.cuts)
         wp.utils.array_scan(self.cuts, through, inclusive=True)
-        return self.rays.parts(self.turn, TURN, through)
+        return self.rays.parts(self.ends.turn, TURN, through)
 
     def radiate(self, exact: wp.array, total: wp.array) -> None:
         """Add what the tubes radiate to (directions, LANES, frequencies times bounces, polarizations)."""
@@ -183,7 +181,7 @@ class Judged(Traced):
             shape = ((some.stop - start) // cells.RAYS, tracer.count)
             part = wp.empty((*shape, 2, 4), dtype=wp.vec2d, device=body.device)
             inputs = [self.radars, tracer.wavenumbers, tracer.stuff, body.face_material, body.region, exact]
-            inputs += [self.rays.view[some], self.kept[some], self.hits[:, some], self.count[some]]
+            inputs += [self.rays.cells.view[some], self.kept[some], self.hits[:, some], self.ends.count[some]]
             for only in range(tracer.layers) if layers else (-1,):
                 wp.launch(radiate.tubes_kernel, shape, inputs=[*inputs, only], outputs=[part], device=body.device)
                 bounces = (min(only, 1), only, 1) if layers else (0, 0, 2)

@@ -231,7 +231,7 @@ class _Deposit:
             def run(some: Sequence[ScattererPart]) -> object:
                 return direct.direct(plan, Scatterers(tuple(some), 0.0), names, grid, device)
         else:
-            shared = history.TrackOnDevice.of(plan, device)
+            track = history.track_of(plan, device)
             most = history.PULSES_TOGETHER["cpu" if device.is_cpu else "cuda"]
             pulses = min(len(plan.track), 2 * most * (threads.thread_count() if device.is_cpu else 1))
             scale = 1.0 / pulses
@@ -239,7 +239,7 @@ class _Deposit:
             start = (len(plan.track) - pulses) // 2
 
             def run(some: Sequence[ScattererPart]) -> object:
-                history.add_spectra(plan, shared, some, spectrum, slice(start, start + pulses))
+                history.add_spectra(plan, track, some, spectrum, slice(start, start + pulses))
                 return spectrum
 
         run([one])  # loads the kernels

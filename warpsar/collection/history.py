@@ -24,6 +24,7 @@ from warpsar.formats.base.acquisition import RecordedSignal
 from warpsar.formats.base.data import PhaseHistory
 from warpsar.kernels import collection as kernels
 from warpsar.runtime import threads
+from warpsar.runtime.structs import fill
 from warpsar.version import __version__
 from warpsar.world.frame import SPEED_OF_LIGHT
 
@@ -116,9 +117,9 @@ def phase_history(
     """What a track and a band record of scatterers. Parts are held until they are deposited, `together` at most."""
     shape = (len(polarizations), len(plan.track), plan.frequencies)
     spectrum = np.zeros(shape, np.complex64)
-    shared = TrackOnDevice.of(plan, device)
+    track = track_of(plan, device)
     for parts in _batches(scatterers.parts, getattr(scatterers, "together", TOGETHER)):
-        add_spectra(plan, shared, parts, spectrum)
+        add_spectra(plan, track, parts, spectrum)
     return Collected(
         plan, polarizations, np.ascontiguousarray(spectrum.swapaxes(1, 2)), scatterers.count, scatterers.aliased
     )
@@ -126,19 +127,19 @@ def phase_history(
 
 def add_spectra(
     plan: Plan,
-    shared: TrackOnDevice,
+    track: Any,
     parts: Sequence[ScattererPart],
     spectrum: NDArray[np.complex64],
     pulses: slice | None = None,
 ) -> None:
     """Add what all pulses, or some, record of some parts to (polarizations, pulses, frequencies)."""
-    device = shared.device
+    device = track.time.device
     first, last, _ = (pulses or slice(None)).indices(len(plan.track))
     step = PULSES_TOGETHER["cpu" if device.is_cpu else "cuda"]
     there = [PartOnDevice.of(part, device) for part in parts]
     blocks = [slice(a, min(a + step, last)) for a in range(first, last, step)]
     blocks = [some for some in blocks if any(part.weight[some].any() for part in there)]
-    tasks = [partial(_block, plan, shared, there, spectrum.shape[0], some) for some in blocks]
+    tasks = [partial(_block, plan, track, there, spectrum.shape[0], some) for some in blocks]
     for some, values in zip(blocks, threads.ordered(tasks, device), strict=True):
         spectrum[:, some] += values
 
@@ -164,54 +165,40 @@ def beam_of(plan: Plan, device: wp.Device) -> Any:
     return beam
 
 
-@dataclass(frozen=True)
-class TrackOnDevice:
-    """A track on a device."""
-
-    device: wp.Device
-    time: wp.array
-    receiver: wp.array
-    transmitter: wp.array
-    own: tuple[wp.array, wp.array]
-    bistatic: int
-    beam: Any
-
-    @classmethod
-    def of(cls, plan: Plan, device: wp.Device) -> TrackOnDevice:
-        track = plan.track
-        both = (track.receiver_m, track.transmitter_m)
-        receiver, transmitter = (upload(place, wp.vec3d, device) for place in both)
-        own = [upload(np.linalg.norm(place, axis=1), wp.float64, device) for place in both]
-        time = upload(track.time_s, wp.float64, device)
-        return cls(device, time, receiver, transmitter, (own[0], own[1]), int(track.bistatic), beam_of(plan, device))
+def track_of(plan: Plan, device: wp.Device) -> Any:
+    """A plan's track on a device, `kernels.Track`."""
+    track = plan.track
+    ends = {"receiver": track.receiver_m, "transmitter": track.transmitter_m}
+    return fill(
+        kernels.Track,
+        time=upload(track.time_s, wp.float64, device),
+        bistatic=int(track.bistatic),
+        beam=beam_of(plan, device),
+        **{name: upload(place, wp.vec3d, device) for name, place in ends.items()},
+        **{f"{k}_own": upload(np.linalg.norm(place, axis=1), wp.float64, device) for k, place in ends.items()},
+    )
 
 
 @dataclass(frozen=True)
 class PartOnDevice:
-    """A part on a device."""
+    """A part on a device: its weight in each pulse, and its scatterers (`kernels.MovingScatterers`)."""
 
     weight: NDArray[np.float32]
-    point: wp.array
-    velocity: wp.array
-    amplitude: wp.array
+    scatterers: Any
 
     @classmethod
     def of(cls, part: ScattererPart, device: wp.Device) -> PartOnDevice:
         values = part.amplitude.view(np.float32).reshape(*part.amplitude.shape, 2)
         moving = np.empty((0, 3)) if part.velocity is None else part.velocity
-        return cls(
-            part.weight,
-            upload(part.point, wp.vec3d, device),
-            upload(moving, wp.vec3d, device),
-            upload(values, wp.vec2, device),
-        )
+        places = {"point": upload(part.point, wp.vec3d, device), "velocity": upload(moving, wp.vec3d, device)}
+        return cls(part.weight, fill(kernels.MovingScatterers, **places, amplitude=upload(values, wp.vec2, device)))
 
 
 def deposited(
-    plan: Plan, shared: TrackOnDevice, parts: list[PartOnDevice], polarizations: int, some: slice, lanes: int
+    plan: Plan, track: Any, parts: list[PartOnDevice], polarizations: int, some: slice, lanes: int
 ) -> wp.array:
-    """Range bins of some pulses, (polarizations, pulses, bins), on the device."""
-    device = shared.device
+    """Range bins of some pulses, (polarizations, pulses, bins), on the device; `track` is that of `track_of`."""
+    device = track.time.device
     bins = fft.next_fast_len(OVERSAMPLING * plan.frequencies)
     pulses = np.arange(some.start, some.stop)
     out = wp.zeros((polarizations, len(pulses), bins), dtype=wp.vec2, device=device)
@@ -224,28 +211,20 @@ def deposited(
         inputs = [
             rows,
             upload(weight, float, device),
-            shared.time,
-            shared.receiver,
-            shared.transmitter,
-            *shared.own,
-            shared.bistatic,
-            shared.beam,
+            track,
             2.0 * (plan.start_hz + middle * plan.step_hz) / SPEED_OF_LIGHT,
             2.0 * plan.step_hz * bins / SPEED_OF_LIGHT,
-            part.point,
-            part.velocity,
-            part.amplitude,
-            polarizations,
+            part.scatterers,
             lanes,
         ]
         wp.launch(kernels.deposit_kernel, (len(pulses), lanes), inputs=inputs, outputs=[out], device=device)
     return out
 
 
-def _block(plan: Plan, shared: TrackOnDevice, parts: list[PartOnDevice], polarizations: int, some: slice) -> Any:
+def _block(plan: Plan, track: Any, parts: list[PartOnDevice], polarizations: int, some: slice) -> Any:
     """Spectra of some pulses, (polarizations, pulses, frequencies)."""
-    lanes = LANES["cpu" if shared.device.is_cpu else "cuda"]
-    out = deposited(plan, shared, parts, polarizations, some, lanes)
+    lanes = LANES["cpu" if track.time.device.is_cpu else "cuda"]
+    out = deposited(plan, track, parts, polarizations, some, lanes)
     profiles = np.ascontiguousarray(out.numpy()).view(np.complex64)[..., 0]
     return undeposited(fft.fft(profiles, axis=-1), plan.frequencies).astype(np.complex64)
 

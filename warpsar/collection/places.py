@@ -155,7 +155,7 @@ class CoarseCells:
             place = self.low + (at + 0.5) * self.step
             rays = cells.CellRays.of(place, np.broadcast_to(self.step, place.shape), device)
             traced = Traced(self.worker.tracer, self.radar, rays)
-            hits, count = host(traced.hits[:1])[0], traced.count.numpy()
+            hits, count = host(traced.hits[:1])[0], traced.ends.count.numpy()
             face = np.where(count > 0, hits["face"], 0)
             found.append((count > 0) & (self._smooth[self._material[face]] | (count > 1)))
         return np.concatenate(found)
@@ -178,13 +178,13 @@ class CoarseCells:
         middle = (self.low + (chosen[:, None] + inside[None]) * self.step).reshape(-1, 2)
         rays = cells.CellRays.of(middle, np.broadcast_to(self.step / COARSE, middle.shape), body.device)
         traced = Traced(worker.tracer, self.radar, rays)
-        wide = (traced.turn.numpy() > TURN).any(axis=1)
+        wide = (traced.ends.turn.numpy() > TURN).any(axis=1)
         n, most = len(rays), worker.tracer.bounces
         place = wp.zeros((n, most), dtype=wp.vec3d, device=body.device)
         amplitude = wp.zeros((n, most, 4), dtype=wp.vec2, device=body.device)
         face = wp.zeros((n, most), dtype=int, device=body.device)
         inputs = [self.radar, float(worker.k[0]), worker.stuff, body.face_material]
-        inputs += [traced.hits, traced.count, int("single" in worker.terms), wp.vec3d(*self.apart)]
+        inputs += [traced.hits, traced.ends.count, int("single" in worker.terms), wp.vec3d(*self.apart)]
         wp.launch(kernels.tube_places_kernel, n, inputs=inputs, outputs=[place, amplitude, face], device=body.device)
         values = complex_of(amplitude).reshape(-1, 4)
         power = (np.abs(values) ** 2).sum(axis=1)

@@ -17,6 +17,7 @@ from warpsar.effects.base.trial import Context, ScoreStep, Trial
 from warpsar.kernels import binning
 from warpsar.kernels.codes import Polarization
 from warpsar.kernels.effects import edge_diffraction as kernels
+from warpsar.runtime.structs import fill
 from warpsar.trace.rays import ray_grid
 from warpsar.trace.target import Target
 
@@ -147,17 +148,14 @@ def visible_pieces(render: Recorder) -> tuple[wp.array, wp.array, wp.array]:
     size = float(np.linalg.norm(np.ptp(target.corners, axis=0)))
     wavelength = 2.0 * np.pi / hits.geometry.wavenumber
     rays = ray_grid(target, hits.geometry, hits.grid, hits.rays_per_m2, area)
-    wp.launch(
-        kernels.edge_kernel,
-        edge.size,
-        inputs=[
-            *(rays, hits.grid.spacing_m[1], target.bvh.id, size, wavelength),
-            *(upload(array, wp.vec3) for array in (place, along, edges.outward[edge])),
-            upload((span / pieces)[edge], float),
-        ],
-        outputs=[bins, weight],
-        device=device,
+    vectors = {"place": place, "along": along, "outward": edges.outward[edge]}
+    found = fill(
+        kernels.EdgePieces,
+        **{name: upload(array, wp.vec3) for name, array in vectors.items()},
+        length=upload((span / pieces)[edge], float),
     )
+    inputs = [rays, hits.grid.spacing_m[1], target.bvh.id, size, wavelength, found]
+    wp.launch(kernels.edge_kernel, edge.size, inputs=inputs, outputs=[bins, weight], device=device)
     seen = np.flatnonzero(bins.numpy() >= 0)
     return (
         wp.array(bins.numpy()[seen], dtype=int, device=device),

@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from functools import partial
-from typing import Any
 
 import numpy as np
 import warp as wp
@@ -20,8 +19,9 @@ from scipy import fft
 from warpsar.errors import InputError
 from warpsar.formats.base.data import PhaseHistory
 from warpsar.formats.base.taper import taper
-from warpsar.kernels.backproject import backproject_kernel
+from warpsar.kernels.backproject import Pulses, backproject_kernel
 from warpsar.runtime import console, devices, threads
+from warpsar.runtime.structs import fill
 from warpsar.world.frame import SPEED_OF_LIGHT
 
 OVERSAMPLING = 8  # with cubic interpolation the edge of the band loses 6e-4 of its amplitude
@@ -99,21 +99,22 @@ def _add_pulses(
     def upload(values: np.ndarray) -> wp.array:
         return wp.array(values, dtype=wp.float64, device=device)
 
-    inputs: list[Any] = [
-        wp.array(history.position_m[chosen], dtype=wp.vec3d, device=device),
-        wp.array(sender, dtype=wp.vec3d, device=device),
-        upload(history.reference_range_m[chosen]),
-        upload(2.0 * frequency / SPEED_OF_LIGHT),
-        upload(bins_per_metre),
-        upload(SPEED_OF_LIGHT / (4.0 * step)),
-        wp.array(profiles.view(np.float32).reshape(*profiles.shape, 2), dtype=wp.vec2, device=device),
-    ]
+    pulses = fill(
+        Pulses,
+        position=wp.array(history.position_m[chosen], dtype=wp.vec3d, device=device),
+        sender=wp.array(sender, dtype=wp.vec3d, device=device),
+        reference_range=upload(history.reference_range_m[chosen]),
+        turns_per_metre=upload(2.0 * frequency / SPEED_OF_LIGHT),
+        bins_per_metre=upload(bins_per_metre),
+        half_swath=upload(SPEED_OF_LIGHT / (4.0 * step)),
+        profile=wp.array(profiles.view(np.float32).reshape(*profiles.shape, 2), dtype=wp.vec2, device=device),
+    )
 
     def launch(first: int, last: int) -> None:
         wp.launch(
             backproject_kernel,
             dim=last - first,
-            inputs=[points[first:last], *inputs],
+            inputs=[points[first:last], pulses],
             outputs=[image[first:last]],
             device=device,
         )
