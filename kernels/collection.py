@@ -34,7 +34,7 @@ class Beam:
 
 
 @wp.struct
-class Track:
+class SensorTrack:
     """Where the sensor is at each pulse."""
 
     time: wp.array[wp.float64]  # [s]
@@ -215,7 +215,7 @@ def deposit_kernel(
     # In:
     pulse_in: wp.array[int],
     weight_in: wp.array[float],
-    track: Track,
+    track: SensorTrack,
     turns_per_metre: wp.float64,
     bins_per_metre: wp.float64,
     scatterers: MovingScatterers,

@@ -166,11 +166,11 @@ def beam_of(plan: Plan, device: wp.Device) -> Any:
 
 
 def track_of(plan: Plan, device: wp.Device) -> Any:
-    """A plan's track on a device, `kernels.Track`."""
+    """A plan's track on a device, `kernels.SensorTrack`."""
     track = plan.track
     ends = {"receiver": track.receiver_m, "transmitter": track.transmitter_m}
     return fill(
-        kernels.Track,
+        kernels.SensorTrack,
         time=upload(track.time_s, wp.float64, device),
         bistatic=int(track.bistatic),
         beam=beam_of(plan, device),

@@ -55,23 +55,32 @@ def put(array: wp.array, blocks: Sequence[DeviceBlock], values: Sequence[np.ndar
     array.assign(everywhere)
 
 
-def most_likely(problem: FitProblem, array: wp.array, blocks: Sequence[DeviceBlock]) -> tuple[list[np.ndarray], int]:
-    """The blocks' values that minimise loss and prior, which then stand in the array, and the steps taken.
+def most_likely(
+    problem: FitProblem, array: wp.array, blocks: Sequence[DeviceBlock]
+) -> tuple[list[np.ndarray], np.ndarray, int]:
+    """The blocks' values and the x that minimise loss and priors together, which then stand, and the steps taken.
 
-    All else is held as the scene declares it. `array` belongs to the problem's stage, and has no gradient yet.
+    Where surfaces share pixels, values that are sought while x stands at a wrong start take up what x should explain
+    (benchmarks/turns.py). A field of many nodes stays as declared. `array` belongs to the problem's stage, and has no
+    gradient yet.
     """
     array.requires_grad = True
-    problem.loss_at(problem.x0)  # the surface and the effects, at which everything else stays
     ends = np.cumsum([block.start.size for block in blocks])
+    moves = problem.uniform and not problem.variation.count
+    x0 = problem.x0[: problem.x0.size * moves]
 
-    def set_to(z: np.ndarray) -> list[np.ndarray]:
-        values = [block.values(part) for block, part in zip(blocks, np.split(z, ends[:-1]), strict=True)]
+    def set_to(w: np.ndarray) -> tuple[list[np.ndarray], np.ndarray]:
+        *parts, x = np.split(w, ends)
+        values = [block.values(part) for block, part in zip(blocks, parts, strict=True)]
         put(array, blocks, values)
-        return values
+        x = x if moves else problem.x0
+        problem.set_to(x)
+        return values, x
 
-    def loss_and_slope(z: np.ndarray) -> tuple[float, np.ndarray]:
-        set_to(z)
-        total, slope = 0.5 * float(z @ z), np.zeros(array.shape)
+    def loss_and_slope(w: np.ndarray) -> tuple[float, np.ndarray]:
+        _, x = set_to(w)
+        z = w[: ends[-1]]
+        total, slope, surface = 0.5 * float(z @ z), np.zeros(array.shape), np.zeros(problem.learned.size)
         for view in problem.views:
             if not problem.scene.grid.calibrated:
                 view.run_images()
@@ -79,13 +88,22 @@ def most_likely(problem: FitProblem, array: wp.array, blocks: Sequence[DeviceBlo
                 view.gain.assign(np.array(gains, np.float32))
             view.forward(gradient=True)
             view.backward()
-            total += float(view.loss.numpy().sum())
+            total += float(view.loss.numpy().sum() + view.outside.numpy().sum())
             slope += array.grad.numpy()
-        return total, z + np.concatenate([block.slope(slope) for block in blocks])
+            surface += view.render.nodes.grad.numpy()[problem.learned]
+        to_z = z + np.concatenate([block.slope(slope) for block in blocks])
+        if not moves:
+            return total, to_z
+        to_x = np.concatenate([surface, problem.effect_slopes(x)]) + problem.prior.gradient(x)
+        return total + problem.prior.value(x), np.concatenate([to_z, to_x])
 
-    start: Any = np.zeros(ends[-1])
-    done: Any = minimize(loss_and_slope, start, jac=True, method="L-BFGS-B", options={"maxiter": MOST_STEPS})
-    return set_to(done.x), int(done.nit)
+    start: Any = np.concatenate([np.zeros(ends[-1]), x0])
+    low, high = problem.bounds
+    bounds: Any = [(-np.inf, np.inf)] * ends[-1] + list(zip(low, high, strict=True))[: x0.size]
+    options: Any = {"maxiter": MOST_STEPS}
+    done: Any = minimize(loss_and_slope, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
+    values, x = set_to(done.x)
+    return values, x, int(done.nit)
 
 
 def refuse_run(scene: Scene, name: str, key: str, folder: Path | None) -> Path:

@@ -100,8 +100,8 @@ def learn(
 
     With `folder` the run keeps a checkpoint there, and `resume` goes on from it. Each of several processes
     holds a share of the views; all return the same, and the first one writes. A learned term or a table
-    that a material's `learn` names is trained first, and then held. Raises InputError for scenes that cannot be learned
-    from, and WarpsarError where the gradient check fails.
+    that a material's `learn` names is fitted together with all numbers, and then held, while these are fitted on.
+    Raises InputError for scenes that cannot be learned from, and WarpsarError where the gradient check fails.
     """
     scene = scene_or_file(scene)
     options = options or LearnOptions()

@@ -253,10 +253,8 @@ class FitProblem(SceneCoordinates):
         self._run_with_losses(x, gradient=True)
         surface = self._surface_gradient(x)
         loss = self.loss_on_device()
-        effects = [
-            self._effect_slope(c, at) for c, at in zip(self.effect_coordinates, x[self.learned.size :], strict=True)
-        ]
-        whole = np.concatenate([surface, self._ranks.sum(effects)]) if effects else surface
+        effects = self.effect_slopes(x)
+        whole = np.concatenate([surface, self._ranks.sum(effects)]) if effects.size else surface
         return loss + self.prior.value(x), whole + self.prior.gradient(x)
 
     def _surface_gradient(self, x: np.ndarray) -> np.ndarray:
@@ -277,6 +275,11 @@ class FitProblem(SceneCoordinates):
             surface += part.numpy()[self._learned]
         return self._ranks.sum(surface)
 
+    def effect_slopes(self, x: np.ndarray) -> np.ndarray:
+        """The derivative of this process's loss to the effects' part of x, after a backward run of each view."""
+        places = zip(self.effect_coordinates, x[self.learned.size :], strict=True)
+        return np.array([self._effect_slope(c, at) for c, at in places], float)
+
     def _effect_slope(self, c: EffectCoordinate, at: float) -> float:
         """The derivative of this process's loss to one effect's coordinate."""
         slopes = {
@@ -287,6 +290,12 @@ class FitProblem(SceneCoordinates):
             views = self._zero_sums().get((c.effect, c.key), [])
             slope -= sum(slopes.get(view, 0.0) for view in views) / max(len(views), 1)
         return slope * float(c.declared.slope(at))
+
+    def set_to(self, x: np.ndarray) -> None:
+        """Give all views the parameters of x; nothing runs."""
+        nodes, tables = self._share(x), self.effect_tables(x)
+        for view in self.views:
+            self._set(view, nodes, tables)
 
     def loss_at(self, x: np.ndarray) -> float:
         """The loss at x with its penalties, as `gradient` gives it, at the cost of the images alone."""

@@ -79,9 +79,10 @@ def with_learned_tables(
 ) -> tuple[Scene, dict[str, LearnedTable]]:
     """The scene with the learned tables of the materials that ask for it, and what was found; all tables at once.
 
-    Other materials and effects are held as they are declared. Files go into `folder`, after the fit. Raises
-    InputError without a folder, with several processes, with a `loss` that is no likelihood, where a table itself lies
-    in its place, where no view sees a material, and for images that no table explains.
+    Numbers of other materials and of effects move along, and fields are held as they are declared. Files go into
+    `folder`, after the fit. Raises InputError without a folder, with several processes, with a `loss` that is no
+    likelihood, where a table itself lies in its place, where no view sees a material, and for images that no table
+    explains.
     """
     files = {}
     for name, material in scene.materials.items():
@@ -117,7 +118,7 @@ def _learned(problem: FitProblem, files: dict[str, Path]) -> dict[str, LearnedTa
         _block(one, channels, tables.rows.numpy()[problem.surface.materials.index(n)]) for n, one in given.items()
     ]
     before = pooled_metrics(problem, problem.x0)
-    values, steps = most_likely(problem, tables.sigma0_db, blocks)
+    values, x, steps = most_likely(problem, tables.sigma0_db, blocks)
     values = [np.round(one, DECIMALS) for one in values]
     for name, its in zip(files, values, strict=True):
         if not (np.abs(its) <= LARGEST_DB).all():
@@ -126,7 +127,7 @@ def _learned(problem: FitProblem, files: dict[str, Path]) -> dict[str, LearnedTa
                 f"{its.flat[np.abs(its).argmax()]:.0f} dB; must be within -{LARGEST_DB:g} and {LARGEST_DB:g} dB"
             )
     put(tables.sigma0_db, blocks, values)
-    after = pooled_metrics(problem, problem.x0)
+    after = pooled_metrics(problem, x)
     seen = [_seen_rows(one.incidence_deg, angles[name]) for name, one in given.items()]
     deviations = _deviations(problem, tables.sigma0_db, blocks, values, seen)
     found = {}

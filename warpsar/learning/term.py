@@ -107,10 +107,10 @@ def _trained(scene: Scene, name: str, file: Path, prepared: Prepared) -> Trained
     unit = np.linalg.inv(root).T * (SPREAD_DB / DB)
     start = np.zeros((len(channels), len(places)))
     block = DeviceBlock(slice(first, first + len(places)), columns, start, unit)
-    [weights], steps = most_likely(problem, problem.stage.terms.weights, [block])
+    [weights], x, steps = most_likely(problem, problem.stage.terms.weights, [block])
     term = replace(term, weights=dict(zip(channels, weights, strict=True)))
     term.save(file)
-    after = pooled_metrics(problem, problem.x0)
+    after = pooled_metrics(problem, x)
     return Trained(term, file, before, after, steps)
 
 
