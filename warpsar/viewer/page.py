@@ -62,7 +62,7 @@ def _content(states: Sequence[State]) -> dict[str, Any]:
 
 
 @dataclass(frozen=True)
-class Scale:
+class ColourScale:
     """`levels_db` rise along the colour map `colours`, each at its `share` of it, 0 to 1; linear between them."""
 
     levels_db: Sequence[float]
@@ -70,7 +70,7 @@ class Scale:
     colours: str
 
 
-def _scales(states: Sequence[State]) -> dict[str, Scale]:
+def _scales(states: Sequence[State]) -> dict[str, ColourScale]:
     """By quantity and polarization: one scale for all views and states, and measured and modelled images share
     theirs."""
     images: dict[str, list[NDArray[np.float64]]] = {}
@@ -82,14 +82,14 @@ def _scales(states: Sequence[State]) -> dict[str, Scale]:
         quantity, polarization = name.split()
         if quantity == "residual":
             reach = reach_db(images[name], 90.0)
-            found[name] = Scale((-reach, reach), (0.0, 1.0), RESIDUAL_COLOURS)
+            found[name] = ColourScale((-reach, reach), (0.0, 1.0), RESIDUAL_COLOURS)
             continue
         both = [v for q in ("measured", "modelled") for v in images.get(f"{q} {polarization}", [])]
-        found[name] = Scale(GreyScale.of([10.0 ** (v / 10.0) for v in both]).levels_db, GREYS, IMAGE_COLOURS)
+        found[name] = ColourScale(GreyScale.of([10.0 ** (v / 10.0) for v in both]).levels_db, GREYS, IMAGE_COLOURS)
     return found
 
 
-def _state(state: State, scales: dict[str, Scale]) -> dict[str, Any]:
+def _state(state: State, scales: dict[str, ColourScale]) -> dict[str, Any]:
     drawn = state.surface
     return {
         "name": state.name,
@@ -109,7 +109,7 @@ def _parameter(key: str, values: NDArray[np.float64]) -> dict[str, Any]:
     return {"label": label, "log": key != "specular_fraction", "values": _base64((values * factor).astype("<f4"))}
 
 
-def _view(drape: Drape, state: State, scales: dict[str, Scale]) -> dict[str, Any]:
+def _view(drape: Drape, state: State, scales: dict[str, ColourScale]) -> dict[str, Any]:
     view = drape.view
     return {
         "name": view.name,
