@@ -37,6 +37,7 @@ class PathRecords:
     third: wp.array(dtype=wp.vec4)
     weight: wp.array(dtype=float)  # dA_perp / pixel area
     point: wp.array(dtype=wp.vec3)  # where one bounce would have the same range, azimuth and mean elevation
+    ray: wp.array(dtype=wp.vec2)  # azimuth and elevation of the middle of the ray's cell
     count: wp.array(dtype=int)
 
 
@@ -57,6 +58,8 @@ class PathAngles:
     cos_incidence: wp.array(dtype=wp.vec4)
     cos_half: wp.array(dtype=float)
     cos_tilt: wp.array(dtype=float)
+    arrival: wp.array(dtype=wp.vec3)  # direction of the ray that meets the first surface
+    home: wp.array(dtype=wp.vec3)  # from the last surface to the radar
 
 
 @wp.struct
@@ -67,6 +70,8 @@ class Bounce:
     barycentric: wp.array(dtype=wp.vec2)
     point: wp.array(dtype=wp.vec3)
     cos_incidence: wp.array(dtype=float)
+    direction: wp.array(dtype=wp.vec3)  # on arrival
+    normal: wp.array(dtype=wp.vec3)  # toward the side that the ray comes from
 
 
 @wp.func
@@ -166,6 +171,8 @@ def path_kernel(
                                 records_out.third[slot] = third
                                 records_out.weight[slot] = weight
                                 records_out.point[slot] = seen
+                                middle = grid.elevation_start + (float(k) + 0.5) * grid.elevation_step
+                                records_out.ray[slot] = wp.vec2(centre_u, middle)
             before = point
             direction = direction - 2.0 * slope * hit.normal
             origin = point
@@ -247,6 +254,7 @@ def reduce_paths_kernel(
     merged_out.second[i] = second / weight
     merged_out.third[i] = third / weight
     merged_out.point[i] = point / weight
+    merged_out.ray[i] = records.ray[order[begin]]
 
 
 @wp.func
@@ -281,6 +289,7 @@ def path_geometry_kernel(
     second = paths.second[i]
     third = paths.third[i]
     direction = look_direction(grid, place_on(mesh, met[0] - 1, second[0], third[0]))
+    angles_out.arrival[i] = direction
     cosines = wp.vec4(1.0, 1.0, 1.0, 1.0)
     for k in range(bounces):
         normal = normal_of(mesh, met[k] - 1)
@@ -289,6 +298,7 @@ def path_geometry_kernel(
         if k == bounces - 1:
             home = -look_direction(grid, place_on(mesh, met[k] - 1, second[k], third[k]))
             half = wp.normalize(home - direction)
+            angles_out.home[i] = home
             angles_out.cos_half[i] = wp.clamp(-wp.dot(half, direction), 0.0, 1.0)
             angles_out.cos_tilt[i] = wp.min(wp.abs(wp.dot(half, normal)), 1.0)
         direction = direction - 2.0 * slope * normal
@@ -315,6 +325,15 @@ def bounce_kernel(
     bounce_out.barycentric[i] = wp.vec2(b1, b2)
     bounce_out.point[i] = place_on(mesh, face, b1, b2)
     bounce_out.cos_incidence[i] = angles.cos_incidence[i][k]
+    direction = angles.arrival[i]
+    normal = normal_of(mesh, face)
+    for before in range(k):
+        mirror = normal_of(mesh, paths.faces[i][before] - 1)
+        direction = direction - 2.0 * wp.dot(mirror, direction) * mirror
+    if wp.dot(normal, direction) > 0.0:
+        normal = -normal
+    bounce_out.direction[i] = direction
+    bounce_out.normal[i] = normal
 
 
 @wp.kernel

@@ -24,6 +24,7 @@ class Recorder(Protocol):
     | `hits` | where power falls |
     | `shaded` | what is shaded: one sample per face and pixel |
     | `shape`, `spacing_m` | (rows, cols) and (range, azimuth) of the image |
+    | `resolution_m` | (range, azimuth) of a resolution cell: that of the declared response, or a pixel, if that is larger |
     | `settings[name]` | the settings of the effect `name` in this view |
     | `layers` | by name, shares of the beta0 that an effect keeps apart, shape (rows * cols,) |
     | `recorded[name]` | what an effect worked out for one polarization and needs for the next |
@@ -36,6 +37,7 @@ class Recorder(Protocol):
     shaded: Hits
     shape: tuple[int, int]
     spacing_m: tuple[float, float]
+    resolution_m: tuple[float, float]
     settings: dict[str, Mapping[str, Any]]
     layers: dict[str, Any]
     recorded: dict[str, Any]

@@ -1,0 +1,179 @@
+"""Fields of paths, summed over resolution cells (`warpsar.kernels.effects.multibounce_cells`)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from warpsar.kernels.effects import multibounce_cells as kernels
+from warpsar.kernels.geometry import RayGrid, Triangles
+from warpsar.runtime.structs import allocate, fill
+from warpsar.trace.hits import BinGrid
+
+_REACH = 8
+"""Samples on each side of a field that get a share of it."""
+_SPREAD = 6.0
+"""Largest product of the distances in range and azimuth [cells]: sinc^2 sinc^2 is below 3e-4 beyond it."""
+_WEAK = 1e-4
+"""Share of a path's strongest sample, in power, below which others get nothing."""
+_WEAKEST = 1e-8
+"""The same, of the view's strongest."""
+_LEAST_FALL = 0.02
+"""Share of a sample's power below which a bin gets nothing of it."""
+
+
+@dataclass(frozen=True)
+class Coupled:
+    """Groups of tubes of a band: `records` by name (`PathRecords`), and their fields [m] by sample, complex (n, m)."""
+
+    records: Mapping[str, NDArray[Any]]
+    field: NDArray[np.complex64]
+
+
+@dataclass
+class Samples:
+    """The fields of paths in the samples of the cells. Paths of one sample lie together.
+
+    `coupling` [m], vec2 (n,): the field of each path for an answer of 1. `sample`: which one it belongs to; `first`:
+    where each sample begins, and the end. Each sample's power falls into bins of the hits' grid: `bin` and `weight`
+    [1/m2] with `path`, each path of a sample having all the sample's bins.
+    """
+
+    coupling: wp.array
+    sample: wp.array
+    first: wp.array
+    path: wp.array
+    bin: wp.array
+    weight: wp.array
+
+
+def offsets() -> NDArray[np.int32]:
+    """The samples about one that get a share of a field between it and the next ones, (m, 2)."""
+    reach = np.arange(1 - _REACH, _REACH + 1)
+    apart = np.abs(reach - 0.5)
+    return np.argwhere(np.multiply.outer(apart, apart) <= _SPREAD).astype(np.int32) + (1 - _REACH)
+
+
+def cells_of(grid: BinGrid, cell_m: tuple[float, float], device: wp.Device) -> Any:
+    """`kernels.Cells` of a size (range, azimuth) [m] among the bins of a grid."""
+    return fill(
+        kernels.Cells,
+        size=wp.vec2d(*cell_m),
+        bin_start=wp.vec2d(*grid.start_m),
+        bin_size=wp.vec2d(*grid.spacing_m),
+        bin_cols=grid.shape[1],
+        offset=wp.array(offsets(), dtype=wp.vec2i, device=device),
+    )
+
+
+def couple(
+    rays: RayGrid,
+    mesh: Triangles,
+    records: Any,
+    order: wp.array,
+    first: wp.array,
+    merged: Any,
+    cells: Any,
+    wavenumber: float,
+) -> NDArray[np.complex64]:
+    """Fields [m] by group of records and sample, (n, m): groups are those of `order` from each `first` on."""
+    device, count = order.device, order.shape[0]
+    tubes = allocate(kernels.TubeFields, count, device)
+    wp.launch(
+        kernels.tube_kernel, count, inputs=[rays, mesh, records, cells, wavenumber], outputs=[tubes], device=device
+    )
+    dim = first.shape[0], cells.offset.shape[0]
+    field: wp.array = wp.empty(dim, dtype=wp.vec2, device=device)
+    inputs = [tubes, order, first, merged.bin, cells]
+    wp.launch(kernels.couple_kernel, dim, inputs=inputs, outputs=[field], device=device)
+    return field.numpy().astype(np.float32).view(np.complex64)[..., 0]
+
+
+def samples_of(
+    parts: Sequence[Coupled], grid: BinGrid, cell_m: tuple[float, float], pixel_area_m2: float, device: wp.Device
+) -> tuple[dict[str, NDArray[Any]], Samples]:
+    """Paths by sample and order of faces, as arrays of `PathRecords`, and their samples.
+
+    A sample's power falls where the tubes lie from which it comes, not into the sample's own place: an isolated body
+    keeps its pixel, and its power does not depend on where it lies between the samples.
+    """
+    records = {name: np.concatenate([part.records[name] for part in parts]) for name in parts[0].records}
+    field = np.concatenate([part.field for part in parts])
+    power = field.real**2 + field.imag**2
+    strongest = power.max(axis=1, keepdims=True)
+    group, which = np.nonzero((power > _WEAK * strongest) & (power > _WEAKEST * power.max(initial=0.0)))
+    power, field = power[group, which].astype(float), field[group, which]
+    bins = records["bin"][group]
+    row, col = np.divmod(records["bin"], grid.shape[1])
+    places = [
+        np.floor((start + (at + 0.5) * step) / size).astype(np.int64)
+        for at, start, step, size in zip((row, col), grid.start_m, grid.spacing_m, cell_m, strict=True)
+    ]
+    node = np.stack(places, axis=1)[group] + offsets()[which]
+    node -= node.min(axis=0, initial=0)
+    _, kind = np.unique(records["faces"], axis=0, return_inverse=True)
+    kinds = int(kind.max(initial=0)) + 1
+    place = node[:, 0] * (int(node[:, 1].max(initial=0)) + 1) + node[:, 1]
+    keys, path = np.unique(place * kinds + kind.reshape(-1)[group], return_inverse=True)
+    n = keys.size
+    total = np.bincount(path, power, n)
+
+    def mean(values: NDArray[Any]) -> NDArray[np.float32]:
+        summed = [np.bincount(path, power * column, n) / total for column in values[group].T]
+        return np.stack(summed, axis=1).astype(np.float32)
+
+    _, head, sample = np.unique(keys // kinds, return_index=True, return_inverse=True)
+    first = np.append(head, n)
+    of_sample = np.bincount(sample, total)
+    point = np.stack([np.bincount(sample, total * column) / of_sample for column in mean(records["point"]).T], axis=1)
+    some = np.zeros(n, np.int64)
+    some[path] = group  # any of a path's groups: they have its faces
+    made = {
+        "bin": np.zeros(n, np.int32),
+        "bounces": records["bounces"][some],
+        "faces": records["faces"][some],
+        "second": mean(records["second"]),
+        "third": mean(records["third"]),
+        "weight": np.ones(n, np.float32),
+        "point": point[sample].astype(np.float32),
+        "ray": np.zeros((n, 2), np.float32),
+    }
+    owner, bin_, share = _falls(sample[path], bins, power, of_sample.size)
+    count = np.diff(first)[owner]
+    entry = np.repeat(first[owner] - np.append(0, np.cumsum(count)[:-1]), count) + np.arange(count.sum())
+    bin_, share = np.repeat(bin_, count), np.repeat(share, count) * 4.0 * np.pi / pixel_area_m2
+    order = np.argsort(bin_, kind="stable")
+    coupling = np.stack([np.bincount(path, part, n) for part in (field.real, field.imag)], axis=1)
+
+    def upload(values: NDArray[Any], dtype: Any, kind: Any) -> wp.array:
+        return wp.array(np.ascontiguousarray(values, dtype), dtype=kind, device=device)
+
+    return made, Samples(
+        upload(coupling, np.float32, wp.vec2),
+        upload(sample, np.int32, int),
+        upload(first, np.int32, int),
+        upload(entry[order], np.int32, int),
+        upload(bin_[order], np.int32, int),
+        upload(share[order], np.float32, float),
+    )
+
+
+def _falls(
+    sample: NDArray[Any], bins: NDArray[Any], power: NDArray[np.float64], count: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
+    """Into which bins the power of each sample falls: samples in order, bins, and shares whose sum is 1 by sample."""
+    across = int(bins.max(initial=0)) + 1
+    keys, inverse = np.unique(sample * across + bins, return_inverse=True)
+    owner, bin_ = np.divmod(keys, across)
+    share = np.bincount(inverse, power)
+    for _ in range(2):  # the small ones go, and the others take their place
+        share = share / np.bincount(owner, share, count)[owner]
+        much = share >= _LEAST_FALL
+        much |= share >= np.maximum.reduceat(share, np.searchsorted(owner, np.arange(count)))[owner]
+        owner, bin_, share = owner[much], bin_[much], share[much]
+    return owner, bin_, share / np.bincount(owner, share, count)[owner]

@@ -1,0 +1,216 @@
+"""Paths of rays over several surfaces, with the angles on them: traced once, and merged by bin and faces."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from warpsar.effects.base.recorder import Recorder
+from warpsar.effects.bounces.cells import Coupled, Samples, cells_of, couple, samples_of
+from warpsar.kernels import merge as merging
+from warpsar.kernels.effects import multibounce as kernels
+from warpsar.kernels.geometry import Band, RayGrid
+from warpsar.runtime import threads
+from warpsar.runtime.structs import allocate, element_types, fill
+from warpsar.trace.hits import DEFAULT_MEMORY_GIB, BinGrid, concatenate
+from warpsar.trace.rays import ray_grid
+from warpsar.trace.target import Target
+
+_RECORD_BYTES = 240  # a record, its field, and the sort's keys and order, twice
+_SEGMENT = 64  # cells of one thread on CUDA
+
+_ARRAYS = {name: dtype for name, dtype in element_types(kernels.PathRecords).items() if name != "count"}
+
+
+@dataclass
+class BouncePaths:
+    """Paths of one number of bounces; arrays of shape (n,).
+
+    `pixel` is a bin of the hits' grid. `weight` is dA_perp / cos(theta_n) over the pixel area. `point` [m] is where a
+    single bounce would have the path's range, azimuth and mean elevation. At the last bounce, `cos_half` is between
+    half vector and incoming direction, `cos_tilt` between half vector and normal. `arrival` is the direction of the
+    ray to the first surface, `home` that from the last one to the radar.
+    """
+
+    bounces: list[kernels.Bounce]
+    pixel: wp.array
+    weight: wp.array
+    point: wp.array
+    cos_half: wp.array
+    cos_tilt: wp.array
+    arrival: wp.array
+    home: wp.array
+
+
+@dataclass
+class CoherentPaths:
+    """Paths by the cells in which their fields add up: `paths` has one for each sample and each order of faces."""
+
+    paths: BouncePaths
+    samples: Samples
+
+
+@dataclass
+class Traced:
+    """Paths of one number of bounces, merged by bin and faces; by cells too, where these were asked for."""
+
+    paths: BouncePaths
+    coherent: CoherentPaths | None = None
+
+
+def trace_paths(
+    render: Recorder, max_bounces: int, cell_m: tuple[float, float] | None = None
+) -> list[Traced | None]:
+    """Paths of 2, 3, ... `max_bounces` bounces, with the density and seed of the view's hits.
+
+    With `cell_m`, the size of a resolution cell (range, azimuth) [m], their fields are summed over cells too. None
+    stands where there are no paths of that number of bounces.
+    """
+    hits, target = render.hits, render.stage.target
+    # Rays that enter beside the image may leave inside: half of it on each side, and no farther than the mesh.
+    grid = hits.grid
+    shape = grid.shape[0], round((1.0 + 2.0 * grid.strip.beside) * grid.shape[1])
+    wide = BinGrid(shape, grid.spacing_m, strip=grid.strip)
+    area = render.spacing_m[0] * render.spacing_m[1]
+    rays = ray_grid(target, hits.geometry, wide, hits.rays_per_m2, area)
+    first, last = rays.first_cell, rays.end_cell
+    width = _band_width(rays, max_bounces, target.device)
+    wp.load_module(kernels, device=target.device)
+    cells = None if cell_m is None else cells_of(grid, cell_m, target.device)
+    tasks = [
+        partial(_band, render, rays, max_bounces, cells, begin, min(width, last - begin))
+        for begin in range(first, last, width)
+    ]
+    parts = [part for part in threads.ordered(tasks, target.device) if part is not None]
+    found: list[Traced | None] = []
+    for index in range(max_bounces - 1):
+        mine = [one for part in parts if (one := part[index]) is not None]
+        if not mine:
+            found.append(None)
+            continue
+        arrays = {
+            name: concatenate([getattr(one.records, name) for one in mine], dtype, target.device)
+            for name, dtype in _ARRAYS.items()
+        }
+        traced = Traced(_paths(fill(kernels.PathRecords, **arrays), index + 2, rays, target))
+        if cell_m is not None:
+            made, samples = samples_of([one.coupled for one in mine], grid, cell_m, area, target.device)
+            own = {name: wp.array(made[name], dtype=dtype, device=target.device) for name, dtype in _ARRAYS.items()}
+            paths = _paths(fill(kernels.PathRecords, **own), index + 2, rays, target)
+            traced.coherent = CoherentPaths(paths, samples)
+        found.append(traced)
+    return found
+
+
+def _band_width(rays: RayGrid, max_bounces: int, device: wp.Device) -> int:
+    """Azimuth cells that are traced in one launch: as many as the memory for their records allows."""
+    cells = rays.end_cell - rays.first_cell
+    workers = threads.thread_count() if device.is_cpu else 1
+    room = int(DEFAULT_MEMORY_GIB * 2**30 / workers / (_RECORD_BYTES * rays.elevation_cells * (max_bounces - 1)))
+    # at least 8 bands for the threads to share
+    return max(1, min(room, -(-cells // 8) if device.is_cpu else cells))
+
+
+@dataclass(frozen=True)
+class _Merged:
+    """Paths of one number of bounces in a band: `PathRecords`, and their fields where there are cells."""
+
+    records: Any
+    coupled: Any
+
+
+def _band(
+    render: Recorder, rays: RayGrid, max_bounces: int, cells: Any, begin: int, width: int
+) -> list[_Merged | None] | None:
+    """Paths of `width` azimuth cells from `begin` on, merged, by number of bounces; None without any (`_merge`)."""
+    hits, target = render.hits, render.stage.target
+    grid, device = hits.grid, target.device
+    segment = rays.elevation_cells if device.is_cpu else _SEGMENT
+    dim = (width, -(-rays.elevation_cells // segment))
+    size = float(np.linalg.norm(np.ptp(target.corners, axis=0)))
+    band = fill(Band, first_cell=begin, end_cell=begin + width, seed=hits.seed)
+    columns = fill(kernels.ImageColumns, start=grid.start_m[1], spacing=grid.spacing_m[1], count=grid.shape[1])
+    inputs = [rays, target.triangles, band, columns, target.bvh.id, segment, max_bounces, size]
+    capacity = max(4096, dim[0] * rays.elevation_cells // 4)
+    while True:
+        records = _records(capacity, device)
+        wp.launch(kernels.path_kernel, dim, inputs=inputs, outputs=[records], device=device)
+        count = int(records.count.numpy()[0])
+        if count <= capacity:
+            return _merge(records, count, max_bounces, partial(_coupled, render, rays, cells)) if count else None
+        capacity = count
+
+
+def _records(capacity: int, device: wp.Device) -> kernels.PathRecords:
+    """Room for `capacity` records: a `kernels.PathRecords`."""
+    count: wp.array = wp.zeros(1, dtype=int, device=device)
+    records: kernels.PathRecords = allocate(kernels.PathRecords, capacity, device, count=count)
+    return records
+
+
+def _coupled(render: Recorder, rays: RayGrid, cells: Any, records: Any, order: wp.array, first: wp.array, merged: Any):
+    """Fields of merged paths by sample, complex (n, m)."""
+    mesh, wavenumber = render.stage.target.triangles, render.hits.geometry.wavenumber
+    return None if cells is None else couple(rays, mesh, records, order, first, merged, cells, wavenumber)
+
+
+def _merge(records: kernels.PathRecords, count: int, max_bounces: int, couples: Any) -> list[_Merged | None]:
+    """Records of one bin and the same faces become one path; by number of bounces, 2 first, or None."""
+    device = records.bin.device
+    order = wp.empty(2 * count, dtype=int, device=device)
+    key = wp.empty(2 * count, dtype=wp.int64, device=device)
+    wp.launch(merging.number_kernel, count, outputs=[order], device=device)
+    for what in (2, 1, 0) if max_bounces > 2 else (1, 0):
+        wp.launch(kernels.sort_key_kernel, count, inputs=[records, order, what], outputs=[key], device=device)
+        wp.utils.radix_sort_pairs(key, order, count, 0, 64)
+    start, rank = (wp.empty(count, dtype=int, device=device) for _ in range(2))
+    wp.launch(
+        kernels.mark_path_starts_kernel,
+        count,
+        inputs=[records, order],
+        outputs=[start],
+        device=device,
+    )
+    wp.utils.array_scan(start, rank, inclusive=True)
+    paths = int(rank[count - 1 :].numpy()[0])
+    first = wp.empty(paths, dtype=int, device=device)
+    wp.launch(merging.place_starts_kernel, count, inputs=[start, rank], outputs=[first], device=device)
+    merged = _records(paths, device)
+    wp.launch(
+        kernels.reduce_paths_kernel, paths, inputs=[records, order, first, count], outputs=[merged], device=device
+    )
+    # the sort has put them in the order of their bounces
+    ends = np.searchsorted(merged.bounces.numpy(), np.arange(2, max_bounces + 2))
+
+    field = couples(records, order[:count], first, merged)
+
+    def between(a: int, b: int) -> _Merged | None:
+        if b == a:
+            return None
+        own = {name: getattr(merged, name)[a:b] for name in _ARRAYS}
+        coupled = None
+        if field is not None:
+            coupled = Coupled({name: array.numpy() for name, array in own.items()}, field[a:b])
+        return _Merged(fill(kernels.PathRecords, **own), coupled)
+
+    return [between(a, b) for a, b in pairwise(ends.tolist())]
+
+
+def _paths(paths: kernels.PathRecords, bounces: int, rays: RayGrid, target: Target) -> BouncePaths:
+    """Merged paths of one number of bounces, with the angles at their faces."""
+    device, mesh, n = target.device, target.triangles, paths.bin.shape[0]
+    angles = allocate(kernels.PathAngles, n, device)
+    inputs = [rays, mesh, paths, bounces]
+    wp.launch(kernels.path_geometry_kernel, n, inputs=inputs, outputs=[angles], device=device)
+    each = []
+    for k in range(bounces):
+        one = allocate(kernels.Bounce, n, device)
+        wp.launch(kernels.bounce_kernel, n, inputs=[mesh, paths, angles, k], outputs=[one], device=device)
+        each.append(one)
+    ends = angles.cos_half, angles.cos_tilt, angles.arrival, angles.home
+    return BouncePaths(each, paths.bin, angles.weight, paths.point, *ends)
