@@ -116,14 +116,15 @@ def tube_kernel(
     along = -standoff
     across = elevation
     direction = ONE * d
-    side_u = wp.float64(grid.azimuth_step) * u
-    side_v = wp.float64(grid.elevation_step) * v
+    part = wp.float64(records.ray[i][2])
+    side_u = part * wp.float64(grid.azimuth_step) * u
+    side_v = part * wp.float64(grid.elevation_step) * v
     if slant_range > wp.float64(0.0):
         half = wp.sin(HALF * elevation)
         along = -TWO * half * half * slant_range - standoff * wp.cos(elevation)
         across = (slant_range - standoff) * wp.sin(elevation)
         direction = wp.cos(elevation) * d + wp.sin(elevation) * v
-        side_v = wp.float64(grid.elevation_step) * (wp.cos(elevation) * v - wp.sin(elevation) * d)
+        side_v = part * wp.float64(grid.elevation_step) * (wp.cos(elevation) * v - wp.sin(elevation) * d)
     point = wp.float64(records.ray[i][0]) * u + along * d + across * v
     enters_u = wp.vec3d()
     enters_v = wp.vec3d()

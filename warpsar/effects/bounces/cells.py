@@ -27,12 +27,38 @@ _LEAST_FALL = 0.02
 """Share of a sample's power below which a bin gets nothing of it."""
 
 
+_BRIGHT = 1e-4
+"""Power of a sample, over that of the brightest, from which on its accuracy counts."""
+_ACCURACY = 0.04
+"""Of a bright sample's power: where tubes are too few for it, they are cut."""
+_ERROR_OF_ONE = 1.26
+"""Relative error of the power of a sample to which one tube sends."""
+_MOST_SPLIT = 8
+"""Parts into which the side of a tube is cut at most."""
+
+
 @dataclass(frozen=True)
 class Coupled:
-    """Groups of tubes of a band: `records` by name (`PathRecords`), and their fields [m] by sample, complex (n, m)."""
+    """Groups of tubes of a band: `records` by name (`PathRecords`), and their fields [m] by sample, complex (n, m).
+
+    `cell`: azimuth and elevation cell of each tube, (tubes, 2), those of a group together; `first`: where each begins.
+    """
 
     records: Mapping[str, NDArray[Any]]
     field: NDArray[np.complex64]
+    cell: NDArray[np.int64]
+    first: NDArray[np.int64]
+
+    @property
+    def tubes(self) -> NDArray[np.int64]:
+        """How many each group has."""
+        return np.diff(np.append(self.first, len(self.cell)))
+
+    def between(self, a: int, b: int) -> Coupled:
+        """The groups from number `a` to the one before `b`."""
+        low, high = np.append(self.first, len(self.cell))[[a, b]]
+        own = {name: array[a:b] for name, array in self.records.items()}
+        return Coupled(own, self.field[a:b], self.cell[low:high], self.first[a:b] - low)
 
 
 @dataclass
@@ -103,22 +129,11 @@ def samples_of(
     keeps its pixel, and its power does not depend on where it lies between the samples.
     """
     records = {name: np.concatenate([part.records[name] for part in parts]) for name in parts[0].records}
-    field = np.concatenate([part.field for part in parts])
-    power = field.real**2 + field.imag**2
-    strongest = power.max(axis=1, keepdims=True)
-    group, which = np.nonzero((power > _WEAK * strongest) & (power > _WEAKEST * power.max(initial=0.0)))
-    power, field = power[group, which].astype(float), field[group, which]
+    group, place, field = _shares(records["bin"], np.concatenate([part.field for part in parts]), grid, cell_m)
+    power = (field.real**2 + field.imag**2).astype(float)
     bins = records["bin"][group]
-    row, col = np.divmod(records["bin"], grid.shape[1])
-    places = [
-        np.floor((start + (at + 0.5) * step) / size).astype(np.int64)
-        for at, start, step, size in zip((row, col), grid.start_m, grid.spacing_m, cell_m, strict=True)
-    ]
-    node = np.stack(places, axis=1)[group] + offsets()[which]
-    node -= node.min(axis=0, initial=0)
     _, kind = np.unique(records["faces"], axis=0, return_inverse=True)
     kinds = int(kind.max(initial=0)) + 1
-    place = node[:, 0] * (int(node[:, 1].max(initial=0)) + 1) + node[:, 1]
     keys, path = np.unique(place * kinds + kind.reshape(-1)[group], return_inverse=True)
     n = keys.size
     total = np.bincount(path, power, n)
@@ -141,7 +156,7 @@ def samples_of(
         "third": mean(records["third"]),
         "weight": np.ones(n, np.float32),
         "point": point[sample].astype(np.float32),
-        "ray": np.zeros((n, 2), np.float32),
+        "ray": np.zeros((n, 3), np.float32),
     }
     owner, bin_, share = _falls(sample[path], bins, power, of_sample.size)
     count = np.diff(first)[owner]
@@ -161,6 +176,49 @@ def samples_of(
         upload(bin_[order], np.int32, int),
         upload(share[order], np.float32, float),
     )
+
+
+def _shares(
+    bins: NDArray[np.int32], field: NDArray[np.complex64], grid: BinGrid, cell_m: tuple[float, float]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.complex64]]:
+    """Groups of tubes, the samples that get a share of them, as numbers, and those fields; weak ones are left out."""
+    power = field.real**2 + field.imag**2
+    strongest = power.max(axis=1, keepdims=True)
+    group, which = np.nonzero((power > _WEAK * strongest) & (power > _WEAKEST * power.max(initial=0.0)))
+    places = [
+        np.floor((start + (at + 0.5) * step) / size).astype(np.int64)
+        for at, start, step, size in zip(
+            np.divmod(bins, grid.shape[1]), grid.start_m, grid.spacing_m, cell_m, strict=True
+        )
+    ]
+    node = np.stack(places, axis=1)[group] + offsets()[which]
+    node -= node.min(axis=0) if len(node) else 0
+    return group, node[:, 0] * (int(node[:, 1].max(initial=0)) + 1) + node[:, 1], field[group, which]
+
+
+def splits_of(
+    parts: Sequence[Coupled], grid: BinGrid, cell_m: tuple[float, float]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Ray cells (azimuth, elevation) from which bright samples get too few tubes, and into how many to cut each side.
+
+    Of n tubes, those at the border of a body are in or out by chance: 4 sqrt(n) of them, each with a variance of about
+    0.1. So a field is known to 0.63 n^(-3/4) of it, and its power to twice that.
+    """
+    bins = np.concatenate([part.records["bin"] for part in parts])
+    tubes = np.concatenate([part.tubes for part in parts])
+    group, place, field = _shares(bins, np.concatenate([part.field for part in parts]), grid, cell_m)
+    _, sample = np.unique(place, return_inverse=True)
+    size = np.abs(field).astype(float)
+    power = np.bincount(sample, field.real) ** 2 + np.bincount(sample, field.imag) ** 2
+    alike = np.bincount(sample, size) ** 2 / np.bincount(sample, size**2 / tubes[group])
+    error = np.where(power > _BRIGHT * power.max(initial=0.0), _ERROR_OF_ONE * alike**-0.75, 0.0)
+    mine = size**2 >= 0.1 * np.maximum.reduceat(size, np.searchsorted(group, np.arange(tubes.size)))[group] ** 2
+    worst = np.zeros(tubes.size)
+    np.maximum.at(worst, group[mine], error[sample[mine]])
+    split = np.ceil(np.clip((worst / _ACCURACY) ** (2 / 3), 1.0, _MOST_SPLIT)).astype(np.int64)
+    each = np.repeat(split, tubes)
+    cut = each > 1
+    return np.concatenate([part.cell for part in parts])[cut], each[cut]
 
 
 def _falls(

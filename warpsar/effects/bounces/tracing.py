@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
@@ -9,9 +10,10 @@ from typing import Any
 
 import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
 from warpsar.effects.base.recorder import Recorder
-from warpsar.effects.bounces.cells import Coupled, Samples, cells_of, couple, samples_of
+from warpsar.effects.bounces.cells import Coupled, Samples, cells_of, couple, samples_of, splits_of
 from warpsar.kernels import merge as merging
 from warpsar.kernels.effects import multibounce as kernels
 from warpsar.kernels.geometry import Band, RayGrid
@@ -23,6 +25,7 @@ from warpsar.trace.target import Target
 
 _RECORD_BYTES = 240  # a record, its field, and the sort's keys and order, twice
 _SEGMENT = 64  # cells of one thread on CUDA
+_LEAST_BUDGET = 1_000_000  # rays that cutting may add to a small view
 
 _ARRAYS = {name: dtype for name, dtype in element_types(kernels.PathRecords).items() if name != "count"}
 
@@ -82,11 +85,18 @@ def trace_paths(
     width = _band_width(rays, max_bounces, target.device)
     wp.load_module(kernels, device=target.device)
     cells = None if cell_m is None else cells_of(grid, cell_m, target.device)
-    tasks = [
-        partial(_band, render, rays, max_bounces, cells, begin, min(width, last - begin))
+    bands = [
+        fill(Band, first_cell=begin, end_cell=min(begin + width, last), seed=hits.seed)
         for begin in range(first, last, width)
     ]
-    parts = [part for part in threads.ordered(tasks, target.device) if part is not None]
+    tasks = [partial(_band, render, rays, max_bounces, cells, band) for band in bands]
+    traced_bands = list(threads.ordered(tasks, target.device))
+    if cell_m is not None:
+        splits = _splits(traced_bands, rays, bands, grid, cell_m)
+        again = [partial(_band, render, rays, max_bounces, cells, bands[at], split) for at, split in splits.items()]
+        finer = dict(zip(splits, threads.ordered(again, target.device), strict=True))
+        traced_bands = [finer.get(at, one) for at, one in enumerate(traced_bands)]
+    parts = [part for part in traced_bands if part is not None]
     found: list[Traced | None] = []
     for index in range(max_bounces - 1):
         mine = [one for part in parts if (one := part[index]) is not None]
@@ -107,6 +117,41 @@ def trace_paths(
     return found
 
 
+def _splits(
+    traced: Sequence[list[_Merged | None] | None],
+    rays: RayGrid,
+    bands: Sequence[Any],
+    grid: BinGrid,
+    cell_m: tuple[float, float],
+) -> dict[int, NDArray[np.uint8]]:
+    """The bands that have cells to cut, each with the parts of its cells' sides (`kernels.path_kernel`).
+
+    Cells beside those are cut too: a body may reach into them. All cuts together send at most as many rays again.
+    """
+    found: list[tuple[NDArray[np.int64], NDArray[np.int64]]] = []
+    for index in range(max((len(one) for one in traced if one is not None), default=0)):
+        mine = [merged.coupled for one in traced if one is not None and (merged := one[index]) is not None]
+        if mine:
+            found.append(splits_of(mine, grid, cell_m))
+    if not any(len(cell) for cell, _ in found):
+        return {}
+    split = np.ones((rays.end_cell - rays.first_cell + 2, rays.elevation_cells + 2), np.uint8)
+    for cell, parts in found:
+        for aside in (0, 1, 2):
+            for above in (0, 1, 2):
+                at = cell[:, 0] - rays.first_cell + aside, cell[:, 1] + above
+                np.maximum.at(split, at, parts.astype(np.uint8))
+    inner = split[1:-1, 1:-1]
+    budget = max(inner.size, _LEAST_BUDGET)
+    more = int((inner.astype(np.int64) ** 2 - 1).sum())
+    if more > budget:
+        np.floor(np.maximum(inner * np.sqrt(budget / more), 1.0), out=inner, casting="unsafe")
+    of_bands = {
+        at: inner[band.first_cell - rays.first_cell : band.end_cell - rays.first_cell] for at, band in enumerate(bands)
+    }
+    return {at: np.ascontiguousarray(one) for at, one in of_bands.items() if (one > 1).any()}
+
+
 def _band_width(rays: RayGrid, max_bounces: int, device: wp.Device) -> int:
     """Azimuth cells that are traced in one launch: as many as the memory for their records allows."""
     cells = rays.end_cell - rays.first_cell
@@ -125,17 +170,17 @@ class _Merged:
 
 
 def _band(
-    render: Recorder, rays: RayGrid, max_bounces: int, cells: Any, begin: int, width: int
+    render: Recorder, rays: RayGrid, max_bounces: int, cells: Any, band: Any, split: NDArray[np.uint8] | None = None
 ) -> list[_Merged | None] | None:
-    """Paths of `width` azimuth cells from `begin` on, merged, by number of bounces; None without any (`_merge`)."""
+    """Paths of a band of azimuth cells, merged, by number of bounces; None without any (`_merge`)."""
     hits, target = render.hits, render.stage.target
     grid, device = hits.grid, target.device
     segment = rays.elevation_cells if device.is_cpu else _SEGMENT
-    dim = (width, -(-rays.elevation_cells // segment))
+    dim = (band.end_cell - band.first_cell, -(-rays.elevation_cells // segment))
     size = float(np.linalg.norm(np.ptp(target.corners, axis=0)))
-    band = fill(Band, first_cell=begin, end_cell=begin + width, seed=hits.seed)
     columns = fill(kernels.ImageColumns, start=grid.start_m[1], spacing=grid.spacing_m[1], count=grid.shape[1])
-    inputs = [rays, target.triangles, band, columns, target.bvh.id, segment, max_bounces, size]
+    cut: wp.array = wp.array(np.zeros((0, 0), np.uint8) if split is None else split, dtype=wp.uint8, device=device)
+    inputs = [rays, target.triangles, band, columns, cut, target.bvh.id, segment, max_bounces, size]
     capacity = max(4096, dim[0] * rays.elevation_cells // 4)
     while True:
         records = _records(capacity, device)
@@ -153,10 +198,19 @@ def _records(capacity: int, device: wp.Device) -> kernels.PathRecords:
     return records
 
 
-def _coupled(render: Recorder, rays: RayGrid, cells: Any, records: Any, order: wp.array, first: wp.array, merged: Any):
-    """Fields of merged paths by sample, complex (n, m)."""
+def _coupled(
+    render: Recorder, rays: RayGrid, cells: Any, records: Any, order: wp.array, first: wp.array, merged: Any
+) -> Coupled | None:
+    """Fields of merged paths by sample, and the rays that they are of; None without cells."""
+    if cells is None:
+        return None
     mesh, wavenumber = render.stage.target.triangles, render.hits.geometry.wavenumber
-    return None if cells is None else couple(rays, mesh, records, order, first, merged, cells, wavenumber)
+    field = couple(rays, mesh, records, order, first, merged, cells, wavenumber)
+    middle = records.ray.numpy()[order.numpy()][:, :2].astype(float)
+    start, step = (rays.azimuth_start, rays.elevation_start), (rays.azimuth_step, rays.elevation_step)
+    cell = np.floor((middle - start) / step).astype(np.int64)
+    own = {name: getattr(merged, name).numpy() for name in _ARRAYS}
+    return Coupled(own, field, cell, first.numpy().astype(np.int64))
 
 
 def _merge(records: kernels.PathRecords, count: int, max_bounces: int, couples: Any) -> list[_Merged | None]:
@@ -187,16 +241,13 @@ def _merge(records: kernels.PathRecords, count: int, max_bounces: int, couples: 
     # the sort has put them in the order of their bounces
     ends = np.searchsorted(merged.bounces.numpy(), np.arange(2, max_bounces + 2))
 
-    field = couples(records, order[:count], first, merged)
+    coupled = couples(records, order[:count], first, merged)
 
     def between(a: int, b: int) -> _Merged | None:
         if b == a:
             return None
         own = {name: getattr(merged, name)[a:b] for name in _ARRAYS}
-        coupled = None
-        if field is not None:
-            coupled = Coupled({name: array.numpy() for name, array in own.items()}, field[a:b])
-        return _Merged(fill(kernels.PathRecords, **own), coupled)
+        return _Merged(fill(kernels.PathRecords, **own), coupled and coupled.between(a, b))
 
     return [between(a, b) for a, b in pairwise(ends.tolist())]
 
