@@ -39,6 +39,7 @@ class PathRecords:
     point: wp.array(dtype=wp.vec3)  # where one bounce would have the same range, azimuth and mean elevation
     ray: wp.array(dtype=wp.vec3)  # azimuth and elevation of the middle of the ray's cell; its side, in grid cells
     count: wp.array(dtype=int)
+    area: wp.array(dtype=float)  # of the rays that meet two surfaces, and of those that go on after all bounces [pixels]
 
 
 @wp.struct
@@ -188,6 +189,12 @@ def path_kernel(
                 direction = direction - 2.0 * slope * hit.normal
                 origin = point
                 reach = size
+                if bounce == 1:
+                    wp.atomic_add(records_out.area, 0, weight)
+                if bounce == max_bounces - 1:
+                    further = wp.mesh_query_ray(tree, origin + clear * side, direction, reach)
+                    if further.result:
+                        wp.atomic_add(records_out.area, 1, weight)
 
 
 @wp.kernel(enable_backward=False)

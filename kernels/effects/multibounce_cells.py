@@ -45,7 +45,7 @@ class TubeFields:
 
 
 @wp.struct
-class Sight:
+class LineOfSight:
     """Range of a point about the reference point [m], and the direction of the ray to it."""
 
     range: wp.float64
@@ -53,10 +53,10 @@ class Sight:
 
 
 @wp.func
-def sight_of(point: wp.vec3d, d: wp.vec3d, v: wp.vec3d, slant_range: wp.float64) -> Sight:
+def sight_of(point: wp.vec3d, d: wp.vec3d, v: wp.vec3d, slant_range: wp.float64) -> LineOfSight:
     """As `slant_range_of` and `look_direction` of kernels/geometry.py, in double precision."""
     along = wp.dot(point, d)
-    found = Sight()
+    found = LineOfSight()
     found.range = along
     found.direction = d
     if slant_range > wp.float64(0.0):

@@ -15,7 +15,7 @@ from warpsar.effects.base.signature import SeenImage
 from warpsar.effects.base.trial import Context, ScoreStep, Trial
 from warpsar.effects.bounces.lobe import lobe_power
 from warpsar.effects.bounces.roughness import Fields, coherent_power, diffuse_power
-from warpsar.effects.bounces.tracing import Traced, trace_paths
+from warpsar.effects.bounces.tracing import BouncesOfOneNumber, trace_paths
 from warpsar.kernels import binning
 from warpsar.kernels.codes import Polarization
 
@@ -111,17 +111,25 @@ class Multibounce(Effect):
             image = _sum(render, image, share)
         return image
 
-    def _with_coordinates(self, render: Recorder) -> list[tuple[Traced, Fields, Fields | None] | None]:
+    def _with_coordinates(self, render: Recorder) -> list[tuple[BouncesOfOneNumber, Fields, Fields | None] | None]:
         """Paths by number of bounces, traced once for all renders of the hits, with the fields on them."""
         settings = render.settings[self.name]
         cell_m = render.resolution_m if settings["reflection"] == "roughness" else None
         key = (self.name, settings["max_bounces"], cell_m)
         if key not in render.hits.derived:
             render.hits.derived[key] = trace_paths(render, settings["max_bounces"], cell_m)
+        if cell_m is not None:
+            render.remarks.extend(render.hits.derived[key].remarks)
+            if cell_m == render.spacing_m:
+                size = " x ".join(f"{side:g}" for side in cell_m)
+                render.remarks.append(
+                    f"multibounce: fields of corners are summed over cells of a pixel ({size} m), on which their levels "
+                    "depend; effects.point_spread declares the resolution"
+                )
         return [
             one
             and (one, Fields(render, one.paths), Fields(render, one.coherent.paths) if one.coherent else None)
-            for one in render.hits.derived[key]
+            for one in render.hits.derived[key].of
         ]
 
 

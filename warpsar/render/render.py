@@ -91,6 +91,7 @@ class ViewRender:
         self.deposited: dict[str, list[Deposited]] = {}
         self.before_image: dict[str, wp.array] = {}
         self.layers: dict[str, wp.array] = {}
+        self.remarks: list[str] = []
         self.recorded: dict[str, Any] = {}  # by effect: recorded for one polarization, used again for the next
         self.shaded, self._sample = shading_samples(hits)
         fine = hits.grid.bins_per_pixel

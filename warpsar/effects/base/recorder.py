@@ -27,6 +27,7 @@ class Recorder(Protocol):
     | `resolution_m` | (range, azimuth) of a resolution cell: that of the declared response, or a pixel, if that is larger |
     | `settings[name]` | the settings of the effect `name` in this view |
     | `layers` | by name, shares of the beta0 that an effect keeps apart, shape (rows * cols,) |
+    | `remarks` | what a user should be told of this view's image, sentences |
     | `recorded[name]` | what an effect worked out for one polarization and needs for the next |
     """
 
@@ -40,6 +41,7 @@ class Recorder(Protocol):
     resolution_m: tuple[float, float]
     settings: dict[str, Mapping[str, Any]]
     layers: dict[str, Any]
+    remarks: list[str]
     recorded: dict[str, Any]
 
     def coordinates(self, face: wp.array, barycentric: wp.array, points: wp.array) -> wp.array:

@@ -62,7 +62,7 @@ class Coupled:
 
 
 @dataclass
-class Samples:
+class CellSamples:
     """The fields of paths in the samples of the cells. Paths of one sample lie together.
 
     `coupling` [m], vec2 (n,): the field of each path for an answer of 1. `sample`: which one it belongs to; `first`:
@@ -122,7 +122,7 @@ def couple(
 
 def samples_of(
     parts: Sequence[Coupled], grid: BinGrid, cell_m: tuple[float, float], pixel_area_m2: float, device: wp.Device
-) -> tuple[dict[str, NDArray[Any]], Samples]:
+) -> tuple[dict[str, NDArray[Any]], CellSamples]:
     """Paths by sample and order of faces, as arrays of `PathRecords`, and their samples.
 
     A sample's power falls where the tubes lie from which it comes, not into the sample's own place: an isolated body
@@ -168,7 +168,7 @@ def samples_of(
     def upload(values: NDArray[Any], dtype: Any, kind: Any) -> wp.array:
         return wp.array(np.ascontiguousarray(values, dtype), dtype=kind, device=device)
 
-    return made, Samples(
+    return made, CellSamples(
         upload(coupling, np.float32, wp.vec2),
         upload(sample, np.int32, int),
         upload(first, np.int32, int),
@@ -199,7 +199,17 @@ def _shares(
 def splits_of(
     parts: Sequence[Coupled], grid: BinGrid, cell_m: tuple[float, float]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Ray cells (azimuth, elevation) from which bright samples get too few tubes, and into how many to cut each side.
+    """Ray cells (azimuth, elevation) from which bright samples get too few tubes, and into how many to cut each side."""
+    tubes = np.concatenate([part.tubes for part in parts])
+    worst = errors_of(parts, grid, cell_m)
+    split = np.ceil(np.clip((worst / _ACCURACY) ** (2 / 3), 1.0, _MOST_SPLIT)).astype(np.int64)
+    each = np.repeat(split, tubes)
+    cut = each > 1
+    return np.concatenate([part.cell for part in parts])[cut], each[cut]
+
+
+def errors_of(parts: Sequence[Coupled], grid: BinGrid, cell_m: tuple[float, float]) -> NDArray[np.float64]:
+    """Relative error of the power of the bright samples to which each group of tubes sends, (n,), by their number.
 
     Of n tubes, those at the border of a body are in or out by chance: 4 sqrt(n) of them, each with a variance of about
     0.1. So a field is known to 0.63 n^(-3/4) of it, and its power to twice that.
@@ -215,10 +225,7 @@ def splits_of(
     mine = size**2 >= 0.1 * np.maximum.reduceat(size, np.searchsorted(group, np.arange(tubes.size)))[group] ** 2
     worst = np.zeros(tubes.size)
     np.maximum.at(worst, group[mine], error[sample[mine]])
-    split = np.ceil(np.clip((worst / _ACCURACY) ** (2 / 3), 1.0, _MOST_SPLIT)).astype(np.int64)
-    each = np.repeat(split, tubes)
-    cut = each > 1
-    return np.concatenate([part.cell for part in parts])[cut], each[cut]
+    return worst
 
 
 def _falls(

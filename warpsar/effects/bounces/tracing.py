@@ -13,7 +13,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from warpsar.effects.base.recorder import Recorder
-from warpsar.effects.bounces.cells import Coupled, Samples, cells_of, couple, samples_of, splits_of
+from warpsar.effects.bounces.cells import Coupled, CellSamples, cells_of, couple, errors_of, samples_of, splits_of
 from warpsar.kernels import merge as merging
 from warpsar.kernels.effects import multibounce as kernels
 from warpsar.kernels.geometry import Band, RayGrid
@@ -25,9 +25,11 @@ from warpsar.trace.target import Target
 
 _RECORD_BYTES = 240  # a record, its field, and the sort's keys and order, twice
 _SEGMENT = 64  # cells of one thread on CUDA
+_TOLD = 0.01  # of the rays that meet two surfaces: that many may go on after the last bounce, unsaid
+_UNSURE = 0.12  # of a bright corner's power, half a decibel: rays are too few
 _LEAST_BUDGET = 1_000_000  # rays that cutting may add to a small view
 
-_ARRAYS = {name: dtype for name, dtype in element_types(kernels.PathRecords).items() if name != "count"}
+_ARRAYS = {n: dtype for n, dtype in element_types(kernels.PathRecords).items() if n not in ("count", "area")}
 
 
 @dataclass
@@ -55,24 +57,31 @@ class CoherentPaths:
     """Paths by the cells in which their fields add up: `paths` has one for each sample and each order of faces."""
 
     paths: BouncePaths
-    samples: Samples
+    samples: CellSamples
 
 
 @dataclass
-class Traced:
+class BouncesOfOneNumber:
     """Paths of one number of bounces, merged by bin and faces; by cells too, where these were asked for."""
 
     paths: BouncePaths
     coherent: CoherentPaths | None = None
 
 
+@dataclass
+class TracedPaths:
+    """Paths of 2, 3, ... bounces, None where there are none of a number, and what a user should be told of them."""
+
+    of: list[BouncesOfOneNumber | None]
+    remarks: list[str]
+
+
 def trace_paths(
     render: Recorder, max_bounces: int, cell_m: tuple[float, float] | None = None
-) -> list[Traced | None]:
+) -> TracedPaths:
     """Paths of 2, 3, ... `max_bounces` bounces, with the density and seed of the view's hits.
 
-    With `cell_m`, the size of a resolution cell (range, azimuth) [m], their fields are summed over cells too. None
-    stands where there are no paths of that number of bounces.
+    With `cell_m`, the size of a resolution cell (range, azimuth) [m], their fields are summed over cells too.
     """
     hits, target = render.hits, render.stage.target
     # Rays that enter beside the image may leave inside: half of it on each side, and no farther than the mesh.
@@ -96,8 +105,9 @@ def trace_paths(
         again = [partial(_band, render, rays, max_bounces, cells, bands[at], split) for at, split in splits.items()]
         finer = dict(zip(splits, threads.ordered(again, target.device), strict=True))
         traced_bands = [finer.get(at, one) for at, one in enumerate(traced_bands)]
-    parts = [part for part in traced_bands if part is not None]
-    found: list[Traced | None] = []
+    parts = [part.of for part in traced_bands]
+    remarks = _remarks(traced_bands, max_bounces, grid, cell_m)
+    found: list[BouncesOfOneNumber | None] = []
     for index in range(max_bounces - 1):
         mine = [one for part in parts if (one := part[index]) is not None]
         if not mine:
@@ -107,18 +117,45 @@ def trace_paths(
             name: concatenate([getattr(one.records, name) for one in mine], dtype, target.device)
             for name, dtype in _ARRAYS.items()
         }
-        traced = Traced(_paths(fill(kernels.PathRecords, **arrays), index + 2, rays, target))
+        traced = BouncesOfOneNumber(_paths(fill(kernels.PathRecords, **arrays), index + 2, rays, target))
         if cell_m is not None:
             made, samples = samples_of([one.coupled for one in mine], grid, cell_m, area, target.device)
             own = {name: wp.array(made[name], dtype=dtype, device=target.device) for name, dtype in _ARRAYS.items()}
             paths = _paths(fill(kernels.PathRecords, **own), index + 2, rays, target)
             traced.coherent = CoherentPaths(paths, samples)
         found.append(traced)
+    return TracedPaths(found, remarks)
+
+
+def _coupled_of(traced: Sequence[_Traced], index: int) -> list[Coupled]:
+    """The fields of all bands' paths of a number of bounces, 0 for two."""
+    return [merged.coupled for one in traced if (merged := one.of[index]) is not None]
+
+
+def _remarks(
+    traced: Sequence[_Traced], max_bounces: int, grid: BinGrid, cell_m: tuple[float, float] | None
+) -> list[str]:
+    """What the paths leave out: bounces beyond the last one, and rays that bright corners lack."""
+    found = []
+    met, further = np.sum([one.area for one in traced], axis=0) if traced else (0.0, 0.0)
+    if further > _TOLD * met:
+        found.append(
+            f"multibounce: {100 * further / met:.2g} % of the area of the rays that meet two surfaces goes on to another "
+            f"one after max_bounces = {max_bounces}; at most this share of the bounces' power is left out"
+        )
+    if cell_m is not None:
+        coupled = [mine for index in range(max_bounces - 1) if (mine := _coupled_of(traced, index))]
+        worst = max((float(errors_of(mine, grid, cell_m).max(initial=0.0)) for mine in coupled), default=0.0)
+        if worst > _UNSURE:
+            found.append(
+                f"multibounce: bright corners get so few rays that their power is known to {100 * worst:.0f} % alone; "
+                "more rays_per_pixel of [sampling] are needed"
+            )
     return found
 
 
 def _splits(
-    traced: Sequence[list[_Merged | None] | None],
+    traced: Sequence[_Traced],
     rays: RayGrid,
     bands: Sequence[Any],
     grid: BinGrid,
@@ -129,9 +166,8 @@ def _splits(
     Cells beside those are cut too: a body may reach into them. All cuts together send at most as many rays again.
     """
     found: list[tuple[NDArray[np.int64], NDArray[np.int64]]] = []
-    for index in range(max((len(one) for one in traced if one is not None), default=0)):
-        mine = [merged.coupled for one in traced if one is not None and (merged := one[index]) is not None]
-        if mine:
+    for index in range(min((len(one.of) for one in traced), default=0)):
+        if mine := _coupled_of(traced, index):
             found.append(splits_of(mine, grid, cell_m))
     if not any(len(cell) for cell, _ in found):
         return {}
@@ -169,10 +205,18 @@ class _Merged:
     coupled: Any
 
 
+@dataclass(frozen=True)
+class _Traced:
+    """What a band has by number of bounces, 2 first, and `PathRecords.area`."""
+
+    of: list[_Merged | None]
+    area: NDArray[np.float32]
+
+
 def _band(
     render: Recorder, rays: RayGrid, max_bounces: int, cells: Any, band: Any, split: NDArray[np.uint8] | None = None
-) -> list[_Merged | None] | None:
-    """Paths of a band of azimuth cells, merged, by number of bounces; None without any (`_merge`)."""
+) -> _Traced:
+    """Paths of a band of azimuth cells, merged, by number of bounces."""
     hits, target = render.hits, render.stage.target
     grid, device = hits.grid, target.device
     segment = rays.elevation_cells if device.is_cpu else _SEGMENT
@@ -187,14 +231,17 @@ def _band(
         wp.launch(kernels.path_kernel, dim, inputs=inputs, outputs=[records], device=device)
         count = int(records.count.numpy()[0])
         if count <= capacity:
-            return _merge(records, count, max_bounces, partial(_coupled, render, rays, cells)) if count else None
+            couples = partial(_coupled, render, rays, cells)
+            of = _merge(records, count, max_bounces, couples) if count else [None] * (max_bounces - 1)
+            return _Traced(of, records.area.numpy().copy())
         capacity = count
 
 
 def _records(capacity: int, device: wp.Device) -> kernels.PathRecords:
     """Room for `capacity` records: a `kernels.PathRecords`."""
     count: wp.array = wp.zeros(1, dtype=int, device=device)
-    records: kernels.PathRecords = allocate(kernels.PathRecords, capacity, device, count=count)
+    area: wp.array = wp.zeros(2, dtype=float, device=device)
+    records: kernels.PathRecords = allocate(kernels.PathRecords, capacity, device, count=count, area=area)
     return records
 
 
