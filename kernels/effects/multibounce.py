@@ -39,7 +39,9 @@ class PathRecords:
     point: wp.array(dtype=wp.vec3)  # where one bounce would have the same range, azimuth and mean elevation
     ray: wp.array(dtype=wp.vec3)  # azimuth and elevation of the middle of the ray's cell; its side, in grid cells
     count: wp.array(dtype=int)
-    area: wp.array(dtype=float)  # of the rays that meet two surfaces, and of those that go on after all bounces [pixels]
+    area: wp.array(
+        dtype=float
+    )  # of the rays that meet two surfaces, and of those that go on after all bounces [pixels]
 
 
 @wp.struct

@@ -48,7 +48,7 @@ class TubeFields:
 class LineOfSight:
     """Range of a point about the reference point [m], and the direction of the ray to it."""
 
-    range: wp.float64
+    distance: wp.float64
     direction: wp.vec3d
 
 
@@ -57,12 +57,12 @@ def sight_of(point: wp.vec3d, d: wp.vec3d, v: wp.vec3d, slant_range: wp.float64)
     """As `slant_range_of` and `look_direction` of kernels/geometry.py, in double precision."""
     along = wp.dot(point, d)
     found = LineOfSight()
-    found.range = along
+    found.distance = along
     found.direction = d
     if slant_range > wp.float64(0.0):
         across = wp.dot(point, v)
         r = wp.sqrt((slant_range + along) * (slant_range + along) + across * across)
-        found.range = (TWO * slant_range * along + along * along + across * across) / (r + slant_range)
+        found.distance = (TWO * slant_range * along + along * along + across * across) / (r + slant_range)
         found.direction = wp.normalize((slant_range + along) * d + across * v)
     return found
 
@@ -148,9 +148,9 @@ def tube_kernel(
         if k == 0:
             entry = ONE * point
             sight = sight_of(point, d, v, slant_range)
-            way = sight.range
+            way = sight.distance
             if slant_range > wp.float64(0.0):
-                side_v = (sight.range + slant_range) * side_v
+                side_v = (sight.distance + slant_range) * side_v
             area = wp.length(wp.cross(side_u, side_v))
         else:
             way = way + t
@@ -166,12 +166,12 @@ def tube_kernel(
         side_u = side_u - TWO * wp.dot(normal, side_u) * normal
         side_v = side_v - TWO * wp.dot(normal, side_v) * normal
     last = sight_of(point, d, v, slant_range)
-    range = HALF * (way + last.range)
+    along = HALF * (way + last.distance)
     azimuth = HALF * wp.dot(u, entry + point)
     turn = -HALF * (last.direction + arrival)  # (s - d) / 2
     turn_u = wavenumber * wp.dot(turn, foot_u)
     turn_v = wavenumber * wp.dot(turn, foot_v)
-    place = wp.vec2d(range / cells.size[0], azimuth / cells.size[1])
+    place = wp.vec2d(along / cells.size[0], azimuth / cells.size[1])
     base = cell_of(cells, records.bin[i])
     total = wp.float64(0.0)
     for j in range(cells.offset.shape[0]):
@@ -179,7 +179,7 @@ def tube_kernel(
         share = sinc(PI * (place[0] - wp.float64(sample[0]))) * sinc(PI * (place[1] - wp.float64(sample[1])))
         total += share * share
     size = wavenumber / FOUR_PI * area / wp.sqrt(wp.max(total, wp.float64(1.0e-3)))
-    phase = turned(-TWO * wavenumber * range)
+    phase = turned(-TWO * wavenumber * along)
     field = size * phase
     moment = size * wp.vec2d(-phase[1], phase[0])  # times j
     by_u = tilted(turn_u) * sinc(turn_v)

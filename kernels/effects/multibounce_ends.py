@@ -16,18 +16,24 @@ from warpsar.kernels.scattering import mirror_lobe, roughness_spectrum
 PI = wp.constant(wp.float64(3.141592653589793))
 ORDERS = wp.constant(64)
 """Powers of a surface's correlation that are added up."""
+HEIGHTS = wp.constant(wp.float64(10.0))
+"""Correlation length in rms heights where a model has none: slopes of 8 degrees, as of bare soil."""
 MANY = wp.constant(wp.float64(30.0))
 """(q_z h)^2 from which on a surface is taken at the limit of all powers, geometric optics."""
 
 
 @wp.struct
 class Stuff:
-    """What the faces of a mesh are made of: `face_material` by face, the others by material."""
+    """What the faces of a mesh are made of: `face_material` by face, the others by material.
+
+    `has_length`: 0 where the backscatter model has no correlation length.
+    """
 
     face_material: wp.array(dtype=int)
     eps_im: wp.array(dtype=float)
     spectrum: wp.array(dtype=int)
     aspect: wp.array(dtype=float)
+    has_length: wp.array(dtype=int)
 
 
 @wp.func
@@ -179,7 +185,9 @@ def tangential(n: wp.vec3d, a: wp.vec3d) -> wp.vec3d:
 
 
 @wp.func
-def first_order(face: Face, k: wp.float64, field: Field, d: wp.vec3d, n: wp.vec3d, s: wp.vec3d, p: wp.vec3d) -> wp.vec2d:
+def first_order(
+    face: Face, k: wp.float64, field: Field, d: wp.vec3d, n: wp.vec3d, s: wp.vec3d, p: wp.vec3d
+) -> wp.vec2d:
     """(eps - 1) (E_t . F_t + E_n F_n / eps): small perturbation of first order, for a unit of height.
 
     E is the whole field over the plane surface, F that of a wave `p` which the radar would send (reciprocity).
@@ -277,7 +285,9 @@ def diffuse_kernel(
     spectrum = stuff.spectrum[material]
     aspect = wp.float64(stuff.aspect[material])
     h = rough.rms_height
-    length = wp.exp(wp.float64(z[Coordinate.LENGTH]))
+    length = HEIGHTS * h
+    if stuff.has_length[material] != 0:
+        length = wp.exp(wp.float64(z[Coordinate.LENGTH]))
     q = k * (s - d)
     upright = wp.dot(q, n)
     size2 = wp.dot(q, q)

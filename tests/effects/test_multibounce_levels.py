@@ -37,7 +37,7 @@ def total(scene: Scene, layer: str) -> float:
 
 
 def bouncing(mesh: Mesh, look: Any, frequency_hz: float, *, max_bounces: int = 3, **more: Any) -> Scene:
-    materials = more.pop("materials", {name: METAL for name in mesh.materials})
+    materials = more.pop("materials", dict.fromkeys(mesh.materials, METAL))
     more = {"shape": (40, 40), "frequency_hz": frequency_hz} | more
     scene = scene_of(mesh, look, materials=materials, **more)
     return with_effect(scene, "multibounce", {"strength": 1.0, "max_bounces": max_bounces})
@@ -66,8 +66,12 @@ def test_trihedrals_have_their_level(kind: str, frequency_hz: float) -> None:
     """From 0.3 to 5 m, with the rays of a default scene. Closed forms are of optics: above two wavelengths or so."""
     for a in (0.3, 0.5, 1.0, 5.0):
         made = bouncing(trihedral(kind, a), view(45.0, AXIS_DEG), frequency_hz, shape=(20, 20))
+        lobe = with_effect(made, "multibounce", {"strength": 1.0, "reflection": "lobe"})
+        found, old = (db(total(one, "beta0_3_bounces_HH")) for one in (made, lobe))
+        expected = db(peak(kind, a, frequency_hz))
+        print(f"| {kind} | {a:g} | {frequency_hz / 1e9:g} | {expected:.1f} | {found:.1f} | {old:.1f} |")
         # known to the 4 % at which tubes are cut no further, and the pattern's mean over band and aperture
-        assert db(total(made, "beta0_3_bounces_HH")) == pytest.approx(db(peak(kind, a, frequency_hz)), abs=0.4)
+        assert found == pytest.approx(expected, abs=0.4)
 
 
 def test_a_trihedral_does_not_depend_on_its_place_in_a_pixel() -> None:
@@ -101,12 +105,11 @@ def test_a_corner_goes_as_the_fourth_power_and_a_lobe_as_the_second() -> None:
 
 
 def dihedral(length: float, height: float, incidence_deg: float = 45.0) -> Mesh:
-    """A wall along x on ground to its north that holds all of the wall's mirror image."""
+    """A wall along x on ground to its north that holds all of the wall's mirror image, up to 15 degrees off."""
     deep = 1.5 * height * np.tan(np.deg2rad(incidence_deg))
-    corner = CORNER - [length / 2, 0, 0]
-    return mesh_of(
-        wall=plate(corner, (length, 0, 0), (0, 0, height)), ground=plate(corner, (length, 0, 0), (0, deep, 0))
-    )
+    corner, beside = CORNER - [length / 2, 0, 0], np.array([0.5 * height, 0, 0])
+    wall = plate(corner, (length, 0, 0), (0, 0, height))
+    return mesh_of(wall=wall, ground=plate(corner - beside, (length + height, 0, 0), (0, deep, 0)))
 
 
 def mirrored_by_wall(azimuth_deg: float, incidence_deg: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -126,12 +129,11 @@ def wave(length: float, height: float, frequency_hz: float, azimuth_deg: float, 
     found = 0j
     along = np.array([length, 0.0, 0.0])
     other = d * [1, 1, -1]
-    deep = min(1.5 * height * np.tan(np.deg2rad(incidence_deg)), height * abs(other[1] / other[2]))
     u = worlds.axes(azimuth_deg, incidence_deg)[1]
     up, north = np.array([0, 0, 1]), np.array([0, 1, 0])
     for arrives, side, mirror, last in (
         (out, height * (way + up), north, up),
-        (other, deep * (other / abs(other[1]) + north) * [1, 0, 1], up, north),
+        (other, height * up, up, north),
     ):
         field = 2 * mirror * (mirror @ u) - u
         answer = u @ np.cross(last, np.cross(arrives, field))
@@ -174,7 +176,11 @@ def test_a_dihedral_has_its_pattern_over_band_and_aperture(length: float, height
         expected = averaged(length, height, frequency_hz, azimuth_deg, 45.0, 0.5)
         if expected > 0.01 * highest:
             made = bouncing(dihedral(length, height), view(azimuth_deg, 45.0), frequency_hz, max_bounces=2)
-            assert db(total(made, "beta0_2_bounces_HH")) == pytest.approx(db(expected), abs=1.0)
+            found = db(total(made, "beta0_2_bounces_HH"))
+            print(
+                f"| {length:g} x {height:g} | {frequency_hz / 1e9:g} | {azimuth_deg:g} | {db(expected):.1f} | {found:.1f} |"
+            )
+            assert found == pytest.approx(db(expected), abs=1.0)
             some += 1
     assert some >= 3
 
@@ -280,9 +286,8 @@ def test_a_turned_wall_on_very_rough_ground_is_geometric_optics(azimuth_deg: flo
     sigma0 = amplitude**2 * np.exp(-tan2 / (2 * slopes)) * (1 + tan2) ** 2 / (2 * slopes)
     expected = 4 * sigma0 * 20.0 * 3.0 * abs(way[1])
     made = wall_on(ground, azimuth_deg, frequency_hz, shape=(64, 80))
-    # 0.1 dB of rays at borders; the wall's ends beyond the ground take 3 m tan(15 degrees) of 20 m
-    lost = 1 - 0.5 * 3.0 * abs(way[0]) / 20.0
-    assert db(total(made, "beta0_2_bounces_HH")) == pytest.approx(db(expected * lost), abs=0.15)
+    # 0.1 dB of rays at borders
+    assert db(total(made, "beta0_2_bounces_HH")) == pytest.approx(db(expected), abs=0.1)
 
 
 def test_a_wall_off_the_track_shines_on_rough_ground_alone() -> None:
@@ -323,6 +328,7 @@ def scattered(d: np.ndarray, s: np.ndarray, normal: np.ndarray, zeta: list[float
         eps_im=wp.zeros(1, dtype=float, device=device),
         spectrum=wp.zeros(1, dtype=int, device=device),
         aspect=wp.ones(1, dtype=float, device=device),
+        has_length=wp.ones(1, dtype=int, device=device),
     )
     received, sent = (int(letter == "V") for letter in name)
     fields = [vec3((u, v)[sent]), vec3((0, 0, 0)), vec3((u, v)[received]), vec3((0, 0, 0))]

@@ -123,12 +123,11 @@ class Multibounce(Effect):
             if cell_m == render.spacing_m:
                 size = " x ".join(f"{side:g}" for side in cell_m)
                 render.remarks.append(
-                    f"multibounce: fields of corners are summed over cells of a pixel ({size} m), on which their levels "
-                    "depend; effects.point_spread declares the resolution"
+                    f"multibounce: fields of corners are summed over cells of a pixel ({size} m), on which their "
+                    "levels depend; effects.point_spread declares the resolution"
                 )
         return [
-            one
-            and (one, Fields(render, one.paths), Fields(render, one.coherent.paths) if one.coherent else None)
+            one and (one, Fields(render, one.paths), Fields(render, one.coherent.paths) if one.coherent else None)
             for one in render.hits.derived[key].of
         ]
 

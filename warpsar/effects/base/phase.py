@@ -8,7 +8,6 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-
 _CELL = {"none": 1.1288, "taylor": 1.0423, None: 1.0645}
 """Area of a response's power over its peak, in half-power widths: of sinc^2, Taylor's window at -35 dB, a Gaussian."""
 

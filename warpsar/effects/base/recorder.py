@@ -24,7 +24,7 @@ class Recorder(Protocol):
     | `hits` | where power falls |
     | `shaded` | what is shaded: one sample per face and pixel |
     | `shape`, `spacing_m` | (rows, cols) and (range, azimuth) of the image |
-    | `resolution_m` | (range, azimuth) of a resolution cell: that of the declared response, or a pixel, if that is larger |
+    | `resolution_m` | (range, azimuth) of a resolution cell: of the declared response, at least a pixel |
     | `settings[name]` | the settings of the effect `name` in this view |
     | `layers` | by name, shares of the beta0 that an effect keeps apart, shape (rows * cols,) |
     | `remarks` | what a user should be told of this view's image, sentences |

@@ -120,10 +120,24 @@ def couple(
     return field.numpy().astype(np.float32).view(np.complex64)[..., 0]
 
 
+def kinds_of(normal: NDArray[np.float64], material: NDArray[np.int32]) -> NDArray[np.int64]:
+    """Numbers of faces, from 1 on, that are alike for faces of one material and one direction, to a thousandth."""
+    key = np.column_stack([np.round(normal, 3), material])
+    return np.unique(key, axis=0, return_inverse=True)[1].reshape(-1) + 1
+
+
 def samples_of(
-    parts: Sequence[Coupled], grid: BinGrid, cell_m: tuple[float, float], pixel_area_m2: float, device: wp.Device
+    parts: Sequence[Coupled],
+    kinds: NDArray[np.int64],
+    grid: BinGrid,
+    cell_m: tuple[float, float],
+    pixel_area_m2: float,
+    device: wp.Device,
 ) -> tuple[dict[str, NDArray[Any]], CellSamples]:
-    """Paths by sample and order of faces, as arrays of `PathRecords`, and their samples.
+    """Paths by sample and kinds of their faces (`kinds_of`), as arrays of `PathRecords`, and their samples.
+
+    Faces of one kind answer alike, so the fields of their tubes are added up. The surface is that where the strongest
+    of them lies.
 
     A sample's power falls where the tubes lie from which it comes, not into the sample's own place: an isolated body
     keeps its pixel, and its power does not depend on where it lies between the samples.
@@ -132,30 +146,24 @@ def samples_of(
     group, place, field = _shares(records["bin"], np.concatenate([part.field for part in parts]), grid, cell_m)
     power = (field.real**2 + field.imag**2).astype(float)
     bins = records["bin"][group]
-    _, kind = np.unique(records["faces"], axis=0, return_inverse=True)
-    kinds = int(kind.max(initial=0)) + 1
-    keys, path = np.unique(place * kinds + kind.reshape(-1)[group], return_inverse=True)
+    _, met = np.unique(np.append(0, kinds)[records["faces"]], axis=0, return_inverse=True)
+    ways = int(met.max(initial=0)) + 1
+    keys, path = np.unique(place * ways + met.reshape(-1)[group], return_inverse=True)
     n = keys.size
     total = np.bincount(path, power, n)
 
-    def mean(values: NDArray[Any]) -> NDArray[np.float32]:
-        summed = [np.bincount(path, power * column, n) / total for column in values[group].T]
-        return np.stack(summed, axis=1).astype(np.float32)
-
-    _, head, sample = np.unique(keys // kinds, return_index=True, return_inverse=True)
+    _, head, sample = np.unique(keys // ways, return_index=True, return_inverse=True)
     first = np.append(head, n)
     of_sample = np.bincount(sample, total)
-    point = np.stack([np.bincount(sample, total * column) / of_sample for column in mean(records["point"]).T], axis=1)
-    some = np.zeros(n, np.int64)
-    some[path] = group  # any of a path's groups: they have its faces
+    place_m = [np.bincount(sample[path], power * column) / of_sample for column in records["point"][group].T]
+    strongest = np.zeros(n, np.int64)
+    rising = np.argsort(power, kind="stable")
+    strongest[path[rising]] = group[rising]  # the last one stays
     made = {
         "bin": np.zeros(n, np.int32),
-        "bounces": records["bounces"][some],
-        "faces": records["faces"][some],
-        "second": mean(records["second"]),
-        "third": mean(records["third"]),
+        **{name: records[name][strongest] for name in ("bounces", "faces", "second", "third")},
         "weight": np.ones(n, np.float32),
-        "point": point[sample].astype(np.float32),
+        "point": np.stack(place_m, axis=1)[sample].astype(np.float32),
         "ray": np.zeros((n, 3), np.float32),
     }
     owner, bin_, share = _falls(sample[path], bins, power, of_sample.size)
@@ -199,7 +207,7 @@ def _shares(
 def splits_of(
     parts: Sequence[Coupled], grid: BinGrid, cell_m: tuple[float, float]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Ray cells (azimuth, elevation) from which bright samples get too few tubes, and into how many to cut each side."""
+    """Ray cells (azimuth, elevation) of bright samples with too few tubes, and into how many to cut each side."""
     tubes = np.concatenate([part.tubes for part in parts])
     worst = errors_of(parts, grid, cell_m)
     split = np.ceil(np.clip((worst / _ACCURACY) ** (2 / 3), 1.0, _MOST_SPLIT)).astype(np.int64)
@@ -235,7 +243,7 @@ def _falls(
     across = int(bins.max(initial=0)) + 1
     keys, inverse = np.unique(sample * across + bins, return_inverse=True)
     owner, bin_ = np.divmod(keys, across)
-    share = np.bincount(inverse, power)
+    share: NDArray[np.float64] = np.bincount(inverse, power)
     for _ in range(2):  # the small ones go, and the others take their place
         share = share / np.bincount(owner, share, count)[owner]
         much = share >= _LEAST_FALL

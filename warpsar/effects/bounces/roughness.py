@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import cache
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from warpsar.effects.base.recorder import Recorder
 from warpsar.effects.bounces.tracing import BouncePaths, CoherentPaths
 from warpsar.kernels.codes import Polarization
 from warpsar.kernels.effects import multibounce_ends as kernels
+from warpsar.models import registry as models
 from warpsar.runtime.structs import fill
 
 
@@ -24,16 +25,18 @@ class Fields:
         self.zetas = [render.coordinates(b.face, b.barycentric, b.point) for b in paths.bounces]
         self._known: dict[bool, list[wp.array]] = {}
 
-    @property
+    @cached_property
     def stuff(self) -> Any:
         """`kernels.Stuff` of the mesh."""
         stage = self._render.stage
+        has_length = ["correlation_length_m" in models.get(model).keys for model in stage.surface.model]
         return fill(
             kernels.Stuff,
             face_material=stage.face_material,
             eps_im=stage.eps_im,
             spectrum=stage.spectrum,
             aspect=stage.aspect,
+            has_length=wp.array(has_length, dtype=int, device=self._render.program.device),
         )
 
     @property
@@ -63,8 +66,8 @@ class Fields:
 
 def _verticals(polarization: int) -> tuple[bool, bool]:
     """Whether V is received, and whether it is sent."""
-    received, sent = Polarization(polarization).name
-    return received == "V", sent == "V"
+    name = Polarization(polarization).name
+    return name[0] == "V", name[1] == "V"
 
 
 @cache
@@ -100,5 +103,3 @@ def coherent_power(
     program.launch(kernels.sample_kernel, count, [samples.first, samples.coupling, amplitude], [field])
     program.launch(kernels.cell_power_kernel, n, [p, samples.first, samples.sample, field], [power])
     return power
-
-

@@ -13,7 +13,16 @@ import warp as wp
 from numpy.typing import NDArray
 
 from warpsar.effects.base.recorder import Recorder
-from warpsar.effects.bounces.cells import Coupled, CellSamples, cells_of, couple, errors_of, samples_of, splits_of
+from warpsar.effects.bounces.cells import (
+    CellSamples,
+    Coupled,
+    cells_of,
+    couple,
+    errors_of,
+    kinds_of,
+    samples_of,
+    splits_of,
+)
 from warpsar.kernels import merge as merging
 from warpsar.kernels.effects import multibounce as kernels
 from warpsar.kernels.geometry import Band, RayGrid
@@ -76,9 +85,7 @@ class TracedPaths:
     remarks: list[str]
 
 
-def trace_paths(
-    render: Recorder, max_bounces: int, cell_m: tuple[float, float] | None = None
-) -> TracedPaths:
+def trace_paths(render: Recorder, max_bounces: int, cell_m: tuple[float, float] | None = None) -> TracedPaths:
     """Paths of 2, 3, ... `max_bounces` bounces, with the density and seed of the view's hits.
 
     With `cell_m`, the size of a resolution cell (range, azimuth) [m], their fields are summed over cells too.
@@ -105,6 +112,7 @@ def trace_paths(
         again = [partial(_band, render, rays, max_bounces, cells, bands[at], split) for at, split in splits.items()]
         finer = dict(zip(splits, threads.ordered(again, target.device), strict=True))
         traced_bands = [finer.get(at, one) for at, one in enumerate(traced_bands)]
+        kinds = _kinds(render)
     parts = [part.of for part in traced_bands]
     remarks = _remarks(traced_bands, max_bounces, grid, cell_m)
     found: list[BouncesOfOneNumber | None] = []
@@ -119,12 +127,23 @@ def trace_paths(
         }
         traced = BouncesOfOneNumber(_paths(fill(kernels.PathRecords, **arrays), index + 2, rays, target))
         if cell_m is not None:
-            made, samples = samples_of([one.coupled for one in mine], grid, cell_m, area, target.device)
-            own = {name: wp.array(made[name], dtype=dtype, device=target.device) for name, dtype in _ARRAYS.items()}
+            made, samples = samples_of([one.coupled for one in mine], kinds, grid, cell_m, area, target.device)
+            own: dict[str, Any] = {
+                name: wp.array(made[name], dtype=dtype, device=target.device) for name, dtype in _ARRAYS.items()
+            }
             paths = _paths(fill(kernels.PathRecords, **own), index + 2, rays, target)
             traced.coherent = CoherentPaths(paths, samples)
         found.append(traced)
     return TracedPaths(found, remarks)
+
+
+def _kinds(render: Recorder) -> NDArray[np.int64]:
+    """`kinds_of` the faces of the mesh."""
+    target = render.stage.target
+    p0, p1, p2 = (target.corners[corner] for corner in target.faces.numpy().T)
+    normal = np.cross(p1 - p0, p2 - p0)
+    length = np.linalg.norm(normal, axis=1, keepdims=True)
+    return kinds_of(normal / np.maximum(length, np.finfo(float).tiny), render.stage.face_material.numpy())
 
 
 def _coupled_of(traced: Sequence[_Traced], index: int) -> list[Coupled]:
@@ -140,8 +159,8 @@ def _remarks(
     met, further = np.sum([one.area for one in traced], axis=0) if traced else (0.0, 0.0)
     if further > _TOLD * met:
         found.append(
-            f"multibounce: {100 * further / met:.2g} % of the area of the rays that meet two surfaces goes on to another "
-            f"one after max_bounces = {max_bounces}; at most this share of the bounces' power is left out"
+            f"multibounce: {100 * further / met:.2g} % of the area of the rays that meet two surfaces goes on to "
+            f"another one after max_bounces = {max_bounces}; at most this share of the bounces' power is left out"
         )
     if cell_m is not None:
         coupled = [mine for index in range(max_bounces - 1) if (mine := _coupled_of(traced, index))]
@@ -232,7 +251,9 @@ def _band(
         count = int(records.count.numpy()[0])
         if count <= capacity:
             couples = partial(_coupled, render, rays, cells)
-            of = _merge(records, count, max_bounces, couples) if count else [None] * (max_bounces - 1)
+            of: list[_Merged | None] = [None] * (max_bounces - 1)
+            if count:
+                of = _merge(records, count, max_bounces, couples)
             return _Traced(of, records.area.numpy().copy())
         capacity = count
 
