@@ -9,15 +9,14 @@ import worlds
 from effect_worlds import with_effect
 from worlds import join, mesh_of, plate, scene_of, view
 
-from warpsar.effects.bounces import tracing
+from warpsar.effects.bounces import cells, tracing
 from warpsar.kernels.effects import multibounce, multibounce_ends
 from warpsar.runtime.structs import fill
 from warpsar.scene.scene import Scene
 from warpsar.simulation.command import Simulation, simulate
 from warpsar.surface.stage import Stage
+from warpsar.trace.hits import BinGrid
 from warpsar.world.mesh import Mesh
-
-pytestmark = pytest.mark.unit
 
 LIGHT = 299792458.0
 METAL = {"eps_r": (1e6, -1e6), "rms_height_m": 1e-6, "correlation_length_m": 0.1}
@@ -177,9 +176,8 @@ def test_a_dihedral_has_its_pattern_over_band_and_aperture(length: float, height
         if expected > 0.01 * highest:
             made = bouncing(dihedral(length, height), view(azimuth_deg, 45.0), frequency_hz, max_bounces=2)
             found = db(total(made, "beta0_2_bounces_HH"))
-            print(
-                f"| {length:g} x {height:g} | {frequency_hz / 1e9:g} | {azimuth_deg:g} | {db(expected):.1f} | {found:.1f} |"
-            )
+            print(f"| {length:g} x {height:g} | {frequency_hz / 1e9:g} | {azimuth_deg:g}", end=" | ")
+            print(f"{db(expected):.1f} | {found:.1f} |")
             assert found == pytest.approx(db(expected), abs=1.0)
             some += 1
     assert some >= 3
@@ -384,3 +382,28 @@ def test_what_is_left_out_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     enough = bouncing(trihedral("triangular", 1.0), view(45.0, AXIS_DEG), 9.6e9, shape=(20, 20))
     assert "needed" not in said(enough)
     assert "left out" not in said(enough)
+
+
+def test_groups_of_tubes_without_a_field() -> None:
+    """Their fields may cancel, or lie far below the brightest: they have no share in any sample, and need no rays."""
+    offsets = len(cells.offsets())
+    grid = BinGrid((4, 4), (0.5, 0.5))
+    for strengths in ([1.0, 0.0, 1e-6], [0.0, 0.0, 0.0]):
+        field = np.zeros((3, offsets), np.complex64)
+        field[:, offsets // 2] = strengths
+        records = {
+            "bin": np.array([5, 6, 7], np.int32),
+            "bounces": np.full(3, 2, np.int32),
+            "faces": np.array([[1, 2, 0, 0]] * 3, np.int32),
+            "second": np.full((3, 4), 0.25, np.float32),
+            "third": np.full((3, 4), 0.25, np.float32),
+            "point": np.zeros((3, 3), np.float32),
+        }
+        part = cells.Coupled(records, field, np.array([[k, 0] for k in range(9)]), np.array([0, 3, 6]))
+        cell, split = cells.splits_of([part], grid, (0.5, 0.5))
+        lit = int(np.count_nonzero(np.array(strengths) == 1.0))
+        assert cell[:, 0].tolist() == [0, 1, 2][: 3 * lit]
+        assert (split == 6).all()  # (1.26 * 3 ** -0.75 / 0.04) ** (2 / 3) is 5.7
+        made, samples = cells.samples_of([part], np.array([1, 2]), grid, (0.5, 0.5), 0.25, wp.get_device("cpu"))
+        assert made["bin"].shape == samples.coupling.shape == (lit,)
+        assert samples.weight.numpy() == pytest.approx([4 * np.pi / 0.25] * lit)

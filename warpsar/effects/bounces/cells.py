@@ -230,8 +230,9 @@ def errors_of(parts: Sequence[Coupled], grid: BinGrid, cell_m: tuple[float, floa
     power = np.bincount(sample, field.real) ** 2 + np.bincount(sample, field.imag) ** 2
     alike = np.bincount(sample, size) ** 2 / np.bincount(sample, size**2 / tubes[group])
     error = np.where(power > _BRIGHT * power.max(initial=0.0), _ERROR_OF_ONE * alike**-0.75, 0.0)
-    mine = size**2 >= 0.1 * np.maximum.reduceat(size, np.searchsorted(group, np.arange(tubes.size)))[group] ** 2
-    worst = np.zeros(tubes.size)
+    strongest, worst = np.zeros(tubes.size), np.zeros(tubes.size)
+    np.maximum.at(strongest, group, size)
+    mine = size**2 >= 0.1 * strongest[group] ** 2
     np.maximum.at(worst, group[mine], error[sample[mine]])
     return worst
 
@@ -243,7 +244,7 @@ def _falls(
     across = int(bins.max(initial=0)) + 1
     keys, inverse = np.unique(sample * across + bins, return_inverse=True)
     owner, bin_ = np.divmod(keys, across)
-    share: NDArray[np.float64] = np.bincount(inverse, power)
+    share = np.bincount(inverse, power).astype(float)
     for _ in range(2):  # the small ones go, and the others take their place
         share = share / np.bincount(owner, share, count)[owner]
         much = share >= _LEAST_FALL
