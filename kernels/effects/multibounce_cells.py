@@ -36,9 +36,14 @@ class Cells:
 
 @wp.struct
 class TubeFields:
-    """Fields of tubes, shape (n,): `place` (range, azimuth) [cells], `field` [m] there, and its first moments [m]."""
+    """Fields of tubes, shape (n,): `place` x (range, azimuth) [cells], `field` [m] there, and its first moments [m].
+
+    `sine` and `cosine` are those of pi x: a tube's shares in all samples need no others.
+    """
 
     place: wp.array(dtype=wp.vec2d)
+    sine: wp.array(dtype=wp.vec2d)
+    cosine: wp.array(dtype=wp.vec2d)
     field: wp.array(dtype=wp.vec2d)
     by_range: wp.array(dtype=wp.vec2d)
     by_azimuth: wp.array(dtype=wp.vec2d)
@@ -89,6 +94,24 @@ def cell_of(cells: Cells, bin: int) -> wp.vec2i:
 def footprint(side: wp.vec3d, normal: wp.vec3d, direction: wp.vec3d) -> wp.vec3d:
     """The side of a tube on a face."""
     return side - (wp.dot(normal, side) / wp.dot(normal, direction)) * direction
+
+
+@wp.func
+def share_of(x: wp.float64, sine: wp.float64, sample: int) -> wp.float64:
+    """sin(pi (x - n)) / (pi (x - n)) of a place x and a sample n [cells]; `sine` is sin(pi x)."""
+    t = PI * (x - wp.float64(sample))
+    if wp.abs(t) < wp.float64(1.0e-3):
+        return ONE - t * t / wp.float64(6.0)
+    return wp.where(sample % 2 == 0, sine, -sine) / t
+
+
+@wp.func
+def slope_of(x: wp.float64, share: wp.float64, cosine: wp.float64, sample: int) -> wp.float64:
+    """The derivative of `share_of` to x; `cosine` is cos(pi x)."""
+    t = PI * (x - wp.float64(sample))
+    if wp.abs(t) < wp.float64(1.0e-3):
+        return -PI * t / wp.float64(3.0)
+    return PI * (wp.where(sample % 2 == 0, cosine, -cosine) - share) / t
 
 
 @wp.kernel(enable_backward=False)
@@ -172,11 +195,12 @@ def tube_kernel(
     turn_u = wavenumber * wp.dot(turn, foot_u)
     turn_v = wavenumber * wp.dot(turn, foot_v)
     place = wp.vec2d(along / cells.size[0], azimuth / cells.size[1])
+    sine = wp.vec2d(wp.sin(PI * place[0]), wp.sin(PI * place[1]))
     base = cell_of(cells, records.bin[i])
     total = wp.float64(0.0)
     for j in range(cells.offset.shape[0]):
         sample = base + cells.offset[j]
-        share = sinc(PI * (place[0] - wp.float64(sample[0]))) * sinc(PI * (place[1] - wp.float64(sample[1])))
+        share = share_of(place[0], sine[0], sample[0]) * share_of(place[1], sine[1], sample[1])
         total += share * share
     size = wavenumber / FOUR_PI * area / wp.sqrt(wp.max(total, wp.float64(1.0e-3)))
     phase = turned(-TWO * wavenumber * along)
@@ -185,6 +209,8 @@ def tube_kernel(
     by_u = tilted(turn_u) * sinc(turn_v)
     by_v = sinc(turn_u) * tilted(turn_v)
     tubes_out.place[i] = place
+    tubes_out.sine[i] = sine
+    tubes_out.cosine[i] = wp.vec2d(wp.cos(PI * place[0]), wp.cos(PI * place[1]))
     tubes_out.field[i] = sinc(turn_u) * sinc(turn_v) * field
     tubes_out.by_range[i] = (
         (by_u * wp.dot(turn, foot_u) + by_v * wp.dot(turn, foot_v)) * (-ONE / cells.size[0]) * moment
@@ -192,16 +218,6 @@ def tube_kernel(
     shift_u = HALF * wp.dot(u, enters_u + foot_u)
     shift_v = HALF * wp.dot(u, enters_v + foot_v)
     tubes_out.by_azimuth[i] = ((by_u * shift_u + by_v * shift_v) / cells.size[1]) * moment
-
-
-@wp.func
-def share_and_slope(x: wp.float64) -> wp.vec2d:
-    """sinc of a distance in cells, and its derivative."""
-    t = PI * x
-    share = sinc(t)
-    if wp.abs(t) < wp.float64(1.0e-3):
-        return wp.vec2d(share, -PI * t / wp.float64(3.0))
-    return wp.vec2d(share, PI * (wp.cos(t) - share) / t)
 
 
 @wp.kernel(enable_backward=False)
@@ -225,9 +241,9 @@ def couple_kernel(
     for k in range(first[i], end):
         at = order[k]
         place = tubes.place[at]
-        along = share_and_slope(place[0] - wp.float64(sample[0]))
-        across = share_and_slope(place[1] - wp.float64(sample[1]))
-        total += along[0] * across[0] * tubes.field[at]
-        total += along[1] * across[0] * tubes.by_range[at]
-        total += along[0] * across[1] * tubes.by_azimuth[at]
+        along = share_of(place[0], tubes.sine[at][0], sample[0])
+        across = share_of(place[1], tubes.sine[at][1], sample[1])
+        total += along * across * tubes.field[at]
+        total += slope_of(place[0], along, tubes.cosine[at][0], sample[0]) * across * tubes.by_range[at]
+        total += slope_of(place[1], across, tubes.cosine[at][1], sample[1]) * along * tubes.by_azimuth[at]
     field_out[i, j] = wp.vec2(total)

@@ -407,3 +407,19 @@ def test_groups_of_tubes_without_a_field() -> None:
         made, samples = cells.samples_of([part], np.array([1, 2]), grid, (0.5, 0.5), 0.25, wp.get_device("cpu"))
         assert made["bin"].shape == samples.coupling.shape == (lit,)
         assert samples.weight.numpy() == pytest.approx([4 * np.pi / 0.25] * lit)
+
+
+@pytest.mark.parametrize("kind", ["strip-map", "finer bins"])
+def test_other_rays_and_bins_find_the_same_levels(kind: str) -> None:
+    """From 100 km the fan of rays is parallel; `registration` has four bins to a pixel, and spreads power over two."""
+    for mesh, look, layer in (
+        (trihedral("square", 1.0), view(45.0, AXIS_DEG), "beta0_3_bounces_HH"),
+        (dihedral(5.0, 2.0), view(0.8, 45.0), "beta0_2_bounces_HH"),
+    ):
+        plain = bouncing(mesh, look, 9.6e9)
+        if kind == "strip-map":
+            other = bouncing(mesh, look, 9.6e9, slant_range_m=1e5)
+        else:
+            other = with_effect(plain, "registration", {"range_m": 0.2, "azimuth_m": -0.1})
+        # other rays: the accuracy of bright samples is 4 %
+        assert db(total(other, layer)) == pytest.approx(db(total(plain, layer)), abs=0.15)
