@@ -69,7 +69,9 @@ def bounces(source: Path, chips: Sequence[Chip]) -> dict[str, Any]:
             rougher = rough.materials["ground"].model_copy(update={"rms_height_m": height_m})
             rough = replace(rough, materials={**rough.materials, "ground": rougher})
         alone = predicted(rough, chips)
-        both = predicted(with_effect(rough, "multibounce", {"strength": 1.0, "max_bounces": 2}), chips)
+        both = predicted(
+            with_effect(rough, "multibounce", {"strength": 1.0, "max_bounces": 2, "reflection": "lobe"}), chips
+        )
         extra = {name: np.maximum(both[name] - alone[name], 0.0) for name in base}
         share = float(np.mean([extra[name].sum() / base[name].sum() for name in base]))
         for strength in (0.0, 0.01, 0.1, 1.0):

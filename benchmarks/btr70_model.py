@@ -99,7 +99,7 @@ LADDER: tuple[tuple[str, dict[str, Any]], ...] = (
     ("exponential_spectrum", {"weight": 0.3}),
     ("two_scale", {"slope_variance": 0.05}),
     ("edge_diffraction", {"strength": 0.1}),
-    ("multibounce", {"strength": 0.02, "max_bounces": 2}),
+    ("multibounce", {"strength": 0.02, "max_bounces": 2, "reflection": "lobe"}),
     (PARTS, {}),
 )
 """Effects in the order in which they are tried, with the tables where their fits begin. `FLASH` and `PARTS` are of

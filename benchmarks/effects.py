@@ -144,7 +144,7 @@ def every_effect(bench: Bench) -> list[dict[str, Any]]:
 
 
 def bounces(bench: Bench) -> None:
-    """multibounce with two and with three bounces, and the mirrors alone."""
+    """multibounce with two and with three bounces, each a lobe at its end, and the mirrors alone."""
     from warpsar.effects.multibounce import trace_paths
     from warpsar.trace.hits import BinGrid
     from warpsar.trace.rays import ray_grid
@@ -161,8 +161,10 @@ def bounces(bench: Bench) -> None:
         inputs = [rays, target.bvh.id, target.vertices, target.faces, rays.first_cell, 0, most, size]
         mirrors = partial(wp.launch, mirrors_kernel, dim, inputs, [asked], device=bench.device)
         bench.run(f"{name}, mirrors alone", mirrors)
-        render = bench.images(name, bench.effects("multibounce", strength=1.0, max_bounces=most), bench.hits)
-        paths = [p for p, _ in render.recorded["multibounce"] if p is not None]
+        render = bench.images(
+            name, bench.effects("multibounce", strength=1.0, max_bounces=most, reflection="lobe"), bench.hits
+        )
+        paths = [found[0].paths for found in render.recorded["multibounce"] if found is not None]
         bench.counts[f"{name}, paths"] = sum(p.weight.shape[0] for p in paths)
         bench.counts[f"{name}, bounces"] = sum(p.weight.shape[0] * len(p.bounces) for p in paths)
         asked.zero_()

@@ -457,7 +457,7 @@ CAR = (*PLACE, "length", "height", DETAIL)  # brightness, and a glint's three nu
 STEPS = ("read off, one brightness", "+ brightness by object", "+ places", "+ sizes and detail", "+ glints")
 FINAL = STEPS[-1]
 ROUNDS = 2  # of either of the last steps
-BOUNCES = {"strength": 0.3, "max_bounces": 2}
+BOUNCES = {"strength": 0.3, "max_bounces": 2, "reflection": "lobe"}
 """Where the fit of bounces begins. They are no step: with them one train view foretells the other worse, at every step
 (benchmarks/gotcha_choice.py, `full` against `single`)."""
 

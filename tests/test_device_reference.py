@@ -29,7 +29,7 @@ HERE = Path(__file__).resolve().parent
 STORED = HERE / "data" / "cpu_reference.npz"
 # What the stored numbers were made with: an effect of each stage that works on bins, paths or pixels.
 EFFECTS = {
-    "multibounce": {"strength": 0.7, "max_bounces": 3},
+    "multibounce": {"strength": 0.7, "max_bounces": 3, "reflection": "lobe"},
     "registration": {"range_m": 0.4, "azimuth_m": -0.3},
     "point_spread": {"range_fwhm_m": 2.5, "azimuth_fwhm_m": 3.0, "window": "taylor"},
     "noise_floor": {"level": 1e-3},

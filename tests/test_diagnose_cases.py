@@ -35,7 +35,7 @@ def true_effect(key: str, value: Any) -> dict[str, dict[str, Any]]:
     if key == "point_spread":
         return {key: {"range_fwhm_m": value[0], "azimuth_fwhm_m": value[1], "window": "gaussian"}}
     if key == "multibounce":
-        return {key: {"strength": 1.0, "max_bounces": value}}
+        return {key: {"strength": 1.0, "max_bounces": value, "reflection": "lobe"}}
     return {key: {"level": value}}
 
 

@@ -53,7 +53,7 @@ def alone(scene: Scene, cars: Any, name: str = "car094") -> Scene:
     With the system's response, as every measured image has: a fit counts shadows, and no gamma has a mean of 0."""
     (one,) = (o for o in scene.objects if o.name == name)
     own = replace(with_objects(scene, [one]), effects={})
-    own = cars.with_effects(own, multibounce={"strength": 0.3, "max_bounces": 2})
+    own = cars.with_effects(own, multibounce={"strength": 0.3, "max_bounces": 2, "reflection": "lobe"})
     own = cars.with_effects(own, point_spread=script("gotcha").KNOWN_SPREAD)
     own = replace(own, views=[v for v in own.views if v.name in VIEWS])
     return measured(own, cars, None)

@@ -37,7 +37,11 @@ class PathRecords:
     third: wp.array(dtype=wp.vec4)
     weight: wp.array(dtype=float)  # dA_perp / pixel area
     point: wp.array(dtype=wp.vec3)  # where one bounce would have the same range, azimuth and mean elevation
+    ray: wp.array(dtype=wp.vec3)  # azimuth and elevation of the middle of the ray's cell; its side, in grid cells
     count: wp.array(dtype=int)
+    area: wp.array(
+        dtype=float
+    )  # of the rays that meet two surfaces, and of those that go on after all bounces [pixels]
 
 
 @wp.struct
@@ -57,6 +61,8 @@ class PathAngles:
     cos_incidence: wp.array(dtype=wp.vec4)
     cos_half: wp.array(dtype=float)
     cos_tilt: wp.array(dtype=float)
+    arrival: wp.array(dtype=wp.vec3)  # direction of the ray that meets the first surface
+    home: wp.array(dtype=wp.vec3)  # from the last surface to the radar
 
 
 @wp.struct
@@ -67,6 +73,8 @@ class Bounce:
     barycentric: wp.array(dtype=wp.vec2)
     point: wp.array(dtype=wp.vec3)
     cos_incidence: wp.array(dtype=float)
+    direction: wp.array(dtype=wp.vec3)  # on arrival
+    normal: wp.array(dtype=wp.vec3)  # toward the side that the ray comes from
 
 
 @wp.func
@@ -93,6 +101,7 @@ def path_kernel(
     mesh: Triangles,
     band: Band,
     columns: ImageColumns,
+    split: wp.array2d(dtype=wp.uint8),
     tree: wp.uint64,
     segment: int,
     max_bounces: int,
@@ -103,7 +112,8 @@ def path_kernel(
     """One thread walks `segment` cells in the column of one azimuth cell. Every surface but the last is a mirror.
 
     A BVH query starts just off the surface, so that it does not find the same surface again. The point that the ray
-    meets is then computed from the surface itself.
+    meets is then computed from the surface itself. `split`: into how many parts along each side a cell of the band is
+    cut, (azimuth, elevation); whole cells without any.
     """
     i, j = wp.tid()
     cell = band.first_cell + i
@@ -112,64 +122,81 @@ def path_kernel(
     last = wp.min((j + 1) * segment, grid.elevation_cells)
     for k in range(j * segment, last):
         random = wp.rand_init(band.seed, cell * grid.elevation_cells + k)
-        jitter_u = wp.randf(random) - 0.5
-        jitter_v = wp.randf(random) - 0.5
-        elevation = grid.elevation_start + (float(k) + 0.5 + jitter_v) * grid.elevation_step
-        origin = ray_origin(grid, centre_u + jitter_u * grid.azimuth_step, elevation)
-        direction = ray_direction(grid, elevation)
-        weight = grid.azimuth_step * grid.elevation_step / grid.pixel_area
-        met = wp.vec4i(0, 0, 0, 0)
-        second = wp.vec4(0.0, 0.0, 0.0, 0.0)
-        third = wp.vec4(0.0, 0.0, 0.0, 0.0)
-        entry = wp.vec3(0.0, 0.0, 0.0)
-        before = wp.vec3(0.0, 0.0, 0.0)
-        side = wp.vec3(0.0, 0.0, 0.0)
-        between = float(0.0)
-        reach = grid.reach
-        for bounce in range(max_bounces):
-            query = wp.mesh_query_ray(tree, origin + clear * side, direction, reach)
-            if not query.result:
-                break
-            p0 = mesh.vertices[mesh.faces[query.face, 0]]
-            p1 = mesh.vertices[mesh.faces[query.face, 1]]
-            p2 = mesh.vertices[mesh.faces[query.face, 2]]
-            hit = intersect(origin, direction, p0, p1, p2)
-            slope = wp.dot(hit.normal, direction)
-            if wp.abs(slope) < 1.0e-6:
-                break
-            point = p0 + hit.b1 * (p1 - p0) + hit.b2 * (p2 - p0)
-            side = -wp.sign(slope) * hit.normal  # the one the ray is on
-            met[bounce] = query.face + 1
-            second[bounce] = hit.b1
-            third[bounce] = hit.b2
-            home = -look_direction(grid, point)
-            if bounce == 0:
-                entry = point
-                if grid.slant_range > 0.0:
-                    weight = weight * (slant_range_of(grid, point) + grid.slant_range)
-            else:
-                between += wp.length(point - before)
-                if wp.dot(side, home) > 0.0:
-                    # the bin first: a ray back to the radar costs more
-                    seen = apparent_point(grid, entry, point, between)
-                    row = int(wp.floor((slant_range_of(grid, seen) - grid.range_start) / grid.range_spacing - EDGE))
-                    col = int(wp.floor((wp.dot(seen, grid.u) - columns.start) / columns.spacing))
-                    if row >= 0 and row < grid.rows and col >= 0 and col < columns.count:
-                        back = wp.mesh_query_ray(tree, point + clear * side, home, size)
-                        if not back.result:
-                            slot = wp.atomic_add(records_out.count, 0, 1)
-                            if slot < records_out.bin.shape[0]:
-                                records_out.bin[slot] = row * columns.count + col
-                                records_out.bounces[slot] = bounce + 1
-                                records_out.faces[slot] = met
-                                records_out.second[slot] = second
-                                records_out.third[slot] = third
-                                records_out.weight[slot] = weight
-                                records_out.point[slot] = seen
-            before = point
-            direction = direction - 2.0 * slope * hit.normal
-            origin = point
-            reach = size
+        parts = int(1)
+        if split.shape[0] > 0:
+            parts = int(split[i, k])
+        part = 1.0 / float(parts)
+        for piece in range(parts * parts):
+            jitter_u = wp.randf(random) - 0.5
+            jitter_v = wp.randf(random) - 0.5
+            line = piece / parts
+            aside = (float(piece - line * parts) + 0.5) * part - 0.5
+            above = (float(line) + 0.5) * part - 0.5
+            elevation = grid.elevation_start + (float(k) + 0.5 + (above + part * jitter_v)) * grid.elevation_step
+            origin = ray_origin(grid, centre_u + (aside + part * jitter_u) * grid.azimuth_step, elevation)
+            direction = ray_direction(grid, elevation)
+            weight = part * part * grid.azimuth_step * grid.elevation_step / grid.pixel_area
+            met = wp.vec4i(0, 0, 0, 0)
+            second = wp.vec4(0.0, 0.0, 0.0, 0.0)
+            third = wp.vec4(0.0, 0.0, 0.0, 0.0)
+            entry = wp.vec3(0.0, 0.0, 0.0)
+            before = wp.vec3(0.0, 0.0, 0.0)
+            side = wp.vec3(0.0, 0.0, 0.0)
+            between = float(0.0)
+            reach = grid.reach
+            for bounce in range(max_bounces):
+                query = wp.mesh_query_ray(tree, origin + clear * side, direction, reach)
+                if not query.result:
+                    break
+                p0 = mesh.vertices[mesh.faces[query.face, 0]]
+                p1 = mesh.vertices[mesh.faces[query.face, 1]]
+                p2 = mesh.vertices[mesh.faces[query.face, 2]]
+                hit = intersect(origin, direction, p0, p1, p2)
+                slope = wp.dot(hit.normal, direction)
+                if wp.abs(slope) < 1.0e-6:
+                    break
+                point = p0 + hit.b1 * (p1 - p0) + hit.b2 * (p2 - p0)
+                side = -wp.sign(slope) * hit.normal  # the one the ray is on
+                met[bounce] = query.face + 1
+                second[bounce] = hit.b1
+                third[bounce] = hit.b2
+                home = -look_direction(grid, point)
+                if bounce == 0:
+                    entry = point
+                    if grid.slant_range > 0.0:
+                        weight = weight * (slant_range_of(grid, point) + grid.slant_range)
+                else:
+                    between += wp.length(point - before)
+                    if wp.dot(side, home) > 0.0:
+                        # the bin first: a ray back to the radar costs more
+                        seen = apparent_point(grid, entry, point, between)
+                        row = int(wp.floor((slant_range_of(grid, seen) - grid.range_start) / grid.range_spacing - EDGE))
+                        col = int(wp.floor((wp.dot(seen, grid.u) - columns.start) / columns.spacing))
+                        if row >= 0 and row < grid.rows and col >= 0 and col < columns.count:
+                            back = wp.mesh_query_ray(tree, point + clear * side, home, size)
+                            if not back.result:
+                                slot = wp.atomic_add(records_out.count, 0, 1)
+                                if slot < records_out.bin.shape[0]:
+                                    records_out.bin[slot] = row * columns.count + col
+                                    records_out.bounces[slot] = bounce + 1
+                                    records_out.faces[slot] = met
+                                    records_out.second[slot] = second
+                                    records_out.third[slot] = third
+                                    records_out.weight[slot] = weight
+                                    records_out.point[slot] = seen
+                                    middle_u = centre_u + aside * grid.azimuth_step
+                                    middle_v = grid.elevation_start + (float(k) + 0.5 + above) * grid.elevation_step
+                                    records_out.ray[slot] = wp.vec3(middle_u, middle_v, part)
+                before = point
+                direction = direction - 2.0 * slope * hit.normal
+                origin = point
+                reach = size
+                if bounce == 1:
+                    wp.atomic_add(records_out.area, 0, weight)
+                if bounce == max_bounces - 1:
+                    further = wp.mesh_query_ray(tree, origin + clear * side, direction, reach)
+                    if further.result:
+                        wp.atomic_add(records_out.area, 1, weight)
 
 
 @wp.kernel(enable_backward=False)
@@ -247,6 +274,7 @@ def reduce_paths_kernel(
     merged_out.second[i] = second / weight
     merged_out.third[i] = third / weight
     merged_out.point[i] = point / weight
+    merged_out.ray[i] = records.ray[order[begin]]
 
 
 @wp.func
@@ -281,6 +309,7 @@ def path_geometry_kernel(
     second = paths.second[i]
     third = paths.third[i]
     direction = look_direction(grid, place_on(mesh, met[0] - 1, second[0], third[0]))
+    angles_out.arrival[i] = direction
     cosines = wp.vec4(1.0, 1.0, 1.0, 1.0)
     for k in range(bounces):
         normal = normal_of(mesh, met[k] - 1)
@@ -289,6 +318,7 @@ def path_geometry_kernel(
         if k == bounces - 1:
             home = -look_direction(grid, place_on(mesh, met[k] - 1, second[k], third[k]))
             half = wp.normalize(home - direction)
+            angles_out.home[i] = home
             angles_out.cos_half[i] = wp.clamp(-wp.dot(half, direction), 0.0, 1.0)
             angles_out.cos_tilt[i] = wp.min(wp.abs(wp.dot(half, normal)), 1.0)
         direction = direction - 2.0 * slope * normal
@@ -315,6 +345,15 @@ def bounce_kernel(
     bounce_out.barycentric[i] = wp.vec2(b1, b2)
     bounce_out.point[i] = place_on(mesh, face, b1, b2)
     bounce_out.cos_incidence[i] = angles.cos_incidence[i][k]
+    direction = angles.arrival[i]
+    normal = normal_of(mesh, face)
+    for before in range(k):
+        mirror = normal_of(mesh, paths.faces[i][before] - 1)
+        direction = direction - 2.0 * wp.dot(mirror, direction) * mirror
+    if wp.dot(normal, direction) > 0.0:
+        normal = -normal
+    bounce_out.direction[i] = direction
+    bounce_out.normal[i] = normal
 
 
 @wp.kernel

@@ -17,6 +17,8 @@ pytestmark = pytest.mark.unit
 WORKING = [
     Case({"strength": 0.8}),
     Case({"strength": 0.8, "max_bounces": 4}, STRIP_MAP),
+    Case({"strength": 0.8, "reflection": "lobe"}),
+    Case({"strength": 0.8, "reflection": "lobe", "max_bounces": 4}, STRIP_MAP),
 ]
 
 SPACING = 0.5
@@ -41,7 +43,7 @@ def corner_scene(mesh: Mesh, azimuth_deg: float, incidence_deg: float, **more: A
     more = {"shape": (48, 48), "rays_per_pixel": 64.0, "polarizations": ("HH", "VV")} | more
     materials = {"soil": SOIL, "wall": BRICK, "brick": BRICK}
     scene = scene_of(mesh, view(azimuth_deg, incidence_deg), materials=materials, **more)
-    return with_effect(scene, "multibounce", {"strength": 1.0})
+    return with_effect(scene, "multibounce", {"strength": 1.0, "reflection": "lobe"})
 
 
 def layers_of(scene: Scene) -> dict[str, np.ndarray]:

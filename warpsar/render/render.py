@@ -91,11 +91,14 @@ class ViewRender:
         self.deposited: dict[str, list[Deposited]] = {}
         self.before_image: dict[str, wp.array] = {}
         self.layers: dict[str, wp.array] = {}
+        self.remarks: list[str] = []
         self.recorded: dict[str, Any] = {}  # by effect: recorded for one polarization, used again for the next
         self._alone: _OneEffect | None = None
         self.shaded, self._sample = shading_samples(hits)
         fine = hits.grid.bins_per_pixel
         self.spacing_m = (hits.grid.spacing_m[0] * fine, hits.grid.spacing_m[1] * fine)
+        cells = [e.effect.response(e.values, e.settings).cells_m() for e in effects]
+        self.resolution_m = tuple(max(sizes) for sizes in zip(self.spacing_m, *cells, strict=True))
 
         self._effects = effects
         at = self._at

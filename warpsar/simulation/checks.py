@@ -62,10 +62,11 @@ def _extent(stage: Stage, geometry: ViewGeometry) -> tuple[np.ndarray, np.ndarra
 @dataclass
 class Findings:
     """What images showed. `areas`: as `lit_areas`, summed over views; `dark`: polarization -> view -> share of its lit
-    pixels that are exactly 0."""
+    pixels that are exactly 0; `remarks`: of effects, with the views that they are said of."""
 
     areas: Any = 0.0
     dark: dict[str, dict[str, float]] = field(default_factory=dict)
+    remarks: dict[str, dict[str, None]] = field(default_factory=dict)
 
     def add(self, stage: Stage, render: ViewRender, beta0: dict[str, np.ndarray], lit: np.ndarray) -> None:
         """Of one view whose render has run."""
@@ -75,6 +76,8 @@ class Findings:
                 areas[other] = 0.0
                 areas[:, 0][other], areas[:, 2][other] = model_areas(stage, [render])[other].T
             self.areas = self.areas + areas
+        for remark in render.remarks:
+            self.remarks.setdefault(remark, {})[render.view.name] = None
         for polarization in beta0.keys() & {"HV", "VH"}:
             seen = beta0[polarization][lit] if lit.any() else np.zeros(min(render.hits.count, 1))
             share = float((seen == 0).mean()) if seen.size else 0.0
@@ -88,11 +91,14 @@ class Findings:
             whole.areas = whole.areas + part.areas
             for polarization, views in part.dark.items():
                 whole.dark.setdefault(polarization, {}).update(views)
+            for remark, named in part.remarks.items():
+                whole.remarks.setdefault(remark, {}).update(named)
         return whole
 
     def warnings(self, scene: World) -> list[str]:
         """One sentence for each thing that is to be told."""
         found = _domain_warnings(scene, self.areas) if np.ndim(self.areas) else []
+        found += [f"{_views(views)}: {remark}" for remark, views in self.remarks.items()]
         for polarization, views in sorted(self.dark.items()):
             found.append(
                 f"{_views(views)}: {polarization} is exactly 0 in {100 * max(views.values()):.3g} % of the lit pixels: "

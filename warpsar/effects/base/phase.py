@@ -8,6 +8,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+_CELL = {"none": 1.1288, "taylor": 1.0423, None: 1.0645}
+"""Area of a response's power over its peak, in half-power widths: of sinc^2, Taylor's window at -35 dB, a Gaussian."""
+
 
 @dataclass(frozen=True)
 class Response:
@@ -17,6 +20,14 @@ class Response:
     """Half-power widths in slant range and azimuth [m]."""
     taper: tuple[str | None, str | None] = (None, None)
     """Of the band and of the aperture: "none" or "taylor"."""
+
+    def cells_m(self) -> tuple[float, float]:
+        """Resolution cells (range, azimuth) [m]: area of the response's power over its peak; 0 where nothing is asked.
+
+        A width without a taper is that of a Gaussian.
+        """
+        widths = [(width or 0.0) * _CELL[taper] for width, taper in zip(self.width_m, self.taper, strict=True)]
+        return widths[0], widths[1]
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,249 @@
+"""Fields of ray tubes that end at the radar, and their sums over resolution cells.
+
+A tube of area A on its last surface sends the radar (k / 4 pi) A exp(-2jkr) times what a unit of area answers, r being
+half the way: physical optics, as in `kernels/coherent/radiate.py`. The cells are the samples of a complex image whose
+band and aperture have no taper: sample n has the weight sinc(x - n) on a field at x, in cells. Over all samples the
+squares of these weights add up to 1, wherever x is, and those of a long field to the mean of its pattern over band and
+aperture (Parseval).
+"""
+
+import warp as wp
+
+from warpsar.kernels.coherent.numbers import sinc, turned
+from warpsar.kernels.coherent.radiate import FOUR_PI
+from warpsar.kernels.effects.multibounce import PathRecords
+from warpsar.kernels.geometry import RayGrid, Triangles
+
+HALF = wp.constant(wp.float64(0.5))
+TWO = wp.constant(wp.float64(2.0))
+ONE = wp.constant(wp.float64(1.0))
+PI = wp.constant(wp.float64(3.141592653589793))
+
+
+@wp.struct
+class Cells:
+    """Cells of `size` (range, azimuth) [m] about the reference point, and the bins of the records among them.
+
+    `offset`: the samples about a bin that get a share of a field in it.
+    """
+
+    size: wp.vec2d
+    bin_start: wp.vec2d  # [m]
+    bin_size: wp.vec2d  # [m]
+    bin_cols: int
+    offset: wp.array(dtype=wp.vec2i)
+
+
+@wp.struct
+class TubeFields:
+    """Fields of tubes, shape (n,): `place` x (range, azimuth) [cells], `field` [m] there, and its first moments [m].
+
+    `sine` and `cosine` are those of pi x: a tube's shares in all samples need no others.
+    """
+
+    place: wp.array(dtype=wp.vec2d)
+    sine: wp.array(dtype=wp.vec2d)
+    cosine: wp.array(dtype=wp.vec2d)
+    field: wp.array(dtype=wp.vec2d)
+    by_range: wp.array(dtype=wp.vec2d)
+    by_azimuth: wp.array(dtype=wp.vec2d)
+
+
+@wp.struct
+class LineOfSight:
+    """Range of a point about the reference point [m], and the direction of the ray to it."""
+
+    distance: wp.float64
+    direction: wp.vec3d
+
+
+@wp.func
+def sight_of(point: wp.vec3d, d: wp.vec3d, v: wp.vec3d, slant_range: wp.float64) -> LineOfSight:
+    """As `slant_range_of` and `look_direction` of kernels/geometry.py, in double precision."""
+    along = wp.dot(point, d)
+    found = LineOfSight()
+    found.distance = along
+    found.direction = d
+    if slant_range > wp.float64(0.0):
+        across = wp.dot(point, v)
+        r = wp.sqrt((slant_range + along) * (slant_range + along) + across * across)
+        found.distance = (TWO * slant_range * along + along * along + across * across) / (r + slant_range)
+        found.direction = wp.normalize((slant_range + along) * d + across * v)
+    return found
+
+
+@wp.func
+def tilted(a: wp.float64) -> wp.float64:
+    """(sin a - a cos a) / (2 a^2): the first moment of a field whose phase turns by 2 a over a tube, over j."""
+    if wp.abs(a) < wp.float64(1.0e-3):
+        return a / wp.float64(6.0)
+    return (wp.sin(a) - a * wp.cos(a)) / (TWO * a * a)
+
+
+@wp.func
+def cell_of(cells: Cells, bin: int) -> wp.vec2i:
+    """The sample below the middle of a bin (range, azimuth)."""
+    row = bin / cells.bin_cols
+    col = bin - row * cells.bin_cols
+    along = cells.bin_start[0] + (wp.float64(row) + HALF) * cells.bin_size[0]
+    across = cells.bin_start[1] + (wp.float64(col) + HALF) * cells.bin_size[1]
+    return wp.vec2i(int(wp.floor(along / cells.size[0])), int(wp.floor(across / cells.size[1])))
+
+
+@wp.func
+def footprint(side: wp.vec3d, normal: wp.vec3d, direction: wp.vec3d) -> wp.vec3d:
+    """The side of a tube on a face."""
+    return side - (wp.dot(normal, side) / wp.dot(normal, direction)) * direction
+
+
+@wp.func
+def share_of(x: wp.float64, sine: wp.float64, sample: int) -> wp.float64:
+    """sin(pi (x - n)) / (pi (x - n)) of a place x and a sample n [cells]; `sine` is sin(pi x)."""
+    t = PI * (x - wp.float64(sample))
+    if wp.abs(t) < wp.float64(1.0e-3):
+        return ONE - t * t / wp.float64(6.0)
+    return wp.where(sample % 2 == 0, sine, -sine) / t
+
+
+@wp.func
+def slope_of(x: wp.float64, share: wp.float64, cosine: wp.float64, sample: int) -> wp.float64:
+    """The derivative of `share_of` to x; `cosine` is cos(pi x)."""
+    t = PI * (x - wp.float64(sample))
+    if wp.abs(t) < wp.float64(1.0e-3):
+        return -PI * t / wp.float64(3.0)
+    return PI * (wp.where(sample % 2 == 0, cosine, -cosine) - share) / t
+
+
+@wp.kernel(enable_backward=False)
+def tube_kernel(
+    # In:
+    grid: RayGrid,
+    mesh: Triangles,
+    records: PathRecords,
+    cells: Cells,
+    wavenumber: wp.float64,
+    # Out:
+    tubes_out: TubeFields,
+):
+    """Follow each tube once more along the planes of its faces, in double precision: its phase needs it.
+
+    The shares of a field in the samples that are kept have the squares' sum 1.
+    """
+    i = wp.tid()
+    d = wp.vec3d(grid.d)
+    u = wp.vec3d(grid.u)
+    v = wp.vec3d(grid.v)
+    slant_range = wp.float64(grid.slant_range)
+    standoff = wp.float64(grid.standoff)
+    elevation = wp.float64(records.ray[i][1])
+    along = -standoff
+    across = elevation
+    direction = ONE * d
+    part = wp.float64(records.ray[i][2])
+    side_u = part * wp.float64(grid.azimuth_step) * u
+    side_v = part * wp.float64(grid.elevation_step) * v
+    if slant_range > wp.float64(0.0):
+        half = wp.sin(HALF * elevation)
+        along = -TWO * half * half * slant_range - standoff * wp.cos(elevation)
+        across = (slant_range - standoff) * wp.sin(elevation)
+        direction = wp.cos(elevation) * d + wp.sin(elevation) * v
+        side_v = part * wp.float64(grid.elevation_step) * (wp.cos(elevation) * v - wp.sin(elevation) * d)
+    point = wp.float64(records.ray[i][0]) * u + along * d + across * v
+    enters_u = wp.vec3d()
+    enters_v = wp.vec3d()
+    entry = wp.vec3d()
+    foot_u = wp.vec3d()
+    foot_v = wp.vec3d()
+    area = wp.float64(0.0)
+    way = wp.float64(0.0)
+    met = records.faces[i]
+    bounces = records.bounces[i]
+    arrival = ONE * direction
+    for k in range(bounces):
+        f = met[k] - 1
+        p0 = wp.vec3d(mesh.vertices[mesh.faces[f, 0]])
+        p1 = wp.vec3d(mesh.vertices[mesh.faces[f, 1]])
+        p2 = wp.vec3d(mesh.vertices[mesh.faces[f, 2]])
+        normal = wp.normalize(wp.cross(p1 - p0, p2 - p0))
+        slope = wp.dot(normal, direction)
+        t = wp.dot(normal, p0 - point) / slope
+        point = point + t * direction
+        if k == 0:
+            entry = ONE * point
+            sight = sight_of(point, d, v, slant_range)
+            way = sight.distance
+            if slant_range > wp.float64(0.0):
+                side_v = (sight.distance + slant_range) * side_v
+            area = wp.length(wp.cross(side_u, side_v))
+        else:
+            way = way + t
+        foot_u = footprint(side_u, normal, direction)
+        foot_v = footprint(side_v, normal, direction)
+        if k == 0:
+            enters_u = ONE * foot_u
+            enters_v = ONE * foot_v
+        if k == bounces - 1:
+            area = area / wp.abs(slope)
+        arrival = ONE * direction
+        direction = direction - TWO * slope * normal
+        side_u = side_u - TWO * wp.dot(normal, side_u) * normal
+        side_v = side_v - TWO * wp.dot(normal, side_v) * normal
+    last = sight_of(point, d, v, slant_range)
+    along = HALF * (way + last.distance)
+    azimuth = HALF * wp.dot(u, entry + point)
+    turn = -HALF * (last.direction + arrival)  # (s - d) / 2
+    turn_u = wavenumber * wp.dot(turn, foot_u)
+    turn_v = wavenumber * wp.dot(turn, foot_v)
+    place = wp.vec2d(along / cells.size[0], azimuth / cells.size[1])
+    sine = wp.vec2d(wp.sin(PI * place[0]), wp.sin(PI * place[1]))
+    base = cell_of(cells, records.bin[i])
+    total = wp.float64(0.0)
+    for j in range(cells.offset.shape[0]):
+        sample = base + cells.offset[j]
+        share = share_of(place[0], sine[0], sample[0]) * share_of(place[1], sine[1], sample[1])
+        total += share * share
+    size = wavenumber / FOUR_PI * area / wp.sqrt(wp.max(total, wp.float64(1.0e-3)))
+    phase = turned(-TWO * wavenumber * along)
+    field = size * phase
+    moment = size * wp.vec2d(-phase[1], phase[0])  # times j
+    by_u = tilted(turn_u) * sinc(turn_v)
+    by_v = sinc(turn_u) * tilted(turn_v)
+    tubes_out.place[i] = place
+    tubes_out.sine[i] = sine
+    tubes_out.cosine[i] = wp.vec2d(wp.cos(PI * place[0]), wp.cos(PI * place[1]))
+    tubes_out.field[i] = sinc(turn_u) * sinc(turn_v) * field
+    tubes_out.by_range[i] = (
+        (by_u * wp.dot(turn, foot_u) + by_v * wp.dot(turn, foot_v)) * (-ONE / cells.size[0]) * moment
+    )
+    shift_u = HALF * wp.dot(u, enters_u + foot_u)
+    shift_v = HALF * wp.dot(u, enters_v + foot_v)
+    tubes_out.by_azimuth[i] = ((by_u * shift_u + by_v * shift_v) / cells.size[1]) * moment
+
+
+@wp.kernel(enable_backward=False)
+def couple_kernel(
+    # In:
+    tubes: TubeFields,
+    order: wp.array(dtype=int),
+    first: wp.array(dtype=int),
+    bin: wp.array(dtype=int),
+    cells: Cells,
+    # Out:
+    field_out: wp.array2d(dtype=wp.vec2),
+):
+    """The field that each group of tubes adds to each of the samples about its bin, shape (groups, offsets)."""
+    i, j = wp.tid()
+    end = order.shape[0]
+    if i + 1 < first.shape[0]:
+        end = first[i + 1]
+    sample = cell_of(cells, bin[i]) + cells.offset[j]
+    total = wp.vec2d()
+    for k in range(first[i], end):
+        at = order[k]
+        place = tubes.place[at]
+        along = share_of(place[0], tubes.sine[at][0], sample[0])
+        across = share_of(place[1], tubes.sine[at][1], sample[1])
+        total += along * across * tubes.field[at]
+        total += slope_of(place[0], along, tubes.cosine[at][0], sample[0]) * across * tubes.by_range[at]
+        total += slope_of(place[1], across, tubes.cosine[at][1], sample[1]) * along * tubes.by_azimuth[at]
+    field_out[i, j] = wp.vec2(total)

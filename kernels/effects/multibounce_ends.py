@@ -1,0 +1,309 @@
+"""How surfaces answer the rays of a path: mirrors, and the end of it, as a wave with a phase or by its roughness.
+
+Fields are those of a wave of 1 V/m in one of the radar's polarizations. Amplitudes are complex.
+"""
+
+import warp as wp
+
+from warpsar.kernels.codes import Coordinate, Spectrum
+from warpsar.kernels.coherent.numbers import product
+from warpsar.kernels.coherent.reflection import Face, Field, reflected, seen
+from warpsar.kernels.effects.multibounce import Bounce
+from warpsar.kernels.geometry import cos2_azimuth_of
+from warpsar.kernels.models.ka_spm import fraction_of
+from warpsar.kernels.scattering import mirror_lobe, roughness_spectrum
+
+PI = wp.constant(wp.float64(3.141592653589793))
+ORDERS = wp.constant(64)
+"""Powers of a surface's correlation that are added up."""
+HEIGHTS = wp.constant(wp.float64(10.0))
+"""Correlation length in rms heights where a model has none: slopes of 8 degrees, as of bare soil."""
+MANY = wp.constant(wp.float64(30.0))
+"""(q_z h)^2 from which on a surface is taken at the limit of all powers, geometric optics."""
+
+
+@wp.struct
+class Stuff:
+    """What the faces of a mesh are made of: `face_material` by face, the others by material.
+
+    `has_length`: 0 where the backscatter model has no correlation length.
+    """
+
+    face_material: wp.array(dtype=int)
+    eps_im: wp.array(dtype=float)
+    spectrum: wp.array(dtype=int)
+    aspect: wp.array(dtype=float)
+    has_length: wp.array(dtype=int)
+
+
+@wp.func
+def face_of(stuff: Stuff, face: int, zeta: wp.vec4) -> Face:
+    """The face with its roughness; coordinates as in kernels/codes.py."""
+    found = Face()
+    found.conductor = 0
+    found.layer = 0
+    found.permittivity = wp.vec2d(
+        wp.float64(1.0) + wp.exp(wp.float64(zeta[Coordinate.EPS])), -wp.float64(stuff.eps_im[stuff.face_material[face]])
+    )
+    found.rms_height = wp.exp(wp.float64(zeta[Coordinate.HEIGHT]))
+    return found
+
+
+@wp.func
+def smooth(face: Face) -> Face:
+    found = Face()
+    found.conductor = 0
+    found.layer = 0
+    found.permittivity = face.permittivity
+    found.rms_height = wp.float64(0.0)
+    return found
+
+
+@wp.func
+def polarized(u: wp.vec3, v: wp.vec3, direction: wp.vec3, vertical: int) -> wp.vec3:
+    """The radar's H, which is `u`, or V across a ray: `v` at the reference point."""
+    if vertical == 0:
+        return u
+    return wp.normalize(v - wp.dot(v, direction) * direction)
+
+
+@wp.func
+def field_of(re: wp.vec3, im: wp.vec3) -> Field:
+    field = Field()
+    field.re = wp.vec3d(re)
+    field.im = wp.vec3d(im)
+    return field
+
+
+@wp.kernel(enable_backward=False)
+def incident_kernel(
+    # In:
+    u: wp.vec3,
+    v: wp.vec3,
+    arrival: wp.array(dtype=wp.vec3),
+    vertical: int,
+    # Out:
+    re_out: wp.array(dtype=wp.vec3),
+):
+    i = wp.tid()
+    re_out[i] = polarized(u, v, arrival[i], vertical)
+
+
+@wp.kernel
+def reflect_kernel(
+    # In:
+    wavenumber: float,
+    bounce: Bounce,
+    stuff: Stuff,
+    zeta: wp.array(dtype=wp.vec4),
+    re: wp.array(dtype=wp.vec3),
+    im: wp.array(dtype=wp.vec3),
+    # Out:
+    re_out: wp.array(dtype=wp.vec3),
+    im_out: wp.array(dtype=wp.vec3),
+):
+    """A surface before the last one: its coherent reflection, which is weaker by exp(-2 (k h cos theta)^2)."""
+    i = wp.tid()
+    d = wp.vec3d(bounce.direction[i])
+    n = wp.vec3d(bounce.normal[i])
+    out = d - wp.float64(2.0) * wp.dot(n, d) * n
+    face = face_of(stuff, bounce.face[i], zeta[i])
+    back = reflected(face, wp.float64(wavenumber), field_of(re[i], im[i]), d, n, out)
+    re_out[i] = wp.vec3(back.re)
+    im_out[i] = wp.vec3(back.im)
+
+
+@wp.kernel
+def radiate_kernel(
+    # In:
+    wavenumber: float,
+    u: wp.vec3,
+    v: wp.vec3,
+    vertical: int,
+    bounce: Bounce,
+    home: wp.array(dtype=wp.vec3),
+    stuff: Stuff,
+    zeta: wp.array(dtype=wp.vec4),
+    re: wp.array(dtype=wp.vec3),
+    im: wp.array(dtype=wp.vec3),
+    # Out:
+    amplitude_out: wp.array(dtype=wp.vec2),
+):
+    """What the currents on the last surface send to the radar, per area, with the coherent share of its reflection."""
+    i = wp.tid()
+    d = wp.vec3d(bounce.direction[i])
+    n = wp.vec3d(bounce.normal[i])
+    out = d - wp.float64(2.0) * wp.dot(n, d) * n
+    field = field_of(re[i], im[i])
+    face = face_of(stuff, bounce.face[i], zeta[i])
+    back = reflected(face, wp.float64(wavenumber), field, d, n, out)
+    receive = wp.vec3d(polarized(u, v, home[i], vertical))
+    amplitude_out[i] = wp.vec2(seen(field, back, d, out, n, wp.vec3d(home[i]), receive))
+
+
+@wp.kernel
+def sample_kernel(
+    # In:
+    first: wp.array(dtype=int),
+    coupling: wp.array(dtype=wp.vec2),
+    amplitude: wp.array(dtype=wp.vec2),
+    # Out:
+    field_out: wp.array(dtype=wp.vec2),
+):
+    """The field in each sample of the cells [m]: those of its paths, which lie together from `first` on."""
+    i = wp.tid()
+    total = wp.vec2()
+    for k in range(first[i], first[i + 1]):
+        a = coupling[k]
+        b = amplitude[k]
+        total += wp.vec2(a[0] * b[0] - a[1] * b[1], a[0] * b[1] + a[1] * b[0])
+    field_out[i] = total
+
+
+@wp.kernel
+def cell_power_kernel(
+    # In:
+    p: wp.array(dtype=float),  # strength
+    first: wp.array(dtype=int),
+    sample: wp.array(dtype=int),
+    field: wp.array(dtype=wp.vec2),
+    # Out:
+    power_out: wp.array(dtype=float),
+):
+    """A sample's power [m2], over 4 pi. The first of its paths stands for all of them."""
+    i = wp.tid()
+    j = sample[i]
+    power = float(0.0)
+    if first[j] == i:
+        power = p[0] * wp.dot(field[j], field[j])
+    power_out[i] = power
+
+
+@wp.func
+def tangential(n: wp.vec3d, a: wp.vec3d) -> wp.vec3d:
+    return a - wp.dot(n, a) * n
+
+
+@wp.func
+def first_order(
+    face: Face, k: wp.float64, field: Field, d: wp.vec3d, n: wp.vec3d, s: wp.vec3d, p: wp.vec3d
+) -> wp.vec2d:
+    """(eps - 1) (E_t . F_t + E_n F_n / eps): small perturbation of first order, for a unit of height.
+
+    E is the whole field over the plane surface, F that of a wave `p` which the radar would send (reciprocity).
+    """
+    two = wp.float64(2.0)
+    out = d - two * wp.dot(n, d) * n
+    back = reflected(face, k, field, d, n, out)
+    sent = Field()
+    sent.re = p
+    answer = reflected(face, k, sent, -s, n, -s + two * wp.dot(n, s) * n)
+    e_re = field.re + back.re
+    e_im = field.im + back.im
+    f_re = sent.re + answer.re
+    f_im = answer.im
+    level_re = wp.dot(tangential(n, e_re), f_re) - wp.dot(tangential(n, e_im), f_im)
+    level_im = wp.dot(tangential(n, e_re), f_im) + wp.dot(tangential(n, e_im), f_re)
+    upright = product(wp.vec2d(wp.dot(n, e_re), wp.dot(n, e_im)), wp.vec2d(wp.dot(n, f_re), wp.dot(n, f_im)))
+    eps = face.permittivity
+    inverse = wp.vec2d(eps[0], -eps[1]) / wp.dot(eps, eps)
+    total = wp.vec2d(level_re, level_im) + product(upright, inverse)
+    return product(eps - wp.vec2d(wp.float64(1.0), wp.float64(0.0)), total)
+
+
+@wp.func
+def mirrored(face: Face, k: wp.float64, field: Field, d: wp.vec3d, s: wp.vec3d, p: wp.vec3d) -> wp.vec2d:
+    """What a facet across the half vector mirrors to the radar."""
+    back = reflected(face, k, field, d, wp.normalize(s - d), s)
+    return wp.vec2d(wp.dot(back.re, p), wp.dot(back.im, p))
+
+
+@wp.func
+def higher_orders(
+    spectrum: int, x: wp.float64, across: wp.float64, length: wp.float64, log_factorial: wp.array(dtype=wp.float64)
+) -> wp.float64:
+    """exp(-x) SUM x^n / n! W_n from n = 2 on, W_n being the transform of the n-th power of the correlation [m2].
+
+    x = (q_z h)^2; `across`: the part of q in the surface [1/m].
+    """
+    total = wp.float64(0.0)
+    for n in range(2, ORDERS):
+        order = wp.float64(n)
+        weight = wp.exp(order * wp.log(x) - log_factorial[n] - x)
+        if spectrum == Spectrum.GAUSSIAN:
+            t = across * across * length * length / (wp.float64(4.0) * order)
+            total += weight * PI * length * length / order * wp.exp(-t)
+        else:
+            t = across * length / order
+            root = wp.sqrt(wp.float64(1.0) + t * t)
+            total += weight * wp.float64(2.0) * PI * length * length / (order * order * root * root * root)
+    return total
+
+
+@wp.kernel
+def diffuse_kernel(
+    # In:
+    p: wp.array(dtype=float),  # strength
+    wavenumber: float,
+    u: wp.vec3,
+    v: wp.vec3,
+    received: int,  # 1: V
+    sent: int,
+    bounce: Bounce,
+    home: wp.array(dtype=wp.vec3),
+    stuff: Stuff,
+    log_factorial: wp.array(dtype=wp.float64),
+    zeta: wp.array(dtype=wp.vec4),
+    re: wp.array(dtype=wp.vec3),
+    im: wp.array(dtype=wp.vec3),
+    other_re: wp.array(dtype=wp.vec3),
+    other_im: wp.array(dtype=wp.vec3),
+    # Out:
+    power_out: wp.array(dtype=float),
+):
+    """Bistatic coefficient of the last surface for the field (`re`, `im`) that it meets, and its way back.
+
+    The way back, from the radar to this surface and home over the mirrors, is as long and has the transposed amplitude:
+    the two add as fields. `other`: the field that arrives here when the radar sends the polarization it receives.
+    """
+    i = wp.tid()
+    k = wp.float64(wavenumber)
+    one = wp.float64(1.0)
+    d = wp.vec3d(bounce.direction[i])
+    n = wp.vec3d(bounce.normal[i])
+    s = wp.vec3d(home[i])
+    z = zeta[i]
+    rough = face_of(stuff, bounce.face[i], z)
+    face = smooth(rough)
+    receive = wp.vec3d(polarized(u, v, home[i], received))
+    send = wp.vec3d(polarized(u, v, home[i], sent))
+    field = field_of(re[i], im[i])
+    other = field_of(other_re[i], other_im[i])
+    bragg = first_order(face, k, field, d, n, s, receive) + first_order(face, k, other, d, n, s, send)
+    mirror = mirrored(face, k, field, d, s, receive) + mirrored(face, k, other, d, s, send)
+    material = stuff.face_material[bounce.face[i]]
+    spectrum = stuff.spectrum[material]
+    aspect = wp.float64(stuff.aspect[material])
+    h = rough.rms_height
+    length = HEIGHTS * h
+    if stuff.has_length[material] != 0:
+        length = wp.exp(wp.float64(z[Coordinate.LENGTH]))
+    q = k * (s - d)
+    upright = wp.dot(q, n)
+    size2 = wp.dot(q, q)
+    across2 = wp.max(size2 - upright * upright, wp.float64(0.0))
+    x = upright * upright * h * h
+    mean_length = length * wp.sqrt(aspect)
+    cos2 = wp.float64(cos2_azimuth_of(bounce.normal[i], wp.vec3(s - d)))
+    height_spectrum = roughness_spectrum(spectrum, across2, cos2, h, length, length * aspect)
+    diffuse = PI * k * k * k * k * height_spectrum * wp.exp(-x) * wp.dot(bragg, bragg)
+    tilt = upright / wp.sqrt(size2)
+    optics = mirror_lobe(tilt, wp.float64(2.0) * h * h / (mean_length * mean_length))
+    lobe = one * optics
+    if x < MANY:
+        series = higher_orders(spectrum, x, wp.sqrt(across2), mean_length, log_factorial)
+        lobe = size2 * size2 / (wp.float64(4.0) * PI * upright * upright) * series
+    reflectivity = wp.dot(mirror, mirror)
+    tau = fraction_of(wp.float64(z[Coordinate.FRACTION]))
+    power = (one - tau) * (diffuse + reflectivity * lobe) + tau * reflectivity * optics
+    power_out[i] = p[0] * float(power)

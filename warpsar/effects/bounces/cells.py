@@ -1,0 +1,253 @@
+"""Fields of paths, summed over resolution cells (`warpsar.kernels.effects.multibounce_cells`)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from warpsar.kernels.effects import multibounce_cells as kernels
+from warpsar.kernels.geometry import RayGrid, Triangles
+from warpsar.runtime.structs import allocate, fill
+from warpsar.trace.hits import BinGrid
+
+_REACH = 8
+"""Samples on each side of a field that get a share of it."""
+_SPREAD = 6.0
+"""Largest product of the distances in range and azimuth [cells]: sinc^2 sinc^2 is below 3e-4 beyond it."""
+_WEAK = 1e-4
+"""Share of a path's strongest sample, in power, below which others get nothing."""
+_WEAKEST = 1e-8
+"""The same, of the view's strongest."""
+_LEAST_FALL = 0.02
+"""Share of a sample's power below which a bin gets nothing of it."""
+
+
+_BRIGHT = 1e-4
+"""Power of a sample, over that of the brightest, from which on its accuracy counts."""
+_ACCURACY = 0.04
+"""Of a bright sample's power: where tubes are too few for it, they are cut."""
+_ERROR_OF_ONE = 1.26
+"""Relative error of the power of a sample to which one tube sends."""
+_MOST_SPLIT = 8
+"""Parts into which the side of a tube is cut at most."""
+
+
+@dataclass(frozen=True)
+class Coupled:
+    """Groups of tubes of a band: `records` by name (`PathRecords`), and their fields [m] by sample, complex (n, m).
+
+    `cell`: azimuth and elevation cell of each tube, (tubes, 2), those of a group together; `first`: where each begins.
+    """
+
+    records: Mapping[str, NDArray[Any]]
+    field: NDArray[np.complex64]
+    cell: NDArray[np.int64]
+    first: NDArray[np.int64]
+
+    @property
+    def tubes(self) -> NDArray[np.int64]:
+        """How many each group has."""
+        return np.diff(np.append(self.first, len(self.cell)))
+
+    def between(self, a: int, b: int) -> Coupled:
+        """The groups from number `a` to the one before `b`."""
+        low, high = np.append(self.first, len(self.cell))[[a, b]]
+        own = {name: array[a:b] for name, array in self.records.items()}
+        return Coupled(own, self.field[a:b], self.cell[low:high], self.first[a:b] - low)
+
+
+@dataclass
+class CellSamples:
+    """The fields of paths in the samples of the cells. Paths of one sample lie together.
+
+    `coupling` [m], vec2 (n,): the field of each path for an answer of 1. `sample`: which one it belongs to; `first`:
+    where each sample begins, and the end. Each sample's power falls into bins of the hits' grid: `bin` and `weight`
+    [1/m2] with `path`, each path of a sample having all the sample's bins.
+    """
+
+    coupling: wp.array
+    sample: wp.array
+    first: wp.array
+    path: wp.array
+    bin: wp.array
+    weight: wp.array
+
+
+def offsets() -> NDArray[np.int32]:
+    """The samples about one that get a share of a field between it and the next ones, (m, 2)."""
+    reach = np.arange(1 - _REACH, _REACH + 1)
+    apart = np.abs(reach - 0.5)
+    return np.argwhere(np.multiply.outer(apart, apart) <= _SPREAD).astype(np.int32) + (1 - _REACH)
+
+
+def cells_of(grid: BinGrid, cell_m: tuple[float, float], device: wp.Device) -> Any:
+    """`kernels.Cells` of a size (range, azimuth) [m] among the bins of a grid."""
+    return fill(
+        kernels.Cells,
+        size=wp.vec2d(*cell_m),
+        bin_start=wp.vec2d(*grid.start_m),
+        bin_size=wp.vec2d(*grid.spacing_m),
+        bin_cols=grid.shape[1],
+        offset=wp.array(offsets(), dtype=wp.vec2i, device=device),
+    )
+
+
+def couple(
+    rays: RayGrid,
+    mesh: Triangles,
+    records: Any,
+    order: wp.array,
+    first: wp.array,
+    merged: Any,
+    cells: Any,
+    wavenumber: float,
+) -> NDArray[np.complex64]:
+    """Fields [m] by group of records and sample, (n, m): groups are those of `order` from each `first` on."""
+    device, count = order.device, order.shape[0]
+    tubes = allocate(kernels.TubeFields, count, device)
+    wp.launch(
+        kernels.tube_kernel, count, inputs=[rays, mesh, records, cells, wavenumber], outputs=[tubes], device=device
+    )
+    dim = first.shape[0], cells.offset.shape[0]
+    field: wp.array = wp.empty(dim, dtype=wp.vec2, device=device)
+    inputs = [tubes, order, first, merged.bin, cells]
+    wp.launch(kernels.couple_kernel, dim, inputs=inputs, outputs=[field], device=device)
+    return field.numpy().astype(np.float32).view(np.complex64)[..., 0]
+
+
+def kinds_of(normal: NDArray[np.float64], material: NDArray[np.int32]) -> NDArray[np.int64]:
+    """Numbers of faces, from 1 on, that are alike for faces of one material and one direction, to a thousandth."""
+    key = np.column_stack([np.round(normal, 3), material])
+    return np.unique(key, axis=0, return_inverse=True)[1].reshape(-1) + 1
+
+
+def samples_of(
+    parts: Sequence[Coupled],
+    kinds: NDArray[np.int64],
+    grid: BinGrid,
+    cell_m: tuple[float, float],
+    pixel_area_m2: float,
+    device: wp.Device,
+) -> tuple[dict[str, NDArray[Any]], CellSamples]:
+    """Paths by sample and kinds of their faces (`kinds_of`), as arrays of `PathRecords`, and their samples.
+
+    Faces of one kind answer alike, so the fields of their tubes are added up. The surface is that where the strongest
+    of them lies.
+
+    A sample's power falls where the tubes lie from which it comes, not into the sample's own place: an isolated body
+    keeps its pixel, and its power does not depend on where it lies between the samples.
+    """
+    records = {name: np.concatenate([part.records[name] for part in parts]) for name in parts[0].records}
+    group, place, field = _shares(records["bin"], np.concatenate([part.field for part in parts]), grid, cell_m)
+    power = (field.real**2 + field.imag**2).astype(float)
+    bins = records["bin"][group]
+    _, met = np.unique(np.append(0, kinds)[records["faces"]], axis=0, return_inverse=True)
+    ways = int(met.max(initial=0)) + 1
+    keys, path = np.unique(place * ways + met.reshape(-1)[group], return_inverse=True)
+    n = keys.size
+    total = np.bincount(path, power, n)
+
+    _, head, sample = np.unique(keys // ways, return_index=True, return_inverse=True)
+    first = np.append(head, n)
+    of_sample = np.bincount(sample, total)
+    place_m = [np.bincount(sample[path], power * column) / of_sample for column in records["point"][group].T]
+    strongest = np.zeros(n, np.int64)
+    rising = np.argsort(power, kind="stable")
+    strongest[path[rising]] = group[rising]  # the last one stays
+    made = {
+        "bin": np.zeros(n, np.int32),
+        **{name: records[name][strongest] for name in ("bounces", "faces", "second", "third")},
+        "weight": np.ones(n, np.float32),
+        "point": np.stack(place_m, axis=1)[sample].astype(np.float32),
+        "ray": np.zeros((n, 3), np.float32),
+    }
+    owner, bin_, share = _falls(sample[path], bins, power, of_sample.size)
+    count = np.diff(first)[owner]
+    entry = np.repeat(first[owner] - np.append(0, np.cumsum(count)[:-1]), count) + np.arange(count.sum())
+    bin_, share = np.repeat(bin_, count), np.repeat(share, count) * 4.0 * np.pi / pixel_area_m2
+    order = np.argsort(bin_, kind="stable")
+    coupling = np.stack([np.bincount(path, part, n) for part in (field.real, field.imag)], axis=1)
+
+    def upload(values: NDArray[Any], dtype: Any, kind: Any) -> wp.array:
+        return wp.array(np.ascontiguousarray(values, dtype), dtype=kind, device=device)
+
+    return made, CellSamples(
+        upload(coupling, np.float32, wp.vec2),
+        upload(sample, np.int32, int),
+        upload(first, np.int32, int),
+        upload(entry[order], np.int32, int),
+        upload(bin_[order], np.int32, int),
+        upload(share[order], np.float32, float),
+    )
+
+
+def _shares(
+    bins: NDArray[np.int32], field: NDArray[np.complex64], grid: BinGrid, cell_m: tuple[float, float]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.complex64]]:
+    """Groups of tubes, the samples that get a share of them, as numbers, and those fields; weak ones are left out."""
+    power = field.real**2 + field.imag**2
+    strongest = power.max(axis=1, keepdims=True)
+    group, which = np.nonzero((power > _WEAK * strongest) & (power > _WEAKEST * power.max(initial=0.0)))
+    places = [
+        np.floor((start + (at + 0.5) * step) / size).astype(np.int64)
+        for at, start, step, size in zip(
+            np.divmod(bins, grid.shape[1]), grid.start_m, grid.spacing_m, cell_m, strict=True
+        )
+    ]
+    node = np.stack(places, axis=1)[group] + offsets()[which]
+    node -= node.min(axis=0) if len(node) else 0
+    return group, node[:, 0] * (int(node[:, 1].max(initial=0)) + 1) + node[:, 1], field[group, which]
+
+
+def splits_of(
+    parts: Sequence[Coupled], grid: BinGrid, cell_m: tuple[float, float]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Ray cells (azimuth, elevation) of bright samples with too few tubes, and into how many to cut each side."""
+    tubes = np.concatenate([part.tubes for part in parts])
+    worst = errors_of(parts, grid, cell_m)
+    split = np.ceil(np.clip((worst / _ACCURACY) ** (2 / 3), 1.0, _MOST_SPLIT)).astype(np.int64)
+    each = np.repeat(split, tubes)
+    cut = each > 1
+    return np.concatenate([part.cell for part in parts])[cut], each[cut]
+
+
+def errors_of(parts: Sequence[Coupled], grid: BinGrid, cell_m: tuple[float, float]) -> NDArray[np.float64]:
+    """Relative error of the power of the bright samples to which each group of tubes sends, (n,), by their number.
+
+    Of n tubes, those at the border of a body are in or out by chance: 4 sqrt(n) of them, each with a variance of about
+    0.1. So a field is known to 0.63 n^(-3/4) of it, and its power to twice that.
+    """
+    bins = np.concatenate([part.records["bin"] for part in parts])
+    tubes = np.concatenate([part.tubes for part in parts])
+    group, place, field = _shares(bins, np.concatenate([part.field for part in parts]), grid, cell_m)
+    _, sample = np.unique(place, return_inverse=True)
+    size = np.abs(field).astype(float)
+    power = np.bincount(sample, field.real) ** 2 + np.bincount(sample, field.imag) ** 2
+    alike = np.bincount(sample, size) ** 2 / np.bincount(sample, size**2 / tubes[group])
+    error = np.where(power > _BRIGHT * power.max(initial=0.0), _ERROR_OF_ONE * alike**-0.75, 0.0)
+    strongest, worst = np.zeros(tubes.size), np.zeros(tubes.size)
+    np.maximum.at(strongest, group, size)
+    mine = size**2 >= 0.1 * strongest[group] ** 2
+    np.maximum.at(worst, group[mine], error[sample[mine]])
+    return worst
+
+
+def _falls(
+    sample: NDArray[Any], bins: NDArray[Any], power: NDArray[np.float64], count: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
+    """Into which bins the power of each sample falls: samples in order, bins, and shares whose sum is 1 by sample."""
+    across = int(bins.max(initial=0)) + 1
+    keys, inverse = np.unique(sample * across + bins, return_inverse=True)
+    owner, bin_ = np.divmod(keys, across)
+    share = np.bincount(inverse, power).astype(float)
+    for _ in range(2):  # the small ones go, and the others take their place
+        share = share / np.bincount(owner, share, count)[owner]
+        much = share >= _LEAST_FALL
+        much |= share >= np.maximum.reduceat(share, np.searchsorted(owner, np.arange(count)))[owner]
+        owner, bin_, share = owner[much], bin_[much], share[much]
+    return owner, bin_, share / np.bincount(owner, share, count)[owner]

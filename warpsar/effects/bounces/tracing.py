@@ -1,0 +1,335 @@
+"""Paths of rays over several surfaces, with the angles on them: traced once, and merged by bin and faces."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from warpsar.effects.base.recorder import Recorder
+from warpsar.effects.bounces.cells import (
+    CellSamples,
+    Coupled,
+    cells_of,
+    couple,
+    errors_of,
+    kinds_of,
+    samples_of,
+    splits_of,
+)
+from warpsar.kernels import merge as merging
+from warpsar.kernels.effects import multibounce as kernels
+from warpsar.kernels.geometry import Band, RayGrid
+from warpsar.runtime import threads
+from warpsar.runtime.structs import allocate, element_types, fill
+from warpsar.trace.hits import DEFAULT_MEMORY_GIB, BinGrid, concatenate
+from warpsar.trace.rays import ray_grid
+from warpsar.trace.target import Target
+
+_RECORD_BYTES = 240  # a record, its field, and the sort's keys and order, twice
+_SEGMENT = 64  # cells of one thread on CUDA
+_TOLD = 0.01  # of the rays that meet two surfaces: that many may go on after the last bounce, unsaid
+_UNSURE = 0.12  # of a bright corner's power, half a decibel: rays are too few
+_LEAST_BUDGET = 1_000_000  # rays that cutting may add to a small view
+
+_ARRAYS = {n: dtype for n, dtype in element_types(kernels.PathRecords).items() if n not in ("count", "area")}
+
+
+@dataclass
+class BouncePaths:
+    """Paths of one number of bounces; arrays of shape (n,).
+
+    `pixel` is a bin of the hits' grid. `weight` is dA_perp / cos(theta_n) over the pixel area. `point` [m] is where a
+    single bounce would have the path's range, azimuth and mean elevation. At the last bounce, `cos_half` is between
+    half vector and incoming direction, `cos_tilt` between half vector and normal. `arrival` is the direction of the
+    ray to the first surface, `home` that from the last one to the radar.
+    """
+
+    bounces: list[kernels.Bounce]
+    pixel: wp.array
+    weight: wp.array
+    point: wp.array
+    cos_half: wp.array
+    cos_tilt: wp.array
+    arrival: wp.array
+    home: wp.array
+
+
+@dataclass
+class CoherentPaths:
+    """Paths by the cells in which their fields add up: `paths` has one for each sample and each order of faces."""
+
+    paths: BouncePaths
+    samples: CellSamples
+
+
+@dataclass
+class BouncesOfOneNumber:
+    """Paths of one number of bounces, merged by bin and faces; by cells too, where these were asked for."""
+
+    paths: BouncePaths
+    coherent: CoherentPaths | None = None
+
+
+@dataclass
+class TracedPaths:
+    """Paths of 2, 3, ... bounces, None where there are none of a number, and what a user should be told of them."""
+
+    of: list[BouncesOfOneNumber | None]
+    remarks: list[str]
+
+
+def trace_paths(render: Recorder, max_bounces: int, cell_m: tuple[float, float] | None = None) -> TracedPaths:
+    """Paths of 2, 3, ... `max_bounces` bounces, with the density and seed of the view's hits.
+
+    With `cell_m`, the size of a resolution cell (range, azimuth) [m], their fields are summed over cells too.
+    """
+    hits, target = render.hits, render.stage.target
+    # Rays that enter beside the image may leave inside: half of it on each side, and no farther than the mesh.
+    grid = hits.grid
+    shape = grid.shape[0], round((1.0 + 2.0 * grid.strip.beside) * grid.shape[1])
+    wide = BinGrid(shape, grid.spacing_m, strip=grid.strip)
+    area = render.spacing_m[0] * render.spacing_m[1]
+    rays = ray_grid(target, hits.geometry, wide, hits.rays_per_m2, area)
+    first, last = rays.first_cell, rays.end_cell
+    width = _band_width(rays, max_bounces, target.device)
+    wp.load_module(kernels, device=target.device)
+    cells = None if cell_m is None else cells_of(grid, cell_m, target.device)
+    bands = [
+        fill(Band, first_cell=begin, end_cell=min(begin + width, last), seed=hits.seed)
+        for begin in range(first, last, width)
+    ]
+    tasks = [partial(_band, render, rays, max_bounces, cells, band) for band in bands]
+    traced_bands = list(threads.ordered(tasks, target.device))
+    if cell_m is not None:
+        splits = _splits(traced_bands, rays, bands, grid, cell_m)
+        again = [partial(_band, render, rays, max_bounces, cells, bands[at], split) for at, split in splits.items()]
+        finer = dict(zip(splits, threads.ordered(again, target.device), strict=True))
+        traced_bands = [finer.get(at, one) for at, one in enumerate(traced_bands)]
+        kinds = _kinds(render)
+    parts = [part.of for part in traced_bands]
+    remarks = _remarks(traced_bands, max_bounces, grid, cell_m)
+    found: list[BouncesOfOneNumber | None] = []
+    for index in range(max_bounces - 1):
+        mine = [one for part in parts if (one := part[index]) is not None]
+        if not mine:
+            found.append(None)
+            continue
+        arrays = {
+            name: concatenate([getattr(one.records, name) for one in mine], dtype, target.device)
+            for name, dtype in _ARRAYS.items()
+        }
+        traced = BouncesOfOneNumber(_paths(fill(kernels.PathRecords, **arrays), index + 2, rays, target))
+        if cell_m is not None:
+            made, samples = samples_of([one.coupled for one in mine], kinds, grid, cell_m, area, target.device)
+            own: dict[str, Any] = {
+                name: wp.array(made[name], dtype=dtype, device=target.device) for name, dtype in _ARRAYS.items()
+            }
+            paths = _paths(fill(kernels.PathRecords, **own), index + 2, rays, target)
+            traced.coherent = CoherentPaths(paths, samples)
+        found.append(traced)
+    return TracedPaths(found, remarks)
+
+
+def _kinds(render: Recorder) -> NDArray[np.int64]:
+    """`kinds_of` the faces of the mesh."""
+    target = render.stage.target
+    p0, p1, p2 = (target.corners[corner] for corner in target.faces.numpy().T)
+    normal = np.cross(p1 - p0, p2 - p0)
+    length = np.linalg.norm(normal, axis=1, keepdims=True)
+    return kinds_of(normal / np.maximum(length, np.finfo(float).tiny), render.stage.face_material.numpy())
+
+
+def _coupled_of(traced: Sequence[_Traced], index: int) -> list[Coupled]:
+    """The fields of all bands' paths of a number of bounces, 0 for two."""
+    return [merged.coupled for one in traced if (merged := one.of[index]) is not None]
+
+
+def _remarks(
+    traced: Sequence[_Traced], max_bounces: int, grid: BinGrid, cell_m: tuple[float, float] | None
+) -> list[str]:
+    """What the paths leave out: bounces beyond the last one, and rays that bright corners lack."""
+    found = []
+    met, further = np.sum([one.area for one in traced], axis=0) if traced else (0.0, 0.0)
+    if further > _TOLD * met:
+        found.append(
+            f"multibounce: {100 * further / met:.2g} % of the area of the rays that meet two surfaces goes on to "
+            f"another one after max_bounces = {max_bounces}; at most this share of the bounces' power is left out"
+        )
+    if cell_m is not None:
+        coupled = [mine for index in range(max_bounces - 1) if (mine := _coupled_of(traced, index))]
+        worst = max((float(errors_of(mine, grid, cell_m).max(initial=0.0)) for mine in coupled), default=0.0)
+        if worst > _UNSURE:
+            found.append(
+                f"multibounce: bright corners get so few rays that their power is known to {100 * worst:.0f} % alone; "
+                "more rays_per_pixel of [sampling] are needed"
+            )
+    return found
+
+
+def _splits(
+    traced: Sequence[_Traced],
+    rays: RayGrid,
+    bands: Sequence[Any],
+    grid: BinGrid,
+    cell_m: tuple[float, float],
+) -> dict[int, NDArray[np.uint8]]:
+    """The bands that have cells to cut, each with the parts of its cells' sides (`kernels.path_kernel`).
+
+    Cells beside those are cut too: a body may reach into them. All cuts together send at most as many rays again.
+    """
+    found: list[tuple[NDArray[np.int64], NDArray[np.int64]]] = []
+    for index in range(min((len(one.of) for one in traced), default=0)):
+        if mine := _coupled_of(traced, index):
+            found.append(splits_of(mine, grid, cell_m))
+    if not any(len(cell) for cell, _ in found):
+        return {}
+    split = np.ones((rays.end_cell - rays.first_cell + 2, rays.elevation_cells + 2), np.uint8)
+    for cell, parts in found:
+        for aside in (0, 1, 2):
+            for above in (0, 1, 2):
+                at = cell[:, 0] - rays.first_cell + aside, cell[:, 1] + above
+                np.maximum.at(split, at, parts.astype(np.uint8))
+    inner = split[1:-1, 1:-1]
+    budget = max(inner.size, _LEAST_BUDGET)
+    more = int((inner.astype(np.int64) ** 2 - 1).sum())
+    if more > budget:
+        np.floor(np.maximum(inner * np.sqrt(budget / more), 1.0), out=inner, casting="unsafe")
+    of_bands = {
+        at: inner[band.first_cell - rays.first_cell : band.end_cell - rays.first_cell] for at, band in enumerate(bands)
+    }
+    return {at: np.ascontiguousarray(one) for at, one in of_bands.items() if (one > 1).any()}
+
+
+def _band_width(rays: RayGrid, max_bounces: int, device: wp.Device) -> int:
+    """Azimuth cells that are traced in one launch: as many as the memory for their records allows."""
+    cells = rays.end_cell - rays.first_cell
+    workers = threads.thread_count() if device.is_cpu else 1
+    room = int(DEFAULT_MEMORY_GIB * 2**30 / workers / (_RECORD_BYTES * rays.elevation_cells * (max_bounces - 1)))
+    # at least 8 bands for the threads to share
+    return max(1, min(room, -(-cells // 8) if device.is_cpu else cells))
+
+
+@dataclass(frozen=True)
+class _Merged:
+    """Paths of one number of bounces in a band: `PathRecords`, and their fields where there are cells."""
+
+    records: Any
+    coupled: Any
+
+
+@dataclass(frozen=True)
+class _Traced:
+    """What a band has by number of bounces, 2 first, and `PathRecords.area`."""
+
+    of: list[_Merged | None]
+    area: NDArray[np.float32]
+
+
+def _band(
+    render: Recorder, rays: RayGrid, max_bounces: int, cells: Any, band: Any, split: NDArray[np.uint8] | None = None
+) -> _Traced:
+    """Paths of a band of azimuth cells, merged, by number of bounces."""
+    hits, target = render.hits, render.stage.target
+    grid, device = hits.grid, target.device
+    segment = rays.elevation_cells if device.is_cpu else _SEGMENT
+    dim = (band.end_cell - band.first_cell, -(-rays.elevation_cells // segment))
+    size = float(np.linalg.norm(np.ptp(target.corners, axis=0)))
+    columns = fill(kernels.ImageColumns, start=grid.start_m[1], spacing=grid.spacing_m[1], count=grid.shape[1])
+    cut: wp.array = wp.array(np.zeros((0, 0), np.uint8) if split is None else split, dtype=wp.uint8, device=device)
+    inputs = [rays, target.triangles, band, columns, cut, target.bvh.id, segment, max_bounces, size]
+    capacity = max(4096, dim[0] * rays.elevation_cells // 4)
+    while True:
+        records = _records(capacity, device)
+        wp.launch(kernels.path_kernel, dim, inputs=inputs, outputs=[records], device=device)
+        count = int(records.count.numpy()[0])
+        if count <= capacity:
+            couples = partial(_coupled, render, rays, cells)
+            of: list[_Merged | None] = [None] * (max_bounces - 1)
+            if count:
+                of = _merge(records, count, max_bounces, couples)
+            return _Traced(of, records.area.numpy().copy())
+        capacity = count
+
+
+def _records(capacity: int, device: wp.Device) -> kernels.PathRecords:
+    """Room for `capacity` records: a `kernels.PathRecords`."""
+    count: wp.array = wp.zeros(1, dtype=int, device=device)
+    area: wp.array = wp.zeros(2, dtype=float, device=device)
+    records: kernels.PathRecords = allocate(kernels.PathRecords, capacity, device, count=count, area=area)
+    return records
+
+
+def _coupled(
+    render: Recorder, rays: RayGrid, cells: Any, records: Any, order: wp.array, first: wp.array, merged: Any
+) -> Coupled | None:
+    """Fields of merged paths by sample, and the rays that they are of; None without cells."""
+    if cells is None:
+        return None
+    mesh, wavenumber = render.stage.target.triangles, render.hits.geometry.wavenumber
+    field = couple(rays, mesh, records, order, first, merged, cells, wavenumber)
+    middle = records.ray.numpy()[order.numpy()][:, :2].astype(float)
+    start, step = (rays.azimuth_start, rays.elevation_start), (rays.azimuth_step, rays.elevation_step)
+    cell = np.floor((middle - start) / step).astype(np.int64)
+    own = {name: getattr(merged, name).numpy() for name in _ARRAYS}
+    return Coupled(own, field, cell, first.numpy().astype(np.int64))
+
+
+def _merge(records: kernels.PathRecords, count: int, max_bounces: int, couples: Any) -> list[_Merged | None]:
+    """Records of one bin and the same faces become one path; by number of bounces, 2 first, or None."""
+    device = records.bin.device
+    order = wp.empty(2 * count, dtype=int, device=device)
+    key = wp.empty(2 * count, dtype=wp.int64, device=device)
+    wp.launch(merging.number_kernel, count, outputs=[order], device=device)
+    for what in (2, 1, 0) if max_bounces > 2 else (1, 0):
+        wp.launch(kernels.sort_key_kernel, count, inputs=[records, order, what], outputs=[key], device=device)
+        wp.utils.radix_sort_pairs(key, order, count, 0, 64)
+    start, rank = (wp.empty(count, dtype=int, device=device) for _ in range(2))
+    wp.launch(
+        kernels.mark_path_starts_kernel,
+        count,
+        inputs=[records, order],
+        outputs=[start],
+        device=device,
+    )
+    wp.utils.array_scan(start, rank, inclusive=True)
+    paths = int(rank[count - 1 :].numpy()[0])
+    first = wp.empty(paths, dtype=int, device=device)
+    wp.launch(merging.place_starts_kernel, count, inputs=[start, rank], outputs=[first], device=device)
+    merged = _records(paths, device)
+    wp.launch(
+        kernels.reduce_paths_kernel, paths, inputs=[records, order, first, count], outputs=[merged], device=device
+    )
+    # the sort has put them in the order of their bounces
+    ends = np.searchsorted(merged.bounces.numpy(), np.arange(2, max_bounces + 2))
+
+    coupled = couples(records, order[:count], first, merged)
+
+    def between(a: int, b: int) -> _Merged | None:
+        if b == a:
+            return None
+        own = {name: getattr(merged, name)[a:b] for name in _ARRAYS}
+        return _Merged(fill(kernels.PathRecords, **own), coupled and coupled.between(a, b))
+
+    return [between(a, b) for a, b in pairwise(ends.tolist())]
+
+
+def _paths(paths: kernels.PathRecords, bounces: int, rays: RayGrid, target: Target) -> BouncePaths:
+    """Merged paths of one number of bounces, with the angles at their faces."""
+    device, mesh, n = target.device, target.triangles, paths.bin.shape[0]
+    angles = allocate(kernels.PathAngles, n, device)
+    inputs = [rays, mesh, paths, bounces]
+    wp.launch(kernels.path_geometry_kernel, n, inputs=inputs, outputs=[angles], device=device)
+    each = []
+    for k in range(bounces):
+        one = allocate(kernels.Bounce, n, device)
+        wp.launch(kernels.bounce_kernel, n, inputs=[mesh, paths, angles, k], outputs=[one], device=device)
+        each.append(one)
+    ends = angles.cos_half, angles.cos_tilt, angles.arrival, angles.home
+    return BouncePaths(each, paths.bin, angles.weight, paths.point, *ends)
