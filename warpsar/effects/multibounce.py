@@ -40,7 +40,6 @@ class Multibounce(Effect):
     of_surfaces_with = "eps_r"
     order = 10
     needs_all_hits = True
-    readings = "reflection"
     summary = "double and triple bounces between surfaces"
     in_place = "multibounce in radar.terms"
     example: ClassVar[dict[str, Any]] = {"strength": 1.0}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -52,8 +51,7 @@ class Screening:
 
     The surface starts as `base` has it, and as the scene file does: a strong effect that is missing can pull the fitted
     surface so far that no descent leads back. A fit that is worse than none begins again nearer to neutral. At first
-    only a glance, which may be another process's. Where an effect has several readings, the glance is at each, and the
-    tables of the likeliest come first.
+    only a glance, which may be another process's.
     """
 
     def __init__(
@@ -73,28 +71,23 @@ class Screening:
 
     def _glance(self, surfaces: Sequence[Scene]) -> Glance:
         best: Glance | None = None
-        begun: dict[tuple[float, int, int], tuple[FitProblem, FitState]] = {}
-        firsts = _one_of_each_reading(self.name, self.tables)
-        chosen = firsts[0]
+        begun: dict[tuple[float, int], tuple[FitProblem, FitState]] = {}
         # a start where the effect does nothing is flat and ends at once; another begins far off and takes longer
         for share, until in ((1.0, GLANCE), (1.0, QUICK_ITERATIONS), *((share, GLANCE) for share in NEARER)):
             if best is not None and best.log_likelihood > self.base.log_likelihood + HARDLY_BETTER:
                 break
-            for (number, surface), (reading, first) in product(enumerate(surfaces), enumerate(firsts)):
-                key = share, number, reading
-                if key not in begun:
-                    table = toward_neutral(self.name, first, share)
+            for number, surface in enumerate(surfaces):
+                if (share, number) not in begun:
+                    table = toward_neutral(self.name, self.tables[0], share)
                     problem = self.setup.problem(with_effect(surface, self.name, table))
-                    begun[key] = problem, standing_at(problem, problem.x0)
-                problem, state = begun[key]
+                    begun[share, number] = problem, standing_at(problem, problem.x0)
+                problem, state = begun[share, number]
                 state = onward(problem, state, until)
-                begun[key] = problem, state
+                begun[share, number] = problem, state
                 fitted = _fitted(self.setup, problem, state)
                 if best is None or fitted.whole > best.whole:
                     self._problem, best = problem, Glance(number, state, fitted.log_likelihood, fitted.whole)
-                    chosen = first
         assert best is not None
-        self.tables = sorted(self.tables, key=lambda table: _reading(self.name, table) != _reading(self.name, chosen))
         return best
 
     def finish(self, lead: float, dark: Dark = NO_DARK, *, refine: bool = True) -> tuple[Fitted, bool]:
@@ -125,16 +118,6 @@ class Screening:
             return found[best], given_up[best]
         climbed = refined(self.setup, found[best], self.name, self.tables, dark)
         return climbed, given_up[best] and climbed.log_likelihood < lead
-
-
-def _reading(name: str, table: Mapping[str, Any]) -> Any:
-    """The value of the setting by which the effect has several readings; None for one that has not."""
-    return table.get(get(name).readings)
-
-
-def _one_of_each_reading(name: str, tables: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
-    """The first table of each reading of an effect."""
-    return list({_reading(name, table): table for table in reversed(tables)}.values())[::-1]
 
 
 def _fitted(setup: FitSetup, problem: FitProblem, state: FitState) -> Fitted:
