@@ -36,7 +36,8 @@ def by_rank(passing: Sequence[Candidate]) -> list[list[Candidate]]:
     """The candidates that are fitted first, and those whose score is so far below the best one's that they are fitted
     only where none of the first is added."""
     least = FAR_BELOW * max((candidate.minus_log_p for candidate in passing), default=0.0)
-    ahead, behind = [], []
+    ahead: list[Candidate] = []
+    behind: list[Candidate] = []
     for candidate in passing:
         (ahead if candidate.minus_log_p >= least else behind).append(candidate)
     return [ahead, behind] if behind else [ahead]
