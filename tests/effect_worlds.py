@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+import warp as wp
 from worlds import BRICK, SOIL, box, ground, mesh_of, scene_of, view
 
 from warpsar.effects.registry import check, declared, names, validate
@@ -126,8 +127,11 @@ def gains(scene: Scene, name: str, table: dict[str, Any]) -> tuple[np.ndarray, V
     for one in (render, bare):
         pixel = np.zeros(one.hits.count, np.int32)
         pixel[:] = np.arange(one.hits.count) % (one.shape[0] * one.shape[1])
-        one.hits.pixel.assign(pixel)
-        again = ViewRender(one.stage, one.view, one.hits, one.shape, tuple(one.images), one._effects)
+        # hits of their own: what was derived from the first ones does not go for these
+        spread = dataclasses.replace(
+            one.hits, pixel=wp.array(pixel, dtype=int, device=one.hits.pixel.device), derived={}
+        )
+        again = ViewRender(one.stage, one.view, spread, one.shape, tuple(one.images), one._effects)
         found.append(again.forward()["HH"].astype(float).ravel()[: one.hits.count])
     assert render.hits.count <= render.shape[0] * render.shape[1]
     return found[0] / found[1], render

@@ -14,7 +14,7 @@ from warpsar.scene.scene import Scene
 from warpsar.simulation.command import view_render
 from warpsar.simulation.rays import trace_view
 from warpsar.surface.stage import Stage
-from warpsar.world.tables import SURFACE_KEYS
+from warpsar.surface.surface import KEYS
 
 pytestmark = pytest.mark.unit
 
@@ -37,7 +37,7 @@ def pairs(folder: Path, rays_per_pixel: float) -> tuple[float, list[Pair]]:
     truth = json.loads((folder / "truth.json").read_text())
     scene = Scene.load(folder / "scene.toml")
     materials = {
-        name: scene.materials[name].model_copy(update=dict(zip(SURFACE_KEYS, values, strict=True)))
+        name: scene.materials[name].model_copy(update=dict(zip(KEYS, values, strict=True)))
         for name, values in truth["materials"].items()
     }
     sampling = scene.sampling.model_copy(update={"rays_per_pixel": rays_per_pixel})

@@ -14,7 +14,7 @@ from warpsar.compare.comparison import Comparison
 from warpsar.compare.metrics import pool
 from warpsar.diagnosis.result import Diagnosed, diagnose
 from warpsar.scene.scene import Scene
-from warpsar.world.tables import SURFACE_KEYS
+from warpsar.surface.surface import KEYS
 
 pytestmark = pytest.mark.slow
 NAMES = ("none", "noise_floor", "multibounce", "point_spread", "registration", "antenna_pattern")
@@ -43,7 +43,7 @@ def truth_of(folder: Path, scene: Scene) -> Scene:
     """The scene with the true materials and effects."""
     truth = json.loads((folder / "truth.json").read_text())
     materials = {
-        name: scene.materials[name].model_copy(update=dict(zip(SURFACE_KEYS, values, strict=True)))
+        name: scene.materials[name].model_copy(update=dict(zip(KEYS, values, strict=True)))
         for name, values in truth["materials"].items()
     }
     effects: dict[str, dict[str, Any]] = {}

@@ -29,8 +29,8 @@ from warpsar.scene.unwrap import write_obj
 from warpsar.speckle.law import Law
 from warpsar.speckle.likelihood import deviance, expected_deviance, metrics
 from warpsar.surface.stage import Stage
+from warpsar.surface.surface import KEYS
 from warpsar.world.mesh import read_mesh
-from warpsar.world.tables import SURFACE_KEYS
 
 LOOKS = (1.0, 4.0, 16.0)
 
@@ -167,8 +167,7 @@ def with_truth(folder: Path, views: tuple[int, ...]) -> Scene:
     scene = Scene.load(folder / "scene.toml")
     truth = json.loads((folder / "truth.json").read_text())["materials"]
     materials = {
-        name: m.model_copy(update=dict(zip(SURFACE_KEYS, truth[name], strict=True)))
-        for name, m in scene.materials.items()
+        name: m.model_copy(update=dict(zip(KEYS, truth[name], strict=True))) for name, m in scene.materials.items()
     }
     return replace(scene, materials=materials, views=[scene.views[i] for i in views])
 
@@ -330,7 +329,7 @@ def test_files_are_those_of_the_contract(cube: Scene, tmp_path: Path, capsys: py
         assert np.isnan(ratio[~both]).all()
         assert (tmp_path / "out" / one["files"]["png"]).read_bytes()[:4] == b"\x89PNG"
     mesh = read_mesh(tmp_path / "out" / "learned.ply")
-    assert set(mesh.vertex_scalars) >= {*SURFACE_KEYS, "material"}
+    assert set(mesh.vertex_scalars) >= {*KEYS, "material"}
     assert not [p.name for p in (tmp_path / "out").iterdir() if p.name.startswith(".")]
 
 
@@ -390,7 +389,7 @@ def test_ply_keeps_uniform_values_sharp(tmp_path: Path) -> None:
     scene = replace(scene, mesh=replace(scene.mesh, faces=shared))
     write_learned_ply(tmp_path / "learned.ply", scene)
     mesh = read_mesh(tmp_path / "learned.ply")
-    for key in SURFACE_KEYS[:3]:
+    for key in KEYS[:3]:
         # float32 nodes, in log coordinates
         np.testing.assert_allclose(np.unique(mesh.vertex_scalars[key]), sorted(TRUTH[m][key] for m in TRUTH), rtol=1e-6)
     for face, material in zip(mesh.faces, scene.mesh.face_material, strict=True):

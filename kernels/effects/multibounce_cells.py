@@ -21,7 +21,7 @@ PI = wp.constant(wp.float64(3.141592653589793))
 
 
 @wp.struct
-class Cells:
+class ResolutionCells:
     """Cells of `size` (range, azimuth) [m] about the reference point, and the bins of the records among them.
 
     `offset`: the samples about a bin that get a share of a field in it.
@@ -81,7 +81,7 @@ def tilted(a: wp.float64) -> wp.float64:
 
 
 @wp.func
-def cell_of(cells: Cells, bin: int) -> wp.vec2i:
+def cell_of(cells: ResolutionCells, bin: int) -> wp.vec2i:
     """The sample below the middle of a bin (range, azimuth)."""
     row = bin / cells.bin_cols
     col = bin - row * cells.bin_cols
@@ -120,7 +120,7 @@ def tube_kernel(
     grid: RayGrid,
     mesh: Triangles,
     records: PathRecords,
-    cells: Cells,
+    cells: ResolutionCells,
     wavenumber: wp.float64,
     # Out:
     tubes_out: TubeFields,
@@ -227,7 +227,7 @@ def couple_kernel(
     order: wp.array(dtype=int),
     first: wp.array(dtype=int),
     bin: wp.array(dtype=int),
-    cells: Cells,
+    cells: ResolutionCells,
     # Out:
     field_out: wp.array2d(dtype=wp.vec2),
 ):

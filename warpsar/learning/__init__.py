@@ -11,8 +11,8 @@ geometry: bodies, angles and spacings as numbers. pose_pixels: the pixels that t
 effects and geometry as one problem, and its descent. pose_sharing: objects that share a render. posed_images: images of
 a view whose geometry lies elsewhere. pose_search: from metres away to the likeliest pose. learned_objects: poses in
 `learn`. object_figures: objects before and after. term: the learned term of a material's sigma0, from images.
-table: its table of sigma0, from images. table_figure: that table before and after. device_values: what both are fitted by.
-metrics: how well the images of a fit agree. trust: do the intervals hold, and what did a fit make worse?
+table: its table of sigma0, from images. table_figure: that table before and after. device_values: what both are fitted
+by. metrics: how well the images of a fit agree. trust: do the intervals hold, and what did a fit make worse?
 curves: permittivities from measured curves of RCS. results: what was learned, as a scene. command: `warpsar learn`.
 jacobian: how one view's image changes with x.
 """

@@ -86,9 +86,9 @@ def offsets() -> NDArray[np.int32]:
 
 
 def cells_of(grid: BinGrid, cell_m: tuple[float, float], device: wp.Device) -> Any:
-    """`kernels.Cells` of a size (range, azimuth) [m] among the bins of a grid."""
+    """`kernels.ResolutionCells` of a size (range, azimuth) [m] among the bins of a grid."""
     return fill(
-        kernels.Cells,
+        kernels.ResolutionCells,
         size=wp.vec2d(*cell_m),
         bin_start=wp.vec2d(*grid.start_m),
         bin_size=wp.vec2d(*grid.spacing_m),
