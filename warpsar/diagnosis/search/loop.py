@@ -41,6 +41,7 @@ from warpsar.scene.scene import Scene
 from warpsar.simulation.rays import Rays
 
 FAR_AHEAD = 3.0  # times the largest score of an effect (2 ln L): geometry that gains more has few rivals fitted
+NEAR_BEST = 0.5  # of the best score (-ln p), from which on an effect is one of those few
 SENSOR_BEHIND = 0.5  # of what the best body is foretold: angles and spacings below it are not fitted
 CHANCES = 2  # how often one effect may be added: what is taken back may hold once something else was found
 
@@ -227,9 +228,9 @@ class Search:
             bodies = screened_bodies(self.scene, setup, here) if geometry else []
             foretold = max([0.0, *(one.foretold for one in sensor), *(one.most for one in bodies)])
             if 2.0 * foretold > FAR_AHEAD * max((c.statistic for c in allowed), default=0.0):
-                # beside what moves things, too, the likeliest effect alone: a score is no gain, and may be far below it
-                best = max(allowed, key=lambda c: c.minus_log_p, default=None)
-                allowed = [c for c in allowed if c is best or get(c.effect).sets_positions]
+                # beside what moves things, too, the likeliest effects alone: a score is no gain, and may be far below it
+                near = NEAR_BEST * max((c.minus_log_p for c in allowed), default=0.0)
+                allowed = [c for c in allowed if c.minus_log_p >= near or get(c.effect).sets_positions]
             for some in [allowed] if dark.asks else by_rank(allowed):
                 if turn.added is None:
                     found = refits(setup, here, self.scene, some, templates, dark, options.refits)
