@@ -30,7 +30,7 @@ def pytest_configure() -> None:
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """`-m unit` stands in the place of pyproject's `-m`, so what that leaves out is left out here."""
     if config.option.markexpr == "unit":
-        long = [item for item in items if item.get_closest_marker("slow") or item.get_closest_marker("measured")]
+        long = [item for item in items if any(map(item.get_closest_marker, ("full", "slow", "measured")))]
         config.hook.pytest_deselected(items=long)
         items[:] = [item for item in items if item not in long]
 

@@ -5,11 +5,13 @@ import math
 import re
 from pathlib import Path
 
+import pytest
 from written_page import WrittenPage, run
 
 TRUTH = {"nadir": 0.2, "cosine_power": 1.5}
 
 
+@pytest.mark.full
 def test_a_reader_gets_from_nothing_to_a_fit_that_finds_it(tmp_path: Path) -> None:
     page = WrittenPage("add-a-model.md")
     assert len(page.files) == 5
@@ -198,6 +200,7 @@ def test_sixteen_hits_at_once_have_the_numbers_of_one(slopes: bool) -> None:
 """A model of more parameters than one vector of the device holds."""
 
 
+@pytest.mark.full
 def test_a_model_may_have_more_parameters_than_four(tmp_path: Path) -> None:
     page = WrittenPage("add-a-model.md")
     page.files = SEVERAL

@@ -4,11 +4,13 @@ import json
 import re
 from pathlib import Path
 
+import pytest
 from written_page import WrittenPage, run
 
 SLOPE_DB_PER_M = 0.05
 
 
+@pytest.mark.full
 def test_a_reader_gets_from_nothing_to_a_diagnosis_that_finds_it(tmp_path: Path) -> None:
     page = WrittenPage("add-an-effect.md")
     assert len(page.files) == 5

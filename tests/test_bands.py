@@ -55,6 +55,7 @@ def problems(scene: Scene, device: str, **more: Any) -> tuple[FitProblem, FitPro
     return kept, banded
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("effects", EFFECTS)
 def test_banded_images_and_gradients_are_the_kept_ones(effects: str, device: str, tmp_path: Path) -> None:
     scene = bumpy_scene(tmp_path, effects)
@@ -80,6 +81,7 @@ def test_a_field_in_bands(device: str, tmp_path: Path) -> None:
     np.testing.assert_allclose(banded_gradient, gradient, rtol=1e-4, atol=2e-6 * np.abs(gradient).max())
 
 
+@pytest.mark.full
 def test_learn_in_bands_ends_where_learn_does(tmp_path: Path) -> None:
     scene = bumpy_scene(tmp_path)
     found = [learn(scene, device="cpu", options=LearnOptions(starts=1, max_memory_gib=gib)) for gib in (None, 1e-6)]

@@ -82,12 +82,14 @@ def seen_on_terminal(words: list[str], folder: Path, wanted: re.Pattern[bytes]) 
     return shown
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("bar", BARS)
 def test_a_bar_on_a_terminal(folder: Path, bar: str) -> None:
     wanted = drawn(bar)
     assert wanted.search(seen_on_terminal(BARS[bar], folder, wanted))
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("bar", ["rays:", "images:", "scatterers:", "directions:", "evaluate:"])
 def test_no_bar_elsewhere(folder: Path, bar: str) -> None:
     words = list(BARS[bar])

@@ -439,6 +439,7 @@ def test_out_of_memory_for_good_is_one_message(tmp_path: Path, monkeypatch: pyte
     assert_whole(tmp_path / "out", {"b/own"})
 
 
+@pytest.mark.full
 def test_sigterm_loses_nothing(tmp_path: Path) -> None:
     """The process ends at once, as the system has it (a shell calls that 143); the next run makes the rest."""
     path, out = scene_file(tmp_path / "a"), tmp_path / "out"
@@ -488,6 +489,7 @@ def killed(folder: Path, times: int, azimuths: range, seed: int) -> None:
     assert pixels(out) == pixels(folder / "alone")
 
 
+@pytest.mark.full
 @needs_torch
 def test_a_rank_killed(tmp_path: Path) -> None:
     killed(tmp_path, 1, range(0, 300, 2), seed=1)

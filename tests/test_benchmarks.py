@@ -65,6 +65,7 @@ def failed() -> dict[str, dict[str, str | None]]:
     return failures(ROOT / "benchmarks", FILES)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("name", FILES)
 def test_a_benchmark_can_be_imported(name: str, failed: dict[str, dict[str, str | None]]) -> None:
     if name in failed:
@@ -90,6 +91,7 @@ def test_a_benchmark_that_cannot_be_imported_is_found(tmp_path: Path) -> None:
     assert found["lacks"]["missing"] not in optional()
 
 
+@pytest.mark.full
 def test_what_the_timing_of_diagnose_wraps_is_there() -> None:
     """It wraps by name what the search calls: a name that has moved would be found only when it runs."""
     assert fresh(PLACES, ROOT / "benchmarks") == []

@@ -182,6 +182,7 @@ def run(*arguments: object, status: int = 0) -> str:
     return done.output
 
 
+@pytest.mark.full
 def test_the_new_scene_simulates_as_it_is(town: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     said = run("new", out, town, "--dem", dem(tmp_path / "dem.tif"))

@@ -71,6 +71,7 @@ def warpsar(*arguments: str | Path, threads: str = "2", **options: Any) -> subpr
     )
 
 
+@pytest.mark.full
 def test_files_streams_and_status(scene: Path) -> None:
     out = scene.parent / "deep" / "out"
     done = warpsar("simulate", scene, "-o", out, "--device", "cpu")
@@ -99,6 +100,7 @@ def test_files_streams_and_status(scene: Path) -> None:
         assert (out / f"{name}.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
 
 
+@pytest.mark.full
 def test_json(scene: Path) -> None:
     out = scene.parent / "out"
     assert warpsar("simulate", scene, "-o", out, "--device", "cpu").returncode == 0
@@ -119,6 +121,7 @@ def test_json(scene: Path) -> None:
         assert view["rays"] > view["hits"] > 0
 
 
+@pytest.mark.full
 def test_seed_threads_and_memory(scene: Path) -> None:
     """The same seed makes the same files to the bit, with any number of threads and any memory; another does not."""
     images = {}
@@ -135,6 +138,7 @@ def test_seed_threads_and_memory(scene: Path) -> None:
     assert (images["other"] != images["plain"]).any()
 
 
+@pytest.mark.full
 def test_layers_variance_and_per_ray(scene: Path) -> None:
     out = scene.parent / "out"
     done = warpsar("simulate", scene, "-o", out, "--device", "cpu", "--layers", "--variance", "--per-ray")
@@ -153,6 +157,7 @@ def test_layers_variance_and_per_ray(scene: Path) -> None:
     assert views[0]["files"]["layers"] == "north_layers.exr"
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -177,6 +182,7 @@ def test_bad_input_is_exit_2(change: tuple[str, str], message: str, scene: Path)
     assert not out.exists() or not list(out.iterdir())
 
 
+@pytest.mark.full
 def test_missing_device_is_exit_3(scene: Path) -> None:
     done = warpsar("simulate", scene, "-o", scene.parent / "out", "--device", "cuda:99")
     assert (done.returncode, done.stdout) == (3, "")
@@ -186,6 +192,7 @@ def test_missing_device_is_exit_3(scene: Path) -> None:
     assert not (scene.parent / "out").exists()
 
 
+@pytest.mark.full
 def test_an_output_folder_that_cannot_be_made_is_exit_2(scene: Path) -> None:
     (scene.parent / "file").write_text("")
     done = warpsar("simulate", scene, "-o", scene.parent / "file" / "out", "--device", "cpu")
@@ -194,6 +201,7 @@ def test_an_output_folder_that_cannot_be_made_is_exit_2(scene: Path) -> None:
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.full
 def test_an_older_result_stays_whole_when_the_next_run_is_stopped(scene: Path) -> None:
     """Interrupted while it works: exit 130, one message, and what lies in the folder is the old result or nothing."""
     out = scene.parent / "out"
@@ -219,6 +227,7 @@ def test_an_older_result_stays_whole_when_the_next_run_is_stopped(scene: Path) -
     assert {path.name: path.read_bytes() for path in out.iterdir()} == before
 
 
+@pytest.mark.full
 def test_a_view_in_which_nothing_lies(scene: Path) -> None:
     """A black image is a result, not a failure."""
     moved = "reference_point_m = [900.0, 0.0, 0.0]"

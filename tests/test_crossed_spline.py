@@ -84,6 +84,7 @@ def test_a_spline_has_its_values_and_is_exact_for_parabolas() -> None:
     np.testing.assert_allclose(spline(np.arange(9.0) ** 2), at**2 - 0.25, atol=1e-12)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("spectrum", SPECTRA)
 def test_level_ground_has_the_integral(spectrum: str) -> None:
     """The same sixteen rings and five spokes, in NumPy: what is left is the interpolation."""

@@ -91,6 +91,7 @@ def test_as_many_effects_may_be_added_as_there_are(monkeypatch: pytest.MonkeyPat
     assert "Effects that may be added, at most. [default: (all there are); x>=0]" in help_text
 
 
+@pytest.mark.full
 def test_a_gradient_is_found(graded: Ran) -> None:
     assert graded.content["verdict"] == ["eps_gradient"]
     assert graded.content["unexplained"] is False
@@ -187,6 +188,7 @@ def test_console_json_and_report_say_the_same_of_every_turn(graded: Ran) -> None
     assert set(re.findall(r"2 ln L (\S+)", graded.stderr)) == gains
 
 
+@pytest.mark.full
 def test_scene_that_comes_out_simulates_evaluates_and_is_sound(graded: Ran, tmp_path: Path) -> None:
     scene = Scene.load(graded.out / "scene.toml")
     assert scene.effects["eps_gradient"] == graded.content["effects"]["eps_gradient"]
@@ -228,6 +230,7 @@ def test_report_stands_alone_and_says_it_all(graded: Ran) -> None:
     assert "nan" not in reader.text.replace("finance", "")
 
 
+@pytest.mark.full
 def test_test_views_decide_nothing(tmp_path: Path) -> None:
     """With other test images everything is the same to the last digit, but for what is said of the test views."""
     found: list[Diagnosed] = []
@@ -252,6 +255,7 @@ def test_test_views_decide_nothing(tmp_path: Path) -> None:
     assert other.before["test"]["deviance"] > 10
 
 
+@pytest.mark.full
 def test_a_bright_spot_is_unexplained_and_put_on_the_ground(tmp_path: Path) -> None:
     """Nine pixels of one view about a known place on the ground: no effect does that."""
     scene = scene_with({}, tmp_path)

@@ -39,6 +39,7 @@ def declared_otherwise(folder: Path, values: dict[str, float]) -> Scene:
     return saved(starting(declared, {**START, "hut": {**HUT, "eps_r": 6.0}}), folder)
 
 
+@pytest.mark.full
 def test_a_body_of_another_size_is_named_and_measured(tmp_path: Path) -> None:
     """The hut is 30 % higher than its mesh, which no pose imitates: raised, it leaves a gap."""
     content = found(case(tmp_path / "scene", true_scene(**HIGHER)), tmp_path / "out")

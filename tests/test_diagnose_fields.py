@@ -265,6 +265,7 @@ def bumps(folder: Path, effects: dict[str, Any], *, seed: int = 1, texels: int =
     )
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("layout", ["texture", "vertex"])
 def test_nothing_is_named_where_a_field_explains_all(layout: str, tmp_path: Path) -> None:
     done = diagnose(bumps(tmp_path, {}, layout=layout), device="cpu", options=QUICK)
@@ -284,6 +285,7 @@ def test_nothing_is_named_where_a_field_explains_all(layout: str, tmp_path: Path
         assert np.ptp(np.log(saved.field("default", key))) > 0.2  # no longer the uniform start
 
 
+@pytest.mark.full
 def test_a_blur_is_found_beside_a_field_and_everything_is_saved(tmp_path: Path) -> None:
     """The command, on a scene file with its maps, and its results read back from files alone."""
     scene = bumps(tmp_path, BLUR)

@@ -287,6 +287,7 @@ def found(moved: Scene, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path,
     return out, run(moved.path, out, device="cpu", options=QUICK)
 
 
+@pytest.mark.full
 def test_an_object_elsewhere_is_found(found: tuple[Path, dict[str, Any]]) -> None:
     """Named, with its pose within 5 cm and 0.5 degrees, and within four of its standard deviations."""
     content = found[1]
@@ -353,6 +354,7 @@ def test_an_interrupted_run_ends_the_same(
     assert (tmp_path / "scene.toml").read_text().count("position_m") == 1
 
 
+@pytest.mark.full
 def test_an_absent_object_is_found(tmp_path: Path) -> None:
     scene = case(tmp_path, without_hut())
     assert scene.path is not None

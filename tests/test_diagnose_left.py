@@ -333,6 +333,7 @@ def striped(folder: Path) -> Scene:
 OPTIONS = DiagnoseOptions(draws=400, starts=0, most_effects=2)
 
 
+@pytest.mark.full
 def test_all_rows_are_found_in_the_dark_too(tmp_path: Path) -> None:
     saved(replace(striped(tmp_path), effects={}), tmp_path)
     content = run(tmp_path / "scene.toml", tmp_path / "out", device="cpu", options=OPTIONS)

@@ -40,6 +40,7 @@ def opened(tmp_path_factory: pytest.TempPathFactory) -> Diagnosed:
     return of(scene_in(tmp_path_factory.mktemp("open")))
 
 
+@pytest.mark.full
 def test_a_surface_that_train_views_leave_open_is_no_missing_effect(opened: Diagnosed) -> None:
     assert (opened.verdict, opened.unexplained) == ([], False)
     assert opened.foretold is not None
@@ -51,6 +52,7 @@ def test_a_surface_that_train_views_leave_open_is_no_missing_effect(opened: Diag
     assert "test views, by the surface that the train views tell: structure is left" in opened.open_surface
 
 
+@pytest.mark.full
 def test_an_open_surface_excuses_nothing_else(tmp_path: Path) -> None:
     """A patch in a test view, 6 dB too bright, on ground that another test view sees, too."""
     scene = scene_in(tmp_path)

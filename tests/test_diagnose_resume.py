@@ -71,6 +71,7 @@ def outcome(out: Path) -> tuple[dict[str, Any], str, str]:
     return content, (out / "scene.toml").read_text(), report
 
 
+@pytest.mark.full
 def test_killed_after_every_stage(whole: tuple[Path, Path, int]) -> None:
     """SIGKILL after the declared fit and after every turn, the last one too: one run, killed again and again."""
     scene, expected, stages = whole
@@ -122,6 +123,7 @@ def test_ctrl_c_says_how_to_go_on(stage: int, whole: tuple[Path, Path, int], mon
     assert outcome(out) == outcome(expected)
 
 
+@pytest.mark.full
 def test_a_limit_of_time_ends_with_what_there_is_and_goes_on(whole: tuple[Path, Path, int]) -> None:
     """Over before the first turn: the declared model is judged, and what was not asked is said. The run goes on
     to where it would have ended."""
@@ -143,6 +145,7 @@ def test_a_limit_of_time_ends_with_what_there_is_and_goes_on(whole: tuple[Path, 
     assert not (out / checkpoint.NAME).exists()
 
 
+@pytest.mark.full
 def test_what_was_added_on_trial_stays_in_the_model_and_is_no_name_when_the_time_is_over(
     whole: tuple[Path, Path, int], monkeypatch: pytest.MonkeyPatch
 ) -> None:

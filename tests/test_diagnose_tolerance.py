@@ -92,6 +92,7 @@ def diagnosed(scene: Scene, folder: Path, status: int = 0) -> Ran:
     return Ran(scene, folder / "out", content, done.stdout, done.stderr)
 
 
+@pytest.mark.full
 def test_a_blur_that_is_known_about_rightly_keeps_its_tolerance(tmp_path: Path) -> None:
     scene = scene_with({"eps_gradient": SLOPE, "point_spread": BLUR}, tmp_path)
     about = {**BLUR, "range_fwhm_m": 0.92, "tolerance": KNOWN}

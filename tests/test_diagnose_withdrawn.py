@@ -38,6 +38,7 @@ def floored(tmp_path_factory: pytest.TempPathFactory) -> Diagnosis:
     return found
 
 
+@pytest.mark.full
 def test_what_hurts_is_withdrawn_and_the_rest_stays(floored: Diagnosis) -> None:
     """A loss along range that the images do not have, held fixed in the final model: it goes, and the floor stays."""
     both = with_effect(floored.final.scene, "range_loss", {"per_m": 0.05, "fixed": True})
@@ -74,6 +75,7 @@ def test_numbers_of_single_views_are_fitted_to_test_views(tmp_path: Path) -> Non
     assert judge.with_own_numbers(scene)[0] is judge(scene, "test")[0]
 
 
+@pytest.mark.full
 def test_a_gain_of_every_view_pays_on_test_views_with_their_own(tmp_path: Path) -> None:
     """The test view is 3 dB brighter. With the gains of the others, which are not its own, it is no nearer than before:
     that is no reason against the name. With its own it is, and nothing is left."""

@@ -77,6 +77,7 @@ def found(work: Path, size: int) -> list[dict[str, Any]]:
     return content
 
 
+@pytest.mark.full
 @needs_torch
 def test_collectives(work: Path) -> None:
     first, second = (each["collectives"] for each in found(work, 2))
@@ -196,6 +197,7 @@ def shifted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return shifted_scene(tmp_path_factory.mktemp("diagnosed") / "shifted")
 
 
+@pytest.mark.full
 @needs_torch
 def test_diagnose_on_two_ranks_is_diagnose_on_one(shifted: Path, tmp_path: Path) -> None:
     """To the bit: a fit, a fold, a batch of draws is one process's work, and what is shared is in the tasks' order."""
@@ -301,6 +303,7 @@ def test_ranks_that_see_other_last_bits_decide_alike(shifted: Path, tmp_path: Pa
     assert first["verdict"] == ["registration"]
 
 
+@pytest.mark.full
 @needs_torch
 def test_a_refusal_of_diagnose_is_said_once(work: Path, tmp_path: Path) -> None:
     scene = Scene.load(work / "texture" / "scene.toml")
@@ -370,6 +373,7 @@ def test_learn_with_a_rank_killed_twenty_times(tmp_path: Path) -> None:
     struck(tmp_path, 20, seed=5)
 
 
+@pytest.mark.full
 @needs_torch
 def test_sigterm_writes_one_checkpoint(tmp_path: Path) -> None:
     """To torchrun, as a scheduler sends it; the run then goes on with one process."""
@@ -390,6 +394,7 @@ def test_sigterm_writes_one_checkpoint(tmp_path: Path) -> None:
     assert json.loads((out / "learn.json").read_text())["iterations"] == 200
 
 
+@pytest.mark.full
 @needs_torch
 def test_slurm_script(tmp_path: Path) -> None:
     """Its own lines, with srun and scontrol that stand for two hosts, both this one, of a process each."""
@@ -429,6 +434,7 @@ def test_deal_is_longest_first() -> None:
     assert deal([1.0], 3) == [[0], [], []]
 
 
+@pytest.mark.full
 def test_one_process_imports_no_torch() -> None:
     code = """
 import sys

@@ -66,6 +66,7 @@ def parts(eps: complex, kh: float, kl: float) -> np.ndarray:
     return np.array([[twice[i, i], (whole - bragg - twice)[i, i]] / bragg[i, i] for i in (1, 0)])
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("eps", [3 - 1j, 9 - 2.5j, 30 - 4.5j])
 def test_against_the_fourth_order(eps: complex) -> None:
     """docs/scattering-checks.md: its loops help H as the theory does, but what the theory takes is not in it.
@@ -86,6 +87,7 @@ def test_against_the_fourth_order(eps: complex) -> None:
     assert sums["HH"][1] < sums["VV"][1]
 
 
+@pytest.mark.full
 def test_the_kirchhoff_part_makes_powers_of_rough_surfaces_negative() -> None:
     surface = THETA, EPS, 1.32, 1.32 * 7
     assert reference.i2em("HH", *surface) + sum(double("HH", *surface)) < 0

@@ -172,6 +172,7 @@ def with_truth(folder: Path, views: tuple[int, ...]) -> Scene:
     return replace(scene, materials=materials, views=[scene.views[i] for i in views])
 
 
+@pytest.mark.full
 def test_true_parameters_leave_speckle_alone(independent_cases: Path) -> None:
     found = evaluate(with_truth(independent_cases / "none", (0, 1, 5)), device="cpu")
     for role in (found.train, found.test):
@@ -205,6 +206,7 @@ def test_verdict_on_images_of_another_renderer(case: str, independent_cases: Pat
         assert set(verdicts.values()) <= {"structure", "edges", "level"}
 
 
+@pytest.mark.full
 def test_nuisance_floor_is_the_one_that_was_added(independent_cases: Path) -> None:
     """The case's images have 0.004 added everywhere, which its scene does not declare."""
     scene = with_truth(independent_cases / "noise_floor", (0,))
@@ -246,6 +248,7 @@ def saved(scene: Scene, folder: Path) -> Path:
     return folder / "scene.toml"
 
 
+@pytest.mark.full
 def test_another_model_is_compared_on_the_same_pixels(cube: Scene) -> None:
     right, wrong = evaluate(cube, device="cpu"), evaluate(starting(cube), device="cpu")
     for a, b in zip(right.images, wrong.images, strict=True):
@@ -296,6 +299,7 @@ def test_surface_in_the_pixel_is_what_the_geometry_says() -> None:
 # Files
 
 
+@pytest.mark.full
 def test_files_are_those_of_the_contract(cube: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     scene_path = saved(cube, tmp_path)
     written = run(scene_path, tmp_path / "out", device="cpu", seed=3)
@@ -333,6 +337,7 @@ def test_files_are_those_of_the_contract(cube: Scene, tmp_path: Path, capsys: py
     assert not [p.name for p in (tmp_path / "out").iterdir() if p.name.startswith(".")]
 
 
+@pytest.mark.full
 def test_gain_of_an_uncalibrated_image_is_fitted_and_said(
     cube: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -444,6 +449,7 @@ def with_file(scene: Scene, folder: Path) -> Scene:
     return replace(scene, mesh_path=folder / "scene.obj")
 
 
+@pytest.mark.full
 def test_two_models_of_the_same_images(tmp_path: Path) -> None:
     """The numbers under `before` are those of the other scene alone, and the report shows both residuals."""
     scene = measured(cube_scene([*views_at((200.0, 40.0)), view(80.0, 50.0, name="judge", role="test")]), tmp_path)

@@ -146,6 +146,7 @@ def test_differences_have_a_limit(table: dict[str, Any], more: dict[str, Any], k
     assert away(difference(table, key, step, **more), difference(table, key, step / 10.0, **more)) < 0.01
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("key", ["east", "heading_deg", "scale"])
 @pytest.mark.parametrize(
     ("table", "more"),

@@ -77,6 +77,7 @@ def test_texels_of_one_chart_carry_the_surface_they_are_mapped_to() -> None:
         np.testing.assert_allclose(on_chart, on_surface, atol=2e-4)  # six decimals of uv, four of the coordinates
 
 
+@pytest.mark.full
 def test_hh_and_vv_find_the_cube(experiments: Any, tmp_path: Path) -> None:
     """Table III with VV: eps_r to 1 %, h l to 1 %; h / l is seen through kl alone, 20 times less well."""
     content = experiments.recover(
@@ -88,6 +89,7 @@ def test_hh_and_vv_find_the_cube(experiments: Any, tmp_path: Path) -> None:
     assert Scene.load(next(tmp_path.rglob("scene.toml"))).materials["cube"].eps_r == 25.0
 
 
+@pytest.mark.full
 def test_hh_alone_does_not_find_h_or_l_of_the_cube(experiments: Any, tmp_path: Path) -> None:
     content = experiments.recover(
         "table3", "cube", (25.0, 0.005, 0.010), tmp_path, "cpu", runs=experiments.RUNS[:2], count=1, rays=0.5
@@ -98,6 +100,7 @@ def test_hh_alone_does_not_find_h_or_l_of_the_cube(experiments: Any, tmp_path: P
     assert "h, l alone not identifiable" in facets
 
 
+@pytest.mark.full
 def test_the_building_is_found_from_far_off(experiments: Any, tmp_path: Path) -> None:
     """From eps_r 1.5, h and l 0.1 mm: 90 dB too dark, so that the damping has to rise by many decades on the way."""
     content = experiments.recover(
@@ -130,6 +133,7 @@ def test_in_domain_surfaces_are_found(experiments: Any, tmp_path: Path) -> None:
         assert max(np.abs(fit["error"])) < 0.05
 
 
+@pytest.mark.full
 def test_geometric_optics_says_what_it_cannot_see(experiments: Any, tmp_path: Path) -> None:
     facets = experiments.in_domain_case("ka", (4.0, 0.030, 0.200), tmp_path, "cpu", seeds=1)
     fit = facets["fits"][0]

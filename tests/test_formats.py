@@ -138,6 +138,7 @@ def test_a_new_format_is_a_file_in_the_folder(monkeypatch: pytest.MonkeyPatch, t
     monkeypatch.delitem(sys.modules, "warpsar.formats.raw")
 
 
+@pytest.mark.full
 def test_a_new_format_of_images_is_a_file_in_the_folder(tmp_path: Path) -> None:
     """`simulate --format` writes it, or says which extra it needs."""
     scene = str(ROOT / "data" / "example" / "scene.toml")

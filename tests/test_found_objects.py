@@ -61,6 +61,7 @@ def test_a_body_without_front_has_no_heading(change: dict[str, Any], words: tupl
     assert found_words(BOX.model_copy(update=change)) == words
 
 
+@pytest.mark.full
 def test_the_foot_stays_on_the_ground_while_the_size_is_fitted() -> None:
     """From 20 % too large and 30 cm off, to within four standard deviations of the truth. The foot's height does not
     move, is known to a centimetre, and counts as no number; no tolerance was stated, so nothing pulls."""

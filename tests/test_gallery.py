@@ -30,6 +30,7 @@ NAMES = ["city_block", "airport", "ship", "vehicle", "terrain"]
 NAMES += ["trihedrals", "forest", "bridge", "tank_farm", "wind_turbine"]
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("name", NAMES)
 def test_a_scene_is_whole(name: str, gallery: ModuleType, tmp_path: Path) -> None:
     """It loads; every material is one of the library; most of the mesh lies in the image (of the
@@ -60,6 +61,7 @@ def test_the_corner_reflectors_are_corners(gallery: ModuleType, tmp_path: Path) 
     assert image.max() > 1000 * np.median(image)
 
 
+@pytest.mark.full
 def test_one_command_makes_scene_images_and_picture(
     gallery: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -37,6 +37,7 @@ def test_sound_packages_pass(checkout: Path) -> None:
     assert f"no issues found in {2 * len(PACKAGES)} source files" in done.stdout
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("package", PACKAGES)
 def test_an_error_is_found_in_every_package(package: str, checkout: Path) -> None:
     (checkout / PACKAGES[package] / "wrong.py").write_text("nothing: int = missing\n", encoding="utf-8")
@@ -45,6 +46,7 @@ def test_an_error_is_found_in_every_package(package: str, checkout: Path) -> Non
     assert f"{package.replace('.', '/')}/wrong.py:1: error: " in done.stdout
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("package", PACKAGES)
 def test_a_file_left_out_is_an_error(package: str, checkout: Path) -> None:
     (checkout / PACKAGES[package] / "orphan.py").touch()

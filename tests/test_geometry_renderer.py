@@ -92,6 +92,7 @@ def numbers(render: Renderer) -> dict[tuple[str, tuple[int, ...]], float]:
     return found
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("table", "material", "spacing_m"),
     [(BOX, BRICK, 0.5), (CAR, BRICK, 0.25), (SHEET, DARK, 0.5)],
@@ -107,6 +108,7 @@ def test_gradients_are_those_of_central_differences(
         assert error < 0.01, (key, error)
 
 
+@pytest.mark.full
 def test_the_example_scene_and_its_vertices() -> None:
     """A building that is moved as a whole, and single vertices; its walls stand on the ground."""
     scene = Scene.load(EXAMPLE)

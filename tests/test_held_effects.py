@@ -136,6 +136,7 @@ def test_no_effect_has_keys_of_these_names(name: str) -> None:
     assert {"fixed", "learn"}.isdisjoint(each.name for each in (*effect.parameters, *effect.settings))
 
 
+@pytest.mark.full
 def test_diagnose_holds_what_is_declared_and_fixed_and_fits_what_it_adds(tmp_path: Path) -> None:
     held = {**BLUR, "fixed": True}
     scene = scene_with({"eps_gradient": SLOPE, "point_spread": BLUR}, tmp_path)
@@ -149,6 +150,7 @@ def test_diagnose_holds_what_is_declared_and_fixed_and_fits_what_it_adds(tmp_pat
     assert {f"eps_gradient.{key}" for key in SLOPE} <= set(done.final.problem.labels)
 
 
+@pytest.mark.full
 def test_diagnose_of_a_model_of_which_nothing_is_fitted(tmp_path: Path) -> None:
     """Surface and blur are known: what is missing is still found, and nothing else moves."""
     scene = declaring(scene_with({"eps_gradient": SLOPE, "point_spread": BLUR}, tmp_path), point_spread=BLUR)

@@ -88,6 +88,7 @@ def test_the_judge_sees_what_is_wrong(tmp_path: Path) -> None:
     assert outcome(sound) == "half-written"
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("reader", "attack"),
     [("scene.toml", "a FIFO"), ("mesh glTF", "a buffer that is /dev/zero"), ("mask PNG", "2^31 x 2^31 pixels")],

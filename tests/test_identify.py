@@ -208,6 +208,7 @@ def test_the_variance_of_the_score_is_that_of_repeats(looks: float, noise: Any) 
     assert shown / white == pytest.approx(9.05 if noise is blurred else 1.0, rel=0.3)
 
 
+@pytest.mark.full
 def test_correlated_speckle_widens_the_intervals(tmp_path: Path) -> None:
     """By the root of the area that one independent sample takes, 3 for this blur; white speckle by nothing."""
     truth = cube_scene(views_at((20.0, 35.0), (140.0, 50.0)), shape=60)

@@ -92,6 +92,7 @@ def test_starts_that_cannot_be_left_are_refused(values: dict[str, Any], message:
         learn(with_material(cube, "cube", **values), device="cpu")
 
 
+@pytest.mark.full
 def test_a_dead_start_is_no_matter_where_it_is_not_learned(cube: Scene) -> None:
     scene = with_material(cube, "cube", eps_r=1.001, learn=("rms_height_m",))
     learn(scene, device="cpu", options=LearnOptions(starts=1, iterations=2))
@@ -175,6 +176,7 @@ def test_the_scene_file_is_never_overwritten(cube: Scene, tmp_path: Path) -> Non
 # ---- what no fit may touch ----
 
 
+@pytest.mark.full
 def test_test_views_change_nothing_to_the_bit(cube: Scene, tmp_path: Path) -> None:
     options = LearnOptions(starts=2)
     one = learn(cube, device="cpu", options=options)
@@ -203,6 +205,7 @@ def test_materials_not_to_be_learned_stay_to_the_bit(cube: Scene, tmp_path: Path
 # ---- what it finds ----
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("loss", ["gamma", "log", "mse"])
 def test_the_truth_lies_in_the_intervals(loss: str, cube: Scene) -> None:
     """Four standard deviations: 6 parameters fall outside in one run in 2600."""
@@ -228,6 +231,7 @@ def test_an_interval_of_what_is_hardly_known_is_wide(kind: Any) -> None:
     assert low < float(kind.from_coordinate(0.5)) < high
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("loss", ["gamma", "log", "mse"])
 def test_unknown_gains_are_found(loss: str, cube: Scene) -> None:
     """Each image made brighter by its own factor; with h fixed on the ground, the factors can be told."""
@@ -247,6 +251,7 @@ def test_unknown_gains_are_found(loss: str, cube: Scene) -> None:
     assert (np.abs(found.x - true_x()[3:]) < 4 * found.identified.sd).all()
 
 
+@pytest.mark.full
 def test_adam_and_lm_reach_the_same_minimum(cube: Scene) -> None:
     """LM in tens of iterations. Adam stops on a plateau, which in a narrow valley is a little early: within half a
     log-likelihood, a standard deviation, of the minimum."""
@@ -260,6 +265,7 @@ def test_adam_and_lm_reach_the_same_minimum(cube: Scene) -> None:
     assert (np.abs(adam.x - lm.x) < 1.0 * lm.identified.sd).all()
 
 
+@pytest.mark.full
 def test_a_start_at_the_minimum_stays_there(cube: Scene) -> None:
     """A run on a learned scene: every derivative is 0, and the gradient check must not take that for a defect."""
     first = learn(cube, device="cpu", options=LearnOptions(starts=1))
@@ -285,6 +291,7 @@ def test_the_gradient_checks_steps_follow_the_loss(width: float, place: float) -
         assert slope == pytest.approx(truth, rel=TOLERANCE)
 
 
+@pytest.mark.full
 def test_the_gradient_check_sees_a_wrong_gradient(cube: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     """One derivative of six 5 % off, at the start and at the minimum."""
     at_minimum = learn(cube, device="cpu", options=LearnOptions(starts=1)).x
@@ -361,6 +368,7 @@ def test_lit_area_outside_the_domains(tmp_path: Path) -> None:
         assert (found["spm"], found["ka"]) == expected, (kh, kl)
 
 
+@pytest.mark.full
 def test_validity_as_a_soft_constraint(cube: Scene) -> None:
     """A cube far rougher than small perturbation allows: reported, and drawn back into the domain on request."""
     truth = {**TRUTH, "cube": {"eps_r": 10.0, "rms_height_m": 0.003, "correlation_length_m": 0.006}}
@@ -405,6 +413,7 @@ def field_scene(folder: Path, layout: str = "texture") -> Scene:
     return replace(seen, materials={"soil": Material(**{**material, "rms_height_m": maps["start"]})})
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("layout", ["texture", "vertex"])
 def test_a_field_is_learned_and_loads_again(layout: str, tmp_path: Path) -> None:
     """Both halves come back to 10 % in the median; the saved scene, loaded, simulates to the fit's own image."""
@@ -455,6 +464,7 @@ def test_the_same_rays_give_the_fits_image(tmp_path: Path) -> None:
 # ---- effects ----
 
 
+@pytest.mark.full
 def test_a_declared_effect_is_learned_with_the_surface(clean: Any, tmp_path: Path) -> None:
     truth, images = clean
     level = 0.02 * float(np.median(images[0]["HH"][images[0]["HH"] > 0]))
@@ -467,6 +477,7 @@ def test_a_declared_effect_is_learned_with_the_surface(clean: Any, tmp_path: Pat
     assert found.test["deviance"] == pytest.approx(1.0, abs=0.1)
 
 
+@pytest.mark.full
 def test_a_gain_per_view_is_learned_and_a_test_views_own_is_not(clean: Any, tmp_path: Path) -> None:
     """Only differences from the mean over the scene's views act, the test view's stated 0 dB among them."""
     truth, images = clean
@@ -508,6 +519,7 @@ def test_a_discrete_setting_is_no_coordinate_of_the_fit(cube: Scene) -> None:
 # ---- rays ----
 
 
+@pytest.mark.full
 def test_rays_are_chosen_by_the_looks(cube: Scene) -> None:
     """Without [sampling]: looks x relative variance of a lit pixel under 0.01, by two seeds of `simulate`."""
     found = learn(replace(cube, sampling=Sampling()), device="cpu", options=LearnOptions(starts=1, iterations=1))
@@ -525,6 +537,7 @@ def test_rays_are_chosen_by_the_looks(cube: Scene) -> None:
 # ---- files ----
 
 
+@pytest.mark.full
 def test_what_lies_in_the_folder(cube: Scene, tmp_path: Path) -> None:
     scene = save_scene(cube, tmp_path / "scene")
     out = tmp_path / "out"

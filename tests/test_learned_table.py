@@ -136,6 +136,7 @@ def learned(folder: Path, materials: tuple[str, ...], truth: Sigma0Table, polari
     return learn(seeing(scene, made, 1), device="cpu", folder=folder / "out")
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("materials", [("lawn",), ("lawn", "block")])
 def test_another_table_is_recovered_within_its_intervals_where_it_was_seen(
     materials: tuple[str, ...], tmp_path: Path
@@ -163,6 +164,7 @@ def test_another_table_is_recovered_within_its_intervals_where_it_was_seen(
     assert found.scene.materials["lawn"].learn == ("sigma0",)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("column", ["VV", "HV"])
 def test_a_channel_that_the_radar_has_not_stays(column: str, tmp_path: Path) -> None:
     polarizations = tuple(one for one in ("HH", "VV", "HV") if one != column)
@@ -178,6 +180,7 @@ def test_vh_teaches_the_column_of_hv(tmp_path: Path) -> None:
     assert one.found.sigma0_db["HV"][at] == pytest.approx(bent().sigma0_db["HV"][at], abs=3.0 * one.sd_db["HV"][at])
 
 
+@pytest.mark.full
 def test_images_without_a_calibration_leave_the_level_as_it_is_known(tmp_path: Path) -> None:
     """Level ground has one incidence in a view, and each image a gain of its own: nothing is said of the table."""
     files = written(tmp_path, given=GIVEN, truth=bent())
@@ -243,6 +246,7 @@ def run(*words: Any) -> Any:
     return CliRunner().invoke(main, ["learn", *map(str, words), "--device", "cpu"])
 
 
+@pytest.mark.full
 def test_the_command_leaves_a_table_that_its_scene_names(tmp_path: Path) -> None:
     path, out = saved(tmp_path, bent()), tmp_path / "out"
     done = run(path, "-o", out)
@@ -298,6 +302,7 @@ def test_images_that_no_table_explains_are_refused(tmp_path: Path) -> None:
     refused(run(path, "-o", tmp_path / "out"), "must be within -100 and 100 dB", tmp_path / "out")
 
 
+@pytest.mark.full
 def test_a_table_is_not_replaced_by_what_is_learned_from_it(tmp_path: Path) -> None:
     path, out = saved(tmp_path, bent()), tmp_path / "out"
     assert run(path, "-o", out).exit_code == 0
@@ -347,6 +352,7 @@ def test_sigma0_is_learned_alone_and_of_a_table(keys: dict[str, Any], said: str,
     refused(run(path, "-o", tmp_path / "out"), said, tmp_path / "out")
 
 
+@pytest.mark.full
 def test_a_table_is_learned_together_with_the_surface_that_shares_its_pixels(tmp_path: Path) -> None:
     """Strips of half a pixel, of a table and of a soil whose h is declared wrong by a factor of two, without speckle.
 

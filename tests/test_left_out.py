@@ -97,6 +97,7 @@ def run(scene: Scene, words: tuple[str, ...], folder: Path) -> tuple[str, dict[s
     return done.output, {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in made}
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("product", RUNS)
 def test_an_effect_acts_or_is_named(product: str, tmp_path: Path) -> None:
     """All effects at once. Those that do not act on the product are named; each of the others changes it."""

@@ -251,6 +251,7 @@ def test_what_lies_outside_a_models_domain_is_said(
         assert re.search(f"100 % of its lit area lies outside the domain of {said}", message)
 
 
+@pytest.mark.full
 def test_a_fit_with_the_right_model_finds_the_surface(table: Path) -> None:
     """eps, h and l of an i2em surface from three incidences, HH and VV, without speckle; `level` of a table."""
     truth = {**ROUGH, "eps_r": 9.0, "model": "i2em"}

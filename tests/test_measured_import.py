@@ -267,6 +267,7 @@ def test_on_the_mesh_the_roof_comes_before_the_ground(slant_range_m: float | Non
 # ---- looks ----
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("looks", [1, 4, 16])
 @pytest.mark.parametrize("sigma", [0.0, 0.8])
 def test_looks_are_found_under_texture_and_correlation(looks: int, sigma: float) -> None:

@@ -53,6 +53,7 @@ def sizes_m(path: Path) -> np.ndarray:
     return np.ptp(Scene.load(path).mesh.vertices, axis=0)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("name", ["mm.obj", "m.glb", "m.stl", "mm.stl", "m.ply", "dem.tif"])
 def test_new_scene_simulates_as_it_is(name: str, tmp_path: Path) -> None:
     mesh = tmp_path / name
@@ -266,6 +267,7 @@ def test_a_first_scene_has_surfaces_bounces_and_the_noise_of_a_receiver(tmp_path
     assert "NESZ -22 dB" in (tmp_path / "scene.toml").read_text(encoding="utf-8")
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("name", SENSORS)
 def test_a_sensor_states_what_it_is_made_of(name: str, tmp_path: Path) -> None:
     """A scene that simulates: two pixels to a width, an incidence that the sensor has, and the sources in comments."""

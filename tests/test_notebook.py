@@ -28,6 +28,7 @@ def run(name: str, folder: Path, *needs: str) -> tuple[str, str]:
     return printed(notebook), kept
 
 
+@pytest.mark.full
 def test_a_network_learns_roughness(tmp_path: Path) -> None:
     found, stored = run("train-through-the-renderer.ipynb", tmp_path, "torch")
     pattern = r"error of the roughness height: ([\d.]+) % \(at the start 24 %\)"
@@ -36,6 +37,7 @@ def test_a_network_learns_roughness(tmp_path: Path) -> None:
     assert abs(float(error) - float(kept)) < 1
 
 
+@pytest.mark.full
 def test_a_height_is_found(tmp_path: Path) -> None:
     """Within three of the standard deviations that it says, from 3 m away."""
     found, stored = run("fit-a-height.ipynb", tmp_path, "torch")
@@ -46,6 +48,7 @@ def test_a_height_is_found(tmp_path: Path) -> None:
     assert abs(float(height) - float(kept)) <= 0.01
 
 
+@pytest.mark.full
 def test_a_first_image(tmp_path: Path) -> None:
     """The brightest pixels are the corner of wall and lawn, near the middle."""
     found, stored = run("first-image.ipynb", tmp_path)
@@ -54,6 +57,7 @@ def test_a_first_image(tmp_path: Path) -> None:
     assert abs(float(metres)) < 4.0
 
 
+@pytest.mark.full
 def test_surfaces_are_learned(tmp_path: Path) -> None:
     """To the speckle floor: 3,000 pixels of the test view leave about 0.02 of noise in its deviance."""
     found, stored = run("learn.ipynb", tmp_path)
@@ -73,6 +77,7 @@ def test_hidden_noise_is_named(tmp_path: Path) -> None:
     assert abs(float(level) - 0.004) < 0.001
 
 
+@pytest.mark.full
 def test_own_data_come_in(tmp_path: Path) -> None:
     """The hidden gain is 300; some 40,000 pixels of four looks leave 0.3 % of it."""
     found, stored = run("own-data.ipynb", tmp_path)

@@ -74,6 +74,7 @@ def test_pixels_by_the_rule(scene: Scene, tmp_path: Path) -> None:
     assert dark.any()
 
 
+@pytest.mark.full
 def test_what_is_left_out_changes_nothing_to_the_bit(scene: Scene, tmp_path: Path) -> None:
     """A masked bright target, the edge, the shadow: none of it reaches the fit."""
     view = scene.views[0]

@@ -47,6 +47,7 @@ def run_python(code: str, *arguments: str, cwd: Path, path: Path | None = None) 
     return done.stdout
 
 
+@pytest.mark.full
 def test_wheel_holds_every_module(installed: Path, tmp_path: Path) -> None:
     # The file is asked for because an editable install in this environment would stand in for what the wheel lacks.
     code = "import importlib\nfor name in sys.argv[1:]: print(importlib.import_module(name).__file__)"
@@ -113,6 +114,7 @@ def test_wheel_is_typed_for_its_users(installed: Path, tmp_path: Path) -> None:
         assert expected in line.replace("typing.", "").replace("builtins.", "").replace("*", ""), said
 
 
+@pytest.mark.full
 def test_names_are_there_for_help_and_completion(tmp_path: Path) -> None:
     code = """
 import sys, pydoc, warpsar
@@ -151,6 +153,7 @@ def test_readme_holds_two_commands_of_one_line() -> None:
     assert second.split(" && ")[-1].split()[0] == ".venv/bin/pytest"
 
 
+@pytest.mark.full
 def test_readme_python_makes_the_images_it_says() -> None:
     (snippet,) = (ROOT / "README.md").read_text(encoding="utf-8").split("```python\n")[1:]
     code = snippet.partition("```")[0]

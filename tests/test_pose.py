@@ -136,6 +136,7 @@ def test_the_floor_keeps_the_mean_and_every_pixel() -> None:
 # ---- derivatives ----
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("blur_m", [0.0, 2.0])
 def test_jacobian_against_other_steps(blur_m: float) -> None:
     """Every column against differences over half the step, made here: 1 % of the column's norm."""
@@ -231,6 +232,7 @@ def test_slopes_to_vertices() -> None:
 # ---- fits ----
 
 
+@pytest.mark.full
 def test_an_object_is_found_from_afar() -> None:
     """2.5 m, 15 degrees and 20 % off; within three standard deviations of the truth."""
     truth = measured(scene_with(CAR, sides=SIDES[:3], shape=48, spacing_m=0.25, learn=("position", "heading", "scale")))
@@ -248,6 +250,7 @@ def test_an_object_is_found_from_afar() -> None:
     assert found.size == 5
 
 
+@pytest.mark.full
 def test_a_pose_that_is_right_gains_nothing_to_speak_of() -> None:
     """Twice the gain is chi-square with 4 degrees of freedom: above 18.5 once in a thousand."""
     scene = measured(scene_with(BOX, sides=SIDES[:2], shape=48, learn=("position", "heading")))
@@ -271,6 +274,7 @@ def test_effects_are_fitted_along() -> None:
     assert set(found.scene.effects) == {"point_spread"}
 
 
+@pytest.mark.full
 def test_uncalibrated_images() -> None:
     """A gain of three that nobody stated."""
     scene = measured(scene_with(BOX, sides=SIDES[:2], shape=48, learn=("position", "heading")))
@@ -333,6 +337,7 @@ def test_a_sunk_box_and_a_low_one_are_said() -> None:
     assert any("box.height" in sentence for sentence in words)
 
 
+@pytest.mark.full
 def test_learn_writes_poses(tmp_path: Path) -> None:
     """learn.json has values and standard deviations; scene.toml has the pose, and simulates."""
     truth = scene_with(BOX, sides=SIDES[:2], shape=48, learn=("position", "heading"))
@@ -349,6 +354,7 @@ def test_learn_writes_poses(tmp_path: Path) -> None:
     assert "noise_floor" not in again.effects
 
 
+@pytest.mark.full
 def test_learn_of_poses_alone(tmp_path: Path) -> None:
     """Surfaces that are known stay as they are."""
     truth = scene_with(BOX, sides=SIDES[:2], shape=48, learn=("position",))
@@ -398,6 +404,7 @@ def test_surfaces_keep_their_tolerances_beside_poses() -> None:
     assert problem.value(x) - free.value(x) == pytest.approx(problem.prior.value(x) - 0.5, abs=1e-6)
 
 
+@pytest.mark.full
 def test_an_angle_and_a_spacing_are_found() -> None:
     """1.2 degrees of one view's azimuth and 2 % of the azimuth pixels, with the surfaces free: within three standard
     deviations of the truth, which are under 0.1 degrees and 0.2 %. What the scene knows of the angle is a prior."""

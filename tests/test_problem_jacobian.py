@@ -137,6 +137,7 @@ def test_unknown_gains_are_projected_out(tmp_path: Path) -> None:
         np.testing.assert_allclose(one, other - np.average(other, axis=0, weights=weight), atol=3e-4)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     "effects",
     [

@@ -212,6 +212,7 @@ def found_box() -> tuple[Scene, list[GeometryCandidate]]:
     return scene, proposed(scene, CPU)
 
 
+@pytest.mark.full
 def test_a_box_is_found(found_box: tuple[Scene, list[GeometryCandidate]]) -> None:
     """Place, heading and size within four standard deviations, and 20 %; a footprint's diagonal is the same thing."""
     (one,) = found_box[1]
@@ -244,6 +245,7 @@ def test_its_scene_simulates_and_learns(found_box: tuple[Scene, list[GeometryCan
         assert error < 0.1
 
 
+@pytest.mark.full
 def test_nothing_is_proposed_where_nothing_is_missing(found_box: tuple[Scene, list[GeometryCandidate]]) -> None:
     """Neither in speckle alone, nor once the box stands in the scene."""
     assert proposed(measured(plain(), ()), CPU) == []

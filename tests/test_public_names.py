@@ -39,6 +39,7 @@ def defined() -> list[tuple[Path, str, bool]]:
     return found
 
 
+@pytest.mark.full
 def test_a_public_class_has_its_name_alone() -> None:
     places: dict[str, list[str]] = {}
     for path, name, is_class in defined():
@@ -48,6 +49,7 @@ def test_a_public_class_has_its_name_alone() -> None:
     assert {name: where for name, where in places.items() if len(where) > 1} == {}
 
 
+@pytest.mark.full
 def test_names_are_no_metaphors() -> None:
     words = re.compile(r"[A-Z]?[a-z]+")
     wrong = [

@@ -22,6 +22,7 @@ def needs(block: str, library: str) -> bool:
     return f"import {library}\n" in block
 
 
+@pytest.mark.full
 def test_page_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.chdir(tmp_path)
     run([block for block in BLOCKS if not any(needs(block, library) for library in OPTIONAL)])
@@ -35,6 +36,7 @@ def test_page_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pyte
     assert re.search(r"^materials.lawn.eps_r 6.0 1.01 300.0$", printed, re.MULTILINE)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("library", OPTIONAL)
 def test_optional_blocks_run(
     library: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

@@ -132,6 +132,7 @@ def test_missing_pixels_are_no_shadow(tmp_path: Path) -> None:
     assert ((shown[..., 2] - shown[..., 0]) > 50).sum() > 1000  # blue
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("count", [1, 3, 100])
 def test_a_contact_sheet(count: int, tmp_path: Path) -> None:
     random = np.random.default_rng(0)

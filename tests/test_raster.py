@@ -66,6 +66,7 @@ def soup(count: int) -> Mesh:
     return mesh_of(soup=(corners.reshape(-1, 3), np.arange(3 * count).reshape(-1, 3)))
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("slant_range_m", [PLANE, TRACK])
 def test_nearest_of_a_soup(slant_range_m: float | None, kind: Any) -> None:

@@ -98,6 +98,7 @@ def evaluated(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "out" / "report.html"
 
 
+@pytest.mark.full
 def test_report_stands_alone(evaluated: Path) -> None:
     assert_alone(evaluated.read_text(encoding="utf-8"))
     assert evaluated.stat().st_size < 5e6

@@ -211,6 +211,7 @@ def test_ctrl_c_in_one_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
         assert int(stored["iteration"]) == 1
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("optimiser", ["adam", "lm"])
 def test_stopped_after_any_iteration(optimiser: str, tmp_path: Path) -> None:
     """In one process, where every place to stop can be tried; a run that had ended takes no further step."""
@@ -238,6 +239,7 @@ def stopped(tmp_path: Path) -> tuple[Scene, Path, LearnOptions]:
     return scene, tmp_path / "out", options
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("content", [b"", b"not a checkpoint", b"PK\x03\x04" + bytes(40), b"\x93NUMPY\x01\x00"])
 def test_a_broken_checkpoint_is_refused(content: bytes, stopped: tuple[Scene, Path, LearnOptions]) -> None:
     scene, out, options = stopped
@@ -298,6 +300,7 @@ def test_how_long_to_run_may_change(stopped: tuple[Scene, Path, LearnOptions]) -
     assert found.stopped == "plateau"
 
 
+@pytest.mark.full
 def test_a_refusal_of_the_command_is_one_message(stopped: tuple[Scene, Path, LearnOptions], tmp_path: Path) -> None:
     _, out, _ = stopped
     run = start(tmp_path / "scene" / "scene.toml", out, "lm", "--resume")

@@ -225,6 +225,7 @@ def test_schema_is_strict_json_without_references() -> None:
     assert text.count('"additionalProperties": false') == 13 + 1 + 2 * len(names()) + tolerances
 
 
+@pytest.mark.full
 def test_command_prints_what_it_writes(tmp_path: Path) -> None:
     printed = CliRunner().invoke(main, ["schema"])
     # a process of its own: click 8.1's runner has one stream for both

@@ -83,6 +83,7 @@ def test_a_strip_map_says_its_range(scene: Path) -> None:
     assert header(scene.parent / "out" / "east.exr")["slant_range_m"] == 350
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("memory", [[], ["--max-memory", "0.00001"]])
 def test_a_noise_floor_lights_nothing(memory: list[str], scene: Path) -> None:
     out = scene.parent / "out"

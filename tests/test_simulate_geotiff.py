@@ -88,6 +88,7 @@ def test_slant_range(scene: Path) -> None:
         assert "incidence_deg" in source.descriptions
 
 
+@pytest.mark.full
 def test_files_and_a_measured_image_of_ones_own(scene: Path) -> None:
     assert simulate(scene, "--format", "geotiff", "--looks", "2")[0] == 0
     said = json.loads((scene.parent / "out" / "simulate.json").read_text())["views"][0]
@@ -179,6 +180,7 @@ def corner_reflector(**options: Any) -> Scene:
     )
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("slant_range_m", [None, 800.0])
 def test_a_corner_reflector_lands_where_it_stands(slant_range_m: float | None) -> None:
     """Within a pixel of its apex, in latitude and longitude."""

@@ -67,6 +67,7 @@ def test_each_view_and_polarization_has_a_stream_of_its_own() -> None:
     np.testing.assert_array_equal(again.ravel(), images[0, 1, "VV"])
 
 
+@pytest.mark.full
 def test_the_noiseless_image_stays_and_the_speckled_one_stands_beside_it(scene: Path) -> None:
     plain, noisy, other = (scene.parent / name for name in ("plain", "noisy", "other"))
     assert warpsar("simulate", scene, "-o", plain).exit_code == 0
@@ -87,6 +88,7 @@ def test_the_noiseless_image_stays_and_the_speckled_one_stands_beside_it(scene: 
     assert not (noisy / "scene.toml").exists()
 
 
+@pytest.mark.full
 def test_a_declared_scene_is_one_that_every_command_reads(scene: Path) -> None:
     """simulate, learn, evaluate, diagnose: four lines of shell."""
     a, b, c, d = (scene.parent / name for name in "abcd")
@@ -148,6 +150,7 @@ EXPECTED = {
 }
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("looks", [1.0, 2.5, 4.0, 16.0])
 @pytest.mark.parametrize("taper", ["none", "taylor", None])
 def test_neighbours_share_speckle_as_the_response_makes_them(taper: str | None, looks: float) -> None:
@@ -178,6 +181,7 @@ def test_neighbours_share_speckle_as_the_response_makes_them(taper: str | None, 
     assert kstest(alone, gamma(looks, scale=1 / looks).cdf).pvalue > 1e-3
 
 
+@pytest.mark.full
 def test_the_command_draws_speckle_of_the_declared_response(scene: Path, tmp_path: Path) -> None:
     """With a point spread of three pixels in range, neighbours in range are alike; without one they are not."""
     sharp = scene.read_text()

@@ -130,6 +130,7 @@ def test_findings_of_several_processes_are_one() -> None:
     assert dark.startswith("views a, b: HV")
 
 
+@pytest.mark.full
 def test_warnings_stand_on_stderr_and_in_the_json(tmp_path: Path) -> None:
     (tmp_path / "scene.obj").write_text(MESH)
     (tmp_path / "scene.toml").write_text(SCENE.replace("0.0012", "0.05"))
@@ -166,6 +167,7 @@ def test_a_mesh_of_unlikely_size_needs_a_yes(tmp_path: Path, more: list[str], wo
     assert not list(out.glob("**/*.exr")) if "--azimuths" in more else not out.exists()
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("more", [["--yes"], ["--yes", "--azimuths", "0", "--incidences", "40"]])
 def test_a_mesh_of_unlikely_size_with_a_yes(tmp_path: Path, more: list[str]) -> None:
     (tmp_path / "scene.obj").write_text(MILLIMETRES)
@@ -197,6 +199,7 @@ def test_an_object_of_unlikely_size_needs_a_yes(tmp_path: Path) -> None:
     refuse_unlikely_size(Scene.load(tmp_path / "scene.toml"), yes=False)
 
 
+@pytest.mark.full
 def test_a_batch_says_them_once(tmp_path: Path) -> None:
     (tmp_path / "scene.obj").write_text(MESH)
     (tmp_path / "scene.toml").write_text(SCENE.replace("0.0012", "0.05"))

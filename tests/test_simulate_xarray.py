@@ -105,6 +105,7 @@ def simulate(scene: Path, *arguments: str) -> tuple[int, str]:
     return done.exit_code, done.output
 
 
+@pytest.mark.full
 def test_formats_of_the_command(scene: Path) -> None:
     out = scene.parent / "out"
     assert simulate(scene, "--format", "netcdf", "--format", "zarr", "--format", "exr", "--looks", "3")[0] == 0
@@ -126,6 +127,7 @@ def test_formats_of_the_command(scene: Path) -> None:
     assert (clean.beta0 != noisy.beta0).any()
 
 
+@pytest.mark.full
 def test_only_what_is_asked_for(scene: Path) -> None:
     out = scene.parent / "out"
     assert simulate(scene, "--format", "netcdf", "--layers")[0] == 0
@@ -133,6 +135,7 @@ def test_only_what_is_asked_for(scene: Path) -> None:
     assert "layover" in xarray.load_dataset(out / "north.nc", engine="h5netcdf")
 
 
+@pytest.mark.full
 def test_declared_images_are_exr(scene: Path) -> None:
     """A scene file names images that `warpsar` reads."""
     assert simulate(scene, "--format", "netcdf", "--looks", "3", "--declare")[0] == 0

@@ -72,6 +72,7 @@ def test_the_loss_has_the_derivatives_of_differences_to_the_weights(tmp_path: Pa
     assert float((slope * direction).sum()) == pytest.approx(expected, rel=1e-3)  # float32 images
 
 
+@pytest.mark.full
 def test_images_teach_what_the_model_lacks(tmp_path: Path) -> None:
     """Images of a table over incidence without speckle: the term is the table over the model, where it was seen."""
     (tmp_path / "lawn.csv").write_text("incidence_deg,HH,VV\n10,-6,-5\n30,-9,-11\n50,-16,-13\n70,-17,-16\n")

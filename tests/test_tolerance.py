@@ -348,6 +348,7 @@ def test_levenberg_marquardt_arrives_where_nothing_pulls_any_more(blurred: Scene
     assert abs(images[blur]) > np.sqrt(information[blur, blur])
 
 
+@pytest.mark.full
 def test_a_wrong_tolerance_is_an_alarm(blurred: Scene, tmp_path: Path) -> None:
     """The blur is 0.9 m wide in range; who knows it as 0.6 +- 0.02 is told, and what he should have known."""
     wrong = {**BLUR, "range_fwhm_m": 0.6, "tolerance": {"range_fwhm_m": 0.02, "azimuth_fwhm_m": "10 %"}}
@@ -406,6 +407,7 @@ def test_learned_scenes_and_problems_of_few_views_keep_what_is_known(blurred: Sc
     assert [one.about for one in problem_of(moved, views=["v1"]).prior.known] == [15.0, 0.5]
 
 
+@pytest.mark.full
 def test_a_number_beside_a_field_is_known_too(tmp_path: Path) -> None:
     """Adam, which has no information matrix: the pull alone is told. Without data eps_r would go back to 9."""
     scene = field_scene(tmp_path)

@@ -51,6 +51,7 @@ def ran(clean: Clean, folder: Path, **more: Any) -> dict[str, Any]:
     return learning.run(save_scene(scene, folder / "scene"), folder / "out", device="cpu", options=ONCE)
 
 
+@pytest.mark.full
 def test_a_missing_double_bounce_is_said_first(
     bouncing: Clean, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -121,6 +122,7 @@ def test_a_bound_of_an_effect_is_named(clean: Clean, tmp_path: Path) -> None:
     assert doubts(problem, x, {}, found.domains)[-1].startswith("noise_floor.level lies on its bound, ")
 
 
+@pytest.mark.full
 def test_what_lies_outside_its_domain_is_named(right: Learned) -> None:
     """h of 10 mm at X band: kh = 2, and small perturbation ends at 0.3."""
     x = right.x.copy()

@@ -61,6 +61,7 @@ def test_same_bits_for_any_number_of_threads(duct: warpsar.Mesh, monkeypatch: py
     assert np.abs(found[0]).max() > 0.01
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("rays", "part_bytes", "task", "face_bytes"),
     [
@@ -197,6 +198,7 @@ def test_a_closed_duct_returns_what_enters(duct: warpsar.Mesh) -> None:
     assert (area * leaving).sum() == pytest.approx(entered, rel=0.05)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("phi", [0.4, 1.2, 2.0, 2.9, 4.0, 5.8])
 @pytest.mark.parametrize("tilt", [0.0, 0.5])
 def test_fringe_currents_of_a_half_plane(phi: float, tilt: float) -> None:

@@ -32,6 +32,7 @@ def looks(material=MATERIAL, mesh=None, incidence=40.0, n=400, **more) -> np.nda
     return found.amplitude_m[:, 0, 0]
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("tau", [0.0, 0.1])
 def test_mean_power_is_sigma0(tau: float) -> None:
     """Over the azimuths of a square of ground."""

@@ -149,6 +149,7 @@ def test_of_rough_ground_two_parts_make_hh_and_vv() -> None:
     assert 0.9 < coherence < 0.999
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("name", ["i2em", "oh"])
 def test_looks_have_the_mean_power_and_the_channels_are_circular(name: str, tables: Path) -> None:
     """Many draws of a small face: mean |A|^2 is the sum of the parts', HV is independent of HH, VH is HV."""

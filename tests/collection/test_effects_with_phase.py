@@ -159,6 +159,7 @@ GAINS: dict[str, tuple[str, dict[str, Any], float | None]] = {
 }
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("case", GAINS)
 def test_a_gain_on_complex_images(case: str) -> None:
     name, table, slant = GAINS[case]
@@ -176,6 +177,7 @@ def test_a_gain_of_a_view_keeps_phases() -> None:
     assert np.abs(found - 10.0**0.1 * plain).max() < 1e-4 * np.abs(plain).max()
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("case", [case for case in GAINS if "strip-map" not in case])
 def test_a_gain_on_phase_histories(case: str) -> None:
     name, table, slant = GAINS[case]
@@ -203,6 +205,7 @@ def across_the_edge(pixels: int, moved: tuple[int, int]) -> tuple[tuple[slice, s
     return after, (before[0], before[1])
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("product", "pixels", "draws"), [("slc", LARGE, 4), ("phase-history", SMALL, 2)], ids=["slc", "phase-history"]
 )
@@ -221,6 +224,7 @@ def test_a_shift_moves_power_as_in_the_power_image(name: str, product: Product, 
 # ---- what is added: its own speckle, so looks count ----
 
 
+@pytest.mark.full
 def test_a_noise_floor_on_complex_images() -> None:
     """1 % is 3 to 4 standard errors of 20 draws."""
     pair = Pair.of("slc", "noise_floor", {"level": 0.003}, pixels=LARGE, draws=20)
@@ -230,6 +234,7 @@ def test_a_noise_floor_on_complex_images() -> None:
         assert made == pytest.approx(expected, rel=0.01)
 
 
+@pytest.mark.full
 def test_interference_on_complex_images() -> None:
     """In its rows and in no others. 1 % is 3 standard errors of 20 draws."""
     hit = slice(40, 100)
@@ -296,6 +301,7 @@ def test_saturation_compresses_samples_and_keeps_their_phase(focus: str) -> None
     assert np.abs(np.angle(found * plain.conj())).max() < 1e-5
 
 
+@pytest.mark.full
 def test_saturation_of_one_look_lowers_the_mean_by_gamma() -> None:
     """E |s|^2e = gamma(1 + e) E(|s|^2)^e of one look: 0.9086 at 0.7 of what the power image says.
 

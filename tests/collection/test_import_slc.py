@@ -144,6 +144,7 @@ def diagnosed(path: Path) -> tuple[dict[str, Any], str]:
     return json.loads((out / "diagnosis.json").read_text(encoding="utf-8")), done.stderr
 
 
+@pytest.mark.full
 def test_diagnose_keeps_to_the_declared_width(around: tuple[Path, list[warpsar.View]], tmp_path: Path) -> None:
     path, done = imported(tmp_path, *around)
     assert all(one.samples_per_pixel == (2, 2) for one in done)
@@ -153,6 +154,7 @@ def test_diagnose_keeps_to_the_declared_width(around: tuple[Path, list[warpsar.V
     assert content["leaves_tolerance"] == []
 
 
+@pytest.mark.full
 def test_a_width_that_is_declared_wrongly_is_told(around: tuple[Path, list[warpsar.View]], tmp_path: Path) -> None:
     """Three times the width: `import` holds it against the header's own band, and `diagnose` against the images."""
     source, views = around

@@ -74,6 +74,7 @@ def pair(share: float) -> tuple[complex, float, int]:
     return total / np.sqrt(powers.prod()), overlap / band / np.sqrt(ratio), looks
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("share", [0.25, 0.5, 0.75, 1.0])
 def test_two_passes_over_a_sloped_field(share: float) -> None:
     """Coherence falls linearly to zero at the critical baseline; the phase is the slope's to 0.01 rad at a coherence of

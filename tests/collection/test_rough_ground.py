@@ -74,6 +74,7 @@ def blurred(plan: Plan, beta0: np.ndarray) -> np.ndarray:
     return beta0
 
 
+@pytest.mark.full
 def test_the_mean_is_the_intensity_renderers(ground: tuple[warpsar.Scene, Plan, np.ndarray]) -> None:
     """Region by region, to 4 standard errors and 1 % (of the renderer's sampling, and of 0.2 m pixels over 0.5 m)."""
     made, plan, images = ground

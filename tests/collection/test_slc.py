@@ -143,6 +143,7 @@ def written(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
     return folder
 
 
+@pytest.mark.full
 def test_sicd_passes_the_checker(written: Path) -> None:
     from sarkit.verification._sicd_consistency import SicdConsistency
 
@@ -152,6 +153,7 @@ def test_sicd_passes_the_checker(written: Path) -> None:
     assert checker.failures() == {}
 
 
+@pytest.mark.full
 def test_sicd_holds_the_image_and_places_it(written: Path) -> None:
     """sarkit's own projection of the corner finds the brightest pixel, to half a pixel."""
     made = warpsar.Scene.load(written / "scene.toml")

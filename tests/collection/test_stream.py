@@ -37,6 +37,7 @@ def stream(made: warpsar.Scene, most: int, *, once: bool = False) -> Stream:
     return Stream(made, plan, Bodies(made, [plan], cpu, 0).of(plan), once=once, together=most)
 
 
+@pytest.mark.full
 def test_parts_change_nothing() -> None:
     """Scatterers in many small parts make the image and the phase history that they make together."""
     made, cpu = corner(), devices.resolve_device("cpu")

@@ -32,6 +32,7 @@ def test_a_box_that_stands_elsewhere_is_no_all_clear(elsewhere: Scene) -> None:
     assert found.edges.together.allowed_m < found.edges.displacement_m < OFF_M
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("whose", ["scene", "object"])
 def test_a_stated_accuracy_grants_it(whose: str, elsewhere: Scene) -> None:
     known = replace(elsewhere, accuracy_m=0.3) if whose == "scene" else displaced(elsewhere, accuracy_m=0.3)

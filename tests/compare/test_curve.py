@@ -47,6 +47,7 @@ def test_the_residual_of_a_true_model_is_standard_normal() -> None:
     assert doubled.scaled_deviance.mean() > 2.0
 
 
+@pytest.mark.full
 def test_a_right_model_is_seldom_called_wrong() -> None:
     """Noise fitted to the train curves, judged on them and on others of the same body."""
     wrong = {"train": 0, "test": 0}
@@ -61,6 +62,7 @@ def test_a_right_model_is_seldom_called_wrong() -> None:
     assert wrong["test"] <= 3
 
 
+@pytest.mark.full
 def test_a_model_that_lacks_half_the_power_is_wrong() -> None:
     found = 0
     for seed in range(REPEATS):

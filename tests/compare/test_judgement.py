@@ -58,6 +58,7 @@ def with_looks(image: Comparison, looks: float, **more: Any) -> Comparison:
 # ---- false alarms ----
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("sigma", [0.0, 0.7])
 @pytest.mark.parametrize("looks", [1.0, 4.0, 16.0])
 def test_speckle_alone_is_speckle(looks: float, sigma: float) -> None:
@@ -100,6 +101,7 @@ def test_a_window_is_found_and_placed(side: int, decibel: float, looks: float) -
         assert window.ratio_db == pytest.approx(decibel, abs=3.0)
 
 
+@pytest.mark.full
 def test_wrong_looks_are_named_and_no_structure() -> None:
     for seed in range(4):
         images = several(seed, looks=4.0)
@@ -118,6 +120,7 @@ def test_wrong_looks_are_named_and_no_structure() -> None:
         assert "looks where 2 are declared" in found.words
 
 
+@pytest.mark.full
 def test_looks_that_were_estimated_are_not_tested_and_it_is_said() -> None:
     images = [with_looks(image, 24.0) for image in several(5, views=12)]
     assert judge(images).findings == ["looks"]
@@ -126,12 +129,14 @@ def test_looks_that_were_estimated_are_not_tested_and_it_is_said() -> None:
     assert "the looks were estimated from the images, so they are not tested" in found.words
 
 
+@pytest.mark.full
 def test_a_tenth_of_the_looks_does_not_matter() -> None:
     """12 images tell looks to 1 %. A tenth is what scenes are granted: many pixels do not condemn them."""
     found = judge([with_looks(image, 16.9) for image in several(0, views=12)])
     assert found.finding == "speckle"
 
 
+@pytest.mark.full
 def test_texture_is_told_from_looks() -> None:
     random = np.random.default_rng(3)
     images = [one(MODELLED * Law(16.0, 6.0).draw(random, (SIDE, SIDE)), 16.0, f"v{k}") for k in range(8)]
@@ -208,6 +213,7 @@ def test_power_in_a_shadow_is_found() -> None:
     assert judge(images).finding == "speckle"
 
 
+@pytest.mark.full
 def test_large_images_are_judged_by_tiles_of_them(monkeypatch: pytest.MonkeyPatch) -> None:
     """Tiles of 20 pixels stand for ten images; the chances are those of all pixels."""
     monkeypatch.setattr(module, "SAMPLE", 2000)
@@ -260,6 +266,7 @@ def test_less_than_a_tenth_of_a_pixel_does_not_matter() -> None:
         assert judge(blocks(seed, (0.05, 0.05))).findings == []
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("off_px", [(0.3, 0.0), (0.0, 0.3), (0.0, -0.5), (1.0, 0.0)])
 def test_edges_that_lie_off_are_found_by_their_distance(off_px: tuple[float, float]) -> None:
     images = blocks(1, off_px)
@@ -360,6 +367,7 @@ def test_a_right_scene_is_speckle(clean: Any, tmp_path: Path) -> None:
     assert {role: one.finding for role, one in found.items()} == {"train": "speckle", "test": "speckle"}
 
 
+@pytest.mark.full
 def test_bright_pixels_buy_no_all_clear(clean: Any, tmp_path: Path) -> None:
     """Wrong permittivity of the ground, and a few bright pixels that inflate the sample's error: the deviance lies
     within three of those errors of 1, and the residual is solid red all the same."""

@@ -29,6 +29,7 @@ def ripple_db(depth: float, period: float, along: np.ndarray) -> np.ndarray:
     return 10.0 ** (depth * np.sin(2.0 * np.pi * along / period) / 10.0)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(("along", "axis"), [(ROWS, "range"), (COLS, "azimuth")])
 def test_a_ripple_that_is_in_no_window_is_found_with_its_size(along: np.ndarray, axis: str) -> None:
     """0.6 dB about a period of 14 pixels: 0.42 dB rms, of which a band of three pixels keeps 0.93."""
@@ -42,6 +43,7 @@ def test_a_ripple_that_is_in_no_window_is_found_with_its_size(along: np.ndarray,
     assert f"power is off by {found.profile.rms_db:.2g} dB (rms) along {axis} in several images together" in found.words
 
 
+@pytest.mark.full
 def test_a_ripple_of_one_view_is_placed_there() -> None:
     images = images_of()
     two = images[2]
@@ -51,6 +53,7 @@ def test_a_ripple_of_one_view_is_placed_there() -> None:
     assert (found.profile.image, found.profile.axis) == ("v2 HH", "range")
 
 
+@pytest.mark.full
 def test_what_is_granted_is_no_finding() -> None:
     """0.2 dB from band to band, in 64 looks: plain to see, and too little to matter."""
     found = judge(images_of(ripple_db(WINDOW_DB, 14.0, ROWS), looks=64.0))

@@ -77,6 +77,7 @@ def run(command: str, path: Path, out: Path) -> dict:
     return json.loads((out / f"{name}.json").read_text())
 
 
+@pytest.mark.full
 def test_diagnose_names_edges_and_its_scene_evaluates_better(tmp_path: Path) -> None:
     path = with_curves(tmp_path / "scene", "conductor = true", "conductor = true", ("single", "edges"))
     found = run("diagnose", path, tmp_path / "out")
@@ -88,11 +89,13 @@ def test_diagnose_names_edges_and_its_scene_evaluates_better(tmp_path: Path) -> 
         assert new["error_db"]["model"] < 0.5 * old["error_db"]["model"]
 
 
+@pytest.mark.full
 def test_diagnose_names_nothing_where_nothing_is_missing(tmp_path: Path) -> None:
     path = with_curves(tmp_path / "scene", "conductor = true", "conductor = true", ("single",))
     assert run("diagnose", path, tmp_path / "out")["verdict"] == []
 
 
+@pytest.mark.full
 def test_diagnose_gives_no_all_clear_where_noise_holds_the_power(tmp_path: Path) -> None:
     """A thin slab declared as metal: no term of the engine lowers its level, and a fitted noise takes the rest."""
     path = with_curves(tmp_path / "scene", "conductor = true", SLAB.format(eps=3.0), ("single",))
@@ -104,6 +107,7 @@ def test_diagnose_gives_no_all_clear_where_noise_holds_the_power(tmp_path: Path)
     assert "noise" in found["curves_verdict"]["train"]["findings"]
 
 
+@pytest.mark.full
 def test_learn_finds_the_permittivity_of_a_slab(tmp_path: Path) -> None:
     path = with_curves(tmp_path / "scene", SLAB.format(eps=2.6), SLAB.format(eps=3.0), ("single",))
     found = run("learn", path, tmp_path / "out")["materials"]["default.eps_r"]

@@ -62,6 +62,7 @@ def synthetic(bodies: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return data
 
 
+@pytest.mark.full
 def test_every_curve_has_its_row_and_those_held_back_name_nothing(rcs: Any, synthetic: Path, tmp_path: Path) -> None:
     found = run(rcs, synthetic, tmp_path)["bodies"]
     plate = found["pec_plate"]
@@ -82,6 +83,7 @@ def test_every_curve_has_its_row_and_those_held_back_name_nothing(rcs: Any, synt
     assert (tmp_path / "rcs_pec_plate.png").stat().st_size > 1000
 
 
+@pytest.mark.full
 def test_a_second_run_takes_its_amplitudes_from_the_cache(
     rcs: Any, synthetic: Path, tmp_path: Path, monkeypatch: Any
 ) -> None:

@@ -165,6 +165,7 @@ def test_a_small_dihedral_is_the_closed_form(frequency_hz: float) -> None:
         assert db(total(made, "beta0_2_bounces_HH")) == pytest.approx(db(expected), abs=0.3)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("frequency_hz", BANDS)
 @pytest.mark.parametrize(("length", "height"), [(0.3, 0.3), (1.0, 1.0), (5.0, 2.0)])
 def test_a_dihedral_has_its_pattern_over_band_and_aperture(length: float, height: float, frequency_hz: float) -> None:

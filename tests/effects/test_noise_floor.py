@@ -77,6 +77,7 @@ def test_sidelobes_in_a_shadow_are_no_floor(looks: int) -> None:
     assert "as sidelobes do" in found.text
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("looks", [1, 4])
 def test_a_floor_is_confirmed_beside_sidelobes(looks: int) -> None:
     """Its share is 1 within four of the stated errors, and another level is refused."""

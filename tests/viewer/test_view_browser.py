@@ -57,6 +57,7 @@ def picture(page: Any) -> np.ndarray:
     return np.asarray(Image.open(BytesIO(canvas)).convert("RGB")).astype(float)
 
 
+@pytest.mark.full
 def test_every_quantity_draws_a_picture_of_its_own(shown: tuple[Any, list[str]]) -> None:
     page, said = shown
     names = page.eval_on_selector_all("#quantity option", "all => all.map(one => one.value)")
@@ -84,6 +85,7 @@ def test_the_view_chosen_is_the_view_shown(shown: tuple[Any, list[str]]) -> None
     assert said == []
 
 
+@pytest.mark.full
 def test_along_the_radar_nothing_is_in_shadow(shown: tuple[Any, list[str]]) -> None:
     """Whoever looks from where the radar stands sees what it lights. The camera is near and sees in perspective, so
     some of the dark sides show."""
@@ -131,6 +133,7 @@ def test_before_and_after_are_chosen(shown: tuple[Any, list[str]]) -> None:
     assert said == []
 
 
+@pytest.mark.full
 def test_before_and_after_are_a_switch(shown: tuple[Any, list[str]], tmp_path: Path) -> None:
     """The page opens on the scene asked for; the switch shows the other one's surface and images, and back."""
     scene = (ROOT / "data/example/scene.toml").read_text()

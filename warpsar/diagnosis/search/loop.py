@@ -228,7 +228,7 @@ class Search:
             bodies = screened_bodies(self.scene, setup, here) if geometry else []
             foretold = max([0.0, *(one.foretold for one in sensor), *(one.most for one in bodies)])
             if 2.0 * foretold > FAR_AHEAD * max((c.statistic for c in allowed), default=0.0):
-                # beside what moves things, too, the likeliest effects alone: a score is no gain, and may be far below it
+                # beside what moves things, the likeliest effects alone: a score is no gain, and may be far below it
                 near = NEAR_BEST * max((c.minus_log_p for c in allowed), default=0.0)
                 allowed = [c for c in allowed if c.minus_log_p >= near or get(c.effect).sets_positions]
             for some in [allowed] if dark.asks else by_rank(allowed):

@@ -34,7 +34,7 @@ from warpsar.trace.target import Target
 
 _RECORD_BYTES = 240  # a record, its field, and the sort's keys and order, twice
 _SEGMENT = 64  # cells of one thread on CUDA
-_TOLD = 0.023  # of the rays that meet two surfaces, a tenth of a decibel: that many may go on after the last bounce, unsaid
+_TOLD = 0.023  # of the rays that meet two surfaces, 0.1 dB: that many may go on after the last bounce, unsaid
 _UNSURE = 0.12  # of a bright corner's power, half a decibel: rays are too few
 _LEAST_BUDGET = 1_000_000  # rays that cutting may add to a small view
 
