@@ -83,6 +83,7 @@ def fitted_to(setup: FitSetup, scene: Scene, effects: Mapping[str, Mapping[str, 
 # Where fits begin
 
 
+@pytest.mark.full
 def test_a_shift_of_bright_lines_is_searched_for(shifted: tuple[FitSetup, Scene]) -> None:
     """The search ends at the shift to what its last step, an eighth of a pixel, can tell; of the world's shifts, which
     cannot be this one in all views, it finds the best of a grid about it."""

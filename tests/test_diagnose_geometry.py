@@ -397,6 +397,7 @@ def test_a_shift_of_everything_is_registration(tmp_path: Path) -> None:
     assert diagnose(case(tmp_path, truth), device="cpu", options=QUICK).diagnosis.verdict == ["registration"]
 
 
+@pytest.mark.full
 def test_nothing_is_tried_where_nothing_is_left(nothing: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     def never(*_: Any) -> None:
         raise AssertionError("a body was tried")

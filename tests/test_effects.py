@@ -214,6 +214,7 @@ def test_an_image_effect_alone_is_the_same(name: str, table: dict[str, Any]) -> 
     assert set(bare.settings) == set()
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("name", names())
 def test_trials_can_be_declared(name: str) -> None:
     """Steps from neutral are tables that scene.toml would take, and change the images they say they change."""

@@ -165,6 +165,7 @@ def test_differences_are_those_of_converged_images(table: dict[str, Any], more: 
     assert few > 2.0 * many
 
 
+@pytest.mark.full
 def test_the_example_scene() -> None:
     """Its concrete building moved, against 1024 rays per pixel, and against smaller steps."""
     scene = Scene.load(EXAMPLE)

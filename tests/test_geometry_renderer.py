@@ -197,6 +197,7 @@ def test_a_rise_in_closed_form() -> None:
 # ---- PyTorch and JAX ----
 
 
+@pytest.mark.full
 def test_torch_gradients_to_poses() -> None:
     """A tensor that several numbers come from; the same gradient as `vjp`, and again after another run."""
     torch = pytest.importorskip("torch", reason="PyTorch is not installed: pip install 'warpsar[torch]'")

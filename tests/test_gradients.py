@@ -103,6 +103,7 @@ def directions(problem: FitProblem, key: str) -> list[np.ndarray]:
     return found
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("layout", "spectrum", "variant", "geometry"),
     list(

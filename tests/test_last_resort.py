@@ -76,6 +76,7 @@ def test_nothing_is_learned_where_nothing_is_missing() -> None:
     assert found[0].refused == TOO_LITTLE
 
 
+@pytest.mark.full
 def test_what_one_view_has_is_no_law() -> None:
     setup, here = standing({"view_gain": {"gain_db": {"v0": 4.0, "v1": -4.0, "v2": 4.0, "v3": -4.0}}})
     found = learned_law(setup, here, PRICE)

@@ -194,6 +194,7 @@ def test_test_views_change_nothing_to_the_bit(cube: Scene, tmp_path: Path) -> No
         assert found.density.rays_per_m2 == one.density.rays_per_m2
 
 
+@pytest.mark.full
 def test_materials_not_to_be_learned_stay_to_the_bit(cube: Scene, tmp_path: Path) -> None:
     scene = with_material(cube, "ground", learn=("rms_height_m",))
     found = learn(scene, device="cpu", options=LearnOptions(starts=1), folder=tmp_path)

@@ -111,6 +111,7 @@ def test_the_reader_takes_the_obj_back(cube: Scene, tmp_path: Path) -> None:
         np.testing.assert_array_equal(theirs, ours)
 
 
+@pytest.mark.full
 def test_the_command_leaves_a_scene_with_the_same_images(cube: Scene, tmp_path: Path) -> None:
     out = tmp_path / "with_uv"
     result = CliRunner().invoke(main, ["uv", str(tmp_path / "scene.toml"), "-o", str(out)])

@@ -94,6 +94,7 @@ def test_what_is_left_out_changes_nothing_to_the_bit(scene: Scene, tmp_path: Pat
     assert not used[15:22, 15:22].any()
 
 
+@pytest.mark.full
 def test_a_used_pixel_does_change_the_fit(scene: Scene) -> None:
     view = scene.views[0]
     before = learn(scene, device="cpu", options=LearnOptions(starts=1))

@@ -127,6 +127,7 @@ print("simulate(scene: " in text, "Images of every view" in text, "renderer(scen
     assert run_python(code, cwd=tmp_path).splitlines() == ["[] set()", "True True True True"]
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("arguments", [[], *([name] for name in COMMANDS)], ids=lambda names: names[-1:] or "warpsar")
 def test_help_imports_nothing_heavy(arguments: list[str], tmp_path: Path) -> None:
     heavy = "warp numpy scipy trimesh matplotlib OpenImageIO pydantic rasterio sarkit h5py lxml"

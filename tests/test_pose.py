@@ -260,6 +260,7 @@ def test_a_pose_that_is_right_gains_nothing_to_speak_of() -> None:
     assert 2.0 * wrong.gain > 100.0
 
 
+@pytest.mark.full
 def test_effects_are_fitted_along() -> None:
     """A point spread that is declared: the search blurs more, and the fit finds both."""
     scene = scene_with(BOX, sides=SIDES[:2], shape=48, learn=("position", "heading"))

@@ -86,12 +86,14 @@ def hold_together(problem: FitProblem, x: np.ndarray, tolerance: float = 3e-4) -
         np.testing.assert_array_equal(one, other)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(("name", "table", "radar"), WORKING, ids=IDS)
 def test_every_effect(name: str, table: dict[str, Any], radar: Mapping[str, Any], tmp_path: Path) -> None:
     problem = learning(with_effect(street(**radar), name, table), tmp_path)
     hold_together(problem, problem.x0)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("pair", PAIRS, ids=["+".join(k for one in pair for k in one) for pair in PAIRS])
 def test_pairs_of_effects(pair: tuple[dict[str, Any], ...], tmp_path: Path) -> None:
     scene = street()
@@ -166,6 +168,7 @@ def test_fields_sparse_and_dense(layout: str, effects: dict[str, Any], tmp_path:
         assert one[:, nodes:].nnz == 0
 
 
+@pytest.mark.full
 def test_hits_that_are_not_at_hand(tmp_path: Path) -> None:
     """Bands: differences of images for the Jacobian, and a plain refusal of the sparse one."""
     scene = learning(street(), tmp_path).scene

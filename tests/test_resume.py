@@ -275,6 +275,7 @@ def test_no_broken_byte_goes_unseen(tmp_path: Path) -> None:
     assert refused > 200
 
 
+@pytest.mark.full
 def test_a_checkpoint_of_something_else_is_refused(stopped: tuple[Scene, Path, LearnOptions], tmp_path: Path) -> None:
     scene, out, options = stopped
     message = "found a checkpoint of other input or options"
@@ -292,6 +293,7 @@ def test_a_checkpoint_of_something_else_is_refused(stopped: tuple[Scene, Path, L
         learn(Scene.load(scene.path or ""), device="cpu", options=options, folder=out, resume=True)
 
 
+@pytest.mark.full
 def test_how_long_to_run_may_change(stopped: tuple[Scene, Path, LearnOptions]) -> None:
     scene, out, options = stopped
     longer = replace(options, iterations=50, max_time_s=60.0, checkpoint_every=3)

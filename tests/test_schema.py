@@ -175,6 +175,7 @@ BROKEN: list[tuple[str, Any]] = [
 ]
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(("place", "value"), BROKEN)
 def test_broken_scenes_are_refused_by_both(place: str, value: Any) -> None:
     scene = changed(place, value)

@@ -105,6 +105,7 @@ def test_shadow_is_only_where_something_is_hidden() -> None:
     assert (image.layers["material"][image.beta0["HH"] == 0] == -1).all()
 
 
+@pytest.mark.full
 def test_layers_have_the_images_shape_with_effects() -> None:
     """Also where effects want finer or wider bins than the image's."""
     scene = town(view(25, 40, name="v0"), view(115, 40, name="v1"))

@@ -65,6 +65,7 @@ def pixel_of(place: RasterPlace, world_m: tuple[float, float, float], origin: Or
     return (place.top - y) / place.pixel, (x - place.left) / place.pixel
 
 
+@pytest.mark.full
 @pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
 def test_slant_range(scene: Path) -> None:
     """The values of the EXR, a band for each polarization, and the geometry in tags."""

@@ -374,6 +374,7 @@ def test_a_wrong_tolerance_is_an_alarm(blurred: Scene, tmp_path: Path) -> None:
     assert tables["effects"]["point_spread"]["tolerance"]["azimuth_fwhm_m"] == {"about": 0.7, "sd": "10 %"}
 
 
+@pytest.mark.full
 def test_a_right_tolerance_narrows_the_interval_and_is_no_alarm(blurred: Scene) -> None:
     right = with_material(blurred, "cube", eps_r=10.3, tolerance={"eps_r": 0.5})
     found = learn(declaring(right, point_spread=KNOWN_BLUR), device="cpu", options=OPTIONS)

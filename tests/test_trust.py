@@ -70,6 +70,7 @@ def test_a_missing_double_bounce_is_said_first(
     assert places == sorted(places)
 
 
+@pytest.mark.full
 def test_what_is_right_stays_silent(clean: Clean, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     content = ran(clean, tmp_path)
     assert content["intervals_hold"] is True
@@ -88,6 +89,7 @@ def test_no_false_warning(seed: int, clean: Clean, tmp_path: Path) -> None:
     assert found.verdicts["train"].finding == "speckle"
 
 
+@pytest.mark.full
 def test_a_wrong_test_view_alone_is_said(clean: Clean, tmp_path: Path) -> None:
     scene, images = clean
     scene = starting(measured(scene, tmp_path, images=images))
@@ -98,6 +100,7 @@ def test_a_wrong_test_view_alone_is_said(clean: Clean, tmp_path: Path) -> None:
     assert not any(reason.startswith("train views") for reason in found.doubts)
 
 
+@pytest.mark.full
 def test_bounds_are_named(right: Learned) -> None:
     problem, labels = right.problem, right.labels
     low, high = problem.bounds
@@ -111,6 +114,7 @@ def test_bounds_are_named(right: Learned) -> None:
     assert doubts(problem, right.x, {}, right.domains) == []
 
 
+@pytest.mark.full
 def test_a_bound_of_an_effect_is_named(clean: Clean, tmp_path: Path) -> None:
     """No floor is in the images, and one is declared: it goes to its lower bound."""
     scene, images = clean

@@ -232,6 +232,7 @@ def test_a_trihedral_that_grows() -> None:
     assert np.abs(found[[0, 3]]) == pytest.approx(expected, rel=0.02)
 
 
+@pytest.mark.full
 def test_a_trihedral_that_turns() -> None:
     """Three bounces off the axis, against differences over azimuth: a heading of 1 degree is an azimuth of -1 degree.
 

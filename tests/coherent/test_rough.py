@@ -61,6 +61,7 @@ def test_amplitudes_are_circular_gaussian() -> None:
     assert np.abs((found**2).mean()) < 0.25 * (np.abs(found) ** 2).mean()
 
 
+@pytest.mark.full
 def test_neighbouring_passes_see_nearly_one_speckle() -> None:
     """|coherence| falls as a sinc of the baseline: 1 at none, 0 where the phase across the ground turns by 2 pi."""
     small = np.rad2deg(0.03 / (2 * SIDE) / np.cos(np.deg2rad(40.0)))  # of incidence: lambda / (2 D cos)

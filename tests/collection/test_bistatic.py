@@ -64,6 +64,7 @@ def by_rays(transmitter: np.ndarray, receiver: np.ndarray, rays: int = 600) -> f
     return float(K / (2 * np.pi) * (edge[1] - edge[0]) ** 2 * abs(field_there[alive].sum()))
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("angle_deg", [1.0, 2.0, 3.0, 5.0, 8.0, 11.5])
 def test_a_corner_fades_as_the_receiver_leaves_its_beam(angle_deg: float) -> None:
     """To 5 % of its peak: rays of the antenna between enter at other places than those of the transmitter. It was the

@@ -248,6 +248,7 @@ def test_interference_on_complex_images() -> None:
     assert np.array_equal(pair.made[hit.stop :], pair.made_without[hit.stop :])
 
 
+@pytest.mark.full
 def test_azimuth_ambiguities_on_complex_images() -> None:
     """A copy from either side. 1 % is 6 standard errors of 10 draws, in an area that all of a copy reaches."""
     pair = Pair.of("slc", "azimuth_ambiguity", {"level": 0.2, "offset_m": 20.0}, pixels=LARGE, draws=10)

@@ -55,6 +55,7 @@ incidence_deg = 42.0
 """
 
 
+@pytest.mark.full
 def test_the_mean_is_the_intensity_renderers() -> None:
     """Region by region, to 4 standard errors and 1 %, as in test_rough_ground.py."""
     base = scene(

@@ -222,6 +222,7 @@ def test_a_scene_that_sends_nothing_back_is_dark(capsys: pytest.CaptureFixture[s
     assert "nothing sends back" in capsys.readouterr().err
 
 
+@pytest.mark.full
 def test_several_polarizations_and_xarray(tmp_path: Path) -> None:
     made = scene(
         field(6.0, 6.0),

@@ -39,12 +39,14 @@ def test_a_stated_accuracy_grants_it(whose: str, elsewhere: Scene) -> None:
     assert judged(known).findings == []
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("whose", ["scene", "object"])
 def test_an_accuracy_of_a_tenth_of_it_does_not(whose: str, elsewhere: Scene) -> None:
     known = replace(elsewhere, accuracy_m=0.02) if whose == "scene" else displaced(elsewhere, accuracy_m=0.02)
     assert {"structure", "edges"} & set(judged(known).findings)
 
 
+@pytest.mark.full
 def test_an_accuracy_excuses_no_box_that_is_missing(elsewhere: Scene) -> None:
     """A box of another place altogether, 4 m off, is structure, whatever a tenth of that is granted."""
     far = displaced(elsewhere, position_m=(EAST, NORTH - 4.0, UP))

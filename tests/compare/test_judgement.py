@@ -78,6 +78,7 @@ def test_p_values_of_speckle_are_spread_evenly() -> None:
 # ---- what is there is found ----
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("side", "decibel", "looks"), [(1, 10.0, 16.0), (3, 5.0, 16.0), (9, -3.0, 16.0), (17, 3.0, 4.0)]
 )
@@ -151,6 +152,7 @@ def test_texture_is_told_from_looks() -> None:
     assert found.deviance == pytest.approx(1.0, abs=0.05)
 
 
+@pytest.mark.full
 def test_a_broad_error_of_the_level_is_found() -> None:
     """A slope over the whole image, 1 dB from side to side, is in no window of 17 pixels by itself."""
     slope = 10.0 ** ((COLS - SIDE / 2) / SIDE / 10.0)
@@ -261,6 +263,7 @@ def test_edges_that_are_right_agree_to_a_hundredth_of_a_pixel() -> None:
     assert "edges agree to" in found.words
 
 
+@pytest.mark.full
 def test_less_than_a_tenth_of_a_pixel_does_not_matter() -> None:
     for seed in range(3):
         assert judge(blocks(seed, (0.05, 0.05))).findings == []
@@ -282,6 +285,7 @@ def test_edges_that_lie_off_are_found_by_their_distance(off_px: tuple[float, flo
     assert "v0 HH" in found.words
 
 
+@pytest.mark.full
 def test_a_stated_accuracy_is_variance() -> None:
     """0.3 pixels off, and the mesh is known to 0.15 pixels: two standard deviations. To 0.03 it is a finding."""
     images = blocks(1, (0.3, 0.0))

@@ -45,6 +45,7 @@ def test_p_values_of_a_term_that_is_not_there_are_calibrated() -> None:
     assert 0.5 < np.mean(statistic) < 1.5  # 1 by theory; 80 draws: +-0.16
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("seed", range(3))
 def test_a_term_that_is_there_is_added_with_its_factor(seed: int) -> None:
     found = search(curves(seed, ["single", "edges"]))

@@ -59,6 +59,7 @@ def peak(kind: str, a: float, frequency_hz: float) -> float:
     return {"triangular": 4 / 3, "square": 12.0}[kind] * np.pi * a**4 / wavelength**2
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("frequency_hz", BANDS)
 @pytest.mark.parametrize("kind", ["triangular", "square"])
 def test_trihedrals_have_their_level(kind: str, frequency_hz: float) -> None:

@@ -150,6 +150,7 @@ def test_less_than_a_tenth_is_nothing() -> None:
     assert speckle_fact(images([Law(4.0, 80.0)] * 8, [4.0] * 8)).kind == "declared"
 
 
+@pytest.mark.full
 def test_intervals_hold() -> None:
     """Of 60 intervals of 95 %, 50 or fewer hold in one case in 10^4."""
     inside = 0

@@ -46,6 +46,7 @@ def marks(page: Any, axis: str) -> dict[float, float]:
     return {float(text.replace("\u2212", "-")): float(at.rstrip("%")) / 100.0 for text, at in found}
 
 
+@pytest.mark.full
 def test_axes_follow_the_zoom(opened: tuple[Any, list[str]]) -> None:
     """What lies under the pointer stays there: its azimuth by the axis is the same before and after the wheel."""
     page, said = opened
@@ -88,6 +89,7 @@ def test_both_statements_of_round_numbers_agree(opened: tuple[Any, list[str]]) -
         assert found == pytest.approx(ImageAxis("", *ends).ticks(), rel=1e-9, abs=1e-12)
 
 
+@pytest.mark.full
 def test_a_dark_page_has_dark_drawings(tmp_path: Path) -> None:
     """A plot with white paper, and a picture of a mesh with nothing behind, on a page in dark colours."""
     figure, axis = new(3.0, 2.0)
