@@ -12,7 +12,7 @@ import numpy as np
 import warp as wp
 
 from warpsar.compare.metrics import ImageMetrics, image_metrics
-from warpsar.compare.modelled import SURE_SDS, Modelled, modelled
+from warpsar.compare.modelled import SURE_SDS, Modelled, modelled, sampled
 from warpsar.compare.observation import Observation, declared_looks, looks_of, observe, usable_pixels
 from warpsar.effects.registry import get
 from warpsar.errors import InputError
@@ -20,7 +20,7 @@ from warpsar.runtime import console
 from warpsar.runtime.distributed.processes import ONE, Ranks, join
 from warpsar.scene.scene import Scene
 from warpsar.simulation.rays import hit_grid
-from warpsar.simulation.sampling import RAY_NOISE, choose_density
+from warpsar.simulation.sampling import FEWEST, RAY_NOISE, choose_density
 from warpsar.speckle.likelihood import best_gain, scaled_deviance
 from warpsar.surface.stage import Stage
 from warpsar.trace.rays import ray_count
@@ -216,8 +216,9 @@ def compare(
     plain = replace(scene, effects={name: t for name, t in scene.effects.items() if get(name).stage != "image"})
     looks = [looks_of(scene, view) for _, view in views]
     ranks = join(device) if shared else ONE
-    chosen = choose_density(plain, stage, [view for _, view in views], looks, RAY_NOISE, shared=shared)
-    density = chosen.rays_per_m2
+    density = max(scene.sampling.density_per_m2(scene.grid), FEWEST / scene.grid.pixel_area_m2)
+    if sampled(plain):
+        density = choose_density(plain, stage, [view for _, view in views], looks, RAY_NOISE, shared=shared).rays_per_m2
     grid = hit_grid(scene)
     costs = [ray_count(stage.target, geometry_of(scene, view), grid, density) * len(view.images) for _, view in views]
     mine = ranks.mine(costs)

@@ -9,7 +9,7 @@ import numpy as np
 from scipy import ndimage
 
 from warpsar.effects.base.effect import DeclaredEffect
-from warpsar.effects.registry import declared
+from warpsar.effects.registry import declared, get
 from warpsar.render.render import ViewRender
 from warpsar.scene.scene import Scene
 from warpsar.simulation.rays import hit_grid, trace_view, view_seed
@@ -52,6 +52,11 @@ def exact_areas(scene: Scene) -> bool:
     return len(scene.mesh.faces) <= MOST_FACES and int(np.prod(scene.grid.shape)) <= MOST_PIXELS
 
 
+def sampled(scene: Scene) -> bool:
+    """Whether rays sample a part of the scene's images: ways over several surfaces, or all light of a large scene."""
+    return not exact_areas(scene) or any(get(name).stage == "path" for name in scene.effects)
+
+
 def modelled(
     scene: Scene, stage: Stage, view: View, index: int, seed: int, rays_per_m2: float, *, edges: bool = True
 ) -> dict[str, Modelled]:
@@ -62,8 +67,7 @@ def modelled(
     number in the scene.
     """
     effects, exact = declared(scene, view), exact_areas(scene)
-    sampled = not exact or any(one.effect.stage == "path" for one in effects)
-    seeds = [view_seed(seed, index)] + [view_seed(seed + 1, index + len(scene.views))] * sampled
+    seeds = [view_seed(seed, index)] + [view_seed(seed + 1, index + len(scene.views))] * sampled(scene)
     bins = BINS if edges else 1
     renders = [_render(scene, stage, view, effects, each, rays_per_m2, exact, bins) for each in seeds]
     images = [render.forward() for render in renders]

@@ -13,7 +13,7 @@ from warpsar.effects.registry import declared
 from warpsar.render.render import ViewRender
 from warpsar.runtime import once
 from warpsar.scene.scene import Scene
-from warpsar.simulation.rays import trace_view, view_seed
+from warpsar.simulation.rays import Rays
 from warpsar.surface.stage import Stage
 from warpsar.world.tables import View
 
@@ -27,27 +27,26 @@ class Density:
 
     `noise` comes from two seeds: the largest over the views of looks x mean relative sampling variance of a lit pixel,
     or with `total` the sum over all lit pixels of looks x relative variance. It is NaN where the scene states the
-    density.
+    density. `sets` are those two.
     """
 
     rays_per_m2: float
     rays_per_pixel: float
     noise: float
     chosen: bool
+    sets: tuple[Rays, Rays] | None = None
 
 
-def relative_variance(
-    scene: Scene, stage: Stage, view: View, rays_per_m2: float, seeds: tuple[int, int]
-) -> tuple[float, int]:
+def relative_variance(scene: Scene, view: View, sets: tuple[Rays, Rays]) -> tuple[float, int]:
     """Mean relative variance of beta0 over the lit interior of one view, and the number of pixels in it.
 
     It comes from two independent sets of rays.
     """
     effects = declared(scene, view)
     pair, lit = [], []
-    for seed in seeds:
-        hits = trace_view(scene, stage, view, seed=seed, effects=effects, rays_per_m2=rays_per_m2)
-        render = ViewRender(stage, view, hits, scene.grid.shape, scene.radar.polarizations[:1], effects)
+    for rays in sets:
+        hits = rays.hits(scene, view, effects)
+        render = ViewRender(rays.stage, view, hits, scene.grid.shape, scene.radar.polarizations[:1], effects)
         pair.append(next(iter(render.forward().values())).astype(float))
         lit.append(render.covered(scene.radar.polarizations[0]))
     mean = (pair[0] + pair[1]) / 2.0
@@ -66,11 +65,12 @@ def choose_density(
     *,
     total: bool = False,
     shared: bool = False,
+    kept: tuple[int, int] | None = None,
 ) -> Density:
     """The scene's stated density, or the smallest power of two of rays per pixel that keeps the noise under `limit`.
 
     The noise is that of the noisiest view's lit pixel, or with `total` of all pixels together. `shared`: whether
-    the processes of the run share the views.
+    the processes of the run share the views. `kept`: seeds of two sets of rays that go on to be used; their hits stay.
     """
     area = scene.grid.pixel_area_m2
     stated = scene.sampling.density_per_m2(scene.grid)
@@ -79,13 +79,18 @@ def choose_density(
     per_pixel = max(FEWEST, stated * area) if scene.sampling.stated else FEWEST
 
     while True:
-        tasks = [
-            partial(relative_variance, scene, stage, view, per_pixel / area, (view_seed(101, i), view_seed(202, i)))
-            for i, view in enumerate(views)
-        ]
+        one, other = (Rays(stage, per_pixel / area, seed) for seed in kept or (101, 202))
+
+        def noise_of(view: View, sets: tuple[Rays, Rays] = (one, other)) -> tuple[float, int]:
+            found = relative_variance(scene, view, sets)
+            for rays in sets if kept is None else ():
+                rays.forget(view)
+            return found
+
+        tasks = [partial(noise_of, view) for view in views]
         found = once.share(tasks) if shared else [task() for task in tasks]
         noises = [look * variance for look, (variance, _) in zip(looks, found, strict=True)]
         noise = sum(each * count for each, (_, count) in zip(noises, found, strict=True)) if total else max(noises)
         if noise < limit or per_pixel >= MOST:
-            return Density(per_pixel / area, per_pixel, noise, not scene.sampling.stated)
+            return Density(per_pixel / area, per_pixel, noise, not scene.sampling.stated, (one, other))
         per_pixel *= 2.0

@@ -23,7 +23,6 @@ from warpsar.diagnosis.search.record import SearchRecord
 from warpsar.errors import InputError
 from warpsar.runtime import console, once
 from warpsar.scene.scene import Scene
-from warpsar.simulation.rays import Rays
 from warpsar.simulation.sampling import choose_density
 from warpsar.surface.stage import Stage
 from warpsar.world.tables import View
@@ -45,14 +44,14 @@ def diagnose_scene(
     if once.processes() > 1 and options.time_limit_s is not None:
         raise InputError("--time-limit: found several processes; allowed with one, whose clock alone decides")
     stage, views, looks = once.agree(lambda: _training(scene, device))
-    density = choose_density(scene, stage, views, looks, MU_NOISE, total=True, shared=True)
+    seeds = 2 * scene.sampling.seed, 2 * scene.sampling.seed + 1
+    density = choose_density(scene, stage, views, looks, MU_NOISE, total=True, shared=True, kept=seeds)
     console.say(
         f"rays: {density.rays_per_pixel:g} per pixel; looks x pixels x relative sampling variance "
         f"{density.noise:.2g} (wanted: under {MU_NOISE:g})"
     )
-    rays = Rays(stage, density.rays_per_m2, 2 * scene.sampling.seed)
-    other_rays = Rays(stage, density.rays_per_m2, 2 * scene.sampling.seed + 1)
-    one, other = (FitSetup(device, each, {}, mesh=scene.mesh) for each in (rays, other_rays))
+    assert density.sets is not None  # `total` measures every scene
+    one, other = (FitSetup(device, each, {}, mesh=scene.mesh) for each in density.sets)
     setup = replace(one, observations=frozen(one, other, scene))
 
     if once.processes() == 1 and not has_fields(scene) and (expected := forecast(setup, scene, options)) is not None:
@@ -74,7 +73,7 @@ def diagnose_scene(
         asked = with_speckle(scene, speckle)
         setup = with_looks(setup, asked)
         declared = refit_as(setup, with_speckle(declared.scene, speckle))
-    search = Search(asked, setup, other_rays, declared, options, record, bar.update, judge)
+    search = Search(asked, setup, other.rays, declared, options, record, bar.update, judge)
     search.run()
     bar.close()
     final, rivals = search.final(), search.rivals()
