@@ -74,7 +74,7 @@ def beside() -> str:
 
 
 def choices() -> str:
-    rows = [[f"`{name}`", one.choice, one.levels or "none that we could read"] for name, one in SURFACES.items()]
+    rows = [[f"`{name}`", one.choice, one.published or "none that we could read"] for name, one in SURFACES.items()]
     return tables.markdown(["surface", "our choice", "published levels beside it"], rows)
 
 

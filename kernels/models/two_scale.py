@@ -39,6 +39,8 @@ OUTER_WEIGHT = wp.constant(1.0 / 6.0)
 LEAST_SQUARE = wp.constant(1.0e-6)
 # Below it 1 - exp(-x) is taken from its series, which float32 asks for.
 SERIES_BELOW = wp.constant(0.03)
+# Least power that a slope is divided by: without contrast, or where a spectrum underflows, both are 0.
+LEAST_POWER = wp.constant(1.0e-30)
 
 
 @wp.func
@@ -147,6 +149,22 @@ def tilted(spectrum: int, cosine: Any, point: Any, eps: Any, height: Any, length
 
 
 @wp.func
+def turned_mean(polarization: int, cos_twist: Any, powers: Any, slopes: Any):
+    """A channel of a facet that is turned about the line of sight, and its slope; both of HH, VV and HV of level ground."""
+    least = type(cos_twist)(LEAST_POWER)
+    return turned_power(
+        polarization,
+        cos_twist,
+        powers[0],
+        powers[1],
+        powers[2],
+        slopes[0] / wp.max(powers[0], least),
+        slopes[1] / wp.max(powers[1], least),
+        slopes[2] / wp.max(powers[2], least),
+    )
+
+
+@wp.func
 def sigma0_and_slopes_of(
     polarization: int,
     spectrum: int,
@@ -179,9 +197,7 @@ def sigma0_and_slopes_of(
     e = e0 * inner_weight + (e1 + e2) * outer_weight
     by_l = l0 * inner_weight + (l1 + l2) * outer_weight
     v = v0 * inner_weight + (v1 + v2) * outer_weight
-    value, by_eps = turned_power(polarization, cos_twist, p[0], p[1], p[2], e[0] / p[0], e[1] / p[1], e[2] / p[2])
-    _l, by_length = turned_power(
-        polarization, cos_twist, p[0], p[1], p[2], by_l[0] / p[0], by_l[1] / p[1], by_l[2] / p[2]
-    )
-    _v, by_variance = turned_power(polarization, cos_twist, p[0], p[1], p[2], v[0] / p[0], v[1] / p[1], v[2] / p[2])
+    value, by_eps = turned_mean(polarization, cos_twist, p, e)
+    _l, by_length = turned_mean(polarization, cos_twist, p, by_l)
+    _v, by_variance = turned_mean(polarization, cos_twist, p, v)
     return wp.vector(value, by_eps * (eps_re - one), two * value, by_length, by_variance)

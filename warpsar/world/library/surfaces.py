@@ -32,8 +32,8 @@ class LibrarySurface:
     `permittivity` takes a frequency [Hz] and gives eps' - j eps''; `source` states it, and `band_ghz` is where that
     holds. The ranges of rms height and correlation length, `stated_mm` of the two, and `slope_variance` of the large
     scale (of the model two_scale; per axis) are our choice and not a measurement. `spread_db` is one standard deviation
-    of the level [dB] from place to place, without speckle; it is our choice, too. `levels` says what published levels
-    the roughness was set beside, and is empty where we could read none. `choice` says how it was chosen. `lacks` says
+    of the level [dB] from place to place, without speckle; it is our choice, too. `published` says what published
+    levels the roughness was set beside, and is empty where we could read none. `choice` says how it was chosen. `lacks` says
     what makes the real surface brighter and has no model here.
     """
 
@@ -46,7 +46,7 @@ class LibrarySurface:
     stated_mm: tuple[float, float]
     spread_db: float
     choice: str
-    levels: str = ""
+    published: str = ""
     slope_variance: float | None = None
     learn: tuple[SurfaceKey, ...] = ALL
     lacks: str = ""
@@ -97,13 +97,13 @@ def _building(
     slope_variance: float | None,
     spread_db: float,
     choice: str,
-    levels: str = "",
+    published: str = "",
     learn: tuple[SurfaceKey, ...] = ALL,
 ) -> LibrarySurface:
     source, band = f"ITU-R P.2040-3, {row}", eps.BUILDING[row][4:]
     of = partial(eps.building, row)
     return LibrarySurface(
-        words, of, source, band, heights, lengths, stated, spread_db, choice, levels, slope_variance, learn
+        words, of, source, band, heights, lengths, stated, spread_db, choice, published, slope_variance, learn
     )
 
 
