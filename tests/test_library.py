@@ -262,8 +262,8 @@ def test_water_beside_the_sea(name: str, apart_db: float) -> None:
 
 
 def test_the_sea_as_published() -> None:
-    """NRL at 10 GHz, VV, sea state 3, 1 deg of grazing: -41.19 dB, as two public programs have it. CMOD5.N at 40 deg and
-    7 m/s, without its terms of direction, against its equations as a public program has them."""
+    """NRL at 10 GHz, VV, sea state 3, 1 deg of grazing: -41.19 dB, as a second public program states it. CMOD5.N at 40
+    deg and 7 m/s, without its terms of direction, against the mean over directions of a public program's form."""
     assert clutter.sea_db(3, "VV", 10e9, np.array([89.0]))[0] == pytest.approx(-41.19, abs=0.01)
     assert clutter.cmod5n_db(7.0, np.array([40.0]))[0] == pytest.approx(-17.8, abs=0.3)
 
@@ -276,8 +276,7 @@ def test_every_surface_says_its_spread_and_what_is_a_choice() -> None:
 
 
 def test_roads_are_darker_than_grass_as_in_the_gotcha_scene() -> None:
-    """X band, HH, 44 deg: the road by 5.1 dB in its speckled image, read off by 8 dB; and grass is brighter here than in
-    the handbook, at C band by 1 dB. docs/materials.md says so."""
+    """X band, HH, 44 deg: the road by 5.1 dB in its speckled image, read off by 8 dB. docs/materials.md says so."""
     asphalt, grass = (levels(name, [44.0])["X"]["HH"][0] for name in ("asphalt", "grass"))
     assert 5.0 <= grass - asphalt <= 11.0
     assert -23.0 < asphalt < -17.0

@@ -1,9 +1,10 @@
 """Small perturbation on tilted facets, in closed form: roughness at two scales (docs/scattering.md).
 
 Sources: Valenzuela 1968 and Wright 1968 (Bragg's waves on tilted facets). Slopes of the large scale are Gaussian, of
-one variance v along both axes. The slope t in the plane of incidence is at three Gauss-Hermite points. The slope across
-it turns the facet's basis about the line of sight, by angles of variance w = v / (sin - t cos)^2: means of cos 2 psi and
-cos 4 psi over a Gaussian are exp(-2 w) and exp(-8 w). It also lowers the facet's cosine, to first order in v.
+one variance v along both axes. The slope t in the plane of incidence is at three Gauss-Hermite points. The slope
+across it turns the facet's basis about the line of sight, by angles of variance w = v / (sin - t cos)^2: means of
+cos 2 psi and cos 4 psi over a Gaussian are exp(-2 w) and exp(-8 w). It also lowers the facet's cosine, to first order
+in v.
 
 The effect `two_scale` has the same mean over tilts by a quadrature of 25 points, for surfaces of `ka_spm`.
 """
@@ -150,7 +151,7 @@ def tilted(spectrum: int, cosine: Any, point: Any, eps: Any, height: Any, length
 
 @wp.func
 def turned_mean(polarization: int, cos_twist: Any, powers: Any, slopes: Any):
-    """A channel of a facet that is turned about the line of sight, and its slope; both of HH, VV and HV of level ground."""
+    """A channel of a facet that is turned about the line of sight, and its slope; given those of level ground."""
     least = type(cos_twist)(LEAST_POWER)
     return turned_power(
         polarization,

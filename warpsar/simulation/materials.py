@@ -50,8 +50,8 @@ def sigma0_db(surface: Material, polarization: str, frequency_hz: float, inciden
 
 
 def levels(name: str, incidence_deg: Sequence[float] = (20.0, 40.0, 60.0)) -> dict[str, dict[str, np.ndarray]]:
-    """Median sigma0 [dB] of a surface of the library, by band (L, C, X, Ku) and polarization (HH, VV, HV), at incidences
-    [deg]. It is computed by the surface's model; places differ from it by the surface's `spread_db`."""
+    """Median sigma0 [dB] of a surface of the library at incidences [deg], by band (L, C, X, Ku) and polarization (HH,
+    VV, HV). It is computed by the surface's model. Places differ from it by the surface's `spread_db`."""
     angles = np.asarray(incidence_deg, dtype=float)
     return {
         band: {one: sigma0_db(material(name, hertz), one, hertz, angles) for one in ("HH", "VV", "HV")}

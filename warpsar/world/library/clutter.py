@@ -31,9 +31,9 @@ HANDBOOK: dict[tuple[str, str, str], Six] = {
     ("L", "wet snow", "VV"): (-75.156, 99.0, 1.446, 30.0, 1.793, -2.179),
     ("L", "wet snow", "HV"): (-90.98, 99.0, 1.129, 30.0, 1.827, -2.308),
 }
-"""P1 to P6 of F. T. Ulaby and M. C. Dobson, Handbook of Radar Scattering Statistics for Terrain (1989), by band, cover and
-polarization. They were read from a public program that copies them, not from the book. That program says of soil at L
-band in HH that it fitted the six again, because those in print gave a wrong curve."""
+"""P1 to P6 of F. T. Ulaby and M. C. Dobson, Handbook of Radar Scattering Statistics for Terrain (1989), by band, cover
+and polarization. They were read from a public program that copies them, not from the book. That program says of soil at
+L band in HH that it fitted the six again, because those in print gave a wrong curve."""
 HANDBOOK_GHZ = {"L": (1.0, 2.0), "C": (4.0, 8.0)}
 HANDBOOK_DEG = (15.0, 70.0)
 
@@ -44,16 +44,15 @@ NRL: dict[str, tuple[float, float, float, float, float]] = {
     "HH": (-73.0, 20.781, 7.351, 25.65, 0.0054),
     "VV": (-50.796, 25.93, 0.7093, 21.588, 0.00211),
 }
-"""c1 to c5 of V. Gregers-Hansen and R. Mital, An improved empirical model for radar sea clutter reflectivity, IEEE Trans.
-AES 48 (2012), also NRL/MR/5310-12-9346: 0.5 to 35 GHz, sea states 0 to 6. Read from a public program."""
+"""c1 to c5 of V. Gregers-Hansen and R. Mital, IEEE Trans. AES (2012), also NRL/MR/5310-12-9346: 0.5 to 35 GHz, sea
+states 0 to 6. They were read from a public program, not from the paper."""
 NRL_DEG = (30.0, 89.9)
 
 CMOD5N = (
     *(-0.6878, -0.7957, 0.338, -0.1728, 0.0, 0.004, 0.1103, 0.0159, 6.7329, 2.7713, -2.2885, 0.4971, -0.725, 0.045),
     *(0.0066, 0.3222, 0.012, 22.7, 2.0813, 3.0, 8.3659, -3.3428, 1.3236, 6.2437, 2.3893, 0.3249, 4.159, 1.693),
 )
-"""c1 to c28 of CMOD5.N: H. Hersbach, Comparison of C-band scatterometer CMOD5.N equivalent neutral winds with ECMWF, J.
-Atmos. Oceanic Technol. 27 (2010). Read from a public program that copies IFREMER's xsarsea."""
+"""c1 to c28 of CMOD5.N (Hersbach 2010). They were read from a public program that copies IFREMER's xsarsea."""
 
 BESIDE: dict[str, tuple[str | None, str | None]] = {
     "soil_dry": ("soil", "flatland"),

@@ -19,8 +19,8 @@ WATER_C = 15.0
 ROUGH: tuple[SurfaceKey, ...] = ("rms_height_m", "correlation_length_m")
 ALL: tuple[SurfaceKey, ...] = ("eps_r", *ROUGH)
 DEFAULT, MADE, NATURAL = "ka_spm", "two_scale", "i2em"
-"""The default of all materials; the model of smooth surfaces, which men make, and of water; and that of ground, which is
-rougher than small perturbation takes."""
+"""The default of all materials; the model of smooth surfaces, as those that are made and water; and that of ground,
+which is rougher than small perturbation takes."""
 BANDS_HZ = {"L": 1.3e9, "C": 5.4e9, "X": 9.6e9, "Ku": 16e9}
 """Carriers at which levels are listed."""
 
@@ -33,8 +33,8 @@ class LibrarySurface:
     holds. The ranges of rms height and correlation length, `stated_mm` of the two, and `slope_variance` of the large
     scale (of the model two_scale; per axis) are our choice and not a measurement. `spread_db` is one standard deviation
     of the level [dB] from place to place, without speckle; it is our choice, too. `published` says what published
-    levels the roughness was set beside, and is empty where we could read none. `choice` says how it was chosen. `lacks` says
-    what makes the real surface brighter and has no model here.
+    levels the roughness was set beside, and is empty where we could read none. `choice` says how it was chosen. `lacks`
+    says what makes the real surface brighter and has no model here.
     """
 
     words: str
