@@ -197,10 +197,14 @@ SURFACES: dict[str, LibrarySurface] = {
         lacks="snow's grains and the ground below",
     ),
     "snow_wet": LibrarySurface(
-        *("surface of wet snow, 0.3 g/cm3, 3 % water", _wet_snow),
-        *("Hallikainen, Ulaby, Abdelrazik (1986)", (3.0, 37.0), *_SNOW),
+        "surface of wet snow, 0.3 g/cm3, 3 % water",
+        _wet_snow,
+        "Hallikainen, Ulaby, Abdelrazik (1986)",
+        (3.0, 37.0),
+        *_SNOW,
         _AS_SNOW,
         _HANDBOOK,
+        lacks="snow's grains",
     ),
 }
 """Every surface, by the name that a scene file says."""
