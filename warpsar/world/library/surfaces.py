@@ -134,7 +134,7 @@ _SEA = (_sea, "ITU-R P.527-4, sea water, 35 g/kg, 15 deg C", (0.01, 1000.0))
 _SEA_LENGTHS: Range = (5.0, 300.0)
 _SNOW: tuple[Range, Range, tuple[float, float], float] = ((0.5, 10.0), (5.0, 100.0), (8.8, 40.0), 4.0)
 _HANDBOOK = "Ulaby and Dobson (1989), L and C"
-_SMOOTH_SOILS = "Oh (2004) at the same eps' and h; roads of the Gotcha scene, X, HH, 5 to 8 dB below its grass"
+_SMOOTH_SOILS = "Oh (2004) at the same eps' and h"
 _NRL = "Gregers-Hansen and Mital (2012), sea state {}; CMOD5.N at {} m/s, C, VV"
 _AFTER_ASPHALT = "h, l and slopes by comparison with asphalt"
 _AS_SNOW = "rougher than snow is: the roughness stands for what its volume adds"
@@ -143,10 +143,10 @@ SURFACES: dict[str, LibrarySurface] = {
     "asphalt": _building(
         *("asphalt", "a road of asphalt", (0.2, 2.0), (2.0, 20.0), (1.0, 6.0), 0.08, 3.0),
         "h and l by the level in HH, the slopes by VV - HH",
-        _SMOOTH_SOILS,
+        f"{_SMOOTH_SOILS}; roads of the Gotcha scene, X, HH, 5 to 8 dB below its grass",
     ),
     "concrete": _building(
-        *("concrete", "cast concrete", (0.1, 1.0), (3.0, 50.0), (0.6, 6.0), 0.05, 3.0), _AFTER_ASPHALT
+        *("concrete", "cast concrete", (0.1, 1.0), (3.0, 50.0), (0.6, 6.0), 0.05, 3.0), _AFTER_ASPHALT, _SMOOTH_SOILS
     ),
     "brick": _building(*("brick", "a brick wall", (0.3, 2.0), (3.0, 30.0), (0.7, 7.0), 0.05, 3.0), _AFTER_ASPHALT),
     "roof_tiles": _building(
