@@ -6,7 +6,7 @@ from warpsar.models.base.parameters import CORRELATION_LENGTH, EPS_R, RMS_HEIGHT
 MODEL = BackscatterModel(
     name="two_scale",
     summary="small perturbation on tilted facets, with HV by the tilts",
-    order=5,
+    order=45,
     parameters=(
         EPS_R,
         RMS_HEIGHT,
