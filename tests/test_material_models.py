@@ -184,7 +184,7 @@ def test_an_effect_of_the_default_alone_is_refused() -> None:
 
 def test_effects_of_a_surface_are_refused_beside_a_table(table: Path) -> None:
     scene = lawn({"model": "facet", "sigma0": table})
-    with pytest.raises(InputError, match=r"multibounce; allowed with it: ka_spm, i2em, oh, dubois$"):
+    with pytest.raises(InputError, match=r"multibounce; allowed with it: ka_spm, i2em, oh, dubois, two_scale$"):
         replace(scene, effects={"multibounce": {"strength": 1.0}})
 
 

@@ -1,3 +1,4 @@
+from .materials import levels as levels
 from .view import SimulatedView as SimulatedView
 
-__all__ = ["SimulatedView"]
+__all__ = ["SimulatedView", "levels"]

@@ -16,11 +16,11 @@ from warpsar.io import figures
 from warpsar.kernels.codes import Polarization, Spectrum
 from warpsar.kernels.incidence import sigma0_kernel
 from warpsar.runtime import console, devices
-from warpsar.surface.surface import KINDS
+from warpsar.surface.surface import places_of
 from warpsar.world.frame import SPEED_OF_LIGHT
 from warpsar.world.library import clutter
 from warpsar.world.library.fill import material
-from warpsar.world.library.surfaces import SURFACES
+from warpsar.world.library.surfaces import BANDS_HZ, SURFACES
 from warpsar.world.tables import Material
 
 if TYPE_CHECKING:
@@ -33,18 +33,30 @@ _COLUMNS = 6
 
 def sigma0_db(surface: Material, polarization: str, frequency_hz: float, incidence_deg: np.ndarray) -> np.ndarray:
     """sigma0 [dB] of a level surface with one value of each key, of the shape of `incidence_deg`."""
-    eps, height, length = surface.eps_r, surface.rms_height_m, surface.correlation_length_m
-    eps_re, eps_im = eps if isinstance(eps, tuple) else (eps, 0.0)
+    eps = surface.eps_r
+    eps_im = eps[1] if isinstance(eps, tuple) else 0.0
     device = devices.resolve_device("cpu")
     cosine: wp.array = wp.array(np.cos(np.radians(incidence_deg)), dtype=wp.float64, device=device)
     found = wp.zeros_like(cosine)
     wavenumber = 2.0 * math.pi * frequency_hz / SPEED_OF_LIGHT
     codes = [int(Polarization[polarization]), int(Spectrum[surface.spectrum.upper()])]
-    stated = (eps_re, height, length, surface.specular_fraction)
-    zeta = wp.vec4d(*(float(kind.to_coordinate(value)) for kind, value in zip(KINDS, stated, strict=True)))
+    values = ((kind, getattr(surface, kind.key)) for kind in places_of(surface.model))
+    stated = ((kind, value[0] if isinstance(value, tuple) else value) for kind, value in values)
+    # a place that the model does not look at may have no value
+    zeta = wp.vec4d(*(0.0 if value is None else float(kind.to_coordinate(value)) for kind, value in stated))
     inputs = [cosine, *codes, wavenumber, -eps_im, zeta]
     wp.launch(sigma0_kernel(surface.model), dim=cosine.size, inputs=inputs, outputs=[found], device=device)
     return np.asarray(10.0 * np.log10(np.maximum(found.numpy(), 1e-30)))
+
+
+def levels(name: str, incidence_deg: Sequence[float] = (20.0, 40.0, 60.0)) -> dict[str, dict[str, np.ndarray]]:
+    """Median sigma0 [dB] of a surface of the library at incidences [deg], by band (L, C, X, Ku) and polarization (HH,
+    VV, HV). It is computed by the surface's model. Places differ from it by the surface's `spread_db`."""
+    angles = np.asarray(incidence_deg, dtype=float)
+    return {
+        band: {one: sigma0_db(material(name, hertz), one, hertz, angles) for one in ("HH", "VV", "HV")}
+        for band, hertz in BANDS_HZ.items()
+    }
 
 
 def run(names: Sequence[str], frequency_hz: float, picture: Path | None) -> list[str]:
@@ -64,18 +76,19 @@ def run(names: Sequence[str], frequency_hz: float, picture: Path | None) -> list
 def _listed(names: Sequence[str], frequency_hz: float) -> list[str]:
     """A table in text: what a surface is, its values at this frequency, and where its permittivity comes from."""
     angle = f"{LISTED_DEG:g} deg"
-    rows = [["name", "eps_r", "model", "h [mm]", "l [mm]", f"HH {angle}", f"VV {angle}", "surface; source of eps_r"]]
+    head = ["name", "eps_r", "model", "h [mm]", "l [mm]", f"HH {angle}", f"VV {angle}", f"HV {angle}", "spread"]
+    rows = [[*head, "surface; source of eps_r"]]
     for name in names:
         surface, one = material(name, frequency_hz), SURFACES[name]
-        found = [sigma0_db(surface, pol, frequency_hz, np.array([LISTED_DEG]))[0] for pol in ("HH", "VV")]
+        found = [sigma0_db(surface, pol, frequency_hz, np.array([LISTED_DEG]))[0] for pol in ("HH", "VV", "HV")]
         eps = surface.eps_r
         shown = f"{eps[0]:.3g} - {-eps[1]:.3g}j" if isinstance(eps, tuple) else f"{eps:.3g}"
         lengths = one.roughness_mm(frequency_hz)
         spans = (one.height_range_mm, one.length_range_mm)
         ranges = [f"{value:g} ({low:g} to {high:g})" for value, (low, high) in zip(lengths, spans, strict=True)]
         words = f"{one.words}, without {one.lacks}" if one.lacks else one.words
-        levels = [f"{db:.1f} dB" for db in found]
-        rows.append([name, shown, surface.model, *ranges, *levels, f"{words}; {one.source}"])
+        shown_db = [f"{db:.1f} dB" for db in found]
+        rows.append([name, shown, surface.model, *ranges, *shown_db, f"{one.spread_db:g} dB", f"{words}; {one.source}"])
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
     return ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
 
@@ -116,11 +129,14 @@ def plot(names: Sequence[str], frequency_hz: float, path: Path) -> None:
 def _published(axis: Axes, name: str, frequency_hz: float) -> None:
     """Published means of sigma0 where there are some for this surface and this band."""
     handbook, gamma = clutter.BESIDE.get(name, (None, None))
-    low, high = clutter.HANDBOOK_GHZ
-    if handbook is not None and low <= frequency_hz / 1e9 <= high:
-        for polarization, style in (("HH", "-"), ("VV", "--")):
-            found = clutter.handbook_db(handbook, polarization, INCIDENCE_DEG)
-            axis.plot(INCIDENCE_DEG, found, style, color="0.55", label=f"{polarization}, handbook's mean, C band")
+    band = clutter.handbook_band(frequency_hz)
+    for polarization, style in (("HH", "-"), ("VV", "--")):
+        if handbook is not None and band is not None:
+            found = clutter.handbook_db(band, handbook, polarization, INCIDENCE_DEG)
+            axis.plot(INCIDENCE_DEG, found, style, color="0.55", label=f"{polarization}, handbook's mean, {band} band")
+        if name in clutter.SEA:
+            found = clutter.sea_db(clutter.SEA[name][0], polarization, frequency_hz, INCIDENCE_DEG)
+            axis.plot(INCIDENCE_DEG, found, style, color="0.75", label=f"{polarization}, mean of the sea")
     if gamma is not None:
         found = clutter.gamma_db(gamma, frequency_hz, INCIDENCE_DEG)
         axis.plot(INCIDENCE_DEG, found, ":", color="0.35", label="constant gamma, flatland or farmland")

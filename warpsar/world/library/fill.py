@@ -8,8 +8,11 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from warpsar.errors import InputError, did_you_mean, shown
-from warpsar.world.library.surfaces import SURFACES
+from warpsar.world.library.surfaces import DEFAULT, SURFACES
 from warpsar.world.tables import Material
+
+_OF_DEFAULT = {"conductor", "thickness_m", "specular_fraction"}
+"""Keys that the default model alone has: a table that states one gets that model."""
 
 
 def filled(table: dict[str, Any], frequency_hz: float) -> dict[str, Any]:
@@ -21,7 +24,8 @@ def filled(table: dict[str, Any], frequency_hz: float) -> dict[str, Any]:
     if not isinstance(name, str) or name not in SURFACES:
         listed = ", ".join(SURFACES)
         raise InputError(f"library: found {shown(name)}; must be one of {listed}{did_you_mean(name, SURFACES)}")
-    return {**SURFACES[name].table(frequency_hz, table.get("model")), **table}
+    model = table.get("model") or (DEFAULT if _OF_DEFAULT & table.keys() else None)
+    return {**SURFACES[name].table(frequency_hz, model), **table}
 
 
 def material(name: str, frequency_hz: float, **changed: Any) -> Material:

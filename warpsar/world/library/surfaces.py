@@ -18,17 +18,23 @@ WATER_C = 15.0
 """Temperature of water [deg C]."""
 ROUGH: tuple[SurfaceKey, ...] = ("rms_height_m", "correlation_length_m")
 ALL: tuple[SurfaceKey, ...] = ("eps_r", *ROUGH)
-DEFAULT, NATURAL = "ka_spm", "i2em"
-"""The model of smooth surfaces, and that of ground, which is rougher than small perturbation takes."""
+DEFAULT, MADE, NATURAL = "ka_spm", "two_scale", "i2em"
+"""The default of all materials; the model of smooth surfaces, as those that are made and water; and that of ground,
+which is rougher than small perturbation takes."""
+BANDS_HZ = {"L": 1.3e9, "C": 5.4e9, "X": 9.6e9, "Ku": 16e9}
+"""Carriers at which levels are listed."""
 
 
 @dataclass(frozen=True)
 class LibrarySurface:
     """A material of the library. Lengths are in millimetres here, for people who read the list.
 
-    `permittivity` takes a frequency [Hz] and gives eps' - j eps''; `band_ghz` is where its source holds. The ranges of
-    rms height and correlation length, and `stated_mm` of the two, are our choice and not a measurement. `lacks` says
-    what makes the real surface brighter and has no model here.
+    `permittivity` takes a frequency [Hz] and gives eps' - j eps''; `source` states it, and `band_ghz` is where that
+    holds. The ranges of rms height and correlation length, `stated_mm` of the two, and `slope_variance` of the large
+    scale (of the model two_scale; per axis) are our choice and not a measurement. `spread_db` is one standard deviation
+    of the level [dB] from place to place, without speckle; it is our choice, too. `published` says what published
+    levels the roughness was set beside, and is empty where we could read none. `choice` says how it was chosen. `lacks`
+    says what makes the real surface brighter and has no model here.
     """
 
     words: str
@@ -38,9 +44,17 @@ class LibrarySurface:
     height_range_mm: Range
     length_range_mm: Range
     stated_mm: tuple[float, float]
-    model: str = DEFAULT
+    spread_db: float
+    choice: str
+    published: str = ""
+    slope_variance: float | None = None
     learn: tuple[SurfaceKey, ...] = ALL
     lacks: str = ""
+
+    @property
+    def model(self) -> str:
+        """The surface's own backscatter model."""
+        return NATURAL if self.slope_variance is None else MADE
 
     def roughness_mm(self, frequency_hz: float, model: str | None = None) -> tuple[float, float]:
         """The rms height and the correlation length for `model`, by default the surface's own.
@@ -48,7 +62,7 @@ class LibrarySurface:
         A scene may ask for `ka_spm` where the surface is too rough for it. It then gets the most that small
         perturbation allows at the frequency, within the surface's ranges.
         """
-        if model != DEFAULT or self.model == DEFAULT:
+        if model != DEFAULT or self.model != NATURAL:
             return self.stated_mm
         k = 2.0e-3 * math.pi * frequency_hz / SPEED_OF_LIGHT  # rad/mm
         h, length = (
@@ -68,8 +82,9 @@ class LibrarySurface:
             "correlation_length_m": round(length / 1000.0, 7),
             "spectrum": "exponential",
         }
-        if self.model != DEFAULT:
-            table["model"] = self.model
+        table["model"] = model or self.model
+        if table["model"] == MADE and self.slope_variance is not None:
+            table["slope_variance"] = self.slope_variance
         return table if self.learn == ALL else {**table, "learn": list(self.learn)}
 
 
@@ -79,20 +94,28 @@ def _building(
     heights: Range,
     lengths: Range,
     stated: tuple[float, float],
-    model: str = DEFAULT,
+    slope_variance: float | None,
+    spread_db: float,
+    choice: str,
+    published: str = "",
     learn: tuple[SurfaceKey, ...] = ALL,
 ) -> LibrarySurface:
-    band = eps.BUILDING[row][4:]
-    source = f"ITU-R P.2040-3, {row}"
-    return LibrarySurface(words, partial(eps.building, row), source, band, heights, lengths, stated, model, learn)
+    source, band = f"ITU-R P.2040-3, {row}", eps.BUILDING[row][4:]
+    of = partial(eps.building, row)
+    return LibrarySurface(
+        words, of, source, band, heights, lengths, stated, spread_db, choice, published, slope_variance, learn
+    )
 
 
-def _ground(words: str, kind: str, moisture: float, lengths: Range, stated: tuple[float, float]) -> LibrarySurface:
+def _ground(
+    words: str, kind: str, moisture: float, lengths: Range, stated: tuple[float, float], spread_db: float, choice: str
+) -> LibrarySurface:
     def permittivity(frequency_hz: float) -> complex:
         return eps.soil(kind, frequency_hz, moisture)
 
     source = f"ITU-R P.527-4, {kind}, {100 * moisture:g} % water"
-    return LibrarySurface(words, permittivity, source, (1.0, 1000.0), (1.0, 30.0), lengths, stated, NATURAL)
+    heights, band = (1.0, 30.0), (1.0, 1000.0)
+    return LibrarySurface(words, permittivity, source, band, heights, lengths, stated, spread_db, choice, _HANDBOOK)
 
 
 def _sea(frequency_hz: float) -> complex:
@@ -108,30 +131,69 @@ def _wet_snow(frequency_hz: float) -> complex:
 
 
 _SEA = (_sea, "ITU-R P.527-4, sea water, 35 g/kg, 15 deg C", (0.01, 1000.0))
-_SNOW: tuple[Range, Range, tuple[float, float], str] = ((0.5, 10.0), (5.0, 100.0), (4.0, 50.0), NATURAL)
+_SEA_LENGTHS: Range = (5.0, 300.0)
+_SNOW: tuple[Range, Range, tuple[float, float], float] = ((0.5, 10.0), (5.0, 100.0), (8.8, 40.0), 4.0)
+_HANDBOOK = "Ulaby and Dobson (1989), L and C"
+_SMOOTH_SOILS = "Oh (2004) at the same eps' and h"
+_NRL = "Gregers-Hansen and Mital (2012), sea state {}; CMOD5.N at {} m/s, C, VV"
+_AFTER_ASPHALT = "h, l and slopes by comparison with asphalt"
+_AS_SNOW = "rougher than snow is: the roughness stands for what its volume adds"
 
 SURFACES: dict[str, LibrarySurface] = {
-    "asphalt": _building("asphalt", "a road of asphalt", (0.2, 2.0), (2.0, 20.0), (0.5, 6.0)),
-    "concrete": _building("concrete", "cast concrete", (0.1, 1.0), (3.0, 50.0), (0.3, 8.0)),
-    "brick": _building("brick", "a brick wall", (0.3, 2.0), (3.0, 30.0), (0.6, 7.0)),
-    "roof_tiles": _building("brick", "a roof of fired clay tiles", (0.5, 5.0), (4.0, 50.0), (1.0, 8.0)),
-    "gravel": _building("very dry ground", "dry gravel", (1.0, 10.0), (5.0, 50.0), (5.0, 25.0), NATURAL),
-    "stone": _building("marble", "cut stone", (0.05, 1.0), (3.0, 50.0), (0.3, 8.0)),
-    "wood": _building("wood", "planks", (0.1, 2.0), (3.0, 50.0), (0.5, 8.0)),
-    "glass": _building("glass", "window panes", (0.01, 0.1), (5.0, 100.0), (0.05, 20.0)),
-    "metal": _building("metal", "sheet metal", (0.01, 0.5), (5.0, 100.0), (0.15, 15.0), learn=ROUGH),
-    "painted_steel": _building("metal", "steel under paint", (0.05, 0.5), (5.0, 100.0), (0.25, 12.0), learn=ROUGH),
-    "soil_dry": _ground("bare dry soil", "sandy loam", 0.05, (5.0, 200.0), (9.0, 90.0)),
-    "soil_wet": _ground("bare wet soil", "loam", 0.30, (5.0, 200.0), (6.0, 90.0)),
-    "grass": _ground("short grass on moist soil, as bare soil", "sandy loam", 0.20, (5.0, 200.0), (8.0, 150.0)),
-    "water_calm": LibrarySurface("calm sea", *_SEA, (0.0, 0.5), (5.0, 50.0), (0.2, 15.0)),
-    "water_rough": LibrarySurface("sea with ripples of wind", *_SEA, (0.5, 3.0), (5.0, 50.0), (0.8, 12.0)),
+    "asphalt": _building(
+        *("asphalt", "a road of asphalt", (0.2, 2.0), (2.0, 20.0), (1.0, 6.0), 0.08, 3.0),
+        "h and l by the level in HH, the slopes by VV - HH",
+        f"{_SMOOTH_SOILS}; roads of the Gotcha scene, X, HH, 5 to 8 dB below its grass",
+    ),
+    "concrete": _building(
+        *("concrete", "cast concrete", (0.1, 1.0), (3.0, 50.0), (0.6, 6.0), 0.05, 3.0), _AFTER_ASPHALT, _SMOOTH_SOILS
+    ),
+    "brick": _building(*("brick", "a brick wall", (0.3, 2.0), (3.0, 30.0), (0.7, 7.0), 0.05, 3.0), _AFTER_ASPHALT),
+    "roof_tiles": _building(
+        *("brick", "a roof of fired clay tiles", (0.5, 5.0), (4.0, 50.0), (1.0, 8.0), 0.08, 4.0), _AFTER_ASPHALT
+    ),
+    "gravel": _building(
+        *("very dry ground", "dry gravel", (1.0, 10.0), (5.0, 50.0), (5.0, 25.0), None, 3.0), "h and l by its stones"
+    ),
+    "stone": _building(*("marble", "cut stone", (0.05, 1.0), (3.0, 50.0), (0.5, 8.0), 0.05, 4.0), _AFTER_ASPHALT),
+    "wood": _building(*("wood", "planks", (0.1, 2.0), (3.0, 50.0), (0.7, 7.0), 0.05, 4.0), _AFTER_ASPHALT),
+    "glass": _building(
+        *("glass", "window panes", (0.01, 0.1), (5.0, 100.0), (0.05, 20.0), 0.001, 6.0), "a smooth pane, nearly flat"
+    ),
+    "metal": _building(
+        *("metal", "sheet metal", (0.01, 0.5), (5.0, 100.0), (0.15, 15.0), 0.005, 6.0),
+        "a rolled sheet with shallow dents",
+        learn=ROUGH,
+    ),
+    "painted_steel": _building(
+        *("metal", "steel under paint", (0.05, 0.5), (5.0, 100.0), (0.25, 12.0), 0.01, 5.0),
+        "a sheet with dents, rougher than bare metal",
+        learn=ROUGH,
+    ),
+    "soil_dry": _ground(
+        *("bare dry soil", "sandy loam", 0.05, (5.0, 200.0), (9.0, 90.0), 4.0), "h and l by the level at C"
+    ),
+    "soil_wet": _ground(*("bare wet soil", "loam", 0.30, (5.0, 200.0), (6.0, 90.0), 4.0), "h and l by the level at C"),
+    "grass": _ground(
+        *("short grass on moist soil, as bare soil", "sandy loam", 0.20, (5.0, 200.0), (8.0, 150.0), 3.0),
+        "a soil as bright as grass, by the level at C",
+    ),
+    "water_calm": LibrarySurface(
+        *("calm sea", *_SEA, (0.0, 0.5), _SEA_LENGTHS, (0.5, 60.0), 6.0),
+        "h, l and slopes by all four bands",
+        _NRL.format("0", "2"),
+        0.01,
+    ),
+    "water_rough": LibrarySurface(
+        *("sea with waves of wind", *_SEA, (0.5, 3.0), _SEA_LENGTHS, (1.2, 100.0), 4.0),
+        "h, l and slopes by all four bands",
+        _NRL.format("3", "7"),
+        0.02,
+    ),
     "snow_dry": LibrarySurface(
-        "surface of dry snow, 0.3 g/cm3",
-        _dry_snow,
-        "Maetzler (1996)",
-        (0.1, 40.0),
-        *_SNOW,
+        *("surface of dry snow, 0.3 g/cm3", _dry_snow, "Maetzler (1996)", (0.1, 40.0), *_SNOW),
+        _AS_SNOW,
+        _HANDBOOK,
         lacks="snow's grains and the ground below",
     ),
     "snow_wet": LibrarySurface(
@@ -140,6 +202,9 @@ SURFACES: dict[str, LibrarySurface] = {
         "Hallikainen, Ulaby, Abdelrazik (1986)",
         (3.0, 37.0),
         *_SNOW,
+        _AS_SNOW,
+        _HANDBOOK,
+        lacks="snow's grains",
     ),
 }
 """Every surface, by the name that a scene file says."""
