@@ -27,16 +27,12 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import matplotlib
-
-matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-HERE = Path(__file__).resolve().parent
-sys.path[:0] = [str(HERE), str(HERE.parent / "tests")]
+sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import tables
 from gallery_shapes import Parts, all_of, fractal, turn
@@ -348,8 +344,9 @@ def main() -> None:
     rows = []
     for name in options.scene or SCENES:
         found = run(name, options.out, options.looks, options.draws)
-        rows.append((found["words"], f"{found['totals_db']:+.2f}", f"{found['totals_error_db']:.2f}", found["cells"],
-                     f"{100 * found['share']:.1f} %", f"{found['median_db']:+.2f}", f"{found['seconds']:.0f}"))  # fmt: skip
+        numbers = f"{found['totals_db']:+.2f}", f"{found['totals_error_db']:.2f}", found["cells"]
+        of_cells = f"{100 * found['share']:.1f} %", f"{found['median_db']:+.2f}"
+        rows.append((found["words"], *numbers, *of_cells, f"{found['seconds']:.0f}"))
     header = ("scene", "totals, complex over power [dB]", "its error [dB]", "cells above -30 dB", "of these agree",
               "their median ratio [dB]", "seconds")  # fmt: skip
     tables.publish({"engines_agree": tables.markdown(header, rows)}, {"made": tables.made()}, options.write)
