@@ -47,10 +47,12 @@ from warpsar.world.objects.shapes import body
 from warpsar.world.objects.table import Object
 
 F64 = NDArray[np.float64]
-LOOKS, DRAWS = 12, 4
+LOOKS, DRAWS = 16, 3
 RAYS = 8.0
 PIXELS = 8
 """Of a cell's side."""
+SMOOTH_M = 1e-5
+"""Height of the roughness up to which nothing is drawn that would be seen."""
 FAINT_DB, ALLOWED_DB = -30.0, 1.5
 METAL = {"eps_r": (1e6, -1e6), "rms_height_m": 1e-6, "correlation_length_m": 0.1}
 SOIL = {"eps_r": 6.0, "rms_height_m": 0.003, "correlation_length_m": 0.03}
@@ -239,16 +241,8 @@ def both(place: Place, base: warpsar.Scene, look: Look, draws: int, seed: int) -
     mirrors = {name: warpsar.Material(**table) for name, table in place.smooth.items()}
     seen = replace(seen, materials={**seen.materials, **mirrors})
 
-    def fields(terms: tuple[str, ...], seed: int) -> NDArray[np.complex128]:
-        asked = replace(seen, radar=seen.radar.model_copy(update={"terms": terms}))
-        return warpsar.slc(asked, seed=seed)[0].images["VV"].astype(complex)
-
-    # Terms add up as fields; only that of rough faces is drawn.
-    steady = fields(tuple(term for term in seen.radar.terms if term != "rough"), seed)
-    if all(not material.rms_height_m for material in seen.materials.values()):
-        return np.abs(steady) ** 2, image
-    mean = np.mean([np.abs(steady + fields(("rough",), seed * draws + n)) ** 2 for n in range(draws)], axis=0)
-    return mean, image
+    made = [warpsar.slc(seen, seed=seed * draws + n)[0].images["VV"].astype(complex) for n in range(draws)]
+    return np.mean(np.abs(made) ** 2, axis=0), image
 
 
 def cells(image: F64) -> F64:
@@ -319,6 +313,8 @@ def run(name: str, out: Path, looks: int, draws: int) -> dict[str, Any]:
     place = SCENES[name]()
     seen = looks_of(place, looks)
     base = scene_of(place, seen)
+    highest = max(float(material.rms_height_m) for material in base.materials.values())
+    draws = draws if highest > SMOOTH_M and not place.smooth else 1
     started, made = time.perf_counter(), []
     for number, look in enumerate(seen):
         made.append(both(place, base, look, draws, number))
