@@ -22,7 +22,7 @@ import argparse
 import json
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -35,7 +35,7 @@ from numpy.typing import NDArray
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import tables
-from gallery_shapes import Parts, all_of, fractal, turn
+from gallery_shapes import Parts, all_of, turn
 
 import warpsar
 from warpsar.collection.response import width_in_cells
@@ -47,7 +47,7 @@ from warpsar.world.objects.shapes import body
 from warpsar.world.objects.table import Object
 
 F64 = NDArray[np.float64]
-LOOKS, DRAWS = 16, 3
+LOOKS, DRAWS = 16, 4
 RAYS = 8.0
 PIXELS = 8
 """Of a cell's side."""
@@ -55,7 +55,7 @@ SMOOTH_M = 1e-5
 """Height of the roughness up to which nothing is drawn that would be seen."""
 FAINT_DB, ALLOWED_DB = -30.0, 1.5
 METAL = {"eps_r": (1e6, -1e6), "rms_height_m": 1e-6, "correlation_length_m": 0.1}
-SOIL = {"eps_r": 6.0, "rms_height_m": 0.003, "correlation_length_m": 0.03}
+SOIL = {"eps_r": 6.0, "rms_height_m": 0.0025, "correlation_length_m": 0.03}
 ROAD = {"eps_r": 5.0, "rms_height_m": 0.0015, "correlation_length_m": 0.03}
 WALL = {"eps_r": 5.0, "rms_height_m": 0.0005, "correlation_length_m": 0.02}
 ROCK = {"eps_r": 7.0, "rms_height_m": 0.006, "correlation_length_m": 0.05}
@@ -93,9 +93,13 @@ def lawn() -> Place:
 
 
 def dunes() -> Place:
+    """Waves that shade one another and lie over."""
     parts = Parts()
-    high = 2.0 * fractal(48, 2.2, 1)
-    parts.ground((24.0, 24.0), 0.5, all_of("soil"), lambda x, y: high.ravel())
+
+    def height(x: F64, y: F64) -> F64:
+        return 1.3 * np.sin(0.9 * y + 0.5 * np.sin(0.4 * x)) + 0.4 * np.cos(0.7 * x)
+
+    parts.ground((20.0, 20.0), 0.2, all_of("soil"), height)
     return Place("dunes, with layover and shadow", parts, {"soil": SOIL}, incidence_deg=50.0)
 
 
@@ -103,7 +107,9 @@ def rocks() -> Place:
     parts = Parts()
     parts.ground((16.0, 16.0), 1.0, all_of("soil"))
     for i, (x, y) in enumerate([(-4, -3), (3, -4), (0, 3), (5, 5), (-5, 5)]):
-        parts.ball("rock", (x, y, 0.6), (1.5, 1.2, 1.0), roughness=0.06, seed=i)
+        rock = trimesh.creation.icosphere(subdivisions=5)
+        lumps = np.prod(1.0 + 0.2 * np.sin(3.0 * rock.vertices + i), axis=1, keepdims=True)
+        parts.add("rock", rock.vertices * lumps * (1.5, 1.2, 1.0) + (x, y, 0.6), rock.faces)
     return Place("rocks on soil", parts, {"soil": SOIL, "rock": ROCK})
 
 
@@ -134,7 +140,7 @@ def balls() -> Place:
     """Balls large beside the cells would show where slopes spread their glint: these are not."""
     parts = Parts()
     for x, y, radius in ((-3.0, 0.0, 0.6), (0.0, 1.5, 1.0), (3.0, -1.0, 0.4)):
-        parts.solid("ball", trimesh.creation.icosphere(subdivisions=5, radius=radius), (x, y, 0.0))
+        parts.solid("ball", trimesh.creation.icosphere(subdivisions=6, radius=radius), (x, y, 0.0))
     slopes = {"eps_r": 9.0, "rms_height_m": 0.004, "correlation_length_m": 0.1, "specular_fraction": 1.0}
     mirror = {"eps_r": 9.0, "rms_height_m": 0.0}
     return Place("smooth balls", parts, {"ball": slopes}, smooth={"ball": mirror})
@@ -167,7 +173,10 @@ def vehicle() -> Place:
         ("truck", (7.0, 2.4, 3.0), 3.0, 0.0, 10.0),
     ):
         made = body(Object(name=primitive, primitive=primitive, size_m=size, material="paint"))
-        parts.add("paint", made.vertices @ turn(heading).T + (x, y, 0.02), made.faces)
+        vertices, faces = made.vertices, made.faces
+        for _ in range(3):  # complex images round wedges flatter than 30 degrees, as far as the faces beside them reach
+            vertices, faces = trimesh.remesh.subdivide(vertices, faces)
+        parts.add("paint", vertices @ turn(heading).T + (x, y, 0.02), faces)
     paint = {**METAL, "rms_height_m": 0.0003, "correlation_length_m": 0.02}
     return Place("car and truck on a road", parts, {"road": ROAD, "paint": paint}, width_m=0.5)
 
@@ -241,7 +250,14 @@ def both(place: Place, base: warpsar.Scene, look: Look, draws: int, seed: int) -
     mirrors = {name: warpsar.Material(**table) for name, table in place.smooth.items()}
     seen = replace(seen, materials={**seen.materials, **mirrors})
 
-    made = [warpsar.slc(seen, seed=seed * draws + n)[0].images["VV"].astype(complex) for n in range(draws)]
+    def fields(seed: int, terms: tuple[str, ...] = seen.radar.terms) -> NDArray[np.complex128]:
+        asked = replace(seen, radar=seen.radar.model_copy(update={"terms": terms}))
+        return warpsar.slc(asked, seed=seed)[0].images["VV"].astype(complex)
+
+    made = [fields(seed * draws)]
+    if draws > 1:  # terms add up as fields: tubes, which take the time, are drawn once
+        rest = made[0] - fields(seed * draws, ("rough",))
+        made += [rest + fields(seed * draws + n, ("rough",)) for n in range(1, draws)]
     return np.mean(np.abs(made) ** 2, axis=0), image
 
 
@@ -277,31 +293,39 @@ def compared(slc: F64, power: F64) -> dict[str, Any]:
     }
 
 
-def draw(name: str, words: str, width: float, slc: F64, power: F64, path: Path) -> None:
+def panels(figure: Any, axes: Any, width: float, slc: F64, power: F64) -> None:
     """Both means on one scale of greys, and their ratio where cells count."""
-    size = [n * width / PIXELS / 2.0 for n in slc.shape[-2:]]
+    size = [n * width / PIXELS / 2.0 for n in slc.shape]
     extent = (-size[1], size[1], size[0], -size[0])
     one, other = cells(slc), cells(power)
     top = decibels(other.max())
-    figure, axes = plt.subplots(1, 3, figsize=(11.0, 3.9), layout="constrained", sharex=True, sharey=True)
-    for axis, image, title in zip(axes, (power, slc), ("image of power", "mean of complex images"), strict=False):
+    for axis, image in zip(axes, (power, slc), strict=False):
         shown = axis.imshow(np.maximum(decibels(image), top - 60.0), "gray", vmin=top - 40.0, vmax=top, extent=extent)
-        axis.set_title(title)
     figure.colorbar(shown, ax=axes[:2], label="beta0 [dB]", shrink=0.85)
     counts = np.maximum(one, other) > 10.0 ** (FAINT_DB / 10.0) * other.max()
     ratio = np.where(counts, np.clip(decibels(one / other), -99.0, 99.0), np.nan)
-    axes[2].set_facecolor("0.75")
-    rows, columns = (n * width / 2.0 for n in ratio.shape)
-    start = -size[0], -size[1]
-    place = (start[1], start[1] + 2 * columns, start[0] + 2 * rows, start[0])
+    rows, columns = (n * width for n in ratio.shape)
+    place = (-size[1], columns - size[1], rows - size[0], -size[0])
     shown = axes[2].imshow(ratio, "RdBu_r", vmin=-6.0, vmax=6.0, extent=place, interpolation="nearest")
-    axes[2].set_title("complex over power, cells above -30 dB")
     figure.colorbar(shown, ax=axes[2], label="[dB]", shrink=0.85)
-    axes[0].set_ylabel("slant range [m]")
-    for axis in axes:
+    for axis, title in zip(
+        axes, ("image of power", "mean of complex images", "the second over the first"), strict=True
+    ):
+        axis.set_title(title)
         axis.set_xlabel("azimuth [m]")
-    figure.suptitle(f"{name}: {words}")
-    figure.savefig(path, dpi=72, pil_kwargs={"optimize": True})
+        axis.set_facecolor("0.75")
+    axes[0].set_ylabel("slant range [m]")
+
+
+def draw(names: Sequence[str], out: Path, path: Path, dpi: int) -> None:
+    """The pictures of some scenes, one below the other, from their files."""
+    figure = plt.figure(figsize=(11.0, 4.1 * len(names)), layout="constrained")
+    for row, name in zip(np.atleast_1d(figure.subfigures(len(names), 1)), names, strict=True):
+        place, made = SCENES[name](), np.load(out / f"{name}.npz")
+        row.suptitle(place.words)
+        axes = row.subplots(1, 3, sharex=True, sharey=True)
+        panels(row, axes, place.width_m, *(made[key].astype(float).mean(axis=0) for key in ("slc", "power")))
+    figure.savefig(path, dpi=dpi)
     plt.close(figure)
 
 
@@ -322,7 +346,7 @@ def run(name: str, out: Path, looks: int, draws: int) -> dict[str, Any]:
     slc, power = (np.array(images) for images in zip(*made, strict=True))
     seconds = time.perf_counter() - started
     np.savez_compressed(out / f"{name}.npz", slc=slc.astype(np.float32), power=power.astype(np.float32))
-    draw(name, place.words, place.width_m, slc.mean(axis=0), power.mean(axis=0), out / f"{name}.png")
+    draw([name], out, out / f"{name}.png", 72)
     found = {"name": name, "words": place.words, **compared(slc, power), "seconds": seconds}
     told.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
     return found
@@ -334,6 +358,7 @@ def main() -> None:
     parser.add_argument("--scene", choices=SCENES, action="append", help="one scene; all without it")
     parser.add_argument("--looks", type=int, default=LOOKS)
     parser.add_argument("--draws", type=int, default=DRAWS)
+    parser.add_argument("--picture", type=Path, help="a picture of all of them")
     tables.add_write(parser)
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
@@ -343,6 +368,8 @@ def main() -> None:
         numbers = f"{found['totals_db']:+.2f}", f"{found['totals_error_db']:.2f}", found["cells"]
         of_cells = f"{100 * found['share']:.1f} %", f"{found['median_db']:+.2f}"
         rows.append((found["words"], *numbers, *of_cells, f"{found['seconds']:.0f}"))
+    if options.picture is not None:
+        draw(options.scene or list(SCENES), options.out, options.picture, 50)
     header = ("scene", "totals, complex over power [dB]", "its error [dB]", "cells above -30 dB", "of these agree",
               "their median ratio [dB]", "seconds")  # fmt: skip
     tables.publish({"engines_agree": tables.markdown(header, rows)}, {"made": tables.made()}, options.write)

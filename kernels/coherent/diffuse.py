@@ -25,6 +25,7 @@ class Drawn:
 
     bragg: wp.vec2d
     mirror: wp.vec2d
+    power: wp.float64  # of each at this point, in the mean: the sum of the squares of the weights
 
 
 @wp.func
@@ -61,6 +62,7 @@ def drawn_at(seed: int, point: wp.vec3d, axis: int, step: wp.float64) -> Drawn:
         random = wp.rand_init(seed + axis, (int(low_x) + i) * 73856093 + (int(low_y) + j) * 19349663)
         found.bragg += weight * gaussian(random, 0)
         found.mirror += weight * gaussian(random, 1)
+        found.power += weight * weight
     return found
 
 
@@ -119,8 +121,15 @@ def diffused(
     step = wp.float64(2.0) * HALF_PI * wp.float64(2.0) / k / NODES
     axis = plane_of(n)
     drawn = drawn_at(seed, hit.point, axis, step)
-    # A node stands for the area step^2 / |n_axis|; its tubes add up to that, less what their phases take.
-    size = sight.spread * hit.weight * root(wp.abs(n[axis]) / FOUR_PI) / (step * evened(q, n, axis, step))
+    # A node stands for the area step^2 / |n_axis|; its tubes add up to that, less what their phases take. A tube that
+    # is wider, after a curved face, has a number by itself.
+    node = step * step / wp.abs(n[axis])
+    wide = wp.length(wp.cross(hit.across_u, hit.across_v))
+    size = sight.spread * hit.weight / root(FOUR_PI)
+    if wide > node:
+        size = size / root(wide * drawn.power)
+    else:
+        size = size / (root(node) * evened(q, n, axis, step))
     phase = size * turned(-k * (sight.back + hit.path) + wp.float64(hit.caustics) * HALF_PI)
     bragg = root(share[0]) * product(drawn.bragg, phase)
     mirror = root(share[1]) * product(drawn.mirror, phase)
