@@ -2,12 +2,12 @@
 
     python benchmarks/engines_agree.py --out out/engines                # what is there already is not made again
     python benchmarks/engines_agree.py --out out/engines --scene town
-    python benchmarks/engines_agree.py --out out/engines --write        # and the table and picture of docs/coherent.md
+    python benchmarks/engines_agree.py --out out/engines --write        # and the table of docs/coherent.md
 
 `warpsar simulate` adds powers; complex images (SLC) add fields, and have speckle. A look is an azimuth and a frequency.
 `LOOKS` looks lie within one aperture and one band on either side of the scene's own: over them the parts of smooth
-bodies in one cell go out of step. Each look has `DRAWS` draws of the roughness, and one image of power. The sensor is
-1,000 km away, so that the products' (R0 / R)^4 is even over the scene.
+bodies in one cell go out of step. Each look has `DRAWS` draws of rough faces, one of what takes tubes, and one image of
+power. The sensor is 1,000 km away, so that the products' (R0 / R)^4 is even over the scene.
 
 Pixels are an eighth of the response wide, and cells as wide as it. A cell counts where either mean is above -30 dB of
 the brightest. It agrees where the means differ by 1.5 dB or less beyond one standard error of their difference,
@@ -110,7 +110,7 @@ def rocks() -> Place:
         rock = trimesh.creation.icosphere(subdivisions=5)
         lumps = np.prod(1.0 + 0.2 * np.sin(3.0 * rock.vertices + i), axis=1, keepdims=True)
         parts.add("rock", rock.vertices * lumps * (1.5, 1.2, 1.0) + (x, y, 0.6), rock.faces)
-    return Place("rocks on soil", parts, {"soil": SOIL, "rock": ROCK})
+    return Place("rocks on soil", parts, {"soil": SOIL, "rock": ROCK}, width_m=1.0, frequency_hz=3e9)
 
 
 def trihedrals() -> Place:
@@ -137,7 +137,7 @@ def smooth_block() -> Place:
 
 
 def balls() -> Place:
-    """Balls large beside the cells would show where slopes spread their glint: these are not."""
+    """Slopes spread a glint over a part of the radius, which is small beside the cells here."""
     parts = Parts()
     for x, y, radius in ((-3.0, 0.0, 0.6), (0.0, 1.5, 1.0), (3.0, -1.0, 0.4)):
         parts.solid("ball", trimesh.creation.icosphere(subdivisions=6, radius=radius), (x, y, 0.0))

@@ -59,7 +59,7 @@ def drawn_at(seed: int, point: wp.vec3d, axis: int, step: wp.float64) -> Drawn:
         i = corner % 2
         j = corner / 2
         weight = wp.where(i == 0, ONE - (x - low_x), x - low_x) * wp.where(j == 0, ONE - (y - low_y), y - low_y)
-        random = wp.rand_init(seed + axis, (int(low_x) + i) * 73856093 + (int(low_y) + j) * 19349663)
+        random = wp.rand_init(3 * seed + axis, (int(low_x) + i) * 73856093 + (int(low_y) + j) * 19349663)
         found.bragg += weight * gaussian(random, 0)
         found.mirror += weight * gaussian(random, 1)
         found.power += weight * weight
@@ -118,7 +118,7 @@ def diffused(
         rough.specular_fraction,
         log_factorial,
     )
-    step = wp.float64(2.0) * HALF_PI * wp.float64(2.0) / k / NODES
+    step = wp.float64(4.0) * HALF_PI / k / NODES
     axis = plane_of(n)
     drawn = drawn_at(seed, hit.point, axis, step)
     # A node stands for the area step^2 / |n_axis|; its tubes add up to that, less what their phases take. A tube that
