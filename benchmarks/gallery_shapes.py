@@ -25,13 +25,16 @@ class Parts:
     def add(self, material: str, vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> None:
         self.pieces.append((material, np.asarray(vertices, float), np.asarray(faces, np.int32)))
 
-    def write(self, path: Path) -> None:
+    def mesh(self) -> Mesh:
         names = tuple(dict.fromkeys(material for material, _, _ in self.pieces))
         starts = np.cumsum([0, *(len(vertices) for _, vertices, _ in self.pieces[:-1])])
         vertices = np.concatenate([vertices for _, vertices, _ in self.pieces])
         faces = np.concatenate([f + start for (_, _, f), start in zip(self.pieces, starts, strict=True)])
         owner = np.concatenate([np.full(len(f), names.index(material)) for material, _, f in self.pieces])
-        write_obj(path, Mesh(vertices, faces.astype(np.int32), owner.astype(np.int32), names))
+        return Mesh(vertices, faces.astype(np.int32), owner.astype(np.int32), names)
+
+    def write(self, path: Path) -> None:
+        write_obj(path, self.mesh())
 
     def solid(
         self, material: str, body: trimesh.Trimesh, at: Place = (0.0, 0.0, 0.0), heading_deg: float = 0.0

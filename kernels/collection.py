@@ -7,6 +7,7 @@ divided out after the FFT. What is left of the error stands in docs/collections.
 
 import warp as wp
 
+from warpsar.kernels.coherent.diffuse import diffused
 from warpsar.kernels.coherent.edges import Edge, diffracted
 from warpsar.kernels.coherent.numbers import product, turned
 from warpsar.kernels.coherent.radiate import Four, Pair, bounced_fields, sent, tube_factor, unit
@@ -138,6 +139,10 @@ def tube_places_kernel(
     count_in: wp.array[int],
     single: int,
     apart: wp.vec3d,  # half of the unit vector to the transmitter less that to the receiver
+    surface_in: wp.array[RoughSurface],
+    log_factorial_in: wp.array[wp.float64],
+    diffuse: int,
+    seed: int,
     # Out:
     place_out: wp.array2d[wp.vec3d],
     amplitude_out: wp.array3d[wp.vec2],
@@ -145,7 +150,8 @@ def tube_places_kernel(
 ):
     """Of every hit of a ray its effective place (rays, bounces) [m], its amplitude (rays, bounces, 4) [m], its face.
 
-    The first hit counts on smooth faces alone, with `single`: rough faces have places of their own.
+    The first hit counts on smooth faces alone, with `single`: rough faces have places of their own. Further hits on
+    rough faces scatter, with `diffuse`, beside what their currents send.
     """
     ray = wp.tid()
     radar = radar_in[0]
@@ -163,6 +169,13 @@ def tube_places_kernel(
         if counts != 0:
             sight = look(radar, hit.point, 0.0)
             four = sent(tube_factor(k, hit, sight), fields, back, hit.d, hit.normal, sight.s, radar.u, radar.v)
+            if b > 0 and diffuse != 0 and stuff.rms_height > wp.float64(0.0):
+                surface = surface_in[material_in[hit.face]]
+                more = diffused(radar, k, surface, fields, hit, seed, log_factorial_in)
+                four.hh += more.hh
+                four.hv += more.hv
+                four.vh += more.vh
+                four.vv += more.vv
             way = sight.back + hit.path
             # The way of two antennas changes by -apart . (entry - leave) over that of one halfway between them.
             turn = turned(k * (way + wp.dot(apart, hits_in[0, ray].point - hit.point)))

@@ -1,10 +1,10 @@
 """Fields of ray tubes that end at the radar, and their sums over resolution cells.
 
 A tube of area A on its last surface sends the radar (k / 4 pi) A exp(-2jkr) times what a unit of area answers, r being
-half the way: physical optics, as in `kernels/coherent/radiate.py`. The cells are the samples of a complex image whose
-band and aperture have no taper: sample n has the weight sinc(x - n) on a field at x, in cells. Over all samples the
-squares of these weights add up to 1, wherever x is, and those of a long field to the mean of its pattern over band and
-aperture (Parseval).
+half the way: physical optics, as in `kernels/coherent/radiate.py`. The cells are the samples of a complex image: sample
+n has the weight h(x - n) on a field at x, in cells of the band and of the aperture. h is the response, sinc where these
+have no taper. Over all samples the squares of these weights add up to 1, wherever x is, and those of a long field to
+the mean of its pattern over band and aperture, by the squares of their tapers (Parseval).
 """
 
 import warp as wp
@@ -17,14 +17,18 @@ from warpsar.kernels.geometry import RayGrid, Triangles
 HALF = wp.constant(wp.float64(0.5))
 TWO = wp.constant(wp.float64(2.0))
 ONE = wp.constant(wp.float64(1.0))
-PI = wp.constant(wp.float64(3.141592653589793))
+STEPS = wp.constant(128)
+"""Of a cell, in the table of the response."""
+REACH = wp.constant(16)
+"""Cells on each side that the table has."""
 
 
 @wp.struct
 class ResolutionCells:
     """Cells of `size` (range, azimuth) [m] about the reference point, and the bins of the records among them.
 
-    `offset`: the samples about a bin that get a share of a field in it.
+    `offset`: the samples about a bin that get a share of a field in it. `response`: (2, 2 REACH STEPS + 1), of range
+    and azimuth, and `slope`, its derivative [1/cells].
     """
 
     size: wp.vec2d
@@ -32,18 +36,15 @@ class ResolutionCells:
     bin_size: wp.vec2d  # [m]
     bin_cols: int
     offset: wp.array(dtype=wp.vec2i)
+    response: wp.array2d(dtype=wp.float64)
+    slope: wp.array2d(dtype=wp.float64)
 
 
 @wp.struct
 class TubeFields:
-    """Fields of tubes, shape (n,): `place` x (range, azimuth) [cells], `field` [m] there, and its first moments [m].
-
-    `sine` and `cosine` are those of pi x: a tube's shares in all samples need no others.
-    """
+    """Fields of tubes, shape (n,): `place` x (range, azimuth) [cells], `field` [m] there, and its first moments [m]."""
 
     place: wp.array(dtype=wp.vec2d)
-    sine: wp.array(dtype=wp.vec2d)
-    cosine: wp.array(dtype=wp.vec2d)
     field: wp.array(dtype=wp.vec2d)
     by_range: wp.array(dtype=wp.vec2d)
     by_azimuth: wp.array(dtype=wp.vec2d)
@@ -97,21 +98,14 @@ def footprint(side: wp.vec3d, normal: wp.vec3d, direction: wp.vec3d) -> wp.vec3d
 
 
 @wp.func
-def share_of(x: wp.float64, sine: wp.float64, sample: int) -> wp.float64:
-    """sin(pi (x - n)) / (pi (x - n)) of a place x and a sample n [cells]; `sine` is sin(pi x)."""
-    t = PI * (x - wp.float64(sample))
-    if wp.abs(t) < wp.float64(1.0e-3):
-        return ONE - t * t / wp.float64(6.0)
-    return wp.where(sample % 2 == 0, sine, -sine) / t
-
-
-@wp.func
-def slope_of(x: wp.float64, share: wp.float64, cosine: wp.float64, sample: int) -> wp.float64:
-    """The derivative of `share_of` to x; `cosine` is cos(pi x)."""
-    t = PI * (x - wp.float64(sample))
-    if wp.abs(t) < wp.float64(1.0e-3):
-        return -PI * t / wp.float64(3.0)
-    return PI * (wp.where(sample % 2 == 0, cosine, -cosine) - share) / t
+def read(table: wp.array2d(dtype=wp.float64), axis: int, distance: wp.float64) -> wp.float64:
+    """A table of the response at a distance [cells]; 0 beyond it."""
+    at = (distance + wp.float64(REACH)) * wp.float64(STEPS)
+    low = int(wp.floor(at))
+    if low < 0 or low + 1 >= table.shape[1]:
+        return wp.float64(0.0)
+    part = at - wp.float64(low)
+    return (ONE - part) * table[axis, low] + part * table[axis, low + 1]
 
 
 @wp.kernel(enable_backward=False)
@@ -195,12 +189,12 @@ def tube_kernel(
     turn_u = wavenumber * wp.dot(turn, foot_u)
     turn_v = wavenumber * wp.dot(turn, foot_v)
     place = wp.vec2d(along / cells.size[0], azimuth / cells.size[1])
-    sine = wp.vec2d(wp.sin(PI * place[0]), wp.sin(PI * place[1]))
     base = cell_of(cells, records.bin[i])
     total = wp.float64(0.0)
     for j in range(cells.offset.shape[0]):
         sample = base + cells.offset[j]
-        share = share_of(place[0], sine[0], sample[0]) * share_of(place[1], sine[1], sample[1])
+        along_share = read(cells.response, 0, place[0] - wp.float64(sample[0]))
+        share = along_share * read(cells.response, 1, place[1] - wp.float64(sample[1]))
         total += share * share
     size = wavenumber / FOUR_PI * area / wp.sqrt(wp.max(total, wp.float64(1.0e-3)))
     phase = turned(-TWO * wavenumber * along)
@@ -209,8 +203,6 @@ def tube_kernel(
     by_u = tilted(turn_u) * sinc(turn_v)
     by_v = sinc(turn_u) * tilted(turn_v)
     tubes_out.place[i] = place
-    tubes_out.sine[i] = sine
-    tubes_out.cosine[i] = wp.vec2d(wp.cos(PI * place[0]), wp.cos(PI * place[1]))
     tubes_out.field[i] = sinc(turn_u) * sinc(turn_v) * field
     tubes_out.by_range[i] = (
         (by_u * wp.dot(turn, foot_u) + by_v * wp.dot(turn, foot_v)) * (-ONE / cells.size[0]) * moment
@@ -241,9 +233,11 @@ def couple_kernel(
     for k in range(first[i], end):
         at = order[k]
         place = tubes.place[at]
-        along = share_of(place[0], tubes.sine[at][0], sample[0])
-        across = share_of(place[1], tubes.sine[at][1], sample[1])
+        x = place[0] - wp.float64(sample[0])
+        y = place[1] - wp.float64(sample[1])
+        along = read(cells.response, 0, x)
+        across = read(cells.response, 1, y)
         total += along * across * tubes.field[at]
-        total += slope_of(place[0], along, tubes.cosine[at][0], sample[0]) * across * tubes.by_range[at]
-        total += slope_of(place[1], across, tubes.cosine[at][1], sample[1]) * along * tubes.by_azimuth[at]
+        total += read(cells.slope, 0, x) * across * tubes.by_range[at]
+        total += read(cells.slope, 1, y) * along * tubes.by_azimuth[at]
     field_out[i, j] = wp.vec2(total)

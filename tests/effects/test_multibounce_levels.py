@@ -9,7 +9,9 @@ import worlds
 from effect_worlds import with_effect
 from worlds import join, mesh_of, plate, scene_of, view
 
+from warpsar.collection.response import width_in_cells
 from warpsar.effects.bounces import cells, tracing
+from warpsar.formats.base.taper import taper
 from warpsar.kernels.effects import multibounce, multibounce_ends
 from warpsar.runtime.structs import fill
 from warpsar.scene.scene import Scene
@@ -145,14 +147,21 @@ def wave(length: float, height: float, frequency_hz: float, azimuth_deg: float, 
 
 
 def averaged(
-    length: float, height: float, frequency_hz: float, azimuth_deg: float, incidence_deg: float, cell: float
+    length: float,
+    height: float,
+    frequency_hz: float,
+    azimuth_deg: float,
+    incidence_deg: float,
+    cell: float,
+    window: str = "none",
 ) -> float:
-    """RCS [m2] over a band of c / 2 cell and an aperture of lambda / 2 cell."""
+    """RCS [m2] over a band of c / 2 cell and an aperture of lambda / 2 cell, by the power of their taper."""
     steps = (np.arange(41) + 0.5) / 41 - 0.5
+    weight = taper(window, steps) ** 2
     aperture = np.rad2deg(steps * LIGHT / frequency_hz / (2 * cell) / np.sin(np.deg2rad(incidence_deg)))
     band = frequency_hz + steps[::4] * LIGHT / (2 * cell)
-    found = [abs(wave(length, height, f, azimuth_deg + a, incidence_deg)) ** 2 for f in band for a in aperture]
-    return float(4 * np.pi * np.mean(found))
+    found = [[abs(wave(length, height, f, azimuth_deg + a, incidence_deg)) ** 2 for a in aperture] for f in band]
+    return float(4 * np.pi * np.average(found, weights=np.multiply.outer(weight[::4], weight)))
 
 
 @pytest.mark.parametrize("frequency_hz", BANDS)
@@ -183,6 +192,21 @@ def test_a_dihedral_has_its_pattern_over_band_and_aperture(length: float, height
             assert found == pytest.approx(db(expected), abs=1.0)
             some += 1
     assert some >= 3
+
+
+def test_a_dihedral_has_its_pattern_over_the_declared_taper() -> None:
+    """Taylor's taper weighs the middle of the aperture by +3.5 dB, its ends by -12: a rectangle would not do."""
+    width, length, height, frequency_hz = 0.5, 2.0, 1.0, 9.6e9
+    cell = width / width_in_cells("taylor")
+    half_deg = np.rad2deg(0.25 * LIGHT / frequency_hz / cell / np.sin(np.deg2rad(45.0)))
+    levels = []
+    for part in (0.0, 0.4, 0.8):
+        expected = averaged(length, height, frequency_hz, part * half_deg, 45.0, cell, "taylor")
+        made = bouncing(dihedral(length, height), view(part * half_deg, 45.0), frequency_hz, spacing_m=(0.25, 0.25))
+        made = with_effect(made, "point_spread", {"range_fwhm_m": width, "azimuth_fwhm_m": width, "window": "taylor"})
+        levels.append(db(total(made, "beta0_2_bounces_HH")))
+        assert levels[-1] == pytest.approx(db(expected), abs=0.3)
+    assert levels[0] - levels[-1] > 5.0
 
 
 def test_the_declared_response_is_the_cell() -> None:

@@ -53,6 +53,8 @@ class CoherentBody:
     scatterer_normals: wp.array
     scatterer_faces: NDArray[np.int64]
     """(n,)."""
+    seed: int
+    """Of what rough faces draw."""
 
     @classmethod
     def of(
@@ -116,6 +118,7 @@ class CoherentBody:
             field(places, "point", wp.vec3d),
             field(places, "normal", wp.vec3d),
             owners,
+            seed,
         )
 
     def stuff(self, frequencies: int) -> wp.array:

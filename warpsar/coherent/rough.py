@@ -13,7 +13,7 @@ from warpsar.coherent.rough_models import kind_of
 from warpsar.coherent.shape import MeshShape
 from warpsar.errors import InputError
 from warpsar.kernels.codes import Spectrum
-from warpsar.kernels.coherent import rough
+from warpsar.kernels.coherent import bistatic, rough
 from warpsar.world.tables import Material
 
 MOST = 20_000_000
@@ -72,10 +72,10 @@ def surfaces(materials: Sequence[Material]) -> Any:
     packed = records(rough.RoughSurface, len(materials))
     for m, material in enumerate(materials):
         eps = _CONDUCTOR if material.conductor else material.eps_r or 1.0
-        length = material.correlation_length_m or 1.0
         packed["spectrum"][m] = Spectrum[material.spectrum.upper()]
         packed["permittivity"][m] = eps if isinstance(eps, tuple) else (eps, 0.0)
         packed["rms_height"][m] = material.rms_height_m or 0.0
+        length = material.correlation_length_m or float(bistatic.HEIGHTS) * packed["rms_height"][m] or 1.0
         packed["length"][m] = length if isinstance(length, tuple) else (length, length)
         packed["specular_fraction"][m] = material.specular_fraction
     return packed

@@ -11,6 +11,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from warpsar.coherent import rays as cells
+from warpsar.coherent.bistatic import log_factorials
 from warpsar.coherent.body import CoherentBody
 from warpsar.coherent.directions import Directions
 from warpsar.coherent.records import host, records, upload
@@ -185,6 +186,7 @@ class CoarseCells:
         face = wp.zeros((n, most), dtype=int, device=body.device)
         inputs = [self.radar, float(worker.k[0]), worker.stuff, body.face_material]
         inputs += [traced.hits, traced.ends.count, int("single" in worker.terms), wp.vec3d(*self.apart)]
+        inputs += [body.surfaces, log_factorials(str(body.device)), int("rough" in worker.terms), body.seed % 2**31]
         wp.launch(kernels.tube_places_kernel, n, inputs=inputs, outputs=[place, amplitude, face], device=body.device)
         values = complex_of(amplitude).reshape(-1, 4)
         power = (np.abs(values) ** 2).sum(axis=1)

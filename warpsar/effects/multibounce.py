@@ -115,7 +115,7 @@ class Multibounce(Effect):
         """Paths by number of bounces, traced once for all renders of the hits, with the fields on them."""
         settings = render.settings[self.name]
         cell_m = render.resolution_m if settings["reflection"] == "roughness" else None
-        key = (self.name, settings["max_bounces"], cell_m)
+        key = (self.name, settings["max_bounces"], cell_m, render.taper)
         if key not in render.hits.derived:
             render.hits.derived[key] = trace_paths(render, settings["max_bounces"], cell_m)
         if cell_m is not None:

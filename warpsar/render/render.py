@@ -97,8 +97,10 @@ class ViewRender:
         self.shaded, self._sample = shading_samples(hits)
         fine = hits.grid.bins_per_pixel
         self.spacing_m = (hits.grid.spacing_m[0] * fine, hits.grid.spacing_m[1] * fine)
-        cells = [e.effect.response(e.values, e.settings).cells_m() for e in effects]
-        self.resolution_m = tuple(max(sizes) for sizes in zip(self.spacing_m, *cells, strict=True))
+        pixel = [(side, "none") for side in self.spacing_m]
+        cells = [e.effect.response(e.values, e.settings).cells() for e in effects]
+        along, across = (max(sizes) for sizes in zip(pixel, *cells, strict=True))
+        self.resolution_m, self.taper = (along[0], across[0]), (along[1], across[1])
 
         self._effects = effects
         at = self._at

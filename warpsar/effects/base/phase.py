@@ -8,8 +8,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-_CELL = {"none": 1.1288, "taylor": 1.0423, None: 1.0645}
-"""Area of a response's power over its peak, in half-power widths: of sinc^2, Taylor's window at -35 dB, a Gaussian."""
+_CELL = {"none": 1.1288, "taylor": 0.8421, None: 1.0645}
+"""Cells of a band in half-power widths: without a taper, with Taylor's of -35 dB; of a Gaussian the area of its power
+over its peak, as no band has it."""
 
 
 @dataclass(frozen=True)
@@ -21,13 +22,13 @@ class Response:
     taper: tuple[str | None, str | None] = (None, None)
     """Of the band and of the aperture: "none" or "taylor"."""
 
-    def cells_m(self) -> tuple[float, float]:
-        """Resolution cells (range, azimuth) [m]: area of the response's power over its peak; 0 where nothing is asked.
+    def cells(self) -> tuple[tuple[float, str], tuple[float, str]]:
+        """Cells of the band and of the aperture: size [m], 0 where nothing is asked, and taper.
 
-        A width without a taper is that of a Gaussian.
+        A width without a taper is that of a Gaussian, whose cell has none.
         """
-        widths = [(width or 0.0) * _CELL[taper] for width, taper in zip(self.width_m, self.taper, strict=True)]
-        return widths[0], widths[1]
+        sizes = [(width or 0.0) * _CELL[taper] for width, taper in zip(self.width_m, self.taper, strict=True)]
+        return (sizes[0], self.taper[0] or "none"), (sizes[1], self.taper[1] or "none")
 
 
 @dataclass(frozen=True)

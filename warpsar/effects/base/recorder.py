@@ -25,7 +25,7 @@ class Recorder(Protocol):
     | `shaded` | what is shaded: one sample per face and pixel |
     | `more` | the learned coordinates of `shaded` beyond the first four (vec4 each), of models that have them |
     | `shape`, `spacing_m` | (rows, cols) and (range, azimuth) of the image |
-    | `resolution_m` | (range, azimuth) of a resolution cell: of the declared response, at least a pixel |
+    | `resolution_m`, `taper` | (range, azimuth) of a cell of the declared band and aperture, at least a pixel |
     | `settings[name]` | the settings of the effect `name` in this view |
     | `layers` | by name, shares of the beta0 that an effect keeps apart, shape (rows * cols,) |
     | `remarks` | what a user should be told of this view's image, sentences |
@@ -41,6 +41,7 @@ class Recorder(Protocol):
     shape: tuple[int, int]
     spacing_m: tuple[float, float]
     resolution_m: tuple[float, float]
+    taper: tuple[str, str]
     settings: dict[str, Mapping[str, Any]]
     layers: dict[str, Any]
     remarks: list[str]

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from warpsar.formats.base.taper import taper
 from warpsar.kernels.effects import multibounce_cells as kernels
 from warpsar.kernels.geometry import RayGrid, Triangles
 from warpsar.runtime.structs import allocate, fill
@@ -85,8 +87,25 @@ def offsets() -> NDArray[np.int32]:
     return np.argwhere(np.multiply.outer(apart, apart) <= _SPREAD).astype(np.int32) + (1 - _REACH)
 
 
-def cells_of(grid: BinGrid, cell_m: tuple[float, float], device: wp.Device) -> Any:
-    """`kernels.ResolutionCells` of a size (range, azimuth) [m] among the bins of a grid."""
+@cache
+def response_of(name: str) -> NDArray[np.float64]:
+    """The response of a band with a taper, and its derivative, (2, n), at STEPS places in a cell, REACH cells each way.
+
+    The squares at places one cell apart add up to 1, wherever they lie: the taper's own correlation is 0 at a shift by
+    the whole band.
+    """
+    steps, reach = int(kernels.STEPS), int(kernels.REACH)
+    at = np.arange(-reach * steps, reach * steps + 1) / steps
+    part = (np.arange(1024) + 0.5) / 1024 - 0.5
+    weight = taper(name, part)
+    phase = 2.0 * np.pi * at[:, None] * part
+    scale = np.sqrt(1024 * (weight**2).sum())
+    return np.stack([np.cos(phase) @ weight, -np.sin(phase) @ (2.0 * np.pi * part * weight)]) / scale
+
+
+def cells_of(grid: BinGrid, cell_m: tuple[float, float], tapers: tuple[str, str], device: wp.Device) -> Any:
+    """`kernels.ResolutionCells` of a size (range, azimuth) [m] and tapers among the bins of a grid."""
+    response, slope = np.stack([response_of(name) for name in tapers], axis=1)
     return fill(
         kernels.ResolutionCells,
         size=wp.vec2d(*cell_m),
@@ -94,6 +113,8 @@ def cells_of(grid: BinGrid, cell_m: tuple[float, float], device: wp.Device) -> A
         bin_size=wp.vec2d(*grid.spacing_m),
         bin_cols=grid.shape[1],
         offset=wp.array(offsets(), dtype=wp.vec2i, device=device),
+        response=wp.array(response, dtype=wp.float64, device=device),
+        slope=wp.array(slope, dtype=wp.float64, device=device),
     )
 
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from functools import cache, cached_property
+from functools import cached_property
 from typing import Any
 
-import numpy as np
 import warp as wp
-from scipy.special import gammaln
 
+from warpsar.coherent.bistatic import log_factorials
 from warpsar.effects.base.recorder import Recorder
 from warpsar.effects.bounces.tracing import BouncePaths, CoherentPaths
 from warpsar.kernels.codes import Polarization
@@ -70,19 +69,13 @@ def _verticals(polarization: int) -> tuple[bool, bool]:
     return name[0] == "V", name[1] == "V"
 
 
-@cache
-def _log_factorials(device: str) -> wp.array:
-    """ln n! for each order of `kernels.higher_orders`."""
-    return wp.array(gammaln(np.arange(int(kernels.ORDERS)) + 1.0), dtype=wp.float64, device=device)
-
-
 def diffuse_power(render: Recorder, p: wp.array, fields: Fields, polarization: int) -> wp.array:
     """Record what each path returns per unit of its weight, shape (n,), where its last surface scatters."""
     program, paths, n = render.program, fields.paths, fields.paths.weight.shape[0]
     received, sent = _verticals(polarization)
     power = program.array(n)
     ends = [int(received), int(sent), paths.bounces[-1], paths.home, fields.stuff]
-    orders = _log_factorials(str(program.device))
+    orders = log_factorials(str(program.device))
     arriving = [*fields.sent(sent), *fields.sent(received)]
     inputs = [p, render.geometry.wavenumber, *fields.axes, *ends, orders, fields.zetas[-1], *arriving]
     program.launch(kernels.diffuse_kernel, n, inputs, [power])

@@ -100,7 +100,7 @@ def trace_paths(render: Recorder, max_bounces: int, cell_m: tuple[float, float] 
     first, last = rays.first_cell, rays.end_cell
     width = _band_width(rays, max_bounces, target.device)
     wp.load_module(kernels, device=target.device)
-    cells = None if cell_m is None else cells_of(grid, cell_m, target.device)
+    cells = None if cell_m is None else cells_of(grid, cell_m, render.taper, target.device)
     bands = [
         fill(Band, first_cell=begin, end_cell=min(begin + width, last), seed=hits.seed)
         for begin in range(first, last, width)
