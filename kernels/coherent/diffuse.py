@@ -20,7 +20,7 @@ ONE = wp.constant(wp.float64(1.0))
 
 
 @wp.struct
-class Drawn:
+class NodeNumbers:
     """Two complex Gaussian numbers: of small perturbation, and of the higher powers of the correlation."""
 
     bragg: wp.vec2d
@@ -48,13 +48,13 @@ def plane_of(n: wp.vec3d) -> int:
 
 
 @wp.func
-def drawn_at(seed: int, point: wp.vec3d, axis: int, step: wp.float64) -> Drawn:
+def drawn_at(seed: int, point: wp.vec3d, axis: int, step: wp.float64) -> NodeNumbers:
     """The numbers of the four nodes about a point of a surface, by their weights."""
     x = point[(axis + 1) % 3] / step
     y = point[(axis + 2) % 3] / step
     low_x = wp.floor(x)
     low_y = wp.floor(y)
-    found = Drawn()
+    found = NodeNumbers()
     for corner in range(4):
         i = corner % 2
         j = corner / 2
