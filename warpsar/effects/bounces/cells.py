@@ -63,6 +63,20 @@ class Coupled:
         return Coupled(own, self.field[a:b], self.cell[low:high], self.first[a:b] - low)
 
 
+@dataclass(frozen=True)
+class _Joined:
+    """Groups of all bands, those of one bin and the same faces as one: how many bands there were does not matter.
+
+    `records` and `field` as in `Coupled`; `tubes`, how many each has; `number`: which one each of the bands' groups is
+    in.
+    """
+
+    records: dict[str, NDArray[Any]]
+    field: NDArray[np.complex64]
+    tubes: NDArray[np.int64]
+    number: NDArray[np.int64]
+
+
 @dataclass
 class CellSamples:
     """The fields of paths in the samples of the cells. Paths of one sample lie together.
@@ -163,8 +177,9 @@ def samples_of(
     A sample's power falls where the tubes lie from which it comes, not into the sample's own place: an isolated body
     keeps its pixel, and its power does not depend on where it lies between the samples.
     """
-    records = {name: np.concatenate([part.records[name] for part in parts]) for name in parts[0].records}
-    group, place, field = _shares(records["bin"], np.concatenate([part.field for part in parts]), grid, cell_m)
+    joined = _joined(parts)
+    records = joined.records
+    group, place, field = _shares(records["bin"], joined.field, grid, cell_m)
     power = (field.real**2 + field.imag**2).astype(float)
     bins = records["bin"][group]
     _, met = np.unique(np.append(0, kinds)[records["faces"]], axis=0, return_inverse=True)
@@ -187,7 +202,7 @@ def samples_of(
         "point": np.stack(place_m, axis=1)[sample].astype(np.float32),
         "ray": np.zeros((n, 3), np.float32),
     }
-    owner, bin_, share = _falls(sample[path], bins, power, of_sample.size)
+    owner, bin_, share = _falls(sample[path], bins, field, of_sample.size)
     count = np.diff(first)[owner]
     entry = np.repeat(first[owner] - np.append(0, np.cumsum(count)[:-1]), count) + np.arange(count.sum())
     bin_, share = np.repeat(bin_, count), np.repeat(share, count) * 4.0 * np.pi / pixel_area_m2
@@ -205,6 +220,24 @@ def samples_of(
         upload(bin_[order], np.int32, int),
         upload(share[order], np.float32, float),
     )
+
+
+def _joined(parts: Sequence[Coupled]) -> _Joined:
+    records = {name: np.concatenate([part.records[name] for part in parts]) for name in parts[0].records}
+    tubes = np.concatenate([part.tubes for part in parts])
+    keys = np.column_stack([records["bin"], records["faces"]])
+    _, first, number = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+    number = number.reshape(-1)
+    order = np.argsort(number, kind="stable")
+    starts = np.searchsorted(number[order], np.arange(first.size))
+
+    def added(values: NDArray[Any]) -> NDArray[Any]:
+        return np.asarray(np.add.reduceat(values[order], starts)) if first.size else values[order]
+
+    total = added(tubes)
+    point = added(records["point"] * tubes[:, None]) / total[:, None]
+    one = {name: array[first] for name, array in records.items()} | {"point": point.astype(np.float32)}
+    return _Joined(one, added(np.concatenate([part.field for part in parts])), total, number)
 
 
 def _shares(
@@ -229,23 +262,22 @@ def splits_of(
     parts: Sequence[Coupled], grid: BinGrid, cell_m: tuple[float, float]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Ray cells (azimuth, elevation) of bright samples with too few tubes, and into how many to cut each side."""
-    tubes = np.concatenate([part.tubes for part in parts])
-    worst = errors_of(parts, grid, cell_m)
+    worst = errors_of(parts, grid, cell_m)[_joined(parts).number]
     split = np.ceil(np.clip((worst / _ACCURACY) ** (2 / 3), 1.0, _MOST_SPLIT)).astype(np.int64)
-    each = np.repeat(split, tubes)
+    each = np.repeat(split, np.concatenate([part.tubes for part in parts]))
     cut = each > 1
     return np.concatenate([part.cell for part in parts])[cut], each[cut]
 
 
 def errors_of(parts: Sequence[Coupled], grid: BinGrid, cell_m: tuple[float, float]) -> NDArray[np.float64]:
-    """Relative error of the power of the bright samples to which each group of tubes sends, (n,), by their number.
+    """Relative error of the power of the bright samples to which each group of `_joined` sends, (n,), by their number.
 
     Of n tubes, those at the border of a body are in or out by chance: 4 sqrt(n) of them, each with a variance of about
     0.1. So a field is known to 0.63 n^(-3/4) of it, and its power to twice that.
     """
-    bins = np.concatenate([part.records["bin"] for part in parts])
-    tubes = np.concatenate([part.tubes for part in parts])
-    group, place, field = _shares(bins, np.concatenate([part.field for part in parts]), grid, cell_m)
+    joined = _joined(parts)
+    tubes = joined.tubes
+    group, place, field = _shares(joined.records["bin"], joined.field, grid, cell_m)
     _, sample = np.unique(place, return_inverse=True)
     size = np.abs(field).astype(float)
     power = np.bincount(sample, field.real) ** 2 + np.bincount(sample, field.imag) ** 2
@@ -259,13 +291,17 @@ def errors_of(parts: Sequence[Coupled], grid: BinGrid, cell_m: tuple[float, floa
 
 
 def _falls(
-    sample: NDArray[Any], bins: NDArray[Any], power: NDArray[np.float64], count: int
+    sample: NDArray[Any], bins: NDArray[Any], field: NDArray[np.complex64], count: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
-    """Into which bins the power of each sample falls: samples in order, bins, and shares whose sum is 1 by sample."""
+    """Into which bins the power of each sample falls: samples in order, bins, and shares whose sum is 1 by sample.
+
+    A bin's share is the power of the field that comes from it, all its groups together: how the tubes were grouped, by
+    bands of rays and by the triangles of a face, does not matter.
+    """
     across = int(bins.max(initial=0)) + 1
     keys, inverse = np.unique(sample * across + bins, return_inverse=True)
     owner, bin_ = np.divmod(keys, across)
-    share = np.bincount(inverse, power).astype(float)
+    share = np.bincount(inverse, field.real) ** 2 + np.bincount(inverse, field.imag) ** 2
     for _ in range(2):  # the small ones go, and the others take their place
         share = share / np.bincount(owner, share, count)[owner]
         much = share >= _LEAST_FALL
