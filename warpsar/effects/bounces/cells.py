@@ -301,7 +301,7 @@ def _falls(
     across = int(bins.max(initial=0)) + 1
     keys, inverse = np.unique(sample * across + bins, return_inverse=True)
     owner, bin_ = np.divmod(keys, across)
-    share = np.bincount(inverse, field.real) ** 2 + np.bincount(inverse, field.imag) ** 2
+    share = (np.bincount(inverse, field.real) ** 2 + np.bincount(inverse, field.imag) ** 2).astype(float)
     for _ in range(2):  # the small ones go, and the others take their place
         share = share / np.bincount(owner, share, count)[owner]
         much = share >= _LEAST_FALL
