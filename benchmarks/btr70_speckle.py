@@ -14,7 +14,7 @@ from btr70_measures import Chip
 from measured_loop import impulse_response
 from scipy.optimize import brentq
 
-from warpsar.formats.base.taper import taper
+from warpsar.world.taper import taper
 
 EDGE = 22  # rows at the chip's top and bottom: nothing but grass
 FAR = (5, 6)  # pixels apart, where speckle has nothing in common: what is left there is the ground's own

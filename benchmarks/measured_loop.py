@@ -18,9 +18,9 @@ from warpsar.diagnosis.content import content_of
 from warpsar.diagnosis.found import DiagnoseOptions
 from warpsar.diagnosis.report.page import write_report
 from warpsar.diagnosis.result import diagnose, fitted_models, moved_parameters
-from warpsar.formats.base.taper import taper
 from warpsar.io.images import replacing
 from warpsar.simulation import outputs
+from warpsar.world.taper import taper
 
 REACH = 12  # pixels on either side of a point that its kernel is followed
 FINE = 40  # places of a point inside a pixel

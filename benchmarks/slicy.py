@@ -41,12 +41,12 @@ from warpsar.diagnosis.models.refit import descend
 from warpsar.evaluation import command as evaluation
 from warpsar.formats import registry
 from warpsar.formats.base.data import ImageChip
-from warpsar.formats.base.taper import taper
 from warpsar.io.figures import new, save
 from warpsar.learning.problem import FitProblem
 from warpsar.measured.importer import import_measured
 from warpsar.scene.scene import Scene
 from warpsar.world.frame import SPEED_OF_LIGHT
+from warpsar.world.taper import taper
 
 MAKE_SCENE = Path(__file__).resolve().parent.parent / "data" / "slicy" / "make_scene.py"
 VIEW = "hb14931"

@@ -9,7 +9,7 @@ import click
 from warpsar.cli import options
 from warpsar.formats import registry
 
-# A copy from warpsar.formats.base.taper, which imports NumPy: `--help` must not. A test compares them.
+# A copy from warpsar.world.taper, which imports NumPy: `--help` must not. A test compares them.
 TAPERS = ("none", "hann", "taylor")
 
 

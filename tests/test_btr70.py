@@ -19,8 +19,8 @@ import btr70_shape as shapes  # noqa: E402
 import btr70_speckle as speckle  # noqa: E402
 
 from warpsar.errors import InputError  # noqa: E402
-from warpsar.formats.base.taper import taper  # noqa: E402
 from warpsar.world.mesh import read_mesh  # noqa: E402
+from warpsar.world.taper import taper  # noqa: E402
 
 pytestmark = pytest.mark.unit
 

@@ -132,7 +132,7 @@ def test_simulate_hands_its_options_on(
 
 def test_import_names_the_windows_there_are() -> None:
     from warpsar.cli import import_
-    from warpsar.formats.base.taper import TAPERS
+    from warpsar.world.taper import TAPERS
 
     assert tuple(TAPERS) == import_.TAPERS
 

@@ -8,10 +8,10 @@ from measured_files import C, Pass, echoes
 
 from warpsar.errors import InputError
 from warpsar.formats.base.data import PhaseHistory
-from warpsar.formats.base.taper import taper
 from warpsar.measured.focus import cell_m, focus
 from warpsar.measured.ground import plane_points
 from warpsar.world.frame import view_geometry
+from warpsar.world.taper import taper
 
 pytestmark = pytest.mark.unit
 

@@ -113,7 +113,7 @@ def power_cut(made: Collected, window: str, axis: int, device: str) -> tuple[np.
 
 def ideal(window: str, cells: np.ndarray) -> np.ndarray:
     """The taper's own transform, by quadrature."""
-    from warpsar.formats.base.taper import taper
+    from warpsar.world.taper import taper
 
     place = (np.arange(4096) + 0.5) / 4096 - 0.5
     weights = taper(window, place)

@@ -11,7 +11,6 @@ from worlds import join, mesh_of, plate, scene_of, view
 
 from warpsar.collection.response import width_in_cells
 from warpsar.effects.bounces import cells, tracing
-from warpsar.formats.base.taper import taper
 from warpsar.kernels.effects import multibounce, multibounce_ends
 from warpsar.runtime.structs import fill
 from warpsar.scene.scene import Scene
@@ -19,6 +18,7 @@ from warpsar.simulation.command import Simulation, simulate
 from warpsar.surface.stage import Stage
 from warpsar.trace.hits import BinGrid
 from warpsar.world.mesh import Mesh
+from warpsar.world.taper import taper
 
 LIGHT = 299792458.0
 METAL = {"eps_r": (1e6, -1e6), "rms_height_m": 1e-6, "correlation_length_m": 0.1}

@@ -6,7 +6,6 @@
 | `shape.py` | smooth surfaces with their normals, flat regions with their borders, wedges with their outer angles |
 | `rough.py` | the scatterers of rough faces |
 | `rough_models.py` | which scatterers have a model beside `ka_spm`, and what their kernels look up |
-| `bistatic.py` | numbers that the kernels of bistatic scattering share |
 | `records.py` | arrays of a kernel's structs, filled on the host |
 | `body.py` | a shape and its materials on a device |
 | `forecast.py` | time and memory of a sweep, measured on parts of it |

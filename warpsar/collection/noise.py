@@ -12,7 +12,7 @@ from warpsar.collection.history import Collected
 from warpsar.collection.plan import Plan
 from warpsar.collection.response import band_weights
 from warpsar.collection.slc import Slc
-from warpsar.formats.base.taper import taper
+from warpsar.world.taper import taper
 
 F64 = NDArray[np.float64]
 

@@ -11,7 +11,6 @@ import warp as wp
 from numpy.typing import NDArray
 
 from warpsar.coherent import rays as cells
-from warpsar.coherent.bistatic import log_factorials
 from warpsar.coherent.body import CoherentBody
 from warpsar.coherent.directions import Directions
 from warpsar.coherent.records import host, records, upload
@@ -22,6 +21,7 @@ from warpsar.kernels import collection as kernels
 from warpsar.kernels.coherent import tubes
 from warpsar.kernels.coherent.rough_models import rough_places_kernel
 from warpsar.runtime import threads
+from warpsar.surface.bistatic import log_factorials
 
 F64 = NDArray[np.float64]
 COARSE = 16

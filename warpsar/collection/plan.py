@@ -21,7 +21,6 @@ from warpsar.effects.base.product import Product
 from warpsar.effects.registry import declared
 from warpsar.errors import InputError
 from warpsar.formats.base.acquisition import Acquisition
-from warpsar.formats.base.taper import taper
 from warpsar.kernels.backproject import first_surface_kernel
 from warpsar.measured.ground import pixel_centres
 from warpsar.measured.placed import frame_of
@@ -29,6 +28,7 @@ from warpsar.world.collection import Collection
 from warpsar.world.frame import SPEED_OF_LIGHT, ViewGeometry
 from warpsar.world.site import Site
 from warpsar.world.tables import View
+from warpsar.world.taper import taper
 from warpsar.world.track import Track, along, circle, straight
 from warpsar.world.world import World, geometry_of
 

@@ -12,9 +12,9 @@ from warpsar.collection.presets import filled
 from warpsar.effects.base.effect import DeclaredEffect
 from warpsar.effects.base.phase import Response
 from warpsar.errors import InputError
-from warpsar.formats.base.taper import taper
 from warpsar.scene.checks import declared_twice
 from warpsar.world.collection import Collection
+from warpsar.world.taper import taper
 from warpsar.world.world import World
 
 

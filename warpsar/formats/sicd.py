@@ -23,11 +23,11 @@ from warpsar.formats.base.data import Facts, ImageChip, direction_deg, reading
 from warpsar.formats.base.declared import Declared, cells_of, half_power_width
 from warpsar.formats.base.extra import Extra
 from warpsar.formats.base.format import Format, Stated
-from warpsar.formats.base.taper import TAYLOR_NBAR, TAYLOR_SIDELOBE_DB
 from warpsar.io.images import replacing
 from warpsar.version import __version__
 from warpsar.world.earth import LocalEarth, ecef_to_geodetic
 from warpsar.world.frame import SPEED_OF_LIGHT
+from warpsar.world.taper import TAYLOR_NBAR, TAYLOR_SIDELOBE_DB
 
 if TYPE_CHECKING:
     import sarkit.sicd as sarkit_sicd

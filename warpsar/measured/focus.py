@@ -18,11 +18,11 @@ from scipy import fft
 
 from warpsar.errors import InputError
 from warpsar.formats.base.data import PhaseHistory
-from warpsar.formats.base.taper import taper
 from warpsar.kernels.backproject import Pulses, backproject_kernel
 from warpsar.runtime import console, devices, threads
 from warpsar.runtime.structs import fill
 from warpsar.world.frame import SPEED_OF_LIGHT
+from warpsar.world.taper import taper
 
 OVERSAMPLING = 8  # with cubic interpolation the edge of the band loses 6e-4 of its amplitude
 _PROFILE_BYTES = 256 * 2**20

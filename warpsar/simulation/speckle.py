@@ -12,12 +12,12 @@ from scipy.fft import fft, next_fast_len
 from warpsar.effects.base.phase import Response
 from warpsar.effects.registry import declared
 from warpsar.errors import InputError
-from warpsar.formats.base.taper import taper
 from warpsar.kernels.codes import Polarization
 from warpsar.kernels.effects.point_spread import SINC_WIDTH, TAYLOR_WIDTH
 from warpsar.scene.scene import Scene
 from warpsar.speckle.draws import correlated_power
 from warpsar.speckle.law import Law
+from warpsar.world.taper import taper
 
 _STREAM = 0x5BEC  # keeps these numbers apart from any others of the same seed
 

@@ -32,11 +32,10 @@ SENSORS: dict[str, Sensor] = {
         5.405e9,
         (5.0, 5.0),
         -22.0,
-        (20.0, 43.0),
+        (18.3, 46.8),
         (
             "frequency and resolution: ESA, sentinel.esa.int, Sentinel-1 instrument payload",
-            "NESZ: ESA, Sentinel-1 SAR Technical Guide, Performance",
-            "incidences: Scientific Reports (2025), doi 10.1038/s41598-025-16618-w, table 2",
+            "NESZ and incidences: ESA, Sentinel-1 SAR User Guide, Stripmap, table 1",
         ),
     ),
     "palsar": Sensor(

@@ -11,11 +11,11 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from warpsar.formats.base.taper import taper
 from warpsar.kernels.effects import multibounce_cells as kernels
 from warpsar.kernels.geometry import RayGrid, Triangles
 from warpsar.runtime.structs import allocate, fill
 from warpsar.trace.hits import BinGrid
+from warpsar.world.taper import taper
 
 _REACH = 8
 """Samples on each side of a field that get a share of it."""

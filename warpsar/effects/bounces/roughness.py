@@ -7,13 +7,13 @@ from typing import Any
 
 import warp as wp
 
-from warpsar.coherent.bistatic import log_factorials
 from warpsar.effects.base.recorder import Recorder
 from warpsar.effects.bounces.tracing import BouncePaths, CoherentPaths
 from warpsar.kernels.codes import Polarization
 from warpsar.kernels.effects import multibounce_ends as kernels
 from warpsar.models import registry as models
 from warpsar.runtime.structs import fill
+from warpsar.surface.bistatic import log_factorials
 
 
 class Fields:
