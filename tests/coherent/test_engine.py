@@ -266,7 +266,8 @@ def _fringes(s: np.ndarray, phi: float) -> np.ndarray:
     across = np.array([-np.sin(phi), np.cos(phi), 0.0])
     fields = np.stack([across, np.cross(s, across)])
     out = wp.empty(2, dtype=wp.vec3d, device="cpu")
-    wp.launch(_fringe_kernel, 2, inputs=[K, wp.vec3d(*s), wp.array(fields, dtype=wp.vec3d, device="cpu"), out])
+    inputs = [K, wp.vec3d(*s), wp.array(fields, dtype=wp.vec3d, device="cpu")]
+    wp.launch(_fringe_kernel, 2, inputs=inputs, outputs=[out], device="cpu")
     return 1j * out.numpy()
 
 
