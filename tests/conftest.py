@@ -7,6 +7,7 @@ import hypothesis
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
+WITHOUT = "not slow and not measured"  # pyproject's `-m`
 
 # A first launch compiles its kernels: no example's time says anything.
 hypothesis.settings.register_profile("warpsar", deadline=None)
@@ -28,9 +29,14 @@ def pytest_configure() -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """`-m unit` stands in the place of pyproject's `-m`, so what that leaves out is left out here."""
-    if config.option.markexpr == "unit":
-        long = [item for item in items if any(map(item.get_closest_marker, ("full", "slow", "measured")))]
+    """Tests of seconds are left out where nobody names a file: files that are named run whole.
+
+    `-m unit` stands in the place of pyproject's `-m`, so what that leaves out is left out here."""
+    everything = {Path(arg.split("::")[0]).resolve() for arg in config.args} <= {ROOT, ROOT / "tests"}
+    marks = {"unit": {"full", "slow", "measured"}, WITHOUT: {"full"} if everything else set()}
+    named = marks.get(config.option.markexpr, set())
+    long = [item for item in items if any(map(item.get_closest_marker, named))]
+    if long:
         config.hook.pytest_deselected(items=long)
         items[:] = [item for item in items if item not in long]
 

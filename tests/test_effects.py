@@ -59,7 +59,6 @@ def test_has_a_file_of_tests(name: str) -> None:
     assert found, f"tests/effects/test_{name}.py holds no test"
 
 
-@pytest.mark.full
 @pytest.mark.parametrize("name", names())
 def test_has_its_tables(name: str) -> None:
     """`example` for pictures, `rate_case` for the rates of the diagnosis: scene.toml would take both."""
@@ -122,7 +121,6 @@ def test_the_page_of_effects_says_which_acts_on_what() -> None:
     ]
 
 
-@pytest.mark.full
 @pytest.mark.parametrize(("name", "table", "radar"), WORKING, ids=IDS)
 def test_changes_the_image(name: str, table: dict[str, Any], radar: Mapping[str, Any]) -> None:
     scene = street(**radar)
@@ -146,7 +144,6 @@ def test_neutral_changes_no_bit(name: str) -> None:
             assert np.array_equal(image, after.beta0[polarization])
 
 
-@pytest.mark.full
 @pytest.mark.parametrize(("name", "table", "radar"), WORKING, ids=IDS)
 def test_program_at_neutral_is_the_image_without(name: str, table: dict[str, Any], radar: Mapping[str, Any]) -> None:
     """On the same hits, with the effect in the program: a fit may start there, a template is taken there."""
@@ -214,7 +211,6 @@ def test_an_image_effect_alone_is_the_same(name: str, table: dict[str, Any]) -> 
     assert set(bare.settings) == set()
 
 
-@pytest.mark.full
 @pytest.mark.parametrize("name", names())
 def test_trials_can_be_declared(name: str) -> None:
     """Steps from neutral are tables that scene.toml would take, and change the images they say they change."""
