@@ -7,7 +7,6 @@ import hypothesis
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-WITHOUT = "not slow and not measured"  # pyproject's `-m`
 
 # A first launch compiles its kernels: no example's time says anything.
 hypothesis.settings.register_profile("warpsar", deadline=None)
@@ -33,9 +32,12 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
     `-m unit` stands in the place of pyproject's `-m`, so what that leaves out is left out here."""
     everything = {Path(arg.split("::")[0]).resolve() for arg in config.args} <= {ROOT, ROOT / "tests"}
-    marks = {"unit": {"full", "slow", "measured"}, WITHOUT: {"full"} if everything else set()}
-    named = marks.get(config.option.markexpr, set())
-    long = [item for item in items if any(map(item.get_closest_marker, named))]
+    marked: tuple[str, ...] = ()
+    if config.option.markexpr == "unit":
+        marked = ("full", "slow", "measured")
+    elif everything and config.option.markexpr in config.getini("addopts"):  # nobody has stated another `-m`
+        marked = ("full",)
+    long = [item for item in items if any(map(item.get_closest_marker, marked))]
     if long:
         config.hook.pytest_deselected(items=long)
         items[:] = [item for item in items if item not in long]

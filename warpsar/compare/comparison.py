@@ -20,7 +20,7 @@ from warpsar.runtime import console
 from warpsar.runtime.distributed.processes import ONE, Ranks, join
 from warpsar.scene.scene import Scene
 from warpsar.simulation.rays import hit_grid
-from warpsar.simulation.sampling import FEWEST, RAY_NOISE, choose_density
+from warpsar.simulation.sampling import RAY_NOISE, choose_density
 from warpsar.speckle.likelihood import best_gain, scaled_deviance
 from warpsar.surface.stage import Stage
 from warpsar.trace.rays import ray_count
@@ -216,8 +216,8 @@ def compare(
     plain = replace(scene, effects={name: t for name, t in scene.effects.items() if get(name).stage != "image"})
     looks = [looks_of(scene, view) for _, view in views]
     ranks = join(device) if shared else ONE
-    density = max(scene.sampling.density_per_m2(scene.grid), FEWEST / scene.grid.pixel_area_m2)
-    if sampled(plain):
+    density = scene.sampling.density_per_m2(scene.grid)
+    if sampled(plain):  # exact areas alone have no noise for which more would be chosen
         density = choose_density(plain, stage, [view for _, view in views], looks, RAY_NOISE, shared=shared).rays_per_m2
     grid = hit_grid(scene)
     costs = [ray_count(stage.target, geometry_of(scene, view), grid, density) * len(view.images) for _, view in views]

@@ -20,8 +20,7 @@ from warpsar.scene.scene import Scene
 from warpsar.speckle.draws import Speckle
 from warpsar.speckle.scan import Scan
 
-# Set on scenes with nothing and with one thing missing, on two cores; benchmarks/diagnosis_forecast.py holds them
-# against runs of others.
+# Set on the shared cases `none` and `tall`, on two cores; benchmarks/diagnosis_forecast.py holds them against others.
 JACOBIANS = 60.0  # of a start of a fit, and of the models that are judged
 BATCHES = 70.0  # of draws beside those of the bootstrap, that templates, scores and the judgement are worth
 EFFECT = 2.5  # times all of it, for an effect that is found: candidates' fits, the next turn, and confirmation

@@ -262,7 +262,7 @@ def splits_of(
     parts: Sequence[Coupled], grid: BinGrid, cell_m: tuple[float, float]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Ray cells (azimuth, elevation) of bright samples with too few tubes, and into how many to cut each side."""
-    worst = errors_of(parts, grid, cell_m)[_joined(parts).number]
+    worst = errors_of(parts, grid, cell_m)
     split = np.ceil(np.clip((worst / _ACCURACY) ** (2 / 3), 1.0, _MOST_SPLIT)).astype(np.int64)
     each = np.repeat(split, np.concatenate([part.tubes for part in parts]))
     cut = each > 1
@@ -270,7 +270,7 @@ def splits_of(
 
 
 def errors_of(parts: Sequence[Coupled], grid: BinGrid, cell_m: tuple[float, float]) -> NDArray[np.float64]:
-    """Relative error of the power of the bright samples to which each group of `_joined` sends, (n,), by their number.
+    """Relative error of the power of the bright samples to which each group of tubes sends, (n,), by their number.
 
     Of n tubes, those at the border of a body are in or out by chance: 4 sqrt(n) of them, each with a variance of about
     0.1. So a field is known to 0.63 n^(-3/4) of it, and its power to twice that.
@@ -287,7 +287,7 @@ def errors_of(parts: Sequence[Coupled], grid: BinGrid, cell_m: tuple[float, floa
     np.maximum.at(strongest, group, size)
     mine = size**2 >= 0.1 * strongest[group] ** 2
     np.maximum.at(worst, group[mine], error[sample[mine]])
-    return worst
+    return worst[joined.number]
 
 
 def _falls(
