@@ -27,7 +27,13 @@ from warpsar.cli import options
     show_default=True,
     help="Chance of any false alarm each time that effects are tested.",
 )
-@click.option("--draws", type=click.IntRange(min=1), default=1000, show_default=True, help="Draws of the bootstrap.")
+@click.option(
+    "--draws",
+    type=click.IntRange(min=1),
+    default=1000,
+    show_default=True,
+    help="Most draws of speckle for the scores of a turn.",
+)
 @click.option("--starts", type=click.IntRange(min=0), default=2, show_default=True, help="Further starts of every fit.")
 @click.option(
     "--most-effects",

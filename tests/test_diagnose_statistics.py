@@ -144,13 +144,58 @@ def test_tail_is_calibrated_inside_and_beyond_the_draws() -> None:
     assert (np.diff(many) >= 0).all()
 
 
-def test_threshold_is_passed_at_the_family_error() -> None:
-    largest = np.sort(np.random.default_rng(1).exponential(size=1000))
-    boot = Bootstrap({}, largest)
-    threshold = boot.threshold(0.01)
-    assert np.mean(largest > threshold) == pytest.approx(0.01, abs=0.001)
-    assert boot.p_family(threshold) == pytest.approx(0.011, abs=0.001)
-    assert boot.p_family(1e9) == pytest.approx(1 / 1001)
+@pytest.mark.parametrize("draws", [200, 1000, 4000])
+def test_threshold_is_passed_at_the_family_error(draws: int) -> None:
+    """Exponential draws: 1 % lie above ln 100. Over 400 families the threshold scatters about it as is stated, and the
+    statement itself by a tenth and by what the scale is off."""
+    families = np.random.default_rng(1).exponential(size=(400, draws))
+    boots = [Bootstrap({}, np.sort(one)) for one in families]
+    found = np.array([boot.threshold(0.01) for boot in boots])
+    stated = np.mean([Tail.of(boot.largest).value_error(np.log(100.0)) for boot in boots])
+    assert found.mean() == pytest.approx(np.log(100.0), abs=4.0 * stated / 20.0 + 0.02)  # 0.02: a quantile of 200
+    assert found.std() == pytest.approx(stated, rel=0.15)
+    boot = boots[0]
+    assert boot.p_family(1e9) == pytest.approx(1 / (draws + 1))
+    assert boot.threshold(0.5) == np.quantile(families[0], 0.5)  # among the draws there is no tail
+
+
+def test_an_interval_of_a_tail_holds_the_truth() -> None:
+    """-ln p of a value of exponential draws is the value: of 400 tails, 2 standard errors hold it in 95 %."""
+    tails = [Tail.of(one) for one in np.random.default_rng(2).exponential(size=(400, 200))]
+    for truth in (4.0, 8.0, 30.0):
+        held = np.mean([low <= truth <= high for low, high in (tail.interval(truth) for tail in tails)])
+        assert 0.9 < held <= 1.0
+    assert tails[0].interval(0.1) == tails[0].interval(tails[0].edge)  # among the draws
+
+
+def test_the_first_draws_decide_as_all_do() -> None:
+    """300 families of 15 scores, with nothing there or with one that stands out. Where 200 draws are said to decide,
+    the scores that pass are those that pass by 1000; but for those that the best one leaves behind."""
+    random = np.random.default_rng(3)
+    settled, agreed = 0, 0
+    for family in range(300):
+        scores = {str(k): float(v) for k, v in enumerate(random.exponential(size=15))}
+        if family % 2:
+            scores["0"] = float(random.uniform(4.0, 40.0))
+        drawn = {name: random.exponential(size=1000) for name in scores}
+        few, all_of_them = (_calibrated({n: d[:count] for n, d in drawn.items()}) for count in (200, 1000))
+        if few.decides(scores, 0.01):
+            settled += 1
+            agreed += _passing(few, scores) == _passing(all_of_them, scores)
+    assert settled > 150  # else nothing is saved
+    assert agreed >= 0.98 * settled
+
+
+def _calibrated(drawn: dict[str, np.ndarray]) -> Bootstrap:
+    tails = {name: Tail.of(values) for name, values in drawn.items()}
+    return Bootstrap(tails, np.sort(np.max([tails[name](values) for name, values in drawn.items()], axis=0)))
+
+
+def _passing(boot: Bootstrap, scores: dict[str, float]) -> set[str]:
+    """Scores beyond the threshold, but for those far behind the best."""
+    calibrated = {name: float(boot.tails[name](score)) for name, score in scores.items()}
+    best = max(calibrated.values())
+    return {name for name, score in calibrated.items() if score > max(boot.threshold(0.01), 0.6 * best)}
 
 
 @pytest.mark.parametrize("looks", [1.0, 4.0, 16.0])

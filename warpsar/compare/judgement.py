@@ -13,13 +13,13 @@ level      whether the deviance of the lit interior is that of even ground, and 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from typing import Any, Literal
 
 import numpy as np
-from scipy.special import erfc
+from scipy.special import erfc, erfcinv
 
 from warpsar.compare.comparison import LARGEST, Comparison
 from warpsar.compare.edges import EdgeDisplacements, displaced, edges_of
@@ -33,7 +33,7 @@ from warpsar.speckle.likelihood import scaled_deviance
 from warpsar.speckle.own import Patch, own_autocovariance
 from warpsar.speckle.scan import Scan, Spot
 from warpsar.speckle.scan import Window as Size
-from warpsar.speckle.tail import Tail
+from warpsar.speckle.tail import FIRST, SURE, Tail
 
 ERROR_RATE = 0.005  # chance that a right model is called anything else
 SHARE = ERROR_RATE / 4  # of it, for each of windows, profiles, edges and level
@@ -197,18 +197,13 @@ def judge(images: Sequence[Comparison]) -> Judgement:
     correlation, variance = own_autocovariance([_patch(image) for image in sample])
     shown = max(variance, 1.0)
     profiles = Profiles(sample, shown * float(correlation.sum()), parts=share < 1.0)
-    drawn = _drawn(sample, profiles, correlation, shown)
-
     scan = Scan([_of_usable(image) for image in images], correlation, windows=SIZES)
     granted = 10.0 ** (WINDOW_DB / 10.0) - 1.0
     spot = scan.strongest(
         [image.residual[image.usable] for image in images],
         [granted * (image.simulated / image.sd)[image.usable] for image in images],
     )
-    in_sample = min(np.exp(-float(Tail.of(drawn.windows)(abs(spot.z)))), 1.0 - 1e-9)
-    p_window = float(-np.expm1(np.log1p(-in_sample) / share))
     profile = profiles.strongest([i.residual[i.usable] for i in sample], granted)
-    p_profile = float(np.exp(-float(Tail.of(drawn.profiles)(profile.surprise))))
 
     edges = edges_of(images, shown, correlation)
     grounds = [_ground(image, correlation) for image in images]
@@ -217,19 +212,39 @@ def judge(images: Sequence[Comparison]) -> Judgement:
     even = np.array([int(image.even.sum()) for image in images])
     mean = float(sum(image.scaled_deviance[image.even[image.interior]].sum() for image in images) / max(even.sum(), 1))
     own, own_error = _own_level(images, grounds, speckle, even / max(even.sum(), 1))
-    speckle_error = float(drawn.levels.std() * np.sqrt(share))
-    error = float(np.hypot(speckle_error, own_error))
     noise = max(image.sampling_noise for image in images)
     estimated = any(image.seen.looks_estimated for image in images)
-    asked = [(own, LEVEL_MATTERS, error)]
-    if not (estimated or speckle.departs):
-        asked.append((1.0, MATTERS, speckle_error))
-    if not even.any() or speckle_error == 0.0:  # all pixels lie at edges: there is no level to be told
-        asked, error = [], math.inf
-    off = [0.0] + [
-        max(abs(mean - at) - matters - (noise if mean > at else 0.0), 0.0) / scatter for at, matters, scatter in asked
-    ]
-    p_level = float(erfc(max(off) / np.sqrt(2.0)))
+
+    def off(drawn: _Drawn) -> tuple[float, float]:
+        """By how many standard errors the level is off, and the error."""
+        speckle_error = float(drawn.levels.std() * np.sqrt(share))
+        if not even.any() or speckle_error == 0.0:  # all pixels lie at edges: there is no level to be told
+            return 0.0, math.inf
+        error = float(np.hypot(speckle_error, own_error))
+        asked = [(own, LEVEL_MATTERS, error)]
+        if not (estimated or speckle.departs):
+            asked.append((1.0, MATTERS, speckle_error))
+        away = [
+            max(abs(mean - at) - matters - (noise if mean > at else 0.0), 0.0) / scatter
+            for at, matters, scatter in asked
+        ]
+        return max(away), error
+
+    def decided(drawn: _Drawn) -> bool:
+        """Whether more draws would change no finding."""
+        limits = -np.log(SHARE * share), -np.log(SHARE)
+        tails = (drawn.windows, abs(spot.z)), (drawn.profiles, profile.surprise)
+        ends = [Tail.of(values).interval(value) for values, value in tails]
+        sure = [low > limit or high < limit for limit, (low, high) in zip(limits, ends, strict=True)]
+        away = np.sqrt(2.0) * erfcinv(SHARE)
+        return all(sure) and abs(off(drawn)[0] / away - 1.0) > SURE / np.sqrt(2.0 * drawn.levels.size)
+
+    drawn = _drawn(sample, profiles, correlation, shown, decided)
+    in_sample = min(np.exp(-float(Tail.of(drawn.windows)(abs(spot.z)))), 1.0 - 1e-9)
+    p_window = float(-np.expm1(np.log1p(-in_sample) / share))
+    p_profile = float(np.exp(-float(Tail.of(drawn.profiles)(profile.surprise))))
+    level_off, error = off(drawn)
+    p_level = float(erfc(level_off / np.sqrt(2.0)))
 
     findings: list[Finding] = []
     if min(p_window, p_profile) < SHARE:
@@ -325,9 +340,15 @@ class _Drawn:
     levels: np.ndarray
 
 
-def _drawn(sample: Sequence[Comparison], profiles: Profiles, correlation: np.ndarray, shown: float) -> _Drawn:
-    """Draws with outlines displaced as is granted; `shown`: the variance of the residual over that of the declared
-    law."""
+def _drawn(
+    sample: Sequence[Comparison],
+    profiles: Profiles,
+    correlation: np.ndarray,
+    shown: float,
+    decided: Callable[[_Drawn], bool],
+) -> _Drawn:
+    """Draws with outlines displaced as is granted: `FIRST` of them, and more where these do not decide. `shown`: the
+    variance of the residual over that of the declared law."""
     laws = [Law.of_equivalent(i.seen.looks / shown, i.seen.texture) for i in sample]
     patches = [Patch(i.scatters, i.simulated, law) for i, law in zip(sample, laws, strict=True)]
     counts = [int(p.interior.sum()) for p in patches]
@@ -353,8 +374,16 @@ def _drawn(sample: Sequence[Comparison], profiles: Profiles, correlation: np.nda
             residuals.append(residual)
         return scan.largest(residuals), profiles.largest(residuals), total / interior
 
+    def run(some: Sequence[np.random.SeedSequence]) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        return list(threads.in_threads(partial(batch, one) for one in some))
+
     seeds = np.random.SeedSequence(SEED).spawn(-(-draws // size))
-    return _Drawn(*map(np.concatenate, zip(*threads.in_threads(partial(batch, one) for one in seeds), strict=True)))
+    first = min(-(-FIRST // size), len(seeds))
+    batches = run(seeds[:first])
+    found = _Drawn(*map(np.concatenate, zip(*batches, strict=True)))
+    if first == len(seeds) or decided(found):
+        return found
+    return _Drawn(*map(np.concatenate, zip(*batches, *run(seeds[first:]), strict=True)))
 
 
 def _own_level(

@@ -166,6 +166,7 @@ def _addition(
 def _turn(turn: Turn) -> dict[str, Any]:
     return {
         "threshold": turn.threshold,
+        "draws": turn.draws,
         "scan": {"z": turn.spot.z, "minus_log_p": turn.scan_minus_log_p, "p_value": turn.p_scan},
         "candidates": [_candidate(c, turn) for c in turn.candidates],
         "added": turn.added,

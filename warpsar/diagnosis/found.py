@@ -31,11 +31,11 @@ class DiagnoseOptions:
     """How to decide.
 
     `family_error`: chance of naming anything, or calling the rest unexplained, where nothing is missing. `draws`:
-    bootstrap size. `refits`: how many of the likeliest candidates get a full fit. `starts`: further starts of every
-    fit. `most_effects`: how many may be added; by default as many as there are. `bodies`: whether bodies may be moved,
-    left out or proposed; each takes renders of the whole scene, so a hundred of them take hours. `time_limit_s`: when
-    the search ends with what it has found; None for no limit. Raises InputError where the draws are too few for the
-    error rate.
+    most draws of speckle that calibrate a turn's scores. `refits`: how many of the likeliest candidates get a full fit.
+    `starts`: further starts of every fit. `most_effects`: how many may be added; by default as many as there are.
+    `bodies`: whether bodies may be moved, left out or proposed; each takes renders of the whole scene, so a hundred of
+    them take hours. `time_limit_s`: when the search ends with what it has found; None for no limit. Raises InputError
+    where the draws are too few for the error rate.
     """
 
     family_error: float = 0.01
@@ -156,7 +156,8 @@ class DarkScan:
 @dataclass
 class Turn:
     """One turn: what was tested, what was added on trial (None: nothing), and what was dropped of earlier turns'
-    effects. `dark`: what the scan of dark pixels found; None where there are too few."""
+    effects. `dark`: what the scan of dark pixels found; None where there are too few. `draws`: how many
+    calibrated the scores."""
 
     candidates: list[Candidate]
     added: str | None
@@ -168,6 +169,7 @@ class Turn:
     fitted: Fitted | None = None
     dropped: list[str] = field(default_factory=list)
     dark: DarkScan | None = None
+    draws: int = 0
 
     @property
     def alarms(self) -> bool:

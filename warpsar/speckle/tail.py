@@ -1,4 +1,8 @@
-"""How improbable a value is that few draws or none have reached."""
+"""How improbable a value is that few draws or none have reached.
+
+Draws are most of what a chance costs, and most chances are far from the limit that decides. So draws come in two
+stages: the second is left out where the first has decided (Besag and Clifford, Biometrika 78, 1991).
+"""
 
 from __future__ import annotations
 
@@ -7,6 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+FIRST = 200  # draws, after which it is asked whether more are needed
+SURE = 2.0  # standard errors that a chance must be away from a limit to need no more draws
 TAIL = 0.1  # share of the draws from which a score's tail is taken to fall off exponentially
 
 
@@ -25,6 +31,27 @@ class Tail:
         edge = float(np.quantile(body, 1.0 - TAIL))
         excess = body[body > edge] - edge
         return cls(body, edge, max(float(excess.mean()) if excess.size else 0.0, 1e-6))
+
+    def value(self, minus_log_p: float) -> float:
+        """The value whose `minus_log_p` this is: what speckle alone exceeds with that probability."""
+        if minus_log_p <= -np.log(TAIL):
+            return float(np.quantile(self.body, -np.expm1(-minus_log_p)))
+        return self.edge + self.scale * float(minus_log_p + np.log(TAIL))
+
+    def interval(self, value: float) -> tuple[float, float]:
+        """Between which -ln p of a value beyond the edge lies, by `SURE` standard errors: those of the scale, known to
+        one over the root of the draws there, and of the edge. Of any other value, that of the edge."""
+        count = TAIL * self.body.size
+        edge, relative, of_edge = -np.log(TAIL), SURE / np.sqrt(count), SURE * np.sqrt((1.0 - TAIL) / count)
+        beyond = max(float(self(value)) - edge, 0.0)
+        less = beyond - beyond / (1.0 + relative)
+        more = beyond / max(1.0 - relative, TAIL) - beyond
+        return edge + beyond - float(np.hypot(less, of_edge)), edge + beyond + float(np.hypot(more, of_edge))
+
+    def value_error(self, minus_log_p: float) -> float:
+        """Standard error of `value` beyond the edge, where the density is `TAIL` over the scale."""
+        beyond = (minus_log_p + np.log(TAIL)) / np.sqrt(TAIL * self.body.size)
+        return self.scale * float(np.hypot(beyond, np.sqrt((1.0 - TAIL) / (TAIL * self.body.size))))
 
     def __call__(self, values: npt.ArrayLike) -> np.ndarray:
         values = np.asarray(values, float)

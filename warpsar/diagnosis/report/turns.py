@@ -21,11 +21,11 @@ def turn_section(turn: Turn, number: int, done: Diagnosed, content: dict[str, An
     effects = turn.base.scene.effects
     about = f"with {', '.join(effects)}" if effects else "as declared"
     tested = [c for c in turn.candidates if c.testability == "testable" and not is_geometry(c.effect)]
-    draws, error = content["options"]["draws"], 100.0 * content["options"]["family_error"]
+    error = 100.0 * content["options"]["family_error"]
     said = (
         f"The model {about}, fitted. Every effect's template (what it would change in the images to first order, "
         f"rendered with rays of its own) is compared with what is left, after what the fitted parameters imitate is "
-        f"taken out of both. Scores are -ln p, calibrated by {draws} draws of speckle with the residual's own "
+        f"taken out of both. Scores are -ln p, calibrated by {turn.draws} draws of speckle with the residual's own "
         f"correlation; anything over {turn.threshold:.1f} turns up by chance in {error:g} % of scenes, all effects "
         f"and the scan taken together. A score says that a template fits, not that it is the cause: the "
         f"likeliest is added on trial, and has to hold beside all others at the end."
@@ -33,7 +33,7 @@ def turn_section(turn: Turn, number: int, done: Diagnosed, content: dict[str, An
     blocks = [
         report.paragraph(said),
         _bars(turn, tested),
-        _candidate_table(turn, tested, content),
+        _candidate_table(turn, tested),
     ]
     blocks += [report.paragraph(text) for text in _why(turn)]
     return report.section(f"Turn {number + 1}: what each effect scored", *blocks)
@@ -57,7 +57,7 @@ def _bars(turn: Turn, tested: Sequence[Candidate]) -> str:
     return report.bars(bars, length(turn.threshold) / length(most), f"{key}; blue: added")
 
 
-def _candidate_table(turn: Turn, tested: Sequence[Candidate], content: dict[str, Any]) -> str:
+def _candidate_table(turn: Turn, tested: Sequence[Candidate]) -> str:
     rows = []
     for c in sorted(tested, key=lambda c: -c.minus_log_p):
         alike = c.resembles[:MOST_RESEMBLING]
@@ -65,7 +65,7 @@ def _candidate_table(turn: Turn, tested: Sequence[Candidate], content: dict[str,
             [
                 c.effect,
                 score_text(c.minus_log_p),
-                _p(c.p_value, content),
+                _p(c.p_value, turn),
                 f"{100 * c.eta:.3g} %",
                 "–" if c.refit_gain is None else f"{gain_text(c)} ({c.refit_size})",
                 "–" if c.left_out is None else plus_minus(c.left_out.gain, c.left_out.error),
@@ -77,7 +77,7 @@ def _candidate_table(turn: Turn, tested: Sequence[Candidate], content: dict[str,
         [
             "scan for anything",
             score_text(turn.scan_minus_log_p),
-            _p(turn.p_scan, content),
+            _p(turn.p_scan, turn),
             *["–"] * 4,
             f"z {turn.spot.z:+.1f}",
         ]
@@ -99,7 +99,7 @@ def _why(turn: Turn) -> list[str]:
     return said + [f"{name}, added before, is needless beside {turn.added}, and was dropped." for name in turn.dropped]
 
 
-def _p(value: float, content: dict[str, Any]) -> str:
+def _p(value: float, turn: Turn) -> str:
     """A p-value by bootstrap, which ends at one over its draws."""
-    least = 1.0 / (content["options"]["draws"] + 1)
+    least = 1.0 / (turn.draws + 1)
     return f"< {least:.2g}" if value <= 1.01 * least else f"{value:.2g}"

@@ -14,9 +14,10 @@ from warpsar.runtime import once, threads
 from warpsar.runtime.deadline import check
 from warpsar.speckle.draws import Speckle
 from warpsar.speckle.scan import Scan
-from warpsar.speckle.tail import Tail
+from warpsar.speckle.tail import FIRST, SURE, Tail
 
 BATCH = 25  # draws at once; fixed, so that the numbers do not depend on the threads
+BEHIND = 0.5  # of the best score, below which it does not matter on which side of the threshold another one is
 
 
 @dataclass(frozen=True)
@@ -27,9 +28,28 @@ class Bootstrap:
     tails: Mapping[str, Tail]
     largest: np.ndarray
 
+    @property
+    def draws(self) -> int:
+        """How many draws there were."""
+        return self.largest.size
+
     def threshold(self, family_error: float) -> float:
         """What any of them must exceed, in calibrated -ln p, at the family's error rate."""
-        return float(np.quantile(self.largest, 1.0 - family_error))
+        return Tail.of(self.largest).value(-np.log(family_error))
+
+    def decides(self, scores: Mapping[str, float], family_error: float) -> bool:
+        """Whether more draws would put no score, by name and not calibrated, on the other side of the threshold.
+
+        A score below `BEHIND` of the best needs no side: what is added on trial comes first, and it is scored again.
+        """
+        threshold = self.threshold(family_error)
+        unsure = SURE * Tail.of(self.largest).value_error(-np.log(family_error))
+        ends = [self.tails[name].interval(score) for name, score in scores.items()]
+        best = max(low for low, _ in ends)
+        needed = threshold - unsure
+        if best > threshold + unsure:
+            needed = max(needed, BEHIND * best)
+        return all(low > threshold + unsure or high < needed for low, high in ends)
 
     def with_another(self, seed: int) -> Bootstrap:
         """One more member of the family, of pixels that no other member uses: a calibrated -ln p is exponential."""
@@ -49,10 +69,12 @@ def bootstrap(
     draws: int,
     seed: int,
     progress: Callable[[int], object] | None = None,
+    decided: Callable[[Bootstrap], bool] | None = None,
 ) -> Bootstrap:
     """Draw speckle with the residual's own correlation and take it through the projection, every score and the scan.
 
-    A draw stands for a refit: the tangent space is taken out of it as a fit would. Processes share the draws.
+    A draw stands for a refit: the tangent space is taken out of it as a fit would. Processes share the draws. With
+    `decided` there are `FIRST` of them, and all only where these do not decide.
     """
     speckle = Speckle(evidence.observations, evidence.autocovariance)
     seeds = np.random.SeedSequence(seed).spawn(-(-draws // BATCH))
@@ -72,8 +94,21 @@ def bootstrap(
             progress(BATCH * processes)
         return found
 
-    batches = once.share([partial(batch, sequence) for sequence in seeds], run=threads.in_threads)
-    scores = {name: np.concatenate([b[name] for b in batches])[:draws] for name in batches[0]}
-    tails = {name: Tail.of(values) for name, values in scores.items()}
-    largest = np.max([tails[name](values) for name, values in scores.items()], axis=0)
-    return Bootstrap(tails, np.sort(largest))
+    def run(some: Sequence[np.random.SeedSequence]) -> list[dict[str, np.ndarray]]:
+        return once.share([partial(batch, sequence) for sequence in some], run=threads.in_threads)
+
+    def calibrated(batches: Sequence[Mapping[str, np.ndarray]]) -> Bootstrap:
+        scores = {name: np.concatenate([b[name] for b in batches])[:draws] for name in batches[0]}
+        tails = {name: Tail.of(values) for name, values in scores.items()}
+        return Bootstrap(tails, np.sort(np.max([tails[name](values) for name, values in scores.items()], axis=0)))
+
+    first = len(seeds) if decided is None else min(FIRST // BATCH, len(seeds))
+    batches = run(seeds[:first])
+    found = calibrated(batches)
+    if decided is None or first == len(seeds):
+        return found
+    if once.decide(float(decided(found))):
+        if progress is not None:
+            progress((len(seeds) - first) * BATCH)
+        return found
+    return calibrated([*batches, *run(seeds[first:])])

@@ -114,6 +114,7 @@ def _content(scene: Scene, turn: Turn) -> dict[str, Any]:
         "fitted": None if turn.fitted is None else _fitted_content(scene, turn.fitted),
         "dropped": turn.dropped,
         "dark": None if turn.dark is None else asdict(turn.dark),
+        "draws": turn.draws,
     }
 
 

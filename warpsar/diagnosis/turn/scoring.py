@@ -46,12 +46,19 @@ def score_effects(
     testable = once.find(lambda: [c.effect for c in candidates.values() if c.testability == "testable"])
     groups = {name: found[name] for name in testable}
     scan = Scan(evidence.observations, evidence.autocovariance, evidence.silent)
-    boot = bootstrap(evidence, projection, groups, scan, options.draws, options.seed + number, progress)
+    residual = projection(evidence.standardised, projection.known.residual)
+    spot = scan.strongest(evidence.split(evidence.standardised))
+    scores = {name: max(float(g.largest(residual[:, None])[0]) for g in members) for name, members in groups.items()}
+    scores["scan"] = abs(spot.z)
+
+    def decided(so_far: Bootstrap) -> bool:
+        return so_far.decides(scores, options.family_error)
+
+    boot = bootstrap(evidence, projection, groups, scan, options.draws, options.seed + number, progress, decided)
     dark = scan_dark(setup, other_rays, base, evidence, options.seed + number)
     if dark is not None:
         boot = boot.with_another(options.seed + number)
-    spot = scan.strongest(evidence.split(evidence.standardised))
-    best = _score(candidates, groups, projection, projection(evidence.standardised, projection.known.residual), boot)
+    best = _score(candidates, groups, projection, residual, boot)
     bar_those_alone(list(candidates.values()), boot.threshold(options.family_error))
     scanned = float(boot.tails["scan"](abs(spot.z)))
     turn = Turn(
@@ -63,6 +70,7 @@ def score_effects(
         boot.threshold(options.family_error),
         base,
         dark=dark,
+        draws=boot.draws,
     )
     # last bits differ from one device to another: all go on with one process's scores
     first = once.find(lambda: replace(turn, base=cast(Fitted, None)))
