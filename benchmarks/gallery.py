@@ -28,10 +28,8 @@ from warpsar.io.quick_look import QuickLook, key_of, shades
 from warpsar.runtime.devices import resolve_device
 from warpsar.scene.scene import Scene
 from warpsar.simulation.command import run
-from warpsar.simulation.rays import hit_grid
+from warpsar.simulation.rays import covered_in
 from warpsar.surface.stage import Stage
-from warpsar.trace.layers import covered
-from warpsar.world.world import geometry_of
 
 LOOKS = 4.0
 WIDTH_IN = 5.4
@@ -133,8 +131,7 @@ def draw(scene: Scene, shot: Shot, folder: Path, path: Path) -> None:
     stage = Stage.of(scene, resolve_device("cpu"))
     power = read_channel(folder / "view_looks4.exr", "HH")
     (view,) = scene.views
-    seen = covered(stage.target, geometry_of(scene, view), hit_grid(scene))
-    image = QuickLook.of(path, "", {"HH": power}, scene.grid.spacing_m, seen)
+    image = QuickLook.of(path, "", {"HH": power}, scene.grid.spacing_m, covered_in(scene, stage, view))
     scale = GreyScale.of_counts(shades([image]))
     deep, wide = image.size_m
     figure, (left, right) = new(WIDTH_IN, 0.75 + 2.2 * deep / wide, ncols=2, width_ratios=[1.0, 1.4])
