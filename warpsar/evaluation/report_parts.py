@@ -8,7 +8,7 @@ import numpy as np
 
 from warpsar.evaluation.meshview import MeshView, look
 from warpsar.io import html as report
-from warpsar.io.grey_scale import GreyScale, in_decibel, told_apart
+from warpsar.io.grey_scale import GreyScale, in_decibel, tinted
 from warpsar.io.html_image import ImageAxis
 from warpsar.scene.scene import Scene
 from warpsar.surface.stage import Stage
@@ -69,7 +69,7 @@ def beta0_rgb(
     images = []
     for power, mask in pairs:
         grey = report.colour(scale.grey(in_decibel(power)), "gray", 0.0, 1.0)
-        images.append(grey if mask is None else told_apart(grey, mask))
+        images.append(grey if mask is None else tinted(grey, mask))
     marks = [f"{at:.0f}".replace("-", "−") for at in scale.decibel(np.linspace(0.0, 1.0, 5))]
     return images, report.scale("gray", [*marks[:-1], f"{marks[-1]} dB"], "beta0")
 

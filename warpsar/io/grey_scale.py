@@ -81,7 +81,7 @@ class GreyScale:
         return sorted({float(np.round(self.decibel(at))) for at in (*GREYS, *np.convolve(GREYS, [0.5, 0.5], "valid"))})
 
 
-def told_apart(colours: NDArray[np.float64], covered: NDArray[np.bool_]) -> NDArray[np.float64]:
+def tinted(colours: NDArray[np.float64], covered: NDArray[np.bool_]) -> NDArray[np.float64]:
     """Greys as colours, 0 to 1, (rows, cols, 3), dark blue where no surface lies, lit or hidden: not `covered`."""
     return np.where(covered[..., None], colours, WITHOUT_POWER + colours * (WITHOUT_MESH - WITHOUT_POWER))
 

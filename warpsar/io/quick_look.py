@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from warpsar.io import figures
-from warpsar.io.grey_scale import EDGES_DB, GreyScale, count, in_decibel, told_apart
+from warpsar.io.grey_scale import EDGES_DB, GreyScale, count, in_decibel, tinted
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -61,7 +61,7 @@ class QuickLook:
     def rgb(self, polarization: str, scale: GreyScale) -> NDArray[np.float64]:
         """Colours, 0 to 1, shape (rows, cols, 3); NaN where nothing was measured."""
         grey = scale.grey(in_decibel(self.power[polarization]))[..., None] * np.ones(3)
-        return grey if self.covered is None else told_apart(grey, self.covered)
+        return grey if self.covered is None else tinted(grey, self.covered)
 
 
 def reduced(power: NDArray[np.float32], largest: int) -> NDArray[np.float32]:
