@@ -28,9 +28,12 @@ from warpsar.io.quick_look import QuickLook, key_of, shades
 from warpsar.runtime.devices import resolve_device
 from warpsar.scene.scene import Scene
 from warpsar.simulation.command import run
+from warpsar.simulation.rays import covered_in
 from warpsar.surface.stage import Stage
 
 LOOKS = 4.0
+WIDTH_IN = 5.4
+"""Of a picture: a font of 9 points has 9 pixels where the picture is shown 400 pixels wide."""
 COLOURS = {
     "asphalt": (0.30, 0.30, 0.33),
     "concrete": (0.72, 0.71, 0.68),
@@ -51,6 +54,9 @@ COLOURS = {
     "tower": (0.90, 0.90, 0.92),
     "aircraft": (0.88, 0.89, 0.92),
     "terminal": (0.60, 0.78, 0.85),
+    "facades": (0.68, 0.36, 0.28),
+    "offices": (0.72, 0.71, 0.68),
+    "cranes": (0.85, 0.62, 0.25),
     "ship": (0.62, 0.25, 0.20),
     "containers": (0.45, 0.52, 0.62),
     "hull": (0.50, 0.50, 0.33),
@@ -113,36 +119,39 @@ def made(name: str, out: Path, device: str | None, rays: float) -> tuple[Shot, S
     return shot, Scene.load(folder / "scene.toml")
 
 
-def mesh_picture(scene: Scene, shot: Shot) -> NDArray[np.uint8]:
+def mesh_picture(stage: Stage, scene: Scene, shot: Shot) -> NDArray[np.uint8]:
     """The mesh in parallel projection, seen so that the radar is above, as in the image beside it."""
-    stage = Stage.of(scene, resolve_device("cpu"))
     seen = look(stage, shot.azimuth_deg + 180.0, 48.0, width=560)
     colours = np.array([COLOURS.get(name, (0.6, 0.6, 0.6)) for name in scene.mesh.materials])
     return seen.paint(colours[seen.material])
 
 
 def draw(scene: Scene, shot: Shot, folder: Path, path: Path) -> None:
-    """Mesh and image side by side, as WebP."""
+    """Mesh and image side by side, as WebP; words are large enough to be read at a width of 400 pixels."""
+    stage = Stage.of(scene, resolve_device("cpu"))
     power = read_channel(folder / "view_looks4.exr", "HH")
-    image = QuickLook.of(path, "", {"HH": power}, scene.grid.spacing_m)
+    (view,) = scene.views
+    image = QuickLook.of(path, "", {"HH": power}, scene.grid.spacing_m, covered_in(scene, stage, view))
     scale = GreyScale.of_counts(shades([image]))
     deep, wide = image.size_m
-    figure, (left, right) = new(10.5, 0.9 + 4.6 * deep / wide, ncols=2, width_ratios=[1.0, 1.15])
-    left.imshow(mesh_picture(scene, shot))
+    figure, (left, right) = new(WIDTH_IN, 0.75 + 2.2 * deep / wide, ncols=2, width_ratios=[1.0, 1.4])
+    left.imshow(mesh_picture(stage, scene, shot))
     left.set_axis_off()
-    left.set_title("the mesh, radar above", fontsize=9)
+    left.set_title("mesh, radar above", fontsize=9)
     extent = (-wide / 2.0, wide / 2.0, deep / 2.0, -deep / 2.0)
-    right.imshow(image.rgb("HH", scale), extent=extent, interpolation="nearest")
-    right.set_title(f"HH at 9.6 GHz, incidence {shot.incidence_deg:g}°, {LOOKS:g} looks", fontsize=9)
-    right.set_xlabel("azimuth [m]", fontsize=8)
-    right.set_ylabel("slant range [m], radar above", fontsize=8)
-    right.tick_params(labelsize=7)
-    bar = figure.colorbar(key_of(scale), ax=right, shrink=0.9, ticks=scale.ticks_db)
-    bar.set_label("beta0 [dB]", fontsize=8)
-    bar.ax.tick_params(labelsize=7)
+    right.imshow(image.rgb("HH", scale), extent=extent, interpolation="antialiased")
+    right.set_title(f"HH, 9.6 GHz, {shot.incidence_deg:g}°, {LOOKS:g} looks", fontsize=9)
+    right.set_xlabel("azimuth [m]", fontsize=9)
+    right.set_ylabel("slant range [m]", fontsize=9)
+    right.locator_params(nbins=5)
+    right.tick_params(labelsize=8)
+    beside = right.inset_axes((1.05, 0.0, 0.06, 1.0))  # as tall as the image
+    bar = figure.colorbar(key_of(scale), cax=beside, ticks=scale.levels_db)
+    bar.set_label("beta0 [dB]", fontsize=9)
+    bar.ax.tick_params(labelsize=8)
     stream = BytesIO()
     assert isinstance(figure.canvas, FigureCanvasAgg)
-    figure.savefig(stream, format="png", dpi=95)
+    figure.savefig(stream, format="png", dpi=1000.0 / WIDTH_IN)
     path.parent.mkdir(parents=True, exist_ok=True)
     Image.open(stream).convert("RGB").save(path, quality=62, method=6)
 

@@ -60,14 +60,20 @@ def city_block(folder: Path) -> Shot:
     for i, y in enumerate((-38.0, 38.0)):
         for j, x in enumerate((-36.0, -18.0, 0.0, 18.0, 36.0)):
             height = 11.0 + 2.0 * ((3 * i + 2 * j) % 4)
-            parts.house("brick", "roof_tiles", (x, y, 0.0), (12.0, 17.0, height), 4.0, 90.0)
+            parts.house("facades", "roof_tiles", (x, y, 0.0), (12.0, 17.0, height), 4.0, 90.0)
     for x, floors in ((-38.0, 18.0), (38.0, 24.0)):
-        parts.prism("concrete", "concrete", [(x - 6, -24), (x + 6, -24), (x + 6, 24), (x - 6, 24)], floors)
+        parts.prism("offices", "concrete", [(x - 6, -24), (x + 6, -24), (x + 6, 24), (x - 6, 24)], floors)
         parts.box("metal", (x, 0.0, floors), (3.0, 5.0, 2.0))
     cars = [car(i, x, y, 90.0) for i, (x, y) in enumerate((x, y) for y in (-52.0, 52.0) for x in (-30, -8, 14, 36))]
     parts.write(folder / "scene.obj")
     return Shot(
-        "a city block: terraces, two office slabs, parked cars", 25.0, 42.0, (380, 380), 0.4, extra="".join(cars)
+        "a city block: terraces, two office slabs, parked cars",
+        25.0,
+        42.0,
+        (380, 380),
+        0.4,
+        effects=detailed(0.3, 1.0, "facades", "offices", "roof_tiles"),
+        extra=tables(facades="brick", offices="concrete") + "".join(cars),
     )
 
 
@@ -144,16 +150,17 @@ def ship(folder: Path) -> Shot:
     for x in (-10.0, 45.0):
         for a in (-7.0, 7.0):
             for y in (4.0, 18.0):
-                parts.rod("painted_steel", (x + a, y, 3.5), (x + a, y, 30.0), 0.7)
+                parts.rod("cranes", (x + a, y, 3.5), (x + a, y, 30.0), 0.7)
         for a in (-7.0, 7.0):
-            parts.box("painted_steel", (x + a, 3.0, 29.0), (1.2, 50.0, 1.6))
-        parts.box("painted_steel", (x, 14.0, 31.0), (8.0, 8.0, 4.0))
+            parts.box("cranes", (x + a, 3.0, 29.0), (1.2, 50.0, 1.6))
+        parts.box("cranes", (x, 14.0, 31.0), (8.0, 8.0, 4.0))
     for x in range(-80, 90, 22):
         parts.box("containers", (float(x), 32.0, 3.5), (12.2, 2.44, 2.6 * (1 + x % 3)))
     parts.write(folder / "scene.obj")
-    # walls of containers are corrugated, and no mirrors
-    extra = tables(ship="painted_steel", containers="metal") + "rms_height_m = 0.003\n"
-    effects = detailed(0.3, 1.5, "ship", "containers")
+    # no mirrors: walls of containers are corrugated, plates of a ship dented between their ribs, cranes lattices
+    surfaces = {"ship": ("painted_steel", 0.004), "containers": ("metal", 0.01), "cranes": ("painted_steel", 0.006)}
+    extra = "".join(tables(**{n: s}) + f"rms_height_m = {h}\n" for n, (s, h) in surfaces.items())
+    effects = detailed(0.3, 1.5, "ship", "containers", "cranes")
     return Shot(
         "a container ship at a quay with two cranes", 148.0, 48.0, (330, 420), 0.5, effects=effects, extra=extra
     )
@@ -185,7 +192,9 @@ def vehicle(folder: Path) -> Shot:
     for x in (-1.2, 1.2):
         parts.box("tracks", (x, -2.9, 1.55), (0.7, 0.5, 0.35))
     parts.write(folder / "scene.obj")
-    effects, extra = detailed(0.4, 0.25, "hull", "tracks"), tables(hull="painted_steel", tracks="metal")
+    # armour is cast and bolted: flat faces of a mesh would throw spots of light far over the grass
+    extra = tables(hull="painted_steel") + "rms_height_m = 0.003\n" + tables(tracks="metal")
+    effects = detailed(0.4, 0.25, "hull", "tracks")
     return Shot("a tracked vehicle on grass", 35.0, 55.0, (200, 240), 0.08, (0.0, 0.0, 0.8), effects, extra)
 
 
@@ -193,7 +202,9 @@ def terrain(folder: Path) -> Shot:
     import rasterio
     from rasterio.transform import from_origin
 
-    heights = (1200.0 + 220.0 * fractal(383, 1.9, 11)).astype(np.float32)
+    # ridges where a smooth field changes its sign, and smaller relief upon them
+    ridges = 0.55 - np.abs(fractal(383, 2.6, 11))
+    heights = (1200.0 + 420.0 * ridges + 60.0 * fractal(383, 1.8, 5)).astype(np.float32)
     profile = {"driver": "GTiff", "width": 384, "height": 384, "count": 1, "dtype": "float32", "crs": "EPSG:32632"}
     place = from_origin(600000.0, 5200000.0, 20.0, 20.0)
     with rasterio.open(folder / "dem.tif", "w", transform=place, compress="deflate", **profile) as target:
@@ -235,7 +246,7 @@ def forest(folder: Path) -> Shot:
     parts.ground((120.0, 120.0), 2.0, lambda x, y: np.where(np.abs(x + 48) < 3, "gravel", "grass"), lambda x, y: relief)
     random = np.random.default_rng(2)
     number = 0
-    for x in np.arange(-18.0, 60.0, 5.0):
+    for x in np.arange(-18.0, 32.0, 5.0):
         for y in np.arange(-58.0, 60.0, 5.0):
             a, b = (float(v) for v in np.array([x, y]) + random.uniform(-1.8, 1.8, 2))
             tall, wide = float(random.uniform(11, 18)), float(random.uniform(2.0, 3.2))

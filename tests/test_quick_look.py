@@ -67,6 +67,18 @@ def test_a_scale_is_bounded_and_never_empty() -> None:
         assert (np.diff(GreyScale.of_counts(shades([constant])).levels_db) > 0).all()
 
 
+def test_shadow_stands_apart_from_speckle() -> None:
+    """Of four looks, 1 % of the pixels in shadow at a noise 25 dB below ground: few speckles are nearly as dark."""
+    random = np.random.default_rng(3)
+    power = random.gamma(4.0, 0.25, (200, 200))
+    power[:2] *= 10.0**-2.5
+    scale = GreyScale.of([power])
+    shadow, ground = (scale.grey(10.0 * np.log10(part)) for part in (power[:2], power[2:]))
+    assert np.median(shadow) == 0.0
+    assert (ground < 0.1).mean() < 0.002
+    assert 0.4 < np.median(ground) < 0.46
+
+
 def test_shadow_is_black_and_beyond_the_mesh_it_is_blue() -> None:
     """No power in both halves; power beyond the mesh, of a blur or a floor, still shows, and counts for no scale."""
     power = np.zeros((8, 8))

@@ -15,6 +15,7 @@ from worlds import view
 from warpsar.diagnosis.report.left import ratio_words
 from warpsar.evaluation.command import run
 from warpsar.evaluation.report_images import reduced
+from warpsar.evaluation.report_parts import beta0_rgb
 from warpsar.evaluation.report_surface import stated
 from warpsar.io import html as report
 from warpsar.io.figures import new
@@ -219,3 +220,17 @@ def test_reduced_averages_power_not_decibel() -> None:
     mask = np.array([[True, True, True], [False, True, True]])
     np.testing.assert_allclose(reduced(power, mask, 2), [[4 / 3]])  # the last column fills no block
     np.testing.assert_allclose(reduced(power, mask, 1), [[1.0, 3.0, 9.0], [np.nan, 0.0, 9.0]])
+
+
+def test_simulated_pixels_beyond_the_mesh_are_blue_and_count_for_no_scale() -> None:
+    """The measured image has ground there, and stays grey; the same floor counts for the measured image alone."""
+    measured, simulated = np.full((8, 8), 0.1), np.full((8, 8), 0.1)
+    simulated[:, 4:] = 1e-6  # a noise floor
+    there = np.ones((8, 8), bool)
+    there[:, 4:] = False
+    (plain, told), key = beta0_rgb([measured, simulated], [None, there])
+    grey = [bool(np.ptp(picture, axis=2).max() < 1e-9) for picture in (plain, told[:, :4], told[:, 4:])]
+    assert grey == [True, True, False]
+    assert (told[:, 4:, 2] > told[:, 4:, 0]).all()
+    np.testing.assert_allclose(told[:, :4], plain[:, :4])
+    assert "−22" in key  # black is 12 dB below the ground of both; with the floor it would be 25

@@ -21,6 +21,11 @@ STEPS = wp.constant(128)
 """Of a cell, in the table of the response."""
 REACH = wp.constant(16)
 """Cells on each side that the table has."""
+NEAR = wp.constant(8)
+"""Samples on each side of a field that may get a share of it."""
+
+along_an_axis = wp.types.vector(length=2 * int(NEAR), dtype=wp.float64)
+"""Numbers of the samples about one, from `1 - NEAR` to `NEAR`."""
 
 
 @wp.struct
@@ -28,7 +33,7 @@ class ResolutionCells:
     """Cells of `size` (range, azimuth) [m] about the reference point, and the bins of the records among them.
 
     `offset`: the samples about a bin that get a share of a field in it. `response`: (2, 2 REACH STEPS + 1), of range
-    and azimuth, and `slope`, its derivative [1/cells].
+    and azimuth, each with its derivative [1/cells].
     """
 
     size: wp.vec2d
@@ -36,8 +41,7 @@ class ResolutionCells:
     bin_size: wp.vec2d  # [m]
     bin_cols: int
     offset: wp.array(dtype=wp.vec2i)
-    response: wp.array2d(dtype=wp.float64)
-    slope: wp.array2d(dtype=wp.float64)
+    response: wp.array2d(dtype=wp.vec2d)
 
 
 @wp.struct
@@ -98,12 +102,12 @@ def footprint(side: wp.vec3d, normal: wp.vec3d, direction: wp.vec3d) -> wp.vec3d
 
 
 @wp.func
-def read(table: wp.array2d(dtype=wp.float64), axis: int, distance: wp.float64) -> wp.float64:
-    """A table of the response at a distance [cells]; 0 beyond it."""
+def read(table: wp.array2d(dtype=wp.vec2d), axis: int, distance: wp.float64) -> wp.vec2d:
+    """The response at a distance [cells], and its derivative; 0 beyond the table."""
     at = (distance + wp.float64(REACH)) * wp.float64(STEPS)
     low = int(wp.floor(at))
     if low < 0 or low + 1 >= table.shape[1]:
-        return wp.float64(0.0)
+        return wp.vec2d()
     part = at - wp.float64(low)
     return (ONE - part) * table[axis, low] + part * table[axis, low + 1]
 
@@ -190,11 +194,16 @@ def tube_kernel(
     turn_v = wavenumber * wp.dot(turn, foot_v)
     place = wp.vec2d(along / cells.size[0], azimuth / cells.size[1])
     base = cell_of(cells, records.bin[i])
+    near_range = along_an_axis()
+    near_azimuth = along_an_axis()
+    for n in range(2 * NEAR):
+        ahead = wp.float64(n + 1 - NEAR)
+        near_range[n] = read(cells.response, 0, place[0] - wp.float64(base[0]) - ahead)[0]
+        near_azimuth[n] = read(cells.response, 1, place[1] - wp.float64(base[1]) - ahead)[0]
     total = wp.float64(0.0)
     for j in range(cells.offset.shape[0]):
-        sample = base + cells.offset[j]
-        along_share = read(cells.response, 0, place[0] - wp.float64(sample[0]))
-        share = along_share * read(cells.response, 1, place[1] - wp.float64(sample[1]))
+        offset = cells.offset[j]
+        share = near_range[offset[0] + NEAR - 1] * near_azimuth[offset[1] + NEAR - 1]
         total += share * share
     size = wavenumber / FOUR_PI * area / wp.sqrt(wp.max(total, wp.float64(1.0e-3)))
     phase = turned(-TWO * wavenumber * along)
@@ -221,23 +230,38 @@ def couple_kernel(
     bin: wp.array(dtype=int),
     cells: ResolutionCells,
     # Out:
-    field_out: wp.array2d(dtype=wp.vec2),
+    field_out: wp.array2d(dtype=wp.vec2d),
 ):
-    """The field that each group of tubes adds to each of the samples about its bin, shape (groups, offsets)."""
-    i, j = wp.tid()
+    """The field that each group of tubes adds to each of the samples about its bin, shape (groups, offsets).
+
+    A thread has a group: it reads the responses of a tube once for all samples in a row and in a column.
+    """
+    i = wp.tid()
     end = order.shape[0]
     if i + 1 < first.shape[0]:
         end = first[i + 1]
-    sample = cell_of(cells, bin[i]) + cells.offset[j]
-    total = wp.vec2d()
+    base = cell_of(cells, bin[i])
+    for j in range(cells.offset.shape[0]):
+        field_out[i, j] = wp.vec2d()
+    across = along_an_axis()
+    across_slope = along_an_axis()
     for k in range(first[i], end):
         at = order[k]
-        place = tubes.place[at]
-        x = place[0] - wp.float64(sample[0])
-        y = place[1] - wp.float64(sample[1])
-        along = read(cells.response, 0, x)
-        across = read(cells.response, 1, y)
-        total += along * across * tubes.field[at]
-        total += read(cells.slope, 0, x) * across * tubes.by_range[at]
-        total += read(cells.slope, 1, y) * along * tubes.by_azimuth[at]
-    field_out[i, j] = wp.vec2(total)
+        x = tubes.place[at][0] - wp.float64(base[0])
+        y = tubes.place[at][1] - wp.float64(base[1])
+        for n in range(2 * NEAR):
+            azimuth = read(cells.response, 1, y - wp.float64(n + 1 - NEAR))
+            across[n] = azimuth[0]
+            across_slope[n] = azimuth[1]
+        row = int(-NEAR)
+        straight = wp.vec2d()
+        aside = wp.vec2d()
+        for j in range(cells.offset.shape[0]):
+            offset = cells.offset[j]
+            if offset[0] != row:  # offsets of a row lie together
+                row = offset[0]
+                response = read(cells.response, 0, x - wp.float64(row))
+                straight = response[0] * tubes.field[at] + response[1] * tubes.by_range[at]
+                aside = response[0] * tubes.by_azimuth[at]
+            n = offset[1] + NEAR - 1
+            field_out[i, j] = field_out[i, j] + across[n] * straight + across_slope[n] * aside

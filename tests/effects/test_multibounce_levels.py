@@ -428,11 +428,13 @@ def test_groups_of_tubes_without_a_field() -> None:
             "point": np.zeros((3, 3), np.float32),
         }
         part = cells.Coupled(records, field, np.array([[k, 0] for k in range(9)]), np.array([0, 3, 6]))
-        cell, split = cells.splits_of([part], grid, (0.5, 0.5))
+        cell, split = cells.splits_of(cells.share([part], grid, (0.5, 0.5)))
         lit = int(np.count_nonzero(np.array(strengths) == 1.0))
         assert cell[:, 0].tolist() == [0, 1, 2][: 3 * lit]
         assert (split == 6).all()  # (1.26 * 3 ** -0.75 / 0.04) ** (2 / 3) is 5.7
-        made, samples = cells.samples_of([part], np.array([1, 2]), grid, (0.5, 0.5), 0.25, wp.get_device("cpu"))
+        made, samples = cells.samples_of(
+            cells.share([part], grid, (0.5, 0.5)), np.array([1, 2]), 0.25, wp.get_device("cpu")
+        )
         assert made["bin"].shape == samples.coupling.shape == (lit,)
         assert samples.weight.numpy() == pytest.approx([4 * np.pi / 0.25] * lit)
 

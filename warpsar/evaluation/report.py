@@ -47,7 +47,7 @@ def write_report(
     )
     sections = [
         summary_section(scene, found, before),
-        images_section(scene, found, before),
+        images_section(scene, stage, found, before),
         *([curves_section(found.curves, found.curve_verdicts)] if found.curves else []),
         _residuals_section(by_factor, expected),
         parameters_section(scene, stage, identified),

@@ -9,10 +9,19 @@ import numpy as np
 from warpsar.compare.comparison import Comparison, ratio_db
 from warpsar.compare.evaluation import Evaluation
 from warpsar.evaluation.report_numbers import METRICS, metric_cells
-from warpsar.evaluation.report_parts import beta0_rgb, image_axes, plus_minus, reach_db, residual_rgb, residual_scale
+from warpsar.evaluation.report_parts import (
+    beta0_rgb,
+    image_axes,
+    plus_minus,
+    reach_db,
+    residual_rgb,
+    residual_scale,
+)
 from warpsar.io import html as report
 from warpsar.io import html_image
 from warpsar.scene.scene import Scene
+from warpsar.simulation.rays import covered_in
+from warpsar.surface.stage import Stage
 
 PICTURE_PIXELS = 1.5e6  # of all pictures of images together: the file stays under some 5 MB
 
@@ -43,7 +52,7 @@ def reduced(power: np.ndarray, mask: np.ndarray, factor: int) -> np.ndarray:
         return np.asarray(blocks(np.where(mask, power, 0.0)) / blocks(mask.astype(float)))
 
 
-def images_section(scene: Scene, found: Evaluation, before: Evaluation | None) -> str:
+def images_section(scene: Scene, stage: Stage, found: Evaluation, before: Evaluation | None) -> str:
     """Each image in a row. With `before`, the residual of that model stands beside the one of `found`."""
     rows, cols = scene.grid.shape
     down, along = image_axes(scene)
@@ -55,16 +64,20 @@ def images_section(scene: Scene, found: Evaluation, before: Evaluation | None) -
         report.paragraph(
             "The radar is at the top. Range and azimuth are about the reference point. Click on a picture to "
             "enlarge it. Measured and simulated share one scale in each row. Residual: measured over simulated, on "
-            "the pixels that are compared; grey elsewhere."
+            "the pixels that are compared; grey elsewhere. Dark blue: the mesh ends there."
             + (f" Shown averaged over {factor} x {factor} pixels." if factor > 1 else "")
         ),
         residual_scale(reach, "residual: measured / simulated"),
     ]
+    on_mesh: dict[str, np.ndarray] = {}
     for image, first in zip(found.images, earlier, strict=True):
         everywhere = np.isfinite(image.measured)
         measured, simulated = (reduced(p, everywhere, factor) for p in (image.measured, image.simulated))
         inner = [reduced(p, image.interior, factor) for p in (image.measured, image.simulated)]
-        greys, key = beta0_rgb([measured, simulated])
+        if image.view.name not in on_mesh:
+            on_mesh[image.view.name] = covered_in(scene, stage, image.view)
+        there = reduced(on_mesh[image.view.name].astype(float), everywhere, factor) > 0.5
+        greys, key = beta0_rgb([measured, simulated], [None, there])
         panels = [(name, report.png(rgb)) for name, rgb in zip(("measured", "simulated"), greys, strict=True)]
         if first is not None:
             planes = [reduced(p, first.interior, factor) for p in (first.measured, first.simulated)]

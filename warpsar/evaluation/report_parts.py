@@ -8,7 +8,7 @@ import numpy as np
 
 from warpsar.evaluation.meshview import MeshView, look
 from warpsar.io import html as report
-from warpsar.io.grey_scale import GreyScale, in_decibel
+from warpsar.io.grey_scale import GreyScale, in_decibel, tinted
 from warpsar.io.html_image import ImageAxis
 from warpsar.scene.scene import Scene
 from warpsar.surface.stage import Stage
@@ -55,10 +55,21 @@ def residual_scale(reach: float, label: str, unit: str = " dB") -> str:
     return report.scale(RESIDUAL_COLOURS, [f"−{reach:g}", "0", f"+{reach:g}{unit}"], label)
 
 
-def beta0_rgb(powers: Sequence[np.ndarray]) -> tuple[list[np.ndarray], str]:
-    """Greys of images of beta0, linear power, on one scale, shape (*power.shape, 3), and the key of the scale."""
-    scale = GreyScale.of(powers)
-    images = [report.colour(scale.grey(in_decibel(one)), "gray", 0.0, 1.0) for one in powers]
+def beta0_rgb(
+    powers: Sequence[np.ndarray], covered: Sequence[np.ndarray | None] | None = None
+) -> tuple[list[np.ndarray], str]:
+    """Greys of images of beta0, linear power, on one scale, shape (*power.shape, 3), and the key of the scale.
+
+    `covered`: of each image, where a surface of the mesh lies, lit or hidden; None for a measured one. Pixels beyond
+    the mesh are dark blue and do not count for the scale, as in a quick look.
+    """
+    masks = [None] * len(powers) if covered is None else covered
+    pairs = list(zip(powers, masks, strict=True))
+    scale = GreyScale.of([power if mask is None else power[mask] for power, mask in pairs])
+    images = []
+    for power, mask in pairs:
+        grey = report.colour(scale.grey(in_decibel(power)), "gray", 0.0, 1.0)
+        images.append(grey if mask is None else tinted(grey, mask))
     marks = [f"{at:.0f}".replace("-", "−") for at in scale.decibel(np.linspace(0.0, 1.0, 5))]
     return images, report.scale("gray", [*marks[:-1], f"{marks[-1]} dB"], "beta0")
 

@@ -19,13 +19,17 @@ if TYPE_CHECKING:
 
 GREYS = (0.0, 0.42, 0.8, 1.0)
 """Of the four levels: 0 is black, 1 white."""
-DARKEST_DB, NARROWEST_DB, BRIGHT_DB = 25.0, 6.0, 20.0
-"""Of black below ground at most; of black and of bright from ground at least; of bright above ground at most."""
+DARKEST_DB, SHADOW_DB = 25.0, 12.0
+"""Of black below ground at most, and at least: the speckle of a few looks does not reach it, so shadow stands apart."""
+BRIGHT_DB, NARROWEST_DB = 25.0, 6.0
+"""Of bright above ground at most, and at least."""
 TAIL_DB = 3.0
 """White lies at least so far above bright."""
 EDGES_DB = np.arange(-160.0, 100.25, 0.25)
 NOTHING = 1e-30
 """Linear beta0 that is shown as none."""
+WITHOUT_MESH, WITHOUT_POWER = np.array([0.75, 0.85, 1.0]), np.array([0.05, 0.12, 0.27])
+"""Where there is no mesh: what a grey is multiplied by, and what black becomes."""
 
 
 @dataclass(frozen=True)
@@ -40,14 +44,14 @@ class GreyScale:
         bright the 98th, within bounds. All in whole dB."""
         total = counts.sum()
         if not total:
-            return cls((-NARROWEST_DB, 0.0, NARROWEST_DB, NARROWEST_DB + TAIL_DB))
+            return cls((-SHADOW_DB, 0.0, NARROWEST_DB, NARROWEST_DB + TAIL_DB))
         share = np.cumsum(counts) / total
 
         def below(part: float) -> float:
             return float(EDGES_DB[np.searchsorted(share, part)])
 
         ground = float(np.round(below(0.5)))
-        black = float(np.clip(np.floor(below(0.02)), ground - DARKEST_DB, ground - NARROWEST_DB))
+        black = float(np.clip(np.floor(below(0.02)), ground - DARKEST_DB, ground - SHADOW_DB))
         bright = float(np.clip(np.ceil(below(0.98)), ground + NARROWEST_DB, ground + BRIGHT_DB))
         strongest = float(np.ceil(EDGES_DB[np.flatnonzero(counts)[-1] + 1]))
         return cls((black, ground, bright, max(strongest, bright + TAIL_DB)))
@@ -75,6 +79,11 @@ class GreyScale:
     def ticks_db(self) -> list[float]:
         """Whole dB for a bar: the levels, and one between each two."""
         return sorted({float(np.round(self.decibel(at))) for at in (*GREYS, *np.convolve(GREYS, [0.5, 0.5], "valid"))})
+
+
+def tinted(colours: NDArray[np.float64], covered: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Greys as colours, 0 to 1, (rows, cols, 3), dark blue where no surface lies, lit or hidden: not `covered`."""
+    return np.where(covered[..., None], colours, WITHOUT_POWER + colours * (WITHOUT_MESH - WITHOUT_POWER))
 
 
 def count(power: ArrayLike) -> NDArray[np.int64]:

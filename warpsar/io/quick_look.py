@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from warpsar.io import figures
-from warpsar.io.grey_scale import EDGES_DB, GreyScale, count, in_decibel
+from warpsar.io.grey_scale import EDGES_DB, GreyScale, count, in_decibel, tinted
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -27,8 +27,6 @@ LARGEST = 960
 MOST_ON_A_SHEET = 64
 _PANEL, _ROOM = 4.4, (1.5, 1.1)  # inches: the longer side of an image, at least; room for words, across and down
 _PER_INCH = 100.0  # pixels of an image: fewer than a figure has (`figures.save`)
-WITHOUT_MESH, WITHOUT_POWER = np.array([0.75, 0.85, 1.0]), np.array([0.05, 0.12, 0.27])
-"""Where there is no mesh: what a grey is multiplied by, and what black becomes."""
 
 
 @dataclass(frozen=True)
@@ -63,9 +61,7 @@ class QuickLook:
     def rgb(self, polarization: str, scale: GreyScale) -> NDArray[np.float64]:
         """Colours, 0 to 1, shape (rows, cols, 3); NaN where nothing was measured."""
         grey = scale.grey(in_decibel(self.power[polarization]))[..., None] * np.ones(3)
-        if self.covered is None:
-            return grey
-        return np.where(self.covered[..., None], grey, WITHOUT_POWER + grey * (WITHOUT_MESH - WITHOUT_POWER))
+        return grey if self.covered is None else tinted(grey, self.covered)
 
 
 def reduced(power: NDArray[np.float32], largest: int) -> NDArray[np.float32]:

@@ -7,11 +7,14 @@ import threading
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from warpsar.effects.base.effect import DeclaredEffect
 from warpsar.runtime.memory import in_parts
 from warpsar.scene.scene import Scene
 from warpsar.surface.stage import Stage
 from warpsar.trace.hits import DEFAULT_MEMORY_GIB, WHOLE, BinGrid, Hits, Strip
+from warpsar.trace.layers import covered
 from warpsar.trace.rays import ray_count
 from warpsar.trace.trace import trace
 from warpsar.world.tables import View
@@ -70,6 +73,11 @@ def hit_grid(scene: Scene, bins_per_pixel: int = 1, margin_m: float = 0.0) -> Bi
     ]
     spacing = [step / bins_per_pixel for step in scene.grid.spacing_m]
     return BinGrid((shape[0], shape[1]), (spacing[0], spacing[1]), bins_per_pixel)
+
+
+def covered_in(scene: Scene, stage: Stage, view: View) -> np.ndarray:
+    """Where a surface lies in the view's image, lit or hidden, for pictures; bool of shape (rows, cols)."""
+    return covered(stage.target, geometry_of(scene, view), hit_grid(scene))
 
 
 def effects_grid(scene: Scene, effects: list[DeclaredEffect]) -> BinGrid:

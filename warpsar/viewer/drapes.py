@@ -11,7 +11,7 @@ from warpsar.diagnosis.models.projection import shift_px
 from warpsar.evaluation.command import evaluate
 from warpsar.scene.scene import Scene
 from warpsar.simulation.command import simulate
-from warpsar.simulation.rays import trace_view, view_seed
+from warpsar.simulation.rays import covered_in, trace_view, view_seed
 from warpsar.surface.stage import Stage
 from warpsar.trace.hits import Hits
 from warpsar.viewer.surface import stage_of
@@ -27,7 +27,8 @@ SHARE = 0.05
 @dataclass
 class Drape:
     """A view, and its images in dB (beta0; the residual is measured over modelled power), by "quantity polarization",
-    each of shape (rows, cols), NaN where there is nothing. `layover` is true where surfaces lie over each other."""
+    each of shape (rows, cols), NaN where there is nothing. `layover` is true where surfaces lie over each other,
+    `covered` where one lies at all, lit or hidden."""
 
     view: View
     axes: NDArray[np.float64]
@@ -35,6 +36,7 @@ class Drape:
     slant_range_m: float | None
     shift_px: NDArray[np.float64]
     layover: NDArray[np.bool_]
+    covered: NDArray[np.bool_]
     images_db: dict[str, NDArray[np.float64]] = field(default_factory=dict)
 
 
@@ -60,8 +62,9 @@ def drapes(scene: Scene, device: str | None) -> list[Drape]:
 
 def _bare(scene: Scene, stage: Stage | None, view: View, index: int) -> Drape:
     axes = geometry_of(scene, view)
-    over = np.zeros(scene.grid.shape, bool)
+    over, there = np.zeros(scene.grid.shape, bool), np.ones(scene.grid.shape, bool)
     if stage is not None:
+        there = covered_in(scene, stage, view)
         over = layover(trace_view(scene, stage, view, seed=view_seed(scene.sampling.seed, index), effects=[]))
     return Drape(
         view=view,
@@ -69,6 +72,7 @@ def _bare(scene: Scene, stage: Stage | None, view: View, index: int) -> Drape:
         slant_range_m=axes.slant_range_m,
         shift_px=shift_px(scene, view),
         layover=over,
+        covered=there,
     )
 
 

@@ -72,11 +72,12 @@ class ColourScale:
 
 def _scales(states: Sequence[State]) -> dict[str, ColourScale]:
     """By quantity and polarization: one scale for all views and states, and measured and modelled images share
-    theirs."""
+    theirs. What a model has beyond the mesh does not count: it is noise alone."""
     images: dict[str, list[NDArray[np.float64]]] = {}
     for drape in (drape for state in states for drape in state.drapes):
         for name, image in drape.images_db.items():
-            images.setdefault(name, []).append(image[np.isfinite(image)])
+            counts = np.isfinite(image) & (drape.covered | (not name.startswith("modelled")))
+            images.setdefault(name, []).append(image[counts])
     found = {}
     for name in images:
         quantity, polarization = name.split()

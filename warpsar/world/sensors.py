@@ -1,6 +1,7 @@
 """Public civil sensors, for first scenes: each number as its operator or its distributor states it, with the source.
 
-A sensor stands here only if all its numbers were found in a source that anybody can read.
+A sensor stands here only if all its numbers were found in a source that anybody can read, those of one mode. Of ICEYE
+that source is the manual of a program that reads its products and takes them from ICEYE's own documentation.
 """
 
 from __future__ import annotations
@@ -48,6 +49,14 @@ SENSORS: dict[str, Sensor] = {
             "frequency, NESZ (swath of 70 km) and incidences: alos-pasco.com, PALSAR main specifications",
             "resolution: Alaska Satellite Facility, PALSAR technical specs",
         ),
+    ),
+    "iceye": Sensor(
+        "ICEYE, spotlight",
+        9.65e9,
+        (0.6, 1.0),
+        -17.0,
+        (20.0, 35.0),
+        ("all numbers: catalyst.earth, GDB Reference, ICEYE, table of modes, spotlight with 300 MHz",),
     ),
 }
 

@@ -17,6 +17,9 @@ from warpsar.effects.registry import get
 from warpsar.evaluation.report_parts import beta0_rgb, image_axes, reach_db, residual_rgb, residual_scale
 from warpsar.io import html as report
 from warpsar.io import html_image
+from warpsar.runtime.devices import resolve_device
+from warpsar.simulation.rays import covered_in
+from warpsar.surface.stage import Stage
 
 SMOOTHED = 3  # pixels on a side over which powers are averaged, so that speckle hides less
 PERCENT = 99.0  # of the compared pixels that the scale of the residual holds
@@ -130,9 +133,14 @@ def _pictures(done: Diagnosed, number: int) -> str:
     if done.unexplained and done.left.image == after.name:
         last = list(coloured)[-1]
         coloured[last] = html_image.framed(coloured[last], done.left.shape.rectangle)
-    powers = {"measured": after.measured} | ({} if done.changed else {"modelled": after.simulated})
-    greys, key = beta0_rgb(list(powers.values()))
-    axes = image_axes(done.diagnosis.scene)
+    scene = done.diagnosis.scene
+    powers = {"measured": after.measured}
+    on_mesh: list[np.ndarray | None] = [None]
+    if not done.changed:
+        powers["modelled"] = after.simulated
+        on_mesh.append(covered_in(scene, Stage.of(scene, resolve_device("cpu")), after.view))
+    greys, key = beta0_rgb(list(powers.values()), on_mesh)
+    axes = image_axes(scene)
     pictures = [
         html_image.image(report.png(rgb), name, *axes)
         for name, rgb in (coloured | dict(zip(powers, greys, strict=True))).items()

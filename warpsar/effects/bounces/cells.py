@@ -17,8 +17,6 @@ from warpsar.runtime.structs import allocate, fill
 from warpsar.trace.hits import BinGrid
 from warpsar.world.taper import taper
 
-_REACH = 8
-"""Samples on each side of a field that get a share of it."""
 _SPREAD = 6.0
 """Largest product of the distances in range and azimuth [cells]: sinc^2 sinc^2 is below 3e-4 beyond it."""
 _WEAK = 1e-4
@@ -64,17 +62,20 @@ class Coupled:
 
 
 @dataclass(frozen=True)
-class _Joined:
+class SharedFields:
     """Groups of all bands, those of one bin and the same faces as one: how many bands there were does not matter.
 
-    `records` and `field` as in `Coupled`; `tubes`, how many each has; `number`: which one each of the bands' groups is
-    in.
+    `records` as in `Coupled`; `tubes`, how many each has. `cell`, of each tube of the bands, and `owner`, its group.
+    Some samples get a share of a group's field: `group`, `place`, the sample as a number, and `field` [m], (shares,).
     """
 
     records: dict[str, NDArray[Any]]
-    field: NDArray[np.complex64]
     tubes: NDArray[np.int64]
-    number: NDArray[np.int64]
+    cell: NDArray[np.int64]
+    owner: NDArray[np.int64]
+    group: NDArray[np.int64]
+    place: NDArray[np.int64]
+    field: NDArray[np.complex64]
 
 
 @dataclass
@@ -96,9 +97,9 @@ class CellSamples:
 
 def offsets() -> NDArray[np.int32]:
     """The samples about one that get a share of a field between it and the next ones, (m, 2)."""
-    reach = np.arange(1 - _REACH, _REACH + 1)
-    apart = np.abs(reach - 0.5)
-    return np.argwhere(np.multiply.outer(apart, apart) <= _SPREAD).astype(np.int32) + (1 - _REACH)
+    first = 1 - int(kernels.NEAR)
+    apart = np.abs(np.arange(first, int(kernels.NEAR) + 1) - 0.5)
+    return np.argwhere(np.multiply.outer(apart, apart) <= _SPREAD).astype(np.int32) + first
 
 
 @cache
@@ -119,7 +120,7 @@ def response_of(name: str) -> NDArray[np.float64]:
 
 def cells_of(grid: BinGrid, cell_m: tuple[float, float], tapers: tuple[str, str], device: wp.Device) -> Any:
     """`kernels.ResolutionCells` of a size (range, azimuth) [m] and tapers among the bins of a grid."""
-    response, slope = np.stack([response_of(name) for name in tapers], axis=1)
+    response = np.stack([response_of(name).T for name in tapers])
     return fill(
         kernels.ResolutionCells,
         size=wp.vec2d(*cell_m),
@@ -127,8 +128,7 @@ def cells_of(grid: BinGrid, cell_m: tuple[float, float], tapers: tuple[str, str]
         bin_size=wp.vec2d(*grid.spacing_m),
         bin_cols=grid.shape[1],
         offset=wp.array(offsets(), dtype=wp.vec2i, device=device),
-        response=wp.array(response, dtype=wp.float64, device=device),
-        slope=wp.array(slope, dtype=wp.float64, device=device),
+        response=wp.array(response, dtype=wp.vec2d, device=device),
     )
 
 
@@ -148,10 +148,10 @@ def couple(
     wp.launch(
         kernels.tube_kernel, count, inputs=[rays, mesh, records, cells, wavenumber], outputs=[tubes], device=device
     )
-    dim = first.shape[0], cells.offset.shape[0]
-    field: wp.array = wp.empty(dim, dtype=wp.vec2, device=device)
+    groups = first.shape[0]
+    field: wp.array = wp.empty((groups, cells.offset.shape[0]), dtype=wp.vec2d, device=device)
     inputs = [tubes, order, first, merged.bin, cells]
-    wp.launch(kernels.couple_kernel, dim, inputs=inputs, outputs=[field], device=device)
+    wp.launch(kernels.couple_kernel, groups, inputs=inputs, outputs=[field], device=device)
     return field.numpy().astype(np.float32).view(np.complex64)[..., 0]
 
 
@@ -162,12 +162,7 @@ def kinds_of(normal: NDArray[np.float64], material: NDArray[np.int32]) -> NDArra
 
 
 def samples_of(
-    parts: Sequence[Coupled],
-    kinds: NDArray[np.int64],
-    grid: BinGrid,
-    cell_m: tuple[float, float],
-    pixel_area_m2: float,
-    device: wp.Device,
+    fields: SharedFields, kinds: NDArray[np.int64], pixel_area_m2: float, device: wp.Device
 ) -> tuple[dict[str, NDArray[Any]], CellSamples]:
     """Paths by sample and kinds of their faces (`kinds_of`), as arrays of `PathRecords`, and their samples.
 
@@ -177,9 +172,7 @@ def samples_of(
     A sample's power falls where the tubes lie from which it comes, not into the sample's own place: an isolated body
     keeps its pixel, and its power does not depend on where it lies between the samples.
     """
-    joined = _joined(parts)
-    records = joined.records
-    group, place, field = _shares(records["bin"], joined.field, grid, cell_m)
+    records, group, place, field = fields.records, fields.group, fields.place, fields.field
     power = (field.real**2 + field.imag**2).astype(float)
     bins = records["bin"][group]
     _, met = np.unique(np.append(0, kinds)[records["faces"]], axis=0, return_inverse=True)
@@ -222,7 +215,8 @@ def samples_of(
     )
 
 
-def _joined(parts: Sequence[Coupled]) -> _Joined:
+def share(parts: Sequence[Coupled], grid: BinGrid, cell_m: tuple[float, float]) -> SharedFields:
+    """Join the groups of bands, and give their fields to samples."""
     records = {name: np.concatenate([part.records[name] for part in parts]) for name in parts[0].records}
     tubes = np.concatenate([part.tubes for part in parts])
     keys = np.column_stack([records["bin"], records["faces"]])
@@ -237,7 +231,9 @@ def _joined(parts: Sequence[Coupled]) -> _Joined:
     total = added(tubes)
     point = added(records["point"] * tubes[:, None]) / total[:, None]
     one = {name: array[first] for name, array in records.items()} | {"point": point.astype(np.float32)}
-    return _Joined(one, added(np.concatenate([part.field for part in parts])), total, number)
+    group, place, field = _shares(one["bin"], added(np.concatenate([part.field for part in parts])), grid, cell_m)
+    cell = np.concatenate([part.cell for part in parts])
+    return SharedFields(one, total, cell, np.repeat(number, tubes), group, place, field)
 
 
 def _shares(
@@ -258,27 +254,22 @@ def _shares(
     return group, node[:, 0] * (int(node[:, 1].max(initial=0)) + 1) + node[:, 1], field[group, which]
 
 
-def splits_of(
-    parts: Sequence[Coupled], grid: BinGrid, cell_m: tuple[float, float]
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def splits_of(fields: SharedFields) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Ray cells (azimuth, elevation) of bright samples with too few tubes, and into how many to cut each side."""
-    worst = errors_of(parts, grid, cell_m)
-    split = np.ceil(np.clip((worst / _ACCURACY) ** (2 / 3), 1.0, _MOST_SPLIT)).astype(np.int64)
-    each = np.repeat(split, np.concatenate([part.tubes for part in parts]))
+    split = np.ceil(np.clip((errors_of(fields) / _ACCURACY) ** (2 / 3), 1.0, _MOST_SPLIT)).astype(np.int64)
+    each = split[fields.owner]
     cut = each > 1
-    return np.concatenate([part.cell for part in parts])[cut], each[cut]
+    return fields.cell[cut], each[cut]
 
 
-def errors_of(parts: Sequence[Coupled], grid: BinGrid, cell_m: tuple[float, float]) -> NDArray[np.float64]:
+def errors_of(fields: SharedFields) -> NDArray[np.float64]:
     """Relative error of the power of the bright samples to which each group of tubes sends, (n,), by their number.
 
     Of n tubes, those at the border of a body are in or out by chance: 4 sqrt(n) of them, each with a variance of about
     0.1. So a field is known to 0.63 n^(-3/4) of it, and its power to twice that.
     """
-    joined = _joined(parts)
-    tubes = joined.tubes
-    group, place, field = _shares(joined.records["bin"], joined.field, grid, cell_m)
-    _, sample = np.unique(place, return_inverse=True)
+    tubes, group, field = fields.tubes, fields.group, fields.field
+    _, sample = np.unique(fields.place, return_inverse=True)
     size = np.abs(field).astype(float)
     power = np.bincount(sample, field.real) ** 2 + np.bincount(sample, field.imag) ** 2
     alike = np.bincount(sample, size) ** 2 / np.bincount(sample, size**2 / tubes[group])
@@ -287,7 +278,7 @@ def errors_of(parts: Sequence[Coupled], grid: BinGrid, cell_m: tuple[float, floa
     np.maximum.at(strongest, group, size)
     mine = size**2 >= 0.1 * strongest[group] ** 2
     np.maximum.at(worst, group[mine], error[sample[mine]])
-    return worst[joined.number]
+    return worst
 
 
 def _falls(

@@ -16,11 +16,13 @@ from warpsar.effects.base.recorder import Recorder
 from warpsar.effects.bounces.cells import (
     CellSamples,
     Coupled,
+    SharedFields,
     cells_of,
     couple,
     errors_of,
     kinds_of,
     samples_of,
+    share,
     splits_of,
 )
 from warpsar.kernels import merge as merging
@@ -34,6 +36,8 @@ from warpsar.trace.target import Target
 
 _RECORD_BYTES = 240  # a record, its field, and the sort's keys and order, twice
 _SEGMENT = 64  # cells of one thread on CUDA
+_FEWEST_BANDS, _MOST_BANDS = 8, 64  # on the CPU, where there is memory for them
+_RAYS_OF_BAND = 100_000  # from so many on, a launch costs little beside them
 _TOLD = 0.023  # of the rays that meet two surfaces, 0.1 dB: that many may go on after the last bounce, unsaid
 _UNSURE = 0.12  # of a bright corner's power, half a decibel: rays are too few
 _LEAST_BUDGET = 1_000_000  # rays that cutting may add to a small view
@@ -107,14 +111,18 @@ def trace_paths(render: Recorder, max_bounces: int, cell_m: tuple[float, float] 
     ]
     tasks = [partial(_band, render, rays, max_bounces, cells, band) for band in bands]
     traced_bands = list(threads.ordered(tasks, target.device))
+    shared: list[SharedFields | None] = [None] * (max_bounces - 1)
     if cell_m is not None:
-        splits = _splits(traced_bands, rays, bands, grid, cell_m)
-        again = [partial(_band, render, rays, max_bounces, cells, bands[at], split) for at, split in splits.items()]
-        finer = dict(zip(splits, threads.ordered(again, target.device), strict=True))
-        traced_bands = [finer.get(at, one) for at, one in enumerate(traced_bands)]
+        shared = _shared(traced_bands, max_bounces, grid, cell_m)
+        splits = _splits(shared, rays, bands)
+        if splits:
+            again = [partial(_band, render, rays, max_bounces, cells, bands[at], split) for at, split in splits.items()]
+            finer = dict(zip(splits, threads.ordered(again, target.device), strict=True))
+            traced_bands = [finer.get(at, one) for at, one in enumerate(traced_bands)]
+            shared = _shared(traced_bands, max_bounces, grid, cell_m)
         kinds = _kinds(render)
     parts = [part.of for part in traced_bands]
-    remarks = _remarks(traced_bands, max_bounces, grid, cell_m)
+    remarks = _remarks(traced_bands, max_bounces, shared)
     found: list[BouncesOfOneNumber | None] = []
     for index in range(max_bounces - 1):
         mine = [one for part in parts if (one := part[index]) is not None]
@@ -126,8 +134,8 @@ def trace_paths(render: Recorder, max_bounces: int, cell_m: tuple[float, float] 
             for name, dtype in _ARRAYS.items()
         }
         traced = BouncesOfOneNumber(_paths(fill(kernels.PathRecords, **arrays), index + 2, rays, target))
-        if cell_m is not None:
-            made, samples = samples_of([one.coupled for one in mine], kinds, grid, cell_m, area, target.device)
+        if (fields := shared[index]) is not None:
+            made, samples = samples_of(fields, kinds, area, target.device)
             own: dict[str, Any] = {
                 name: wp.array(made[name], dtype=dtype, device=target.device) for name, dtype in _ARRAYS.items()
             }
@@ -146,14 +154,18 @@ def _kinds(render: Recorder) -> NDArray[np.int64]:
     return kinds_of(normal / np.maximum(length, np.finfo(float).tiny), render.stage.face_material.numpy())
 
 
-def _coupled_of(traced: Sequence[_Traced], index: int) -> list[Coupled]:
-    """The fields of all bands' paths of a number of bounces, 0 for two."""
-    return [merged.coupled for one in traced if (merged := one.of[index]) is not None]
+def _shared(
+    traced: Sequence[_Traced], max_bounces: int, grid: BinGrid, cell_m: tuple[float, float]
+) -> list[SharedFields | None]:
+    """The fields of all bands' paths by number of bounces, two first; None where there are no paths."""
+    found: list[SharedFields | None] = []
+    for index in range(max_bounces - 1):
+        mine = [merged.coupled for one in traced if (merged := one.of[index]) is not None]
+        found.append(share(mine, grid, cell_m) if mine else None)
+    return found
 
 
-def _remarks(
-    traced: Sequence[_Traced], max_bounces: int, grid: BinGrid, cell_m: tuple[float, float] | None
-) -> list[str]:
+def _remarks(traced: Sequence[_Traced], max_bounces: int, shared: Sequence[SharedFields | None]) -> list[str]:
     """What the paths leave out: bounces beyond the last one, and rays that bright corners lack."""
     found = []
     met, further = np.sum([one.area for one in traced], axis=0) if traced else (0.0, 0.0)
@@ -162,32 +174,21 @@ def _remarks(
             f"multibounce: {100 * further / met:.2g} % of the area of the rays that meet two surfaces goes on to "
             f"another one after max_bounces = {max_bounces}; at most this share of the bounces' power is left out"
         )
-    if cell_m is not None:
-        coupled = [mine for index in range(max_bounces - 1) if (mine := _coupled_of(traced, index))]
-        worst = max((float(errors_of(mine, grid, cell_m).max(initial=0.0)) for mine in coupled), default=0.0)
-        if worst > _UNSURE:
-            found.append(
-                f"multibounce: bright corners get so few rays that their power is known to {100 * worst:.0f} % alone; "
-                "more rays_per_pixel of [sampling] are needed"
-            )
+    worst = max((float(errors_of(fields).max(initial=0.0)) for fields in shared if fields is not None), default=0.0)
+    if worst > _UNSURE:
+        found.append(
+            f"multibounce: bright corners get so few rays that their power is known to {100 * worst:.0f} % alone; "
+            "more rays_per_pixel of [sampling] are needed"
+        )
     return found
 
 
-def _splits(
-    traced: Sequence[_Traced],
-    rays: RayGrid,
-    bands: Sequence[Any],
-    grid: BinGrid,
-    cell_m: tuple[float, float],
-) -> dict[int, NDArray[np.uint8]]:
+def _splits(shared: Sequence[SharedFields | None], rays: RayGrid, bands: Sequence[Any]) -> dict[int, NDArray[np.uint8]]:
     """The bands that have cells to cut, each with the parts of its cells' sides (`kernels.path_kernel`).
 
     Cells beside those are cut too: a body may reach into them. All cuts together send at most as many rays again.
     """
-    found: list[tuple[NDArray[np.int64], NDArray[np.int64]]] = []
-    for index in range(min((len(one.of) for one in traced), default=0)):
-        if mine := _coupled_of(traced, index):
-            found.append(splits_of(mine, grid, cell_m))
+    found = [splits_of(fields) for fields in shared if fields is not None]
     if not any(len(cell) for cell, _ in found):
         return {}
     split = np.ones((rays.end_cell - rays.first_cell + 2, rays.elevation_cells + 2), np.uint8)
@@ -212,8 +213,11 @@ def _band_width(rays: RayGrid, max_bounces: int, device: wp.Device) -> int:
     cells = rays.end_cell - rays.first_cell
     workers = threads.thread_count() if device.is_cpu else 1
     room = int(DEFAULT_MEMORY_GIB * 2**30 / workers / (_RECORD_BYTES * rays.elevation_cells * (max_bounces - 1)))
-    # at least 8 bands for the threads to share
-    return max(1, min(room, -(-cells // 8) if device.is_cpu else cells))
+    if device.is_cpu:
+        # bands for the threads to share, and so narrow that few rays go again with those that are cut
+        least, most = (-(-cells // bands) for bands in (_MOST_BANDS, _FEWEST_BANDS))
+        cells = min(max(least, _RAYS_OF_BAND // rays.elevation_cells), most)
+    return max(1, min(room, cells))
 
 
 @dataclass(frozen=True)
@@ -244,7 +248,9 @@ def _band(
     columns = fill(kernels.ImageColumns, start=grid.start_m[1], spacing=grid.spacing_m[1], count=grid.shape[1])
     cut: wp.array = wp.array(np.zeros((0, 0), np.uint8) if split is None else split, dtype=wp.uint8, device=device)
     inputs = [rays, target.triangles, band, columns, cut, target.bvh.id, segment, max_bounces, size]
-    capacity = max(4096, dim[0] * rays.elevation_cells // 4)
+    sent = dim[0] * rays.elevation_cells if split is None else int((split.astype(np.int64) ** 2).sum())
+    # a ray may return from each of its bounces but the first; on the CPU, room that nothing is written to is free
+    capacity = (max_bounces - 1) * sent if device.is_cpu else max(4096, sent // 4)
     while True:
         records = _records(capacity, device)
         wp.launch(kernels.path_kernel, dim, inputs=inputs, outputs=[records], device=device)
