@@ -21,7 +21,7 @@ F64 = NDArray[np.float64]
 DAY = "2024-03-05"
 NOON_S = 43200.0
 SITE = (46.0, 12.0, 250.0)
-"""Latitude, longitude [deg], height [m]: seen at some 36 degrees by `place` and `velocity`."""
+"""Latitude, longitude [deg], height [m]: seen at some 51 degrees by `place` and `velocity`."""
 
 
 def place(time_s: F64 | float) -> F64:

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from warpsar.differentiable.renderer import renderer
     from warpsar.evaluation.command import evaluate
     from warpsar.learning.command import LearnOptions, learn
+    from warpsar.reflectors.command import reflectors
     from warpsar.scene.scene import Scene
     from warpsar.simulation.command import simulate
     from warpsar.speckle.coherence import coherence
@@ -45,6 +46,7 @@ _LAZY = {
     "phase_history": "warpsar.collection.command",
     "rcs": "warpsar.coherent.rcs",
     "rcs_gradients": "warpsar.coherent.gradients",
+    "reflectors": "warpsar.reflectors.command",
     "renderer": "warpsar.differentiable.renderer",
     "simulate": "warpsar.simulation.command",
     "slc": "warpsar.collection.command",
@@ -71,6 +73,7 @@ __all__ = [
     "phase_history",
     "rcs",
     "rcs_gradients",
+    "reflectors",
     "renderer",
     "simulate",
     "slc",

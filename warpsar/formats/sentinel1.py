@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -37,12 +40,19 @@ class _Raster:
         self.path, self.shape = path, shape
         self.dtype = np.dtype(np.float32)
 
+    @contextmanager
+    def _opened(self) -> Iterator[Any]:
+        import rasterio
+
+        with reading(self.path, "GeoTIFF", rasterio.errors.RasterioError), warnings.catch_warnings():
+            warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)  # placed by the annotation
+            with rasterio.open(self.path) as file:
+                yield file
+
     @cached_property
     def _checked(self) -> bool:
         EXTRA.require(f"{self.path}: Sentinel-1")
-        import rasterio
-
-        with reading(self.path, "GeoTIFF", rasterio.errors.RasterioError), rasterio.open(self.path) as file:
+        with self._opened() as file:
             found = (file.height, file.width)
         if found != self.shape:
             raise InputError(f"{self.path}: found {found} pixels; its annotation says {self.shape}")
@@ -50,11 +60,10 @@ class _Raster:
 
     def __getitem__(self, window: tuple[slice, slice]) -> np.ndarray:
         assert self._checked
-        import rasterio
         from rasterio.windows import Window
 
         (top, bottom, _), (left, right, _) = (s.indices(n) for s, n in zip(window, self.shape, strict=True))
-        with reading(self.path, "GeoTIFF", rasterio.errors.RasterioError), rasterio.open(self.path) as file:
+        with self._opened() as file:
             found = file.read(1, window=Window(left, top, right - left, bottom - top))
         return np.asarray(found, np.complex64 if np.iscomplexobj(found) else np.float32)
 
