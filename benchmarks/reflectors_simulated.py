@@ -13,7 +13,7 @@ import argparse
 import numpy as np
 from numpy.typing import NDArray
 
-from warpsar.reflectors.point import PointSettings, ResponseAxis, measure_point
+from warpsar.calibration.point import PointSettings, ResponseAxis, measure_point
 
 SIDE = 64
 SPACING_M = (14.0, 2.33)

@@ -80,7 +80,7 @@ def command(
       warpsar reflectors S1A_IW_SLC_*.SAFE --sites sites.csv -o reflectors/
       warpsar reflectors *_VV.mli --sites sites.csv --radiometry sigma0 -o reflectors/
     """
-    from warpsar.reflectors.command import run
+    from warpsar.calibration.command import run
 
     words = ["warpsar", "reflectors", *map(str, products), "--sites", str(sites), "-o", str(out)]
     words += ["--polarization", polarization] if polarization else []

@@ -40,7 +40,7 @@ ROOMS = (
     "simulation",
     "coherent",
     "collection",
-    "reflectors",
+    "calibration",
     "curves",
     "compare",
     "differentiable",

@@ -13,6 +13,7 @@ from warpsar.errors import DeviceError, InputError, WarpsarError
 from warpsar.version import __version__
 
 if TYPE_CHECKING:
+    from warpsar.calibration.command import reflectors
     from warpsar.coherent.gradients import rcs_gradients
     from warpsar.coherent.rcs import rcs
     from warpsar.collection.command import phase_history, slc
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
     from warpsar.differentiable.renderer import renderer
     from warpsar.evaluation.command import evaluate
     from warpsar.learning.command import LearnOptions, learn
-    from warpsar.reflectors.command import reflectors
     from warpsar.scene.scene import Scene
     from warpsar.simulation.command import simulate
     from warpsar.speckle.coherence import coherence
@@ -46,7 +46,7 @@ _LAZY = {
     "phase_history": "warpsar.collection.command",
     "rcs": "warpsar.coherent.rcs",
     "rcs_gradients": "warpsar.coherent.gradients",
-    "reflectors": "warpsar.reflectors.command",
+    "reflectors": "warpsar.calibration.command",
     "renderer": "warpsar.differentiable.renderer",
     "simulate": "warpsar.simulation.command",
     "slc": "warpsar.collection.command",

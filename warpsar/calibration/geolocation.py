@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import t as student
 
-from warpsar.reflectors.measure import ReflectorObservation
+from warpsar.calibration.measure import ReflectorObservation
 
 CONFIDENCE = 0.9
 MOVED = 4.0

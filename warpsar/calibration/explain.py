@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.stats import chi2, norm
 
-from warpsar.reflectors.causes import Cause, Situation, causes
-from warpsar.reflectors.differences import LEAST_SCATTER_DB, BadDate, Differences, absent, bad_dates
-from warpsar.reflectors.measure import ReflectorObservation
+from warpsar.calibration.causes import Cause, Situation, causes
+from warpsar.calibration.differences import LEAST_SCATTER_DB, BadDate, Differences, absent, bad_dates
+from warpsar.calibration.measure import ReflectorObservation
 
 F64 = NDArray[np.float64]
 CONFIDENCE = 0.9

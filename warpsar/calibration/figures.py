@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warpsar.io import figures
-from warpsar.reflectors.explain import Explanation
-from warpsar.reflectors.measure import ReflectorObservation
-from warpsar.reflectors.table import decibel
+from warpsar.calibration.explain import Explanation
+from warpsar.calibration.measure import ReflectorObservation
+from warpsar.calibration.table import decibel
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from warpsar.io import html as report
 from warpsar.io.grey_scale import GreyScale, in_decibel
 from warpsar.io.html_image import ImageAxis, image
-from warpsar.reflectors.explain import Explanation
-from warpsar.reflectors.figures import incidence_figure, map_figure, offset_figure, series_figure
-from warpsar.reflectors.geolocation import Geolocation
-from warpsar.reflectors.measure import ReflectorObservation
-from warpsar.reflectors.table import row
+from warpsar.calibration.explain import Explanation
+from warpsar.calibration.figures import incidence_figure, map_figure, offset_figure, series_figure
+from warpsar.calibration.geolocation import Geolocation
+from warpsar.calibration.measure import ReflectorObservation
+from warpsar.calibration.table import row
 
 F64 = NDArray[np.float64]
 MOST_SITES, MOST_CUTOUTS, MOST_ROWS = 24, 12, 400

@@ -170,12 +170,15 @@ def measure_point(
     if not complex_chip:  # whole pixels about the brightest one
         line, pixel = (float(top[0]), float(top[1])) if seen else (round(line), round(pixel))
         half = [(round(h / s) + 0.5) * s for h, s in zip(half, spacing_m, strict=True)]
-    inside = (np.abs(lines - line) * spacing_m[0] <= half[0] + 1e-9)[:, None] & (
-        np.abs(pixels - pixel) * spacing_m[1] <= half[1] + 1e-9
-    )
+    # A sample stands for its cell of the grid, which the window's edge may cut.
+    weights = [
+        np.clip((h + 0.5 * s / factor - np.abs(at - place) * s) * factor / s, 0.0, 1.0)
+        for at, place, h, s in zip((lines, pixels), (line, pixel), half, spacing_m, strict=True)
+    ]
+    inside = weights[0][:, None] * weights[1]
     share = float(np.prod([axis.share(h) for axis, h in zip(response, half, strict=True)]))
     window_area = float(inside.sum()) * pixel_area / factor**2
-    target = (float(power[inside].sum()) * pixel_area / factor**2 - clutter * window_area) / share
+    target = (float((power * inside).sum()) * pixel_area / factor**2 - clutter * window_area) / share
     cell_rcs = clutter * cell_area
     # Clutter under the target, and the error of its mean; both over the share.
     spread = (clutter**2 * window_area * (cell_area + window_area / samples)) / share**2
@@ -206,11 +209,15 @@ def measure_point(
 def interval(target: float, cell: float, spread: float, z: float) -> tuple[float, float]:
     """All T with (target - T)^2 <= z^2 (2 T cell + spread): the variance of the estimate is the one that T itself has.
 
-    2 T cell is the interference of the target with the clutter of one resolution cell, `spread` the clutter's own.
+    2 T cell is the interference of the target with the clutter of one resolution cell, `spread` the clutter's own. No
+    upper bound is below that of an estimate of 0: less than no power is the clutter's unevenness.
     """
-    middle = target + z**2 * cell
-    root = np.sqrt(max(z**2 * (2.0 * cell * target + spread) + z**4 * cell**2, 0.0))
-    return float(max(middle - root, 0.0)), float(max(middle + root, 0.0))
+
+    def bound(side: float, at: float) -> float:
+        root = np.sqrt(max(z**2 * (2.0 * cell * at + spread) + z**4 * cell**2, 0.0))
+        return float(max(at + z**2 * cell + side * root, 0.0))
+
+    return bound(-1.0, target), bound(1.0, max(target, 0.0))
 
 
 def _finer(chip: NDArray[np.complex128]) -> tuple[NDArray[np.complex128], int, tuple[float, float]]:
@@ -273,8 +280,8 @@ def _clutter(
     return float(corners.mean()), float(corners.size)
 
 
-def _centroid(power: F64, inside: NDArray[np.bool_], clutter: float) -> tuple[float, float]:
-    weight = np.where(inside, np.maximum(power - clutter, 0.0), 0.0)
+def _centroid(power: F64, inside: F64, clutter: float) -> tuple[float, float]:
+    weight = inside * np.maximum(power - clutter, 0.0)
     lines, pixels = (np.arange(n) for n in power.shape)
     total = weight.sum()
     return float((weight.sum(axis=1) * lines).sum() / total), float((weight.sum(axis=0) * pixels).sum() / total)

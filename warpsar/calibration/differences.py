@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from warpsar.reflectors.measure import ReflectorObservation
+from warpsar.calibration.measure import ReflectorObservation
 
 F64 = NDArray[np.float64]
 YEAR_S = 365.25 * 86400.0
@@ -138,7 +138,7 @@ def bad_dates(data: Differences) -> tuple[list[BadDate], NDArray[np.bool_]]:
         values = data.difference_db[here]
         middle = float(np.median(values))
         spread = 1.4826 * float(np.median(np.abs(values - middle)))
-        scale = np.sqrt(np.maximum(spread, LEAST_SCATTER_DB) ** 2 + data.sd_db[here] ** 2 * (data.sd_db[here] > spread))
+        scale = np.maximum(max(spread, LEAST_SCATTER_DB), data.sd_db[here])
         for i, off in zip(here, (values - middle) / scale, strict=True):
             if abs(off) > OUTLYING:
                 good[i] = False

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from warpsar.io.images import replacing
-from warpsar.reflectors.measure import ReflectorObservation
+from warpsar.calibration.measure import ReflectorObservation
 
 Value = str | float | None
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from warpsar.reflectors.attitude import Facing, trihedral_rcs_m2
-from warpsar.reflectors.differences import LEAST_SCATTER_DB, Differences, pass_numbers
+from warpsar.calibration.attitude import Facing, trihedral_rcs_m2
+from warpsar.calibration.differences import LEAST_SCATTER_DB, Differences, pass_numbers
 
 F64 = NDArray[np.float64]
 MOST_TURN_DEG = 25.0

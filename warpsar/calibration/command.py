@@ -15,15 +15,15 @@ import numpy as np
 from warpsar.errors import InputError
 from warpsar.formats import registry
 from warpsar.products.product import RADIOMETRIES, Product, Radiometry
-from warpsar.reflectors import sites as site_tables
-from warpsar.reflectors.engine import engine_rcs_m2
-from warpsar.reflectors.explain import Explanation, explain
-from warpsar.reflectors.geolocation import Geolocation, geolocation
-from warpsar.reflectors.measure import ReflectorObservation, observe
-from warpsar.reflectors.point import PointSettings
-from warpsar.reflectors.report import write_report
-from warpsar.reflectors.sites import ReflectorSite, sites_at
-from warpsar.reflectors.table import row, write_csv
+from warpsar.calibration import sites as site_tables
+from warpsar.calibration.engine import engine_rcs_m2
+from warpsar.calibration.explain import Explanation, explain
+from warpsar.calibration.geolocation import Geolocation, geolocation
+from warpsar.calibration.measure import ReflectorObservation, observe
+from warpsar.calibration.point import PointSettings
+from warpsar.calibration.report import write_report
+from warpsar.calibration.sites import ReflectorSite, sites_at
+from warpsar.calibration.table import row, write_csv
 from warpsar.runtime import console, devices
 from warpsar.simulation.outputs import make_folder, write_json
 
