@@ -43,11 +43,26 @@ def velocity(time_s: F64 | float) -> F64:
     )
 
 
-def nearest(geodetic: tuple[float, float, float]) -> tuple[float, float]:
-    """Time [s] and distance [m] of the closest approach, where the distance's slope is zero."""
+def earth_fixed(geodetic: tuple[float, float, float]) -> F64:
     from sarkit import wgs84
 
-    point = wgs84.geodetic_to_cartesian(np.array(geodetic))
+    return np.asarray(wgs84.geodetic_to_cartesian(np.array(geodetic)))
+
+
+def ground_speed(geodetic: tuple[float, float, float] = SITE) -> float:
+    """How fast zero Doppler moves over the ground: a step along the flight, over the time between both approaches."""
+    point = earth_fixed(geodetic)
+    time, _ = approach(point)
+    ahead = velocity(time) / np.linalg.norm(velocity(time))
+    return 200.0 / (approach(point + 100.0 * ahead)[0] - approach(point - 100.0 * ahead)[0])
+
+
+def nearest(geodetic: tuple[float, float, float]) -> tuple[float, float]:
+    return approach(earth_fixed(geodetic))
+
+
+def approach(point: F64) -> tuple[float, float]:
+    """Time [s] and distance [m] of the closest approach, where the distance's slope is zero."""
 
     def distance(time: float) -> float:
         return float(np.linalg.norm(place(time) - point))

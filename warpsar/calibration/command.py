@@ -12,9 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from warpsar.errors import InputError
-from warpsar.formats import registry
-from warpsar.products.product import RADIOMETRIES, Product, Radiometry
 from warpsar.calibration import sites as site_tables
 from warpsar.calibration.engine import engine_rcs_m2
 from warpsar.calibration.explain import Explanation, explain
@@ -24,6 +21,9 @@ from warpsar.calibration.point import PointSettings
 from warpsar.calibration.report import write_report
 from warpsar.calibration.sites import ReflectorSite, sites_at
 from warpsar.calibration.table import row, write_csv
+from warpsar.errors import InputError
+from warpsar.formats import registry
+from warpsar.products.product import RADIOMETRIES, Product, Radiometry
 from warpsar.runtime import console, devices
 from warpsar.simulation.outputs import make_folder, write_json
 

@@ -13,7 +13,9 @@ from warpsar.calibration.measure import ReflectorObservation
 F64 = NDArray[np.float64]
 YEAR_S = 365.25 * 86400.0
 OUTLYING = 4.0
-"""Robust standard deviations off the level of its reflector: such a date is bad."""
+"""Robust standard deviations off the values before and after: such a date is bad."""
+NEIGHBOURS = 3
+"""Values before, and after, that make the level at a date."""
 LEAST_SCATTER_DB = 0.1
 """What is known of no radar better, from date to date."""
 _SAME_PASS = float(np.cos(np.deg2rad(3.0)))
@@ -106,7 +108,7 @@ class BadDate:
     off_db: float
     """From the level; of what is not seen: from the prediction at most."""
     deviations: float
-    """Robust ones; NaN of what is not seen."""
+    """Standard ones, by a robust scale; NaN of what is not seen."""
     words: str
 
     def content(self) -> dict[str, object]:
@@ -128,7 +130,10 @@ def absent(observations: Sequence[ReflectorObservation]) -> list[BadDate]:
 
 
 def bad_dates(data: Differences) -> tuple[list[BadDate], NDArray[np.bool_]]:
-    """Values far off the median of their reflector and pass; and which values are not, (n,)."""
+    """Values that lie off those before them and off those after them; and which values do not, (n,).
+
+    A step, or a level that drifts, is no bad date: it has neighbours on one side at least.
+    """
     good = np.ones(len(data), bool)
     found = []
     for group in np.unique(data.passes):
@@ -136,16 +141,20 @@ def bad_dates(data: Differences) -> tuple[list[BadDate], NDArray[np.bool_]]:
         if here.size < FEWEST:
             continue
         values = data.difference_db[here]
-        middle = float(np.median(values))
-        spread = 1.4826 * float(np.median(np.abs(values - middle)))
+        # From one value to the next: twice the variance of one, and blind to steps.
+        spread = 1.4826 / np.sqrt(2.0) * float(np.median(np.abs(np.diff(values))))
         scale = np.maximum(max(spread, LEAST_SCATTER_DB), data.sd_db[here])
-        for i, off in zip(here, (values - middle) / scale, strict=True):
-            if abs(off) > OUTLYING:
+        for k, i in enumerate(here.tolist()):
+            sides = [
+                side for side in (values[max(k - NEIGHBOURS, 0) : k], values[k + 1 : k + 1 + NEIGHBOURS]) if side.size
+            ]
+            off = [float(values[k] - np.median(side)) for side in sides]
+            level = min(off, key=abs)
+            if min(off) * max(off) > 0.0 and abs(level) > OUTLYING * scale[k]:
                 good[i] = False
                 one = data.observations[i]
-                level = float(data.difference_db[i] - middle)
                 words = f"{level:+.1f} dB off its level: {_weather(level)}"
-                found.append(BadDate(one.site.name, str(one.date)[:10], level, float(off), words))
+                found.append(BadDate(one.site.name, str(one.date)[:10], level, level / float(scale[k]), words))
     return found, good
 
 

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from warpsar.coherent.rcs import rcs
 from warpsar.calibration.attitude import Facing, Shape
+from warpsar.coherent.rcs import rcs
 from warpsar.scene.scene import Scene
 from warpsar.world.mesh import Mesh
 from warpsar.world.tables import Grid, Material, Radar, View

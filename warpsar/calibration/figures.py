@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warpsar.io import figures
 from warpsar.calibration.explain import Explanation
 from warpsar.calibration.measure import ReflectorObservation
 from warpsar.calibration.table import decibel
+from warpsar.io import figures
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -8,11 +8,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from warpsar.errors import InputError
-from warpsar.products.product import ImagedPoint, Product, Radiometry
 from warpsar.calibration.attitude import Facing, trihedral_rcs_m2
 from warpsar.calibration.point import PointMeasurement, PointSettings, ResponseAxis, measure_point
 from warpsar.calibration.sites import ReflectorSite
+from warpsar.errors import InputError
+from warpsar.products.product import ImagedPoint, Product, Radiometry
 from warpsar.world.frame import SPEED_OF_LIGHT
 
 F64 = NDArray[np.float64]

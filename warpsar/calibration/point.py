@@ -153,14 +153,14 @@ def measure_point(
     lines, pixels = (np.arange(n) / factor for n in power.shape)
     near = (np.abs(lines - expected[0]) <= search[0])[:, None] & (np.abs(pixels - expected[1]) <= search[1])
     top = np.unravel_index(np.where(near, power, -np.inf).argmax(), power.shape)
-    place = _refined(power, (int(top[0]), int(top[1])))
+    place, raised = _refined(power, (int(top[0]), int(top[1])))
     line, pixel = (at / factor for at in place)
     cells = tuple(max(1.0 / axis.bandwidth, axis.pixel_m) for axis in response)
     pixel_area = spacing_m[0] * spacing_m[1]
     cell_area = response[0].cell_m * response[1].cell_m
     clutter, count = _clutter(power, (lines, pixels), (line, pixel), spacing_m, cells, settings)
     samples = count * pixel_area / factor**2 / cell_area
-    peak = float(power[top])
+    peak = float(power[top]) * (raised if complex_chip else 1.0)
     tried = max((2.0 * search[0] * spacing_m[0]) * (2.0 * search[1] * spacing_m[1]) / cell_area, 1.0)
     chance = tried * np.exp(-min(peak / clutter, 700.0)) if clutter > 0.0 else 0.0
     seen = bool(chance < ABSENT)
@@ -245,18 +245,20 @@ def _padded(samples: NDArray[np.complex128], factors: tuple[int, int]) -> NDArra
     return np.asarray(np.fft.ifft2(np.fft.ifftshift(whole)) * factors[0] * factors[1])
 
 
-def _refined(power: F64, top: tuple[int, int]) -> tuple[float, float]:
-    """A peak between samples: the parabola through three logarithms, of each axis."""
-    place = []
+def _refined(power: F64, top: tuple[int, int]) -> tuple[tuple[float, float], float]:
+    """A peak between samples, and its power over the highest one: the parabola through three logarithms, per axis."""
+    place, raised = [], 0.0
     for axis, at in enumerate(top):
-        if not 0 < at < power.shape[axis] - 1:
-            place.append(float(at))
-            continue
-        three = power[at - 1 : at + 2, top[1]] if axis == 0 else power[top[0], at - 1 : at + 2]
-        low, middle, high = np.log(np.maximum(three, 1e-300))
-        bend = low - 2.0 * middle + high
-        place.append(at + (0.5 * (low - high) / bend if bend < 0.0 else 0.0))
-    return place[0], place[1]
+        off = 0.0
+        if 0 < at < power.shape[axis] - 1:
+            three = power[at - 1 : at + 2, top[1]] if axis == 0 else power[top[0], at - 1 : at + 2]
+            low, middle, high = np.log(np.maximum(three, 1e-300))
+            bend = low - 2.0 * middle + high
+            if bend < 0.0:
+                off = 0.5 * (low - high) / bend
+                raised += -0.125 * (low - high) ** 2 / bend
+        place.append(at + off)
+    return (place[0], place[1]), float(np.exp(raised))
 
 
 def _clutter(

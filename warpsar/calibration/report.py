@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from warpsar.io import html as report
-from warpsar.io.grey_scale import GreyScale, in_decibel
-from warpsar.io.html_image import ImageAxis, image
 from warpsar.calibration.explain import Explanation
 from warpsar.calibration.figures import incidence_figure, map_figure, offset_figure, series_figure
 from warpsar.calibration.geolocation import Geolocation
 from warpsar.calibration.measure import ReflectorObservation
 from warpsar.calibration.table import row
+from warpsar.io import html as report
+from warpsar.io.grey_scale import GreyScale, in_decibel
+from warpsar.io.html_image import ImageAxis, image
 
 F64 = NDArray[np.float64]
 MOST_SITES, MOST_CUTOUTS, MOST_ROWS = 24, 12, 400

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from warpsar.errors import InputError, did_you_mean, shown
 from warpsar.calibration.attitude import SHAPES, Facing, Shape
+from warpsar.errors import InputError, did_you_mean, shown
 from warpsar.world.earth import LocalEarth, ecef_to_geodetic, geodetic_to_ecef
 
 F64 = NDArray[np.float64]

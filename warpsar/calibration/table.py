@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from warpsar.io.images import replacing
 from warpsar.calibration.measure import ReflectorObservation
+from warpsar.io.images import replacing
 
 Value = str | float | None
 

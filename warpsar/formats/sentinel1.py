@@ -154,7 +154,7 @@ class _Annotation:
             bandwidth_hz=(band["range"], band["azimuth"]),
             hamming=(weights["range"], weights["azimuth"]),
             looks=(looks["range"], looks["azimuth"]),
-            top=float(np.hypot(32767.0, 32767.0)) if slc else 65535.0,
+            top=32767.0 if slc else 65535.0,
         )
 
     def orbit(self) -> Orbit | None:

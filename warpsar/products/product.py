@@ -86,7 +86,7 @@ class Product:
     looks: tuple[float, float] = (1.0, 1.0)
     """In range and azimuth, averaged in power."""
     top: float | None = None
-    """The largest sample that the format can say: brighter ones have it, too."""
+    """The largest number that the format can say, of a complex sample in either part: brighter ones have it, too."""
 
     @property
     def wavelength_m(self) -> float:

@@ -60,5 +60,5 @@ def chip_of(product: Product, path: Path, stated: Stated) -> ImageChip:
         locate=locate,
         calibrated=calibrated,
         gain=gain if calibrated and product.gain is not None else None,
-        top=product.top,
+        top=None if product.quantity == "complex" else product.top,
     )
