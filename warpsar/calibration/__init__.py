@@ -14,3 +14,7 @@ figures.py      drawings of the report
 report.py       report.html
 command.py      the command, and `warpsar.reflectors`
 """
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)  # public: __init__.pyi

@@ -26,13 +26,14 @@ from warpsar.formats import registry
 from warpsar.products.product import RADIOMETRIES, Product, Radiometry
 from warpsar.runtime import console, devices
 from warpsar.simulation.outputs import make_folder, write_json
+from warpsar.world.tables import Polarization
 
 ALLOWANCE_M = (15.0, 15.0)
 """In azimuth and slant range: atmosphere (2 to 4 m), tides (0.2 m), and the product's own timing."""
 LOOK_STEP_DEG = 0.1
 """The engine is asked once for looks so near to each other: a trihedral changes by under 0.02 dB."""
 CO_POLARIZED = ("HH", "VV")
-POLARIZATIONS = ("HH", "HV", "VH", "VV")
+POLARIZATIONS: tuple[Polarization, ...] = ("HH", "HV", "VH", "VV")
 
 
 @dataclass(frozen=True)
@@ -113,7 +114,7 @@ def _opened(
             opened.append(one)
             continue
         try:
-            several = registry.products(one, file_format=file_format, polarization=polarization)
+            several = registry.products(Path(one), file_format=file_format, polarization=polarization)
         except InputError as error:
             refused.append(str(error))
             continue
@@ -153,7 +154,7 @@ def _predicted(
             round(angle / LOOK_STEP_DEG) * LOOK_STEP_DEG
             for angle in (one.expected.azimuth_deg, one.expected.incidence_deg)
         )
-        pol = one.polarization or "VV"
+        pol: Polarization = next((each for each in POLARIZATIONS if each == one.polarization), "VV")
         key = (one.site.shape, one.site.leg_m, one.facing, look, frequency_hz[one.source], pol)
         if key not in known:
             area = engine_rcs_m2(

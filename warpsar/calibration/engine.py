@@ -11,7 +11,7 @@ from warpsar.calibration.attitude import Facing, Shape
 from warpsar.coherent.rcs import rcs
 from warpsar.scene.scene import Scene
 from warpsar.world.mesh import Mesh
-from warpsar.world.tables import Grid, Material, Radar, View
+from warpsar.world.tables import Grid, Material, Polarization, Radar, View
 
 F64 = NDArray[np.float64]
 
@@ -33,7 +33,7 @@ def engine_rcs_m2(
     facing: Facing,
     look_deg: Sequence[tuple[float, float]],
     frequency_hz: float,
-    polarization: str,
+    polarization: Polarization,
     device: str | None = None,
 ) -> F64:
     """Radar cross-sections [m2], (n,), for directions to the radar: azimuth clockwise from north, and incidence [deg].

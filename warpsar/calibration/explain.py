@@ -127,7 +127,7 @@ def fit(cause: Cause, data: Differences, *, held: bool = True) -> FittedCause:
             break
     sd = np.sqrt(data.sd_db**2 + scatter**2)
     curve = cause.curve(x, data)
-    likelihood = float(norm.logpdf(data.difference_db, curve, sd).sum())
+    likelihood = float(np.sum(norm.logpdf(data.difference_db, curve, sd)))
     z = float(norm.ppf(0.5 + 0.5 * CONFIDENCE))
     error = np.zeros(x.size)
     error[free] = np.sqrt(np.maximum(np.diag(covariance), 0.0))
@@ -162,7 +162,8 @@ def _solved(cause: Cause, data: Differences, sd: F64, x: F64, free: Sequence[int
     best = min(
         (least_squares(residual, start, bounds=(low, high), x_scale="jac") for start in starts), key=lambda r: r.cost
     )
-    information = best.jac.T @ best.jac
+    jacobian = np.asarray(best.jac, np.float64)
+    information = jacobian.T @ jacobian
     return full(best.x), np.linalg.pinv(information, rcond=1e-8)
 
 
@@ -198,7 +199,7 @@ def _held(cause: Cause, data: Differences) -> float | None:
         return None
     found = fit(made, early, held=False)
     sd = np.sqrt(late.sd_db**2 + found.scatter_db**2)
-    return float(norm.logpdf(late.difference_db, made.curve(found.values, late), sd).mean())
+    return float(np.mean(norm.logpdf(late.difference_db, made.curve(found.values, late), sd)))
 
 
 # ---- what is tied ----

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -193,6 +193,7 @@ def _measured(
     radiometry = product.radiometry or radiometry
     factor = _to_beta0(radiometry, expected.incidence_deg)
     gain = product.gain(lines[:, None], pixels) if product.gain is not None else np.ones((1, 1))
+    chip: NDArray[Any]
     if product.quantity == "complex":
         chip = raw.astype(np.complex128) * np.sqrt(gain * factor)
         if product.demodulate is not None:

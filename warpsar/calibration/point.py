@@ -148,8 +148,11 @@ def measure_point(
     """
     settings = settings or PointSettings()
     complex_chip = np.iscomplexobj(chip)
-    fine, factor, centre_phase = _finer(chip) if complex_chip else (np.asarray(chip, np.float64), 1, (0.0, 0.0))
-    power = np.abs(fine) ** 2 if complex_chip else fine
+    samples = np.asarray(chip, np.complex128)
+    turns = _centroids(samples) if complex_chip else (0.0, 0.0)
+    factor = OVERSAMPLING if complex_chip else 1
+    fine = _padded(_still(samples, turns), (factor, factor)) if complex_chip else samples
+    power: F64 = np.abs(fine) ** 2 if complex_chip else fine.real
     lines, pixels = (np.arange(n) / factor for n in power.shape)
     near = (np.abs(lines - expected[0]) <= search[0])[:, None] & (np.abs(pixels - expected[1]) <= search[1])
     top = np.unravel_index(np.where(near, power, -np.inf).argmax(), power.shape)
@@ -159,7 +162,7 @@ def measure_point(
     pixel_area = spacing_m[0] * spacing_m[1]
     cell_area = response[0].cell_m * response[1].cell_m
     clutter, count = _clutter(power, (lines, pixels), (line, pixel), spacing_m, cells, settings)
-    samples = count * pixel_area / factor**2 / cell_area
+    independent = count * pixel_area / factor**2 / cell_area
     peak = float(power[top]) * (raised if complex_chip else 1.0)
     tried = max((2.0 * search[0] * spacing_m[0]) * (2.0 * search[1] * spacing_m[1]) / cell_area, 1.0)
     chance = tried * np.exp(-min(peak / clutter, 700.0)) if clutter > 0.0 else 0.0
@@ -181,7 +184,7 @@ def measure_point(
     target = (float((power * inside).sum()) * pixel_area / factor**2 - clutter * window_area) / share
     cell_rcs = clutter * cell_area
     # Clutter under the target, and the error of its mean; both over the share.
-    spread = (clutter**2 * window_area * (cell_area + window_area / samples)) / share**2
+    spread = (clutter**2 * window_area * (cell_area + window_area / independent)) / share**2
     z = float(norm.ppf(0.5 + 0.5 * settings.confidence))
     low, high = interval(target, cell_rcs, spread, z)
     if not complex_chip and seen:
@@ -198,10 +201,10 @@ def measure_point(
         peak_rcs_m2=(peak - clutter) * response[0].peak_m * response[1].peak_m if complex_chip else float("nan"),
         scr=scr,
         clutter=clutter,
-        clutter_cells=samples,
+        clutter_cells=independent,
         window_share=share,
-        phase_deg=_phase_deg(fine, place, factor, centre_phase) if complex_chip else None,
-        quality=_qualities(chip, (line, pixel), spacing_m, cells) if complex_chip and seen else None,
+        phase_deg=_phase_deg(fine, place, factor, turns) if complex_chip else None,
+        quality=_qualities(_still(samples, turns), (line, pixel), spacing_m, cells) if complex_chip and seen else None,
         seen=seen,
     )
 
@@ -220,22 +223,20 @@ def interval(target: float, cell: float, spread: float, z: float) -> tuple[float
     return bound(-1.0, target), bound(1.0, max(target, 0.0))
 
 
-def _finer(chip: NDArray[np.complex128]) -> tuple[NDArray[np.complex128], int, tuple[float, float]]:
-    """The chip on a grid four times as fine, by zeros about its spectrum, which is moved to the middle first."""
-    samples = np.asarray(chip, np.complex128)
-    turns = _centroids(samples)
-    lines, pixels = (np.arange(n) for n in samples.shape)
-    still = samples * np.exp(-1j * (turns[0] * lines[:, None] + turns[1] * pixels))
-    return _padded(still, (OVERSAMPLING, OVERSAMPLING)), OVERSAMPLING, turns
-
-
 def _centroids(samples: NDArray[np.complex128]) -> tuple[float, float]:
     """The spectrum's middle [rad per sample] along both axes, by the phase from sample to sample."""
     along = np.vdot(samples[:-1], samples[1:]), np.vdot(samples[:, :-1], samples[:, 1:])
     return float(np.angle(along[0])), float(np.angle(along[1]))
 
 
+def _still(samples: NDArray[np.complex128], turns: tuple[float, float]) -> NDArray[np.complex128]:
+    """With the spectrum's middle at zero frequency."""
+    lines, pixels = (np.arange(n) for n in samples.shape)
+    return np.asarray(samples * np.exp(-1j * (turns[0] * lines[:, None] + turns[1] * pixels)))
+
+
 def _padded(samples: NDArray[np.complex128], factors: tuple[int, int]) -> NDArray[np.complex128]:
+    """On a grid so many times as fine, by zeros about the spectrum."""
     spectrum = np.fft.fftshift(np.fft.fft2(samples))
     shape = tuple(n * f for n, f in zip(samples.shape, factors, strict=True))
     whole = np.zeros(shape, np.complex128)
@@ -298,16 +299,12 @@ def _phase_deg(
 
 
 def _qualities(
-    chip: NDArray[np.complex128],
+    still: NDArray[np.complex128],
     place: tuple[float, float],
     spacing_m: tuple[float, float],
     cells: tuple[float, ...],
 ) -> tuple[AxisQuality, AxisQuality]:
-    """Of cuts through the peak, which is moved to a sample first."""
-    samples = np.asarray(chip, np.complex128)
-    turns = _centroids(samples)
-    lines, pixels = (np.arange(n) for n in samples.shape)
-    still = samples * np.exp(-1j * (turns[0] * lines[:, None] + turns[1] * pixels))
+    """Of cuts through the peak, which is moved to a sample first. The spectrum lies about zero."""
     nearest = round(place[0]), round(place[1])
     shift = [p - n for p, n in zip(place, nearest, strict=True)]
     ramps = [np.exp(2j * np.pi * np.fft.fftfreq(n) * s) for n, s in zip(still.shape, shift, strict=True)]

@@ -69,8 +69,9 @@ class ReflectorSite:
 
     def stands(self, date: np.datetime64) -> bool:
         """Whether it is there at a date, by the file."""
-        begun = self.start is None or date >= self.start
-        return begun and (self.end is None or date <= self.end) and not self.out_of_service
+        after = self.start is None or bool(date >= self.start)
+        before = self.end is None or bool(date <= self.end)
+        return after and before and not self.out_of_service
 
 
 def sites_at(sites: Sequence[ReflectorSite], date: np.datetime64) -> list[ReflectorSite]:
@@ -192,7 +193,7 @@ def _own(row: _Row) -> ReflectorSite:
     flipped = row.cells.get("flipped", "").lower()
     if flipped not in ("", "yes", "no", "true", "false", "1", "0"):
         raise row.refuse("flipped", "yes or no")
-    facings = ()
+    facings: tuple[Facing, ...] = ()
     if row.cells.get("azimuth_deg"):
         tilt = row.number("tilt_deg", -90.0, 90.0, 0.0)
         facings = (Facing(row.number("azimuth_deg", -360.0, 360.0), tilt, flipped in ("yes", "true", "1")),)
@@ -216,7 +217,7 @@ def _gecoris(row: _Row) -> ReflectorSite:
         raise row.refuse("crshape", f"one of {', '.join(kinds)}")
     shape, flipped = kinds[kind]
     dip, tilt = row.number("azidip", -180.0, 180.0, 0.0), -row.number("zendip", -90.0, 90.0, 0.0)
-    facings = (Facing(90.0 + dip, tilt, flipped), Facing(270.0 - dip, tilt, flipped))
+    facings: tuple[Facing, ...] = (Facing(90.0 + dip, tilt, flipped), Facing(270.0 - dip, tilt, flipped))
     orientation = row.cells.get("orientation", "*").upper()[:1]
     facings = facings[:1] if orientation == "D" else facings[1:] if orientation == "A" else facings
     place = row.place("latitude", "longitude", "el height")

@@ -75,7 +75,7 @@ def is_one(path: Path, head: bytes) -> bool:
     return annotation or (b"xfdu:XFDU" in text and (path.parent / "annotation").is_dir())
 
 
-def annotations(path: Path, polarization: str | None) -> list[Path]:
+def annotation_files(path: Path, polarization: str | None) -> list[Path]:
     """The annotation files of a SAFE folder, of its manifest.safe, or the one that `path` is."""
     if path.is_file() and path.name != "manifest.safe":
         return [path]
@@ -92,7 +92,7 @@ def annotations(path: Path, polarization: str | None) -> list[Path]:
 
 def products(path: Path, polarization: str | None) -> tuple[Product, ...]:
     """One product of each annotation file. Raises InputError for a file that is none."""
-    return tuple(_Annotation(one).product() for one in annotations(path, polarization))
+    return tuple(_Annotation(one).product() for one in annotation_files(path, polarization))
 
 
 def read(path: Path, stated: Stated) -> ImageChip:
