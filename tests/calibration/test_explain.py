@@ -76,7 +76,8 @@ def turned(name: str, day: int, azimuth: float, incidence: float) -> float:
         return 0.0
     toward = look(azimuth, incidence)
     facing = min((EAST, WEST), key=lambda one: one.off_boresight_deg(toward))
-    wrong = Facing(facing.azimuth_deg + 6.0, facing.tilt_deg - 8.0)
+    share = np.cos(np.deg2rad(facing.azimuth_deg - EAST.azimuth_deg))  # a rigid body: one side rises, the other sinks
+    wrong = Facing(facing.azimuth_deg + 6.0, facing.tilt_deg - 8.0 * float(share))
     areas = [float(trihedral_rcs_m2("triangular", LEG, one, toward, WAVELENGTH)) for one in (wrong, facing)]
     return float(10 * np.log10(areas[0] / areas[1]))
 

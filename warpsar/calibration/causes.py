@@ -172,16 +172,18 @@ def _size(i: int, name: str, data: Differences) -> Cause:
 
 
 def _attitude(i: int, name: str, data: Differences) -> Cause:
-    """The device turned and tilted as a whole: each pass sees the facing that it saw."""
+    """The device turned and tilted as a whole: what raises one facing lowers the one that looks the other way."""
     facings: dict[int, tuple[Facing, str]] = {}
     for k in np.flatnonzero(data.site == i).tolist():
         one = data.observations[k]
         assert one.facing is not None
         facings[k] = (one.facing, one.site.shape)
     sample = facings[min(facings)]
+    front = sample[0].azimuth_deg
 
     def change(x: F64, facing: Facing, look: F64) -> float:
-        turned = Facing(facing.azimuth_deg + x[0], facing.tilt_deg + x[1], facing.flipped)
+        share = float(np.cos(np.deg2rad(facing.azimuth_deg - front)))
+        turned = Facing(facing.azimuth_deg + x[0], facing.tilt_deg + share * x[1], facing.flipped)
         shape = data.observations[min(facings)].site.shape
         areas = [float(trihedral_rcs_m2(shape, 1.0, one, look, 1.0)) for one in (turned, facing)]
         return float(10.0 * np.log10(max(areas[0], 1e-9) / max(areas[1], 1e-9)))

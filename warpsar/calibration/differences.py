@@ -12,8 +12,8 @@ from warpsar.calibration.measure import ReflectorObservation
 
 F64 = NDArray[np.float64]
 YEAR_S = 365.25 * 86400.0
-OUTLYING = 4.0
-"""Robust standard deviations off the values before and after: such a date is bad."""
+OUTLYING = 3.5
+"""Robust standard deviations off the values before and after: such a date is bad (Iglewicz and Hoaglin, 1993)."""
 NEIGHBOURS = 3
 """Values before, and after, that make the level at a date."""
 LEAST_SCATTER_DB = 0.1

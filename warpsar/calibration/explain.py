@@ -164,7 +164,7 @@ def _solved(cause: Cause, data: Differences, sd: F64, x: F64, free: Sequence[int
     )
     jacobian = np.asarray(best.jac, np.float64)
     information = jacobian.T @ jacobian
-    return full(best.x), np.linalg.pinv(information, rcond=1e-8)
+    return full(best.x), np.asarray(np.linalg.pinv(information, rcond=1e-8), np.float64)
 
 
 def _scatter(residual: F64, sd: F64, parameters: int) -> float:
