@@ -142,7 +142,7 @@ def write_safe(
         f"<mode>SM</mode><swath>S3</swath><startTime>{utc(start)}</startTime></adsHeader>"
     )
     processing = "".join(
-        f"<{axis}Processing><windowCoefficient>{1.0}</windowCoefficient><numberOfLooks>1</numberOfLooks>"
+        f"<{axis}Processing><windowCoefficient>{1.0}</windowCoefficient><processingBandwidth>{value}</processingBandwidth>"
         f"<lookBandwidth>{value}</lookBandwidth></{axis}Processing>"
         for axis, value in (("range", band.range_hz), ("azimuth", band.azimuth_hz))
     )

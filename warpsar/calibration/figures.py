@@ -53,7 +53,7 @@ def map_figure(observations: Sequence[ReflectorObservation]) -> Figure:
         axes.legend(frameon=False, fontsize=8)
     if len(sites) == 1:
         axes.set(xlim=(-1, 1), ylim=(-1, 1))
-    axes.set_aspect("equal", adjustable="datalim")
+    axes.set_aspect("equal", adjustable="box" if len(sites) == 1 else "datalim")
     axes.set_xlabel(f"east of {lon.mean():.4f}° [km]")
     axes.set_ylabel(f"north of {lat.mean():.4f}° [km]")
     axes.grid(alpha=0.3)
@@ -95,7 +95,9 @@ def series_figure(observations: Sequence[ReflectorObservation], explanation: Exp
         predicted = [(one.date, decibel(one.predicted_m2)) for one in some if one.predicted_m2]
         if predicted:
             date = np.array([each for each, _ in predicted]).astype("datetime64[s]").astype(object)
-            axes.plot(date, [value for _, value in predicted], "_", color=colour, ms=9, mew=2.2, label="predicted")
+            axes.plot(
+                date, [value for _, value in predicted], "_", color=colour, ms=9, mew=2.2, label=f"{name}: predicted"
+            )
     axes.set_ylabel("RCS [dBsm]")
     axes.grid(alpha=0.3)
     axes.tick_params(axis="x", labelrotation=25)
@@ -113,6 +115,8 @@ def incidence_figure(observations: Sequence[ReflectorObservation], explanation: 
     names = list(dict.fromkeys(one.site.name for one in observations))
     for name, colour in zip(names, COLOURS * 99, strict=False):
         own = [one for one in observations if one.site.name == name and one.difference_db is not None]
+        if not own:
+            continue
         angle = [one.expected.incidence_deg for one in own if one.expected is not None]
         off = np.array([one.difference_db for one in own], np.float64)
         error = np.array([one.difference_sd_db or 0.0 for one in own])

@@ -228,8 +228,8 @@ def responses(product: Product, spacing_m: tuple[float, float]) -> tuple[Respons
     along = 2.0 * range_hz / SPEED_OF_LIGHT if range_hz else 1.0 / spacing_m[1]
     whole = product.quantity != "complex"
     return (
-        ResponseAxis(azimuth, product.hamming[1], spacing_m[0] if whole else 0.0),
-        ResponseAxis(along, product.hamming[0], spacing_m[1] if whole else 0.0),
+        ResponseAxis(azimuth, product.hamming[1], spacing_m[0] if whole else 0.0, product.looks[1]),
+        ResponseAxis(along, product.hamming[0], spacing_m[1] if whole else 0.0, product.looks[0]),
     )
 
 

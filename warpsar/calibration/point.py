@@ -26,18 +26,20 @@ ABSENT = 0.01
 class ResponseAxis:
     """The response to a point along one axis: a band of `bandwidth` [1/m] under a window alpha - (1 - alpha) cos.
 
-    `pixel_m` [m]: of a detected image, whose pixels are taken whole; 0 for a complex one.
+    `pixel_m` [m]: of a detected image, whose pixels are taken whole; 0 for a complex one. `looks`: how many such bands
+    side by side are averaged in power.
     """
 
     bandwidth: float
     hamming: float = 1.0
     pixel_m: float = 0.0
+    looks: float = 1.0
 
     @property
     def cell_m(self) -> float:
         """Length of an independent sample of clutter: int w^4 / (int w^2)^2; 1 / bandwidth, unweighted."""
         weights = _weights(self.hamming)
-        return float((weights**4).mean() / (weights**2).mean() ** 2 / self.bandwidth)
+        return float((weights**4).mean() / (weights**2).mean() ** 2 / self.bandwidth / self.looks)
 
     @property
     def peak_m(self) -> float:

@@ -86,7 +86,6 @@ def products(path: Path, polarization: str | None) -> tuple[Product, ...]:
     )
     if grid.line_s <= 0.0 or grid.range_step_m <= 0.0:
         raise InputError(f"{par}: azimuth_line_time and range_pixel_spacing: must be positive")
-    looks = keys.numbers("range_looks")[0], keys.numbers("azimuth_looks")[0]
     samples = _Big(image, (lines, pixels), kind) if image.is_file() else None
     if samples is not None:
         size, needed = image.stat().st_size, lines * pixels * {"FLOAT": 4, "SCOMPLEX": 4, "FCOMPLEX": 8}[kind]
@@ -106,7 +105,6 @@ def products(path: Path, polarization: str | None) -> tuple[Product, ...]:
             quantity="power" if kind == "FLOAT" else "complex",
             radiometry=None,
             bandwidth_hz=(keys.optional("chirp_bandwidth"), keys.optional("azimuth_proc_bandwidth")),
-            looks=looks,
         ),
     )
 

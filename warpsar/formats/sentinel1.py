@@ -129,7 +129,9 @@ class _Annotation:
         weights = {
             axis: _number(self.path, first, f"{axis}Processing/windowCoefficient") for axis in ("range", "azimuth")
         }
-        looks = {axis: _number(self.path, first, f"{axis}Processing/numberOfLooks") for axis in ("range", "azimuth")}
+        whole = {
+            axis: _number(self.path, first, f"{axis}Processing/processingBandwidth") for axis in ("range", "azimuth")
+        }
         raster = self._measurement()
         lines, pixels = (
             int(self.number(f"{information}/numberOfLines")),
@@ -153,7 +155,7 @@ class _Annotation:
             demodulate=self._tops(grid) if grid.burst_start_s else None,
             bandwidth_hz=(band["range"], band["azimuth"]),
             hamming=(weights["range"], weights["azimuth"]),
-            looks=(looks["range"], looks["azimuth"]),
+            looks=(whole["range"] / band["range"], whole["azimuth"] / band["azimuth"]),
             top=32767.0 if slc else 65535.0,
         )
 

@@ -21,8 +21,8 @@ Radiometry = Literal["beta0", "sigma0", "gamma0"]
 RADIOMETRIES: tuple[Radiometry, ...] = ("beta0", "sigma0", "gamma0")
 
 
-class Pixels2d(Protocol):
-    """Pixels (lines, pixels): an array, a memory map, or a file that is read only where it is sliced."""
+class Samples(Protocol):
+    """Pixels (rows, columns): an array, a memory map, or a file that is read only where it is sliced."""
 
     @property
     def shape(self) -> tuple[int, ...]: ...
@@ -68,7 +68,7 @@ class Product:
     grid: LineGrid
     orbit: Orbit | None
     """None where the file has no state vectors."""
-    samples: Pixels2d | None
+    samples: Samples | None
     """(lines, pixels): complex, amplitude or power, by `quantity`. None where there is annotation alone."""
     quantity: Literal["complex", "amplitude", "power"]
     radiometry: Radiometry | None
@@ -84,17 +84,13 @@ class Product:
     hamming: tuple[float, float] = (1.0, 1.0)
     """Coefficient alpha of the windows of range and azimuth: alpha - (1 - alpha) cos; 1 is none."""
     looks: tuple[float, float] = (1.0, 1.0)
-    """In range and azimuth, averaged in power."""
+    """In range and azimuth: parts of the spectrum, of `bandwidth_hz` each, whose powers are averaged."""
     top: float | None = None
     """The largest number that the format can say, of a complex sample in either part: brighter ones have it, too."""
 
     @property
     def wavelength_m(self) -> float:
         return SPEED_OF_LIGHT / self.frequency_hz
-
-    @property
-    def name(self) -> str:
-        return self.source
 
     def date(self, time_s: float) -> np.datetime64:
         """UTC of an azimuth time."""
