@@ -18,6 +18,7 @@ COMMANDS = {
     "materials": "warpsar.cli.materials:command",
     "simulate": "warpsar.cli.simulate:command",
     "rcs": "warpsar.cli.rcs:command",
+    "reflectors": "warpsar.cli.reflectors:command",
     "import": "warpsar.cli.import_:command",
     "learn": "warpsar.cli.learn:command",
     "uv": "warpsar.cli.uv:command",

@@ -18,6 +18,7 @@ LOOK = Pass(slant_range_m=10e3, speed_m_s=100.0)
 FREQUENCY_HZ = 9.5e9 + 5e6 * np.arange(32)
 POSITIONS = LOOK.position(np.linspace(-40.0, 40.0, 24))
 TARGET = np.array([[3.0, -5.0, 0.0]])
+CLUTTER = (np.random.default_rng(0).normal(size=(256, 256, 2)) @ [1, 1j]).astype(np.complex64)
 SAMPLES = echoes(POSITIONS, FREQUENCY_HZ, TARGET, np.ones(1), np.zeros(3))
 
 
@@ -110,6 +111,19 @@ def jpeg(folder: Path) -> Path:
     return path
 
 
+def sentinel1(folder: Path) -> Path:
+    from product_files import write_safe
+
+    return next((write_safe(folder, CLUTTER) / "annotation").glob("*.xml"))
+
+
+def gamma(folder: Path) -> Path:
+    from product_files import write_gamma
+
+    path = write_gamma(folder, np.abs(CLUTTER) ** 2)
+    return path.with_name(f"{path.name}.par")
+
+
 MADE: dict[str, Callable[[Path], Path]] = {
     "gotcha": matlab,
     "cphd": cphd,
@@ -121,6 +135,8 @@ MADE: dict[str, Callable[[Path], Path]] = {
     "exr": exr,
     "tiff": tiff,
     "jpeg": jpeg,
+    "sentinel1": sentinel1,
+    "gamma": gamma,
 }
 PICTURES = tuple(name for name in MADE if "quantity" in registry.get(name).asks)
 

@@ -13,6 +13,7 @@ from warpsar.errors import DeviceError, InputError, WarpsarError
 from warpsar.version import __version__
 
 if TYPE_CHECKING:
+    from warpsar.calibration.command import reflectors
     from warpsar.coherent.gradients import rcs_gradients
     from warpsar.coherent.rcs import rcs
     from warpsar.collection.command import phase_history, slc
@@ -45,6 +46,7 @@ _LAZY = {
     "phase_history": "warpsar.collection.command",
     "rcs": "warpsar.coherent.rcs",
     "rcs_gradients": "warpsar.coherent.gradients",
+    "reflectors": "warpsar.calibration.command",
     "renderer": "warpsar.differentiable.renderer",
     "simulate": "warpsar.simulation.command",
     "slc": "warpsar.collection.command",
@@ -71,6 +73,7 @@ __all__ = [
     "phase_history",
     "rcs",
     "rcs_gradients",
+    "reflectors",
     "renderer",
     "simulate",
     "slc",

@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
+from numpy.typing import ArrayLike
 
 from warpsar.errors import InputError
-from warpsar.formats.base.data import Facts, ImageChip, direction_deg, reading
+from warpsar.formats.base.data import ImageChip, reading
 from warpsar.formats.base.extra import Extra
 from warpsar.formats.base.format import Format, Stated
-from warpsar.world.earth import needed
+from warpsar.formats.base.located import chip_of
+from warpsar.products.grid import LineGrid
+from warpsar.products.lookup import LineTable
+from warpsar.products.orbit import Orbit
+from warpsar.products.product import Product
+from warpsar.products.zero_doppler import Side
 
 if TYPE_CHECKING:
     import h5py
@@ -45,71 +52,58 @@ class _Window:
             return np.asarray(raw, np.complex64)
 
 
-def read(path: Path, stated: Stated) -> ImageChip:
-    """The image, placed by its orbit: rows are zero-Doppler time, columns slant range.
-
-    The frame says where the world lies on the earth (a mesh that is a DEM, or an origin given by the user): the file
-    does not fix it. Raises InputError without it.
-    """
+def products(path: Path, polarization: str | None) -> tuple[Product, ...]:
+    """The images of a file, one for each polarization: rows are zero-Doppler time, columns slant range."""
     EXTRA.require(f"{path}: HDF5")
     import h5py
 
     with reading(path, "HDF5 file"), h5py.File(path) as file:
-        swath = _Swath.read(path, file, stated.polarization)
-    times, ranges, track = swath.times, swath.ranges, swath.track
+        return tuple(_product(path, file, pol) for pol in _polarizations(path, file, polarization))
+
+
+def read(path: Path, stated: Stated) -> ImageChip:
+    """The image, placed by its orbit.
+
+    The frame says where the world lies on the earth (a mesh that is a DEM, or an origin given by the user): the file
+    does not fix it. Raises InputError without it, and where several polarizations are there and none is chosen.
+    """
+    found = products(path, stated.polarization)
+    if len(found) > 1:
+        names = ", ".join(str(one.polarization) for one in found)
+        raise InputError(f"{path}: several polarizations ({names}); choose one with --polarization")
+    return replace(chip_of(found[0], path, stated), calibrated=False, gain=None)
+
+
+def _product(path: Path, file: h5py.File, polarization: str) -> Product:
+    swath = _Swath.read(path, file, polarization)
+    times, ranges = swath.times, swath.ranges
     if swath.shape != (times.size, ranges.size) or min(swath.shape) < 2:
         raise InputError(
             f"{path}: {swath.name} has shape {swath.shape}, for {times.size} times and {ranges.size} ranges"
         )
     time_step, range_step = (float(axis[-1] - axis[0]) / (axis.size - 1) for axis in (times, ranges))
-    if time_step == 0.0 or range_step == 0.0 or not (track.velocity**2).sum(-1).min() > 0.0:
-        raise InputError(f"{path}: times, ranges and positions must change along their axes, but do not")
-    world = needed(stated.frame, path)
-
-    def locate(points_m: np.ndarray) -> np.ndarray:
-        time, distance = track.abeam(world.to_ecef(points_m), times[times.size // 2], 1e-3 * abs(time_step))
-        return np.stack([(time - times[0]) / time_step, (distance - ranges[0]) / range_step], axis=-1)
-
-    def facts(reference_point_m: np.ndarray) -> Facts:
-        point = world.to_ecef(reference_point_m)
-        time, distance = track.abeam(point, times[times.size // 2], 1e-3 * abs(time_step))
-        azimuth, incidence = direction_deg(track.at(time)[0] - point, world, reference_point_m)
-        return Facts(azimuth, incidence, swath.frequency_hz, swath.polarization, float(distance), strip_map=True)
-
-    speed = float(np.linalg.norm(track.at(np.array(times.mean()))[1]))
-    return ImageChip(
+    if time_step == 0.0 or range_step == 0.0:
+        raise InputError(f"{path}: times and ranges must change along their axes, but do not")
+    grid = LineGrid(times.size, ranges.size, float(times[0]), time_step, float(ranges[0]), range_step)
+    return Product(
         source=str(path),
+        platform=swath.platform,
+        epoch=swath.epoch,
+        polarization=swath.polarization,
+        frequency_hz=swath.frequency_hz,
+        side=swath.side,
+        grid=grid,
+        orbit=swath.orbit,
         samples=_Window(path, swath.name, swath.shape),
         quantity="complex",
-        facts=facts,
-        spacing_m=(speed * abs(time_step), abs(range_step)),
-        locate=locate,
+        radiometry=None if swath.beta0 is None else "beta0",
+        gain=None if swath.beta0 is None else _beta0_gain(swath.beta0),
+        bandwidth_hz=swath.bandwidth_hz,
     )
 
 
-class _Track:
-    """Antenna positions and velocities between the orbit's state vectors: cubic Hermite, exact in both at each."""
-
-    def __init__(self, time: np.ndarray, position: np.ndarray, velocity: np.ndarray) -> None:
-        self.time, self.position, self.velocity = time, position, velocity
-        self._path = CubicHermiteSpline(time, position, velocity)
-        self._speed = self._path.derivative()
-
-    def at(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Position [m] and velocity [m/s], (..., 3) each, at times [s]."""
-        return self._path(time), self._speed(time)
-
-    def abeam(self, points: np.ndarray, start_s: float, tolerance_s: float) -> tuple[np.ndarray, np.ndarray]:
-        """Time [s] and slant range [m] of zero Doppler for earth-centred points (..., 3) [m], by Newton's method."""
-        time = np.full(points.shape[:-1], start_s)
-        for _ in range(20):
-            position, velocity = self.at(time)
-            offset = points - position
-            change = (offset * velocity).sum(-1) / (velocity**2).sum(-1)
-            time = time + change
-            if np.abs(change).max(initial=0.0) < tolerance_s:
-                break
-        return time, np.linalg.norm(points - self.at(time)[0], axis=-1)
+def _beta0_gain(table: LineTable) -> Callable[[ArrayLike, ArrayLike], np.ndarray]:
+    return lambda line, pixel: table.at(line, pixel) ** -2.0
 
 
 @dataclass(frozen=True)
@@ -125,14 +119,17 @@ class _Swath:
     ranges: np.ndarray
     """Slant range of each column [m]."""
     frequency_hz: float
-    track: _Track
+    orbit: Orbit
+    platform: str
+    epoch: np.datetime64
+    side: Side
+    beta0: LineTable | None
+    """Over lines and pixels: samples over it have beta0 as power."""
+    bandwidth_hz: tuple[float | None, float | None]
 
     @classmethod
-    def read(cls, path: Path, file: h5py.File, polarization: str | None) -> _Swath:
-        bases = [f"science/{band}/{kind}" for kind in ("SLC", "RSLC") for band in ("LSAR", "SSAR")]
-        base = next((name for name in bases if _find(path, file, name) is not None), None)
-        if base is None:
-            raise InputError(f"{path}: no science/LSAR/SLC (or RSLC, SSAR) in it; only such images are known")
+    def read(cls, path: Path, file: h5py.File, polarization: str) -> _Swath:
+        base = _base(path, file)
         name, found = _image(path, file, f"{base}/swaths", polarization)
         folder = name.rsplit("/", 1)[0]
         shape = _check_image(path, file, name)
@@ -144,7 +141,82 @@ class _Swath:
             _numbers(path, file, f"{orbit}/{key}", axes)
             for key, axes in (("time", 1), ("position", 2), ("velocity", 2))
         )
-        return cls(name, found, shape, times, ranges, frequency, _Track(*state))
+        root = base.rsplit("/", 1)[0]
+        side: Side = "left" if _word(path, file, f"{root}/identification/lookDirection").lower() == "left" else "right"
+        bands = tuple(
+            float(_numbers(path, file, f"{folder}/{key}", 0)) if _find(path, file, f"{folder}/{key}") else None
+            for key in ("processedRangeBandwidth", "processedAzimuthBandwidth")
+        )
+        return cls(
+            name,
+            found,
+            shape,
+            times,
+            ranges,
+            frequency,
+            Orbit.of(str(path), *state),
+            _word(path, file, f"{root}/identification/missionId"),
+            _epoch(path, file, f"{base}/swaths/zeroDopplerTime"),
+            side,
+            _beta0(path, file, base, times, ranges),
+            (bands[0], bands[1]),
+        )
+
+
+def _base(path: Path, file: h5py.File) -> str:
+    bases = [f"science/{band}/{kind}" for kind in ("SLC", "RSLC") for band in ("LSAR", "SSAR")]
+    base = next((name for name in bases if _find(path, file, name) is not None), None)
+    if base is None:
+        raise InputError(f"{path}: no science/LSAR/SLC (or RSLC, SSAR) in it; only such images are known")
+    return base
+
+
+def _polarizations(path: Path, file: h5py.File, wanted: str | None) -> list[str]:
+    """Those of the images in frequency A where that has one that fits, else in B."""
+    swaths = f"{_base(path, file)}/swaths"
+    for band in ("frequencyA", "frequencyB"):
+        found = [pol for pol in ("HH", "HV", "VH", "VV") if _find(path, file, f"{swaths}/{band}/{pol}") is not None]
+        if fitting := [pol for pol in found if wanted in (None, pol)]:
+            return fitting
+    raise InputError(f"{path}: no image of polarization {wanted or 'HH, HV, VH or VV'} under {swaths}")
+
+
+def _word(path: Path, file: h5py.File, name: str) -> str:
+    """A short text; empty where there is none."""
+    if _find(path, file, name) is None:
+        return ""
+    found = _data_set(path, file, name)[()]
+    return found.decode("utf-8", "replace") if isinstance(found, bytes) else ""
+
+
+def _epoch(path: Path, file: h5py.File, name: str) -> np.datetime64:
+    """What times are counted from, by their unit: "seconds since 2006-07-20 00:00:00"; 1970 where it does not say."""
+    unit = _data_set(path, file, name).attrs.get("units", b"")
+    text = unit.decode("utf-8", "replace") if isinstance(unit, bytes) else str(unit)
+    since = re.search(r"since (\d{4}-\d\d-\d\d)[ T](\d\d:\d\d:\d\d)", text)
+    return np.datetime64(f"{since[1]}T{since[2]}" if since else "1970-01-01T00:00:00", "us")
+
+
+def _beta0(path: Path, file: h5py.File, base: str, times: np.ndarray, ranges: np.ndarray) -> LineTable | None:
+    """The table of beta0 over lines and pixels; None where the file has none."""
+    information = f"{base}/metadata/calibrationInformation"
+    names = [f"{information}/{key}" for key in ("zeroDopplerTime", "slantRange")]
+    table = next(
+        (f"{information}/{key}" for key in ("geometry/beta0", "beta0") if _find(path, file, f"{information}/{key}")),
+        None,
+    )
+    if table is None or any(_find(path, file, name) is None for name in names):
+        return None
+    at_times, at_ranges = (_numbers(path, file, name, 1) for name in names)
+    values = _numbers(path, file, table, 2)
+    if values.shape != (at_times.size, at_ranges.size) or not (values > 0.0).all():
+        raise InputError(
+            f"{path}: {table} has shape {values.shape}; must be positive, for {at_times.size} times and "
+            f"{at_ranges.size} ranges"
+        )
+    lines = (at_times - times[0]) / (times[-1] - times[0]) * (times.size - 1)
+    pixels = (at_ranges - ranges[0]) / (ranges[-1] - ranges[0]) * (ranges.size - 1)
+    return LineTable(lines, (pixels,) * lines.size, tuple(values))
 
 
 def _find(path: Path, file: h5py.File, name: str) -> h5py.Group | h5py.Dataset | None:
@@ -209,16 +281,10 @@ def _check_image(path: Path, file: h5py.File, name: str) -> tuple[int, int]:
     return found.shape[0], found.shape[1]
 
 
-def _image(path: Path, file: h5py.File, swaths: str, wanted: str | None) -> tuple[str, str]:
+def _image(path: Path, file: h5py.File, swaths: str, polarization: str) -> tuple[str, str]:
     """Data set and polarization of the image: in frequency A where that has one, else in B."""
-    for band in ("frequencyA", "frequencyB"):
-        found = [pol for pol in ("HH", "HV", "VH", "VV") if _find(path, file, f"{swaths}/{band}/{pol}") is not None]
-        fitting = [pol for pol in found if wanted in (None, pol)]
-        if len(fitting) == 1:
-            return f"{swaths}/{band}/{fitting[0]}", fitting[0]
-        if len(fitting) > 1:
-            raise InputError(f"{path}: several polarizations ({', '.join(found)}); choose one with --polarization")
-    raise InputError(f"{path}: no image of polarization {wanted or 'HH, HV, VH or VV'} under {swaths}")
+    names = [f"{swaths}/{band}/{polarization}" for band in ("frequencyA", "frequencyB")]
+    return next(name for name in names if _find(path, file, name) is not None), polarization
 
 
 FORMAT = Format(
@@ -228,5 +294,6 @@ FORMAT = Format(
     "single-look complex image, placed by orbit and zero Doppler",
     read,
     detect=lambda path, head: head.startswith(b"\x89HDF\r\n\x1a\n"),
+    products=products,
     extra=EXTRA,
 )

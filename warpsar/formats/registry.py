@@ -14,6 +14,7 @@ from warpsar.formats.base.folder import names_in
 if TYPE_CHECKING:  # the command line asks for names, and loads no NumPy for them
     from warpsar.formats.base.data import ImageChip, PhaseHistory, Quantity, RadarAt
     from warpsar.formats.base.format import Format
+    from warpsar.products.product import Product
     from warpsar.world.earth import EarthFrame
 
 
@@ -93,3 +94,23 @@ def read(
     stated = Stated(quantity, polarization, frame, radar_at, spacing_m)
     found = [one.read(path, stated) for path in paths]
     return found[0] if one.join is None else one.join(found)
+
+
+def products(source: str | Path, *, file_format: str = "auto", polarization: str | None = None) -> tuple[Product, ...]:
+    """The images of the earth with an orbit that a file holds, or a folder such as a SAFE one.
+
+    `polarization` chooses; without it all are given. Raises InputError, one message that names the file.
+    """
+    path = Path(source)
+    name = file_format
+    if file_format == "auto":
+        name = "sentinel1" if (path / "annotation").is_dir() else detect(path)
+    if name not in names():
+        raise InputError(f"format {name!r}: not known; use one of auto, {', '.join(names())}")
+    one = get(name)
+    if one.products is None:
+        able = ", ".join(each for each in names() if get(each).products is not None)
+        raise InputError(f"{path}: found {one.title}, which says no orbit; must be one of {able}")
+    if one.extra is not None:
+        one.extra.require(f"{path}: {one.title}")
+    return one.products(path, polarization)

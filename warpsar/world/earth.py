@@ -60,7 +60,7 @@ class LocalEarth:
         radius = 1.0 / (north**2 / meridian + east**2 / prime)
         flat = radius * np.sin(distance / radius)
         drop = 2.0 * radius * np.sin(distance / radius / 2.0) ** 2
-        ground = np.stack([east * flat, north * flat, -drop], axis=-1) @ self._axes + geodetic_to_ecef(
+        ground = np.stack([east * flat, north * flat, -drop], axis=-1) @ self.axes + geodetic_to_ecef(
             np.array([self.latitude_deg, self.longitude_deg, 0.0])
         )
         geodetic = ecef_to_geodetic(ground)
@@ -68,7 +68,7 @@ class LocalEarth:
         return geodetic_to_ecef(geodetic)
 
     @property
-    def _axes(self) -> np.ndarray:
+    def axes(self) -> np.ndarray:
         """East, north and up at the origin as rows, (3, 3), earth-centred."""
         lat, lon = np.deg2rad([self.latitude_deg, self.longitude_deg])
         return np.array(

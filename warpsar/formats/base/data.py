@@ -8,12 +8,13 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 
 from warpsar.errors import InputError
 from warpsar.formats.base.declared import Declared
+from warpsar.products.product import Samples
 from warpsar.world.earth import EarthFrame, axes_at
 from warpsar.world.frame import SPEED_OF_LIGHT
 
@@ -174,18 +175,6 @@ class PhaseHistory:
         away = np.linalg.norm(other, axis=1)
         both = unit + other / away[:, None]
         return both / np.linalg.norm(both, axis=1, keepdims=True), (distance + away) / 2.0
-
-
-class Samples(Protocol):
-    """Pixels (rows, columns): an array, a memory map, or a file that is read only where it is sliced."""
-
-    @property
-    def shape(self) -> tuple[int, ...]: ...
-
-    @property
-    def dtype(self) -> np.dtype: ...
-
-    def __getitem__(self, window: tuple[slice, slice], /) -> np.ndarray: ...
 
 
 @dataclass(frozen=True)

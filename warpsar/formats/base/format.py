@@ -9,6 +9,7 @@ from typing import Any
 
 from warpsar.formats.base.data import ImageChip, PhaseHistory, Quantity, RadarAt
 from warpsar.formats.base.extra import Extra
+from warpsar.products.product import Product
 from warpsar.world.earth import EarthFrame
 
 
@@ -51,6 +52,9 @@ class Format:
     """What `read` gives of several files, as one measurement; None where they cannot be one."""
     write: Callable[..., None] | None = None
     """For `warpsar simulate --product`; None for what is read alone."""
+    products: Callable[[Path, str | None], tuple[Product, ...]] | None = None
+    """What a file, or a folder, holds as images of the earth with an orbit, of all polarizations or of the one named;
+    None for what has no orbit."""
     extra: Extra | None = None
     asks: tuple[str, ...] = ()
     """What its files do not say and a user may state: of `quantity`, `radar_at` and `spacing_m`."""

@@ -1,0 +1,184 @@
+"""`warpsar reflectors` from files to files: products that are made, with reflectors of known cross-section."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from product_files import SITE, nearest, write_safe
+from stacks import gamma_image, image, safe_stack
+
+import warpsar
+from warpsar.calibration.attitude import Facing, trihedral_rcs_m2
+from warpsar.cli.main import main
+from warpsar.errors import InputError
+from warpsar.formats import sentinel1
+
+HEADER = "id,latitude_deg,longitude_deg,height_m,azimuth_deg,tilt_deg,shape,leg_m\n"
+PLACE = ",".join(map(str, SITE))
+
+
+def sites(folder: Path, *lines: str) -> Path:
+    path = folder / "sites.csv"
+    path.write_text(HEADER + "\n".join(lines or (f"CR1,{PLACE},262,3.3,triangular,1.0",)) + "\n")
+    return path
+
+
+def test_one_reflector_on_one_date(tmp_path: Path) -> None:
+    """36 dBsm, a tenth of a line and two tenths of a pixel off: within three errors of clutter."""
+    safe_stack(tmp_path, [36.0], (0.1, 0.2))
+    result = warpsar.reflectors(next(tmp_path.glob("*.SAFE")), sites(tmp_path), engine=False)
+    (one,) = result.observations
+    assert one.status == "measured"
+    assert one.point is not None
+    assert one.expected is not None
+    assert one.offset_m is not None
+    assert one.spacing_m is not None
+    assert one.difference_sd_db is not None
+    assert 10 * np.log10(one.point.rcs_m2) == pytest.approx(36.0, abs=3 * one.difference_sd_db)
+    for found, put, sd in zip(
+        one.offset_m, (0.1 * one.spacing_m[0], 0.2 * one.spacing_m[1]), one.point.position_sd_m, strict=True
+    ):
+        assert abs(found - put) < 4 * sd
+    assert one.expected.slant_range_m == pytest.approx(nearest(SITE)[1], abs=1e-3)
+    facing = Facing(262.0, 3.3)
+    predicted = trihedral_rcs_m2("triangular", 1.0, facing, one.expected.toward_radar, 299792458.0 / 5.405e9)
+    assert one.predicted_m2 == pytest.approx(float(predicted))
+    assert one.difference_db == pytest.approx(10 * np.log10(one.point.rcs_m2 / float(predicted)))
+    assert one.noise_db == pytest.approx(10 * np.log10(6.0 / 300.0**2), abs=1e-6)
+    assert one.point.quality is not None
+    assert one.point.quality[1].width_m == pytest.approx(0.886 * 299792458.0 / 2 / 48e6, rel=0.1)
+    assert result.rows()[0]["id"] == "CR1"
+
+
+@pytest.mark.full
+def test_a_stack_in_files(tmp_path: Path) -> None:
+    """A step of 6 dB, a date on which it is gone; the engine predicts; CSV, JSON and a page say it."""
+    safe_stack(tmp_path, [36.0, 36.0, 36.0, -20.0, 30.0, 30.0, 30.0, 30.0])
+    products = sorted(map(str, tmp_path.glob("*.SAFE")))
+    table = sites(tmp_path)
+    out = tmp_path / "out"
+    run = CliRunner().invoke(main, ["reflectors", *products, "--sites", str(table), "-o", str(out), "--device", "cpu"])
+    assert run.exit_code == 0, run.output
+    with (out / "reflectors.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["status"] for row in rows] == ["measured"] * 3 + ["not seen"] + ["measured"] * 4
+    for row, level in zip(rows, [36.0] * 3 + [None] + [30.0] * 4, strict=True):
+        if level is not None:
+            assert abs(float(row["rcs_dbsm"]) - level) < 1.5
+            assert float(row["predicted_dbsm"]) == pytest.approx(float(row["closed_form_dbsm"]), abs=1.0)
+    assert float(rows[3]["rcs_high_dbsm"]) < 25.0
+    found = json.loads((out / "reflectors.json").read_text())
+    causes = {one["cause"]: one for one in found["explanation"]["causes"]}
+    best = found["explanation"]["causes"][0]
+    assert best["cause"] == "step of CR1"
+    fall = best["parameters"]["after [dB]"]["value"] - best["parameters"]["before [dB]"]["value"]
+    assert fall == pytest.approx(-6.0, abs=1.0)
+    assert causes["step of CR1"]["bic"] < causes["calibration constant"]["bic"] - 10.0
+    assert [one["date"] for one in found["explanation"]["bad_dates"]] == ["2024-04-10"]
+    page = (out / "report.html").read_text()
+    for words in ("In short", "RCS over time", "What the difference means", "Cut-outs", "All values", "2024-04-10"):
+        assert words in page
+
+
+def test_gamma_says_no_radiometry(tmp_path: Path) -> None:
+    path = gamma_image(tmp_path, 36.0, 51.4691)
+    (one,) = warpsar.reflectors(path, sites(tmp_path), engine=False).observations
+    assert one.status == "no calibration"
+    assert one.difference_db is None
+    (one,) = warpsar.reflectors(path, sites(tmp_path), engine=False, radiometry="sigma0").observations
+    assert one.status == "measured"
+    assert one.point is not None
+    assert 10 * np.log10(one.point.rcs_m2) == pytest.approx(36.0, abs=0.7)
+
+
+def test_what_cannot_be_measured_is_one_line_and_the_others_go_on(tmp_path: Path) -> None:
+    """Outside, without orbit, without calibration, masked, saturated: each its status; the good one is measured."""
+    good, bare, lost, masked, loud = (tmp_path / name for name in ("good", "bare", "lost", "masked", "loud"))
+    for folder in (good, bare, lost, masked, loud):
+        folder.mkdir()
+    clean = image([(128.3, 127.6, 36.0)], 0)
+    holed, bright = clean.copy(), clean.copy()
+    holed[120:137, 120:137] = 0
+    bright[128, 128] = 40000 / 300.0
+    paths = [
+        write_safe(good, clean, beta_lut=300.0),
+        write_safe(bare, clean, beta_lut=300.0, calibration=False, day="2024-03-06"),
+        write_safe(lost, clean, beta_lut=300.0, orbit=False, day="2024-03-07"),
+        write_safe(masked, holed, beta_lut=300.0, day="2024-03-08"),
+        write_safe(loud, np.clip(bright.real, -109, 109.3) + 1j * bright.imag, beta_lut=300.0, day="2024-03-09"),
+    ]
+    table = sites(tmp_path, f"CR1,{PLACE},262,3.3,triangular,1.0", "FAR,47.5,12,250,262,3.3,triangular,1.0")
+    out = tmp_path / "out"
+    words = ["reflectors", *map(str, paths), "--sites", str(table), "-o", str(out), "--closed-form"]
+    run = CliRunner().invoke(main, words)
+    assert run.exit_code == 0, run.output
+    with (out / "reflectors.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    own = {row["date"][:10]: row["status"] for row in rows if row["id"] == "CR1"}
+    assert own == {
+        "2024-03-05": "measured",
+        "2024-03-06": "no calibration",
+        "2024-03-07": "no orbit",
+        "2024-03-08": "masked",
+        "2024-03-09": "saturated",
+    }
+    assert {row["status"] for row in rows if row["id"] == "FAR"} == {"outside", "no orbit"}
+    for word in ("masked", "saturated", "no calibration", "no state vectors", "FAR"):
+        assert word in run.stderr
+
+
+def test_products_that_cannot_be_opened_are_named(tmp_path: Path) -> None:
+    (good,) = safe_stack(tmp_path, [36.0])
+    broken = tmp_path / "broken.SAFE"
+    shutil.copytree(good, broken)
+    next((broken / "annotation").glob("*.xml")).write_text("<product>")
+    result = warpsar.reflectors([good, broken], sites(tmp_path), engine=False)
+    assert len(result.observations) == 1
+    assert "broken.SAFE" in result.refused[0]
+    with pytest.raises(InputError, match=r"no product can be measured:\n.*not readable as XML"):
+        warpsar.reflectors([broken], sites(tmp_path))
+    plain = tmp_path / "a.npy"
+    np.save(plain, np.ones((3, 3)))
+    with pytest.raises(InputError, match="says no orbit; must be one of gamma, nisar, sentinel1"):
+        warpsar.reflectors([plain], sites(tmp_path))
+
+
+def test_what_is_asked_is_checked(tmp_path: Path) -> None:
+    table = sites(tmp_path)
+    for more, message in [
+        ({"polarization": "XX"}, "polarization: found 'XX'"),
+        ({"radiometry": "nu0"}, "radiometry: found 'nu0'"),
+        ({"window_cells": 0.1}, "window_cells: found 0.1"),
+        ({"allowance_m": (-1.0, 5.0)}, "allowance_m"),
+    ]:
+        with pytest.raises(InputError, match=message):
+            warpsar.reflectors([], table, **more)
+    with pytest.raises(InputError, match="no product given"):
+        warpsar.reflectors([], table)
+
+
+def test_an_open_product_is_taken_and_a_date_before_the_set_up_is_marked(tmp_path: Path) -> None:
+    (path,) = safe_stack(tmp_path, [-20.0])
+    product = sentinel1.products(path, None)[0]
+    table = tmp_path / "sites.csv"
+    table.write_text(HEADER.strip() + ",from\n" + f"CR1,{PLACE},262,3.3,triangular,1.0,2024-06-01\n")
+    result = warpsar.reflectors(product, table, engine=False)
+    (one,) = result.observations
+    assert (one.status, one.stands) == ("not seen", False)
+    assert result.explanation.bad_dates == ()
+    assert result.geolocation is None
+
+
+def test_a_reflector_near_the_edge(tmp_path: Path) -> None:
+    (path,) = safe_stack(tmp_path, [36.0])
+    product = sentinel1.products(path, None)[0]
+    edge = product.to_ground(2.0, 100.0, 250.0)
+    line = f"E,{edge[0]:.9f},{edge[1]:.9f},250,,,,"
+    (one,) = warpsar.reflectors(product, sites(tmp_path, line), engine=False).observations
+    assert one.status == "too near the edge"

@@ -1,0 +1,80 @@
+"""Reflectors in measured data: what docs/reflectors.md says of them."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import warpsar
+from benchmarks.reflectors_measured import AUTHORS_PLACE, authors_method, orbit_of, put_up
+from warpsar.calibration.sites import ReflectorSite
+from warpsar.formats import gamma
+from warpsar.products.zero_doppler import abeam
+
+pytestmark = pytest.mark.measured
+
+
+def test_the_reflector_of_coral_is_found_in_place_and_date(measured_data: Path) -> None:
+    """Its authors' values come out by their method; the date of its set-up and its place from the images alone."""
+    data = measured_data / "coral_s1"
+    products = [gamma.products(path, None)[0] for path in sorted(data.glob("*.mli"))]
+    stack = np.stack([np.asarray(p.samples[:, :], np.float64) for p in products if p.samples is not None])
+    line, pixel, first, _ = put_up(stack)
+    assert abs(line - 110) <= 1
+    assert (pixel, first) == (87, 2)
+    total, clutter, target = authors_method(stack[2], *AUTHORS_PLACE)
+    assert total == pytest.approx(22.778708, rel=1e-6)  # of their own unit test
+    assert 10 * np.log10(clutter) == pytest.approx(-11.4717, abs=1e-4)
+    assert target == pytest.approx(20.997258, rel=1e-6)
+    place = products[-1].to_ground(line, pixel, 0.0)
+    assert products[-1].to_image(place).incidence_deg == pytest.approx(36.0, abs=0.05)  # the file's 33.58 is elsewhere
+    site = ReflectorSite("SERF", *place, (), "triangular", None)
+    found = warpsar.reflectors(products, [site], radiometry="sigma0").observations
+    assert [one.status for one in found] == ["not seen"] * 2 + ["measured"] * 3
+    with (data / "authors_values.csv").open() as file:
+        theirs = [float(row["rcs_dbsm"]) for row in csv.DictReader(file)]
+    ours = [10 * np.log10(one.point.rcs_m2) for one in found if one.status == "measured" and one.point is not None]
+    # 0.26 dB of incidence; windows differ by 0.2 dB of sidelobes and clutter.
+    np.testing.assert_allclose(np.array(theirs[2:]) - ours, 0.15, atol=0.3)
+
+
+@pytest.mark.parametrize(("track", "range_m", "azimuth_m"), [("s1_dsc51", 3.15, -0.84), ("s1_asc175", 3.63, -1.54)])
+def test_the_reflector_of_gecoris_lies_where_orbit_and_survey_say(
+    measured_data: Path, track: str, range_m: float, azimuth_m: float
+) -> None:
+    """But for the atmosphere, 3 to 4 m in range, and 1 to 2 m in azimuth, as the data's README says."""
+    data = measured_data / "gecoris_lhe"
+    point = np.array(json.loads((data / "station.json").read_text())["ascending"]["_xyz"]["array"])
+    acquisitions = json.loads((data / f"acquisitions_{track}.json").read_text())
+    with (data / f"series_{track}.csv").open() as file:
+        rows = [row for row in csv.DictReader(file) if row["reflector_on"] == "1"]
+    off = []
+    for row in rows:
+        one = acquisitions[row["date"]]
+        hours, minutes, seconds = (float(each) for each in row["time_utc"].split(":"))
+        around = 3600 * hours + 60 * minutes + seconds
+        time, distance = abeam(orbit_of(one["orbitFit"], around, around), point, around)
+        line = (float(time) - one["azimuth0time"]) * one["PRF"]
+        pixel = (float(distance) / 299792458.0 - one["range0time"]) * one["RSR"]
+        steps = float(row["azimuth_px"]) - line, float(row["range_px"]) - pixel
+        off.append((steps[0] * one["azimuthSpacing"], steps[1] * one["rangeSpacing"]))
+    mean = np.mean(off, axis=0)
+    assert mean == pytest.approx((azimuth_m, range_m), abs=0.02)
+
+
+def test_alos_finds_the_reflector_where_isce3_located_it(measured_data: Path) -> None:
+    data = measured_data / "alos_polcal"
+    image = data / "calib_RSLC_ALPSRP025826990_RIO_BRANCO_CR.h5"
+    for name in ("", "_NISAR"):  # UAVSAR's and NISAR's table
+        table = data / f"Corner_Reflector_Rio_Branco_ALPSRP025826990{name}.csv"
+        result = warpsar.reflectors(image, table, engine=False, polarization="HH")
+        (one,) = result.observations
+        assert one.point is not None
+        assert one.expected is not None
+        assert (one.point.line, one.point.pixel) == pytest.approx((one.expected.line, one.expected.pixel), abs=0.05)
+        assert one.facing is not None
+        assert one.facing.azimuth_deg % 360.0 == pytest.approx(270.0)

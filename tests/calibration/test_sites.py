@@ -1,0 +1,100 @@
+"""Tables of sites in four layouts, and what is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from warpsar.calibration.attitude import Facing
+from warpsar.calibration.sites import read, sites_at
+from warpsar.errors import InputError
+from warpsar.world.earth import geodetic_to_ecef
+
+pytestmark = pytest.mark.unit
+
+OWN = "id,latitude_deg,longitude_deg,height_m,azimuth_deg,tilt_deg,shape,leg_m,from,until\n"
+GECORIS = (
+    "ID,TYPE,INSTALLDATE,STARTDATE,ENDDATE,LATITUDE,LONGITUDE,EL.HEIGHT,ORIENTATION,BAND,CRSHAPE,LEGLENGTH,AZIDIP,ZENDIP"
+    "\nHRD,CREF,20200219T1150Z,20200219T1150Z,99999999T9999Z,48.7,18.6,515.8,*,*,SQUAREFLIPPED,0.76,1,2\n"
+)
+NISAR = (
+    "Corner reflector ID, Latitude (deg), Longitude (deg), Height above ellipsoid (m), Azimuth (deg), "
+    "Tilt / Elevation angle (deg), Side length (m), Survey Date, Validity, Velocity East (m/s), Velocity North (m/s), "
+    "Velocity Up (m/s)\n"
+    "N1, 69.5, -128.5, 490.0, 317.0, 12.5, 3.46, 2020-01-01T00:00:00, 7, 3.17e-8, 0, 0\n"
+    "N1, 69.6, -128.5, 490.0, 317.0, 12.5, 3.46, 2022-01-01T00:00:00, 7, 0, 0, 0\n"
+    "N2, 69.5, -128.5, 490.0, 317.0, 12.5, 3.46, 2020-01-01T00:00:00, 0, 0, 0, 0\n"
+)
+
+
+def write(folder: Path, text: str) -> Path:
+    path = folder / "sites.csv"
+    path.write_text(text)
+    return path
+
+
+def test_our_own_columns(tmp_path: Path) -> None:
+    (one, other) = read(
+        write(tmp_path, OWN + "A,46,12,250,256,10,square,1.5,2020-02-19,2021-01-01\nB,46,12,250,,,,,,\n")
+    )
+    assert (one.name, one.shape, one.leg_m, one.facings) == ("A", "square", 1.5, (Facing(256.0, 10.0),))
+    assert one.stands(np.datetime64("2020-06-01"))
+    assert not one.stands(np.datetime64("2021-06-01"))
+    assert not one.stands(np.datetime64("2019-06-01"))
+    assert (other.facings, other.leg_m) == ((), None)  # measured, not predicted
+
+
+def test_gecoris_has_two_facings_and_dips(tmp_path: Path) -> None:
+    (one,) = read(write(tmp_path, GECORIS))
+    assert one.facings == (Facing(91.0, -2.0, True), Facing(269.0, -2.0, True))
+    west = np.array([-0.7, -0.1, 0.7])
+    assert one.facing(west) == one.facings[1]
+    assert one.start == np.datetime64("2020-02-19T11:50")
+    assert one.end is None
+
+
+def test_isce3_counts_from_east(tmp_path: Path) -> None:
+    sites = read(write(tmp_path, NISAR))
+    assert sites[0].facings == (Facing(407.0, 12.5),)
+    # The latest survey that is not after the date; out of service by its validity.
+    (first, second) = sites_at(sites, np.datetime64("2021-01-01"))
+    assert (first.latitude_deg, second.out_of_service) == (69.5, True)
+    assert sites_at(sites, np.datetime64("2023-01-01"))[0].latitude_deg == 69.6
+    assert sites_at(sites, np.datetime64("2019-01-01"))[0].latitude_deg == 69.5
+    moved = geodetic_to_ecef(first.geodetic(np.datetime64("2030-01-01"))) - geodetic_to_ecef(
+        np.array([69.5, -128.5, 490.0])
+    )
+    east = np.array([np.sin(np.deg2rad(128.5)), np.cos(np.deg2rad(128.5)), 0.0])
+    assert moved @ east == pytest.approx(10.0, rel=2e-3)  # ten years at 3.17e-8 m/s, a metre a year
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "at least one site"),
+        ("id,lat,lon\nA,1,2\n", "must have id, latitude_deg"),
+        (
+            OWN + "A,146,12,250,256,10,square,1.5,,\n",
+            "line 2: latitude_deg: found '146'; must be a number from -90 to 90",
+        ),
+        (OWN + "A,46,12,high,256,10,square,1.5,,\n", "line 2: height_m: found 'high'"),
+        (OWN + "A,46,12,250,256,10,round,1.5,,\n", "shape: found 'round'; must be one of triangular, square"),
+        (OWN + "A,46,12,250,256,10,square,-1,,\n", "leg_m: found '-1'; must be a number from 0.01 to 100"),
+        (OWN + "A,46,12,250,256,10,square,1,soon,\n", "from: found 'soon'; must be a date"),
+        (OWN + "A,46,12,250,,,,,,\nA,46,12,250,,,,,,\n", "line 3: found A twice"),
+        (GECORIS.replace("SQUAREFLIPPED", "SQUAREBASED"), "crshape: found 'SQUAREBASED'"),
+    ],
+)
+def test_what_is_refused(text: str, message: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"sites\.csv.*" + message):
+        read(write(tmp_path, text))
+
+
+def test_a_file_that_is_none(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no such file"):
+        read(tmp_path / "none.csv")
+    (tmp_path / "b.csv").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(InputError, match="UTF-8"):
+        read(tmp_path / "b.csv")

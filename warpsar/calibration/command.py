@@ -1,0 +1,228 @@
+"""The command `reflectors`, and `warpsar.reflectors`: reflectors.csv, reflectors.json and report.html."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from warpsar.calibration import sites as site_tables
+from warpsar.calibration.engine import engine_rcs_m2
+from warpsar.calibration.explain import Explanation, explain
+from warpsar.calibration.geolocation import Geolocation, geolocation
+from warpsar.calibration.measure import ReflectorObservation, observe
+from warpsar.calibration.point import PointSettings
+from warpsar.calibration.report import write_report
+from warpsar.calibration.sites import ReflectorSite, sites_at
+from warpsar.calibration.table import row, write_csv
+from warpsar.errors import InputError
+from warpsar.formats import registry
+from warpsar.products.product import RADIOMETRIES, Product, Radiometry
+from warpsar.runtime import console, devices
+from warpsar.simulation.outputs import make_folder, write_json
+from warpsar.world.tables import Polarization
+
+ALLOWANCE_M = (15.0, 15.0)
+"""In azimuth and slant range: atmosphere (2 to 4 m), tides (0.2 m), and the product's own timing."""
+LOOK_STEP_DEG = 0.1
+"""The engine is asked once for looks so near to each other: a trihedral changes by under 0.02 dB."""
+CO_POLARIZED = ("HH", "VV")
+POLARIZATIONS: tuple[Polarization, ...] = ("HH", "HV", "VH", "VV")
+
+
+@dataclass(frozen=True)
+class ReflectorResult:
+    """What was measured and predicted of each reflector and date, and what the differences mean."""
+
+    observations: tuple[ReflectorObservation, ...]
+    explanation: Explanation
+    geolocation: Geolocation | None
+    refused: tuple[str, ...]
+    """Products that could not be opened, a line each."""
+
+    def rows(self) -> list[dict[str, Any]]:
+        """The table, by the names of the columns of reflectors.csv."""
+        return [dict(row(one)) for one in self.observations]
+
+
+def reflectors(
+    products: Sequence[Product | PathLike[str] | str] | Product | PathLike[str] | str,
+    sites: Sequence[ReflectorSite] | PathLike[str] | str,
+    *,
+    polarization: str | None = None,
+    radiometry: Radiometry | None = None,
+    allowance_m: tuple[float, float] = ALLOWANCE_M,
+    window_cells: float = PointSettings.window_cells,
+    engine: bool = True,
+    file_format: str = "auto",
+    device: str | None = None,
+) -> ReflectorResult:
+    """Measure corner reflectors in radar products, predict them, and explain the differences.
+
+    `products`: files, SAFE folders, or products that are open. `sites`: a CSV of sites, or sites. Without
+    `polarization` the co-polarized images are taken. `radiometry` says what power is where a product does not:
+    "beta0", "sigma0" or "gamma0". `allowance_m`: how far off a reflector may be, in azimuth and slant range.
+    `window_cells`: half of the window that is integrated, in resolution cells. `engine`: predict by rays, else in
+    closed form alone. Raises InputError for a table of sites that cannot be read, and where no product can be opened.
+    """
+    _refuse(polarization, radiometry, allowance_m, window_cells)
+    given = [products] if isinstance(products, Product | PathLike | str) else list(products)
+    table = site_tables.read(Path(sites)) if isinstance(sites, PathLike | str) else list(sites)
+    opened, refused = _opened(given, polarization, file_format)
+    settings = PointSettings(window_cells=window_cells)
+    found: list[ReflectorObservation] = []
+    bar = console.progress(len(opened), "reflectors", "product")
+    for product in opened:
+        date = product.date(product.grid.middle_s)
+        found += [observe(product, site, allowance_m, settings, radiometry) for site in sites_at(table, date)]
+        bar.update()
+    bar.close()
+    found = _without_other_swaths(found)
+    if engine:
+        found = _predicted(found, {one.source: one.frequency_hz for one in opened}, device)
+    found.sort(key=lambda one: (one.site.name, one.date, one.polarization or ""))
+    return ReflectorResult(tuple(found), explain(found), geolocation(found), tuple(refused))
+
+
+def _refuse(
+    polarization: str | None, radiometry: str | None, allowance_m: tuple[float, float], window_cells: float
+) -> None:
+    if polarization is not None and polarization not in POLARIZATIONS:
+        raise InputError(f"polarization: found {polarization!r}; must be one of {', '.join(POLARIZATIONS)}")
+    if radiometry is not None and radiometry not in RADIOMETRIES:
+        raise InputError(f"radiometry: found {radiometry!r}; must be one of {', '.join(RADIOMETRIES)}")
+    if not all(0.0 <= each <= 1e4 for each in allowance_m):
+        raise InputError(f"allowance_m: found {allowance_m}; must be two lengths from 0 to 10000 m")
+    if not 0.5 <= window_cells <= 6.0:
+        raise InputError(f"window_cells: found {window_cells:g}; must be from 0.5 to 6")
+
+
+def _opened(
+    given: Sequence[Product | PathLike[str] | str], polarization: str | None, file_format: str
+) -> tuple[list[Product], list[str]]:
+    """Products that can be read, and a line for each that cannot."""
+    opened: list[Product] = []
+    refused: list[str] = []
+    for one in given:
+        if isinstance(one, Product):
+            opened.append(one)
+            continue
+        try:
+            several = registry.products(Path(one), file_format=file_format, polarization=polarization)
+        except InputError as error:
+            refused.append(str(error))
+            continue
+        chosen = [p for p in several if polarization or p.polarization is None or p.polarization in CO_POLARIZED]
+        if not chosen:
+            refused.append(f"{one}: found no co-polarized image; must be HH or VV, or name it with --polarization")
+        opened += chosen
+    if not opened:
+        raise InputError("\n  ".join(["no product can be measured:", *refused]) if refused else "no product given")
+    return opened, refused
+
+
+def _without_other_swaths(found: Sequence[ReflectorObservation]) -> list[ReflectorObservation]:
+    """A reflector that lies outside one swath of an acquisition and inside another is no problem."""
+
+    def acquisition(one: ReflectorObservation) -> tuple[str, str, str | None, str]:
+        return one.site.name, one.platform.split()[0], one.polarization, str(one.date)[:10]
+
+    inside = {acquisition(one) for one in found if one.status != "outside"}
+    return [one for one in found if one.status != "outside" or acquisition(one) not in inside]
+
+
+def _predicted(
+    found: Sequence[ReflectorObservation], frequency_hz: dict[str, float], device: str | None
+) -> list[ReflectorObservation]:
+    """With the engine's prediction, where shape, size and attitude are known and the radar sees the inside."""
+    known: dict[tuple[Any, ...], float] = {}
+    made = []
+    bar = console.progress(len(found), "predictions", "reflector")
+    for one in found:
+        bar.update()
+        known_body = one.closed_form_m2 and one.calibrated
+        if not known_body or one.expected is None or one.facing is None or one.site.leg_m is None:
+            made.append(one)
+            continue
+        look = tuple(
+            round(angle / LOOK_STEP_DEG) * LOOK_STEP_DEG
+            for angle in (one.expected.azimuth_deg, one.expected.incidence_deg)
+        )
+        pol: Polarization = next((each for each in POLARIZATIONS if each == one.polarization), "VV")
+        key = (one.site.shape, one.site.leg_m, one.facing, look, frequency_hz[one.source], pol)
+        if key not in known:
+            area = engine_rcs_m2(
+                one.site.shape, one.site.leg_m, one.facing, [(look[0], look[1])], frequency_hz[one.source], pol, device
+            )
+            known[key] = float(area[0])
+        made.append(replace(one, engine_m2=known[key]))
+    bar.close()
+    return made
+
+
+def run(
+    products: Sequence[Path],
+    sites: Path,
+    out: Path,
+    *,
+    polarization: str | None = None,
+    radiometry: Radiometry | None = None,
+    allowance_m: tuple[float, float] = ALLOWANCE_M,
+    window_cells: float = PointSettings.window_cells,
+    engine: bool = True,
+    file_format: str = "auto",
+    device: str | None = None,
+    command: Sequence[str] = (),
+) -> dict[str, Any]:
+    """`warpsar reflectors`: the files in `out`. Returns the JSON's content. Raises InputError and DeviceError."""
+    started = time.perf_counter()
+    where = devices.resolve_device(device)
+    table = site_tables.read(sites)
+    result = reflectors(
+        list(products),
+        table,
+        polarization=polarization,
+        radiometry=radiometry,
+        allowance_m=allowance_m,
+        window_cells=window_cells,
+        engine=engine,
+        file_format=file_format,
+        device=device,
+    )
+    make_folder(out)  # nothing is written for what is refused
+    console.warn(result.refused)
+    console.warn(
+        f"{one.site.name}, {str(one.date)[:10]}, {Path(one.source).name}: {one.status}: {one.reason}"
+        for one in result.observations
+        if one.status != "measured"
+    )
+    write_csv(out / "reflectors.csv", result.observations)
+    content = {
+        "input": {"scene": sites.name, "sha256": hashlib.sha256(sites.read_bytes()).hexdigest()},
+        "observations": result.rows(),
+        "refused": list(result.refused),
+        "explanation": result.explanation.content(),
+        "geolocation": None if result.geolocation is None else result.geolocation.content(),
+        "settings": {
+            "window_cells": window_cells,
+            "guard_cells": PointSettings.guard_cells,
+            "clutter_cells": PointSettings.clutter_cells,
+            "confidence": PointSettings.confidence,
+            "allowance_m": list(allowance_m),
+            "radiometry": radiometry,
+            "prediction": "engine" if engine else "closed form",
+        },
+    }
+    content = write_json(out / "reflectors.json", None, where, None, started, content)
+    write_report(out / "report.html", result.observations, result.explanation, result.geolocation, content, command)
+    console.say_written(out, "report.html", "reflectors.csv", "reflectors.json")
+    counted = [one.status == "measured" for one in result.observations]
+    measured = f"{int(np.sum(counted))} of {len(counted)} reflectors measured"
+    print("\n".join([measured, *result.explanation.words]))
+    return content

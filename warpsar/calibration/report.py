@@ -1,0 +1,237 @@
+"""report.html of `warpsar reflectors`: map, table, time series, causes, and cut-outs beside their prediction."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from warpsar.calibration.explain import Explanation
+from warpsar.calibration.figures import incidence_figure, map_figure, offset_figure, series_figure
+from warpsar.calibration.geolocation import Geolocation
+from warpsar.calibration.measure import ReflectorObservation
+from warpsar.calibration.table import row
+from warpsar.io import html as report
+from warpsar.io.grey_scale import GreyScale, in_decibel
+from warpsar.io.html_image import ImageAxis, image
+
+F64 = NDArray[np.float64]
+MOST_SITES, MOST_CUTOUTS, MOST_ROWS = 24, 12, 400
+TABLE = {
+    "id": "id",
+    "date": "date",
+    "status": "status",
+    "line": "line",
+    "pixel": "pixel",
+    "azimuth_offset_m": "azimuth offset [m]",
+    "range_offset_m": "range offset [m]",
+    "incidence_deg": "incidence [deg]",
+    "off_boresight_deg": "off boresight [deg]",
+    "rcs_dbsm": "RCS [dBsm]",
+    "rcs_low_dbsm": "from",
+    "rcs_high_dbsm": "to",
+    "predicted_dbsm": "predicted [dBsm]",
+    "difference_db": "difference [dB]",
+    "scr_db": "SCR [dB]",
+    "irw_azimuth_m": "IRW azimuth [m]",
+    "irw_range_m": "IRW range [m]",
+    "pslr_azimuth_db": "PSLR azimuth [dB]",
+    "pslr_range_db": "PSLR range [dB]",
+    "islr_azimuth_db": "ISLR azimuth [dB]",
+    "islr_range_db": "ISLR range [dB]",
+    "phase_deg": "phase [deg]",
+}
+
+
+def write_report(
+    path: Path,
+    observations: Sequence[ReflectorObservation],
+    explanation: Explanation,
+    placed: Geolocation | None,
+    content: dict[str, Any],
+    command: Sequence[str],
+    *,
+    title: str = "Reflectors: measured and predicted",
+    beside: str = "reflectors.csv (all columns), reflectors.json",
+) -> None:
+    """`content` is that of reflectors.json, `command` the words that made it."""
+    sites = dict.fromkeys(one.site.name for one in observations)
+    dates = {str(one.date)[:10] for one in observations}
+    lead = f"warpsar reflectors {content['version']}; {len(sites)} reflectors, {len(dates)} dates"
+    sections = [
+        _summary(observations, explanation, placed, content),
+        _series(observations, explanation),
+        _causes(explanation),
+        _cutouts(observations),
+        _table(observations),
+        report.reproduce(content, list(command) or ["warpsar", "reflectors"], f"Beside this file: {beside}."),
+    ]
+    report.write(path, report.page(title, lead, *(each for each in sections if each)))
+
+
+def _summary(
+    observations: Sequence[ReflectorObservation],
+    explanation: Explanation,
+    placed: Geolocation | None,
+    content: dict[str, Any],
+) -> str:
+    words = [report.paragraph(each) for each in explanation.words]
+    if placed is not None:
+        words.append(report.paragraph(placed.words))
+        if placed.moved:
+            words.append(report.paragraph(f"Off where the others say that the image is: {', '.join(placed.moved)}."))
+    problems = [
+        f"{one.site.name}, {str(one.date)[:10]}: {one.status}: {one.reason}"
+        for one in observations
+        if one.status != "measured"
+    ]
+    problems += list(content.get("refused", []))
+    drawings = [report.drawing(map_figure(observations), "Where the reflectors stand")]
+    if explanation.differences is not None:
+        drawings.append(report.drawing(incidence_figure(observations, explanation), "Difference against incidence"))
+    if any(one.offset_m is not None for one in observations):
+        drawings.append(report.drawing(offset_figure(observations), "Found less expected place"))
+    shown = problems[:MOST_SITES] + ([f"and {len(problems) - MOST_SITES} more"] if len(problems) > MOST_SITES else [])
+    return report.section(
+        "In short",
+        *words,
+        *([report.bullets(shown)] if shown else []),
+        report.row(*drawings, across=3, least_px=300),
+    )
+
+
+def _series(observations: Sequence[ReflectorObservation], explanation: Explanation) -> str:
+    by_site: dict[str, list[ReflectorObservation]] = {}
+    for one in observations:
+        if one.calibrated:
+            by_site.setdefault(one.site.name, []).append(one)
+    if not by_site:
+        return ""
+    drawn = [
+        report.drawing(series_figure(some, explanation), f"{name}: RCS over time")
+        for name, some in list(by_site.items())[:MOST_SITES]
+    ]
+    said = (
+        "Bars are 90 % intervals of clutter and noise. A short line is the prediction for the look of that date. A "
+        "cross marks a bad date, a triangle the upper bound where nothing stands out of the clutter."
+    )
+    return report.section(
+        "RCS over time", report.paragraph(said, quiet=True), report.row(*drawn, across=2, least_px=340)
+    )
+
+
+def _causes(explanation: Explanation) -> str:
+    if not explanation.fitted:
+        return ""
+    lowest = explanation.fitted[0].bic
+    rows = []
+    for one in explanation.fitted:
+        values = "; ".join(
+            f"{name.partition(' [')[0]} {v:.3g} ({a:.3g} to {b:.3g}) {name.partition('[')[2].rstrip(']')}"
+            for name, v, a, b in zip(one.cause.parameters[:4], one.values, one.low, one.high, strict=False)
+        )
+        held = "" if one.held_log_likelihood is None else f"{one.held_log_likelihood:.2f}"
+        rows.append([one.cause.title, values, f"{one.scatter_db:.2f}", f"{one.bic - lowest:.1f}", held])
+    tied = [
+        f"{one.first} and {one.second}: "
+        + (f"decided by {one.decided_by} ({one.apart_db:.2g} dB apart)" if one.decided_by else "nothing known decides")
+        for one in explanation.tied
+    ]
+    bad = [f"{one.site}, {one.date}: {one.words}" for one in explanation.bad_dates]
+    said = (
+        "Each cause alone, at its best, with 90 % intervals; the values of bad dates are left out. BIC counts misfit "
+        "and parameters: 4.6 more is odds of 1 to 10. The last column is how likely the later third of the dates is "
+        "under a fit to the earlier ones; higher is better."
+    )
+    columns = ["cause", "at its best", "left per date [dB]", "BIC over the best", "later dates [log-likelihood each]"]
+    blocks = [report.paragraph(said, quiet=True), report.table(columns, rows)]
+    if tied:
+        blocks += [report.heading("What cannot be told apart here, and what would decide"), report.bullets(tied)]
+    if bad:
+        blocks += [report.heading("Bad dates"), report.bullets(bad)]
+    return report.section("What the difference means", *blocks)
+
+
+def _cutouts(observations: Sequence[ReflectorObservation]) -> str:
+    used = [one for one in observations if one.cutout is not None and one.calibrated]
+    if not used:
+        return ""
+    chosen = [used[i] for i in np.unique(np.linspace(0, len(used) - 1, min(MOST_CUTOUTS, len(used))).astype(int))]
+    pairs = [(one, one.cutout.power, predicted_power(one)) for one in chosen if one.cutout is not None]
+    scale = GreyScale.of([power for _, measured, model in pairs for power in (measured, model)])
+    cells = []
+    for one, measured, model in pairs:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratio = 10.0 * np.log10(measured / model)
+        name = f"{one.site.name}, {str(one.date)[:10]}"
+        axes = _axes(one)
+        for power, what in ((measured, "measured"), (model, "predicted")):
+            grey = report.colour(scale.grey(in_decibel(power)), "gray", 0.0, 1.0)
+            cells.append(image(report.png(grey), f"{name}: {what}", *axes))
+        cells.append(image(report.png(report.colour(ratio, "RdBu_r", -15.0, 15.0)), f"{name}: residual", *axes))
+    marks = [f"{at:.0f}".replace("-", "−") for at in scale.decibel(np.linspace(0.0, 1.0, 5))]
+    keys = report.scale("gray", [*marks[:-1], f"{marks[-1]} dB"], "beta0") + report.scale(
+        "RdBu_r", ["−15", "0", "+15 dB"], "measured / predicted"
+    )
+    said = (
+        "The prediction is the response of the stated bandwidth with the predicted RCS at the place that was found, in "
+        "clutter of the mean level. Without a prediction it has the measured RCS. Speckle scatters the residual."
+    )
+    return report.section(
+        "Cut-outs", report.paragraph(said, quiet=True), keys, report.row(*cells, across=6, least_px=150)
+    )
+
+
+def predicted_power(one: ReflectorObservation) -> F64:
+    """beta0 of a cut-out: the response with the predicted RCS, in clutter of the mean level."""
+    assert one.cutout is not None
+    assert one.point is not None
+    assert one.spacing_m is not None
+    assert one.response is not None
+    lines, pixels = (
+        np.arange(n) + first
+        for n, first in zip(one.cutout.power.shape, (one.cutout.line, one.cutout.pixel), strict=True)
+    )
+    cuts = [
+        axis.power_1_m((at - place) * step)
+        for axis, at, place, step in zip(
+            one.response, (lines, pixels), (one.point.line, one.point.pixel), one.spacing_m, strict=True
+        )
+    ]
+    area = one.predicted_m2 or max(one.point.rcs_m2, 0.0)
+    return np.asarray(area * cuts[0][:, None] * cuts[1] + one.point.clutter)
+
+
+def _axes(one: ReflectorObservation) -> tuple[ImageAxis, ImageAxis]:
+    """Azimuth (down) and slant range (along) about the expected place [m]."""
+    assert one.cutout is not None
+    assert one.expected is not None
+    assert one.spacing_m is not None
+    made = []
+    for label, first, count, at, step in zip(
+        ("azimuth [m]", "slant range [m]"),
+        (one.cutout.line, one.cutout.pixel),
+        one.cutout.power.shape,
+        (one.expected.line, one.expected.pixel),
+        one.spacing_m,
+        strict=True,
+    ):
+        made.append(ImageAxis(label, (first - 0.5 - at) * step, (first + count - 0.5 - at) * step))
+    return made[0], made[1]
+
+
+def _table(observations: Sequence[ReflectorObservation]) -> str:
+    rows = []
+    for one in observations[:MOST_ROWS]:
+        values = row(one)
+        cells = []
+        for name in TABLE:
+            value = values[name]
+            unknown = value is None or (isinstance(value, float) and not np.isfinite(value))
+            cells.append("" if unknown else f"{value:.2f}" if isinstance(value, float) else str(value))
+        rows.append(cells)
+    caption = "" if len(observations) <= MOST_ROWS else f"The first {MOST_ROWS}; reflectors.csv has all."
+    return report.section("All values", report.table(list(TABLE.values()), rows, caption))

@@ -1,0 +1,251 @@
+"""Where reflectors stand, and what they are: a CSV of sites, in the columns that calibration teams have."""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from warpsar.calibration.attitude import SHAPES, Facing, Shape
+from warpsar.errors import InputError, did_you_mean, shown
+from warpsar.world.earth import LocalEarth, ecef_to_geodetic, geodetic_to_ecef
+
+F64 = NDArray[np.float64]
+LARGEST_FILE = 2**24
+COLUMNS = (
+    "id",
+    "latitude_deg",
+    "longitude_deg",
+    "height_m",
+    "azimuth_deg",
+    "tilt_deg",
+    "shape",
+    "leg_m",
+    "from",
+    "until",
+)
+"""Of our own layout; the last four may be missing, and `flipped` may stand beside them."""
+
+
+@dataclass(frozen=True)
+class ReflectorSite:
+    """A reflector. Latitude, longitude [deg], height [m] above the WGS 84 ellipsoid, at `surveyed` where it moves."""
+
+    name: str
+    latitude_deg: float
+    longitude_deg: float
+    height_m: float
+    facings: tuple[Facing, ...]
+    """The attitudes of one device, of which the one nearest to the radar counts; none where it is not known."""
+    shape: Shape
+    leg_m: float | None
+    """Inner length of a leg [m]; None where it is not known: nothing is predicted then."""
+    start: np.datetime64 | None = None
+    """From when it stands; None: always."""
+    end: np.datetime64 | None = None
+    surveyed: np.datetime64 | None = None
+    velocity_m_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """East, north, up, of the ground that it stands on."""
+    out_of_service: bool = False
+
+    def geodetic(self, date: np.datetime64) -> F64:
+        """Latitude, longitude [deg] and height [m], (3,), at a date."""
+        place = np.array([self.latitude_deg, self.longitude_deg, self.height_m])
+        if self.surveyed is None or not any(self.velocity_m_s):
+            return place
+        seconds = float((date - self.surveyed) / np.timedelta64(1, "s"))
+        moved = seconds * np.array(self.velocity_m_s) @ LocalEarth(*place).axes
+        return np.asarray(ecef_to_geodetic(geodetic_to_ecef(place) + moved))
+
+    def facing(self, toward_radar: F64) -> Facing | None:
+        """The attitude whose boresight is nearest to the direction (3,) of the radar."""
+        return min(self.facings, key=lambda one: one.off_boresight_deg(toward_radar), default=None)
+
+    def stands(self, date: np.datetime64) -> bool:
+        """Whether it is there at a date, by the file."""
+        after = self.start is None or bool(date >= self.start)
+        before = self.end is None or bool(date <= self.end)
+        return after and before and not self.out_of_service
+
+
+def sites_at(sites: Sequence[ReflectorSite], date: np.datetime64) -> list[ReflectorSite]:
+    """Each reflector once: by its latest survey that is not after the date, or the first one where all are after it."""
+    chosen: dict[str, ReflectorSite] = {}
+    for one in sorted(sites, key=lambda site: _or_early(site.surveyed)):
+        if one.name not in chosen or _or_early(one.surveyed) <= date:
+            chosen[one.name] = one
+    return list(chosen.values())
+
+
+def _or_early(date: np.datetime64 | None) -> np.datetime64:
+    return np.datetime64("0001-01-01", "us") if date is None else date
+
+
+def read(path: Path) -> list[ReflectorSite]:
+    """The sites of a file: our own columns, those of GECORIS, or those of UAVSAR, ISCE3 and NISAR.
+
+    Raises InputError, one message that names file, line and column, for a file that has none of them.
+    """
+    try:
+        if not path.is_file():
+            raise InputError(f"{path}: no such file")
+        if path.stat().st_size > LARGEST_FILE:
+            raise InputError(f"{path}: found more than {LARGEST_FILE} bytes; a table of sites has fewer")
+        text = path.read_text("utf-8-sig")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: no text in UTF-8, so no sites") from error
+    reader = csv.reader(io.StringIO(text), skipinitialspace=True)
+    try:
+        rows = [(reader.line_num, [cell.strip() for cell in row]) for row in reader if any(map(str.strip, row))]
+    except csv.Error as error:
+        raise InputError(f"{path}: line {reader.line_num}: no CSV ({error})") from error
+    if len(rows) < 2:
+        raise InputError(f"{path}: found {len(rows)} lines; must be names of columns, and at least one site")
+    header = [_key(cell) for cell in rows[0][1]]
+    layout = next((one for names, one in _LAYOUTS if set(names) <= set(header)), None)
+    if layout is None:
+        needed = "id, latitude_deg, longitude_deg, height_m"
+        near = next((f"{hint}" for name in header if (hint := did_you_mean(name, COLUMNS))), "")
+        raise InputError(
+            f"{path}: found the columns {', '.join(rows[0][1])[:200]}; must have {needed}, or "
+            f"be a table of GECORIS, UAVSAR, ISCE3 or NISAR{near}"
+        )
+    sites = [layout(_Row(path, line, dict(zip(header, row, strict=False)))) for line, row in rows[1:]]
+    seen: set[tuple[str, np.datetime64 | None]] = set()
+    for (line, _), one in zip(rows[1:], sites, strict=True):
+        if (one.name, one.surveyed) in seen:
+            raise InputError(f"{path}: line {line}: found {one.name} twice; must have a survey date of its own")
+        seen.add((one.name, one.surveyed))
+    return sites
+
+
+def _key(name: str) -> str:
+    """A column's name without its unit and punctuation: "Tilt / Elevation angle (deg)" is "tilt elevation angle"."""
+    return " ".join(re.findall(r"[a-z0-9_]+", re.sub(r"\(.*?\)", "", name.lower())))
+
+
+class _Row:
+    """A line of the table. Messages name file, line and column."""
+
+    def __init__(self, path: Path, line: int, cells: Mapping[str, str]) -> None:
+        self.path, self.line, self.cells = path, line, cells
+
+    def refuse(self, key: str, allowed: str) -> InputError:
+        found = shown(self.cells.get(key, ""))
+        return InputError(f"{self.path}: line {self.line}: {key}: found {found}; must be {allowed}")
+
+    def text(self, key: str) -> str:
+        if not (found := self.cells.get(key, "")):
+            raise self.refuse(key, "there")
+        return found
+
+    def number(self, key: str, low: float, high: float, default: float | None = None) -> float:
+        text = self.cells.get(key, "")
+        if not text and default is not None:
+            return default
+        try:
+            value = float(text)
+        except ValueError:
+            value = float("nan")
+        if not low <= value <= high:
+            raise self.refuse(key, f"a number from {low:g} to {high:g}")
+        return value
+
+    def place(self, latitude: str, longitude: str, height: str) -> tuple[float, float, float]:
+        return (
+            self.number(latitude, -90.0, 90.0),
+            self.number(longitude, -360.0, 360.0),
+            self.number(height, -1e3, 1e4),
+        )
+
+    def date(self, key: str) -> np.datetime64 | None:
+        """A date, "2020-02-19", "20200219" or "20200219T1150Z"; None for an empty cell, and for 9999..."""
+        text = self.cells.get(key, "").rstrip("Z")
+        if not text or text.startswith("9999"):
+            return None
+        if re.fullmatch(r"\d{8}(T\d{4})?", text):
+            text = f"{text[:4]}-{text[4:6]}-{text[6:8]}" + (f"T{text[9:11]}:{text[11:13]}" if "T" in text else "")
+        try:
+            return np.datetime64(text, "us")
+        except ValueError:
+            raise self.refuse(key, "a date such as 2020-02-19") from None
+
+    def leg(self, key: str) -> float | None:
+        return self.number(key, 0.01, 100.0) if self.cells.get(key) else None
+
+    def shape(self, key: str) -> Shape:
+        found = self.cells.get(key, "").lower() or "triangular"
+        for shape in SHAPES:
+            if found == shape:
+                return shape
+        raise self.refuse(key, f"one of {', '.join(SHAPES)}")
+
+
+def _own(row: _Row) -> ReflectorSite:
+    flipped = row.cells.get("flipped", "").lower()
+    if flipped not in ("", "yes", "no", "true", "false", "1", "0"):
+        raise row.refuse("flipped", "yes or no")
+    facings: tuple[Facing, ...] = ()
+    if row.cells.get("azimuth_deg"):
+        tilt = row.number("tilt_deg", -90.0, 90.0, 0.0)
+        facings = (Facing(row.number("azimuth_deg", -360.0, 360.0), tilt, flipped in ("yes", "true", "1")),)
+    place = row.place("latitude_deg", "longitude_deg", "height_m")
+    return ReflectorSite(
+        row.text("id"), *place, facings, row.shape("shape"), row.leg("leg_m"), row.date("from"), row.date("until")
+    )
+
+
+def _gecoris(row: _Row) -> ReflectorSite:
+    """The dips of GECORIS: from due east for passes that look from there, from due west for the others."""
+    kinds: dict[str, tuple[Shape, bool]] = {
+        "TRIANGULAR": ("triangular", False),
+        "TRIANGULARFLIPPED": ("triangular", True),
+        "IGRS": ("triangular", True),
+        "SQUARE": ("square", False),
+        "SQUAREFLIPPED": ("square", True),
+    }
+    kind = row.text("crshape").upper()
+    if kind not in kinds:
+        raise row.refuse("crshape", f"one of {', '.join(kinds)}")
+    shape, flipped = kinds[kind]
+    dip, tilt = row.number("azidip", -180.0, 180.0, 0.0), -row.number("zendip", -90.0, 90.0, 0.0)
+    facings: tuple[Facing, ...] = (Facing(90.0 + dip, tilt, flipped), Facing(270.0 - dip, tilt, flipped))
+    orientation = row.cells.get("orientation", "*").upper()[:1]
+    facings = facings[:1] if orientation == "D" else facings[1:] if orientation == "A" else facings
+    place = row.place("latitude", "longitude", "el height")
+    start = row.date("startdate") or row.date("installdate")
+    return ReflectorSite(row.text("id"), *place, facings, shape, row.leg("leglength"), start, row.date("enddate"))
+
+
+def _isce3(row: _Row) -> ReflectorSite:
+    """ISCE3 counts azimuth from east, clockwise, to the boresight (its tests: 0 is east); tilt is that of `Facing`."""
+    place = row.place("latitude", "longitude", "height above ellipsoid")
+    tilt = next(key for key in row.cells if key.startswith("tilt"))
+    facing = Facing(row.number("azimuth", -360.0, 720.0) + 90.0, row.number(tilt, -90.0, 90.0))
+    speed = [row.number(f"velocity {way}", -1.0, 1.0, 0.0) for way in ("east", "north", "up")]
+    validity = row.number("validity", 0, 255, 255)
+    return ReflectorSite(
+        row.text("corner reflector id"),
+        *place,
+        (facing,),
+        row.shape("shape"),
+        row.leg("side length"),
+        surveyed=row.date("survey date"),
+        velocity_m_s=(speed[0], speed[1], speed[2]),
+        out_of_service=validity == 0,
+    )
+
+
+_LAYOUTS: tuple[tuple[tuple[str, ...], Callable[[_Row], ReflectorSite]], ...] = (
+    (COLUMNS[:4], _own),
+    (("id", "latitude", "longitude", "el height", "crshape"), _gecoris),
+    (("corner reflector id", "latitude", "longitude", "height above ellipsoid", "azimuth", "side length"), _isce3),
+)

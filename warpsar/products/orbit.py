@@ -1,0 +1,75 @@
+"""An orbit's state vectors, and places between them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import KroghInterpolator
+
+from warpsar.errors import InputError
+
+NODES = 4
+"""State vectors that a piece of the orbit runs through."""
+F64 = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Orbit:
+    """Earth-fixed state vectors: times (n,) [s] that ascend, positions (n, 3) [m], velocities (n, 3) [m/s].
+
+    Between two of them the place is the Hermite polynomial through positions and velocities of the four nearest ones
+    (degree 7), as in ISCE3. Its error for vectors 60 s apart is below 1 mm; that of a cubic one is 0.3 m
+    (tests/products/test_orbit.py).
+    """
+
+    time_s: F64
+    position_m: F64
+    velocity_m_s: F64
+    _pieces: dict[int, KroghInterpolator] = field(default_factory=dict, repr=False, compare=False)
+
+    @classmethod
+    def of(cls, source: str, time_s: ArrayLike, position_m: ArrayLike, velocity_m_s: ArrayLike) -> Orbit:
+        """Raises InputError, naming `source`, for vectors that are no orbit."""
+        time, position, velocity = (np.asarray(each, np.float64) for each in (time_s, position_m, velocity_m_s))
+        count = time.size
+        if time.ndim != 1 or count < 2 or position.shape != (count, 3) or velocity.shape != (count, 3):
+            raise InputError(
+                f"{source}: found an orbit of {time.shape} times, {position.shape} positions and {velocity.shape} "
+                "velocities; must be at least 2 of each, with 3 coordinates"
+            )
+        if not all(np.isfinite(each).all() for each in (time, position, velocity)):
+            raise InputError(f"{source}: the orbit holds NaN or infinite values")
+        if not (np.diff(time) > 0.0).all() or not (velocity**2).sum(-1).min() > 0.0:
+            raise InputError(f"{source}: the orbit's times must ascend, and its velocities differ from zero")
+        return cls(time, position, velocity)
+
+    def at(self, time_s: ArrayLike) -> tuple[F64, F64]:
+        """Position [m] and velocity [m/s], (..., 3) each, at times (...) [s]; beyond both ends by the outer pieces."""
+        time = np.asarray(time_s, np.float64)
+        position, velocity = np.empty((*time.shape, 3)), np.empty((*time.shape, 3))
+        count = self.time_s.size
+        nodes = min(NODES, count)
+        interval = np.clip(np.searchsorted(self.time_s, time) - 1, 0, count - 2)
+        first = np.clip(interval - nodes // 2 + 1, 0, count - nodes)
+        for start in np.unique(first).tolist():
+            inside = first == start
+            piece = self._piece(start, nodes)
+            found = piece.derivatives(time[inside] - self.time_s[start], der=2)
+            position[inside], velocity[inside] = found[0], found[1]
+        return position, velocity
+
+    def _piece(self, start: int, nodes: int) -> KroghInterpolator:
+        if start not in self._pieces:
+            chosen = slice(start, start + nodes)
+            # A node that stands twice has a value and a derivative.
+            times = np.repeat(self.time_s[chosen] - self.time_s[start], 2)
+            values = np.stack([self.position_m[chosen], self.velocity_m_s[chosen]], axis=1).reshape(-1, 3)
+            self._pieces[start] = KroghInterpolator(times, values)
+        return self._pieces[start]
+
+    def covers(self, time_s: ArrayLike, margin_s: float = 0.0) -> bool:
+        """Whether all times lie between the first and the last state vector, or `margin_s` beside them."""
+        time = np.asarray(time_s, np.float64)
+        return bool((time >= self.time_s[0] - margin_s).all() and (time <= self.time_s[-1] + margin_s).all())
