@@ -52,7 +52,8 @@ from judgement_rates import (
 from warpsar.diagnosis.command import in_short
 from warpsar.diagnosis.found import DiagnoseOptions
 from warpsar.diagnosis.models.change import SUMMARIES, changes
-from warpsar.diagnosis.result import diagnose
+from warpsar.diagnosis.models.sensor import ALL
+from warpsar.diagnosis.result import Diagnosed, diagnose, identified
 from warpsar.effects.registry import get
 from warpsar.io.images import write_tiff
 from warpsar.runtime import console, devices
@@ -439,10 +440,50 @@ def one_run(number: int, device: str, minutes: float) -> dict[str, Any]:
         "turns": [turn.added for turn in done.diagnosis.turns],
         "line": in_short(done),
         "not_asked": done.diagnosis.not_asked,
+        "intervals": intervals(done, found.true),
         "objects": json.loads(json.dumps(done.diagnosis.objects, default=str)),
         "seconds": round(ended - begun, 1),
         "of_it_made": round(begun - started, 1),
     }
+
+
+def intervals(done: Diagnosed, true: Scene) -> list[tuple[str, float | None, float | None]]:
+    """Of each number of the final model that the scene of the images has too: its name, by how many standard deviations
+    it is off, and the standard deviation. Both are None where none is stated.
+
+    In the coordinates of the fit, in which they are stated: ln of a level, degrees of an angle. Gains of views are
+    about their mean, which is the surface's.
+    """
+    final, rows = done.diagnosis.final, list[tuple[str, float, float | None]]()
+    known, truth = final.scene.parameters, true.parameters
+    told = identified(final)
+    for label, sd, x in zip(told.labels, told.sd, final.x, strict=True):
+        name = known.old_names.get(label, label)
+        if name in truth and name in known:
+            value = truth[name].value
+            if ".view_gain." in name:
+                value = value - np.mean(
+                    [truth[known.old_names.get(o, o)].value for o in told.labels if "gain_db[" in o]
+                )
+            rows.append((name, float(x - known[name].transform.to_coordinate(value)), float(sd)))
+    declared = done.diagnosis.scene
+    for owner, numbers in done.diagnosis.sensor.items():
+        for key, one in numbers.items():
+            name = f"image.{key}" if key.endswith("spacing_m") else f"views.{owner}.{key}"
+            is_turn = owner == ALL and name not in truth
+            value = getattr(true.views[0], key) - getattr(declared.views[0], key) if is_turn else truth[name].value
+            rows.append((name, float(one["found"] - value), one["sd"]))
+    for owner, one in done.diagnosis.objects.items():
+        if owner in declared.mesh.groups and owner in true.mesh.groups:
+            was, now = (each.vertices[np.unique(each.faces[each.groups[owner]])] for each in (declared.mesh, true.mesh))
+            scale, step = np.ptp(now, axis=0) / np.ptp(was, axis=0), now.mean(axis=0) - was.mean(axis=0)
+            for key, value in (("scale", scale), ("position_m", step)):
+                sds = one.get("scale_sd" if key == "scale" else "position_sd_m")
+                for axis in range(3) if sds is not None and (key == "scale" or scale.max() == scale.min()) else ():
+                    rows.append((f"objects.{owner}.{key}[{axis}]", float(one[key][axis] - value[axis]), sds[axis]))
+    return [
+        (name, off / sd, sd) if sd is not None and 0.0 < sd < np.inf else (name, None, None) for name, off, sd in rows
+    ]
 
 
 def right_names(row: Mapping[str, Any]) -> set[str]:
@@ -537,6 +578,18 @@ def table(out: Path, write: bool) -> None:
         if of:
             count = sum(outcome(row) in wanted for row in of)
             sums.append([what, f"{count} of {len(of)}", bounds(count, len(of))])
+    # of models that are right: what another model's numbers would be the true ones of is another question
+    stated = [one for row in rows if outcome(row) in ("right", "all-clear") for one in row.get("intervals", ())]
+    roots_of = {"surfaces": ("materials",), "effects": ("effects",), "geometry": ("objects", "views", "image")}
+    for what, roots in roots_of.items():
+        mine = [z for name, z, _ in stated if name.partition(".")[0] in roots]
+        if mine:
+            told = [z for z in mine if z is not None]
+            count = sum(abs(z) <= 1.96 for z in told)
+            sums.append(
+                [f"intervals of {what} that hold the truth", f"{count} of {len(told)}", bounds(count, len(told))]
+            )
+            sums.append([f"intervals of {what} that are withheld", f"{len(mine) - len(told)} of {len(mine)}", ""])
     head = ["", "wrong", "scenes", *OUTCOMES, "median [s]"]
     bodies = {
         "search_rates": tables.markdown(head, lines),

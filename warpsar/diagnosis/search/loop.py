@@ -72,7 +72,7 @@ class Search:
         self._other = replace(setup, rays=other_rays)
         self._declared, self._record, self._progress = declared, record, progress
         self._base = declared
-        self._barred: set[str] = set()  # taken back, with nothing else found since
+        self._refused: dict[frozenset[str], set[str]] = {}  # what was taken back, by what the model had left then
         self._times: Counter[str] = Counter()  # that an effect was added
         self._stage = 0
         self._asked: set[str] = set()  # of the model's additions: those that hold beside all the others
@@ -182,6 +182,11 @@ class Search:
         shared = any(c.shared and c.effect not in final for turn in self.turns for c in turn.candidates)
         return last.alarms or shared
 
+    @property
+    def _barred(self) -> set[str]:
+        """What was taken back from the very model that the search is at: it has another chance beside something new."""
+        return self._refused.get(frozenset(self._added(self._base)), set())
+
     def _added(self, fitted: Fitted) -> list[str]:
         """Effects of a model that the scene does not declare, and changes of its geometry."""
         return [*self._effects(fitted), *changes(self.scene, fitted.scene)]
@@ -201,7 +206,6 @@ class Search:
             if turn.fitted is None or turn.added is None:
                 return found
             self._times[turn.added] += 1
-            self._barred = {name for name in self._barred if self._times[name] >= CHANCES}
             found = True
             if is_geometry(turn.added):
                 self._setup, self._base = on_its_ground(self._setup, self._other, turn.fitted)
@@ -310,8 +314,8 @@ class Search:
                 turn = next(turn for turn in reversed(self.turns) if turn.added == one.effect)
                 next(c for c in turn.candidates if c.effect == one.effect).answered(one)
             refused = {one.effect for one in answers.asked if one.refused}
-            self._barred |= refused
             self._base = answers.fitted
+            self._refused.setdefault(frozenset(self._added(self._base)), set()).update(refused)
             anything_hidden |= any(one.refused != TOO_LITTLE for one in answers.asked if one.refused)
             if not any(is_geometry(name) for name in refused):
                 break
