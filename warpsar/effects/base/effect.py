@@ -106,6 +106,10 @@ class Effect:
         """
         return []
 
+    def extensions(self, table: Mapping[str, Any]) -> Mapping[str, Mapping[str, Any]]:
+        """Tables where fits begin with more of the effect than the fitted `table` states, by what is more."""
+        return {}
+
     def simpler(self, table: Mapping[str, Any]) -> list[Mapping[str, Any]]:
         """The table less one of its parts each, where it has several: what was taken in for an effect that was still
         missing may be needless beside it."""
