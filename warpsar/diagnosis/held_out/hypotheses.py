@@ -30,7 +30,10 @@ class Hypothesis:
         return f"{self.effect}, {self.extension}" if self.extension else self.effect
 
     def tables(self, scene: Scene, level: float) -> list[dict[str, Any]]:
-        """The effect's tables where fits may begin: the middle start of each of its trials. `level`: median beta0 of the model."""
+        """The effect's tables where fits may begin: the middle start of each of its trials.
+
+        `level`: median beta0 of the model.
+        """
         effect = get(self.effect)
         if self.extension:
             return [dict(effect.extensions(scene.effects[self.effect])[self.extension])]
@@ -46,12 +49,16 @@ class Hypothesis:
 
 def hypotheses(scene: Scene, level: float) -> list[Hypothesis]:
     """All that fits can tell: effects with few trials and the same numbers for all views, none of which another
-    declared effect can do."""
+    declared effect can do.
+
+    A product that says at which level it was clipped says so how it made its numbers: no `saturation` beside it.
+    """
+    known = {"saturation"} if any(view.clipped_at is not None for view in scene.views) else set[str]()
     contained = {name for other in scene.effects for name in get(other).contains}
     found = [
         Hypothesis(name)
         for name in names()
-        if name not in scene.effects and name not in contained and _tried(get(name), scene, level)
+        if name not in scene.effects and name not in contained | known and _tried(get(name), scene, level)
     ]
     for name, table in scene.effects.items():
         if not table.get("fixed"):

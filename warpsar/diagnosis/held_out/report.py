@@ -62,8 +62,9 @@ def write_report(
 
 def _in_short(found: HeldOut, ahead: Lead | None) -> str:
     said = [
-        "Every train view is predicted by a model that has not seen it, nor its neighbours. The rivals need no physics: "
-        "the nearest measured view turned as a picture, the one nearest to the mirrored azimuth, and the mean of all."
+        "Every train view is predicted by a model that has not seen it, nor its neighbours. The rivals need no "
+        "physics: the nearest measured view turned as a picture, the one nearest to the mirrored azimuth, and the "
+        "mean of all."
     ]
     if ahead is not None:
         said.append(f"{ahead.words[0].upper()}{ahead.words[1:]}.".replace("+-", "±"))
@@ -103,8 +104,8 @@ def _pictures(found: HeldOut) -> str:
     ends = reach_db([each[np.isfinite(each)] for one in residuals for each in one.values()], PERCENT)
     blocks = [
         report.paragraph(
-            f"Residual: measured over modelled power, averaged over {SMOOTHED_PX} x {SMOOTHED_PX} pixels, each model at "
-            "its own aim point. The radar is at the top. Click on a picture to enlarge it."
+            f"Residual: measured over modelled power, averaged over {SMOOTHED_PX} x {SMOOTHED_PX} pixels, each model "
+            "at its own aim point. The radar is at the top. Click on a picture to enlarge it."
         ),
         residual_scale(ends, "measured / modelled"),
     ]

@@ -36,6 +36,7 @@ from warpsar.diagnosis.held_out.model import (
     Trained,
     with_other_rays,
 )
+from warpsar.effects.registry import get
 from warpsar.runtime import console, threads
 from warpsar.scene.scene import Scene
 
@@ -168,9 +169,10 @@ class Search:
             model.noise = max(mean, 0.0) + error
         return model.noise
 
-    def _judged(self, label: str, model: Model, scores: np.ndarray) -> bool:
+    def _judged(self, label: str, model: Model, scores: np.ndarray, *, refitted: bool = True) -> bool:
+        """Whether a trial with these scores stays. One that is not `refitted` has no noise to pass."""
         mean, error = _mean_and_error(model.scores - scores)
-        noise = self._noise(model) if mean > error else 0.0
+        noise = self._noise(model) if refitted and mean > error else 0.0
         self.steps.append(Step(label, mean / EXPECTED, error / EXPECTED, noise / EXPECTED, bool(mean - error > noise)))
         self._say()
         if self.steps[-1].stays:
@@ -191,11 +193,13 @@ class Search:
         one ahead is fitted anew, until it is still ahead.
         """
         left = {one.label: one for one in hypotheses(model.scenes[0], self._level(model)) if one.label not in refused}
-        new = [one for label, one in left.items() if label not in self._glanced]
+        dear = {label for label, one in left.items() if get(one.effect).follows_rays}
+        new = [one for label, one in left.items() if label not in self._glanced and label not in dear]
         self._glance(model, new)
         fresh = {one.label for one in new}
         while left:
-            label = max(left, key=lambda one: self._glanced[one][0])
+            # what follows rays anew is asked last: one fit of it costs as much as many others
+            label = max(left, key=lambda one: (one not in dear, self._glanced.get(one, (0.0,))[0]))
             if label not in fresh:
                 self._glance(model, [left[label]])
                 fresh.add(label)
@@ -259,10 +263,10 @@ class Search:
             self._progress()
         for label in turnable(self.start):
             base, back = self._scored(now), scored(partial(turned, label=label))
-            if self._judged(f"{label} {TURNED}", Model(now, base, model.noise), back):
+            if self._judged(f"{label} {TURNED}", Model(now, base), back, refitted=False):
                 now = [turned(scene, label) for scene in now]
         scores = self._scored(now)
-        if not self._judged(GEOMETRY, model, scores):
+        if not self._judged(GEOMETRY, model, scores, refitted=False):
             return None
         self.profiles |= profiles
         for one in profiles.values():
