@@ -43,6 +43,7 @@ from warpsar.scene.scene import Scene
 GLANCE = 3  # iterations of a first fit, on one part alone, by which the likeliest is chosen
 FEW, FEWER = 10, 3  # views of that fit, and of the choice where it begins
 LAST = 6  # of the fit of all views at the end, which begins where the others ended
+MATTERS = 0.01  # gain of a trial from which on sizes and angles are moved beside it; after smaller ones, at the end
 GEOMETRY = "sizes and angles"
 
 
@@ -109,17 +110,18 @@ class Search:
         first = model
         refused: set[str] = set()
         offsets: Sequence[float] = WIDE
+        movable, pending = bool(self.numbers or turnable(self.start)), True
         while True:
             found = self._turn(model, refused)
             if found is None:
                 break
-            model = found
-            if self.numbers or turnable(self.start):
-                moved = self._geometry(model, offsets)
+            model, pending = found, True
+            if movable and self.steps[-1].gain > MATTERS:
+                moved, pending = self._geometry(model, offsets), False
                 if moved is not None:
                     model, offsets = moved, NEAR
-        moved = self._geometry(model, offsets) if self.numbers else None
-        model = moved or model
+        if movable and pending:
+            model = self._geometry(model, offsets) or model
         self._progress()
         final = self.bench.fitted(model.scenes[0], self.trained.names, LAST).scene
         return HeldOut(
