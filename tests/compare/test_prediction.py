@@ -5,7 +5,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from warpsar.compare.aim import EXPECTED, Reach, aimed_deviance, best_shift, deviances, own_shift
-from warpsar.compare.prediction import Agreement, PredictedImage, in_sector, lead, summaries
+from warpsar.compare.prediction import Agreement, PredictedImage, advantage, in_sector, summaries
 from warpsar.compare.rivals import Seen, rivals, turned
 from warpsar.world.tables import View
 
@@ -122,13 +122,13 @@ def predicted(model: float, rival: float, deviance: float = 1.3) -> list[Predict
 
 
 def test_a_model_is_ahead_or_not_this_body() -> None:
-    good, bad = lead(predicted(0.89, 0.82)), lead(predicted(0.80, 0.82))
+    good, bad = advantage(predicted(0.89, 0.82)), advantage(predicted(0.80, 0.82))
     assert good is not None
     assert bad is not None
     assert good.ahead
     assert not bad.ahead
     assert "not this body" in bad.words
-    worse = lead(predicted(0.89, 0.82, deviance=4.0))
+    worse = advantage(predicted(0.89, 0.82, deviance=4.0))
     assert worse is not None
     assert not worse.ahead, "a correlation alone does not do"
 

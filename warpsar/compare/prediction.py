@@ -185,7 +185,7 @@ def _by_incidence(images: Sequence[PredictedImage]) -> list[list[PredictedImage]
 
 
 @dataclass(frozen=True)
-class Lead:
+class Advantage:
     """By how much a model's correlation is above that of the best `rival`, with its standard error over the images,
     and the same of the deviance, below it. `sector`: whether over unseen sectors alone."""
 
@@ -213,7 +213,7 @@ class Lead:
         )
 
 
-def lead(images: Sequence[PredictedImage], name: str = "model") -> Lead | None:
+def advantage(images: Sequence[PredictedImage], name: str = "model") -> Advantage | None:
     """How far ahead of the rivals a prediction is, over unseen sectors, or over all where there are none; None without
     rivals."""
     sector = any(image.in_sector for image in images)
@@ -226,7 +226,7 @@ def lead(images: Sequence[PredictedImage], name: str = "model") -> Lead | None:
     gain = np.array([i.predictions[name].correlation - i.predictions[rival].correlation for i in mine])
     error = float(gain.std(ddof=1) / np.sqrt(gain.size)) if gain.size > 1 else float("inf")
     below = float(least - np.mean([image.predictions[name].deviance for image in mine]))
-    return Lead(rival, float(gain.mean()), error, below, sector, len(mine))
+    return Advantage(rival, float(gain.mean()), error, below, sector, len(mine))
 
 
 def with_aim_points(scene: Scene, shifts: Mapping[str, Shift]) -> Scene:

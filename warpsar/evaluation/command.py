@@ -19,7 +19,7 @@ from warpsar.compare.curve import errors_in_short
 from warpsar.compare.evaluation import Evaluation, curves_content, evaluated
 from warpsar.compare.prediction import (
     PredictedImage,
-    lead,
+    advantage,
     predictable,
     predictions,
     summaries,
@@ -204,7 +204,7 @@ def _predicted(scene: Scene, first: Scene | None, device: wp.Device) -> list[Pre
     bar = console.progress(tests, "predict", "image")
     found = predictions(scenes, device, bar.update)
     bar.close()
-    ahead = lead(found)
+    ahead = advantage(found)
     if ahead is not None:
         console.say(ahead.words)
     return found
@@ -219,7 +219,7 @@ def _aimed(scene: Scene, told: Sequence[PredictedImage], name: str) -> Scene:
 
 def _prediction_content(told: Sequence[PredictedImage]) -> dict[str, Any]:
     """What evaluate.json says of the prediction of test views."""
-    ahead = lead(told)
+    ahead = advantage(told)
     return {
         "lead": None if ahead is None else {**asdict(ahead), "ahead": ahead.ahead, "words": ahead.words},
         "means": [asdict(row) for row in summaries(told)],

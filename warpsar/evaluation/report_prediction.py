@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from warpsar.compare.prediction import PredictedImage, Summary, lead, summaries
+from warpsar.compare.prediction import PredictedImage, Summary, advantage, summaries
 from warpsar.io import html as report
 
 NAMES = {
@@ -36,7 +36,7 @@ def prediction_table(rows: Sequence[Summary]) -> str:
 
 def prediction_section(images: Sequence[PredictedImage]) -> str:
     """The test views of a scene whose aim points are found."""
-    ahead = lead(images)
+    ahead = advantage(images)
     said = [] if ahead is None else [f"{ahead.words[0].upper()}{ahead.words[1:]}.".replace("+-", "±")]
     said.append(
         "Each test view is compared at the best shift within the reach of aim_point. The correlation is that of fourth "

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from warpsar.compare.prediction import Lead, lead, summaries
+from warpsar.compare.prediction import Advantage, advantage, summaries
 from warpsar.diagnosis.held_out.report import sentence, write_report
 from warpsar.diagnosis.held_out.search import HeldOut, held_out
 from warpsar.runtime import console, once
@@ -29,7 +29,7 @@ def run(scene_path: Path | str, out: Path | str, *, folds: int, device: str | No
     found = once.agree(lambda: held_out(scene, where, folds))
 
     def write() -> dict[str, Any]:
-        ahead = lead(found.images)
+        ahead = advantage(found.images)
         found.final.save(out / "scene.toml")
         content = content_of(found, ahead)
         content = write_json(out / "diagnosis.json", scene, where, scene.sampling.seed, started, content)
@@ -43,7 +43,7 @@ def run(scene_path: Path | str, out: Path | str, *, folds: int, device: str | No
     return once.agree(lambda: once.write(write)) or {}
 
 
-def content_of(found: HeldOut, ahead: Lead | None) -> dict[str, Any]:
+def content_of(found: HeldOut, ahead: Advantage | None) -> dict[str, Any]:
     """What diagnosis.json holds."""
     return {
         "verdict": found.held,

@@ -19,7 +19,7 @@ MOST_TRIALS = 8
 
 
 @dataclass(frozen=True)
-class Hypothesis:
+class EffectHypothesis:
     """An effect, or with `extension` more of one that the model has."""
 
     effect: str
@@ -39,7 +39,7 @@ class Hypothesis:
             return [dict(effect.extensions(scene.effects[self.effect])[self.extension])]
         return [dict(trial.starts[len(trial.starts) // 2]) for trial in effect.trials(Context(scene, level))]
 
-    def begun(self, scene: Scene, table: Mapping[str, Any], surface: Scene) -> Scene:
+    def started(self, scene: Scene, table: Mapping[str, Any], surface: Scene) -> Scene:
         """The scene with the effect, on the surface of `scene` itself or of another one.
 
         An effect that was missing may have left the fitted surface in a valley that no fit leads out of.
@@ -47,7 +47,7 @@ class Hypothesis:
         return with_effect(replace(scene, materials=dict(surface.materials)), self.effect, table)
 
 
-def hypotheses(scene: Scene, level: float) -> list[Hypothesis]:
+def hypotheses(scene: Scene, level: float) -> list[EffectHypothesis]:
     """All that fits can tell: effects with few trials and the same numbers for all views, none of which another
     declared effect can do.
 
@@ -56,13 +56,13 @@ def hypotheses(scene: Scene, level: float) -> list[Hypothesis]:
     known = {"saturation"} if any(view.clipped_at is not None for view in scene.views) else set[str]()
     contained = {name for other in scene.effects for name in get(other).contains}
     found = [
-        Hypothesis(name)
+        EffectHypothesis(name)
         for name in names()
         if name not in scene.effects and name not in contained | known and _tried(get(name), scene, level)
     ]
     for name, table in scene.effects.items():
         if not table.get("fixed"):
-            found += [Hypothesis(name, more) for more in get(name).extensions(table)]
+            found += [EffectHypothesis(name, more) for more in get(name).extensions(table)]
     return found
 
 

@@ -36,14 +36,14 @@ body's mean would follow them, and most of its pixels would be too bright."""
 
 
 @dataclass(frozen=True)
-class Fitted:
+class FittedViews:
     """A scene at its best on some of its views, and the bounded loss there."""
 
     scene: Scene
     loss: float
 
 
-class Bench:
+class FitRays:
     """Where models are fitted: scenes of one geometry and one seed share their rays."""
 
     def __init__(self, device: wp.Device) -> None:
@@ -51,7 +51,9 @@ class Bench:
         self._kept: OrderedDict[bytes, Rays] = OrderedDict()
         self._making = threading.Lock()
 
-    def fitted(self, scene: Scene, names: Sequence[str], iterations: int = ITERATIONS, *, aimed: bool = True) -> Fitted:
+    def fitted(
+        self, scene: Scene, names: Sequence[str], iterations: int = ITERATIONS, *, aimed: bool = True
+    ) -> FittedViews:
         """Everything but the geometry that the scene frees, at its best on the views `names`. With `aimed` false the
         numbers that belong to single views are held."""
         problem = self._problem(scene, names)
@@ -63,7 +65,7 @@ class Bench:
             if state.arrived:
                 break
         found = learned_scene(problem, state.best_x)
-        return Fitted(replace(scene, materials=found.materials, effects=found.effects), float(state.best_loss))
+        return FittedViews(replace(scene, materials=found.materials, effects=found.effects), float(state.best_loss))
 
     def loss_at_start(self, scene: Scene, names: Sequence[str]) -> float:
         """The bounded loss of the views `names` before any fit."""
@@ -92,7 +94,7 @@ def with_other_rays(scene: Scene) -> Scene:
     return replace(scene, sampling=scene.sampling.model_copy(update={"seed": scene.sampling.seed + 1}))
 
 
-class Trained:
+class TrainViews:
     """The train views of a scene, and what a model of some of them is asked about the others.
 
     `scene` has their images cut to the middle that is fitted, and their aim points found: fits begin there. It has
@@ -128,8 +130,8 @@ class Trained:
             whole = self._measured[view.name, pol]
             row, col = ((n - m) // 2 for n, m in zip(whole.shape, shape, strict=True))
             images[pol] = np.ascontiguousarray(whole[row : row + shape[0], col : col + shape[1]], np.float32)
-        stated = view.model_dump(by_alias=True, exclude_unset=True)
-        return View.model_validate({**stated, "images": images, "slc": {}, "mask": None})
+        stated = view.model_dump(by_alias=True, exclude_unset=True, exclude={"images", "slc", "mask"})
+        return View.model_validate({**stated, "images": images})
 
     def images(self, scene: Scene, names: Sequence[str]) -> list[dict[str, np.ndarray]]:
         """What a scene predicts of views, by polarization, on the whole image."""

@@ -12,7 +12,7 @@ from scipy.ndimage import uniform_filter
 
 from warpsar.compare.aim import Reach
 from warpsar.compare.comparison import ratio_db
-from warpsar.compare.prediction import Lead, measured_of, predicted, summaries
+from warpsar.compare.prediction import Advantage, measured_of, predicted, summaries
 from warpsar.diagnosis.held_out.search import HeldOut
 from warpsar.evaluation.report_parts import beta0_rgb, image_axes, reach_db, residual_rgb, residual_scale
 from warpsar.evaluation.report_prediction import prediction_table
@@ -26,7 +26,7 @@ SMOOTHED_PX = 3
 PERCENT = 98.0  # of the residual, that its scale holds
 
 
-def sentence(found: HeldOut, ahead: Lead | None) -> str:
+def sentence(found: HeldOut, ahead: Advantage | None) -> str:
     """The verdict and what it did to the views left out, in one line."""
     before, after = (float(np.mean(list(each.values()))) for each in (found.before, found.after))
     names = ", ".join(found.held) or "nothing"
@@ -37,7 +37,7 @@ def sentence(found: HeldOut, ahead: Lead | None) -> str:
 
 
 def write_report(
-    path: Path, found: HeldOut, ahead: Lead | None, content: dict[str, Any], command: Sequence[str]
+    path: Path, found: HeldOut, ahead: Advantage | None, content: dict[str, Any], command: Sequence[str]
 ) -> None:
     """`content` is that of diagnosis.json, `command` the words that made it."""
     count = sum(len(fold) for fold in found.folds)
@@ -60,7 +60,7 @@ def write_report(
     report.write(path, report.page(title[0].upper() + title[1:] + ".", lead, *sections))
 
 
-def _in_short(found: HeldOut, ahead: Lead | None) -> str:
+def _in_short(found: HeldOut, ahead: Advantage | None) -> str:
     said = [
         "Every train view is predicted by a model that has not seen it, nor its neighbours. The rivals need no "
         "physics: the nearest measured view turned as a picture, the one nearest to the mirrored azimuth, and the "
@@ -96,7 +96,8 @@ def _pictures(found: HeldOut) -> str:
             at = shifts[view.name][name].at
             plane = reach.window(models[when][number], at)
             power = reach.window(measured)
-            planes[when] = plane * float(np.nanmedian(power / plane)) / np.log(2.0)
+            use = np.isfinite(power) & (plane > 0.0)
+            planes[when] = plane * float(np.median(power[use] / plane[use])) / np.log(2.0)
         rows.append((f"{view.name}: azimuth {view.azimuth_deg:g}°", reach.window(measured), planes))
     residuals = [
         {when: ratio_db(_mean(power), _mean(plane)) for when, plane in planes.items()} for _, power, planes in rows

@@ -29,11 +29,11 @@ from warpsar.diagnosis.held_out.geometry import (
     turnable,
     turned,
 )
-from warpsar.diagnosis.held_out.hypotheses import Hypothesis, hypotheses, level_of
+from warpsar.diagnosis.held_out.hypotheses import EffectHypothesis, hypotheses, level_of
 from warpsar.diagnosis.held_out.model import (
     ITERATIONS,
-    Bench,
-    Trained,
+    FitRays,
+    TrainViews,
     with_other_rays,
 )
 from warpsar.effects.registry import get
@@ -48,7 +48,7 @@ GEOMETRY = "sizes and angles"
 
 
 @dataclass(frozen=True)
-class Step:
+class TrialStep:
     """One trial: its gain in the deviance of views left out (1 is what speckle leaves), with its standard error over
     the views, the noise that it had to pass, and whether it stays. `glance`: of a first fit alone."""
 
@@ -80,7 +80,7 @@ class HeldOut:
     declared: Scene
     final: Scene
     folds: list[list[str]]
-    steps: list[Step]
+    steps: list[TrialStep]
     profiles: dict[str, Profile]
     before: dict[str, float]
     after: dict[str, float]
@@ -88,17 +88,17 @@ class HeldOut:
     held: list[str] = field(default_factory=list)
 
 
-class Search:
+class FoldSearch:
     """The trials on one scene."""
 
     def __init__(self, scene: Scene, device: wp.Device, parts: int, progress: Callable[[], object]) -> None:
-        self.trained, self.device, self._progress = Trained(scene, device), device, progress
-        self.bench = Bench(device)
+        self.trained, self.device, self._progress = TrainViews(scene, device), device, progress
+        self.fits = FitRays(device)
         self.start = self.trained.scene
         self.folds = folds(self.trained.views, parts)
         self.order = [view.name for view in by_azimuth(self.trained.views)]
         self.numbers = numbers(self.start)
-        self.steps: list[Step] = []
+        self.steps: list[TrialStep] = []
         self.profiles: dict[str, Profile] = {}
         self.held: list[str] = []
         self._glanced: dict[str, tuple[float, float, dict[str, Any], bool]] = {}
@@ -123,7 +123,7 @@ class Search:
         if movable and pending:
             model = self._geometry(model, offsets) or model
         self._progress()
-        final = self.bench.fitted(model.scenes[0], self.trained.names, LAST).scene
+        final = self.fits.fitted(model.scenes[0], self.trained.names, LAST).scene
         return HeldOut(
             scene=self.trained.whole,
             declared=self.trained.finished(first.scenes[0]),
@@ -158,7 +158,7 @@ class Search:
         return np.array([found[name] for name in self.order])
 
     def _fitted(self, begun: Sequence[Scene], iterations: int = ITERATIONS) -> Model:
-        tasks = [partial(self.bench.fitted, scene, self._rest(part), iterations) for part, scene in enumerate(begun)]
+        tasks = [partial(self.fits.fitted, scene, self._rest(part), iterations) for part, scene in enumerate(begun)]
         scenes = [one.scene for one in threads.ordered(tasks, self.device)]
         self._progress()
         return Model(scenes, self._scored(scenes))
@@ -175,7 +175,9 @@ class Search:
         """Whether a trial with these scores stays. One that is not `refitted` has no noise to pass."""
         mean, error = _mean_and_error(model.scores - scores)
         noise = self._noise(model) if refitted and mean > error else 0.0
-        self.steps.append(Step(label, mean / EXPECTED, error / EXPECTED, noise / EXPECTED, bool(mean - error > noise)))
+        self.steps.append(
+            TrialStep(label, mean / EXPECTED, error / EXPECTED, noise / EXPECTED, bool(mean - error > noise))
+        )
         self._say()
         if self.steps[-1].stays:
             self.held.append(label)
@@ -210,10 +212,10 @@ class Search:
             one = left.pop(label)
             refused.add(label)
             if gain + error <= 0.0:
-                self.steps.append(Step(label, gain / EXPECTED, error / EXPECTED, 0.0, False, True))
+                self.steps.append(TrialStep(label, gain / EXPECTED, error / EXPECTED, 0.0, False, True))
                 self._say()
                 continue
-            begun = [one.begun(scene, table, self.start if on_declared else scene) for scene in model.scenes]
+            begun = [one.started(scene, table, self.start if on_declared else scene) for scene in model.scenes]
             trial = self._fitted(begun)
             if self._judged(label, model, trial.scores):
                 return trial
@@ -223,7 +225,7 @@ class Search:
         images = predicted(model.scenes[0], self.trained.views[:1], self.device)
         return level_of([plane for image in images for plane in image.values()])
 
-    def _glance(self, model: Model, some: Sequence[Hypothesis]) -> None:
+    def _glance(self, model: Model, some: Sequence[EffectHypothesis]) -> None:
         """A first fit of each on the first part, with the aim points held: the gain of the views left out, its standard
         error, the table where it begins, and whether on the declared surface."""
         level, rest = self._level(model), self._rest(0)
@@ -232,14 +234,14 @@ class Search:
         own = np.array([score for name, score in zip(self.order, model.scores, strict=True) if name in self.folds[0]])
         scene = model.scenes[0]
 
-        def glance(one: Hypothesis) -> tuple[float, float, dict[str, Any], bool]:
+        def glance(one: EffectHypothesis) -> tuple[float, float, dict[str, Any], bool]:
             tables = one.tables(scene, level)
             if len(tables) > 1:
-                losses = [self.bench.loss_at_start(one.begun(scene, table, scene), fewer) for table in tables]
+                losses = [self.fits.loss_at_start(one.started(scene, table, scene), fewer) for table in tables]
                 tables = [tables[int(np.argmin(losses))]]
             surfaces = [scene] if one.extension else [scene, self.start]
             ends = [
-                self.bench.fitted(one.begun(scene, tables[0], surface), few, GLANCE, aimed=False)
+                self.fits.fitted(one.started(scene, tables[0], surface), few, GLANCE, aimed=False)
                 for surface in surfaces
             ]
             best = int(np.argmin([end.loss for end in ends]))
@@ -300,6 +302,6 @@ def held_out(scene: Scene, device: wp.Device, parts: int) -> HeldOut:
     """
     bar = console.progress(0, "diagnose", "step")
     try:
-        return Search(scene, device, parts, bar.update).run()
+        return FoldSearch(scene, device, parts, bar.update).run()
     finally:
         bar.close()
