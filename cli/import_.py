@@ -166,7 +166,7 @@ def command(
     if file_format == "rcs" or (file_format == "auto" and all(map(registry.get("rcs").named, sources))):
         from warpsar.measured.curves import import_curves
 
-        for path in import_curves(sources, scene, polarization=polarization, role=role or "train"):
+        for path in import_curves(sources, scene, polarization=polarization, role=role or "train"):  # type: ignore[arg-type]
             click.echo(str(path))
         return
     from warpsar.measured.chips import import_chips

@@ -67,7 +67,8 @@ def hypotheses(scene: Scene, level: float) -> list[EffectHypothesis]:
 
 
 def _tried(effect: Effect, scene: Scene, level: float) -> bool:
-    if effect.last_resort or any(one.per_view for one in (*effect.parameters, *effect.settings)):
+    of_views = [one.per_view for one in effect.parameters] + [one.per_view for one in effect.settings]
+    if effect.last_resort or any(of_views):
         return False
     return 0 < len(effect.trials(Context(scene, level))) <= MOST_TRIALS
 

@@ -105,7 +105,9 @@ class TrainViews:
         self.whole, self.device, self.reach = scene, device, Reach.of(scene)
         self.views = [view for view in scene.views if view.role == "train" and view.images]
         self.names = [view.name for view in self.views]
-        self._measured = {(v.name, p): measured_of(scene, v, p) for v in self.views for p in v.images}
+        self._measured: dict[tuple[str, str], np.ndarray] = {
+            (v.name, p): measured_of(scene, v, p) for v in self.views for p in v.images
+        }
         window = self.reach.window(np.empty(scene.grid.shape)).shape
         shape = tuple(n - 2 * round(0.5 * (1.0 - FITTED) * n) for n in window)
         found = self._aimed(scene) if "aim_point" in scene.effects else scene
