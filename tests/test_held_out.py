@@ -8,10 +8,12 @@ from click.testing import CliRunner
 
 from warpsar import Scene, simulate
 from warpsar.cli.main import main
+from warpsar.compare.prediction import advantage, predictions, summaries
 from warpsar.diagnosis.held_out.arcs import folds
 from warpsar.diagnosis.held_out.geometry import likeliest, minimum, numbers
 from warpsar.diagnosis.held_out.search import GEOMETRY, held_out
 from warpsar.errors import InputError
+from warpsar.measured.chips import import_chips
 from warpsar.runtime import devices
 from warpsar.world.tables import View
 
@@ -189,3 +191,35 @@ def test_options_of_tests_are_refused_beside_folds(tmp_path: Path) -> None:
     run = CliRunner().invoke(main, words)
     assert run.exit_code == 2
     assert "--draws: not with --folds" in run.output
+
+
+@pytest.mark.measured
+@pytest.mark.full
+def test_measured_chips_come_with_roles_and_rivals(tmp_path: Path, measured_data: Path) -> None:
+    """Every sixth chip of the example's vehicle: its declared model is further from the test chips than a picture of
+    the nearest train chip, and says so."""
+    folder = measured_data / "mstar_btr70"
+    example = Path(__file__).resolve().parent.parent / "examples" / "measured" / "btr70" / "scene.toml"
+    path = tmp_path / "scene.toml"
+    path.write_text(example.read_text().replace("vehicle.obj", str(folder / "BTR70.obj")))
+    done = import_chips(
+        sorted((folder / "chips").glob("*.jpeg"))[::6],
+        path,
+        folder / "views.csv",
+        quantity="amplitude",
+        radar_at="bottom",
+        spacing_m=(0.202148, 0.203125),
+        scale="unknown",
+        train=20,
+        held_back=[(85.0, 115.0), (205.0, 235.0), (315.0, 345.0)],
+    )
+    scene = Scene.load(path)
+    assert sum(view.role == "train" for view in scene.views) == 20
+    assert len(done.views) == len(scene.views)
+    found = predictions({"model": scene}, devices.resolve_device("cpu"))
+    means = {row.prediction: row.correlation for row in summaries(found) if row.in_sector}
+    assert 0.7 < means["model"] < means["nearest"] < 0.9
+    assert means["mean"] < means["model"]
+    one = advantage(found)
+    assert one is not None
+    assert not one.ahead
