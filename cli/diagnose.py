@@ -50,6 +50,13 @@ from warpsar.cli import options
     metavar="MINUTES",
     help="End the search after so long with the best verdict so far, and say what was not asked; --resume goes on.",
 )
+@click.option(
+    "--folds",
+    type=click.IntRange(min=2),
+    metavar="N",
+    help="Judge by train views that are left out, in N parts, each of arcs of azimuth, in place of tests of speckle: "
+    "for many views of one target.",
+)
 @options.resume
 def command(
     scene: Path,
@@ -61,6 +68,7 @@ def command(
     most_effects: int | None,
     seed: int,
     time_limit: float | None,
+    folds: int | None,
     resume: bool,
 ) -> None:
     """Fit SCENE to its train views, find the effect that its model lacks, add it and fit again.
@@ -74,8 +82,18 @@ def command(
       warpsar diagnose scene.toml -o diagnosed/
       warpsar diagnose scene.toml -o diagnosed/ --time-limit 10
       warpsar diagnose scene.toml -o diagnosed/ --resume
+      warpsar diagnose scene.toml -o diagnosed/ --folds 3
     """
     from warpsar.diagnosis import command as diagnosis
+
+    if folds is not None:
+        of_tests = ("family_error", "draws", "starts", "most_effects", "seed", "time_limit", "resume")
+        _refuse(of_tests, "--folds")
+        from warpsar.diagnosis.held_out import command as held_out
+
+        if held_out.run(scene, out, folds=folds, device=device).get("unexplained"):
+            click.get_current_context().exit(diagnosis.UNEXPLAINED)
+        return
     from warpsar.diagnosis.found import DiagnoseOptions
 
     chosen = DiagnoseOptions(
@@ -91,3 +109,12 @@ def command(
         content = diagnosis.run(scene, out, device=device, options=chosen, resume=resume)
     if content.get("unexplained"):
         click.get_current_context().exit(diagnosis.UNEXPLAINED)
+
+
+def _refuse(names: tuple[str, ...], beside: str) -> None:
+    """Raise UsageError for options that were given and mean nothing beside another one."""
+    context = click.get_current_context()
+    given = [n for n in names if context.get_parameter_source(n) is click.core.ParameterSource.COMMANDLINE]
+    if given:
+        words = ", ".join(f"--{name.replace('_', '-')}" for name in given)
+        raise click.UsageError(f"{words}: not with {beside}")

@@ -106,9 +106,22 @@ TAPERS = ("none", "hann", "taylor")
 @click.option(
     "--role",
     type=click.Choice(("train", "test")),
-    default="train",
-    show_default=True,
-    help="What curves of radar cross-section are for.",
+    show_default="train",
+    help="What curves of radar cross-section, or the views of a table, are for.",
+)
+@click.option(
+    "--train",
+    type=click.IntRange(min=1),
+    metavar="N",
+    help="With --table: N views spread evenly in azimuth are train views, the others test views.",
+)
+@click.option(
+    "--hold-back",
+    nargs=2,
+    type=click.FloatRange(-360, 360),
+    multiple=True,
+    metavar="FROM TO",
+    help="With --table: views in this sector of azimuth [deg] are test views. Can be repeated.",
 )
 @options.device
 def command(
@@ -130,7 +143,9 @@ def command(
     looks_azimuth: int | None,
     surface: str,
     origin: tuple[float, float, float] | None,
-    role: str,
+    role: str | None,
+    train: int | None,
+    hold_back: tuple[tuple[float, float], ...],
     device: str | None,
 ) -> None:
     """Bring the measurement SOURCE onto the grid of a view, and declare it in the scene file.
@@ -151,7 +166,7 @@ def command(
     if file_format == "rcs" or (file_format == "auto" and all(map(registry.get("rcs").named, sources))):
         from warpsar.measured.curves import import_curves
 
-        for path in import_curves(sources, scene, polarization=polarization, role=role):  # type: ignore[arg-type]
+        for path in import_curves(sources, scene, polarization=polarization, role=role or "train"):  # type: ignore[arg-type]
             click.echo(str(path))
         return
     from warpsar.measured.chips import import_chips
@@ -160,6 +175,10 @@ def command(
 
     if (view is None) == (table is None):
         raise click.UsageError("one of --view and --table is needed")
+    if table is None and (role is not None or train is not None or hold_back):
+        raise click.UsageError("--role, --train and --hold-back: of images only with --table")
+    if role is not None and (train is not None or hold_back):
+        raise click.UsageError("--role, and --train or --hold-back, contradict each other")
     if amplitude and quantity == "power":
         raise click.UsageError("--amplitude and --quantity power contradict each other")
     quantity = "amplitude" if amplitude else quantity
@@ -182,6 +201,9 @@ def command(
             radar_at=radar_at,  # type: ignore[arg-type]
             spacing_m=spacing,
             scale=scale,  # type: ignore[arg-type]
+            role=role,
+            train=train,
+            held_back=hold_back,
         )
         for message in chips.messages:
             console.say(f"note: {message}")

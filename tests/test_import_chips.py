@@ -11,7 +11,9 @@ from warpsar.errors import InputError
 from warpsar.formats import jpeg
 from warpsar.measured.chips import import_chips
 from warpsar.measured.importer import import_measured
+from warpsar.measured.roles import assigned
 from warpsar.scene.scene import Scene
+from warpsar.world.tables import View
 
 SCENE = """# kept
 [scene]
@@ -180,3 +182,33 @@ def test_the_command_takes_a_table(folder: Path) -> None:
     refused = CliRunner().invoke(main, [*words, "--view", "HB1"])
     assert refused.exit_code == 2
     assert "one of --view and --table is needed" in refused.output
+
+
+def test_roles_are_spread_and_sectors_held_back(folder: Path) -> None:
+    views = {f"v{k}": View(name=f"v{k}", azimuth_deg=10.0 * k, incidence_deg=73.0) for k in range(36)}
+    views["v0"] = View(name="v0", azimuth_deg=0.0, incidence_deg=73.0, role="test")
+    found = assigned(folder / "views.csv", views, list(views), train=8, held_back=[(85.0, 115.0), (345.0, 15.0)])
+    train = [name for name, view in found.items() if view.role == "train"]
+    assert len(train) == 8
+    assert not {"v9", "v10", "v11", "v35", "v0", "v1"} & set(train)
+    gaps = np.diff([found[name].azimuth_deg for name in train])
+    assert gaps.max() <= 70.0
+    assert {view.role for view in assigned(folder, views, ["v3"], role="test").values()} == {"train", "test"}
+    with pytest.raises(InputError, match="--train 40: found 35 views"):
+        assigned(folder / "views.csv", views, list(views), train=40)
+
+
+def test_the_command_holds_back(folder: Path) -> None:
+    from click.testing import CliRunner
+
+    from warpsar.cli.main import main
+
+    sources = [str(folder / f"HB{k}.jpeg") for k in (1, 2)]
+    words = ["import", *sources, "--scene", str(folder / "scene.toml"), "--table", str(folder / "views.csv")]
+    words += ["--amplitude", "--spacing", "0.2", "0.2"]
+    run = CliRunner().invoke(main, [*words, "--train", "1", "--hold-back", "190", "210"])
+    assert run.exit_code == 0, run.output
+    assert [view.role for view in Scene.load(folder / "scene.toml").views] == ["train", "test"]
+    run = CliRunner().invoke(main, [*words, "--train", "1", "--role", "test"])
+    assert run.exit_code == 2
+    assert "contradict" in run.output

@@ -8,6 +8,9 @@ comparison.py   one measured image beside its model; all images of a scene
 edges.py        whether edges and borders of shadows lie where the model has them
 profiles.py     whether the power of rows, or of columns, is off the model
 judgement.py    is anything left beside speckle?
+aim.py          where a view was aimed: the shift at which an image and its prediction agree best
+rivals.py       predictions that need no physics: other measured images
+prediction.py   how well views are predicted that no fit has seen, beside the rivals
 curve.py        one measured curve of RCS beside its model; what is left of curves
 evaluation.py   all images and curves of a scene, what they give together, and the judgement on each role's
 """

@@ -48,8 +48,12 @@ class Modelled:
 
 
 def exact_areas(scene: Scene) -> bool:
-    """Whether the scene's images are compared by exact areas."""
-    return len(scene.mesh.faces) <= MOST_FACES and int(np.prod(scene.grid.shape)) <= MOST_PIXELS
+    """Whether the scene's images are compared by exact areas: not where it states how many rays are enough."""
+    return (
+        not scene.sampling.stated
+        and len(scene.mesh.faces) <= MOST_FACES
+        and int(np.prod(scene.grid.shape)) <= MOST_PIXELS
+    )
 
 
 def sampled(scene: Scene) -> bool:

@@ -9,7 +9,7 @@ import numpy as np
 import warp as wp
 
 from warpsar.effects.base.effect import Effect
-from warpsar.effects.base.parameter import EffectParameter
+from warpsar.effects.base.parameter import EffectParameter, Setting
 from warpsar.effects.base.recorder import Recorder
 from warpsar.effects.base.signature import SeenImage
 from warpsar.effects.base.trial import Context, ScoreStep, Trial
@@ -29,7 +29,11 @@ def _metres(name: str) -> EffectParameter:
 
 
 class AimPoint(Effect):
-    """Moves each view by a range and an azimuth of its own, before its power is binned; it does not blur."""
+    """Moves each view by a range and an azimuth of its own, before its power is binned; it does not blur.
+
+    Views that the table names no shift of lie up to `reach_m` off, in range and in azimuth. `evaluate` and
+    `diagnose --folds` look for their shift within it (`warpsar/compare/aim.py`).
+    """
 
     name = "aim_point"
     stage = "position"
@@ -42,9 +46,23 @@ class AimPoint(Effect):
         "azimuth_m": {"v0": -0.2, "v1": 0.25, "v2": 0.3, "v3": -0.15},
     }
     parameters = (_metres("range_m"), _metres("azimuth_m"))
+    settings = (
+        Setting(
+            "reach_m",
+            0.0,
+            lambda value: isinstance(value, int | float) and not isinstance(value, bool) and 0 <= value <= _REACH_M,
+            f"a number from 0 to {_REACH_M:g} [m]",
+            description="How far views may lie off whose shift is not stated [m]; 0: they lie where they should.",
+            schema={"type": "number", "minimum": 0, "maximum": _REACH_M},
+        ),
+    )
     bins_per_pixel = 4
     contains = ("registration",)
     sets_positions = True
+
+    def needed(self) -> None:
+        """A table with a reach alone says that all shifts are to be found."""
+        return None
 
     def margin_m(self, grid: Grid, values: np.ndarray) -> float:
         return float(np.abs(values).max() + _ROOM_PX * max(grid.spacing_m))

@@ -39,6 +39,7 @@ class Multibounce(Effect):
     stage = "path"
     of_surfaces_with = "eps_r"
     order = 10
+    follows_rays = True
     needs_all_hits = True
     summary = "double and triple bounces between surfaces"
     in_place = "multibounce in radar.terms"

@@ -154,6 +154,10 @@ class UnresolvedDetail(Effect):
                 found.append(Trial((ScoreStep("level", size, at, one_sided=True),), (at,), label))
         return found
 
+    def extensions(self, table: Mapping[str, Any]) -> Mapping[str, Mapping[str, Any]]:
+        """A flash along the body's axes."""
+        return {} if "flash" in table else {"flash": {**table, "flash": 5.0, "flash_deg": 3.0}}
+
     def paths(self, render: Recorder, p: wp.array, image: wp.array, polarization: int) -> wp.array:
         if Polarization(polarization).crossed:
             return image

@@ -5,15 +5,26 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from os import PathLike
 from pathlib import Path
 from typing import Any
+
+import warp as wp
 
 from warpsar.coherent.left_out import left_out_warning
 from warpsar.compare.comparison import Comparison
 from warpsar.compare.contract import Verdict
 from warpsar.compare.curve import errors_in_short
 from warpsar.compare.evaluation import Evaluation, curves_content, evaluated
+from warpsar.compare.prediction import (
+    PredictedImage,
+    advantage,
+    predictable,
+    predictions,
+    summaries,
+    with_aim_points,
+)
 from warpsar.errors import InputError
 from warpsar.evaluation.meshview import write_learned_ply
 from warpsar.evaluation.report import write_report
@@ -124,6 +135,11 @@ def run(
     console.warn(scene.warnings)
     seed = scene.seed(seed)
     cache = out / "cache"
+    told: list[PredictedImage] = []
+    if predictable(scene):
+        told = once.agree(lambda: _predicted(scene, first, where))
+        scene = _aimed(scene, told, "model")
+        first = None if first is None else _aimed(first, told, "before")
     found = evaluated(scene, where, seed=seed, progress="evaluate", cache=cache)
     for image in found.own:
         _write_residual(out, image)
@@ -165,14 +181,67 @@ def run(
             "residuals_db": {name: profile.rows for name, profile in by_factor.items()},
             "expected_residual_db": expected,
             **({} if earlier is None else {"before": {"train": earlier.train, "test": earlier.test}}),
+            **({"prediction": _prediction_content(told)} if told else {}),
             **(curves_content(scene, found) if found.curves else {}),
         }
         content = write_json(out / "evaluate.json", scene, where, seed, started, content)
-        write_report(out / "report.html", scene, found, by_factor, expected, content, command, where, before=earlier)
+        write_report(
+            out / "report.html", scene, found, by_factor, expected, content, command, where, before=earlier, told=told
+        )
         console.say_written(out, "report.html", "evaluate.json", "learned.ply", "residual images")
         pooled = [(role, found_in) for role, found_in in (("train", found.train), ("test", found.test)) if found_in]
         words = [f"{role} deviance {m['deviance']:.4f} +- {m['deviance_error']:.4f}" for role, m in pooled]
-        print(", ".join(words), file=sys.stdout)
+        print(", ".join([*words, *_prediction_words(told)]), file=sys.stdout)
         return content
 
     return once.write(write) or {}
+
+
+def _predicted(scene: Scene, first: Scene | None, device: wp.Device) -> list[PredictedImage]:
+    """The test views beside what the models predict and beside measured rivals."""
+    scenes = {"model": scene} | ({} if first is None else {"before": first})
+    tests = sum(len(view.images) for view in scene.views if view.role == "test")
+    bar = console.progress(tests, "predict", "image")
+    found = predictions(scenes, device, bar.update)
+    bar.close()
+    ahead = advantage(found)
+    if ahead is not None:
+        console.say(ahead.words)
+    return found
+
+
+def _aimed(scene: Scene, told: Sequence[PredictedImage], name: str) -> Scene:
+    """The scene with the aim points of the test views that state none, as a model's own likelihood has them."""
+    stated = {key for one in ("range_m", "azimuth_m") for key in scene.effects["aim_point"].get(one, {})}
+    shifts = {image.view.name: image.predictions[name].at for image in told if image.view.name not in stated}
+    return with_aim_points(scene, shifts)
+
+
+def _prediction_content(told: Sequence[PredictedImage]) -> dict[str, Any]:
+    """What evaluate.json says of the prediction of test views."""
+    ahead = advantage(told)
+    return {
+        "lead": None if ahead is None else {**asdict(ahead), "ahead": ahead.ahead, "words": ahead.words},
+        "means": [asdict(row) for row in summaries(told)],
+        "images": [
+            {
+                "name": image.view.name,
+                "polarization": image.polarization,
+                "azimuth_deg": image.view.azimuth_deg,
+                "incidence_deg": image.view.incidence_deg,
+                "in_sector": image.in_sector,
+                "predictions": {name: asdict(one) for name, one in image.predictions.items()},
+            }
+            for image in told
+        ],
+    }
+
+
+def _prediction_words(told: Sequence[PredictedImage]) -> list[str]:
+    """The correlation of the model, in each set and at each incidence."""
+    return [
+        f"{'unseen sectors' if row.in_sector else 'between train views'} at {90.0 - row.incidence_deg:.1f} deg of "
+        f"depression: correlation {row.correlation:.3f}"
+        for row in summaries(told)
+        if row.prediction == "model"
+    ]

@@ -2,8 +2,9 @@
 
 importer: `warpsar import`. gridding: a measurement onto a view's grid. focus: phase history to image. ground: where
 pixels lie. resample: power between pixels. curves: radar cross-sections.
-chips, view_table: many chips and a table of their angles, in one call. response: the width of the response that a
-header declares, as `[effects.point_spread]`. placed: where a scene lies on a map.
+chips, view_table, roles: many chips and a table of their angles, in one call, and which of them are held back.
+response: the width of the response that a header declares, as `[effects.point_spread]`. placed: where a scene lies on
+a map.
 """
 
 import lazy_loader

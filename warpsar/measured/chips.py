@@ -13,7 +13,7 @@ from warpsar.formats import registry
 from warpsar.formats.base.data import ImageChip, Quantity, RadarAt
 from warpsar.io.images import write_exr
 from warpsar.io.quick_look import contact_sheet
-from warpsar.measured import view_table
+from warpsar.measured import roles, view_table
 from warpsar.measured.gridding import Gridding, on_grid
 from warpsar.measured.importer import (
     Scale,
@@ -53,15 +53,23 @@ def import_chips(
     radar_at: RadarAt = "top",
     spacing_m: tuple[float, float] | None = None,
     scale: Scale = "as declared",
+    role: str | None = None,
+    train: int | None = None,
+    held_back: Sequence[roles.Sector] = (),
 ) -> ImportedChips:
     """Bring slant-plane pictures onto the grid of a scene, each as the view that the table names after its file.
 
     Views that the scene file has already keep what it says and get the image. `view_table.read` says what a table
-    holds; the other arguments are those of `import_measured`. The scene file is written once, at the end. Raises
+    holds, and `roles.assigned` what `role`, `train` and `held_back` do; the other arguments are those of
+    `import_measured`. The scene file is written once, at the end. Raises
     InputError for a table or a file that cannot be read, and for a file that the table does not name.
     """
     scene_path, table = Path(scene_path), Path(table)
-    pairs = view_table.chosen(table, view_table.read(table), [Path(source) for source in sources])
+    paths = [Path(source) for source in sources]
+    views = view_table.read(table)
+    named = [view.name for _, view in view_table.chosen(table, views, paths)]
+    views = roles.assigned(table, views, named, role=role, train=train, held_back=held_back)
+    pairs = view_table.chosen(table, views, paths)
     scene, _ = opened(scene_path, pairs[0][1].name)
     known = {view.name for view in opened(scene_path, None)[0].views}
     clipped, done, pictures = [], [], []

@@ -5,6 +5,7 @@ A launch is cut only where no sum crosses the cut. So results are the same to th
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -15,6 +16,8 @@ import warp as wp
 from warpsar.runtime import threads
 from warpsar.runtime.structs import with_views
 
+# Two threads that load one module at once leave one of them with code that the other's load has unloaded.
+_loading = threading.Lock()
 _LEAST = 2**14  # elements of a piece: to hand a piece to another core costs as much as some thousands of elements
 
 
@@ -43,9 +46,10 @@ class Launch:
     ) -> None:
         def recorded(dim: int | tuple[int, ...], views: dict[int, wp.array]) -> wp.Launch | None:
             given, found = ([with_views(a, views) for a in arguments] for arguments in (inputs, outputs))
-            return wp.launch(
-                kernel, dim, inputs=given, outputs=found, device=device, record_tape=False, record_cmd=True
-            )
+            with _loading:
+                return wp.launch(
+                    kernel, dim, inputs=given, outputs=found, device=device, record_tape=False, record_cmd=True
+                )
 
         further = tuple(dim[1:]) if isinstance(dim, tuple) else ()
         commands = [recorded((p.threads, *further), p.views) for p in pieces] or [recorded(dim, {})]

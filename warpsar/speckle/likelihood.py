@@ -6,6 +6,7 @@ I: measured beta0; mu: modelled beta0; L: looks. The intensity of one channel at
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -113,7 +114,23 @@ def loss_weight(loss: str, looks: float, mean_square: float) -> float:
     return 1.0 if loss == "gamma" else float(1.0 / polygamma(1, looks))
 
 
-GAIN_TURNS = 30  # of the reweighted mean: each brings the gain several times nearer
+GAIN_TURNS = 30  # of the reweighted mean, at most
+SAME_GAIN = 1e-8  # of a logarithm: the loss is level at the best gain, and differs by the square of it
+CONTRACTS = 0.95  # share of a turn's step that the next one takes, up to which the steps are summed to their end
+
+
+def _settled(turn: Callable[[float], float], start: float) -> float:
+    """Where turns lead to, in the logarithm of a gain: steps shrink by a constant share, so that two of them tell the
+    sum of all (Aitken's delta-squared process)."""
+    x = start
+    for _ in range(GAIN_TURNS // 2):
+        first = turn(x)
+        second = turn(first)
+        if abs(second - first) <= SAME_GAIN:
+            return second
+        share = (second - first) / (first - x)
+        x = first + (second - first) / (1.0 - share) if abs(share) < CONTRACTS else second
+    return x
 
 
 def best_gain(
@@ -122,24 +139,22 @@ def best_gain(
     """The factor on `modelled` that minimises the loss, in closed form; with a `bound` by reweighted means, and with
     pixels clipped at `top` by Newton's method in its logarithm."""
     if loss == "gamma" and (measured >= top).any():
-        gain = best_gain(loss, measured, modelled, looks, bound)
-        for _ in range(GAIN_TURNS):
-            here = curvature(loss, measured, gain * modelled, looks, 1.0, bound, top)
-            before, gain = gain, gain * float(np.exp(np.average(here.residual, weights=here.weight)))
-            if gain == before:
-                break  # to the bit: further turns change nothing
-        return gain
+
+        def newton(x: float) -> float:
+            here = curvature(loss, measured, np.exp(x) * modelled, looks, 1.0, bound, top)
+            return x + float(np.average(here.residual, weights=here.weight))
+
+        return float(np.exp(_settled(newton, np.log(best_gain(loss, measured, modelled, looks, bound)))))
     if loss == "gamma":
         ratio = measured / modelled
         if bound <= 0:
             return float(np.mean(ratio))
-        gain = float(np.median(ratio))
-        for _ in range(GAIN_TURNS):
-            shares = _shares(0.5 * deviance(ratio, np.array(gain), looks), bound)
-            before, gain = gain, float(np.average(ratio, weights=shares))
-            if gain == before:
-                break
-        return gain
+
+        def mean(x: float) -> float:
+            shares = _shares(0.5 * deviance(ratio, np.array(np.exp(x)), looks), bound)
+            return float(np.log(np.average(ratio, weights=shares)))
+
+        return float(np.exp(_settled(mean, float(np.log(np.median(ratio))))))
     if loss == "mse":
         return float(np.sum(measured * modelled) / np.sum(modelled**2))
     return float(np.exp(np.mean(np.log(measured / modelled)) - log_bias(looks)))

@@ -50,9 +50,8 @@ def _speckle(looks: int, correlation: np.ndarray) -> np.ndarray:
 
 def _mode(power: np.ndarray) -> tuple[float, np.ndarray] | None:
     """Most common mean^2 / variance, and the upper left corners (n, 2) of windows near it."""
-    mean, variance = _window_moments(power)
     step = WINDOW // 2
-    mean, variance = mean[::step, ::step], variance[::step, ::step]
+    mean, variance = _window_moments(power, step)
     usable = np.isfinite(mean) & (mean > 0) & (variance > 0)
     if usable.sum() < _FEWEST_WINDOWS:
         return None
@@ -62,13 +61,13 @@ def _mode(power: np.ndarray) -> tuple[float, np.ndarray] | None:
     return float(np.exp(mode)), corners[np.abs(values - mode) < width]
 
 
-def _window_moments(power: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and unbiased variance of every window; NaN where a pixel is not finite."""
+def _window_moments(power: np.ndarray, step: int) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and unbiased variance of the windows at every `step` pixels; NaN where a pixel is not finite."""
     if min(power.shape) < WINDOW:
         return np.empty((0, 0)), np.empty((0, 0))
     image = np.where(np.isfinite(power) & (power >= 0), power, np.nan).astype(np.float64)
     scale = np.nanmean(image) if np.isfinite(image).any() else 0.0
-    windows = sliding_window_view(image / (scale or 1.0), (WINDOW, WINDOW))
+    windows = sliding_window_view(image / (scale or 1.0), (WINDOW, WINDOW))[::step, ::step]
     return windows.mean(axis=(2, 3)), windows.var(axis=(2, 3), ddof=1)
 
 

@@ -51,6 +51,9 @@ class Effect:
     by_incidence: ClassVar[bool] = False  # changes a hit's power by its angles alone, wherever it lies
     needs_all_hits: ClassVar[bool] = False  # starts from all hits of a view at once: cannot be rendered in bands
     contains: ClassVar[tuple[str, ...]] = ()  # effects that a fit holds while it moves this one: it can do all they do
+    follows_rays: ClassVar[bool] = (
+        False  # traces ways over several surfaces: one fit of it costs as much as many others
+    )
     last_resort: ClassVar[bool] = False  # can do what named effects do: none of the candidates of a search
     sets_positions: ClassVar[bool] = False  # a fit that moves it holds the positions of objects
     acts_on: ClassVar[tuple[Product, ...]] = ("beta0",)  # all other products refuse it by name
@@ -105,6 +108,10 @@ class Effect:
         choices it makes than `table`. `others` are the tables of the other trials that scored, best first.
         """
         return []
+
+    def extensions(self, table: Mapping[str, Any]) -> Mapping[str, Mapping[str, Any]]:
+        """Tables where fits begin with more of the effect than the fitted `table` states, by what is more."""
+        return {}
 
     def simpler(self, table: Mapping[str, Any]) -> list[Mapping[str, Any]]:
         """The table less one of its parts each, where it has several: what was taken in for an effect that was still

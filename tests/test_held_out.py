@@ -1,0 +1,225 @@
+"""`warpsar diagnose --folds`: what stays is what views say that were left out."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from warpsar import Scene, simulate
+from warpsar.cli.main import main
+from warpsar.compare.prediction import advantage, predictions, summaries
+from warpsar.diagnosis.held_out.arcs import folds
+from warpsar.diagnosis.held_out.geometry import likeliest, minimum, numbers
+from warpsar.diagnosis.held_out.search import GEOMETRY, held_out
+from warpsar.errors import InputError
+from warpsar.measured.chips import import_chips
+from warpsar.runtime import devices
+from warpsar.world.tables import View
+
+SCENE = """
+[scene]
+reference_point_m = [0.0, 0.0, 0.0]
+[radar]
+frequency_hz = 9.6e9
+polarizations = ["HH"]
+[image]
+shape = [52, 52]
+spacing_m = [0.3, 0.3]
+calibrated = false
+[sampling]
+rays_per_pixel = 16.0
+[materials.ground]
+eps_r = 6.0
+rms_height_m = 0.004
+correlation_length_m = 0.004
+learn = []
+[materials.metal]
+eps_r = 40.0
+rms_height_m = 0.003
+correlation_length_m = 0.006
+learn = ["rms_height_m"]
+[effects.aim_point]
+reach_m = 1.2
+[[objects]]
+name = "ground"
+primitive = "plate"
+size_m = [40.0, 40.0, 0.0]
+material = "ground"
+[[objects]]
+name = "body"
+primitive = "box"
+size_m = [5.0, 2.5, 2.0]
+material = "metal"
+learn = ["size"]
+tolerance = { size_m = "10 %" }
+"""
+
+
+def views(count: int, role: str = "train", first_deg: float = 0.0) -> str:
+    angles = first_deg + np.arange(count) * 360.0 / count
+    return "".join(
+        f'[[views]]\nname = "{role}{k}"\nazimuth_deg = {a}\nincidence_deg = 60.0\nrole = "{role}"\n'
+        for k, a in enumerate(angles)
+    )
+
+
+def measured(folder: Path, *, height_m: float = 2.0, floor: float = 0.004) -> Scene:
+    """Twelve train views and six test views of a box with a noise floor, each shifted by up to three pixels, of one
+    look."""
+    path = folder / "scene.toml"
+    path.write_text(SCENE + views(12) + views(6, "test", 7.0))
+    declared = Scene.load(path)
+    (folder / "true.toml").write_text(
+        path.read_text().replace("2.5, 2.0]", f"2.5, {height_m}]") + f"[effects.noise_floor]\nlevel = {floor}\n"
+    )
+    random = np.random.default_rng(1)
+    images = simulate(Scene.load(folder / "true.toml"), device="cpu", seed=5)
+    seen = []
+    for view, image in zip(declared.views, images, strict=True):
+        power = image.beta0["HH"] * random.gamma(1.0, 1.0, image.beta0["HH"].shape) * random.uniform(1e3, 3e3)
+        moved = np.roll(power, random.integers(-3, 4, 2), (0, 1)).astype(np.float32)
+        stated = view.model_dump(by_alias=True, exclude_unset=True)
+        seen.append(View.model_validate({**stated, "images": {"HH": moved}, "looks": 1.0}))
+    return Scene(**{**_fields(declared), "views": seen})
+
+
+def _fields(scene: Scene) -> dict[str, object]:
+    return {name: getattr(scene, name) for name in scene.__dataclass_fields__ if scene.__dataclass_fields__[name].init}
+
+
+@pytest.mark.unit
+def test_views_are_left_out_in_arcs() -> None:
+    some = [View(name=f"v{k}", azimuth_deg=10.0 * k, incidence_deg=60.0) for k in range(36)]
+    parts = folds(some, 3)
+    assert sorted(name for part in parts for name in part) == sorted(view.name for view in some)
+    assert parts[0][:4] == ["v0", "v1", "v2", "v3"]
+    assert [len(part) for part in parts] == [12, 12, 12]
+    with pytest.raises(InputError, match="--folds 20: found 36 train views; must be 40 or more"):
+        folds(some, 20)
+
+
+@pytest.mark.unit
+def test_a_profile_that_is_not_even_has_its_minimum_where_it_is() -> None:
+    """Of x^2 + 0.4 x^3 about 0.3, by five places: a parabola would be off by 0.03."""
+    places = np.linspace(-0.7, 1.3, 5)
+    loss = (places - 0.3) ** 2 + 0.4 * (places - 0.3) ** 3
+    assert minimum(places.tolist(), loss.tolist()) == pytest.approx(0.3, abs=1e-3)
+
+
+@pytest.mark.unit
+def test_the_interval_is_that_of_the_scatter() -> None:
+    """Views that like places about 1 with a scatter of 0.2: 36 of them tell their mean to 0.2 / 6, and what is known
+    draws it as one more measurement does."""
+    likes = 1.0 + 0.2 * np.random.default_rng(0).normal(size=36)
+    places = np.linspace(0.0, 2.0, 7)
+    losses = 0.5 * (places[:, None] - likes) ** 2
+    found, sd, half = likeliest(places.tolist(), losses, np.zeros(7))
+    assert found == pytest.approx(likes.mean(), abs=1e-6)
+    assert sd == pytest.approx(likes.std(ddof=1) / 6.0, rel=0.5)
+    assert half > 2.0 * sd
+    pulled, *_ = likeliest(places.tolist(), losses, 0.5 * 36.0 * (places - 0.5) ** 2)
+    assert pulled == pytest.approx(0.5 * (likes.mean() + 0.5), abs=1e-6)
+
+
+@pytest.mark.unit
+def test_numbers_are_those_with_a_tolerance(tmp_path: Path) -> None:
+    path = tmp_path / "scene.toml"
+    path.write_text(
+        SCENE.replace('learn = ["size"]', 'learn = ["size", "heading"]').replace(
+            'polarizations = ["HH"]',
+            'polarizations = ["HH"]\nlearn = ["azimuth_deg"]\ntolerance = { azimuth_deg = 3.0 }',
+        )
+        + views(2)
+    )
+    scene = Scene.load(path)
+    found = numbers(scene)
+    assert [one.label for one in found] == ["views.azimuth_deg", "body.height", "body.width", "body.length"]
+    assert [one.sd for one in found] == pytest.approx([3.0, 0.2, 0.25, 0.5])
+    turned = found[0].moved(scene, 2.0)
+    assert [view.azimuth_deg for view in turned.views] == [2.0, 182.0]
+    assert found[0].now(turned) == pytest.approx(2.0)
+    assert found[1].now(found[1].moved(scene, 0.3)) == pytest.approx(2.3)
+
+
+@pytest.mark.full
+def test_a_floor_and_a_height_are_found(tmp_path: Path) -> None:
+    """A box 12 % higher than declared, over a floor that nobody declared, in twelve views of one look."""
+    found = held_out(measured(tmp_path, height_m=2.24), devices.resolve_device("cpu"), 2)
+    assert "noise_floor" in found.held
+    assert GEOMETRY in found.held
+    height = found.profiles["body.height"]
+    assert height.value == pytest.approx(2.24, abs=max(height.half, 0.1))
+    before, after = (np.mean(list(each.values())) for each in (found.before, found.after))
+    assert after < before
+    assert after == pytest.approx(1.0, abs=0.15)
+    level = found.final.effects["noise_floor"]["level"]
+    assert level == pytest.approx(0.004, rel=0.5)
+
+
+@pytest.mark.full
+def test_the_commands_end_in_a_prediction(tmp_path: Path) -> None:
+    """`diagnose --folds`, then `evaluate`: its test views beside the rivals, each at its own aim point."""
+    (tmp_path / "in").mkdir()
+    measured(tmp_path).save(tmp_path / "in" / "scene.toml")
+    run = CliRunner().invoke(
+        main, ["diagnose", str(tmp_path / "in" / "scene.toml"), "-o", str(tmp_path / "out"), "--folds", "2"]
+    )
+    assert run.exit_code in (0, 4), run.output
+    assert "found: noise_floor" in run.output
+    assert (tmp_path / "out" / "report.html").stat().st_size > 10_000
+    run = CliRunner().invoke(
+        main,
+        [
+            "evaluate",
+            str(tmp_path / "out" / "scene.toml"),
+            "-o",
+            str(tmp_path / "ev"),
+            "--before",
+            str(tmp_path / "in" / "scene.toml"),
+        ],
+    )
+    assert run.exit_code == 0, run.output
+    assert "correlation" in run.output
+    assert (tmp_path / "ev" / "evaluate.json").read_text().count('"nearest"') > 1
+
+
+@pytest.mark.unit
+def test_options_of_tests_are_refused_beside_folds(tmp_path: Path) -> None:
+    (tmp_path / "scene.toml").write_text(SCENE)
+    words = ["diagnose", str(tmp_path / "scene.toml"), "-o", str(tmp_path / "o"), "--folds", "3", "--draws", "500"]
+    run = CliRunner().invoke(main, words)
+    assert run.exit_code == 2
+    assert "--draws: not with --folds" in run.output
+
+
+@pytest.mark.measured
+@pytest.mark.full
+def test_measured_chips_come_with_roles_and_rivals(tmp_path: Path, measured_data: Path) -> None:
+    """Every sixth chip of the example's vehicle: its declared model is further from the test chips than a picture of
+    the nearest train chip, and says so."""
+    folder = measured_data / "mstar_btr70"
+    example = Path(__file__).resolve().parent.parent / "examples" / "measured" / "btr70" / "scene.toml"
+    path = tmp_path / "scene.toml"
+    path.write_text(example.read_text().replace("vehicle.obj", str(folder / "BTR70.obj")))
+    done = import_chips(
+        sorted((folder / "chips").glob("*.jpeg"))[::6],
+        path,
+        folder / "views.csv",
+        quantity="amplitude",
+        radar_at="bottom",
+        spacing_m=(0.202148, 0.203125),
+        scale="unknown",
+        train=20,
+        held_back=[(85.0, 115.0), (205.0, 235.0), (315.0, 345.0)],
+    )
+    scene = Scene.load(path)
+    assert sum(view.role == "train" for view in scene.views) == 20
+    assert len(done.views) == len(scene.views)
+    found = predictions({"model": scene}, devices.resolve_device("cpu"))
+    means = {row.prediction: row.correlation for row in summaries(found) if row.in_sector}
+    assert 0.7 < means["model"] < means["nearest"] < 0.9
+    assert means["mean"] < means["model"]
+    one = advantage(found)
+    assert one is not None
+    assert not one.ahead

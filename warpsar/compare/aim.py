@@ -1,0 +1,170 @@
+"""Where a view was aimed: the shift at which a measured image and a prediction of it agree best.
+
+A chip that was cut out about a target shows it some pixels off the middle, in each chip otherwise. So a prediction is
+compared with it at the best shift within the `Reach` of the scene's `[effects.aim_point]`. The window that is compared
+is the image less the reach on every side: no shift leads beyond the image. Images are linear power, (rows, cols), NaN
+where nothing is used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from scipy.ndimage import gaussian_filter, shift
+from scipy.signal import fftconvolve
+
+from warpsar.errors import InputError
+from warpsar.world.world import World
+
+SMOOTHED_PX = 1.5
+"""Standard deviation of the Gaussian that smooths power before its fourth root is correlated."""
+EXPECTED = 2.0 * 0.5772156649015329
+"""Mean gamma deviance of one look: 2 (ln L - digamma(L)) at L = 1."""
+BOUND = 20.0  # of a pixel's loss, where the gain is sought: one bright pixel does not set it
+FAINTEST = 1e-3  # of a prediction's median: no pixel counts as darker
+LEAST = 1e-4  # of a measurement's median: the logarithm of 0 is none
+ROOM_PX = 4  # about a window that is moved by a part of a pixel
+CROSS = ((0, 0), (-1, 0), (1, 0), (0, -1), (0, 1))
+Shift = tuple[int, int]
+
+
+@dataclass(frozen=True)
+class Reach:
+    """How many rows and columns a view may lie off."""
+
+    rows: int
+    cols: int
+
+    @classmethod
+    def of(cls, scene: World) -> Reach:
+        """Of the scene's `[effects.aim_point]`; none without one. Raises InputError where the image is too small."""
+        reach_m = float(scene.effects.get("aim_point", {}).get("reach_m", 0.0))
+        rows, cols = (int(np.ceil(reach_m / step - 1e-9)) for step in scene.grid.spacing_m)
+        if any(n - 2 * r < 8 for n, r in zip(scene.grid.shape, (rows, cols), strict=True)):
+            raise InputError(
+                f"{scene.name}: effects.aim_point.reach_m: found {reach_m:g} in an image of "
+                f"{scene.grid.shape[0]} x {scene.grid.shape[1]} pixels; must leave 8 pixels to compare on every side"
+            )
+        return cls(rows, cols)
+
+    def window(self, image: np.ndarray, moved: Shift = (0, 0), room: int = 0) -> np.ndarray:
+        """What is compared of an image that is `moved` by (rows, columns), with `room` pixels on every side, for which
+        the image's border is continued."""
+        low = [r - s for r, s in zip((self.rows, self.cols), moved, strict=True)]
+        sizes = [n - 2 * r for n, r in zip(image.shape, (self.rows, self.cols), strict=True)]
+        wide = np.pad(image, room, mode="edge") if room else image
+        (row, col), (rows, cols) = low, sizes
+        return wide[row : row + rows + 2 * room, col : col + cols + 2 * room]
+
+    def holds(self, at: Shift) -> bool:
+        return abs(at[0]) <= self.rows and abs(at[1]) <= self.cols
+
+
+def roots(power: np.ndarray, smoothed_px: float = SMOOTHED_PX) -> np.ndarray:
+    """The fourth root of smoothed power; what is not used has the median."""
+    filled = np.where(np.isfinite(power), power, np.nanmedian(power))
+    return np.asarray(np.maximum(gaussian_filter(filled, smoothed_px), 0.0) ** 0.25)
+
+
+def correlation(a: np.ndarray, b: np.ndarray) -> float:
+    """Pearson's, of two images of one shape; 0 where one of them is constant."""
+    x, y = a.ravel() - a.mean(), b.ravel() - b.mean()
+    norm = float(np.sqrt((x @ x) * (y @ y)))
+    return float(x @ y) / norm if norm > 0.0 else 0.0
+
+
+def best_shift(measured: np.ndarray, predicted: np.ndarray, reach: Reach) -> tuple[float, Shift]:
+    """The largest correlation of fourth roots over all shifts of the prediction, and its shift."""
+    own, wide = reach.window(roots(measured)), roots(predicted)
+    wide = wide - wide.mean()  # the less there is to subtract below
+    own = own - own.mean()
+    total, squares = (
+        sliding_window_view(np.pad(one.cumsum(0).cumsum(1), ((1, 0), (1, 0))), [n + 1 for n in own.shape])
+        for one in (wide, wide**2)
+    )
+    sums, powers = (w[..., -1, -1] - w[..., 0, -1] - w[..., -1, 0] + w[..., 0, 0] for w in (total, squares))
+    spread = np.maximum(powers - sums**2 / own.size, 1e-12 * float((wide**2).sum()) + 1e-300)
+    found = fftconvolve(wide, own[::-1, ::-1], mode="valid") / np.sqrt(spread * max(float((own**2).sum()), 1e-300))
+    row, col = np.unravel_index(found.argmax(), found.shape)
+    return float(found[row, col]), (reach.rows - int(row), reach.cols - int(col))
+
+
+def deviances(measured: np.ndarray, predicted: np.ndarray) -> np.ndarray:
+    """Gamma deviance of one look of each used pixel, shape (n,), at the gain of least bounded loss."""
+    use = np.isfinite(measured)
+    power, mu = measured[use].astype(float), predicted[use].astype(float)
+    power = np.maximum(power, LEAST * np.median(power))
+    ratio = power / np.maximum(mu, FAINTEST * np.median(mu))
+    gain, logarithm = float(np.median(ratio)), np.log(ratio)
+    for _ in range(12):
+        half = ratio / gain - 1.0 - logarithm + np.log(gain)
+        weights = 1.0 / (1.0 + half / BOUND)
+        before, gain = gain, float((weights * ratio).sum() / weights.sum())
+        if abs(gain / before - 1.0) < 1e-6:
+            break
+    return np.asarray(2.0 * (ratio / gain - 1.0 - logarithm + np.log(gain)))
+
+
+def bounded_loss(measured: np.ndarray, predicted: np.ndarray) -> float:
+    """Mean gamma loss of a pixel, of which none counts for much more than `BOUND`."""
+    return float(np.log1p(0.5 * deviances(measured, predicted) / BOUND).mean())
+
+
+def mean_deviance(measured: np.ndarray, predicted: np.ndarray) -> float:
+    return float(deviances(measured, predicted).mean())
+
+
+def descended(start: Shift, reach: Reach, score: Callable[[Shift], float]) -> Shift:
+    """The shift of least score that steps of one pixel lead to."""
+    at = start
+    while (better := min(((at[0] + i, at[1] + j) for i, j in CROSS), key=score)) != at:
+        at = better
+    return at
+
+
+def own_shift(measured: np.ndarray, predicted: np.ndarray, reach: Reach) -> Shift:
+    """The aim point that the likelihood chooses, by whole pixels: the least bounded gamma loss, from the shift of the
+    best correlation on."""
+    known: dict[Shift, float] = {}
+    power = reach.window(measured)
+
+    def score(at: Shift) -> float:
+        if not reach.holds(at):
+            return np.inf
+        if at not in known:
+            known[at] = bounded_loss(power, reach.window(predicted, at))
+        return known[at]
+
+    return descended(best_shift(measured, predicted, reach)[1], reach, score)
+
+
+def aimed_deviance(measured: np.ndarray, predicted: np.ndarray, reach: Reach) -> float:
+    """Mean deviance at the model's best aim point, between the pixels: where parabolas through the best shift and its
+    neighbours have their least value. By whole pixels a profile over a size would have steps, and its least value a
+    bias."""
+    known: dict[Shift, float] = {}
+    power = reach.window(measured)
+
+    def score(at: Shift) -> float:
+        if not reach.holds(at):
+            return np.inf
+        if at not in known:
+            known[at] = mean_deviance(power, reach.window(predicted, at))
+        return known[at]
+
+    at = descended(best_shift(measured, predicted, reach)[1], reach, score)
+    here, up, down, left, right = (score((at[0] + i, at[1] + j)) for i, j in CROSS)
+    step = [
+        (before - after) / (2.0 * (before + after - 2.0 * here))
+        if np.isfinite(before + after) and before + after > 2.0 * here
+        else 0.0
+        for before, after in ((up, down), (left, right))
+    ]
+    if not any(step):
+        return here
+    wide = reach.window(predicted, at, ROOM_PX)
+    between = shift(wide, np.clip(step, -0.5, 0.5), mode="nearest")[ROOM_PX:-ROOM_PX, ROOM_PX:-ROOM_PX]
+    return min(here, mean_deviance(power, between))

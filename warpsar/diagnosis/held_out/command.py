@@ -1,0 +1,66 @@
+"""`warpsar diagnose --folds N`: what the model lacks by views that were left out, in arcs of azimuth."""
+
+from __future__ import annotations
+
+import sys
+import time
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from warpsar.compare.prediction import Advantage, advantage, summaries
+from warpsar.diagnosis.held_out.report import sentence, write_report
+from warpsar.diagnosis.held_out.search import HeldOut, held_out
+from warpsar.runtime import console, once
+from warpsar.simulation.outputs import opened, write_json
+
+
+def run(scene_path: Path | str, out: Path | str, *, folds: int, device: str | None = None) -> dict[str, Any]:
+    """Write diagnosis.json, scene.toml with what was found, and report.html into `out`. Returns the JSON's content.
+
+    Raises InputError for a scene whose train views are too few to be left out in so many parts.
+    """
+    started = time.perf_counter()
+    scene, out, where = opened(scene_path, out, device)
+    words = ["warpsar", "diagnose", str(scene_path), "-o", str(out), "--device", where.alias, "--folds", str(folds)]
+    once.join(where)
+    found = once.agree(lambda: held_out(scene, where, folds))
+
+    def write() -> dict[str, Any]:
+        ahead = advantage(found.images)
+        found.final.save(out / "scene.toml")
+        content = content_of(found, ahead)
+        content = write_json(out / "diagnosis.json", scene, where, scene.sampling.seed, started, content)
+        write_report(out / "report.html", found, ahead, content, words)
+        if ahead is not None:
+            console.say(ahead.words)
+        console.say_written(out, "report.html", "diagnosis.json", "scene.toml")
+        print(sentence(found, ahead), file=sys.stdout)
+        return content
+
+    return once.agree(lambda: once.write(write)) or {}
+
+
+def content_of(found: HeldOut, ahead: Advantage | None) -> dict[str, Any]:
+    """What diagnosis.json holds."""
+    return {
+        "verdict": found.held,
+        "unexplained": ahead is not None and not ahead.ahead,
+        "lead": None if ahead is None else {**asdict(ahead), "ahead": ahead.ahead, "words": ahead.words},
+        "folds": found.folds,
+        "steps": [asdict(step) for step in found.steps],
+        "profiles": {name: asdict(profile) for name, profile in found.profiles.items()},
+        "left_out": {
+            "deviance_before": float(np.mean(list(found.before.values()))),
+            "deviance_after": float(np.mean(list(found.after.values()))),
+            "views_before": found.before,
+            "views_after": found.after,
+            "predictions": [asdict(row) for row in summaries(found.images)],
+        },
+        "effects": {name: table for name, table in found.final.effects.items() if name != "aim_point"},
+        "materials": {
+            name: one.model_dump(exclude_unset=True, mode="json") for name, one in found.final.materials.items()
+        },
+    }

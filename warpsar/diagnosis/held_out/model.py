@@ -1,0 +1,179 @@
+"""Models of some of the train views: how one is fitted, and how well it predicts the others."""
+
+from __future__ import annotations
+
+import hashlib
+import threading
+from collections import OrderedDict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from warpsar.compare.aim import Reach, aimed_deviance, best_shift
+from warpsar.compare.prediction import PredictedImage, compared, measured_of, predicted, with_aim_points
+from warpsar.compare.rivals import Seen
+from warpsar.diagnosis.models.refit import standing_at
+from warpsar.effects.registry import validate
+from warpsar.learning.geometry import still
+from warpsar.learning.optimise import levenberg_marquardt
+from warpsar.learning.problem import FitProblem
+from warpsar.learning.results import learned_scene
+from warpsar.scene.scene import Scene
+from warpsar.simulation.rays import Rays
+from warpsar.surface.stage import Stage
+from warpsar.world.tables import View
+
+ITERATIONS = 10
+FLAT, KEPT_WITHIN = 0.5, 0.05
+FITTED = 0.8  # of the window's rows and columns, about the middle, that a fit looks at: far ground says nothing new
+KEPT = 2  # sets of rays
+BOUND = 0.5
+"""Of a pixel's loss in a fit. A few glints, where a strong scatterer stands in for speckle, else outvote the rest: the
+body's mean would follow them, and most of its pixels would be too bright."""
+
+
+@dataclass(frozen=True)
+class FittedViews:
+    """A scene at its best on some of its views, and the bounded loss there."""
+
+    scene: Scene
+    loss: float
+
+
+class FitRays:
+    """Where models are fitted: scenes of one geometry and one seed share their rays."""
+
+    def __init__(self, device: wp.Device) -> None:
+        self.device = device
+        self._kept: OrderedDict[bytes, Rays] = OrderedDict()
+        self._making = threading.Lock()
+
+    def fitted(
+        self, scene: Scene, names: Sequence[str], iterations: int = ITERATIONS, *, aimed: bool = True
+    ) -> FittedViews:
+        """Everything but the geometry that the scene frees, at its best on the views `names`. With `aimed` false the
+        numbers that belong to single views are held."""
+        problem = self._problem(scene, names)
+        moving = np.ones(problem.x0.size, bool)
+        moving[problem.learned.size :] = [aimed or c.view is None for c in problem.effect_coordinates]
+        state = standing_at(problem, problem.x0)
+        for _ in range(iterations if moving.any() else 0):
+            state = levenberg_marquardt(problem, state, moving, flat=FLAT, kept_within=KEPT_WITHIN)
+            if state.arrived:
+                break
+        found = learned_scene(problem, state.best_x)
+        return FittedViews(replace(scene, materials=found.materials, effects=found.effects), float(state.best_loss))
+
+    def loss_at_start(self, scene: Scene, names: Sequence[str]) -> float:
+        """The bounded loss of the views `names` before any fit."""
+        problem = self._problem(scene, names)
+        return float(problem.value(problem.modelled(problem.x0)))
+
+    def _problem(self, scene: Scene, names: Sequence[str]) -> FitProblem:
+        return FitProblem(still(scene), self.device, views=names, rays=self._rays(scene), bound=BOUND)
+
+    def _rays(self, scene: Scene) -> Rays:
+        key = hashlib.sha256(scene.mesh.vertices.tobytes() + str(scene.sampling.seed).encode()).digest()
+        with self._making:
+            if key not in self._kept:
+                self._kept[key] = Rays(Stage.of(scene, self.device), seed=scene.sampling.seed)
+                while len(self._kept) > KEPT:
+                    self._kept.popitem(last=False)
+            return self._kept[key]
+
+
+def with_effect(scene: Scene, name: str, table: Mapping[str, Any]) -> Scene:
+    return replace(scene, effects={**scene.effects, name: validate(name, dict(table), f"effects.{name}")})
+
+
+def with_other_rays(scene: Scene) -> Scene:
+    """The same model on rays of another seed."""
+    return replace(scene, sampling=scene.sampling.model_copy(update={"seed": scene.sampling.seed + 1}))
+
+
+class TrainViews:
+    """The train views of a scene, and what a model of some of them is asked about the others.
+
+    `scene` has their images cut to the middle that is fitted, and their aim points found: fits begin there. It has
+    the test views without images. Predictions are made on the whole image, so that they can be shifted.
+    """
+
+    def __init__(self, scene: Scene, device: wp.Device) -> None:
+        self.whole, self.device, self.reach = scene, device, Reach.of(scene)
+        self.views = [view for view in scene.views if view.role == "train" and view.images]
+        self.names = [view.name for view in self.views]
+        self._measured: dict[tuple[str, str], np.ndarray] = {
+            (v.name, p): measured_of(scene, v, p) for v in self.views for p in v.images
+        }
+        window = self.reach.window(np.empty(scene.grid.shape)).shape
+        shape = tuple(n - 2 * round(0.5 * (1.0 - FITTED) * n) for n in window)
+        found = self._aimed(scene) if "aim_point" in scene.effects else scene
+        grid = scene.grid.model_copy(update={"shape": shape})
+        self.scene = replace(found, views=[self._cut(view, shape) for view in scene.views], grid=grid)
+
+    def _aimed(self, scene: Scene) -> Scene:
+        """With the aim points of views that state none where the declared model correlates best."""
+        table = scene.effects["aim_point"]
+        stated = set(table.get("range_m", {})) | set(table.get("azimuth_m", {}))
+        views = [view for view in self.views if view.name not in stated]
+        shifts = {}
+        for view, image in zip(views, predicted(scene, views, self.device), strict=True):
+            pol = next(iter(view.images))
+            shifts[view.name] = best_shift(self._measured[view.name, pol], image[pol], self.reach)[1]
+        return with_aim_points(scene, shifts)
+
+    def _cut(self, view: View, shape: tuple[int, ...]) -> View:
+        """The view with the middle of its images; a test view without any."""
+        images = {}
+        for pol in view.images if view.name in self.names else ():
+            whole = self._measured[view.name, pol]
+            row, col = ((n - m) // 2 for n, m in zip(whole.shape, shape, strict=True))
+            images[pol] = np.ascontiguousarray(whole[row : row + shape[0], col : col + shape[1]], np.float32)
+        stated = view.model_dump(by_alias=True, exclude_unset=True, exclude={"images", "slc", "mask"})
+        return View.model_validate({**stated, "images": images})
+
+    def images(self, scene: Scene, names: Sequence[str]) -> list[dict[str, np.ndarray]]:
+        """What a scene predicts of views, by polarization, on the whole image."""
+        bare = {view.name: view.model_copy(update={"images": {}}) for view in scene.views}
+        on_whole = replace(scene, grid=self.whole.grid, views=list(bare.values()))
+        return predicted(on_whole, [bare[name] for name in names], self.device)
+
+    def scores(self, scene: Scene, names: Sequence[str]) -> np.ndarray:
+        """Mean gamma deviance of each view at the model's best aim point, shape (names,): lower is better."""
+        found = []
+        for name, image in zip(names, self.images(scene, names), strict=True):
+            measured = {pol: power for (view, pol), power in self._measured.items() if view == name}
+            each = [aimed_deviance(power, image[pol], self.reach) for pol, power in measured.items()]
+            found.append(float(np.mean(each)))
+        return np.array(found)
+
+    def beside(self, scenes: Mapping[str, Scene], names: Sequence[str], others: Sequence[str]) -> list[PredictedImage]:
+        """The views `names` beside what each scene predicts, and beside the rivals that `others` make."""
+        views = {view.name: view for view in self.views}
+        images = {which: self.images(scene, names) for which, scene in scenes.items()}
+        seen = {(name, pol): self._seen(views[name], pol) for name in views for pol in views[name].images}
+        found = []
+        for number, name in enumerate(names):
+            for pol in views[name].images:
+                own = seen[name, pol]
+                train = [seen[other, pol] for other in others if (other, pol) in seen]
+                planes = {which: each[number][pol] for which, each in images.items()}
+                spacing_m = self.whole.grid.spacing_m
+                found.append(
+                    PredictedImage(views[name], pol, True, compared(own, planes, train, spacing_m, self.reach))
+                )
+        return found
+
+    def _seen(self, view: View, polarization: str) -> Seen:
+        return Seen(view.name, view.azimuth_deg, view.incidence_deg, self._measured[view.name, polarization])
+
+    def finished(self, scene: Scene) -> Scene:
+        """A fitted scene with the whole images of the scene file."""
+        views = [
+            now.model_copy(update={"images": was.images, "mask": was.mask, "slc": was.slc})
+            for now, was in zip(scene.views, self.whole.views, strict=True)
+        ]
+        return replace(scene, grid=self.whole.grid, views=views)

@@ -1,0 +1,170 @@
+"""report.html of `warpsar diagnose --folds`: what stays, why, and how well views left out are predicted."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.ndimage import uniform_filter
+
+from warpsar.compare.aim import Reach
+from warpsar.compare.comparison import ratio_db
+from warpsar.compare.prediction import Advantage, measured_of, predicted, summaries
+from warpsar.diagnosis.held_out.search import HeldOut
+from warpsar.evaluation.report_parts import beta0_rgb, image_axes, reach_db, residual_rgb, residual_scale
+from warpsar.evaluation.report_prediction import prediction_table
+from warpsar.io import html as report
+from warpsar.io import html_image
+from warpsar.runtime import devices
+from warpsar.scene.scene import Scene
+
+SHOWN = 3  # views
+SMOOTHED_PX = 3
+PERCENT = 98.0  # of the residual, that its scale holds
+
+
+def sentence(found: HeldOut, ahead: Advantage | None) -> str:
+    """The verdict and what it did to the views left out, in one line."""
+    before, after = (float(np.mean(list(each.values()))) for each in (found.before, found.after))
+    names = ", ".join(found.held) or "nothing"
+    said = f"found: {names}; deviance of views left out {before:.3f} -> {after:.3f}"
+    if ahead is None:
+        return said
+    return f"{said}; {'predicts better than pictures of other views' if ahead.ahead else 'not this body'}"
+
+
+def write_report(
+    path: Path, found: HeldOut, ahead: Advantage | None, content: dict[str, Any], command: Sequence[str]
+) -> None:
+    """`content` is that of diagnosis.json, `command` the words that made it."""
+    count = sum(len(fold) for fold in found.folds)
+    rows, cols = found.scene.grid.shape
+    lead = (
+        f"{Path(found.scene.path or 'the scene').name}: {count} train views of {rows} x {cols} pixels, left out in "
+        f"{len(found.folds)} parts, in arcs of azimuth"
+    )
+    sections = [
+        _in_short(found, ahead),
+        _pictures(found),
+        _steps(found),
+        *_profiles(found),
+        _folds(found),
+        report.reproduce(
+            content, command, "Beside this file: diagnosis.json (all numbers), scene.toml (the model at the end)."
+        ),
+    ]
+    title = sentence(found, ahead)
+    report.write(path, report.page(title[0].upper() + title[1:] + ".", lead, *sections))
+
+
+def _in_short(found: HeldOut, ahead: Advantage | None) -> str:
+    said = [
+        "Every train view is predicted by a model that has not seen it, nor its neighbours. The rivals need no "
+        "physics: the nearest measured view turned as a picture, the one nearest to the mirrored azimuth, and the "
+        "mean of all."
+    ]
+    if ahead is not None:
+        said.append(f"{ahead.words[0].upper()}{ahead.words[1:]}.".replace("+-", "±"))
+    return report.section("In short", *map(report.paragraph, said), prediction_table(summaries(found.images)))
+
+
+def _pictures(found: HeldOut) -> str:
+    """Some views, and the residuals of the model as declared and at the end, each at its aim point."""
+    train = [view for view in found.scene.views if view.role == "train" and view.images]
+    ordered = sorted(train, key=lambda view: view.azimuth_deg % 360.0)
+    chosen = [ordered[int(k)] for k in np.linspace(0, len(ordered), min(SHOWN, len(ordered)), endpoint=False)]
+    pol = next(iter(chosen[0].images))
+    device = devices.resolve_device("cpu")
+    shifts = {image.view.name: image.predictions for image in found.images if image.polarization == pol}
+    models: dict[str, list[np.ndarray]] = {
+        "before": _planes(found.declared, chosen, pol, device),
+        "after": _planes(found.final, chosen, pol, device),
+    }
+    reach = Reach.of(found.scene)
+    grid = found.scene.grid
+    shape = reach.window(np.empty(grid.shape)).shape
+    axes = image_axes(replace(found.scene, grid=grid.model_copy(update={"shape": shape}), views=[]))
+    rows: list[tuple[str, np.ndarray, dict[str, np.ndarray]]] = []
+    for number, view in enumerate(chosen):
+        measured = measured_of(found.scene, view, pol)
+        names: Mapping[str, str] = {"before": "before", "after": "model"}
+        planes = {}
+        for when, name in names.items():
+            at = shifts[view.name][name].at
+            plane = reach.window(models[when][number], at)
+            power = reach.window(measured)
+            use = np.isfinite(power) & (plane > 0.0)
+            planes[when] = plane * float(np.median(power[use] / plane[use])) / np.log(2.0)
+        rows.append((f"{view.name}: azimuth {view.azimuth_deg:g}°", reach.window(measured), planes))
+    residuals = [
+        {when: ratio_db(_mean(power), _mean(plane)) for when, plane in planes.items()} for _, power, planes in rows
+    ]
+    ends = reach_db([each[np.isfinite(each)] for one in residuals for each in one.values()], PERCENT)
+    blocks = [
+        report.paragraph(
+            f"Residual: measured over modelled power, averaged over {SMOOTHED_PX} x {SMOOTHED_PX} pixels, each model "
+            "at its own aim point. The radar is at the top. Click on a picture to enlarge it."
+        ),
+        residual_scale(ends, "measured / modelled"),
+    ]
+    for (title, power, planes), residual in zip(rows, residuals, strict=True):
+        greys, key = beta0_rgb([power, planes["after"]])
+        panels = [(name, report.png(rgb)) for name, rgb in zip(("measured", "modelled"), greys, strict=True)]
+        panels += [(f"residual {when}", report.png(residual_rgb(each, ends))) for when, each in residual.items()]
+        blocks += [
+            report.heading(title),
+            report.row(*(html_image.image(png, name, *axes) for name, png in panels), report.cell(key), across=5),
+        ]
+    return report.section("Residuals of train views", *blocks)
+
+
+def _planes(scene: Scene, views: Sequence[Any], polarization: str, device: Any) -> list[np.ndarray]:
+    now = {view.name: view for view in scene.views}
+    return [image[polarization] for image in predicted(scene, [now[view.name] for view in views], device)]
+
+
+def _mean(power: np.ndarray) -> np.ndarray:
+    return np.asarray(uniform_filter(np.nan_to_num(power), SMOOTHED_PX, mode="nearest"))
+
+
+def _steps(found: HeldOut) -> str:
+    rows = [
+        [
+            step.label + (" (first fit)" if step.glance else ""),
+            f"{step.gain:+.4f}",
+            f"{step.error:.4f}",
+            f"{step.noise:.4f}" if step.noise else "",
+            "yes" if step.stays else "",
+        ]
+        for step in found.steps
+    ]
+    said = (
+        "In the order in which they were tried. The gain is that of the mean deviance of the views left out, of which "
+        "speckle leaves 1. A trial stays if its gain, less its standard error, is above the noise: what a fit with "
+        "nothing new gains on other rays. A hypothesis whose first fit on one part gains nothing gets no other."
+    )
+    head = ("tried", "gain of views left out", "standard error", "noise", "stays")
+    return report.section("What was tried", report.paragraph(said), report.table(head, rows))
+
+
+def _profiles(found: HeldOut) -> list[str]:
+    if not found.profiles:
+        return []
+    rows = [
+        [one.label, f"{one.known:.4g} ± {one.known_sd:.2g}", f"{one.value:.4g} ± {one.half:.2g}", one.unit]
+        for one in found.profiles.values()
+    ]
+    said = (
+        "Where the views left out are predicted best, each number moved by itself. ± of what was known is one standard "
+        "deviation; of what was found the 95 % interval by a jackknife over arcs of neighbouring views."
+    )
+    head = ("number", "known", "found", "unit")
+    return [report.section("Sizes and angles", report.paragraph(said), report.table(head, rows))]
+
+
+def _folds(found: HeldOut) -> str:
+    items = [", ".join(fold) for fold in found.folds]
+    return report.section("Views left out together", report.bullets(items))

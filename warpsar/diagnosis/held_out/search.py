@@ -1,0 +1,307 @@
+"""Hypotheses tried one after the other; what stays is what views say that were left out of its fit.
+
+The train views are left out in parts (`arcs.py`). A model is one scene for each part, fitted to the others. Its score
+is the gamma deviance of every view by the model that has not seen it. A trial stays if its gain, less its standard
+error over the views, is above the noise: what a fit with nothing new gains on other rays and with as many iterations
+more, its mean and one standard error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from warpsar.compare.aim import EXPECTED
+from warpsar.compare.prediction import PredictedImage, predicted
+from warpsar.diagnosis.held_out.arcs import by_azimuth, folds
+from warpsar.diagnosis.held_out.geometry import (
+    NEAR,
+    TURNED,
+    WIDE,
+    Profile,
+    numbers,
+    profiled,
+    turnable,
+    turned,
+)
+from warpsar.diagnosis.held_out.hypotheses import EffectHypothesis, hypotheses, level_of
+from warpsar.diagnosis.held_out.model import (
+    ITERATIONS,
+    FitRays,
+    TrainViews,
+    with_other_rays,
+)
+from warpsar.effects.registry import get
+from warpsar.runtime import console, threads
+from warpsar.scene.scene import Scene
+
+GLANCE = 3  # iterations of a first fit, on one part alone, by which the likeliest is chosen
+FEW, FEWER = 10, 3  # views of that fit, and of the choice where it begins
+LAST = 6  # of the fit of all views at the end, which begins where the others ended
+MATTERS = 0.01  # gain of a trial from which on sizes and angles are moved beside it; after smaller ones, at the end
+GEOMETRY = "sizes and angles"
+
+
+@dataclass(frozen=True)
+class TrialStep:
+    """One trial: its gain in the deviance of views left out (1 is what speckle leaves), with its standard error over
+    the views, the noise that it had to pass, and whether it stays. `glance`: of a first fit alone."""
+
+    label: str
+    gain: float
+    error: float
+    noise: float
+    stays: bool
+    glance: bool = False
+
+
+@dataclass
+class Model:
+    """A scene for each part that is left out, and the scores of the views, in order of azimuth, by the scene that has
+    not seen them. `noise` is None until it is asked for."""
+
+    scenes: list[Scene]
+    scores: np.ndarray
+    noise: float | None = None
+
+
+@dataclass
+class HeldOut:
+    """What was found. `declared` and `final`: the scene of the file fitted, and with all that stays, fitted to all
+    train views. `folds` have the names of the views left out together. `before` and `after`: deviances of the views
+    left out, by name, in order of azimuth. `images`: the views left out beside all that predicts them."""
+
+    scene: Scene
+    declared: Scene
+    final: Scene
+    folds: list[list[str]]
+    steps: list[TrialStep]
+    profiles: dict[str, Profile]
+    before: dict[str, float]
+    after: dict[str, float]
+    images: list[PredictedImage]
+    held: list[str] = field(default_factory=list)
+
+
+class FoldSearch:
+    """The trials on one scene."""
+
+    def __init__(self, scene: Scene, device: wp.Device, parts: int, progress: Callable[[], object]) -> None:
+        self.trained, self.device, self._progress = TrainViews(scene, device), device, progress
+        self.fits = FitRays(device)
+        self.start = self.trained.scene
+        self.folds = folds(self.trained.views, parts)
+        self.order = [view.name for view in by_azimuth(self.trained.views)]
+        self.numbers = numbers(self.start)
+        self.steps: list[TrialStep] = []
+        self.profiles: dict[str, Profile] = {}
+        self.held: list[str] = []
+        self._glanced: dict[str, tuple[float, float, dict[str, Any], bool]] = {}
+
+    def run(self) -> HeldOut:
+        """Fit, try, fit again."""
+        model = self._fitted([self.start] * len(self.folds))
+        console.say(f"as declared: deviance of views left out {model.scores.mean() / EXPECTED:.3f}")
+        first = model
+        refused: set[str] = set()
+        offsets: Sequence[float] = WIDE
+        movable, pending = bool(self.numbers or turnable(self.start)), True
+        while True:
+            found = self._turn(model, refused)
+            if found is None:
+                break
+            model, pending = found, True
+            if movable and self.steps[-1].gain > MATTERS:
+                moved, pending = self._geometry(model, offsets), False
+                if moved is not None:
+                    model, offsets = moved, NEAR
+        if movable and pending:
+            model = self._geometry(model, offsets) or model
+        self._progress()
+        final = self.fits.fitted(model.scenes[0], self.trained.names, LAST).scene
+        return HeldOut(
+            scene=self.trained.whole,
+            declared=self.trained.finished(first.scenes[0]),
+            final=self.trained.finished(final),
+            folds=self.folds,
+            steps=self.steps,
+            profiles=self.profiles,
+            before=self._by_name(first.scores),
+            after=self._by_name(model.scores),
+            images=self._images({"model": model.scenes, "before": first.scenes}),
+            held=list(dict.fromkeys(self.held)),
+        )
+
+    def _images(self, models: Mapping[str, Sequence[Scene]]) -> list[PredictedImage]:
+        """The views left out beside what models that have not seen them predict, and beside the rivals."""
+        found = []
+        for part, left in enumerate(self.folds):
+            scenes = {name: scenes[part] for name, scenes in models.items()}
+            found += self.trained.beside(scenes, left, self._rest(part))
+        return found
+
+    def _by_name(self, scores: np.ndarray) -> dict[str, float]:
+        return dict(zip(self.order, (scores / EXPECTED).tolist(), strict=True))
+
+    def _rest(self, part: int) -> list[str]:
+        return [name for name in self.trained.names if name not in self.folds[part]]
+
+    def _scored(self, scenes: Sequence[Scene]) -> np.ndarray:
+        found: dict[str, float] = {}
+        for scene, left in zip(scenes, self.folds, strict=True):
+            found |= dict(zip(left, self.trained.scores(scene, left).tolist(), strict=True))
+        return np.array([found[name] for name in self.order])
+
+    def _fitted(self, begun: Sequence[Scene], iterations: int = ITERATIONS) -> Model:
+        tasks = [partial(self.fits.fitted, scene, self._rest(part), iterations) for part, scene in enumerate(begun)]
+        scenes = [one.scene for one in threads.ordered(tasks, self.device)]
+        self._progress()
+        return Model(scenes, self._scored(scenes))
+
+    def _noise(self, model: Model) -> float:
+        """What a fit with nothing new gains: its mean, if it gains, and one standard error."""
+        if model.noise is None:
+            again = self._fitted([with_other_rays(scene) for scene in model.scenes])
+            mean, error = _mean_and_error(model.scores - again.scores)
+            model.noise = max(mean, 0.0) + error
+        return model.noise
+
+    def _judged(self, label: str, model: Model, scores: np.ndarray, *, refitted: bool = True) -> bool:
+        """Whether a trial with these scores stays. One that is not `refitted` has no noise to pass."""
+        mean, error = _mean_and_error(model.scores - scores)
+        noise = self._noise(model) if refitted and mean > error else 0.0
+        self.steps.append(
+            TrialStep(label, mean / EXPECTED, error / EXPECTED, noise / EXPECTED, bool(mean - error > noise))
+        )
+        self._say()
+        if self.steps[-1].stays:
+            self.held.append(label)
+        return self.steps[-1].stays
+
+    def _say(self) -> None:
+        one = self.steps[-1]
+        verdict = "stays" if one.stays else "goes"
+        noise = f", noise {one.noise:.4f}" if one.noise else ""
+        first = "first fit, " if one.glance else ""
+        console.say(f"{one.label}: {first}gain of views left out {one.gain:+.4f} +- {one.error:.4f}{noise}: {verdict}")
+
+    def _turn(self, model: Model, refused: set[str]) -> Model | None:
+        """Try the hypotheses in the order of a first fit, until one stays; None where none does.
+
+        First fits of earlier turns order them at first. A gain hardly grows by what else was added, so that only the
+        one ahead is fitted anew, until it is still ahead.
+        """
+        left = {one.label: one for one in hypotheses(model.scenes[0], self._level(model)) if one.label not in refused}
+        dear = {label for label, one in left.items() if get(one.effect).follows_rays}
+        new = [one for label, one in left.items() if label not in self._glanced and label not in dear]
+        self._glance(model, new)
+        fresh = {one.label for one in new}
+        while left:
+            # what follows rays anew is asked last: one fit of it costs as much as many others
+            label = max(left, key=lambda one: (one not in dear, self._glanced.get(one, (0.0,))[0]))
+            if label not in fresh:
+                self._glance(model, [left[label]])
+                fresh.add(label)
+                continue
+            gain, error, table, on_declared = self._glanced[label]
+            one = left.pop(label)
+            refused.add(label)
+            if gain + error <= 0.0:
+                self.steps.append(TrialStep(label, gain / EXPECTED, error / EXPECTED, 0.0, False, True))
+                self._say()
+                continue
+            begun = [one.started(scene, table, self.start if on_declared else scene) for scene in model.scenes]
+            trial = self._fitted(begun)
+            if self._judged(label, model, trial.scores):
+                return trial
+        return None
+
+    def _level(self, model: Model) -> float:
+        images = predicted(model.scenes[0], self.trained.views[:1], self.device)
+        return level_of([plane for image in images for plane in image.values()])
+
+    def _glance(self, model: Model, some: Sequence[EffectHypothesis]) -> None:
+        """A first fit of each on the first part, with the aim points held: the gain of the views left out, its standard
+        error, the table where it begins, and whether on the declared surface."""
+        level, rest = self._level(model), self._rest(0)
+        few, fewer = (_spread(rest, count) for count in (FEW, FEWER))
+        ahead = [name for name in self.order if name in self.folds[0]]
+        own = np.array([score for name, score in zip(self.order, model.scores, strict=True) if name in self.folds[0]])
+        scene = model.scenes[0]
+
+        def glance(one: EffectHypothesis) -> tuple[float, float, dict[str, Any], bool]:
+            tables = one.tables(scene, level)
+            if len(tables) > 1:
+                losses = [self.fits.loss_at_start(one.started(scene, table, scene), fewer) for table in tables]
+                tables = [tables[int(np.argmin(losses))]]
+            surfaces = [scene] if one.extension else [scene, self.start]
+            ends = [
+                self.fits.fitted(one.started(scene, tables[0], surface), few, GLANCE, aimed=False)
+                for surface in surfaces
+            ]
+            best = int(np.argmin([end.loss for end in ends]))
+            mean, error = _mean_and_error(own - self.trained.scores(ends[best].scene, ahead))
+            return mean, error, tables[0], best == 1
+
+        found = threads.ordered([partial(glance, one) for one in some], self.device)
+        for one, seen in zip(some, found, strict=True):
+            self._glanced[one.label] = seen
+        self._progress()
+
+    def _geometry(self, model: Model, offsets: Sequence[float]) -> Model | None:
+        """Move sizes and angles, one after the other; the moved model, where it stays."""
+        now, weight = list(model.scenes), 0.5 * self._draws()
+        profiles: dict[str, Profile] = {}
+
+        def scored(change: Callable[[Scene], Scene]) -> np.ndarray:
+            return self._scored([change(scene) for scene in now])
+
+        for number in self.numbers:
+            profiles[number.label], by = profiled(number, now[0], offsets, scored, weight)
+            now = [number.moved(scene, by) for scene in now]
+            self._progress()
+        for label in turnable(self.start):
+            base, back = self._scored(now), scored(partial(turned, label=label))
+            if self._judged(f"{label} {TURNED}", Model(now, base), back, refitted=False):
+                now = [turned(scene, label) for scene in now]
+        scores = self._scored(now)
+        if not self._judged(GEOMETRY, model, scores, refitted=False):
+            return None
+        self.profiles |= profiles
+        for one in profiles.values():
+            console.say(f"  {one.label}: {one.value:.4g} +- {one.half:.2g} {one.unit}, known as {one.known:.4g}")
+        return Model(now, scores)
+
+    def _draws(self) -> float:
+        """Independent draws of speckle in a view: its pixels over those that share a draw by the point spread."""
+        scene = self.start
+        table = scene.effects.get("point_spread", {})
+        widths = [float(table.get(f"{axis}_fwhm_m", 0.0)) for axis in ("range", "azimuth")]
+        shared = [max(width / step, 1.0) for width, step in zip(widths, scene.grid.spacing_m, strict=True)]
+        return float(np.prod(scene.grid.shape)) / float(np.prod(shared))
+
+
+def _mean_and_error(gain: np.ndarray) -> tuple[float, float]:
+    return float(gain.mean()), float(gain.std(ddof=1) / np.sqrt(gain.size))
+
+
+def _spread(names: Sequence[str], count: int) -> list[str]:
+    """So many of the names, evenly."""
+    return [names[int(k)] for k in np.linspace(0, len(names), min(count, len(names)), endpoint=False)]
+
+
+def held_out(scene: Scene, device: wp.Device, parts: int) -> HeldOut:
+    """What the scene's model lacks, by train views left out in so many parts.
+
+    Raises InputError for fewer than two train views for each part.
+    """
+    bar = console.progress(0, "diagnose", "step")
+    try:
+        return FoldSearch(scene, device, parts, bar.update).run()
+    finally:
+        bar.close()
