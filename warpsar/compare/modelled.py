@@ -20,8 +20,9 @@ from warpsar.world.objects.table import Object
 from warpsar.world.tables import View
 from warpsar.world.world import geometry_of, posed
 
-MOST_FACES, MOST_PIXELS = 2**15, 2**20
-"""For exact areas: beyond them rays are several times as fast, and their noise lies far below speckle's."""
+MOST_FACES, MOST_PIXELS, MOST_SEEN = 2**15, 2**20, 2**18
+"""Faces, pixels, and faces times views, for exact areas: beyond them rays are several times as fast, and their noise
+lies far below speckle's. Hundreds of views of a fine mesh would take an hour by areas."""
 BINS = 4  # of a pixel along each axis: a quarter of a pixel is what images are moved by
 SURE_SDS = 3.0  # standard deviations by which an object with a stated accuracy is moved
 
@@ -48,12 +49,10 @@ class Modelled:
 
 
 def exact_areas(scene: Scene) -> bool:
-    """Whether the scene's images are compared by exact areas: not where it states how many rays are enough."""
-    return (
-        not scene.sampling.stated
-        and len(scene.mesh.faces) <= MOST_FACES
-        and int(np.prod(scene.grid.shape)) <= MOST_PIXELS
-    )
+    """Whether the scene's images are compared by exact areas."""
+    faces, measured = len(scene.mesh.faces), sum(bool(view.images) for view in scene.views)
+    few = faces <= MOST_FACES and faces * measured <= MOST_SEEN
+    return few and int(np.prod(scene.grid.shape)) <= MOST_PIXELS
 
 
 def sampled(scene: Scene) -> bool:
