@@ -1,8 +1,8 @@
 """Corner reflectors in measured data: Sentinel-1 over Samford (CoRAL) and over Slovakia (GECORIS), and ALOS PALSAR.
 
-    python -m benchmarks.reflectors_measured coral
-    python -m benchmarks.reflectors_measured gecoris
-    python -m benchmarks.reflectors_measured alos
+    python benchmarks/reflectors_measured.py coral
+    python benchmarks/reflectors_measured.py gecoris
+    python benchmarks/reflectors_measured.py alos
 
 WARPSAR_MEASURED names the folder of the data (docs/measured.md).
 """

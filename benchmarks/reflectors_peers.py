@@ -1,8 +1,8 @@
 """Closed forms of trihedrals beside those of ISCE3 and GECORIS, and what windows and definitions of power cost.
 
-    python -m benchmarks.reflectors_peers forms   # 20 attitudes
-    python -m benchmarks.reflectors_peers power   # window, oversampling, definition of power
-    python -m benchmarks.reflectors_peers time    # 20 sites x 30 dates
+    python benchmarks/reflectors_peers.py forms   # 20 attitudes
+    python benchmarks/reflectors_peers.py power   # window, oversampling, definition of power
+    python benchmarks/reflectors_peers.py time    # 20 sites x 30 dates
 
 The peers' formulas are written here from their published equations, to be compared with; none of their code is used.
 """
@@ -15,9 +15,9 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from reflectors_simulated import BANDWIDTH, CENTRE, SEARCH, SPACING_M, chips
 
 import warpsar
-from benchmarks.reflectors_simulated import BANDWIDTH, CENTRE, SEARCH, SPACING_M, chips
 from warpsar.calibration.attitude import Facing, trihedral_rcs_m2
 from warpsar.calibration.engine import engine_rcs_m2
 from warpsar.calibration.point import PointSettings, ResponseAxis, measure_point

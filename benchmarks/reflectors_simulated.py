@@ -1,7 +1,7 @@
 """Point targets of known cross-section in speckle: bias of the RCS, and coverage of its interval.
 
-    python -m benchmarks.reflectors_simulated            # tables of docs/reflectors.md
-    python -m benchmarks.reflectors_simulated --draws 200
+    python benchmarks/reflectors_simulated.py            # tables of docs/reflectors.md
+    python benchmarks/reflectors_simulated.py --draws 200
 
 The images are made here with NumPy alone: a point's response and the clutter pass through the same band and window.
 """

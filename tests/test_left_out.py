@@ -71,8 +71,8 @@ With images, `evaluate`, `learn` and `diagnose` render by the program of `simula
 """
 UNEXPLAINED = {"diagnose": 4}
 """The exit status of a run to its end: the curve is invented, no slab gives it, and `diagnose` must say so."""
-WITHOUT_A_MODEL = {"new", "materials", "import", "uv", "view", "schema"}
-"""They compute no image, phase or RCS of a scene."""
+WITHOUT_A_MODEL = {"new", "materials", "import", "uv", "view", "schema", "reflectors"}
+"""They compute no image, phase or RCS of a scene file."""
 
 
 def test_every_command_is_here() -> None:

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import csv
 import json
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import warpsar
-from benchmarks.reflectors_measured import AUTHORS_PLACE, authors_method, orbit_of, put_up
 from warpsar.calibration.sites import ReflectorSite
 from warpsar.formats import gamma
 from warpsar.products.zero_doppler import abeam
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
+from reflectors_measured import AUTHORS_PLACE, authors_method, orbit_of, put_up
 
 pytestmark = pytest.mark.measured
 

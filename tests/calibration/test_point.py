@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from benchmarks.reflectors_simulated import BANDWIDTH, CENTRE, SEARCH, SPACING_M, chips
 from warpsar.calibration.point import PointSettings, ResponseAxis, interval, measure_point
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
+from reflectors_simulated import BANDWIDTH, CENTRE, SEARCH, SPACING_M, chips
 
 pytestmark = pytest.mark.unit
 

@@ -60,9 +60,9 @@ class AimPoint(Effect):
     contains = ("registration",)
     sets_positions = True
 
-    def needed(self) -> None:
-        """A table with a reach alone says that all shifts are to be found."""
-        return None
+    def needed(self) -> list[EffectParameter | Setting]:
+        """Shifts, or a reach: a table with a reach alone says that all shifts are to be found."""
+        return [*self.parameters, *self.settings]
 
     def margin_m(self, grid: Grid, values: np.ndarray) -> float:
         return float(np.abs(values).max() + _ROOM_PX * max(grid.spacing_m))

@@ -142,10 +142,10 @@ class Effect:
         """What is wrong with a valid table in this scene; None if nothing. The text follows `effects.<name>`."""
         return None
 
-    def needed(self) -> list[EffectParameter] | None:
-        """The parameters of which a table must state one, since it would do nothing without; None if it acts anyway."""
-        bring = [p for p in self.parameters if p.brings_it]
-        return None if any(p.unstated is not None for p in bring) else bring
+    def needed(self) -> list[EffectParameter | Setting] | None:
+        """The keys of which a table must state one, since it would do nothing without; None if it acts anyway."""
+        bring: list[EffectParameter | Setting] = [p for p in self.parameters if p.brings_it]
+        return None if any(p.brings_it and p.unstated is not None for p in self.parameters) else bring
 
     def parameter(self, name: str) -> EffectParameter:
         """The continuous parameter `name`. Raises InputError for a setting: it has no derivative to learn by."""
