@@ -77,8 +77,8 @@ def command(
 
     \b
     Examples:
-      warpsar reflectors S1A_IW_SLC_*.SAFE --sites sites.csv -o reflectors/
-      warpsar reflectors *_VV.mli --sites sites.csv --radiometry sigma0 -o reflectors/
+      warpsar reflectors first.SAFE second.SAFE --sites sites.csv -o reflectors/
+      warpsar reflectors first.mli second.mli --sites sites.csv --radiometry sigma0 -o reflectors/
     """
     from warpsar.calibration.command import run
 
