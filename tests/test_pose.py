@@ -196,6 +196,9 @@ def test_only_columns_that_a_body_changes_are_made() -> None:
     level = float(inner.modelled(rest)[0].max())
     np.testing.assert_allclose(part, whole, atol=1e-5 * level)
     assert np.abs(whole).max() > 1e-3 * level
+    for beside in ((-90, -80), (500, 510)):  # a body beside the image
+        ahead, behind = (images_elsewhere(inner, seen, rest, end, beside)[0] for end in ends)
+        assert np.array_equal(ahead[whole == 0.0], behind[whole == 0.0])
 
 
 def test_rough_changes_are_those_of_single_bounces() -> None:

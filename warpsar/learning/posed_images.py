@@ -60,11 +60,12 @@ def images_elsewhere(
 def _of_the_grid(
     scene: Scene, effects: list[DeclaredEffect], columns: tuple[int, int] | None
 ) -> tuple[int, int] | None:
-    """The columns of the hits' grid that columns of the image are."""
+    """The columns of the hits' grid that columns of the image are, one at least."""
     if columns is None:
         return None
     grid, wide = effects_grid(scene, effects), scene.grid.shape[1]
     fine = grid.bins_per_pixel
     margin = (grid.shape[1] // fine - wide) // 2
     first, last = (min(max(column + margin, 0) * fine, grid.shape[1]) for column in columns)
-    return first, max(last, first)
+    first = min(first, grid.shape[1] - 1)  # one column at least: a body may lie beside a view's image
+    return first, max(last, first + 1)
