@@ -33,7 +33,7 @@ class LearnedObjects:
         """For learn.json, of the objects: values by name, with a standard deviation where one was learned."""
         words = self.found.words
         return {
-            name: {**told, "not_tinted": [w for w in words if w.startswith(f"{name}.")]}
+            name: {**told, "not_told_apart": [w for w in words if w.startswith(f"{name}.")]}
             for name, told in self.found.objects.items()
         }
 

@@ -162,7 +162,7 @@ class Search:
             turn = next(turn for turn in reversed(self.turns) if turn.added == name)
             first = next(c.table for c in turn.candidates if c.effect == name)
             found[label] = {**(first or {}), **told.get(label, {})}
-            found[label]["not_tinted"] = [w for w in words if w.startswith(f"{label}.")]
+            found[label]["not_told_apart"] = [w for w in words if w.startswith(f"{label}.")]
         return found
 
     def sensor(self, final: Fitted) -> dict[str, dict[str, Any]]:
