@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -17,12 +18,13 @@ from scipy.ndimage import gaussian_filter, shift
 from scipy.signal import fftconvolve
 
 from warpsar.errors import InputError
+from warpsar.speckle.likelihood import best_gain, bounded, deviance, expected_deviance
 from warpsar.world.world import World
 
 SMOOTHED_PX = 1.5
 """Standard deviation of the Gaussian that smooths power before its fourth root is correlated."""
-EXPECTED = 2.0 * 0.5772156649015329
-"""Mean gamma deviance of one look: 2 (ln L - digamma(L)) at L = 1."""
+EXPECTED = expected_deviance(1.0)
+"""Mean gamma deviance of one look."""
 BOUND = 20.0  # of a pixel's loss, where the gain is sought: one bright pixel does not set it
 FAINTEST = 1e-3  # of a prediction's median: no pixel counts as darker
 LEAST = 1e-4  # of a measurement's median: the logarithm of 0 is none
@@ -63,6 +65,26 @@ class Reach:
         return abs(at[0]) <= self.rows and abs(at[1]) <= self.cols
 
 
+def stated_aims(scene: World) -> set[str]:
+    """Views whose aim point the scene states."""
+    table = scene.effects.get("aim_point", {})
+    return {name for key in ("range_m", "azimuth_m") for name in table.get(key, {})}
+
+
+def unaimed(scene: World) -> list[str]:
+    """The warning that a command takes measured views to lie where they should, though the scene says that they may lie
+    off; empty where it does not say so, or states all."""
+    if not scene.effects.get("aim_point", {}).get("reach_m", 0.0):
+        return []
+    stated = stated_aims(scene)
+    count = sum(bool(view.images) and view.name not in stated for view in scene.views)
+    said = (
+        f"effects.aim_point.reach_m: {count} measured views state no shift, and it is taken to be 0 here; `diagnose "
+        "--folds` finds the shifts of train views, `evaluate` those of test views"
+    )
+    return [said] if count else []
+
+
 def roots(power: np.ndarray, smoothed_px: float = SMOOTHED_PX) -> np.ndarray:
     """The fourth root of smoothed power; what is not used has the median."""
     filled = np.where(np.isfinite(power), power, np.nanmedian(power))
@@ -97,65 +119,47 @@ def deviances(measured: np.ndarray, predicted: np.ndarray) -> np.ndarray:
     use = np.isfinite(measured)
     power, mu = measured[use].astype(float), predicted[use].astype(float)
     power = np.maximum(power, LEAST * np.median(power))
-    ratio = power / np.maximum(mu, FAINTEST * np.median(mu))
-    gain, logarithm = float(np.median(ratio)), np.log(ratio)
-    for _ in range(12):
-        half = ratio / gain - 1.0 - logarithm + np.log(gain)
-        weights = 1.0 / (1.0 + half / BOUND)
-        before, gain = gain, float((weights * ratio).sum() / weights.sum())
-        if abs(gain / before - 1.0) < 1e-6:
-            break
-    return np.asarray(2.0 * (ratio / gain - 1.0 - logarithm + np.log(gain)))
+    mu = np.maximum(mu, FAINTEST * np.median(mu))
+    return deviance(power, best_gain("gamma", power, mu, 1.0, BOUND) * mu, 1.0)
 
 
 def bounded_loss(measured: np.ndarray, predicted: np.ndarray) -> float:
-    """Mean gamma loss of a pixel, of which none counts for much more than `BOUND`."""
-    return float(np.log1p(0.5 * deviances(measured, predicted) / BOUND).mean())
+    """Mean gamma loss of a pixel over `BOUND`, of which none counts for much more than 1."""
+    return float(bounded(0.5 * deviances(measured, predicted), BOUND).mean()) / BOUND
 
 
 def mean_deviance(measured: np.ndarray, predicted: np.ndarray) -> float:
     return float(deviances(measured, predicted).mean())
 
 
-def descended(start: Shift, reach: Reach, score: Callable[[Shift], float]) -> Shift:
-    """The shift of least score that steps of one pixel lead to."""
-    at = start
+def _least(
+    measured: np.ndarray, predicted: np.ndarray, reach: Reach, loss: Callable[[np.ndarray, np.ndarray], float]
+) -> tuple[Shift, Callable[[Shift], float]]:
+    """The shift of least loss that steps of one pixel lead to from the best correlation; and the loss at any shift,
+    infinite beyond the reach."""
+    power = reach.window(measured)
+
+    @cache
+    def score(at: Shift) -> float:
+        return loss(power, reach.window(predicted, at)) if reach.holds(at) else np.inf
+
+    at = best_shift(measured, predicted, reach)[1]
     while (better := min(((at[0] + i, at[1] + j) for i, j in CROSS), key=score)) != at:
         at = better
-    return at
+    return at, score
 
 
 def own_shift(measured: np.ndarray, predicted: np.ndarray, reach: Reach) -> Shift:
     """The aim point that the likelihood chooses, by whole pixels: the least bounded gamma loss, from the shift of the
     best correlation on."""
-    known: dict[Shift, float] = {}
-    power = reach.window(measured)
-
-    def score(at: Shift) -> float:
-        if not reach.holds(at):
-            return np.inf
-        if at not in known:
-            known[at] = bounded_loss(power, reach.window(predicted, at))
-        return known[at]
-
-    return descended(best_shift(measured, predicted, reach)[1], reach, score)
+    return _least(measured, predicted, reach, bounded_loss)[0]
 
 
 def aimed_deviance(measured: np.ndarray, predicted: np.ndarray, reach: Reach) -> float:
     """Mean deviance at the model's best aim point, between the pixels: where parabolas through the best shift and its
     neighbours have their least value. By whole pixels a profile over a size would have steps, and its least value a
     bias."""
-    known: dict[Shift, float] = {}
-    power = reach.window(measured)
-
-    def score(at: Shift) -> float:
-        if not reach.holds(at):
-            return np.inf
-        if at not in known:
-            known[at] = mean_deviance(power, reach.window(predicted, at))
-        return known[at]
-
-    at = descended(best_shift(measured, predicted, reach)[1], reach, score)
+    at, score = _least(measured, predicted, reach, mean_deviance)
     here, up, down, left, right = (score((at[0] + i, at[1] + j)) for i, j in CROSS)
     step = [
         (before - after) / (2.0 * (before + after - 2.0 * here))
@@ -167,4 +171,4 @@ def aimed_deviance(measured: np.ndarray, predicted: np.ndarray, reach: Reach) ->
         return here
     wide = reach.window(predicted, at, ROOM_PX)
     between = shift(wide, np.clip(step, -0.5, 0.5), mode="nearest")[ROOM_PX:-ROOM_PX, ROOM_PX:-ROOM_PX]
-    return min(here, mean_deviance(power, between))
+    return min(here, mean_deviance(reach.window(measured), between))

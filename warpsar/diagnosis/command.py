@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from warpsar.coherent.left_out import left_out_warning
+from warpsar.compare.aim import unaimed
 from warpsar.compare.contract import ROLES
 from warpsar.diagnosis.content import content_of
 from warpsar.diagnosis.curves import diagnose_curves
@@ -68,6 +69,7 @@ def run(
         console.say_written(out, "report.html", "diagnosis.json", "scene.toml")
         print(asked.in_short, file=sys.stdout)
         return content
+    console.warn(unaimed(scene))
     once.join(where)
     record = open_record(scene, options, out, resume or bool(once.restarts()))
     found = diagnose_scene(scene, where, options, record)

@@ -13,6 +13,7 @@ from typing import Any
 import warp as wp
 
 from warpsar.coherent.left_out import left_out_warning
+from warpsar.compare.aim import stated_aims, unaimed
 from warpsar.compare.comparison import Comparison
 from warpsar.compare.contract import Verdict
 from warpsar.compare.curve import errors_in_short
@@ -140,6 +141,7 @@ def run(
         told = once.agree(lambda: _predicted(scene, first, where))
         scene = _aimed(scene, told, "model")
         first = None if first is None else _aimed(first, told, "before")
+    console.warn(unaimed(scene))
     found = evaluated(scene, where, seed=seed, progress="evaluate", cache=cache)
     for image in found.own:
         _write_residual(out, image)
@@ -212,7 +214,7 @@ def _predicted(scene: Scene, first: Scene | None, device: wp.Device) -> list[Pre
 
 def _aimed(scene: Scene, told: Sequence[PredictedImage], name: str) -> Scene:
     """The scene with the aim points of the test views that state none, as a model's own likelihood has them."""
-    stated = {key for one in ("range_m", "azimuth_m") for key in scene.effects["aim_point"].get(one, {})}
+    stated = stated_aims(scene)
     shifts = {image.view.name: image.predictions[name].at for image in told if image.view.name not in stated}
     return with_aim_points(scene, shifts)
 

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from warpsar.coherent.left_out import left_out_warning
+from warpsar.compare.aim import unaimed
 from warpsar.compare.curve import errors_in_short
 from warpsar.effects.registry import held_by
 from warpsar.io import checkpoint
@@ -65,6 +66,7 @@ def fitted(
         written = write_json(out / "learn.json", scene, where, options.seed, started, of_curves.content())
         console.say_written(out, "scene.toml", "learn.json")
         return of_curves, written
+    console.warn(unaimed(scene))
     resume = resume or bool(once.restarts())
     found = learn(scene, device=where.alias, options=options, folder=out, resume=resume)
     once.write(lambda: _write(out, scene, found))

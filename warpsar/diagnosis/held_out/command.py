@@ -33,7 +33,7 @@ def run(scene_path: Path | str, out: Path | str, *, folds: int, device: str | No
         found.final.save(out / "scene.toml")
         content = content_of(found, ahead)
         content = write_json(out / "diagnosis.json", scene, where, scene.sampling.seed, started, content)
-        write_report(out / "report.html", found, ahead, content, words)
+        write_report(out / "report.html", found, ahead, content, words, where)
         if ahead is not None:
             console.say(ahead.words)
         console.say_written(out, "report.html", "diagnosis.json", "scene.toml")

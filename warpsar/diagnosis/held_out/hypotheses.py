@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from warpsar.diagnosis.held_out.model import with_effect
+from warpsar.diagnosis.scores.templates import with_effect
 from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.trial import Context
 from warpsar.effects.registry import get, names

@@ -7,16 +7,14 @@ import threading
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import warp as wp
 
-from warpsar.compare.aim import Reach, aimed_deviance, best_shift
+from warpsar.compare.aim import Reach, aimed_deviance, best_shift, stated_aims
 from warpsar.compare.prediction import PredictedImage, compared, measured_of, predicted, with_aim_points
 from warpsar.compare.rivals import Seen
 from warpsar.diagnosis.models.refit import standing_at
-from warpsar.effects.registry import validate
 from warpsar.learning.geometry import still
 from warpsar.learning.optimise import levenberg_marquardt
 from warpsar.learning.problem import FitProblem
@@ -85,10 +83,6 @@ class FitRays:
             return self._kept[key]
 
 
-def with_effect(scene: Scene, name: str, table: Mapping[str, Any]) -> Scene:
-    return replace(scene, effects={**scene.effects, name: validate(name, dict(table), f"effects.{name}")})
-
-
 def with_other_rays(scene: Scene) -> Scene:
     """The same model on rays of another seed."""
     return replace(scene, sampling=scene.sampling.model_copy(update={"seed": scene.sampling.seed + 1}))
@@ -116,8 +110,7 @@ class TrainViews:
 
     def _aimed(self, scene: Scene) -> Scene:
         """With the aim points of views that state none where the declared model correlates best."""
-        table = scene.effects["aim_point"]
-        stated = set(table.get("range_m", {})) | set(table.get("azimuth_m", {}))
+        stated = stated_aims(scene)
         views = [view for view in self.views if view.name not in stated]
         shifts = {}
         for view, image in zip(views, predicted(scene, views, self.device), strict=True):

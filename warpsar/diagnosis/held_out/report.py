@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import warp as wp
 from scipy.ndimage import uniform_filter
 
 from warpsar.compare.aim import Reach
@@ -18,7 +19,6 @@ from warpsar.evaluation.report_parts import beta0_rgb, image_axes, reach_db, res
 from warpsar.evaluation.report_prediction import prediction_table
 from warpsar.io import html as report
 from warpsar.io import html_image
-from warpsar.runtime import devices
 from warpsar.scene.scene import Scene
 
 SHOWN = 3  # views
@@ -37,7 +37,12 @@ def sentence(found: HeldOut, ahead: Advantage | None) -> str:
 
 
 def write_report(
-    path: Path, found: HeldOut, ahead: Advantage | None, content: dict[str, Any], command: Sequence[str]
+    path: Path,
+    found: HeldOut,
+    ahead: Advantage | None,
+    content: dict[str, Any],
+    command: Sequence[str],
+    device: wp.Device,
 ) -> None:
     """`content` is that of diagnosis.json, `command` the words that made it."""
     count = sum(len(fold) for fold in found.folds)
@@ -48,7 +53,7 @@ def write_report(
     )
     sections = [
         _in_short(found, ahead),
-        _pictures(found),
+        _pictures(found, device),
         _steps(found),
         *_profiles(found),
         _folds(found),
@@ -71,13 +76,12 @@ def _in_short(found: HeldOut, ahead: Advantage | None) -> str:
     return report.section("In short", *map(report.paragraph, said), prediction_table(summaries(found.images)))
 
 
-def _pictures(found: HeldOut) -> str:
+def _pictures(found: HeldOut, device: wp.Device) -> str:
     """Some views, and the residuals of the model as declared and at the end, each at its aim point."""
     train = [view for view in found.scene.views if view.role == "train" and view.images]
     ordered = sorted(train, key=lambda view: view.azimuth_deg % 360.0)
     chosen = [ordered[int(k)] for k in np.linspace(0, len(ordered), min(SHOWN, len(ordered)), endpoint=False)]
     pol = next(iter(chosen[0].images))
-    device = devices.resolve_device("cpu")
     shifts = {image.view.name: image.predictions for image in found.images if image.polarization == pol}
     models: dict[str, list[np.ndarray]] = {
         "before": _planes(found.declared, chosen, pol, device),
@@ -121,7 +125,7 @@ def _pictures(found: HeldOut) -> str:
     return report.section("Residuals of train views", *blocks)
 
 
-def _planes(scene: Scene, views: Sequence[Any], polarization: str, device: Any) -> list[np.ndarray]:
+def _planes(scene: Scene, views: Sequence[Any], polarization: str, device: wp.Device) -> list[np.ndarray]:
     now = {view.name: view for view in scene.views}
     return [image[polarization] for image in predicted(scene, [now[view.name] for view in views], device)]
 

@@ -17,7 +17,6 @@ from warpsar.effects.registry import get
 from warpsar.evaluation.report_parts import beta0_rgb, image_axes, reach_db, residual_rgb, residual_scale
 from warpsar.io import html as report
 from warpsar.io import html_image
-from warpsar.runtime.devices import resolve_device
 from warpsar.simulation.rays import covered_in
 from warpsar.surface.stage import Stage
 
@@ -138,7 +137,7 @@ def _pictures(done: Diagnosed, number: int) -> str:
     on_mesh: list[np.ndarray | None] = [None]
     if not done.changed:
         powers["modelled"] = after.simulated
-        on_mesh.append(covered_in(scene, Stage.of(scene, resolve_device("cpu")), after.view))
+        on_mesh.append(covered_in(scene, Stage.of(scene, done.diagnosis.setup.device), after.view))
     greys, key = beta0_rgb(list(powers.values()), on_mesh)
     axes = image_axes(scene)
     pictures = [
