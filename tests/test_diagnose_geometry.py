@@ -299,6 +299,7 @@ def test_an_object_elsewhere_is_found(found: tuple[Path, dict[str, Any]]) -> Non
     assert step["left_out"]["passed"]
     assert content["after"]["test"]["deviance"] < 1.05 < content["before"]["test"]["deviance"]
     told_of = content["objects"]["hut"]
+    assert told_of["not_told_apart"] == []
     assert step["parameters"] == told_of
     error = np.abs(np.subtract(told_of["position_m"], MOVED["position_m"]))
     assert (error < 0.05).all()

@@ -349,6 +349,7 @@ def test_learn_writes_poses(tmp_path: Path) -> None:
     scene.save(tmp_path / "scene.toml")
     content = run(tmp_path / "scene.toml", tmp_path / "out", device="cpu", options=LearnOptions(starts=1))
     told = json.loads((tmp_path / "out" / "learn.json").read_text())["objects"]["box"]
+    assert told["not_told_apart"] == []
     assert told["heading_deg"] == pytest.approx(35.0, abs=4.0 * told["heading_sd_deg"])
     np.testing.assert_allclose(told["position_m"], (1.3, -0.8, 0.0), atol=4.0 * max(told["position_sd_m"]))
     assert content["intervals_hold"]

@@ -1,10 +1,15 @@
 """Where a view was aimed, what measured rivals predict, and how far a model is ahead of them."""
 
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pytest
+from effect_worlds import street
 from scipy.ndimage import gaussian_filter
 
-from warpsar.compare.aim import EXPECTED, Reach, aimed_deviance, best_shift, deviances, own_shift
+from warpsar.compare.aim import EXPECTED, Reach, aimed_deviance, best_shift, deviances, own_shift, unaimed
 from warpsar.compare.prediction import Agreement, PredictedImage, advantage, in_sector, summaries
 from warpsar.compare.rivals import Seen, rivals, turned
 from warpsar.world.tables import View
@@ -131,6 +136,22 @@ def test_a_model_is_ahead_or_not_this_body() -> None:
     worse = advantage(predicted(0.89, 0.82, deviance=4.0))
     assert worse is not None
     assert not worse.ahead, "a correlation alone does not do"
+
+
+@pytest.mark.parametrize(
+    ("table", "said"),
+    [
+        ({"reach_m": 1.0}, "2 measured views state no shift"),
+        ({"reach_m": 1.0, "range_m": {"v0": 0.2}}, "1 measured views state no shift"),
+        ({"reach_m": 1.0, "range_m": {"v0": 0.2}, "azimuth_m": {"v1": 0.1}}, ""),
+        ({"range_m": {"v0": 0.2}}, ""),
+    ],
+)
+def test_a_reach_that_is_not_looked_within_is_said(table: dict[str, Any], said: str) -> None:
+    views = [view(name, 0.0).model_copy(update={"images": {"HH": Path("x.tif")}}) for name in ("v0", "v1")]
+    (found,) = unaimed(replace(street(), views=views, effects={"aim_point": table})) or [""]
+    assert said in found
+    assert bool(found) == bool(said)
 
 
 def test_means_are_by_incidence() -> None:
