@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -26,6 +27,7 @@ KIND = "missing_object"
 LOOKED_AT = 4  # places that do not overlap
 PLACES, NEARLY = 2, 0.5  # that are tried, where the second scores such a share of the first
 EXPLAINED = 0.6  # of what is unlike speckle in the pixels that a body touches: where others are missing, it is less
+PROMISING = 0.3  # the same of a place, before a body is fitted to it: the place alone knows one width and one height
 WORTH_A_FIT = 2.0  # times what a number costs: the best of all places where nothing stands scores less
 LAST_STEPS, LAST_FLAT = 4, 0.1  # of the last descents
 
@@ -62,7 +64,10 @@ def proposed(
     cost = 0.5 * (price if price is not None else np.log(sum(s.looks * s.count for s in without.observations)))
     looked, pays = Looked.at(ground.scene, _ratios(without)), WORTH_A_FIT * cost
     places_tried = _worth_a_fit(looked.best(LOOKED_AT), max(pays, least))
-    found = [one for place in places_tried for one in likeliest(ground, without, place, cost)]
+    found: list[Tried] = []
+    for place in places_tried:
+        if not any(_stands_at(one, place) for one in found):
+            found += likeliest(ground, without, place, cost)
     best = max(found, key=lambda one: one.worth(cost), default=None)
     if best is None:
         return []
@@ -88,9 +93,15 @@ def _worth_a_fit(places: list[BodyPlace], least: float) -> list[BodyPlace]:
     return [one for one in found if one.score > least][:PLACES]
 
 
+def _stands_at(tried: Tried, place: BodyPlace) -> bool:
+    """Whether a body that was fitted to another place reaches this one, too: the fit here would find it again."""
+    one = tried.standing.scene.objects[-1]
+    return math.dist(one.position_m[:2], place.position_m[:2]) < max(one.size_m or (0.0,)) / 2.0
+
+
 def _likely(places: list[BodyPlace], least: float) -> list[BodyPlace]:
     """Places where a body would explain enough of what is there, and at least so much."""
-    return [one for one in places if one.share > EXPLAINED and one.score > least]
+    return [one for one in places if one.share > PROMISING and one.score > least]
 
 
 def _ratios(standing: Standing) -> list[Ratios]:

@@ -227,7 +227,9 @@ class Search:
             price = evidence.price()
             # geometry puts no power where nothing is lit: what the dark pixels need is added first
             geometry = options.bodies and not dark.asks
-            geometry = geometry and bool(passing or turn.alarms or once.decide(float(self._displaced(here))))
+            geometry = geometry and bool(
+                passing or turn.alarms or self._waiting(price) or once.decide(float(self._displaced(here)))
+            )
             sensor = screened_sensor(self.scene, setup, here) if geometry else []
             bodies = screened_bodies(self.scene, setup, here) if geometry else []
             foretold = max([0.0, *(one.foretold for one in sensor), *(one.most for one in bodies)])
@@ -254,6 +256,15 @@ class Search:
             self.scene, setup, rays, here, evidence, self.options, len(self.turns), self._progress
         )
         return turn, setup, here, evidence, templates
+
+    def _waiting(self, price: float) -> bool:
+        """Whether the turn before left a change of geometry that paid, for one that paid more: a scan of all pixels may
+        be blind to what a body of few pixels explains."""
+        return any(
+            is_geometry(c.effect) and c.effect != turn.added and (c.refit_gain or 0.0) > (c.refit_size or 0) * price
+            for turn in self.turns[-1:]
+            for c in turn.candidates
+        )
 
     def _displaced(self, here: Fitted) -> bool:
         """Whether a shadow of the model is none, or edges do not agree with the images: no scan looks at either."""
