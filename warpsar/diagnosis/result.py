@@ -246,7 +246,16 @@ def _unpaid(before: Sequence[Comparison], after: Sequence[Comparison], with_effe
         return "likelihood did not rise" if likelihood_gain(before, after) <= 0.0 else ""
     touched = with_effects and any(not np.array_equal(a.simulated, b.simulated) for a, b in pairs)
     gained = difference(before, after) if touched else None
-    return "deviance did not fall" if gained is not None and gained[0] <= 0.0 else ""
+    if gained is None or gained[0] > 0.0:
+        return ""
+    # a noise floor leaves lit pixels as they were: shadows, of which the deviance knows nothing, decide then
+    in_shadows = gained[0] >= -gained[1] and _without_power(after) < _without_power(before)
+    return "" if in_shadows else "deviance did not fall"
+
+
+def _without_power(images: Sequence[Comparison]) -> int:
+    """Pixels that measure power where the model has none."""
+    return sum(int(((image.simulated <= 0.0) & (image.seen.measured > 0.0))[image.usable].sum()) for image in images)
 
 
 def _without_what_hurts(found: Diagnosis) -> Diagnosis:

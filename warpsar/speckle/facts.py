@@ -185,8 +185,14 @@ class _Data:
         weights = 1.0 / errors**2
         mean = (weights * ratio).sum(axis=0) / weights.sum(axis=0)
         single = _apart(ratio, np.hypot(errors, FLOOR), SURE + 0.5)
-        together = _apart(mean, np.hypot(1.0 / np.sqrt(weights.sum(axis=0)), FLOOR / 2.0), SURE)
-        return bool(single.any() or together.any())
+        error = np.hypot(1.0 / np.sqrt(weights.sum(axis=0)), FLOOR / 2.0)
+        return bool(single.any() or _apart(mean, error, SURE).any() or self._textured(mean[0] - 1.0, error[0]))
+
+    def _textured(self, more: float, error: float) -> bool:
+        """Whether what the second cumulant is more than declared, as a share of it, is for sure a texture whose power
+        varies by more than matters. At one look that is less than looks must be off to matter."""
+        least = polygamma(1, 1.0 / MATTERS) / polygamma(1, float(np.median(self.looks)))
+        return bool(not self.estimated.any() and more - SURE * error > least)
 
 
 def _apart(ratio: np.ndarray, error: np.ndarray, sure: float) -> np.ndarray:
@@ -235,9 +241,10 @@ def _both(data: _Data) -> tuple[Model, np.ndarray]:
 
 
 def _saturation(data: _Data) -> tuple[Model, np.ndarray]:
-    """A power law of exponent g makes g^2 and g^3 of the cumulants."""
+    """A power law of exponent g makes g^2 and g^3 of the cumulants. Compression has g under 1: -ln g is x^2, and no x
+    stands for the reverse."""
     declared = data.expected(data.looks, data.texture)
-    return lambda x: declared * np.exp(np.outer(np.ones(len(declared)), [2.0, 3.0]) * x[0]), np.zeros(1)
+    return lambda x: declared * np.exp(np.outer(np.ones(len(declared)), [-2.0, -3.0]) * x[0] ** 2), np.full(1, -0.2)
 
 
 _EXPLANATIONS: dict[str, Callable[[_Data], tuple[Model, np.ndarray]]] = {
