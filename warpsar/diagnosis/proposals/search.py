@@ -12,7 +12,6 @@ import warp as wp
 
 from warpsar.compare.observation import Observation
 from warpsar.diagnosis.models.change import GeometryCandidate
-from warpsar.diagnosis.models.effect_gain import FAR_BEHIND, EffectGain
 from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.refit import Fitted
 from warpsar.diagnosis.proposals.bodies import Tried, likeliest, sound
@@ -32,11 +31,9 @@ WORTH_A_FIT = 2.0  # times what a number costs: the best of all places where not
 LAST_STEPS, LAST_FLAT = 4, 0.1  # of the last descents
 
 
-def missing_objects(
-    declared: Scene, setup: FitSetup, here: Fitted, price: float, effect_gain: EffectGain
-) -> list[GeometryCandidate]:
-    """`proposed` for a turn of a diagnosis, whose fitted model is `here`. `declared` is not asked."""
-    return proposed(here.scene, setup.device, setup.observations, price=price, least=FAR_BEHIND * effect_gain.sharp)
+def missing_objects(setup: FitSetup, here: Fitted, price: float, least: float) -> list[GeometryCandidate]:
+    """`proposed` for a turn of a diagnosis, whose fitted model is `here`."""
+    return proposed(here.scene, setup.device, setup.observations, price=price, least=least)
 
 
 def proposed(

@@ -227,11 +227,10 @@ class Search:
             price = evidence.price()
             # geometry puts no power where nothing is lit: what the dark pixels need is added first
             geometry = options.bodies and not dark.asks
-            geometry = geometry and bool(
-                passing or turn.alarms or self._waiting(price) or once.decide(float(self._displaced(here)))
-            )
-            sensor = screened_sensor(self.scene, setup, here) if geometry else []
-            bodies = screened_bodies(self.scene, setup, here) if geometry else []
+            quiet = geometry and not (passing or turn.alarms or once.decide(float(self._displaced(here))))
+            geometry = geometry and not (quiet and not self._has_moved)
+            sensor = screened_sensor(self.scene, setup, here) if geometry and not quiet else []
+            bodies = screened_bodies(self.scene, setup, here) if geometry and not quiet else []
             foretold = max([0.0, *(one.foretold for one in sensor), *(one.most for one in bodies)])
             if 2.0 * foretold > FAR_AHEAD * max((c.statistic for c in allowed), default=0.0):
                 # beside what moves things, the likeliest effects alone: a score is no gain, and may be far below it
@@ -257,14 +256,11 @@ class Search:
         )
         return turn, setup, here, evidence, templates
 
-    def _waiting(self, price: float) -> bool:
-        """Whether the turn before left a change of geometry that paid, for one that paid more: a scan of all pixels may
-        be blind to what a body of few pixels explains."""
-        return any(
-            is_geometry(c.effect) and c.effect != turn.added and (c.refit_gain or 0.0) > (c.refit_size or 0) * price
-            for turn in self.turns[-1:]
-            for c in turn.candidates
-        )
+    @property
+    def _has_moved(self) -> bool:
+        """Whether the turn before changed the geometry. What is missing may have waited for that, and a scan of all
+        pixels may be blind to a body of few."""
+        return bool(self.turns) and self.turns[-1].added is not None and is_geometry(self.turns[-1].added)
 
     def _displaced(self, here: Fitted) -> bool:
         """Whether a shadow of the model is none, or edges do not agree with the images: no scan looks at either."""
@@ -285,7 +281,8 @@ class Search:
 
         What is behind the effect waits. Nothing is lost by that: the next turn tries it beside the effect, and in the
         end each is asked beside all the others. A wrong angle seems to move bodies, and a moved body to turn views: so
-        bodies that are behind the best of the sensor wait, too, and the sensor where a body is far ahead.
+        bodies that are behind the best of the sensor wait, too, and the sensor where a body is far ahead. Either makes
+        bodies seem to be missing: these wait where they promise far less.
         """
         ahead = EffectGain.of(setup, here, turn.fitted)
         if ahead.most:
@@ -299,7 +296,7 @@ class Search:
         if offered:
             ahead = replace(ahead, blurred=max(ahead.blurred, of_sensor))
         self._say_fits([f"{kind} {label}" for kind, label in worth_fits(bodies, price, ahead)])
-        offered += geometry_candidates(self.scene, setup, here, bodies, price, ahead)
+        offered += geometry_candidates(self.scene, setup, here, bodies, price, ahead, offered)
         offered = [c for c in offered if c.name not in self._barred and self._times[c.name] < CHANCES]
         return add_the_likeliest(setup, turn, here, self.scene, offered, price)
 

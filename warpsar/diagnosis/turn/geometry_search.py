@@ -25,7 +25,7 @@ from warpsar.diagnosis.models.change import (
     scene_with,
     without_object,
 )
-from warpsar.diagnosis.models.effect_gain import EffectGain
+from warpsar.diagnosis.models.effect_gain import FAR_BEHIND, EffectGain
 from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.movable import bodies, disjoint, freed, placeable, sized
 from warpsar.diagnosis.models.refit import BOUND, Fitted
@@ -44,8 +44,9 @@ TOGETHER = 16  # bodies of one screening problem: seven columns each, on all pix
 FITTED = 2  # of the screened poses and sizes, how many bodies are fitted
 SAME_IMAGES = 3.0  # of ln L: two readings of one body that differ by less explain the images alike
 
-Source = Callable[[Scene, FitSetup, Fitted, float, EffectGain], list[GeometryCandidate]]
-"""Further changes of geometry, each by itself."""
+Source = Callable[[FitSetup, Fitted, float, float], list[GeometryCandidate]]
+"""Further changes of geometry, each by itself: of a model, by the price of a number and the least of ln L that is worth
+a fit."""
 
 
 @dataclass(frozen=True)
@@ -69,19 +70,26 @@ def screened_bodies(declared: Scene, setup: FitSetup, here: Fitted) -> list[Scre
 
 
 def geometry_candidates(
-    declared: Scene, setup: FitSetup, here: Fitted, screened: list[Screened], price: float, effect_gain: EffectGain
+    declared: Scene,
+    setup: FitSetup,
+    here: Fitted,
+    screened: list[Screened],
+    price: float,
+    effect_gain: EffectGain,
+    sensor: Sequence[GeometryCandidate] = (),
 ) -> list[GeometryCandidate]:
     """Changes of geometry that are worth a comparison with the effects; `screened` are all bodies.
 
-    A number that a change frees costs `price` of 2 ln L. `effect_gain`: of the best effect.
+    A number that a change frees costs `price` of 2 ln L. `effect_gain`: of the best effect. `sensor`: what is offered
+    already; what is far behind that, or behind what a moved body gains, is not looked for by `SOURCES`.
     """
-    found = once.agree(
-        lambda: [
-            *moved_or_absent(declared, setup, here, screened, price, effect_gain),
-            *(one for source in SOURCES for one in source(declared, setup, here, price, effect_gain)),
-        ]
-    )
-    return of_the_first(declared, here, found)
+
+    def run() -> list[GeometryCandidate]:
+        moved = moved_or_absent(declared, setup, here, screened, price, effect_gain)
+        most = max([effect_gain.sharp, *(one.gain for one in [*sensor, *moved])])
+        return [*moved, *(one for source in SOURCES for one in source(setup, here, price, FAR_BEHIND * most))]
+
+    return of_the_first(declared, here, once.agree(run))
 
 
 def of_the_first(declared: Scene, here: Fitted, found: list[GeometryCandidate]) -> list[GeometryCandidate]:
