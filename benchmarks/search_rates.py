@@ -53,7 +53,7 @@ from warpsar.diagnosis.command import in_short
 from warpsar.diagnosis.found import DiagnoseOptions
 from warpsar.diagnosis.models.change import SUMMARIES, changes
 from warpsar.diagnosis.models.sensor import ALL
-from warpsar.diagnosis.result import Diagnosed, diagnose, identified
+from warpsar.diagnosis.result import Diagnosed, diagnose, moved_parameters
 from warpsar.effects.registry import get
 from warpsar.io.images import write_tiff
 from warpsar.runtime import console, devices
@@ -448,16 +448,16 @@ def one_run(number: int, device: str, minutes: float) -> dict[str, Any]:
 
 
 def intervals(done: Diagnosed, true: Scene) -> list[tuple[str, float | None, float | None]]:
-    """Of each number of the final model that the scene of the images has too: its name, by how many standard deviations
-    it is off, and the standard deviation. Both are None where none is stated.
+    """Of each number of the final model that the scene of the images has too: its name, and both ends of its stated
+    95 % interval less the truth, None where an end is open.
 
-    In the coordinates of the fit, in which they are stated: ln of a level, degrees of an angle. Gains of views are
-    about their mean, which is the surface's.
+    In the coordinates of the fit: ln of a level, degrees of an angle. Gains of views are about their mean, which is the
+    surface's.
     """
-    final, rows = done.diagnosis.final, list[tuple[str, float, float | None]]()
+    final, rows = done.diagnosis.final, list[tuple[str, float, float]]()
     known, truth = final.scene.parameters, true.parameters
-    told = identified(final)
-    for label, sd, x in zip(told.labels, told.sd, final.x, strict=True):
+    told = moved_parameters(done.diagnosis)[1]
+    for k, (label, x) in enumerate(zip(told.labels, final.x, strict=True)):
         name = known.old_names.get(label, label)
         if name in truth and name in known:
             value = truth[name].value
@@ -465,14 +465,15 @@ def intervals(done: Diagnosed, true: Scene) -> list[tuple[str, float | None, flo
                 value = value - np.mean(
                     [truth[known.old_names.get(o, o)].value for o in told.labels if "gain_db[" in o]
                 )
-            rows.append((name, float(x - known[name].transform.to_coordinate(value)), float(sd)))
+            low, high = told.interval_95(k, float(x)) - float(known[name].transform.to_coordinate(value))
+            rows.append((name, float(low), float(high)))
     declared = done.diagnosis.scene
     for owner, numbers in done.diagnosis.sensor.items():
         for key, one in numbers.items():
             name = f"image.{key}" if key.endswith("spacing_m") else f"views.{owner}.{key}"
             is_turn = owner == ALL and name not in truth
             value = getattr(true.views[0], key) - getattr(declared.views[0], key) if is_turn else truth[name].value
-            rows.append((name, float(one["found"] - value), one["sd"]))
+            rows.append((name, *_ends(float(one["found"] - value), one["sd"])))
     for owner, one in done.diagnosis.objects.items():
         if owner in declared.mesh.groups and owner in true.mesh.groups:
             was, now = (each.vertices[np.unique(each.faces[each.groups[owner]])] for each in (declared.mesh, true.mesh))
@@ -480,10 +481,14 @@ def intervals(done: Diagnosed, true: Scene) -> list[tuple[str, float | None, flo
             for key, value in (("scale", scale), ("position_m", step)):
                 sds = one.get("scale_sd" if key == "scale" else "position_sd_m")
                 for axis in range(3) if sds is not None and (key == "scale" or scale.max() == scale.min()) else ():
-                    rows.append((f"objects.{owner}.{key}[{axis}]", float(one[key][axis] - value[axis]), sds[axis]))
-    return [
-        (name, off / sd, sd) if sd is not None and 0.0 < sd < np.inf else (name, None, None) for name, off, sd in rows
-    ]
+                    ends = _ends(float(one[key][axis] - value[axis]), sds[axis])
+                    rows.append((f"objects.{owner}.{key}[{axis}]", *ends))
+    return [(name, *(end if np.isfinite(end) else None for end in ends)) for name, *ends in rows]
+
+
+def _ends(off: float, sd: float | None) -> tuple[float, float]:
+    reach = 1.96 * sd if sd else np.inf
+    return off - reach, off + reach
 
 
 def right_names(row: Mapping[str, Any]) -> set[str]:
@@ -582,10 +587,10 @@ def table(out: Path, write: bool) -> None:
     stated = [one for row in rows if outcome(row) in ("right", "all-clear") for one in row.get("intervals", ())]
     roots_of = {"surfaces": ("materials",), "effects": ("effects",), "geometry": ("objects", "views", "image")}
     for what, roots in roots_of.items():
-        mine = [z for name, z, _ in stated if name.partition(".")[0] in roots]
+        mine = [ends for name, *ends in stated if name.partition(".")[0] in roots]
         if mine:
-            told = [z for z in mine if z is not None]
-            count = sum(abs(z) <= 1.96 for z in told)
+            told = [ends for ends in mine if ends != [None, None]]
+            count = sum((low is None or low <= 0.0) and (high is None or high >= 0.0) for low, high in told)
             sums.append(
                 [f"intervals of {what} that hold the truth", f"{count} of {len(told)}", bounds(count, len(told))]
             )

@@ -225,11 +225,12 @@ def test_the_truth_lies_in_the_intervals(loss: str, cube: Scene) -> None:
 @pytest.mark.parametrize("kind", KINDS, ids=KEYS)
 def test_an_interval_of_what_is_hardly_known_is_wide(kind: Any) -> None:
     """With an unknown gain the deviation of eps_r may be thousands of log units: no float64 holds the end."""
-    low, high = kind.interval_95(0.5, 1e4)
+    low, high = kind.interval((0.5 - 2e4, 0.5 + 2e4))
     assert low <= kind.low
     assert high >= kind.high
-    low, high = kind.interval_95(0.5, 0.1)
+    low, high = kind.interval((0.3, 0.7))
     assert low < float(kind.from_coordinate(0.5)) < high
+    assert kind.interval((-np.inf, 0.7)) == (None, pytest.approx(high))
 
 
 @pytest.mark.full
@@ -564,7 +565,8 @@ def test_what_lies_in_the_folder(cube: Scene, tmp_path: Path) -> None:
             assert low < entry["value"] < high
             kind = next(k for k in KINDS if k.key == key)
             width = float(kind.to_coordinate(high) - kind.to_coordinate(low))
-            assert width == pytest.approx(2 * 1.96 * entry["sd_log"], rel=1e-6)
+            # the valley is nearly straight here: an end of the profile is found within 5 % of the root
+            assert width == pytest.approx(2 * 1.96 * entry["sd_log"], rel=0.15)
     assert content["identifiability"]["words"][0].startswith("ground: ")
     assert set(content["outside_domain"]) == {"ground", "cube"}
     assert content["pixels"]["v0 HH"]["used"] + content["pixels"]["v0 HH"]["left_out"] == 36 * 36

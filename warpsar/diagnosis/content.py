@@ -174,12 +174,13 @@ def _turn(turn: Turn) -> dict[str, Any]:
     }
 
 
-def _moved(m: ParameterMove) -> dict[str, float]:
+def _moved(m: ParameterMove) -> dict[str, Any]:
     return {
         "before": m.before,
         "before_sd_log": m.before_sd,
         "after": m.after,
         "after_sd_log": m.after_sd,
+        "after_interval_95": list(m.after_95),
         "moved_sds": m.sds,
     }
 

@@ -31,6 +31,7 @@ from warpsar.diagnosis.search.geometry_confirmation import taken_back
 from warpsar.diagnosis.search.procedure import diagnose_scene
 from warpsar.errors import refuse_kind
 from warpsar.learning.identify import Identified, identify
+from warpsar.learning.profiles import with_profiles
 from warpsar.runtime import devices, once
 from warpsar.scene.scene import Scene, scene_or_file
 from warpsar.speckle.facts import SpeckleFact
@@ -305,7 +306,9 @@ def fitted_models(found: Diagnosis) -> list[Fitted]:
 @dataclass(frozen=True)
 class ParameterMove:
     """A surface parameter before and after the effects were added: values (SI), and standard deviations of their
-    learned coordinates (ln, or logit for specular_fraction); `sds`: the move over the root of both variances' sum."""
+    learned coordinates (ln, or logit for specular_fraction); `after_95`: the interval of the last value (SI), None
+    where it is open;
+    `sds`: the move over the root of both variances' sum."""
 
     material: str
     key: str
@@ -313,6 +316,7 @@ class ParameterMove:
     after: float
     before_sd: float
     after_sd: float
+    after_95: tuple[float | None, float | None]
     move: float
 
     @property
@@ -324,6 +328,8 @@ def moved_parameters(found: Diagnosis) -> tuple[list[ParameterMove], Identified]
     """How far every uniform learned surface parameter went, and what the final model's data can say of them."""
     first, last = found.declared, found.final
     before, after = (identified(fitted) for fitted in (first, last))
+    if last.problem.uniform:
+        after = with_profiles(last.problem, last.x, after)
     moves, at, place = [], 0, 0  # in x, and among what is identified
     ends = _uniform_ends(last)
     for block in first.problem.surface.blocks:
@@ -336,7 +342,8 @@ def moved_parameters(found: Diagnosis) -> tuple[list[ParameterMove], Identified]
                 a, b = float(first.x[at]), float(last.x[x_end])
                 one, two = (float(block.kind.from_coordinate(x)) for x in (a, b))
                 sds = float(before.sd[place]), float(after.sd[place_end])
-                moves.append(ParameterMove(block.material, block.kind.key, one, two, *sds, b - a))
+                stated = block.kind.interval(after.interval_95(place_end, b))
+                moves.append(ParameterMove(block.material, block.kind.key, one, two, *sds, stated, b - a))
             at, place = at + 1, place + 1
     return moves, after
 

@@ -39,6 +39,14 @@ def shown_as(key: str) -> tuple[str, float]:
     return _NAMES.get(key, (key, 1.0))
 
 
+def shown_interval(ends: tuple[float | None, float | None], factor: float) -> str:
+    """A 95 % interval in brackets, times `factor`; an end that is None is open."""
+    low, high = (None if end is None else f"{end * factor:.3g}" for end in ends)
+    if low is None and high is None:
+        return "(open)"
+    return f"(over {low})" if high is None else f"(under {high})" if low is None else f"({low} to {high})"
+
+
 def reach_db(residuals: Sequence[np.ndarray], percent: float) -> float:
     """End of a residual's colour scale [dB]: `percent` of the compared pixels are inside, whole dB, 3 to 30."""
     residual = np.concatenate([np.abs(one) for one in residuals])

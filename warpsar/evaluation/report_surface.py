@@ -11,7 +11,7 @@ import numpy as np
 
 from warpsar.errors import InputError
 from warpsar.evaluation.meshview import MeshView
-from warpsar.evaluation.report_parts import both_sides, shown_as
+from warpsar.evaluation.report_parts import both_sides, shown_as, shown_interval
 from warpsar.io import html as report
 from warpsar.learning.identify import Identified, identify
 from warpsar.learning.problem import FitProblem
@@ -86,7 +86,7 @@ def stated(table: Mapping[str, Any]) -> str:
 
 def parameters_section(scene: Scene, stage: Stage, identified: Identified | None) -> str:
     surface = stage.surface
-    sd = {} if identified is None else dict(zip(identified.labels, identified.sd, strict=True))
+    at = {} if identified is None else {label: k for k, label in enumerate(identified.labels)}
     rows = []
     for name in surface.materials:
         row = [name]
@@ -103,12 +103,11 @@ def parameters_section(scene: Scene, stage: Stage, identified: Identified | None
                 row.append(f"{_number(values.min())} to {_number(values.max())}, median {_number(np.median(values))}")
                 continue
             text = _number(float(values.ravel()[0]))
-            spread = sd.get(f"{name}.{kind.key}")
-            if spread is not None and np.isfinite(spread) and spread < 3.0:
-                node = float(surface.nodes[block.start])
-                ends = kind.interval_95(node, spread) * factor
-                text += f" ({_number(ends[0])} to {_number(ends[1])})"
-            elif spread is not None:
+            place = at.get(f"{name}.{kind.key}")
+            if identified is not None and place is not None and identified.sd[place] < 3.0:
+                ends = kind.interval(identified.interval_95(place, float(surface.nodes[block.start])))
+                text += f" {shown_interval(ends, factor)}"
+            elif place is not None:
                 text += " (not determined)"
             table = "table, " if model.from_table else ""
             row.append(f"{table}{label} {text}" if kind.own else text)

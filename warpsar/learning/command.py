@@ -204,7 +204,8 @@ def _material_summary(found: Learned) -> dict[str, dict[str, Any]]:
         if block.learn:
             if found.identified is not None:
                 sd = float(found.identified.sd[at])
-                entry["interval_95"] = block.kind.interval_95(float(nodes[block.start]), sd).tolist()
+                ends = found.identified.interval_95(at, float(nodes[block.start]))
+                entry["interval_95"] = list(block.kind.interval(ends))
                 entry["interval_holds"] = not found.doubts
                 entry["sd_log"] = sd
             at += block.size

@@ -21,6 +21,7 @@ from warpsar.speckle.residual import residual_autocovariance
 UNDETERMINED_SD = 0.5
 # A pair's product or ratio is named where it is at least this much better known than both of its members.
 BETTER = 3.0
+Z_95 = 1.96  # standard deviations to either side, within which a normal variable lies with 95 %
 # Eigenvalues below this share of the largest, in a matrix scaled to a unit diagonal, are zero to float32 images.
 RANK_TOLERANCE = 1e-9
 
@@ -32,7 +33,8 @@ class Identified:
     `information` F and `covariance` have shape (p, p), in the coordinates of x. `covariance` is the sandwich
     F^-1 S F^-1; S, `products`, comes from the residuals' own autocovariance, so correlated speckle counts. The variance
     of an element is infinite where it has a part in a direction that the data do not see. `eigenvalues` of the
-    information ascend; `eigenvectors` are in columns. `words` are sentences for people.
+    information ascend; `eigenvectors` are in columns. `words` are sentences for people. `ends`, shape (p, 2),
+    are 95 % intervals by the profile of the likelihood (`learning.profiles`), where these were asked for.
     """
 
     labels: list[str]
@@ -42,11 +44,21 @@ class Identified:
     eigenvalues: np.ndarray
     eigenvectors: np.ndarray
     words: list[str] = field(default_factory=list)
+    ends: np.ndarray | None = None
 
     @property
     def sd(self) -> np.ndarray:
         """Standard deviation of every element of x, shape (p,); infinite where the data say nothing."""
         return np.sqrt(np.diag(self.covariance))
+
+    def interval_95(self, at: int, value: float) -> np.ndarray:
+        """Both ends, shape (2,), of element `at` of x about its `value`, in its coordinate; infinite where it is open.
+
+        By the profile of the likelihood where that is known (`ends`), else value +- 1.96 standard deviations.
+        """
+        if self.ends is not None:
+            return np.asarray(self.ends[at])
+        return value + np.array([-Z_95, Z_95]) * self.sd[at]
 
     @property
     def undetermined(self) -> list[str]:

@@ -25,6 +25,7 @@ from warpsar.learning.identify import Identified, identify
 from warpsar.learning.learned_objects import LearnedObjects, learned_objects
 from warpsar.learning.options import LearnOptions, refuse_options, refuse_starts
 from warpsar.learning.problem import FitProblem
+from warpsar.learning.profiles import with_profiles
 from warpsar.learning.pull import Pull, pulls
 from warpsar.learning.results import learned_scene
 from warpsar.learning.table import LearnedTable, with_learned_tables
@@ -171,7 +172,8 @@ def _identified(problem: FitProblem, x: np.ndarray, poses: LearnedObjects | None
     if not problem.uniform or not x.size:
         return None
     found = identify(problem, x)
-    return found if poses is None else poses.widened(found)
+    # a profile beside moving objects would trace them at each step: there the standard deviation says it all
+    return with_profiles(problem, x, found) if poses is None else poses.widened(found)
 
 
 def _checked(problem: FitProblem) -> GradientCheck:

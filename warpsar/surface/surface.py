@@ -55,10 +55,11 @@ class Kind:
         """d value / d coordinate at a coordinate, of its shape."""
         return np.asarray(self.transform.slope(coordinate))
 
-    def interval_95(self, node: float, sd: float) -> np.ndarray:
-        """Both ends (SI), shape (2,), of node +- 1.96 sd, where `sd` may be anything up to infinity."""
+    def interval(self, ends: ArrayLike) -> tuple[float | None, float | None]:
+        """Both ends (SI) of an interval of the coordinate, shape (2,); None where that is infinite: it is open."""
         with np.errstate(over="ignore"):  # hundreds of log units end at infinity
-            return np.asarray(self.from_coordinate(np.array([node - 1.96 * sd, node + 1.96 * sd])))
+            low, high = (float(self.from_coordinate(end)) if np.isfinite(end) else None for end in np.asarray(ends))
+        return low, high
 
 
 @cache

@@ -11,7 +11,7 @@ from warpsar.diagnosis.field_content import FIELDS_HEAD, fields_rows
 from warpsar.diagnosis.known import KNOWN_CAPTION, KNOWN_HEAD, known_rows
 from warpsar.diagnosis.result import SAME_SD, Diagnosed, ParameterMove
 from warpsar.diagnosis.search.outcome import effect_table
-from warpsar.evaluation.report_parts import shown_as
+from warpsar.evaluation.report_parts import shown_as, shown_interval
 from warpsar.io import html as report
 
 
@@ -20,14 +20,15 @@ def parameters_section(done: Diagnosed, moves: Sequence[ParameterMove], content:
     for move in moves:
         label, factor = shown_as(move.key)
         row = [f"{move.material}: {label}"]
-        for value, sd in ((move.before, move.before_sd), (move.after, move.after_sd)):
-            row.append(f"{_number(value * factor)} {_percent(sd)}")
+        row.append(f"{_number(move.before * factor)} {_percent(move.before_sd)}")
+        row.append(f"{_number(move.after * factor)} {shown_interval(move.after_95, factor)}")
         row.append("–" if not done.diagnosis.verdict else f"{move.move:+.2f}")
         row.append("–" if not done.diagnosis.verdict or not np.isfinite(move.sds) else f"{move.sds:+.1f}")
         rows.append(row)
     head = ["parameter", "before", "after", "move (ln)", "in standard deviations"]
     caption = (
-        "In brackets: one standard deviation, from the speckle that was found; –: the data do not determine it alone."
+        "In brackets: before, one standard deviation; after, the 95 % interval by the profile of the likelihood, from "
+        "the speckle that was found; open or –: the data do not determine it alone."
     )
     blocks = []
     if done.diagnosis.final.scene.effects:
