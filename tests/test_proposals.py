@@ -18,7 +18,7 @@ from warpsar.diagnosis.proposals.fit import Standing, TrialGround
 from warpsar.diagnosis.proposals.ground import free_ground
 from warpsar.diagnosis.proposals.left_out import explained
 from warpsar.diagnosis.proposals.places import BodyPlace, Looked, Ratios
-from warpsar.diagnosis.proposals.search import proposed
+from warpsar.diagnosis.proposals.search import _worth_a_fit, proposed
 from warpsar.differentiable.geometry import exact_images
 from warpsar.runtime import devices
 from warpsar.scene.placing import with_objects
@@ -118,6 +118,16 @@ def test_what_one_view_alone_shows_makes_no_place() -> None:
         row, col = (int(at[0]) for at in pixel_of(scene, one.view, np.array([[0.0, 0.0, 0.0]])))
         one.ratio[row - 4 : row, col - 2 : col + 3] *= 20.0
     assert Looked.at(scene, found).best(1)[0].score > 1000.0
+
+
+def test_a_place_that_is_half_explained_is_tried() -> None:
+    """A place knows one width and one height; a box that is twice as long as wide is half explained by it."""
+
+    def at(share: float, score: float = 1000.0) -> BodyPlace:
+        return BodyPlace((0.0, 0.0, 0.0), 4.8, 2.4, score, share)
+
+    tried = _worth_a_fit([at(0.51), at(0.2), at(0.9, score=400.0), at(0.9, score=20.0)], 26.0)
+    assert [one.share for one in tried] == [0.51]  # one of less than half its score waits
 
 
 # ---- what ----

@@ -117,6 +117,22 @@ def test_texture_is_found(looks: float, shape: float) -> None:
         assert looks == shape
 
 
+def test_weak_texture_at_one_look_is_found() -> None:
+    """A shape of 5 is 13 % of the second cumulant of one look, but 20 % of the power's own variance."""
+    for seed in range(3):
+        found = speckle_fact(images([Law(1.0, 5.0)] * 3, [1.0] * 3, seed))
+        assert found.names == ["texture"]
+        assert found.texture is not None
+        assert found.texture.low < 5.0 < found.texture.high
+
+
+def test_what_scatters_more_is_no_saturation() -> None:
+    """Compression makes power scatter less. A power law that makes it scatter more had explained strong texture."""
+    for seed in range(3):
+        found = speckle_fact(images([Law(16.0, 5.2)] * 3, [16.0] * 3, seed))
+        assert (found.kind, found.rivals) == ("texture", [])
+
+
 def test_a_texture_common_to_views_of_other_looks() -> None:
     """Without declared looks, the shape that all views share is the texture."""
     true = [Law(looks, 5.0) for looks in (1.0, 2.0, 4.0, 8.0, 16.0)]
