@@ -1,14 +1,16 @@
 """How fast collections are: the deposit alone, a town as one collection, focusing, and batches of complex images.
 
-    python benchmarks/collection.py [--device cuda] [--only deposit town focus batch copy] [--small]
+    python benchmarks/collection.py [--device cuda] [--only deposit town focus batch copy large] [--small]
     [--out collection.json] [--write]
 
 `deposit`: 10^6 scatterers x 1,000 pulses, 2,048 frequencies. `town`: the town of 900,482 faces as one collection of
 1,024 pulses, with at least ten scatterers in each resolution cell, from the mesh to the phase history. `focus`: 1,024
 pulses onto 1,024 x 1,024 pixels, and the same with torchbp where it can be imported. `batch`: direct complex images of
 several azimuths, alone, with NPZ and with SICD files, beside images of beta0 of the same scene, alone and with EXR.
-`copy`: bytes that a copy moves in a second, and the share of it that the deposit reads and adds. What --out holds
-already is not measured again. `--small` is a trial of a few seconds on a CPU.
+`large`: a direct complex image of 4,096 x 4,096 pixels of 0.5 m of a town of 2 km, with what the forecast says of it;
+on a CPU its middle of 512 x 512 pixels, and the forecast of the whole. `copy`: bytes that a copy moves in a second, and
+the share of it that the deposit reads and adds. What --out holds already is not measured again. `--small` is a trial of
+a few seconds on a CPU.
 """
 
 from __future__ import annotations
@@ -37,6 +39,7 @@ from warpsar.collection import history as histories
 from warpsar.collection.bodies import Bodies
 from warpsar.collection.command import load_kernels
 from warpsar.collection.direct import direct_of_rough
+from warpsar.collection.forecast import forecast, room_of
 from warpsar.collection.plan import Plan, plan_of
 from warpsar.collection.scatterers import ScattererPart, Scatterers, body_of, scatterers_of, spacing_m, total_weight
 from warpsar.collection.slc import Slc, focused
@@ -206,7 +209,7 @@ def batch(device: wp.Device, small: bool) -> dict[str, Any]:
     plans = [plan_of(scene, view, device) for view in views]
 
     def body() -> Any:
-        return Bodies(scene, plans, device, 0).rough_places(plans[0])
+        return Bodies(scene, plans, device, 0).patches(plans[0])
 
     def images() -> list[Slc]:
         bodies = Bodies(scene, plans, device, 0)
@@ -241,6 +244,50 @@ def batch(device: wp.Device, small: bool) -> dict[str, Any]:
         }
 
 
+def wide_town(pixels: int) -> Scene:
+    """The town of 100,000 faces, stretched to 2 km, and so many pixels of 0.5 m in its middle."""
+    scene = town_scene(100_000, (pixels, pixels), 4.0)
+    size = np.ptp(scene.mesh.vertices, axis=0)
+    mesh = replace(scene.mesh, vertices=scene.mesh.vertices * [2000.0 / size[0], 2000.0 / size[1], 1.0])
+    table = Collection(slant_range_m=650e3, resolution_m=(0.6, 0.6), focus="direct")
+    radar = scene.radar.model_copy(update={"terms": ("rough",), "frequency_hz": 9.6e9})
+    grid = scene.grid.model_copy(update={"spacing_m": (0.5, 0.5)})
+    return replace(scene, mesh=mesh, radar=radar, collection=table, grid=grid)
+
+
+def large(device: wp.Device, small: bool) -> dict[str, Any]:
+    """What the forecast says, and what the clock says."""
+    said = []
+    for pixels in dict.fromkeys((4096, 512 if device.is_cpu or small else 4096)):
+        scene = wide_town(pixels)
+        plans = [plan_of(scene, view, device) for view in scene.views]
+        room = room_of(scene, plans, "slc", device, None)
+        bodies = Bodies(scene, plans, device, 0, room.together, room.tile_bytes)
+        started = time.perf_counter()
+        told = forecast(bodies, plans, "slc")
+        said.append((pixels, told, time.perf_counter() - started))
+    started, cpu = time.perf_counter(), time.process_time()
+    image = direct_of_rough(bodies, plans[0])
+    wp.synchronize()
+    spent, cpu_s = time.perf_counter() - started, time.process_time() - cpu
+    started = time.perf_counter()
+    with_all = warpsar.slc(scene, device=device.alias)[0]
+    whole = time.perf_counter() - started
+    assert with_all.scatterers == image.scatterers
+    return {
+        "pixels": pixels,
+        "scatterers": image.scatterers,
+        "image_s": spent,
+        "image_cpu_s": cpu_s,
+        "whole_s": whole,
+        "forecasts": [
+            {"pixels": n, "scatterers": one.scatterers, "seconds": one.seconds, "gib": one.gib, "took_s": took}
+            for n, one, took in said
+            if one is not None
+        ],
+    }
+
+
 def copy(device: wp.Device, small: bool) -> dict[str, Any]:
     """Bytes read and written by a copy of 1 GiB, in a second."""
     count = 2**20 if small else 2**28
@@ -249,7 +296,7 @@ def copy(device: wp.Device, small: bool) -> dict[str, Any]:
     return {**found, "bytes_per_s": 8 * count / found["best_s"]}
 
 
-WORK = {"copy": copy, "deposit": deposit, "town": town, "focus": focus, "batch": batch}
+WORK = {"copy": copy, "deposit": deposit, "town": town, "focus": focus, "batch": batch, "large": large}
 
 
 def written(found: dict[str, Any]) -> list[tuple[str, str]]:
@@ -283,6 +330,22 @@ def written(found: dict[str, Any]) -> list[tuple[str, str]]:
             own += f" (of it the body, once for all views, {each['body']:.3g} s)"
         rows.append((f"a direct complex image of {size}", ", ".join([own, *files])))
         rows.append(("beta0 of the same views", f"{each['beta0']:.3g} s, with its EXR {each['exr']:.3g} s"))
+    if "large" in found:
+        one = found["large"]
+        said = "; ".join(
+            f"forecast of {each['pixels']:,} x {each['pixels']:,}: {each['seconds']:.3g} s, "
+            f"{each['scatterers']:.3g} scatterers, {each['gib']:.2g} GiB"
+            for each in one["forecasts"]
+        )
+        size = f"{one['pixels']:,} x {one['pixels']:,} pixels of 0.5 m"
+        spent = f"{one['image_s']:.3g} s ({one['image_cpu_s']:.3g} s of the processor)"
+        more = f"with body and plan {one['whole_s']:.3g} s"
+        rows.append(
+            (
+                f"a direct complex image of a town of 2 km, {size}",
+                "; ".join(filter(None, [f"{spent}, {one['scatterers']:,} scatterers", more, said])),
+            )
+        )
     return rows
 
 

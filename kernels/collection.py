@@ -5,14 +5,17 @@ A deposit spreads each scatterer over WIDTH bins of a grid twice as fine as the 
 divided out after the FFT. What is left of the error stands in docs/collections.md.
 """
 
+import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
 from warpsar.kernels.coherent.diffuse import diffused
 from warpsar.kernels.coherent.edges import Edge, diffracted
 from warpsar.kernels.coherent.numbers import product, turned
+from warpsar.kernels.coherent.placing import Patches
 from warpsar.kernels.coherent.radiate import Four, Pair, bounced_fields, sent, tube_factor, unit
 from warpsar.kernels.coherent.reflection import Face
-from warpsar.kernels.coherent.rough import RoughSurface, Scatterer, scattered
+from warpsar.kernels.coherent.rough import RoughSurface, Scatterer, scattered_toward
 from warpsar.kernels.coherent.tubes import Hit, TubeRadar, look
 
 WIDTH = wp.constant(6)
@@ -57,10 +60,14 @@ class MovingScatterers:
 
 
 @wp.func
+def in_float(value: wp.vec2d) -> wp.vec2:
+    return wp.vec2(float(value[0]), float(value[1]))
+
+
+@wp.func
 def unphased(value: wp.vec2d, turn: wp.vec2d) -> wp.vec2:
     """The amplitude times `turn`, which takes the phase of its place away, in float32."""
-    found = product(value, turn)
-    return wp.vec2(float(found[0]), float(found[1]))
+    return in_float(product(value, turn))
 
 
 @wp.func
@@ -92,8 +99,14 @@ def rough_places_kernel(
     if seen_in[0, i] == wp.uint8(0):
         return
     place = scatterer_in[i]
-    four = scattered(radar_in[0], k, surface_in[place.material], variant, place)
-    keep_without_phase(amplitude_out, i, four, radar_in[0], k, place.point)
+    radar = radar_in[0]
+    sight = look(radar, place.point, 0.0)
+    spread = wp.vec2d(sight.spread * sight.spread, wp.float64(0.0))
+    four = scattered_toward(sight.s, spread, radar, k, surface_in[place.material], variant, place)
+    amplitude_out[i, 0] = in_float(four.hh)
+    amplitude_out[i, 1] = in_float(four.hv)
+    amplitude_out[i, 2] = in_float(four.vh)
+    amplitude_out[i, 3] = in_float(four.vv)
 
 
 @wp.kernel(enable_backward=False)
@@ -188,14 +201,66 @@ def tube_places_kernel(
         fields = back
 
 
+Six = wp.types.vector(length=6, dtype=float)
+"""Weights of a deposit along one axis."""
+DEGREE = 10
+
+
+def _fitted() -> NDArray[np.float64]:
+    """The weights of the first three bins as polynomials of the offset from the middle of its range, (3, DEGREE + 1),
+    ascending: to 2e-7 of the largest weight."""
+    x = 0.5 * np.cos(np.pi * (np.arange(200) + 0.5) / 200)
+    distance = (x[None] - 2.5 + np.arange(3)[:, None]) / 3.0
+    value = np.exp(BETA * (np.sqrt(np.maximum(1.0 - distance**2, 0.0)) - 1.0))
+    return np.array([np.polynomial.polynomial.polyfit(x, row, DEGREE) for row in value])
+
+
+_POWERS = _fitted()
+_EVEN = [wp.constant(wp.vec3(*_POWERS[:, k].tolist())) for k in range(0, DEGREE + 1, 2)]
+_ODD = [wp.constant(wp.vec3(*_POWERS[:, k].tolist())) for k in range(1, DEGREE, 2)]
+
+
 @wp.func
-def spread_weight(distance: float) -> float:
-    """Weight of a bin at a distance of up to half of WIDTH."""
-    x = distance / float(HALF)
-    inside = 1.0 - x * x
-    if inside <= 0.0:
-        return 0.0
-    return wp.exp(BETA * (wp.sqrt(inside) - 1.0))
+def weights_from(first: float) -> Six:
+    """Weights of WIDTH bins, of which the first lies at `first`, -3 to -2 from the deposit.
+
+    Bins as far on the other side have the same weights for the opposite offset: even and odd powers serve both.
+    """
+    x = first + 2.5
+    z = x * x
+    even = wp.static(_EVEN[5])
+    even = even * z + wp.static(_EVEN[4])
+    even = even * z + wp.static(_EVEN[3])
+    even = even * z + wp.static(_EVEN[2])
+    even = even * z + wp.static(_EVEN[1])
+    even = even * z + wp.static(_EVEN[0])
+    odd = wp.static(_ODD[4])
+    odd = odd * z + wp.static(_ODD[3])
+    odd = odd * z + wp.static(_ODD[2])
+    odd = odd * z + wp.static(_ODD[1])
+    odd = (odd * z + wp.static(_ODD[0])) * x
+    low = even + odd
+    high = even - odd
+    return Six(low[0], low[1], low[2], high[2], high[1], high[0])
+
+
+@wp.func
+def turn(turns: wp.float64) -> wp.vec2:
+    """Cosine and sine of so many turns, to 2e-7: Taylor's series about the nearest quarter."""
+    rest = float(turns - wp.round(turns))
+    quarter = wp.rint(4.0 * rest)
+    x = TWO_PI * (rest - 0.25 * quarter)
+    y = x * x
+    s = x * (1.0 + y * (-1.0 / 6.0 + y * (1.0 / 120.0 + y * (-1.0 / 5040.0 + y * (1.0 / 362880.0)))))
+    c = 1.0 + y * (-0.5 + y * (1.0 / 24.0 + y * (-1.0 / 720.0 + y * (1.0 / 40320.0))))
+    which = int(quarter) & 3
+    if which == 1:
+        return wp.vec2(-s, c)
+    if which == 2:
+        return wp.vec2(-c, -s)
+    if which == 3:
+        return wp.vec2(s, -c)
+    return wp.vec2(c, s)
 
 
 @wp.func
@@ -261,13 +326,12 @@ def deposit_kernel(
             factor = factor * gain(track.beam, pulse, transmitter, point)
         else:
             factor = factor * factor / weight
-        turns = way * turns_per_metre
-        phase = -TWO_PI * float(turns - wp.round(turns))
-        c = factor * wp.cos(phase)
-        s = factor * wp.sin(phase)
+        phase = factor * turn(-way * turns_per_metre)
+        c = phase[0]
+        s = phase[1]
         at = way * bins_per_metre
         first = int(wp.ceil(at - HALF))
-        offset = float(wp.float64(first) - at)
+        weights = weights_from(float(wp.float64(first) - at))
         low = first % bins
         if low < 0:
             low = low + bins
@@ -278,16 +342,12 @@ def deposit_kernel(
                 bin = low + w
                 if bin >= bins:
                     bin = bin - bins
-                wp.atomic_add(bins_out, p, row, bin, spread_weight(offset + float(w)) * value)
-
-
-Six = wp.types.vector(length=6, dtype=float)
-"""Weights of a deposit along one axis."""
+                wp.atomic_add(bins_out, p, row, bin, weights[w] * value)
 
 
 @wp.struct
 class ImageFrame:
-    """The fine grid of a direct image, and where the sensor is."""
+    """The fine grid of a direct image or of one of its tiles, and where the sensor is."""
 
     place: wp.vec3d  # of the sensor, abeam of the reference point [m]
     slant: wp.float64  # its distance [m]
@@ -296,6 +356,7 @@ class ImageFrame:
     u: wp.vec3d  # along azimuth
     start: wp.vec2d  # of the grid's rows and columns [m]
     step: wp.vec2d
+    core: wp.vec4d  # first and last row, and first and last column, between which a scatterer is the tile's own
     turns_per_metre: wp.float64
     stripmap: int
     beam: Beam
@@ -304,12 +365,40 @@ class ImageFrame:
 
 
 @wp.func
-def weights_from(first: float) -> Six:
-    """Weights of WIDTH bins, of which the first lies at `first`."""
-    found = Six()
-    for i in range(WIDTH):
-        found[i] = spread_weight(first + float(i))
-    return found
+def place_in_image(frame: ImageFrame, point: wp.vec3d) -> wp.vec2d:
+    """Range from the track and azimuth [m]."""
+    azimuth = wp.dot(point, frame.u)
+    return wp.vec2d(way_less_reference(frame.place, point - azimuth * frame.u, frame.slant), azimuth)
+
+
+@wp.kernel(enable_backward=False)
+def patch_reaches_kernel(
+    # In:
+    frame: ImageFrame,
+    patches: Patches,
+    low: wp.vec2d,
+    high: wp.vec2d,
+    # Out:
+    reaches_out: wp.array[wp.uint8],
+):
+    """Which patches have a part between two ends of range and azimuth [m]; a few more may be told.
+
+    Within a patch the range may be less than at its corners, by the sag of an arc over its sides.
+    """
+    i = wp.tid()
+    start = patches.site_start[i]
+    a = place_in_image(frame, start)
+    b = place_in_image(frame, start + patches.site_first[i])
+    c = place_in_image(frame, start + patches.site_second[i])
+    least = wp.min(wp.min(a, b), c)
+    largest = wp.max(wp.max(a, b), c)
+    side = patches.site_first[i]
+    other = patches.site_second[i]
+    sag = (wp.dot(side, side) + wp.dot(other, other)) / frame.slant
+    reaches = wp.uint8(1)
+    if largest[0] < low[0] or largest[1] < low[1] or least[0] - sag > high[0] or least[1] > high[1]:
+        reaches = wp.uint8(0)
+    reaches_out[i] = reaches
 
 
 @wp.kernel(enable_backward=False)
@@ -322,10 +411,12 @@ def image_deposit_kernel(
     scale: float,
     # Out:
     grid_out: wp.array3d[wp.vec2],
+    count_out: wp.array[int],
 ):
     """Scatterers times e^{-j 2 pi turns} into WIDTH x WIDTH cells of a grid, (polarizations, rows, columns).
 
-    Rows are ranges from the track, columns azimuths. Scatterers near the grid's border are left out.
+    Rows are ranges from the track, columns azimuths. Scatterers near the grid's border are left out. Those of the
+    core are counted, into several places: one alone would be waited for.
     """
     i = wp.tid()
     some = float(0.0)
@@ -334,26 +425,27 @@ def image_deposit_kernel(
     if some == 0.0:
         return
     point = point_in[i]
-    azimuth = wp.dot(point, frame.u)
-    across = point - azimuth * frame.u
-    way = way_less_reference(frame.place, across, frame.slant)
+    place = place_in_image(frame, point)
+    way = place[0]
     row_at = (way - frame.start[0]) / frame.step[0]
-    column_at = (azimuth - frame.start[1]) / frame.step[1]
+    column_at = (place[1] - frame.start[1]) / frame.step[1]
     rows = grid_out.shape[1]
     columns = grid_out.shape[2]
     three = wp.float64(3.0)
     if row_at <= three or row_at >= wp.float64(rows - 4) or column_at <= three or column_at >= wp.float64(columns - 4):
         return
+    core = frame.core
+    if row_at >= core[0] and row_at < core[1] and column_at >= core[2] and column_at < core[3]:
+        wp.atomic_add(count_out, i % count_out.shape[0], 1)
     # A stripmap's beam passes over every point: its phase is that abeam, and its gain what lies across the track.
-    aimed = across
+    aimed = point - place[1] * frame.u
     if frame.stripmap == 0:
         way = way_less_reference(frame.centre, point, frame.centre_slant)
         aimed = point
     one_way = gain(frame.beam, frame.pulse, frame.receiver, aimed)
-    turns = way * frame.turns_per_metre
-    phase = -TWO_PI * float(turns - wp.round(turns))
-    c = scale * one_way * one_way * wp.cos(phase)
-    s = scale * one_way * one_way * wp.sin(phase)
+    phase = scale * one_way * one_way * turn(-way * frame.turns_per_metre)
+    c = phase[0]
+    s = phase[1]
     row = int(wp.ceil(row_at - HALF))
     column = int(wp.ceil(column_at - HALF))
     down = weights_from(float(wp.float64(row) - row_at))
@@ -364,3 +456,29 @@ def image_deposit_kernel(
         for r in range(WIDTH):
             for q in range(WIDTH):
                 wp.atomic_add(grid_out, p, row + r, column + q, down[r] * aside[q] * value)
+
+
+@wp.kernel(enable_backward=False)
+def respond_kernel(
+    # In:
+    grid_in: wp.array3d[wp.vec2],
+    first: int,  # the sample before the image's first one by half of the taps
+    every: int,
+    tap_in: wp.array[wp.vec2],
+    along: int,  # 1: over columns; 0: over rows
+    # Out:
+    image_out: wp.array3d[wp.vec2],
+):
+    """The system's response along one axis, at every `every`-th sample: a sum over taps."""
+    p, i, j = wp.tid()
+    total = wp.vec2()
+    start = first + every * wp.where(along != 0, j, i)
+    for t in range(tap_in.shape[0]):
+        value = wp.vec2()
+        if along != 0:
+            value = grid_in[p, i, start + t]
+        else:
+            value = grid_in[p, start + t, j]
+        tap = tap_in[t]
+        total += wp.vec2(value[0] * tap[0] - value[1] * tap[1], value[0] * tap[1] + value[1] * tap[0])
+    image_out[p, i, j] = total

@@ -99,14 +99,27 @@ def scattering_of(
 @wp.func
 def scattered(radar: TubeRadar, k: wp.float64, rough: RoughSurface, variant: int, place: Scatterer) -> Four:
     """What a scatterer sends back."""
-    one = wp.float64(1.0)
     sight = look(radar, place.point, 0.0)
-    s = sight.s
+    phase = sight.spread * sight.spread * turned(-wp.float64(2.0) * k * sight.back)
+    return scattered_toward(sight.s, phase, radar, k, rough, variant, place)
+
+
+@wp.func
+def scattered_toward(
+    s: wp.vec3d,
+    phase: wp.vec2d,
+    radar: TubeRadar,
+    k: wp.float64,
+    rough: RoughSurface,
+    variant: int,
+    place: Scatterer,
+) -> Four:
+    """The same toward `s`, with a factor `phase` of the way."""
+    one = wp.float64(1.0)
     n = place.normal
     if wp.dot(n, s) < wp.float64(0.0):
         n = -n
     model = scattering_of(rough, variant, k, -s, n, radar.u, radar.v)
-    phase = sight.spread * sight.spread * turned(-wp.float64(2.0) * k * sight.back)
     share = place.area / FOUR_PI
     bragg = root(share * (one - rough.specular_fraction) * model.scale) * product(place.diffuse, phase)
     mirror = root(share * rough.specular_fraction * model.lobe) * product(product(place.specular, phase), model.mirror)

@@ -77,9 +77,13 @@ def test_quiet_is_for_all_products(path: Path, product: str) -> None:
     assert (path.parent / "out" / "one.npz").exists()
 
 
-def test_too_many_scatterers_say_their_own_spacing(path: Path) -> None:
-    """That of the cells, not half a wavelength."""
-    made = scene(field(4e4, 4e4), collection={"resolution_m": (1.0, 1.0)}, shape=(16, 16), spacing=(0.5, 0.5))
+def test_too_many_scatterers_are_placed_in_parts(path: Path) -> None:
+    """A surface may have more than can be held at once; only all at once are refused, with their own spacing."""
+    made = scene(field(4e3, 4e3), collection={"resolution_m": (1.0, 1.0)}, shape=(16, 16), spacing=(0.5, 0.5))
     (plan,) = plans_of(made, wp.get_device("cpu"))
+    body = body_of(made, spacing_m(plan), wp.get_device("cpu"), 0)
+    assert len(body.patches) > 1e8
+    there = body.patches.on(body.device)
+    assert len(there.placed(slice(len(there) - 10, len(there)))) == 10
     with pytest.raises(InputError, match=rf"scatterers {spacing_m(plan):.3g} m apart".replace(".", r"\.")):
-        body_of(made, spacing_m(plan), wp.get_device("cpu"), 0)
+        _ = body.placed

@@ -15,8 +15,8 @@ from warpsar.cli.main import main
 from warpsar.collection import forecast as forecasting
 from warpsar.collection.bodies import Bodies
 from warpsar.collection.command import wide_tubes
-from warpsar.collection.direct import direct
-from warpsar.collection.forecast import FEWEST, forecast, together
+from warpsar.collection.direct import SAMPLE_BYTES, DirectImage, direct, direct_of_rough
+from warpsar.collection.forecast import FEWEST, forecast, room_of
 from warpsar.collection.history import phase_history
 from warpsar.collection.places import COARSE, GROUP, TubeTally
 from warpsar.collection.plan import plan_of
@@ -83,10 +83,12 @@ def test_the_scatterers_of_a_forecast(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_memory_is_bounded_or_refused() -> None:
     made, cpu = corner(), devices.resolve_device("cpu")
     plans = [plan_of(made, view, cpu) for view in made.views]
-    most = [together(made, plans, "slc", cpu, gib) for gib in (0.2, 0.3, 4.0)]
+    rooms = [room_of(made, plans, "slc", cpu, gib) for gib in (0.2, 0.3, 4.0)]
+    most = [room.together for room in rooms]
+    assert rooms[0].tile_bytes < rooms[1].tile_bytes < rooms[2].tile_bytes
     assert FEWEST <= most[0] < most[1] < most[2] == TOGETHER
     with pytest.raises(warpsar.InputError, match=r"slc: found .* GiB .*--max-memory allows 0.001 GiB"):
-        together(made, plans, "slc", cpu, 0.001)
+        room_of(made, plans, "slc", cpu, 0.001)
 
 
 @pytest.mark.parametrize("product", ["slc", "phase-history"])
@@ -124,3 +126,104 @@ def test_wide_tubes_of_a_sphere() -> None:
     plate = stream(scene(field(1.0, 1.0), **smooth), TOGETHER, once=True)
     list(plate.parts)
     assert plate.tally.wide == 0
+
+
+def town() -> warpsar.Scene:
+    """Rough ground with a block that stands on it, two polarizations, and more ground than the image shows."""
+    block = trimesh.creation.box((6.0, 5.0, 4.0))
+    block.apply_translation((1.0, 2.0, 2.0))
+    ground = field(60.0, 60.0)
+    mesh = warpsar.Mesh.of(
+        np.concatenate([ground.vertices, block.vertices]), np.concatenate([ground.faces, block.faces + 4])
+    )
+    rough = {"terms": ("rough",), "polarizations": ("HH", "HV")}
+    return scene(mesh, radar=rough, shape=(70, 90), spacing=(0.25, 0.25), collection={"focus": "direct"})
+
+
+def test_tiles_are_the_whole_image(device: str) -> None:
+    """To the rounding of sums in float32, which each takes in its own order. Each scatterer counts once."""
+    made, where = town(), devices.resolve_device(device)
+    plans = [plan_of(made, view, where) for view in made.views]
+    names = tuple(made.radar.polarizations)
+    image = DirectImage(plans[0], names, made.grid, where)
+    small = int(0.72 * SAMPLE_BYTES * len(names) * np.prod(image.samples((slice(0, 70), slice(0, 90)))))
+    assert len(image.tiles(small)) >= 4
+    images = []
+    for tile_bytes in (2**31, small):
+        bodies = Bodies(made, plans, where, 3, 2**16, tile_bytes)
+        images.append(direct_of_rough(bodies, plans[0]))
+    for name in names:
+        one, other = (image.images[name] for image in images)
+        assert np.abs(one - other).max() < 2e-6 * np.abs(one).max()
+    assert images[0].scatterers == images[1].scatterers > 10_000
+
+
+def test_a_part_of_a_surface_is_the_same_surface() -> None:
+    """Patches of a surface have the scatterers that they have in the whole, in any parts."""
+    made, cpu = town(), devices.resolve_device("cpu")
+    (plan,) = (plan_of(made, view, cpu) for view in made.views)
+    body = Bodies(made, [plan], cpu, 0).of(plan)
+    whole = body.patches.on(cpu).placed(slice(0, len(body.patches)))
+    some = np.arange(1, len(body.patches.face), 3)
+    part = body.patches.chosen(some)
+    placed = [part.on(cpu).placed(slice(a, min(a + 777, len(part)))) for a in range(0, len(part), 777)]
+    starts = body.patches.ends - body.patches.count
+    index = np.concatenate([np.arange(starts[i], body.patches.ends[i]) for i in some])
+    for name in ("point", "diffuse", "specular", "normal"):
+        found = np.concatenate([each.scatterers.numpy()[name] for each in placed])
+        assert np.array_equal(found, whole.scatterers.numpy()[name][index])
+    assert np.array_equal(
+        body.patches.faces_of(slice(5, 5005)), np.repeat(body.patches.face, body.patches.count)[5:5005]
+    )
+
+
+def test_patches_cover_their_faces() -> None:
+    """The parts of a face have its area, lie on it, and have as many scatterers as its area over a cell's."""
+    made, cpu = town(), devices.resolve_device("cpu")
+    (plan,) = (plan_of(made, view, cpu) for view in made.views)
+    body = Bodies(made, [plan], cpu, 0).of(plan)
+    patches = body.patches
+    assert len(patches.face) > 100
+    area = 0.5 * np.linalg.norm(np.cross(patches.first, patches.second), axis=1)
+    corners = body.shape.vertices[body.shape.faces]
+    of_face = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    np.testing.assert_allclose(np.bincount(patches.face, area), of_face, rtol=1e-9)
+    count = np.bincount(patches.face, patches.count)
+    np.testing.assert_allclose(count, of_face / patches.spacing_m**2, atol=np.sqrt(np.bincount(patches.face).max()))
+    point = body.scatterer_points.numpy()
+    places = point - corners[body.scatterer_faces, 0]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[body.scatterer_faces]
+    assert np.abs((places * normal).sum(axis=1)).max() < 1e-9 * np.abs(normal).max()
+    ground = point[np.isin(body.scatterer_faces, (0, 1))][:, :2]
+    found = np.histogram2d(*ground.T, bins=6)[0]
+    assert np.abs(found / found.mean() - 1.0).max() < 5.0 / np.sqrt(
+        found.mean()
+    )  # patches are strata: less than Poisson
+
+
+def test_numbers_of_scatterers_are_gaussian() -> None:
+    """Complex, of unit power, and independent: moments to 4 standard errors."""
+    made, cpu = town(), devices.resolve_device("cpu")
+    (plan,) = (plan_of(made, view, cpu) for view in made.views)
+    numbers = Bodies(made, [plan], cpu, 0).of(plan).scatterers.numpy()
+    one, other = (numbers[name] @ [1.0, 1.0j] for name in ("diffuse", "specular"))
+    n = len(one)
+    assert n > 1e5
+    for value in (one, other):
+        assert (np.abs(value) ** 2).mean() == pytest.approx(1.0, abs=4.0 / np.sqrt(n))
+        assert (np.abs(value) ** 4).mean() == pytest.approx(2.0, abs=4.0 * np.sqrt(20.0 / n))
+        assert np.abs((value**2).mean()) < 4.0 * np.sqrt(2.0 / n)
+        assert np.abs((value[1:] * value[:-1].conj()).mean()) < 4.0 / np.sqrt(n)
+    assert np.abs((one * other.conj()).mean()) < 4.0 / np.sqrt(n)
+
+
+def test_rough_faces_beside_tubes() -> None:
+    """Rough faces go into an image on the device, and tubes and edges by the stream: the image of one stream of all."""
+    made = scene(square_trihedral(0.3), radar=ALL, shape=(16, 16), collection={"focus": "direct"})
+    (image,) = warpsar.slc(made, device="cpu")
+    found = stream(made, TOGETHER, once=True)
+    whole = direct(found.plan, found, ("HH",), made.grid, devices.resolve_device("cpu")).images["HH"]
+    assert np.abs(image.images["HH"] - whole).max() < 1e-4 * np.abs(whole).max()
+    alone = stream(made, TOGETHER, once=True)
+    rough = direct_of_rough(Bodies(made, [alone.plan], alone.body.device, 0), alone.plan).images["HH"]
+    assert np.abs(rough).max() > 1e-3 * np.abs(whole).max()

@@ -4,7 +4,8 @@
 |---|---|
 | `joints.py` | which faces meet at which edge, also where a mesh is not welded |
 | `shape.py` | smooth surfaces with their normals, flat regions with their borders, wedges with their outer angles |
-| `rough.py` | the scatterers of rough faces |
+| `patches.py` | the scatterers of rough faces, placed in any parts where they are needed |
+| `rough.py` | the parameters of rough faces |
 | `rough_models.py` | which scatterers have a model beside `ka_spm`, and what their kernels look up |
 | `records.py` | arrays of a kernel's structs, filled on the host |
 | `body.py` | a shape and its materials on a device |

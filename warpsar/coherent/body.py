@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -11,9 +12,10 @@ import warp as wp
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
-from warpsar.coherent.records import field, records, upload
-from warpsar.coherent.rough import scatterers, surfaces
-from warpsar.coherent.rough_models import ScattererGroup, groups_of, refuse_tables
+from warpsar.coherent.patches import PlacedScatterers, RoughPatches
+from warpsar.coherent.records import records, upload
+from warpsar.coherent.rough import surfaces
+from warpsar.coherent.rough_models import ScattererGroup, refuse_tables
 from warpsar.coherent.shape import MeshShape, faces_alone, shape_of
 from warpsar.kernels.codes import Variant
 from warpsar.kernels.coherent import edges, radiate, reflection, rough, tubes
@@ -39,20 +41,12 @@ class CoherentBody:
     middle: wp.array
     along: wp.array
     materials: tuple[Material, ...]
-    hull: NDArray[np.float64]
-    """The vertices that can be outermost, (n, 3) [m]."""
     origin: NDArray[np.float64]
     """The body's middle about the scene's reference point, (3,) [m]. All other places are about the middle."""
     variant: int
     surfaces: wp.array
-    scatterers: wp.array | None
-    """Of rough faces; None without."""
-    scatterer_groups: tuple[ScattererGroup, ...]
-    """By their models; that of `ka_spm` comes first."""
-    scatterer_points: wp.array
-    scatterer_normals: wp.array
-    scatterer_faces: NDArray[np.int64]
-    """(n,)."""
+    patches: RoughPatches
+    """Of rough faces, on which scatterers lie."""
     seed: int
     """Of what rough faces draw."""
 
@@ -70,6 +64,7 @@ class CoherentBody:
 
         `spacing_m`: of the scatterers of rough faces, half a wavelength without it; `seed`: theirs, else the scene's.
         `rough_only`: for the term "rough" alone. Smooth surfaces, regions and wedges are then not worked out.
+        With a spacing there may be more scatterers than fit: they are placed in parts, by `patches`.
         Raises InputError for materials that lack what a term needs.
         """
         refuse_tables(world)
@@ -96,8 +91,9 @@ class CoherentBody:
         materials = tuple(world.materials[name] for name in mesh.materials)
         spacing = spacing_m or 0.5 * SPEED_OF_LIGHT / world.radar.frequency_hz
         seed = world.seed(seed)
-        found, owners = scatterers(shape, mesh.face_material, materials, spacing, seed)
-        places = upload(found, rough.Scatterer, device)
+        patches = RoughPatches.of(shape, mesh.face_material, materials, spacing, seed)
+        if spacing_m is None:
+            patches.refuse_many()
         return cls(
             device,
             shape,
@@ -109,17 +105,46 @@ class CoherentBody:
             upload(flat.middle, wp.vec3d, device),
             upload(flat.along, wp.vec3d, device),
             materials,
-            _hull(vertices),
             middle - np.asarray(world.reference_point_m, np.float64),
             int(Variant[world.radar.variant.upper()]),
             upload(surfaces(materials), rough.RoughSurface, device),
-            places if len(found) else None,
-            groups_of(found["material"], materials, seed, device),
-            field(places, "point", wp.vec3d),
-            field(places, "normal", wp.vec3d),
-            owners,
+            patches,
             seed,
         )
+
+    @cached_property
+    def hull(self) -> NDArray[np.float64]:
+        """The vertices that can be outermost, (n, 3) [m]."""
+        return _hull(self.shape.vertices)
+
+    @cached_property
+    def placed(self) -> PlacedScatterers:
+        """All scatterers of rough faces at once. Raises InputError where they are too many."""
+        self.patches.refuse_many()
+        return self.patches.on(self.device).placed(slice(0, len(self.patches)))
+
+    @property
+    def scatterers(self) -> wp.array | None:
+        """All of them; None without."""
+        return self.placed.scatterers if len(self.patches) else None
+
+    @property
+    def scatterer_groups(self) -> tuple[ScattererGroup, ...]:
+        """By their models; that of `ka_spm` comes first."""
+        return self.placed.groups
+
+    @property
+    def scatterer_points(self) -> wp.array:
+        return self.placed.points
+
+    @property
+    def scatterer_normals(self) -> wp.array:
+        return self.placed.normals
+
+    @cached_property
+    def scatterer_faces(self) -> NDArray[np.int64]:
+        """(n,)."""
+        return self.patches.faces_of(slice(0, len(self.patches)))
 
     def stuff(self, frequencies: int) -> wp.array:
         """The materials at each frequency, shape (frequencies, materials)."""

@@ -153,7 +153,7 @@ class RcsRequest:
         _refuse_size(azimuths.size * incidences.size, frequencies.size, there, scene.radar.max_bounces * layers)
         body = CoherentBody.of(scene, where)
         if "rough" in scene.radar.terms:
-            load(body.scatterer_groups, rough_kernel, where)
+            load(body.patches.kind, rough_kernel, where)
         _refuse_body(scene, body, SPEED_OF_LIGHT / frequencies.max(), rays_per_wavelength, there)
         found = cls(azimuths, incidences, frequencies, rays_per_wavelength, body, tuple(cautions(scene)))
         if max_memory_gib is not None and (needed := working_gib(scene, found, layers)) > max_memory_gib:
@@ -267,7 +267,7 @@ def working_gib(scene: World, asked: RcsRequest, layers: bool) -> float:
     """What a sweep holds [GiB]: rough places, the launches of all threads, and the amplitudes."""
     device, bounces = asked.body.device, scene.radar.max_bounces if "multibounce" in scene.radar.terms else 1
     kind, several = ("cpu", threads.thread_count()) if device.is_cpu else ("cuda", 1)
-    rough = 0 if asked.body.scatterers is None else asked.body.scatterers.shape[0]
+    rough = len(asked.body.patches)
     launches = several * (RAYS_TOGETHER[kind] * bounces * HIT_BYTES + (FACE_BYTES[kind] if rough else 0))
     amplitudes = _amplitudes_gib(len(asked.directions), asked.frequencies.size, scene.radar.max_bounces * layers)
     return amplitudes + (_ROUGH_BYTES * rough + launches) / 2**30

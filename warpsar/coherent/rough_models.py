@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from itertools import pairwise
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -58,46 +57,18 @@ class ScattererGroup:
         """The kernel, and its inputs beyond those of the `default` one, which is that of `ka_spm`."""
         if self.crossed is None:
             return default, []
-        return self.kernel(make), [tables, self.crossed]
-
-    def kernel(self, make: Callable[[str, bool], wp.Kernel]) -> wp.Kernel:
-        """That of its model, with or without a learned term."""
-        return make(registry.names()[self.kind // 2], bool(self.kind % 2))
-
-    def cut(self, step: int, some: slice) -> Iterator[ScattererGroup]:
-        """Of the scatterers `some`, those of this kind, in pieces of `step` at most."""
-        start = self.part.start
-        end = min(self.part.stop, some.stop)
-        for first in range(max(start, some.start), end, step):
-            last = min(first + step, end)
-            crossed = None if self.crossed is None else self.crossed[first - start : last - start]
-            yield replace(self, part=slice(first, last), crossed=crossed)
+        return kernel_of(self.kind, make), [tables, self.crossed]
 
 
-def groups_of(
-    material: NDArray[np.int32], materials: Sequence[Material], seed: int, device: wp.Device
-) -> tuple[ScattererGroup, ...]:
-    """The kinds of scatterers with these materials, (n,), which lie together by their kinds.
-
-    Numbers of double scattering are a stream of their own. So those of `ka_spm` do not depend on them.
-    """
-    random = np.random.default_rng(seed).spawn(1)[0]
-    kind = np.array([kind_of(each) for each in materials])[material]
-    starts = np.flatnonzero(np.diff(kind, prepend=-1))
-    found = []
-    for start, stop in pairwise([*starts.tolist(), len(kind)]):
-        crossed = None
-        if kind[start]:
-            crossed = upload(random.standard_normal((stop - start, 2)) * np.sqrt(0.5), wp.vec2d, device)
-        found.append(ScattererGroup(int(kind[start]), slice(start, stop), crossed))
-    return tuple(found)
+def load(kinds: NDArray[np.int64], make: Callable[[str, bool], wp.Kernel], device: wp.Device) -> None:
+    """Compile the kinds' kernels, or load them from Warp's cache, before threads launch them."""
+    for kind in np.unique(kinds[kinds > 0]).tolist():
+        wp.load_module(kernel_of(kind, make).module, device=device)
 
 
-def load(groups: Sequence[ScattererGroup], make: Callable[[str, bool], wp.Kernel], device: wp.Device) -> None:
-    """Compile the groups' kernels, or load them from Warp's cache, before threads launch them."""
-    for group in groups:
-        if group.crossed is not None:
-            wp.load_module(group.kernel(make).module, device=device)
+def kernel_of(kind: int, make: Callable[[str, bool], wp.Kernel]) -> wp.Kernel:
+    """That of the kind's model, with or without a learned term."""
+    return make(registry.names()[kind // 2], bool(kind % 2))
 
 
 def tables_of(materials: Sequence[Material], k: NDArray[np.float64], device: wp.Device) -> Any:

@@ -145,7 +145,7 @@ class Worker:
         device, kind = body.device, "cpu" if body.device.is_cpu else "cuda"
         bounces = max_bounces if "multibounce" in terms else 1
         self.stuff = body.stuff(len(k))
-        others = "rough" in terms and any(group.crossed is not None for group in body.scatterer_groups)
+        others = "rough" in terms and bool(body.patches.kind.any())
         self.tables = rough_models.tables_of(body.materials, k, device) if others else None
         self.tracer = Tracer(body, k, self.stuff, bounces, levels, max(bounces, 2) if layers else 2)
         self.wavenumbers, self.task = self.tracer.wavenumbers, _RAYS_OF_TASK[kind]
@@ -166,8 +166,7 @@ class Worker:
 
     def _bytes_of_view(self) -> int:
         """What faces, edges and scatterers take of a direction: what it sees, and the sums of their chunks."""
-        places = self.body.scatterers
-        points = max(self.samples.shape[0], self.edges.shape[0], places.shape[0] if places is not None else 0)
+        points = max(self.samples.shape[0], self.edges.shape[0], len(self.body.patches))
         return points + points * len(self.k) * 4 * 16 // min(radiate.REGIONS, edges.EDGES, rough.SCATTERERS) + 1
 
     def __call__(self, directions: Directions) -> AmplitudeSweep:

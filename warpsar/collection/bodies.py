@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
 import warp as wp
 
 from warpsar.coherent.body import CoherentBody
-from warpsar.coherent.records import upload
+from warpsar.coherent.patches import PatchesOnDevice
 from warpsar.collection.plan import Plan
 from warpsar.collection.scatterers import TOGETHER, body_of, spacing_m
 from warpsar.scene.scene import Scene
 
+TILE_BYTES = 2**31
+"""Memory of a tile of an image, where nobody says how much there may be."""
 ALIKE = 0.9
 """Views share a body whose scatterers are this close to the spacing that they need, or closer."""
 
@@ -25,28 +26,36 @@ class Bodies:
     """
 
     def __init__(
-        self, world: Scene, plans: Sequence[Plan], device: wp.Device, seed: int, together: int = TOGETHER
+        self,
+        world: Scene,
+        plans: Sequence[Plan],
+        device: wp.Device,
+        seed: int,
+        together: int = TOGETHER,
+        tile_bytes: int = TILE_BYTES,
     ) -> None:
-        """`together`: scatterers that are held at a time while they are seen."""
+        """`together`: scatterers that are held at a time while they are seen; `tile_bytes`: memory of an image's
+        tile."""
         self.world, self.device, self.seed, self.together = world, device, seed, together
+        self.tile_bytes = tile_bytes
         self._spacings = sorted(map(spacing_m, plans))
         self._spacing = 0.0
         self._body: CoherentBody | None = None
-        self._places: wp.array | None = None
+        self._patches: PatchesOnDevice | None = None
 
     def of(self, plan: Plan) -> CoherentBody:
         """The body for one of the plans, made where the last one does not serve."""
         needed = spacing_m(plan)
         spacing = next(one for one in self._spacings if one >= ALIKE * needed)
         if self._body is None or spacing != self._spacing:
-            self._body, self._spacing, self._places = None, spacing, None  # a device may not hold two
+            self._body, self._spacing, self._patches = None, spacing, None  # a device may not hold two
             self._body = body_of(self.world, spacing, self.device, self.seed)
         return self._body
 
-    def rough_places(self, plan: Plan) -> wp.array:
-        """Places of the body's rough scatterers about the reference point, (n,), vec3d [m], in the frame of `Site`."""
+    def patches(self, plan: Plan) -> PatchesOnDevice:
+        """Patches of the body's rough faces, with their places about the reference point, in the frame of `Site`."""
         body = self.of(plan)
-        if self._places is None:
-            world = body.scatterer_points.numpy() + body.origin + np.asarray(self.world.reference_point_m)
-            self._places = upload(plan.site.about(world), wp.vec3d, self.device)
-        return self._places
+        if self._patches is None:
+            middle = body.origin + plan.site.reference_m
+            self._patches = body.patches.on(self.device, lambda point: plan.site.about(point + middle))
+        return self._patches

@@ -13,8 +13,8 @@ import numpy as np
 import warp as wp
 
 from warpsar.collection.bodies import Bodies
-from warpsar.collection.direct import direct, direct_of_rough, refuse_direct
-from warpsar.collection.forecast import forecast, together
+from warpsar.collection.direct import DirectImage, direct, direct_of_rough, refuse_direct, rough_of
+from warpsar.collection.forecast import forecast, placed_on_device, room_of
 from warpsar.collection.history import Collected
 from warpsar.collection.history import phase_history as recorded
 from warpsar.collection.noise import with_image_noise, with_noise
@@ -90,38 +90,52 @@ def _focused(bodies: Bodies, plan: Plan, index: int) -> Slc:
             return focused(made, world.grid, device)
     refuse_direct(plan, world.name)
     load_kernels(device)
-    if rough_alone(world) and not plan.moves_scatterers:
-        with busy(f"{plan.view.name}: scatterers into the image"):
-            image = direct_of_rough(bodies, plan)
-    else:
+    names = tuple(world.radar.polarizations)
+    if not placed_on_device(world, plan):
         with _stream(bodies, plan, once=True) as found:
-            image = direct(plan, found, tuple(world.radar.polarizations), world.grid, device)
+            image = direct(plan, found, names, world.grid, device, bodies.tile_bytes)
+    elif rough_alone(world):
+        tiles = len(DirectImage(plan, names, world.grid, device).tiles(bodies.tile_bytes))
+        with _warned_of_band(bodies, plan), console.share(f"{plan.view.name}: scatterers", tiles) as bar:
+            image = direct_of_rough(bodies, plan, bar)
+        if not image.scatterers:
+            console.warn([f"{plan.view.name}: no rough face that the radar sees lies in the image"])
+    else:
+        with _stream(bodies, plan, once=True, rough=False) as found:
+            image = direct(plan, found, names, world.grid, device, bodies.tile_bytes, rough_of(bodies, plan))
     return with_image_noise(image, bodies.seed + 7919 * index)
 
 
 @contextmanager
-def _stream(bodies: Bodies, plan: Plan, *, once: bool = False) -> Iterator[Stream]:
-    """The scatterers of one view, under a bar; `once`: as the middle of the track sees them. Warns at the end."""
+def _stream(bodies: Bodies, plan: Plan, *, once: bool = False, rough: bool = True) -> Iterator[Stream]:
+    """The scatterers of one view, under a bar; `once`: as the middle of the track sees them; `rough`: with those of
+    rough faces. Warns at the end."""
     name = plan.view.name
     with busy(f"{name}: rough faces"):
         body = bodies.of(plan)
-    found = Stream(bodies.world, plan, body, once=once, together=bodies.together, seed=bodies.seed)
-    with console.share(f"{name}: scatterers", found.looks) as bar:
+    found = Stream(bodies.world, plan, body, once=once, together=bodies.together, seed=bodies.seed, rough=rough)
+    with _warned_of_band(bodies, plan), console.share(f"{name}: scatterers", found.looks) as bar:
         found.progress = bar
         yield found
-    if not found.count:
+    if not found.count and rough:
         console.warn([f"{name}: nothing sends back; radar.terms are {', '.join(bodies.world.radar.terms)}"])
+    console.warn(f"{name}: {told}" for told in wide_tubes(found.tally))
+
+
+@contextmanager
+def _warned_of_band(bodies: Bodies, plan: Plan) -> Iterator[None]:
+    """Warns at the end where amplitudes are those of the middle of a wide band."""
+    yield
     if plan.bandwidth_hz > WIDE_BAND * plan.centre_hz:
-        error = band_error_db(bodies.world, plan, body)
+        error = band_error_db(bodies.world, plan, bodies.of(plan))
         if error > SAID_DB:
             share = 100.0 * plan.bandwidth_hz / plan.centre_hz
             console.warn(
                 [
-                    f"{name}: a band of {share:.2g} % of its middle frequency has the amplitudes of "
+                    f"{plan.view.name}: a band of {share:.2g} % of its middle frequency has the amplitudes of "
                     f"{plan.centre_hz / 1e9:.4g} GHz; at its ends they are wrong by up to {error:.2g} dB"
                 ]
             )
-    console.warn(f"{name}: {told}" for told in wide_tubes(found.tally))
 
 
 def wide_tubes(tally: TubeTally) -> list[str]:
@@ -139,8 +153,8 @@ def wide_tubes(tally: TubeTally) -> list[str]:
 
 
 def load_kernels(device: wp.Device) -> None:
-    names = ("coherent.tubes", "coherent.radiate", "coherent.edges", "coherent.rough", "collection", "backproject")
-    devices.load_kernels(device, *names)
+    coherent = ("tubes", "radiate", "edges", "rough", "placing")
+    devices.load_kernels(device, *(f"coherent.{name}" for name in coherent), "collection", "backproject")
 
 
 def run(
@@ -164,12 +178,12 @@ def run(
     refuse_unlikely_size(scene, yes)
     where, out = devices.resolve_device(device), Path(out)
     plans = plans_of(scene, where, product)
-    most = together(scene, plans, product, where, max_memory_gib)
+    room = room_of(scene, plans, product, where, max_memory_gib)
     make_folder(out)
     console.say_device(where)
     warnings = [*scene.warnings, *_warnings(scene)]
     console.warn(warnings)
-    bodies = Bodies(scene, plans, where, scene.seed(seed), most)
+    bodies = Bodies(scene, plans, where, scene.seed(seed), room.together, room.tile_bytes)
     load_kernels(where)
     with busy("estimating time and memory"):
         told = forecast(bodies, plans, product)

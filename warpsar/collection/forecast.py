@@ -12,6 +12,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from warpsar.coherent.patches import SIDE, SIDE_M
 from warpsar.collection import direct, history, slc
 from warpsar.collection.bodies import Bodies
 from warpsar.collection.places import COARSE, GROUP, Places
@@ -32,14 +33,21 @@ _CELLS = 2**16
 """Coarse cells of the sample."""
 _SAMPLE_S = 1.0
 """How long tubes of the sample are traced."""
-_ROUGH_BYTES = 300
-"""Of a rough place while the body is made: on the host, on the device, and what it is drawn from."""
+_SAMPLE_SIDE = 96
+"""Half of the pixels of a side of a tile of the sample, at most."""
+_SAMPLE_TILES = 3
+"""Tiles of a direct image that are made for the forecast."""
+_PATCH_BYTES = 800
+"""Of a patch of rough faces: on the host, on the device, and for the tiles that it reaches."""
 _HELD_BYTES = 300
 """Of a scatterer that is held: as it is seen, as it is joined to others, and on the device."""
 _HIT_BYTES = 300
 """Of a hit of a tube, and what is made of it, in a launch of `GROUP` cells."""
-_SAMPLE_BYTES, _PIXEL_BYTES = 24, 96
-"""Of a sample of phase history, and of a pixel of a complex image in one polarization, with their copies."""
+_SAMPLE_BYTES, _PIXEL_BYTES, _FOCUS_BYTES = 24, 40, 56
+"""Of a sample of phase history, and of a pixel of a complex image in one polarization, with their copies; and what a
+pixel takes beside it while it is backprojected."""
+_LEAST_TILE = 2**24
+"""Bytes of a tile of a direct image, in one polarization, at least."""
 
 
 @dataclass(frozen=True)
@@ -58,32 +66,49 @@ class CollectionForecast:
         )
 
 
+def placed_on_device(world: World, plan: Plan) -> bool:
+    """Whether scatterers of rough faces are placed, seen and deposited into a direct image without leaving the device:
+    not where effects change them."""
+    return "rough" in world.radar.terms and plan.table.focus == "direct" and not plan.moves_scatterers
+
+
 def held_gib(world: World, plan: Plan, product: str) -> float:
-    """Memory of one view that no smaller parts of the work save [GiB]: rough places, a launch of tubes, the product."""
-    corners = world.mesh.vertices[world.mesh.faces]
-    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    rough = np.array([world.materials[name].rms_height_m != 0.0 for name in world.mesh.materials])
-    places = area[rough[world.mesh.face_material]].sum() / spacing_m(plan) ** 2 if "rough" in world.radar.terms else 0.0
+    """Memory of one view that no smaller parts of the work save [GiB]: patches, a launch of tubes, the product."""
     several = len(world.radar.polarizations)
-    total = _ROUGH_BYTES * places
+    total = 0.0
+    if "rough" in world.radar.terms:
+        total += _PATCH_BYTES * _patches(world, spacing_m(plan))
     if {"single", "multibounce"} & set(world.radar.terms):
         bounces = world.radar.max_bounces if "multibounce" in world.radar.terms else 1
         total += _HIT_BYTES * bounces * GROUP * COARSE**2
     if product == "phase-history" or plan.table.focus == "backprojection":
         total += _SAMPLE_BYTES * several * plan.frequencies * len(plan.track)
     if product == "slc":
-        fine = 1.0
-        if plan.table.focus == "direct":
-            steps = zip(world.grid.spacing_m, plan.cells_m, strict=True)
-            fine = math.prod(math.ceil(step / (0.5 * cell)) for step, cell in steps)
-        total += _PIXEL_BYTES * several * fine * math.prod(world.grid.shape)
+        total += _PIXEL_BYTES * several * math.prod(world.grid.shape)
+        total += _LEAST_TILE * several if plan.table.focus == "direct" else _FOCUS_BYTES * math.prod(world.grid.shape)
     return float(total / 2**30)
 
 
-def together(world: World, plans: Sequence[Plan], product: str, device: wp.Device, max_memory_gib: float | None) -> int:
-    """Scatterers that may be held at a time.
+def _patches(world: World, spacing: float) -> float:
+    """How many patches rough faces have."""
+    corners = world.mesh.vertices[world.mesh.faces]
+    rough = np.array([world.materials[name].rms_height_m != 0.0 for name in world.mesh.materials])
+    longest = np.linalg.norm(corners[:, [1, 2, 0]] - corners, axis=2).max(axis=1)[rough[world.mesh.face_material]]
+    return float((np.ceil(longest / min(SIDE * spacing, SIDE_M)).clip(1.0) ** 2).sum())
 
-    Raises InputError where even the fewest do not fit into `max_memory_gib`, or into the device's memory without it.
+
+@dataclass(frozen=True)
+class Room:
+    """What may be held at a time: scatterers, and bytes of a direct image's tile."""
+
+    together: int
+    tile_bytes: int
+
+
+def room_of(world: World, plans: Sequence[Plan], product: str, device: wp.Device, max_memory_gib: float | None) -> Room:
+    """What memory leaves room for.
+
+    Raises InputError where even the least does not fit into `max_memory_gib`, or into the device's memory without it.
     """
     there = default_gib(device) if max_memory_gib is None else max_memory_gib
     held = max(held_gib(world, plan, product) for plan in plans)
@@ -91,11 +116,14 @@ def together(world: World, plans: Sequence[Plan], product: str, device: wp.Devic
     if least > there:
         what = "--max-memory" if max_memory_gib is not None else "the memory that this machine can give"
         raise InputError(
-            f"{world.name}: {product}: found {least:.3g} GiB for rough places, tubes, phase history and image, beside "
+            f"{world.name}: {product}: found {least:.3g} GiB for the surface, tubes, phase history and image, beside "
             f"the scatterers that are held in turn; {what} allows {there:.3g} GiB; ask for fewer pixels, pulses or "
             f"polarizations, fewer scatterers_per_cell of [collection], or a smaller mesh"
         )
-    return int(min(TOGETHER, (there - held) * 2**30 / _HELD_BYTES))
+    left = (there - held) * 2**30
+    together = int(min(TOGETHER, max(0.5 * left / _HELD_BYTES, FEWEST)))
+    least_tile = _LEAST_TILE * len(world.radar.polarizations)
+    return Room(together, int(max(left - together * _HELD_BYTES, 0.0)) + least_tile)
 
 
 def forecast(bodies: Bodies, plans: Sequence[Plan], product: str) -> CollectionForecast | None:
@@ -110,27 +138,97 @@ def forecast(bodies: Bodies, plans: Sequence[Plan], product: str) -> CollectionF
     started = time.perf_counter()
     body = bodies.of(first)
     built = time.perf_counter() - started
-    stream = Stream(world, first, body, once=once, together=FEWEST)
+    apart = once and placed_on_device(world, first)
+    stream = Stream(world, first, body, once=once, together=FEWEST, rough=not apart)
     rough, tubes = _rough(stream), _tubes(stream)
     parts = [*rough.parts, *tubes.parts]
     seconds = built * (len({spacing_m(plan) for plan in plans}) - 1)
     scatterers = 0.0
-    deposit = _Deposit.of(bodies, first, parts, once)
+    deposit = _Deposit.of(bodies, first, parts, once) if parts or not once else _Deposit(0.0, 0.0)
+    tiled = _Tiled.of(bodies, first) if once else None
     for plan in plans:
-        mine = stream if plan is first else Stream(world, plan, body, once=once, together=FEWEST)
+        mine = stream if plan is first else Stream(world, plan, body, once=once, together=FEWEST, rough=not apart)
+        again = 1 if tiled is None else tiled.tiles  # tubes are traced for each tile
         for knots, kind in ((mine.rough_knots, rough), (mine.tube_knots, tubes)):
             seen = 1 if once else (fading(plan, knots) > 0.0).sum(axis=1)
             several = kind.scatterers * (1 + len(plan.copies))
             scatterers += several * len(knots)
-            seconds += kind.seconds * len(knots) + deposit.each * several * float(np.sum(seen))
+            seconds += again * (kind.seconds * len(knots) + deposit.each * several * float(np.sum(seen)))
         pulses = 1 if once else len(plan.track)
         batches = math.ceil(max(scatterers, 1.0) / len(plans) / bodies.together)
-        seconds += deposit.whole * (pulses * batches if not once else 1)
-    if product == "slc":
-        seconds += len(plans) * (_picture(world) + (0.0 if once else _focusing(bodies, first)))
+        seconds += 0.0 if once else deposit.whole * pulses * batches
     held = max(held_gib(world, plan, product) for plan in plans)
     gib = held + min(bodies.together, scatterers / len(plans)) * _HELD_BYTES / 2**30
+    if tiled is not None:
+        seconds += len(plans) * tiled.seconds
+        scatterers += len(plans) * tiled.scatterers
+        gib = held + (tiled.bytes + min(bodies.together, scatterers / len(plans)) * _HELD_BYTES) / 2**30
+    if product == "slc":
+        seconds += len(plans) * (_picture(world) + (0.0 if once else _focusing(bodies, first)))
     return CollectionForecast(len(plans), scatterers, seconds, gib) if seconds > LONG_S else None
+
+
+@dataclass(frozen=True)
+class _Tiled:
+    """A direct image: its tiles, what one takes, and the seconds and scatterers of all with rough faces in them."""
+
+    tiles: int
+    bytes: float
+    seconds: float
+    scatterers: float
+
+    @classmethod
+    def of(cls, bodies: Bodies, plan: Plan) -> _Tiled:
+        """By small tiles along the image's diagonal: once without scatterers, and once with."""
+        world, device, names = bodies.world, bodies.device, tuple(bodies.world.radar.polarizations)
+        image = direct.DirectImage(plan, names, world.grid, device)
+        tiles = image.tiles(bodies.tile_bytes)
+        samples = [math.prod(image.samples(tile)) for tile in tiles]
+        size = float(max(samples)) * direct.SAMPLE_BYTES * len(names)
+        small = [_middle(world.grid.shape, (i + 0.5) / _SAMPLE_TILES) for i in range(_SAMPLE_TILES)]
+        image.made(small[0], lambda *_: [])  # loads the kernels
+        empty = timed(lambda: [image.made(tile, lambda *_: []) for tile in small])[0]
+        each = empty / sum(math.prod(image.samples(tile)) for tile in small)
+        seconds = each * sum(samples)
+        if not placed_on_device(world, plan):
+            return cls(len(tiles), size, seconds, 0.0)
+        seen, patches = direct.rough_of(bodies, plan), bodies.patches(plan)
+
+        def placed(tile: direct.Tile) -> int:
+            return len(direct.within(patches, image.frame(tile), *image.reach(tile)))
+
+        if len(patches):
+            image.made(_middle(world.grid.shape, 0.5, 1), seen)  # loads the kernels of the materials
+        spent = traced = inside = 0.0
+        made: list[direct.Tile] = []
+        for tile in small:
+            time_s, (_, count) = timed(partial(image.made, tile, seen))
+            spent, traced, inside = spent + time_s, traced + placed(tile), inside + count
+            made.append(tile)
+            if spent > _SAMPLE_S * _SAMPLE_TILES:
+                break
+        each = max(spent - empty * len(made) / len(small), 0.0) / max(traced, 1.0)
+        seconds += each * sum(placed(tile) for tile in tiles)
+        # Of what is placed for an area some is hidden. The sample says how much of it.
+        area = sum(math.prod(image.samples(tile)) for tile in made)
+        pixels = sum(_pixels(tile) for tile in made)
+        whole = slice(0, world.grid.shape[0]), slice(0, world.grid.shape[1])
+        seen_share = inside / pixels / max(traced / area, 1e-9)
+        count = seen_share * placed(whole) / math.prod(image.samples(whole)) * _pixels(whole)
+        return cls(len(tiles), size, seconds, count)
+
+
+def _pixels(tile: direct.Tile) -> int:
+    return math.prod(some.stop - some.start for some in tile)
+
+
+def _middle(shape: tuple[int, int], share: float, side: int = 0) -> direct.Tile:
+    """A small tile at a share of both sides of an image."""
+    rows, columns = (
+        slice(max(int(share * n) - half, 0), min(int(share * n) + half + 1, n))
+        for n, half in ((n, side or max(1, min(n // 8, _SAMPLE_SIDE))) for n in shape)
+    )
+    return rows, columns
 
 
 @dataclass(frozen=True)
@@ -144,15 +242,13 @@ class _Look:
 
 def _rough(stream: Stream) -> _Look:
     """Of rough places, by three stretches of them."""
-    places = stream.body.scatterers
-    if not len(stream.rough_knots) or places is None:
+    total, knot = len(stream.body.patches), stream.plan.middle
+    if not len(stream.rough_knots) or not total:
         return _Look(0.0, 0.0, ())
-    total, knot = places.shape[0], stream.plan.middle
     size = max(1, min(total // 3, 2 * FEWEST * threads.thread_count()))
-    stream.rough(knot, slice(0, min(total, 16)))  # loads the kernels
-    spent, found = timed(
-        lambda: [stream.rough(knot, slice(a, a + size)) for a in np.linspace(0, total - size, 3).astype(int).tolist()]
-    )
+    list(stream.rough(knot, slice(0, min(total, 16))))  # loads the kernels
+    starts = np.linspace(0, total - size, 3).astype(int).tolist()
+    spent, found = timed(lambda: [some for a in starts for some in stream.rough(knot, slice(a, a + size))])
     whole = total / (3.0 * size)
     return _Look(spent * whole, whole * sum(len(some.face) for some in found), _alike(stream, found))
 

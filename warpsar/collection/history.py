@@ -239,11 +239,22 @@ def undeposited(spectrum: NDArray[np.complex64], count: int) -> NDArray[np.compl
 
 @cache
 def spread_transform(bins: int, count: int) -> NDArray[np.float32]:
-    """The transform of the deposit's weights at the middle `count` of `bins` frequencies, (count,), by quadrature."""
+    """The transform of the deposit's weights at the middle `count` of `bins` frequencies, (count,)."""
+    order = np.arange(count) - count // 2
+    return spread_transform_at(order / bins).astype(np.float32)
+
+
+def spread_transform_at(turns_per_bin: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The transform of the deposit's weights at some frequencies, (n,), by quadrature."""
+    node, weight = _nodes()
+    half = 0.5 * int(kernels.WIDTH)
+    found: NDArray[np.float64] = half * weight @ np.cos(2.0 * np.pi * half * node[:, None] * turns_per_bin)
+    return found
+
+
+@cache
+def _nodes() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Places on one half of a deposit, in its halves, and the weights of their cosines."""
     node, weight = np.polynomial.legendre.leggauss(64)
     value = np.exp(float(kernels.BETA) * (np.sqrt(1.0 - node**2) - 1.0))
-    half = 0.5 * int(kernels.WIDTH)
-    order = np.arange(count) - count // 2
-    phase = 2.0 * np.pi * half * node[:, None] * order / bins
-    found: NDArray[np.float32] = (half * (weight * value) @ np.cos(phase)).astype(np.float32)
-    return found
+    return node[32:], 2.0 * (weight * value)[32:]

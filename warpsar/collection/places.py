@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from warpsar.coherent import rays as cells
 from warpsar.coherent.body import CoherentBody
 from warpsar.coherent.directions import Directions
+from warpsar.coherent.patches import PatchesOnDevice, PlacedScatterers
 from warpsar.coherent.records import host, records, upload
-from warpsar.coherent.rough_models import ScattererGroup, load
+from warpsar.coherent.rough_models import load
 from warpsar.coherent.sweep import Worker
 from warpsar.coherent.traced import TURN, Traced
 from warpsar.kernels import collection as kernels
@@ -31,8 +32,8 @@ FAINT = 1e-6
 GROUP = 64
 """Coarse cells that are traced together at least: what is left out does not depend on the memory."""
 
-_TOGETHER = 2**14
-"""Rough places that a thread of the CPU takes at a time."""
+_TOGETHER, _TOGETHER_CUDA = 2**14, 2**22
+"""Rough places that a thread of the CPU takes at a time, and a launch on CUDA."""
 
 
 @dataclass(frozen=True)
@@ -63,29 +64,44 @@ def worker_of(body: CoherentBody, k: float, terms: tuple[str, ...], max_bounces:
     return Worker(body, np.array([k]), spacing, terms, max_bounces, 0, 1.0)
 
 
-def rough_amplitudes(worker: Worker, radar: wp.array, chosen: slice | None = None) -> tuple[wp.array, int]:
-    """Of the body's rough places, or of those `chosen`, (n, 4) on the device, 0 where they are not seen; and how many
-    are seen."""
+@dataclass(frozen=True)
+class SeenPlaces:
+    """Rough places on a device as a sensor sees them: amplitudes (n, 4) [m] without the way's phase, 0 where hidden."""
+
+    placed: PlacedScatterers
+    amplitude: wp.array
+
+
+def rough_amplitudes(worker: Worker, radar: wp.array, placed: PlacedScatterers) -> wp.array:
+    """What some rough places send back, (n, 4) on the device, 0 where they are not seen."""
     body, device = worker.body, worker.body.device
-    assert body.scatterers is not None
-    places = body.scatterers
-    chosen = chosen or slice(0, places.shape[0])
-    count = chosen.stop - chosen.start
-    out = wp.zeros((count, 4), dtype=wp.vec2, device=device)
+    out = wp.zeros((len(placed), 4), dtype=wp.vec2, device=device)
+    seen = worker.free(radar, placed.points, placed.normals, both_sides=True)
+    for group in placed.groups:
+        part = group.part
+        kernel, more = group.launched(kernels.rough_places_kernel, rough_places_kernel, worker.tables)
+        inputs = [radar, float(worker.k[0]), body.surfaces, body.variant, placed.scatterers[part], seen[:, part], *more]
+        wp.launch(kernel, part.stop - part.start, inputs=inputs, outputs=[out[part]], device=device)
+    return out
 
-    def some(piece: ScattererGroup) -> int:
-        part = piece.part
-        seen = worker.free(radar, body.scatterer_points[part], body.scatterer_normals[part], both_sides=True)
-        kernel, more = piece.launched(kernels.rough_places_kernel, rough_places_kernel, worker.tables)
-        inputs = [radar, float(worker.k[0]), body.surfaces, body.variant, places[part], seen, *more]
-        found = out[part.start - chosen.start : part.stop - chosen.start]
-        wp.launch(kernel, part.stop - part.start, inputs=inputs, outputs=[found], device=device)
-        return int(np.count_nonzero(seen.numpy()))
 
-    load(body.scatterer_groups, rough_places_kernel, device)
-    step = _TOGETHER if device.is_cpu else count
-    tasks = [partial(some, piece) for group in body.scatterer_groups for piece in group.cut(step, chosen)]
-    return out, sum(threads.ordered(tasks, device))
+def rough_seen(
+    worker: Worker, radar: wp.array, there: PatchesOnDevice, some: slice, together: int
+) -> Iterator[SeenPlaces]:
+    """Rough places from one number to another, placed and seen in parts; at most `together` are held at a time."""
+    device = worker.body.device
+
+    def part(first: int, last: int) -> SeenPlaces:
+        placed = there.placed(slice(first, last))
+        return SeenPlaces(placed, rough_amplitudes(worker, radar, placed))
+
+    load(worker.body.patches.kind, rough_places_kernel, device)
+    step = min(_TOGETHER if device.is_cpu else _TOGETHER_CUDA, max(together, 1))
+    batch = max(together // step, 1) * step
+    for start in range(some.start, some.stop, batch):
+        end = min(start + batch, some.stop)
+        tasks = [partial(part, first, min(first + step, end)) for first in range(start, end, step)]
+        yield from threads.ordered(tasks, device)
 
 
 def edge_places(worker: Worker, radar: wp.array) -> Places:

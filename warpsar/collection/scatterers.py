@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from warpsar.coherent.body import CoherentBody
+from warpsar.coherent.patches import PatchesOnDevice
 from warpsar.coherent.sweep import POLARIZATIONS, RAYS_PER_WAVELENGTH
 from warpsar.collection import places
 from warpsar.collection.moved import moved
@@ -28,6 +30,8 @@ TUBE_STEP_DEG = 0.5
 """Between those from which tubes are traced: the effective place of several bounces is right to first order."""
 TOGETHER = 2**20
 """Scatterers that are held at a time, where memory does not ask for fewer."""
+BAND_SAMPLE = 2**20
+"""About so many rough places tell how amplitudes change within the band."""
 FAR_FIELD = float(np.sqrt(np.float32(4.0 * np.pi)))
 """From the engine's amplitude A to one whose power is the RCS."""
 
@@ -91,7 +95,7 @@ class Stream:
 
     `once`: seen from the middle of the track alone. `together`: the most scatterers of a part; the memory that they
     take is bounded by it. `progress` counts the places of the track that are done, by fractions. `seed` draws what
-    effects draw of scatterers.
+    effects draw of scatterers. `rough`: with those of rough faces.
     """
 
     def __init__(
@@ -105,6 +109,7 @@ class Stream:
         together: int = TOGETHER,
         progress: Any = None,
         seed: int = 0,
+        rough: bool = True,
     ) -> None:
         k = 2.0 * np.pi * plan.centre_hz / SPEED_OF_LIGHT
         terms = world.radar.terms
@@ -119,13 +124,17 @@ class Stream:
         self._sensor = plan.track.towards() * plan.track.reference_m()[:, None]
         self._velocity = _velocities(world, plan)
         middle = np.array([plan.middle])
-        rough = "rough" in terms and body.scatterers is not None
+        rough = rough and "rough" in terms and len(body.patches) > 0
         smooth = bool({"single", "multibounce", "edges"} & set(terms))
         self.rough_knots = (middle if once else plan.knots(ROUGH_STEP_DEG)) if rough else middle[:0]
         self.tube_knots = (middle if once else plan.knots(TUBE_STEP_DEG)) if smooth else middle[:0]
         self.together, self.progress = together, progress
         self.count, self.tally = 0, TubeTally()
         """Of the parts made so far: scatterers, and tubes."""
+
+    @cached_property
+    def _patches(self) -> PatchesOnDevice:
+        return self.body.patches.on(self.body.device)
 
     @property
     def aliased(self) -> float:
@@ -152,13 +161,16 @@ class Stream:
         distance_m = float(np.linalg.norm(self._sensor[knot]))
         return places.CoarseCells(self.worker, direction, radar, distance_m, self.plan.track.apart()[knot])
 
-    def rough(self, knot: int, some: slice) -> places.Places:
-        """Rough places as the pulse `knot` sees them, without those that it does not see."""
+    def rough(self, knot: int, some: slice) -> Iterator[places.Places]:
+        """Rough places as the pulse `knot` sees them, without those that it does not see, in parts."""
         radar = places.sight(self.body, self._sensor[knot])[1]
-        amplitude = places.complex_of(places.rough_amplitudes(self.worker, radar, some)[0])
-        seen = (amplitude != 0.0).any(axis=1)
-        point = self.body.scatterer_points[some].numpy()[seen]
-        return places.Places(point, amplitude[seen], self.body.scatterer_faces[some][seen])
+        start = some.start
+        for found in places.rough_seen(self.worker, radar, self._patches, some, self.together):
+            amplitude = places.complex_of(found.amplitude)
+            seen = (amplitude != 0.0).any(axis=1)
+            face = self.body.patches.faces_of(slice(start, start + len(seen)))
+            start += len(seen)
+            yield places.Places(found.placed.points.numpy()[seen], amplitude[seen], face[seen])
 
     def part(self, some: places.Places, weight: NDArray[np.float32], knot: int) -> ScattererPart:
         """Places that the pulse `knot` sees as scatterers about the reference point, with what effects do to them."""
@@ -177,11 +189,11 @@ class Stream:
             self.progress.update(share)
 
     def _rough(self) -> Iterator[ScattererPart]:
-        total = 0 if self.body.scatterers is None else self.body.scatterers.shape[0]
+        total = len(self.body.patches)
         for knot, weight in zip(self.rough_knots.tolist(), fading(self.plan, self.rough_knots), strict=True):
             for start in range(0, total, self.together):
                 stop = min(start + self.together, total)
-                found = self.rough(knot, slice(start, stop))
+                found = places.joined(list(self.rough(knot, slice(start, stop))))
                 if len(found.face):
                     yield self.part(found, weight, knot)
                 self._done((stop - start) / total)
@@ -236,14 +248,19 @@ def band_error_db(world: World, plan: Plan, body: CoherentBody) -> float:
     found = [0.0]
     if {"single", "multibounce"} & set(world.radar.terms) and not all(m.rms_height_m for m in body.materials):
         found += (20.0 * np.log10(ends / plan.centre_hz)).tolist()
-    if "rough" in world.radar.terms and body.scatterers is not None:
+    if "rough" in world.radar.terms and len(body.patches):
         sensor = plan.track.towards()[plan.middle] * plan.track.reference_m()[plan.middle]
         radar = places.sight(body, sensor)[1]
+        total = len(body.patches)
+        # A sample: some patches of a large surface tell the change as well as all of them.
+        some = slice(None, None, -(-total // BAND_SAMPLE))
+        there = body.patches.chosen(some).on(body.device)
         powers = []
         for frequency in (plan.centre_hz, *ends):
             k = 2.0 * np.pi * frequency / SPEED_OF_LIGHT
             worker = places.worker_of(body, k, ("rough",), 1, RAYS_PER_WAVELENGTH)
-            powers.append(float((np.abs(places.complex_of(places.rough_amplitudes(worker, radar)[0])) ** 2).sum()))
+            parts = places.rough_seen(worker, radar, there, slice(0, len(there)), TOGETHER)
+            powers.append(sum(float((np.abs(places.complex_of(each.amplitude)) ** 2).sum()) for each in parts))
         if powers[0] > 0.0:
             found += (10.0 * np.log10(np.maximum(np.divide(powers[1:], powers[0]), 1e-30))).tolist()
     return max(map(abs, found))

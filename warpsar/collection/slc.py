@@ -18,8 +18,8 @@ from warpsar.collection.plan import Plan, plan_axes
 from warpsar.collection.response import band_weights
 from warpsar.errors import InputError
 from warpsar.formats.base.acquisition import FormedImage
-from warpsar.measured.focus import focus
 from warpsar.measured.ground import pixel_centres
+from warpsar.measured.plane import Plane, focus_plane
 from warpsar.version import __version__
 from warpsar.world.frame import SPEED_OF_LIGHT
 from warpsar.world.tables import Grid
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     import xarray
 
 F64 = NDArray[np.float64]
+_ROWS_TOGETHER = 128
 
 
 @dataclass(frozen=True)
@@ -121,17 +122,21 @@ def focused(made: Collected, grid: Grid, device: wp.Device) -> Slc:
     plan = made.plan
     range_m, azimuth_m = pixel_centres(grid.shape, grid.spacing_m, (1, 1))
     row, column = plan_axes(plan)
-    points = range_m[:, None, None] * row + azimuth_m[None, :, None] * column
+    steps = [step * axis for step, axis in zip(grid.spacing_m, (row, column), strict=True)]
+    plane = Plane(range_m[0] * row + azimuth_m[0] * column, *steps, (len(range_m), len(azimuth_m)))
     scale = plan.azimuth_taper.sum() / plan.azimuth_weights.sum() / np.sqrt(plan.response_m2)
-    carrier = turned(plan, way_at_centre(plan, points)) * np.float32(scale)
+    carrier = np.empty((len(range_m), len(azimuth_m)), np.complex64)
+    for i in range(0, len(range_m), _ROWS_TOGETHER):
+        points = range_m[i : i + _ROWS_TOGETHER, None, None] * row + azimuth_m[None, :, None] * column
+        carrier[i : i + _ROWS_TOGETHER] = turned(plan, way_at_centre(plan, points)) * np.float32(scale)
     images = {}
     for name in made.polarizations:
         if not made.samples.any():  # nothing sends back, and there is no noise
             images[name] = np.zeros((len(range_m), len(azimuth_m)), np.complex64)
             continue
-        (image,) = focus(
+        image = focus_plane(
             made.history(name),
-            points,
+            plane,
             reference_point_m=np.zeros(3),
             window_range=plan.windows[0],
             window_azimuth=plan.windows[1],

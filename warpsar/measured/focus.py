@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from functools import partial
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -25,7 +26,7 @@ from warpsar.world.frame import SPEED_OF_LIGHT
 from warpsar.world.taper import taper
 
 OVERSAMPLING = 8  # with cubic interpolation the edge of the band loses 6e-4 of its amplitude
-_PROFILE_BYTES = 256 * 2**20
+PROFILE_BYTES = 256 * 2**20
 _PIXELS_PER_TASK = 1 << 14
 
 
@@ -35,7 +36,7 @@ def cell_m(history: PhaseHistory, reference_point_m: np.ndarray) -> tuple[float,
     The half-power width of an unweighted point target is 0.886 of it.
     """
     wavelength = SPEED_OF_LIGHT / history.centre_frequency_hz
-    aperture = np.ptp(_cross_range_cosine(history, reference_point_m)) * _spread(history.position_m.shape[0])
+    aperture = np.ptp(cross_range_cosine(history, reference_point_m)) * _spread(history.position_m.shape[0])
     return SPEED_OF_LIGHT / (2.0 * history.bandwidth_hz), wavelength / (2.0 * max(aperture, 1e-12))
 
 
@@ -62,17 +63,17 @@ def focus(
             f"subapertures = {subapertures}: {history.source} has {pulses} pulses; "
             f"allowed are 1 to {max(1, pulses // 2)}"
         )
-    cosine = _cross_range_cosine(history, reference_point_m)
+    cosine = cross_range_cosine(history, reference_point_m)
     order = np.argsort(cosine, kind="stable")
     points = np.ascontiguousarray(history.in_frame(np.asarray(points_m, np.float64))).reshape(-1, 3)
     points_d: wp.array = wp.array(points, dtype=wp.vec3d, device=target)
 
     with console.progress(pulses, "focusing", "pulse") as bar:
         for part in np.array_split(order, subapertures):
-            weights = taper(window_azimuth, _centred(cosine[part]))
+            weights = taper(window_azimuth, centred(cosine[part]))
             image = wp.zeros(points.shape[0], dtype=wp.vec2, device=target)
-            bins = _profile_bins(history)
-            block = max(1, _PROFILE_BYTES // (8 * bins))
+            bins = profile_bins(history)
+            block = max(1, PROFILE_BYTES // (8 * bins))
             for first in range(0, part.size, block):
                 chosen = part[first : first + block]
                 _add_pulses(history, chosen, weights[first : first + block], window_range, points_d, image, target)
@@ -92,23 +93,7 @@ def _add_pulses(
     device: wp.Device,
 ) -> None:
     """Add the pulses `chosen` to `image` (vec2, shape (n,)) at `points` (vec3d, shape (n,))."""
-    profiles, frequency, bins_per_metre = _range_profiles(history, chosen, weights, window_range)
-    step = history.frequency_step_hz[chosen]
-    sender = np.empty((0, 3)) if history.transmitter_m is None else history.transmitter_m[chosen]
-
-    def upload(values: np.ndarray) -> wp.array:
-        return wp.array(values, dtype=wp.float64, device=device)
-
-    pulses = fill(
-        Pulses,
-        position=wp.array(history.position_m[chosen], dtype=wp.vec3d, device=device),
-        sender=wp.array(sender, dtype=wp.vec3d, device=device),
-        reference_range=upload(history.reference_range_m[chosen]),
-        turns_per_metre=upload(2.0 * frequency / SPEED_OF_LIGHT),
-        bins_per_metre=upload(bins_per_metre),
-        half_swath=upload(SPEED_OF_LIGHT / (4.0 * step)),
-        profile=wp.array(profiles.view(np.float32).reshape(*profiles.shape, 2), dtype=wp.vec2, device=device),
-    )
+    pulses = uploaded(history, chosen, weights, window_range, device)
 
     def launch(first: int, last: int) -> None:
         wp.launch(
@@ -126,16 +111,39 @@ def _add_pulses(
         pass
 
 
-def _profile_bins(history: PhaseHistory) -> int:
+def uploaded(
+    history: PhaseHistory, chosen: np.ndarray, weights: np.ndarray, window_range: str, device: wp.Device
+) -> Any:
+    """The range profiles of some pulses on a device, `kernels.backproject.Pulses`."""
+    profiles, frequency, bins_per_metre = range_profiles(history, chosen, weights, window_range)
+    step = history.frequency_step_hz[chosen]
+    sender = np.empty((0, 3)) if history.transmitter_m is None else history.transmitter_m[chosen]
+
+    def upload(values: np.ndarray) -> wp.array:
+        return wp.array(values, dtype=wp.float64, device=device)
+
+    return fill(
+        Pulses,
+        position=wp.array(history.position_m[chosen], dtype=wp.vec3d, device=device),
+        sender=wp.array(sender, dtype=wp.vec3d, device=device),
+        reference_range=upload(history.reference_range_m[chosen]),
+        turns_per_metre=upload(2.0 * frequency / SPEED_OF_LIGHT),
+        bins_per_metre=upload(bins_per_metre),
+        half_swath=upload(SPEED_OF_LIGHT / (4.0 * step)),
+        profile=wp.array(profiles.view(np.float32).reshape(*profiles.shape, 2), dtype=wp.vec2, device=device),
+    )
+
+
+def profile_bins(history: PhaseHistory) -> int:
     return 1 << math.ceil(math.log2(OVERSAMPLING * history.samples.shape[0]))
 
 
-def _range_profiles(
+def range_profiles(
     history: PhaseHistory, chosen: np.ndarray, weights: np.ndarray, window: str
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Range-compressed pulses: complex64 (pulse, bin), the frequency [Hz] they are demodulated to, bins per metre."""
     count = history.samples.shape[0]
-    bins = _profile_bins(history)
+    bins = profile_bins(history)
     band = taper(window, (np.arange(count) + 0.5) / count - 0.5)
     middle = count // 2
     start, step = history.frequency_start_hz[chosen], history.frequency_step_hz[chosen]
@@ -147,7 +155,7 @@ def _range_profiles(
     return profiles, start + middle * step, bins * 2.0 * step / SPEED_OF_LIGHT
 
 
-def _cross_range_cosine(history: PhaseHistory, reference_point_m: np.ndarray) -> np.ndarray:
+def cross_range_cosine(history: PhaseHistory, reference_point_m: np.ndarray) -> np.ndarray:
     """Cosine of the angle between each pulse's direction and the track's, seen from the reference point, (pulse,)."""
     toward = history.towards(reference_point_m)[0]
     track = np.linalg.svd(toward - toward.mean(axis=0), full_matrices=False)[2][0]
@@ -159,7 +167,7 @@ def _spread(count: int) -> float:
     return count / max(1, count - 1)
 
 
-def _centred(cosine: np.ndarray) -> np.ndarray:
+def centred(cosine: np.ndarray) -> np.ndarray:
     """Place of each pulse in its aperture, -1/2 to 1/2."""
     width = np.ptp(cosine) * _spread(cosine.size)
     middle = (cosine.max() + cosine.min()) / 2.0

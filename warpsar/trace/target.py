@@ -19,8 +19,6 @@ from warpsar.runtime.structs import fill
 from warpsar.world.frame import ViewGeometry
 from warpsar.world.mesh import Mesh
 
-_KEPT_SHARE = 0.25  # of a CUDA device's memory: what a process keeps between views instead of handing it back
-
 
 @dataclass
 class Target:
@@ -45,8 +43,6 @@ class Target:
         corners = np.asarray(mesh.vertices, np.float64) - np.asarray(reference_point_m, np.float64)
         vertices: wp.array = wp.array(corners.astype(np.float32), dtype=wp.vec3, device=device)
         faces: wp.array = wp.array(np.ascontiguousarray(mesh.faces, np.int32), dtype=int, device=device)
-        if device.is_cuda and wp.is_mempool_enabled(device):
-            wp.set_mempool_release_threshold(device, _KEPT_SHARE)
         places: wp.array = wp.array(corners, dtype=wp.vec3d, device=device, copy=False)
         return cls(device, vertices, faces, corners, places)
 

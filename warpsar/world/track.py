@@ -55,13 +55,11 @@ class Track:
 
     def ranges_less_reference(self, points_m: F64, pulses: NDArray[np.int64]) -> F64:
         """Mean way to points (n, 3) about the reference point, less its own, (pulses, n) [m]; exact far away, too."""
-        total = 0.0
-        for place in (self.receiver_m[pulses], self.transmitter_m[pulses]):
-            square = (points_m**2).sum(axis=1)
-            to = np.linalg.norm(place[:, None] - points_m, axis=2)
-            own = np.linalg.norm(place, axis=1)[:, None]
-            total = total + 0.5 * (square - 2.0 * place @ points_m.T) / (to + own)
-        return np.asarray(total)
+        receiver, transmitter = self.receiver_m[pulses], self.transmitter_m[pulses]
+        found = _less_reference(receiver, points_m)
+        if np.array_equal(receiver, transmitter):
+            return found
+        return 0.5 * (found + _less_reference(transmitter, points_m))
 
     def centre(self) -> Track:
         """The middle in time, as a track of one pulse: between two pulses where their number is even."""
@@ -75,6 +73,14 @@ class Track:
     def velocity_m_s(self) -> tuple[F64, F64]:
         """Of receiver and transmitter, (p, 3) each."""
         return np.gradient(self.receiver_m, self.time_s, axis=0), np.gradient(self.transmitter_m, self.time_s, axis=0)
+
+
+def _less_reference(place_m: F64, points_m: F64) -> F64:
+    """Ways from places (p, 3) to points (n, 3) less those to zero, (p, n) [m]: no difference of ranges."""
+    change = (points_m**2).sum(axis=1) - 2.0 * place_m @ points_m.T
+    square = (place_m**2).sum(axis=1)[:, None]
+    found: F64 = change / (np.sqrt(np.maximum(square + change, 0.0)) + np.sqrt(square))
+    return found
 
 
 def along(geometry: ViewGeometry, side: str, squint_deg: float) -> F64 | None:

@@ -1,0 +1,201 @@
+"""How fast and how exact backprojection onto a plane is: the ways of `focus` and `focus_plane`.
+
+    python benchmarks/backprojection.py [--device cuda] [--pixels 8192] [--pulses 2048] [--out backprojection.json]
+    [--write]
+
+The geometry is that of the table of NVIDIA MatX's `sar_bp` (README of its example `sarbp`): X band,
+770 km, a grazing angle of 43 degrees, pixels of 0.7 m on level ground, an aperture of a degree. The rate is that of
+the kernels alone, as there: pixels times pulses in a second, without the FFT of range profiles and without transfers.
+The signal-to-error ratio is that of a piece of 64 x 64 pixels, against float64 with the same interpolation.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+import numpy as np
+import tables
+import warp as wp
+from simulate import machine
+
+from warpsar.formats.base.data import PhaseHistory
+from warpsar.kernels.backproject import backproject_kernel
+from warpsar.kernels.backproject_plane import EACH
+from warpsar.measured import focus as focusing
+from warpsar.measured import plane as planes
+from warpsar.measured.plane import Plane
+from warpsar.runtime import devices
+from warpsar.world.frame import SPEED_OF_LIGHT
+
+BLOCK = 256
+"""Pulses of one launch."""
+
+
+def history(pulses: int, swath_m: float) -> PhaseHistory:
+    """Noise of a satellite's spotlight whose unambiguous swath holds the image."""
+    random = np.random.default_rng(0)
+    angle = np.deg2rad(np.linspace(-0.5, 0.5, pulses))
+    slant, grazing = 770e3, np.deg2rad(43.0)
+    level, height = slant * np.cos(grazing), slant * np.sin(grazing)
+    place = np.stack([-level * np.cos(angle), level * np.sin(angle), np.full(pulses, height)], axis=1)
+    band = 0.6e9
+    count = int(2 ** np.ceil(np.log2(1.5 * 2.0 * swath_m * band / SPEED_OF_LIGHT)))
+    drawn = random.standard_normal((count, pulses, 2), dtype=np.float32).view(np.complex64)[..., 0]
+    return PhaseHistory(
+        source="noise",
+        samples=drawn,
+        frequency_start_hz=np.full(pulses, 9.6e9 - 0.5 * band),
+        frequency_step_hz=np.full(pulses, band / count),
+        position_m=place,
+        reference_range_m=np.linalg.norm(place, axis=1),
+        polarization="HH",
+    )
+
+
+def plane(pixels: int, step_m: float = 0.7) -> Plane:
+    row, column = np.array([step_m, 0.0, 0.0]), np.array([0.0, step_m, 0.0])
+    return Plane(-0.5 * pixels * (row + column), row, column, (pixels, pixels))
+
+
+def double(profiles: np.ndarray, frequency: np.ndarray, per_metre: np.ndarray, one: PhaseHistory, points: Any) -> Any:
+    """The sum in float64, with cubic and with linear interpolation."""
+    image, linear, bins = np.zeros(points.shape[:-1], complex), np.zeros(points.shape[:-1], complex), profiles.shape[1]
+    for p in range(len(profiles)):
+        way = np.linalg.norm(points - one.position_m[p], axis=-1) - one.reference_range_m[p]
+        at = way * per_metre[p]
+        base = np.floor(at).astype(int)
+        t = at - base
+        four = [profiles[p, (base + k) % bins].astype(complex) for k in (-1, 0, 1, 2)]
+        turn = np.exp(2j * np.pi * np.mod(way * 2.0 * frequency[p] / SPEED_OF_LIGHT, 1.0))
+        weights = (
+            -t * (t - 1) * (t - 2) / 6,
+            (t + 1) * (t - 1) * (t - 2) / 2,
+            -(t + 1) * t * (t - 2) / 2,
+            (t + 1) * t * (t - 1) / 6,
+        )
+        image += turn * sum(weight * each for weight, each in zip(weights, four, strict=True))
+        linear += turn * (four[1] + t * (four[2] - four[1]))
+    return image, linear
+
+
+def best(work: Callable[[], Any], runs: int = 3) -> float:
+    work()
+    wp.synchronize()
+    found = []
+    for _ in range(runs):
+        started = time.perf_counter()
+        work()
+        wp.synchronize()
+        found.append(time.perf_counter() - started)
+    return min(found)
+
+
+def measured(device: wp.Device, pixels: int, pulses: int, variants: bool) -> dict[str, Any]:
+    grid = plane(pixels)
+    one = history(pulses, 0.75 * pixels * 0.7)
+    blocks = [np.arange(a, min(a + BLOCK, pulses)) for a in range(0, pulses, BLOCK)]
+    there = [focusing.uploaded(one, some, np.ones(len(some)), "none", device) for some in blocks]
+    side = min(64, pixels)
+    piece = (slice(0, side), slice(pixels - side, pixels))
+    small = Plane(
+        grid.origin_m + (pixels - side) * grid.column_m, grid.row_m, grid.column_m, (side, side)
+    )  # fmt: skip
+    points = small.points()
+    exact = sum(
+        np.array(double(*focusing.range_profiles(one, some, np.ones(len(some)), "none"), _some(one, some), points))
+        for some in blocks
+    )
+    struct = planes.grid_of(grid)
+    found: dict[str, Any] = {"pixels": pixels**2, "pulses": pulses, "bins": focusing.profile_bins(one), "ways": {}}
+    for each in (1, 2, 4, 8, 16) if variants else (int(EACH),):
+        for cubic in (True, False) if variants else (True,):
+            image = wp.zeros((pixels, pixels), dtype=wp.vec2, device=device)
+
+            def work(each: int = each, cubic: bool = cubic, image: Any = image) -> None:
+                for pulses_there in there:
+                    planes.add_blocks(struct, pulses_there, image, device, each, cubic)
+
+            work()
+            made = image.numpy()[piece]
+            ratio = _signal_to_error_db(made[..., 0] + 1j * made[..., 1], exact[0 if cubic else 1])
+            spent = best(work)
+            name = f"{each} rows, {'cubic' if cubic else 'linear'}"
+            found["ways"][name] = {"s": spent, "per_s": pixels**2 * pulses / spent, "signal_to_error_db": ratio}
+            print(name, found["ways"][name], flush=True)
+    flat = wp.array(grid.points()[: max(1, pixels // 16)].reshape(-1, 3), dtype=wp.vec3d, device=device)
+    image = wp.zeros(flat.shape[0], dtype=wp.vec2, device=device)
+
+    def plain() -> None:
+        for pulses_there in there[:2]:
+            wp.launch(backproject_kernel, flat.shape[0], inputs=[flat, pulses_there], outputs=[image], device=device)
+
+    spent = best(plain)
+    dots = wp.array(points.reshape(-1, 3), dtype=wp.vec3d, device=device)
+    image = wp.zeros(dots.shape[0], dtype=wp.vec2, device=device)
+    for pulses_there in there:
+        wp.launch(backproject_kernel, dots.shape[0], inputs=[dots, pulses_there], outputs=[image], device=device)
+    values = image.numpy()
+    count = sum(len(some) for some in blocks[:2])
+    found["ways"]["exact"] = {
+        "s": spent * pixels**2 * pulses / (flat.shape[0] * count),
+        "per_s": flat.shape[0] * count / spent,
+        "signal_to_error_db": _signal_to_error_db((values[:, 0] + 1j * values[:, 1]).reshape(side, side), exact[0]),
+    }
+    print("exact", found["ways"]["exact"], flush=True)
+    return found
+
+
+def _some(one: PhaseHistory, some: np.ndarray) -> Any:
+    from dataclasses import replace
+
+    return replace(
+        one,
+        samples=one.samples[:, some],
+        position_m=one.position_m[some],
+        reference_range_m=one.reference_range_m[some],
+        frequency_start_hz=one.frequency_start_hz[some],
+        frequency_step_hz=one.frequency_step_hz[some],
+    )
+
+
+def _signal_to_error_db(found: np.ndarray, exact: np.ndarray) -> float:
+    return float(10.0 * np.log10((np.abs(exact) ** 2).sum() / (np.abs(found - exact) ** 2).sum()))
+
+
+def written(found: dict[str, Any]) -> list[tuple[str, str, str, str]]:
+    return [
+        (name, f"{one['s']:.3g} s", f"{one['per_s'] / 1e9:.3g} x 10^9", f"{one['signal_to_error_db']:.1f} dB")
+        for name, one in found["ways"].items()
+    ]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--device")
+    parser.add_argument("--pixels", type=int, default=8192)
+    parser.add_argument("--pulses", type=int, default=2048)
+    parser.add_argument("--variants", action="store_true", help="threads of other sizes, and linear interpolation")
+    tables.add_options(parser)
+    options = parser.parse_args()
+    if options.source:
+        result = tables.stored(options.source)
+    else:
+        device = devices.resolve_device(options.device)
+        result = {"backprojection": measured(device, options.pixels, options.pulses, options.variants)}
+        result |= {"made": tables.made(), "machine": machine(options.device)}
+        tables.save(options.out, result)
+    one = result["backprojection"]
+    header = (f"{one['pixels']:,} pixels x {one['pulses']:,} pulses", "time", "pixel-pulses/s", "signal to error")
+    kind = result["machine"]["device"].partition(":")[0]
+    tables.publish({f"backprojection.{kind}": tables.markdown(header, written(one))}, result, options.write)
+
+
+if __name__ == "__main__":
+    main()
