@@ -98,8 +98,12 @@ def levenberg_marquardt(
     *,
     flat: float = FLAT,
     kept_within: float = 0.0,
+    straight: bool = False,
 ) -> FitState:
     """One step of Levenberg-Marquardt with geodesic acceleration (Transtrum and Sethna, arXiv:1201.5885).
+
+    `straight`: without the acceleration. Where the loss is bounded tightly, weights change along a step more than
+    the images bend, and the correction stands in its way.
 
     Gradient and curvature come from the images' Jacobian (Fisher scoring for the gamma likelihood). With penalties, or
     without hits at hand, the gradient is the adjoint's. The Jacobian is then kept while x moves less than
@@ -209,6 +213,11 @@ class _Quadratic:
         promised = -float(self.gradient @ step + 0.5 * step @ hessian @ step)
         promised, *whole = self.decided([promised, *step]).tolist()
         return _Step(damped, np.array(whole), promised)
+
+    def ahead(self, planned: _Step) -> np.ndarray:
+        """Where the step leads, shortened."""
+        step = planned.step * min(1.0, LARGEST_STEP / float(np.abs(planned.step).max()))
+        return np.clip(self.x + step, *self.bounds)
 
     def bent(self, problem: FitProblem, planned: _Step) -> np.ndarray | None:
         """Where the step leads, shortened and corrected by the second derivative of ln mu along it.

@@ -59,7 +59,7 @@ class FitRays:
         moving[problem.learned.size :] = [aimed or c.view is None for c in problem.effect_coordinates]
         state = standing_at(problem, problem.x0)
         for _ in range(iterations if moving.any() else 0):
-            state = levenberg_marquardt(problem, state, moving, flat=FLAT, kept_within=KEPT_WITHIN)
+            state = levenberg_marquardt(problem, state, moving, flat=FLAT, kept_within=KEPT_WITHIN, straight=True)
             if state.arrived:
                 break
         found = learned_scene(problem, state.best_x)
