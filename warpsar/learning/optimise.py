@@ -131,7 +131,10 @@ def levenberg_marquardt(
         step = here.step(damping)
         if step.promised < NOTHING * flat:
             break
-        trial = here.bent(problem, step)  # type: ignore[arg-type]  # each takes the steps that it gave
+        if straight and isinstance(here, _Quadratic):
+            trial: np.ndarray | None = here.ahead(step)  # type: ignore[arg-type]  # its own step
+        else:
+            trial = here.bent(problem, step)  # type: ignore[arg-type]  # each takes the steps that it gave
         if trial is not None:
             value = problem.value(problem.modelled(trial)) + problem.penalty(trial)
             if value <= here.loss:

@@ -182,7 +182,9 @@ def _newton(
         slope = hazard(level, one, looks)
         bent = np.maximum(survival_curvature(slope, level, one, looks), TINY)
         argument = looks * level
-        lost = np.log(slope) - looks * np.log(argument) + argument + gammaln(looks)  # -ln Q, by the hazard's own equation
+        lost = (
+            np.log(slope) - looks * np.log(argument) + argument + gammaln(looks)
+        )  # -ln Q, by the hazard's own equation
         shares = _shares(lost, bound)
         total = float(weights @ over - weights.sum() + shares @ slope)
         return x + total / float(weights.sum() + shares @ bent)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from warpsar.compare.prediction import Advantage, advantage, summaries
+from warpsar.compare.prediction import BOX, Advantage, summaries
 from warpsar.diagnosis.held_out.report import sentence, write_report
 from warpsar.diagnosis.held_out.search import HeldOut, held_out
 from warpsar.runtime import console, once
@@ -29,26 +29,27 @@ def run(scene_path: Path | str, out: Path | str, *, folds: int, device: str | No
     found = once.agree(lambda: held_out(scene, where, folds))
 
     def write() -> dict[str, Any]:
-        ahead = advantage(found.images)
         found.final.save(out / "scene.toml")
-        content = content_of(found, ahead)
+        content = content_of(found)
         content = write_json(out / "diagnosis.json", scene, where, scene.sampling.seed, started, content)
-        write_report(out / "report.html", found, ahead, content, words, where)
-        if ahead is not None:
+        write_report(out / "report.html", found, content, words, where)
+        for ahead in found.lead:
             console.say(ahead.words)
         console.say_written(out, "report.html", "diagnosis.json", "scene.toml")
-        print(sentence(found, ahead), file=sys.stdout)
+        print(sentence(found), file=sys.stdout)
         return content
 
     return once.agree(lambda: once.write(write)) or {}
 
 
-def content_of(found: HeldOut, ahead: Advantage | None) -> dict[str, Any]:
+def content_of(found: HeldOut) -> dict[str, Any]:
     """What diagnosis.json holds."""
+    pictures, box = (_told(next((one for one in found.lead if (one.rival == BOX) is it), None)) for it in (False, True))
     return {
         "verdict": found.held,
-        "unexplained": ahead is not None and not ahead.ahead,
-        "lead": None if ahead is None else {**asdict(ahead), "ahead": ahead.ahead, "words": ahead.words},
+        "unexplained": not found.ahead,
+        "lead": pictures,
+        "lead_of_box": box,
         "folds": found.folds,
         "steps": [asdict(step) for step in found.steps],
         "profiles": {name: asdict(profile) for name, profile in found.profiles.items()},
@@ -64,3 +65,7 @@ def content_of(found: HeldOut, ahead: Advantage | None) -> dict[str, Any]:
             name: one.model_dump(exclude_unset=True, mode="json") for name, one in found.final.materials.items()
         },
     }
+
+
+def _told(one: Advantage | None) -> dict[str, Any] | None:
+    return None if one is None else {**asdict(one), "ahead": one.ahead, "words": one.words}
