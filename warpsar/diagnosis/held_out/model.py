@@ -24,7 +24,7 @@ from warpsar.simulation.rays import Rays
 from warpsar.surface.stage import Stage
 from warpsar.world.tables import View
 
-ITERATIONS = 10
+ITERATIONS = 6
 FLAT, KEPT_WITHIN = 0.5, 0.05
 FITTED = 0.8  # of the window's rows and columns, about the middle, that a fit looks at: far ground says nothing new
 KEPT = 2  # sets of rays
