@@ -10,8 +10,11 @@ from warpsar import Scene, simulate
 from warpsar.cli.main import main
 from warpsar.compare.prediction import advantage, predictions, summaries
 from warpsar.diagnosis.held_out.arcs import folds
-from warpsar.diagnosis.held_out.geometry import likeliest, minimum, numbers
-from warpsar.diagnosis.held_out.search import GEOMETRY, held_out
+from warpsar.diagnosis.held_out.box import as_box
+from warpsar.diagnosis.held_out.geometry import WIDE, likeliest, minimum, numbers, profiled
+from warpsar.diagnosis.held_out.kept import scene_content, scene_of
+from warpsar.diagnosis.held_out.search import GEOMETRY, HeldOut, held_out
+from warpsar.diagnosis.told import Told, open_told
 from warpsar.errors import InputError
 from warpsar.measured.chips import import_chips
 from warpsar.runtime import devices
@@ -140,6 +143,84 @@ def test_numbers_are_those_with_a_tolerance(tmp_path: Path) -> None:
     assert [view.azimuth_deg for view in turned.views] == [2.0, 182.0]
     assert found[0].now(turned) == pytest.approx(2.0)
     assert found[1].now(found[1].moved(scene, 0.3)) == pytest.approx(2.3)
+
+
+@pytest.mark.unit
+def test_a_profile_goes_on_beyond_its_end(tmp_path: Path) -> None:
+    """The losses of twelve views are least at a height of 2.6 m, three standard deviations above the known one; the
+    first places end at 2.24 m."""
+    path = tmp_path / "scene.toml"
+    path.write_text(SCENE + views(2))
+    scene = Scene.load(path)
+    height = next(one for one in numbers(scene) if one.label == "body.height")
+    likes = 2.6 + 0.02 * np.random.default_rng(0).normal(size=12)
+    found, by = profiled(height, scene, WIDE, lambda change: (height.now(change(scene)) - likes) ** 2, weight=1e4)
+    assert len(found.places) == len(WIDE)
+    assert found.value == pytest.approx(2.6, abs=0.02)
+    assert height.now(height.moved(scene, by)) == pytest.approx(found.value)
+    assert found.half > 0.0
+    # what falls as far as anybody looks is known to no better than a step
+    end, _ = profiled(height, scene, WIDE, lambda change: np.full(12, -height.now(change(scene))), weight=1e4)
+    assert end.half >= end.places[-1] - end.places[-2]
+
+
+@pytest.mark.unit
+def test_a_body_as_a_box_stands_where_it_stood(tmp_path: Path) -> None:
+    """A wedge, 6 x 2 x 1 m and off its file's origin, heading 30 degrees and rolled: the box has its extents, hull and
+    material, and its sizes are free."""
+    corners = [(a, b, c) for a in (-0.5, 1.5) for b in (1.0, 7.0) for c in (0.2, 1.2)]
+    (tmp_path / "wedge.obj").write_text(
+        "".join(f"v {a} {b} {c}\n" for a, b, c in corners) + "f 1 3 7\nf 1 7 5\nf 2 6 8\nf 2 8 4\nf 1 2 3\n"
+    )
+    text = SCENE.replace('primitive = "box"', 'mesh = "wedge.obj"').replace("size_m = [5.0, 2.5, 2.0]\n", "")
+    text = text.replace('learn = ["size"]', 'learn = ["scale", "heading"]').replace(
+        "tolerance = { size_m", "tolerance = { scale"
+    )
+    path = tmp_path / "scene.toml"
+    path.write_text(text + "position_m = [3.0, -2.0, 0.0]\nheading_deg = 30.0\nroll_deg = 4.0\n" + views(2))
+    scene = Scene.load(path)
+    boxed = as_box(scene, "body")
+    one = boxed.objects[1]
+    assert one.size_m == pytest.approx((6.0, 2.0, 1.0))
+    assert one.material == "metal"
+    assert scene.assembly is not None
+    assert boxed.assembly is not None
+    wedge, box = scene.assembly.vertices_of(scene.objects[1]), boxed.assembly.vertices_of(one)
+    np.testing.assert_allclose(box.min(axis=0), wedge.min(axis=0), atol=1e-6)
+    np.testing.assert_allclose(box.max(axis=0), wedge.max(axis=0), atol=1e-6)
+    assert {"body.height", "body.width", "body.length"} <= {number.label for number in numbers(boxed)}
+    again = scene_of(scene, scene_content(scene, boxed))
+    np.testing.assert_array_equal(again.mesh.vertices, boxed.mesh.vertices)
+
+
+@pytest.mark.full
+def test_a_search_goes_on_where_it_was_stopped(tmp_path: Path) -> None:
+    """A search that is killed after its fourth entry, and goes on from the checkpoint, ends as one that never stopped;
+    one whose time is over at once has its first model, and says what was not asked."""
+    scene, device = measured(tmp_path), devices.resolve_device("cpu")
+    stopped = Told(tmp_path, "this run")
+    add, count = stopped.add, 0
+
+    def until_killed(entry: object) -> None:
+        nonlocal count
+        count += 1
+        if count > 4:
+            raise KeyboardInterrupt
+        add(entry)
+
+    stopped.add = until_killed  # type: ignore[method-assign]
+    with pytest.raises(KeyboardInterrupt):
+        held_out(scene, device, 2, stopped)
+    resumed = open_told(tmp_path, "this run", True)
+    assert len(resumed.entries) == 4
+
+    def numbers_of(one: HeldOut) -> tuple[object, ...]:
+        return one.steps, one.after, one.final.effects, one.profiles, one.held
+
+    assert numbers_of(held_out(scene, device, 2, resumed)) == numbers_of(held_out(scene, device, 2))
+    late = held_out(scene, device, 2, time_limit_s=0.0)
+    assert late.not_asked == ["whether another effect is missing"]
+    assert late.before == late.after
 
 
 @pytest.mark.full

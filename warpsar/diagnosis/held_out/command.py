@@ -13,26 +13,43 @@ import numpy as np
 from warpsar.compare.prediction import BOX, Advantage, summaries
 from warpsar.diagnosis.held_out.report import sentence, write_report
 from warpsar.diagnosis.held_out.search import HeldOut, held_out
+from warpsar.diagnosis.told import open_told
+from warpsar.io import checkpoint
+from warpsar.learning.learn import tag_of
 from warpsar.runtime import console, once
 from warpsar.simulation.outputs import opened, write_json
+from warpsar.version import __version__
 
 
-def run(scene_path: Path | str, out: Path | str, *, folds: int, device: str | None = None) -> dict[str, Any]:
+def run(
+    scene_path: Path | str,
+    out: Path | str,
+    *,
+    folds: int,
+    device: str | None = None,
+    time_limit_s: float | None = None,
+    resume: bool = False,
+) -> dict[str, Any]:
     """Write diagnosis.json, scene.toml with what was found, and report.html into `out`. Returns the JSON's content.
 
-    Raises InputError for a scene whose train views are too few to be left out in so many parts.
+    A checkpoint is kept there while it runs, and `resume` goes on from it. Raises InputError for a scene whose train
+    views are too few to be left out in so many parts, and as `open_told` does.
     """
     started = time.perf_counter()
     scene, out, where = opened(scene_path, out, device)
     words = ["warpsar", "diagnose", str(scene_path), "-o", str(out), "--device", where.alias, "--folds", str(folds)]
     once.join(where)
-    found = once.agree(lambda: held_out(scene, where, folds))
+    tag = tag_of(scene, {"command": "diagnose", "version": __version__, "folds": folds})
+    told = open_told(out, tag, resume or bool(once.restarts()))
+    found = once.agree(lambda: held_out(scene, where, folds, told, time_limit_s))
 
     def write() -> dict[str, Any]:
         found.final.save(out / "scene.toml")
         content = content_of(found)
         content = write_json(out / "diagnosis.json", scene, where, scene.sampling.seed, started, content)
         write_report(out / "report.html", found, content, words, where)
+        if not found.not_asked:
+            checkpoint.remove(out)
         for ahead in found.lead:
             console.say(ahead.words)
         console.say_written(out, "report.html", "diagnosis.json", "scene.toml")
@@ -50,6 +67,7 @@ def content_of(found: HeldOut) -> dict[str, Any]:
         "unexplained": not found.ahead,
         "lead": pictures,
         "lead_of_box": box,
+        "not_asked": found.not_asked,
         "folds": found.folds,
         "steps": [asdict(step) for step in found.steps],
         "profiles": {name: asdict(profile) for name, profile in found.profiles.items()},

@@ -31,6 +31,8 @@ def sentence(found: HeldOut) -> str:
     before, after = (float(np.mean(list(each.values()))) for each in (found.before, found.after))
     names = ", ".join(found.held) or "nothing"
     said = f"found: {names}; deviance of views left out {before:.3f} -> {after:.3f}"
+    if found.not_asked:
+        said += "; the time was over before all was asked"
     if not found.lead:
         return said
     rivals = "pictures of other views" + (" and a box" if len(found.lead) > 1 else "")
@@ -72,6 +74,7 @@ def _in_short(found: HeldOut) -> str:
         "mean of all. The box has the body's extents and all that was found, fitted anew, sizes too: a mesh that "
         "predicts no better has told nothing of the body."
     ]
+    said += [f"The time was over; not asked: {one}." for one in found.not_asked]
     for ahead in found.lead:
         said.append(f"{ahead.words[0].upper()}{ahead.words[1:]}.".replace("+-", "±"))
     return report.section("In short", *map(report.paragraph, said), prediction_table(summaries(found.images)))

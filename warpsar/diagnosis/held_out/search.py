@@ -32,13 +32,16 @@ from warpsar.diagnosis.held_out.geometry import (
     turned,
 )
 from warpsar.diagnosis.held_out.hypotheses import EffectHypothesis, hypotheses, level_of
+from warpsar.diagnosis.held_out.kept import scene_content, scene_of
 from warpsar.diagnosis.held_out.model import (
     FitRays,
     TrainViews,
     with_other_rays,
 )
+from warpsar.diagnosis.told import Told
 from warpsar.effects.registry import get
 from warpsar.runtime import console, threads
+from warpsar.runtime.deadline import TimeUp, check, deadline
 from warpsar.scene.scene import Scene
 
 GLANCE = 3  # iterations of a first fit, on one part alone, by which the likeliest is chosen
@@ -100,7 +103,8 @@ class Added:
 class HeldOut:
     """What was found. `declared` and `final`: the scene of the file fitted, and with all that stays, fitted to all
     train views. `folds` have the names of the views left out together. `before` and `after`: deviances of the views
-    left out, by name, in order of azimuth. `images`: the views left out beside all that predicts them."""
+    left out, by name, in order of azimuth. `images`: the views left out beside all that predicts them. `not_asked`:
+    what a limit of time left out."""
 
     scene: Scene
     declared: Scene
@@ -112,6 +116,7 @@ class HeldOut:
     after: dict[str, float]
     images: list[PredictedImage]
     held: list[str] = field(default_factory=list)
+    not_asked: list[str] = field(default_factory=list)
 
     @property
     def lead(self) -> list[Advantage]:
@@ -128,7 +133,20 @@ class HeldOut:
 class FoldSearch:
     """The trials on one scene."""
 
-    def __init__(self, scene: Scene, device: wp.Device, parts: int, progress: Callable[[], object]) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        device: wp.Device,
+        parts: int,
+        progress: Callable[[], object],
+        told: Told | None = None,
+        time_limit_s: float | None = None,
+    ) -> None:
+        self._told, self._time_limit_s = told or Told(), time_limit_s
+        self._model: Model
+        self._box: Model | None = None
+        self._doing = ""
+        self.not_asked: list[str] = []  # what a limit of time left out, in words
         self.trained, self.device, self._progress = TrainViews(scene, device), device, progress
         self.fits = FitRays(device)
         self.start = self.trained.scene
@@ -142,26 +160,16 @@ class FoldSearch:
         self._glanced: dict[str, tuple[float, float, dict[str, Any], bool]] = {}
 
     def run(self) -> HeldOut:
-        """Fit, try, fit again."""
-        model = self._surely_fitted([self.start] * len(self.folds))
-        console.say(f"as declared: deviance of views left out {model.scores.mean() / EXPECTED:.3f}")
-        first = model
-        refused: set[str] = set()
-        offsets: Sequence[float] = WIDE
-        movable, pending = bool(self.numbers or turnable(self.start)), True
-        while True:
-            found = self._turn(model, refused)
-            if found is None:
-                break
-            model, pending = found, True
-            if movable and self.steps[-1].gain > MATTERS:
-                moved, pending = self._geometry(model, offsets), False
-                if moved is not None:
-                    model, offsets = moved, NEAR
-        if movable and pending:
-            model = self._geometry(model, offsets) or model
-        model = self._asked_again(model)
-        boxed = self._boxed(model)
+        """Fit, try, fit again; until the time is over: then what was found so far stands."""
+        first = self._model = self._surely_fitted([self.start] * len(self.folds))
+        console.say(f"as declared: deviance of views left out {first.scores.mean() / EXPECTED:.3f}")
+        try:
+            with deadline(self._time_limit_s):
+                self._search()
+        except TimeUp:
+            self.not_asked = [self._doing]
+            console.say(f"the time is over; not asked: {self._doing}")
+        model, boxed = self._model, self._box
         self._progress()
         final = self.fits.fitted(model.scenes[0], self.trained.names, LAST).scene
         return HeldOut(
@@ -177,7 +185,31 @@ class FoldSearch:
                 {"model": model.scenes, "before": first.scenes} | ({} if boxed is None else {BOX: boxed.scenes})
             ),
             held=list(dict.fromkeys(self.held)),
+            not_asked=self.not_asked,
         )
+
+    def _search(self) -> None:
+        refused: set[str] = set()
+        offsets: Sequence[float] = WIDE
+        movable, pending = bool(self.numbers or turnable(self.start)), True
+        while True:
+            self._doing = "whether another effect is missing"
+            found = self._turn(self._model, refused)
+            if found is None:
+                break
+            self._model, pending = found, True
+            if movable and self.steps[-1].gain > MATTERS:
+                self._doing = GEOMETRY
+                moved, pending = self._geometry(self._model, offsets), False
+                if moved is not None:
+                    self._model, offsets = moved, NEAR
+        if movable and pending:
+            self._doing = GEOMETRY
+            self._model = self._geometry(self._model, offsets) or self._model
+        self._doing = "what each effect is worth at the end"
+        self._model = self._asked_again(self._model)
+        self._doing = "whether a box of its size predicts as well"
+        self._box = self._boxed(self._model)
 
     def _images(self, models: Mapping[str, Sequence[Scene]]) -> list[PredictedImage]:
         """The views left out beside what models that have not seen them predict, and beside the rivals."""
@@ -195,6 +227,7 @@ class FoldSearch:
 
     def _scored(self, scenes: Sequence[Scene], first: np.ndarray | None = None) -> np.ndarray:
         """The scores of all views; `first` are those of the first part where they are known."""
+        check()
         found: dict[str, float] = {}
         for part, (scene, left) in enumerate(zip(scenes, self.folds, strict=True)):
             own = first if first is not None and not part else self.trained.scores(scene, left)
@@ -202,19 +235,41 @@ class FoldSearch:
         return np.array([found[name] for name in self.order])
 
     def _fitted(
-        self, begun: Sequence[Scene], told: Callable[[np.ndarray], bool] = lambda scores: False
+        self, begun: Sequence[Scene], enough: Callable[[np.ndarray], bool] = lambda scores: False
     ) -> Model | None:
         """The model fitted, the first part by all cores, the others side by side. None where the scores of the first
-        part's views, in their order in the fold, have `told` enough."""
+        part's views, in their order in the fold, are `enough` to know."""
         tasks = [partial(self.fits.fitted, scene, self._rest(part)) for part, scene in enumerate(begun)]
-        scenes = [tasks[0]().scene]
-        first = self.trained.scores(scenes[0], self.folds[0])
+
+        def first_part() -> tuple[list[Scene], np.ndarray]:
+            scene = tasks[0]().scene
+            return [scene], self.trained.scores(scene, self.folds[0])
+
+        def rest() -> tuple[list[Scene], np.ndarray]:
+            scenes = [one.scene for one in threads.ordered(tasks[1:], self.device)]
+            return scenes, self._scored([*ahead, *scenes], first)
+
+        ahead, first = self._kept(first_part)
         self._progress()
-        if told(first):
+        if enough(first):
             return None
-        scenes += [one.scene for one in threads.ordered(tasks[1:], self.device)]
+        scenes, scores = self._kept(rest)
         self._progress()
-        return Model(scenes, self._scored(scenes, first))
+        return Model([*ahead, *scenes], scores)
+
+    def _kept(self, run: Callable[[], tuple[list[Scene], np.ndarray]]) -> tuple[list[Scene], np.ndarray]:
+        """What `run` gives, or gave in an earlier part of the run."""
+        return self._told.following(
+            run,
+            lambda found: {"scenes": [scene_content(self.start, one) for one in found[0]], "scores": found[1].tolist()},
+            lambda entry: ([scene_of(self.start, one) for one in entry["scenes"]], np.array(entry["scores"])),
+        )
+
+    def _scored_moved(self, now: Sequence[Scene], change: Callable[[Scene], Scene]) -> np.ndarray:
+        """The scores of the models changed by a function."""
+        return self._told.following(
+            lambda: self._scored([change(scene) for scene in now]), lambda found: found.tolist(), np.array
+        )
 
     def _surely_fitted(self, begun: Sequence[Scene]) -> Model:
         found = self._fitted(begun)
@@ -308,13 +363,13 @@ class FoldSearch:
                 continue  # gone with its effect
             one, full = self._added[label], self._again(model)
 
-            def told(scores: np.ndarray, label: str = label, full: Model = full) -> bool:
+            def enough(scores: np.ndarray, label: str = label, full: Model = full) -> bool:
                 worth, error = _mean_and_error(scores - self._of_first(full))
                 if worth > PAYS * error:
                     self.steps.append(TrialStep(label, worth / EXPECTED, error / EXPECTED, 0.0, True, True, True))
                 return bool(worth > PAYS * error)
 
-            without = self._fitted([one.taken_from(with_other_rays(scene)) for scene in model.scenes], told)
+            without = self._fitted([one.taken_from(with_other_rays(scene)) for scene in model.scenes], enough)
             if without is not None:
                 worth, error = _mean_and_error(without.scores - full.scores)
                 stays = bool(worth > PAYS * error)
@@ -355,9 +410,12 @@ class FoldSearch:
             mean, error = _mean_and_error(own - self.trained.scores(ends[best].scene, ahead))
             return mean, error, tables[0], best == 1
 
-        found = threads.ordered([partial(glance, one) for one in some], self.device)
-        for one, seen in zip(some, found, strict=True):
-            self._glanced[one.label] = seen
+        def seen() -> list[tuple[float, float, dict[str, Any], bool]]:
+            return list(threads.ordered([partial(glance, one) for one in some], self.device))
+
+        found = self._told.following(seen, list, lambda entry: [tuple(one) for one in entry])
+        for one, each in zip(some, found, strict=True):
+            self._glanced[one.label] = each
         self._progress()
 
     def _geometry(self, model: Model, offsets: Sequence[float]) -> Model | None:
@@ -366,17 +424,17 @@ class FoldSearch:
         profiles: dict[str, Profile] = {}
 
         def scored(change: Callable[[Scene], Scene]) -> np.ndarray:
-            return self._scored([change(scene) for scene in now])
+            return self._scored_moved(now, change)
 
         for number in self.numbers:
             profiles[number.label], by = profiled(number, now[0], offsets, scored, weight)
             now = [number.moved(scene, by) for scene in now]
             self._progress()
         for label in turnable(self.start):
-            base, back = self._scored(now), scored(partial(turned, label=label))
+            base, back = scored(lambda scene: scene), scored(partial(turned, label=label))
             if self._judged(f"{label} {TURNED}", Model(now, base), back, refitted=False):
                 now = [turned(scene, label) for scene in now]
-        scores = self._scored(now)
+        scores = scored(lambda scene: scene)
         if not self._judged(GEOMETRY, model, scores, refitted=False):
             return None
         self.profiles |= profiles
@@ -397,7 +455,7 @@ class FoldSearch:
         for number in sizes:
 
             def scored(change: Callable[[Scene], Scene]) -> np.ndarray:
-                return self._scored([change(scene) for scene in now])  # noqa: B023 - called at once
+                return self._scored_moved(now, change)  # noqa: B023 - called at once
 
             _, by = profiled(number, now[0], WIDE, scored, 0.5 * self._draws())
             now = [number.moved(scene, by) for scene in now]
@@ -422,13 +480,16 @@ def _spread(names: Sequence[str], count: int) -> list[str]:
     return [names[int(k)] for k in np.linspace(0, len(names), min(count, len(names)), endpoint=False)]
 
 
-def held_out(scene: Scene, device: wp.Device, parts: int) -> HeldOut:
-    """What the scene's model lacks, by train views left out in so many parts.
+def held_out(
+    scene: Scene, device: wp.Device, parts: int, told: Told | None = None, time_limit_s: float | None = None
+) -> HeldOut:
+    """What the scene's model lacks, by train views left out in so many parts. `told` may be of an earlier part of the
+    run; the search ends after `time_limit_s` with what it has found.
 
     Raises InputError for fewer than two train views for each part.
     """
     bar = console.progress(0, "diagnose", "step")
     try:
-        return FoldSearch(scene, device, parts, bar.update).run()
+        return FoldSearch(scene, device, parts, bar.update, told, time_limit_s).run()
     finally:
         bar.close()
