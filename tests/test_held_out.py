@@ -1,5 +1,6 @@
 """`warpsar diagnose --folds`: what stays is what views say that were left out."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from warpsar.diagnosis.held_out.arcs import folds
 from warpsar.diagnosis.held_out.box import as_box
 from warpsar.diagnosis.held_out.geometry import WIDE, likeliest, minimum, numbers, profiled
 from warpsar.diagnosis.held_out.kept import scene_content, scene_of
-from warpsar.diagnosis.held_out.search import GEOMETRY, HeldOut, held_out
+from warpsar.diagnosis.held_out.search import GEOMETRY, held_out
 from warpsar.diagnosis.told import Told, open_told
 from warpsar.errors import InputError
 from warpsar.measured.chips import import_chips
@@ -194,39 +195,12 @@ def test_a_body_as_a_box_stands_where_it_stood(tmp_path: Path) -> None:
 
 
 @pytest.mark.full
-def test_a_search_goes_on_where_it_was_stopped(tmp_path: Path) -> None:
-    """A search that is killed after its fourth entry, and goes on from the checkpoint, ends as one that never stopped;
-    one whose time is over at once has its first model, and says what was not asked."""
-    scene, device = measured(tmp_path), devices.resolve_device("cpu")
-    stopped = Told(tmp_path, "this run")
-    add, count = stopped.add, 0
-
-    def until_killed(entry: object) -> None:
-        nonlocal count
-        count += 1
-        if count > 4:
-            raise KeyboardInterrupt
-        add(entry)
-
-    stopped.add = until_killed  # type: ignore[method-assign]
-    with pytest.raises(KeyboardInterrupt):
-        held_out(scene, device, 2, stopped)
-    resumed = open_told(tmp_path, "this run", True)
-    assert len(resumed.entries) == 4
-
-    def numbers_of(one: HeldOut) -> tuple[object, ...]:
-        return one.steps, one.after, one.final.effects, one.profiles, one.held
-
-    assert numbers_of(held_out(scene, device, 2, resumed)) == numbers_of(held_out(scene, device, 2))
-    late = held_out(scene, device, 2, time_limit_s=0.0)
-    assert late.not_asked == ["whether another effect is missing"]
-    assert late.before == late.after
-
-
-@pytest.mark.full
 def test_a_floor_and_a_height_are_found(tmp_path: Path) -> None:
-    """A box 12 % higher than declared, over a floor that nobody declared, in twelve views of one look."""
-    found = held_out(measured(tmp_path, height_m=2.24), devices.resolve_device("cpu"), 2)
+    """A box 12 % higher than declared, over a floor that nobody declared, in twelve views of one look. A search that
+    goes on from all entries of its checkpoint but the last eight ends as one that never stopped."""
+    scene, device = measured(tmp_path, height_m=2.24), devices.resolve_device("cpu")
+    told = Told(tmp_path, "this run")
+    found = held_out(scene, device, 2, told)
     assert "noise_floor" in found.held
     assert GEOMETRY in found.held
     height = found.profiles["body.height"]
@@ -236,6 +210,22 @@ def test_a_floor_and_a_height_are_found(tmp_path: Path) -> None:
     assert after == pytest.approx(1.0, abs=0.15)
     level = found.final.effects["noise_floor"]["level"]
     assert level == pytest.approx(0.004, rel=0.5)
+
+    stored = open_told(tmp_path, "this run", True).entries
+    assert len(stored) == len(told.entries)
+    resumed = Told(entries=stored[:-8])
+    again = held_out(scene, device, 2, resumed)
+    assert json.dumps(resumed.entries) == json.dumps(stored)
+    for key in ("steps", "after", "profiles", "held"):
+        assert getattr(again, key) == getattr(found, key), key
+    assert again.final.effects == found.final.effects
+
+
+@pytest.mark.full
+def test_time_that_is_over_leaves_the_first_model(tmp_path: Path) -> None:
+    late = held_out(measured(tmp_path), devices.resolve_device("cpu"), 2, time_limit_s=0.0)
+    assert late.not_asked == ["whether another effect is missing"]
+    assert late.before == late.after
 
 
 @pytest.mark.full
