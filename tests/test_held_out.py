@@ -264,6 +264,15 @@ def test_options_of_tests_are_refused_beside_folds(tmp_path: Path) -> None:
     assert "--draws: not with --folds" in run.output
 
 
+@pytest.mark.unit
+def test_nothing_to_go_on_from_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "scene.toml").write_text(SCENE + views(6))
+    words = ["diagnose", str(tmp_path / "scene.toml"), "-o", str(tmp_path / "o"), "--folds", "3", "--resume"]
+    run = CliRunner().invoke(main, words)
+    assert run.exit_code == 2
+    assert f"--resume: found no checkpoint in {tmp_path / 'o'}" in run.output
+
+
 @pytest.mark.measured
 @pytest.mark.full
 def test_measured_chips_come_with_roles_and_rivals(tmp_path: Path, measured_data: Path) -> None:

@@ -304,8 +304,9 @@ class FoldSearch:
         one = self.steps[-1]
         verdict = "stays" if one.stays else "goes"
         noise = f", noise {one.noise:.4f}" if one.noise else ""
-        first = "first part, " if one.glance else "asked again, " if one.again else ""
-        console.say(f"{one.label}: {first}gain of views left out {one.gain:+.4f} +- {one.error:.4f}{noise}: {verdict}")
+        how = ("asked again, " if one.again else "") + ("first part, " if one.glance else "")
+        what = "worth to" if one.again else "gain of"
+        console.say(f"{one.label}: {how}{what} views left out {one.gain:+.4f} +- {one.error:.4f}{noise}: {verdict}")
 
     def _turn(self, model: Model, refused: set[str]) -> Model | None:
         """Try the hypotheses in the order of a first fit, until one stays; None where none does.
