@@ -14,11 +14,15 @@ from warpsar.diagnosis.held_out.arcs import folds
 from warpsar.diagnosis.held_out.box import as_box
 from warpsar.diagnosis.held_out.geometry import WIDE, likeliest, minimum, numbers, profiled
 from warpsar.diagnosis.held_out.kept import scene_content, scene_of
-from warpsar.diagnosis.held_out.search import GEOMETRY, held_out
+from warpsar.diagnosis.held_out.search import GEOMETRY, FoldSearch, held_out
 from warpsar.diagnosis.told import Told, open_told
 from warpsar.errors import InputError
 from warpsar.measured.chips import import_chips
 from warpsar.runtime import devices
+from warpsar.world.mesh import Mesh
+from warpsar.world.obj import write_obj
+from warpsar.world.objects.shapes import body
+from warpsar.world.objects.table import Object
 from warpsar.world.tables import View
 
 SCENE = """
@@ -219,6 +223,45 @@ def test_a_floor_and_a_height_are_found(tmp_path: Path) -> None:
     for key in ("steps", "after", "profiles", "held"):
         assert getattr(again, key) == getattr(found, key), key
     assert again.final.effects == found.final.effects
+
+
+@pytest.mark.full
+def test_a_mesh_that_says_no_more_than_a_box_is_not_this_body(tmp_path: Path) -> None:
+    """Views of a truck 6 m long: its own mesh predicts those left out better than a box of its size does, and a mesh of
+    a box does not."""
+    truck = Object(primitive="truck", size_m=(6.0, 2.5, 2.6), cabin=0.4, material="metal")
+    ahead = {}
+    for name, one in {"truck": truck, "box": truck.model_copy(update={"primitive": "box", "cabin": None})}.items():
+        made = body(one)
+        write_obj(tmp_path / f"{name}.obj", Mesh(made.vertices, made.faces, np.zeros(len(made.faces), np.int32)))
+        text = SCENE.replace('primitive = "box"', f'mesh = "{name}.obj"').replace("size_m = [5.0, 2.5, 2.0]\n", "")
+        text = text.replace('learn = ["size"]', 'learn = ["scale", "heading"]')
+        (tmp_path / "scene.toml").write_text(text.replace("tolerance = { size_m", "tolerance = { scale") + views(12))
+        declared = Scene.load(tmp_path / "scene.toml")
+        if name == "truck":
+            powers = [image.beta0["HH"] for image in simulate(declared, device="cpu", seed=5)]
+        random = np.random.default_rng(1)
+        seen = [
+            View.model_validate(
+                {
+                    **view.model_dump(by_alias=True, exclude_unset=True),
+                    "images": {"HH": (power * random.gamma(1.0, 1.0, power.shape)).astype(np.float32)},
+                    "looks": 1.0,
+                }
+            )
+            for view, power in zip(declared.views, powers, strict=True)
+        ]
+        search = FoldSearch(
+            Scene(**{**_fields(declared), "views": seen}), devices.resolve_device("cpu"), 2, lambda: None
+        )
+        model = search._surely_fitted([search.start] * 2)
+        boxed = search._boxed(model)
+        assert boxed is not None
+        lead = advantage(search._images({"model": model.scenes, "box": boxed.scenes}), rivals=("box",))
+        assert lead is not None
+        ahead[name] = lead.ahead
+    assert ahead["truck"]
+    assert not ahead["box"]
 
 
 @pytest.mark.full

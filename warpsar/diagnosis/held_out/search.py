@@ -38,6 +38,7 @@ from warpsar.diagnosis.held_out.model import (
     TrainViews,
     with_other_rays,
 )
+from warpsar.diagnosis.models.change import as_declared
 from warpsar.diagnosis.told import Told
 from warpsar.effects.registry import get
 from warpsar.runtime import console, threads
@@ -461,7 +462,9 @@ class FoldSearch:
             _, by = profiled(number, now[0], WIDE, scored, 0.5 * self._draws())
             now = [number.moved(scene, by) for scene in now]
             self._progress()
-        return self._surely_fitted(now)
+        # the rival at its best: the body's surface may lead a box into a valley
+        begun = [now, [as_declared(self.start, scene) for scene in now]]
+        return min((self._surely_fitted(each) for each in begun), key=lambda one: float(one.scores.mean()))
 
     def _draws(self) -> float:
         """Independent draws of speckle in a view: its pixels over those that share a draw by the point spread."""
