@@ -336,10 +336,9 @@ class FoldSearch:
             begun = [one.started(scene, table, self.start if on_declared else scene) for scene in model.scenes]
             trial = self._fitted(begun, partial(self._hopeless, label, model))
             if trial is not None and self._judged(label, model, trial.scores):
-                new = (
-                    frozenset(table) - frozenset(model.scenes[0].effects[one.effect]) if one.extension else frozenset()
-                )
-                self._added[label] = Added(one.effect, new)
+                had = frozenset(model.scenes[0].effects[one.effect]) if one.extension else frozenset(table)
+                keys = frozenset(table) - had
+                self._added[label] = Added(one.effect, keys)
                 return trial
         return None
 
