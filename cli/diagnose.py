@@ -87,11 +87,14 @@ def command(
     from warpsar.diagnosis import command as diagnosis
 
     if folds is not None:
-        of_tests = ("family_error", "draws", "starts", "most_effects", "seed", "time_limit", "resume")
+        of_tests = ("family_error", "draws", "starts", "most_effects", "seed")
         _refuse(of_tests, "--folds")
         from warpsar.diagnosis.held_out import command as held_out
 
-        if held_out.run(scene, out, folds=folds, device=device).get("unexplained"):
+        limit_s = None if time_limit is None else 60.0 * time_limit
+        with options.resumable(out):
+            content = held_out.run(scene, out, folds=folds, device=device, time_limit_s=limit_s, resume=resume)
+        if content.get("unexplained"):
             click.get_current_context().exit(diagnosis.UNEXPLAINED)
         return
     from warpsar.diagnosis.found import DiagnoseOptions

@@ -36,6 +36,8 @@ from warpsar.world.tables import View
 FAR_DEG = 5.0
 """A view farther than this in azimuth from every train view is of an unseen sector."""
 SAME_DEG = 1.0  # of incidence: views that differ by less are reported together
+PICTURES = ("nearest", "mirrored", "mean")  # rivals that need no physics
+BOX = "box"  # a rival that needs no mesh
 SURE = 2.0  # standard errors by which a model must predict better than the best rival
 
 
@@ -198,27 +200,33 @@ class Advantage:
 
     @property
     def ahead(self) -> bool:
-        """Whether the model surely predicts better than any picture of a measured image does."""
+        """Whether the model surely predicts better than any of the rivals does."""
         return self.correlation > SURE * self.error and self.deviance > 0.0
 
     @property
     def words(self) -> str:
         where = "of unseen sectors" if self.sector else "between train views"
-        beside = f"correlation {self.correlation:+.3f} +- {self.error:.3f} beside the best rival ({self.rival})"
+        beside = (
+            f"correlation {self.correlation:+.3f} +- {self.error:.3f}, deviance {-self.deviance:+.3f}, "
+            f"beside {'a box of its size' if self.rival == BOX else f'the best rival ({self.rival})'}"
+        )
         if self.ahead:
             return f"{self.images} test images {where}: {beside}"
+        rival = "by a box of its size" if self.rival == BOX else "by a picture of other measured images"
         return (
-            f"not this body, or not its model: {self.images} test images {where} are predicted no better than by a "
-            f"picture of other measured images ({beside})"
+            f"not this body, or not its model: {self.images} test images {where} are predicted no better than {rival} "
+            f"({beside})"
         )
 
 
-def advantage(images: Sequence[PredictedImage], name: str = "model") -> Advantage | None:
-    """How far ahead of the rivals a prediction is, over unseen sectors, or over all where there are none; None without
-    rivals."""
+def advantage(
+    images: Sequence[PredictedImage], name: str = "model", rivals: Sequence[str] = PICTURES
+) -> Advantage | None:
+    """How far ahead of the rivals a prediction is, over unseen sectors, or over all where there are none; None where
+    the images have none of these rivals."""
     sector = any(image.in_sector for image in images)
     mine = [image for image in images if image.in_sector is sector]
-    others = [key for key in ("nearest", "mirrored", "mean") if mine and key in mine[0].predictions]
+    others = [key for key in rivals if mine and key in mine[0].predictions]
     if not others:
         return None
     rival = max(others, key=lambda key: np.mean([image.predictions[key].correlation for image in mine]))

@@ -13,9 +13,11 @@ alternatives.py     which measurement would decide between two explanations
 established.py      which names are earned, where something is left unexplained
 role_metrics.py     metrics of all images of a role, dark pixels among them
 found.py            options, candidates, turns and the verdict
+told.py             what a run has told so far, and its checkpoint
 
 The rooms, each importing from those below it:
 
+held_out/           the same by views left out in arcs of azimuth: `diagnose --folds`
 report/             report.html of `warpsar diagnose`
 left/               what is left at the end: where, how much, of what shape
 search/             the search for what is missing: turns, confirmations, and how far it has come

@@ -10,6 +10,7 @@ from warpsar.io import html as report
 NAMES = {
     "model": "this model",
     "before": "the model before",
+    "box": "a box of its size, same effects",
     "nearest": "nearest measured view, turned",
     "mirrored": "nearest mirrored view, turned",
     "mean": "mean of the measured views",

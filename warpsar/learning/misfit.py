@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -22,16 +22,21 @@ class Misfit:
     mean_square: float
     calibrated: bool
     bound: float = 0.0
+    _found: dict[int, tuple[Observation, np.ndarray, float]] = field(default_factory=dict, init=False, compare=False)
 
     def weight(self, seen: Observation) -> float:
         """What a pixel's loss is multiplied by."""
         return loss_weight(self.loss, seen.looks, self.mean_square)
 
     def gain(self, seen: Observation, mu: np.ndarray) -> float:
-        """The best gain; 1 for calibrated images."""
+        """The best gain; 1 for calibrated images. That of the last `mu` is kept: loss and curvature ask for it too."""
         if self.calibrated:
             return 1.0
-        return best_gain(self.loss, seen.values, mu, seen.looks, self.bound, seen.top)
+        last = self._found.get(id(seen))
+        if last is None or last[0] is not seen or last[1] is not mu:
+            last = seen, mu, best_gain(self.loss, seen.values, mu, seen.looks, self.bound, seen.top)
+            self._found[id(seen)] = last
+        return last[2]
 
     def terms(self, seen: Observation, mu: np.ndarray) -> np.ndarray:
         """The loss of every pixel before its weight, at the best gain, shape (n,), float64."""

@@ -27,6 +27,7 @@ FLAT_FIELD = 0.2  # the same of fields: thousands of nodes gain a little for lon
 HARDLY, NOTHING = 1e-3, 1e-2  # damping that counts as none; share of `flat` that no step is tried for
 SPREAD = 0.7  # standard deviation of the starts after the first, in log coordinates
 BEND_STEP = 0.1  # of a step, over which the images' second derivative along it is measured
+MOST_DOUBLED = 3  # of a straight step
 MOST_BEND = 0.75  # the largest correction, relative to the step, that is trusted
 
 
@@ -98,8 +99,12 @@ def levenberg_marquardt(
     *,
     flat: float = FLAT,
     kept_within: float = 0.0,
+    straight: bool = False,
 ) -> FitState:
     """One step of Levenberg-Marquardt with geodesic acceleration (Transtrum and Sethna, arXiv:1201.5885).
+
+    `straight`: without the acceleration. Where the loss is bounded tightly, weights change along a step more than
+    the images bend, and the correction stands in its way.
 
     Gradient and curvature come from the images' Jacobian (Fisher scoring for the gamma likelihood). With penalties, or
     without hits at hand, the gradient is the adjoint's. The Jacobian is then kept while x moves less than
@@ -127,11 +132,16 @@ def levenberg_marquardt(
         step = here.step(damping)
         if step.promised < NOTHING * flat:
             break
-        trial = here.bent(problem, step)  # type: ignore[arg-type]  # each takes the steps that it gave
+        if straight and isinstance(here, _Quadratic):
+            trial: np.ndarray | None = here.ahead(step)  # type: ignore[arg-type]  # its own step
+        else:
+            trial = here.bent(problem, step)  # type: ignore[arg-type]  # each takes the steps that it gave
         if trial is not None:
             value = problem.value(problem.modelled(trial)) + problem.penalty(trial)
             if value <= here.loss:
                 new_x, new_loss, damping = trial, value, max(damping / 10.0, 1e-12)
+                if straight and isinstance(here, _Quadratic):
+                    new_x, new_loss = here.further(problem, step, new_x, new_loss)  # type: ignore[arg-type]
                 break
         damping *= growth
         growth *= 2.0  # far from the minimum the damping may have to rise by many decades
@@ -209,6 +219,24 @@ class _Quadratic:
         promised = -float(self.gradient @ step + 0.5 * step @ hessian @ step)
         promised, *whole = self.decided([promised, *step]).tolist()
         return _Step(damped, np.array(whole), promised)
+
+    def ahead(self, planned: _Step, times: float = 1.0) -> np.ndarray:
+        """Where so many times the step lead, shortened."""
+        step = planned.step * min(times, LARGEST_STEP / float(np.abs(planned.step).max()))
+        return np.clip(self.x + step, *self.bounds)
+
+    def further(self, problem: FitProblem, planned: _Step, x: np.ndarray, loss: float) -> tuple[np.ndarray, float]:
+        """The best place, and its loss, among the step's end x and twice, four times... the step. A step of reweighted
+        least squares is never too long and often too short (Lange, JRSS B 57, 1995)."""
+        for doubled in range(1, MOST_DOUBLED + 1):
+            trial = self.ahead(planned, 2.0**doubled)
+            if np.array_equal(trial, x):
+                break
+            value = problem.value(problem.modelled(trial)) + problem.penalty(trial)
+            if value >= loss:
+                break
+            x, loss = trial, value
+        return x, loss
 
     def bent(self, problem: FitProblem, planned: _Step) -> np.ndarray | None:
         """Where the step leads, shortened and corrected by the second derivative of ln mu along it.

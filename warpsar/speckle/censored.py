@@ -17,6 +17,8 @@ def minus_log_survival(level: np.ndarray, modelled: np.ndarray, looks: float) ->
     """-ln P(I >= level), the loss of clipped pixels; any shape."""
     x = looks * np.asarray(level / modelled, float)
     near, far = np.minimum(x, _far(looks)), np.maximum(x, _far(looks))
+    if np.array_equal(x, near):  # the series costs as much as the rest, and is rarely asked for
+        return np.asarray(-np.log(gammaincc(looks, near)))
     scaled = far - (looks - 1.0) * np.log(far) + gammaln(looks) - np.log(_tail(far, looks))
     return np.where(x > near, scaled, -np.log(gammaincc(looks, near)))
 
@@ -26,6 +28,8 @@ def hazard(level: np.ndarray, modelled: np.ndarray, looks: float) -> np.ndarray:
     x = looks * np.asarray(level / modelled, float)
     near, far = np.minimum(x, _far(looks)), np.maximum(x, _far(looks))
     density = np.exp(looks * np.log(near) - near - gammaln(looks)) / gammaincc(looks, near)
+    if np.array_equal(x, near):
+        return np.asarray(density)
     return np.where(x > near, far / _tail(far, looks), density)
 
 

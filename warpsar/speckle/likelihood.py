@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import polygamma
+from scipy.special import gammaln, polygamma
 
 from warpsar.speckle.censored import hazard, minus_log_survival, survival_curvature
 from warpsar.speckle.law import Law
@@ -116,17 +116,18 @@ def loss_weight(loss: str, looks: float, mean_square: float) -> float:
 
 GAIN_TURNS = 30  # of the reweighted mean, at most
 SAME_GAIN = 1e-8  # of a logarithm: the loss is level at the best gain, and differs by the square of it
+NEAR_GAIN = 1e-2  # the same where another method goes on from there
 CONTRACTS = 0.95  # share of a turn's step that the next one takes, up to which the steps are summed to their end
 
 
-def _settled(turn: Callable[[float], float], start: float) -> float:
+def _settled(turn: Callable[[float], float], start: float, same: float = SAME_GAIN) -> float:
     """Where turns lead to, in the logarithm of a gain: steps shrink by a constant share, so that two of them tell the
-    sum of all (Aitken's delta-squared process)."""
+    sum of all (Aitken's delta-squared process). They have arrived where a step is no longer than `same`."""
     x = start
     for _ in range(GAIN_TURNS // 2):
         first = turn(x)
         second = turn(first)
-        if abs(second - first) <= SAME_GAIN:
+        if abs(second - first) <= same:
             return second
         share = (second - first) / (first - x)
         x = first + (second - first) / (1.0 - share) if abs(share) < CONTRACTS else second
@@ -137,27 +138,58 @@ def best_gain(
     loss: str, measured: np.ndarray, modelled: np.ndarray, looks: float, bound: float = 0.0, top: float = np.inf
 ) -> float:
     """The factor on `modelled` that minimises the loss, in closed form; with a `bound` by reweighted means, and with
-    pixels clipped at `top` by Newton's method in its logarithm."""
-    if loss == "gamma" and (measured >= top).any():
-
-        def newton(x: float) -> float:
-            here = curvature(loss, measured, np.exp(x) * modelled, looks, 1.0, bound, top)
-            return x + float(np.average(here.residual, weights=here.weight))
-
-        return float(np.exp(_settled(newton, np.log(best_gain(loss, measured, modelled, looks, bound)))))
+    pixels clipped at `top` by Newton's method in its logarithm, from the gain of pixels that nothing clipped."""
     if loss == "gamma":
         ratio = measured / modelled
-        if bound <= 0:
-            return float(np.mean(ratio))
-
-        def mean(x: float) -> float:
-            shares = _shares(0.5 * deviance(ratio, np.array(np.exp(x)), looks), bound)
-            return float(np.log(np.average(ratio, weights=shares)))
-
-        return float(np.exp(_settled(mean, float(np.log(np.median(ratio))))))
+        clipped = measured >= top
+        some = bool(clipped.any())
+        x = _bounded_mean(ratio, looks, bound, NEAR_GAIN if some else SAME_GAIN)
+        if some:
+            x = _settled(_newton(ratio, clipped, top / modelled[clipped], looks, bound), x)
+        return float(np.exp(x))
     if loss == "mse":
         return float(np.sum(measured * modelled) / np.sum(modelled**2))
     return float(np.exp(np.mean(np.log(measured / modelled)) - log_bias(looks)))
+
+
+def _bounded_mean(ratio: np.ndarray, looks: float, bound: float, same: float) -> float:
+    """The logarithm of the mean of `ratio`, each pixel weighted by its share of the slope."""
+    if bound <= 0:
+        return float(np.log(np.mean(ratio)))
+    logarithm = np.log(ratio)  # once: what costs most
+    level = float(np.log(np.median(ratio)))
+
+    def turn(x: float) -> float:
+        shares = _shares(looks * (ratio * np.exp(-x) - (1.0 - x) - logarithm), bound)
+        return float(np.log(shares @ ratio / shares.sum()))
+
+    return _settled(turn, level, same)
+
+
+def _newton(
+    ratio: np.ndarray, clipped: np.ndarray, levels: np.ndarray, looks: float, bound: float
+) -> Callable[[float], float]:
+    """A turn of Newton's method in the logarithm of the gain, as `curvature` has slopes and weights. `levels`: the top
+    over what is modelled of the pixels that are `clipped`."""
+    free = ratio[~clipped]
+    logarithm = np.log(free)
+    one = np.ones(levels.shape)
+
+    def turn(x: float) -> float:
+        over = free * np.exp(-x)
+        weights = looks * _shares(looks * (over - (1.0 - x) - logarithm), bound)
+        level = levels * np.exp(-x)
+        slope = hazard(level, one, looks)
+        bent = np.maximum(survival_curvature(slope, level, one, looks), TINY)
+        argument = looks * level
+        lost = (
+            np.log(slope) - looks * np.log(argument) + argument + gammaln(looks)
+        )  # -ln Q, by the hazard's own equation
+        shares = _shares(lost, bound)
+        total = float(weights @ over - weights.sum() + shares @ slope)
+        return x + total / float(weights.sum() + shares @ bent)
+
+    return turn
 
 
 def loss_terms(

@@ -10,45 +10,64 @@ from typing import Any
 
 import numpy as np
 
-from warpsar.compare.prediction import Advantage, advantage, summaries
+from warpsar.compare.prediction import BOX, Advantage, summaries
 from warpsar.diagnosis.held_out.report import sentence, write_report
 from warpsar.diagnosis.held_out.search import HeldOut, held_out
+from warpsar.diagnosis.told import open_told
+from warpsar.io import checkpoint
+from warpsar.learning.learn import tag_of
 from warpsar.runtime import console, once
 from warpsar.simulation.outputs import opened, write_json
+from warpsar.version import __version__
 
 
-def run(scene_path: Path | str, out: Path | str, *, folds: int, device: str | None = None) -> dict[str, Any]:
+def run(
+    scene_path: Path | str,
+    out: Path | str,
+    *,
+    folds: int,
+    device: str | None = None,
+    time_limit_s: float | None = None,
+    resume: bool = False,
+) -> dict[str, Any]:
     """Write diagnosis.json, scene.toml with what was found, and report.html into `out`. Returns the JSON's content.
 
-    Raises InputError for a scene whose train views are too few to be left out in so many parts.
+    A checkpoint is kept there while it runs, and `resume` goes on from it. Raises InputError for a scene whose train
+    views are too few to be left out in so many parts, and as `open_told` does.
     """
     started = time.perf_counter()
     scene, out, where = opened(scene_path, out, device)
     words = ["warpsar", "diagnose", str(scene_path), "-o", str(out), "--device", where.alias, "--folds", str(folds)]
     once.join(where)
-    found = once.agree(lambda: held_out(scene, where, folds))
+    tag = tag_of(scene, {"command": "diagnose", "version": __version__, "folds": folds})
+    told = open_told(out, tag, resume or bool(once.restarts()))
+    found = once.agree(lambda: held_out(scene, where, folds, told, time_limit_s))
 
     def write() -> dict[str, Any]:
-        ahead = advantage(found.images)
         found.final.save(out / "scene.toml")
-        content = content_of(found, ahead)
+        content = content_of(found)
         content = write_json(out / "diagnosis.json", scene, where, scene.sampling.seed, started, content)
-        write_report(out / "report.html", found, ahead, content, words, where)
-        if ahead is not None:
+        write_report(out / "report.html", found, content, words, where)
+        if not found.not_asked:
+            checkpoint.remove(out)
+        for ahead in found.lead:
             console.say(ahead.words)
         console.say_written(out, "report.html", "diagnosis.json", "scene.toml")
-        print(sentence(found, ahead), file=sys.stdout)
+        print(sentence(found), file=sys.stdout)
         return content
 
     return once.agree(lambda: once.write(write)) or {}
 
 
-def content_of(found: HeldOut, ahead: Advantage | None) -> dict[str, Any]:
+def content_of(found: HeldOut) -> dict[str, Any]:
     """What diagnosis.json holds."""
+    pictures, box = (_told(next((one for one in found.lead if (one.rival == BOX) is it), None)) for it in (False, True))
     return {
         "verdict": found.held,
-        "unexplained": ahead is not None and not ahead.ahead,
-        "lead": None if ahead is None else {**asdict(ahead), "ahead": ahead.ahead, "words": ahead.words},
+        "unexplained": not found.ahead,
+        "lead": pictures,
+        "lead_of_box": box,
+        "not_asked": found.not_asked,
         "folds": found.folds,
         "steps": [asdict(step) for step in found.steps],
         "profiles": {name: asdict(profile) for name, profile in found.profiles.items()},
@@ -64,3 +83,7 @@ def content_of(found: HeldOut, ahead: Advantage | None) -> dict[str, Any]:
             name: one.model_dump(exclude_unset=True, mode="json") for name, one in found.final.materials.items()
         },
     }
+
+
+def _told(one: Advantage | None) -> dict[str, Any] | None:
+    return None if one is None else {**asdict(one), "ahead": one.ahead, "words": one.words}

@@ -23,6 +23,7 @@ WIDE = (-2.0, -1.2, -0.6, 0.0, 0.6, 1.2)
 """Places of a first profile about the known value, in its standard deviations. A size is tried further below: bodies
 that are too large in the mesh hide more."""
 NEAR = (-0.6, -0.3, 0.0, 0.3, 0.6)  # of a second one, about the value that was found
+FURTHER = 4  # places beyond a profile's end, where it is still falling there
 ARCS = 9  # of neighbours in azimuth: their misfit is alike, so the jackknife leaves out an arc at a time
 INTERVAL = 0.95
 TURNED = "turned by 180 deg"
@@ -129,13 +130,30 @@ def profiled(
     weight: float,
 ) -> tuple[Profile, float]:
     """The profile of a number, and how far the scene's value is to move. `scored` gives the scores of all views, by
-    azimuth, of the models changed by a function; `weight` turns a score into log-likelihood."""
+    azimuth, of the models changed by a function; `weight` turns a score into log-likelihood. Where the least value lies
+    at an end, places beyond it are tried."""
     now = number.now(scene)
+
+    def at(by: float) -> np.ndarray:
+        return scored(lambda one: number.moved(one, by))
+
     steps = [offset * number.sd for offset in offsets]
-    scores = np.array([scored(lambda one, by=step: number.moved(one, by)) for step in steps])  # type: ignore[misc]
-    places = [now + step for step in steps]
-    pull = 0.5 * ((np.array(places) - number.known) / number.sd) ** 2
-    value, sd, half = likeliest(places, weight * scores, pull)
+    known = {step: at(step) for step in steps}
+    for left in range(FURTHER, -1, -1):
+        places = [now + step for step in steps]
+        scores = np.array([known[step] for step in steps])
+        pull = 0.5 * ((np.array(places) - number.known) / number.sd) ** 2
+        value, sd, half = likeliest(places, weight * scores, pull)
+        low, high = (math.isclose(value, end, abs_tol=1e-9 * number.sd) for end in (places[0], places[-1]))
+        if not (low or high):
+            break
+        step = steps[1] - steps[0] if low else steps[-1] - steps[-2]
+        if not left:  # it falls further than anybody looked: no more is known than that
+            half = max(half, step)
+            break
+        # as many places as before, so that the curve through them is as near to them
+        steps = [steps[0] - step, *steps[:-1]] if low else [*steps[1:], steps[-1] + step]
+        known = {one: known[one] if one in known else at(one) for one in steps}
     means = tuple(float(one) for one in scores.mean(axis=1))
     unit = number.parameter.unit
     found = Profile(number.label, unit, number.known, number.sd, value, sd, half, tuple(places), means)

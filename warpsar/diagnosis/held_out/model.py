@@ -24,7 +24,7 @@ from warpsar.simulation.rays import Rays
 from warpsar.surface.stage import Stage
 from warpsar.world.tables import View
 
-ITERATIONS = 10
+ITERATIONS = 6
 FLAT, KEPT_WITHIN = 0.5, 0.05
 FITTED = 0.8  # of the window's rows and columns, about the middle, that a fit looks at: far ground says nothing new
 KEPT = 2  # sets of rays
@@ -59,7 +59,7 @@ class FitRays:
         moving[problem.learned.size :] = [aimed or c.view is None for c in problem.effect_coordinates]
         state = standing_at(problem, problem.x0)
         for _ in range(iterations if moving.any() else 0):
-            state = levenberg_marquardt(problem, state, moving, flat=FLAT, kept_within=KEPT_WITHIN)
+            state = levenberg_marquardt(problem, state, moving, flat=FLAT, kept_within=KEPT_WITHIN, straight=True)
             if state.arrived:
                 break
         found = learned_scene(problem, state.best_x)

@@ -13,7 +13,7 @@ from scipy.ndimage import uniform_filter
 
 from warpsar.compare.aim import Reach
 from warpsar.compare.comparison import ratio_db
-from warpsar.compare.prediction import Advantage, measured_of, predicted, summaries
+from warpsar.compare.prediction import measured_of, predicted, summaries
 from warpsar.diagnosis.held_out.search import HeldOut
 from warpsar.evaluation.report_parts import beta0_rgb, image_axes, reach_db, residual_rgb, residual_scale
 from warpsar.evaluation.report_prediction import prediction_table
@@ -26,20 +26,22 @@ SMOOTHED_PX = 3
 PERCENT = 98.0  # of the residual, that its scale holds
 
 
-def sentence(found: HeldOut, ahead: Advantage | None) -> str:
+def sentence(found: HeldOut) -> str:
     """The verdict and what it did to the views left out, in one line."""
     before, after = (float(np.mean(list(each.values()))) for each in (found.before, found.after))
     names = ", ".join(found.held) or "nothing"
     said = f"found: {names}; deviance of views left out {before:.3f} -> {after:.3f}"
-    if ahead is None:
+    if found.not_asked:
+        said += "; the time was over before all was asked"
+    if not found.lead:
         return said
-    return f"{said}; {'predicts better than pictures of other views' if ahead.ahead else 'not this body'}"
+    rivals = "pictures of other views" + (" and a box" if len(found.lead) > 1 else "")
+    return f"{said}; {f'predicts better than {rivals}' if found.ahead else 'not this body'}"
 
 
 def write_report(
     path: Path,
     found: HeldOut,
-    ahead: Advantage | None,
     content: dict[str, Any],
     command: Sequence[str],
     device: wp.Device,
@@ -52,7 +54,7 @@ def write_report(
         f"{len(found.folds)} parts, in arcs of azimuth"
     )
     sections = [
-        _in_short(found, ahead),
+        _in_short(found),
         _pictures(found, device),
         _steps(found),
         *_profiles(found),
@@ -61,17 +63,19 @@ def write_report(
             content, command, "Beside this file: diagnosis.json (all numbers), scene.toml (the model at the end)."
         ),
     ]
-    title = sentence(found, ahead)
+    title = sentence(found)
     report.write(path, report.page(title[0].upper() + title[1:] + ".", lead, *sections))
 
 
-def _in_short(found: HeldOut, ahead: Advantage | None) -> str:
+def _in_short(found: HeldOut) -> str:
     said = [
         "Every train view is predicted by a model that has not seen it, nor its neighbours. The rivals need no "
         "physics: the nearest measured view turned as a picture, the one nearest to the mirrored azimuth, and the "
-        "mean of all."
+        "mean of all. The box has the body's extents and all that was found, fitted anew, sizes too: a mesh that "
+        "predicts no better has told nothing of the body."
     ]
-    if ahead is not None:
+    said += [f"The time was over; not asked: {one}." for one in found.not_asked]
+    for ahead in found.lead:
         said.append(f"{ahead.words[0].upper()}{ahead.words[1:]}.".replace("+-", "±"))
     return report.section("In short", *map(report.paragraph, said), prediction_table(summaries(found.images)))
 
@@ -137,7 +141,7 @@ def _mean(power: np.ndarray) -> np.ndarray:
 def _steps(found: HeldOut) -> str:
     rows = [
         [
-            step.label + (" (first fit)" if step.glance else ""),
+            step.label + (" (asked again)" if step.again else "") + (" (first part)" if step.glance else ""),
             f"{step.gain:+.4f}",
             f"{step.error:.4f}",
             f"{step.noise:.4f}" if step.noise else "",
@@ -148,7 +152,9 @@ def _steps(found: HeldOut) -> str:
     said = (
         "In the order in which they were tried. The gain is that of the mean deviance of the views left out, of which "
         "speckle leaves 1. A trial stays if its gain, less its standard error, is above the noise: what a fit with "
-        "nothing new gains on other rays. A hypothesis whose first fit on one part gains nothing gets no other."
+        "nothing new gains on other rays. A hypothesis that gains nothing on the first part gets no other fit. Effects "
+        "that stay are asked again at the end: each is left out once more, and goes unless it is worth two standard "
+        "errors."
     )
     head = ("tried", "gain of views left out", "standard error", "noise", "stays")
     return report.section("What was tried", report.paragraph(said), report.table(head, rows))

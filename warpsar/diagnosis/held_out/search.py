@@ -3,13 +3,14 @@
 The train views are left out in parts (`arcs.py`). A model is one scene for each part, fitted to the others. Its score
 is the gamma deviance of every view by the model that has not seen it. A trial stays if its gain, less its standard
 error over the views, is above the noise: what a fit with nothing new gains on other rays and with as many iterations
-more, its mean and one standard error.
+more, its mean and one standard error. At the end every effect is left out once more: it stays if it is worth two
+standard errors, for what came early may only have stood in for what came later.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -17,8 +18,9 @@ import numpy as np
 import warp as wp
 
 from warpsar.compare.aim import EXPECTED
-from warpsar.compare.prediction import PredictedImage, predicted
+from warpsar.compare.prediction import BOX, Advantage, PredictedImage, advantage, predicted
 from warpsar.diagnosis.held_out.arcs import by_azimuth, folds
+from warpsar.diagnosis.held_out.box import as_box
 from warpsar.diagnosis.held_out.geometry import (
     NEAR,
     TURNED,
@@ -30,27 +32,32 @@ from warpsar.diagnosis.held_out.geometry import (
     turned,
 )
 from warpsar.diagnosis.held_out.hypotheses import EffectHypothesis, hypotheses, level_of
+from warpsar.diagnosis.held_out.kept import scene_content, scene_of
 from warpsar.diagnosis.held_out.model import (
-    ITERATIONS,
     FitRays,
     TrainViews,
     with_other_rays,
 )
+from warpsar.diagnosis.models.change import as_declared
+from warpsar.diagnosis.told import Told
 from warpsar.effects.registry import get
 from warpsar.runtime import console, threads
+from warpsar.runtime.deadline import TimeUp, check, deadline
 from warpsar.scene.scene import Scene
 
 GLANCE = 3  # iterations of a first fit, on one part alone, by which the likeliest is chosen
 FEW, FEWER = 10, 3  # views of that fit, and of the choice where it begins
 LAST = 6  # of the fit of all views at the end, which begins where the others ended
-MATTERS = 0.01  # gain of a trial from which on sizes and angles are moved beside it; after smaller ones, at the end
+PAYS = 2.0  # standard errors that an effect is worth at the end
+MATTERS = 0.05  # gain of a trial from which on sizes and angles are moved beside it; after smaller ones, at the end
 GEOMETRY = "sizes and angles"
 
 
 @dataclass(frozen=True)
 class TrialStep:
     """One trial: its gain in the deviance of views left out (1 is what speckle leaves), with its standard error over
-    the views, the noise that it had to pass, and whether it stays. `glance`: of a first fit alone."""
+    the views, the noise that it had to pass, and whether it stays. `glance`: of the first part's views alone. `again`:
+    what an effect of the model is worth at the end."""
 
     label: str
     gain: float
@@ -58,23 +65,47 @@ class TrialStep:
     noise: float
     stays: bool
     glance: bool = False
+    again: bool = False
 
 
 @dataclass
 class Model:
     """A scene for each part that is left out, and the scores of the views, in order of azimuth, by the scene that has
-    not seen them. `noise` is None until it is asked for."""
+    not seen them. `again`: the same model fitted with nothing new on other rays; None until it is asked for."""
 
     scenes: list[Scene]
     scores: np.ndarray
-    noise: float | None = None
+    again: Model | None = None
+
+    @property
+    def noise(self) -> float:
+        """What a fit with nothing new gains: its mean, if it gains, and one standard error; 0 where none was made."""
+        if self.again is None:
+            return 0.0
+        mean, error = _mean_and_error(self.scores - self.again.scores)
+        return max(mean, 0.0) + error
+
+
+@dataclass(frozen=True)
+class Added:
+    """An effect of the model, or more of one: the keys that its table got, none for the whole table."""
+
+    effect: str
+    keys: frozenset[str] = frozenset()
+
+    def taken_from(self, scene: Scene) -> Scene:
+        """The scene without it."""
+        table = {key: value for key, value in scene.effects[self.effect].items() if key not in self.keys}
+        rest = {name: one for name, one in scene.effects.items() if name != self.effect}
+        return replace(scene, effects=rest | ({self.effect: table} if self.keys else {}))
 
 
 @dataclass
 class HeldOut:
     """What was found. `declared` and `final`: the scene of the file fitted, and with all that stays, fitted to all
     train views. `folds` have the names of the views left out together. `before` and `after`: deviances of the views
-    left out, by name, in order of azimuth. `images`: the views left out beside all that predicts them."""
+    left out, by name, in order of azimuth. `images`: the views left out beside all that predicts them. `not_asked`:
+    what a limit of time left out."""
 
     scene: Scene
     declared: Scene
@@ -86,12 +117,37 @@ class HeldOut:
     after: dict[str, float]
     images: list[PredictedImage]
     held: list[str] = field(default_factory=list)
+    not_asked: list[str] = field(default_factory=list)
+
+    @property
+    def lead(self) -> list[Advantage]:
+        """How far ahead the model is of pictures of other views, and of a box of the body's size."""
+        found = [advantage(self.images), advantage(self.images, rivals=(BOX,))]
+        return [one for one in found if one is not None]
+
+    @property
+    def ahead(self) -> bool:
+        """Whether no rival predicts as well."""
+        return all(one.ahead for one in self.lead)
 
 
 class FoldSearch:
     """The trials on one scene."""
 
-    def __init__(self, scene: Scene, device: wp.Device, parts: int, progress: Callable[[], object]) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        device: wp.Device,
+        parts: int,
+        progress: Callable[[], object],
+        told: Told | None = None,
+        time_limit_s: float | None = None,
+    ) -> None:
+        self._told, self._time_limit_s = told or Told(), time_limit_s
+        self._model: Model
+        self._box: Model | None = None
+        self._doing = ""
+        self.not_asked: list[str] = []  # what a limit of time left out, in words
         self.trained, self.device, self._progress = TrainViews(scene, device), device, progress
         self.fits = FitRays(device)
         self.start = self.trained.scene
@@ -101,27 +157,20 @@ class FoldSearch:
         self.steps: list[TrialStep] = []
         self.profiles: dict[str, Profile] = {}
         self.held: list[str] = []
+        self._added: dict[str, Added] = {}
         self._glanced: dict[str, tuple[float, float, dict[str, Any], bool]] = {}
 
     def run(self) -> HeldOut:
-        """Fit, try, fit again."""
-        model = self._fitted([self.start] * len(self.folds))
-        console.say(f"as declared: deviance of views left out {model.scores.mean() / EXPECTED:.3f}")
-        first = model
-        refused: set[str] = set()
-        offsets: Sequence[float] = WIDE
-        movable, pending = bool(self.numbers or turnable(self.start)), True
-        while True:
-            found = self._turn(model, refused)
-            if found is None:
-                break
-            model, pending = found, True
-            if movable and self.steps[-1].gain > MATTERS:
-                moved, pending = self._geometry(model, offsets), False
-                if moved is not None:
-                    model, offsets = moved, NEAR
-        if movable and pending:
-            model = self._geometry(model, offsets) or model
+        """Fit, try, fit again; until the time is over: then what was found so far stands."""
+        first = self._model = self._surely_fitted([self.start] * len(self.folds))
+        console.say(f"as declared: deviance of views left out {first.scores.mean() / EXPECTED:.3f}")
+        try:
+            with deadline(self._time_limit_s):
+                self._search()
+        except TimeUp:
+            self.not_asked = [self._doing]
+            console.say(f"the time is over; not asked: {self._doing}")
+        model, boxed = self._model, self._box
         self._progress()
         final = self.fits.fitted(model.scenes[0], self.trained.names, LAST).scene
         return HeldOut(
@@ -133,9 +182,35 @@ class FoldSearch:
             profiles=self.profiles,
             before=self._by_name(first.scores),
             after=self._by_name(model.scores),
-            images=self._images({"model": model.scenes, "before": first.scenes}),
+            images=self._images(
+                {"model": model.scenes, "before": first.scenes} | ({} if boxed is None else {BOX: boxed.scenes})
+            ),
             held=list(dict.fromkeys(self.held)),
+            not_asked=self.not_asked,
         )
+
+    def _search(self) -> None:
+        refused: set[str] = set()
+        offsets: Sequence[float] = WIDE
+        movable, pending = bool(self.numbers or turnable(self.start)), True
+        while True:
+            self._doing = "whether another effect is missing"
+            found = self._turn(self._model, refused)
+            if found is None:
+                break
+            self._model, pending = found, True
+            if movable and self.steps[-1].gain > MATTERS:
+                self._doing = GEOMETRY
+                moved, pending = self._geometry(self._model, offsets), False
+                if moved is not None:
+                    self._model, offsets = moved, NEAR
+        if movable and pending:
+            self._doing = GEOMETRY
+            self._model = self._geometry(self._model, offsets) or self._model
+        self._doing = "what each effect is worth at the end"
+        self._model = self._asked_again(self._model)
+        self._doing = "whether a box of its size predicts as well"
+        self._box = self._boxed(self._model)
 
     def _images(self, models: Mapping[str, Sequence[Scene]]) -> list[PredictedImage]:
         """The views left out beside what models that have not seen them predict, and beside the rivals."""
@@ -151,30 +226,73 @@ class FoldSearch:
     def _rest(self, part: int) -> list[str]:
         return [name for name in self.trained.names if name not in self.folds[part]]
 
-    def _scored(self, scenes: Sequence[Scene]) -> np.ndarray:
+    def _scored(self, scenes: Sequence[Scene], first: np.ndarray | None = None) -> np.ndarray:
+        """The scores of all views; `first` are those of the first part where they are known."""
+        check()
         found: dict[str, float] = {}
-        for scene, left in zip(scenes, self.folds, strict=True):
-            found |= dict(zip(left, self.trained.scores(scene, left).tolist(), strict=True))
+        for part, (scene, left) in enumerate(zip(scenes, self.folds, strict=True)):
+            own = first if first is not None and not part else self.trained.scores(scene, left)
+            found |= dict(zip(left, own.tolist(), strict=True))
         return np.array([found[name] for name in self.order])
 
-    def _fitted(self, begun: Sequence[Scene], iterations: int = ITERATIONS) -> Model:
-        tasks = [partial(self.fits.fitted, scene, self._rest(part), iterations) for part, scene in enumerate(begun)]
-        scenes = [one.scene for one in threads.ordered(tasks, self.device)]
-        self._progress()
-        return Model(scenes, self._scored(scenes))
+    def _fitted(
+        self, begun: Sequence[Scene], enough: Callable[[np.ndarray], bool] = lambda scores: False
+    ) -> Model | None:
+        """The model fitted, the first part by all cores, the others side by side. None where the scores of the first
+        part's views, in their order in the fold, are `enough` to know."""
+        tasks = [partial(self.fits.fitted, scene, self._rest(part)) for part, scene in enumerate(begun)]
 
-    def _noise(self, model: Model) -> float:
-        """What a fit with nothing new gains: its mean, if it gains, and one standard error."""
-        if model.noise is None:
-            again = self._fitted([with_other_rays(scene) for scene in model.scenes])
-            mean, error = _mean_and_error(model.scores - again.scores)
-            model.noise = max(mean, 0.0) + error
-        return model.noise
+        def first_part() -> tuple[list[Scene], np.ndarray]:
+            scene = tasks[0]().scene
+            return [scene], self.trained.scores(scene, self.folds[0])
+
+        def rest() -> tuple[list[Scene], np.ndarray]:
+            scenes = [one.scene for one in threads.ordered(tasks[1:], self.device)]
+            return scenes, self._scored([*ahead, *scenes], first)
+
+        ahead, first = self._kept(first_part)
+        self._progress()
+        if enough(first):
+            return None
+        scenes, scores = self._kept(rest)
+        self._progress()
+        return Model([*ahead, *scenes], scores)
+
+    def _kept(self, run: Callable[[], tuple[list[Scene], np.ndarray]]) -> tuple[list[Scene], np.ndarray]:
+        """What `run` gives, or gave in an earlier part of the run."""
+        return self._told.following(
+            run,
+            lambda found: {"scenes": [scene_content(self.start, one) for one in found[0]], "scores": found[1].tolist()},
+            lambda entry: ([scene_of(self.start, one) for one in entry["scenes"]], np.array(entry["scores"])),
+        )
+
+    def _scored_moved(self, now: Sequence[Scene], change: Callable[[Scene], Scene]) -> np.ndarray:
+        """The scores of the models changed by a function."""
+        return self._told.following(
+            lambda: self._scored([change(scene) for scene in now]), lambda found: found.tolist(), np.array
+        )
+
+    def _surely_fitted(self, begun: Sequence[Scene]) -> Model:
+        found = self._fitted(begun)
+        assert found is not None
+        return found
+
+    def _again(self, model: Model) -> Model:
+        """The model fitted with nothing new, on other rays."""
+        if model.again is None:
+            model.again = self._surely_fitted([with_other_rays(scene) for scene in model.scenes])
+        return model.again
+
+    def _of_first(self, model: Model) -> np.ndarray:
+        """A model's scores of the first part's views, in their order in the fold."""
+        return model.scores[[self.order.index(name) for name in self.folds[0]]]
 
     def _judged(self, label: str, model: Model, scores: np.ndarray, *, refitted: bool = True) -> bool:
         """Whether a trial with these scores stays. One that is not `refitted` has no noise to pass."""
         mean, error = _mean_and_error(model.scores - scores)
-        noise = self._noise(model) if refitted and mean > error else 0.0
+        if refitted and mean > error:
+            self._again(model)
+        noise = model.noise if refitted else 0.0
         self.steps.append(
             TrialStep(label, mean / EXPECTED, error / EXPECTED, noise / EXPECTED, bool(mean - error > noise))
         )
@@ -187,8 +305,9 @@ class FoldSearch:
         one = self.steps[-1]
         verdict = "stays" if one.stays else "goes"
         noise = f", noise {one.noise:.4f}" if one.noise else ""
-        first = "first fit, " if one.glance else ""
-        console.say(f"{one.label}: {first}gain of views left out {one.gain:+.4f} +- {one.error:.4f}{noise}: {verdict}")
+        how = ("asked again, " if one.again else "") + ("first part, " if one.glance else "")
+        what = "worth to" if one.again else "gain of"
+        console.say(f"{one.label}: {how}{what} views left out {one.gain:+.4f} +- {one.error:.4f}{noise}: {verdict}")
 
     def _turn(self, model: Model, refused: set[str]) -> Model | None:
         """Try the hypotheses in the order of a first fit, until one stays; None where none does.
@@ -212,14 +331,58 @@ class FoldSearch:
             one = left.pop(label)
             refused.add(label)
             if gain + error <= 0.0:
-                self.steps.append(TrialStep(label, gain / EXPECTED, error / EXPECTED, 0.0, False, True))
-                self._say()
+                self._refuse(label, gain, error)
                 continue
             begun = [one.started(scene, table, self.start if on_declared else scene) for scene in model.scenes]
-            trial = self._fitted(begun)
-            if self._judged(label, model, trial.scores):
+            trial = self._fitted(begun, partial(self._hopeless, label, model))
+            if trial is not None and self._judged(label, model, trial.scores):
+                had = frozenset(model.scenes[0].effects[one.effect]) if one.extension else frozenset(table)
+                keys = frozenset(table) - had
+                self._added[label] = Added(one.effect, keys)
                 return trial
         return None
+
+    def _refuse(self, label: str, gain: float, error: float, noise: float = 0.0) -> None:
+        """A trial that the views of the first part tell to go."""
+        self.steps.append(TrialStep(label, gain / EXPECTED, error / EXPECTED, noise / EXPECTED, False, True))
+        self._say()
+
+    def _hopeless(self, label: str, model: Model, scores: np.ndarray) -> bool:
+        """Whether the first part's views gain no more than noise by a trial, one standard error included."""
+        gain, error = _mean_and_error(self._of_first(model) - scores)
+        if gain + error > model.noise:
+            return False
+        self._refuse(label, gain, error, model.noise)
+        return True
+
+    def _asked_again(self, model: Model) -> Model:
+        """The model without the effects that are worth nothing at its end, those that gained least first. With and
+        without, it is fitted on from where it stands, on the same rays."""
+        gains = {one.label: one.gain for one in self.steps if one.stays}
+        for label in sorted(self._added, key=lambda one: gains[one]):
+            if label not in self._added:
+                continue  # gone with its effect
+            one, full = self._added[label], self._again(model)
+
+            def enough(scores: np.ndarray, label: str = label, full: Model = full) -> bool:
+                worth, error = _mean_and_error(scores - self._of_first(full))
+                if worth > PAYS * error:
+                    self.steps.append(TrialStep(label, worth / EXPECTED, error / EXPECTED, 0.0, True, True, True))
+                return bool(worth > PAYS * error)
+
+            without = self._fitted([one.taken_from(with_other_rays(scene)) for scene in model.scenes], enough)
+            if without is not None:
+                worth, error = _mean_and_error(without.scores - full.scores)
+                stays = bool(worth > PAYS * error)
+                self.steps.append(TrialStep(label, worth / EXPECTED, error / EXPECTED, 0.0, stays, False, True))
+                if not stays:
+                    model = without
+                    gone = [each for each, more in self._added.items() if more.effect == one.effect]
+                    for each in gone if not one.keys else [label]:
+                        del self._added[each]
+                        self.held.remove(each)
+            self._say()
+        return model
 
     def _level(self, model: Model) -> float:
         images = predicted(model.scenes[0], self.trained.views[:1], self.device)
@@ -248,9 +411,12 @@ class FoldSearch:
             mean, error = _mean_and_error(own - self.trained.scores(ends[best].scene, ahead))
             return mean, error, tables[0], best == 1
 
-        found = threads.ordered([partial(glance, one) for one in some], self.device)
-        for one, seen in zip(some, found, strict=True):
-            self._glanced[one.label] = seen
+        def seen() -> list[tuple[float, float, dict[str, Any], bool]]:
+            return list(threads.ordered([partial(glance, one) for one in some], self.device))
+
+        found = self._told.following(seen, list, lambda entry: [tuple(one) for one in entry])
+        for one, each in zip(some, found, strict=True):
+            self._glanced[one.label] = each
         self._progress()
 
     def _geometry(self, model: Model, offsets: Sequence[float]) -> Model | None:
@@ -259,23 +425,45 @@ class FoldSearch:
         profiles: dict[str, Profile] = {}
 
         def scored(change: Callable[[Scene], Scene]) -> np.ndarray:
-            return self._scored([change(scene) for scene in now])
+            return self._scored_moved(now, change)
 
         for number in self.numbers:
             profiles[number.label], by = profiled(number, now[0], offsets, scored, weight)
             now = [number.moved(scene, by) for scene in now]
             self._progress()
         for label in turnable(self.start):
-            base, back = self._scored(now), scored(partial(turned, label=label))
+            base, back = scored(lambda scene: scene), scored(partial(turned, label=label))
             if self._judged(f"{label} {TURNED}", Model(now, base), back, refitted=False):
                 now = [turned(scene, label) for scene in now]
-        scores = self._scored(now)
+        scores = scored(lambda scene: scene)
         if not self._judged(GEOMETRY, model, scores, refitted=False):
             return None
         self.profiles |= profiles
         for one in profiles.values():
             console.say(f"  {one.label}: {one.value:.4g} +- {one.half:.2g} {one.unit}, known as {one.known:.4g}")
         return Model(now, scores)
+
+    def _boxed(self, model: Model) -> Model | None:
+        """The model with every body of a mesh, whose pose or size is not known, as a box of its size, and fitted anew;
+        None without such a body."""
+        labels = turnable(self.start)
+        if not labels:
+            return None
+        now = list(model.scenes)
+        for label in labels:
+            now = [as_box(scene, label) for scene in now]
+        sizes = [one for one in numbers(now[0]) if one.parameter.key == "size_m" and one.parameter.owner in set(labels)]
+        for number in sizes:
+
+            def scored(change: Callable[[Scene], Scene]) -> np.ndarray:
+                return self._scored_moved(now, change)  # noqa: B023 - called at once
+
+            _, by = profiled(number, now[0], WIDE, scored, 0.5 * self._draws())
+            now = [number.moved(scene, by) for scene in now]
+            self._progress()
+        # the rival at its best: the body's surface may lead a box into a valley
+        begun = [now, [as_declared(self.start, scene) for scene in now]]
+        return min((self._surely_fitted(each) for each in begun), key=lambda one: float(one.scores.mean()))
 
     def _draws(self) -> float:
         """Independent draws of speckle in a view: its pixels over those that share a draw by the point spread."""
@@ -295,13 +483,16 @@ def _spread(names: Sequence[str], count: int) -> list[str]:
     return [names[int(k)] for k in np.linspace(0, len(names), min(count, len(names)), endpoint=False)]
 
 
-def held_out(scene: Scene, device: wp.Device, parts: int) -> HeldOut:
-    """What the scene's model lacks, by train views left out in so many parts.
+def held_out(
+    scene: Scene, device: wp.Device, parts: int, told: Told | None = None, time_limit_s: float | None = None
+) -> HeldOut:
+    """What the scene's model lacks, by train views left out in so many parts. `told` may be of an earlier part of the
+    run; the search ends after `time_limit_s` with what it has found.
 
     Raises InputError for fewer than two train views for each part.
     """
     bar = console.progress(0, "diagnose", "step")
     try:
-        return FoldSearch(scene, device, parts, bar.update).run()
+        return FoldSearch(scene, device, parts, bar.update, told, time_limit_s).run()
     finally:
         bar.close()

@@ -61,7 +61,7 @@ class Fitted:
         """Where the fit began and where it ended, for a checkpoint (JSON's types) and for other processes."""
         begun = self.problem.scene
         return {
-            "materials": {name: _values(material) for name, material in begun.materials.items()},
+            "materials": surface_content(begun),
             "effects": begun.effects,
             "x": self.x.tolist(),
             "log_likelihood": self.log_likelihood,
@@ -72,19 +72,27 @@ class Fitted:
     @classmethod
     def of(cls, setup: FitSetup, scene: Scene, content: Mapping[str, Any]) -> Fitted:
         """The model of which `content` is; `scene` is of the same mesh and views."""
-        materials = {}
-        for name, material in scene.materials.items():
-            values = {k: _value(v) for k, v in content["materials"][name].items()}
-            # what stands at its default stays unstated
-            changed = {k: v for k, v in values.items() if v != getattr(material, k)}
-            materials[name] = material.model_copy(update=changed)
-        problem, x = (
-            setup.problem(replace(scene, materials=materials, effects=content["effects"])),
-            np.array(content["x"]),
-        )
+        begun = replace(with_surface(scene, content["materials"]), effects=content["effects"])
+        problem, x = setup.problem(begun), np.array(content["x"])
         return cls(
             learned_scene(problem, x), problem, x, content["log_likelihood"], content["whole"], content["iterations"]
         )
+
+
+def surface_content(scene: Scene) -> dict[str, dict[str, Any]]:
+    """What a fit may change of each material, in JSON's types."""
+    return {name: _values(material) for name, material in scene.materials.items()}
+
+
+def with_surface(scene: Scene, about: Mapping[str, Mapping[str, Any]]) -> Scene:
+    """The scene with the values that `surface_content` gave."""
+    materials = {}
+    for name, material in scene.materials.items():
+        values = {k: _value(v) for k, v in about[name].items()}
+        # what stands at its default stays unstated
+        changed = {k: v for k, v in values.items() if v != getattr(material, k)}
+        materials[name] = material.model_copy(update=changed)
+    return replace(scene, materials=materials)
 
 
 def _values(material: Material) -> dict[str, Any]:

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from warpsar.diagnosis.found import Candidate, Confirmed, DarkScan, DiagnoseOptions, Turn
 from warpsar.diagnosis.models.carried import Carried
@@ -18,28 +14,20 @@ from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.left_out import ViewsLeftOut
 from warpsar.diagnosis.models.refit import Fitted
 from warpsar.diagnosis.search.confirmation import Confirmation
+from warpsar.diagnosis.told import Told, open_told
 from warpsar.effects.base.signature import Signature
-from warpsar.errors import InputError
-from warpsar.io import checkpoint
 from warpsar.learning.learn import tag_of
-from warpsar.runtime import console, once
 from warpsar.scene.scene import Scene
 from warpsar.speckle.scan import Spot
 from warpsar.version import __version__
 
 
 class SearchRecord:
-    """What is fitted and decided so far. `stored` is the checkpoint of an earlier part of the run.
+    """What is fitted and decided so far; `told` may be of an earlier part of the run."""
 
-    `tag` names the run (`checkpoint.write`); without a `folder` nothing is stored. What a resumed run takes from the
-    checkpoint is what it would find again, to the bit on the CPU: JSON keeps every digit.
-    """
-
-    def __init__(
-        self, folder: Path | None = None, tag: str = "", stored: Mapping[str, np.ndarray] | None = None
-    ) -> None:
-        self._folder, self._tag = folder, tag
-        self._stored: list[Any] = [] if stored is None else json.loads(str(stored["told"]))
+    def __init__(self, told: Told | None = None) -> None:
+        self._told = told or Told()
+        self._stored = self._told.entries
 
     def declared(self, setup: FitSetup, scene: Scene, fit: Callable[[], Fitted]) -> Fitted:
         """The declared model, fitted: as stored, or by `fit`."""
@@ -47,7 +35,7 @@ class SearchRecord:
         if self._stored:
             return Fitted.of(setup, scene, self._stored[0])
         fitted = fit()
-        self._keep(fitted.content())
+        self._told.add(fitted.content())
         return fitted
 
     def turn(self, stage: int, setup: FitSetup, base: Fitted, run: Callable[[], Turn]) -> Turn:
@@ -55,7 +43,7 @@ class SearchRecord:
         if stage + 1 < len(self._stored):
             return _turn_of(self._scene, self._stored[stage + 1], setup, base)
         turn = run()
-        self._keep(_content(self._scene, turn))
+        self._told.add(_content(self._scene, turn))
         return turn
 
     def confirmation(self, stage: int, setup: FitSetup, base: Fitted, run: Callable[[], Confirmation]) -> Confirmation:
@@ -65,41 +53,17 @@ class SearchRecord:
             asked = [Confirmed(**{**one, **_parts(one)}) for one in stored["asked"]]
             return Confirmation(_fitted(self._scene, stored["fitted"], setup, base), asked)
         found = run()
-        self._keep(
+        self._told.add(
             {"fitted": _fitted_content(self._scene, found.fitted), "asked": [asdict(one) for one in found.asked]}
         )
         return found
 
-    def _keep(self, told: dict[str, Any]) -> None:
-        self._stored.append(told)
-        if self._folder is not None:
-            arrays = {"told": np.array(json.dumps(self._stored))}
-            once.write(partial(checkpoint.write, self._folder, arrays, self._tag))
-
 
 def open_record(scene: Scene, options: DiagnoseOptions, folder: Path, resume: bool) -> SearchRecord:
-    """The run as it stands: at its beginning, or with `resume` at the checkpoint in `folder`.
-
-    Raises InputError where there is nothing to resume, or what is there belongs to
-    another scene, other options or another version. Under torchrun, a job that is started again before its first
-    checkpoint begins anew.
-    """
+    """The run as it stands; refusals as `open_told` has them."""
     chosen = {key: value for key, value in asdict(options).items() if key != "time_limit_s"}
     tag = tag_of(scene, {"command": "diagnose", "version": __version__, **chosen})
-    restarts = once.restarts()
-    if restarts == 0 and not resume:
-        once.write(partial(checkpoint.remove, folder))  # of an earlier run: torchrun's restarts shall find this one's
-
-    def read() -> dict[str, np.ndarray] | None:
-        found = checkpoint.read(folder, tag)
-        if found is None and restarts is None:
-            raise InputError(f"--resume: found no checkpoint in {folder}; allowed is a folder with one of this run")
-        return found
-
-    stored = once.find(read) if resume else None
-    if resume and stored is None:
-        console.say("--resume: there is no checkpoint; the run starts afresh")
-    return SearchRecord(folder, tag, stored)
+    return SearchRecord(open_told(folder, tag, resume))
 
 
 def _content(scene: Scene, turn: Turn) -> dict[str, Any]:

@@ -1,0 +1,69 @@
+"""What a run has told so far, entry after entry, and its checkpoint."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from warpsar.errors import InputError
+from warpsar.io import checkpoint
+from warpsar.runtime import console, once
+
+T = TypeVar("T")
+
+
+class Told:
+    """Entries in JSON's types, in the order in which a run makes them. What a resumed run takes from them is what it
+    would find again, to the bit on the CPU: JSON keeps every digit.
+
+    `tag` names the run (`checkpoint.write`); without a `folder` nothing is stored. `entries` are those of an earlier
+    part of the run.
+    """
+
+    def __init__(self, folder: Path | None = None, tag: str = "", entries: list[Any] | None = None) -> None:
+        self._folder, self._tag, self.entries = folder, tag, list(entries or [])
+        self._next = 0
+
+    def add(self, entry: Any) -> None:
+        """Keep an entry, and store all."""
+        self.entries.append(entry)
+        if self._folder is not None:
+            arrays = {"told": np.array(json.dumps(self.entries))}
+            once.write(partial(checkpoint.write, self._folder, arrays, self._tag))
+
+    def following(self, run: Callable[[], T], content: Callable[[T], Any], of: Callable[[Any], T]) -> T:
+        """What the next step of the run gives: as stored, or by `run`. `content` makes an entry of it, and `of` makes
+        it of an entry."""
+        self._next += 1
+        if self._next <= len(self.entries):
+            return of(self.entries[self._next - 1])
+        found = run()
+        self.add(content(found))
+        return found
+
+
+def open_told(folder: Path, tag: str, resume: bool) -> Told:
+    """The run as it stands: at its beginning, or with `resume` at the checkpoint in `folder`.
+
+    Raises InputError where there is nothing to resume, or what is there belongs to another scene, other options or
+    another version. Under torchrun, a job that is started again before its first checkpoint begins anew.
+    """
+    restarts = once.restarts()
+    if restarts == 0 and not resume:
+        once.write(partial(checkpoint.remove, folder))  # of an earlier run: torchrun's restarts shall find this one's
+
+    def read() -> dict[str, np.ndarray] | None:
+        found = checkpoint.read(folder, tag)
+        if found is None and restarts is None:
+            raise InputError(f"--resume: found no checkpoint in {folder}; allowed is a folder with one of this run")
+        return found
+
+    stored = once.find(read) if resume else None
+    if resume and stored is None:
+        console.say("--resume: there is no checkpoint; the run starts afresh")
+    return Told(folder, tag, None if stored is None else json.loads(str(stored["told"])))
