@@ -7,6 +7,7 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import toeplitz
 from scipy.stats import norm
 
 F64 = NDArray[np.float64]
@@ -63,6 +64,22 @@ class ResponseAxis:
         """
         return _share(self.hamming, half_m * self.bandwidth, self.pixel_m * self.bandwidth)
 
+    def interference_m(self, half_m: float) -> float:
+        """Clutter that beats with the target under a window of `half_m` to both sides [m].
+
+        With s the point's response of energy 1 and rho the correlation of clutter it is the double integral of
+        s(x) s(y) rho(x - y) over the window, per look. Over all space it is `cell_m`; a window cuts the response, whose
+        cut edges meet clutter of all the band.
+        """
+        return _moments(self.hamming, half_m * self.bandwidth)[0] / self.bandwidth / self.looks
+
+    def unevenness_m(self, half_m: float) -> float:
+        """Variance of the mean of clutter's power under that window, over its square, times the window [m].
+
+        The double integral of rho(x - y)^2 over the window, over the window's length. For long windows: `cell_m`.
+        """
+        return _moments(self.hamming, half_m * self.bandwidth)[1] / self.bandwidth / self.looks
+
 
 def _weights(hamming: float) -> F64:
     at = (np.arange(FINER) + 0.5) / FINER - 0.5
@@ -79,6 +96,23 @@ def _share(hamming: float, half: float, pixel: float) -> float:
     response = np.cos(2.0 * np.pi * np.outer(at, frequency)) @ weights / FINER
     inside = np.clip((reach - at) / pixel, 0.0, 1.0) if pixel else np.ones_like(at)
     return float(2.0 * np.trapezoid(response**2 * inside, at) / (weights**2).mean())  # by Parseval
+
+
+@lru_cache(maxsize=256)
+def _moments(hamming: float, half: float) -> tuple[float, float]:
+    """Double integrals over a window, of the response with clutter's correlation, and of that correlation squared over
+    the window's length; lengths in units of 1 / bandwidth."""
+    weights = _weights(hamming)
+    at, step = np.linspace(-half, half, 401, retstep=True)
+    frequency = (np.arange(FINER) + 0.5) / FINER - 0.5
+    response = np.cos(2.0 * np.pi * np.outer(at, frequency)) @ weights / FINER / np.sqrt((weights**2).mean())
+    apart = step * np.arange(401)
+    correlation = np.cos(2.0 * np.pi * np.outer(apart, frequency)) @ weights**2 / FINER / (weights**2).mean()
+    whole = toeplitz(correlation)
+    trapezoid = np.full(401, step)
+    trapezoid[[0, -1]] *= 0.5
+    beats = float((response * trapezoid) @ whole @ (response * trapezoid))
+    return beats, float(trapezoid @ whole**2 @ trapezoid) / (2.0 * half)
 
 
 @dataclass(frozen=True)
@@ -184,9 +218,11 @@ def measure_point(
     share = float(np.prod([axis.share(h) for axis, h in zip(response, half, strict=True)]))
     window_area = float(inside.sum()) * pixel_area / factor**2
     target = (float((power * inside).sum()) * pixel_area / factor**2 - clutter * window_area) / share
-    cell_rcs = clutter * cell_area
-    # Clutter under the target, and the error of its mean; both over the share.
-    spread = (clutter**2 * window_area * (cell_area + window_area / independent)) / share**2
+    # What beats with the target, clutter under it, and the error of clutter's mean; all over the share.
+    beating = clutter * float(np.prod([axis.interference_m(h) for axis, h in zip(response, half, strict=True)]))
+    uneven = float(np.prod([axis.unevenness_m(h) for axis, h in zip(response, half, strict=True)]))
+    cell_rcs = beating / share**2
+    spread = clutter**2 * window_area * (uneven + window_area / independent) / share**2
     z = float(norm.ppf(0.5 + 0.5 * settings.confidence))
     low, high = interval(target, cell_rcs, spread, z)
     if not complex_chip and seen:
