@@ -3,6 +3,7 @@
 attitude.py     how a trihedral stands, and its cross-section in closed form
 engine.py       its cross-section by the engine, from the same mesh
 sites.py        the table of sites
+presence.py     when a reflector stands, and where one is whose place is not known
 point.py        a point target in an image: place, cross-section with an interval, response
 measure.py      a reflector in a product
 differences.py  measured less predicted, of all reflectors and dates

@@ -18,7 +18,8 @@ NEIGHBOURS = 3
 """Values before, and after, that make the level at a date."""
 LEAST_SCATTER_DB = 0.1
 """What is known of no radar better, from date to date."""
-_SAME_PASS = float(np.cos(np.deg2rad(3.0)))
+SAME_PASS = float(np.cos(np.deg2rad(3.0)))
+"""Looks that differ by less are of one pass."""
 FEWEST = 5
 """Values of a reflector from one pass, of which one can be called bad."""
 
@@ -45,7 +46,7 @@ class Differences:
         used = [
             one
             for one in observations
-            if one.stands and one.difference_db is not None and one.difference_sd_db is not None
+            if one.stands and one.site.for_power and one.difference_db is not None and one.difference_sd_db is not None
         ]
         used.sort(key=lambda one: (one.date, one.site.name))
         names = tuple(dict.fromkeys(one.site.name for one in used))
@@ -78,7 +79,7 @@ class Differences:
         """Reflector and direction to the radar of each pass, in the order of time."""
         found: list[tuple[int, F64]] = []
         for site, look in zip(self.site.tolist(), self.look, strict=True):
-            if not any(site == other and look @ known > _SAME_PASS for other, known in found):
+            if not any(site == other and look @ known > SAME_PASS for other, known in found):
                 found.append((site, look))
         return found
 
@@ -95,7 +96,7 @@ def pass_numbers(looks: Sequence[tuple[int, F64]], data: Differences) -> NDArray
     """Which of these passes each value has, (n,); -1 for none."""
     found = np.full(len(data), -1, np.int64)
     for k, (site, look) in reversed(list(enumerate(looks))):
-        found[(data.site == site) & (data.look @ look > _SAME_PASS)] = k
+        found[(data.site == site) & (data.look @ look > SAME_PASS)] = k
     return found
 
 

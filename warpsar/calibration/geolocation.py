@@ -53,6 +53,7 @@ class Geolocation:
 def geolocation(observations: Sequence[ReflectorObservation]) -> Geolocation | None:
     """None where nothing was found."""
     used = [one for one in observations if one.offset_m is not None and one.stands and one.point and one.point.seen]
+    used = [one for one in used if one.site.for_place]
     if not used:
         return None
     offsets = np.array([one.offset_m for one in used], np.float64)

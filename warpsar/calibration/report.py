@@ -55,7 +55,7 @@ def write_report(
     command: Sequence[str],
     *,
     title: str = "Reflectors: measured and predicted",
-    beside: str = "reflectors.csv (all columns), reflectors.json",
+    beside: str = "reflectors.csv (all columns), reflectors.json, sites_isce3.csv (the table of sites for ISCE3)",
 ) -> None:
     """`content` is that of reflectors.json, `command` the words that made it."""
     sites = dict.fromkeys(one.site.name for one in observations)
@@ -78,7 +78,8 @@ def _summary(
     placed: Geolocation | None,
     content: dict[str, Any],
 ) -> str:
-    words = [report.paragraph(each) for each in explanation.words]
+    said = [str(one["words"]) for one in (*content.get("found", ()), *content.get("presence", ()))]
+    words = [report.paragraph(each) for each in (*said, *explanation.words)]
     if placed is not None:
         words.append(report.paragraph(placed.words))
         if placed.moved:

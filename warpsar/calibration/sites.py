@@ -19,6 +19,7 @@ from warpsar.world.earth import LocalEarth, ecef_to_geodetic, geodetic_to_ecef
 
 F64 = NDArray[np.float64]
 LARGEST_FILE = 2**24
+FARTHEST_SEARCH_M = 5000.0
 VALID_POWER, VALID_PLACE, ALL_VALID = 2, 4, 7
 ISCE3_COLUMNS = (
     "Corner reflector ID",
@@ -52,7 +53,7 @@ COLUMNS = (
     "from",
     "until",
 )
-"""Of our own layout; the last four may be missing, and `flipped` may stand beside them."""
+"""Of our own layout; the last six may be missing, and `flipped` and `search_m` may stand beside them."""
 
 
 @dataclass(frozen=True)
@@ -76,6 +77,9 @@ class ReflectorSite:
     """East, north, up, of the ground that it stands on."""
     validity: int = ALL_VALID
     """NISAR's code, a sum of what it may be used for: 1 response, 2 power, 4 place; 0 is out of service."""
+
+    search_m: float | None = None
+    """How far off its place may be, in azimuth and slant range [m], where it is not known; None where it is."""
 
     @property
     def for_power(self) -> bool:
@@ -244,9 +248,11 @@ def _own(row: _Row) -> ReflectorSite:
         tilt = row.number("tilt_deg", -90.0, 90.0, 0.0)
         facings = (Facing(row.number("azimuth_deg", -360.0, 360.0), tilt, flipped in ("yes", "true", "1")),)
     place = row.place("latitude_deg", "longitude_deg", "height_m")
+    search = row.number("search_m", 10.0, FARTHEST_SEARCH_M) if row.cells.get("search_m") else None
     return ReflectorSite(
-        row.text("id"), *place, facings, row.shape("shape"), row.leg("leg_m"), row.date("from"), row.date("until")
-    )
+        row.text("id"), *place, facings, row.shape("shape"), row.leg("leg_m"), row.date("from"), row.date("until"),
+        search_m=search,
+    )  # fmt: skip
 
 
 def _gecoris(row: _Row) -> ReflectorSite:
