@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from warpsar.calibration.attitude import Facing, trihedral_rcs_m2
-from warpsar.calibration.differences import LEAST_SCATTER_DB, Differences, pass_numbers
+from warpsar.calibration.differences import Differences, pass_numbers
 
 F64 = NDArray[np.float64]
 MOST_TURN_DEG = 25.0
@@ -51,6 +51,17 @@ class Cause:
     at: Callable[[F64, Situation], float]
     """What it predicts of a measurement that could be made [dB]."""
     physical: bool = True
+    level: tuple[str, int] | None = None
+    """What its parameter of this number shifts as a whole: "all", or "site 3". Of two causes one can say it."""
+    other_starts: tuple[tuple[float, ...], ...] = ()
+    """Where its fit may begin, too."""
+
+
+ALL = ("all", 0)
+
+
+def _of_site(i: int) -> tuple[str, int]:
+    return f"site {i}", 0
 
 
 def causes(data: Differences) -> list[Cause]:
@@ -109,6 +120,7 @@ def _constant() -> Cause:
         (-200.0,),
         (200.0,),
         lambda x, s: float(x[0]),
+        level=ALL,
     )
 
 
@@ -122,6 +134,7 @@ def _pattern(middle: float) -> Cause:
         (-200.0, -20.0),
         (200.0, 20.0),
         lambda x, s: float(x[0] + x[1] * (s.incidence_deg - middle)),
+        level=ALL,
     )
 
 
@@ -135,6 +148,7 @@ def _drift(middle: float) -> Cause:
         (-200.0, -100.0),
         (200.0, 100.0),
         lambda x, s: float(x[0] + x[1] * (s.years - middle)),
+        level=ALL,
     )
 
 
@@ -148,6 +162,7 @@ def _loss(i: int, name: str) -> Cause:
         (0.0,),
         (60.0,),
         lambda x, s: -float(x[0]) if s.site == name and not s.cleaned else 0.0,
+        level=_of_site(i),
     )
 
 
@@ -168,6 +183,7 @@ def _size(i: int, name: str, data: Differences) -> Cause:
         (0.3 * leg,),
         (3.0 * leg,),
         lambda x, s: float(40.0 * np.log10(x[0] / leg)) if s.site == name and not s.leg_surveyed else 0.0,
+        level=_of_site(i),
     )
 
 
@@ -217,6 +233,7 @@ def _attitude(i: int, name: str, data: Differences) -> Cause:
         (-MOST_TURN_DEG, -MOST_TURN_DEG),
         (MOST_TURN_DEG, MOST_TURN_DEG),
         at,
+        other_starts=tuple((a, b) for a in (-8.0, 8.0) for b in (-8.0, 8.0)),
     )
 
 
@@ -231,6 +248,7 @@ def _decay(i: int, name: str, data: Differences) -> Cause:
         (-60.0, -500.0),
         (60.0, 500.0),
         lambda x, s: float(x[0] + x[1] * (s.years - start)) if s.site == name and not s.cleaned else 0.0,
+        level=_of_site(i),
     )
 
 
@@ -244,12 +262,12 @@ def _step(i: int, name: str, data: Differences) -> Cause:
 
     best, lowest = float(middles[0]), np.inf
     here = data.site == i
-    weights = 1.0 / (data.sd_db[here] ** 2 + LEAST_SCATTER_DB**2)
+    weights = 1.0 / (data.sd[here] ** 2 + data.least_scatter**2)
     for middle in middles.tolist():
         left = 0.0
         for side in (data.years[here] <= middle, data.years[here] > middle):
-            mean = np.average(data.difference_db[here][side], weights=weights[side])
-            left += float((weights[side] * (data.difference_db[here][side] - mean) ** 2).sum())
+            mean = np.average(data.value[here][side], weights=weights[side])
+            left += float((weights[side] * (data.value[here][side] - mean) ** 2).sum())
         if left < lowest:
             best, lowest = middle, left
     return Cause(
@@ -261,4 +279,5 @@ def _step(i: int, name: str, data: Differences) -> Cause:
         (-60.0, -60.0, best),
         (60.0, 60.0, best),
         lambda x, s: float(x[1]) if s.site == name else 0.0,
+        level=_of_site(i),
     )

@@ -118,16 +118,16 @@ def fit(cause: Cause, data: Differences, *, held: bool = True) -> FittedCause:
     scatter = LEAST_SCATTER_DB
     covariance = np.zeros((len(free), len(free)))
     for _ in range(20):
-        sd = np.sqrt(data.sd_db**2 + scatter**2)
+        sd = np.sqrt(data.sd**2 + scatter**2)
         if free:
             x, covariance = _solved(cause, data, sd, x, free)
-        residual = data.difference_db - cause.curve(x, data)
-        before, scatter = scatter, _scatter(residual, data.sd_db, len(free))
+        residual = data.value - cause.curve(x, data)
+        before, scatter = scatter, _scatter(residual, data.sd, len(free))
         if abs(scatter - before) < 1e-4:
             break
-    sd = np.sqrt(data.sd_db**2 + scatter**2)
+    sd = np.sqrt(data.sd**2 + scatter**2)
     curve = cause.curve(x, data)
-    likelihood = float(np.sum(norm.logpdf(data.difference_db, curve, sd)))
+    likelihood = float(np.sum(norm.logpdf(data.value, curve, sd)))
     z = float(norm.ppf(0.5 + 0.5 * CONFIDENCE))
     error = np.zeros(x.size)
     error[free] = np.sqrt(np.maximum(np.diag(covariance), 0.0))
@@ -153,12 +153,11 @@ def _solved(cause: Cause, data: Differences, sd: F64, x: F64, free: Sequence[int
         return whole
 
     def residual(part: F64) -> F64:
-        return (data.difference_db - cause.curve(full(part), data)) / sd
+        return (data.value - cause.curve(full(part), data)) / sd
 
     low, high = (np.array([bound[k] for k in free]) for bound in (cause.low, cause.high))
     starts = [np.clip(x[list(free)], low + 1e-9, high - 1e-9)]
-    if cause.name.startswith("attitude"):  # even in the turns: several hills
-        starts += [np.array([a, b]) for a in (-8.0, 8.0) for b in (-8.0, 8.0)]
+    starts += [np.array(one) for one in cause.other_starts]
     best = min(
         (least_squares(residual, start, bounds=(low, high), x_scale="jac") for start in starts), key=lambda r: r.cost
     )
@@ -198,8 +197,8 @@ def _held(cause: Cause, data: Differences) -> float | None:
     if made is None:
         return None
     found = fit(made, early, held=False)
-    sd = np.sqrt(late.sd_db**2 + found.scatter_db**2)
-    return float(np.mean(norm.logpdf(late.difference_db, made.curve(found.values, late), sd)))
+    sd = np.sqrt(late.sd**2 + found.scatter_db**2)
+    return float(np.mean(norm.logpdf(late.value, made.curve(found.values, late), sd)))
 
 
 # ---- what is tied ----
@@ -243,7 +242,7 @@ def _ties(fitted: Sequence[FittedCause], data: Differences) -> list[Tie]:
     found = []
     for k, first in enumerate(near):
         for second in near[k + 1 :]:
-            sd = np.sqrt(data.sd_db**2 + max(first.scatter_db, second.scatter_db) ** 2)
+            sd = np.sqrt(data.sd**2 + max(first.scatter_db, second.scatter_db) ** 2)
             if float((((first.fitted_db - second.fitted_db) / sd) ** 2).sum()) > TIED:
                 continue
             apart, best = 0.0, ""
@@ -259,7 +258,7 @@ def _words(fitted: Sequence[FittedCause], tied: Sequence[Tie], bad: Sequence[Bad
     """What is found, in sentences."""
     best = next(one for one in fitted if one.cause.physical)
     rivals = {one.cause.name: one for one in fitted if not one.cause.physical}
-    mean = float(np.average(data.difference_db, weights=1.0 / (data.sd_db**2 + best.scatter_db**2)))
+    mean = float(np.average(data.value, weights=1.0 / (data.sd**2 + best.scatter_db**2)))
     words = [
         f"{len(data)} values of {len(np.unique(data.site))} reflector(s) lie {mean:+.2f} dB off the prediction on "
         "average."

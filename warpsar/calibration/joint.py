@@ -1,0 +1,495 @@
+"""Causes fitted together: which of them the earlier dates need, the later ones confirm, and what could stand for each.
+
+Values are a sum of the causes' curves, and of three errors: clutter and noise (known), a scatter from value to value, and
+a scatter from image to image that all reflectors of an image share. The two scatters are fitted, too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares, minimize
+from scipy.stats import norm
+
+from warpsar.calibration.causes import Cause, Situation
+from warpsar.calibration.differences import Differences
+
+F64 = NDArray[np.float64]
+CONFIDENCE = 0.9
+ALIKE = 2.0 * float(np.log(10.0))
+"""BIC of the best plus this: odds of 10 to 1."""
+HELD_SHARE = 1.0 / 3.0
+"""Of the dates, the later ones, which confirm a cause or do not."""
+FEWEST_DATES, FEWEST_EARLY = 6, 4
+MOST_CAUSES = 8
+REFITTED = 3
+"""Of the candidates of a step, the best ones by a quick score, which are fitted with their own scatter."""
+TOGETHER = 0.9
+"""Two values whose errors are correlated by more are known together only."""
+CausesOf = Callable[[Differences], list[Cause]]
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """Standard deviations beyond clutter and noise: from value to value, and from image to image."""
+
+    value: float
+    image: float
+
+
+@dataclass(frozen=True)
+class Model:
+    """Causes whose curves are added. What two of them would say alike is said by the first one."""
+
+    causes: tuple[Cause, ...]
+
+    @cached_property
+    def fixed(self) -> tuple[tuple[bool, ...], ...]:
+        """Of each cause's parameters, which are held at their start, or at 0 where an earlier cause has that level."""
+        taken: set[str] = set()
+        found = []
+        for cause in self.causes:
+            held = [b <= a for a, b in zip(cause.low, cause.high, strict=True)]
+            if cause.level is not None:
+                if cause.level[0] in taken:
+                    held[cause.level[1]] = True
+                taken.add(cause.level[0])
+            found.append(tuple(held))
+        return tuple(found)
+
+    def can_take(self, cause: Cause) -> bool:
+        """Whether another cause says something that these do not."""
+        return cause not in self.causes and not all(Model((*self.causes, cause)).fixed[-1])
+
+    @property
+    def counted(self) -> int:
+        """Parameters, those included that were found on the way (a step's date), without the scatters."""
+        count = 0
+        for cause, held in zip(self.causes, self.fixed, strict=True):
+            count += sum(1 for k, h in enumerate(held) if not h or cause.high[k] <= cause.low[k])
+        return count
+
+    def full(self, free: F64) -> list[F64]:
+        """Parameters of each cause."""
+        found, at = [], 0
+        for cause, held in zip(self.causes, self.fixed, strict=True):
+            x = np.array(cause.start, np.float64)
+            for k, h in enumerate(held):
+                if not h:
+                    x[k], at = free[at], at + 1
+                elif cause.high[k] > cause.low[k]:
+                    x[k] = 0.0
+            found.append(x)
+        return found
+
+    def free(self, values: Sequence[F64]) -> F64:
+        pairs = zip(values, self.fixed, strict=True)
+        return np.array([x[k] for x, held in pairs for k, h in enumerate(held) if not h], np.float64)
+
+    def bounds(self) -> tuple[F64, F64]:
+        low, high = (self.free([np.array(getattr(c, side)) for c in self.causes]) for side in ("low", "high"))
+        return low, high
+
+    def curve(self, free: F64, data: Differences) -> F64:
+        total = np.zeros(len(data))
+        for cause, x in zip(self.causes, self.full(free), strict=True):
+            total = total + cause.curve(x, data)
+        return total
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A model at its best."""
+
+    model: Model
+    free: F64
+    covariance: F64
+    scatter: Scatter
+    fitted: F64
+    log_likelihood: float
+    bic: float
+
+    @property
+    def values(self) -> list[F64]:
+        return self.model.full(self.free)
+
+
+class _Errors:
+    """The covariance of the values: diagonal, and a constant within each image."""
+
+    def __init__(self, data: Differences, scatter: Scatter) -> None:
+        self.diagonal = data.sd**2 + scatter.value**2
+        self.image, self.shared = data.image, scatter.image**2
+        self.count = int(data.image.max(initial=-1)) + 1
+        self.inverse_sum = np.bincount(data.image, 1.0 / self.diagonal, self.count)
+
+    def whitened(self, values: F64) -> F64:
+        """Of values (n,) or (n, k): what has unit covariance.
+
+        Within an image D + s 11' has the inverse root D^-1/2 (1 - c D^-1/2 1 1' D^-1/2) for one c; its square is the
+        inverse (Sherman and Morrison).
+        """
+        root = 1.0 / np.sqrt(self.diagonal)
+        scaled = values * (root if values.ndim == 1 else root[:, None])
+        if self.shared == 0.0:
+            return scaled
+        total = self.inverse_sum
+        shrink = np.divide(
+            1.0 - 1.0 / np.sqrt(1.0 + self.shared * total), total, out=np.zeros_like(total), where=total > 0
+        )
+        columns = scaled[:, None] if values.ndim == 1 else scaled
+        found = np.empty_like(columns)
+        for k in range(columns.shape[1]):
+            sums = np.bincount(self.image, root * columns[:, k], self.count)
+            found[:, k] = columns[:, k] - root * (shrink * sums)[self.image]
+        return found[:, 0] if values.ndim == 1 else found
+
+    @property
+    def log_determinant(self) -> float:
+        return float(np.log(self.diagonal).sum() + np.log1p(self.shared * self.inverse_sum).sum())
+
+
+def fit_model(model: Model, data: Differences, scatter: Scatter | None = None, start: F64 | None = None) -> Fit:
+    """Parameters by generalized least squares, scatters by restricted likelihood, in turns until both stand still."""
+    low, high = model.bounds()
+    free = model.free([np.array(c.start) for c in model.causes]) if start is None else start
+    scatter = scatter or Scatter(max(float(np.std(data.value)), data.least_scatter), 0.0)
+    if free.size:
+        free = _several(model, data, scatter, free)
+    for _ in range(8):
+        errors = _Errors(data, scatter)
+        if free.size:
+            free = _solved(model, data, errors, free, low, high)
+        before = scatter
+        scatter = _scatters(data, data.value - model.curve(free, data), _slopes(model, data, free), scatter)
+        if max(abs(scatter.value - before.value), abs(scatter.image - before.image)) < 1e-3 * data.least_scatter:
+            break
+    errors = _Errors(data, scatter)
+    slopes = errors.whitened(_slopes(model, data, free)) if free.size else np.zeros((len(data), 0))
+    covariance = np.asarray(np.linalg.pinv(slopes.T @ slopes, rcond=1e-8), np.float64)
+    fitted = model.curve(free, data)
+    likelihood = _log_likelihood(data.value - fitted, errors)
+    counted = model.counted + 1 + (scatter.image > 0.0)
+    return Fit(
+        model, free, covariance, scatter, fitted, likelihood, counted * np.log(max(len(data), 2)) - 2.0 * likelihood
+    )
+
+
+def _log_likelihood(residual: F64, errors: _Errors) -> float:
+    white = errors.whitened(residual)
+    return -0.5 * float(white @ white + errors.log_determinant + residual.size * np.log(2.0 * np.pi))
+
+
+def _solved(model: Model, data: Differences, errors: _Errors, free: F64, low: F64, high: F64) -> F64:
+    found = least_squares(
+        lambda x: errors.whitened(data.value - model.curve(x, data)),
+        np.clip(free, low + 1e-9, high - 1e-9), bounds=(low, high), x_scale="jac", max_nfev=40,
+    )  # fmt: skip
+    return np.asarray(found.x, np.float64)
+
+
+def _several(model: Model, data: Differences, scatter: Scatter, free: F64) -> F64:
+    """The best of several starts, where a cause has them (an attitude is even in its turns)."""
+    errors, (low, high) = _Errors(data, scatter), model.bounds()
+    starts = [free]
+    at = 0
+    for cause, held in zip(model.causes, model.fixed, strict=True):
+        own = sum(not h for h in held)
+        for other in cause.other_starts if own == len(held) else ():
+            starts.append(free.copy())
+            starts[-1][at : at + own] = other
+        at += own
+    if len(starts) == 1:
+        return free
+    solved = [_solved(model, data, errors, one, low, high) for one in starts]
+
+    def misfit(x: F64) -> float:
+        return float((errors.whitened(data.value - model.curve(x, data)) ** 2).sum())
+
+    return min(solved, key=misfit)
+
+
+def _slopes(model: Model, data: Differences, free: F64) -> F64:
+    low, high = model.bounds()
+    found = np.zeros((len(data), free.size))
+    for k in range(free.size):
+        step = 1e-4 * max(abs(free[k]), 1.0)
+        up, down = free.copy(), free.copy()
+        up[k], down[k] = min(free[k] + step, high[k]), max(free[k] - step, low[k])
+        found[:, k] = (model.curve(up, data) - model.curve(down, data)) / (up[k] - down[k])
+    return found
+
+
+def _scatters(data: Differences, residual: F64, slopes: F64, start: Scatter) -> Scatter:
+    """Restricted maximum likelihood of both scatters; that of images needs images with several reflectors."""
+    shared = np.bincount(data.image).max(initial=0) > 1 and np.unique(data.image).size > 2
+    least = data.least_scatter
+
+    def cost(x: F64) -> float:
+        errors = _Errors(data, Scatter(float(np.hypot(x[0], least)), abs(float(x[1])) if shared else 0.0))
+        white = errors.whitened(residual)
+        total = float(white @ white) + errors.log_determinant
+        if slopes.shape[1]:
+            design = errors.whitened(slopes)
+            total += float(np.log(np.maximum(np.linalg.eigvalsh(design.T @ design), 1e-12)).sum())
+        return total
+
+    at = np.array([np.sqrt(max(start.value**2 - least**2, 0.0)) + 0.1 * least, start.image + 0.1 * least])
+    found = minimize(cost, at if shared else at[:1], method="Nelder-Mead", options={"xatol": 0.01 * least, "fatol": 1e-3})
+    image = abs(float(found.x[1])) if shared else 0.0
+    return Scatter(float(np.hypot(found.x[0], least)), image if image > 0.05 * least else 0.0)
+
+
+# ---- which causes ----
+
+
+@dataclass(frozen=True)
+class JointCause:
+    """A cause among others, with 90 % intervals in which the others are free, too."""
+
+    cause: Cause
+    values: F64
+    low: F64
+    high: F64
+    gain: float
+    """Log-likelihood that it adds when it is chosen."""
+    held_gain: float | None
+    """Log-likelihood that it adds at the later dates, which did not choose it; None where it was not tried on any."""
+    held_error: float | None
+    """Standard error of that, by the scatter over images."""
+
+    def content(self) -> dict[str, object]:
+        """For JSON."""
+        names = zip(self.cause.parameters, self.values, self.low, self.high, strict=True)
+        return {
+            "cause": self.cause.name,
+            "title": self.cause.title,
+            "parameters": {name: {"value": float(v), "low": float(a), "high": float(b)} for name, v, a, b in names},
+            "gain": self.gain,
+            "held_gain": self.held_gain,
+            "held_error": self.held_error,
+        }
+
+
+@dataclass(frozen=True)
+class Stand:
+    """A cause that could stand for another one in the model: these data do not tell them apart."""
+
+    cause: str
+    other: str
+    bic: float
+    """More than with the cause itself."""
+    decided_by: str
+    apart: float
+    """How far apart both models then are, in the unit of the values."""
+
+    def content(self) -> dict[str, object]:
+        """For JSON."""
+        return {
+            "causes": [self.cause, self.other], "bic": self.bic, "decided_by": self.decided_by, "apart": self.apart,
+        }  # fmt: skip
+
+
+@dataclass(frozen=True)
+class JointFit:
+    """What was found together."""
+
+    causes: tuple[JointCause, ...]
+    stands: tuple[Stand, ...]
+    together: tuple[tuple[str, str, float], ...]
+    """Pairs of parameters whose errors are correlated, and by how much."""
+    scatter: Scatter
+    fit: Fit = field(repr=False)
+    without: float
+    """BIC without any cause, less that of the model."""
+    held_dates: int
+    """How many of the later dates were held back; 0 where there are too few."""
+
+    def content(self) -> dict[str, object]:
+        """For JSON."""
+        return {
+            "causes": [one.content() for one in self.causes],
+            "tied": [one.content() for one in self.stands],
+            "known_together": [{"parameters": [a, b], "correlation": c} for a, b, c in self.together],
+            "scatter": self.scatter.value,
+            "image_scatter": self.scatter.image,
+            "bic_over_none": self.without,
+            "held_dates": self.held_dates,
+        }
+
+
+def joint(data: Differences, causes_of: CausesOf, situations: Sequence[Situation] = ()) -> JointFit:
+    """Causes that act together, chosen one after the other.
+
+    A step takes the cause that lowers the earlier dates' BIC the most; as one is chosen among K, 2 ln K is added to what
+    it must gain (Chen and Chen, Biometrika 95(3), 2008). It stays only if the later dates, which had no say, become more
+    likely. What only all dates together need is added afterwards and has no `held_gain`. At the end what is no longer
+    needed goes. All is then fitted to all dates.
+    """
+    early, late = _halves(data)
+    model, tried = Model(()), {}
+    if early is not None and late is not None:
+        model, tried = _confirmed(early, late, causes_of)
+    candidates = {cause.name: cause for cause in causes_of(data) if cause.physical}
+    model = Model(tuple(candidates[cause.name] for cause in model.causes if cause.name in candidates))
+    fit = fit_model(model, data)
+    bare = fit if not model.causes else fit_model(Model(()), data)
+    gains: dict[str, float] = {name: gain for name, (gain, _, _) in tried.items()}
+    while len(fit.model.causes) < MOST_CAUSES:
+        step = _step(fit, data, list(candidates.values()))
+        if step is None:
+            break
+        gains[step.model.causes[-1].name] = step.log_likelihood - fit.log_likelihood
+        fit = step
+    fit = _pruned(fit, data)
+    z = float(norm.ppf(0.5 + 0.5 * CONFIDENCE))
+    errors = fit.model.full(np.sqrt(np.maximum(np.diag(fit.covariance), 0.0)))
+    found = []
+    for cause, x, held, error in zip(fit.model.causes, fit.values, fit.model.fixed, errors, strict=True):
+        reach = np.where(held, 0.0, z * error)
+        _, gain, sd = tried.get(cause.name, (0.0, None, None))
+        low, high = np.maximum(x - reach, cause.low), np.minimum(x + reach, cause.high)
+        found.append(JointCause(cause, x, low, high, gains.get(cause.name, 0.0), gain, sd))
+    return JointFit(
+        tuple(found), tuple(_stands(fit, data, list(candidates.values()), situations)), tuple(_together(fit)),
+        fit.scatter, fit, bare.bic - fit.bic, 0 if late is None else int(np.unique(late.years).size),
+    )  # fmt: skip
+
+
+def _halves(data: Differences) -> tuple[Differences | None, Differences | None]:
+    """Earlier and later dates; None where those are too few, or do not have the same reflectors."""
+    order = np.unique(data.years)
+    if order.size < FEWEST_DATES:
+        return None, None
+    border = order[int(np.ceil(order.size * (1.0 - HELD_SHARE)))]
+    early, late = data.part(data.years < border), data.part(data.years >= border)
+    if len(early) < FEWEST_EARLY or set(late.site.tolist()) - set(early.site.tolist()):
+        return None, None
+    return early, late
+
+
+def _confirmed(
+    early: Differences, late: Differences, causes_of: CausesOf
+) -> tuple[Model, dict[str, tuple[float, float, float]]]:
+    """Causes that the earlier dates choose and the later ones confirm, and of each what it gains at both."""
+    candidates = [cause for cause in causes_of(early) if cause.physical]
+    fit = fit_model(Model(()), early)
+    found: dict[str, tuple[float, float, float]] = {}
+    while len(fit.model.causes) < MOST_CAUSES:
+        step = _step(fit, early, candidates)
+        if step is None:
+            break
+        gained = _by_image(step, late) - _by_image(fit, late)
+        gain = float(gained.sum())
+        name = step.model.causes[-1].name
+        if gain <= 0.0:  # a cause that the later dates deny is tried no more
+            candidates = [cause for cause in candidates if cause.name != name]
+            continue
+        error = float(np.sqrt(gained.size) * gained.std(ddof=1)) if gained.size > 1 else float("nan")
+        found[name] = step.log_likelihood - fit.log_likelihood, gain, error
+        fit = step
+    return fit.model, found
+
+
+def _by_image(fit: Fit, late: Differences) -> F64:
+    """Log-likelihood of each image of other dates."""
+    residual = late.value - fit.model.curve(fit.free, late)
+    errors = _Errors(late, fit.scatter)
+    white = errors.whitened(residual) ** 2 + np.log(errors.diagonal)
+    shared = np.log1p(errors.shared * errors.inverse_sum)
+    images = np.unique(late.image)
+    return -0.5 * (np.bincount(late.image, white, errors.count) + shared)[images]
+
+
+def _step(fit: Fit, data: Differences, candidates: Sequence[Cause]) -> Fit | None:
+    """The model with one cause more that has the lowest BIC; None where no cause is worth its parameters."""
+    able = [cause for cause in candidates if fit.model.can_take(cause)]
+    if not able:
+        return None
+    choice = 2.0 * float(np.log(len(able)))
+    errors = _Errors(data, fit.scatter)
+    scored = []
+    for cause in able:
+        model = Model((*fit.model.causes, cause))
+        own = Model((cause,)) if not any(model.fixed[-1]) else None
+        start = np.concatenate([fit.free, model.free([*fit.values, np.array(cause.start)])[fit.free.size :]])
+        if own is not None and cause.other_starts:
+            start = _several(model, data, fit.scatter, start)
+        free = _solved(model, data, errors, start, *model.bounds())
+        misfit = float((errors.whitened(data.value - model.curve(free, data)) ** 2).sum())
+        scored.append((misfit + model.counted * np.log(len(data)), model, free))
+    scored.sort(key=lambda one: one[0])
+    fits = [fit_model(model, data, fit.scatter, free) for _, model, free in scored[:REFITTED]]
+    best = min(fits, key=lambda one: one.bic)
+    return best if best.bic + choice < fit.bic else None
+
+
+def _pruned(fit: Fit, data: Differences) -> Fit:
+    """Without causes that the others have made needless."""
+    while fit.model.causes:
+        fewer = [
+            fit_model(Model(tuple(c for c in fit.model.causes if c is not cause)), data, fit.scatter)
+            for cause in fit.model.causes
+        ]
+        best = min(fewer, key=lambda one: one.bic)
+        if best.bic > fit.bic:
+            break
+        fit = best
+    return fit
+
+
+def _stands(
+    fit: Fit, data: Differences, candidates: Sequence[Cause], situations: Sequence[Situation]
+) -> list[Stand]:
+    """What could stand for each cause, the other causes being fitted anew."""
+    found = []
+    errors = _Errors(data, fit.scatter)
+    base = float((errors.whitened(data.value - fit.fitted) ** 2).sum()) + fit.model.counted * np.log(len(data))
+    for cause in fit.model.causes:
+        rest = tuple(one for one in fit.model.causes if one is not cause)
+        kept = Model(rest)
+        for other in candidates:
+            if other.name == cause.name or not kept.can_take(other):
+                continue
+            model = Model((*rest, other))
+            free = model.free([*(x for c, x in zip(fit.model.causes, fit.values, strict=True) if c is not cause),
+                               np.array(other.start)])  # fmt: skip
+            free = _several(model, data, fit.scatter, free)
+            free = _solved(model, data, errors, free, *model.bounds())
+            misfit = float((errors.whitened(data.value - model.curve(free, data)) ** 2).sum())
+            more = misfit + model.counted * np.log(len(data)) - base
+            if more > ALIKE:
+                continue
+            apart, best = 0.0, ""
+            for situation in situations:
+                off = abs(_at(fit.model, fit.free, situation) - _at(model, free, situation))
+                if off > apart + 1e-6:
+                    apart, best = off, situation.words
+            found.append(Stand(cause.name, other.name, more, best, apart))
+    return sorted(found, key=lambda one: one.bic)
+
+
+def _at(model: Model, free: F64, situation: Situation) -> float:
+    return sum(cause.at(x, situation) for cause, x in zip(model.causes, model.full(free), strict=True))
+
+
+def _together(fit: Fit) -> list[tuple[str, str, float]]:
+    """Pairs of parameters that are known together only."""
+    names = [
+        f"{cause.name}: {name}"
+        for cause, held in zip(fit.model.causes, fit.model.fixed, strict=True)
+        for name, h in zip(cause.parameters, held, strict=True)
+        if not h
+    ]
+    sd = np.sqrt(np.maximum(np.diag(fit.covariance), 1e-30))
+    correlation = fit.covariance / sd[:, None] / sd
+    return [
+        (names[i], names[k], float(correlation[i, k]))
+        for i in range(len(names))
+        for k in range(i + 1, len(names))
+        if abs(correlation[i, k]) > TOGETHER
+    ]
