@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares, minimize
+from scipy.optimize import least_squares, lsq_linear, minimize
 from scipy.stats import norm
 
 from warpsar.calibration.causes import Cause, Situation
@@ -28,6 +28,8 @@ FEWEST_DATES, FEWEST_EARLY = 6, 4
 MOST_CAUSES = 8
 REFITTED = 3
 """Of the candidates of a step, the best ones by a quick score, which are fitted with their own scatter."""
+ROUGH = 10.0
+"""What a quick score on a grid may miss of a fit."""
 TOGETHER = 0.9
 """Two values whose errors are correlated by more are known together only."""
 CausesOf = Callable[[Differences], list[Cause]]
@@ -125,6 +127,7 @@ class _Errors:
         self.diagonal = data.sd**2 + scatter.value**2
         self.image, self.shared = data.image, scatter.image**2
         self.count = int(data.image.max(initial=-1)) + 1
+        self.members = (np.arange(self.count)[:, None] == data.image).astype(np.float64)
         self.inverse_sum = np.bincount(data.image, 1.0 / self.diagonal, self.count)
 
     def whitened(self, values: F64) -> F64:
@@ -141,12 +144,9 @@ class _Errors:
         shrink = np.divide(
             1.0 - 1.0 / np.sqrt(1.0 + self.shared * total), total, out=np.zeros_like(total), where=total > 0
         )
-        columns = scaled[:, None] if values.ndim == 1 else scaled
-        found = np.empty_like(columns)
-        for k in range(columns.shape[1]):
-            sums = np.bincount(self.image, root * columns[:, k], self.count)
-            found[:, k] = columns[:, k] - root * (shrink * sums)[self.image]
-        return found[:, 0] if values.ndim == 1 else found
+        sums = self.members @ (scaled * (root if values.ndim == 1 else root[:, None]))
+        shrunk = (sums * (shrink if values.ndim == 1 else shrink[:, None]))[self.image]
+        return np.asarray(scaled - shrunk * (root if values.ndim == 1 else root[:, None]), np.float64)
 
     @property
     def log_determinant(self) -> float:
@@ -154,13 +154,13 @@ class _Errors:
 
 
 def fit_model(model: Model, data: Differences, scatter: Scatter | None = None, start: F64 | None = None) -> Fit:
-    """Parameters by generalized least squares, scatters by restricted likelihood, in turns until both stand still."""
+    """Model at its best, from a start that lies on the right hill (`Trials.best` finds one).
+
+    Parameters by generalized least squares, scatters by restricted likelihood, in turns until both stand still."""
     low, high = model.bounds()
     free = model.free([np.array(c.start) for c in model.causes]) if start is None else start
     scatter = scatter or Scatter(max(float(np.std(data.value)), data.least_scatter), 0.0)
-    if free.size:
-        free = _several(model, data, scatter, free)
-    for _ in range(8):
+    for _ in range(4):
         errors = _Errors(data, scatter)
         if free.size:
             free = _solved(model, data, errors, free, low, high)
@@ -185,32 +185,19 @@ def _log_likelihood(residual: F64, errors: _Errors) -> float:
 
 
 def _solved(model: Model, data: Differences, errors: _Errors, free: F64, low: F64, high: F64) -> F64:
+    if all(cause.linear for cause in model.causes):
+        at_zero = model.curve(np.zeros(free.size), data)
+        columns = np.stack([model.curve(one, data) - at_zero for one in np.eye(free.size)], axis=-1)
+        design, target = errors.whitened(columns), errors.whitened(data.value - at_zero)
+        solution = np.linalg.lstsq(design, target, rcond=None)[0]
+        if not ((solution < low) | (solution > high)).any():
+            return np.asarray(solution, np.float64)
+        return np.asarray(lsq_linear(design, target, (low, high)).x, np.float64)
     found = least_squares(
         lambda x: errors.whitened(data.value - model.curve(x, data)),
         np.clip(free, low + 1e-9, high - 1e-9), bounds=(low, high), x_scale="jac", max_nfev=40,
     )  # fmt: skip
     return np.asarray(found.x, np.float64)
-
-
-def _several(model: Model, data: Differences, scatter: Scatter, free: F64) -> F64:
-    """The best of several starts, where a cause has them (an attitude is even in its turns)."""
-    errors, (low, high) = _Errors(data, scatter), model.bounds()
-    starts = [free]
-    at = 0
-    for cause, held in zip(model.causes, model.fixed, strict=True):
-        own = sum(not h for h in held)
-        for other in cause.other_starts if own == len(held) else ():
-            starts.append(free.copy())
-            starts[-1][at : at + own] = other
-        at += own
-    if len(starts) == 1:
-        return free
-    solved = [_solved(model, data, errors, one, low, high) for one in starts]
-
-    def misfit(x: F64) -> float:
-        return float((errors.whitened(data.value - model.curve(x, data)) ** 2).sum())
-
-    return min(solved, key=misfit)
 
 
 def _slopes(model: Model, data: Differences, free: F64) -> F64:
@@ -245,6 +232,74 @@ def _scatters(data: Differences, residual: F64, slopes: F64, start: Scatter) -> 
 
 
 # ---- which causes ----
+
+
+class Trials:
+    """Causes that may be added to a model, with quick scores: what each would make of the misfit at its best.
+
+    A cause that is linear in its parameters is projected; of one that is not, curves over a grid of parameters are
+    tried. What the model has already is free to move, to first order.
+    """
+
+    def __init__(self, data: Differences, causes: Sequence[Cause]) -> None:
+        self.data = data
+        self.causes = [cause for cause in causes if cause.physical]
+        self._slopes: dict[str, F64] = {}
+        self._curves: dict[str, F64] = {}
+
+    def without(self, name: str) -> None:
+        """Try a cause no more."""
+        self.causes = [cause for cause in self.causes if cause.name != name]
+
+    def best(
+        self, model: Model, free: F64, scatter: Scatter, causes: Sequence[Cause] | None = None
+    ) -> list[tuple[float, Model, F64]]:
+        """Squared misfit plus parameters times ln n, the model with the cause, and a start for its fit; best first."""
+        data, errors = self.data, _Errors(self.data, scatter)
+        residual = errors.whitened(data.value - model.curve(free, data))
+        own = errors.whitened(_slopes(model, data, free)) if free.size else np.zeros((len(data), 0))
+        basis = np.linalg.qr(own)[0]
+        left = residual - basis @ (basis.T @ residual)
+        found = []
+        for cause in self.causes if causes is None else causes:
+            if not model.can_take(cause):
+                continue
+            more = Model((*model.causes, cause))
+            held = np.array(more.fixed[-1])
+            if cause.grid:
+                curves = errors.whitened(self._curves_of(cause))
+                rest = left[:, None] - (curves - basis @ (basis.T @ curves))
+                misfits = (rest**2).sum(axis=0)
+                k = int(misfits.argmin())
+                misfit, x, taken = float(misfits[k]), np.array(cause.grid[k]), curves[:, k]
+            else:
+                columns = errors.whitened(self._slopes_of(cause))[:, ~held]
+                kept = columns - basis @ (basis.T @ columns)
+                step = np.linalg.lstsq(kept, left, rcond=None)[0]
+                x, low, high = (np.array(getattr(cause, each), np.float64) for each in ("start", "low", "high"))
+                if cause.linear:
+                    x[~held] = 0.0
+                step = np.clip(x[~held] + step, low[~held], high[~held]) - x[~held]
+                misfit, taken = float(((left - kept @ step) ** 2).sum()), columns @ step
+                x[~held] += step
+            moved = np.linalg.lstsq(own, residual - taken, rcond=None)[0] if free.size else free
+            start = np.concatenate([free + moved, x[~held]])
+            found.append((misfit + more.counted * np.log(len(data)), more, start))
+        return sorted(found, key=lambda one: one[0])
+
+    def _curves_of(self, cause: Cause) -> F64:
+        if cause.name not in self._curves:
+            self._curves[cause.name] = np.stack([cause.curve(np.array(x), self.data) for x in cause.grid], axis=-1)
+        return self._curves[cause.name]
+
+    def _slopes_of(self, cause: Cause) -> F64:
+        if cause.name not in self._slopes:
+            x, found = np.array(cause.start, np.float64), []
+            for k in range(x.size):
+                step = np.where(np.arange(x.size) == k, 1e-4 * max(abs(x[k]), 1.0), 0.0)
+                found.append((cause.curve(x + step, self.data) - cause.curve(x - step, self.data)) / (2.0 * step[k]))
+            self._slopes[cause.name] = np.stack(found, axis=-1)
+        return self._slopes[cause.name]
 
 
 @dataclass(frozen=True)
@@ -330,17 +385,19 @@ def joint(data: Differences, causes_of: CausesOf, situations: Sequence[Situation
     likely. What only all dates together need is added afterwards and has no `held_gain`. At the end what is no longer
     needed goes. All is then fitted to all dates.
     """
-    early, late = _halves(data)
-    model, tried = Model(()), {}
+    early, late = halves(data)
+    chosen: dict[str, F64] = {}
+    tried: dict[str, tuple[float, float, float]] = {}
     if early is not None and late is not None:
-        model, tried = _confirmed(early, late, causes_of)
-    candidates = {cause.name: cause for cause in causes_of(data) if cause.physical}
-    model = Model(tuple(candidates[cause.name] for cause in model.causes if cause.name in candidates))
-    fit = fit_model(model, data)
+        chosen, tried = _confirmed(Trials(early, causes_of(early)), late)
+    trials = Trials(data, causes_of(data))
+    model = Model(tuple(cause for name in chosen for cause in trials.causes if cause.name == name))
+    start = model.free([chosen[cause.name] for cause in model.causes])
+    fit = fit_model(model, data, start=start)
     bare = fit if not model.causes else fit_model(Model(()), data)
     gains: dict[str, float] = {name: gain for name, (gain, _, _) in tried.items()}
     while len(fit.model.causes) < MOST_CAUSES:
-        step = _step(fit, data, list(candidates.values()))
+        step = _step(fit, trials)
         if step is None:
             break
         gains[step.model.causes[-1].name] = step.log_likelihood - fit.log_likelihood
@@ -355,12 +412,12 @@ def joint(data: Differences, causes_of: CausesOf, situations: Sequence[Situation
         low, high = np.maximum(x - reach, cause.low), np.minimum(x + reach, cause.high)
         found.append(JointCause(cause, x, low, high, gains.get(cause.name, 0.0), gain, sd))
     return JointFit(
-        tuple(found), tuple(_stands(fit, data, list(candidates.values()), situations)), tuple(_together(fit)),
+        tuple(found), tuple(_stands(fit, trials, situations)), tuple(_together(fit)),
         fit.scatter, fit, bare.bic - fit.bic, 0 if late is None else int(np.unique(late.years).size),
     )  # fmt: skip
 
 
-def _halves(data: Differences) -> tuple[Differences | None, Differences | None]:
+def halves(data: Differences) -> tuple[Differences | None, Differences | None]:
     """Earlier and later dates; None where those are too few, or do not have the same reflectors."""
     order = np.unique(data.years)
     if order.size < FEWEST_DATES:
@@ -372,31 +429,28 @@ def _halves(data: Differences) -> tuple[Differences | None, Differences | None]:
     return early, late
 
 
-def _confirmed(
-    early: Differences, late: Differences, causes_of: CausesOf
-) -> tuple[Model, dict[str, tuple[float, float, float]]]:
-    """Causes that the earlier dates choose and the later ones confirm, and of each what it gains at both."""
-    candidates = [cause for cause in causes_of(early) if cause.physical]
-    fit = fit_model(Model(()), early)
+def _confirmed(trials: Trials, late: Differences) -> tuple[dict[str, F64], dict[str, tuple[float, float, float]]]:
+    """Causes that the earlier dates choose and the later ones confirm, with their values, and of each what it gains."""
+    fit = fit_model(Model(()), trials.data)
     found: dict[str, tuple[float, float, float]] = {}
     while len(fit.model.causes) < MOST_CAUSES:
-        step = _step(fit, early, candidates)
+        step = _step(fit, trials)
         if step is None:
             break
-        gained = _by_image(step, late) - _by_image(fit, late)
+        gained = by_image(step, late) - by_image(fit, late)
         gain = float(gained.sum())
         name = step.model.causes[-1].name
         if gain <= 0.0:  # a cause that the later dates deny is tried no more
-            candidates = [cause for cause in candidates if cause.name != name]
+            trials.without(name)
             continue
         error = float(np.sqrt(gained.size) * gained.std(ddof=1)) if gained.size > 1 else float("nan")
         found[name] = step.log_likelihood - fit.log_likelihood, gain, error
         fit = step
-    return fit.model, found
+    return {cause.name: x for cause, x in zip(fit.model.causes, fit.values, strict=True)}, found
 
 
-def _by_image(fit: Fit, late: Differences) -> F64:
-    """Log-likelihood of each image of other dates."""
+def by_image(fit: Fit, late: Differences) -> F64:
+    """Log-likelihood of each image of other dates, less what 2 pi adds."""
     residual = late.value - fit.model.curve(fit.free, late)
     errors = _Errors(late, fit.scatter)
     white = errors.whitened(residual) ** 2 + np.log(errors.diagonal)
@@ -405,36 +459,30 @@ def _by_image(fit: Fit, late: Differences) -> F64:
     return -0.5 * (np.bincount(late.image, white, errors.count) + shared)[images]
 
 
-def _step(fit: Fit, data: Differences, candidates: Sequence[Cause]) -> Fit | None:
+def _step(fit: Fit, trials: Trials) -> Fit | None:
     """The model with one cause more that has the lowest BIC; None where no cause is worth its parameters."""
-    able = [cause for cause in candidates if fit.model.can_take(cause)]
-    if not able:
+    scored = trials.best(fit.model, fit.free, fit.scatter)
+    if not scored:
         return None
-    choice = 2.0 * float(np.log(len(able)))
-    errors = _Errors(data, fit.scatter)
-    scored = []
-    for cause in able:
-        model = Model((*fit.model.causes, cause))
-        own = Model((cause,)) if not any(model.fixed[-1]) else None
-        start = np.concatenate([fit.free, model.free([*fit.values, np.array(cause.start)])[fit.free.size :]])
-        if own is not None and cause.other_starts:
-            start = _several(model, data, fit.scatter, start)
-        free = _solved(model, data, errors, start, *model.bounds())
-        misfit = float((errors.whitened(data.value - model.curve(free, data)) ** 2).sum())
-        scored.append((misfit + model.counted * np.log(len(data)), model, free))
-    scored.sort(key=lambda one: one[0])
-    fits = [fit_model(model, data, fit.scatter, free) for _, model, free in scored[:REFITTED]]
+    fits = [fit_model(model, trials.data, fit.scatter, start) for _, model, start in scored[:REFITTED]]
     best = min(fits, key=lambda one: one.bic)
-    return best if best.bic + choice < fit.bic else None
+    return best if best.bic + 2.0 * float(np.log(len(scored))) < fit.bic else None
+
+
+def _less(fit: Fit, cause: Cause) -> tuple[Model, F64]:
+    """The model without a cause, and a start."""
+    kept = [(c, x) for c, x in zip(fit.model.causes, fit.values, strict=True) if c is not cause]
+    model = Model(tuple(c for c, _ in kept))
+    return model, model.free([x for _, x in kept])
 
 
 def _pruned(fit: Fit, data: Differences) -> Fit:
     """Without causes that the others have made needless."""
     while fit.model.causes:
-        fewer = [
-            fit_model(Model(tuple(c for c in fit.model.causes if c is not cause)), data, fit.scatter)
-            for cause in fit.model.causes
-        ]
+        fewer = []
+        for cause in fit.model.causes:
+            model, start = _less(fit, cause)
+            fewer.append(fit_model(model, data, fit.scatter, start))
         best = min(fewer, key=lambda one: one.bic)
         if best.bic > fit.bic:
             break
@@ -442,26 +490,25 @@ def _pruned(fit: Fit, data: Differences) -> Fit:
     return fit
 
 
-def _stands(
-    fit: Fit, data: Differences, candidates: Sequence[Cause], situations: Sequence[Situation]
-) -> list[Stand]:
+def _stands(fit: Fit, trials: Trials, situations: Sequence[Situation]) -> list[Stand]:
     """What could stand for each cause, the other causes being fitted anew."""
     found = []
-    errors = _Errors(data, fit.scatter)
-    base = float((errors.whitened(data.value - fit.fitted) ** 2).sum()) + fit.model.counted * np.log(len(data))
+    data, errors = trials.data, _Errors(trials.data, fit.scatter)
+
+    def cost(model: Model, free: F64) -> float:
+        misfit = float((errors.whitened(data.value - model.curve(free, data)) ** 2).sum())
+        return misfit + model.counted * float(np.log(len(data)))
+
+    base = cost(fit.model, fit.free)
     for cause in fit.model.causes:
-        rest = tuple(one for one in fit.model.causes if one is not cause)
-        kept = Model(rest)
-        for other in candidates:
-            if other.name == cause.name or not kept.can_take(other):
+        kept, start = _less(fit, cause)
+        start = _solved(kept, data, errors, start, *kept.bounds()) if start.size else start
+        for score, model, free in trials.best(kept, start, fit.scatter):
+            other = model.causes[-1]
+            if other.name == cause.name or score > base + ALIKE + ROUGH:
                 continue
-            model = Model((*rest, other))
-            free = model.free([*(x for c, x in zip(fit.model.causes, fit.values, strict=True) if c is not cause),
-                               np.array(other.start)])  # fmt: skip
-            free = _several(model, data, fit.scatter, free)
             free = _solved(model, data, errors, free, *model.bounds())
-            misfit = float((errors.whitened(data.value - model.curve(free, data)) ** 2).sum())
-            more = misfit + model.counted * np.log(len(data)) - base
+            more = cost(model, free) - base
             if more > ALIKE:
                 continue
             apart, best = 0.0, ""
