@@ -121,24 +121,25 @@ def explain(observations: Sequence[ReflectorObservation]) -> Explanation:
     bad, good = bad_dates(all_of_them)
     bad = sorted([*missing, *bad], key=lambda one: (one.site, one.date))
     data = all_of_them.part(good)
-    fitted = alone(data)
+    early, late = halves(data)
+    trials = Trials(data, causes(data)), None if early is None else Trials(early, causes(early))
+    fitted = alone(*trials, late)
     tied = _ties(fitted, data)
-    found = joint(data, causes, _situations(data))
+    found = joint(data, causes, _situations(data), trials)
     attitudes = attitude_solutions(found, data)
     words = _words(fitted, tied, bad, data, found, attitudes)
     return Explanation(tuple(fitted), tuple(tied), tuple(bad), tuple(words), len(data), data, found, tuple(attitudes))
 
 
-def alone(data: Differences) -> list[FittedCause]:
-    """Each cause by itself at its best, the most likely one first."""
-    early, late = halves(data)
+def alone(every: Trials, early: Trials | None, late: Differences | None) -> list[FittedCause]:
+    """Each cause by itself at its best, the most likely one first; and how likely it makes the later dates."""
     later: dict[str, float] = {}
     if early is not None and late is not None:
         for name, fit in _fits(early).items():
             later[name] = float(by_image(fit, late).sum()) / len(late) - 0.5 * float(np.log(2.0 * np.pi))
     z = float(norm.ppf(0.5 + 0.5 * CONFIDENCE))
     found = []
-    for name, fit in _fits(data).items():
+    for name, fit in _fits(every).items():
         (cause,), (x,) = fit.model.causes, fit.values
         (error,) = fit.model.full(np.sqrt(np.maximum(np.diag(fit.covariance), 0.0)))
         reach = np.where(fit.model.fixed[0], 0.0, z * error)
@@ -151,12 +152,11 @@ def alone(data: Differences) -> list[FittedCause]:
     return sorted(found, key=lambda one: one.bic)
 
 
-def _fits(data: Differences) -> dict[str, Fit]:
+def _fits(trials: Trials) -> dict[str, Fit]:
     """Of each cause alone."""
-    every, bare = causes(data), fit_model(Model(()), data)
-    trials = Trials(data, every)
+    data, bare = trials.data, fit_model(Model(()), trials.data)
     found = {}
-    for cause in every:
+    for cause in trials.rivals + trials.causes:
         started = trials.best(bare.model, bare.free, bare.scatter, [cause])
         model, start = started[0][1:] if started else (Model((cause,)), None)
         found[cause.name] = fit_model(model, data, bare.scatter, start)

@@ -166,7 +166,7 @@ def fit_model(model: Model, data: Differences, scatter: Scatter | None = None, s
             free = _solved(model, data, errors, free, low, high)
         before = scatter
         scatter = _scatters(data, data.value - model.curve(free, data), _slopes(model, data, free), scatter)
-        if max(abs(scatter.value - before.value), abs(scatter.image - before.image)) < 1e-3 * data.least_scatter:
+        if max(abs(scatter.value - before.value), abs(scatter.image - before.image)) < 0.02 * data.least_scatter:
             break
     errors = _Errors(data, scatter)
     slopes = errors.whitened(_slopes(model, data, free)) if free.size else np.zeros((len(data), 0))
@@ -226,7 +226,7 @@ def _scatters(data: Differences, residual: F64, slopes: F64, start: Scatter) -> 
         return total
 
     at = np.array([np.sqrt(max(start.value**2 - least**2, 0.0)) + 0.1 * least, start.image + 0.1 * least])
-    found = minimize(cost, at if shared else at[:1], method="Nelder-Mead", options={"xatol": 0.01 * least, "fatol": 1e-3})
+    found = minimize(cost, at if shared else at[:1], method="Nelder-Mead", options={"xatol": 0.01 * least, "fatol": 0.01})
     image = abs(float(found.x[1])) if shared else 0.0
     return Scatter(float(np.hypot(found.x[0], least)), image if image > 0.05 * least else 0.0)
 
@@ -244,6 +244,7 @@ class Trials:
     def __init__(self, data: Differences, causes: Sequence[Cause]) -> None:
         self.data = data
         self.causes = [cause for cause in causes if cause.physical]
+        self.rivals = [cause for cause in causes if not cause.physical]
         self._slopes: dict[str, F64] = {}
         self._curves: dict[str, F64] = {}
 
@@ -377,27 +378,33 @@ class JointFit:
         }
 
 
-def joint(data: Differences, causes_of: CausesOf, situations: Sequence[Situation] = ()) -> JointFit:
+def joint(
+    data: Differences,
+    causes_of: CausesOf,
+    situations: Sequence[Situation] = (),
+    trials: tuple[Trials, Trials | None] | None = None,
+) -> JointFit:
     """Causes that act together, chosen one after the other.
 
     A step takes the cause that lowers the earlier dates' BIC the most; as one is chosen among K, 2 ln K is added to what
     it must gain (Chen and Chen, Biometrika 95(3), 2008). It stays only if the later dates, which had no say, become more
     likely. What only all dates together need is added afterwards and has no `held_gain`. At the end what is no longer
-    needed goes. All is then fitted to all dates.
+    needed goes. All is then fitted to all dates. `trials`: of all dates and of the earlier ones, where they are there.
     """
     early, late = halves(data)
     chosen: dict[str, F64] = {}
     tried: dict[str, tuple[float, float, float]] = {}
     if early is not None and late is not None:
-        chosen, tried = _confirmed(Trials(early, causes_of(early)), late)
-    trials = Trials(data, causes_of(data))
-    model = Model(tuple(cause for name in chosen for cause in trials.causes if cause.name == name))
+        first = trials[1] if trials is not None and trials[1] is not None else Trials(early, causes_of(early))
+        chosen, tried = _confirmed(first, late)
+    every = trials[0] if trials is not None else Trials(data, causes_of(data))
+    model = Model(tuple(cause for name in chosen for cause in every.causes if cause.name == name))
     start = model.free([chosen[cause.name] for cause in model.causes])
     fit = fit_model(model, data, start=start)
     bare = fit if not model.causes else fit_model(Model(()), data)
     gains: dict[str, float] = {name: gain for name, (gain, _, _) in tried.items()}
     while len(fit.model.causes) < MOST_CAUSES:
-        step = _step(fit, trials)
+        step = _step(fit, every)
         if step is None:
             break
         gains[step.model.causes[-1].name] = step.log_likelihood - fit.log_likelihood
@@ -412,7 +419,7 @@ def joint(data: Differences, causes_of: CausesOf, situations: Sequence[Situation
         low, high = np.maximum(x - reach, cause.low), np.minimum(x + reach, cause.high)
         found.append(JointCause(cause, x, low, high, gains.get(cause.name, 0.0), gain, sd))
     return JointFit(
-        tuple(found), tuple(_stands(fit, trials, situations)), tuple(_together(fit)),
+        tuple(found), tuple(_stands(fit, every, situations)), tuple(_together(fit)),
         fit.scatter, fit, bare.bic - fit.bic, 0 if late is None else int(np.unique(late.years).size),
     )  # fmt: skip
 
@@ -437,7 +444,8 @@ def _confirmed(trials: Trials, late: Differences) -> tuple[dict[str, F64], dict[
         step = _step(fit, trials)
         if step is None:
             break
-        gained = by_image(step, late) - by_image(fit, late)
+        # Under one scatter, which holds what neither has: else a cause is denied for another one that is missing.
+        gained = by_image(step, late, fit.scatter) - by_image(fit, late, fit.scatter)
         gain = float(gained.sum())
         name = step.model.causes[-1].name
         if gain <= 0.0:  # a cause that the later dates deny is tried no more
@@ -449,10 +457,10 @@ def _confirmed(trials: Trials, late: Differences) -> tuple[dict[str, F64], dict[
     return {cause.name: x for cause, x in zip(fit.model.causes, fit.values, strict=True)}, found
 
 
-def by_image(fit: Fit, late: Differences) -> F64:
-    """Log-likelihood of each image of other dates, less what 2 pi adds."""
+def by_image(fit: Fit, late: Differences, scatter: Scatter | None = None) -> F64:
+    """Log-likelihood of each image of other dates, less what 2 pi adds; under the fit's own scatter, or that."""
     residual = late.value - fit.model.curve(fit.free, late)
-    errors = _Errors(late, fit.scatter)
+    errors = _Errors(late, scatter or fit.scatter)
     white = errors.whitened(residual) ** 2 + np.log(errors.diagonal)
     shared = np.log1p(errors.shared * errors.inverse_sum)
     images = np.unique(late.image)
