@@ -15,7 +15,6 @@ from warpsar.calibration.joint import (
     ALIKE,
     CONFIDENCE,
     Fit,
-    JointCause,
     JointFit,
     Model,
     Trials,
@@ -23,6 +22,8 @@ from warpsar.calibration.joint import (
     fit_model,
     halves,
     joint,
+    together_words,
+    values_words,
 )
 from warpsar.calibration.measure import ReflectorObservation
 from warpsar.calibration.turns import AttitudeSolution, attitude_solutions, attitude_words
@@ -234,7 +235,7 @@ def _words(
     ]
     words += together_words(found)
     words += attitude_words(attitudes)
-    values = values_words(best)
+    values = values_words(best.cause, best.values, best.low, best.high)
     words.append(
         f"Best alone: {best.cause.title}" + (f": {values}" if values else "") + f"; {best.scatter_db:.2f} dB are left "
         "from date to date."
@@ -255,37 +256,3 @@ def _words(
             f"{len(bad)} values were set aside: the reflector was not seen, or lies far off its own level at that date."
         )
     return words
-
-
-def values_words(one: FittedCause | JointCause) -> str:
-    """Parameters with intervals."""
-    rows = zip(one.cause.parameters, one.values, one.low, one.high, strict=True)
-    return ", ".join(
-        f"{name.partition(' [')[0]} {v:.3g}"
-        + (f" ({a:.3g} to {b:.3g})" if b > a else "")
-        + f" {name.partition('[')[2].rstrip(']')}".rstrip()
-        for name, v, a, b in rows
-        if b > a or v != 0.0
-    )
-
-
-def together_words(found: JointFit, unit: str = "dB") -> list[str]:
-    """What acts together, and how well it is known."""
-    if not found.causes:
-        return ["Together: no cause is needed."]
-    words = []
-    for one in found.causes:
-        tested = "seen in all dates together only; no later dates tested it"
-        if one.held_gain is not None:
-            tested = f"the {found.held_dates} later dates confirm it (ln L {one.held_gain:+.1f})"
-        words.append(f"{one.cause.title} ({values_words(one)}; {tested})")
-    spread = f"{found.scatter.value:.2f} {unit} are left from value to value"
-    spread += f", {found.scatter.image:.2f} {unit} from image to image" if found.scatter.image else ""
-    told = ["Together: " + "; ".join(words) + f". {spread}."]
-    for name in dict.fromkeys(one.cause for one in found.stands):
-        others = [
-            one.other + (f" (decided by {one.decided_by})" if one.decided_by else "")
-            for one in found.stands if one.cause == name
-        ]  # fmt: skip
-        told.append(f"For {name} could stand: {'; '.join(others)}.")
-    return told

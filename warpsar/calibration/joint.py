@@ -548,3 +548,37 @@ def _together(fit: Fit) -> list[tuple[str, str, float]]:
         for k in range(i + 1, len(names))
         if abs(correlation[i, k]) > TOGETHER
     ]
+
+
+def values_words(cause: Cause, values: F64, low: F64, high: F64) -> str:
+    """Parameters with intervals."""
+    rows = zip(cause.parameters, values, low, high, strict=True)
+    return ", ".join(
+        f"{name.partition(' [')[0]} {v:.3g}"
+        + (f" ({a:.3g} to {b:.3g})" if b > a else "")
+        + f" {name.partition('[')[2].rstrip(']')}".rstrip()
+        for name, v, a, b in rows
+        if b > a or v != 0.0
+    )
+
+
+def together_words(found: JointFit, unit: str = "dB") -> list[str]:
+    """What acts together, and how well it is known."""
+    if not found.causes:
+        return ["Together: no cause is needed."]
+    words = []
+    for one in found.causes:
+        tested = "seen in all dates together only; no later dates tested it"
+        if one.held_gain is not None:
+            tested = f"the {found.held_dates} later dates confirm it (ln L {one.held_gain:+.1f})"
+        words.append(f"{one.cause.title} ({values_words(one.cause, one.values, one.low, one.high)}; {tested})")
+    spread = f"{found.scatter.value:.2f} {unit} are left from value to value"
+    spread += f", {found.scatter.image:.2f} {unit} from image to image" if found.scatter.image else ""
+    told = ["Together: " + "; ".join(words) + f". {spread}."]
+    for name in dict.fromkeys(one.cause for one in found.stands):
+        others = [
+            one.other + (f" (decided by {one.decided_by})" if one.decided_by else "")
+            for one in found.stands if one.cause == name
+        ]  # fmt: skip
+        told.append(f"For {name} could stand: {'; '.join(others)}.")
+    return told
