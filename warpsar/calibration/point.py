@@ -19,6 +19,8 @@ OUTLIER = 10.0
 """Clutter over its mean by this factor is another target: of speckle exp(-10) is so bright."""
 SIDELOBE_CELLS = 10.0
 """How far from the peak sidelobes count."""
+SKEW_TURNS = 8
+"""In which an interval's end and the skew there settle."""
 ABSENT = 0.01
 """Chance that clutter alone has such a peak somewhere in the box that is searched: above it nothing is seen."""
 
@@ -224,7 +226,10 @@ def measure_point(
     cell_rcs = beating / share**2
     spread = clutter**2 * window_area * (uneven + window_area / independent) / share**2
     z = float(norm.ppf(0.5 + 0.5 * settings.confidence))
-    low, high = interval(target, cell_rcs, spread, z)
+    # Third cumulants: of the target in clutter 6 T q^2, as of a non-central chi-squared; of clutter alone, of a gamma.
+    own = clutter**2 * window_area * uneven / share**2
+    third = 6.0 * cell_rcs**2, 2.0 * own**2 / max(clutter * window_area / share, 1e-300)
+    low, high = interval(target, cell_rcs, spread, z, third)
     if not complex_chip and seen:
         line, pixel = _centroid(power, inside, clutter)
     scr = max(peak / clutter - 1.0, 0.0) if clutter > 0.0 else float("inf")
@@ -247,18 +252,27 @@ def measure_point(
     )
 
 
-def interval(target: float, cell: float, spread: float, z: float) -> tuple[float, float]:
-    """All T with (target - T)^2 <= z^2 (2 T cell + spread): the variance of the estimate is the one that T itself has.
+def interval(
+    target: float, cell: float, spread: float, z: float, third: tuple[float, float] = (0.0, 0.0)
+) -> tuple[float, float]:
+    """All T for which the estimate is neither among the largest nor among the smallest: `z` deviations to both sides.
 
-    2 T cell is the interference of the target with the clutter of one resolution cell, `spread` the clutter's own. No
-    upper bound is below that of an estimate of 0: less than no power is the clutter's unevenness.
+    The estimate has the mean T, the variance V = 2 T cell + spread (the beat of the target with the clutter of one
+    resolution cell, and the clutter's own), and the third cumulant K = third[0] T + third[1]. Its quantile is that of
+    Cornish and Fisher, T +- z sqrt(V) + (z^2 - 1) K / (6 V): power has a long upper tail. The upper bound is at least
+    one cell's clutter, as less than no power is the clutter's unevenness.
     """
 
-    def bound(side: float, at: float) -> float:
-        root = np.sqrt(max(z**2 * (2.0 * cell * at + spread) + z**4 * cell**2, 0.0))
-        return float(max(at + z**2 * cell + side * root, 0.0))
+    def bound(side: float) -> float:
+        found = max(target, cell)
+        for _ in range(SKEW_TURNS):
+            variance = max(2.0 * found * cell + spread, 1e-300)
+            at = target - (z**2 - 1.0) / 6.0 * (third[0] * found + third[1]) / variance
+            root = np.sqrt(max(z**2 * (2.0 * cell * at + spread) + z**4 * cell**2, 0.0))
+            found = max(at + z**2 * cell + side * root, 0.0)
+        return float(found)
 
-    return bound(-1.0, target), bound(1.0, max(target, 0.0))
+    return bound(-1.0), max(bound(1.0), cell)
 
 
 def _centroids(samples: NDArray[np.complex128]) -> tuple[float, float]:
