@@ -87,6 +87,11 @@ class Differences:
         )
 
     @property
+    def days(self) -> NDArray[np.datetime64]:
+        """Of each value, (n,)."""
+        return np.array([one.date for one in self.observations], "datetime64[us]").astype("datetime64[D]")
+
+    @property
     def looks(self) -> list[tuple[int, F64]]:
         """Reflector and direction to the radar of each pass, in the order of time."""
         found: list[tuple[int, F64]] = []

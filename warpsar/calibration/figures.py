@@ -110,7 +110,7 @@ def _dbsm(area: float) -> float:
 
 
 def incidence_figure(observations: Sequence[ReflectorObservation], explanation: Explanation) -> Figure:
-    """Measured over predicted against incidence, and what the best cause makes of it."""
+    """Measured over predicted against incidence, and what the causes together make of it."""
     figure, axes = figures.new(5.0, 4.2)
     names = list(dict.fromkeys(one.site.name for one in observations))
     for name, colour in zip(names, COLOURS * 99, strict=False):
@@ -122,9 +122,8 @@ def incidence_figure(observations: Sequence[ReflectorObservation], explanation: 
         error = np.array([one.difference_sd_db or 0.0 for one in own])
         axes.errorbar(angle, off, 1.645 * error, fmt="o", ms=3.5, lw=0.8, color=colour, label=name)
     data = explanation.differences
-    best = next((one for one in explanation.fitted if one.cause.physical), None)
-    if data is not None and best is not None:
-        axes.plot(data.incidence_deg, best.fitted_db, "k_", ms=9, label=best.cause.name)
+    if data is not None and explanation.joint is not None:
+        axes.plot(data.incidence_deg, explanation.joint.fit.fitted, "k_", ms=9, label="causes together")
     axes.axhline(0.0, color="0.6", lw=0.8)
     axes.set_xlabel("incidence [deg]")
     axes.set_ylabel("measured / predicted [dB]")

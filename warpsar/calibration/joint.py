@@ -286,7 +286,7 @@ class Trials:
             moved = np.linalg.lstsq(own, residual - taken, rcond=None)[0] if free.size else free
             start = np.concatenate([free + moved, x[~held]])
             found.append((misfit + more.counted * np.log(len(data)), more, start))
-        return sorted(found, key=lambda one: one[0])
+        return sorted(found, key=lambda one: round(one[0], 6))  # of equal ones the first that is listed
 
     def _curves_of(self, cause: Cause) -> F64:
         if cause.name not in self._curves:
@@ -420,17 +420,18 @@ def joint(
         found.append(JointCause(cause, x, low, high, gains.get(cause.name, 0.0), gain, sd))
     return JointFit(
         tuple(found), tuple(_stands(fit, every, situations)), tuple(_together(fit)),
-        fit.scatter, fit, bare.bic - fit.bic, 0 if late is None else int(np.unique(late.years).size),
+        fit.scatter, fit, bare.bic - fit.bic, 0 if late is None else int(np.unique(late.days).size),
     )  # fmt: skip
 
 
 def halves(data: Differences) -> tuple[Differences | None, Differences | None]:
     """Earlier and later dates; None where those are too few, or do not have the same reflectors."""
-    order = np.unique(data.years)
+    days = data.days
+    order = np.unique(days)
     if order.size < FEWEST_DATES:
         return None, None
     border = order[int(np.ceil(order.size * (1.0 - HELD_SHARE)))]
-    early, late = data.part(data.years < border), data.part(data.years >= border)
+    early, late = data.part(days < border), data.part(days >= border)
     if len(early) < FEWEST_EARLY or set(late.site.tolist()) - set(early.site.tolist()):
         return None, None
     return early, late
@@ -473,7 +474,7 @@ def _step(fit: Fit, trials: Trials) -> Fit | None:
     if not scored:
         return None
     fits = [fit_model(model, trials.data, fit.scatter, start) for _, model, start in scored[:REFITTED]]
-    best = min(fits, key=lambda one: one.bic)
+    best = min(fits, key=lambda one: round(one.bic, 6))
     return best if best.bic + 2.0 * float(np.log(len(scored))) < fit.bic else None
 
 
@@ -576,9 +577,10 @@ def together_words(found: JointFit, unit: str = "dB") -> list[str]:
     spread += f", {found.scatter.image:.2f} {unit} from image to image" if found.scatter.image else ""
     told = ["Together: " + "; ".join(words) + f". {spread}."]
     for name in dict.fromkeys(one.cause for one in found.stands):
-        others = [
-            one.other + (f" (decided by {one.decided_by})" if one.decided_by else "")
-            for one in found.stands if one.cause == name
-        ]  # fmt: skip
-        told.append(f"For {name} could stand: {'; '.join(others)}.")
+        by: dict[str, list[str]] = {}
+        for one in found.stands:
+            if one.cause == name:
+                by.setdefault(one.decided_by or "nothing that is known", []).append(one.other)
+        others = "; ".join(f"{', '.join(some)} (decided by {what})" for what, some in by.items())
+        told.append(f"For {name} could stand: {others}.")
     return told

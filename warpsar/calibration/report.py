@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from warpsar.calibration.explain import Explanation
 from warpsar.calibration.figures import incidence_figure, map_figure, offset_figure, series_figure
 from warpsar.calibration.geolocation import Geolocation
+from warpsar.calibration.joint import values_words
 from warpsar.calibration.measure import ReflectorObservation
 from warpsar.calibration.table import row
 from warpsar.io import html as report
@@ -64,6 +65,7 @@ def write_report(
     sections = [
         _summary(observations, explanation, placed, content),
         _series(observations, explanation),
+        _together(explanation),
         _causes(explanation),
         _cutouts(observations),
         _table(observations),
@@ -124,6 +126,54 @@ def _series(observations: Sequence[ReflectorObservation], explanation: Explanati
     )
 
 
+def _together(explanation: Explanation) -> str:
+    found = explanation.joint
+    if found is None:
+        return ""
+    rows = []
+    for one in found.causes:
+        held = "not tried" if one.held_gain is None else f"{one.held_gain:+.1f}"
+        held += f" ± {one.held_error:.1f}" if one.held_error is not None and np.isfinite(one.held_error) else ""
+        words = values_words(one.cause, one.values, one.low, one.high)
+        rows.append([one.cause.title, words, f"{one.gain:+.1f}", held])
+    said = (
+        "Causes are added one after the other while the earlier dates need them and the later ones, which have no say in "
+        "the choice, become more likely. Intervals of 90 % let the other causes move. Of the scatter that is left, "
+        f"{found.scatter.value:.2f} dB are of each value and {found.scatter.image:.2f} dB of each image."
+    )
+    blocks = [report.paragraph(said, quiet=True)]
+    if rows:
+        later = f"ln L of the {found.held_dates} later dates" if found.held_dates else "ln L of later dates"
+        blocks.append(report.table(["cause", "at its best, with the others", "ln L where it was chosen", later], rows))
+    else:
+        blocks.append(report.paragraph("No cause is needed."))
+    if found.stands:
+        stands = [
+            [one.cause, one.other, f"{one.bic:+.1f}", one.decided_by or "nothing that is known", f"{one.apart:.2g}"]
+            for one in found.stands[:MOST_SITES]
+        ]
+        blocks += [
+            report.heading("What could stand for what"),
+            report.table(["in place of", "could stand", "BIC", "decided by", "then apart [dB]"], stands),
+        ]
+    if found.together:
+        pairs = [f"{a} and {b}: correlation {c:+.2f}" for a, b, c in found.together]
+        blocks += [report.heading("Known together only"), report.bullets(pairs)]
+    if explanation.attitudes:
+        turns = [
+            [
+                one.site, str(one.passes), f"{one.turn_deg:.0f}, {one.tilt_deg:.0f}",
+                f"{one.turn_range_deg[0]:.1f} to {one.turn_range_deg[1]:.1f}",
+                f"{one.tilt_range_deg[0]:.1f} to {one.tilt_range_deg[1]:.1f}",
+                f"{one.least_deg[0]:.0f}, {one.least_deg[1]:.0f}",
+            ]
+            for one in explanation.attitudes
+        ]  # fmt: skip
+        columns = ["id", "passes", "best turn, tilt [deg]", "turn [deg]", "tilt [deg]", "nearest to the survey [deg]"]
+        blocks += [report.heading("All attitudes that fit"), report.table(columns, turns)]
+    return report.section("What the difference means: causes together", *blocks)
+
+
 def _causes(explanation: Explanation) -> str:
     if not explanation.fitted:
         return ""
@@ -153,7 +203,7 @@ def _causes(explanation: Explanation) -> str:
         blocks += [report.heading("What cannot be told apart here, and what would decide"), report.bullets(tied)]
     if bad:
         blocks += [report.heading("Bad dates"), report.bullets(bad)]
-    return report.section("What the difference means", *blocks)
+    return report.section("What the difference means: each cause alone", *blocks)
 
 
 def _cutouts(observations: Sequence[ReflectorObservation]) -> str:
