@@ -53,6 +53,7 @@ def map_figure(observations: Sequence[ReflectorObservation]) -> Figure:
         axes.legend(frameon=False, fontsize=8)
     if len(sites) == 1:
         axes.set(xlim=(-1, 1), ylim=(-1, 1))
+    axes.margins(0.15)
     axes.set_aspect("equal", adjustable="box" if len(sites) == 1 else "datalim")
     axes.set_xlabel(f"east of {lon.mean():.4f}° [km]")
     axes.set_ylabel(f"north of {lat.mean():.4f}° [km]")
@@ -101,7 +102,7 @@ def series_figure(observations: Sequence[ReflectorObservation], explanation: Exp
     axes.set_ylabel("RCS [dBsm]")
     axes.grid(alpha=0.3)
     axes.tick_params(axis="x", labelrotation=25)
-    axes.legend(frameon=False, fontsize=7)
+    axes.legend(frameon=False, fontsize=7, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
     return figure
 
 
@@ -125,6 +126,7 @@ def incidence_figure(observations: Sequence[ReflectorObservation], explanation: 
     if data is not None and explanation.joint is not None:
         axes.plot(data.incidence_deg, explanation.joint.fit.fitted, "k_", ms=9, label="causes together")
     axes.axhline(0.0, color="0.6", lw=0.8)
+    axes.locator_params(axis="x", nbins=5)
     axes.set_xlabel("incidence [deg]")
     axes.set_ylabel("measured / predicted [dB]")
     axes.grid(alpha=0.3)

@@ -555,7 +555,7 @@ def values_words(cause: Cause, values: F64, low: F64, high: F64) -> str:
     """Parameters with intervals."""
     rows = zip(cause.parameters, values, low, high, strict=True)
     return ", ".join(
-        f"{name.partition(' [')[0]} {v:.3g}"
+        f"{name.partition(' [')[0]} {v if abs(v) > 1e-9 else 0.0:.3g}"
         + (f" ({a:.3g} to {b:.3g})" if b > a else "")
         + f" {name.partition('[')[2].rstrip(']')}".rstrip()
         for name, v, a, b in rows

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from warpsar.calibration.explain import Explanation
 from warpsar.calibration.figures import incidence_figure, map_figure, offset_figure, series_figure
 from warpsar.calibration.geolocation import Geolocation
 from warpsar.calibration.joint import values_words
-from warpsar.calibration.measure import ReflectorObservation
+from warpsar.calibration.measure import Cutout, ReflectorObservation
 from warpsar.calibration.table import row
 from warpsar.io import html as report
 from warpsar.io.grey_scale import GreyScale, in_decibel
@@ -21,6 +22,8 @@ from warpsar.io.html_image import ImageAxis, image
 
 F64 = NDArray[np.float64]
 MOST_SITES, MOST_CUTOUTS, MOST_ROWS = 24, 12, 400
+SHOWN_CELLS = 6.0
+"""Resolution cells to each side that a cut-out shows."""
 TABLE = {
     "id": "id",
     "date": "date",
@@ -144,7 +147,7 @@ def _together(explanation: Explanation) -> str:
     blocks = [report.paragraph(said, quiet=True)]
     if rows:
         later = f"ln L of the {found.held_dates} later dates" if found.held_dates else "ln L of later dates"
-        blocks.append(report.table(["cause", "at its best, with the others", "ln L where it was chosen", later], rows))
+        blocks.append(report.table(["cause", "at its best, with the others", "ln L where it was chosen", later], rows, "", (0, 1)))
     else:
         blocks.append(report.paragraph("No cause is needed."))
     if found.stands:
@@ -154,7 +157,7 @@ def _together(explanation: Explanation) -> str:
         ]
         blocks += [
             report.heading("What could stand for what"),
-            report.table(["in place of", "could stand", "BIC", "decided by", "then apart [dB]"], stands),
+            report.table(["in place of", "could stand", "BIC", "decided by", "then apart [dB]"], stands, "", (1, 3)),
         ]
     if found.together:
         pairs = [f"{a} and {b}: correlation {c:+.2f}" for a, b, c in found.together]
@@ -180,10 +183,7 @@ def _causes(explanation: Explanation) -> str:
     lowest = explanation.fitted[0].bic
     rows = []
     for one in explanation.fitted:
-        values = "; ".join(
-            f"{name.partition(' [')[0]} {v:.3g} ({a:.3g} to {b:.3g}) {name.partition('[')[2].rstrip(']')}"
-            for name, v, a, b in zip(one.cause.parameters[:4], one.values, one.low, one.high, strict=False)
-        )
+        values = values_words(one.cause, one.values, one.low, one.high)
         held = "" if one.held_log_likelihood is None else f"{one.held_log_likelihood:.2f}"
         rows.append([one.cause.title, values, f"{one.scatter_db:.2f}", f"{one.bic - lowest:.1f}", held])
     tied = [
@@ -198,7 +198,7 @@ def _causes(explanation: Explanation) -> str:
         "under a fit to the earlier ones; higher is better."
     )
     columns = ["cause", "at its best", "left per date [dB]", "BIC over the best", "later dates [log-likelihood each]"]
-    blocks = [report.paragraph(said, quiet=True), report.table(columns, rows)]
+    blocks = [report.paragraph(said, quiet=True), report.table(columns, rows, "", (0, 1))]
     if tied:
         blocks += [report.heading("What cannot be told apart here, and what would decide"), report.bullets(tied)]
     if bad:
@@ -211,6 +211,7 @@ def _cutouts(observations: Sequence[ReflectorObservation]) -> str:
     if not used:
         return ""
     chosen = [used[i] for i in np.unique(np.linspace(0, len(used) - 1, min(MOST_CUTOUTS, len(used))).astype(int))]
+    chosen = [_near(one) for one in chosen]
     pairs = [(one, one.cutout.power, predicted_power(one)) for one in chosen if one.cutout is not None]
     scale = GreyScale.of([power for _, measured, model in pairs for power in (measured, model)])
     cells = []
@@ -232,8 +233,26 @@ def _cutouts(observations: Sequence[ReflectorObservation]) -> str:
         "clutter of the mean level. Without a prediction it has the measured RCS. Speckle scatters the residual."
     )
     return report.section(
-        "Cut-outs", report.paragraph(said, quiet=True), keys, report.row(*cells, across=6, least_px=150)
+        "Cut-outs", report.paragraph(said, quiet=True), keys, report.row(*cells, across=6, least_px=120)
     )
+
+
+def _near(one: ReflectorObservation) -> ReflectorObservation:
+    """With the part of its cut-out that lies within some cells of the place."""
+    assert one.cutout is not None
+    assert one.point is not None
+    assert one.response is not None
+    assert one.spacing_m is not None
+    kept = []
+    for at, first, count, axis, step in zip(
+        (one.point.line, one.point.pixel), (one.cutout.line, one.cutout.pixel), one.cutout.power.shape, one.response,
+        one.spacing_m, strict=True,
+    ):  # fmt: skip
+        reach = SHOWN_CELLS * max(1.0 / axis.bandwidth, axis.pixel_m) / step
+        kept.append((max(int(at - reach) - first, 0), min(int(np.ceil(at + reach)) - first + 1, count)))
+    (top, bottom), (left, right) = kept
+    part = one.cutout.power[top:bottom, left:right]
+    return replace(one, cutout=Cutout(part, one.cutout.line + top, one.cutout.pixel + left))
 
 
 def predicted_power(one: ReflectorObservation) -> F64:
