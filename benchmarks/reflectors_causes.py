@@ -105,9 +105,7 @@ def main() -> None:
 
 def _tied_to(stands: tuple, name: str, truth: dict[str, tuple[str, float]]) -> bool:
     """Whether a true cause could stand for it."""
-    return any(
-        SAME.get(one.cause, one.cause) == name and SAME.get(one.other, one.other) in truth for one in stands
-    )
+    return any(SAME.get(one.cause, one.cause) == name and SAME.get(one.other, one.other) in truth for one in stands)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The command `reflectors`, and `warpsar.reflectors`: reflectors.csv, sites_isce3.csv, reflectors.json and report.html."""
+"""The command `reflectors`, and `warpsar.reflectors`: two tables (CSV), reflectors.json and report.html."""
 
 from __future__ import annotations
 

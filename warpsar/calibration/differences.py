@@ -194,7 +194,7 @@ def bad_dates(data: Differences) -> tuple[list[BadDate], NDArray[np.bool_]]:
 
 
 def deviations(values: F64, sd: F64, least: float) -> tuple[F64, F64]:
-    """Of series (m, n): how far each value lies off the nearer of the levels before and after it, and that over its scale.
+    """Of series (m, n): how far a value lies off the nearer of the levels before and after it, and that over its scale.
 
     A level is the median of up to three values. 0 where both levels do not lie on one side of the value. The scale is
     the median step from value to value (which a step of the level, or one bad date, moves little), and not less than

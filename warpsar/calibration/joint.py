@@ -1,7 +1,7 @@
 """Causes fitted together: which of them the earlier dates need, the later ones confirm, and what could stand for each.
 
-Values are a sum of the causes' curves, and of three errors: clutter and noise (known), a scatter from value to value, and
-a scatter from image to image that all reflectors of an image share. The two scatters are fitted, too.
+Values are a sum of the causes' curves, and of three errors: clutter and noise (known), a scatter from value to value,
+and a scatter from image to image that all reflectors of an image share. The two scatters are fitted, too.
 """
 
 from __future__ import annotations
@@ -226,7 +226,9 @@ def _scatters(data: Differences, residual: F64, slopes: F64, start: Scatter) -> 
         return total
 
     at = np.array([np.sqrt(max(start.value**2 - least**2, 0.0)) + 0.1 * least, start.image + 0.1 * least])
-    found = minimize(cost, at if shared else at[:1], method="Nelder-Mead", options={"xatol": 0.01 * least, "fatol": 0.01})
+    found = minimize(
+        cost, at if shared else at[:1], method="Nelder-Mead", options={"xatol": 0.01 * least, "fatol": 0.01}
+    )
     image = abs(float(found.x[1])) if shared else 0.0
     return Scatter(float(np.hypot(found.x[0], least)), image if image > 0.05 * least else 0.0)
 
@@ -386,9 +388,9 @@ def joint(
 ) -> JointFit:
     """Causes that act together, chosen one after the other.
 
-    A step takes the cause that lowers the earlier dates' BIC the most; as one is chosen among K, 2 ln K is added to what
-    it must gain (Chen and Chen, Biometrika 95(3), 2008). It stays only if the later dates, which had no say, become more
-    likely. What only all dates together need is added afterwards and has no `held_gain`. At the end what is no longer
+    A step takes the cause that lowers the earlier dates' BIC the most; as one is chosen among K, 2 ln K is added to
+    what it must gain (Chen and Chen, Biometrika 95(3), 2008). It stays only if the later dates, which had no say in
+    that, become more likely. What only all dates together need is added afterwards and has no `held_gain`. At the end what is no longer
     needed goes. All is then fitted to all dates. `trials`: of all dates and of the earlier ones, where they are there.
     """
     early, late = halves(data)

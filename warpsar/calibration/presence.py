@@ -155,8 +155,8 @@ def find_place(
 ) -> tuple[FoundPlace | None, str]:
     """Look for a reflector within `site.search_m` of where the table has it, in azimuth and slant range.
 
-    A step of power that lasts is sought first, in each pass by itself. Without one, the brightest point of the mean over
-    dates is taken if clutter alone would not have it. None, with the reason, where nothing stands out.
+    A step of power that lasts is sought first, in each pass by itself. Without one, the brightest point of the mean
+    over dates is taken if clutter alone would not have it. None, with the reason, where nothing stands out.
     """
     cuts = [cut for product in products if (cut := _cut(product, site, radiometry)) is not None]
     cuts.sort(key=lambda cut: cut.date)
@@ -273,9 +273,9 @@ def settled(
     if not used:
         return found
     same = [one for one in used if one.expected.toward_radar @ used[0].expected.toward_radar > SAME_PASS]
-    places = np.array([
-        products[one.source].to_ground(one.point.line, one.point.pixel, found.site.height_m) for one in same
-    ])
+    places = np.array(
+        [products[one.source].to_ground(one.point.line, one.point.pixel, found.site.height_m) for one in same]
+    )
     offsets = np.array([one.offset_m for one in same], np.float64)
     bound = np.array([one.point.position_sd_m for one in same])
     error = np.sqrt(np.maximum((bound**2).mean(axis=0), offsets.var(axis=0, ddof=1) if len(same) > 2 else 0.0))
@@ -290,9 +290,7 @@ def settled(
     return replace(found, site=site, words=words, error_m=half)
 
 
-def standing(
-    observations: Sequence[ReflectorObservation], found: Sequence[Presence]
-) -> list[ReflectorObservation]:
+def standing(observations: Sequence[ReflectorObservation], found: Sequence[Presence]) -> list[ReflectorObservation]:
     """Observations, of which those before a set-up and after a removal that were found do not stand.
 
     A table of sites that states dates is believed.
@@ -342,7 +340,7 @@ class Presence:
 
 
 def presences(observations: Sequence[ReflectorObservation]) -> list[Presence]:
-    """Set-up, removal and moves of each reflector, by dates of one pass. What changes by less than clutter is left out."""
+    """Set-up, removal and moves of each reflector, by the dates of a pass; nothing that clutter could be."""
     groups: dict[tuple[str, str | None], list[list[ReflectorObservation]]] = {}
     for one in observations:
         if one.point is None or one.expected is None or not one.calibrated:

@@ -75,7 +75,9 @@ def table(
     kinds = [' class="words"' if k in words else "" for k in range(len(columns))]
     head = "".join(f'<th scope="col"{kind}>{escape(c)}</th>' for c, kind in zip(columns, kinds, strict=True))
     body = "".join(
-        "<tr>" + "".join(f"<td{kind}>{escape(str(cell))}</td>" for cell, kind in zip(row, kinds, strict=False)) + "</tr>"
+        "<tr>"
+        + "".join(f"<td{kind}>{escape(str(cell))}</td>" for cell, kind in zip(row, kinds, strict=False))
+        + "</tr>"
         for row in rows
     )
     said = f"<caption><span>{escape(caption)}</span></caption>" if caption else ""  # the span is as wide as the page
