@@ -117,7 +117,9 @@ def test_the_interval_has_the_variance_of_its_own_ends() -> None:
     low, high = interval(100.0, 2.0, 50.0, 1.6449)
     for end in (low, high):
         assert abs(100.0 - end) == pytest.approx(1.6449 * np.sqrt(2 * end * 2.0 + 50.0), rel=1e-9)
-    assert interval(-300.0, 2.0, 50.0, 1.6449) == (0.0, 2.0)  # one cell's clutter is the least upper bound
+    least = interval(-np.sqrt(50.0), 2.0, 50.0, 1.6449)[1]
+    assert interval(-300.0, 2.0, 50.0, 1.6449) == (0.0, least)
+    assert least > 2.0
 
 
 def test_the_interval_has_the_skew_of_power() -> None:

@@ -93,7 +93,7 @@ def test_a_reflector_that_is_taken_away() -> None:
 
 
 def test_a_move_is_found_and_scatter_is_none() -> None:
-    """1 m in range at the sixth of twelve dates, in a scatter of 0.2 m; at most 2 of 20 series without one are named."""
+    """1 m in range at the sixth of twelve dates, in a scatter of 0.2 m; of 20 without, at most 2 are named."""
     rng = np.random.default_rng(4)
 
     def series(move: float) -> list[warpsar.calibration.ReflectorObservation]:

@@ -390,8 +390,8 @@ def joint(
 
     A step takes the cause that lowers the earlier dates' BIC the most; as one is chosen among K, 2 ln K is added to
     what it must gain (Chen and Chen, Biometrika 95(3), 2008). It stays only if the later dates, which had no say in
-    that, become more likely. What only all dates together need is added afterwards and has no `held_gain`. At the end what is no longer
-    needed goes. All is then fitted to all dates. `trials`: of all dates and of the earlier ones, where they are there.
+    that, become more likely. What only all dates together need is added afterwards and has no `held_gain`. At the end
+    what is no longer needed goes. All is then fitted to all dates. `trials`: of all dates and of the earlier ones, where they are there.
     """
     early, late = halves(data)
     chosen: dict[str, F64] = {}

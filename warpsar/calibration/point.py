@@ -259,11 +259,12 @@ def interval(
 
     The estimate has the mean T, the variance V = 2 T cell + spread (the beat of the target with the clutter of one
     resolution cell, and the clutter's own), and the third cumulant K = third[0] T + third[1]. Its quantile is that of
-    Cornish and Fisher, T +- z sqrt(V) + (z^2 - 1) K / (6 V): power has a long upper tail. The upper bound is at least
-    one cell's clutter, as less than no power is the clutter's unevenness.
+    Cornish and Fisher, T +- z sqrt(V) + (z^2 - 1) K / (6 V): power has a long upper tail. Less than
+    no power is the clutter's unevenness: the upper bound is at least that of an estimate one deviation of clutter below
+    0, beyond which there is no power to exclude a target (Cowan, Cranmer, Gross and Vitells, arXiv:1105.3166, 2011).
     """
 
-    def bound(side: float) -> float:
+    def bound(side: float, target: float) -> float:
         found = max(target, cell)
         for _ in range(SKEW_TURNS):
             variance = max(2.0 * found * cell + spread, 1e-300)
@@ -272,7 +273,7 @@ def interval(
             found = max(at + z**2 * cell + side * root, 0.0)
         return float(found)
 
-    return bound(-1.0), max(bound(1.0), cell)
+    return bound(-1.0, target), bound(1.0, max(target, -float(np.sqrt(spread))))
 
 
 def _centroids(samples: NDArray[np.complex128]) -> tuple[float, float]:

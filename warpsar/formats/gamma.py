@@ -71,7 +71,7 @@ def products(path: Path, polarization: str | None) -> tuple[Product, ...]:
     if geometry != "SLANT_RANGE":
         raise InputError(
             f"{par}: image_geometry: found {geometry}; must be SLANT_RANGE: the file's polynomials to slant range do "
-            "not say for which lines each holds. Take the image before its projection to ground range, or the SAFE folder"
+            "not say for which lines each holds. Take the image before it was projected, or the SAFE folder"
         )
     lines, pixels = keys.whole("azimuth_lines"), keys.whole("range_samples")
     found = _polarization(keys.text("title")) or _polarization(image.name)
