@@ -12,7 +12,7 @@ from warpsar.calibration.causes import causes
 from warpsar.calibration.differences import Differences, bad_dates
 from warpsar.calibration.explain import explain
 from warpsar.calibration.geolocation import geolocation
-from warpsar.calibration.joint import Model, Scatter, _Errors, fit_model, joint
+from warpsar.calibration.joint import CauseModel, ExtraScatter, _Errors, fit_model, joint
 from warpsar.calibration.measure import ReflectorObservation
 from warpsar.calibration.turns import attitude_solutions
 
@@ -68,7 +68,7 @@ def test_what_later_dates_deny_is_no_cause() -> None:
 def test_the_errors_of_an_image_are_shared() -> None:
     """Whitening and determinant against the covariance written out: D + s 11' in each image."""
     data = made(lambda n, d, a, i: 0.0, days=2)
-    errors = _Errors(data, Scatter(0.3, 0.5))
+    errors = _Errors(data, ExtraScatter(0.3, 0.5))
     whole = np.diag(data.sd**2 + 0.09) + 0.25 * (data.image[:, None] == data.image)
     white = errors.whitened(np.eye(len(data)))
     np.testing.assert_allclose(white.T @ white, np.linalg.inv(whole), rtol=1e-9, atol=1e-12)
@@ -79,7 +79,7 @@ def test_the_errors_of_an_image_are_shared() -> None:
 def test_both_scatters_are_found() -> None:
     """0.3 and 0.15 dB, known to some 8 and 30 % from 24 images of 3."""
     data = made(lambda n, d, a, i: 0.0, days=24, seed=3, image_db=0.4)
-    fit = fit_model(Model(()), data)
+    fit = fit_model(CauseModel(()), data)
     clutter = float(np.sqrt(np.mean(data.sd**2)))
     assert np.hypot(fit.scatter.value, clutter) == pytest.approx(np.hypot(0.3, 0.0), abs=0.08)
     assert fit.scatter.image == pytest.approx(0.4, abs=0.13)

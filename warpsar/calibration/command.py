@@ -262,7 +262,7 @@ def run(
     console.say_written(out, "report.html", "reflectors.csv", "reflectors.json", "sites_isce3.csv")
     counted = [one.status == "measured" for one in result.observations]
     measured = f"{int(np.sum(counted))} of {len(counted)} reflectors measured"
-    said = [one.words for one in (*result.found, *result.presence)]
+    said = [one.words for one in result.found] + [one.words for one in result.presence]
     print("\n".join([measured, *said, *result.explanation.words]))
     return content
 

@@ -14,9 +14,9 @@ from warpsar.calibration.differences import BadDate, Differences, absent, bad_da
 from warpsar.calibration.joint import (
     ALIKE,
     CONFIDENCE,
-    Fit,
+    CauseFit,
     JointFit,
-    Model,
+    CauseModel,
     Trials,
     by_image,
     fit_model,
@@ -117,8 +117,8 @@ def explain(observations: Sequence[ReflectorObservation]) -> Explanation:
     """
     all_of_them, missing = Differences.of(observations), absent(observations)
     if len(all_of_them) < 1:
-        words = ("Nothing can be explained: no reflector is measured and predicted.",)
-        return Explanation((), (), tuple(missing), words, 0)
+        nothing = "Nothing can be explained: no reflector is measured and predicted."
+        return Explanation((), (), tuple(missing), (nothing,), 0)
     bad, good = bad_dates(all_of_them)
     bad = sorted([*missing, *bad], key=lambda one: (one.site, one.date))
     data = all_of_them.part(good)
@@ -153,13 +153,13 @@ def alone(every: Trials, early: Trials | None, late: Differences | None) -> list
     return sorted(found, key=lambda one: one.bic)
 
 
-def _fits(trials: Trials) -> dict[str, Fit]:
+def _fits(trials: Trials) -> dict[str, CauseFit]:
     """Of each cause alone."""
-    data, bare = trials.data, fit_model(Model(()), trials.data)
+    data, bare = trials.data, fit_model(CauseModel(()), trials.data)
     found = {}
     for cause in trials.rivals + trials.causes:
         started = trials.best(bare.model, bare.free, bare.scatter, [cause])
-        model, start = started[0][1:] if started else (Model((cause,)), None)
+        model, start = started[0][1:] if started else (CauseModel((cause,)), None)
         found[cause.name] = fit_model(model, data, bare.scatter, start)
     return found
 

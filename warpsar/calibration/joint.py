@@ -36,7 +36,7 @@ CausesOf = Callable[[Differences], list[Cause]]
 
 
 @dataclass(frozen=True)
-class Scatter:
+class ExtraScatter:
     """Standard deviations beyond clutter and noise: from value to value, and from image to image."""
 
     value: float
@@ -44,7 +44,7 @@ class Scatter:
 
 
 @dataclass(frozen=True)
-class Model:
+class CauseModel:
     """Causes whose curves are added. What two of them would say alike is said by the first one."""
 
     causes: tuple[Cause, ...]
@@ -65,7 +65,7 @@ class Model:
 
     def can_take(self, cause: Cause) -> bool:
         """Whether another cause says something that these do not."""
-        return cause not in self.causes and not all(Model((*self.causes, cause)).fixed[-1])
+        return cause not in self.causes and not all(CauseModel((*self.causes, cause)).fixed[-1])
 
     @property
     def counted(self) -> int:
@@ -104,13 +104,13 @@ class Model:
 
 
 @dataclass(frozen=True)
-class Fit:
+class CauseFit:
     """A model at its best."""
 
-    model: Model
+    model: CauseModel
     free: F64
     covariance: F64
-    scatter: Scatter
+    scatter: ExtraScatter
     fitted: F64
     log_likelihood: float
     bic: float
@@ -123,7 +123,7 @@ class Fit:
 class _Errors:
     """The covariance of the values: diagonal, and a constant within each image."""
 
-    def __init__(self, data: Differences, scatter: Scatter) -> None:
+    def __init__(self, data: Differences, scatter: ExtraScatter) -> None:
         self.diagonal = data.sd**2 + scatter.value**2
         self.image, self.shared = data.image, scatter.image**2
         self.count = int(data.image.max(initial=-1)) + 1
@@ -153,13 +153,15 @@ class _Errors:
         return float(np.log(self.diagonal).sum() + np.log1p(self.shared * self.inverse_sum).sum())
 
 
-def fit_model(model: Model, data: Differences, scatter: Scatter | None = None, start: F64 | None = None) -> Fit:
-    """Model at its best, from a start that lies on the right hill (`Trials.best` finds one).
+def fit_model(
+    model: CauseModel, data: Differences, scatter: ExtraScatter | None = None, start: F64 | None = None
+) -> CauseFit:
+    """A model at its best, from a start that lies on the right hill (`Trials.best` finds one).
 
     Parameters by generalized least squares, scatters by restricted likelihood, in turns until both stand still."""
     low, high = model.bounds()
     free = model.free([np.array(c.start) for c in model.causes]) if start is None else start
-    scatter = scatter or Scatter(max(float(np.std(data.value)), data.least_scatter), 0.0)
+    scatter = scatter or ExtraScatter(max(float(np.std(data.value)), data.least_scatter), 0.0)
     for _ in range(4):
         errors = _Errors(data, scatter)
         if free.size:
@@ -174,7 +176,7 @@ def fit_model(model: Model, data: Differences, scatter: Scatter | None = None, s
     fitted = model.curve(free, data)
     likelihood = _log_likelihood(data.value - fitted, errors)
     counted = model.counted + 1 + (scatter.image > 0.0)
-    return Fit(
+    return CauseFit(
         model, free, covariance, scatter, fitted, likelihood, counted * np.log(max(len(data), 2)) - 2.0 * likelihood
     )
 
@@ -184,7 +186,7 @@ def _log_likelihood(residual: F64, errors: _Errors) -> float:
     return -0.5 * float(white @ white + errors.log_determinant + residual.size * np.log(2.0 * np.pi))
 
 
-def _solved(model: Model, data: Differences, errors: _Errors, free: F64, low: F64, high: F64) -> F64:
+def _solved(model: CauseModel, data: Differences, errors: _Errors, free: F64, low: F64, high: F64) -> F64:
     if all(cause.linear for cause in model.causes):
         at_zero = model.curve(np.zeros(free.size), data)
         columns = np.stack([model.curve(one, data) - at_zero for one in np.eye(free.size)], axis=-1)
@@ -193,14 +195,16 @@ def _solved(model: Model, data: Differences, errors: _Errors, free: F64, low: F6
         if not ((solution < low) | (solution > high)).any():
             return np.asarray(solution, np.float64)
         return np.asarray(lsq_linear(design, target, (low, high)).x, np.float64)
-    found = least_squares(
-        lambda x: errors.whitened(data.value - model.curve(x, data)),
-        np.clip(free, low + 1e-9, high - 1e-9), bounds=(low, high), x_scale="jac", max_nfev=40,
-    )  # fmt: skip
+
+    def misfit(x: F64) -> F64:
+        return errors.whitened(data.value - model.curve(x, data))
+
+    inside = np.clip(free, low + 1e-9, high - 1e-9)
+    found = least_squares(misfit, inside, bounds=(low, high), x_scale="jac", max_nfev=40)
     return np.asarray(found.x, np.float64)
 
 
-def _slopes(model: Model, data: Differences, free: F64) -> F64:
+def _slopes(model: CauseModel, data: Differences, free: F64) -> F64:
     low, high = model.bounds()
     found = np.zeros((len(data), free.size))
     for k in range(free.size):
@@ -211,13 +215,13 @@ def _slopes(model: Model, data: Differences, free: F64) -> F64:
     return found
 
 
-def _scatters(data: Differences, residual: F64, slopes: F64, start: Scatter) -> Scatter:
+def _scatters(data: Differences, residual: F64, slopes: F64, start: ExtraScatter) -> ExtraScatter:
     """Restricted maximum likelihood of both scatters; that of images needs images with several reflectors."""
     shared = np.bincount(data.image).max(initial=0) > 1 and np.unique(data.image).size > 2
     least = data.least_scatter
 
     def cost(x: F64) -> float:
-        errors = _Errors(data, Scatter(float(np.hypot(x[0], least)), abs(float(x[1])) if shared else 0.0))
+        errors = _Errors(data, ExtraScatter(float(np.hypot(x[0], least)), abs(float(x[1])) if shared else 0.0))
         white = errors.whitened(residual)
         total = float(white @ white) + errors.log_determinant
         if slopes.shape[1]:
@@ -230,7 +234,7 @@ def _scatters(data: Differences, residual: F64, slopes: F64, start: Scatter) -> 
         cost, at if shared else at[:1], method="Nelder-Mead", options={"xatol": 0.01 * least, "fatol": 0.01}
     )
     image = abs(float(found.x[1])) if shared else 0.0
-    return Scatter(float(np.hypot(found.x[0], least)), image if image > 0.05 * least else 0.0)
+    return ExtraScatter(float(np.hypot(found.x[0], least)), image if image > 0.05 * least else 0.0)
 
 
 # ---- which causes ----
@@ -255,8 +259,8 @@ class Trials:
         self.causes = [cause for cause in self.causes if cause.name != name]
 
     def best(
-        self, model: Model, free: F64, scatter: Scatter, causes: Sequence[Cause] | None = None
-    ) -> list[tuple[float, Model, F64]]:
+        self, model: CauseModel, free: F64, scatter: ExtraScatter, causes: Sequence[Cause] | None = None
+    ) -> list[tuple[float, CauseModel, F64]]:
         """Squared misfit plus parameters times ln n, the model with the cause, and a start for its fit; best first."""
         data, errors = self.data, _Errors(self.data, scatter)
         residual = errors.whitened(data.value - model.curve(free, data))
@@ -267,7 +271,7 @@ class Trials:
         for cause in self.causes if causes is None else causes:
             if not model.can_take(cause):
                 continue
-            more = Model((*model.causes, cause))
+            more = CauseModel((*model.causes, cause))
             held = np.array(more.fixed[-1])
             if cause.grid:
                 curves = errors.whitened(self._curves_of(cause))
@@ -360,8 +364,8 @@ class JointFit:
     stands: tuple[Stand, ...]
     together: tuple[tuple[str, str, float], ...]
     """Pairs of parameters whose errors are correlated, and by how much."""
-    scatter: Scatter
-    fit: Fit = field(repr=False)
+    scatter: ExtraScatter
+    fit: CauseFit = field(repr=False)
     without: float
     """BIC without any cause, less that of the model."""
     held_dates: int
@@ -391,7 +395,8 @@ def joint(
     A step takes the cause that lowers the earlier dates' BIC the most; as one is chosen among K, 2 ln K is added to
     what it must gain (Chen and Chen, Biometrika 95(3), 2008). It stays only if the later dates, which had no say in
     that, become more likely. What only all dates together need is added afterwards and has no `held_gain`. At the end
-    what is no longer needed goes. All is then fitted to all dates. `trials`: of all dates and of the earlier ones, where they are there.
+    what is no longer needed goes. All is then fitted to all dates. `trials`: of all dates and of the earlier ones,
+    where they are there.
     """
     early, late = halves(data)
     chosen: dict[str, F64] = {}
@@ -400,10 +405,10 @@ def joint(
         first = trials[1] if trials is not None and trials[1] is not None else Trials(early, causes_of(early))
         chosen, tried = _confirmed(first, late)
     every = trials[0] if trials is not None else Trials(data, causes_of(data))
-    model = Model(tuple(cause for name in chosen for cause in every.causes if cause.name == name))
+    model = CauseModel(tuple(cause for name in chosen for cause in every.causes if cause.name == name))
     start = model.free([chosen[cause.name] for cause in model.causes])
     fit = fit_model(model, data, start=start)
-    bare = fit if not model.causes else fit_model(Model(()), data)
+    bare = fit if not model.causes else fit_model(CauseModel(()), data)
     gains: dict[str, float] = {name: gain for name, (gain, _, _) in tried.items()}
     while len(fit.model.causes) < MOST_CAUSES:
         step = _step(fit, every)
@@ -441,7 +446,7 @@ def halves(data: Differences) -> tuple[Differences | None, Differences | None]:
 
 def _confirmed(trials: Trials, late: Differences) -> tuple[dict[str, F64], dict[str, tuple[float, float, float]]]:
     """Causes that the earlier dates choose and the later ones confirm, with their values, and of each what it gains."""
-    fit = fit_model(Model(()), trials.data)
+    fit = fit_model(CauseModel(()), trials.data)
     found: dict[str, tuple[float, float, float]] = {}
     while len(fit.model.causes) < MOST_CAUSES:
         step = _step(fit, trials)
@@ -460,7 +465,7 @@ def _confirmed(trials: Trials, late: Differences) -> tuple[dict[str, F64], dict[
     return {cause.name: x for cause, x in zip(fit.model.causes, fit.values, strict=True)}, found
 
 
-def by_image(fit: Fit, late: Differences, scatter: Scatter | None = None) -> F64:
+def by_image(fit: CauseFit, late: Differences, scatter: ExtraScatter | None = None) -> F64:
     """Log-likelihood of each image of other dates, less what 2 pi adds; under the fit's own scatter, or that."""
     residual = late.value - fit.model.curve(fit.free, late)
     errors = _Errors(late, scatter or fit.scatter)
@@ -470,7 +475,7 @@ def by_image(fit: Fit, late: Differences, scatter: Scatter | None = None) -> F64
     return -0.5 * (np.bincount(late.image, white, errors.count) + shared)[images]
 
 
-def _step(fit: Fit, trials: Trials) -> Fit | None:
+def _step(fit: CauseFit, trials: Trials) -> CauseFit | None:
     """The model with one cause more that has the lowest BIC; None where no cause is worth its parameters."""
     scored = trials.best(fit.model, fit.free, fit.scatter)
     if not scored:
@@ -480,14 +485,14 @@ def _step(fit: Fit, trials: Trials) -> Fit | None:
     return best if best.bic + 2.0 * float(np.log(len(scored))) < fit.bic else None
 
 
-def _less(fit: Fit, cause: Cause) -> tuple[Model, F64]:
+def _less(fit: CauseFit, cause: Cause) -> tuple[CauseModel, F64]:
     """The model without a cause, and a start."""
     kept = [(c, x) for c, x in zip(fit.model.causes, fit.values, strict=True) if c is not cause]
-    model = Model(tuple(c for c, _ in kept))
+    model = CauseModel(tuple(c for c, _ in kept))
     return model, model.free([x for _, x in kept])
 
 
-def _pruned(fit: Fit, data: Differences) -> Fit:
+def _pruned(fit: CauseFit, data: Differences) -> CauseFit:
     """Without causes that the others have made needless."""
     while fit.model.causes:
         fewer = []
@@ -501,12 +506,12 @@ def _pruned(fit: Fit, data: Differences) -> Fit:
     return fit
 
 
-def _stands(fit: Fit, trials: Trials, situations: Sequence[Situation]) -> list[Stand]:
+def _stands(fit: CauseFit, trials: Trials, situations: Sequence[Situation]) -> list[Stand]:
     """What could stand for each cause, the other causes being fitted anew."""
     found = []
     data, errors = trials.data, _Errors(trials.data, fit.scatter)
 
-    def cost(model: Model, free: F64) -> float:
+    def cost(model: CauseModel, free: F64) -> float:
         misfit = float((errors.whitened(data.value - model.curve(free, data)) ** 2).sum())
         return misfit + model.counted * float(np.log(len(data)))
 
@@ -531,11 +536,11 @@ def _stands(fit: Fit, trials: Trials, situations: Sequence[Situation]) -> list[S
     return sorted(found, key=lambda one: one.bic)
 
 
-def _at(model: Model, free: F64, situation: Situation) -> float:
+def _at(model: CauseModel, free: F64, situation: Situation) -> float:
     return sum(cause.at(x, situation) for cause, x in zip(model.causes, model.full(free), strict=True))
 
 
-def _together(fit: Fit) -> list[tuple[str, str, float]]:
+def _together(fit: CauseFit) -> list[tuple[str, str, float]]:
     """Pairs of parameters that are known together only."""
     names = [
         f"{cause.name}: {name}"
@@ -578,11 +583,11 @@ def together_words(found: JointFit, unit: str = "dB") -> list[str]:
     spread = f"{found.scatter.value:.2f} {unit} are left from value to value"
     spread += f", {found.scatter.image:.2f} {unit} from image to image" if found.scatter.image else ""
     told = ["Together: " + "; ".join(words) + f". {spread}."]
-    for name in dict.fromkeys(one.cause for one in found.stands):
+    for name in dict.fromkeys(stand.cause for stand in found.stands):
         by: dict[str, list[str]] = {}
-        for one in found.stands:
-            if one.cause == name:
-                by.setdefault(one.decided_by or "nothing that is known", []).append(one.other)
+        for stand in found.stands:
+            if stand.cause == name:
+                by.setdefault(stand.decided_by or "nothing that is known", []).append(stand.other)
         others = "; ".join(f"{', '.join(some)} (decided by {what})" for what, some in by.items())
         told.append(f"For {name} could stand: {others}.")
     return told

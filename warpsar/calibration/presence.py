@@ -164,7 +164,10 @@ def find_place(
     for cut in cuts:
         same = [g for g in groups if g[0].point.toward_radar @ cut.point.toward_radar > SAME_PASS]
         same = [g for g in same if g[0].product.polarization == cut.product.polarization]
-        (same[0] if same else groups.append([]) or groups[-1]).append(cut)
+        if not same:
+            groups.append([])
+            same = [groups[-1]]
+        same[0].append(cut)
     found = [one for group in groups if (one := _in_pass(group, site)) is not None]
     if not cuts:
         return None, f"{site.name}: no image shows the box that is searched"
@@ -272,12 +275,13 @@ def settled(
     used = [one for one in observations if one.status == "measured" and one.stands and one.point and one.expected]
     if not used:
         return found
-    same = [one for one in used if one.expected.toward_radar @ used[0].expected.toward_radar > SAME_PASS]
+    same = [one for one in used if _look(one) @ _look(used[0]) > SAME_PASS]
+    points = [(one, one.point) for one in same if one.point is not None]
     places = np.array(
-        [products[one.source].to_ground(one.point.line, one.point.pixel, found.site.height_m) for one in same]
+        [products[one.source].to_ground(point.line, point.pixel, found.site.height_m) for one, point in points]
     )
     offsets = np.array([one.offset_m for one in same], np.float64)
-    bound = np.array([one.point.position_sd_m for one in same])
+    bound = np.array([point.position_sd_m for _, point in points])
     error = np.sqrt(np.maximum((bound**2).mean(axis=0), offsets.var(axis=0, ddof=1) if len(same) > 2 else 0.0))
     reach = float(student.ppf(0.5 + 0.5 * CONFIDENCE, max(len(same) - 1, 2))) / np.sqrt(len(same))
     half = float(error[0] * reach), float(error[1] * reach)
@@ -304,6 +308,11 @@ def standing(observations: Sequence[ReflectorObservation], found: Sequence[Prese
         late = one.site.end is None and name in last and day > last[name]
         made.append(replace(one, stands=False) if early or late else one)
     return made
+
+
+def _look(one: ReflectorObservation) -> F64:
+    assert one.expected is not None
+    return one.expected.toward_radar
 
 
 def _day(date: np.datetime64) -> str:
@@ -346,8 +355,12 @@ def presences(observations: Sequence[ReflectorObservation]) -> list[Presence]:
         if one.point is None or one.expected is None or not one.calibrated:
             continue
         passes = groups.setdefault((one.site.name, one.polarization), [])
-        same = [g for g in passes if g[0].expected.toward_radar @ one.expected.toward_radar > SAME_PASS]
-        (same[0] if same else passes.append([]) or passes[-1]).append(one)
+        look = one.expected.toward_radar
+        same = [g for g in passes if _look(g[0]) @ look > SAME_PASS]
+        if not same:
+            passes.append([])
+            same = [passes[-1]]
+        same[0].append(one)
     tried = sum(len(passes) for passes in groups.values())
     found: list[Presence] = []
     for passes in groups.values():

@@ -311,11 +311,11 @@ def isce3_rows(sites: Sequence[ReflectorSite]) -> tuple[list[list[str]], list[st
         why = None
         if one.shape != "triangular" or any(facing.flipped for facing in one.facings):
             why = "the layout has upright triangular trihedrals alone"
-        elif one.leg_m is None or not one.facings:
+        elif not one.facings or one.leg_m is None:
             why = "its leg or attitude is not known"
         elif "," in one.name or one.name.startswith("#"):
             why = "its id has a comma, or begins with #"
-        if why is not None:
+        if why is not None or one.leg_m is None:
             left_out.append(f"{one.name}: not in ISCE3's table: {why}")
             continue
         for k, facing in enumerate(one.facings, 1):
