@@ -13,6 +13,7 @@ import csv
 import json
 import os
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ from numpy.typing import NDArray
 
 import warpsar
 from warpsar.calibration.attitude import Facing, trihedral_rcs_m2
+from warpsar.calibration.differences import Differences, bad_dates
 from warpsar.calibration.engine import engine_rcs_m2
 from warpsar.calibration.explain import Explanation, explain
 from warpsar.calibration.measure import ReflectorObservation
@@ -55,7 +57,7 @@ def show(explanation: Explanation) -> None:
     for tie in explanation.tied[:8]:
         print(f"  tied: {tie.first} and {tie.second}; {tie.decided_by} ({tie.apart_db:.2f} dB)")
     for bad in explanation.bad_dates:
-        print(f"  bad: {bad.site} {bad.date}: {bad.words}")
+        print(f"  bad: {bad.site} {bad.date}: {bad.words}; chance of a good date {bad.chance:.1e}")
 
 
 # ---- CoRAL ----
@@ -74,30 +76,24 @@ def authors_method(power: F64, line: int, pixel: int) -> tuple[float, float, flo
     return float(inner.sum()), float(clutter), float(inner.sum() - inner.size * clutter)
 
 
-def put_up(stack: F64) -> tuple[int, int, int, float]:
-    """Line, pixel and first date of the largest rise that lasts: least of the later dates over most of the earlier."""
-    best = (0, 0, 0, 0.0)
-    for first in range(1, len(stack)):
-        rise = stack[first:].min(axis=0) / stack[:first].max(axis=0)
-        line, pixel = np.unravel_index(rise.argmax(), rise.shape)
-        if rise.max() > best[3]:
-            best = (int(line), int(pixel), first, float(rise.max()))
-    return best
-
-
 def coral() -> None:
     data = folder() / "coral_s1"
     products = [gamma.products(path, None)[0] for path in sorted(data.glob("*.mli"))]
     stack = np.stack([np.asarray(p.samples[:, :], np.float64) for p in products if p.samples is not None])
     dates = [str(p.epoch)[:10] for p in products]
-    line, pixel, first, rise = put_up(stack)
-    print(f"put up before {dates[first]}, after {dates[first - 1]}: line {line}, pixel {pixel}, rise {rise:.0f} times")
     with (data / "authors_values.csv").open() as file:
         theirs = {row["date"]: (float(row["rcs_dbsm"]), float(row["scr_db"])) for row in csv.DictReader(file)}
     last = products[-1]
     height = centre_height(data / f"{Path(last.source).name}.par", last)
-    place = last.to_ground(line, pixel, height)
-    print(f"place by the image: {place[0]:.6f}, {place[1]:.6f}, height {height:.0f} m by the .par's centre")
+    middle = last.to_ground(0.5 * last.grid.lines, 0.5 * last.grid.pixels, height)
+    print(f"height {height:.0f} m by the .par's centre; searched 2 km about the image's middle")
+    unknown = ReflectorSite("SERF", *middle, (), "triangular", None, search_m=2000.0)
+    found = warpsar.reflectors(products, [unknown], radiometry="sigma0", allowance_m=(20.0, 15.0))
+    (serf,) = found.found
+    print(serf.words)
+    place = serf.site.geodetic(last.epoch)
+    at = last.to_image(place)
+    print(f"line {at.line:.2f}, pixel {at.pixel:.2f} of the last image; chance {serf.chance:.1e}")
     keys = dict(
         one.split(":", 1) for one in (data / f"{Path(last.source).name}.par").read_text().splitlines() if ":" in one
     )
@@ -114,8 +110,6 @@ def coral() -> None:
         published = theirs[date.replace("-", "")]
         print(f"  {date}: by their method {rcs:.3f} dBsm, {scr:.3f} dB; ", end="")
         print(f"published {published[0]:.3f}, {published[1]:.3f}")
-    site = ReflectorSite("SERF", *place, (), "triangular", None)
-    found = warpsar.reflectors(products, [site], radiometry="sigma0", allowance_m=(20.0, 15.0))
     print("date, status, line, pixel, RCS [dBsm] (90 %), clutter beta0 [dB], SCR [dB]")
     for one in found.observations:
         assert one.point is not None
@@ -222,6 +216,23 @@ def gecoris() -> None:
     show(explanation)
     early = sorted({one.date for one in observations})
     print(f"{len(early)} dates from {str(early[0])[:10]} to {str(early[-1])[:10]}")
+    bad_later(Differences.of(observations))
+
+
+def bad_later(data: Differences) -> None:
+    """What is called bad in the later half of the dates: as they are, and with one value changed at a time."""
+    late = data.part(data.years >= np.median(data.years))
+    print(f"later half: {len(bad_dates(late)[0])} of {len(late)} values called bad")
+    for off in (-1.5, -2.0, -3.0, 3.0):
+        found = others = 0
+        for i in range(len(late)):
+            value, sd = late.value.copy(), late.sd.copy()
+            value[i] += off
+            sd[i] *= 10.0 ** (-off / 20.0)
+            good = bad_dates(replace(late, value=value, sd=sd))[1]
+            found += not good[i]
+            others += int((~good).sum()) - (not good[i])
+        print(f"  one value {off:+.1f} dB: found {100 * found / len(late):.0f} %, others called bad {others}")
 
 
 def track_of(data: Path, track: str, platform: str, site: ReflectorSite) -> list[ReflectorObservation]:
@@ -342,6 +353,7 @@ def alos() -> None:
     pixels = {pol: np.asarray(p.samples[:, :], np.complex128) for pol, p in first.items() if p.samples is not None}
     lines, columns = np.mgrid[:100, :50]
     away = (np.abs(lines - 50) > 15) | (np.abs(columns - 25) > 8)
+    channels(pixels, away)
     over = np.vdot(pixels["VH"][away], pixels["HV"][away])
     ratio = np.sqrt((np.abs(pixels["HV"][away]) ** 2).mean() / (np.abs(pixels["VH"][away]) ** 2).mean()) * np.exp(
         1j * np.angle(over)
@@ -355,6 +367,33 @@ def alos() -> None:
         print(f"{name}: {abs(value):.3f} at {np.degrees(np.angle(value)):+.2f} deg; ", end="")
         print(f"published {published[0]} at {published[1]:+.2f}")
     show(found.explanation)
+
+
+def channels(pixels: dict[str, NDArray[np.complex128]], away: NDArray[np.bool_]) -> None:
+    """How far channels lie apart in range, by the phase of their cross-spectrum: at the reflector, and in clutter."""
+    shifts: dict[str, list[float]] = {}
+    for first, second in (("VV", "HH"), ("HV", "VH")):
+        for where, mask in (("reflector", ~away), ("clutter", away)):
+            moved, alike = shift(pixels[first] * mask, pixels[second] * mask)
+            shifts.setdefault(f"{first} {second}", []).append(moved)
+            print(f"  {first} less {second}, {where}: {moved:+.3f} pixel in range (coherence {alike:.2f})")
+        parts = [slice(k, k + 20) for k in (0, 20, 60, 80)]
+        single = [shift(pixels[first][part], pixels[second][part])[0] for part in parts]
+        print(f"    four parts of the clutter: {np.mean(single):+.3f} +- {np.std(single, ddof=1) / 2:.3f}")
+    both, cross = shifts["VV HH"][1], shifts["HV VH"][1]
+    print(f"  V receives {0.5 * (both + cross):+.3f} pixel late, V transmits {0.5 * (both - cross):+.3f}")
+
+
+def shift(first: NDArray[np.complex128], second: NDArray[np.complex128]) -> tuple[float, float]:
+    """Range shift of the first image against the second [pixels], and their coherence there."""
+    a, b = np.fft.fft(first, axis=1), np.fft.fft(second, axis=1)
+    cross = (a * b.conj()).sum(axis=0)
+    power = np.sqrt((np.abs(a) ** 2).sum(axis=0) * (np.abs(b) ** 2).sum(axis=0))
+    frequency, used = np.fft.fftfreq(first.shape[1]), power > 0.3 * np.median(power)
+    tried = np.linspace(-1.0, 1.0, 4001)
+    ramps = np.exp(2j * np.pi * np.outer(tried, frequency[used]))
+    heights = np.abs(ramps @ cross[used])
+    return float(tried[heights.argmax()]), float(heights.max() / power[used].sum())
 
 
 if __name__ == "__main__":

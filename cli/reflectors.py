@@ -23,7 +23,7 @@ from warpsar.formats import registry
     "--out",
     required=True,
     type=click.Path(file_okay=False, path_type=Path),
-    help="Folder for reflectors.csv, reflectors.json and report.html; made if missing.",
+    help="Folder for report.html, reflectors.csv, reflectors.json and sites_isce3.csv; made if missing.",
 )
 @click.option(
     "--polarization",

@@ -12,11 +12,11 @@ import pytest
 
 import warpsar
 from warpsar.calibration.sites import ReflectorSite
-from warpsar.formats import gamma
+from warpsar.formats import gamma, nisar
 from warpsar.products.zero_doppler import abeam
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
-from reflectors_measured import AUTHORS_PLACE, authors_method, orbit_of, put_up
+from reflectors_measured import AUTHORS_PLACE, authors_method, orbit_of, shift
 
 pytestmark = pytest.mark.measured
 
@@ -26,17 +26,20 @@ def test_the_reflector_of_coral_is_found_in_place_and_date(measured_data: Path) 
     data = measured_data / "coral_s1"
     products = [gamma.products(path, None)[0] for path in sorted(data.glob("*.mli"))]
     stack = np.stack([np.asarray(p.samples[:, :], np.float64) for p in products if p.samples is not None])
-    line, pixel, first, _ = put_up(stack)
-    assert abs(line - 110) <= 1
-    assert (pixel, first) == (87, 2)
+    middle = products[-1].to_ground(60.0, 140.0, 40.0)  # 1 km off
+    unknown = ReflectorSite("SERF", *middle, (), "triangular", None, search_m=2000.0)
+    result = warpsar.reflectors(products, [unknown], radiometry="sigma0")
+    (serf,) = result.found
+    image = products[-1].to_image(serf.site.geodetic(products[-1].epoch))
+    assert (image.line, image.pixel) == pytest.approx((110.0, 87.0), abs=0.7)
+    assert (str(serf.after)[:10], str(serf.before)[:10]) == ("2018-08-07", "2018-08-19")
+    assert serf.chance < 1e-6
     total, clutter, target = authors_method(stack[2], *AUTHORS_PLACE)
     assert total == pytest.approx(22.778708, rel=1e-6)  # of their own unit test
     assert 10 * np.log10(clutter) == pytest.approx(-11.4717, abs=1e-4)
     assert target == pytest.approx(20.997258, rel=1e-6)
-    place = products[-1].to_ground(line, pixel, 0.0)
-    assert products[-1].to_image(place).incidence_deg == pytest.approx(36.0, abs=0.05)  # the file's 33.58 is elsewhere
-    site = ReflectorSite("SERF", *place, (), "triangular", None)
-    found = warpsar.reflectors(products, [site], radiometry="sigma0").observations
+    assert image.incidence_deg == pytest.approx(36.0, abs=0.05)  # the file's 33.58 is elsewhere
+    found = result.observations
     assert [one.status for one in found] == ["not seen"] * 2 + ["measured"] * 3
     with (data / "authors_values.csv").open() as file:
         theirs = [float(row["rcs_dbsm"]) for row in csv.DictReader(file)]
@@ -81,3 +84,15 @@ def test_alos_finds_the_reflector_where_isce3_located_it(measured_data: Path) ->
         assert (one.point.line, one.point.pixel) == pytest.approx((one.expected.line, one.expected.pixel), abs=0.05)
         assert one.facing is not None
         assert one.facing.azimuth_deg % 360.0 == pytest.approx(270.0)
+
+
+def test_alos_receives_v_late(measured_data: Path) -> None:
+    """VV lies 0.12 pixel beyond HH in clutter, too, far from the reflector; so do HV and VH: it is the data's."""
+    image = measured_data / "alos_polcal" / "calib_RSLC_ALPSRP025826990_RIO_BRANCO_CR.h5"
+    found = {
+        p.polarization: np.asarray(p.samples[:, :], np.complex128) for p in nisar.products(image, None) if p.samples
+    }
+    lines, pixels = np.mgrid[:100, :50]
+    away = (np.abs(lines - 50) > 15) | (np.abs(pixels - 25) > 8)
+    for first, second, expected in (("VV", "HH", 0.121), ("HV", "VH", 0.108)):
+        assert shift(found[first] * away, found[second] * away)[0] == pytest.approx(expected, abs=0.02)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.stats import ncx2
 
 from warpsar.calibration.point import PointSettings, ResponseAxis, interval, measure_point
 
@@ -116,7 +117,23 @@ def test_the_interval_has_the_variance_of_its_own_ends() -> None:
     low, high = interval(100.0, 2.0, 50.0, 1.6449)
     for end in (low, high):
         assert abs(100.0 - end) == pytest.approx(1.6449 * np.sqrt(2 * end * 2.0 + 50.0), rel=1e-9)
-    assert interval(-30.0, 2.0, 50.0, 1.6449)[1] == interval(0.0, 2.0, 50.0, 1.6449)[1]
+    least = interval(-np.sqrt(50.0), 2.0, 50.0, 1.6449)[1]
+    assert interval(-300.0, 2.0, 50.0, 1.6449) == (0.0, least)
+    assert least > 2.0
+
+
+def test_the_interval_has_the_skew_of_power() -> None:
+    """Noncentral chi-squared of m cells and a target of T, in cells: either end leaves 5 % beyond (1 % by Cornish and
+    Fisher's first term), where a symmetric one leaves 7 and 3."""
+    cells, at = 16.0, 20.0
+    beyond = []
+    for target, side in ((at, 0), (at, 1)):
+        third = 6.0, 2.0 * cells
+        end = interval(target, 1.0, cells, 1.6449, third)[side]
+        energy = ncx2(2.0 * cells, 2.0 * end)  # twice the energy over a cell's clutter
+        chance = energy.cdf(2.0 * (target + cells))
+        beyond.append(min(chance, 1.0 - chance))
+    assert beyond == pytest.approx([0.05, 0.05], abs=0.005)
 
 
 def test_settings_are_stated() -> None:

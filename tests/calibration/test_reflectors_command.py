@@ -131,6 +131,9 @@ def test_what_cannot_be_measured_is_one_line_and_the_others_go_on(tmp_path: Path
     assert {row["status"] for row in rows if row["id"] == "FAR"} == {"outside", "no orbit"}
     for word in ("masked", "saturated", "no calibration", "no state vectors", "FAR"):
         assert word in run.output
+    said = [line for line in run.output.splitlines() if line.startswith("warning: ")]
+    assert len(said) == sum(row["status"] != "measured" for row in rows)  # one line each
+    assert (out / "sites_isce3.csv").read_text().count("\n") == 3
 
 
 def test_products_that_cannot_be_opened_are_named(tmp_path: Path) -> None:
@@ -147,6 +150,20 @@ def test_products_that_cannot_be_opened_are_named(tmp_path: Path) -> None:
     np.save(plain, np.ones((3, 3)))
     with pytest.raises(InputError, match="says no orbit; must be one of gamma, nisar, sentinel1"):
         warpsar.reflectors([plain], sites(tmp_path))
+
+
+def test_products_on_another_grid_are_refused_with_the_reason(tmp_path: Path) -> None:
+    """SICD, and GAMMA's ground range: one line each, and the others go on."""
+    (good,) = safe_stack(tmp_path, [36.0])
+    sicd, ground = tmp_path / "a.nitf", gamma_image(tmp_path, 36.0, 51.4691)
+    sicd.write_bytes(b"NITF02.10" + bytes(400))
+    par = ground.with_name(ground.name + ".par")
+    par.write_text(par.read_text().replace("SLANT_RANGE", "GROUND_RANGE"))
+    result = warpsar.reflectors([sicd, ground, good], sites(tmp_path), engine=False)
+    assert [one.status for one in result.observations] == ["measured"]
+    assert "found SICD, which states an aperture" in result.refused[0]
+    assert "found GROUND_RANGE; must be SLANT_RANGE: the file's polynomials" in result.refused[1]
+    assert not any("\n" in words for words in result.refused)
 
 
 def test_what_is_asked_is_checked(tmp_path: Path) -> None:

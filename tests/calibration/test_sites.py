@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from warpsar.calibration.attitude import Facing
-from warpsar.calibration.sites import read, sites_at
+from warpsar.calibration.sites import ISCE3_COLUMNS, ReflectorSite, read, sites_at, write_isce3
 from warpsar.errors import InputError
 from warpsar.world.earth import geodetic_to_ecef
 
@@ -60,7 +60,9 @@ def test_isce3_counts_from_east(tmp_path: Path) -> None:
     assert sites[0].facings == (Facing(407.0, 12.5),)
     # The latest survey that is not after the date; out of service by its validity.
     (first, second) = sites_at(sites, np.datetime64("2021-01-01"))
-    assert (first.latitude_deg, second.out_of_service) == (69.5, True)
+    assert (first.latitude_deg, first.for_power, first.for_place) == (69.5, True, True)
+    assert not second.stands(np.datetime64("2021-01-01"))
+    assert not first.stands(np.datetime64("2019-01-01"))  # not surveyed yet: ISCE3 leaves it out, too
     assert sites_at(sites, np.datetime64("2023-01-01"))[0].latitude_deg == 69.6
     assert sites_at(sites, np.datetime64("2019-01-01"))[0].latitude_deg == 69.5
     moved = geodetic_to_ecef(first.geodetic(np.datetime64("2030-01-01"))) - geodetic_to_ecef(
@@ -68,6 +70,49 @@ def test_isce3_counts_from_east(tmp_path: Path) -> None:
     )
     east = np.array([np.sin(np.deg2rad(128.5)), np.cos(np.deg2rad(128.5)), 0.0])
     assert moved @ east == pytest.approx(10.0, rel=2e-3)  # ten years at 3.17e-8 m/s, a metre a year
+
+
+def test_a_table_without_names_of_columns_and_with_comments(tmp_path: Path) -> None:
+    """As in ISCE3's own tests: the line of names is a comment there."""
+    row = "CR1,69.7,-128.3,490.0,317.1,12.9,3.462,2023-06-05T17:08:00,2,0,0,0\n"
+    (one,) = read(write(tmp_path, "# a comment\n" + row))
+    assert (one.name, one.leg_m, one.for_power, one.for_place) == ("CR1", 3.462, True, False)
+    (one,) = read(write(tmp_path, "CR1,69.7,-128.3,490.0,317.1,12.9,3.462\n"))  # UAVSAR's
+    assert one.facings == (Facing(407.1, 12.9),)
+
+
+def test_what_is_written_for_isce3_is_read_again(tmp_path: Path) -> None:
+    """All that the layout can say comes back; ISCE3 itself reads it with np.loadtxt and these types."""
+    sites = read(write(tmp_path, NISAR))
+    out = tmp_path / "isce3.csv"
+    assert write_isce3(out, sites) == []
+    assert read(out) == sites
+    kinds = ["O", *["f8"] * 6, "O", "i8", *["f8"] * 3]
+    names = [f"f{k}" for k in range(12)]
+    data = np.loadtxt(
+        out, dtype=list(zip(names, kinds, strict=True)), delimiter=",", comments=["#", "Corner reflector ID,"]
+    )
+    assert data["f0"].tolist() == ["N1", "N1", "N2"]
+    np.testing.assert_allclose(data["f4"], 317.0)
+    assert out.read_text().splitlines()[0] == ",".join(ISCE3_COLUMNS)
+
+
+def test_what_isce3s_layout_cannot_say_is_named(tmp_path: Path) -> None:
+    """A device of two attitudes has two rows, the end of its service one of validity 0; others are left out."""
+    two = ReflectorSite(
+        "T", 46.0, 12.0, 250.0, (Facing(95.0, 3.0), Facing(265.0, 3.0)), "triangular", 1.5,
+        np.datetime64("2020-02-19", "us"), np.datetime64("2021-02-19", "us"),
+    )  # fmt: skip
+    (square,) = read(write(tmp_path, GECORIS))
+    bare = ReflectorSite("B", 46.0, 12.0, 250.0, (), "triangular", None)
+    out = tmp_path / "isce3.csv"
+    left = write_isce3(out, [two, square, bare])
+    assert [words.split(":")[0] for words in left] == ["HRD", "B"]
+    found = read(out)
+    assert [(one.name, one.validity) for one in found] == [("T-1", 7), ("T-1", 0), ("T-2", 7), ("T-2", 0)]
+    for day, stands in (("2020-01-01", False), ("2020-06-01", True), ("2021-06-01", False)):
+        date = np.datetime64(day)
+        assert [one.stands(date) for one in sites_at(found, date)] == [stands] * 2
 
 
 @pytest.mark.parametrize(
@@ -84,6 +129,7 @@ def test_isce3_counts_from_east(tmp_path: Path) -> None:
         (OWN + "A,46,12,250,256,10,square,-1,,\n", "leg_m: found '-1'; must be a number from 0.01 to 100"),
         (OWN + "A,46,12,250,256,10,square,1,soon,\n", "from: found 'soon'; must be a date"),
         (OWN + "A,46,12,250,,,,,,\nA,46,12,250,,,,,,\n", "line 3: found A twice"),
+        (NISAR.replace(", 7,", ", 9,"), "line 2: validity: found '9'; must be a number from 0 to 7"),
         (GECORIS.replace("SQUAREFLIPPED", "SQUAREBASED"), "crshape: found 'SQUAREBASED'"),
     ],
 )

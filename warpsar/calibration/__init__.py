@@ -3,11 +3,15 @@
 attitude.py     how a trihedral stands, and its cross-section in closed form
 engine.py       its cross-section by the engine, from the same mesh
 sites.py        the table of sites
+presence.py     when a reflector stands, and where one is whose place is not known
 point.py        a point target in an image: place, cross-section with an interval, response
 measure.py      a reflector in a product
 differences.py  measured less predicted, of all reflectors and dates
 causes.py       what may have caused it
-explain.py      the causes fitted beside each other, and what is tied
+joint.py        causes fitted together: what earlier dates need and later ones confirm
+turns.py        all attitudes that fit
+explain.py      the causes alone and together, and what is tied
+places.py       what may move places
 geolocation.py  how far reflectors lie off orbit and survey
 table.py        reflectors.csv
 figures.py      drawings of the report

@@ -1,7 +1,23 @@
 from .attitude import Facing as Facing
 from .command import ReflectorResult as ReflectorResult
 from .explain import Explanation as Explanation
+from .geolocation import Geolocation as Geolocation
+from .joint import JointFit as JointFit
 from .measure import ReflectorObservation as ReflectorObservation
+from .presence import FoundPlace as FoundPlace
+from .presence import Presence as Presence
 from .sites import ReflectorSite as ReflectorSite
+from .turns import AttitudeSolution as AttitudeSolution
 
-__all__ = ["Explanation", "Facing", "ReflectorObservation", "ReflectorResult", "ReflectorSite"]
+__all__ = [
+    "AttitudeSolution",
+    "Explanation",
+    "Facing",
+    "FoundPlace",
+    "Geolocation",
+    "JointFit",
+    "Presence",
+    "ReflectorObservation",
+    "ReflectorResult",
+    "ReflectorSite",
+]

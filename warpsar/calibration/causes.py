@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from warpsar.calibration.attitude import Facing, trihedral_rcs_m2
-from warpsar.calibration.differences import LEAST_SCATTER_DB, Differences, pass_numbers
+from warpsar.calibration.differences import Differences, pass_numbers
 
 F64 = NDArray[np.float64]
 MOST_TURN_DEG = 25.0
+TURNS_DEG = np.linspace(-MOST_TURN_DEG, MOST_TURN_DEG, 17)
 LEAST_SPAN_DEG, LEAST_SPAN_YEARS = 0.5, 0.05
 """Of incidence and of time, for what changes with them."""
 
@@ -51,6 +52,19 @@ class Cause:
     at: Callable[[F64, Situation], float]
     """What it predicts of a measurement that could be made [dB]."""
     physical: bool = True
+    level: tuple[str, int] | None = None
+    """What its parameter of this number shifts as a whole: "all", or "site 3". Of two causes one can say it."""
+    linear: bool = True
+    """In its parameters."""
+    grid: tuple[tuple[float, ...], ...] = ()
+    """Parameters among which a fit finds its start, of a curve with several hills."""
+
+
+ALL = ("all", 0)
+
+
+def _of_site(i: int) -> tuple[str, int]:
+    return f"site {i}", 0
 
 
 def causes(data: Differences) -> list[Cause]:
@@ -109,6 +123,7 @@ def _constant() -> Cause:
         (-200.0,),
         (200.0,),
         lambda x, s: float(x[0]),
+        level=ALL,
     )
 
 
@@ -122,6 +137,7 @@ def _pattern(middle: float) -> Cause:
         (-200.0, -20.0),
         (200.0, 20.0),
         lambda x, s: float(x[0] + x[1] * (s.incidence_deg - middle)),
+        level=ALL,
     )
 
 
@@ -135,6 +151,7 @@ def _drift(middle: float) -> Cause:
         (-200.0, -100.0),
         (200.0, 100.0),
         lambda x, s: float(x[0] + x[1] * (s.years - middle)),
+        level=ALL,
     )
 
 
@@ -148,6 +165,7 @@ def _loss(i: int, name: str) -> Cause:
         (0.0,),
         (60.0,),
         lambda x, s: -float(x[0]) if s.site == name and not s.cleaned else 0.0,
+        level=_of_site(i),
     )
 
 
@@ -168,45 +186,50 @@ def _size(i: int, name: str, data: Differences) -> Cause:
         (0.3 * leg,),
         (3.0 * leg,),
         lambda x, s: float(40.0 * np.log10(x[0] / leg)) if s.site == name and not s.leg_surveyed else 0.0,
+        level=_of_site(i),
+        linear=False,
     )
 
 
 def _attitude(i: int, name: str, data: Differences) -> Cause:
     """The device turned and tilted as a whole: what raises one facing lowers the one that looks the other way."""
-    facings: dict[int, tuple[Facing, str]] = {}
-    for k in np.flatnonzero(data.site == i).tolist():
-        one = data.observations[k]
-        assert one.facing is not None
-        facings[k] = (one.facing, one.site.shape)
-    sample = facings[min(facings)]
-    front = sample[0].azimuth_deg
+    first = data.observations[int(np.flatnonzero(data.site == i)[0])]
+    assert first.facing is not None
+    front, shape = first.facing.azimuth_deg, first.site.shape
 
-    def change(x: F64, facing: Facing, look: F64) -> float:
+    def turned(x: F64, facing: Facing) -> Facing:
         share = float(np.cos(np.deg2rad(facing.azimuth_deg - front)))
-        turned = Facing(facing.azimuth_deg + x[0], facing.tilt_deg + share * x[1], facing.flipped)
-        shape = data.observations[min(facings)].site.shape
-        areas = [float(trihedral_rcs_m2(shape, 1.0, one, look, 1.0)) for one in (turned, facing)]
-        return float(10.0 * np.log10(max(areas[0], 1e-9) / max(areas[1], 1e-9)))
+        return Facing(facing.azimuth_deg + x[0], facing.tilt_deg + share * x[1], facing.flipped)
+
+    def change(x: F64, facing: Facing, looks: F64) -> F64:
+        areas = [trihedral_rcs_m2(shape, 1.0, one, looks, 1.0) for one in (turned(x, facing), facing)]
+        return np.asarray(10.0 * np.log10(np.maximum(areas[0], 1e-9) / np.maximum(areas[1], 1e-9)))
+
+    known: dict[int, tuple[Differences, list[tuple[Facing, NDArray[np.int64]]]]] = {}
+
+    def groups(d: Differences) -> list[tuple[Facing, NDArray[np.int64]]]:
+        """Facings of this reflector, and the values that each has."""
+        if id(d) not in known:
+            found: dict[Facing, list[int]] = {}
+            for k in np.flatnonzero(d.site == i).tolist():
+                facing = d.observations[k].facing
+                assert facing is not None
+                found.setdefault(facing, []).append(k)
+            known[id(d)] = d, [(facing, np.array(ks)) for facing, ks in found.items()]
+        return known[id(d)][1]
 
     def curve(x: F64, d: Differences) -> F64:
         found = np.zeros(len(d))
-        known: dict[tuple[float, ...], float] = {}
-        for k in np.flatnonzero(d.site == i).tolist():
-            facing = d.observations[k].facing
-            assert facing is not None
-            key = (facing.azimuth_deg, *np.round(d.look[k], 4).tolist())
-            if key not in known:
-                known[key] = change(x, facing, d.look[k])
-            found[k] = known[key]
+        for facing, ks in groups(d):
+            found[ks] = change(x, facing, d.look[ks])
         return found
 
     def at(x: F64, s: Situation) -> float:
         if s.site != name or s.attitude_surveyed:
             return 0.0
-        facing = min(
-            data.observations[min(facings)].site.facings, key=lambda f: f.off_boresight_deg(s.look), default=sample[0]
-        )
-        return change(x, facing, s.look)
+        facing = first.site.facing(s.look) or first.facing
+        assert facing is not None
+        return float(change(x, facing, s.look))
 
     return Cause(
         f"attitude of {name}",
@@ -217,6 +240,8 @@ def _attitude(i: int, name: str, data: Differences) -> Cause:
         (-MOST_TURN_DEG, -MOST_TURN_DEG),
         (MOST_TURN_DEG, MOST_TURN_DEG),
         at,
+        linear=False,
+        grid=tuple((float(a), float(b)) for a in TURNS_DEG for b in TURNS_DEG),
     )
 
 
@@ -231,6 +256,7 @@ def _decay(i: int, name: str, data: Differences) -> Cause:
         (-60.0, -500.0),
         (60.0, 500.0),
         lambda x, s: float(x[0] + x[1] * (s.years - start)) if s.site == name and not s.cleaned else 0.0,
+        level=_of_site(i),
     )
 
 
@@ -244,12 +270,12 @@ def _step(i: int, name: str, data: Differences) -> Cause:
 
     best, lowest = float(middles[0]), np.inf
     here = data.site == i
-    weights = 1.0 / (data.sd_db[here] ** 2 + LEAST_SCATTER_DB**2)
+    weights = 1.0 / (data.sd[here] ** 2 + data.least_scatter**2)
     for middle in middles.tolist():
         left = 0.0
         for side in (data.years[here] <= middle, data.years[here] > middle):
-            mean = np.average(data.difference_db[here][side], weights=weights[side])
-            left += float((weights[side] * (data.difference_db[here][side] - mean) ** 2).sum())
+            mean = np.average(data.value[here][side], weights=weights[side])
+            left += float((weights[side] * (data.value[here][side] - mean) ** 2).sum())
         if left < lowest:
             best, lowest = middle, left
     return Cause(
@@ -261,4 +287,5 @@ def _step(i: int, name: str, data: Differences) -> Cause:
         (-60.0, -60.0, best),
         (60.0, 60.0, best),
         lambda x, s: float(x[1]) if s.site == name else 0.0,
+        level=_of_site(i),
     )

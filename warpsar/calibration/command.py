@@ -1,4 +1,4 @@
-"""The command `reflectors`, and `warpsar.reflectors`: reflectors.csv, reflectors.json and report.html."""
+"""The command `reflectors`, and `warpsar.reflectors`: two tables (CSV), reflectors.json and report.html."""
 
 from __future__ import annotations
 
@@ -18,8 +18,9 @@ from warpsar.calibration.explain import Explanation, explain
 from warpsar.calibration.geolocation import Geolocation, geolocation
 from warpsar.calibration.measure import ReflectorObservation, observe
 from warpsar.calibration.point import PointSettings
+from warpsar.calibration.presence import FoundPlace, Presence, find_place, presences, settled, standing
 from warpsar.calibration.report import write_report
-from warpsar.calibration.sites import ReflectorSite, sites_at
+from warpsar.calibration.sites import ReflectorSite, sites_at, write_isce3
 from warpsar.calibration.table import row, write_csv
 from warpsar.errors import InputError
 from warpsar.formats import registry
@@ -44,7 +45,11 @@ class ReflectorResult:
     explanation: Explanation
     geolocation: Geolocation | None
     refused: tuple[str, ...]
-    """Products that could not be opened, a line each."""
+    """Products that could not be opened, and reflectors that were not found, a line each."""
+    found: tuple[FoundPlace, ...] = ()
+    """Reflectors whose place was not known."""
+    presence: tuple[Presence, ...] = ()
+    """When reflectors came, went, or moved."""
 
     def rows(self) -> list[dict[str, Any]]:
         """The table, by the names of the columns of reflectors.csv."""
@@ -77,6 +82,7 @@ def reflectors(
     opened, refused = _opened(given, polarization, file_format)
     settings = PointSettings(window_cells=window_cells)
     found: list[ReflectorObservation] = []
+    table, places, lost = _placed(opened, table, allowance_m, settings, radiometry)
     bar = console.progress(len(opened), "reflectors", "product")
     for product in opened:
         date = product.date(product.grid.middle_s)
@@ -84,10 +90,39 @@ def reflectors(
         bar.update()
     bar.close()
     found = _without_other_swaths(found)
+    presence = presences(found)
+    found = standing(found, presence)
     if engine:
         found = _predicted(found, {one.source: one.frequency_hz for one in opened}, device)
     found.sort(key=lambda one: (one.site.name, one.date, one.polarization or ""))
-    return ReflectorResult(tuple(found), explain(found), geolocation(found), tuple(refused))
+    return ReflectorResult(
+        tuple(found), explain(found), geolocation(found), (*refused, *lost), tuple(places), tuple(presence)
+    )
+
+
+def _placed(
+    products: Sequence[Product],
+    table: Sequence[ReflectorSite],
+    allowance_m: tuple[float, float],
+    settings: PointSettings,
+    radiometry: Radiometry | None,
+) -> tuple[list[ReflectorSite], list[FoundPlace], list[str]]:
+    """The table, with places that were looked for in the images; what was found; and a line for what was not."""
+    made: list[ReflectorSite] = []
+    places: list[FoundPlace] = []
+    lost: list[str] = []
+    for site in table:
+        if site.search_m is None:
+            made.append(site)
+            continue
+        found, words = find_place(products, site, radiometry)
+        if found is None:
+            lost.append(words)
+            continue
+        seen = [observe(product, found.site, allowance_m, settings, radiometry) for product in products]
+        places.append(settled(found, seen, {one.source: one for one in products}))
+        made.append(places[-1].site)
+    return made, places, lost
 
 
 def _refuse(
@@ -203,10 +238,13 @@ def run(
         if one.status != "measured"
     )
     write_csv(out / "reflectors.csv", result.observations)
+    console.warn(write_isce3(out / "sites_isce3.csv", _written(table, result)))
     content = {
         "input": {"scene": sites.name, "sha256": hashlib.sha256(sites.read_bytes()).hexdigest()},
         "observations": result.rows(),
         "refused": list(result.refused),
+        "found": [one.content() for one in result.found],
+        "presence": [one.content() for one in result.presence],
         "explanation": result.explanation.content(),
         "geolocation": None if result.geolocation is None else result.geolocation.content(),
         "settings": {
@@ -221,8 +259,23 @@ def run(
     }
     content = write_json(out / "reflectors.json", None, where, None, started, content)
     write_report(out / "report.html", result.observations, result.explanation, result.geolocation, content, command)
-    console.say_written(out, "report.html", "reflectors.csv", "reflectors.json")
+    console.say_written(out, "report.html", "reflectors.csv", "reflectors.json", "sites_isce3.csv")
     counted = [one.status == "measured" for one in result.observations]
     measured = f"{int(np.sum(counted))} of {len(counted)} reflectors measured"
-    print("\n".join([measured, *result.explanation.words]))
+    said = [one.words for one in result.found] + [one.words for one in result.presence]
+    print("\n".join([measured, *said, *result.explanation.words]))
     return content
+
+
+def _written(table: Sequence[ReflectorSite], result: ReflectorResult) -> list[ReflectorSite]:
+    """The table with places and dates that were found, for those that had none."""
+    placed = {one.site.name: one.site for one in result.found}
+    made = [placed.get(one.name, one) for one in table if one.search_m is None or one.name in placed]
+    for one in result.presence:
+        since = None if one.since is None else np.datetime64(one.since[1], "us")
+        until = None if one.until is None else np.datetime64(one.until[1], "us")
+        made = [
+            replace(site, start=site.start or since, end=site.end or until) if site.name == one.site else site
+            for site in made
+        ]
+    return made

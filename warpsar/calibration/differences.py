@@ -4,21 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import false_discovery_control
 
 from warpsar.calibration.measure import ReflectorObservation
 
 F64 = NDArray[np.float64]
 YEAR_S = 365.25 * 86400.0
-OUTLYING = 3.5
-"""Robust standard deviations off the values before and after: such a date is bad (Iglewicz and Hoaglin, 1993)."""
+FALSE_SHARE = 0.05
+"""Of the dates that are called bad, how many are good ones, on average (Benjamini and Hochberg, 1995)."""
+NULL_DRAWS = 120_000
+"""Made-up values by which the chance of a deviation is known: down to some 1e-5."""
 NEIGHBOURS = 3
 """Values before, and after, that make the level at a date."""
 LEAST_SCATTER_DB = 0.1
 """What is known of no radar better, from date to date."""
-_SAME_PASS = float(np.cos(np.deg2rad(3.0)))
+SAME_PASS = float(np.cos(np.deg2rad(3.0)))
+"""Looks that differ by less are of one pass."""
 FEWEST = 5
 """Values of a reflector from one pass, of which one can be called bad."""
 
@@ -28,8 +33,9 @@ class Differences:
     """What is explained: values of several reflectors and dates, (n,) each, ascending in time."""
 
     observations: tuple[ReflectorObservation, ...]
-    difference_db: F64
-    sd_db: F64
+    value: F64
+    """[dB]; of places, [m]."""
+    sd: F64
     """Of clutter and noise."""
     site: NDArray[np.int64]
     names: tuple[str, ...]
@@ -38,6 +44,10 @@ class Differences:
     incidence_deg: F64
     look: F64
     """Unit vectors to the radar, (n, 3)."""
+    image: NDArray[np.int64]
+    """Which values come from one image."""
+    least_scatter: float = LEAST_SCATTER_DB
+    """What is known of no radar better, from date to date."""
 
     @classmethod
     def of(cls, observations: Sequence[ReflectorObservation]) -> Differences:
@@ -45,7 +55,7 @@ class Differences:
         used = [
             one
             for one in observations
-            if one.stands and one.difference_db is not None and one.difference_sd_db is not None
+            if one.stands and one.site.for_power and one.difference_db is not None and one.difference_sd_db is not None
         ]
         used.sort(key=lambda one: (one.date, one.site.name))
         names = tuple(dict.fromkeys(one.site.name for one in used))
@@ -59,26 +69,34 @@ class Differences:
             np.array([(one.date - first) / np.timedelta64(1, "s") / YEAR_S for one in used], np.float64),
             np.array([one.expected.incidence_deg for one in used if one.expected is not None], np.float64),
             np.array([one.expected.toward_radar for one in used if one.expected is not None]).reshape(-1, 3),
+            images_of(used),
         )
 
     def part(self, chosen: NDArray[np.bool_]) -> Differences:
         return Differences(
             tuple(one for one, take in zip(self.observations, chosen, strict=True) if take),
-            self.difference_db[chosen],
-            self.sd_db[chosen],
+            self.value[chosen],
+            self.sd[chosen],
             self.site[chosen],
             self.names,
             self.years[chosen],
             self.incidence_deg[chosen],
             self.look[chosen],
+            self.image[chosen],
+            self.least_scatter,
         )
+
+    @property
+    def days(self) -> NDArray[np.datetime64]:
+        """Of each value, (n,)."""
+        return np.array([one.date for one in self.observations], "datetime64[us]").astype("datetime64[D]")
 
     @property
     def looks(self) -> list[tuple[int, F64]]:
         """Reflector and direction to the radar of each pass, in the order of time."""
         found: list[tuple[int, F64]] = []
         for site, look in zip(self.site.tolist(), self.look, strict=True):
-            if not any(site == other and look @ known > _SAME_PASS for other, known in found):
+            if not any(site == other and look @ known > SAME_PASS for other, known in found):
                 found.append((site, look))
         return found
 
@@ -88,14 +106,21 @@ class Differences:
         return pass_numbers(self.looks, self)
 
     def __len__(self) -> int:
-        return self.difference_db.size
+        return self.value.size
+
+
+def images_of(observations: Sequence[ReflectorObservation]) -> NDArray[np.int64]:
+    """Which image each has, (n,)."""
+    images: dict[tuple[str, str, str | None], int] = {}
+    keys = [(one.source, str(one.date)[:10], one.polarization) for one in observations]
+    return np.array([images.setdefault(key, len(images)) for key in keys], np.int64)
 
 
 def pass_numbers(looks: Sequence[tuple[int, F64]], data: Differences) -> NDArray[np.int64]:
     """Which of these passes each value has, (n,); -1 for none."""
     found = np.full(len(data), -1, np.int64)
     for k, (site, look) in reversed(list(enumerate(looks))):
-        found[(data.site == site) & (data.look @ look > _SAME_PASS)] = k
+        found[(data.site == site) & (data.look @ look > SAME_PASS)] = k
     return found
 
 
@@ -110,10 +135,13 @@ class BadDate:
     deviations: float
     """Standard ones, by a robust scale; NaN of what is not seen."""
     words: str
+    chance: float = float("nan")
+    """That a good date lies as far off; NaN of what is not seen."""
 
     def content(self) -> dict[str, object]:
         """For JSON."""
-        return {"id": self.site, "date": self.date, "off_db": self.off_db, "words": self.words}
+        chance = None if np.isnan(self.chance) else self.chance
+        return {"id": self.site, "date": self.date, "off_db": self.off_db, "chance": chance, "words": self.words}
 
 
 def absent(observations: Sequence[ReflectorObservation]) -> list[BadDate]:
@@ -132,30 +160,66 @@ def absent(observations: Sequence[ReflectorObservation]) -> list[BadDate]:
 def bad_dates(data: Differences) -> tuple[list[BadDate], NDArray[np.bool_]]:
     """Values that lie off those before them and off those after them; and which values do not, (n,).
 
-    A step, or a level that drifts, is no bad date: it has neighbours on one side at least.
+    A step, or a level that drifts, is no bad date: it has neighbours on one side at least. How far a value lies off is
+    counted in deviations (`deviations`). The chance that a good date lies as far off is that among made-up series of as
+    many values, so it holds the error of the scale. Over all reflectors and dates, the dates are called bad among which
+    a share of `FALSE_SHARE` is good, on average.
     """
     good = np.ones(len(data), bool)
-    found = []
+    where: list[int] = []
+    off: list[float] = []
+    far: list[float] = []
+    chance: list[float] = []
     for group in np.unique(data.passes):
         here = np.flatnonzero(data.passes == group)
         if here.size < FEWEST:
             continue
-        values = data.difference_db[here]
-        # From one value to the next: twice the variance of one, and blind to steps.
-        spread = 1.4826 / np.sqrt(2.0) * float(np.median(np.abs(np.diff(values))))
-        scale = np.maximum(max(spread, LEAST_SCATTER_DB), data.sd_db[here])
-        for k, i in enumerate(here.tolist()):
-            sides = [
-                side for side in (values[max(k - NEIGHBOURS, 0) : k], values[k + 1 : k + 1 + NEIGHBOURS]) if side.size
-            ]
-            off = [float(values[k] - np.median(side)) for side in sides]
-            level = min(off, key=abs)
-            if min(off) * max(off) > 0.0 and abs(level) > OUTLYING * scale[k]:
-                good[i] = False
-                one = data.observations[i]
-                words = f"{level:+.1f} dB off its level: {_weather(level)}"
-                found.append(BadDate(one.site.name, str(one.date)[:10], level, level / float(scale[k]), words))
+        level, score = deviations(data.value[here][None], data.sd[here], data.least_scatter)
+        null = _null(here.size)
+        where += here.tolist()
+        off += level[0].tolist()
+        far += score[0].tolist()
+        above = null.size - np.searchsorted(null, np.abs(score[0]))
+        chance += ((above + 1.0) / (null.size + 1.0)).tolist()
+    if not where:
+        return [], good
+    found = []
+    for k in np.flatnonzero(false_discovery_control(np.array(chance)) <= FALSE_SHARE).tolist():
+        i = where[k]
+        good[i] = False
+        one = data.observations[i]
+        words = f"{off[k]:+.1f} dB off its level: {_weather(off[k])}"
+        found.append(BadDate(one.site.name, str(one.date)[:10], off[k], far[k], words, chance[k]))
     return found, good
+
+
+def deviations(values: F64, sd: F64, least: float) -> tuple[F64, F64]:
+    """Of series (m, n): how far a value lies off the nearer of the levels before and after it, and that over its scale.
+
+    A level is the median of up to three values. 0 where both levels do not lie on one side of the value. The scale is
+    the median step from value to value (which a step of the level, or one bad date, moves little), and not less than
+    `least`, nor than the deviation that clutter gives a value on the level. `sd` (n,) [dB] is that of the value itself:
+    the target beats with clutter, so that it goes with the inverse root of power.
+    """
+    count = values.shape[1]
+    spread = 1.4826 / np.sqrt(2.0) * np.median(np.abs(np.diff(values, axis=1)), axis=1)
+    level = np.zeros_like(values)
+    for k in range(count):
+        sides = [values[:, max(k - NEIGHBOURS, 0) : k], values[:, k + 1 : k + 1 + NEIGHBOURS]]
+        off = np.stack([values[:, k] - np.median(side, axis=1) for side in sides if side.shape[1]])
+        one_side = (off.min(axis=0) * off.max(axis=0)) > 0.0
+        nearer = np.take_along_axis(off, np.abs(off).argmin(axis=0)[None], axis=0)[0]
+        level[:, k] = np.where(one_side, nearer, 0.0)
+    scale = np.maximum(np.maximum(spread, least)[:, None], sd * 10.0 ** (level / 20.0))
+    return level, level / scale
+
+
+@lru_cache(maxsize=64)
+def _null(count: int) -> F64:
+    """Deviations of good values in series of so many, in rising order: Gaussian ones, made up."""
+    rng = np.random.default_rng(count)
+    made = rng.normal(size=(max(NULL_DRAWS // count, 1), count))
+    return np.sort(np.abs(deviations(made, np.zeros(count), 0.0)[1]).ravel())
 
 
 def _weather(level_db: float) -> str:

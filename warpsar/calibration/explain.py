@@ -7,21 +7,30 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 from scipy.stats import chi2, norm
 
 from warpsar.calibration.causes import Cause, Situation, causes
-from warpsar.calibration.differences import LEAST_SCATTER_DB, BadDate, Differences, absent, bad_dates
+from warpsar.calibration.differences import BadDate, Differences, absent, bad_dates
+from warpsar.calibration.joint import (
+    ALIKE,
+    CONFIDENCE,
+    CauseFit,
+    CauseModel,
+    JointFit,
+    Trials,
+    by_image,
+    fit_model,
+    halves,
+    joint,
+    together_words,
+    values_words,
+)
 from warpsar.calibration.measure import ReflectorObservation
+from warpsar.calibration.turns import AttitudeSolution, attitude_solutions, attitude_words
 
 F64 = NDArray[np.float64]
-CONFIDENCE = 0.9
 TIED = float(chi2.ppf(0.95, 1))
 """Squared distance of two fits in standard deviations, below which the data do not tell them apart."""
-ALIKE = 2.0 * float(np.log(10.0))
-"""BIC of the best cause plus this: odds of 10 to 1."""
-HELD_SHARE = 1.0 / 3.0
-"""Of the dates, the later ones, by which each cause is judged after it was fitted to the others."""
 
 
 @dataclass(frozen=True)
@@ -82,6 +91,10 @@ class Explanation:
     words: tuple[str, ...]
     used: int
     differences: Differences | None = field(default=None, repr=False)
+    joint: JointFit | None = field(default=None, repr=False)
+    """Causes together."""
+    attitudes: tuple[AttitudeSolution, ...] = ()
+    """All attitudes that fit, where an attitude is a cause or could stand for one."""
 
     def content(self) -> dict[str, object]:
         return {
@@ -90,116 +103,65 @@ class Explanation:
             "causes": [one.content() for one in self.fitted],
             "tied": [one.content() for one in self.tied],
             "bad_dates": [one.content() for one in self.bad_dates],
+            "joint": None if self.joint is None else self.joint.content(),
+            "attitudes": [one.content() for one in self.attitudes],
         }
 
 
 def explain(observations: Sequence[ReflectorObservation]) -> Explanation:
     """Causes of the differences between measured and predicted RCS.
 
-    Bad dates are set aside first. Every cause is then fitted alone, by the likelihood of a Gaussian whose variance is
-    that of clutter and noise and of a scatter from date to date, which is fitted, too. They are ranked by BIC.
+    Bad dates are set aside first. Every cause is then fitted alone, and all are fitted together (`joint`), by the
+    likelihood of a Gaussian with clutter and noise, a scatter from value to value, and one from image to image. Causes
+    alone are ranked by BIC.
     """
     all_of_them, missing = Differences.of(observations), absent(observations)
     if len(all_of_them) < 1:
-        words = ("Nothing can be explained: no reflector is measured and predicted.",)
-        return Explanation((), (), tuple(missing), words, 0)
+        nothing = "Nothing can be explained: no reflector is measured and predicted."
+        return Explanation((), (), tuple(missing), (nothing,), 0)
     bad, good = bad_dates(all_of_them)
     bad = sorted([*missing, *bad], key=lambda one: (one.site, one.date))
     data = all_of_them.part(good)
-    fitted = sorted((fit(cause, data) for cause in causes(data)), key=lambda one: one.bic)
+    early, late = halves(data)
+    trials = Trials(data, causes(data)), None if early is None else Trials(early, causes(early))
+    fitted = alone(*trials, late)
     tied = _ties(fitted, data)
-    return Explanation(tuple(fitted), tuple(tied), tuple(bad), tuple(_words(fitted, tied, bad, data)), len(data), data)
+    found = joint(data, causes, _situations(data), trials)
+    attitudes = attitude_solutions(found, data)
+    words = _words(fitted, tied, bad, data, found, attitudes)
+    return Explanation(tuple(fitted), tuple(tied), tuple(bad), tuple(words), len(data), data, found, tuple(attitudes))
 
 
-def fit(cause: Cause, data: Differences, *, held: bool = True) -> FittedCause:
-    """A cause at its most likely, with the scatter from date to date that makes it so."""
-    free = [k for k, (a, b) in enumerate(zip(cause.low, cause.high, strict=True)) if b > a]
-    x = np.array(cause.start, np.float64)
-    scatter = LEAST_SCATTER_DB
-    covariance = np.zeros((len(free), len(free)))
-    for _ in range(20):
-        sd = np.sqrt(data.sd_db**2 + scatter**2)
-        if free:
-            x, covariance = _solved(cause, data, sd, x, free)
-        residual = data.difference_db - cause.curve(x, data)
-        before, scatter = scatter, _scatter(residual, data.sd_db, len(free))
-        if abs(scatter - before) < 1e-4:
-            break
-    sd = np.sqrt(data.sd_db**2 + scatter**2)
-    curve = cause.curve(x, data)
-    likelihood = float(np.sum(norm.logpdf(data.difference_db, curve, sd)))
+def alone(every: Trials, early: Trials | None, late: Differences | None) -> list[FittedCause]:
+    """Each cause by itself at its best, the most likely one first; and how likely it makes the later dates."""
+    later: dict[str, float] = {}
+    if early is not None and late is not None:
+        for name, fit in _fits(early).items():
+            later[name] = float(by_image(fit, late).sum()) / len(late) - 0.5 * float(np.log(2.0 * np.pi))
     z = float(norm.ppf(0.5 + 0.5 * CONFIDENCE))
-    error = np.zeros(x.size)
-    error[free] = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    low, high = np.maximum(x - z * error, cause.low), np.minimum(x + z * error, cause.high)
-    counted = x.size + 1  # the scatter, too
-    return FittedCause(
-        cause,
-        x,
-        low,
-        high,
-        curve,
-        scatter,
-        likelihood,
-        counted * np.log(max(len(data), 2)) - 2.0 * likelihood,
-        _held(cause, data) if held else None,
-    )
+    found = []
+    for name, fit in _fits(every).items():
+        (cause,), (x,) = fit.model.causes, fit.values
+        (error,) = fit.model.full(np.sqrt(np.maximum(np.diag(fit.covariance), 0.0)))
+        reach = np.where(fit.model.fixed[0], 0.0, z * error)
+        low, high = np.maximum(x - reach, cause.low), np.minimum(x + reach, cause.high)
+        found.append(
+            FittedCause(
+                cause, x, low, high, fit.fitted, fit.scatter.value, fit.log_likelihood, fit.bic, later.get(name)
+            )
+        )
+    return sorted(found, key=lambda one: one.bic)
 
 
-def _solved(cause: Cause, data: Differences, sd: F64, x: F64, free: Sequence[int]) -> tuple[F64, NDArray[np.float64]]:
-    def full(part: F64) -> F64:
-        whole = x.copy()
-        whole[list(free)] = part
-        return whole
-
-    def residual(part: F64) -> F64:
-        return (data.difference_db - cause.curve(full(part), data)) / sd
-
-    low, high = (np.array([bound[k] for k in free]) for bound in (cause.low, cause.high))
-    starts = [np.clip(x[list(free)], low + 1e-9, high - 1e-9)]
-    if cause.name.startswith("attitude"):  # even in the turns: several hills
-        starts += [np.array([a, b]) for a in (-8.0, 8.0) for b in (-8.0, 8.0)]
-    best = min(
-        (least_squares(residual, start, bounds=(low, high), x_scale="jac") for start in starts), key=lambda r: r.cost
-    )
-    jacobian = np.asarray(best.jac, np.float64)
-    information = jacobian.T @ jacobian
-    return full(best.x), np.asarray(np.linalg.pinv(information, rcond=1e-8), np.float64)
-
-
-def _scatter(residual: F64, sd: F64, parameters: int) -> float:
-    """The scatter beyond `sd` that makes the mean squared residual one: a moment estimate, by bisection."""
-    freedom = max(residual.size - parameters, 1)
-
-    def excess(scatter: float) -> float:
-        return float((residual**2 / (sd**2 + scatter**2)).sum()) - freedom
-
-    low, high = LEAST_SCATTER_DB, 200.0
-    if excess(low) <= 0.0:
-        return low
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if excess(middle) > 0.0 else (low, middle)
-    return low
-
-
-def _held(cause: Cause, data: Differences) -> float | None:
-    """Mean log-likelihood of the later dates, under the fit to the earlier ones."""
-    order = np.unique(data.years)
-    if order.size < 6:
-        return None
-    border = order[int(np.ceil(order.size * (1.0 - HELD_SHARE)))]
-    early = data.part(data.years < border)
-    late = data.part(data.years >= border)
-    missing = set(np.unique(late.site).tolist()) - set(np.unique(early.site).tolist())
-    if missing or len(early) < 4:
-        return None
-    made = next((one for one in causes(early) if one.name == cause.name), None)
-    if made is None:
-        return None
-    found = fit(made, early, held=False)
-    sd = np.sqrt(late.sd_db**2 + found.scatter_db**2)
-    return float(np.mean(norm.logpdf(late.difference_db, made.curve(found.values, late), sd)))
+def _fits(trials: Trials) -> dict[str, CauseFit]:
+    """Of each cause alone."""
+    data, bare = trials.data, fit_model(CauseModel(()), trials.data)
+    found = {}
+    for cause in trials.rivals + trials.causes:
+        started = trials.best(bare.model, bare.free, bare.scatter, [cause])
+        model, start = started[0][1:] if started else (CauseModel((cause,)), None)
+        found[cause.name] = fit_model(model, data, bare.scatter, start)
+    return found
 
 
 # ---- what is tied ----
@@ -243,7 +205,7 @@ def _ties(fitted: Sequence[FittedCause], data: Differences) -> list[Tie]:
     found = []
     for k, first in enumerate(near):
         for second in near[k + 1 :]:
-            sd = np.sqrt(data.sd_db**2 + max(first.scatter_db, second.scatter_db) ** 2)
+            sd = np.sqrt(data.sd**2 + max(first.scatter_db, second.scatter_db) ** 2)
             if float((((first.fitted_db - second.fitted_db) / sd) ** 2).sum()) > TIED:
                 continue
             apart, best = 0.0, ""
@@ -255,25 +217,31 @@ def _ties(fitted: Sequence[FittedCause], data: Differences) -> list[Tie]:
     return found
 
 
-def _words(fitted: Sequence[FittedCause], tied: Sequence[Tie], bad: Sequence[BadDate], data: Differences) -> list[str]:
+def _words(
+    fitted: Sequence[FittedCause],
+    tied: Sequence[Tie],
+    bad: Sequence[BadDate],
+    data: Differences,
+    found: JointFit,
+    attitudes: Sequence[AttitudeSolution],
+) -> list[str]:
     """What is found, in sentences."""
     best = next(one for one in fitted if one.cause.physical)
     rivals = {one.cause.name: one for one in fitted if not one.cause.physical}
-    mean = float(np.average(data.difference_db, weights=1.0 / (data.sd_db**2 + best.scatter_db**2)))
+    mean = float(np.average(data.value, weights=1.0 / (data.sd**2 + best.scatter_db**2)))
     words = [
         f"{len(data)} values of {len(np.unique(data.site))} reflector(s) lie {mean:+.2f} dB off the prediction on "
         "average."
     ]
-    values = ", ".join(
-        f"{name.split(' [')[0]} {v:.3g} ({a:.3g} to {b:.3g}) {name.partition('[')[2].rstrip(']')}".strip()
-        for name, v, a, b in zip(best.cause.parameters, best.values, best.low, best.high, strict=True)
-    )
+    words += together_words(found)
+    words += attitude_words(attitudes)
+    values = values_words(best.cause, best.values, best.low, best.high)
     words.append(
         f"Best alone: {best.cause.title}" + (f": {values}" if values else "") + f"; {best.scatter_db:.2f} dB are left "
         "from date to date."
     )
     if rivals["none"].bic <= best.bic:
-        words.append("No cause is needed: none explains more than its parameters cost.")
+        words.append("No cause alone explains more than its parameters cost.")
     elif rivals["levels"].bic < best.bic - ALIKE:
         words.append("No single cause explains what a level of its own for each reflector and pass does.")
     mates = [

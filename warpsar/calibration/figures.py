@@ -53,6 +53,7 @@ def map_figure(observations: Sequence[ReflectorObservation]) -> Figure:
         axes.legend(frameon=False, fontsize=8)
     if len(sites) == 1:
         axes.set(xlim=(-1, 1), ylim=(-1, 1))
+    axes.margins(0.15)
     axes.set_aspect("equal", adjustable="box" if len(sites) == 1 else "datalim")
     axes.set_xlabel(f"east of {lon.mean():.4f}° [km]")
     axes.set_ylabel(f"north of {lat.mean():.4f}° [km]")
@@ -101,7 +102,7 @@ def series_figure(observations: Sequence[ReflectorObservation], explanation: Exp
     axes.set_ylabel("RCS [dBsm]")
     axes.grid(alpha=0.3)
     axes.tick_params(axis="x", labelrotation=25)
-    axes.legend(frameon=False, fontsize=7)
+    axes.legend(frameon=False, fontsize=7, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
     return figure
 
 
@@ -110,7 +111,7 @@ def _dbsm(area: float) -> float:
 
 
 def incidence_figure(observations: Sequence[ReflectorObservation], explanation: Explanation) -> Figure:
-    """Measured over predicted against incidence, and what the best cause makes of it."""
+    """Measured over predicted against incidence, and what the causes together make of it."""
     figure, axes = figures.new(5.0, 4.2)
     names = list(dict.fromkeys(one.site.name for one in observations))
     for name, colour in zip(names, COLOURS * 99, strict=False):
@@ -122,10 +123,10 @@ def incidence_figure(observations: Sequence[ReflectorObservation], explanation: 
         error = np.array([one.difference_sd_db or 0.0 for one in own])
         axes.errorbar(angle, off, 1.645 * error, fmt="o", ms=3.5, lw=0.8, color=colour, label=name)
     data = explanation.differences
-    best = next((one for one in explanation.fitted if one.cause.physical), None)
-    if data is not None and best is not None:
-        axes.plot(data.incidence_deg, best.fitted_db, "k_", ms=9, label=best.cause.name)
+    if data is not None and explanation.joint is not None:
+        axes.plot(data.incidence_deg, explanation.joint.fit.fitted, "k_", ms=9, label="causes together")
     axes.axhline(0.0, color="0.6", lw=0.8)
+    axes.locator_params(axis="x", nbins=5)
     axes.set_xlabel("incidence [deg]")
     axes.set_ylabel("measured / predicted [dB]")
     axes.grid(alpha=0.3)

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 from scipy.stats import t as student
 
+from warpsar.calibration.joint import JointFit, joint, together_words
 from warpsar.calibration.measure import ReflectorObservation
+from warpsar.calibration.places import offsets, place_causes, place_situations
 
 CONFIDENCE = 0.9
-MOVED = 4.0
-"""Standard errors of a reflector's mean off the others' mean."""
+AXES = ("azimuth", "slant_range")
 
 
 @dataclass(frozen=True)
@@ -39,42 +41,45 @@ class Geolocation:
     moved: tuple[str, ...]
     """Reflectors that lie off where the others say that the image is."""
     words: str
+    joint: tuple[JointFit, JointFit] = field(repr=False)
+    """What moves places, of azimuth and slant range, fitted together."""
 
     def content(self) -> dict[str, object]:
         """For JSON."""
 
         def of(axes: tuple[GeolocationOffset, GeolocationOffset]) -> dict[str, object]:
-            return {name: vars(axis) for name, axis in zip(("azimuth", "slant_range"), axes, strict=True)}
+            return {name: vars(axis) for name, axis in zip(AXES, axes, strict=True)}
 
         sites = {name: of(axes) for name, axes in self.sites.items()}
-        return {**of((self.azimuth, self.slant_range)), "sites": sites, "moved": list(self.moved), "words": self.words}
+        return {
+            **of((self.azimuth, self.slant_range)),
+            "sites": sites,
+            "moved": list(self.moved),
+            "words": self.words,
+            "joint": {name: one.content() for name, one in zip(AXES, self.joint, strict=True)},
+        }
 
 
 def geolocation(observations: Sequence[ReflectorObservation]) -> Geolocation | None:
     """None where nothing was found."""
-    used = [one for one in observations if one.offset_m is not None and one.stands and one.point and one.point.seen]
-    if not used:
+    both = offsets(observations, 0), offsets(observations, 1)
+    if not len(both[0]):
         return None
-    offsets = np.array([one.offset_m for one in used], np.float64)
-    names = np.array([one.site.name for one in used])
-    whole = _offset(offsets[:, 0]), _offset(offsets[:, 1])
-    sites, moved = {}, []
-    for name in dict.fromkeys(names.tolist()):
-        here = names == name
-        sites[name] = _offset(offsets[here, 0]), _offset(offsets[here, 1])
-        if here.all() or (~here).sum() < 3 or here.sum() < 2:
-            continue
-        others = np.median(offsets[~here], axis=0)
-        spread = np.maximum(1.4826 * np.median(np.abs(offsets[~here] - others), axis=0), 0.02)
-        off = np.abs(offsets[here].mean(axis=0) - others) / (spread * np.sqrt(1.0 / here.sum() + 1.0 / (~here).sum()))
-        if (off > MOVED).any():
-            moved.append(name)
+    whole = _offset(both[0].value), _offset(both[1].value)
+    sites = {
+        name: (_offset(both[0].value[both[0].site == i]), _offset(both[1].value[both[1].site == i]))
+        for i, name in enumerate(both[0].names)
+    }
+    found = [joint(data, partial(place_causes, axis=axis), place_situations(data)) for axis, data in enumerate(both)]
+    named = {one.cause.name for each in found for one in each.causes}
+    moved = tuple(name for name in sites if f"place of {name}" in named)
     words = (
         f"The image lies {whole[0].mean_m:+.2f} m in azimuth and {whole[1].mean_m:+.2f} m in slant range off orbit and "
-        "survey. The path through the atmosphere (2 to 4 m in range), tides and the product's timing are tied here; a "
-        "model of the atmosphere, or reflectors at two incidences, would decide."
+        "survey, before any correction for atmosphere (2 to 4 m in range), tides and timing."
     )
-    return Geolocation(*whole, sites, tuple(moved), words)
+    for title, one in zip(("Azimuth", "Slant range"), found, strict=True):
+        words += " " + " ".join(f"{title}: {each[0].lower()}{each[1:]}" for each in together_words(one, "m"))
+    return Geolocation(*whole, sites, moved, words, (found[0], found[1]))
 
 
 def _offset(values: np.ndarray) -> GeolocationOffset:

@@ -153,10 +153,7 @@ def _measured(
 ) -> ReflectorObservation:
     grid, samples = product.grid, product.samples
     assert samples is not None
-    spacing = (
-        product.speed_m_s(expected) * abs(grid.line_s),
-        abs(grid.slant_step_m(expected.line, expected.pixel)),
-    )
+    spacing = product.spacing_m(expected)
     search = tuple(max(a / s, FEWEST_PIXELS) for a, s in zip(allowance_m, spacing, strict=True))
     response = responses(product, spacing)
     cells = [max(1.0 / axis.bandwidth, axis.pixel_m) for axis in response]
@@ -191,7 +188,7 @@ def _measured(
         reason = f"a sample about it has the largest number of the format, {product.top:g}"
         return replace(placed, status="saturated", reason=reason)
     radiometry = product.radiometry or radiometry
-    factor = _to_beta0(radiometry, expected.incidence_deg)
+    factor = to_beta0(radiometry, expected.incidence_deg)
     gain = product.gain(lines[:, None], pixels) if product.gain is not None else np.ones((1, 1))
     chip: NDArray[Any]
     if product.quantity == "complex":
@@ -233,7 +230,7 @@ def responses(product: Product, spacing_m: tuple[float, float]) -> tuple[Respons
     )
 
 
-def _to_beta0(radiometry: Radiometry | None, incidence_deg: float) -> float:
+def to_beta0(radiometry: Radiometry | None, incidence_deg: float) -> float:
     """beta0 = sigma0 / sin(incidence), sigma0 = gamma0 cos(incidence), on the ellipsoid."""
     angle = np.deg2rad(incidence_deg)
     factors = {"sigma0": 1.0 / np.sin(angle), "gamma0": 1.0 / np.tan(angle)}

@@ -7,6 +7,7 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import toeplitz
 from scipy.stats import norm
 
 F64 = NDArray[np.float64]
@@ -18,6 +19,8 @@ OUTLIER = 10.0
 """Clutter over its mean by this factor is another target: of speckle exp(-10) is so bright."""
 SIDELOBE_CELLS = 10.0
 """How far from the peak sidelobes count."""
+SKEW_TURNS = 8
+"""In which an interval's end and the skew there settle."""
 ABSENT = 0.01
 """Chance that clutter alone has such a peak somewhere in the box that is searched: above it nothing is seen."""
 
@@ -63,6 +66,22 @@ class ResponseAxis:
         """
         return _share(self.hamming, half_m * self.bandwidth, self.pixel_m * self.bandwidth)
 
+    def interference_m(self, half_m: float) -> float:
+        """Clutter that beats with the target under a window of `half_m` to both sides [m].
+
+        With s the point's response of energy 1 and rho the correlation of clutter it is the double integral of
+        s(x) s(y) rho(x - y) over the window, per look. Over all space it is `cell_m`; a window cuts the response, whose
+        cut edges meet clutter of all the band.
+        """
+        return _moments(self.hamming, half_m * self.bandwidth)[0] / self.bandwidth / self.looks
+
+    def unevenness_m(self, half_m: float) -> float:
+        """Variance of the mean of clutter's power under that window, over its square, times the window [m].
+
+        The double integral of rho(x - y)^2 over the window, over the window's length. For long windows: `cell_m`.
+        """
+        return _moments(self.hamming, half_m * self.bandwidth)[1] / self.bandwidth / self.looks
+
 
 def _weights(hamming: float) -> F64:
     at = (np.arange(FINER) + 0.5) / FINER - 0.5
@@ -79,6 +98,23 @@ def _share(hamming: float, half: float, pixel: float) -> float:
     response = np.cos(2.0 * np.pi * np.outer(at, frequency)) @ weights / FINER
     inside = np.clip((reach - at) / pixel, 0.0, 1.0) if pixel else np.ones_like(at)
     return float(2.0 * np.trapezoid(response**2 * inside, at) / (weights**2).mean())  # by Parseval
+
+
+@lru_cache(maxsize=256)
+def _moments(hamming: float, half: float) -> tuple[float, float]:
+    """Double integrals over a window, of the response with clutter's correlation, and of that correlation squared over
+    the window's length; lengths in units of 1 / bandwidth."""
+    weights = _weights(hamming)
+    at, step = np.linspace(-half, half, 401, retstep=True)
+    frequency = (np.arange(FINER) + 0.5) / FINER - 0.5
+    response = np.cos(2.0 * np.pi * np.outer(at, frequency)) @ weights / FINER / np.sqrt((weights**2).mean())
+    apart = step * np.arange(401)
+    correlation = np.cos(2.0 * np.pi * np.outer(apart, frequency)) @ weights**2 / FINER / (weights**2).mean()
+    whole = toeplitz(correlation)
+    trapezoid = np.full(401, step)
+    trapezoid[[0, -1]] *= 0.5
+    beats = float((response * trapezoid) @ whole @ (response * trapezoid))
+    return beats, float(trapezoid @ whole**2 @ trapezoid) / (2.0 * half)
 
 
 @dataclass(frozen=True)
@@ -184,11 +220,16 @@ def measure_point(
     share = float(np.prod([axis.share(h) for axis, h in zip(response, half, strict=True)]))
     window_area = float(inside.sum()) * pixel_area / factor**2
     target = (float((power * inside).sum()) * pixel_area / factor**2 - clutter * window_area) / share
-    cell_rcs = clutter * cell_area
-    # Clutter under the target, and the error of its mean; both over the share.
-    spread = (clutter**2 * window_area * (cell_area + window_area / independent)) / share**2
+    # What beats with the target, clutter under it, and the error of clutter's mean; all over the share.
+    beating = clutter * float(np.prod([axis.interference_m(h) for axis, h in zip(response, half, strict=True)]))
+    uneven = float(np.prod([axis.unevenness_m(h) for axis, h in zip(response, half, strict=True)]))
+    cell_rcs = beating / share**2
+    spread = clutter**2 * window_area * (uneven + window_area / independent) / share**2
     z = float(norm.ppf(0.5 + 0.5 * settings.confidence))
-    low, high = interval(target, cell_rcs, spread, z)
+    # Third cumulants: of the target in clutter 6 T q^2, as of a non-central chi-squared; of clutter alone, of a gamma.
+    own = clutter**2 * window_area * uneven / share**2
+    third = 6.0 * cell_rcs**2, 2.0 * own**2 / max(clutter * window_area / share, 1e-300)
+    low, high = interval(target, cell_rcs, spread, z, third)
     if not complex_chip and seen:
         line, pixel = _centroid(power, inside, clutter)
     scr = max(peak / clutter - 1.0, 0.0) if clutter > 0.0 else float("inf")
@@ -211,18 +252,28 @@ def measure_point(
     )
 
 
-def interval(target: float, cell: float, spread: float, z: float) -> tuple[float, float]:
-    """All T with (target - T)^2 <= z^2 (2 T cell + spread): the variance of the estimate is the one that T itself has.
+def interval(
+    target: float, cell: float, spread: float, z: float, third: tuple[float, float] = (0.0, 0.0)
+) -> tuple[float, float]:
+    """All T for which the estimate is neither among the largest nor among the smallest: `z` deviations to both sides.
 
-    2 T cell is the interference of the target with the clutter of one resolution cell, `spread` the clutter's own. No
-    upper bound is below that of an estimate of 0: less than no power is the clutter's unevenness.
+    The estimate has the mean T, the variance V = 2 T cell + spread (the beat of the target with the clutter of one
+    resolution cell, and the clutter's own), and the third cumulant K = third[0] T + third[1]. Its quantile is that of
+    Cornish and Fisher, T +- z sqrt(V) + (z^2 - 1) K / (6 V): power has a long upper tail. Less than
+    no power is the clutter's unevenness: the upper bound is at least that of an estimate one deviation of clutter below
+    0, beyond which there is no power to exclude a target (Cowan, Cranmer, Gross and Vitells, arXiv:1105.3166, 2011).
     """
 
-    def bound(side: float, at: float) -> float:
-        root = np.sqrt(max(z**2 * (2.0 * cell * at + spread) + z**4 * cell**2, 0.0))
-        return float(max(at + z**2 * cell + side * root, 0.0))
+    def bound(side: float, target: float) -> float:
+        found = max(target, cell)
+        for _ in range(SKEW_TURNS):
+            variance = max(2.0 * found * cell + spread, 1e-300)
+            at = target - (z**2 - 1.0) / 6.0 * (third[0] * found + third[1]) / variance
+            root = np.sqrt(max(z**2 * (2.0 * cell * at + spread) + z**4 * cell**2, 0.0))
+            found = max(at + z**2 * cell + side * root, 0.0)
+        return float(found)
 
-    return bound(-1.0, target), bound(1.0, max(target, 0.0))
+    return bound(-1.0, target), bound(1.0, max(target, -float(np.sqrt(spread))))
 
 
 def _centroids(samples: NDArray[np.complex128]) -> tuple[float, float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,8 @@ from numpy.typing import NDArray
 from warpsar.calibration.explain import Explanation
 from warpsar.calibration.figures import incidence_figure, map_figure, offset_figure, series_figure
 from warpsar.calibration.geolocation import Geolocation
-from warpsar.calibration.measure import ReflectorObservation
+from warpsar.calibration.joint import values_words
+from warpsar.calibration.measure import Cutout, ReflectorObservation
 from warpsar.calibration.table import row
 from warpsar.io import html as report
 from warpsar.io.grey_scale import GreyScale, in_decibel
@@ -20,6 +22,8 @@ from warpsar.io.html_image import ImageAxis, image
 
 F64 = NDArray[np.float64]
 MOST_SITES, MOST_CUTOUTS, MOST_ROWS = 24, 12, 400
+SHOWN_CELLS = 6.0
+"""Resolution cells to each side that a cut-out shows."""
 TABLE = {
     "id": "id",
     "date": "date",
@@ -55,7 +59,7 @@ def write_report(
     command: Sequence[str],
     *,
     title: str = "Reflectors: measured and predicted",
-    beside: str = "reflectors.csv (all columns), reflectors.json",
+    beside: str = "reflectors.csv (all columns), reflectors.json, sites_isce3.csv (the table of sites for ISCE3)",
 ) -> None:
     """`content` is that of reflectors.json, `command` the words that made it."""
     sites = dict.fromkeys(one.site.name for one in observations)
@@ -64,6 +68,7 @@ def write_report(
     sections = [
         _summary(observations, explanation, placed, content),
         _series(observations, explanation),
+        _together(explanation),
         _causes(explanation),
         _cutouts(observations),
         _table(observations),
@@ -78,7 +83,8 @@ def _summary(
     placed: Geolocation | None,
     content: dict[str, Any],
 ) -> str:
-    words = [report.paragraph(each) for each in explanation.words]
+    said = [str(one["words"]) for one in (*content.get("found", ()), *content.get("presence", ()))]
+    words = [report.paragraph(each) for each in (*said, *explanation.words)]
     if placed is not None:
         words.append(report.paragraph(placed.words))
         if placed.moved:
@@ -123,16 +129,63 @@ def _series(observations: Sequence[ReflectorObservation], explanation: Explanati
     )
 
 
+def _together(explanation: Explanation) -> str:
+    found = explanation.joint
+    if found is None:
+        return ""
+    rows = []
+    for one in found.causes:
+        held = "not tried" if one.held_gain is None else f"{one.held_gain:+.1f}"
+        held += f" ± {one.held_error:.1f}" if one.held_error is not None and np.isfinite(one.held_error) else ""
+        words = values_words(one.cause, one.values, one.low, one.high)
+        rows.append([one.cause.title, words, f"{one.gain:+.1f}", held])
+    said = (
+        "Causes are added one after the other while the earlier dates need them and the later ones, which do not "
+        "choose, become more likely. Intervals of 90 % let the other causes move. Of the scatter that is left, "
+        f"{found.scatter.value:.2f} dB are of each value and {found.scatter.image:.2f} dB of each image."
+    )
+    blocks = [report.paragraph(said, quiet=True)]
+    if rows:
+        later = f"ln L of the {found.held_dates} later dates" if found.held_dates else "ln L of later dates"
+        blocks.append(
+            report.table(["cause", "at its best, with the others", "ln L where it was chosen", later], rows, "", (0, 1))
+        )
+    else:
+        blocks.append(report.paragraph("No cause is needed."))
+    if found.stands:
+        stands = [
+            [one.cause, one.other, f"{one.bic:+.1f}", one.decided_by or "nothing that is known", f"{one.apart:.2g}"]
+            for one in found.stands[:MOST_SITES]
+        ]
+        blocks += [
+            report.heading("What could stand for what"),
+            report.table(["in place of", "could stand", "BIC", "decided by", "then apart [dB]"], stands, "", (1, 3)),
+        ]
+    if found.together:
+        pairs = [f"{a} and {b}: correlation {c:+.2f}" for a, b, c in found.together]
+        blocks += [report.heading("Known together only"), report.bullets(pairs)]
+    if explanation.attitudes:
+        turns = [
+            [
+                one.site, str(one.passes), f"{one.turn_deg:.0f}, {one.tilt_deg:.0f}",
+                f"{one.turn_range_deg[0]:.1f} to {one.turn_range_deg[1]:.1f}",
+                f"{one.tilt_range_deg[0]:.1f} to {one.tilt_range_deg[1]:.1f}",
+                f"{one.least_deg[0]:.0f}, {one.least_deg[1]:.0f}",
+            ]
+            for one in explanation.attitudes
+        ]  # fmt: skip
+        columns = ["id", "passes", "best turn, tilt [deg]", "turn [deg]", "tilt [deg]", "nearest to the survey [deg]"]
+        blocks += [report.heading("All attitudes that fit"), report.table(columns, turns)]
+    return report.section("What the difference means: causes together", *blocks)
+
+
 def _causes(explanation: Explanation) -> str:
     if not explanation.fitted:
         return ""
     lowest = explanation.fitted[0].bic
     rows = []
     for one in explanation.fitted:
-        values = "; ".join(
-            f"{name.partition(' [')[0]} {v:.3g} ({a:.3g} to {b:.3g}) {name.partition('[')[2].rstrip(']')}"
-            for name, v, a, b in zip(one.cause.parameters[:4], one.values, one.low, one.high, strict=False)
-        )
+        values = values_words(one.cause, one.values, one.low, one.high)
         held = "" if one.held_log_likelihood is None else f"{one.held_log_likelihood:.2f}"
         rows.append([one.cause.title, values, f"{one.scatter_db:.2f}", f"{one.bic - lowest:.1f}", held])
     tied = [
@@ -147,12 +200,12 @@ def _causes(explanation: Explanation) -> str:
         "under a fit to the earlier ones; higher is better."
     )
     columns = ["cause", "at its best", "left per date [dB]", "BIC over the best", "later dates [log-likelihood each]"]
-    blocks = [report.paragraph(said, quiet=True), report.table(columns, rows)]
+    blocks = [report.paragraph(said, quiet=True), report.table(columns, rows, "", (0, 1))]
     if tied:
         blocks += [report.heading("What cannot be told apart here, and what would decide"), report.bullets(tied)]
     if bad:
         blocks += [report.heading("Bad dates"), report.bullets(bad)]
-    return report.section("What the difference means", *blocks)
+    return report.section("What the difference means: each cause alone", *blocks)
 
 
 def _cutouts(observations: Sequence[ReflectorObservation]) -> str:
@@ -160,6 +213,7 @@ def _cutouts(observations: Sequence[ReflectorObservation]) -> str:
     if not used:
         return ""
     chosen = [used[i] for i in np.unique(np.linspace(0, len(used) - 1, min(MOST_CUTOUTS, len(used))).astype(int))]
+    chosen = [_near(one) for one in chosen]
     pairs = [(one, one.cutout.power, predicted_power(one)) for one in chosen if one.cutout is not None]
     scale = GreyScale.of([power for _, measured, model in pairs for power in (measured, model)])
     cells = []
@@ -181,8 +235,26 @@ def _cutouts(observations: Sequence[ReflectorObservation]) -> str:
         "clutter of the mean level. Without a prediction it has the measured RCS. Speckle scatters the residual."
     )
     return report.section(
-        "Cut-outs", report.paragraph(said, quiet=True), keys, report.row(*cells, across=6, least_px=150)
+        "Cut-outs", report.paragraph(said, quiet=True), keys, report.row(*cells, across=6, least_px=120)
     )
+
+
+def _near(one: ReflectorObservation) -> ReflectorObservation:
+    """With the part of its cut-out that lies within some cells of the place."""
+    assert one.cutout is not None
+    assert one.point is not None
+    assert one.response is not None
+    assert one.spacing_m is not None
+    kept = []
+    for at, first, count, axis, step in zip(
+        (one.point.line, one.point.pixel), (one.cutout.line, one.cutout.pixel), one.cutout.power.shape, one.response,
+        one.spacing_m, strict=True,
+    ):  # fmt: skip
+        reach = SHOWN_CELLS * max(1.0 / axis.bandwidth, axis.pixel_m) / step
+        kept.append((max(int(at - reach) - first, 0), min(int(np.ceil(at + reach)) - first + 1, count)))
+    (top, bottom), (left, right) = kept
+    part = one.cutout.power[top:bottom, left:right]
+    return replace(one, cutout=Cutout(part, one.cutout.line + top, one.cutout.pixel + left))
 
 
 def predicted_power(one: ReflectorObservation) -> F64:

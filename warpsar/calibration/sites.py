@@ -14,10 +14,33 @@ from numpy.typing import NDArray
 
 from warpsar.calibration.attitude import SHAPES, Facing, Shape
 from warpsar.errors import InputError, did_you_mean, shown
+from warpsar.io.images import replacing
 from warpsar.world.earth import LocalEarth, ecef_to_geodetic, geodetic_to_ecef
 
 F64 = NDArray[np.float64]
 LARGEST_FILE = 2**24
+FARTHEST_SEARCH_M = 5000.0
+VALID_POWER, VALID_PLACE, ALL_VALID = 2, 4, 7
+ISCE3_COLUMNS = (
+    "Corner reflector ID",
+    "Latitude (deg)",
+    "Longitude (deg)",
+    "Height above ellipsoid (m)",
+    "Azimuth (deg)",
+    "Tilt / Elevation angle (deg)",
+    "Side length (m)",
+    "Survey Date",
+    "Validity",
+    "Velocity East (m/s)",
+    "Velocity North (m/s)",
+    "Velocity Up (m/s)",
+)
+"""Of NISAR's table (B. Hawkins, Corner Reflector Software Interface Specification, JPL D-107698, 2023), which ISCE3 and
+nisarqa read; UAVSAR's has the first seven."""
+UAVSAR_COLUMNS = 7
+NO_DATE = np.datetime64("1970-01-01", "us")
+ISCE3_AZIMUTH_DEG = 90.0
+"""It counts azimuth from east, clockwise."""
 COLUMNS = (
     "id",
     "latitude_deg",
@@ -30,7 +53,7 @@ COLUMNS = (
     "from",
     "until",
 )
-"""Of our own layout; the last four may be missing, and `flipped` may stand beside them."""
+"""Of our own layout; the last six may be missing, and `flipped` and `search_m` may stand beside them."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +75,21 @@ class ReflectorSite:
     surveyed: np.datetime64 | None = None
     velocity_m_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """East, north, up, of the ground that it stands on."""
-    out_of_service: bool = False
+    validity: int = ALL_VALID
+    """NISAR's code, a sum of what it may be used for: 1 response, 2 power, 4 place; 0 is out of service."""
+
+    search_m: float | None = None
+    """How far off its place may be, in azimuth and slant range [m], where it is not known; None where it is."""
+
+    @property
+    def for_power(self) -> bool:
+        """Whether its radar cross-section may calibrate."""
+        return bool(self.validity & VALID_POWER)
+
+    @property
+    def for_place(self) -> bool:
+        """Whether its survey may locate the image."""
+        return bool(self.validity & VALID_PLACE)
 
     def geodetic(self, date: np.datetime64) -> F64:
         """Latitude, longitude [deg] and height [m], (3,), at a date."""
@@ -71,7 +108,7 @@ class ReflectorSite:
         """Whether it is there at a date, by the file."""
         after = self.start is None or bool(date >= self.start)
         before = self.end is None or bool(date <= self.end)
-        return after and before and not self.out_of_service
+        return after and before and self.validity > 0
 
 
 def sites_at(sites: Sequence[ReflectorSite], date: np.datetime64) -> list[ReflectorSite]:
@@ -105,8 +142,11 @@ def read(path: Path) -> list[ReflectorSite]:
     reader = csv.reader(io.StringIO(text), skipinitialspace=True)
     try:
         rows = [(reader.line_num, [cell.strip() for cell in row]) for row in reader if any(map(str.strip, row))]
+        rows = [(line, cells) for line, cells in rows if not cells[0].startswith("#")]
     except csv.Error as error:
         raise InputError(f"{path}: line {reader.line_num}: no CSV ({error})") from error
+    if rows and _is_bare(rows[0][1]):
+        rows.insert(0, (0, list(ISCE3_COLUMNS[: len(rows[0][1])])))
     if len(rows) < 2:
         raise InputError(f"{path}: found {len(rows)} lines; must be names of columns, and at least one site")
     header = [_key(cell) for cell in rows[0][1]]
@@ -125,6 +165,16 @@ def read(path: Path) -> list[ReflectorSite]:
             raise InputError(f"{path}: line {line}: found {one.name} twice; must have a survey date of its own")
         seen.add((one.name, one.surveyed))
     return sites
+
+
+def _is_bare(cells: Sequence[str]) -> bool:
+    """Whether this is a line of UAVSAR's or NISAR's table, without names of columns: ISCE3 needs none."""
+    if len(cells) not in (UAVSAR_COLUMNS, len(ISCE3_COLUMNS)):
+        return False
+    try:
+        return all(np.isfinite(float(cell)) for cell in cells[1:UAVSAR_COLUMNS])
+    except ValueError:
+        return False
 
 
 def _key(name: str) -> str:
@@ -198,9 +248,11 @@ def _own(row: _Row) -> ReflectorSite:
         tilt = row.number("tilt_deg", -90.0, 90.0, 0.0)
         facings = (Facing(row.number("azimuth_deg", -360.0, 360.0), tilt, flipped in ("yes", "true", "1")),)
     place = row.place("latitude_deg", "longitude_deg", "height_m")
+    search = row.number("search_m", 10.0, FARTHEST_SEARCH_M) if row.cells.get("search_m") else None
     return ReflectorSite(
-        row.text("id"), *place, facings, row.shape("shape"), row.leg("leg_m"), row.date("from"), row.date("until")
-    )
+        row.text("id"), *place, facings, row.shape("shape"), row.leg("leg_m"), row.date("from"), row.date("until"),
+        search_m=search,
+    )  # fmt: skip
 
 
 def _gecoris(row: _Row) -> ReflectorSite:
@@ -226,22 +278,67 @@ def _gecoris(row: _Row) -> ReflectorSite:
 
 
 def _isce3(row: _Row) -> ReflectorSite:
-    """ISCE3 counts azimuth from east, clockwise, to the boresight (its tests: 0 is east); tilt is that of `Facing`."""
+    """Azimuth is that of the boresight (its tests: 0 is east); tilt is that of `Facing`."""
     place = row.place("latitude", "longitude", "height above ellipsoid")
     tilt = next(key for key in row.cells if key.startswith("tilt"))
-    facing = Facing(row.number("azimuth", -360.0, 720.0) + 90.0, row.number(tilt, -90.0, 90.0))
+    facing = Facing(row.number("azimuth", -360.0, 720.0) + ISCE3_AZIMUTH_DEG, row.number(tilt, -90.0, 90.0))
     speed = [row.number(f"velocity {way}", -1.0, 1.0, 0.0) for way in ("east", "north", "up")]
-    validity = row.number("validity", 0, 255, 255)
+    validity = row.number("validity", 0, ALL_VALID, ALL_VALID)
+    if validity != int(validity):
+        raise row.refuse("validity", f"a whole number from 0 to {ALL_VALID}")
     return ReflectorSite(
         row.text("corner reflector id"),
         *place,
         (facing,),
         row.shape("shape"),
         row.leg("side length"),
+        start=row.date("survey date"),
         surveyed=row.date("survey date"),
         velocity_m_s=(speed[0], speed[1], speed[2]),
-        out_of_service=validity == 0,
+        validity=int(validity),
     )
+
+
+def isce3_rows(sites: Sequence[ReflectorSite]) -> tuple[list[list[str]], list[str]]:
+    """Rows under `ISCE3_COLUMNS`, and a line for each reflector that the layout cannot say.
+
+    It has triangular trihedrals that stand upright, one attitude each: of two attitudes each has a row, ID-1 and ID-2.
+    A survey holds until the next one. So the survey's date is that from which the reflector stands where no survey is
+    known, and a row of validity 0 ends it.
+    """
+    rows, left_out = [], []
+    for one in sites:
+        why = None
+        if one.shape != "triangular" or any(facing.flipped for facing in one.facings):
+            why = "the layout has upright triangular trihedrals alone"
+        elif not one.facings or one.leg_m is None:
+            why = "its leg or attitude is not known"
+        elif "," in one.name or one.name.startswith("#"):
+            why = "its id has a comma, or begins with #"
+        if why is not None or one.leg_m is None:
+            left_out.append(f"{one.name}: not in ISCE3's table: {why}")
+            continue
+        for k, facing in enumerate(one.facings, 1):
+            name = one.name if len(one.facings) == 1 else f"{one.name}-{k}"
+            numbers = [one.latitude_deg, one.longitude_deg, one.height_m, facing.azimuth_deg - ISCE3_AZIMUTH_DEG]
+            known = [name, *(str(round(each, 12)) for each in (*numbers, facing.tilt_deg, one.leg_m))]
+            velocity = [str(each) for each in one.velocity_m_s]
+            dates = [(one.surveyed or one.start or NO_DATE, one.validity)]
+            dates += [(one.end, 0)] if one.end is not None else []
+            rows += [[*known, _stamp(date), str(validity), *velocity] for date, validity in dates]
+    return rows, left_out
+
+
+def _stamp(date: np.datetime64) -> str:
+    return str(date.astype("datetime64[us]"))
+
+
+def write_isce3(path: Path, sites: Sequence[ReflectorSite]) -> list[str]:
+    """Write the table that ISCE3 and nisarqa read. Returns a line for each reflector that it cannot say."""
+    rows, left_out = isce3_rows(sites)
+    with replacing(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
+        csv.writer(stream, lineterminator="\n").writerows([ISCE3_COLUMNS, *rows])
+    return left_out
 
 
 _LAYOUTS: tuple[tuple[tuple[str, ...], Callable[[_Row], ReflectorSite]], ...] = (

@@ -69,7 +69,10 @@ def products(path: Path, polarization: str | None) -> tuple[Product, ...]:
     if kind not in TYPES:
         raise InputError(f"{par}: image_format: found {kind}; must be one of {', '.join(TYPES)}")
     if geometry != "SLANT_RANGE":
-        raise InputError(f"{par}: image_geometry: found {geometry}; must be SLANT_RANGE")
+        raise InputError(
+            f"{par}: image_geometry: found {geometry}; must be SLANT_RANGE: the file's polynomials to slant range do "
+            "not say for which lines each holds. Take the image before it was projected, or the SAFE folder"
+        )
     lines, pixels = keys.whole("azimuth_lines"), keys.whole("range_samples")
     found = _polarization(keys.text("title")) or _polarization(image.name)
     if polarization is not None and found is not None and polarization != found:

@@ -110,7 +110,7 @@ def products(source: str | Path, *, file_format: str = "auto", polarization: str
     one = get(name)
     if one.products is None:
         able = ", ".join(each for each in names() if get(each).products is not None)
-        raise InputError(f"{path}: found {one.title}, which says no orbit; must be one of {able}")
+        raise InputError(f"{path}: found {one.title}, {one.no_products}; must be one of {able}")
     if one.extra is not None:
         one.extra.require(f"{path}: {one.title}")
     return one.products(path, polarization)

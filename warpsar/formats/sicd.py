@@ -412,5 +412,7 @@ FORMAT = Format(
     read,
     detect=lambda path, head: head.startswith(b"NITF"),
     write=write,
+    no_products="which states an aperture and its own projection, and no lines of zero Doppler along an orbit "
+    "(`warpsar import` places it; the mission's own product has the orbit)",
     extra=EXTRA,
 )

@@ -65,10 +65,21 @@ def command(line: str) -> str:
     return f"<pre>{escape(line)}</pre>"
 
 
-def table(columns: Sequence[str], rows: Sequence[Sequence[object]], caption: str = "") -> str:
-    """Cells are plain text, the first column left, the others right; scrolls by itself where it is too wide."""
-    head = "".join(f'<th scope="col">{escape(c)}</th>' for c in columns)
-    body = "".join("<tr>" + "".join(f"<td>{escape(str(cell))}</td>" for cell in row) + "</tr>" for row in rows)
+def table(
+    columns: Sequence[str], rows: Sequence[Sequence[object]], caption: str = "", words: Sequence[int] = ()
+) -> str:
+    """Cells are plain text, the first column left, the others right; scrolls by itself where it is too wide.
+
+    Columns of `words`, by number, are left, and their lines break.
+    """
+    kinds = [' class="words"' if k in words else "" for k in range(len(columns))]
+    head = "".join(f'<th scope="col"{kind}>{escape(c)}</th>' for c, kind in zip(columns, kinds, strict=True))
+    body = "".join(
+        "<tr>"
+        + "".join(f"<td{kind}>{escape(str(cell))}</td>" for cell, kind in zip(row, kinds, strict=False))
+        + "</tr>"
+        for row in rows
+    )
     said = f"<caption><span>{escape(caption)}</span></caption>" if caption else ""  # the span is as wide as the page
     return f'<div class="wide"><table>{said}<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
 

@@ -128,6 +128,13 @@ class Product:
         ends = [locate(orbit, point.time_s + dt, point.slant_range_m, 0.0, self.side) for dt in (-half, half)]
         return float(np.linalg.norm(np.diff([geodetic_to_ecef(end) for end in ends], axis=0))) / (2.0 * half)
 
+    def spacing_m(self, point: ImagedPoint) -> tuple[float, float]:
+        """Length of a line on the ground, and of a pixel in slant range, at a place [m]."""
+        return (
+            self.speed_m_s(point) * abs(self.grid.line_s),
+            abs(self.grid.slant_step_m(point.line, point.pixel)),
+        )
+
     def _orbit(self) -> Orbit:
         if self.orbit is None:
             raise InputError(f"{self.source}: found no state vectors of the orbit; must be there to place a site")

@@ -55,6 +55,8 @@ class Format:
     products: Callable[[Path, str | None], tuple[Product, ...]] | None = None
     """What a file, or a folder, holds as images of the earth with an orbit, of all polarizations or of the one named;
     None for what has no orbit."""
+    no_products: str = "which says no orbit"
+    """Why `products` is None, as a clause behind the title."""
     extra: Extra | None = None
     asks: tuple[str, ...] = ()
     """What its files do not say and a user may state: of `quantity`, `radar_at` and `spacing_m`."""

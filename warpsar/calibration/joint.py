@@ -1,0 +1,593 @@
+"""Causes fitted together: which of them the earlier dates need, the later ones confirm, and what could stand for each.
+
+Values are a sum of the causes' curves, and of three errors: clutter and noise (known), a scatter from value to value,
+and a scatter from image to image that all reflectors of an image share. The two scatters are fitted, too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares, lsq_linear, minimize
+from scipy.stats import norm
+
+from warpsar.calibration.causes import Cause, Situation
+from warpsar.calibration.differences import Differences
+
+F64 = NDArray[np.float64]
+CONFIDENCE = 0.9
+ALIKE = 2.0 * float(np.log(10.0))
+"""BIC of the best plus this: odds of 10 to 1."""
+HELD_SHARE = 1.0 / 3.0
+"""Of the dates, the later ones, which confirm a cause or do not."""
+FEWEST_DATES, FEWEST_EARLY = 6, 4
+MOST_CAUSES = 8
+REFITTED = 3
+"""Of the candidates of a step, the best ones by a quick score, which are fitted with their own scatter."""
+ROUGH = 10.0
+"""What a quick score on a grid may miss of a fit."""
+TOGETHER = 0.9
+"""Two values whose errors are correlated by more are known together only."""
+CausesOf = Callable[[Differences], list[Cause]]
+
+
+@dataclass(frozen=True)
+class ExtraScatter:
+    """Standard deviations beyond clutter and noise: from value to value, and from image to image."""
+
+    value: float
+    image: float
+
+
+@dataclass(frozen=True)
+class CauseModel:
+    """Causes whose curves are added. What two of them would say alike is said by the first one."""
+
+    causes: tuple[Cause, ...]
+
+    @cached_property
+    def fixed(self) -> tuple[tuple[bool, ...], ...]:
+        """Of each cause's parameters, which are held at their start, or at 0 where an earlier cause has that level."""
+        taken: set[str] = set()
+        found = []
+        for cause in self.causes:
+            held = [b <= a for a, b in zip(cause.low, cause.high, strict=True)]
+            if cause.level is not None:
+                if cause.level[0] in taken:
+                    held[cause.level[1]] = True
+                taken.add(cause.level[0])
+            found.append(tuple(held))
+        return tuple(found)
+
+    def can_take(self, cause: Cause) -> bool:
+        """Whether another cause says something that these do not."""
+        return cause not in self.causes and not all(CauseModel((*self.causes, cause)).fixed[-1])
+
+    @property
+    def counted(self) -> int:
+        """Parameters, those included that were found on the way (a step's date), without the scatters."""
+        count = 0
+        for cause, held in zip(self.causes, self.fixed, strict=True):
+            count += sum(1 for k, h in enumerate(held) if not h or cause.high[k] <= cause.low[k])
+        return count
+
+    def full(self, free: F64) -> list[F64]:
+        """Parameters of each cause."""
+        found, at = [], 0
+        for cause, held in zip(self.causes, self.fixed, strict=True):
+            x = np.array(cause.start, np.float64)
+            for k, h in enumerate(held):
+                if not h:
+                    x[k], at = free[at], at + 1
+                elif cause.high[k] > cause.low[k]:
+                    x[k] = 0.0
+            found.append(x)
+        return found
+
+    def free(self, values: Sequence[F64]) -> F64:
+        pairs = zip(values, self.fixed, strict=True)
+        return np.array([x[k] for x, held in pairs for k, h in enumerate(held) if not h], np.float64)
+
+    def bounds(self) -> tuple[F64, F64]:
+        low, high = (self.free([np.array(getattr(c, side)) for c in self.causes]) for side in ("low", "high"))
+        return low, high
+
+    def curve(self, free: F64, data: Differences) -> F64:
+        total = np.zeros(len(data))
+        for cause, x in zip(self.causes, self.full(free), strict=True):
+            total = total + cause.curve(x, data)
+        return total
+
+
+@dataclass(frozen=True)
+class CauseFit:
+    """A model at its best."""
+
+    model: CauseModel
+    free: F64
+    covariance: F64
+    scatter: ExtraScatter
+    fitted: F64
+    log_likelihood: float
+    bic: float
+
+    @property
+    def values(self) -> list[F64]:
+        return self.model.full(self.free)
+
+
+class _Errors:
+    """The covariance of the values: diagonal, and a constant within each image."""
+
+    def __init__(self, data: Differences, scatter: ExtraScatter) -> None:
+        self.diagonal = data.sd**2 + scatter.value**2
+        self.image, self.shared = data.image, scatter.image**2
+        self.count = int(data.image.max(initial=-1)) + 1
+        self.members = (np.arange(self.count)[:, None] == data.image).astype(np.float64)
+        self.inverse_sum = np.bincount(data.image, 1.0 / self.diagonal, self.count)
+
+    def whitened(self, values: F64) -> F64:
+        """Of values (n,) or (n, k): what has unit covariance.
+
+        Within an image D + s 11' has the inverse root D^-1/2 (1 - c D^-1/2 1 1' D^-1/2) for one c; its square is the
+        inverse (Sherman and Morrison).
+        """
+        root = 1.0 / np.sqrt(self.diagonal)
+        scaled = values * (root if values.ndim == 1 else root[:, None])
+        if self.shared == 0.0:
+            return scaled
+        total = self.inverse_sum
+        shrink = np.divide(
+            1.0 - 1.0 / np.sqrt(1.0 + self.shared * total), total, out=np.zeros_like(total), where=total > 0
+        )
+        sums = self.members @ (scaled * (root if values.ndim == 1 else root[:, None]))
+        shrunk = (sums * (shrink if values.ndim == 1 else shrink[:, None]))[self.image]
+        return np.asarray(scaled - shrunk * (root if values.ndim == 1 else root[:, None]), np.float64)
+
+    @property
+    def log_determinant(self) -> float:
+        return float(np.log(self.diagonal).sum() + np.log1p(self.shared * self.inverse_sum).sum())
+
+
+def fit_model(
+    model: CauseModel, data: Differences, scatter: ExtraScatter | None = None, start: F64 | None = None
+) -> CauseFit:
+    """A model at its best, from a start that lies on the right hill (`Trials.best` finds one).
+
+    Parameters by generalized least squares, scatters by restricted likelihood, in turns until both stand still."""
+    low, high = model.bounds()
+    free = model.free([np.array(c.start) for c in model.causes]) if start is None else start
+    scatter = scatter or ExtraScatter(max(float(np.std(data.value)), data.least_scatter), 0.0)
+    for _ in range(4):
+        errors = _Errors(data, scatter)
+        if free.size:
+            free = _solved(model, data, errors, free, low, high)
+        before = scatter
+        scatter = _scatters(data, data.value - model.curve(free, data), _slopes(model, data, free), scatter)
+        if max(abs(scatter.value - before.value), abs(scatter.image - before.image)) < 0.02 * data.least_scatter:
+            break
+    errors = _Errors(data, scatter)
+    slopes = errors.whitened(_slopes(model, data, free)) if free.size else np.zeros((len(data), 0))
+    covariance = np.asarray(np.linalg.pinv(slopes.T @ slopes, rcond=1e-8), np.float64)
+    fitted = model.curve(free, data)
+    likelihood = _log_likelihood(data.value - fitted, errors)
+    counted = model.counted + 1 + (scatter.image > 0.0)
+    return CauseFit(
+        model, free, covariance, scatter, fitted, likelihood, counted * np.log(max(len(data), 2)) - 2.0 * likelihood
+    )
+
+
+def _log_likelihood(residual: F64, errors: _Errors) -> float:
+    white = errors.whitened(residual)
+    return -0.5 * float(white @ white + errors.log_determinant + residual.size * np.log(2.0 * np.pi))
+
+
+def _solved(model: CauseModel, data: Differences, errors: _Errors, free: F64, low: F64, high: F64) -> F64:
+    if all(cause.linear for cause in model.causes):
+        at_zero = model.curve(np.zeros(free.size), data)
+        columns = np.stack([model.curve(one, data) - at_zero for one in np.eye(free.size)], axis=-1)
+        design, target = errors.whitened(columns), errors.whitened(data.value - at_zero)
+        solution = np.linalg.lstsq(design, target, rcond=None)[0]
+        if not ((solution < low) | (solution > high)).any():
+            return np.asarray(solution, np.float64)
+        return np.asarray(lsq_linear(design, target, (low, high)).x, np.float64)
+
+    def misfit(x: F64) -> F64:
+        return errors.whitened(data.value - model.curve(x, data))
+
+    inside = np.clip(free, low + 1e-9, high - 1e-9)
+    found = least_squares(misfit, inside, bounds=(low, high), x_scale="jac", max_nfev=40)
+    return np.asarray(found.x, np.float64)
+
+
+def _slopes(model: CauseModel, data: Differences, free: F64) -> F64:
+    low, high = model.bounds()
+    found = np.zeros((len(data), free.size))
+    for k in range(free.size):
+        step = 1e-4 * max(abs(free[k]), 1.0)
+        up, down = free.copy(), free.copy()
+        up[k], down[k] = min(free[k] + step, high[k]), max(free[k] - step, low[k])
+        found[:, k] = (model.curve(up, data) - model.curve(down, data)) / (up[k] - down[k])
+    return found
+
+
+def _scatters(data: Differences, residual: F64, slopes: F64, start: ExtraScatter) -> ExtraScatter:
+    """Restricted maximum likelihood of both scatters; that of images needs images with several reflectors."""
+    shared = np.bincount(data.image).max(initial=0) > 1 and np.unique(data.image).size > 2
+    least = data.least_scatter
+
+    def cost(x: F64) -> float:
+        errors = _Errors(data, ExtraScatter(float(np.hypot(x[0], least)), abs(float(x[1])) if shared else 0.0))
+        white = errors.whitened(residual)
+        total = float(white @ white) + errors.log_determinant
+        if slopes.shape[1]:
+            design = errors.whitened(slopes)
+            total += float(np.log(np.maximum(np.linalg.eigvalsh(design.T @ design), 1e-12)).sum())
+        return total
+
+    at = np.array([np.sqrt(max(start.value**2 - least**2, 0.0)) + 0.1 * least, start.image + 0.1 * least])
+    found = minimize(
+        cost, at if shared else at[:1], method="Nelder-Mead", options={"xatol": 0.01 * least, "fatol": 0.01}
+    )
+    image = abs(float(found.x[1])) if shared else 0.0
+    return ExtraScatter(float(np.hypot(found.x[0], least)), image if image > 0.05 * least else 0.0)
+
+
+# ---- which causes ----
+
+
+class Trials:
+    """Causes that may be added to a model, with quick scores: what each would make of the misfit at its best.
+
+    A cause that is linear in its parameters is projected; of one that is not, curves over a grid of parameters are
+    tried. What the model has already is free to move, to first order.
+    """
+
+    def __init__(self, data: Differences, causes: Sequence[Cause]) -> None:
+        self.data = data
+        self.causes = [cause for cause in causes if cause.physical]
+        self.rivals = [cause for cause in causes if not cause.physical]
+        self._slopes: dict[str, F64] = {}
+        self._curves: dict[str, F64] = {}
+
+    def without(self, name: str) -> None:
+        """Try a cause no more."""
+        self.causes = [cause for cause in self.causes if cause.name != name]
+
+    def best(
+        self, model: CauseModel, free: F64, scatter: ExtraScatter, causes: Sequence[Cause] | None = None
+    ) -> list[tuple[float, CauseModel, F64]]:
+        """Squared misfit plus parameters times ln n, the model with the cause, and a start for its fit; best first."""
+        data, errors = self.data, _Errors(self.data, scatter)
+        residual = errors.whitened(data.value - model.curve(free, data))
+        own = errors.whitened(_slopes(model, data, free)) if free.size else np.zeros((len(data), 0))
+        basis = np.linalg.qr(own)[0]
+        left = residual - basis @ (basis.T @ residual)
+        found = []
+        for cause in self.causes if causes is None else causes:
+            if not model.can_take(cause):
+                continue
+            more = CauseModel((*model.causes, cause))
+            held = np.array(more.fixed[-1])
+            if cause.grid:
+                curves = errors.whitened(self._curves_of(cause))
+                rest = left[:, None] - (curves - basis @ (basis.T @ curves))
+                misfits = (rest**2).sum(axis=0)
+                k = int(misfits.argmin())
+                misfit, x, taken = float(misfits[k]), np.array(cause.grid[k]), curves[:, k]
+            else:
+                columns = errors.whitened(self._slopes_of(cause))[:, ~held]
+                kept = columns - basis @ (basis.T @ columns)
+                step = np.linalg.lstsq(kept, left, rcond=None)[0]
+                x, low, high = (np.array(getattr(cause, each), np.float64) for each in ("start", "low", "high"))
+                if cause.linear:
+                    x[~held] = 0.0
+                step = np.clip(x[~held] + step, low[~held], high[~held]) - x[~held]
+                misfit, taken = float(((left - kept @ step) ** 2).sum()), columns @ step
+                x[~held] += step
+            moved = np.linalg.lstsq(own, residual - taken, rcond=None)[0] if free.size else free
+            start = np.concatenate([free + moved, x[~held]])
+            found.append((misfit + more.counted * np.log(len(data)), more, start))
+        return sorted(found, key=lambda one: round(one[0], 6))  # of equal ones the first that is listed
+
+    def _curves_of(self, cause: Cause) -> F64:
+        if cause.name not in self._curves:
+            self._curves[cause.name] = np.stack([cause.curve(np.array(x), self.data) for x in cause.grid], axis=-1)
+        return self._curves[cause.name]
+
+    def _slopes_of(self, cause: Cause) -> F64:
+        if cause.name not in self._slopes:
+            x, found = np.array(cause.start, np.float64), []
+            for k in range(x.size):
+                step = np.where(np.arange(x.size) == k, 1e-4 * max(abs(x[k]), 1.0), 0.0)
+                found.append((cause.curve(x + step, self.data) - cause.curve(x - step, self.data)) / (2.0 * step[k]))
+            self._slopes[cause.name] = np.stack(found, axis=-1)
+        return self._slopes[cause.name]
+
+
+@dataclass(frozen=True)
+class JointCause:
+    """A cause among others, with 90 % intervals in which the others are free, too."""
+
+    cause: Cause
+    values: F64
+    low: F64
+    high: F64
+    gain: float
+    """Log-likelihood that it adds when it is chosen."""
+    held_gain: float | None
+    """Log-likelihood that it adds at the later dates, which did not choose it; None where it was not tried on any."""
+    held_error: float | None
+    """Standard error of that, by the scatter over images."""
+
+    def content(self) -> dict[str, object]:
+        """For JSON."""
+        names = zip(self.cause.parameters, self.values, self.low, self.high, strict=True)
+        return {
+            "cause": self.cause.name,
+            "title": self.cause.title,
+            "parameters": {name: {"value": float(v), "low": float(a), "high": float(b)} for name, v, a, b in names},
+            "gain": self.gain,
+            "held_gain": self.held_gain,
+            "held_error": self.held_error,
+        }
+
+
+@dataclass(frozen=True)
+class Stand:
+    """A cause that could stand for another one in the model: these data do not tell them apart."""
+
+    cause: str
+    other: str
+    bic: float
+    """More than with the cause itself."""
+    decided_by: str
+    apart: float
+    """How far apart both models then are, in the unit of the values."""
+
+    def content(self) -> dict[str, object]:
+        """For JSON."""
+        return {
+            "causes": [self.cause, self.other], "bic": self.bic, "decided_by": self.decided_by, "apart": self.apart,
+        }  # fmt: skip
+
+
+@dataclass(frozen=True)
+class JointFit:
+    """What was found together."""
+
+    causes: tuple[JointCause, ...]
+    stands: tuple[Stand, ...]
+    together: tuple[tuple[str, str, float], ...]
+    """Pairs of parameters whose errors are correlated, and by how much."""
+    scatter: ExtraScatter
+    fit: CauseFit = field(repr=False)
+    without: float
+    """BIC without any cause, less that of the model."""
+    held_dates: int
+    """How many of the later dates were held back; 0 where there are too few."""
+
+    def content(self) -> dict[str, object]:
+        """For JSON."""
+        return {
+            "causes": [one.content() for one in self.causes],
+            "tied": [one.content() for one in self.stands],
+            "known_together": [{"parameters": [a, b], "correlation": c} for a, b, c in self.together],
+            "scatter": self.scatter.value,
+            "image_scatter": self.scatter.image,
+            "bic_over_none": self.without,
+            "held_dates": self.held_dates,
+        }
+
+
+def joint(
+    data: Differences,
+    causes_of: CausesOf,
+    situations: Sequence[Situation] = (),
+    trials: tuple[Trials, Trials | None] | None = None,
+) -> JointFit:
+    """Causes that act together, chosen one after the other.
+
+    A step takes the cause that lowers the earlier dates' BIC the most; as one is chosen among K, 2 ln K is added to
+    what it must gain (Chen and Chen, Biometrika 95(3), 2008). It stays only if the later dates, which had no say in
+    that, become more likely. What only all dates together need is added afterwards and has no `held_gain`. At the end
+    what is no longer needed goes. All is then fitted to all dates. `trials`: of all dates and of the earlier ones,
+    where they are there.
+    """
+    early, late = halves(data)
+    chosen: dict[str, F64] = {}
+    tried: dict[str, tuple[float, float, float]] = {}
+    if early is not None and late is not None:
+        first = trials[1] if trials is not None and trials[1] is not None else Trials(early, causes_of(early))
+        chosen, tried = _confirmed(first, late)
+    every = trials[0] if trials is not None else Trials(data, causes_of(data))
+    model = CauseModel(tuple(cause for name in chosen for cause in every.causes if cause.name == name))
+    start = model.free([chosen[cause.name] for cause in model.causes])
+    fit = fit_model(model, data, start=start)
+    bare = fit if not model.causes else fit_model(CauseModel(()), data)
+    gains: dict[str, float] = {name: gain for name, (gain, _, _) in tried.items()}
+    while len(fit.model.causes) < MOST_CAUSES:
+        step = _step(fit, every)
+        if step is None:
+            break
+        gains[step.model.causes[-1].name] = step.log_likelihood - fit.log_likelihood
+        fit = step
+    fit = _pruned(fit, data)
+    z = float(norm.ppf(0.5 + 0.5 * CONFIDENCE))
+    errors = fit.model.full(np.sqrt(np.maximum(np.diag(fit.covariance), 0.0)))
+    found = []
+    for cause, x, held, error in zip(fit.model.causes, fit.values, fit.model.fixed, errors, strict=True):
+        reach = np.where(held, 0.0, z * error)
+        _, gain, sd = tried.get(cause.name, (0.0, None, None))
+        low, high = np.maximum(x - reach, cause.low), np.minimum(x + reach, cause.high)
+        found.append(JointCause(cause, x, low, high, gains.get(cause.name, 0.0), gain, sd))
+    return JointFit(
+        tuple(found), tuple(_stands(fit, every, situations)), tuple(_together(fit)),
+        fit.scatter, fit, bare.bic - fit.bic, 0 if late is None else int(np.unique(late.days).size),
+    )  # fmt: skip
+
+
+def halves(data: Differences) -> tuple[Differences | None, Differences | None]:
+    """Earlier and later dates; None where those are too few, or do not have the same reflectors."""
+    days = data.days
+    order = np.unique(days)
+    if order.size < FEWEST_DATES:
+        return None, None
+    border = order[int(np.ceil(order.size * (1.0 - HELD_SHARE)))]
+    early, late = data.part(days < border), data.part(days >= border)
+    if len(early) < FEWEST_EARLY or set(late.site.tolist()) - set(early.site.tolist()):
+        return None, None
+    return early, late
+
+
+def _confirmed(trials: Trials, late: Differences) -> tuple[dict[str, F64], dict[str, tuple[float, float, float]]]:
+    """Causes that the earlier dates choose and the later ones confirm, with their values, and of each what it gains."""
+    fit = fit_model(CauseModel(()), trials.data)
+    found: dict[str, tuple[float, float, float]] = {}
+    while len(fit.model.causes) < MOST_CAUSES:
+        step = _step(fit, trials)
+        if step is None:
+            break
+        # Under one scatter, which holds what neither has: else a cause is denied for another one that is missing.
+        gained = by_image(step, late, fit.scatter) - by_image(fit, late, fit.scatter)
+        gain = float(gained.sum())
+        name = step.model.causes[-1].name
+        if gain <= 0.0:  # a cause that the later dates deny is tried no more
+            trials.without(name)
+            continue
+        error = float(np.sqrt(gained.size) * gained.std(ddof=1)) if gained.size > 1 else float("nan")
+        found[name] = step.log_likelihood - fit.log_likelihood, gain, error
+        fit = step
+    return {cause.name: x for cause, x in zip(fit.model.causes, fit.values, strict=True)}, found
+
+
+def by_image(fit: CauseFit, late: Differences, scatter: ExtraScatter | None = None) -> F64:
+    """Log-likelihood of each image of other dates, less what 2 pi adds; under the fit's own scatter, or that."""
+    residual = late.value - fit.model.curve(fit.free, late)
+    errors = _Errors(late, scatter or fit.scatter)
+    white = errors.whitened(residual) ** 2 + np.log(errors.diagonal)
+    shared = np.log1p(errors.shared * errors.inverse_sum)
+    images = np.unique(late.image)
+    return -0.5 * (np.bincount(late.image, white, errors.count) + shared)[images]
+
+
+def _step(fit: CauseFit, trials: Trials) -> CauseFit | None:
+    """The model with one cause more that has the lowest BIC; None where no cause is worth its parameters."""
+    scored = trials.best(fit.model, fit.free, fit.scatter)
+    if not scored:
+        return None
+    fits = [fit_model(model, trials.data, fit.scatter, start) for _, model, start in scored[:REFITTED]]
+    best = min(fits, key=lambda one: round(one.bic, 6))
+    return best if best.bic + 2.0 * float(np.log(len(scored))) < fit.bic else None
+
+
+def _less(fit: CauseFit, cause: Cause) -> tuple[CauseModel, F64]:
+    """The model without a cause, and a start."""
+    kept = [(c, x) for c, x in zip(fit.model.causes, fit.values, strict=True) if c is not cause]
+    model = CauseModel(tuple(c for c, _ in kept))
+    return model, model.free([x for _, x in kept])
+
+
+def _pruned(fit: CauseFit, data: Differences) -> CauseFit:
+    """Without causes that the others have made needless."""
+    while fit.model.causes:
+        fewer = []
+        for cause in fit.model.causes:
+            model, start = _less(fit, cause)
+            fewer.append(fit_model(model, data, fit.scatter, start))
+        best = min(fewer, key=lambda one: one.bic)
+        if best.bic > fit.bic:
+            break
+        fit = best
+    return fit
+
+
+def _stands(fit: CauseFit, trials: Trials, situations: Sequence[Situation]) -> list[Stand]:
+    """What could stand for each cause, the other causes being fitted anew."""
+    found = []
+    data, errors = trials.data, _Errors(trials.data, fit.scatter)
+
+    def cost(model: CauseModel, free: F64) -> float:
+        misfit = float((errors.whitened(data.value - model.curve(free, data)) ** 2).sum())
+        return misfit + model.counted * float(np.log(len(data)))
+
+    base = cost(fit.model, fit.free)
+    for cause in fit.model.causes:
+        kept, start = _less(fit, cause)
+        start = _solved(kept, data, errors, start, *kept.bounds()) if start.size else start
+        for score, model, free in trials.best(kept, start, fit.scatter):
+            other = model.causes[-1]
+            if other.name == cause.name or score > base + ALIKE + ROUGH:
+                continue
+            free = _solved(model, data, errors, free, *model.bounds())
+            more = cost(model, free) - base
+            if more > ALIKE:
+                continue
+            apart, best = 0.0, ""
+            for situation in situations:
+                off = abs(_at(fit.model, fit.free, situation) - _at(model, free, situation))
+                if off > apart + 1e-6:
+                    apart, best = off, situation.words
+            found.append(Stand(cause.name, other.name, more, best, apart))
+    return sorted(found, key=lambda one: one.bic)
+
+
+def _at(model: CauseModel, free: F64, situation: Situation) -> float:
+    return sum(cause.at(x, situation) for cause, x in zip(model.causes, model.full(free), strict=True))
+
+
+def _together(fit: CauseFit) -> list[tuple[str, str, float]]:
+    """Pairs of parameters that are known together only."""
+    names = [
+        f"{cause.name}: {name}"
+        for cause, held in zip(fit.model.causes, fit.model.fixed, strict=True)
+        for name, h in zip(cause.parameters, held, strict=True)
+        if not h
+    ]
+    sd = np.sqrt(np.maximum(np.diag(fit.covariance), 1e-30))
+    correlation = fit.covariance / sd[:, None] / sd
+    return [
+        (names[i], names[k], float(correlation[i, k]))
+        for i in range(len(names))
+        for k in range(i + 1, len(names))
+        if abs(correlation[i, k]) > TOGETHER
+    ]
+
+
+def values_words(cause: Cause, values: F64, low: F64, high: F64) -> str:
+    """Parameters with intervals."""
+    rows = zip(cause.parameters, values, low, high, strict=True)
+    return ", ".join(
+        f"{name.partition(' [')[0]} {v if abs(v) > 1e-9 else 0.0:.3g}"
+        + (f" ({a:.3g} to {b:.3g})" if b > a else "")
+        + f" {name.partition('[')[2].rstrip(']')}".rstrip()
+        for name, v, a, b in rows
+        if b > a or v != 0.0
+    )
+
+
+def together_words(found: JointFit, unit: str = "dB") -> list[str]:
+    """What acts together, and how well it is known."""
+    if not found.causes:
+        return ["Together: no cause is needed."]
+    words = []
+    for one in found.causes:
+        tested = "seen in all dates together only; no later dates tested it"
+        if one.held_gain is not None:
+            tested = f"the {found.held_dates} later dates confirm it (ln L {one.held_gain:+.1f})"
+        words.append(f"{one.cause.title} ({values_words(one.cause, one.values, one.low, one.high)}; {tested})")
+    spread = f"{found.scatter.value:.2f} {unit} are left from value to value"
+    spread += f", {found.scatter.image:.2f} {unit} from image to image" if found.scatter.image else ""
+    told = ["Together: " + "; ".join(words) + f". {spread}."]
+    for name in dict.fromkeys(stand.cause for stand in found.stands):
+        by: dict[str, list[str]] = {}
+        for stand in found.stands:
+            if stand.cause == name:
+                by.setdefault(stand.decided_by or "nothing that is known", []).append(stand.other)
+        others = "; ".join(f"{', '.join(some)} (decided by {what})" for what, some in by.items())
+        told.append(f"For {name} could stand: {others}.")
+    return told
