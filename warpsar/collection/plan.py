@@ -249,6 +249,11 @@ def boresight(plan: Plan) -> tuple[F64, F64]:
 def plans_of(world: World, device: wp.Device, product: Product = "slc") -> list[Plan]:
     """The plans of all views. Raises InputError as `plan_of` does, and for what the product does not have."""
     refuse_without_views(world)
+    if "transmission" in world.radar.terms:
+        raise InputError(
+            f'{world.name}: radar.terms: found "transmission", which an RCS alone has; leave it out for a product '
+            "along a track"
+        )
     if world.collection is not None:
         refuse_left_out(world, product)
     return [plan_of(world, view, device) for view in world.views]
