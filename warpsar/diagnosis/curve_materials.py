@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -32,12 +32,15 @@ _ABSORBER = 1.0 + 1e-6
 _LOOKS = np.arange(0.0, 360.0, 30.0)
 
 
-def ask(scene: Scene, cache: Path, device: str | None = None) -> list[MaterialTest]:
+def ask(
+    scene: Scene, cache: Path, device: str | None = None, *, parts: Sequence[str] | None = None
+) -> list[MaterialTest]:
     """Which part of the body shows another material than the declared one, likeliest first.
 
-    Parts are the materials of the mesh; those that the radar never sees first are left out.
+    `parts` are materials of the mesh; without them all, but for those that the radar never sees first.
     """
-    parts = [name for name in scene.materials if len(scene.materials) == 1 or _seen(scene, name, device)]
+    if parts is None:
+        parts = [name for name in scene.materials if len(scene.materials) == 1 or _seen(scene, name, device)]
     closed = bool((joints(scene.mesh.vertices, scene.mesh.faces).other >= 0).all())
     wanted = [(name, kind, eps) for name in parts for kind, eps in _alternatives(scene.materials[name], closed)]
     bar = console.progress(len(wanted) + 1, "materials", "material")
