@@ -94,7 +94,7 @@ def range_profiles(found: Rcs) -> RangeProfiles:
     bins = _FINER * n
     weighted = found.amplitude_m[:, 0] * (window / window.sum())[None, :, None]
     spectrum = np.fft.fft(weighted, bins, axis=1)  # sum over f of A e^{-2 pi j f bin / bins}
-    range_m = np.fft.fftfreq(bins) * SPEED_OF_LIGHT / (2.0 * step)
+    range_m: NDArray[np.float64] = np.fft.fftfreq(bins).astype(np.float64) * SPEED_OF_LIGHT / (2.0 * step)
     first, middle = (
         2.0 * np.pi * f / SPEED_OF_LIGHT for f in (frequencies[0], 0.5 * (frequencies[0] + frequencies[-1]))
     )

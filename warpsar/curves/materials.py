@@ -110,7 +110,7 @@ def _rows(one: MaterialHypothesis, noise: Noises) -> list[NDArray[np.float64]]:
 
 def _by_blocks(curves: Sequence[ObservedCurve], rows: Sequence[NDArray[np.float64]]) -> tuple[float, float]:
     """A sum over rows, and its standard error by independent stretches of angle."""
-    each = np.concatenate([np.bincount(c.block, r) for c, r in zip(curves, rows, strict=True)] or [np.zeros(0)])
+    each = np.concatenate([np.bincount(c.block, r).astype(np.float64) for c, r in zip(curves, rows, strict=True)])
     error = float(np.sqrt(len(each)) * each.std(ddof=1)) if len(each) > 1 else float("inf")
     return float(each.sum()), error
 
