@@ -10,13 +10,20 @@ from warpsar.cli import options
 
 
 @click.command(name="rcs", short_help="Radar cross-sections and complex amplitudes, with phase.")
-@click.argument("scene", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.argument("body", type=click.Path(exists=True, dir_okay=False, path_type=Path))
 @click.option(
     "-o",
     "--out",
-    required=True,
+    default="rcs",
+    show_default=True,
     type=click.Path(file_okay=False, path_type=Path),
-    help="Folder for rcs.csv, rcs.png and rcs.json (and rcs.parquet where pyarrow is there); made if missing.",
+    help="Folder for rcs.csv, rcs.png, rcs_polar.png and rcs.json (and rcs.parquet where pyarrow is there); made if "
+    "missing.",
+)
+@click.option(
+    "--material",
+    metavar="NAME",
+    help="Of a mesh file: metal (a smooth perfect conductor), or a surface of the library (warpsar materials).",
 )
 @click.option(
     "--azimuths",
@@ -34,7 +41,7 @@ from warpsar.cli import options
 @click.option(
     "--frequencies",
     metavar="F,F,...",
-    help="Frequencies, ascending [Hz]; or START:STOP:STEP. Default: that of [radar].",
+    help="Frequencies, ascending [Hz]; or START:STOP:STEP. Default: that of [radar]. A mesh file needs them.",
 )
 @click.option(
     "--rays-per-wavelength",
@@ -42,6 +49,11 @@ from warpsar.cli import options
     default=10.0,
     show_default=True,
     help="Ray tubes across a wavelength of the highest frequency.",
+)
+@click.option(
+    "--isar",
+    is_flag=True,
+    help="Also write range profiles and an image of the body, of even steps of frequency and azimuth.",
 )
 @click.option("--layers", is_flag=True, help="Also write layers.csv: each term, and each number of bounces, by itself.")
 @click.option(
@@ -52,35 +64,42 @@ from warpsar.cli import options
 )
 @options.device
 def command(
-    scene: Path,
+    body: Path,
     out: Path,
+    material: str | None,
     azimuths: str,
     incidences: str,
     frequencies: str | None,
     rays_per_wavelength: float,
+    isar: bool,
     layers: bool,
     max_memory: float | None,
     device: str | None,
 ) -> None:
-    """Radar cross-sections and complex amplitudes of SCENE for plane waves, at every pair of angles.
+    """Radar cross-sections and complex amplitudes of BODY for plane waves, at every pair of angles.
 
-    Polarizations, terms and max_bounces are those of [radar].
+    BODY is a scene file, which needs no [image] and no [[views]], or a mesh file with one --material. Polarizations,
+    terms and max_bounces are those of [radar]; of a mesh file HH and VV, and all terms.
 
     \b
     Examples:
+      warpsar rcs body.stl --material metal --frequencies 10e9 --azimuths 0:360:0.5
       warpsar rcs scene.toml -o out/ --azimuths 0:180.5:0.5
       warpsar rcs scene.toml -o out/ --azimuths 0,45,90 --incidences 60 --frequencies 5e9,10e9
+      warpsar rcs scene.toml -o out/ --azimuths=-20:20:0.5 --frequencies 8e9:12e9:50e6 --isar
     """
     from warpsar.coherent.command import run
 
     run(
-        scene,
+        body,
         out,
+        material=material,
         azimuths=azimuths,
         incidences=incidences,
         frequencies=frequencies,
         device=device,
         rays_per_wavelength=rays_per_wavelength,
+        isar=isar,
         layers=layers,
         max_memory_gib=max_memory,
     )

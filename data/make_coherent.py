@@ -29,7 +29,7 @@ SCENE = """# {about}
 frequency_hz = 9993081933.333334  # a wavelength of 3 cm
 polarizations = ["HH", "VV"]
 
-[image]                           # a scene file needs it; `warpsar rcs` makes no image
+[image]                           # for `warpsar view`; `warpsar rcs` needs no image
 shape = [64, 64]
 spacing_m = [0.05, 0.05]
 

@@ -21,7 +21,8 @@
 | `left_out.py` | what a scene declares and a product with phase does not have |
 | `learned.py` | what has a derivative, by name |
 | `gradients.py` | `warpsar.rcs_gradients` |
-| `command.py` | the command `rcs`: table, plot, JSON |
+| `command.py` | the command `rcs`, of a scene file or a mesh file: table, plots, JSON |
+| `isar.py` | range profiles of a sweep, and the image of the body that they make |
 """
 
 import lazy_loader

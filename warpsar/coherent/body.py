@@ -164,6 +164,23 @@ class CoherentBody:
         return any(m.thickness_m is not None and not m.conductor for m in self.materials)
 
     @property
+    def has_solids(self) -> bool:
+        """Whether there is a solid dielectric, which is neither a conductor nor a layer."""
+        return any(_solid(m) for m in self.materials)
+
+    @property
+    def largest_index(self) -> float:
+        """Of refraction, of the solid dielectrics; 1 without any."""
+        eps = [m.eps_r[0] if isinstance(m.eps_r, tuple) else m.eps_r for m in self.materials if _solid(m)]
+        return float(np.sqrt(max([1.0, *(float(each) for each in eps if not isinstance(each, str) and each)])))
+
+    @property
+    def narrowest(self) -> float:
+        """Least extent of the hull along an axis [m]."""
+        width = np.ptp(self.hull, axis=0)
+        return float(width[width > 0.0].min())
+
+    @property
     def radius(self) -> float:
         """Distance of the furthest vertex from the middle [m]."""
         return float(np.linalg.norm(self.hull, axis=1).max())
@@ -206,6 +223,10 @@ class CoherentBody:
         for name in ("first", "second", "normal_first", "normal_second", "outer", "share"):
             packed[name] = getattr(wedges, name)[which]
         return upload(packed, edges.Edge, self.device)
+
+
+def _solid(material: Material) -> bool:
+    return not material.conductor and material.thickness_m is None
 
 
 def _hull(vertices: NDArray[np.float64]) -> NDArray[np.float64]:

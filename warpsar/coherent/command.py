@@ -11,8 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from warpsar.coherent.forecast import forecast
+from warpsar.coherent.isar import refuse_steps, write_isar
 from warpsar.coherent.left_out import left_out
 from warpsar.coherent.rcs import FREQUENCIES_HZ, Rcs, RcsRequest, swept
 from warpsar.coherent.sweep import RAYS_PER_WAVELENGTH
@@ -25,6 +27,11 @@ from warpsar.scene.scene import Scene
 from warpsar.simulation.naming import angles
 from warpsar.simulation.outputs import make_folder, write_json
 from warpsar.world.library.fill import held
+from warpsar.world.library.fill import material as surface
+from warpsar.world.library.surfaces import SURFACES
+from warpsar.world.mesh import read_mesh
+from warpsar.world.tables import Material, Radar
+from warpsar.world.world import NO_IMAGE
 
 COLUMNS = (
     "azimuth_deg",
@@ -39,23 +46,32 @@ COLUMNS = (
     "spacing_error_db",
 )
 LAYER_COLUMNS = (*COLUMNS[:4], "layer", *COLUMNS[4:7])
+METAL = "metal"
+"""What --material calls a smooth perfect conductor."""
 _STYLES = ("-", "--", "-.", ":")
-_FLOOR_DB = 80.0  # of a plot, under its highest value
+_FLOOR_DB, _POLAR_FLOOR_DB = 80.0, 60.0  # of a plot, under its highest value
+_MOST_PANELS = 6
 
 
 def run(
-    scene_path: Path | str,
+    path: Path | str,
     out: Path | str,
     *,
     azimuths: str,
+    material: str | None = None,
     incidences: str = "90",
     frequencies: str | None = None,
     device: str | None = None,
     rays_per_wavelength: float = RAYS_PER_WAVELENGTH,
+    isar: bool = False,
     layers: bool = False,
     max_memory_gib: float | None = None,
 ) -> dict[str, Any]:
-    """`warpsar rcs`: the files of the sweep in `out`. Returns the JSON's content. Raises InputError and DeviceError."""
+    """`warpsar rcs`: the files of the sweep in `out`. Returns the JSON's content.
+
+    `path` is a scene file, or a mesh file whose one `material` is "metal" or a surface of the library. Raises
+    InputError and DeviceError.
+    """
     started = time.perf_counter()
     azimuth = [float(a) for a in angles(azimuths, "--azimuths", -360.0, 360.0, ends=True)]
     incidence = [float(a) for a in angles(incidences, "--incidences", 0.0, 180.0, ends=True)]
@@ -66,8 +82,9 @@ def run(
         ]
         if frequency != sorted(frequency):
             raise InputError(f"--frequencies: found {frequencies!r}; must ascend")
-    scene = Scene.load(scene_path)
-    out = Path(out)
+    scene, out = _scene(Path(path), material, frequency), Path(out)
+    if isar:
+        refuse_steps(scene, azimuth, incidence, frequency or [scene.radar.frequency_hz])
     asked = RcsRequest.of(scene, azimuth, incidence, frequency, device, rays_per_wavelength, layers, max_memory_gib)
     where = asked.body.device
     make_folder(out)  # nothing is written for what is refused
@@ -80,7 +97,7 @@ def run(
         console.say(str(told))
     found = swept(scene, asked, layers)
     console.warn(found.warnings[len(asked.cautions) :])
-    files = ["rcs.csv", "rcs.png", "rcs.json"]
+    files = ["rcs.csv", "rcs.png", "rcs_polar.png", "rcs.json"]
     _write(out / "rcs.csv", COLUMNS, rows(found))
     if layers:
         files.append("layers.csv")
@@ -88,6 +105,10 @@ def run(
     if parquet(found, out / "rcs.parquet"):
         files.append("rcs.parquet")
     plot(found, out / "rcs.png")
+    plot_polar(found, out / "rcs_polar.png")
+    if isar:
+        with busy("focusing"):
+            files += write_isar(found, scene, out)
     content = {
         "directions": found.amplitude_m.shape[0] * found.amplitude_m.shape[1],
         "frequencies_hz": found.frequency_hz,
@@ -105,6 +126,27 @@ def run(
     content = write_json(out / "rcs.json", scene, where, None, started, content)
     console.say(f"{out}: {', '.join(files)}")
     return content
+
+
+def _scene(path: Path, material: str | None, frequency_hz: list[float] | None) -> Scene:
+    """The scene of a scene file, or of a mesh file in one material."""
+    if path.suffix.lower() == ".toml":
+        if material is not None:
+            raise InputError(f"--material: found {material!r}; must be left out, since {path} states its materials")
+        return Scene.load(path)
+    if material is None:
+        raise InputError(
+            f"--material: missing; a mesh file ({path}) needs metal, or one of {', '.join(SURFACES)}; a scene file "
+            "(.toml) states its own"
+        )
+    if frequency_hz is None:
+        raise InputError(f"--frequencies: missing; a mesh file ({path}) states none")
+    mesh = read_mesh(path)
+    made = Material(conductor=True) if material == METAL else surface(material, frequency_hz[-1])
+    radar = Radar(frequency_hz=frequency_hz[-1], polarizations=("HH", "VV"))
+    said = tuple(f"{path}: {warning}" for warning in mesh.warnings)
+    named = dict.fromkeys(mesh.materials, made)
+    return Scene(mesh=mesh, radar=radar, grid=NO_IMAGE, materials=named, views=[], mesh_path=path, warnings=said)
 
 
 def _finite(what: Callable[..., Any], found: Rcs) -> float | None:
@@ -178,13 +220,10 @@ def plot(found: Rcs, path: Path) -> None:
 
     Shaded: what the spacing of the tubes leaves open.
     """
-    by_azimuth = found.azimuth_deg.size >= found.incidence_deg.size
-    angle = found.azimuth_deg if by_azimuth else found.incidence_deg
-    decibels, errors = (each[:, 0] if by_azimuth else each[0] for each in (found.rcs_dbsm, found.spacing_error_db))
-    other = f"incidence {found.incidence_deg[0]:g}°" if by_azimuth else f"azimuth {found.azimuth_deg[0]:g}°"
-    count = found.frequency_hz.size
-    figure, panels = figures.new(8.0, 1.0 + 2.6 * min(count, 6), nrows=min(count, 6), sharex=True, squeeze=False)
-    for f, panel in enumerate(panels[:, 0]):
+    angle, by_azimuth, other, decibels, errors = _cut(found)
+    count = min(found.frequency_hz.size, _MOST_PANELS)
+    figure, panels = figures.new(8.0, 1.0 + 2.6 * count, nrows=count, sharex=True, squeeze=False)
+    for f, panel in zip(_shown(found), panels[:, 0], strict=True):
         highest = decibels[:, f].max()
         for p, name in enumerate(found.polarizations):
             line = np.maximum(decibels[:, f, p], highest - _FLOOR_DB)
@@ -198,3 +237,57 @@ def plot(found: Rcs, path: Path) -> None:
     panels[0, 0].legend(frameon=False)
     panels[-1, 0].set_xlabel("azimuth [deg]" if by_azimuth else "incidence [deg]")
     figures.save(figure, path)
+
+
+def plot_polar(found: Rcs, path: Path) -> None:
+    """The same around the body: azimuth clockwise from north, incidence from the zenith; dBsm outward."""
+    angle, by_azimuth, other, decibels, _ = _cut(found)
+    count = min(found.frequency_hz.size, _MOST_PANELS)
+    columns = min(count, 2)
+    rows_of = -(-count // columns)
+    figure, panels = figures.new(
+        5.2 * columns,
+        0.4 + 5.0 * rows_of,
+        nrows=rows_of,
+        ncols=columns,
+        squeeze=False,
+        subplot_kw={"projection": "polar"},
+    )
+    for place, panel in enumerate(panels.ravel()):
+        if place >= count:
+            panel.set_visible(False)
+            continue
+        f = _shown(found)[place]
+        highest = decibels[:, f].max()
+        for p, name in enumerate(found.polarizations):
+            line = np.maximum(decibels[:, f, p], highest - _POLAR_FLOOR_DB)
+            panel.plot(np.deg2rad(angle), line, lw=1.0, ls=_STYLES[p], label=name)
+        panel.set_theta_zero_location("N")
+        panel.set_theta_direction(-1)
+        if np.isfinite(highest):
+            panel.set_ylim(highest - _POLAR_FLOOR_DB, highest + 3.0)
+        panel.set_rlabel_position(100.0)
+        what = "azimuth" if by_azimuth else "incidence"
+        panel.set_title(f"RCS [dBsm] against {what}, {found.frequency_hz[f] / 1e9:g} GHz, {other}", fontsize=9)
+        panel.grid(alpha=0.4)
+        panel.tick_params(labelsize=8)
+    panels[0, 0].legend(frameon=False, loc="lower left", bbox_to_anchor=(-0.12, -0.1))
+    figures.save(figure, path)
+
+
+def _cut(
+    found: Rcs,
+) -> tuple[NDArray[np.float64], bool, str, NDArray[np.float64], NDArray[np.float64]]:
+    """The angle that has more values [deg], whether it is the azimuth, the other one in words; RCS and error of the
+    spacing along it, (angles, frequencies, polarizations)."""
+    by_azimuth = found.azimuth_deg.size >= found.incidence_deg.size
+    angle = found.azimuth_deg if by_azimuth else found.incidence_deg
+    decibels, errors = (each[:, 0] if by_azimuth else each[0] for each in (found.rcs_dbsm, found.spacing_error_db))
+    other = f"incidence {found.incidence_deg[0]:g}°" if by_azimuth else f"azimuth {found.azimuth_deg[0]:g}°"
+    return angle, by_azimuth, other, decibels, errors
+
+
+def _shown(found: Rcs) -> list[int]:
+    """Numbers of the frequencies that are drawn: all, or as many as there are panels, evenly."""
+    count = found.frequency_hz.size
+    return [int(i) for i in np.linspace(0, count - 1, min(count, _MOST_PANELS)).round()]

@@ -229,4 +229,5 @@ def _cut(corners: F64, longest_m: float) -> tuple[NDArray[np.int64], F64, F64, F
         first.append((sign[:, None] * e1[:, None]).reshape(-1, 3))
         second.append((sign[:, None] * e2[:, None]).reshape(-1, 3))
     order = np.argsort(np.concatenate(of), kind="stable")
-    return np.concatenate(of)[order], *(np.concatenate(each)[order] for each in (start, first, second))
+    of_all, start_all, first_all, second_all = (np.concatenate(each)[order] for each in (of, start, first, second))
+    return of_all, start_all, first_all, second_all

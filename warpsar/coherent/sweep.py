@@ -16,19 +16,26 @@ from warpsar.coherent.body import CoherentBody
 from warpsar.coherent.directions import Directions, radar_records
 from warpsar.coherent.rays import CellGrid
 from warpsar.coherent.records import upload
-from warpsar.coherent.traced import LEVELS, MOST_BOUNCES, Sums, Tracer
-from warpsar.kernels.coherent import cells, edges, radiate, rough, tubes
+from warpsar.coherent.traced import LEVELS, MOST_BOUNCES, Sums, Tracer, over_lanes
+from warpsar.kernels.coherent import cells, edges, radiate, rough, transmission, tubes
 from warpsar.kernels.coherent.rough_models import rough_kernel
 from warpsar.runtime import threads
 from warpsar.world.frame import SPEED_OF_LIGHT
 
-TERMS = ("single", "multibounce", "edges", "rough")
+TERMS = ("single", "multibounce", "edges", "rough", "transmission")
 POLARIZATIONS = ("HH", "HV", "VH", "VV")
 RAYS_PER_WAVELENGTH = 10.0
 _RAYS_OF_TASK = {"cpu": 2**14, "cuda": 2**26}
 """Rays of directions that are worked out together."""
 FACE_BYTES = {"cpu": 2**26, "cuda": 2**29}
 """Memory for what faces, edges and scatterers send to the directions of one launch."""
+
+
+_INSIDE = 12
+"""Faces that a tube meets within a solid dielectric: after six ways there and back a tenth of the field is left where
+the index is 4 and nothing is lost, less elsewhere."""
+_ACROSS = 24.0
+"""Tubes across the narrowest width of a solid dielectric, at least."""
 
 
 @dataclass(frozen=True)
@@ -177,6 +184,8 @@ class Worker:
         grid, found = self.tubes(directions, radars, exact, self.spacing)
         wanted = np.array([term in self.terms for term in TERMS])
         amplitude = faces + found.terms
+        if "transmission" in self.terms and body.has_solids:
+            amplitude[:, :, TERMS.index("transmission")] = self.transmission(directions, radars)
         amplitude[:, :, ~wanted] = 0.0
         error = None
         if self.compare:
@@ -251,6 +260,28 @@ class Worker:
         wp.launch(kernel, shape, inputs=inputs, outputs=[part], device=device)
         shape = (*total.shape[:2], 4)
         wp.launch(cells.chunks_kernel, shape, inputs=[part, term], outputs=[total], device=device)
+
+    def transmission(self, directions: Directions, radars: wp.array) -> NDArray[np.complex128]:
+        """What comes out of solid dielectrics, (directions, frequencies, 4)."""
+        body, device, views = self.body, self.body.device, len(directions)
+        spacing = min(self.spacing / body.largest_index, body.narrowest / _ACROSS)
+        grid = CellGrid(body, directions, spacing, self.distance)
+        total = wp.zeros((views, cells.LANES, len(self.k), 4), dtype=wp.vec2d, device=device)
+        together = max(self.tracer.together, cells.RAYS)
+        for start in range(0, len(grid), together):
+            rays = grid[start : min(start + together, len(grid))]
+            shape = (len(rays) // cells.RAYS, len(self.k))
+            part = wp.empty((*shape, 1, 4), dtype=wp.vec2d, device=device)
+            inputs = [body.rays, radars, self.wavenumbers, self.stuff, body.face_material]
+            inputs += [rays.cells, body.standoff, _INSIDE]
+            wp.launch(transmission.transmission_kernel, shape, inputs=inputs, outputs=[part], device=device)
+            first = upload(rays.first, int, device)
+            wp.launch(
+                cells.lanes_kernel, (*total.shape[:3], 4), inputs=[first, part, 0, 0, 1], outputs=[total], device=device
+            )
+        pairs = over_lanes(total)
+        found: NDArray[np.complex128] = pairs[..., 0] + 1j * pairs[..., 1]
+        return found
 
     def tubes(self, directions: Directions, radars: wp.array, exact: wp.array, spacing: float) -> tuple[CellGrid, Sums]:
         """The grid of some directions, and what its tubes add up to. The many tubes of one direction go in parts."""

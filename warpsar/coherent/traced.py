@@ -91,15 +91,16 @@ class Tracer:
             traced.add(traced.told, told, 0, 0, 1)
             traced.radiate(exact, radiated)
             del traced
-        amplitude = _over_lanes(radiated).reshape(views, self.count, self.layers, 4, 2)
-        pairs = _over_lanes(told)[:, 0]
+        amplitude = over_lanes(radiated).reshape(views, self.count, self.layers, 4, 2)
+        pairs = over_lanes(told)[:, 0]
         return Sums(
             amplitude[..., 0] + 1j * amplitude[..., 1],
             *(pairs[:, i, j] for i, j in ((1, 0), (1, 1), (0, 0), (0, 1), (2, 0))),
         )
 
 
-def _over_lanes(total: wp.array) -> NDArray[np.float64]:
+def over_lanes(total: wp.array) -> NDArray[np.float64]:
+    """Partial sums added up: of (views, LANES, m, n) of vec2d an array (views, m, n, 2)."""
     views, _, m, n = total.shape
     out = wp.empty((views, m, n), dtype=wp.vec2d, device=total.device)
     wp.launch(cells.views_kernel, (views, m, n), inputs=[total], outputs=[out], device=total.device)
@@ -127,7 +128,8 @@ class Sums:
     def terms(self) -> NDArray[np.complex128]:
         """As the terms of a sweep: the first bounce, the sum of the further ones, nothing."""
         zero = np.zeros_like(self.amplitude[:, :, 0])
-        return np.stack([self.amplitude[:, :, 0], self.amplitude[:, :, 1:].sum(axis=2), zero, zero], axis=2)
+        first, further = self.amplitude[:, :, 0], self.amplitude[:, :, 1:].sum(axis=2)
+        return np.stack([first, further, zero, zero, zero], axis=2)
 
     def add(self, other: Sums) -> None:
         for each in fields(self):

@@ -293,6 +293,7 @@ def responded(grid: wp.array, axes: tuple[_Axis, _Axis], pixels: list[int]) -> N
     """A tile's grid (polarizations, rows, columns) through the system's response, at its pixels: by sums on CUDA, by
     FFT on the CPU."""
     device = grid.device
+    assert device is not None
     if device.is_cpu:
         return _by_fft(np.ascontiguousarray(grid.numpy()).view(np.complex64)[..., 0], axes, pixels)
     for along in (1, 0):

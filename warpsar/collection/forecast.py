@@ -214,8 +214,8 @@ class _Tiled:
         pixels = sum(_pixels(tile) for tile in made)
         whole = slice(0, world.grid.shape[0]), slice(0, world.grid.shape[1])
         seen_share = inside / pixels / max(traced / area, 1e-9)
-        count = seen_share * placed(whole) / math.prod(image.samples(whole)) * _pixels(whole)
-        return cls(len(tiles), size, seconds, count)
+        expected = seen_share * placed(whole) / math.prod(image.samples(whole)) * _pixels(whole)
+        return cls(len(tiles), size, seconds, expected)
 
 
 def _pixels(tile: direct.Tile) -> int:

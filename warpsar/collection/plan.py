@@ -30,7 +30,7 @@ from warpsar.world.site import Site
 from warpsar.world.tables import View
 from warpsar.world.taper import taper
 from warpsar.world.track import Track, along, circle, straight
-from warpsar.world.world import World, geometry_of
+from warpsar.world.world import World, geometry_of, refuse_without_views
 
 F64 = NDArray[np.float64]
 SPEED_M_S = 7500.0
@@ -248,6 +248,12 @@ def boresight(plan: Plan) -> tuple[F64, F64]:
 
 def plans_of(world: World, device: wp.Device, product: Product = "slc") -> list[Plan]:
     """The plans of all views. Raises InputError as `plan_of` does, and for what the product does not have."""
+    refuse_without_views(world)
+    if "transmission" in world.radar.terms:
+        raise InputError(
+            f'{world.name}: radar.terms: found "transmission", which an RCS alone has; leave it out for a product '
+            "along a track"
+        )
     if world.collection is not None:
         refuse_left_out(world, product)
     return [plan_of(world, view, device) for view in world.views]

@@ -122,8 +122,9 @@ def focused(made: Collected, grid: Grid, device: wp.Device) -> Slc:
     plan = made.plan
     range_m, azimuth_m = pixel_centres(grid.shape, grid.spacing_m, (1, 1))
     row, column = plan_axes(plan)
-    steps = [step * axis for step, axis in zip(grid.spacing_m, (row, column), strict=True)]
-    plane = Plane(range_m[0] * row + azimuth_m[0] * column, *steps, (len(range_m), len(azimuth_m)))
+    row_m, column_m = (step * axis for step, axis in zip(grid.spacing_m, (row, column), strict=True))
+    first_m = range_m[0] * row + azimuth_m[0] * column
+    plane = Plane(first_m, row_m, column_m, (len(range_m), len(azimuth_m)))
     scale = plan.azimuth_taper.sum() / plan.azimuth_weights.sum() / np.sqrt(plan.response_m2)
     carrier = np.empty((len(range_m), len(azimuth_m)), np.complex64)
     for i in range(0, len(range_m), _ROWS_TOGETHER):

@@ -12,6 +12,7 @@
 | `rivals.py` | what needs no physics: a constant level, a smooth curve |
 | `metrics.py` | mean abs(dB) and correlation |
 | `search.py` | which terms the train curves pay for, and whether left-out curves confirm them |
+| `materials.py` | whether curves show another material than a part is declared to have |
 | `shape.py` | parameters by likelihood, with intervals |
 
 `compare/curve.py` holds a measured curve beside its model; `learning/curves.py` and `diagnosis/curves.py` ask it.

@@ -20,16 +20,21 @@ PER_DIRECTION = 8.0
 
 
 def observe(
-    world: World, *, cache: Path | None = None, device: str | None = None, thin: bool = True
+    world: World,
+    *,
+    cache: Path | None = None,
+    device: str | None = None,
+    thin: bool = True,
+    per_direction: float = PER_DIRECTION,
 ) -> list[ObservedCurve]:
     """Every curve of a scene with the engine's terms, in the scene's order.
 
-    `thin` leaves out rows that say nothing new.
+    `thin` leaves out rows that say nothing new: about `per_direction` stay for an independent direction.
     """
-    return [_observe(world, curve, cache, device, thin) for curve in world.curves]
+    return [_observe(world, curve, cache, device, per_direction if thin else None) for curve in world.curves]
 
 
-def _observe(world: World, curve: Curve, cache: Path | None, device: str | None, thin: bool) -> ObservedCurve:
+def _observe(world: World, curve: Curve, cache: Path | None, device: str | None, most: float | None) -> ObservedCurve:
     table = curves.read(curve.file).select(curve.frequency_hz, curve.polarization)
     used = table.used(curve.mask)
     azimuth, incidence = table.azimuth_deg[used], table.incidence_deg[used]
@@ -48,7 +53,7 @@ def _observe(world: World, curve: Curve, cache: Path | None, device: str | None,
         background_m2=None if curve.background_dbsm is None else 10.0 ** (curve.background_dbsm / 10.0),
         share=None if curve.error_db is None else share_of(curve.error_db),
     )
-    bare = bare.thinned(PER_DIRECTION) if thin else bare
+    bare = bare if most is None else bare.thinned(most)
     return bare.beside(_terms(world, bare, cache, device))
 
 

@@ -3,7 +3,8 @@
 The files, from the door inwards:
 
 command.py          the command
-curves.py           which terms of the engine measured curves of RCS show
+curves.py           which terms and materials measured curves of RCS show
+curve_materials.py  the materials that parts of a body may have, and the curves beside such bodies
 result.py           `diagnose`, and its result on all views
 content.py          what diagnosis.json holds
 written_scene.py    what the written scene and diagnosis.json say of found objects

@@ -9,9 +9,11 @@ from typing import Any
 
 from warpsar.coherent.left_out import left_out
 from warpsar.compare.curve import CurveComparison, CurveJudgement, content_of, curve_verdicts, curves_beside
+from warpsar.curves.materials import MaterialTest
 from warpsar.curves.observe import observe
 from warpsar.curves.search import CANDIDATES, TermSearch, by_sector
 from warpsar.curves.sectors import apertures
+from warpsar.diagnosis.curve_materials import ask, with_material
 from warpsar.errors import InputError
 from warpsar.scene.scene import Scene
 
@@ -21,6 +23,8 @@ class DiagnosedCurves:
     """A scene with the terms that its curves ask for; its curves before and after."""
 
     scene: Scene
+    materials: list[MaterialTest]
+    """What each part of the body was asked, likeliest first."""
     found: dict[str, TermSearch]
     """By sector."""
     before: list[CurveComparison]
@@ -28,8 +32,9 @@ class DiagnosedCurves:
 
     @property
     def verdict(self) -> list[str]:
-        """Effects whose terms were added."""
-        return list(dict.fromkeys(effect for one in self.found.values() for effect in one.verdict))
+        """The part whose material is another one, if any, and effects whose terms were added."""
+        named = [f"materials.{one.part}: {one.kind}" for one in self.materials if one.outcome == "named"]
+        return named + list(dict.fromkeys(effect for one in self.found.values() for effect in one.verdict))
 
     @cached_property
     def verdicts(self) -> dict[str, CurveJudgement]:
@@ -47,7 +52,8 @@ class DiagnosedCurves:
     @property
     def in_short(self) -> str:
         """One line: what is left unexplained first, then the names, and what the test curves leave."""
-        names, wrong = ", ".join(self.verdict), [role for role, one in self.verdicts.items() if one.wrong]
+        tied = [f"one of {'; '.join(self.tied)}, not told apart"] if self.tied else []
+        names, wrong = ", ".join([*self.verdict, *tied]), [role for role, one in self.verdicts.items() if one.wrong]
         left = [f"{role} curves: {self.verdicts[role].words}" for role in wrong]
         if self.unexplained:
             return "; ".join([f"unexplained: {left[0]}", *([f"found: {names}"] if names else []), *left[1:]])
@@ -67,15 +73,22 @@ class DiagnosedCurves:
             "unexplained": self.unexplained,
             "curves_verdict": {role: one.content() for role, one in self.verdicts.items()},
             "level_only": self.level_only,
+            "materials": [asdict(one) for one in self.materials],
+            "tied_materials": self.tied,
             "sectors": {name: [asdict(each) for each in one.asked] for name, one in self.found.items()},
             "before": content_of(self.before),
             "after": content_of(self.after),
         }
 
     @property
+    def tied(self) -> list[str]:
+        """Materials of parts, one of which is another than declared, and which the curves do not tell apart."""
+        return [f"materials.{one.part}: {one.kind}" for one in self.materials if one.outcome == "tied"]
+
+    @property
     def words(self) -> list[str]:
         """A sentence for each question."""
-        return [
+        return [one.words for one in self.materials] + [
             f"{one.effect}, {sector}: {one.outcome}" + (f", {one.why}" if one.why else "")
             for sector, found in self.found.items()
             for one in found.asked
@@ -89,6 +102,11 @@ def diagnose_curves(scene: Scene, cache: Path, device: str | None = None) -> Dia
     """
     if not any(curve.role == "train" for curve in scene.curves):
         raise InputError(f"{scene.name}: curves: found no train curve; must have one to name anything")
+    asked = ask(scene, cache, device)
+    named = next((one for one in asked if one.outcome == "named"), None)
+    before = curves_beside(observe(scene, cache=cache, device=device), scene.radar.terms)
+    if named is not None:
+        scene = with_material(scene, named)
     declared = scene.radar.terms
     every = tuple(dict.fromkeys((*declared, *CANDIDATES.values())))
     whole = replace(scene, radar=scene.radar.model_copy(update={"terms": every}))
@@ -96,4 +114,4 @@ def diagnose_curves(scene: Scene, cache: Path, device: str | None = None) -> Dia
     found = by_sector(curves, apertures(scene.mesh), declared)
     terms = tuple(dict.fromkeys(term for one in found.values() for term in one.terms))
     after = replace(scene, radar=scene.radar.model_copy(update={"terms": terms}))
-    return DiagnosedCurves(after, found, curves_beside(curves, declared), curves_beside(curves, terms))
+    return DiagnosedCurves(after, asked, found, before, curves_beside(curves, terms))

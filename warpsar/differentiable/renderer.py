@@ -12,6 +12,7 @@ from warpsar.errors import refuse_number
 from warpsar.runtime import devices
 from warpsar.scene.scene import Scene, scene_or_file
 from warpsar.trace.hits import DEFAULT_MEMORY_GIB
+from warpsar.world.world import refuse_without_views
 
 
 class Renderer(Derivatives):
@@ -52,6 +53,7 @@ def renderer(
     rendered, or where the geometry is free and the images have no derivative to it.
     """
     scene = scene_or_file(scene)
+    refuse_without_views(scene)
     refuse_number(max_memory_gib, "max_memory_gib", above=True)
     where = devices.resolve_device(device)
     return Renderer(scene, where, scene.seed(seed), max_memory_gib, vertices=vertices)

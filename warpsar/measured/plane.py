@@ -86,7 +86,7 @@ def focus_plane(
         return image
     cosine = cross_range_cosine(history, reference_point_m)
     weights = taper(window_azimuth, centred(cosine))
-    image = wp.zeros(plane.shape, dtype=wp.vec2, device=target)
+    total: wp.array = wp.zeros(plane.shape, dtype=wp.vec2, device=target)
     for module in (backproject_plane_kernel(EACH, True).module, expand_kernel.module):
         wp.load_module(module, device=target)
     part = part_of(history, own) if target.is_cpu else None
@@ -98,12 +98,12 @@ def focus_plane(
             chosen = pulses[first : first + step]
             there = uploaded(history, chosen, weights[chosen], window_range, target)
             if part is None or part.pulses > most:
-                add_blocks(grid_of(own), there, image, target)
+                add_blocks(grid_of(own), there, total, target)
             else:
-                _add_part(own, part, there, image, target)
+                _add_part(own, part, there, total, target)
             bar.update(chosen.size)
     scale = np.float32(1.0 / weights.sum())
-    return np.ascontiguousarray(image.numpy()).view(np.complex64)[..., 0] * scale
+    return np.ascontiguousarray(total.numpy()).view(np.complex64)[..., 0] * scale
 
 
 @dataclass(frozen=True)
@@ -162,8 +162,8 @@ def _add_part(plane: Plane, part: _Part, pulses: Any, image: wp.array, device: w
     base, rest = np.divmod(np.arange(columns), part.every)
     at = np.arange(TAPS) - (TAPS // 2 - 1) - (rest / part.every)[:, None]
     window = np.i0(_BETA * np.sqrt(np.maximum(1.0 - (2.0 * at / TAPS) ** 2, 0.0))) / np.i0(_BETA)
-    weights = wp.array((np.sinc(at) * window).astype(np.float32), dtype=float, device=device)
-    first_column = wp.array(base.astype(np.int32), dtype=int, device=device)
+    weights: wp.array = wp.array((np.sinc(at) * window).astype(np.float32), dtype=float, device=device)
+    first_column: wp.array = wp.array(base.astype(np.int32), dtype=int, device=device)
     fine = grid_of(plane)
     blocks, lanes = _blocks(fine), fine.block_rows * fine.block_columns
     together = _BLOCKS_PER_TASK if device.is_cpu else blocks

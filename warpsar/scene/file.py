@@ -73,7 +73,9 @@ class SceneFile(Table):
 
     scene: SceneTable = Field(description="The mesh and the reference point.")
     radar: Radar = Field(description="Frequency and polarizations.")
-    image: Grid = Field(description="Pixels of every view.")
+    image: Grid | None = Field(
+        default=None, description="Pixels of every view; [image] and [[views]] may be left out together, for an RCS."
+    )
     sampling: Sampling = Field(default=Sampling(), description="The rays.")
     materials: Annotated[dict[str, Material], Field(min_length=1)] = Field(
         default_factory=dict,
@@ -87,7 +89,9 @@ class SceneFile(Table):
     collection: Collection | None = Field(
         default=None, description="How a sensor collects the views (docs/collections.md)."
     )
-    views: Annotated[list[View], Field(min_length=1)] = Field(description="The views, at least one.")
+    views: Annotated[list[View], Field(min_length=1)] = Field(
+        default=[], description="The views, at least one where there is an [image]."
+    )
 
 
 _TABLES: dict[str, type[Table]] = {
@@ -148,6 +152,9 @@ def parse(raw: dict[str, Any]) -> tuple[SceneFile | None, list[str]]:
         own = {name for name in file.materials if "eps_r" in stated[name]}
         of_library = {name: one.library for name, one in file.materials.items() if one.library and name not in own}
         problems += beside_the_radar(file, of_library)
+        if (file.image is None) != (not file.views):
+            found, missing = ("views", "image") if file.image is None else ("image", "views")
+            problems.append(f"{missing}: missing; must be there beside {found}, or both left out for an RCS")
         if file.scene.mesh is None and all(one.group is not None for one in file.objects):
             return None, ["scene.mesh: missing; it may be left out where [[objects]] holds a mesh or a primitive"]
         return (None, problems) if problems else (file, [])

@@ -28,6 +28,7 @@ from warpsar.world.tables import (
     View,
 )
 from warpsar.world.upright import y_up
+from warpsar.world.world import NO_IMAGE
 
 
 def contents(path: Path) -> dict[str, Any]:
@@ -49,6 +50,7 @@ class _Loader:
 
     def __init__(self, path: Path, text: str, file: SceneFile, effects: dict[str, dict[str, Any]]) -> None:
         self.path, self.text, self.file, self.effects = path, text, file, effects
+        self.grid = file.image or NO_IMAGE
         self.problems: list[str] = []
         self.warnings: list[str] = []
 
@@ -79,7 +81,7 @@ class _Loader:
         return {
             "mesh": mesh,
             "radar": file.radar,
-            "grid": file.image,
+            "grid": self.grid,
             "materials": {name: materials[name] for name in mesh.materials},
             "views": views,
             "sampling": file.sampling,
@@ -192,7 +194,7 @@ class _Loader:
 
     def check_image(self, key: str, path: Path, polarization: str) -> None:
         try:
-            image = read_channel(path, polarization, shape=self.file.image.shape)
+            image = read_channel(path, polarization, shape=self.grid.shape)
         except InputError as error:
             self.problems.append(f"{key}: {error}")
             return
@@ -210,7 +212,7 @@ class _Loader:
 
     def check_mask(self, key: str, path: Path) -> None:
         try:
-            mask = read_mask(path, shape=self.file.image.shape)
+            mask = read_mask(path, shape=self.grid.shape)
         except InputError as error:
             self.problems.append(f"{key}: {error}")
             return

@@ -85,7 +85,8 @@ class Scene(World):
         """
         scene = cls(**contents(_path(path)))
         check(scene)
-        refuse(Path(scene.name), misplaced(scene))
+        if scene.views:
+            refuse(Path(scene.name), misplaced(scene))
         return scene
 
     def save(self, path: str | Path) -> None:

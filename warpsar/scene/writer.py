@@ -60,7 +60,9 @@ class _Writer:
             head["accuracy_m"] = scene.accuracy_m
         if scene.origin is not None:
             head["origin"] = _plain(scene.origin)
-        tables: dict[str, Any] = {"scene": head, "radar": _plain(scene.radar), "image": _plain(scene.grid)}
+        tables: dict[str, Any] = {"scene": head, "radar": _plain(scene.radar)}
+        if scene.views:
+            tables["image"] = _plain(scene.grid)
         if sampling := _plain(scene.sampling):
             tables["sampling"] = sampling
         tables["materials"] = {name: self.material(material) for name, material in scene.materials.items()}
@@ -75,7 +77,8 @@ class _Writer:
             tables["collection"] = kept
             if scene.collection.trajectory is not None:
                 tables["collection"]["trajectory"] = self.relative(scene.collection.trajectory)
-        tables["views"] = [self.view(view) for view in scene.views]
+        if scene.views:
+            tables["views"] = [self.view(view) for view in scene.views]
         return tables
 
     def material(self, material: Material) -> dict[str, Any]:

@@ -42,7 +42,7 @@ from warpsar.trace.layers import covered
 from warpsar.trace.layers import layers as layers_of
 from warpsar.trace.rays import ray_count
 from warpsar.world.tables import View
-from warpsar.world.world import geometry_of
+from warpsar.world.world import geometry_of, refuse_without_views
 
 
 class Simulation:
@@ -199,6 +199,7 @@ def simulate(
     not there.
     """
     scene = scene_or_file(scene)
+    refuse_without_views(scene)
     refuse_number(max_memory_gib, "max_memory_gib", above=True)
     stage = Stage.of(scene, devices.resolve_device(device))
     made = Simulation(
@@ -284,6 +285,7 @@ def run(
     refuse_formats(formats)
     with busy("reading the scene"):
         scene = Scene.load(scene_path)
+    refuse_without_views(scene)
     refuse_unlikely_size(scene, yes)
     out = Path(out)
     if declare:

@@ -24,6 +24,7 @@ from warpsar.simulation.view import SimulatedView
 from warpsar.surface.stage import Stage
 from warpsar.version import __version__
 from warpsar.world.tables import View
+from warpsar.world.world import refuse_without_views
 
 PER_FOLDER = 1000
 OUTCOMES = ("made", "kept", "other_inputs", "damaged")
@@ -64,6 +65,7 @@ class Maker:
     ) -> None:
         self.path, self.label, self.device, self.options, self.index = path, label, device, options, index
         self.scene = Scene.load(path)
+        refuse_without_views(self.scene)
         refuse_unlikely_size(self.scene, yes)
         console.warn(self.scene.warnings)
         self._told = False

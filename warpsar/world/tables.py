@@ -31,7 +31,7 @@ DEFAULT_RAYS_PER_PIXEL = 64.0
 """Where neither density is stated."""
 
 Polarization = Literal["HH", "HV", "VH", "VV"]
-Term = Literal["single", "edges", "multibounce", "rough"]
+Term = Literal["single", "edges", "multibounce", "rough", "transmission"]
 ViewKey = Literal["azimuth_deg", "incidence_deg"]
 SpacingKey = Literal["range_spacing_m", "azimuth_spacing_m"]
 
@@ -120,7 +120,7 @@ class Radar(Table):
     )
     terms: Annotated[tuple[Term, ...], Field(min_length=1)] = Field(
         default=("single", "edges", "multibounce", "rough"),
-        description="What a coherent product contains.",
+        description="What a coherent product contains; transmission goes into solid dielectrics (docs/coherent.md).",
         examples=[["single", "edges"]],
     )
     max_bounces: Annotated[_Whole, Field(ge=1, le=1000)] = Field(

@@ -29,6 +29,9 @@ from warpsar.world.tables import SURFACE_KEYS, Grid, Material, Origin, Radar, Sa
 
 W = TypeVar("W", bound="World")
 
+NO_IMAGE = Grid(shape=(1, 1), spacing_m=(1.0, 1.0))
+"""Stands for the grid of a scene that has no views: of a body whose radar cross-section alone is asked for."""
+
 
 @dataclass(frozen=True, eq=False)
 class World:
@@ -192,6 +195,12 @@ class World:
                 ]
             )
         return repr(plain)
+
+
+def refuse_without_views(world: World) -> None:
+    """Raise InputError where a scene has no view, so that no image of it can be made."""
+    if not world.views:
+        raise InputError(f"{world.name}: views: found none; an image needs [image] and [[views]]")
 
 
 def posed(world: W, objects: Sequence[Object]) -> W:

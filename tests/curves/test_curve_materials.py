@@ -1,0 +1,77 @@
+"""Materials of parts by their curves: named where they are there, tied where two say the same, else refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from synthetic import curve, field
+
+from warpsar.curves.materials import MODEL, MaterialHypothesis, ask_materials, opened
+
+CASES = (("VV", 5e9, "train"), ("HH", 5e9, "train"), ("VV", 7e9, "test"), ("HH", 7e9, "test"))
+
+
+def hypotheses(seed: int, shown: str, alike: float = 0.0) -> tuple[MaterialHypothesis, list[MaterialHypothesis]]:
+    """Metal declared; curves show `shown`. Half the power is the part's. `alike`: how much the foil is as the resin."""
+    rng = np.random.default_rng(seed)
+    made: dict[str, list] = {"metal": [], "resin": [], "foil": []}
+    for pol, frequency, role in CASES:
+        rest, part = field(rng, frequency), field(rng, frequency)
+        resin = 0.6 * field(rng, frequency)
+        foil = alike * resin + (1.0 - alike) * 0.6 * field(rng, frequency)
+        terms = {"metal": rest + part, "resin": rest + resin, "foil": rest + foil}
+        one = curve(rng, terms, [shown], frequency_hz=frequency, polarization=pol, role=role)
+        for name in made:
+            made[name].append(one.beside({MODEL: one.terms[name]}))
+    declared = MaterialHypothesis("", "declared", tuple(made["metal"]))
+    return declared, [
+        MaterialHypothesis("tip", "dielectric", tuple(made["resin"])),
+        MaterialHypothesis("tail", "dielectric", tuple(made["foil"])),
+    ]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_material_that_is_there_is_named(seed: int) -> None:
+    first, second = ask_materials(*hypotheses(seed, "resin"))
+    assert (first.part, first.outcome) == ("tip", "named")
+    assert second.outcome == "refused"
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_nothing_is_named_where_the_declared_material_is_there(seed: int) -> None:
+    assert {one.outcome for one in ask_materials(*hypotheses(seed, "metal"))} == {"refused"}
+
+
+def test_materials_that_say_the_same_are_tied() -> None:
+    found = ask_materials(*hypotheses(0, "resin", alike=1.0))
+    assert {one.outcome for one in found} == {"tied"}
+    assert "not told from" in found[0].words
+
+
+def test_a_level_stands_for_an_open_part() -> None:
+    """What comes from the part is noise that no model of it has; its level is found to 2 dB, by some 50 directions."""
+    rng = np.random.default_rng(3)
+    without, declared = [], []
+    for pol, frequency, role in CASES:
+        rest, part, cavity = (field(rng, frequency) for _ in range(3))
+        one = curve(
+            rng, {"a": rest, "b": 2.0 * cavity}, ["a", "b"], frequency_hz=frequency, polarization=pol, role=role
+        )
+        without.append(one.beside({MODEL: one.terms["a"]}))
+        declared.append(one.beside({MODEL: one.terms["a"] + 0.1 * part[: len(one.terms["a"])]}))
+    area = [np.full(len(one.measured_m2), 10.0) for one in without]
+    found = opened(MaterialHypothesis("front", "open", tuple(without)), area)
+    # the fitted background of a curve can hold a level that is the same everywhere, so the two share it
+    assert found.curves[0].level_m2.max() < 4.0 * 10.0**0.2
+    assert found.parameters == 1
+
+
+def test_eps_r_has_an_interval_over_what_was_tried() -> None:
+    declared, (resin, foil) = hypotheses(1, "resin")
+    some = [replace(resin, eps_r=3.0), replace(foil, part="tip", eps_r=2.0)]
+    some += [replace(resin, eps_r=4.0, curves=declared.curves)]
+    (found,) = ask_materials(declared, some)
+    assert found.eps_r is not None
+    assert found.eps_r.low <= 3.0 <= found.eps_r.high

@@ -1,0 +1,183 @@
+"""Whether measured curves show another material than a part of the body is declared to have.
+
+Each hypothesis changes the material of one part. Its model is asked like a term (`search.py`): the train curves must
+pay for it beside the declared one, the test curves must gain by two standard errors, with the noise of the train
+curves, and neither polarization may lose by two standard errors. It must also be likelier than a constant level. A part
+may be `open`, too: nothing is known then of what comes back from it but a level, which its area in sight multiplies.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
+
+from warpsar.curves.noise import Noises, densities, fit
+from warpsar.curves.observed import ObservedCurve, independent
+from warpsar.curves.rivals import constant
+from warpsar.curves.search import ERRORS, TEST, CurvesLeftOut
+from warpsar.curves.shape import ProfileInterval, profiles
+
+MODEL = "model"
+"""The one term of a curve beside a hypothesis: the sum of all that it has."""
+Kind = Literal["declared", "metal", "dielectric", "open"]
+Outcome = Literal["named", "tied", "refused"]
+_LEVELS_DB = (-60.0, 10.0)
+"""Where the level of an open part is sought, over its area in sight."""
+
+
+@dataclass(frozen=True)
+class MaterialHypothesis:
+    """A part of the body in another material, and the curves beside that body."""
+
+    part: str
+    kind: Kind
+    curves: tuple[ObservedCurve, ...]
+    eps_r: float | None = None
+    parameters: int = 0
+    """Fitted ones, which the train curves must pay for."""
+
+    @property
+    def name(self) -> str:
+        return self.kind if self.eps_r is None else f"{self.kind}, eps_r {self.eps_r:g}"
+
+
+@dataclass(frozen=True)
+class MaterialTest:
+    """What one kind of material for one part was asked."""
+
+    part: str
+    kind: Kind
+    outcome: Outcome
+    eps_r: ProfileInterval | None
+    gain: float
+    """2 ln L over the declared material on the train curves."""
+    price: float
+    left_out: tuple[CurvesLeftOut, ...]
+    over_constant_level: float
+    whole: float
+    """2 ln L over the declared material on all curves, with the noise of the train curves."""
+    why: str = ""
+
+    @property
+    def words(self) -> str:
+        """One sentence."""
+        value = ""
+        if self.eps_r is not None:
+            ends = f"{self.eps_r.low:.3g} to {self.eps_r.high:.3g}{', the end of what was tried' * self.eps_r.open}"
+            value = f", eps_r {self.eps_r.value:.3g} ({ends})"
+        return f"{self.part}: {self.kind}{value}: {self.outcome}" + (f", {self.why}" if self.why else "")
+
+
+def opened(hypothesis: MaterialHypothesis, area_m2: Sequence[NDArray[np.float64]]) -> MaterialHypothesis:
+    """The hypothesis with the likeliest level of an open part; `area_m2` is what each direction sees of it."""
+    train = [(one, area) for one, area in zip(hypothesis.curves, area_m2, strict=True) if one.role == "train"]
+
+    def loss(level_db: float) -> float:
+        level = 10.0 ** (level_db / 10.0)
+        return -fit([replace(one, level_m2=level * area) for one, area in train], [MODEL]).log_likelihood
+
+    best = minimize_scalar(loss, bounds=_LEVELS_DB, method="bounded", options={"maxiter": 12})
+    level = 10.0 ** (float(best.x) / 10.0)
+    curves = tuple(replace(one, level_m2=level * area) for one, area in zip(hypothesis.curves, area_m2, strict=True))
+    return replace(hypothesis, curves=curves, parameters=1)
+
+
+def ask_materials(declared: MaterialHypothesis, others: Sequence[MaterialHypothesis]) -> list[MaterialTest]:
+    """The answers for each part and kind, likeliest first; hypotheses that differ by eps_r alone are one question."""
+    groups: dict[tuple[str, str], list[MaterialHypothesis]] = {}
+    for one in others:
+        groups.setdefault((one.part, one.kind), []).append(one)
+    before = _noise(declared)
+    asked = [_ask(declared, before, group) for group in groups.values()]
+    asked.sort(key=lambda pair: -pair[0].whole)
+    return _with_ties(asked)
+
+
+def _noise(one: MaterialHypothesis) -> Noises:
+    return fit([curve for curve in one.curves if curve.role == "train"], [MODEL]).noise
+
+
+def _rows(one: MaterialHypothesis, noise: Noises) -> list[NDArray[np.float64]]:
+    """2 ln L of each row of each curve."""
+    first = next(iter(noise.values()))
+    return [2.0 * densities(c, c.amplitude([MODEL]), noise.get(c.polarization, first)) for c in one.curves]
+
+
+def _by_blocks(curves: Sequence[ObservedCurve], rows: Sequence[NDArray[np.float64]]) -> tuple[float, float]:
+    """A sum over rows, and its standard error by independent stretches of angle."""
+    each = np.concatenate([np.bincount(c.block, r).astype(np.float64) for c, r in zip(curves, rows, strict=True)])
+    error = float(np.sqrt(len(each)) * each.std(ddof=1)) if len(each) > 1 else float("inf")
+    return float(each.sum()), error
+
+
+def _ask(
+    declared: MaterialHypothesis, before: Noises, group: Sequence[MaterialHypothesis]
+) -> tuple[MaterialTest, tuple[ObservedCurve, ...], list[NDArray[np.float64]]]:
+    """The answer, and the rows of 2 ln L over the declared material that it stands on."""
+    group = sorted(group, key=lambda one: one.eps_r or 0.0)
+    train = [c for c in declared.curves if c.role == "train"]
+    own = 2.0 * fit(train, [MODEL]).log_likelihood
+    told = [2.0 * fit([c for c in one.curves if c.role == "train"], [MODEL]).log_likelihood for one in group]
+    best = int(np.argmax(told))
+    chosen = group[best]
+    interval = None
+    parameters = chosen.parameters
+    if len(group) > 1:
+        axis = np.array([float(one.eps_r or 1.0) for one in group])
+        interval = profiles({"eps_r": axis}, np.array(told))["eps_r"]
+        parameters += 1
+    price = (1 + parameters) * float(np.log(max(independent(train), 2.0)))
+    gain = told[best] - own
+    after = _noise(chosen)
+    rows = [new - old for new, old in zip(_rows(chosen, after), _rows(declared, before), strict=True)]
+    left_out = []
+    kinds = sorted({c.polarization for c in train})
+    tests = [i for i, c in enumerate(declared.curves) if c.role == "test" and c.polarization in kinds]
+    if tests:
+        total, error = _by_blocks([declared.curves[i] for i in tests], [rows[i] for i in tests])
+        left_out.append(CurvesLeftOut(TEST, total, error))
+    for kind in kinds if len(kinds) > 1 else []:
+        mine = [i for i, c in enumerate(declared.curves) if c.polarization == kind]
+        total, error = _by_blocks([declared.curves[i] for i in mine], [rows[i] for i in mine])
+        left_out.append(CurvesLeftOut(kind, total, error))
+    rival = constant(train)
+    over = told[best] - 2.0 * rival.fitted.log_likelihood + rival.parameters * float(np.log(independent(train)))
+    why = ""
+    if gain <= price:
+        why = "the train curves do not pay for it"
+    elif bad := [each.name for each in left_out if not each.holds]:
+        why = f"what was left out does not confirm it: {', '.join(bad)}"
+    elif over <= 0.0:
+        why = "no likelier than a constant level"
+    whole, _ = _by_blocks(declared.curves, rows)
+    outcome: Outcome = "refused" if why else "named"
+    found = MaterialTest(chosen.part, chosen.kind, outcome, interval, gain, price, tuple(left_out), over, whole, why)
+    return found, declared.curves, rows
+
+
+def _with_ties(
+    asked: Sequence[tuple[MaterialTest, tuple[ObservedCurve, ...], list[NDArray[np.float64]]]],
+) -> list[MaterialTest]:
+    """Those that stand are tied where the likeliest of them is not two standard errors before another."""
+    standing = [i for i, (one, _, _) in enumerate(asked) if one.outcome == "named"]
+    found = [one for one, _, _ in asked]
+    if not standing:
+        return found
+    first = standing[0]
+    tied = []
+    for i in standing[1:]:
+        rows = [a - b for a, b in zip(asked[first][2], asked[i][2], strict=True)]
+        ahead, error = _by_blocks(asked[first][1], rows)
+        if ahead <= ERRORS * error:
+            tied.append(i)
+        else:
+            found[i] = replace(found[i], outcome="refused", why=f"{found[first].part}, {found[first].kind} is likelier")
+    for i in [first, *tied] if tied else []:
+        others = [f"{found[j].part}, {found[j].kind}" for j in [first, *tied] if j != i]
+        found[i] = replace(found[i], outcome="tied", why=f"not told from {'; '.join(others)}")
+    return found

@@ -1,0 +1,119 @@
+"""The materials that parts of a body may have instead of the declared ones, and the curves beside such bodies."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from warpsar.coherent.directions import Directions
+from warpsar.coherent.joints import joints
+from warpsar.coherent.rcs import rcs
+from warpsar.curves.materials import MODEL, Kind, MaterialHypothesis, MaterialTest, ask_materials, opened
+from warpsar.curves.observe import observe
+from warpsar.curves.observed import ObservedCurve
+from warpsar.runtime import console
+from warpsar.scene.scene import Scene
+from warpsar.world.tables import Material
+
+SOLIDS = (2.0, 2.5, 3.0, 4.0, 6.0)
+"""Permittivities of a solid that is tried: foam is below them, ceramics are above."""
+LOSS_TANGENT = 0.03
+"""Of a solid that is tried: of resins and plastics, 0.005 to 0.05. One value, since curves hardly tell it apart."""
+TERMS = ("single", "edges", "multibounce")
+"""Of every hypothesis, whatever is declared: physics has them all. `diagnosis.curves` then asks which of them show."""
+PER_DIRECTION = 3.0
+"""Rows for an independent direction: two hold all that there is (Nyquist), and each costs a sweep of every material."""
+_ABSORBER = 1.0 + 1e-6
+_LOOKS = np.arange(0.0, 360.0, 30.0)
+
+
+def ask(
+    scene: Scene, cache: Path, device: str | None = None, *, parts: Sequence[str] | None = None
+) -> list[MaterialTest]:
+    """Which part of the body shows another material than the declared one, likeliest first.
+
+    `parts` are materials of the mesh; without them all, but for those that the radar never sees first.
+    """
+    if parts is None:
+        parts = [name for name in scene.materials if len(scene.materials) == 1 or _seen(scene, name, device)]
+    closed = bool((joints(scene.mesh.vertices, scene.mesh.faces).other >= 0).all())
+    wanted = [(name, kind, eps) for name in parts for kind, eps in _alternatives(scene.materials[name], closed)]
+    bar = console.progress(len(wanted) + 1, "materials", "material")
+    declared = MaterialHypothesis("", "declared", _curves(scene, cache, device))
+    bar.update()
+    others = []
+    for name, kind, eps in wanted:
+        one = MaterialHypothesis(name, kind, _curves(_changed(scene, name, kind, eps), cache, device), eps)
+        if kind == "open":
+            one = opened(one, [_area(scene, name, curve) for curve in one.curves])
+        others.append(one)
+        bar.update()
+    bar.close()
+    return ask_materials(declared, others)
+
+
+def with_material(scene: Scene, found: MaterialTest) -> Scene:
+    """The scene in which the part has the material that was named; an opening stays what it was declared."""
+    if found.kind == "open":
+        return scene
+    changed = _changed(scene, found.part, found.kind, None if found.eps_r is None else found.eps_r.value)
+    terms = (*scene.radar.terms, *(("transmission",) if "transmission" in changed.radar.terms else ()))
+    radar = scene.radar.model_copy(update={"terms": tuple(dict.fromkeys(terms))})
+    return replace(changed, radar=radar)
+
+
+def _alternatives(material: Material, closed: bool) -> Iterator[tuple[Kind, float | None]]:
+    if not material.conductor or material.thickness_m is not None:
+        yield "metal", None
+    if not closed:
+        return  # a sheet has no inside
+    if material.thickness_m is None:
+        yield from (("dielectric", eps) for eps in SOLIDS)
+    yield "open", None
+
+
+def _changed(scene: Scene, name: str, kind: Kind, eps: float | None) -> Scene:
+    table: dict[str, Any] = {"conductor": True}
+    if kind == "dielectric":
+        assert eps is not None
+        table = {"eps_r": (eps, -LOSS_TANGENT * eps), "rms_height_m": 0.0}
+    elif kind == "open":
+        table = {"eps_r": _ABSORBER, "rms_height_m": 0.0}
+    return _whole(replace(scene, materials={**scene.materials, name: Material(**table)}))
+
+
+def _whole(scene: Scene) -> Scene:
+    """The scene with all terms; `transmission` where there is a solid that is more than an absorber."""
+    solid = any(not m.conductor and m.thickness_m is None and m.eps_r != _ABSORBER for m in scene.materials.values())
+    terms = (*TERMS, "transmission") if solid else TERMS
+    return replace(scene, radar=scene.radar.model_copy(update={"terms": terms}))
+
+
+def _curves(scene: Scene, cache: Path, device: str | None) -> tuple[ObservedCurve, ...]:
+    whole = _whole(scene)
+    seen = observe(whole, cache=cache, device=device, per_direction=PER_DIRECTION)
+    return tuple(one.beside({MODEL: one.amplitude(whole.radar.terms)}) for one in seen)
+
+
+def _seen(scene: Scene, name: str, device: str | None) -> bool:
+    """Whether the radar sees a part first from anywhere around: its reflection then changes the field."""
+    radar = scene.radar.model_copy(update={"terms": ("single",)})
+    looks = [replace(scene, radar=radar), replace(_changed(scene, name, "open", None), radar=radar)]
+    if scene.materials[name].conductor:
+        looks[0] = replace(_changed(scene, name, "metal", None), radar=radar)
+    found = [rcs(one, _LOOKS, 90.0, device=device).amplitude_m for one in looks]
+    return bool(np.abs(found[0] - found[1]).max() > 1e-6 * np.abs(found[0]).max())
+
+
+def _area(scene: Scene, name: str, curve: ObservedCurve) -> NDArray[np.float64]:
+    """Area of a part's faces that look toward the radar, across its line of sight, (n,) [m2]."""
+    mesh = scene.mesh
+    corners = mesh.vertices[mesh.faces[mesh.face_material == mesh.materials.index(name)]]
+    area = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    s = Directions.of(curve.azimuth_deg, curve.incidence_deg).s
+    return np.asarray(np.clip(s @ area.T, 0.0, None).sum(axis=1))
