@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import label
 from scipy.stats import chi2
 
-from warpsar.calibration.causes import MOST_TURN_DEG, Cause
+from warpsar.calibration.causes import MOST_TURN_DEG, Cause, causes
 from warpsar.calibration.differences import Differences
 from warpsar.calibration.joint import JointFit
 
@@ -70,8 +70,6 @@ def attitude_solutions(found: JointFit, data: Differences) -> list[AttitudeSolut
 
 
 def _attitude_of(name: str, data: Differences) -> Cause | None:
-    from warpsar.calibration.causes import causes
-
     return next((one for one in causes(data) if one.name == f"attitude of {name}"), None)
 
 

@@ -14,7 +14,7 @@ a view whose geometry lies elsewhere. pose_search: from metres away to the likel
 table: its table of sigma0, from images. table_figure: that table before and after. device_values: what both are fitted
 by. metrics: how well the images of a fit agree. trust: do the intervals hold, and what did a fit make worse?
 curves: permittivities from measured curves of RCS. results: what was learned, as a scene. command: `warpsar learn`.
-jacobian: how one view's image changes with x.
+profiles: intervals of a few parameters by profile likelihood. jacobian: how one view's image changes with x.
 """
 
 import lazy_loader
