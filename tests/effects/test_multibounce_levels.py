@@ -235,9 +235,8 @@ def test_dihedrals_at_random() -> None:
             more = {"shape": shape, "spacing_m": cell, "rays_per_pixel": rays, "max_bounces": 2}
             made = bouncing(dihedral(length, height, incidence_deg), look, frequency_hz, **more)
             found = db(total(made, "beta0_2_bounces_HH"))
-            print(
-                f"{length:.2f} x {height:.2f} m, {frequency_hz / 1e9:g} GHz, {azimuth_deg:.2f}, {found - db(expected):+.2f}"
-            )
+            print(f"{length:.2f} x {height:.2f} m, {frequency_hz / 1e9:g} GHz", end=", ")
+            print(f"{azimuth_deg:.2f}, {found - db(expected):+.2f}")
             assert found == pytest.approx(db(expected), abs=0.5)
             some += 1
     assert some > 10
