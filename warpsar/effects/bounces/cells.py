@@ -257,7 +257,7 @@ def share(parts: Sequence[Coupled], grid: BinGrid, cell_m: tuple[float, float]) 
 def _shares(
     bins: NDArray[np.int32], field: NDArray[np.complex64], grid: BinGrid, cell_m: tuple[float, float]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Groups of tubes, offsets of the samples that get a share of them, and these as numbers; weak ones are left out."""
+    """Groups of tubes, offsets of the samples with a share of them, and these as numbers; weak ones are left out."""
     power = field.real**2 + field.imag**2
     strongest = power.max(axis=1, keepdims=True)
     group, which = np.nonzero((power > _WEAK * strongest) & (power > _WEAKEST * power.max(initial=0.0)))
