@@ -21,7 +21,7 @@ STEPS = wp.constant(128)
 """Of a cell, in the table of the response."""
 REACH = wp.constant(16)
 """Cells on each side that the table has."""
-NEAR = wp.constant(8)
+NEAR = wp.constant(12)
 """Samples on each side of a field that may get a share of it."""
 
 along_an_axis = wp.types.vector(length=2 * int(NEAR), dtype=wp.float64)
@@ -265,3 +265,31 @@ def couple_kernel(
                 aside = response[0] * tubes.by_azimuth[at]
             n = offset[1] + NEAR - 1
             field_out[i, j] = field_out[i, j] + across[n] * straight + across_slope[n] * aside
+
+
+@wp.kernel(enable_backward=False)
+def loosen_kernel(
+    # In:
+    tubes: TubeFields,
+    order: wp.array(dtype=int),
+    first: wp.array(dtype=int),
+    bin: wp.array(dtype=int),
+    cells: ResolutionCells,
+    # Out:
+    loose_out: wp.array2d(dtype=wp.float32),
+):
+    """The sum of the squares of what each tube of a group adds to a sample [m2], as if they had no phase in common."""
+    i = wp.tid()
+    end = order.shape[0]
+    if i + 1 < first.shape[0]:
+        end = first[i + 1]
+    base = cell_of(cells, bin[i])
+    for j in range(cells.offset.shape[0]):
+        offset = cells.offset[j]
+        total = wp.float64(0.0)
+        for k in range(first[i], end):
+            at = order[k]
+            along = read(cells.response, 0, tubes.place[at][0] - wp.float64(base[0] + offset[0]))[0]
+            across = read(cells.response, 1, tubes.place[at][1] - wp.float64(base[1] + offset[1]))[0]
+            total += along * along * across * across * wp.length_sq(tubes.field[at])
+        loose_out[i, j] = wp.float32(total)

@@ -121,10 +121,20 @@ def mirrored_by_wall(azimuth_deg: float, incidence_deg: float) -> tuple[np.ndarr
     return d, out, out / -out[2]
 
 
-def wave(length: float, height: float, frequency_hz: float, azimuth_deg: float, incidence_deg: float) -> complex:
+def wave(
+    length: float,
+    height: float,
+    frequency_hz: float,
+    azimuth_deg: float,
+    incidence_deg: float,
+    in_range: Any = 0.0,
+    in_azimuth: Any = 0.0,
+) -> Any:
     """Physical optics of a metal dihedral in HH, both ways round: A [m], sigma = 4 pi |A|^2.
 
-    The last surface is lit in a parallelogram, over which the phase turns linearly. Its currents are 2 n x H.
+    The last surface is lit in a parallelogram, over which the phase turns linearly. Its currents are 2 n x H. In the
+    spectrum of an image, `in_range` and `in_azimuth` [rad/m] from its middle, each point has the phase of its place:
+    half the path, and the azimuth of the middle between entry and exit.
     """
     k = 2 * np.pi * frequency_hz / LIGHT
     d, out, way = mirrored_by_wall(azimuth_deg, incidence_deg)
@@ -133,16 +143,19 @@ def wave(length: float, height: float, frequency_hz: float, azimuth_deg: float, 
     other = d * [1, 1, -1]
     u = worlds.axes(azimuth_deg, incidence_deg)[1]
     up, north = np.array([0, 0, 1]), np.array([0, 1, 0])
-    for arrives, side, mirror, last in (
-        (out, height * (way + up), north, up),
-        (other, height * up, up, north),
+    for arrives, side, enters, mirror, last in (
+        (out, height * (way + up), height * up, north, up),
+        (other, height * up, height * (up - other / other[2]), up, north),
     ):
         field = 2 * mirror * (mirror @ u) - u
         answer = u @ np.cross(last, np.cross(arrives, field))
         q = k * (-d - arrives)
         area = np.linalg.norm(np.cross(along, side))
-        shape = np.sinc(q @ along / 2 / np.pi) * np.sinc(q @ side / 2 / np.pi) * np.exp(0.5j * (q @ side))
-        found += k / (2 * np.pi) * area * answer * shape
+        far = 0.5 * (d @ (enters + side) + np.linalg.norm(side - enters) * np.sign((side - enters) @ arrives))
+        first = q @ along - in_range * (d @ along) - in_azimuth * (u @ along)
+        second = q @ side - in_range * far - in_azimuth * 0.5 * (u @ (enters + side))
+        shape = np.sinc(first / 2 / np.pi) * np.sinc(second / 2 / np.pi) * np.exp(0.5j * (first + second))
+        found = found + k / (2 * np.pi) * area * answer * shape
     return found
 
 
@@ -152,16 +165,18 @@ def averaged(
     frequency_hz: float,
     azimuth_deg: float,
     incidence_deg: float,
-    cell: float,
+    cell_m: tuple[float, float],
     window: str = "none",
 ) -> float:
-    """RCS [m2] over a band of c / 2 cell and an aperture of lambda / 2 cell, by the power of their taper."""
-    steps = (np.arange(41) + 0.5) / 41 - 0.5
+    """RCS [m2] over the spectrum of an image whose cells (range, azimuth) have a size, by the power of its taper.
+
+    It is a rectangle: a band of c / 2 cell, and an aperture of lambda / 2 cell.
+    """
+    steps = (np.arange(101) + 0.5) / 101 - 0.5
     weight = taper(window, steps) ** 2
-    aperture = np.rad2deg(steps * LIGHT / frequency_hz / (2 * cell) / np.sin(np.deg2rad(incidence_deg)))
-    band = frequency_hz + steps[::4] * LIGHT / (2 * cell)
-    found = [[abs(wave(length, height, f, azimuth_deg + a, incidence_deg)) ** 2 for a in aperture] for f in band]
-    return float(4 * np.pi * np.average(found, weights=np.multiply.outer(weight[::4], weight)))
+    in_range, in_azimuth = (2 * np.pi / cell * steps for cell in cell_m)
+    found = wave(length, height, frequency_hz, azimuth_deg, incidence_deg, in_range[::5, None], in_azimuth)
+    return float(4 * np.pi * np.average(np.abs(found) ** 2, weights=np.multiply.outer(weight[::5], weight)))
 
 
 @pytest.mark.parametrize("frequency_hz", BANDS)
@@ -179,19 +194,79 @@ def test_a_small_dihedral_is_the_closed_form(frequency_hz: float) -> None:
 @pytest.mark.parametrize("frequency_hz", BANDS)
 @pytest.mark.parametrize(("length", "height"), [(0.3, 0.3), (1.0, 1.0), (5.0, 2.0)])
 def test_a_dihedral_has_its_pattern_over_band_and_aperture(length: float, height: float, frequency_hz: float) -> None:
-    """Within 1 dB wherever it is within 20 dB of its peak; turned about the vertical, in cells of a pixel (0.5 m)."""
-    highest = averaged(length, height, frequency_hz, 0.0, 45.0, 0.5)
+    """Wherever it is within 20 dB of its peak; turned about the vertical, in cells of a pixel (0.5 m)."""
+    cell = (0.5, 0.5)
+    highest = averaged(length, height, frequency_hz, 0.0, 45.0, cell)
     some = 0
     for azimuth_deg in (0.0, 0.4, 0.8, 1.2, 2.0, 3.0, 5.0, 8.0):
-        expected = averaged(length, height, frequency_hz, azimuth_deg, 45.0, 0.5)
+        expected = averaged(length, height, frequency_hz, azimuth_deg, 45.0, cell)
         if expected > 0.01 * highest:
             made = bouncing(dihedral(length, height), view(azimuth_deg, 45.0), frequency_hz, max_bounces=2)
             found = db(total(made, "beta0_2_bounces_HH"))
             print(f"| {length:g} x {height:g} | {frequency_hz / 1e9:g} | {azimuth_deg:g}", end=" | ")
             print(f"{db(expected):.1f} | {found:.1f} |")
-            assert found == pytest.approx(db(expected), abs=1.0)
+            assert found == pytest.approx(db(expected), abs=0.5)  # 4 % of rays, and the ends of the band
             some += 1
     assert some >= 3
+
+
+@pytest.mark.full
+def test_dihedrals_at_random() -> None:
+    """Sizes of 0.3 to 5 m, incidences, turns, cells and rays at random, where the pattern is within 20 dB of its peak.
+
+    Rays are as few as 16 a pixel. They know the sum of fields that cancel by the cuts at the borders of bodies.
+    """
+    rng = np.random.default_rng(35)
+    some = 0
+    for _ in range(30):
+        frequency_hz, rays = float(rng.choice(BANDS)), float(rng.choice([16, 64, 256]))
+        wavelength = LIGHT / frequency_hz
+        length, height = np.exp(rng.uniform(np.log([0.3, max(0.3, 2 * wavelength)]), np.log(5.0)))
+        cell = tuple(float(one) for one in np.exp(rng.uniform(np.log(0.2), np.log(1.5))) * np.array([1.0, 1.3]))
+        incidence_deg = float(rng.uniform(25.0, 65.0))
+        widths = np.rad2deg(wavelength / (2 * min(length, cell[1])) + wavelength / (2 * cell[1]))
+        azimuth_deg = float(rng.uniform(-1.0, 1.0) * min(12.0, 2 * widths))
+        highest, expected = (
+            averaged(length, height, frequency_hz, azimuth, incidence_deg, cell) for azimuth in (0.0, azimuth_deg)
+        )
+        if expected > 0.01 * highest:
+            shape = (min(240, 2 * int(np.ceil((length + 2.2 * height + 4.0) / cell[0]))),) * 2
+            look = view(azimuth_deg, incidence_deg)
+            more = {"shape": shape, "spacing_m": cell, "rays_per_pixel": rays, "max_bounces": 2}
+            made = bouncing(dihedral(length, height, incidence_deg), look, frequency_hz, **more)
+            found = db(total(made, "beta0_2_bounces_HH"))
+            print(f"{length:.2f} x {height:.2f} m, {frequency_hz / 1e9:g} GHz", end=", ")
+            print(f"{azimuth_deg:.2f}, {found - db(expected):+.2f}")
+            assert found == pytest.approx(db(expected), abs=0.5)
+            some += 1
+    assert some > 10
+
+
+def optical_area(kind: str, a: float, d: np.ndarray) -> float:
+    """Of a trihedral off its axis, where rays meet all three faces [m2] (Spencer 1944; Siegel and others 1955)."""
+    low, middle, high = np.sort(np.abs(d))
+    if kind == "square":
+        return float(a * a * (4 * low * middle / high if 2 * middle < high else low * (4 - high / middle)))
+    whole = low + middle + high
+    return float(a * a * (4 * low * middle / whole if low + middle < high else whole - 2 / whole))
+
+
+@pytest.mark.full
+def test_trihedrals_at_random() -> None:
+    """Single aspects up to 25 degrees off the axis, of any heading, in HH and VV."""
+    rng = np.random.default_rng(35)
+    for _ in range(16):
+        frequency_hz, kind, name = (rng.choice(one) for one in (BANDS, ["triangular", "square"], ["HH", "VV"]))
+        wavelength = LIGHT / frequency_hz
+        a = float(np.exp(rng.uniform(np.log(max(0.3, 2 * wavelength)), np.log(5.0))))
+        azimuth_deg, incidence_deg = 45.0 + rng.uniform(-25, 25), AXIS_DEG + rng.uniform(-18, 18)
+        expected = 4 * np.pi * optical_area(kind, a, worlds.axes(azimuth_deg, incidence_deg)[0]) ** 2 / wavelength**2
+        cell = tuple(float(one) for one in rng.uniform(0.2, 1.5) * np.array([1.0, 1.3]))
+        shape = (2 * int(np.ceil((2.5 * a + 3.0) / cell[0])),) * 2
+        more = {"shape": shape, "spacing_m": cell, "polarizations": (name,), "rays_per_pixel": 16.0}
+        made = bouncing(trihedral(kind, a), view(azimuth_deg, incidence_deg), float(frequency_hz), **more)
+        # optics, from two wavelengths on; 4 % of rays
+        assert db(total(made, f"beta0_3_bounces_{name}")) == pytest.approx(db(expected), abs=0.4)
 
 
 def test_a_dihedral_has_its_pattern_over_the_declared_taper() -> None:
@@ -201,7 +276,7 @@ def test_a_dihedral_has_its_pattern_over_the_declared_taper() -> None:
     half_deg = np.rad2deg(0.25 * LIGHT / frequency_hz / cell / np.sin(np.deg2rad(45.0)))
     levels = []
     for part in (0.0, 0.4, 0.8):
-        expected = averaged(length, height, frequency_hz, part * half_deg, 45.0, cell, "taylor")
+        expected = averaged(length, height, frequency_hz, part * half_deg, 45.0, (cell, cell), "taylor")
         made = bouncing(dihedral(length, height), view(part * half_deg, 45.0), frequency_hz, spacing_m=(0.25, 0.25))
         made = with_effect(made, "point_spread", {"range_fwhm_m": width, "azimuth_fwhm_m": width, "window": "taylor"})
         levels.append(db(total(made, "beta0_2_bounces_HH")))
@@ -405,9 +480,9 @@ def test_what_is_left_out_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "needed" not in said(small)  # its cells are cut
     monkeypatch.setattr(tracing, "_LEAST_BUDGET", 0)  # as in a large view, which has as many rays as may be added
     assert "more rays_per_pixel of [sampling] are needed" in said(small)
-    # its double bounces are off their flash: only their ends shine, which 64 rays a pixel know to 17 %
-    many = {"shape": (20, 20), "rays_per_pixel": 256.0}
-    enough = bouncing(trihedral("triangular", 1.0), view(45.0, AXIS_DEG), 9.6e9, **many)
+    monkeypatch.undo()
+    # its double bounces are off their flash: only their ends shine, which cut cells at the borders know well
+    enough = bouncing(trihedral("triangular", 1.0), view(45.0, AXIS_DEG), 9.6e9, shape=(20, 20))
     assert "needed" not in said(enough)
     assert "left out" not in said(enough)
 
@@ -419,6 +494,7 @@ def test_groups_of_tubes_without_a_field() -> None:
     for strengths in ([1.0, 0.0, 1e-6], [0.0, 0.0, 0.0]):
         field = np.zeros((3, offsets), np.complex64)
         field[:, offsets // 2] = strengths
+        loose = np.abs(field) ** 2 / 3.0  # three tubes in step
         records = {
             "bin": np.array([5, 6, 7], np.int32),
             "bounces": np.full(3, 2, np.int32),
@@ -427,11 +503,13 @@ def test_groups_of_tubes_without_a_field() -> None:
             "third": np.full((3, 4), 0.25, np.float32),
             "point": np.zeros((3, 3), np.float32),
         }
-        part = cells.Coupled(records, field, np.array([[k, 0] for k in range(9)]), np.array([0, 3, 6]))
-        cell, split = cells.splits_of(cells.share([part], grid, (0.5, 0.5)))
+        part = cells.Coupled(records, field, loose, np.array([[k, 0] for k in range(9)]), np.array([0, 3, 6]))
+        borders = cells.borders_of(cells.share([part], grid, (0.5, 0.5)), np.array([1, 2]))
         lit = int(np.count_nonzero(np.array(strengths) == 1.0))
-        assert cell[:, 0].tolist() == [0, 1, 2][: 3 * lit]
-        assert (split == 6).all()  # (1.26 * 3 ** -0.75 / 0.04) ** (2 / 3) is 5.7
+        # its cells are a row: they, and those beside them that meet nothing; the other groups are of the same planes
+        beside = [(x, y) for x in range(-1, 4) for y in (-1, 1)] + [(x, 0) for x in range(-1, 3)]
+        assert {tuple(one) for one in borders.cell.tolist()} == (set(beside) if lit else set())
+        assert (borders.split == 6).all()  # (1.26 * 3 ** -0.75 / 0.04) ** (2 / 3) is 5.7
         made, samples = cells.samples_of(
             cells.share([part], grid, (0.5, 0.5)), np.array([1, 2]), 0.25, wp.get_device("cpu")
         )

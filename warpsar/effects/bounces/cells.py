@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -27,25 +28,29 @@ _LEAST_FALL = 0.02
 """Share of a sample's power below which a bin gets nothing of it."""
 
 
-_BRIGHT = 1e-4
+_BRIGHT = 1e-3
 """Power of a sample, over that of the brightest, from which on its accuracy counts."""
 _ACCURACY = 0.04
 """Of a bright sample's power: where tubes are too few for it, they are cut."""
 _ERROR_OF_ONE = 1.26
 """Relative error of the power of a sample to which one tube sends."""
-_MOST_SPLIT = 8
+_MOST_SPLIT = 16
 """Parts into which the side of a tube is cut at most."""
+_EDGE = 0.03
+"""Share of a band over which its ends fall to 0."""
 
 
 @dataclass(frozen=True)
 class Coupled:
     """Groups of tubes of a band: `records` by name (`PathRecords`), and their fields [m] by sample, complex (n, m).
 
-    `cell`: azimuth and elevation cell of each tube, (tubes, 2), those of a group together; `first`: where each begins.
+    `loose` [m2] (n, m): sums of squares of their tubes' fields, as if these had no phase in common. `cell`: azimuth and
+    elevation cell of each tube, (tubes, 2), those of a group together; `first`: where each begins.
     """
 
     records: Mapping[str, NDArray[Any]]
     field: NDArray[np.complex64]
+    loose: NDArray[np.float32]
     cell: NDArray[np.int64]
     first: NDArray[np.int64]
 
@@ -58,7 +63,7 @@ class Coupled:
         """The groups from number `a` to the one before `b`."""
         low, high = np.append(self.first, len(self.cell))[[a, b]]
         own = {name: array[a:b] for name, array in self.records.items()}
-        return Coupled(own, self.field[a:b], self.cell[low:high], self.first[a:b] - low)
+        return Coupled(own, self.field[a:b], self.loose[a:b], self.cell[low:high], self.first[a:b] - low)
 
 
 @dataclass(frozen=True)
@@ -66,7 +71,8 @@ class SharedFields:
     """Groups of all bands, those of one bin and the same faces as one: how many bands there were does not matter.
 
     `records` as in `Coupled`; `tubes`, how many each has. `cell`, of each tube of the bands, and `owner`, its group.
-    Some samples get a share of a group's field: `group`, `place`, the sample as a number, and `field` [m], (shares,).
+    Some samples get a share of a group's field: `group`, `place`, the sample as a number, `field` [m] and `loose` [m2]
+    (as in `Coupled`), (shares,).
     """
 
     records: dict[str, NDArray[Any]]
@@ -76,6 +82,7 @@ class SharedFields:
     group: NDArray[np.int64]
     place: NDArray[np.int64]
     field: NDArray[np.complex64]
+    loose: NDArray[np.float32]
 
 
 @dataclass
@@ -107,14 +114,16 @@ def response_of(name: str) -> NDArray[np.float64]:
     """The response of a band with a taper, and its derivative, (2, n), at STEPS places in a cell, REACH cells each way.
 
     The squares at places one cell apart add up to 1, wherever they lie: the taper's own correlation is 0 at a shift by
-    the whole band.
+    the whole band. A few samples cannot hold a band with sharp ends: what lies at an end would have a quarter of its
+    power, and not half of it. So the ends are a quarter of a cosine (root of Nyquist's), a few percent of it wide.
     """
     steps, reach = int(kernels.STEPS), int(kernels.REACH)
     at = np.arange(-reach * steps, reach * steps + 1) / steps
-    part = (np.arange(1024) + 0.5) / 1024 - 0.5
-    weight = taper(name, part)
+    part = ((np.arange(1024) + 0.5) / 1024 - 0.5) * (1.0 + _EDGE)
+    beyond = np.clip((np.abs(part) - 0.5 * (1.0 - _EDGE)) / _EDGE, 0.0, 1.0)
+    weight = taper(name, np.clip(part, -0.5, 0.5)) * np.cos(0.5 * np.pi * beyond)
     phase = 2.0 * np.pi * at[:, None] * part
-    scale = np.sqrt(1024 * (weight**2).sum())
+    scale = np.sqrt(1024 * (weight**2).sum() / (1.0 + _EDGE))
     return np.stack([np.cos(phase) @ weight, -np.sin(phase) @ (2.0 * np.pi * part * weight)]) / scale
 
 
@@ -141,8 +150,12 @@ def couple(
     merged: Any,
     cells: Any,
     wavenumber: float,
-) -> NDArray[np.complex64]:
-    """Fields [m] by group of records and sample, (n, m): groups are those of `order` from each `first` on."""
+    loosely: bool,
+) -> tuple[NDArray[np.complex64], NDArray[np.float32]]:
+    """`field` and `loose` of `Coupled`, by group and sample: groups are those of `order` from each `first` on.
+
+    `loose` is 0 if it is not asked for.
+    """
     device, count = order.device, order.shape[0]
     tubes = allocate(kernels.TubeFields, count, device)
     wp.launch(
@@ -152,12 +165,15 @@ def couple(
     field: wp.array = wp.empty((groups, cells.offset.shape[0]), dtype=wp.vec2d, device=device)
     inputs = [tubes, order, first, merged.bin, cells]
     wp.launch(kernels.couple_kernel, groups, inputs=inputs, outputs=[field], device=device)
-    return field.numpy().astype(np.float32).view(np.complex64)[..., 0]
+    loose: wp.array = wp.zeros(field.shape, dtype=float, device=device)
+    if loosely:
+        wp.launch(kernels.loosen_kernel, groups, inputs=inputs, outputs=[loose], device=device)
+    return field.numpy().astype(np.float32).view(np.complex64)[..., 0], loose.numpy()
 
 
-def kinds_of(normal: NDArray[np.float64], material: NDArray[np.int32]) -> NDArray[np.int64]:
-    """Numbers of faces, from 1 on, that are alike for faces of one material and one direction, to a thousandth."""
-    key = np.column_stack([np.round(normal, 3), material])
+def kinds_of(normal: NDArray[np.float64], other: NDArray[Any]) -> NDArray[np.int64]:
+    """Numbers of faces, from 1 on, that are alike for faces of one direction, to a thousandth, and one `other`."""
+    key = np.column_stack([np.round(normal, 3), other])
     return np.unique(key, axis=0, return_inverse=True)[1].reshape(-1) + 1
 
 
@@ -231,15 +247,17 @@ def share(parts: Sequence[Coupled], grid: BinGrid, cell_m: tuple[float, float]) 
     total = added(tubes)
     point = added(records["point"] * tubes[:, None]) / total[:, None]
     one = {name: array[first] for name, array in records.items()} | {"point": point.astype(np.float32)}
-    group, place, field = _shares(one["bin"], added(np.concatenate([part.field for part in parts])), grid, cell_m)
+    field, loose = (added(np.concatenate([getattr(part, name) for part in parts])) for name in ("field", "loose"))
+    group, which, place = _shares(one["bin"], field, grid, cell_m)
     cell = np.concatenate([part.cell for part in parts])
-    return SharedFields(one, total, cell, np.repeat(number, tubes), group, place, field)
+    owner = np.repeat(number, tubes)
+    return SharedFields(one, total, cell, owner, group, place, field[group, which], loose[group, which])
 
 
 def _shares(
     bins: NDArray[np.int32], field: NDArray[np.complex64], grid: BinGrid, cell_m: tuple[float, float]
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.complex64]]:
-    """Groups of tubes, the samples that get a share of them, as numbers, and those fields; weak ones are left out."""
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Groups of tubes, offsets of the samples with a share of them, and these as numbers; weak ones are left out."""
     power = field.real**2 + field.imag**2
     strongest = power.max(axis=1, keepdims=True)
     group, which = np.nonzero((power > _WEAK * strongest) & (power > _WEAKEST * power.max(initial=0.0)))
@@ -251,30 +269,66 @@ def _shares(
     ]
     node = np.stack(places, axis=1)[group] + offsets()[which]
     node -= node.min(axis=0) if len(node) else 0
-    return group, node[:, 0] * (int(node[:, 1].max(initial=0)) + 1) + node[:, 1], field[group, which]
+    return group, which, node[:, 0] * (int(node[:, 1].max(initial=0)) + 1) + node[:, 1]
 
 
-def splits_of(fields: SharedFields) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Ray cells (azimuth, elevation) of bright samples with too few tubes, and into how many to cut each side."""
-    split = np.ceil(np.clip((errors_of(fields) / _ACCURACY) ** (2 / 3), 1.0, _MOST_SPLIT)).astype(np.int64)
-    each = split[fields.owner]
-    cut = each > 1
-    return fields.cell[cut], each[cut]
+@dataclass(frozen=True)
+class Borders:
+    """Ray cells at the borders of bodies: `cell` (azimuth, elevation), (n, 2), and `error`, (n,).
+
+    `error` is that of the power of the brightest samples that the cell's tube sends to, relative, if it is not cut.
+    """
+
+    cell: NDArray[np.int64]
+    error: NDArray[np.float64]
+
+    @property
+    def split(self) -> NDArray[np.int64]:
+        """Into how many parts to cut each side of a cell: the error falls with its power of 3/2."""
+        return np.ceil(np.clip((self.error / _ACCURACY) ** (2 / 3), 1.0, _MOST_SPLIT)).astype(np.int64)
+
+
+def borders_of(fields: SharedFields, planes: NDArray[np.int64]) -> Borders:
+    """Cells of bright samples with too few tubes, where neighbours meet other surfaces; these neighbours too.
+
+    A tube inside of a body is exact, however wide: its phase is linear. One at a border is in or out by chance.
+    `planes` numbers the planes of faces, from 1 on.
+    """
+    error = errors_of(fields)[fields.owner]
+    cell = fields.cell
+    if not (error > _ACCURACY).any():
+        return Borders(np.zeros((0, 2), np.int64), np.zeros(0))
+    _, met = np.unique(np.append(0, planes)[fields.records["faces"]], axis=0, return_inverse=True)
+    of = met.reshape(-1)[fields.owner] + 1
+    start = cell.min(axis=0) - 1
+    surfaces = np.zeros(np.ptp(cell, axis=0) + 3, np.int64)
+    surfaces[tuple((cell - start).T)] = of
+    wanted = error > _ACCURACY
+    cell, of, error = cell[wanted], of[wanted], error[wanted]
+    found = []
+    for step in product((-1, 0, 1), repeat=2):
+        beside = cell + step
+        other = surfaces[tuple((beside - start).T)] != of
+        found += [(beside[other], error[other]), (cell[other], error[other])]
+    return Borders(*(np.concatenate(one) for one in zip(*found, strict=True)))
 
 
 def errors_of(fields: SharedFields) -> NDArray[np.float64]:
     """Relative error of the power of the bright samples to which each group of tubes sends, (n,), by their number.
 
     Of n tubes, those at the border of a body are in or out by chance: 4 sqrt(n) of them, each with a variance of about
-    0.1. So a field is known to 0.63 n^(-3/4) of it, and its power to twice that.
+    0.1 of its square. The sum of their fields may be much smaller than they are, as off the flash of a long face.
     """
-    tubes, group, field = fields.tubes, fields.group, fields.field
+    group, field, loose = fields.group, fields.field, fields.loose.astype(float)
     _, sample = np.unique(fields.place, return_inverse=True)
     size = np.abs(field).astype(float)
     power = np.bincount(sample, field.real) ** 2 + np.bincount(sample, field.imag) ** 2
-    alike = np.bincount(sample, size) ** 2 / np.bincount(sample, size**2 / tubes[group])
-    error = np.where(power > _BRIGHT * power.max(initial=0.0), _ERROR_OF_ONE * alike**-0.75, 0.0)
-    strongest, worst = np.zeros(tubes.size), np.zeros(tubes.size)
+    squares = np.bincount(sample, loose)
+    tubes = np.bincount(sample, np.sqrt(loose * fields.tubes[group])) ** 2 / np.maximum(squares, np.finfo(float).tiny)
+    bright = power > _BRIGHT * power.max(initial=0.0)
+    relative = np.sqrt(squares / np.where(bright, power, 1.0)) * np.maximum(tubes, 1.0) ** -0.25
+    error = np.where(bright, _ERROR_OF_ONE * relative, 0.0)
+    strongest, worst = np.zeros(fields.tubes.size), np.zeros(fields.tubes.size)
     np.maximum.at(strongest, group, size)
     mine = size**2 >= 0.1 * strongest[group] ** 2
     np.maximum.at(worst, group[mine], error[sample[mine]])

@@ -17,13 +17,12 @@ from warpsar.effects.bounces.cells import (
     CellSamples,
     Coupled,
     SharedFields,
+    borders_of,
     cells_of,
     couple,
-    errors_of,
     kinds_of,
     samples_of,
     share,
-    splits_of,
 )
 from warpsar.kernels import merge as merging
 from warpsar.kernels.effects import multibounce as kernels
@@ -112,17 +111,18 @@ def trace_paths(render: Recorder, max_bounces: int, cell_m: tuple[float, float] 
     tasks = [partial(_band, render, rays, max_bounces, cells, band) for band in bands]
     traced_bands = list(threads.ordered(tasks, target.device))
     shared: list[SharedFields | None] = [None] * (max_bounces - 1)
+    error = 0.0
     if cell_m is not None:
         shared = _shared(traced_bands, max_bounces, grid, cell_m)
-        splits = _splits(shared, rays, bands)
+        kinds, planes = _kinds(render)
+        splits, error = _splits(shared, planes, rays, bands)
         if splits:
             again = [partial(_band, render, rays, max_bounces, cells, bands[at], split) for at, split in splits.items()]
             finer = dict(zip(splits, threads.ordered(again, target.device), strict=True))
             traced_bands = [finer.get(at, one) for at, one in enumerate(traced_bands)]
             shared = _shared(traced_bands, max_bounces, grid, cell_m)
-        kinds = _kinds(render)
     parts = [part.of for part in traced_bands]
-    remarks = _remarks(traced_bands, max_bounces, shared)
+    remarks = _remarks(traced_bands, max_bounces, error)
     found: list[BouncesOfOneNumber | None] = []
     for index in range(max_bounces - 1):
         mine = [one for part in parts if (one := part[index]) is not None]
@@ -145,13 +145,15 @@ def trace_paths(render: Recorder, max_bounces: int, cell_m: tuple[float, float] 
     return TracedPaths(found, remarks)
 
 
-def _kinds(render: Recorder) -> NDArray[np.int64]:
-    """`kinds_of` the faces of the mesh."""
+def _kinds(render: Recorder) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """`kinds_of` the faces of the mesh by their material, and by their plane (to a centimetre)."""
     target = render.stage.target
     p0, p1, p2 = (target.corners[corner] for corner in target.faces.numpy().T)
     normal = np.cross(p1 - p0, p2 - p0)
     length = np.linalg.norm(normal, axis=1, keepdims=True)
-    return kinds_of(normal / np.maximum(length, np.finfo(float).tiny), render.stage.face_material.numpy())
+    normal = normal / np.maximum(length, np.finfo(float).tiny)
+    distance = np.round((normal * p0).sum(axis=1), 2)
+    return kinds_of(normal, render.stage.face_material.numpy()), kinds_of(normal, distance)
 
 
 def _shared(
@@ -165,8 +167,8 @@ def _shared(
     return found
 
 
-def _remarks(traced: Sequence[_Traced], max_bounces: int, shared: Sequence[SharedFields | None]) -> list[str]:
-    """What the paths leave out: bounces beyond the last one, and rays that bright corners lack."""
+def _remarks(traced: Sequence[_Traced], max_bounces: int, error: float) -> list[str]:
+    """What the paths leave out: bounces beyond the last one, and rays that bright corners lack (`error` of power)."""
     found = []
     met, further = np.sum([one.area for one in traced], axis=0) if traced else (0.0, 0.0)
     if further > _TOLD * met:
@@ -174,38 +176,40 @@ def _remarks(traced: Sequence[_Traced], max_bounces: int, shared: Sequence[Share
             f"multibounce: {100 * further / met:.2g} % of the area of the rays that meet two surfaces goes on to "
             f"another one after max_bounces = {max_bounces}; at most this share of the bounces' power is left out"
         )
-    worst = max((float(errors_of(fields).max(initial=0.0)) for fields in shared if fields is not None), default=0.0)
-    if worst > _UNSURE:
+    if error > _UNSURE:
         found.append(
-            f"multibounce: bright corners get so few rays that their power is known to {100 * worst:.0f} % alone; "
+            f"multibounce: bright corners get so few rays that their power is known to {100 * error:.0f} % alone; "
             "more rays_per_pixel of [sampling] are needed"
         )
     return found
 
 
-def _splits(shared: Sequence[SharedFields | None], rays: RayGrid, bands: Sequence[Any]) -> dict[int, NDArray[np.uint8]]:
+def _splits(
+    shared: Sequence[SharedFields | None], planes: NDArray[np.int64], rays: RayGrid, bands: Sequence[Any]
+) -> tuple[dict[int, NDArray[np.uint8]], float]:
     """The bands that have cells to cut, each with the parts of its cells' sides (`kernels.path_kernel`).
 
-    Cells beside those are cut too: a body may reach into them. All cuts together send at most as many rays again.
+    All cuts together send at most as many rays again. And the largest relative error of a bright sample's power that
+    is left.
     """
-    found = [splits_of(fields) for fields in shared if fields is not None]
-    if not any(len(cell) for cell, _ in found):
-        return {}
+    found = [borders_of(fields, planes) for fields in shared if fields is not None]
+    if not any(len(one.cell) for one in found):
+        return {}, 0.0
     split = np.ones((rays.end_cell - rays.first_cell + 2, rays.elevation_cells + 2), np.uint8)
-    for cell, parts in found:
-        for aside in (0, 1, 2):
-            for above in (0, 1, 2):
-                at = cell[:, 0] - rays.first_cell + aside, cell[:, 1] + above
-                np.maximum.at(split, at, parts.astype(np.uint8))
+    at = [(one.cell[:, 0] - rays.first_cell + 1, one.cell[:, 1] + 1) for one in found]
+    for one, place in zip(found, at, strict=True):
+        np.maximum.at(split, place, one.split.astype(np.uint8))
     inner = split[1:-1, 1:-1]
     budget = max(inner.size, _LEAST_BUDGET)
     more = int((inner.astype(np.int64) ** 2 - 1).sum())
     if more > budget:
         np.floor(np.maximum(inner * np.sqrt(budget / more), 1.0), out=inner, casting="unsafe")
+    left = [one.error * split[place].astype(float) ** -1.5 for one, place in zip(found, at, strict=True)]
     of_bands = {
         at: inner[band.first_cell - rays.first_cell : band.end_cell - rays.first_cell] for at, band in enumerate(bands)
     }
-    return {at: np.ascontiguousarray(one) for at, one in of_bands.items() if (one > 1).any()}
+    cut = {at: np.ascontiguousarray(one) for at, one in of_bands.items() if (one > 1).any()}
+    return cut, max(float(one.max(initial=0.0)) for one in left)
 
 
 def _band_width(rays: RayGrid, max_bounces: int, device: wp.Device) -> int:
@@ -256,7 +260,7 @@ def _band(
         wp.launch(kernels.path_kernel, dim, inputs=inputs, outputs=[records], device=device)
         count = int(records.count.numpy()[0])
         if count <= capacity:
-            couples = partial(_coupled, render, rays, cells)
+            couples = partial(_coupled, render, rays, cells, split is None)
             of: list[_Merged | None] = [None] * (max_bounces - 1)
             if count:
                 of = _merge(records, count, max_bounces, couples)
@@ -273,18 +277,25 @@ def _records(capacity: int, device: wp.Device) -> kernels.PathRecords:
 
 
 def _coupled(
-    render: Recorder, rays: RayGrid, cells: Any, records: Any, order: wp.array, first: wp.array, merged: Any
+    render: Recorder,
+    rays: RayGrid,
+    cells: Any,
+    loosely: bool,
+    records: Any,
+    order: wp.array,
+    first: wp.array,
+    merged: Any,
 ) -> Coupled | None:
     """Fields of merged paths by sample, and the rays that they are of; None without cells."""
     if cells is None:
         return None
     mesh, wavenumber = render.stage.target.triangles, render.hits.geometry.wavenumber
-    field = couple(rays, mesh, records, order, first, merged, cells, wavenumber)
+    field, loose = couple(rays, mesh, records, order, first, merged, cells, wavenumber, loosely)
     middle = records.ray.numpy()[order.numpy()][:, :2].astype(float)
     start, step = (rays.azimuth_start, rays.elevation_start), (rays.azimuth_step, rays.elevation_step)
     cell = np.floor((middle - start) / step).astype(np.int64)
     own = {name: getattr(merged, name).numpy() for name in _ARRAYS}
-    return Coupled(own, field, cell, first.numpy().astype(np.int64))
+    return Coupled(own, field, loose, cell, first.numpy().astype(np.int64))
 
 
 def _merge(records: kernels.PathRecords, count: int, max_bounces: int, couples: Any) -> list[_Merged | None]:
