@@ -54,7 +54,7 @@ ROOMS = (
 )
 """From the ground up: a room imports its own files and those of rooms below. docs/design.md says what lives in each."""
 
-SLOW = {"warp", "matplotlib", "trimesh", "OpenImageIO", "PIL"}
+SLOW = {"warp", "matplotlib", "trimesh", "OpenImageIO", "PIL", "scipy.signal", "scipy.stats"}
 EXTRAS = {
     "rasterio",
     "affine",
@@ -149,6 +149,12 @@ def arrows(root: Path) -> list[Arrow]:
     return [
         Arrow(name, imported, lazy) for name, path in modules.items() for imported, lazy in imports(path, name, modules)
     ]
+
+
+def prefixes(module: str) -> set[str]:
+    """The module's name, and those of all that it lies in."""
+    parts = module.split(".")
+    return {".".join(parts[:k]) for k in range(1, len(parts) + 1)}
 
 
 def room(module: str) -> str:
@@ -253,7 +259,13 @@ def test_lazy_imports_are_of_heavy_libraries(found: list[Arrow]) -> None:
     by_string |= {f"warpsar.{folder}.registry" for folder in ("effects", "models", "formats", "simulation.formats")}
     by_string |= {"warpsar.kernels.scatter", "warpsar.render.models"}  # what a backscatter model has, by its name
     lazy = [a for a in found if a.lazy and room(a.importer) != "cli" and a.importer not in by_string]
-    assert [f"{a.importer} -> {a.imported}" for a in lazy if a.imported.split(".")[0] not in HEAVY] == []
+    assert [f"{a.importer} -> {a.imported}" for a in lazy if not HEAVY & prefixes(a.imported)] == []
+
+
+def test_no_command_waits_for_distributions(found: list[Arrow]) -> None:
+    """scipy.special has all that the rooms which every command imports need of them, and loads in no time."""
+    top = [a for a in found if not a.lazy and {"scipy.signal", "scipy.stats"} & prefixes(a.imported)]
+    assert {room(a.importer) for a in top} <= {"calibration"}
 
 
 def test_extras_are_never_imported_at_the_top(found: list[Arrow]) -> None:

@@ -106,6 +106,34 @@ def test_looks_of_single_views() -> None:
     assert [round(one.value) for one in found.looks.values()] == [3, 3, 3, 6, 6]
 
 
+@pytest.mark.parametrize(("looks", "width"), [(4.0, 2.0), (4.0, 3.0), (16.0, 2.0), (16.0, 3.0), (16.0, 4.0)])
+def test_clumps_are_no_texture(looks: float, width: float) -> None:
+    random, found = np.random.default_rng(0), []
+    for k in range(5):
+        field = gaussian_filter(random.standard_normal((120, 120)), width)
+        drawn = Law(looks).draw(random, field.shape) * np.exp(0.45 * field / field.std())
+        found.append(Scatter(f"v{k} HH", looks, math.inf, even_ground(drawn / drawn.mean(), EVERYWHERE)))
+    told = speckle_fact(found)
+    assert (told.kind, told.names) == ("none of them", [])
+    assert "clumps" in told.words
+
+
+@pytest.mark.parametrize("sigma", [0.8, 1.2])
+@pytest.mark.parametrize("shape", [math.inf, 4.0])
+def test_a_response_is_no_clump(shape: float, sigma: float) -> None:
+    """Pixels share what the response spreads, with texture and without."""
+    random = np.random.default_rng(1)
+    beyond = []
+    for _ in range(8):
+        drawn = correlated(random, 4, sigma, 120)
+        drawn *= Law(shape).draw(random, drawn.shape) if math.isfinite(shape) else 1.0
+        found = even_ground(drawn, EVERYWHERE, area(sigma))
+        assert found is not None
+        beyond.append((found.shared[0] - 0.01) / found.shared[1])
+    assert max(beyond) < 3.0
+    assert np.mean(beyond) < 0.0
+
+
 @pytest.mark.parametrize(("looks", "shape"), [(1.0, 2.0), (4.0, 4.0), (16.0, 6.0), (16.0, 2.0)])
 def test_texture_is_found(looks: float, shape: float) -> None:
     found = speckle_fact(images([Law(looks, shape)] * 5, [looks] * 5))

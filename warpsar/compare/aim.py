@@ -15,7 +15,6 @@ from functools import cache
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.ndimage import gaussian_filter, shift
-from scipy.signal import fftconvolve
 
 from warpsar.errors import InputError
 from warpsar.speckle.likelihood import best_gain, bounded, deviance, expected_deviance
@@ -100,6 +99,8 @@ def correlation(a: np.ndarray, b: np.ndarray) -> float:
 
 def best_shift(measured: np.ndarray, predicted: np.ndarray, reach: Reach) -> tuple[float, Shift]:
     """The largest correlation of fourth roots over all shifts of the prediction, and its shift."""
+    from scipy.signal import fftconvolve
+
     own, wide = reach.window(roots(measured)), roots(predicted)
     wide = wide - wide.mean()  # the less there is to subtract below
     own = own - own.mean()

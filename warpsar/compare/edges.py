@@ -14,7 +14,7 @@ from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 import numpy as np
-from scipy.stats import gamma
+from scipy.special import gammaincc
 
 from warpsar.compare.comparison import Comparison
 from warpsar.compare.modelled import SURE_SDS
@@ -193,7 +193,7 @@ class _Pixels:
         granted = speckle + stated + allowed**2 * per_m2
         mean, variance = float(weight @ granted), inflation * float(weight**2 @ (2.0 * granted**2 + fourth))
         shape = mean**2 / variance
-        p = float(gamma.sf(float(weight @ squares), shape, scale=mean / shape))
+        p = float(gammaincc(shape, float(weight @ squares) * shape / mean))
         return _Asked(float(weight @ (squares - speckle - stated)), error, p)
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import csr_array
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from warpsar.compare.comparison import Comparison
 
@@ -106,4 +106,5 @@ def _bands(image: Comparison, axis: int) -> csr_array:
 
 def _surprise(squares: np.ndarray, bands: int) -> np.ndarray:
     """-ln of the chance that so many standard normal squares have such a sum."""
-    return np.minimum(-chi2.logsf(squares, bands), MOST)
+    with np.errstate(divide="ignore"):  # of a chance of 0
+        return np.minimum(-np.log(chdtrc(bands, squares)), MOST)

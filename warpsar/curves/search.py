@@ -18,7 +18,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from warpsar.curves.metrics import correlation, level_db
 from warpsar.curves.noise import Noise, densities, fit
@@ -152,7 +152,7 @@ def ask(curves: Sequence[ObservedCurve], names: Sequence[str], effect: str, term
     without, free, one = fit(train, names), fit(train, names, term), fit(train, with_it)
     statistic = max(2.0 * (free.log_likelihood - without.log_likelihood), 0.0)
     gain, price = 2.0 * (one.log_likelihood - without.log_likelihood), float(np.log(independent(train)))
-    p_value = float(chi2.sf(statistic, 1))
+    p_value = float(chdtrc(1, statistic))
     left_out = tuple(_left_out(curves, names, term))
     over = {rival.name: _over(curves, with_it, rival) for rival in (constant(curves), smooth(curves))}
     levels = (_level(curves, names), _level(curves, with_it))

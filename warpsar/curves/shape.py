@@ -8,7 +8,7 @@ from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from warpsar.curves.noise import fit
 from warpsar.curves.observed import ObservedCurve
@@ -52,7 +52,7 @@ def profiles(axes: Mapping[str, NDArray[np.float64]], twice_log: NDArray[np.floa
     ends, and a parabola through three points for the peak. Where the profile jumps from point to point, since tubes
     change with the shape, the interval is wider by two standard deviations of such a difference.
     """
-    limit = float(chi2.ppf(CONFIDENCE, 1))
+    limit = float(chdtri(1, 1.0 - CONFIDENCE))
     found = {}
     for number, (name, axis) in enumerate(axes.items()):
         profile = twice_log.max(axis=tuple(k for k in range(twice_log.ndim) if k != number))

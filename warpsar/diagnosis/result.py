@@ -8,7 +8,7 @@ from functools import cached_property
 from os import PathLike
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from warpsar.compare.comparison import Comparison
 from warpsar.compare.contract import ROLES
@@ -156,7 +156,7 @@ def judged(found: Diagnosis) -> Diagnosed:
         images = judge_of.with_open_surface(final, found.setup.roughness)
         opened = {role: judge(of) for role, of in images.items()}
         cost = _train_cost(under(judge_of(fitted, "train"), final), images["train"]) / verdicts["train"].sharing
-        allowed = float(chi2.ppf(1.0 - OPEN, found.final.problem.learned.size))
+        allowed = float(chdtri(found.final.problem.learned.size, OPEN))
         if cost < allowed and not any(one.wrong for one in opened.values()):
             foretold, verdicts = verdicts["test"], opened
     models = [

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.stats import gamma
+from scipy.special import gammainc
 
 from warpsar.compare.comparison import Comparison
 from warpsar.io.figures import new
@@ -47,7 +47,7 @@ def expected_db(images: Sequence[Comparison]) -> dict[str, float]:
     for image in images:
         looks = image.seen.looks
         power = np.exp(db / DECIBEL + log_bias(looks))
-        share += image.interior.sum() * gamma.cdf(power, looks, scale=1.0 / looks)
+        share += image.interior.sum() * gammainc(looks, power * looks)
     found = np.interp(np.array(PERCENTILES) / 100.0, share / share[-1], db)
     return dict(zip(("p16", "median", "p84"), found.tolist(), strict=True))
 

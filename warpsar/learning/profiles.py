@@ -67,9 +67,10 @@ class _Valley:
         if room <= 0.0:
             return way * np.inf
         inside, outside = (0.0, 0.0), (room, np.inf)  # step and root on either side of the end
-        step, best = min(step, room), self.x
+        step, along = min(step, room), self._straight(k)
         for _ in range(MOST_TRIES):
-            best, loss = self._profile(k, way * step, best)
+            best, loss = self._profile(k, way * step, along)
+            along = (best - self.x) / (way * step)
             root = self._root(k, loss)
             if abs(root - Z_95) < CLOSE * Z_95:
                 return float(self.x[k] + way * step)
@@ -93,18 +94,18 @@ class _Valley:
     def _root(self, k: int, loss: float) -> float:
         return float(np.sqrt(max(2.0 * (loss - self.loss) / self.wider[k], 0.0)))
 
-    def _beside(self, k: int, step: float) -> np.ndarray:
-        """x with element k moved, and the others as they follow it along a straight valley."""
+    def _straight(self, k: int) -> np.ndarray:
+        """How all elements follow element k along a straight valley, for each unit of it, shape (p,)."""
         along = self.covariance[:, k] / max(self.covariance[k, k], 1e-300)
         along[k] = 1.0
-        return np.clip(self.x + step * along, *self.problem.bounds)
+        return along
 
-    def _profile(self, k: int, step: float, near: np.ndarray) -> tuple[np.ndarray, float]:
-        """The likeliest x with element k moved by `step`, and its loss; on from the likelier of two starts."""
-        held = near.copy()
-        held[k] = self.x[k] + step
-        start = min((self._beside(k, step), held), key=lambda each: _loss(self.problem, each))
-        start[k] = held[k]
+    def _profile(self, k: int, step: float, along: np.ndarray) -> tuple[np.ndarray, float]:
+        """The likeliest x with element k moved by `step`, and its loss. The fit starts where all follow it as `along`
+        says, or in a straight valley, whichever is likelier."""
+        starts = [np.clip(self.x + step * each, *self.problem.bounds) for each in (self._straight(k), along)]
+        start = min(starts, key=lambda each: _loss(self.problem, each))
+        start[k] = self.x[k] + step
         moving = np.arange(self.x.size) != k
         state = FitState(start, np.inf, start, np.inf)
         for _ in range(MOST_STEPS):

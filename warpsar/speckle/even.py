@@ -20,15 +20,20 @@ MANY = 16  # blocks, from which their own scatter is asked, too
 OUTLIER = 4.0  # standard deviations from the other blocks, from which a block is not even
 MOST_CORRELATED = 0.3  # of a block's variance, that the plane may take by the speckle's correlation
 # Logarithms are less correlated than intensities, and slopes take less of them than a mean does: of a further pixel of
-# correlation area so much. Found on fields blurred by 0.5 to 1.2 pixels, of 1 to 16 looks (tests/speckle/test_even.py).
+# correlation area so much. Found on fields blurred by 0.5 to 1.2 pixels, of 1 to 16 looks
+# (tests/speckle/test_facts.py).
 LESS = 0.55
+# Pixels apart: those that share a response, too far for one of about a pixel, and too far for clumps of a few pixels.
+NEXT, APART, FAR = 1, 3, 5
 
 
 @dataclass(frozen=True)
 class EvenGround:
     """Log-cumulants of one image's even ground, and their covariance, shape (2, 2).
 
-    `second` and `third` are of ln(measured / modelled). `left_out`: blocks that differ from the others.
+    `second` and `third` are of ln(measured / modelled). `left_out`: blocks that differ from the others. `shared`: the
+    part of the second cumulant that pixels `APART` have in common, beyond those `FAR` and beyond what a response makes
+    of it, and its standard error: 0 for speckle and texture that are new in each pixel, above 0 for clumps.
     """
 
     second: float
@@ -37,6 +42,7 @@ class EvenGround:
     pixels: int
     blocks: int
     left_out: int
+    shared: tuple[float, float] = (0.0, np.inf)
 
     @property
     def looks(self) -> float:
@@ -82,9 +88,30 @@ def even_ground(ratio: np.ndarray, even: np.ndarray, correlated_pixels: float = 
         covariance *= max(float(np.trace(seen @ np.linalg.inv(covariance))) / 2.0, 1.0)
     else:
         covariance *= max(correlated_pixels, 1.0)
-    return EvenGround(
-        float(mean[0]), float(mean[1]), covariance, int(count[keep].sum()), int(keep.sum()), int((~keep).sum())
-    )
+    pixels, blocks, left_out = int(count[keep].sum()), int(keep.sum()), int((~keep).sum())
+    shared = _shared(left[keep], inside[keep], float(mean[0]))
+    return EvenGround(float(mean[0]), float(mean[1]), covariance, pixels, blocks, left_out, shared)
+
+
+def _shared(left: np.ndarray, inside: np.ndarray, second: float) -> tuple[float, float]:
+    """`EvenGround.shared` of blocks, shape (blocks, BLOCK^2). A Gaussian response correlates pixels d apart by the
+    correlation of neighbours to the power d^2."""
+    if len(left) < MANY:
+        return 0.0, np.inf
+    near, apart, far = (_correlation(left, inside, lag) / second for lag in (NEXT, APART, FAR))
+    of_response = max(float((near - far).mean()), 0.0) ** (APART**2)
+    beyond = apart - far
+    return float(beyond.mean()) - of_response, float(beyond.std() / np.sqrt(len(left)))
+
+
+def _correlation(left: np.ndarray, inside: np.ndarray, lag: int) -> np.ndarray:
+    """Mean product of pixels so many rows or columns apart, shape (blocks,)."""
+    values, there = (one.reshape(-1, BLOCK, BLOCK) for one in (left, inside))
+    products, pairs = np.zeros(len(left)), np.zeros(len(left))
+    for here, away in (np.s_[:, lag:], np.s_[:, :-lag]), (np.s_[:, :, lag:], np.s_[:, :, :-lag]):
+        products += (values[here] * values[away]).sum(axis=(1, 2))
+        pairs += (there[here] * there[away]).sum(axis=(1, 2))
+    return np.asarray(products / np.maximum(pairs, 1.0))
 
 
 def _sampling(second: float, pixels: float) -> np.ndarray:

@@ -27,6 +27,7 @@ PRICE = 6.0  # of chi-square, for a number: an explanation with more of them mus
 CLOSE = 6.0  # of chi-square, within which another explanation is listed beside the best
 POOR = 4.0  # chi-square for each degree of freedom, from which an explanation is none
 BETWEEN_95 = 1.96
+CLUMPED = 0.01  # of the scatter, that pixels must share for sure where the power varies in clumps
 WIDEST = 5.0  # of a logarithm, that an interval reaches to either side
 TOLD = 3.0  # factor to either side, within which an interval must lie for its number to be found
 
@@ -133,6 +134,11 @@ def speckle_fact(images: Sequence[Scatter]) -> SpeckleFact:
     if best == "saturation":
         words = f"{_unlike(data)}: as if the measured power were compressed (saturation)"
         return SpeckleFact("none of them", words, rivals=rivals, measured=measured)
+    if "texture" in best and data.clumped():
+        words = (
+            "beside speckle the power varies in clumps of several pixels, and not from pixel to pixel as texture does"
+        )
+        return SpeckleFact("none of them", words, measured=measured)
     found = _found(data, best, fits[best], rivals, measured)
     if found.known:
         return found
@@ -187,6 +193,15 @@ class _Data:
         single = _apart(ratio, np.hypot(errors, FLOOR), SURE + 0.5)
         error = np.hypot(1.0 / np.sqrt(weights.sum(axis=0)), FLOOR / 2.0)
         return bool(single.any() or _apart(mean, error, SURE).any() or self._textured(mean[0] - 1.0, error[0]))
+
+    def clumped(self) -> bool:
+        """Whether what scatters is for sure shared by pixels that share no speckle."""
+        shared = np.array([one.ground.shared for one in self.images if one.ground is not None])
+        weights = 1.0 / shared[:, 1] ** 2
+        if not weights.any():
+            return False
+        mean, error = float(weights @ shared[:, 0] / weights.sum()), float(1.0 / np.sqrt(weights.sum()))
+        return mean - SURE * error > CLUMPED
 
     def _textured(self, more: float, error: float) -> bool:
         """Whether what the second cumulant is more than declared, as a share of it, is for sure a texture whose power

@@ -11,8 +11,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import digamma, gammainc, gammaincc, gammaln, kve, polygamma
-from scipy.stats import gamma, norm
+from scipy.special import digamma, gammainc, gammaincc, gammainccinv, gammaincinv, gammaln, kve, ndtr, ndtri, polygamma
 
 _NODES = 400  # of the texture's quantiles, over which speckle is averaged
 
@@ -63,7 +62,7 @@ class Law:
     def median(self) -> float:
         """The intensity that half of all pixels exceed."""
         if math.isinf(self.texture):
-            return float(gamma.median(self.looks) / self.looks)
+            return float(gammaincinv(self.looks, 0.5) / self.looks)
         return float(self.quantiles(np.zeros(1))[0])
 
     @property
@@ -99,15 +98,15 @@ class Law:
     def quantiles(self, normal: np.ndarray) -> np.ndarray:
         """The intensities whose chances are those of the normal deviates `normal`, ascending, shape (n,)."""
         if math.isinf(self.texture):
-            below = gamma.ppf(norm.cdf(normal), self.looks)
-            above = gamma.isf(norm.sf(normal), self.looks)
+            below = gammaincinv(self.looks, ndtr(normal))
+            above = gammainccinv(self.looks, ndtr(-normal))
             return np.asarray(np.where(normal < 0, below, above) / self.looks)
-        means = gamma.ppf((np.arange(_NODES) + 0.5) / _NODES, self.texture) / self.texture
+        means = gammaincinv(self.texture, (np.arange(_NODES) + 0.5) / _NODES) / self.texture
         tried = np.exp(np.linspace(-40.0, 8.0, 4001))
         x = self.looks * tried[:, None] / means
         below, above = (np.mean(f(self.looks, x), axis=1) for f in (gammainc, gammaincc))
         # each tail by itself: near 1 a chance has no digits left
-        at = np.where(below < 0.5, norm.ppf(np.maximum(below, 1e-300)), norm.isf(np.maximum(above, 1e-300)))
+        at = np.where(below < 0.5, ndtri(np.maximum(below, 1e-300)), -ndtri(np.maximum(above, 1e-300)))
         keep = np.concatenate([[True], np.diff(np.maximum.accumulate(at)) > 0])
         return np.exp(np.interp(normal, at[keep], np.log(tried[keep])))
 

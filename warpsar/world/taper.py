@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.signal import windows
 
 from warpsar.errors import InputError
 
@@ -22,6 +21,8 @@ def taper(name: str, position: np.ndarray) -> np.ndarray:
     if name == "hann":
         return np.cos(np.pi * position) ** 2
     if name == "taylor":
+        from scipy.signal import windows
+
         fine = windows.taylor(4097, nbar=TAYLOR_NBAR, sll=TAYLOR_SIDELOBE_DB, norm=False)
         return np.interp(position, (np.arange(4097) + 0.5) / 4097 - 0.5, fine)
     raise InputError(f"window {name!r}: not known; use one of {', '.join(TAPERS)}")

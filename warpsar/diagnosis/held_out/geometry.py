@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from warpsar.learning.geometry import NAMES, WORDS, freed
 from warpsar.parameters.at import at
@@ -119,7 +119,7 @@ def likeliest(places: Sequence[float], losses: np.ndarray, pull: np.ndarray) -> 
     without = [minimum(places, (losses[:, some].sum(axis=1) * n / some.size + pull).tolist()) for some in rest]
     sd = float(np.std(without) * np.sqrt(len(groups) - 1))
     found = minimum(places, (losses.sum(axis=1) + pull).tolist())
-    return found, sd, float(student.ppf(0.5 + 0.5 * INTERVAL, len(groups) - 1)) * sd
+    return found, sd, float(stdtrit(len(groups) - 1, 0.5 + 0.5 * INTERVAL)) * sd
 
 
 def profiled(

@@ -7,8 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
-from scipy.signal import fftconvolve
-from scipy.stats import gamma
+from scipy.special import gammaincinv
 
 from warpsar.effects.base.signature import SHARED, SeenImage
 
@@ -70,6 +69,8 @@ def _above_its_least(one: SeenImage) -> NDArray[np.float64]:
 
 def _response(one: SeenImage) -> NDArray[np.float64]:
     """What each box of the response sums up in the dark pixels, shape (pixels, boxes)."""
+    from scipy.signal import fftconvolve
+
     source = np.where(one.lit, np.nan_to_num(one.measured), 0.0)
     found = [_box(source, axis, reach)[one.dark] for axis in (0, 1) for reach in _reaches(source.shape[axis])]
     tails = [1.0 / (1.0 + (np.arange(1 - n, n) / _TAIL) ** 2) for n in source.shape]
@@ -94,8 +95,8 @@ def _fitted(
     columns: NDArray[np.float64], power: NDArray[np.float64], looks: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """The parts, and which pixels they rest on: those that are far too bright for the parts are left out."""
-    highest = gamma.ppf(1.0 - _ODD, looks) / looks
-    middle = float(np.median(power * looks / gamma.median(looks)))
+    highest = gammaincinv(looks, 1.0 - _ODD) / looks
+    middle = float(np.median(power * looks / gammaincinv(looks, 0.5)))
     faintest = _FAINT * float(power.mean())
     mu = np.full(power.size, max(middle, faintest))
     weights = np.zeros(columns.shape[1])

@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 from scipy.ndimage import maximum_filter, median_filter, minimum_filter
-from scipy.stats import gamma
+from scipy.special import gammaincinv
 
 from warpsar.world.tables import View
 
@@ -90,7 +90,7 @@ def power_in(images: Sequence[SeenImage], masks: Sequence[np.ndarray], what: str
     """
     shares = np.concatenate(
         [
-            np.nan_to_num(one.measured)[mask] / one.with_it[mask] * one.looks / gamma.median(one.looks)
+            np.nan_to_num(one.measured)[mask] / one.with_it[mask] * one.looks / gammaincinv(one.looks, 0.5)
             for one, mask in zip(images, masks, strict=True)
         ]
     )
@@ -119,7 +119,7 @@ def looks_on(images: Sequence[SeenImage], masks: Sequence[np.ndarray]) -> tuple[
             continue
         low, high = np.percentile(one.measured[mask] / one.with_it[mask], [25, 75])
         tried = one.looks * np.exp(np.linspace(-3.0, 3.0, 241))
-        ratio = gamma.ppf(0.75, tried) / gamma.ppf(0.25, tried)  # falls
+        ratio = gammaincinv(tried, 0.75) / gammaincinv(tried, 0.25)  # falls
         logs.append(np.interp(-high / max(low, 1e-30), -ratio, np.log(tried / one.looks)))
         weights.append(float(mask.sum()))
     if not logs:
