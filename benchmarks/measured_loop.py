@@ -17,7 +17,8 @@ from warpsar.diagnosis.command import command_line, in_short
 from warpsar.diagnosis.content import content_of
 from warpsar.diagnosis.found import DiagnoseOptions
 from warpsar.diagnosis.report.page import write_report
-from warpsar.diagnosis.result import diagnose, fitted_models, moved_parameters
+from warpsar.diagnosis.result import diagnose, fitted_models
+from warpsar.diagnosis.surface_moves import moved_parameters
 from warpsar.io.images import replacing
 from warpsar.simulation import outputs
 from warpsar.world.taper import taper

@@ -53,7 +53,8 @@ from warpsar.diagnosis.command import in_short
 from warpsar.diagnosis.found import DiagnoseOptions
 from warpsar.diagnosis.models.change import SUMMARIES, changes
 from warpsar.diagnosis.models.sensor import ALL
-from warpsar.diagnosis.result import Diagnosed, diagnose, moved_parameters
+from warpsar.diagnosis.result import Diagnosed, diagnose
+from warpsar.diagnosis.surface_moves import moved_parameters
 from warpsar.effects.registry import get
 from warpsar.io.images import write_tiff
 from warpsar.runtime import console, devices

@@ -17,9 +17,10 @@ from warpsar.diagnosis.found import DiagnoseOptions
 from warpsar.diagnosis.left.words import first_sentence
 from warpsar.diagnosis.models.names import kind_of
 from warpsar.diagnosis.report.page import write_report
-from warpsar.diagnosis.result import OPEN_WORDS, Diagnosed, judged, moved_parameters
+from warpsar.diagnosis.result import OPEN_WORDS, Diagnosed, judged
 from warpsar.diagnosis.search.procedure import diagnose_scene
 from warpsar.diagnosis.search.record import open_record
+from warpsar.diagnosis.surface_moves import moved_parameters
 from warpsar.diagnosis.written_scene import annotate
 from warpsar.evaluation.report_curves import write_curves_report
 from warpsar.io import checkpoint

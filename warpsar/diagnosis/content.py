@@ -15,8 +15,9 @@ from warpsar.diagnosis.known import known_content
 from warpsar.diagnosis.left.words import described
 from warpsar.diagnosis.models.change import is_geometry
 from warpsar.diagnosis.models.names import kind_of, object_of
-from warpsar.diagnosis.result import Diagnosed, ParameterMove, of_role, why_not
+from warpsar.diagnosis.result import Diagnosed, of_role, why_not
 from warpsar.diagnosis.search.outcome import outcome
+from warpsar.diagnosis.surface_moves import ParameterMove
 from warpsar.diagnosis.written_scene import own_materials
 from warpsar.effects.registry import get
 from warpsar.learning.identify import Identified

@@ -252,6 +252,6 @@ class Diagnosis:
 
     def signed(self, name: str) -> bool:
         """Whether an effect's own test confirms it, beside all others."""
-        turn = next(turn for turn in reversed(self.turns) if turn.added == name)
-        own = next(c for c in turn.candidates if c.effect == name).signature
-        return own is not None and own.outcome == "confirmed"
+        turns = [turn for turn in self.turns if turn.added == name]
+        own = [c.signature for c in (turns[-1].candidates if turns else []) if c.effect == name]
+        return any(one is not None and one.outcome == "confirmed" for one in own)

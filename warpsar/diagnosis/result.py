@@ -16,7 +16,6 @@ from warpsar.compare.judgement import SHARE, Finding, Judgement, judge, speckle_
 from warpsar.compare.metrics import difference, likelihood_gain
 from warpsar.diagnosis.alternatives import Deciding, deciding
 from warpsar.diagnosis.established import not_established
-from warpsar.diagnosis.field_content import identify_beside
 from warpsar.diagnosis.found import Candidate, DiagnoseOptions, Diagnosis, EffectRival
 from warpsar.diagnosis.left.place import ResidualPlace, place
 from warpsar.diagnosis.left.summary import Left, left_of
@@ -30,8 +29,6 @@ from warpsar.diagnosis.role_metrics import RoleMetrics, role_metrics
 from warpsar.diagnosis.search.geometry_confirmation import taken_back
 from warpsar.diagnosis.search.procedure import diagnose_scene
 from warpsar.errors import refuse_kind
-from warpsar.learning.identify import Identified, identify
-from warpsar.learning.profiles import with_profiles
 from warpsar.runtime import devices, once
 from warpsar.scene.scene import Scene, scene_or_file
 from warpsar.speckle.facts import SpeckleFact
@@ -40,7 +37,6 @@ from warpsar.speckle.scan import Spot
 OPEN = 1e-3  # chance that a surface which explains all views costs train views more likelihood than is allowed
 OPEN_WORDS = "the train views leave the surface open, so it was fitted to the test views, too"
 OF_SURFACES = {"structure", "level"}  # what a surface that is wrong does to images
-SAME_SD = 2.0  # a parameter that moved by more of its standard deviations than this is said to have moved
 
 
 @dataclass(frozen=True)
@@ -244,7 +240,7 @@ def _unpaid(before: Sequence[Comparison], after: Sequence[Comparison], with_effe
     views change test views through the surface alone, and that does not count."""
     pairs = list(zip(before, after, strict=True))
     if any(a.seen.law != b.seen.law for a, b in pairs):
-        return "likelihood did not rise" if likelihood_gain(before, after) <= 0.0 else ""
+        return "" if likelihood_gain(before, after) > 0.0 else "likelihood did not rise"
     touched = with_effects and any(not np.array_equal(a.simulated, b.simulated) for a, b in pairs)
     gained = difference(before, after) if touched else None
     if gained is None or gained[0] > 0.0:
@@ -301,69 +297,6 @@ def fitted_models(found: Diagnosis) -> list[Fitted]:
     """The declared model, the one after every addition, and the final one, fitted."""
     models = [found.declared, *(turn.fitted for turn in found.turns if turn.fitted is not None)]
     return models if models[-1] is found.final and len(models) > 1 else [*models, found.final]
-
-
-@dataclass(frozen=True)
-class ParameterMove:
-    """A surface parameter before and after the effects were added: values (SI), and standard deviations of their
-    learned coordinates (ln, or logit for specular_fraction); `after_95`: the interval of the last value (SI), None
-    where it is open;
-    `sds`: the move over the root of both variances' sum."""
-
-    material: str
-    key: str
-    before: float
-    after: float
-    before_sd: float
-    after_sd: float
-    after_95: tuple[float | None, float | None]
-    move: float
-
-    @property
-    def sds(self) -> float:
-        return self.move / float(np.hypot(self.before_sd, self.after_sd))
-
-
-def moved_parameters(found: Diagnosis) -> tuple[list[ParameterMove], Identified]:
-    """How far every uniform learned surface parameter went, and what the final model's data can say of them."""
-    first, last = found.declared, found.final
-    before, after = (identified(fitted) for fitted in (first, last))
-    if last.problem.uniform:
-        after = with_profiles(last.problem, last.x, after)
-    moves, at, place = [], 0, 0  # in x, and among what is identified
-    ends = _uniform_ends(last)
-    for block in first.problem.surface.blocks:
-        if block.learn and block.size > 1:
-            at += block.size
-        elif block.learn:
-            key = (block.material, block.kind.key)
-            if key in ends:  # else what an absent object was made of is gone
-                x_end, place_end = ends[key]
-                a, b = float(first.x[at]), float(last.x[x_end])
-                one, two = (float(block.kind.from_coordinate(x)) for x in (a, b))
-                sds = float(before.sd[place]), float(after.sd[place_end])
-                stated = block.kind.interval(after.interval_95(place_end, b))
-                moves.append(ParameterMove(block.material, block.kind.key, one, two, *sds, stated, b - a))
-            at, place = at + 1, place + 1
-    return moves, after
-
-
-def identified(fitted: Fitted) -> Identified:
-    """What the data can say of a model's parameters; with learned fields, of all others beside them."""
-    problem, x = fitted.problem, fitted.x
-    return identify(problem, x) if problem.uniform else identify_beside(problem, x)
-
-
-def _uniform_ends(fitted: Fitted) -> dict[tuple[str, str], tuple[int, int]]:
-    """Of every uniform learned parameter, by material and key: its place in x, and among what is identified."""
-    found, at, place = {}, 0, 0
-    for block in fitted.problem.surface.blocks:
-        if block.learn and block.size > 1:
-            at += block.size
-        elif block.learn:
-            found[block.material, block.kind.key] = at, place
-            at, place = at + 1, place + 1
-    return found
 
 
 def why_not(candidate: Candidate) -> str:

@@ -15,6 +15,7 @@ from warpsar.render.bands import BandedRender, stretches
 from warpsar.render.render import ViewRender
 from warpsar.render.rendered import Rendered
 from warpsar.runtime import console
+from warpsar.runtime.deadline import check
 from warpsar.runtime.distributed.processes import Ranks
 from warpsar.runtime.memory import OutOfMemoryError, default_gib, in_parts, kept_bytes, ran_out
 from warpsar.scene.scene import Scene
@@ -99,8 +100,9 @@ def with_render(
     """What `use` makes of the view's render and effects.
 
     The render keeps its hits, unless `bands` are given or the memory runs out in `use`. `nodes` as in `ViewRender`.
-    Raises OutOfMemoryError where even the smallest bands are too large.
+    Raises OutOfMemoryError where even the smallest bands are too large, and TimeUp where the time of the run is over.
     """
+    check()
     effects = declared(scene, view, neutral=True)
     shape, polarizations = scene.grid.shape, tuple(view.images)
     if bands is None:

@@ -15,6 +15,7 @@ from warpsar.effects.registry import declared, get
 from warpsar.learning.problem import FitProblem
 from warpsar.learning.view import FitView
 from warpsar.render.render import ViewRender
+from warpsar.runtime.deadline import check
 from warpsar.scene.scene import Scene
 from warpsar.simulation.exact_rays import ExactRays
 from warpsar.simulation.rays import effects_grid
@@ -42,8 +43,9 @@ def images_elsewhere(
 
     `columns`: from the first to before the last column of the image that is made; the others stay without hits.
     `paths`: whether light that went over several surfaces is in them. The scene has the faces of the problem's own, in
-    the same order.
+    the same order. Raises TimeUp where the time of the run is over.
     """
+    check()
     there = next(one for one in scene.views if one.name == view.view.name)
     placed = replace(scene, effects=problem.effect_tables(x))
     placed = placed if paths else without_paths(placed)

@@ -14,7 +14,8 @@ from warpsar.diagnosis.report.objects import objects_section
 from warpsar.diagnosis.report.summary import summary_section
 from warpsar.diagnosis.report.surface import parameters_section
 from warpsar.diagnosis.report.turns import turn_section
-from warpsar.diagnosis.result import Diagnosed, ParameterMove, why_not
+from warpsar.diagnosis.result import Diagnosed, why_not
+from warpsar.diagnosis.surface_moves import ParameterMove
 from warpsar.io import html as report
 
 

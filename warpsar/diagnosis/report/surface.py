@@ -9,8 +9,9 @@ import numpy as np
 
 from warpsar.diagnosis.field_content import FIELDS_HEAD, fields_rows
 from warpsar.diagnosis.known import KNOWN_CAPTION, KNOWN_HEAD, known_rows
-from warpsar.diagnosis.result import SAME_SD, Diagnosed, ParameterMove
+from warpsar.diagnosis.result import Diagnosed
 from warpsar.diagnosis.search.outcome import effect_table
+from warpsar.diagnosis.surface_moves import SAME_SD, ParameterMove
 from warpsar.evaluation.report_parts import shown_as, shown_interval
 from warpsar.io import html as report
 

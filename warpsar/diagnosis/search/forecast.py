@@ -19,11 +19,12 @@ from warpsar.runtime.forecast import LONG_S, duration, timed
 from warpsar.scene.scene import Scene
 from warpsar.speckle.draws import Speckle
 from warpsar.speckle.scan import Scan
+from warpsar.speckle.tail import FIRST
 
 # Set on the shared cases `none` and `tall`, on two cores; benchmarks/diagnosis_forecast.py holds them against others.
 JACOBIANS = 60.0  # of a start of a fit, and of the models that are judged
-BATCHES = 70.0  # of draws beside those of the bootstrap, that templates, scores and the judgement are worth
-EFFECT = 2.5  # times all of it, for an effect that is found: candidates' fits, the next turn, and confirmation
+BATCHES = 45.0  # of draws beside the first ones of the bootstrap, that templates, scores and the judgement are worth
+EFFECT = 2.0  # times all of it, for an effect that is found: candidates' fits, the next turn, and confirmation
 
 
 @dataclass(frozen=True)
@@ -52,6 +53,7 @@ def forecast(setup: FitSetup, scene: Scene, options: DiagnoseOptions) -> Diagnos
     speckle = Speckle(evidence.observations, evidence.autocovariance)
     scan = Scan(evidence.observations, evidence.autocovariance, evidence.silent)
     batch, _ = timed(lambda: scan.largest(evidence.split(speckle(np.random.default_rng(0), BATCH))))
-    batches = options.draws / BATCH / min(threads.thread_count(), options.draws / BATCH) + BATCHES
+    draws = min(options.draws, FIRST) / BATCH
+    batches = draws / min(threads.thread_count(), draws) + BATCHES
     nothing = JACOBIANS * (1 + options.starts) * jacobian + batches * batch
     return DiagnosisForecast(nothing, EFFECT * nothing) if nothing > LONG_S else None

@@ -1,0 +1,78 @@
+"""How far the surface's parameters went while effects were added, and what the data say of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from warpsar.diagnosis.field_content import identify_beside
+from warpsar.diagnosis.found import Diagnosis
+from warpsar.diagnosis.models.refit import Fitted
+from warpsar.learning.identify import Identified, identify
+from warpsar.learning.profiles import with_profiles
+
+SAME_SD = 2.0  # a parameter that moved by more of its standard deviations than this is said to have moved
+
+
+@dataclass(frozen=True)
+class ParameterMove:
+    """A surface parameter before and after the effects were added: values (SI), and standard deviations of their
+    learned coordinates (ln, or logit for specular_fraction); `after_95`: the interval of the last value (SI), None
+    where it is open;
+    `sds`: the move over the root of both variances' sum."""
+
+    material: str
+    key: str
+    before: float
+    after: float
+    before_sd: float
+    after_sd: float
+    after_95: tuple[float | None, float | None]
+    move: float
+
+    @property
+    def sds(self) -> float:
+        return self.move / float(np.hypot(self.before_sd, self.after_sd))
+
+
+def moved_parameters(found: Diagnosis) -> tuple[list[ParameterMove], Identified]:
+    """How far every uniform learned surface parameter went, and what the final model's data can say of them."""
+    first, last = found.declared, found.final
+    before, after = (identified(fitted) for fitted in (first, last))
+    if last.problem.uniform:
+        after = with_profiles(last.problem, last.x, after)
+    moves, at, place = [], 0, 0  # in x, and among what is identified
+    ends = _uniform_ends(last)
+    for block in first.problem.surface.blocks:
+        if block.learn and block.size > 1:
+            at += block.size
+        elif block.learn:
+            key = (block.material, block.kind.key)
+            if key in ends:  # else what an absent object was made of is gone
+                x_end, place_end = ends[key]
+                a, b = float(first.x[at]), float(last.x[x_end])
+                one, two = (float(block.kind.from_coordinate(x)) for x in (a, b))
+                sds = float(before.sd[place]), float(after.sd[place_end])
+                stated = block.kind.interval(after.interval_95(place_end, b))
+                moves.append(ParameterMove(block.material, block.kind.key, one, two, *sds, stated, b - a))
+            at, place = at + 1, place + 1
+    return moves, after
+
+
+def identified(fitted: Fitted) -> Identified:
+    """What the data can say of a model's parameters; with learned fields, of all others beside them."""
+    problem, x = fitted.problem, fitted.x
+    return identify(problem, x) if problem.uniform else identify_beside(problem, x)
+
+
+def _uniform_ends(fitted: Fitted) -> dict[tuple[str, str], tuple[int, int]]:
+    """Of every uniform learned parameter, by material and key: its place in x, and among what is identified."""
+    found, at, place = {}, 0, 0
+    for block in fitted.problem.surface.blocks:
+        if block.learn and block.size > 1:
+            at += block.size
+        elif block.learn:
+            found[block.material, block.kind.key] = at, place
+            at, place = at + 1, place + 1
+    return found
