@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import warp as wp
-from warp.optim import Adam as WarpAdam
 
 from warpsar.kernels import adam as kernels
 from warpsar.learning.optimise import FitState, improved
@@ -39,6 +38,8 @@ class Adam:
     """warp.optim.Adam on the whole of x, with bounds, driven from the host (Kingma and Ba, arXiv:1412.6980)."""
 
     def __init__(self, problem: FitProblem, state: FitState, rate: float) -> None:
+        from warp.optim import Adam as WarpAdam
+
         self.problem, self.rate = problem, rate
         self.x: wp.array = wp.array(state.x.astype(np.float32), dtype=float, device=problem.device)
         self.gradient = wp.zeros_like(self.x)
