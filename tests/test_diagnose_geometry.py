@@ -13,7 +13,7 @@ from test_diagnose import ANGLES, saved
 from worlds import box, ground, mesh_of, scene_of, view
 
 from warpsar.diagnosis.command import run
-from warpsar.diagnosis.found import DiagnoseOptions
+from warpsar.diagnosis.found import DiagnoseOptions, Turn
 from warpsar.diagnosis.models.all_pixels import Exact, lit_shadows, log_likelihood
 from warpsar.diagnosis.models.change import changes, composed, content, scene_with, without_change, without_object
 from warpsar.diagnosis.models.effect_gain import EffectGain
@@ -24,6 +24,7 @@ from warpsar.diagnosis.models.refit import BOUND, Fitted, refit_as
 from warpsar.diagnosis.result import diagnose
 from warpsar.diagnosis.search import loop as search
 from warpsar.diagnosis.turn.geometry_search import _foretold, screening
+from warpsar.diagnosis.turn.geometry_trial import with_all_anew
 from warpsar.differentiable.geometry import exact_images
 from warpsar.io import checkpoint
 from warpsar.learning.geometry import still
@@ -34,6 +35,7 @@ from warpsar.runtime import devices
 from warpsar.scene.placing import with_objects
 from warpsar.scene.scene import Scene
 from warpsar.simulation.rays import Rays
+from warpsar.speckle.scan import Spot
 from warpsar.surface.stage import Stage
 from warpsar.world.objects.table import Object
 from warpsar.world.tables import Sampling
@@ -215,6 +217,28 @@ def test_a_gain_is_foretold(tmp_path: Path) -> None:
     before, start = exact.settled(shifted)
     problem = exact.problem(freed(still(before_scene(before, start.x, shifted)), ["hut"]))
     assert _foretold(problem)["hut"][0] == pytest.approx(start.loss - descend(problem, problem.x0).loss, rel=0.05)
+
+
+@pytest.mark.full
+def test_what_was_moved_before_is_fitted_anew_beside_an_addition(tmp_path: Path) -> None:
+    """A wrong spacing has pulled the hut 28 cm aside. Beside the right one it is fitted to its true place."""
+    wider = {"spacing_m": (0.51, 0.5)}
+    truth = true_scene(**MOVED)
+    truth = replace(truth, grid=truth.grid.model_copy(update=wider))
+    declared = replace(true_scene(), views=measured(truth, tmp_path, seed=3).views)
+    aside = composed(declared, declared, [Object(group="hut", position_m=(0.8, -0.6, 0.0), heading_deg=8.0)], ())
+    setup, fitted = fitted_of(replace(aside, grid=aside.grid.model_copy(update=wider)))
+    assert len(changes(declared, fitted.scene)) == 2
+    turn = Turn([], "pixel_spacing range", Spot(0.0, 0, 0, 0, (1, 1)), 0.0, 1.0, 1.0, fitted, fitted)
+    narrowed = with_all_anew(setup, turn, declared)
+    assert turn.fitted is not None
+    assert log_likelihood(narrowed, turn.fitted) > log_likelihood(setup, fitted) + 100.0
+    (hut,) = (one for one in turn.fitted.scene.objects if one.label == "hut")
+    assert hut.position_m[:2] == pytest.approx(MOVED["position_m"][:2], abs=0.03)
+    assert turn.fitted.scene.grid.spacing_m[0] == pytest.approx(0.51, abs=0.001)
+    # with one change alone there is nothing to fit anew
+    turn = Turn([], "object_pose hut", turn.spot, 0.0, 1.0, 1.0, fitted, fitted_of(aside)[1])
+    assert with_all_anew(setup, turn, declared) is setup
 
 
 def before_scene(problem: PosedProblem, x: np.ndarray, scene: Scene) -> Scene:

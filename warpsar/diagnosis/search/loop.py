@@ -25,7 +25,7 @@ from warpsar.diagnosis.search.outcome import confirmation_lines, score_text, tur
 from warpsar.diagnosis.search.record import SearchRecord
 from warpsar.diagnosis.turn.addition import TOO_LITTLE, add_the_best
 from warpsar.diagnosis.turn.geometry_search import Screened, geometry_candidates, screened_bodies, worth_fits
-from warpsar.diagnosis.turn.geometry_trial import add_the_likeliest, on_its_ground, posed_anew
+from warpsar.diagnosis.turn.geometry_trial import add_the_likeliest, on_its_ground, posed_anew, with_all_anew
 from warpsar.diagnosis.turn.pruning import prune, trimmed, with_smaller
 from warpsar.diagnosis.turn.rivals import rivals_of
 from warpsar.diagnosis.turn.scoring import score_effects
@@ -298,7 +298,8 @@ class Search:
         self._say_fits([f"{kind} {label}" for kind, label in worth_fits(bodies, price, ahead)])
         offered += geometry_candidates(self.scene, setup, here, bodies, price, ahead, offered)
         offered = [c for c in offered if c.name not in self._barred and self._times[c.name] < CHANCES]
-        return add_the_likeliest(setup, turn, here, self.scene, offered, price)
+        setup = add_the_likeliest(setup, turn, here, self.scene, offered, price)
+        return with_all_anew(setup, turn, self.scene)
 
     def _say_fits(self, names: Sequence[str]) -> None:
         if names:

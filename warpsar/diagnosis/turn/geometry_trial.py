@@ -13,7 +13,7 @@ import numpy as np
 
 from warpsar.diagnosis.found import Candidate, Turn
 from warpsar.diagnosis.models.all_pixels import log_likelihood
-from warpsar.diagnosis.models.change import GeometryCandidate
+from warpsar.diagnosis.models.change import GeometryCandidate, changes, is_geometry
 from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.frozen import frozen
 from warpsar.diagnosis.models.movable import bodies, refined_words, standing, with_words
@@ -72,6 +72,24 @@ def add_the_likeliest(
             worth = candidate.refit_gain is not None and candidate.refit_gain > (candidate.refit_size or 0) * price
             candidate.refused = f"{turn.added} is likelier" if worth and turn.added else TOO_LITTLE
     return best_setup
+
+
+def with_all_anew(setup: FitSetup, turn: Turn, declared: Scene) -> FitSetup:
+    """Let everything of the geometry that was changed be fitted anew, together, where the turn has added to it.
+
+    What was changed before stands where it was likeliest without the turn's addition: a body that a wrong spacing has
+    pulled aside. Left there, it makes other effects and angles seem likely. Returns the setup as `add_the_likeliest`.
+    """
+    if turn.fitted is None or turn.added is None or not is_geometry(turn.added):
+        return setup
+    if len(changes(declared, turn.fitted.scene)) < 2:
+        return setup
+    scene, _ = posed_anew(setup, turn.fitted, declared)
+    narrowed, fitted = fitted_beside(setup, scene, declared)
+    if log_likelihood(setup, fitted) <= log_likelihood(setup, turn.fitted):
+        return setup
+    turn.fitted = fitted
+    return narrowed
 
 
 def fitted_beside(setup: FitSetup, scene: Scene, declared: Scene) -> tuple[FitSetup, Fitted]:
