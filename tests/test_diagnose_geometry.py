@@ -236,7 +236,12 @@ def test_what_was_moved_before_is_fitted_anew_beside_an_addition(tmp_path: Path)
     (hut,) = (one for one in turn.fitted.scene.objects if one.label == "hut")
     assert hut.position_m[:2] == pytest.approx(MOVED["position_m"][:2], abs=0.03)
     assert turn.fitted.scene.grid.spacing_m[0] == pytest.approx(0.51, abs=0.001)
-    # with one change alone there is nothing to fit anew
+    # beside an effect, too
+    turn = Turn([], "noise_floor", turn.spot, 0.0, 1.0, 1.0, fitted, fitted_of(aside)[1])
+    with_all_anew(setup, turn, declared)
+    assert turn.fitted is not None
+    assert turn.fitted.scene.objects[0].position_m[0] != pytest.approx(0.8, abs=0.02)
+    # one change alone was fitted with all else
     turn = Turn([], "object_pose hut", turn.spot, 0.0, 1.0, 1.0, fitted, fitted_of(aside)[1])
     assert with_all_anew(setup, turn, declared) is setup
 

@@ -207,7 +207,7 @@ class Search:
                 return found
             self._times[turn.added] += 1
             found = True
-            if is_geometry(turn.added):
+            if changes(self.scene, turn.fitted.scene):
                 self._setup, self._base = on_its_ground(self._setup, self._other, turn.fitted)
             else:
                 self._setup, self._base = narrow(self._setup, turn.fitted)
@@ -242,6 +242,7 @@ class Search:
                     add_the_best(setup, turn, here, found, dark, price)
             if geometry:
                 setup = self._with_geometry(setup, turn, here, sensor, bodies, price)
+                setup = with_all_anew(setup, turn, self.scene)
             if turn.fitted is not None:
                 prune(setup, turn, self._effects(here), price)
         return turn
@@ -298,8 +299,7 @@ class Search:
         self._say_fits([f"{kind} {label}" for kind, label in worth_fits(bodies, price, ahead)])
         offered += geometry_candidates(self.scene, setup, here, bodies, price, ahead, offered)
         offered = [c for c in offered if c.name not in self._barred and self._times[c.name] < CHANCES]
-        setup = add_the_likeliest(setup, turn, here, self.scene, offered, price)
-        return with_all_anew(setup, turn, self.scene)
+        return add_the_likeliest(setup, turn, here, self.scene, offered, price)
 
     def _say_fits(self, names: Sequence[str]) -> None:
         if names:

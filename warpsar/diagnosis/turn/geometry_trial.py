@@ -13,7 +13,7 @@ import numpy as np
 
 from warpsar.diagnosis.found import Candidate, Turn
 from warpsar.diagnosis.models.all_pixels import log_likelihood
-from warpsar.diagnosis.models.change import GeometryCandidate, changes, is_geometry
+from warpsar.diagnosis.models.change import GeometryCandidate, changes
 from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.frozen import frozen
 from warpsar.diagnosis.models.movable import bodies, refined_words, standing, with_words
@@ -75,18 +75,17 @@ def add_the_likeliest(
 
 
 def with_all_anew(setup: FitSetup, turn: Turn, declared: Scene) -> FitSetup:
-    """Let everything of the geometry that was changed be fitted anew, together, where the turn has added to it.
+    """Let all changes of the geometry be fitted anew, together, beside what the turn has added.
 
-    What was changed before stands where it was likeliest without the turn's addition: a body that a wrong spacing has
-    pulled aside. Left there, it makes other effects and angles seem likely. Returns the setup as `add_the_likeliest`.
+    What was changed before stands where it was likeliest without the addition: a body that a wrong spacing or a shift
+    has pulled aside. Left there, it makes other effects and angles seem likely. Returns the setup of the pixels that
+    the model is fitted on.
     """
-    if turn.fitted is None or turn.added is None or not is_geometry(turn.added):
+    if turn.fitted is None or not set(changes(declared, turn.fitted.scene)) - {turn.added}:
         return setup
-    if len(changes(declared, turn.fitted.scene)) < 2:
-        return setup
-    scene, _ = posed_anew(setup, turn.fitted, declared)
+    scene, found = posed_anew(setup, turn.fitted, declared)
     narrowed, fitted = fitted_beside(setup, scene, declared)
-    if log_likelihood(setup, fitted) <= log_likelihood(setup, turn.fitted):
+    if found is None or log_likelihood(setup, fitted) <= log_likelihood(setup, turn.fitted):
         return setup
     turn.fitted = fitted
     return narrowed
