@@ -1,0 +1,115 @@
+"""Pictures of layers, with axes and scales."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpsar.io import figures
+from warpsar.io.grey_scale import GreyScale, in_decibel
+from warpsar.terrain.layers import Layer, of_image, of_map
+from warpsar.terrain.result import SimulatedProduct
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+MOST = 700
+"""Pixels along a picture's longer side."""
+IN_PICTURE = ("measured", "beta0", "gamma0", "incidence", "surfaces", "shadow")
+ON_MAP = ("measured_gamma0", "gamma0", "incidence", "layover", "shadow")
+
+
+def thinned(values: np.ndarray) -> tuple[np.ndarray, int, int]:
+    """Means of blocks, so that the longer side has `MOST` at most; and how many lines and pixels a mean is of."""
+    step = max(-(-max(values.shape) // MOST), 1)
+    rows, columns = (n // step for n in values.shape)
+    if step == 1 or not rows or not columns:
+        return np.asarray(values), 1, 1
+    cut = np.asarray(values[: rows * step, : columns * step]).reshape(rows, step, columns, step)
+    known = np.isfinite(cut)
+    count = known.sum(axis=(1, 3))
+    total = np.where(known, cut, 0.0).sum(axis=(1, 3))
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan), step, step
+
+
+def image_figure(found: SimulatedProduct) -> Figure:
+    """Layers on the product's grid."""
+    lines, pixels = found.window.lines, found.window.pixels
+    ends = (pixels[0] - 0.5, pixels[1] - 0.5, lines[1] - 0.5, lines[0] - 0.5)
+    chosen = [of_image(name) for name in IN_PICTURE if name in found.image]
+    return _panels(found.image, chosen, ends, ("pixel", "line"), _aspect(found))
+
+
+def map_figure(found: SimulatedProduct) -> Figure:
+    """Layers on the map."""
+    affine, crs = found.map_place.affine, found.map_place.crs
+    rows, columns = next(iter(found.map.values())).shape
+    ends = (affine.c, affine.c + columns * affine.a, affine.f + rows * affine.e, affine.f)
+    if crs.is_geographic:
+        labels, aspect = ("longitude [deg]", "latitude [deg]"), 1.0 / np.cos(np.deg2rad(0.5 * (ends[2] + ends[3])))
+    else:
+        labels, aspect = (f"east [{crs.linear_units}]", f"north [{crs.linear_units}]"), 1.0
+    chosen = [of_map(name) for name in ON_MAP if name in found.map]
+    return _panels(found.map, chosen, ends, labels, float(aspect))
+
+
+def _aspect(found: SimulatedProduct) -> float:
+    """Of a line to a pixel on the ground, by areas: a picture is shown as the ground lies."""
+    area = np.nanmedian(found.image["area_sigma"])
+    product = found.product
+    middle = [0.5 * (a + b - 1) for a, b in (found.window.lines, found.window.pixels)]
+    mean = 0.5 * (found.elevation.lowest_m + found.elevation.highest_m)
+    geodetic = np.deg2rad(product.to_ground([middle[0], middle[0] + 1], [middle[1]] * 2, mean)[:, :2])
+    north, east = np.diff(geodetic, axis=0)[0]
+    line_m = 6.371e6 * np.hypot(north, east * np.cos(geodetic[0, 0]))
+    return float(line_m / max(area / line_m, 1e-6))
+
+
+def _panels(
+    layers: dict[str, np.ndarray],
+    chosen: list[Layer],
+    ends: tuple[float, float, float, float],
+    labels: tuple[str, str],
+    aspect: float,
+) -> Figure:
+    columns = min(3, len(chosen))
+    rows = -(-len(chosen) // columns)
+    tall = abs(ends[3] - ends[2]) * aspect / abs(ends[1] - ends[0])
+    height = float(np.clip(3.3 * tall, 2.0, 6.0)) + 1.0
+    figure, axes = figures.new(4.0 * columns, height * rows, nrows=rows, ncols=columns, squeeze=False)
+    powers = [thinned(layers[one.name])[0] for one in chosen if one.kind == "power"]
+    scale = GreyScale.of(powers) if powers else None
+    for axis, layer in zip(axes.flat, chosen, strict=False):
+        _panel(axis, layers[layer.name], layer, ends, aspect, scale)
+        axis.set_xlabel(labels[0])
+        axis.set_ylabel(labels[1])
+    for axis in axes.flat[len(chosen) :]:
+        axis.set_visible(False)
+    return figure
+
+
+def _panel(
+    axis: Axes, values: np.ndarray, layer: Layer, ends: tuple[float, ...], aspect: float, scale: GreyScale | None
+) -> None:
+    shown, _, _ = thinned(values)
+    options: dict[str, Any] = {"extent": ends, "aspect": aspect, "interpolation": "nearest"}
+    label = {"power": f"{layer.name} [dB]", "angle": f"{layer.name} [deg]"}.get(layer.kind, layer.name)
+    if layer.kind == "power" and scale is not None:
+        drawn = axis.imshow(in_decibel(shown), cmap="gray", norm=scale.norm(), **options)
+    elif layer.kind == "angle":
+        drawn = axis.imshow(shown, cmap="viridis", vmin=0.0, vmax=90.0, **options)
+    elif layer.kind == "count":
+        drawn = axis.imshow(shown, cmap="magma", vmin=0.0, vmax=max(3.0, float(np.nanmax(shown))), **options)
+    else:
+        drawn = axis.imshow(shown, cmap="cividis", vmin=0.0, vmax=1.0, **options)
+    axis.set_facecolor("#bcd0e0")
+    axis.set_title(layer.name.replace("_", " "), fontsize=10)
+    axis.locator_params(nbins=4)
+    axis.ticklabel_format(useOffset=False)
+    axis.tick_params(labelsize=7)
+    bar = axis.figure.colorbar(drawn, ax=axis, label=label, shrink=0.85)
+    if layer.kind == "power" and scale is not None:
+        bar.set_ticks(scale.ticks_db)
+        bar.set_ticklabels([f"{at:g}" for at in scale.ticks_db])
