@@ -17,8 +17,10 @@ if TYPE_CHECKING:
 
 MOST = 700
 """Pixels along a picture's longer side."""
-IN_PICTURE = ("measured", "beta0", "gamma0", "incidence", "surfaces", "shadow")
-ON_MAP = ("measured_gamma0", "gamma0", "incidence", "layover", "shadow")
+IN_PICTURE = ("measured", "beta0", "gamma0", "incidence", "shadow")
+ON_MAP = ("measured_gamma0", "gamma0", "incidence", "shadow")
+SEEN = (("seen once", "#e8e4d8"), ("layover", "#c1440e"), ("shadow", "#1b2a41"), ("layover in part shadow", "#7b4fa0"))
+"""What a panel of `shadow` shows together with `layover`."""
 
 
 def thinned(values: np.ndarray) -> tuple[np.ndarray, int, int]:
@@ -74,20 +76,46 @@ def _panels(
     labels: tuple[str, str],
     aspect: float,
 ) -> Figure:
-    columns = min(3, len(chosen))
+    columns = 2 if len(chosen) in (2, 4) else min(3, len(chosen))
     rows = -(-len(chosen) // columns)
     tall = abs(ends[3] - ends[2]) * aspect / abs(ends[1] - ends[0])
-    height = float(np.clip(3.3 * tall, 2.0, 6.0)) + 1.0
-    figure, axes = figures.new(4.0 * columns, height * rows, nrows=rows, ncols=columns, squeeze=False)
+    height = float(np.clip(2.7 * tall, 1.6, 6.0)) + 0.9
+    figure, axes = figures.new(4.2 * columns, height * rows, nrows=rows, ncols=columns, squeeze=False)
     powers = [thinned(layers[one.name])[0] for one in chosen if one.kind == "power"]
     scale = GreyScale.of(powers) if powers else None
     for axis, layer in zip(axes.flat, chosen, strict=False):
-        _panel(axis, layers[layer.name], layer, ends, aspect, scale)
+        if layer.name == "shadow":
+            _seen_panel(axis, layers, ends, aspect)
+        else:
+            _panel(axis, layers[layer.name], layer, ends, aspect, scale)
         axis.set_xlabel(labels[0])
         axis.set_ylabel(labels[1])
     for axis in axes.flat[len(chosen) :]:
         axis.set_visible(False)
     return figure
+
+
+def _seen_panel(axis: Axes, layers: dict[str, np.ndarray], ends: tuple[float, ...], aspect: float) -> None:
+    """Layover and shadow in one picture. A mean of pixels counts for what most of them are."""
+    from matplotlib.colors import ListedColormap
+    from matplotlib.patches import Patch
+
+    layover, shadow = (thinned(layers[name])[0] for name in ("layover", "shadow"))
+    shown = np.where(np.isnan(shadow), np.nan, 1.0 * (layover >= 0.5) + 2.0 * (shadow >= 0.5))
+    colours = ListedColormap([colour for _, colour in SEEN])
+    axis.imshow(shown, cmap=colours, vmin=-0.5, vmax=3.5, extent=ends, aspect=aspect, interpolation="nearest")
+    _dress(axis, "layover and shadow")
+    there = [one for k, one in enumerate(SEEN) if k in (0, 1, 2) or (shown == k).any()]
+    handles = [Patch(facecolor=colour, edgecolor="0.3", label=name) for name, colour in there]
+    axis.legend(handles=handles, fontsize=7, loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
+
+
+def _dress(axis: Axes, title: str) -> None:
+    axis.set_facecolor("#bcd0e0")
+    axis.set_title(title, fontsize=10)
+    axis.locator_params(nbins=4)
+    axis.ticklabel_format(useOffset=False)
+    axis.tick_params(labelsize=7)
 
 
 def _panel(
@@ -100,15 +128,9 @@ def _panel(
         drawn = axis.imshow(in_decibel(shown), cmap="gray", norm=scale.norm(), **options)
     elif layer.kind == "angle":
         drawn = axis.imshow(shown, cmap="viridis", vmin=0.0, vmax=90.0, **options)
-    elif layer.kind == "count":
-        drawn = axis.imshow(shown, cmap="magma", vmin=0.0, vmax=max(3.0, float(np.nanmax(shown))), **options)
     else:
         drawn = axis.imshow(shown, cmap="cividis", vmin=0.0, vmax=1.0, **options)
-    axis.set_facecolor("#bcd0e0")
-    axis.set_title(layer.name.replace("_", " "), fontsize=10)
-    axis.locator_params(nbins=4)
-    axis.ticklabel_format(useOffset=False)
-    axis.tick_params(labelsize=7)
+    _dress(axis, layer.name.replace("_", " "))
     bar = axis.figure.colorbar(drawn, ax=axis, label=label, shrink=0.85)
     if layer.kind == "power" and scale is not None:
         bar.set_ticks(scale.ticks_db)

@@ -106,7 +106,7 @@ def ground_of(product: Product, elevation: Elevation, block: Block) -> GroundPos
     local = (point - centre) @ origin.axes.T
     look = (orbit.at(time)[0] - point) / slant[:, None] @ origin.axes.T
     a, b, c = (local[facets[0, i], :2] for i in range(3))
-    turned = bool(np.cross(b - a, c - a) < 0.0)
+    turned = bool(_around(a, b, c) < 0.0)
     if turned:
         facets = facets[:, ::-1]
     line = block.grid.line(time, slant) - (block.window.lines[0] - block.grid_line)
@@ -124,8 +124,12 @@ def _forward(product: Product, grid: LineGrid, time: float, slant: float) -> flo
     at = locate(orbit, [time, time + 0.01, time], [slant, slant, slant + 20.0], 0.0, product.side)
     here = LocalEarth(*at[0])
     local = (geodetic_to_ecef(at) - geodetic_to_ecef(at[0])) @ here.axes.T
-    around = np.sign(np.cross(local[1, :2] - local[0, :2], local[2, :2] - local[0, :2]))
-    return float(around * np.sign(grid.line_s))
+    return float(np.sign(_around(*local[:, :2])) * np.sign(grid.line_s))
+
+
+def _around(a: F64, b: F64, c: F64) -> float:
+    """Positive for three places on the plane that run counter-clockwise."""
+    return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
 
 
 def edges_of(grid: LineGrid, lines: tuple[int, int], pixels: tuple[int, int]) -> F64:

@@ -6,6 +6,7 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -90,12 +91,17 @@ def simulated(
     if not np.isfinite(canvas.image["area_sigma"]).any():
         raise InputError(f"{product.source}: it shows no ground of {elevation.path}; must overlap where that has data")
     canvas.crop_map()
-    affine = elevation.affine
-    place = affine * affine.translation(columns[0] + canvas.map_left / fine, rows[0] + canvas.map_top / fine)
-    place = place * affine.scale(1.0 / fine)
+    place = _part(elevation.affine, columns[0] + canvas.map_left / fine, rows[0] + canvas.map_top / fine, fine)
     return SimulatedProduct(
         product, elevation, window, canvas.image, canvas.map, AffinePlace(elevation.crs, place), surface, words, len(blocks)
     )
+
+
+def _part(affine: Any, column: float, row: float, fine: int) -> Any:
+    """The affine of a raster that begins at a column and row, with cells `fine` times as small."""
+    a, b, c, d, e, f = tuple(affine)[:6]
+    left, top = c + a * column + b * row, f + d * column + e * row
+    return type(affine)(a / fine, b / fine, left, d / fine, e / fine, top)
 
 
 def _has_noise(product: Product) -> bool:
