@@ -8,6 +8,7 @@ projection.py    facets into pixels and cells of the map, on the device
 layers.py        what each layer is: name, unit, words
 result.py        a product's layers together
 summary.py       what they say in a few numbers and words
+comparison.py    measured pixels beside simulated ones, and rivals that know no terrain
 files.py         GeoTIFF, NetCDF and Zarr
 figures.py       pictures with axes
 report.py        report.html

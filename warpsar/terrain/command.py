@@ -23,9 +23,10 @@ from warpsar.simulation.materials import sigma0_db
 from warpsar.simulation.outputs import make_folder, write_json
 from warpsar.terrain import files
 from warpsar.terrain.blocks import Box
+from warpsar.terrain.comparison import TerrainComparison, compared
 from warpsar.terrain.elevation import Elevation
-from warpsar.terrain.figures import image_figure, map_figure
-from warpsar.terrain.report import write_report
+from warpsar.terrain.figures import comparison_figure, image_figure, map_figure
+from warpsar.terrain.report import comparison_words, write_report
 from warpsar.terrain.result import SimulatedProduct, simulated
 from warpsar.terrain.summary import summary
 from warpsar.world.library.fill import material
@@ -153,7 +154,10 @@ def run(
     make_folder(out)  # nothing is written for what is refused
     said = summary(found)
     written = [name for one in dict.fromkeys(formats) for name in files.write(found, out, one)]
+    against = compared(found)
     drawn = {"image.png": image_figure(found), "map.png": map_figure(found)}
+    if isinstance(against, TerrainComparison):
+        drawn["comparison.png"] = comparison_figure(found, against)
     for name, figure in drawn.items():
         figures.save(figure, out / name)
     written += list(drawn)
@@ -165,13 +169,14 @@ def run(
         "map_shape": list(next(iter(found.map.values())).shape),
         "blocks": found.blocks,
         **said.content(),
+        "comparison": against.content() if isinstance(against, TerrainComparison) else against,
         "files": [*written, "report.html"],
         "settings": {"crop": crop, "geoid_offset_m": geoid_offset_m, "radiometry": radiometry, "formats": list(formats)},
     }
     content = write_json(out / "twin.json", None, where, None, started, content)
-    write_report(out / "report.html", said, drawn, content, command)
+    write_report(out / "report.html", said, against, drawn, content, command)
     console.say_written(out, "report.html", "twin.json", *written)
-    print("\n".join(said.words))
+    print("\n".join([*said.words, *comparison_words(against)]))
     return content
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from warpsar.io import figures
 from warpsar.io.grey_scale import GreyScale, in_decibel
+from warpsar.terrain.comparison import TerrainComparison
 from warpsar.terrain.layers import Layer, of_image, of_map
 from warpsar.terrain.result import SimulatedProduct
 
@@ -55,6 +56,34 @@ def map_figure(found: SimulatedProduct) -> Figure:
         labels, aspect = (f"east [{crs.linear_units}]", f"north [{crs.linear_units}]"), 1.0
     chosen = [of_map(name) for name in ON_MAP if name in found.map]
     return _panels(found.map, chosen, ends, labels, float(aspect))
+
+
+def comparison_figure(found: SimulatedProduct, against: TerrainComparison) -> Figure:
+    """Cells: measured and simulated on one scale about their medians, and the residual."""
+    lines, pixels = found.window.lines, found.window.pixels
+    rows, columns = against.residual_db.shape
+    ends = (
+        pixels[0] - 0.5, pixels[0] - 0.5 + columns * against.cell[1],
+        lines[0] - 0.5 + rows * against.cell[0], lines[0] - 0.5,
+    )  # fmt: skip
+    aspect = _aspect(found)
+    tall = abs(ends[3] - ends[2]) * aspect / abs(ends[1] - ends[0])
+    figure, axes = figures.new(12.6, float(np.clip(2.7 * tall, 1.6, 6.0)) + 0.9, ncols=3)
+    spread = max(float(np.nanpercentile(np.abs(against.measured_db - np.nanmedian(against.measured_db)), 98)), 1.0)
+    panels = (
+        ("measured, less its median [dB]", against.measured_db - np.nanmedian(against.measured_db), "gray"),
+        ("simulated, less its median [dB]", against.simulated_db - np.nanmedian(against.simulated_db), "gray"),
+        ("measured less simulated, less its median [dB]", against.residual_db, "RdBu_r"),
+    )
+    for axis, (title, values, colours) in zip(axes, panels, strict=True):
+        drawn = axis.imshow(
+            values, cmap=colours, vmin=-spread, vmax=spread, extent=ends, aspect=aspect, interpolation="nearest"
+        )
+        _dress(axis, title)
+        axis.set_xlabel("pixel")
+        axis.set_ylabel("line")
+        figure.colorbar(drawn, ax=axis, label="dB", shrink=0.85)
+    return figure
 
 
 def _aspect(found: SimulatedProduct) -> float:
