@@ -49,7 +49,7 @@ def main(folder: Path, device: str | None) -> None:
     line, pixel = 8000.0, 20000.0
     corners = product.to_ground([line, line + SIZE], [pixel, pixel + SIZE], 700.0)
     middle = corners.mean(axis=0)
-    half_lat, half_lon = (0.5 * abs(np.diff(corners[:, i])[0]) for i in (0, 1))
+    half_lat, half_lon = (share * abs(np.diff(corners[:, i])[0]) for i, share in ((0, 0.47), (1, 0.38)))
     crop = (middle[1] - half_lon, middle[0] - half_lat, middle[1] + half_lon, middle[0] + half_lat)
     with tempfile.TemporaryDirectory() as scratch:
         path = Path(scratch) / "hills.tif"

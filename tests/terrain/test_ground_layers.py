@@ -1,4 +1,4 @@
-"""Layers against closed forms: level ground, a slope, a cone with layover and shadow; and the way to ellipsoidal heights."""
+"""Layers against closed forms: level ground, a slope, a cone with layover and shadow; and ellipsoidal heights."""
 
 from __future__ import annotations
 
@@ -46,7 +46,9 @@ def level(tmp_path_factory: pytest.TempPathFactory) -> SimulatedProduct:
 def test_level_ground_lies_where_the_orbit_puts_it(level: SimulatedProduct) -> None:
     """The site is line 31.5, pixel 127.5 by a minimum of distances: the place there is the site, to 0.01 pixel."""
     row, column = 31 - level.window.lines[0], 127 - level.window.pixels[0]
-    around = [level.image[name][row : row + 2, column : column + 2].mean() for name in ("latitude", "longitude", "height")]
+    around = [
+        level.image[name][row : row + 2, column : column + 2].mean() for name in ("latitude", "longitude", "height")
+    ]
     off = LocalEarth(*SITE).axes @ (geodetic_to_ecef(np.array(around)) - geodetic_to_ecef(np.array(SITE)))
     assert np.linalg.norm(off) < 0.025  # [m]
 
@@ -71,7 +73,9 @@ def test_lit_area_of_level_ground(level: SimulatedProduct) -> None:
     angle = np.deg2rad(level.image["ellipsoid_incidence"])
     expected = level.image["area_beta"] / np.sin(angle)
     # float32 edges of pixels [m]: 1e-4 of 2.5 m; the ground's curvature: 1e-4
-    np.testing.assert_allclose(level.image["area_sigma"] / expected, np.where(np.isnan(expected), np.nan, 1.0), rtol=1e-3)
+    np.testing.assert_allclose(
+        level.image["area_sigma"] / expected, np.where(np.isnan(expected), np.nan, 1.0), rtol=1e-3
+    )
     np.testing.assert_allclose(level.image["gamma0"], level.image["sigma0"] / np.cos(angle), rtol=1e-4)
     np.testing.assert_allclose(level.image["sigma0"], level.image["beta0"] * np.sin(angle), rtol=1e-3)
 
@@ -144,7 +148,7 @@ def test_layover_of_a_cone(cone: SimulatedProduct) -> None:
     along, across = on_ground(cone)
     near = (np.abs(across) < 0.6 * STEP_M) & np.isfinite(cone.map["layover"])
     at, layover = along[near], cone.map["layover"][near]
-    assert HEIGHT_M / SLOPE < before  # the foot lies nearer to the top than the ground that is as far as the top
+    assert before > HEIGHT_M / SLOPE  # the foot lies nearer to the top than the ground that is as far as the top
     inside = (at > -before + 1.5 * STEP_M) & (at < -1.5 * STEP_M)
     assert layover[inside].min() == 1.0
     assert np.nanmax(layover[at < -before - 1.5 * STEP_M]) == 0.0
@@ -215,7 +219,7 @@ def test_heights_are_never_guessed(tmp_path: Path) -> None:
     safe = product(tmp_path)
     with pytest.raises(InputError, match="does not say what its heights are above; state --geoid-offset"):
         warpsar.twin(safe, dem(tmp_path, flat(9)))
-    with pytest.raises(InputError, match="EGM96 height, and PROJ lacks its grid us_nga_egm96_15.tif"):
+    with pytest.raises(InputError, match=r"EGM96 height, and PROJ lacks its grid us_nga_egm96_15\.tif"):
         warpsar.twin(safe, dem(tmp_path, flat(9), crs="EPSG:4326+5773"))
     with pytest.raises(InputError, match="--geoid-offset: found 5000 m"):
         warpsar.twin(safe, dem(tmp_path, flat(9)), geoid_offset_m=5000.0)
@@ -264,11 +268,11 @@ def test_bad_input_at_the_door(tmp_path: Path) -> None:
     good = dem(tmp_path, flat(9))
     with pytest.raises(InputError, match="heights from 32767"):
         warpsar.twin(safe, dem(tmp_path, flat(9, 32767.0), name="high.tif"), geoid_offset_m=0.0)
-    with pytest.raises(InputError, match="--crop: found .* holds none of it"):
+    with pytest.raises(InputError, match=r"--crop: found .* holds none of it"):
         warpsar.twin(safe, good, geoid_offset_m=0.0, crop=(40.0, 10.0, 41.0, 11.0))
     with pytest.raises(InputError, match="west below east"):
         warpsar.twin(safe, good, geoid_offset_m=0.0, crop=(13.0, 46.0, 12.0, 47.0))
-    with pytest.raises(InputError, match="--surface: found 'gras'.*grass"):
+    with pytest.raises(InputError, match=r"--surface: found 'gras'.*grass"):
         warpsar.twin(safe, good, geoid_offset_m=0.0, surface="gras")
     other = tmp_path / "no_orbit"
     other.mkdir()

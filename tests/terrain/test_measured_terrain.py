@@ -70,7 +70,9 @@ def test_places_are_those_of_the_geolocation_grid(measured_data: Path, tmp_path:
         stated.append(point["incidenceAngle"])
     farthest = np.linalg.norm(off, axis=1).max() / PIXEL_M
     own, from_centre = np.abs(np.array(angle) - np.array(stated)[:, None]).max(axis=0)
-    print(f"{len(off)} points: {farthest:.4f} pixels at most; incidence {own:.4f} deg at most, {from_centre:.4f} from the")
+    print(
+        f"{len(off)} points: {farthest:.4f} pixels at most; incidence {own:.4f} deg at most, {from_centre:.4f} from the"
+    )
     print("direction of the earth's centre")
     assert farthest < 0.1
     # ESA's angle is from the earth's centre, not from the ellipsoid's normal: 0.19 deg apart here, mostly across

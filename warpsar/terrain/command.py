@@ -171,7 +171,12 @@ def run(
         **said.content(),
         "comparison": against.content() if isinstance(against, TerrainComparison) else against,
         "files": [*written, "report.html"],
-        "settings": {"crop": crop, "geoid_offset_m": geoid_offset_m, "radiometry": radiometry, "formats": list(formats)},
+        "settings": {
+            "crop": crop,
+            "geoid_offset_m": geoid_offset_m,
+            "radiometry": radiometry,
+            "formats": list(formats),
+        },
     }
     content = write_json(out / "twin.json", None, where, None, started, content)
     write_report(out / "report.html", said, against, drawn, content, command)

@@ -104,15 +104,15 @@ def compared(found: SimulatedProduct) -> TerrainComparison | str | None:
         f"in squares that decided nothing {left:.2f} dB are left with the simulation, {without:.2f} dB without it",
         f"of the brightest {BRIGHT:.0%} of cells {shared:.0%} are also the simulation's",
     ]
-    if any(shift):
+    if any(shift) and best > chance:
         words.append(
             f"they agree best ({best:+.2f}) with the measured image {shift[0] * cell[0]:+d} lines and "
             f"{shift[1] * cell[1]:+d} pixels from where it should be"
         )
     words.append("terrain is seen in this image" if seen else "terrain cannot be told from chance in this image")
     return TerrainComparison(
-        cell, int(usable.sum()), own, chance, best, (shift[0] * cell[0], shift[1] * cell[1]), shared, level, left, without,
-        slope, seen, tuple(words), y - x - level, y, x,
+        cell, int(usable.sum()), own, chance, best, (shift[0] * cell[0], shift[1] * cell[1]), shared, level, left,
+        without, slope, seen, tuple(words), y - x - level, y, x,
     )  # fmt: skip
 
 

@@ -61,11 +61,13 @@ class Elevation:
             shape, crs, affine = (source.height, source.width), source.crs, source.transform
             if min(shape) < 2 or max(shape) > LARGEST_SIDE:
                 raise InputError(
-                    f"{path}: found {shape[0]} x {shape[1]} heights; must be at least 2 x 2, and at most {LARGEST_SIDE} "
-                    "along a side"
+                    f"{path}: found {shape[0]} x {shape[1]} heights; must be at least 2 x 2, and at most "
+                    f"{LARGEST_SIDE} along a side"
                 )
             if shape[0] * shape[1] > LARGEST_PER_BYTE * path.stat().st_size:
-                raise InputError(f"{path}: found {shape[0]} x {shape[1]} heights in {path.stat().st_size} bytes: broken")
+                raise InputError(
+                    f"{path}: found {shape[0]} x {shape[1]} heights in {path.stat().st_size} bytes: broken"
+                )
             datum = datum_of(path, crs.to_wkt(), geoid_offset_m)
             low, high = np.inf, -np.inf
             rows = max(READ_POSTS // shape[1], 1)

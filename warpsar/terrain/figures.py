@@ -73,7 +73,7 @@ def comparison_figure(found: SimulatedProduct, against: TerrainComparison) -> Fi
     panels = (
         ("measured, less its median [dB]", against.measured_db - np.nanmedian(against.measured_db), "gray"),
         ("simulated, less its median [dB]", against.simulated_db - np.nanmedian(against.simulated_db), "gray"),
-        ("measured less simulated, less its median [dB]", against.residual_db, "RdBu_r"),
+        ("residual, less its median [dB]", against.residual_db, "RdBu_r"),
     )
     for axis, (title, values, colours) in zip(axes, panels, strict=True):
         drawn = axis.imshow(

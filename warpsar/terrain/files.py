@@ -55,7 +55,9 @@ def write(found: SimulatedProduct, out: Path, file_format: str) -> list[str]:
         place = {name: found.image[name] for name in PLACE}
         axes = "rows: lines of the product from first_line on; columns: its pixels from first_pixel on"
         write_cog(out / "image.tif", image, {**facts(found), "axes": axes, **_units(image, False)})
-        write_cog(out / "image_place.tif", place, {**facts(found), "axes": axes, **_units(place, False)}, kind="float64")
+        write_cog(
+            out / "image_place.tif", place, {**facts(found), "axes": axes, **_units(place, False)}, kind="float64"
+        )
         write_cog(out / "map.tif", found.map, {**facts(found), **_units(found.map, True)}, found.map_place)
         return ["image.tif", "image_place.tif", "map.tif"]
     names = []

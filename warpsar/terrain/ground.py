@@ -138,4 +138,3 @@ def edges_of(grid: LineGrid, lines: tuple[int, int], pixels: tuple[int, int]) ->
     pixel = np.arange(pixels[0], pixels[1] + 1)[None, :] - 0.5
     found: F64 = np.broadcast_to(grid.slant_m(line, pixel), (line.size, pixel.size))
     return found
-

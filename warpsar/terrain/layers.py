@@ -26,7 +26,9 @@ IN_IMAGE = (
     Layer("gamma0", "1", "simulated gamma0, linear: beta0 times area_beta / area_gamma", "power"),
     Layer("noise", "1", "thermal noise as beta0, linear, by the product's annotation", "power"),
     Layer("measured", "1", "the product's pixels as beta0, linear, noise inside", "power"),
-    Layer("incidence", "degree", "local incidence, of what is seen at the pixel's middle", "angle", "angle_of_incidence"),
+    Layer(
+        "incidence", "degree", "local incidence, of what is seen at the pixel's middle", "angle", "angle_of_incidence"
+    ),
     Layer("ellipsoid_incidence", "degree", "incidence on the ellipsoid there", "angle"),
     Layer("layover", "1", "share of the pixel in which several surfaces lie over each other", "share"),
     Layer("shadow", "1", "share of the pixel that no lit surface fills", "share"),
@@ -36,7 +38,9 @@ IN_IMAGE = (
     Layer("area_gamma", "m2", "the same as seen from the radar (Small 2011)", "area"),
     Layer("longitude", "degree_east", "of what is seen at the pixel's middle", "place", "longitude"),
     Layer("latitude", "degree_north", "of what is seen at the pixel's middle", "place", "latitude"),
-    Layer("height", "m", "above the WGS 84 ellipsoid, of what is seen there", "length", "height_above_reference_ellipsoid"),
+    Layer(
+        "height", "m", "above the WGS 84 ellipsoid, of what is seen there", "length", "height_above_reference_ellipsoid"
+    ),
 )
 """On the product's own grid: lines and pixels."""
 

@@ -66,7 +66,13 @@ class BlockProjection:
     """A block on the device. `edges_m` (lines, pixels + 1): where pixels begin and end [m]; either way along."""
 
     def __init__(
-        self, ground: GroundPosts, edges_m: F64, cover: NDArray[np.int32], sigma0: F64, spacing_m: float, device: wp.Device
+        self,
+        ground: GroundPosts,
+        edges_m: F64,
+        cover: NDArray[np.int32],
+        sigma0: F64,
+        spacing_m: float,
+        device: wp.Device,
     ) -> None:
         self._turned = bool(edges_m[0, 0] > edges_m[0, -1])
         edges = np.ascontiguousarray((edges_m[:, ::-1] if self._turned else edges_m) - ground.start_m, np.float32)

@@ -93,7 +93,15 @@ def simulated(
     canvas.crop_map()
     place = _part(elevation.affine, columns[0] + canvas.map_left / fine, rows[0] + canvas.map_top / fine, fine)
     return SimulatedProduct(
-        product, elevation, window, canvas.image, canvas.map, AffinePlace(elevation.crs, place), surface, words, len(blocks)
+        product,
+        elevation,
+        window,
+        canvas.image,
+        canvas.map,
+        AffinePlace(elevation.crs, place),
+        surface,
+        words,
+        len(blocks),
     )
 
 
@@ -266,7 +274,9 @@ class _Canvas:
         middle = 0.5 * (_lines(block)[0] + _lines(block)[1] - 1)
         at = np.linspace(block.window.pixels[0], block.window.pixels[1] - 1, 3)
         times, slants = block.grid.time_s(middle, at), block.grid.slant_m(middle, at)
-        points = [ImagedPoint(float(t), float(r), middle, p, np.zeros(3)) for t, r, p in zip(times, slants, at, strict=True)]
+        points = [
+            ImagedPoint(float(t), float(r), middle, p, np.zeros(3)) for t, r, p in zip(times, slants, at, strict=True)
+        ]
         speed = [self.product.speed_m_s(each) for each in points]
         length = np.interp(np.arange(*block.window.pixels), at, speed) * abs(block.grid.line_s)
         return np.asarray(length)[None, :]
@@ -290,8 +300,7 @@ def _room(shape: Sequence[int], kind: type, large: bool) -> np.ndarray:
     """NaN everywhere; in a file without a name where `large`."""
     if not large:
         return np.full(shape, np.nan, kind)
-    file = tempfile.TemporaryFile()  # noqa: SIM115: the array holds it open
+    file = tempfile.TemporaryFile()  # noqa: SIM115 (the array holds it open)
     made = np.memmap(file, kind, "w+", shape=tuple(shape))
     made[...] = np.nan
     return made
-
