@@ -313,7 +313,7 @@ def place_kernel(
 
 @wp.struct
 class MapCells:
-    """Middles of cells of the map, (n,) each: the facet that they lie on, and barycentric weights of corners 1 and 2."""
+    """Middles of cells of the map, (n,) each: the facet that they lie on, and barycentric weights of corners 1, 2."""
 
     facet: wp.array(dtype=int)
     weights: wp.array(dtype=wp.vec2)

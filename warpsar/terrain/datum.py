@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -83,8 +84,6 @@ def _three(crs: Any) -> Callable[[F64, F64, F64], tuple[F64, F64, F64]]:
 
 def _by_grid(path: Path, crs: Any, name: str) -> tuple[str, Callable[[F64, F64, F64], tuple[F64, F64, F64]]]:
     """By PROJ's own operation. It is refused where a grid is missing: PROJ would then leave heights as they are."""
-    import warnings
-
     from pyproj.transformer import TransformerGroup
 
     with warnings.catch_warnings():
