@@ -42,7 +42,7 @@ class ImageWindow:
 
 
 @dataclass(frozen=True)
-class Block:
+class ImageBlock:
     """A part of the window. `grid` has one burst at most; its line 0 is the product's `grid_line`."""
 
     window: ImageWindow
@@ -143,7 +143,7 @@ def _reach(ground: Elevation) -> str:
     )
 
 
-def blocks_of(product: Product, ground: Elevation, window: ImageWindow) -> Iterator[Block]:
+def blocks_of(product: Product, ground: Elevation, window: ImageWindow) -> Iterator[ImageBlock]:
     """Blocks of the window, by bursts, lines and pixels, with the posts that each may show or be shadowed by."""
     side = _side(product, ground, window)
     for first, grid in bursts_of(product.grid):
@@ -153,7 +153,7 @@ def blocks_of(product: Product, ground: Elevation, window: ImageWindow) -> Itera
                 part = ImageWindow(line, pixel)
                 posts = _posts(product, ground, part, grid, first)
                 if posts is not None:
-                    yield Block(part, grid, first, *posts)
+                    yield ImageBlock(part, grid, first, *posts)
 
 
 def _side(product: Product, ground: Elevation, window: ImageWindow) -> int:

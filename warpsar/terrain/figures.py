@@ -124,7 +124,9 @@ def _panels(
     return figure
 
 
-def _seen_panel(axis: Axes, layers: dict[str, np.ndarray], ends: tuple[float, ...], aspect: float) -> None:
+def _seen_panel(
+    axis: Axes, layers: dict[str, np.ndarray], ends: tuple[float, float, float, float], aspect: float
+) -> None:
     """Layover and shadow in one picture. A mean of pixels counts for what most of them are."""
     from matplotlib.colors import ListedColormap
     from matplotlib.patches import Patch
@@ -148,7 +150,12 @@ def _dress(axis: Axes, title: str) -> None:
 
 
 def _panel(
-    axis: Axes, values: np.ndarray, layer: Layer, ends: tuple[float, ...], aspect: float, scale: GreyScale | None
+    axis: Axes,
+    values: np.ndarray,
+    layer: Layer,
+    ends: tuple[float, float, float, float],
+    aspect: float,
+    scale: GreyScale | None,
 ) -> None:
     shown, _, _ = thinned(values)
     options: dict[str, Any] = {"extent": ends, "aspect": aspect, "interpolation": "nearest"}

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from warpsar.products.grid import LineGrid
 from warpsar.products.product import Product
 from warpsar.products.zero_doppler import abeam, axes_up, locate
-from warpsar.terrain.blocks import Block
+from warpsar.terrain.blocks import ImageBlock
 from warpsar.terrain.elevation import Elevation
 from warpsar.world.earth import LocalEarth, geodetic_to_ecef
 
@@ -69,7 +69,7 @@ class GroundPosts:
         return (first + ~upper).astype(np.int32), weights, which
 
 
-def ground_of(product: Product, elevation: Elevation, block: Block) -> GroundPosts | None:
+def ground_of(product: Product, elevation: Elevation, block: ImageBlock) -> GroundPosts | None:
     """None where the elevation model has no data there."""
     found = elevation.window(block.rows, block.columns)
     rows, columns = found.height.shape

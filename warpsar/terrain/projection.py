@@ -79,8 +79,8 @@ class BlockProjection:
         self.shape = edges.shape[0], edges.shape[1] - 1
         self.device = device
         self._ground = ground
-        points = wp.array(ground.point_m, dtype=wp.vec3, device=device)
-        corners = wp.array(ground.facets.ravel(), dtype=int, device=device)
+        points: wp.array = wp.array(ground.point_m, dtype=wp.vec3, device=device)
+        corners: wp.array = wp.array(ground.facets.ravel(), dtype=int, device=device)
         self._tree = wp.Mesh(points, corners)
         self._facets = fill(
             GroundFacets,
@@ -123,13 +123,12 @@ class BlockProjection:
             place_kernel, dim=self.shape, inputs=[self._facets, posts, self._edges, place, self._pixel_m],
             outputs=seen, device=self.device,
         )  # fmt: skip
-        longitude, latitude, *others = (self._straight(each.numpy()) for each in seen)
+        longitude, latitude, height, incidence, ellipsoid = (self._straight(each.numpy()) for each in seen)
+        area, across, power, surfaces, folded, covered = (self._straight(found[name].numpy()) for name in names)
         return BlockPixels(
-            *(self._straight(found[name].numpy()) for name in names),
-            longitude + origin.longitude_deg,
-            latitude + origin.latitude_deg,
-            *others,
-        )
+            area, across, power, surfaces, folded, covered, longitude + origin.longitude_deg,
+            latitude + origin.latitude_deg, height, incidence, ellipsoid,
+        )  # fmt: skip
 
     def cells(self, facet: NDArray[np.int32], weights: F32) -> BlockCells:
         """Cells of the map, whose middles lie on facets (n,) with barycentric weights (n, 2) of corners 1 and 2."""

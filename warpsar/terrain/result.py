@@ -18,7 +18,7 @@ from warpsar.products.product import ImagedPoint, Product
 from warpsar.runtime import console
 from warpsar.runtime.devices import load_kernels
 from warpsar.runtime.threads import ordered
-from warpsar.terrain.blocks import Block, Box, ImageWindow, blocks_of, window_of
+from warpsar.terrain.blocks import Box, ImageBlock, ImageWindow, blocks_of, window_of
 from warpsar.terrain.elevation import Elevation
 from warpsar.terrain.ground import edges_of, ground_of
 from warpsar.terrain.projection import BlockPixels, BlockProjection
@@ -170,7 +170,7 @@ class _Canvas:
         self.map = {name: _room(shape, np.float32, large) for name in mapped}
         self.map |= {name: _room(shape, np.float64, large) for name in ("line", "pixel")}
 
-    def fill(self, block: Block, sigma0: F64, device: wp.Device) -> None:
+    def fill(self, block: ImageBlock, sigma0: F64, device: wp.Device) -> None:
         ground = ground_of(self.product, self.elevation, block)
         if ground is None:
             return
@@ -210,7 +210,7 @@ class _Canvas:
                 values = np.where(lit, values, np.nan)  # such a pixel shows other ground
             self.map[name][row, column] = values
 
-    def _fill_image(self, block: Block, found: BlockPixels, edges: F64) -> dict[str, np.ndarray]:
+    def _fill_image(self, block: ImageBlock, found: BlockPixels, edges: F64) -> dict[str, np.ndarray]:
         """The block's part of each layer."""
         line = np.arange(*block.window.lines)[:, None]
         pixel = np.arange(*block.window.pixels)[None, :]
@@ -246,7 +246,7 @@ class _Canvas:
         return made
 
     def _radiometry(
-        self, block: Block, line: np.ndarray, pixel: np.ndarray, found: BlockPixels, beta_area: np.ndarray
+        self, block: ImageBlock, line: np.ndarray, pixel: np.ndarray, found: BlockPixels, beta_area: np.ndarray
     ) -> dict[str, np.ndarray]:
         """The product's noise and pixels as beta0."""
         product = self.product
@@ -269,7 +269,7 @@ class _Canvas:
             made["measured_gamma0"] = np.where(lit, (measured - noise) * beta_area / found.across, np.nan)
         return made
 
-    def _azimuth_m(self, block: Block) -> np.ndarray:
+    def _azimuth_m(self, block: ImageBlock) -> np.ndarray:
         """A line's length on the ground for each pixel, (1, pixels) [m]: linear between three of them."""
         middle = 0.5 * (_lines(block)[0] + _lines(block)[1] - 1)
         at = np.linspace(block.window.pixels[0], block.window.pixels[1] - 1, 3)
@@ -292,7 +292,7 @@ class _Canvas:
         self.map = {name: values[part] for name, values in self.map.items()}
 
 
-def _lines(block: Block) -> tuple[int, int]:
+def _lines(block: ImageBlock) -> tuple[int, int]:
     return block.window.lines[0] - block.grid_line, block.window.lines[1] - block.grid_line
 
 
